@@ -1,0 +1,78 @@
+"""The arrays of one frame, as trained and as exchanged: a scene of 3D Gaussians ("splats").
+
+Stored and activated values never share a name. Stored: ``log_scales``, ``opacity_logits``, ``quaternions`` (any
+non-zero norm) and ``sh``. Activated: ``scales = exp(log_scales)``, ``opacities = sigmoid(opacity_logits)``,
+unit ``rotations`` and view-dependent ``rgb = 0.5 + SH(direction)``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float32]
+
+SH_C0 = 0.28209479177387814
+"""Value of the degree-0 spherical harmonic: display colour = 0.5 + SH_C0 * sh[:, 0]."""
+
+
+@dataclass(frozen=True)
+class Splats:
+    """N Gaussians as stored values, float32, C-contiguous.
+
+    Shapes: means (N, 3); log_scales (N, 3); quaternions (N, 4) wxyz; opacity_logits (N,);
+    sh (N, K, 3) with K = (degree + 1)**2, degree 0 to 3, coefficients in 3DGS order.
+    Units: means and exp(log_scales) in world units; colours display-referred (sRGB-coded) 0..1.
+    """
+
+    means: FloatArray
+    log_scales: FloatArray
+    quaternions: FloatArray
+    opacity_logits: FloatArray
+    sh: FloatArray
+
+    def __len__(self) -> int:
+        return int(self.means.shape[0])
+
+    @property
+    def sh_degree(self) -> int:
+        return sh_degree_of(self.sh.shape[1])
+
+
+def sh_degree_of(coefficients: int) -> int:
+    """Spherical-harmonics degree that has this many coefficients per channel (1, 4, 9, 16)."""
+    degree = round(coefficients**0.5) - 1
+    if (degree + 1) ** 2 != coefficients or not 0 <= degree <= 3:
+        raise ValueError(f"{coefficients} SH coefficients per channel is no degree from 0 to 3")
+    return degree
+
+
+def empty_splats(sh_degree: int) -> Splats:
+    """A scene without Gaussians."""
+    k = (sh_degree + 1) ** 2
+    return Splats(*(np.zeros(s, np.float32) for s in ((0, 3), (0, 3), (0, 4), (0,), (0, k, 3))))
+
+
+def take_splats(splats: Splats, rows: NDArray[Any]) -> Splats:
+    """The Gaussians at ``rows`` (indices or a boolean mask), in that order."""
+    return Splats(
+        splats.means[rows],
+        splats.log_scales[rows],
+        splats.quaternions[rows],
+        splats.opacity_logits[rows],
+        splats.sh[rows],
+    )
+
+
+def join_splats(first: Splats, second: Splats) -> Splats:
+    """The Gaussians of ``first`` followed by those of ``second`` (same SH degree)."""
+    return Splats(
+        np.concatenate([first.means, second.means]),
+        np.concatenate([first.log_scales, second.log_scales]),
+        np.concatenate([first.quaternions, second.quaternions]),
+        np.concatenate([first.opacity_logits, second.opacity_logits]),
+        np.concatenate([first.sh, second.sh]),
+    )
