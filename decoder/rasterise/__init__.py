@@ -1,1 +1,47 @@
-"""(in work)"""
+"""Renders a scene of Gaussians through a pinhole camera: a fast native kernel and a readable float64 twin.
+
+Chosen: EWA splatting with the opacity-compensated low-pass filter of Mip-Splatting, so that a picture at another scale
+keeps its brightness; one C++ source compiled per instruction set; tiles of 16x16 pixels composited in 4x4 blocks.
+Rejected: numba (two to five times slower, silently when a loop fails to vectorise), torch per tile (seconds a picture).
+
+A backend is a function with the signature of ``native.render_planes``; a CUDA one (gsplat, ``rasterize_mode="antialiased"``)
+fits behind it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from decogs.formats.cameras import Camera
+from decogs.formats.errors import UsageError
+from decogs.formats.splats import FloatArray, Splats
+
+from .native import render_planes
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """What a camera sees: image (H, W, 3) display-referred, alpha (H, W) 0..1, depth (H, W) in world units.
+
+    Depth is the mean along the view axis of what the pixel shows, weighted as its colour is; 0 where alpha is 0.
+    """
+
+    image: FloatArray
+    alpha: FloatArray
+    depth: FloatArray
+
+
+def render(
+    splats: Splats, camera: Camera, background: tuple[float, float, float] = (0.0, 0.0, 0.0), *, threads: int = 0
+) -> Rendering:
+    """The picture of ``splats`` through ``camera``, whose lens distortion must have been taken out (``as_pinhole``).
+
+    ``threads`` 0 means all processors; the result does not depend on it. Source: Kerbl 2023, equation 3.
+    """
+    if camera.distortion_model != "none" and any(camera.distortion):
+        raise UsageError(f"camera {camera.name}: render through its pinhole and re-apply the lens distortion afterwards")
+    rgb, alpha, depth_sum = render_planes(splats, camera, background, threads)
+    depth = np.divide(depth_sum, alpha, out=np.zeros_like(depth_sum), where=alpha > 0)
+    return Rendering(np.ascontiguousarray(rgb.transpose(1, 2, 0)), alpha, depth)

@@ -1,1 +1,8 @@
-"""(in work)"""
+"""Renders with gradients: the native training kernel, and tests against the float64 twin in ``decoder.rasterise``.
+
+A CUDA backend (gsplat: ``rasterize_to_pixels`` with tile masks, ``packed=False``) fits behind ``TrainingKernel``'s methods.
+"""
+
+from .native import LossValue, Picture, SplatGradients, TrainingKernel
+
+__all__ = ["LossValue", "Picture", "SplatGradients", "TrainingKernel"]

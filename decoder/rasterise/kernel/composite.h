@@ -1,0 +1,175 @@
+// Front-to-back compositing of one tile, a 4x4 block of pixels at a time (Kerbl 2023, equation 3).
+#pragma once
+
+#include "tiles.h"
+
+namespace decogs {
+
+constexpr int kBlocks = 16;  // 4x4 pixel blocks per tile, 4x4 of them
+
+// What the backward pass needs of the forward pass; one slot of 16 lanes per block, 16 blocks per tile.
+struct Trace {
+    std::vector<float> transmittance;
+    std::vector<int32_t> last;     // one past the last entry of the tile's list that the pixel drew
+    std::vector<uint16_t> blocks;  // per entry: which blocks of the tile the ellipse meets
+
+    void resize(const TileLists& lists) {
+        transmittance.resize(static_cast<size_t>(lists.tiles()) * kBlocks * kLanes);
+        last.resize(transmittance.size());
+        blocks.resize(lists.entries.size());
+    }
+};
+
+struct Planes {  // planar pictures, (channels, height, width); null where not wanted
+    float* rgb;
+    float* alpha;
+    float* depth;
+    float background[3];
+};
+
+struct Block {  // pixel centres of a block and which of its pixels lie inside the picture
+    F x, y;
+    I inside;
+    int x0, y0;
+};
+
+DECOGS_INLINE Block block_of(int tile_x, int tile_y, int b, const Camera& cam) {
+    Block block;
+    block.x0 = tile_x * kTile + (b % 4) * 4;
+    block.y0 = tile_y * kTile + (b / 4) * 4;
+    float x[kLanes], y[kLanes];
+    for (int i = 0; i < kLanes; ++i) {
+        x[i] = static_cast<float>(block.x0 + i % 4) + 0.5f;
+        y[i] = static_cast<float>(block.y0 + i / 4) + 0.5f;
+    }
+    block.x = load(x);
+    block.y = load(y);
+    block.inside = (block.x < static_cast<float>(cam.width)) & (block.y < static_cast<float>(cam.height));
+    return block;
+}
+
+DECOGS_INLINE void write_block(float* plane, const Block& block, const Camera& cam, const F& value) {
+    float lanes[kLanes];
+    store(lanes, value);
+    const int columns = std::min(4, cam.width - block.x0), rows = std::min(4, cam.height - block.y0);
+    for (int j = 0; j < rows; ++j)
+        for (int i = 0; i < columns; ++i) plane[static_cast<int64_t>(block.y0 + j) * cam.width + block.x0 + i] = lanes[4 * j + i];
+}
+
+DECOGS_INLINE F read_block(const float* plane, const Block& block, const Camera& cam) {
+    float lanes[kLanes] = {0};
+    const int columns = std::min(4, cam.width - block.x0), rows = std::min(4, cam.height - block.y0);
+    for (int j = 0; j < rows; ++j)
+        for (int i = 0; i < columns; ++i) lanes[4 * j + i] = plane[static_cast<int64_t>(block.y0 + j) * cam.width + block.x0 + i];
+    return load(lanes);
+}
+
+// The bits of the blocks of a tile that the drawn ellipse meets.
+DECOGS_INLINE uint16_t blocks_met(const Projected& g, const F& corner_x, const F& corner_y) {
+    float least[kLanes];
+    store(least, smallest_exponent(g, corner_x, corner_y, 3.0f));
+    uint16_t bits = 0;
+    for (int b = 0; b < kBlocks; ++b) bits |= static_cast<uint16_t>((least[b] <= g.cut) << b);
+    return bits;
+}
+
+constexpr int kBatch = 256;  // entries at a time: their ellipses stay in the first-level cache
+
+// What a block has gathered so far, front to back.
+struct Gathered {
+    F transmittance, rgb[3], depth;
+    I live, last;
+};
+
+// Adds to one block the ellipses `drawn` of the batch that begins at entry `base` of the tile's list.
+template <bool kDepth>
+DECOGS_INLINE void composite_block(Gathered& to, const Block& block, const Projected* batch, const uint16_t* drawn, int count, int base) {
+    Gathered now = to;
+    for (int k = 0; k < count; ++k) {
+        const Projected& g = batch[drawn[k]];
+        const F dx = block.x - g.x, dy = block.y - g.y;
+        const F u = dx * g.p + dy * g.q, v = dy * g.r;
+        const F exponent = u * u + v * v;
+        I on = (exponent <= g.cut) & now.live;
+        if (!any(on)) continue;
+        const F alpha = min(exp2_negative(exponent) * g.opacity, kAlphaMax);
+        const F next = now.transmittance * (1.0f - alpha);
+        const I full = next < kTransmittanceMin;
+        now.live = select(on & full, splati(0), now.live);
+        on = select(full, splati(0), on);
+        const F weight = select(on, alpha * now.transmittance, splat(0.0f));
+        for (int c = 0; c < 3; ++c) now.rgb[c] = now.rgb[c] + weight * g.rgb[c];
+        if (kDepth) now.depth = now.depth + weight * g.depth;
+        now.transmittance = select(on, next, now.transmittance);
+        now.last = select(on, splati(base + drawn[k] + 1), now.last);
+        if (!any(now.live)) break;
+    }
+    to = now;
+}
+
+// Draws one tile. With a trace, remembers what the backward pass needs.
+inline void composite_tile(const TileLists& lists, const Camera& cam, int tile, const Planes& out, Trace* trace) {
+    const int tile_x = tile % lists.columns, tile_y = tile / lists.columns;
+    const uint32_t first = lists.first_entry[tile], count = lists.first_entry[tile + 1] - first;
+    float cx[kLanes], cy[kLanes];
+    Block blocks[kBlocks];
+    Gathered gathered[kBlocks];
+    const F zero = splat(0.0f);
+    for (int b = 0; b < kBlocks; ++b) {
+        cx[b] = static_cast<float>(tile_x * kTile + (b % 4) * 4) + 0.5f;
+        cy[b] = static_cast<float>(tile_y * kTile + (b / 4) * 4) + 0.5f;
+        blocks[b] = block_of(tile_x, tile_y, b, cam);
+        gathered[b] = {splat(1.0f), {zero, zero, zero}, zero, blocks[b].inside, splati(0)};
+    }
+    const F corner_x = load(cx), corner_y = load(cy);
+    Projected batch[kBatch];
+    uint16_t drawn[kBlocks][kBatch];
+    unsigned live = (1u << kBlocks) - 1;
+    for (uint32_t base = 0; base < count && live; base += kBatch) {
+        const int size = static_cast<int>(std::min<uint32_t>(kBatch, count - base));
+        int drawn_count[kBlocks] = {0};
+        for (int e = 0; e < size; ++e) {
+            batch[e] = lists.projected[lists.entries[first + base + e].gaussian];
+            const uint16_t met = blocks_met(batch[e], corner_x, corner_y);
+            if (trace) trace->blocks[first + base + e] = met;
+            for (unsigned bits = met & live; bits; bits &= bits - 1) {
+                const int b = __builtin_ctz(bits);
+                drawn[b][drawn_count[b]++] = static_cast<uint16_t>(e);
+            }
+        }
+        for (int b = 0; b < kBlocks; ++b) {
+            if (out.depth)
+                composite_block<true>(gathered[b], blocks[b], batch, drawn[b], drawn_count[b], static_cast<int>(base));
+            else
+                composite_block<false>(gathered[b], blocks[b], batch, drawn[b], drawn_count[b], static_cast<int>(base));
+            if (!any(gathered[b].live)) live &= ~(1u << b);
+        }
+    }
+    const int64_t plane = static_cast<int64_t>(cam.width) * cam.height;
+    for (int b = 0; b < kBlocks; ++b) {
+        const Block& block = blocks[b];
+        const Gathered& g = gathered[b];
+        if (trace) {
+            const size_t slot = (static_cast<size_t>(tile) * kBlocks + b) * kLanes;
+            store(&trace->transmittance[slot], g.transmittance);
+            storei(&trace->last[slot], g.last);
+        }
+        if (block.x0 >= cam.width || block.y0 >= cam.height) continue;
+        for (int c = 0; c < 3; ++c) write_block(out.rgb + c * plane, block, cam, g.rgb[c] + g.transmittance * out.background[c]);
+        if (out.alpha) write_block(out.alpha, block, cam, 1.0f - g.transmittance);
+        if (out.depth) write_block(out.depth, block, cam, g.depth);
+    }
+}
+
+// A picture of the whole scene.
+inline void render_picture(Pool& pool, Binner& binner, const Scene& scene, const Camera& cam, const Planes& out, TileLists& lists,
+                           Trace* trace) {
+    binner.run(pool, scene, cam, lists);
+    if (trace) trace->resize(lists);
+    pool.run(lists.rows, [&](int row) {
+        for (int column = 0; column < lists.columns; ++column)
+            composite_tile(lists, cam, row * lists.columns + column, out, trace);
+    });
+}
+
+}  // namespace decogs

@@ -1,0 +1,210 @@
+// Sixteen Gaussians at a time from world to picture: EWA splatting (Zwicker 2001; Kerbl 2023, section 4) with the
+// opacity compensation of the 2D low-pass filter (Yu 2024, Mip-Splatting, equation 9).
+#pragma once
+
+#include <cmath>
+
+#include "simd.h"
+
+namespace decogs {
+
+constexpr float kBlur = 0.3f;               // low-pass filter, variance in square pixels
+constexpr float kAlphaMin = 1.0f / 255.0f;  // fainter contributions are not drawn
+constexpr float kAlphaMax = 0.99f;
+constexpr float kTransmittanceMin = 1e-4f;  // a pixel is finished before it would fall below this
+constexpr float kClosest = 0.5f;            // a Gaussian nearer than this many of its largest sigma is not drawn
+constexpr float kLog2E = 1.44269504088896341f;
+constexpr int kTile = 16;
+
+struct Camera {  // mirrored by ctypes in native.py
+    float rotation[9];
+    float translation[3];
+    float centre[3];
+    float fx, fy, cx, cy;
+    int32_t width, height;
+};
+
+struct Scene {  // mirrored by ctypes in native.py
+    int64_t count;
+    int32_t sh_coefficients;  // stored per channel
+    int32_t sh_degree;        // evaluated, at most what is stored
+    const float* means;
+    const float* log_scales;
+    const float* quaternions;
+    const float* opacity_logits;
+    const float* sh;
+};
+
+// One Gaussian on the picture: it fades as 2^-exponent with exponent(dx, dy) = (p dx + q dy)^2 + (r dy)^2, a Cholesky
+// form that needs no cancellation however thin the ellipse is.
+struct Projected {
+    float x, y, p, q, r;
+    float opacity;
+    float cut;  // exponent at which alpha falls to kAlphaMin; not drawn at all when <= 0
+    float depth;
+    float rgb[3];
+    float extent_x, extent_y;  // half size of the box around the drawn ellipse, pixels
+    float pad[3];
+};
+static_assert(sizeof(Projected) == 64, "one cache line each");
+
+DECOGS_INLINE F gather(const float* array, const int64_t* rows, int stride, int column) {
+    float lanes[kLanes];
+    for (int i = 0; i < kLanes; ++i) lanes[i] = array[rows[i] * stride + column];
+    return load(lanes);
+}
+
+// Spherical-harmonics basis values of unit directions, in the order 3DGS stores its coefficients.
+DECOGS_INLINE void sh_basis(int degree, const F& x, const F& y, const F& z, F* basis) {
+    basis[0] = splat(0.28209479177387814f);
+    if (degree < 1) return;
+    basis[1] = y * -0.4886025119029199f;
+    basis[2] = z * 0.4886025119029199f;
+    basis[3] = x * -0.4886025119029199f;
+    if (degree < 2) return;
+    const F xx = x * x, yy = y * y, zz = z * z;
+    basis[4] = x * y * 1.0925484305920792f;
+    basis[5] = y * z * -1.0925484305920792f;
+    basis[6] = (zz + zz - xx - yy) * 0.31539156525252005f;
+    basis[7] = x * z * -1.0925484305920792f;
+    basis[8] = (xx - yy) * 0.5462742152960396f;
+    if (degree < 3) return;
+    basis[9] = y * (xx * 3.0f - yy) * -0.5900435899266435f;
+    basis[10] = x * y * z * 2.890611442640554f;
+    basis[11] = y * (zz * 4.0f - xx - yy) * -0.4570457994644658f;
+    basis[12] = z * (zz * 2.0f - xx * 3.0f - yy * 3.0f) * 0.3731763325901154f;
+    basis[13] = x * (zz * 4.0f - xx - yy) * -0.4570457994644658f;
+    basis[14] = z * (xx - yy) * 1.445305721320277f;
+    basis[15] = x * (xx - yy * 3.0f) * -0.5900435899266435f;
+}
+
+// Everything between a group's stored values and its ellipses, kept for the way back.
+struct Group {
+    F x, y, z;           // camera coordinates
+    F kx, ky;            // x/z and y/z held inside a widened field of view, as EWA needs
+    I free_x, free_y;    // where that bound does not bind
+    F rot[9];            // rotation of the unit quaternion
+    F unit[4], norm;     // unit quaternion and the stored one's norm
+    F scale[3];
+    F t[6];              // J W, 2x3
+    F tr[6];             // J W R, 2x3
+    F m[6];              // J W R S, 2x3
+    F a0, b0, c0, det0;  // covariance before the low-pass filter
+    F a, c, det;         // and after it (b does not change)
+    F sigmoid, compensation;
+    F mean2d_x, mean2d_y;
+};
+
+DECOGS_INLINE Group project_group(const Scene& scene, const Camera& cam, const int64_t* rows) {
+    Group g;
+    const F mx = gather(scene.means, rows, 3, 0), my = gather(scene.means, rows, 3, 1), mz = gather(scene.means, rows, 3, 2);
+    const float* w = cam.rotation;
+    g.x = mx * w[0] + my * w[1] + mz * w[2] + cam.translation[0];
+    g.y = mx * w[3] + my * w[4] + mz * w[5] + cam.translation[1];
+    g.z = mx * w[6] + my * w[7] + mz * w[8] + cam.translation[2];
+    const F inverse_z = 1.0f / g.z;
+
+    for (int k = 0; k < 3; ++k) g.scale[k] = exp(gather(scene.log_scales, rows, 3, k));
+    F q[4];
+    for (int k = 0; k < 4; ++k) q[k] = gather(scene.quaternions, rows, 4, k);
+    g.norm = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
+    const I turned = g.norm > 1e-18f;  // a zero quaternion stands for no rotation
+    for (int k = 0; k < 4; ++k) g.unit[k] = select(turned, q[k] / g.norm, splat(k == 0 ? 1.0f : 0.0f));
+    const F &qw = g.unit[0], &qx = g.unit[1], &qy = g.unit[2], &qz = g.unit[3];
+    g.rot[0] = 1.0f - (qy * qy + qz * qz) * 2.0f;
+    g.rot[1] = (qx * qy - qw * qz) * 2.0f;
+    g.rot[2] = (qx * qz + qw * qy) * 2.0f;
+    g.rot[3] = (qx * qy + qw * qz) * 2.0f;
+    g.rot[4] = 1.0f - (qx * qx + qz * qz) * 2.0f;
+    g.rot[5] = (qy * qz - qw * qx) * 2.0f;
+    g.rot[6] = (qx * qz - qw * qy) * 2.0f;
+    g.rot[7] = (qy * qz + qw * qx) * 2.0f;
+    g.rot[8] = 1.0f - (qx * qx + qy * qy) * 2.0f;
+
+    // The linearisation breaks down far outside the picture: hold the ray inside 15 % of its size around it.
+    const float low_x = (-0.15f * cam.width - cam.cx) / cam.fx, high_x = (1.15f * cam.width - cam.cx) / cam.fx;
+    const float low_y = (-0.15f * cam.height - cam.cy) / cam.fy, high_y = (1.15f * cam.height - cam.cy) / cam.fy;
+    const F ray_x = g.x * inverse_z, ray_y = g.y * inverse_z;
+    g.free_x = (ray_x > low_x) & (ray_x < high_x);
+    g.free_y = (ray_y > low_y) & (ray_y < high_y);
+    g.kx = min(max(ray_x, low_x), high_x);
+    g.ky = min(max(ray_y, low_y), high_y);
+    const F j00 = inverse_z * cam.fx, j11 = inverse_z * cam.fy;
+    const F j02 = -(j00 * g.kx), j12 = -(j11 * g.ky);
+    for (int k = 0; k < 3; ++k) {
+        g.t[k] = j00 * w[k] + j02 * w[6 + k];
+        g.t[3 + k] = j11 * w[3 + k] + j12 * w[6 + k];
+    }
+    for (int i = 0; i < 2; ++i)
+        for (int k = 0; k < 3; ++k) {
+            g.tr[3 * i + k] = g.t[3 * i] * g.rot[k] + g.t[3 * i + 1] * g.rot[3 + k] + g.t[3 * i + 2] * g.rot[6 + k];
+            g.m[3 * i + k] = g.tr[3 * i + k] * g.scale[k];
+        }
+    const F* m = g.m;
+    g.a0 = m[0] * m[0] + m[1] * m[1] + m[2] * m[2];
+    g.b0 = m[0] * m[3] + m[1] * m[4] + m[2] * m[5];
+    g.c0 = m[3] * m[3] + m[4] * m[4] + m[5] * m[5];
+    // Lagrange's identity: the determinant is a sum of squares, so a thin ellipse loses no digits to a c - b b.
+    const F n0 = m[1] * m[5] - m[2] * m[4], n1 = m[2] * m[3] - m[0] * m[5], n2 = m[0] * m[4] - m[1] * m[3];
+    g.det0 = n0 * n0 + n1 * n1 + n2 * n2;
+    g.a = g.a0 + kBlur;
+    g.c = g.c0 + kBlur;
+    g.det = g.det0 + (g.a0 + g.c0) * kBlur + kBlur * kBlur;
+    g.compensation = sqrt(g.det0 / g.det);
+    g.sigmoid = 1.0f / (exp(-gather(scene.opacity_logits, rows, 1, 0)) + 1.0f);
+    g.mean2d_x = ray_x * cam.fx + cam.cx;
+    g.mean2d_y = ray_y * cam.fy + cam.cy;
+    return g;
+}
+
+// Unit vectors from the camera to the group's centres; returns their lengths.
+DECOGS_INLINE F view_directions(const Scene& scene, const Camera& cam, const int64_t* rows, F* direction) {
+    for (int k = 0; k < 3; ++k) direction[k] = gather(scene.means, rows, 3, k) - cam.centre[k];
+    const F length = sqrt(direction[0] * direction[0] + direction[1] * direction[1] + direction[2] * direction[2]);
+    for (int k = 0; k < 3; ++k) direction[k] = direction[k] / length;
+    return length;
+}
+
+// Projects rows[0..16) and writes their ellipses to out[0..16).
+inline void project_rows(const Scene& scene, const Camera& cam, const int64_t* rows, Projected* out) {
+    const Group g = project_group(scene, cam, rows);
+    const F opacity = g.sigmoid * g.compensation;
+    const F largest = max(max(g.scale[0], g.scale[1]), g.scale[2]);
+    const F cut = log(max(opacity * 255.0f, 1e-30f));
+    const F reach = max(cut, 0.0f) * 2.0f;
+    const F extent_x = sqrt(reach * g.a), extent_y = sqrt(reach * g.c);
+    // Comparisons are written so that anything not a number fails them.
+    const I drawn = (g.z > 0.0f) & (g.z >= largest * kClosest) & (cut > 0.0f) & (g.mean2d_x + extent_x > 0.0f) &
+                    (g.mean2d_x - extent_x < static_cast<float>(cam.width)) & (g.mean2d_y + extent_y > 0.0f) &
+                    (g.mean2d_y - extent_y < static_cast<float>(cam.height)) & (g.det > 0.0f) & (extent_x < 1e9f) &
+                    (extent_y < 1e9f);
+    if (!any(drawn)) {
+        for (int i = 0; i < kLanes; ++i) out[i].cut = 0.0f;
+        return;
+    }
+    const F half = splat(0.5f), half_in_bits = splat(0.5f * kLog2E);
+    const F p = sqrt(half_in_bits * g.c / g.det);
+    const F q = -(g.b0 / g.det) * half_in_bits / p;
+    const F r = sqrt(half_in_bits / g.c);
+
+    F rgb[3] = {half, half, half};
+    const int stride = 3 * scene.sh_coefficients, used = (scene.sh_degree + 1) * (scene.sh_degree + 1);
+    F basis[16];
+    F direction[3] = {half, half, half};
+    if (scene.sh_degree > 0) view_directions(scene, cam, rows, direction);
+    sh_basis(scene.sh_degree, direction[0], direction[1], direction[2], basis);
+    for (int k = 0; k < used; ++k)
+        for (int c = 0; c < 3; ++c) rgb[c] = rgb[c] + basis[k] * gather(scene.sh, rows, stride, 3 * k + c);
+
+    float lanes[13][kLanes];
+    const F zero = splat(0.0f);
+    const F columns[13] = {g.mean2d_x,       g.mean2d_y,       p, q, r, opacity, select(drawn, cut * kLog2E, zero), g.z, max(rgb[0], 0.0f),
+                           max(rgb[1], 0.0f), max(rgb[2], 0.0f), extent_x, extent_y};
+    for (int k = 0; k < 13; ++k) store(lanes[k], columns[k]);
+    for (int i = 0; i < kLanes; ++i) {
+        float* to = &out[i].x;
+        for (int k = 0; k < 13; ++k) to[k] = lanes[k][i];
+    }
+}
+
+}  // namespace decogs

@@ -1,0 +1,168 @@
+// Which Gaussians each 16x16 tile draws, front to back.
+//
+// Chosen: one stable radix sort of all drawn Gaussians by depth, then every tile's list is filled in that order, so lists
+// come out sorted and equal depths keep the order of the scene. Rejected: sorting each tile's list (more work in all,
+// since a Gaussian is sorted once per tile), and the box of three sigma (twice as many pairs as the exact ellipse test).
+#pragma once
+
+#include <algorithm>
+#include <vector>
+
+#include "pool.h"
+#include "project.h"
+
+namespace decogs {
+
+struct Entry {
+    uint32_t gaussian;
+    uint32_t pair;  // where this (tile, Gaussian) pair writes its gradient: pairs of one Gaussian are consecutive
+};
+
+struct TileLists {
+    int columns = 0, rows = 0;
+    std::vector<Projected> projected;   // one per Gaussian of the scene
+    std::vector<uint32_t> first_pair;   // one per Gaussian, and the total behind them
+    std::vector<uint32_t> tile_of_pair;
+    std::vector<uint32_t> first_entry;  // one per tile, and the total behind them
+    std::vector<Entry> entries;
+
+    int tiles() const { return columns * rows; }
+};
+
+constexpr int kChunk = 1024;  // Gaussians per task; fixed, so that results do not depend on the number of threads
+
+// Smallest exponent inside the rectangle [x0, x0+size] x [y0, y0+size] in each lane, less a bound on its rounding error.
+DECOGS_INLINE F smallest_exponent(const Projected& g, const F& x0, const F& y0, float size) {
+    const F lx = x0 - g.x, hx = lx + size, ly = y0 - g.y, hy = ly + size;
+    const float aa = g.p * g.p, ab = g.p * g.q, cc = g.q * g.q + g.r * g.r;
+    const F ex = min(max(lx, 0.0f), hx);  // nearest vertical edge, or the centre line inside
+    const F ey = min(max(ly, 0.0f), hy);
+    // The minimum of a convex quadratic over a rectangle lies on one of the two facing edges.
+    const F y_on_ex = min(max(ex * (-ab / cc), ly), hy);
+    const F x_on_ey = min(max(ey * (-ab / aa), lx), hx);
+    const F u1 = ex * g.p + y_on_ex * g.q, v1 = y_on_ex * g.r;
+    const F u2 = x_on_ey * g.p + ey * g.q, v2 = ey * g.r;
+    const F smallest = min(u1 * u1 + v1 * v1, u2 * u2 + v2 * v2);
+    const F slack = (ex * ex * aa + ey * ey * cc + hx * hx * aa + hy * hy * cc) * 1e-6f + 1e-3f;
+    return smallest - slack;
+}
+
+class Binner {
+   public:
+    void run(Pool& pool, const Scene& scene, const Camera& cam, TileLists& lists) {
+        const int64_t n = scene.count;
+        lists.columns = (cam.width + kTile - 1) / kTile;
+        lists.rows = (cam.height + kTile - 1) / kTile;
+        const int64_t padded = (n + kLanes - 1) / kLanes * kLanes;
+        lists.projected.resize(padded);
+        const int chunks = static_cast<int>((n + kChunk - 1) / kChunk);
+        chunk_tiles_.resize(std::max<size_t>(chunk_tiles_.size(), chunks));
+        count_.resize(n);
+        pool.run(chunks, [&](int chunk) { project_chunk(scene, cam, lists, chunk); });
+
+        lists.first_pair.resize(n + 1);
+        uint32_t pairs = 0;
+        drawn_.clear();
+        for (int64_t i = 0; i < n; ++i) {
+            lists.first_pair[i] = pairs;
+            pairs += count_[i];
+            if (count_[i]) drawn_.push_back({depth_key(lists.projected[i].depth), static_cast<uint32_t>(i)});
+        }
+        lists.first_pair[n] = pairs;
+        lists.tile_of_pair.resize(pairs);
+        uint32_t at = 0;
+        for (int c = 0; c < chunks; ++c) {
+            std::copy(chunk_tiles_[c].begin(), chunk_tiles_[c].end(), lists.tile_of_pair.begin() + at);
+            at += static_cast<uint32_t>(chunk_tiles_[c].size());
+        }
+        sort_by_depth();
+        fill(lists, pairs);
+    }
+
+   private:
+    struct Key {
+        uint32_t depth, gaussian;
+    };
+
+    static uint32_t depth_key(float depth) {  // drawn depths are positive, so their bits sort like the numbers
+        uint32_t bits;
+        std::memcpy(&bits, &depth, 4);
+        return bits;
+    }
+
+    void project_chunk(const Scene& scene, const Camera& cam, TileLists& lists, int chunk) {
+        const int64_t n = scene.count, begin = static_cast<int64_t>(chunk) * kChunk, end = std::min(n, begin + kChunk);
+        auto& tiles = chunk_tiles_[chunk];
+        tiles.clear();
+        for (int64_t base = begin; base < end; base += kLanes) {
+            int64_t rows[kLanes];
+            for (int i = 0; i < kLanes; ++i) rows[i] = std::min(base + i, n - 1);
+            project_rows(scene, cam, rows, &lists.projected[base]);
+            for (int64_t i = base; i < std::min(base + kLanes, end); ++i)
+                count_[i] = touch(lists.projected[i], lists.columns, lists.rows, tiles);
+        }
+    }
+
+    // Appends the tiles that the drawn ellipse meets.
+    static uint32_t touch(const Projected& g, int columns, int rows, std::vector<uint32_t>& tiles) {
+        if (!(g.cut > 0.0f)) return 0;
+        const float ex = g.extent_x * 1.0001f + 0.01f, ey = g.extent_y * 1.0001f + 0.01f;
+        const int x0 = static_cast<int>(std::max(0.0f, (g.x - ex) / kTile));
+        const int y0 = static_cast<int>(std::max(0.0f, (g.y - ey) / kTile));
+        const int x1 = static_cast<int>(std::min(columns - 1.0f, (g.x + ex) / kTile));
+        const int y1 = static_cast<int>(std::min(rows - 1.0f, (g.y + ey) / kTile));
+        if (x1 < x0 || y1 < y0) return 0;
+        if (x0 == x1 && y0 == y1) {
+            tiles.push_back(static_cast<uint32_t>(y0 * columns + x0));
+            return 1;
+        }
+        const size_t before = tiles.size();
+        for (int by = y0; by <= y1; by += 4)
+            for (int bx = x0; bx <= x1; bx += 4) {  // sixteen tiles in one test
+                float cx[kLanes], cy[kLanes], least[kLanes];
+                for (int i = 0; i < kLanes; ++i) {
+                    cx[i] = static_cast<float>((bx + i % 4) * kTile) + 0.5f;
+                    cy[i] = static_cast<float>((by + i / 4) * kTile) + 0.5f;
+                }
+                store(least, smallest_exponent(g, load(cx), load(cy), kTile - 1.0f));
+                for (int j = 0; j < 4 && by + j <= y1; ++j)
+                    for (int i = 0; i < 4 && bx + i <= x1; ++i)
+                        if (least[4 * j + i] <= g.cut) tiles.push_back(static_cast<uint32_t>((by + j) * columns + bx + i));
+            }
+        return static_cast<uint32_t>(tiles.size() - before);
+    }
+
+    void sort_by_depth() {  // stable: least significant digit first, digits that all keys share are skipped
+        other_.resize(drawn_.size());
+        for (int shift = 0; shift < 32; shift += 11) {
+            uint32_t start[2048] = {0};
+            for (const Key& k : drawn_) ++start[(k.depth >> shift) & 2047];
+            if (!drawn_.empty() && start[(drawn_[0].depth >> shift) & 2047] == drawn_.size()) continue;
+            uint32_t total = 0;
+            for (uint32_t& s : start) {
+                const uint32_t c = s;
+                s = total;
+                total += c;
+            }
+            for (const Key& k : drawn_) other_[start[(k.depth >> shift) & 2047]++] = k;
+            drawn_.swap(other_);
+        }
+    }
+
+    void fill(TileLists& lists, uint32_t pairs) {
+        lists.first_entry.assign(lists.tiles() + 1, 0);
+        for (uint32_t tile : lists.tile_of_pair) ++lists.first_entry[tile + 1];
+        for (int t = 0; t < lists.tiles(); ++t) lists.first_entry[t + 1] += lists.first_entry[t];
+        cursor_.assign(lists.first_entry.begin(), lists.first_entry.end() - 1);
+        lists.entries.resize(pairs);
+        for (const Key& k : drawn_)
+            for (uint32_t pair = lists.first_pair[k.gaussian]; pair < lists.first_pair[k.gaussian + 1]; ++pair)
+                lists.entries[cursor_[lists.tile_of_pair[pair]]++] = {k.gaussian, pair};
+    }
+
+    std::vector<std::vector<uint32_t>> chunk_tiles_;
+    std::vector<uint32_t> count_, cursor_;
+    std::vector<Key> drawn_, other_;
+};
+
+}  // namespace decogs

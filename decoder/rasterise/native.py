@@ -1,0 +1,164 @@
+"""The fast renderer: loads the C++ kernel built for this machine's instruction set and hands it plain arrays."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.formats.cameras import Camera, camera_centre
+from decogs.formats.errors import UsageError
+from decogs.formats.splats import FloatArray, Splats
+
+INSTRUCTION_SETS = ("base", "avx2", "avx512")
+"""Slowest first; the kernel gives the same bits on all of them."""
+
+
+class NativeCamera(ctypes.Structure):
+    """A pinhole camera as the kernel reads it (kernel/project.h)."""
+
+    _fields_ = [
+        ("rotation", ctypes.c_float * 9),
+        ("translation", ctypes.c_float * 3),
+        ("centre", ctypes.c_float * 3),
+        ("fx", ctypes.c_float),
+        ("fy", ctypes.c_float),
+        ("cx", ctypes.c_float),
+        ("cy", ctypes.c_float),
+        ("width", ctypes.c_int32),
+        ("height", ctypes.c_int32),
+    ]
+
+
+class NativeScene(ctypes.Structure):
+    """Stored values of N Gaussians as the kernel reads them (kernel/project.h)."""
+
+    _fields_ = [
+        ("count", ctypes.c_int64),
+        ("sh_coefficients", ctypes.c_int32),
+        ("sh_degree", ctypes.c_int32),
+        ("means", ctypes.c_void_p),
+        ("log_scales", ctypes.c_void_p),
+        ("quaternions", ctypes.c_void_p),
+        ("opacity_logits", ctypes.c_void_p),
+        ("sh", ctypes.c_void_p),
+    ]
+
+
+class NativePlanes(ctypes.Structure):
+    """Where the kernel writes planar pictures (kernel/composite.h)."""
+
+    _fields_ = [
+        ("rgb", ctypes.c_void_p),
+        ("alpha", ctypes.c_void_p),
+        ("depth", ctypes.c_void_p),
+        ("background", ctypes.c_float * 3),
+    ]
+
+
+def native_camera(camera: Camera) -> NativeCamera:
+    """The kernel's form of a pinhole camera; its lens distortion, if any, is not its concern."""
+    pose = np.asarray(camera.world_to_camera, np.float64)
+    return NativeCamera(
+        (ctypes.c_float * 9)(*pose[:3, :3].ravel()),
+        (ctypes.c_float * 3)(*pose[:3, 3]),
+        (ctypes.c_float * 3)(*camera_centre(camera)),
+        camera.fx,
+        camera.fy,
+        camera.cx,
+        camera.cy,
+        camera.width,
+        camera.height,
+    )
+
+
+def native_scene(splats: Splats, sh_degree: int | None = None) -> NativeScene:
+    """The kernel's view of stored values; the arrays must outlive it."""
+    for array in (splats.means, splats.log_scales, splats.quaternions, splats.opacity_logits, splats.sh):
+        if array.dtype != np.float32 or not array.flags.c_contiguous:
+            raise ValueError("splats must be C-contiguous float32 arrays")
+    return NativeScene(
+        len(splats),
+        splats.sh.shape[1],
+        splats.sh_degree if sh_degree is None else min(sh_degree, splats.sh_degree),
+        splats.means.ctypes.data,
+        splats.log_scales.ctypes.data,
+        splats.quaternions.ctypes.data,
+        splats.opacity_logits.ctypes.data,
+        splats.sh.ctypes.data,
+    )
+
+
+def thread_count(threads: int) -> int:
+    """Number of threads to use: ``threads``, or all processors this process may use when it is 0."""
+    if threads < 0 or threads > 1024:
+        raise UsageError(f"--threads {threads}: give a number from 1 to 1024, or 0 for all processors")
+    return threads or len(os.sched_getaffinity(0))
+
+
+def kernel_path(package: Path, stem: str, instruction_set: str) -> Path:
+    return package / f"{stem}_{instruction_set}.abi3.so"
+
+
+@lru_cache(maxsize=1)
+def best_instruction_set() -> str:
+    """The widest instruction set this machine runs; DECOGS_INSTRUCTION_SET (base, avx2, avx512) asks for a narrower one."""
+    base = ctypes.CDLL(str(kernel_path(Path(__file__).parent, "_forward", "base")))
+    widest = INSTRUCTION_SETS[base.decogs_instruction_set()]
+    wanted = os.environ.get("DECOGS_INSTRUCTION_SET", widest)
+    if wanted not in INSTRUCTION_SETS or INSTRUCTION_SETS.index(wanted) > INSTRUCTION_SETS.index(widest):
+        raise UsageError(f"DECOGS_INSTRUCTION_SET={wanted}: this machine runs {widest} and below of {INSTRUCTION_SETS}")
+    return wanted
+
+
+def load_kernel(package: Path, stem: str) -> ctypes.CDLL:
+    """The kernel library ``stem`` in folder ``package`` for this machine; UsageError when it was never built."""
+    path = kernel_path(package, stem, best_instruction_set())
+    if not path.exists():
+        raise UsageError(f"{path}: the compiled kernel is missing; install decogs with a C++ compiler at hand")
+    return ctypes.CDLL(str(path))
+
+
+@lru_cache(maxsize=1)
+def _library() -> ctypes.CDLL:
+    library = load_kernel(Path(__file__).parent, "_forward")
+    library.decogs_renderer_create.restype = ctypes.c_void_p
+    library.decogs_renderer_create.argtypes = [ctypes.c_int]
+    library.decogs_renderer_destroy.argtypes = [ctypes.c_void_p]
+    pointers = [ctypes.POINTER(t) for t in (NativeScene, NativeCamera, NativePlanes)]
+    library.decogs_render.argtypes = [ctypes.c_void_p, *pointers]
+    return library
+
+
+class _Renderer:
+    """Owns a thread pool and the kernel's buffers."""
+
+    def __init__(self, threads: int) -> None:
+        self._library = _library()
+        self._handle = self._library.decogs_renderer_create(threads)
+
+    def __del__(self) -> None:
+        self._library.decogs_renderer_destroy(self._handle)
+
+    def render(self, scene: NativeScene, camera: NativeCamera, planes: NativePlanes) -> None:
+        self._library.decogs_render(self._handle, ctypes.byref(scene), ctypes.byref(camera), ctypes.byref(planes))
+
+
+@lru_cache(maxsize=2)
+def _renderer(threads: int) -> _Renderer:
+    return _Renderer(threads)
+
+
+def render_planes(
+    splats: Splats, camera: Camera, background: tuple[float, float, float], threads: int
+) -> tuple[FloatArray, FloatArray, NDArray[np.float32]]:
+    """Colour (3, H, W), alpha (H, W) and alpha-weighted summed depth (H, W) of the scene through a pinhole camera."""
+    size = (camera.height, camera.width)
+    rgb, alpha, depth = np.empty((3, *size), np.float32), np.empty(size, np.float32), np.empty(size, np.float32)
+    planes = NativePlanes(rgb.ctypes.data, alpha.ctypes.data, depth.ctypes.data, (ctypes.c_float * 3)(*background))
+    _renderer(thread_count(threads)).render(native_scene(splats), native_camera(camera), planes)
+    return rgb, alpha, depth

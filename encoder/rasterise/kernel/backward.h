@@ -1,0 +1,316 @@
+// The way back through compositing and projection.
+//
+// Compositing runs back to front in normalised form: with S the colour of everything behind, already divided by the
+// transmittance in front of it, S <- S + alpha (d - S), gradient of alpha = T (d - S), T <- T / (1 - alpha). One scalar per
+// pixel, and no difference of large sums. Every (tile, Gaussian) pair writes its moments to a slot of its own and each
+// Gaussian adds up its slots in order: the gradients do not depend on the number of threads.
+#pragma once
+
+#include "composite.h"
+
+namespace decogs {
+
+struct Cotangents {  // planar, like the pictures; alpha and depth may be null
+    const float* rgb;
+    const float* alpha;
+    const float* depth;
+    float background[3];
+};
+
+struct Gradients {  // one row per Gaussian; all null but rgb when only colours are asked for
+    float* means;
+    float* log_scales;
+    float* quaternions;
+    float* opacity_logits;
+    float* sh;
+    float* view;  // length of the gradient of the projected centre, in pixels
+    float* rgb;   // gradient of the activated colour; may be null
+};
+
+// What a pair adds up over its pixels: g = alpha * gradient of alpha against offsets, and weight * cotangent.
+constexpr int kMoments = 12;  // g, g dx, g dy, g dx dx, g dx dy, g dy dy, red, green, blue, depth, 2 unused
+typedef float V4 __attribute__((vector_size(16)));
+
+DECOGS_INLINE V4 quarters(const F& x) {
+    float lanes[kLanes];
+    store(lanes, x);
+    V4 a, b, c, d;
+    std::memcpy(&a, lanes, 16);
+    std::memcpy(&b, lanes + 4, 16);
+    std::memcpy(&c, lanes + 8, 16);
+    std::memcpy(&d, lanes + 12, 16);
+    return (a + c) + (b + d);
+}
+
+// The sums of the lanes of four vectors.
+DECOGS_INLINE V4 sums(const F& w, const F& x, const F& y, const F& z) {
+    const V4 a = quarters(w), b = quarters(x), c = quarters(y), d = quarters(z);
+    const V4 ab = __builtin_shufflevector(a, b, 0, 4, 1, 5) + __builtin_shufflevector(a, b, 2, 6, 3, 7);
+    const V4 cd = __builtin_shufflevector(c, d, 0, 4, 1, 5) + __builtin_shufflevector(c, d, 2, 6, 3, 7);
+    return __builtin_shufflevector(ab, cd, 0, 1, 4, 5) + __builtin_shufflevector(ab, cd, 2, 3, 6, 7);
+}
+
+struct BlockBack {  // a block's pixels on the way back
+    F x, y, transmittance, behind, rgb[3], depth;
+    I last;
+    int32_t newest;  // one past the last entry that any pixel of the block drew
+};
+
+template <bool kDepth>
+inline void backward_tile_of(const TileLists& lists, const Trace& trace, const Camera& cam, int tile, const Cotangents& ct,
+                             const uint8_t* selected, float* moments) {
+    const int tile_x = tile % lists.columns, tile_y = tile / lists.columns;
+    const uint32_t first = lists.first_entry[tile], count = lists.first_entry[tile + 1] - first;
+    const int64_t plane = static_cast<int64_t>(cam.width) * cam.height;
+    BlockBack blocks[kBlocks];
+    int32_t newest = 0;
+    for (int b = 0; b < kBlocks; ++b) {
+        const Block pixels = block_of(tile_x, tile_y, b, cam);
+        BlockBack& back = blocks[b];
+        const size_t slot = (static_cast<size_t>(tile) * kBlocks + b) * kLanes;
+        back.x = pixels.x;
+        back.y = pixels.y;
+        back.transmittance = load(&trace.transmittance[slot]);
+        back.last = loadi(&trace.last[slot]);
+        const bool seen = pixels.x0 < cam.width && pixels.y0 < cam.height;
+        for (int c = 0; c < 3; ++c) back.rgb[c] = seen ? read_block(ct.rgb + c * plane, pixels, cam) : splat(0.0f);
+        back.behind = back.rgb[0] * ct.background[0] + back.rgb[1] * ct.background[1] + back.rgb[2] * ct.background[2];
+        if (ct.alpha && seen) back.behind = back.behind - read_block(ct.alpha, pixels, cam);
+        back.depth = kDepth && seen ? read_block(ct.depth, pixels, cam) : splat(0.0f);
+        back.newest = 0;
+        for (int i = 0; i < kLanes; ++i) back.newest = std::max(back.newest, trace.last[slot + i]);
+        newest = std::max(newest, back.newest);
+    }
+    for (uint32_t e = static_cast<uint32_t>(newest); e < count; ++e)
+        std::memset(moments + static_cast<size_t>(lists.entries[first + e].pair) * kMoments, 0, kMoments * sizeof(float));
+
+    const F zero = splat(0.0f);
+    for (int32_t e = newest - 1; e >= 0; --e) {
+        const Entry entry = lists.entries[first + e];
+        const Projected& g = lists.projected[entry.gaussian];
+        const bool wanted = !selected || selected[entry.gaussian];
+        F g0 = zero, gx = zero, gy = zero, gxx = zero, gxy = zero, gyy = zero, red = zero, green = zero, blue = zero, far = zero;
+        for (unsigned bits = trace.blocks[first + e]; bits; bits &= bits - 1) {
+            BlockBack& back = blocks[__builtin_ctz(bits)];
+            if (e >= back.newest) continue;
+            const F dx = back.x - g.x, dy = back.y - g.y;
+            const F u = dx * g.p + dy * g.q, v = dy * g.r;
+            const F exponent = u * u + v * v;
+            const I on = (exponent <= g.cut) & (splati(e) < back.last);
+            if (!any(on)) continue;
+            const F unbounded = exp2_negative(exponent) * g.opacity;
+            const F alpha = min(unbounded, kAlphaMax);
+            const F transmittance = back.transmittance / (1.0f - alpha);
+            back.transmittance = select(on, transmittance, back.transmittance);
+            F here = back.rgb[0] * g.rgb[0] + back.rgb[1] * g.rgb[1] + back.rgb[2] * g.rgb[2];
+            if (kDepth) here = here + back.depth * g.depth;
+            const F gap = here - back.behind;
+            back.behind = select(on, back.behind + alpha * gap, back.behind);
+            if (!wanted) continue;
+            const F weight = select(on, alpha * transmittance, zero);
+            red = red + weight * back.rgb[0];
+            green = green + weight * back.rgb[1];
+            blue = blue + weight * back.rgb[2];
+            if (kDepth) far = far + weight * back.depth;
+            const F grad = select(unbounded <= kAlphaMax, weight * gap, zero);
+            g0 = g0 + grad;
+            const F grad_x = grad * dx, grad_y = grad * dy;
+            gx = gx + grad_x;
+            gy = gy + grad_y;
+            gxx = gxx + grad_x * dx;
+            gxy = gxy + grad_x * dy;
+            gyy = gyy + grad_y * dy;
+        }
+        float* to = moments + static_cast<size_t>(entry.pair) * kMoments;
+        const V4 a = sums(g0, gx, gy, gxx), b = sums(gxy, gyy, red, green), c = sums(blue, far, zero, zero);
+        std::memcpy(to, &a, 16);
+        std::memcpy(to + 4, &b, 16);
+        std::memcpy(to + 8, &c, 16);
+    }
+}
+
+inline void backward_tile(const TileLists& lists, const Trace& trace, const Camera& cam, int tile, const Cotangents& ct,
+                          const uint8_t* selected, float* moments) {
+    if (ct.depth)
+        backward_tile_of<true>(lists, trace, cam, tile, ct, selected, moments);
+    else
+        backward_tile_of<false>(lists, trace, cam, tile, ct, selected, moments);
+}
+
+// Gradient of the unit directions through the spherical harmonics: adds dL/d(x, y, z) for one coefficient's dL/dbasis.
+DECOGS_INLINE void sh_backward(int degree, const F& x, const F& y, const F& z, const F* v, F* v_dir) {
+    F &vx = v_dir[0], &vy = v_dir[1], &vz = v_dir[2];
+    if (degree < 1) return;
+    vy = vy - v[1] * 0.4886025119029199f;
+    vz = vz + v[2] * 0.4886025119029199f;
+    vx = vx - v[3] * 0.4886025119029199f;
+    if (degree < 2) return;
+    vx = vx + v[4] * y * 1.0925484305920792f;
+    vy = vy + v[4] * x * 1.0925484305920792f;
+    vy = vy - v[5] * z * 1.0925484305920792f;
+    vz = vz - v[5] * y * 1.0925484305920792f;
+    vx = vx - v[6] * x * (2.0f * 0.31539156525252005f);
+    vy = vy - v[6] * y * (2.0f * 0.31539156525252005f);
+    vz = vz + v[6] * z * (4.0f * 0.31539156525252005f);
+    vx = vx - v[7] * z * 1.0925484305920792f;
+    vz = vz - v[7] * x * 1.0925484305920792f;
+    vx = vx + v[8] * x * (2.0f * 0.5462742152960396f);
+    vy = vy - v[8] * y * (2.0f * 0.5462742152960396f);
+    if (degree < 3) return;
+    const F xx = x * x, yy = y * y, zz = z * z;
+    const F c9 = v[9] * -0.5900435899266435f, c10 = v[10] * 2.890611442640554f, c11 = v[11] * -0.4570457994644658f;
+    const F c12 = v[12] * 0.3731763325901154f, c13 = v[13] * -0.4570457994644658f, c14 = v[14] * 1.445305721320277f;
+    const F c15 = v[15] * -0.5900435899266435f;
+    vx = vx + c9 * x * y * 6.0f + c10 * y * z - c11 * x * y * 2.0f - c12 * x * z * 6.0f;
+    vx = vx + c13 * (zz * 4.0f - xx * 3.0f - yy) + c14 * x * z * 2.0f + c15 * (xx - yy) * 3.0f;
+    vy = vy + c9 * (xx - yy) * 3.0f + c10 * x * z + c11 * (zz * 4.0f - xx - yy * 3.0f) - c12 * y * z * 6.0f;
+    vy = vy - c13 * x * y * 2.0f - c14 * y * z * 2.0f - c15 * x * y * 6.0f;
+    vz = vz + c10 * x * y + c11 * y * z * 8.0f + c12 * (zz * 6.0f - xx * 3.0f - yy * 3.0f) + c13 * x * z * 8.0f;
+    vz = vz + c14 * (xx - yy);
+}
+
+DECOGS_INLINE void scatter(float* array, const int64_t* rows, int rows_used, int stride, int column, const F& value) {
+    float lanes[kLanes];
+    store(lanes, value);
+    for (int i = 0; i < rows_used; ++i) array[rows[i] * stride + column] = lanes[i];
+}
+
+// Adds up the pair moments of Gaussian `row`; returns whether it was drawn.
+inline bool gather_moments(const TileLists& lists, const float* moments, int64_t row, const uint8_t* selected, float* total) {
+    std::memset(total, 0, kMoments * sizeof(float));
+    if (selected && !selected[row]) return false;
+    const uint32_t begin = lists.first_pair[row], end = lists.first_pair[row + 1];
+    for (uint32_t pair = begin; pair < end; ++pair)
+        for (int k = 0; k < kMoments; ++k) total[k] += moments[static_cast<size_t>(pair) * kMoments + k];
+    return end > begin;
+}
+
+// Gradients of sixteen consecutive Gaussians from their moments.
+inline void backward_group(const Scene& scene, const Camera& cam, const TileLists& lists, const float* moments, int64_t base,
+                           const uint8_t* selected, const Gradients& out) {
+    const int used = static_cast<int>(std::min<int64_t>(kLanes, scene.count - base));
+    int64_t rows[kLanes];
+    float lanes[kMoments][kLanes];
+    bool drawn = false;
+    for (int i = 0; i < kLanes; ++i) {
+        rows[i] = base + std::min(i, used - 1);
+        float total[kMoments];
+        if (i < used)
+            drawn |= gather_moments(lists, moments, rows[i], selected, total);
+        else
+            std::memset(total, 0, sizeof total);
+        for (int k = 0; k < kMoments; ++k) lanes[k][i] = total[k];
+    }
+    const int stride = 3 * scene.sh_coefficients;
+    if (out.rgb)
+        for (int c = 0; c < 3; ++c) scatter(out.rgb, rows, used, 3, c, load(lanes[6 + c]));
+    if (!out.means) return;
+    if (!drawn) {
+        std::memset(out.means + base * 3, 0, sizeof(float) * 3 * used);
+        std::memset(out.log_scales + base * 3, 0, sizeof(float) * 3 * used);
+        std::memset(out.quaternions + base * 4, 0, sizeof(float) * 4 * used);
+        std::memset(out.opacity_logits + base, 0, sizeof(float) * used);
+        std::memset(out.sh + base * stride, 0, sizeof(float) * stride * used);
+        if (out.view) std::memset(out.view + base, 0, sizeof(float) * used);
+        return;
+    }
+    const Group g = project_group(scene, cam, rows);
+    const F zero = splat(0.0f);
+    F total[kMoments];
+    for (int k = 0; k < kMoments; ++k) total[k] = load(lanes[k]);
+    // A lane that was not drawn has zero moments; keep whatever its projection holds (0/0, infinities) out of its gradients.
+    int32_t drawn_lanes[kLanes];
+    for (int i = 0; i < kLanes; ++i) drawn_lanes[i] = lists.projected[rows[i]].cut > 0.0f ? -1 : 0;
+    const I on = loadi(drawn_lanes);
+
+    // Conic of the filtered covariance, and the gradients of it and of the projected centre.
+    const F ka = g.c / g.det, kb = -(g.b0 / g.det), kc = g.a / g.det;
+    const F v_x2d = ka * total[1] + kb * total[2], v_y2d = kb * total[1] + kc * total[2];
+    const F va = total[3] * -0.5f, vb = total[4] * -0.5f, vc = total[5] * -0.5f;  // symmetric matrix of the conic's gradient
+    // d(inverse) = -K d(covariance) K; the compensation sqrt(det0 / det) adds half of each inverse times its own gradient.
+    const F ra = ka * va + kb * vb, rb = ka * vb + kb * vc, rc = kb * va + kc * vb, rd = kb * vb + kc * vc;
+    const F half_g = total[0] * 0.5f;
+    const F v_a = half_g * (g.c0 / g.det0 - ka) - (ra * ka + rb * kb);
+    const F v_b = half_g * (-(g.b0 / g.det0) - kb) - (ra * kb + rb * kc);
+    const F v_c = half_g * (g.a0 / g.det0 - kc) - (rc * kb + rd * kc);
+
+    // covariance = M M^T with M = T R S.
+    F v_m[6];
+    for (int k = 0; k < 3; ++k) {
+        v_m[k] = (v_a * g.m[k] + v_b * g.m[3 + k]) * 2.0f;
+        v_m[3 + k] = (v_b * g.m[k] + v_c * g.m[3 + k]) * 2.0f;
+    }
+    F v_tr[6];
+    for (int k = 0; k < 3; ++k) {
+        const F v_scale = v_m[k] * g.tr[k] + v_m[3 + k] * g.tr[3 + k];
+        scatter(out.log_scales, rows, used, 3, k, select(on, v_scale * g.scale[k], zero));
+        v_tr[k] = v_m[k] * g.scale[k];
+        v_tr[3 + k] = v_m[3 + k] * g.scale[k];
+    }
+    F v_rot[9], v_t[6];
+    for (int i = 0; i < 3; ++i)
+        for (int k = 0; k < 3; ++k) v_rot[3 * i + k] = g.t[i] * v_tr[k] + g.t[3 + i] * v_tr[3 + k];
+    for (int i = 0; i < 2; ++i)
+        for (int k = 0; k < 3; ++k)
+            v_t[3 * i + k] = v_tr[3 * i] * g.rot[3 * k] + v_tr[3 * i + 1] * g.rot[3 * k + 1] + v_tr[3 * i + 2] * g.rot[3 * k + 2];
+
+    // Rotation matrix to unit quaternion to stored quaternion.
+    const F &qw = g.unit[0], &qx = g.unit[1], &qy = g.unit[2], &qz = g.unit[3];
+    const F* r = v_rot;
+    F v_q[4];
+    v_q[0] = (qx * (r[7] - r[5]) + qy * (r[2] - r[6]) + qz * (r[3] - r[1])) * 2.0f;
+    v_q[1] = (qy * (r[1] + r[3]) + qz * (r[2] + r[6]) + qw * (r[7] - r[5])) * 2.0f - qx * (r[4] + r[8]) * 4.0f;
+    v_q[2] = (qx * (r[1] + r[3]) + qz * (r[5] + r[7]) + qw * (r[2] - r[6])) * 2.0f - qy * (r[0] + r[8]) * 4.0f;
+    v_q[3] = (qx * (r[2] + r[6]) + qy * (r[5] + r[7]) + qw * (r[3] - r[1])) * 2.0f - qz * (r[0] + r[4]) * 4.0f;
+    const F along = v_q[0] * qw + v_q[1] * qx + v_q[2] * qy + v_q[3] * qz;
+    const I turned = (g.norm > 1e-18f) & on;
+    for (int k = 0; k < 4; ++k)
+        scatter(out.quaternions, rows, used, 4, k, select(turned, (v_q[k] - along * g.unit[k]) / g.norm, zero));
+
+    // Jacobian of the projection, and the centre itself.
+    const float* w = cam.rotation;
+    F v_j[4];  // j00, j02, j11, j12
+    v_j[0] = v_t[0] * w[0] + v_t[1] * w[1] + v_t[2] * w[2];
+    v_j[1] = v_t[0] * w[6] + v_t[1] * w[7] + v_t[2] * w[8];
+    v_j[2] = v_t[3] * w[3] + v_t[4] * w[4] + v_t[5] * w[5];
+    v_j[3] = v_t[3] * w[6] + v_t[4] * w[7] + v_t[5] * w[8];
+    const F iz = 1.0f / g.z, fx_z = iz * cam.fx, fy_z = iz * cam.fy, ray_x = g.x * iz, ray_y = g.y * iz;
+    const F v_kx = select(g.free_x, -(fx_z * v_j[1]), zero), v_ky = select(g.free_y, -(fy_z * v_j[3]), zero);
+    const F v_ray_x = v_x2d * cam.fx + v_kx, v_ray_y = v_y2d * cam.fy + v_ky;
+    F v_cam[3];
+    v_cam[0] = v_ray_x * iz;
+    v_cam[1] = v_ray_y * iz;
+    v_cam[2] = total[9] - (v_ray_x * ray_x + v_ray_y * ray_y) * iz -
+               (fx_z * (v_j[0] - g.kx * v_j[1]) + fy_z * (v_j[2] - g.ky * v_j[3])) * iz;
+    F v_mean[3];
+    for (int k = 0; k < 3; ++k) v_mean[k] = v_cam[0] * w[k] + v_cam[1] * w[3 + k] + v_cam[2] * w[6 + k];
+
+    // Colour.
+    F direction[3] = {splat(0.5f), splat(0.5f), splat(0.5f)}, length = splat(1.0f), basis[16];
+    if (scene.sh_degree > 0) length = view_directions(scene, cam, rows, direction);
+    sh_basis(scene.sh_degree, direction[0], direction[1], direction[2], basis);
+    const int coefficients = (scene.sh_degree + 1) * (scene.sh_degree + 1);
+    F v_basis[16];
+    for (int k = 0; k < coefficients; ++k) v_basis[k] = zero;
+    for (int c = 0; c < 3; ++c) {
+        float shown[kLanes];
+        for (int i = 0; i < kLanes; ++i) shown[i] = lists.projected[rows[i]].rgb[c];
+        const F v_rgb = select((load(shown) > 0.0f) & on, total[6 + c], zero);
+        for (int k = 0; k < coefficients; ++k) {
+            scatter(out.sh, rows, used, stride, 3 * k + c, v_rgb * basis[k]);
+            if (scene.sh_degree > 0) v_basis[k] = v_basis[k] + v_rgb * gather(scene.sh, rows, stride, 3 * k + c);
+        }
+        for (int k = coefficients; k < scene.sh_coefficients; ++k) scatter(out.sh, rows, used, stride, 3 * k + c, zero);
+    }
+    if (scene.sh_degree > 0) {
+        F v_dir[3] = {zero, zero, zero};
+        sh_backward(scene.sh_degree, direction[0], direction[1], direction[2], v_basis, v_dir);
+        const F radial = v_dir[0] * direction[0] + v_dir[1] * direction[1] + v_dir[2] * direction[2];
+        for (int k = 0; k < 3; ++k) v_mean[k] = v_mean[k] + (v_dir[k] - radial * direction[k]) / length;
+    }
+    for (int k = 0; k < 3; ++k) scatter(out.means, rows, used, 3, k, select(on, v_mean[k], zero));
+    scatter(out.opacity_logits, rows, used, 1, 0, select(on, total[0] * (1.0f - g.sigmoid), zero));
+    if (out.view) scatter(out.view, rows, used, 1, 0, select(on, sqrt(v_x2d * v_x2d + v_y2d * v_y2d), zero));
+}
+
+}  // namespace decogs

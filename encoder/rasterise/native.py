@@ -1,0 +1,287 @@
+"""The differentiable renderer, the fused loss and Adam: the training kernel's arrays-in, arrays-out interface."""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.decoder.rasterise.native import (
+    NativeCamera,
+    NativePlanes,
+    NativeScene,
+    load_kernel,
+    native_camera,
+    native_scene,
+    thread_count,
+)
+from decogs.formats.cameras import Camera
+from decogs.formats.splats import FloatArray, Splats
+
+
+class _Cotangents(ctypes.Structure):
+    _fields_ = [
+        ("rgb", ctypes.c_void_p),
+        ("alpha", ctypes.c_void_p),
+        ("depth", ctypes.c_void_p),
+        ("background", ctypes.c_float * 3),
+    ]
+
+
+class _Gradients(ctypes.Structure):
+    _fields_ = [
+        (name, ctypes.c_void_p)
+        for name in ("means", "log_scales", "quaternions", "opacity_logits", "sh", "view", "rgb")
+    ]
+
+
+class _LossInput(ctypes.Structure):
+    _fields_ = [
+        ("image", ctypes.c_void_p),
+        ("target", ctypes.c_void_p),
+        ("l1_weight", ctypes.c_void_p),
+        ("focus", ctypes.c_void_p),
+        ("l1_scale", ctypes.c_float),
+        ("ssim_scale", ctypes.c_float),
+        ("width", ctypes.c_int32),
+        ("height", ctypes.c_int32),
+    ]
+
+
+class _LossSums(ctypes.Structure):
+    _fields_ = [("l1", ctypes.c_double), ("ssim", ctypes.c_double), ("square", ctypes.c_double)]
+
+
+class _AdamStep(ctypes.Structure):
+    _fields_ = [
+        (name, ctypes.c_float) for name in ("rate", "beta1", "beta2", "epsilon", "correction1", "correction2")
+    ]
+
+
+@lru_cache(maxsize=1)
+def _library() -> ctypes.CDLL:
+    library = load_kernel(Path(__file__).parent, "_training")
+    pointer, handle = ctypes.POINTER, ctypes.c_void_p
+    library.decogs_trainer_create.restype = handle
+    library.decogs_trainer_create.argtypes = [ctypes.c_int]
+    library.decogs_trainer_destroy.argtypes = [handle]
+    library.decogs_forward.argtypes = [handle, pointer(NativeScene), pointer(NativeCamera), pointer(NativePlanes)]
+    library.decogs_backward.argtypes = [
+        handle,
+        pointer(NativeScene),
+        pointer(NativeCamera),
+        pointer(_Cotangents),
+        ctypes.c_void_p,
+        pointer(_Gradients),
+    ]
+    library.decogs_loss.argtypes = [handle, pointer(_LossInput), ctypes.c_void_p, pointer(_LossSums)]
+    library.decogs_adam.argtypes = [
+        handle,
+        pointer(_AdamStep),
+        ctypes.c_int64,
+        ctypes.c_void_p,
+        ctypes.c_int,
+        *[ctypes.c_void_p] * 4,
+    ]
+    library.decogs_centres.argtypes = [handle, ctypes.c_int64, ctypes.c_void_p, ctypes.c_void_p]
+    return library
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A rendering on its way to the loss, planar: rgb (3, H, W), alpha (H, W), summed depth (H, W) or None."""
+
+    rgb: FloatArray
+    alpha: FloatArray
+    depth: FloatArray | None
+
+
+@dataclass(frozen=True)
+class SplatGradients:
+    """Gradients of the stored values, shaped like them; ``view`` (N,) is the length of the projected centre's, in pixels."""
+
+    means: FloatArray
+    log_scales: FloatArray
+    quaternions: FloatArray
+    opacity_logits: FloatArray
+    sh: FloatArray
+    view: FloatArray
+
+
+@dataclass(frozen=True)
+class LossValue:
+    """What a picture costs: the loss itself, its weighted L1 and SSIM sums and the mean square error."""
+
+    total: float
+    l1: float
+    ssim: float
+    mean_square: float
+
+
+def _address(array: NDArray[np.generic] | None) -> int | None:
+    if array is None:
+        return None
+    if not array.flags.c_contiguous:
+        raise ValueError("the kernel reads C-contiguous arrays only")
+    return array.ctypes.data
+
+
+def _float_address(array: FloatArray | None) -> int | None:
+    if array is not None and array.dtype != np.float32:
+        raise ValueError("the kernel reads float32 arrays only")
+    return _address(array)
+
+
+class TrainingKernel:
+    """One differentiable renderer with its thread pool and buffers; results do not depend on the number of threads.
+
+    ``forward`` must come before ``backward`` and ``centres``, with the same scene and camera.
+    """
+
+    def __init__(self, threads: int = 0) -> None:
+        self._library = _library()
+        self._handle = self._library.decogs_trainer_create(thread_count(threads))
+
+    def __del__(self) -> None:
+        if hasattr(self, "_handle"):
+            self._library.decogs_trainer_destroy(self._handle)
+
+    def forward(
+        self,
+        splats: Splats,
+        camera: Camera,
+        background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        *,
+        sh_degree: int | None = None,
+        depth: bool = False,
+    ) -> Picture:
+        """Renders and remembers what the way back needs."""
+        size = (camera.height, camera.width)
+        picture = Picture(
+            np.empty((3, *size), np.float32), np.empty(size, np.float32), np.empty(size, np.float32) if depth else None
+        )
+        planes = NativePlanes(
+            _address(picture.rgb), _address(picture.alpha), _address(picture.depth), (ctypes.c_float * 3)(*background)
+        )
+        self._scene, self._camera = native_scene(splats, sh_degree), native_camera(camera)
+        self._shape, self._background = size, background
+        self._library.decogs_forward(
+            self._handle, ctypes.byref(self._scene), ctypes.byref(self._camera), ctypes.byref(planes)
+        )
+        return picture
+
+    def backward(
+        self,
+        splats: Splats,
+        v_rgb: FloatArray,
+        *,
+        v_alpha: FloatArray | None = None,
+        v_depth: FloatArray | None = None,
+        selected: NDArray[np.bool_] | None = None,
+        out: SplatGradients | None = None,
+    ) -> SplatGradients:
+        """Gradients of every Gaussian (exactly zero outside ``selected``) for the cotangents of the last picture."""
+        n = len(splats)
+        out = out or SplatGradients(
+            *(np.empty_like(a) for a in (splats.means, splats.log_scales, splats.quaternions)),
+            np.empty_like(splats.opacity_logits),
+            np.empty_like(splats.sh),
+            np.empty(n, np.float32),
+        )
+        arrays = (out.means, out.log_scales, out.quaternions, out.opacity_logits, out.sh, out.view)
+        self._backward(_Gradients(*(_float_address(a) for a in arrays), None), v_rgb, v_alpha, v_depth, selected)
+        return out
+
+    def weights(self, splats: Splats, v_rgb: FloatArray) -> FloatArray:
+        """Rendering weight of every Gaussian (N, 3): the sum over pixels of alpha times transmittance times ``v_rgb``."""
+        rgb = np.empty((len(splats), 3), np.float32)
+        self._backward(_Gradients(*[None] * 6, _float_address(rgb)), v_rgb, None, None, None)
+        return rgb
+
+    def _backward(
+        self,
+        gradients: _Gradients,
+        v_rgb: FloatArray,
+        v_alpha: FloatArray | None,
+        v_depth: FloatArray | None,
+        selected: NDArray[np.bool_] | None,
+    ) -> None:
+        if v_rgb.shape != (3, *self._shape):
+            raise ValueError(f"cotangent of shape {v_rgb.shape} for a picture of {self._shape}")
+        cotangents = _Cotangents(
+            _float_address(v_rgb),
+            _float_address(v_alpha),
+            _float_address(v_depth),
+            (ctypes.c_float * 3)(*self._background),
+        )
+        self._library.decogs_backward(
+            self._handle,
+            ctypes.byref(self._scene),
+            ctypes.byref(self._camera),
+            ctypes.byref(cotangents),
+            _address(selected),
+            ctypes.byref(gradients),
+        )
+
+    def centres(self, count: int) -> tuple[FloatArray, FloatArray]:
+        """Projected centres (N, 2) in pixels and depths (N,) of the last picture; NaN where nothing was drawn."""
+        centres, depths = np.empty((count, 2), np.float32), np.empty(count, np.float32)
+        self._library.decogs_centres(self._handle, count, _address(centres), _address(depths))
+        return centres, depths
+
+    def loss(
+        self,
+        image: FloatArray,
+        target: FloatArray,
+        *,
+        l1_scale: float,
+        ssim_scale: float,
+        l1_weight: FloatArray | None = None,
+        focus: FloatArray | None = None,
+        gradient: FloatArray | None = None,
+    ) -> tuple[LossValue, FloatArray]:
+        """``l1_scale * sum(l1_weight |a-b|) + ssim_scale * sum(focus (1 - SSIM(focus a, focus b)))`` and its gradient.
+
+        Shapes: image, target and gradient (3, H, W); l1_weight and focus (H, W). Source: Wang 2004, Kerbl 2023 eq. 7.
+        """
+        if image.shape != target.shape:
+            raise ValueError(f"picture {image.shape} against target {target.shape}")
+        gradient = np.empty_like(image) if gradient is None else gradient
+        _, height, width = image.shape
+        given = _LossInput(
+            *(_float_address(a) for a in (image, target, l1_weight, focus)), l1_scale, ssim_scale, width, height
+        )
+        sums = _LossSums()
+        self._library.decogs_loss(self._handle, ctypes.byref(given), _address(gradient), ctypes.byref(sums))
+        total = l1_scale * sums.l1 + ssim_scale * sums.ssim
+        return LossValue(total, sums.l1, sums.ssim, sums.square / image.size), gradient
+
+    def adam(
+        self,
+        value: FloatArray,
+        gradient: FloatArray,
+        first: FloatArray,
+        second: FloatArray,
+        *,
+        rate: float,
+        step: int,
+        beta1: float = 0.9,
+        beta2: float = 0.999,
+        epsilon: float = 1e-15,
+        rows: NDArray[np.int64] | None = None,
+    ) -> None:
+        """One Adam step (Kingma 2015) in place on ``rows`` of ``value``; ``step`` counts from 1."""
+        count, columns = len(value), value.size // max(1, len(value))
+        setting = _AdamStep(rate, beta1, beta2, epsilon, 1 - beta1**step, 1 - beta2**step)
+        self._library.decogs_adam(
+            self._handle,
+            ctypes.byref(setting),
+            count if rows is None else len(rows),
+            _address(rows),
+            columns,
+            *(_float_address(a) for a in (value, gradient, first, second)),
+        )
