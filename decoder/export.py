@@ -1,0 +1,238 @@
+"""Decoded frames as one USD file: finds which Gaussians ever change and writes those apart from the others.
+
+The layout and its reasons are described in ``decogs.formats.usd``. Frames are read twice, one at a time; memory holds a
+few copies of one frame (and, for a .usda, the whole file).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from decogs.formats.cameras import Camera
+from decogs.formats.errors import UsageError
+from decogs.formats.splats import SH_C0, FloatArray, Splats, empty_splats, join_splats, take_splats
+from decogs.formats.usd import (
+    DEFAULT_PROTOTYPE_RADIUS,
+    UpAxis,
+    UsdSplats,
+    UsdWriter,
+    check_usd_request,
+    linear_from_srgb,
+)
+from numpy.typing import NDArray
+
+Ids = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+STATIC_GROUP, DYNAMIC_GROUP = "Static", "Dynamic"
+
+
+@dataclass(frozen=True)
+class ExportFrame:
+    """One decoded frame: time index, stable ids (N,) int64, all different and in any order, and their splats."""
+
+    index: int
+    ids: Ids
+    splats: Splats
+
+
+@dataclass(frozen=True)
+class ExportReport:
+    """What an export wrote: frames, Gaussians that never and that ever change, bytes of the file."""
+
+    frame_count: int
+    static_count: int
+    dynamic_count: int
+    file_bytes: int
+
+
+@dataclass(frozen=True)
+class Census:
+    """Who lives and who changes over all frames of an export; id arrays sorted, splats in the same order.
+
+    Static: alive in every frame and never changed; ``static`` are their values. Dynamic: every other Gaussian that is
+    ever alive; ``newborn`` are their values when they first appear. SH is cut to degree 0.
+    """
+
+    frames: tuple[int, ...]
+    static_ids: Ids
+    static: Splats
+    dynamic_ids: Ids
+    newborn: Splats
+
+
+def blender_script() -> Path:
+    """The script to run in Blender that imports an export with the colour and opacity of every splat."""
+    return Path(__file__).with_name("blender_attach_colours.py")
+
+
+def export_usd(
+    frames: Callable[[], Iterable[ExportFrame]],
+    path: str | Path,
+    *,
+    fps: float,
+    cameras: Sequence[Camera] = (),
+    up_axis: UpAxis = "Y",
+    prototype_radius: float = DEFAULT_PROTOTYPE_RADIUS,
+    documentation: str = "",
+) -> ExportReport:
+    """A stream of decoded frames as USD: /World/Static, /World/Dynamic, their points, and the rig's cameras.
+
+    ``frames`` is called twice and gives the same frames both times, indices rising; indices become time codes.
+    ``prototype_radius`` is the size of a drawn ellipsoid in standard deviations. ``up_axis`` states which axis of the
+    world is up; nothing is rotated. ``documentation`` goes into the file (source and licence of the footage).
+
+    A group without Gaussians is left out. Raises UsageError for a name that is not USD's, without frames, and when the
+    file cannot be written; a file of that name is only ever replaced by a complete one.
+    """
+    path = Path(path)
+    check_usd_request(path, fps=fps, up_axis=up_axis, prototype_radius=prototype_radius)
+    census = take_census(frames())
+    if not census.frames:
+        raise UsageError(f"{path}: there is no frame to export; choose frames that the stream has")
+    with UsdWriter(
+        path,
+        fps=fps,
+        frames=(census.frames[0], census.frames[-1]),
+        up_axis=up_axis,
+        prototype_radius=prototype_radius,
+        documentation=documentation,
+    ) as usd:
+        usd.add_cameras(cameras)
+        if len(census.static_ids):
+            usd.add_group(STATIC_GROUP, census.static_ids)
+            usd.write_frame(STATIC_GROUP, census.frames[0], usd_splats(census.static))
+        if len(census.dynamic_ids):
+            usd.add_group(DYNAMIC_GROUP, census.dynamic_ids)
+            for index, splats, alive in follow_dynamic(census, frames()):
+                usd.write_frame(DYNAMIC_GROUP, index, splats, alive)
+    return ExportReport(len(census.frames), len(census.static_ids), len(census.dynamic_ids), path.stat().st_size)
+
+
+def take_census(frames: Iterable[ExportFrame]) -> Census:
+    """First reading: which stable ids change, appear or vanish. Values are compared bit for bit as stored.
+
+    Raises ValueError when indices do not rise or an id occurs twice in a frame.
+    """
+    indices: list[int] = []
+    previous: ExportFrame | None = None
+    known_ids, dynamic = np.zeros(0, np.int64), np.zeros(0, np.int64)
+    known: Splats | None = None
+    for raw in frames:
+        _check_order(indices, raw.index)
+        indices.append(raw.index)
+        if previous is not None and raw.splats is previous.splats and raw.ids is previous.ids:
+            continue
+        frame = _sorted_by_id(raw)
+        if previous is None or known is None:
+            known_ids, known = frame.ids, frame.splats
+        else:
+            dynamic = np.union1d(dynamic, _touched(previous, frame))
+            fresh = ~np.isin(frame.ids, known_ids, assume_unique=True)
+            if fresh.any():
+                known_ids = np.concatenate([known_ids, frame.ids[fresh]])
+                known = join_splats(known, take_splats(frame.splats, fresh))
+        previous = frame
+    if known is None:
+        return Census((), known_ids, empty_splats(0), dynamic, empty_splats(0))
+    order = np.argsort(known_ids)
+    known_ids, known = known_ids[order], take_splats(known, order)
+    changes = np.isin(known_ids, dynamic, assume_unique=True)
+    return Census(
+        tuple(indices),
+        known_ids[~changes],
+        take_splats(known, ~changes),
+        known_ids[changes],
+        take_splats(known, changes),
+    )
+
+
+def follow_dynamic(census: Census, frames: Iterable[ExportFrame]) -> Iterator[tuple[int, UsdSplats, Mask]]:
+    """Second reading: at every frame (index, the dynamic Gaussians' values in census order, which of them are alive).
+
+    A Gaussian has its first values before it appears and its last ones after it vanished. Arrays that did not change
+    are the same objects as before.
+    """
+    ids = census.dynamic_ids
+    values = usd_splats(census.newborn)
+    current = census.newborn
+    alive = np.zeros(len(ids), np.bool_)
+    previous: ExportFrame | None = None
+    for frame in frames:
+        if previous is None or frame.splats is not previous.splats or frame.ids is not previous.ids:
+            alive, rows, slots = _rows_of(ids, frame.ids)
+            moved = _placed(current, take_splats(_degree_0(frame.splats), rows), slots)
+            values, current = usd_splats(moved), moved
+            previous = frame
+        yield frame.index, values, alive
+
+
+def usd_splats(splats: Splats) -> UsdSplats:
+    """Activated values of stored ones: scales, opacities, unit quaternions, and the linear view-independent colour."""
+    norms = np.linalg.norm(splats.quaternions.astype(np.float64), axis=1, keepdims=True)
+    rotations = np.divide(splats.quaternions, norms, out=np.zeros(splats.quaternions.shape), where=norms > 0)
+    rotations[norms[:, 0] == 0] = (1.0, 0.0, 0.0, 0.0)
+    return UsdSplats(
+        positions=splats.means,
+        rotations=rotations.astype(np.float32),
+        scales=np.exp(splats.log_scales),
+        colours=linear_from_srgb(0.5 + SH_C0 * splats.sh[:, 0]),
+        opacities=_sigmoid(splats.opacity_logits),
+    )
+
+
+def _sigmoid(logits: FloatArray) -> FloatArray:
+    """Logistic function without overflow: float32 exp stays finite below 88."""
+    return (1.0 / (1.0 + np.exp(-np.clip(logits, -80.0, 80.0)))).astype(np.float32)
+
+
+def _check_order(indices: list[int], index: int) -> None:
+    if indices and index <= indices[-1]:
+        raise ValueError(f"frame {index} follows frame {indices[-1]}; indices must rise")
+
+
+def _degree_0(splats: Splats) -> Splats:
+    """The splats without view dependence, which USD's display colour cannot hold; arrays are shared, not copied."""
+    return Splats(splats.means, splats.log_scales, splats.quaternions, splats.opacity_logits, splats.sh[:, :1])
+
+
+def _sorted_by_id(frame: ExportFrame) -> ExportFrame:
+    """The same frame, ids rising, SH cut to degree 0."""
+    order = np.argsort(frame.ids, kind="stable")
+    ids = frame.ids[order]
+    if (ids[1:] == ids[:-1]).any():
+        raise ValueError(f"frame {frame.index} has an id twice")
+    return ExportFrame(frame.index, ids, take_splats(_degree_0(frame.splats), order))
+
+
+def _touched(before: ExportFrame, after: ExportFrame) -> Ids:
+    """Ids that changed any value, appeared or vanished between two frames that are sorted by id."""
+    common, rows_before, rows_after = np.intersect1d(before.ids, after.ids, assume_unique=True, return_indices=True)
+    differs = np.zeros(len(common), np.bool_)
+    for name, old in vars(before.splats).items():
+        new = getattr(after.splats, name)
+        unequal = old[rows_before] != new[rows_after]
+        differs |= unequal.any(axis=tuple(range(1, unequal.ndim)))
+    return np.concatenate([common[differs], np.setxor1d(before.ids, after.ids, assume_unique=True)])
+
+
+def _rows_of(ids: Ids, frame_ids: Ids) -> tuple[Mask, NDArray[np.intp], NDArray[np.intp]]:
+    """Where sorted ``ids`` occur in a frame: which do, at which rows of the frame, and at which places of ``ids``."""
+    order = np.argsort(frame_ids, kind="stable")
+    place = np.minimum(np.searchsorted(frame_ids, ids, sorter=order), max(len(frame_ids) - 1, 0))
+    if len(frame_ids) == 0:
+        return np.zeros(len(ids), np.bool_), np.zeros(0, np.intp), np.zeros(0, np.intp)
+    rows = order[place]
+    alive = frame_ids[rows] == ids
+    return alive, rows[alive], np.flatnonzero(alive)
+
+
+def _placed(splats: Splats, new: Splats, slots: NDArray[np.intp]) -> Splats:
+    """A copy of ``splats`` with ``new`` at ``slots``."""
+    copies = {name: value.copy() for name, value in vars(splats).items()}
+    for name, value in copies.items():
+        value[slots] = getattr(new, name)
+    return Splats(**copies)

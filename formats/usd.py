@@ -1,0 +1,375 @@
+"""Splats over time as USD (.usdc, .usda, .usd): point instancers that today's DCCs draw, and a points prim beside each.
+
+Layout, every array in world units and in one fixed order per group::
+
+    /World                   Xform, default prim
+    /World/<Group>           PointInstancer: positions, orientations, scales, ids, displayColor, displayOpacity
+    /World/<Group>/Splat     its prototype, a Sphere of radius k: an instance is the ellipsoid at k sigma
+    /World/<Group>Points     Points in the same order: displayColor, displayOpacity, splatId; width 0
+    /World/Cameras/<name>    one Camera for every camera of the rig
+
+Choices, and why:
+
+* *Groups.* Gaussians that never change go to one group without a single time sample, the others to a second one. Crate
+  files do not compress float arrays, so this is what keeps a file proportional to motion.
+* *Fixed order, invisible ids.* A group holds every Gaussian that lives at any of its frames, always in the same rows;
+  one that is not alive is listed in ``invisibleIds``. Changing array lengths would be smaller where births and deaths
+  dominate, but readers could no longer interpolate between frames (no motion blur), and every attribute, ids included,
+  would need a sample whenever the count changes. The price: rows of the dead are written too.
+* *Samples only where something changes.* An attribute's default is its first value. The first change writes the old
+  value one frame earlier and then the new one, so that interpolation holds still until there.
+* *Points beside the instancer.* Blender drops every primvar of an instancer and keeps those of points (float, int,
+  color3f; a half, double or int64 primvar would end its import of the later ones): this prim carries colour and
+  opacity there. Its purpose is "render" and its width 0: imported by default, never drawn over the instances. A row
+  that is not alive has opacity 0.
+* *No material.* Hydra renderers use displayColor and displayOpacity of each instance by themselves. A material that
+  reads its opacity from displayOpacity makes everything invisible in Blender.
+* *Colours* are linear, as displayColor asks: the sRGB transfer function is undone for the view-independent colour. View
+  dependence (SH degree 1 to 3) and lens distortion have no place in these prims and are left out.
+* *Orientations* are half precision (quath) because Blender ignores the float attribute ``orientationsf``.
+
+Source of the facts: OpenUSD 26.11 schemas, and imports into Blender 4.5 and 5.0.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal
+
+import numpy as np
+from decogs.formats.cameras import Camera
+from decogs.formats.errors import UsageError
+from decogs.formats.splats import FloatArray
+from numpy.typing import NDArray
+
+UpAxis = Literal["Y", "Z"]
+
+USD_SUFFIXES = (".usdc", ".usda", ".usd")
+
+DEFAULT_PROTOTYPE_RADIUS = 1.5
+"""Standard deviations at which an ellipsoid is drawn. A flat disc of sqrt(2) sigma carries as much opacity as the whole
+Gaussian does; a little more closes the gaps between neighbours."""
+
+_APERTURE = 0.36
+"""Horizontal aperture of every camera in tenths of a world unit (a metre): a 36 mm picture, as film cameras have."""
+
+_NEAR, _FAR = 0.01, 10_000.0
+_FLUSH_BYTES = 64 << 20
+_INT32_MAX = 2**31 - 1
+
+
+@dataclass(frozen=True)
+class UsdSplats:
+    """What a group shows at one frame, float32, one row per Gaussian; all rows of the group, alive or not.
+
+    positions (N, 3) and scales (N, 3) (standard deviations) in world units; rotations (N, 4) unit quaternions wxyz;
+    colours (N, 3) linear; opacities (N,) 0 to 1.
+    """
+
+    positions: FloatArray
+    rotations: FloatArray
+    scales: FloatArray
+    colours: FloatArray
+    opacities: FloatArray
+
+
+def linear_from_srgb(coded: NDArray[Any]) -> FloatArray:
+    """Linear light of sRGB-coded values, both clipped to 0..1 (IEC 61966-2-1)."""
+    clipped = np.clip(coded, 0.0, 1.0).astype(np.float64)
+    linear: NDArray[np.float64] = np.where(clipped <= 0.04045, clipped / 12.92, ((clipped + 0.055) / 1.055) ** 2.4)
+    return linear.astype(np.float32)
+
+
+def splat_extent(splats: UsdSplats, radius: float) -> FloatArray:
+    """Box around the instances, (2, 3): each the box around a cube of half side ``radius``, as UsdGeom computes it.
+
+    A group without rows has the empty box at the origin.
+    """
+    if len(splats.positions) == 0:
+        return np.zeros((2, 3), np.float32)
+    w, x, y, z = splats.rotations.T
+    rotation = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    half = radius * np.einsum("ijn,nj->ni", np.abs(rotation), splats.scales)
+    return np.stack([(splats.positions - half).min(axis=0), (splats.positions + half).max(axis=0)]).astype(np.float32)
+
+
+class _Track:
+    """One attribute over time: a default from the first value, samples from the first change on, none that repeats."""
+
+    def __init__(self, attribute: Any, convert: Callable[[NDArray[Any]], Any]) -> None:
+        self._attribute = attribute
+        self._convert = convert
+        self._value: NDArray[Any] | None = None
+        self._seen = 0
+        self._written: int | None = None
+
+    def push(self, frame: int, value: NDArray[Any]) -> int:
+        """The value at ``frame`` (frames in rising order); returns the bytes handed to USD."""
+        before, last = self._value, self._seen
+        self._seen = frame
+        if before is not None and (before is value or np.array_equal(before, value)):
+            return 0
+        written = self._convert(value)
+        self._value = value
+        if before is None:
+            self._attribute.Set(written)
+            return value.nbytes
+        bytes_out = value.nbytes
+        if self._written is None or self._written < last:
+            self._attribute.Set(self._convert(before), last)
+            bytes_out += before.nbytes
+        self._attribute.Set(written, frame)
+        self._written = frame
+        return bytes_out
+
+
+class _Group:
+    """One instancer with its points, and the attributes of both that may change."""
+
+    def __init__(self, stage: Any, name: str, ids: NDArray[np.int64], prototype_radius: float) -> None:
+        from pxr import Gf, Sdf, UsdGeom, Vt
+
+        path = f"/World/{name}"
+        instancer = UsdGeom.PointInstancer.Define(stage, path)
+        prototype = UsdGeom.Sphere.Define(stage, f"{path}/Splat")
+        prototype.CreateRadiusAttr(prototype_radius)
+        prototype.CreateExtentAttr([Gf.Vec3f(-prototype_radius), Gf.Vec3f(prototype_radius)])
+        instancer.CreatePrototypesRel().SetTargets([prototype.GetPath()])
+        instancer.CreateProtoIndicesAttr(Vt.IntArray.FromNumpy(np.zeros(len(ids), np.int32)))
+        instancer.CreateIdsAttr(Vt.Int64Array.FromNumpy(ids))
+
+        points = UsdGeom.Points.Define(stage, f"{path}Points")
+        points.CreatePurposeAttr(UsdGeom.Tokens.render)
+        points.CreateWidthsAttr(Vt.FloatArray.FromNumpy(np.zeros(1, np.float32)))
+        points.SetWidthsInterpolation(UsdGeom.Tokens.constant)
+
+        def primvar(prim: Any, key: str, kind: Any) -> Any:
+            return UsdGeom.PrimvarsAPI(prim).CreatePrimvar(key, kind, UsdGeom.Tokens.vertex).GetAttr()
+
+        if len(ids) == 0 or 0 <= int(ids.min()) <= int(ids.max()) <= _INT32_MAX:
+            numbers = Vt.IntArray.FromNumpy(ids.astype(np.int32))
+            for prim in (instancer, points):
+                primvar(prim, "splatId", Sdf.ValueTypeNames.IntArray).Set(numbers)
+
+        colour, opacity = Sdf.ValueTypeNames.Color3fArray, Sdf.ValueTypeNames.FloatArray
+        vectors, floats, integers = Vt.Vec3fArray.FromNumpy, Vt.FloatArray.FromNumpy, Vt.Int64Array.FromNumpy
+        self.ids = ids
+        self._radius = prototype_radius
+        self._tracks = {
+            "positions": _Track(instancer.CreatePositionsAttr(), vectors),
+            "rotations": _Track(instancer.CreateOrientationsAttr(), _quath_array),
+            "scales": _Track(instancer.CreateScalesAttr(), vectors),
+            "colours": _Track(primvar(instancer, "displayColor", colour), vectors),
+            "opacities": _Track(primvar(instancer, "displayOpacity", opacity), floats),
+            "invisible": _Track(instancer.CreateInvisibleIdsAttr(), integers),
+            "extent": _Track(instancer.CreateExtentAttr(), vectors),
+            "points": _Track(points.CreatePointsAttr(), vectors),
+            "points_colours": _Track(primvar(points, "displayColor", colour), vectors),
+            "points_opacities": _Track(primvar(points, "displayOpacity", opacity), floats),
+            "points_extent": _Track(points.CreateExtentAttr(), vectors),
+        }
+
+    def push(self, frame: int, splats: UsdSplats, alive: NDArray[np.bool_]) -> int:
+        """The group at ``frame``; returns the bytes handed to USD, an upper bound of what the file grows by."""
+        shown = splats if alive.all() else UsdSplats(*(value[alive] for value in vars(splats).values()))
+        values: dict[str, NDArray[Any]] = {
+            "positions": splats.positions,
+            "rotations": splats.rotations,
+            "scales": splats.scales,
+            "colours": splats.colours,
+            "opacities": splats.opacities,
+            "invisible": self.ids[~alive],
+            "extent": splat_extent(shown, self._radius),
+            "points": splats.positions,
+            "points_colours": splats.colours,
+            "points_opacities": splats.opacities if alive.all() else np.where(alive, splats.opacities, np.float32(0)),
+            "points_extent": np.stack([splats.positions.min(axis=0), splats.positions.max(axis=0)]),
+        }
+        return sum(self._tracks[key].push(frame, value) for key, value in values.items())
+
+
+class UsdWriter:
+    """Writes one USD file, frame after frame, beside its final name, and gives it that name when it is complete.
+
+    Use as a context manager: leaving it normally saves and renames, leaving it by an exception removes the file.
+    Crate files are flushed as they grow, so that memory stays flat in the number of frames (.usda cannot be).
+
+    ``frames`` is the first and last time code; ``fps`` becomes both frames and time codes per second. ``up_axis`` only
+    states which axis of the world points up, nothing is rotated. Raises UsageError for a name that is not USD's, for
+    numbers out of range, and when the file cannot be written.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        fps: float,
+        frames: tuple[int, int],
+        up_axis: UpAxis = "Y",
+        prototype_radius: float = DEFAULT_PROTOTYPE_RADIUS,
+        documentation: str = "",
+    ) -> None:
+        self.path = Path(path)
+        check_usd_request(self.path, fps=fps, up_axis=up_axis, prototype_radius=prototype_radius)
+        self._partial = self.path.with_name(f".{self.path.stem}.{os.getpid()}.partial{self.path.suffix.lower()}")
+        self._frames = frames
+        self._radius = float(prototype_radius)
+        self._groups: dict[str, _Group] = {}
+        self._unsaved = 0
+        self._stage = self._create(float(fps), up_axis, documentation)
+
+    def _create(self, fps: float, up_axis: UpAxis, documentation: str) -> Any:
+        from pxr import Tf, Usd, UsdGeom
+
+        try:
+            stage = Usd.Stage.CreateNew(str(self._partial))
+        except Tf.ErrorException as error:
+            raise UsageError(f"{self.path}: cannot be written ({_reason(error)})") from error
+        UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y if up_axis == "Y" else UsdGeom.Tokens.z)
+        UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+        stage.SetTimeCodesPerSecond(fps)
+        stage.SetFramesPerSecond(fps)
+        stage.SetStartTimeCode(self._frames[0])
+        stage.SetEndTimeCode(self._frames[1])
+        stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/World").GetPrim())
+        if documentation:
+            stage.GetRootLayer().documentation = documentation
+        return stage
+
+    def add_cameras(self, cameras: Sequence[Camera]) -> list[str]:
+        """The rig's cameras under /World/Cameras, as pinholes; returns their prim paths, in the given order.
+
+        Names are made valid and unique; the original name, picture size and distortion ride along as custom data.
+        """
+        from pxr import Tf, UsdGeom
+
+        if not cameras:
+            return []
+        UsdGeom.Scope.Define(self._stage, "/World/Cameras")
+        paths: list[str] = []
+        for camera in cameras:
+            prefix = "cam" if camera.name[:1].isdigit() else ""
+            base = f"/World/Cameras/{Tf.MakeValidIdentifier(prefix + camera.name)}"
+            path, copy = base, 2
+            while path in paths:
+                path, copy = f"{base}_{copy}", copy + 1
+            paths.append(path)
+            _define_camera(self._stage, path, camera)
+        return paths
+
+    def add_group(self, name: str, ids: NDArray[np.int64]) -> None:
+        """Opens /World/<name> and its points for these stable ids, (N,), all different; at least one."""
+        if len(ids) == 0:
+            raise ValueError(f"group {name} has no Gaussians")
+        self._groups[name] = _Group(self._stage, name, np.ascontiguousarray(ids, np.int64), self._radius)
+
+    def write_frame(self, name: str, frame: int, splats: UsdSplats, alive: NDArray[np.bool_] | None = None) -> None:
+        """The group's rows at ``frame``, frames in rising order; ``alive`` (N,) hides the rows that do not exist then.
+
+        The first frame becomes the default value. The arrays are kept to compare with: do not change them afterwards.
+        """
+        group = self._groups[name]
+        shown = np.ones(len(group.ids), np.bool_) if alive is None else alive
+        self._unsaved += group.push(frame, splats, shown)
+        if self._unsaved >= _FLUSH_BYTES:
+            self._save()
+
+    def _save(self) -> None:
+        from pxr import Tf
+
+        try:
+            self._stage.GetRootLayer().Save()
+        except Tf.ErrorException as error:
+            raise UsageError(f"{self.path}: cannot be written ({_reason(error)})") from error
+        self._unsaved = 0
+
+    def __enter__(self) -> UsdWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if kind is None:
+                self._save()
+                self._close()
+                os.replace(self._partial, self.path)
+        except OSError as failure:
+            raise UsageError(f"{self.path}: cannot be written ({failure.strerror})") from failure
+        finally:
+            self._close()
+            self._partial.unlink(missing_ok=True)
+
+    def _close(self) -> None:
+        self._groups.clear()
+        self._stage = None
+
+
+def check_usd_request(path: Path, *, fps: float, up_axis: str, prototype_radius: float) -> None:
+    """Raises UsageError for a USD file that could not be written as asked; cheap, for use before long work."""
+    if path.suffix.lower() not in USD_SUFFIXES:
+        raise UsageError(f"{path}: USD is written as {', '.join(USD_SUFFIXES)}; choose one of these endings")
+    if not path.parent.is_dir():
+        raise UsageError(f"{path}: its folder does not exist; create it first")
+    if path.is_dir():
+        raise UsageError(f"{path}: is a folder; give the name of a file")
+    if not (np.isfinite(fps) and fps > 0):
+        raise UsageError(f"{path}: {fps} frames per second; USD needs a positive rate")
+    if up_axis not in ("Y", "Z"):
+        raise UsageError(f"{path}: up axis {up_axis!r}; USD knows Y and Z")
+    if not (np.isfinite(prototype_radius) and prototype_radius > 0):
+        raise UsageError(f"{path}: prototype radius {prototype_radius}; give a positive number of standard deviations")
+
+
+def _reason(error: Exception) -> str:
+    """The last line of what OpenUSD says, without its source location."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return lines[-1].rpartition("' -- ")[2].strip("' ") if lines else type(error).__name__
+
+
+def _quath_array(rotations: NDArray[Any]) -> Any:
+    """Quaternions (N, 4) wxyz as half precision; pxr takes rows with the real part last."""
+    from pxr import Vt
+
+    return Vt.QuathArray.FromNumpy(np.ascontiguousarray(np.roll(rotations, -1, axis=1).astype(np.float16)))
+
+
+def _define_camera(stage: Any, path: str, camera: Camera) -> None:
+    """One USD camera (looks along -z, y up) that shows what the pinhole of an OpenCV camera (along +z, y down) shows.
+
+    Source: UsdGeomCamera, apertures and offsets in the same unit as the focal length; the window reaches from
+    offset - aperture / 2 to offset + aperture / 2. Pixels need not be square: focal length follows fx, height fy.
+    """
+    from pxr import Gf, UsdGeom, Vt
+
+    focal = _APERTURE * camera.fx / camera.width
+    vertical = focal * camera.height / camera.fy
+    camera_to_world = np.linalg.inv(camera.world_to_camera) @ np.diag([1.0, -1.0, -1.0, 1.0])
+    prim = UsdGeom.Camera.Define(stage, path)
+    prim.AddTransformOp().Set(Gf.Matrix4d(camera_to_world.T.tolist()))
+    prim.CreateProjectionAttr(UsdGeom.Tokens.perspective)
+    prim.CreateFocalLengthAttr(focal)
+    prim.CreateHorizontalApertureAttr(_APERTURE)
+    prim.CreateVerticalApertureAttr(vertical)
+    prim.CreateHorizontalApertureOffsetAttr(_APERTURE * (0.5 - camera.cx / camera.width))
+    prim.CreateVerticalApertureOffsetAttr(vertical * (camera.cy / camera.height - 0.5))
+    prim.CreateClippingRangeAttr(Gf.Vec2f(_NEAR, _FAR))
+    source = {
+        "name": camera.name,
+        "width": camera.width,
+        "height": camera.height,
+        "distortionModel": camera.distortion_model,
+    }
+    if camera.distortion:
+        source["distortion"] = Vt.DoubleArray(list(camera.distortion))
+    prim.GetPrim().SetCustomDataByKey("decogs", source)

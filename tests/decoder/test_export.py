@@ -1,0 +1,249 @@
+"""Exported frames read back per stable id: what the decoder shows is what the USD file holds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from decogs.decoder.export import ExportFrame, blender_script, export_usd, take_census, usd_splats
+from decogs.formats.cameras import Camera
+from decogs.formats.errors import UsageError
+from decogs.formats.splats import SH_C0, Splats, join_splats, take_splats
+from numpy.typing import NDArray
+from pxr import Usd, UsdGeom, UsdValidation
+
+
+def some_splats(rng: np.random.Generator, count: int, sh_degree: int = 1) -> Splats:
+    arrays = (
+        rng.normal(size=(count, 3)),
+        rng.normal(-3, 0.5, (count, 3)),
+        rng.normal(size=(count, 4)) * 3,
+        rng.normal(0, 2, count),
+        rng.normal(0, 1, (count, (sh_degree + 1) ** 2, 3)),
+    )
+    return Splats(*(array.astype(np.float32) for array in arrays))
+
+
+def moved(splats: Splats, rows: NDArray[np.intp], rng: np.random.Generator) -> Splats:
+    fresh = some_splats(rng, len(rows))
+    values = {name: value.copy() for name, value in vars(splats).items()}
+    for name, value in values.items():
+        value[rows] = getattr(fresh, name)
+    return Splats(**values)
+
+
+def living_scene() -> list[ExportFrame]:
+    """40 Gaussians over 7 frames from index 3: 8 move, one dies, three are born, one of these moves and dies, order is
+    shuffled in every frame, and one frame repeats the one before it."""
+    rng = np.random.default_rng(5)
+    ids, splats = np.arange(40, dtype=np.int64) * 3, some_splats(rng, 40)
+    frames = [(ids, splats)]
+    splats = moved(splats, np.arange(8), rng)
+    frames.append((ids, splats))
+    frames.append((ids, splats))
+    keep = np.arange(40) != 20
+    ids, splats = np.append(ids[keep], [200, 201, 202]), join_splats(take_splats(splats, keep), some_splats(rng, 3))
+    frames.append((ids, splats))
+    splats = moved(splats, np.array([2, 39]), rng)
+    frames.append((ids, splats))
+    keep = ids != 200
+    ids, splats = ids[keep], take_splats(splats, keep)
+    frames.append((ids, splats))
+    frames.append((ids, moved(splats, np.array([2]), rng)))
+    shuffled = []
+    for index, (frame_ids, frame_splats) in enumerate(frames, start=3):
+        order = rng.permutation(len(frame_ids))
+        shuffled.append(ExportFrame(index, frame_ids[order], take_splats(frame_splats, order)))
+    return shuffled
+
+
+def replay(frames: list[ExportFrame]) -> Callable[[], Iterator[ExportFrame]]:
+    return lambda: iter(frames)
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[ExportFrame], Usd.Stage]:
+    frames = living_scene()
+    path = tmp_path_factory.mktemp("usd") / "scene.usdc"
+    camera = Camera("cam00", 64, 48, 50.0, 50.0, 32.0, 24.0, np.eye(4))
+    report = export_usd(replay(frames), path, fps=30, cameras=[camera], documentation="licence: CC0")
+    assert (report.frame_count, report.file_bytes) == (7, path.stat().st_size)
+    return frames, Usd.Stage.Open(str(path))
+
+
+def instancers(stage: Usd.Stage) -> list[UsdGeom.PointInstancer]:
+    return [UsdGeom.PointInstancer(stage.GetPrimAtPath(f"/World/{name}")) for name in ("Static", "Dynamic")]
+
+
+def visible(stage: Usd.Stage, frame: float) -> dict[int, tuple[NDArray[np.float64], ...]]:
+    """Everything the stage shows at a time, by id: position, scale, rotation wxyz, colour, opacity."""
+    shown = {}
+    for instancer in instancers(stage):
+        mask = np.array(instancer.ComputeMaskAtTime(frame) or [True] * len(instancer.GetIdsAttr().Get(frame)))
+        primvars = UsdGeom.PrimvarsAPI(instancer)
+        orientations = instancer.GetOrientationsAttr().Get(frame)
+        rows = zip(
+            instancer.GetIdsAttr().Get(frame),
+            np.array(instancer.GetPositionsAttr().Get(frame)),
+            np.array(instancer.GetScalesAttr().Get(frame)),
+            np.array([[q.GetReal(), *q.GetImaginary()] for q in orientations]),
+            np.array(primvars.GetPrimvar("displayColor").Get(frame)),
+            np.array(primvars.GetPrimvar("displayOpacity").Get(frame)),
+            mask,
+            strict=True,
+        )
+        shown.update({identity: tuple(values) for identity, *values, alive in rows if alive})
+    return shown
+
+
+def test_file_is_valid_and_spans_the_frames(exported: tuple[list[ExportFrame], Usd.Stage]) -> None:
+    _, stage = exported
+    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    assert [e.GetMessage() for e in UsdValidation.ValidationContext(validators).Validate(stage)] == []
+    assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (3, 9)
+    assert stage.GetPrimAtPath("/World/Cameras/cam00").GetTypeName() == "Camera"
+    assert stage.GetRootLayer().documentation == "licence: CC0"
+
+
+def test_every_frame_reads_back_by_id(exported: tuple[list[ExportFrame], Usd.Stage]) -> None:
+    """Positions, scales and opacities are float32, as decoded: equal. Orientations are half precision: rounding to 11
+    significant bits moves a component of a unit quaternion by at most 2^-12; colours come from the definition in
+    float64, rounded to float32 (relative 2^-24; 1e-6 leaves room for the power function)."""
+    frames, stage = exported
+    for frame in frames:
+        shown = visible(stage, frame.index)
+        assert sorted(shown) == sorted(frame.ids.tolist())
+        splats = frame.splats
+        scales = np.exp(splats.log_scales)
+        unit = splats.quaternions.astype(np.float64)
+        unit /= np.linalg.norm(unit, axis=1, keepdims=True)
+        for row, identity in enumerate(frame.ids.tolist()):
+            position, scale, rotation, colour, opacity = shown[identity]
+            np.testing.assert_array_equal(position, splats.means[row])
+            np.testing.assert_array_equal(scale, scales[row])
+            unit = splats.quaternions[row].astype(np.float64) / np.linalg.norm(
+                splats.quaternions[row].astype(np.float64)
+            )
+            np.testing.assert_allclose(rotation, unit, atol=2.0**-12 + 1e-7)
+            coded = np.clip(0.5 + SH_C0 * splats.sh[row, 0].astype(np.float64), 0, 1)
+            linear = np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)
+            np.testing.assert_allclose(colour, linear, rtol=1e-6, atol=1e-7)
+            np.testing.assert_allclose(opacity, 1 / (1 + np.exp(-float(splats.opacity_logits[row]))), rtol=1e-6)
+
+
+def test_static_is_what_never_changes_and_has_no_time_sample(exported: tuple[list[ExportFrame], Usd.Stage]) -> None:
+    _, stage = exported
+    static, dynamic = instancers(stage)
+    changing = {*range(0, 24, 3), 60, 200, 201, 202}
+    assert set(dynamic.GetIdsAttr().Get()) == changing
+    assert set(static.GetIdsAttr().Get()) == set(range(0, 120, 3)) - changing
+    for name in ("Static", "StaticPoints"):
+        attributes = stage.GetPrimAtPath(f"/World/{name}").GetAttributes()
+        assert [a.GetName() for a in attributes if a.GetNumTimeSamples()] == []
+    assert dynamic.GetPositionsAttr().GetNumTimeSamples() > 1
+    assert dynamic.GetIdsAttr().GetNumTimeSamples() == 0
+
+
+def test_the_points_beside_match_the_instances_row_by_row(exported: tuple[list[ExportFrame], Usd.Stage]) -> None:
+    frames, stage = exported
+    for instancer in instancers(stage):
+        points = stage.GetPrimAtPath(f"{instancer.GetPath()}Points")
+        primvars = UsdGeom.PrimvarsAPI(points)
+        ids = np.array(instancer.GetIdsAttr().Get())
+        np.testing.assert_array_equal(np.array(primvars.GetPrimvar("splatId").Get()), ids)
+        for frame in frames:
+            alive = np.isin(ids, frame.ids)
+            positions = np.array(UsdGeom.Points(points).GetPointsAttr().Get(frame.index))
+            np.testing.assert_array_equal(positions, np.array(instancer.GetPositionsAttr().Get(frame.index)))
+            opacity = np.array(primvars.GetPrimvar("displayOpacity").Get(frame.index))
+            there = np.array(UsdGeom.PrimvarsAPI(instancer).GetPrimvar("displayOpacity").Get(frame.index))
+            np.testing.assert_array_equal(opacity, np.where(alive, there, 0))
+
+
+def test_nothing_moves_between_frames_that_are_equal(exported: tuple[list[ExportFrame], Usd.Stage]) -> None:
+    """Frames 4 and 5 are the same: half way between them too."""
+    frames, stage = exported
+    dynamic = instancers(stage)[1]
+    at_4, between = (np.array(dynamic.GetPositionsAttr().Get(time)) for time in (4, 4.5))
+    np.testing.assert_array_equal(at_4, between)
+    assert sorted(visible(stage, 4.5)) == sorted(frames[1].ids.tolist())
+
+
+def test_a_still_scene_has_no_dynamic_prim(tmp_path: Path) -> None:
+    first = living_scene()[0]
+    frames = [ExportFrame(index, first.ids, first.splats) for index in range(4)]
+    report = export_usd(replay(frames), tmp_path / "still.usdc", fps=24)
+    assert (report.static_count, report.dynamic_count) == (40, 0)
+    stage = Usd.Stage.Open(str(tmp_path / "still.usdc"))
+    assert [prim.GetName() for prim in stage.GetPrimAtPath("/World").GetChildren()] == ["Static", "StaticPoints"]
+    assert stage.GetEndTimeCode() == 3
+
+
+def test_a_scene_that_changes_whole_has_no_static_prim(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    frames = [ExportFrame(index, np.arange(5, dtype=np.int64), some_splats(rng, 5)) for index in range(2)]
+    assert export_usd(replay(frames), tmp_path / "all.usda", fps=24).static_count == 0
+    stage = Usd.Stage.Open(str(tmp_path / "all.usda"))
+    assert [prim.GetName() for prim in stage.GetPrimAtPath("/World").GetChildren()] == ["Dynamic", "DynamicPoints"]
+
+
+def test_a_frame_without_splats(tmp_path: Path) -> None:
+    first = living_scene()[0]
+    nobody = ExportFrame(4, first.ids[:0], take_splats(first.splats, np.zeros(0, np.intp)))
+    export_usd(replay([first, nobody, ExportFrame(5, first.ids, first.splats)]), tmp_path / "gap.usdc", fps=24)
+    stage = Usd.Stage.Open(str(tmp_path / "gap.usdc"))
+    mask = UsdGeom.PointInstancer(stage.GetPrimAtPath("/World/Dynamic")).ComputeMaskAtTime
+    assert list(mask(4)) == [False] * 40
+    assert [list(mask(time)) for time in (3, 5)] == [[], []]  # USD's way to say that every instance is visible
+
+
+def test_view_dependence_alone_is_no_change() -> None:
+    """USD's display colour has none, so a splat whose higher SH changed stays static."""
+    first = living_scene()[0]
+    sh = first.splats.sh.copy()
+    sh[:, 1:] += 1
+    splats = Splats(*list(vars(first.splats).values())[:4], sh)
+    assert len(take_census([first, ExportFrame(4, first.ids, splats)]).dynamic_ids) == 0
+
+
+def test_a_quaternion_of_norm_zero_is_no_rotation() -> None:
+    rng = np.random.default_rng(0)
+    splats = some_splats(rng, 2)
+    splats.quaternions[0] = 0
+    np.testing.assert_array_equal(usd_splats(splats).rotations[0], [1, 0, 0, 0])
+
+
+def test_extreme_opacities_stay_finite() -> None:
+    splats = some_splats(np.random.default_rng(0), 3)
+    splats.opacity_logits[:] = (-200, 0, 200)
+    np.testing.assert_allclose(usd_splats(splats).opacities, [0, 0.5, 1], atol=1e-30)
+
+
+def test_no_frames_is_a_clear_error_and_no_file(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="no frame to export"):
+        export_usd(replay([]), tmp_path / "a.usdc", fps=30)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_wrong_name_is_refused_before_any_frame_is_decoded(tmp_path: Path) -> None:
+    def decode() -> Iterator[ExportFrame]:
+        pytest.fail("a frame was asked for")
+
+    with pytest.raises(UsageError, match="endings"):
+        export_usd(decode, tmp_path / "a.obj", fps=30)
+
+
+def test_indices_that_do_not_rise_and_ids_that_repeat_are_refused() -> None:
+    first = living_scene()[0]
+    with pytest.raises(ValueError, match="must rise"):
+        take_census([first, first])
+    with pytest.raises(ValueError, match="id twice"):
+        take_census([ExportFrame(0, np.zeros(40, np.int64), first.splats)])
+
+
+def test_the_blender_script_is_shipped_and_compiles() -> None:
+    source = blender_script().read_text(encoding="utf-8")
+    compile(source, str(blender_script()), "exec")
+    assert '"displayColor"' in source
