@@ -4,8 +4,9 @@
     blender --background --python blender_attach_colours.py -- scene.usdc --render out.png --frame 5 --camera cam00
 
 Blender imports point instancers without their colours; the file carries them on a points object beside each, in the
-same order. For every pair this script reads them by index in the instancer's geometry nodes, gives the splats a material
-that shows them, hides the points, and sets the frame rate. It is a script of Blender's, not a module of the toolkit.
+same order. For every pair this script reads them by index in the instancer's geometry nodes, gives the splats
+a material that shows them, hides the points, and sets the frame rate.
+It is a script of Blender's, not a module of the toolkit.
 """
 
 from __future__ import annotations
