@@ -1,1 +1,155 @@
-"""(in work)"""
+"""Opens a rig of synchronised, calibrated, fixed cameras in any known layout, and reads its frames in step.
+
+Which layout a folder has is decided by the calibration in it; exactly one of these may be there:
+
+==================== ==========================================================================
+``rig.json``         rig.json; a COLMAP model beside it only gives its points
+``transforms.json``  nerfstudio
+``poses_bounds.npy`` MeetRoom if the cameras are named ``cam_N``, N3DV if ``camNN``
+COLMAP model         in ``sparse/0``, ``sparse`` or the folder itself: MeetRoom if the cameras are
+                     named ``cam_N``, else COLMAP
+==================== ==========================================================================
+
+Where several are, the path of the calibration itself (``rig/poses_bounds.npy``, ``rig/sparse/0``) says which to use.
+No other file, such as ground truth lying beside the frames, is opened.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+from ..cameras import Camera
+from ..errors import RigError, UsageError
+from ..pictures import Picture
+from . import colmap, meetroom, n3dv, nerfstudio, rig_json
+from .rig import Points, Rig
+from .sources import FrameSource, holds_frames, list_folder
+
+__all__ = ["FrameSource", "Points", "Rig", "open_rig", "read_frames"]
+
+_Reader = Callable[[], Rig]
+
+
+def open_rig(path: str | os.PathLike[str]) -> Rig:
+    """The rig in a folder, or calibrated by the given calibration file or COLMAP model folder.
+
+    Detects the layout, reads the calibration, and compares frame counts, sizes and rates of all cameras; no frame is
+    decoded. Raises RigError, in one line, on anything that does not fit.
+    """
+    folder = Path(path)
+    if not os.path.exists(folder):
+        raise RigError(f"{folder}: there is no such folder; check the path")
+    found = _calibrations_at(folder)
+    if not found:
+        raise RigError(
+            f"{folder}: no calibration; expected rig.json, transforms.json, poses_bounds.npy or a COLMAP model in "
+            "sparse/0 (cameras.bin or cameras.txt): calibrate the cameras, e.g. with COLMAP"
+        )
+    if len(found) > 1:
+        names = list(found)
+        raise RigError(
+            f"{folder}: several calibrations ({', '.join(names)}); give the path of the one to use, "
+            f"e.g. {folder / names[0]}, or move the others away"
+        )
+    (read,) = found.values()
+    return read()
+
+
+def _calibrations_at(path: Path) -> dict[str, _Reader]:
+    """Readers that fit, by what they were recognised by."""
+    if path.is_file():
+        return _calibration_file(path)
+    if not path.is_dir():
+        raise RigError(f"{path}: neither a folder nor a calibration file; give the rig's folder")
+    found: dict[str, _Reader] = {}
+    for name in (rig_json.CALIBRATION, nerfstudio.CALIBRATION, n3dv.CALIBRATION):
+        if (path / name).is_file():
+            found |= _calibration_file(path / name)
+    model = colmap.find_model(path)
+    if model is not None and rig_json.CALIBRATION not in found:
+        found[str(model.relative_to(path))] = lambda: _read_colmap(colmap.rig_folder_of(model), model)
+    return found
+
+
+def _calibration_file(path: Path) -> dict[str, _Reader]:
+    folder = path.parent
+    readers: dict[str, _Reader] = {
+        rig_json.CALIBRATION: lambda: rig_json.read_rig_json(folder),
+        nerfstudio.CALIBRATION: lambda: nerfstudio.read_nerfstudio(folder),
+        n3dv.CALIBRATION: lambda: _read_poses_bounds(folder),
+        "cameras.bin": lambda: _read_colmap(colmap.rig_folder_of(folder), folder),
+        "cameras.txt": lambda: _read_colmap(colmap.rig_folder_of(folder), folder),
+    }
+    if path.name not in readers:
+        raise RigError(f"{path}: not a calibration that can be read; give the rig's folder")
+    return {path.name: readers[path.name]}
+
+
+def _read_poses_bounds(folder: Path) -> Rig:
+    is_n3dv = bool(n3dv.camera_entries(folder, n3dv.CAMERA_NAME))
+    is_meetroom = bool(n3dv.camera_entries(folder, meetroom.CAMERA_NAME))
+    if is_n3dv and is_meetroom:
+        raise RigError(f"{folder}: frames named both camNN and cam_N; keep the ones poses_bounds.npy belongs to")
+    return meetroom.read_meetroom(folder) if is_meetroom else n3dv.read_n3dv(folder)
+
+
+def _read_colmap(folder: Path, model: Path) -> Rig:
+    names = [entry.stem for entry in list_folder(folder) if holds_frames(entry)]
+    if any(meetroom.CAMERA_NAME.fullmatch(name) for name in names):
+        return meetroom.read_meetroom(folder, model)
+    return colmap.read_colmap_rig(folder, model)
+
+
+def read_frames(
+    rig: Rig, start: int = 0, stop: int | None = None, *, names: Sequence[str] | None = None
+) -> Iterator[tuple[int, list[Picture]]]:
+    """Frames start (inclusive) to stop (exclusive): the frame's index and one picture of every camera in ``names``.
+
+    Pictures come in the order of ``names`` (default: all cameras); other cameras are never opened. One frame of each
+    camera is held at a time; files are read strictly in sequence, also to reach ``start``. Cameras are decoded side by
+    side. Raises UsageError for a range or name the rig does not have, RigError naming file and frame while reading.
+    """
+    stop = rig.frame_count if stop is None else stop
+    if not 0 <= start <= stop <= rig.frame_count:
+        raise UsageError(f"{rig.path}: frames {start}:{stop} are not within the {rig.frame_count} frames of the rig")
+    rows = {camera.name: row for row, camera in enumerate(rig.cameras)}
+    wanted = list(rows) if names is None else list(names)
+    unknown = [name for name in wanted if name not in rows]
+    if unknown:
+        raise UsageError(f"{rig.path}: no camera {unknown[0]!r}; there are {', '.join(rows)}")
+    chosen = [(rig.cameras[rows[name]], rig.sources[rows[name]]) for name in wanted]
+    return _frames_in_step(chosen, start, stop)
+
+
+def _frames_in_step(
+    chosen: list[tuple[Camera, FrameSource]], start: int, stop: int
+) -> Iterator[tuple[int, list[Picture]]]:
+    readers = [source.read(start, stop) for _, source in chosen]
+    pool = ThreadPoolExecutor(max_workers=max(1, min(len(chosen), os.cpu_count() or 1)))
+    try:
+        for index in range(start, stop):
+            pending = [
+                pool.submit(_next_picture, camera, source, reader, index)
+                for (camera, source), reader in zip(chosen, readers, strict=True)
+            ]
+            yield index, [future.result() for future in pending]
+    finally:
+        # Waits for decoders in flight: a reader must not be closed while its thread runs.
+        pool.shutdown(wait=True, cancel_futures=True)
+        for reader in readers:
+            reader.close()
+
+
+def _next_picture(camera: Camera, source: FrameSource, reader: Iterator[Picture], index: int) -> Picture:
+    picture = next(reader, None)
+    if picture is None:
+        raise RigError(f"{source.path}: ends before frame {index}; bring all cameras to the same number of frames")
+    if picture.shape != (camera.height, camera.width, 3):
+        raise RigError(
+            f"{source.path}: frame {index} is {picture.shape[1]} x {picture.shape[0]} pixels, but camera {camera.name} "
+            f"has {camera.width} x {camera.height}; bring all frames to one size"
+        )
+    return picture

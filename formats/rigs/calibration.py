@@ -1,0 +1,78 @@
+"""Checks that every calibration goes through: a rigid pose, sane intrinsics."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..cameras import Camera, DistortionModel
+from ..errors import RigError
+
+MAX_SIDE = 1 << 16
+_RIGID_TOLERANCE = 1e-3
+"""How far R R^T may be from the identity: calibration files carry as few as 4 digits."""
+
+
+def rigid_pose(matrix: ArrayLike, where: str) -> NDArray[np.float64]:
+    """The (4, 4) pose with its rotation made exactly orthonormal (nearest in the Frobenius sense).
+
+    Takes (3, 4) or (4, 4). Raises RigError, starting with ``where``, if it is NaN, singular, scaled or mirrored.
+    """
+    pose = np.asarray(matrix, np.float64)
+    if pose.shape not in ((3, 4), (4, 4)):
+        raise RigError(f"{where}: the pose is no 3 x 4 or 4 x 4 matrix; calibrate the camera again")
+    if not np.isfinite(pose).all():
+        raise RigError(f"{where}: the pose holds NaN or infinite values; calibrate the camera again")
+    rotation, translation = pose[:3, :3], pose[:3, 3]
+    # The first test keeps absurd values from overflowing in the others.
+    if np.abs(rotation).max() > 2 or np.abs(rotation @ rotation.T - np.eye(3)).max() > _RIGID_TOLERANCE:
+        singular = np.abs(rotation).max() <= 2 and abs(np.linalg.det(rotation)) < _RIGID_TOLERANCE
+        what = "singular" if singular else "not a rigid motion (scaled or skewed axes)"
+        raise RigError(f"{where}: the pose is {what}; calibrate the camera again")
+    if np.linalg.det(rotation) < 0:
+        raise RigError(f"{where}: the pose is mirrored (left-handed axes); export it in a right-handed convention")
+    if np.abs(translation).max() > 1e12 or (pose.shape == (4, 4) and np.abs(pose[3] - (0, 0, 0, 1)).max() > 1e-6):
+        raise RigError(f"{where}: the pose is not a rigid motion; calibrate the camera again")
+    left, _, right = np.linalg.svd(rotation)
+    rigid = np.eye(4)
+    rigid[:3, :3] = left @ right
+    rigid[:3, 3] = translation
+    return rigid
+
+
+def invert_pose(pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    """World-to-camera from camera-to-world, or back; (4, 4), rigid."""
+    inverse = np.eye(4)
+    inverse[:3, :3] = pose[:3, :3].T
+    inverse[:3, 3] = -pose[:3, :3].T @ pose[:3, 3]
+    return inverse
+
+
+def calibrated_camera(
+    name: str,
+    size: tuple[int, int],
+    intrinsics: tuple[float, float, float, float],
+    world_to_camera: NDArray[np.float64],
+    distortion_model: DistortionModel,
+    distortion: tuple[float, ...],
+    where: str,
+) -> Camera:
+    """A camera with its intrinsics (fx, fy, cx, cy in pixels) checked; coefficients that are all zero are dropped.
+
+    Raises RigError, starting with ``where``, on values no camera has.
+    """
+    width, height = size
+    fx, fy, cx, cy = intrinsics
+    if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
+        raise RigError(f"{where}: {width} x {height} pixels is no usable size; correct the calibration")
+    if not all(math.isfinite(value) for value in (*intrinsics, *distortion)):
+        raise RigError(f"{where}: the intrinsics hold NaN or infinite values; calibrate the camera again")
+    if not (0 < fx < 1e7 and 0 < fy < 1e7):
+        raise RigError(f"{where}: focal lengths {fx:g}, {fy:g} are not usable; calibrate the camera again")
+    if max(abs(cx - width / 2), abs(cy - height / 2)) > 10 * max(width, height):
+        raise RigError(f"{where}: principal point {cx:g}, {cy:g} is far off the picture; calibrate the camera again")
+    if not any(distortion):
+        distortion_model, distortion = "none", ()
+    return Camera(name, width, height, fx, fy, cx, cy, world_to_camera, distortion_model, distortion)

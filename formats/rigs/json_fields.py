@@ -1,0 +1,116 @@
+"""Typed reading of calibration files in JSON: a field that is missing or of the wrong kind is named with its file."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import RigError
+
+_MAX_BYTES = 64 << 20
+
+
+@dataclass(frozen=True)
+class Fields:
+    """The members of one JSON object; ``where`` begins every error message (file, and place in it)."""
+
+    values: dict[str, object]
+    where: str
+
+    def __contains__(self, key: str) -> bool:
+        return self.values.get(key) is not None
+
+    def wrong(self, key: str, what: str) -> RigError:
+        return RigError(f"{self.where}: {key!r} {what}; correct the file")
+
+    def number(self, key: str, default: float | None = None) -> float:
+        """A finite number; ``default`` (if any) where the field is missing or null."""
+        value = self.values.get(key)
+        if value is None:
+            if default is None:
+                raise self.wrong(key, "is missing")
+            return default
+        return self._finite(key, value)
+
+    def integer(self, key: str) -> int:
+        value = self.number(key)
+        if value != int(value):
+            raise self.wrong(key, f"is {value:g}, not a whole number")
+        return int(value)
+
+    def text(self, key: str, default: str | None = None) -> str:
+        value = self.values.get(key, default)
+        if not isinstance(value, str):
+            raise self.wrong(key, "is missing" if value is None else "is not a text")
+        return value
+
+    def label(self, key: str, default: str | None = None) -> str:
+        """A text fit for one line of a message: a name, a path."""
+        value = self.text(key, default)
+        if not value.isprintable():
+            raise self.wrong(key, "holds control characters")
+        return value
+
+    def numbers(self, key: str) -> tuple[float, ...]:
+        return tuple(self._finite(key, value) for value in self._list(key))
+
+    def matrix(self, key: str) -> NDArray[np.float64]:
+        """A matrix with four columns and three or four rows."""
+        rows = self._list(key)
+        if len(rows) not in (3, 4) or not all(isinstance(row, list) and len(row) == 4 for row in rows):
+            raise self.wrong(key, "is no 3 x 4 or 4 x 4 matrix")
+        numbers = [[self._number(key, value) for value in row] for row in rows if isinstance(row, list)]
+        return np.array(numbers, np.float64)
+
+    def records(self, key: str) -> list[Fields]:
+        """A non-empty list of objects."""
+        records = [
+            Fields(value, f"{self.where}, {key}[{index}]")
+            for index, value in enumerate(self._list(key))
+            if isinstance(value, dict)
+        ]
+        if not records or len(records) != len(self._list(key)):
+            raise self.wrong(key, "is not a list of objects")
+        return records
+
+    def _list(self, key: str) -> list[object]:
+        value = self.values.get(key)
+        if not isinstance(value, list):
+            raise self.wrong(key, "is missing" if value is None else "is not a list")
+        return value
+
+    def _number(self, key: str, value: object) -> float:
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise self.wrong(key, "is not a number")
+        try:
+            return float(value)
+        except OverflowError:
+            raise self.wrong(key, "is too large a number") from None
+
+    def _finite(self, key: str, value: object) -> float:
+        number = self._number(key, value)
+        if not math.isfinite(number):
+            raise self.wrong(key, "is NaN or infinite")
+        return number
+
+
+def read_json(path: Path) -> Fields:
+    """The object in a JSON file. Raises RigError if it cannot be read or is malformed, with the line."""
+    try:
+        if path.stat().st_size > _MAX_BYTES:
+            raise RigError(f"{path}: larger than {_MAX_BYTES >> 20} MiB, which no calibration is; check the file")
+        value = json.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise RigError(f"{path}: cannot be read ({error.strerror}); put the file back or fix its rights") from None
+    except json.JSONDecodeError as error:
+        raise RigError(f"{path}: malformed JSON in line {error.lineno} ({error.msg}); correct the file") from None
+    except (ValueError, RecursionError):  # not UTF-8, absurdly long numbers, absurdly deep nesting
+        raise RigError(f"{path}: malformed JSON; correct the file") from None
+    if not isinstance(value, dict):
+        raise RigError(f"{path}: the JSON file holds no object; correct the file")
+    return Fields(value, str(path))

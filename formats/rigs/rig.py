@@ -1,0 +1,165 @@
+"""The one result of every rig reader, and the checks that hold for every layout."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..cameras import Camera, scale_camera
+from ..errors import RigError
+from .sources import FrameSource, PictureSource, natural_key
+
+
+@dataclass(frozen=True)
+class Points:
+    """Surface points that came with the calibration: xyz (P, 3) float32 in world units, rgb (P, 3) uint8."""
+
+    xyz: NDArray[np.float32]
+    rgb: NDArray[np.uint8]
+
+    def __len__(self) -> int:
+        return int(self.xyz.shape[0])
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Synchronised, calibrated, fixed cameras; frame k of every source is the same instant.
+
+    ``cameras`` and ``sources`` are parallel, in natural order of the camera names; each camera has the size of its
+    source. ``fps`` is None for single pictures and picture folders without a stated rate.
+    """
+
+    path: Path
+    layout: str
+    cameras: tuple[Camera, ...]
+    sources: tuple[FrameSource, ...]
+    fps: float | None
+    frame_count: int
+    points: Points | None = None
+    source_text: str = ""
+    licence: str = ""
+
+
+def assemble_rig(
+    path: Path,
+    layout: str,
+    pairs: Sequence[tuple[Camera, FrameSource]],
+    *,
+    resizable: bool,
+    fps: float | None = None,
+    points: Points | None = None,
+    source_text: str = "",
+    licence: str = "",
+) -> Rig:
+    """Cross-checks the cameras and their sources, and puts them in natural order.
+
+    ``resizable``: the calibration may be for another resolution of the same picture (all cameras by the same factor);
+    its intrinsics are then rescaled. ``fps`` overrides the videos' own rate.
+    Raises RigError naming the file that differs from the others.
+    """
+    if not pairs:
+        raise RigError(f"{path}: the calibration lists no cameras; calibrate the rig again")
+    _check_names(path, [camera.name for camera, _ in pairs])
+    ordered = sorted(pairs, key=lambda pair: natural_key(pair[0].name))
+    sources = tuple(source for _, source in ordered)
+    _check_frame_counts(sources)
+    _check_frame_numbers(sources)
+    cameras = tuple(_fit_to_source(camera, source, resizable) for camera, source in ordered)
+    _check_one_scale([camera for camera, _ in ordered], sources)
+    rate = fps if fps is not None else _common_rate(sources)
+    return Rig(path, layout, cameras, sources, rate, sources[0].frame_count, points, source_text, licence)
+
+
+def _check_names(path: Path, names: list[str]) -> None:
+    # Names become file names and stream fields.
+    bad = [name for name in names if not name.strip() or not name.isprintable() or set(name) & set("/\\")]
+    if bad:
+        raise RigError(f"{path}: {bad[0]!r} is no usable camera name; use letters, digits, '_' and '-'")
+    twice = [name for name, count in Counter(names).items() if count > 1]
+    if twice:
+        raise RigError(f"{path}: two cameras are called {twice[0]!r}; give every camera its own name")
+
+
+def _usual(values: Sequence[Hashable]) -> int:
+    """Index of the first camera that has the most common value."""
+    return values.index(Counter(values).most_common(1)[0][0])
+
+
+def _check_frame_counts(sources: Sequence[FrameSource]) -> None:
+    counts = [source.frame_count for source in sources]
+    usual = _usual(counts)
+    for source in sources:
+        if source.frame_count != counts[usual]:
+            raise RigError(
+                f"{source.path}: {source.frame_count} frames, but {sources[usual].path.name} has {counts[usual]}; "
+                "cut all cameras to the same frames"
+            )
+
+
+def _check_frame_numbers(sources: Sequence[FrameSource]) -> None:
+    """Picture folders with as many files, but not of the same frames, would be out of step."""
+    numbered = [
+        (source, numbers)
+        for source in sources
+        if isinstance(source, PictureSource) and source.frame_count > 1 and (numbers := source.frame_numbers())
+    ]
+    if not numbered:
+        return
+    usual_source, usual_numbers = numbered[_usual([tuple(numbers) for _, numbers in numbered])]
+    for source, numbers in numbered:
+        lacking = sorted(set(usual_numbers) - set(numbers))
+        if lacking:
+            raise RigError(
+                f"{source.path}: no picture of frame {lacking[0]}, which {usual_source.path.name} has; "
+                "give all cameras the same frames"
+            )
+
+
+def _fit_to_source(camera: Camera, source: FrameSource, resizable: bool) -> Camera:
+    """The camera at its source's size."""
+    if (camera.width, camera.height) == (source.width, source.height):
+        return camera
+    # A resized picture keeps its shape up to the rounding of its sides.
+    skew = abs(source.width * camera.height - source.height * camera.width)
+    same_shape = skew <= max(camera.width, camera.height, source.width, source.height)
+    if not resizable or not same_shape:
+        raise RigError(
+            f"{source.path}: {source.width} x {source.height} pixels, but camera {camera.name} is calibrated for "
+            f"{camera.width} x {camera.height}; "
+            + ("resize the pictures without cropping" if resizable else "correct the calibration's size and intrinsics")
+        )
+    fitted = scale_camera(camera, source.width / camera.width)
+    if fitted.height != source.height:
+        ratio = source.height / camera.height
+        fitted = replace(fitted, height=source.height, fy=camera.fy * ratio, cy=camera.cy * ratio)
+    return fitted
+
+
+def _check_one_scale(calibrated: Sequence[Camera], sources: Sequence[FrameSource]) -> None:
+    scales = [source.width / camera.width for camera, source in zip(calibrated, sources, strict=True)]
+    usual = _usual([round(scale, 2) for scale in scales])
+    for source, scale in zip(sources, scales, strict=True):
+        if abs(scale - scales[usual]) > 0.02 * scales[usual]:
+            raise RigError(
+                f"{source.path}: {source.width} x {source.height} pixels is {scale:.2f} times its calibrated size, "
+                f"but {sources[usual].path.name} is {scales[usual]:.2f} times; resize all cameras alike"
+            )
+
+
+def _common_rate(sources: Sequence[FrameSource]) -> float | None:
+    timed = [(source, source.fps) for source in sources if source.fps is not None and source.frame_count > 1]
+    if not timed:
+        return None
+    usual_source, usual = timed[_usual([round(fps, 1) for _, fps in timed])]
+    for source, fps in timed:
+        if abs(fps - usual) > 0.01 * usual:
+            raise RigError(
+                f"{source.path}: {fps:.3f} frames per second, but {usual_source.path.name} has {usual:.3f}; "
+                "bring all videos to one rate"
+            )
+    return usual

@@ -1,0 +1,91 @@
+"""The plain ``rig.json`` layout: one file that lists every camera with its frames, intrinsics, distortion and pose.
+
+Per camera: name, file (relative to rig.json: a video, a picture, or a folder of pictures), width, height, fx, fy, cx,
+cy, distortion_model ("opencv", "fisheye", "none"), distortion, world_to_camera (4 x 4, OpenCV axes). For the rig: fps,
+frame_count, pixel_convention, source, licence, colmap_model (default sparse/0, read for its points only).
+In this file the centre of the top left pixel is (0, 0) unless pixel_convention says (0.5, 0.5).
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import cast
+
+from ..cameras import Camera, DistortionModel
+from ..errors import RigError
+from .calibration import calibrated_camera, rigid_pose
+from .colmap import has_model, read_points
+from .json_fields import Fields, read_json
+from .rig import Rig, assemble_rig
+from .sources import open_source
+
+LAYOUT = "rig.json"
+CALIBRATION = "rig.json"
+_COEFFICIENTS = {"none": {0}, "opencv": {0, 4, 5, 8}, "fisheye": {4}}
+
+
+def read_rig_json(folder: Path) -> Rig:
+    """The rig described by ``folder``/rig.json. Raises RigError."""
+    path = folder / CALIBRATION
+    fields = read_json(path)
+    shift = _pixel_shift(fields)
+    pairs = []
+    for record in fields.records("cameras"):
+        file = folder / record.label("file")
+        if not os.path.exists(file):
+            raise RigError(f"{record.where}: {file} is missing; put it back or remove the camera from {path.name}")
+        pairs.append((_camera(record, shift), open_source(file)))
+    model = folder / fields.label("colmap_model", "sparse/0")
+    rig = assemble_rig(
+        folder,
+        LAYOUT,
+        pairs,
+        resizable=False,
+        fps=_rate(fields),
+        points=read_points(model) if has_model(model) else None,
+        source_text=fields.text("source", ""),
+        licence=fields.text("licence", ""),
+    )
+    if "frame_count" in fields and fields.integer("frame_count") != rig.frame_count:
+        raise fields.wrong(
+            "frame_count", f"is {fields.integer('frame_count')}, but the cameras have {rig.frame_count} frames"
+        )
+    return rig
+
+
+def _pixel_shift(fields: Fields) -> float:
+    """What to add to cx and cy to put the centre of the first pixel at (0.5, 0.5)."""
+    convention = fields.text("pixel_convention", "(0,0)").replace(" ", "")
+    if "(0.5,0.5)" in convention:
+        return 0.0
+    if "(0,0)" in convention:
+        return 0.5
+    raise fields.wrong("pixel_convention", "says neither (0,0) nor (0.5,0.5) for the centre of the top left pixel")
+
+
+def _rate(fields: Fields) -> float | None:
+    if "fps" not in fields:
+        return None
+    fps = fields.number("fps")
+    if not 0 < fps < 10_000:
+        raise fields.wrong("fps", f"is {fps:g}, not a frame rate")
+    return fps
+
+
+def _camera(record: Fields, shift: float) -> Camera:
+    model = record.label("distortion_model", "opencv")
+    distortion = record.numbers("distortion") if "distortion" in record else ()
+    if model not in _COEFFICIENTS:
+        raise record.wrong("distortion_model", f"is {model!r}; known are {', '.join(_COEFFICIENTS)}")
+    if len(distortion) not in _COEFFICIENTS[model]:
+        raise record.wrong("distortion", f"has {len(distortion)} coefficients, which {model!r} does not take")
+    return calibrated_camera(
+        record.label("name"),
+        (record.integer("width"), record.integer("height")),
+        (record.number("fx"), record.number("fy"), record.number("cx") + shift, record.number("cy") + shift),
+        rigid_pose(record.matrix("world_to_camera"), f"{record.where} ({record.label('name')})"),
+        cast(DistortionModel, model),
+        distortion,
+        record.where,
+    )

@@ -1,0 +1,187 @@
+"""Reads a video strictly in sequence, one frame at a time; seeking is never trusted.
+
+Opening walks the container's packets without decoding them (OpenCV's raw mode). That is cheap in every container, sees
+a file that was cut off, and gives the frame count and every presentation time: a variable frame rate is found before
+training starts, and a frame the decoder drops silently is found when it is read.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+from collections.abc import Generator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import RigError
+from .pictures import MAX_PIXELS, Picture
+
+# The user gets our one line, not the decoder's. FFmpeg's level (-8: quiet) is read once, when the process first opens
+# any video, so it has to be set on import.
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+_set_log_level = cv2.setLogLevel if hasattr(cv2, "setLogLevel") else cv2.utils.logging.setLogLevel  # OpenCV 4, 5
+_set_log_level(0)
+
+VIDEO_SUFFIXES = frozenset({".mp4", ".m4v", ".mov", ".mkv", ".avi", ".webm"})
+
+_BOXED_SUFFIXES = frozenset({".mp4", ".m4v", ".mov"})
+_FIRST_BOXES = frozenset({b"ftyp", b"styp", b"moov", b"mdat", b"free", b"skip", b"wide", b"pnot"})
+
+_RATE_TOLERANCE = 0.5
+"""A frame may last this share longer or shorter than usual: rounded time stamps (1 ms in Matroska) pass, a dropped or
+doubled frame does not."""
+
+
+@dataclass(frozen=True)
+class VideoSource:
+    """The frames of one camera in a video file.
+
+    Width and height in pixels; fps None if the file does not say. ``times``: presentation time of every frame in
+    milliseconds, (frame_count,), or None if the container has no usable times.
+    """
+
+    path: Path
+    width: int
+    height: int
+    frame_count: int
+    fps: float | None
+    times: NDArray[np.float64] | None = field(default=None, repr=False, compare=False)
+
+    def read(self, start: int, stop: int) -> Generator[Picture, None, None]:
+        """Frames start (inclusive) to stop (exclusive), RGB uint8; earlier ones are passed over, never seeked.
+
+        Raises RigError if the video ends early, drops a frame, or changes its size.
+        """
+        capture = _capture(self.path)
+        try:
+            for index in range(stop):
+                if not capture.grab():
+                    raise RigError(
+                        f"{self.path}: the video ends or is damaged at frame {index} although it announces "
+                        f"{self.frame_count} frames; re-encode it, or stop before frame {index}"
+                    )
+                self._check_time(index, capture.get(cv2.CAP_PROP_POS_MSEC))
+                if index >= start:
+                    yield self._retrieve(capture, index)
+        finally:
+            capture.release()
+
+    def _check_time(self, index: int, time: float) -> None:
+        if self.times is None or self.frame_count < 2:
+            return
+        usual = (self.times[-1] - self.times[0]) / (self.frame_count - 1)
+        if abs(time - self.times[index]) > _RATE_TOLERANCE * usual:
+            raise RigError(
+                f"{self.path}: frame {index} is damaged or missing (decoded {time:.1f} ms, "
+                f"expected {self.times[index]:.1f} ms); re-encode the video"
+            )
+
+    def _retrieve(self, capture: cv2.VideoCapture, index: int) -> NDArray[np.uint8]:
+        try:
+            ok, bgr = capture.retrieve()
+        except cv2.error:
+            ok = False
+        if not ok or bgr.dtype != np.uint8 or bgr.ndim != 3 or bgr.shape[2] != 3:
+            raise RigError(f"{self.path}: frame {index} cannot be decoded; re-encode the video")
+        if bgr.shape != (self.height, self.width, 3):
+            raise RigError(
+                f"{self.path}: frame {index} is {bgr.shape[1]} x {bgr.shape[0]} pixels, the video started with "
+                f"{self.width} x {self.height}; re-encode it to one size"
+            )
+        return np.ascontiguousarray(bgr[:, :, ::-1], np.uint8)
+
+
+def open_video(path: Path) -> VideoSource:
+    """Size, frame count and rate of a video; no frame is decoded.
+
+    Raises RigError if the file is missing, is no video, has no frames or a variable frame rate.
+    """
+    if not path.is_file():
+        raise RigError(f"{path}: the video is missing; put it back or take its camera out of the calibration")
+    _check_whole(path)
+    capture = _capture(path)
+    try:
+        width = int(capture.get(cv2.CAP_PROP_FRAME_WIDTH))
+        height = int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
+        stated_fps = capture.get(cv2.CAP_PROP_FPS)
+        stamps = _packet_times(path, capture)
+    finally:
+        capture.release()
+    if width < 1 or height < 1 or width * height > MAX_PIXELS:
+        raise RigError(f"{path}: frames of {width} x {height} pixels cannot be read; re-encode the video")
+    if stamps.size == 0:
+        raise RigError(f"{path}: the video holds no frames; record or export it again")
+    times = stamps if stamps.size == 1 or np.diff(stamps).min() > 0 else None
+    if times is not None:
+        _check_constant_rate(path, times)
+    return VideoSource(path, width, height, int(stamps.size), _rate(stated_fps, times), times)
+
+
+def _check_whole(path: Path) -> None:
+    """The top-level boxes of an mp4 or mov file end where the file ends. Source: ISO 14496-12, section 4.2."""
+    if path.suffix.lower() not in _BOXED_SUFFIXES:
+        return
+    try:
+        with path.open("rb") as file:
+            end, at = path.stat().st_size, 0
+            while at <= end - 8:
+                file.seek(at)
+                size, kind, long_size = struct.unpack(">I4sQ", file.read(16).ljust(16, b"\0"))
+                size = end - at if size == 0 else long_size if size == 1 else size
+                if size < 8 or (at == 0 and kind not in _FIRST_BOXES):
+                    return  # not made of boxes: the decoder decides
+                if size > end - at:
+                    raise RigError(f"{path}: the video file is truncated; copy it again from its source")
+                at += size
+    except OSError as error:
+        raise RigError(f"{path}: cannot be read ({error.strerror}); fix its rights") from None
+
+
+def _capture(path: Path) -> cv2.VideoCapture:
+    # FFmpeg is named, and the path is absolute: otherwise "cam%02d" would be a sequence and "http:" an address.
+    # One decoding thread each: a rig has tens of videos, which are read side by side, and every further thread would
+    # hold another frame.
+    try:
+        capture = cv2.VideoCapture(str(path.absolute()), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
+        opened = capture.isOpened()
+    except cv2.error:
+        opened = False
+    if not opened:
+        raise RigError(f"{path}: the file is no video that can be read, or is damaged; re-encode it (H.264 in mp4)")
+    return capture
+
+
+def _packet_times(path: Path, capture: cv2.VideoCapture) -> NDArray[np.float64]:
+    """Presentation times of all packets in milliseconds, sorted (packets come in decoding order)."""
+    if not capture.set(cv2.CAP_PROP_FORMAT, -1):
+        raise RigError(f"{path}: the packets of this video cannot be listed; re-encode it (H.264 in mp4)")
+    stamps = []
+    while capture.grab():
+        stamps.append(capture.get(cv2.CAP_PROP_POS_MSEC))
+    return np.sort(np.asarray(stamps, np.float64))
+
+
+def _check_constant_rate(path: Path, times: NDArray[np.float64]) -> None:
+    if times.size < 3:
+        return
+    lasting = np.diff(times)
+    usual = float(np.median(lasting))
+    odd = np.flatnonzero(np.abs(lasting - usual) > _RATE_TOLERANCE * usual)
+    if odd.size:
+        raise RigError(
+            f"{path}: variable frame rate or missing frames (frame {odd[0]} lasts {lasting[odd[0]]:.1f} ms, most "
+            f"last {usual:.1f} ms); convert all videos of the rig to one constant rate, e.g. with ffmpeg -fps_mode cfr"
+        )
+
+
+def _rate(stated: float, times: NDArray[np.float64] | None) -> float | None:
+    """Frames per second: as stated, unless the times contradict."""
+    stated_is_usable = bool(np.isfinite(stated)) and 0 < stated < 10_000
+    if times is None or times.size < 2:
+        return float(stated) if stated_is_usable else None
+    measured = float(1000 * (times.size - 1) / (times[-1] - times[0]))
+    return float(stated) if stated_is_usable and abs(stated - measured) <= 0.05 * measured else measured

@@ -1,0 +1,150 @@
+"""Reading a rig's frames in step: lazily, in sequence, only the cameras that were asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from decogs.formats.errors import RigError, UsageError
+from decogs.formats.pictures import Picture
+from decogs.formats.rigs import FrameSource, Rig, open_rig, read_frames
+
+
+@dataclass
+class CountingSource:
+    """A source that notes what was decoded."""
+
+    inner: FrameSource
+    decoded: list[int] = field(default_factory=list)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.inner, name)
+
+    def read(self, start: int, stop: int) -> Iterator[Picture]:
+        for index, picture in enumerate(self.inner.read(start, stop), start=start):
+            self.decoded.append(index)
+            yield picture
+
+
+def counting(rig: Rig) -> tuple[Rig, list[CountingSource]]:
+    sources = [CountingSource(source) for source in rig.sources]
+    return replace(rig, sources=tuple(sources)), sources
+
+
+def test_no_frame_is_decoded_before_it_is_asked_for(tmp_path: Path, make: Any) -> None:
+    rig, sources = counting(open_rig(make.n3dv(tmp_path)))
+    frames = read_frames(rig)
+    assert [source.decoded for source in sources] == [[], [], []]
+    for taken in (1, 2, 3):
+        index, pictures = next(frames)
+        assert (index, len(pictures)) == (taken - 1, 3)
+        assert [source.decoded for source in sources] == [list(range(taken))] * 3
+
+
+def test_range_is_half_open(tmp_path: Path, make: Any) -> None:
+    rig, sources = counting(open_rig(make.n3dv(tmp_path)))
+    whole = [pictures for _, pictures in read_frames(rig)]
+    for source in sources:
+        source.decoded.clear()
+    part = list(read_frames(rig, 2, 4))
+    assert [index for index, _ in part] == [2, 3]
+    for index, pictures in part:
+        np.testing.assert_array_equal(pictures, whole[index])
+    assert [source.decoded for source in sources] == [[2, 3]] * 3
+    assert list(read_frames(rig, 5)) == []
+    assert [index for index, _ in read_frames(rig, 3)] == [3, 4]
+
+
+def test_other_cameras_are_never_opened(tmp_path: Path, make: Any) -> None:
+    rig = open_rig(make.n3dv(tmp_path))
+    whole = [pictures for _, pictures in read_frames(rig)]
+    (tmp_path / "cam00.mp4").unlink()
+    part = [pictures for _, pictures in read_frames(rig, names=["cam02", "cam01"])]
+    np.testing.assert_array_equal(part, [[pictures[2], pictures[1]] for pictures in whole])
+    with pytest.raises(RigError, match=r"cam00\.mp4"):
+        list(read_frames(rig))
+
+
+def test_a_reader_given_up_early_closes_its_files(tmp_path: Path, make: Any) -> None:
+    @dataclass
+    class ClosingSource(CountingSource):
+        closed: bool = False
+
+        def read(self, start: int, stop: int) -> Iterator[Picture]:
+            try:
+                yield from super().read(start, stop)
+            finally:
+                self.closed = True
+
+    rig = open_rig(make.n3dv(tmp_path))
+    sources = [ClosingSource(source) for source in rig.sources]
+    frames = read_frames(replace(rig, sources=tuple(sources)))
+    next(frames)
+    assert not any(source.closed for source in sources)
+    frames.close()  # type: ignore[attr-defined]
+    assert all(source.closed for source in sources)
+
+
+@pytest.mark.parametrize(("start", "stop"), [(-1, 3), (0, 6), (4, 3), (6, None)])
+def test_ranges_the_rig_does_not_have(tmp_path: Path, make: Any, start: int, stop: int | None) -> None:
+    rig = open_rig(make.n3dv(tmp_path))
+    with pytest.raises(UsageError, match="not within the 5 frames"):
+        read_frames(rig, start, stop)
+
+
+def test_unknown_camera(tmp_path: Path, make: Any) -> None:
+    rig = open_rig(make.n3dv(tmp_path))
+    with pytest.raises(UsageError, match="no camera 'cam9'; there are cam00, cam01, cam02"):
+        read_frames(rig, names=["cam00", "cam9"])
+
+
+def test_a_video_that_shrinks_after_opening_is_named(tmp_path: Path, make: Any) -> None:
+    rig = open_rig(make.n3dv(tmp_path))
+    make.video(tmp_path / "cam01.mp4", frames=3)
+    seen = []
+    with pytest.raises(RigError, match=r"cam01\.mp4: the video ends or is damaged at frame 3"):
+        seen.extend(index for index, _ in read_frames(rig))
+    assert seen == [0, 1, 2]
+
+
+def test_a_picture_of_another_size_or_with_nan_is_named(tmp_path: Path, make: Any) -> None:
+    for i in range(2):
+        make.pictures(tmp_path / f"cam{i:02d}")
+    np.save(tmp_path / "poses_bounds.npy", np.stack([make.poses_bounds_row(i) for i in range(2)]))
+    rig = open_rig(tmp_path)
+    make.pictures(tmp_path / "other", size=(32, 24))
+    (tmp_path / "other" / "0003.png").replace(tmp_path / "cam01" / "0003.png")
+    with pytest.raises(RigError, match=r"cam01/0003\.png: 32 x 24 pixels, but .* 64 x 48"):
+        list(read_frames(rig))
+
+
+def test_memory_does_not_grow_with_the_frames(tmp_path: Path, make: Any) -> None:
+    import tracemalloc
+
+    for i in range(2):
+        make.video(tmp_path / f"cam{i:02d}.mp4", frames=60)
+    np.save(tmp_path / "poses_bounds.npy", np.stack([make.poses_bounds_row(i) for i in range(2)]))
+    rig = open_rig(tmp_path)
+    one_frame = 2 * make.width * make.height * 3
+    tracemalloc.start()
+    try:
+        for _ in read_frames(rig):
+            pass
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    # The frame handed out, the one being made (in BGR and in RGB), and the threads' small objects; 60 would be 1.1 MB.
+    assert peak < 8 * one_frame + 200_000 < 60 * one_frame
+
+
+def test_exr_frames_keep_their_values(shared_data: Callable[[str], Path]) -> None:
+    rig = open_rig(shared_data("rigs/hdr"))
+    _, pictures = next(read_frames(rig, 4, 5, names=["cam03"]))
+    assert pictures[0].dtype == np.float32
+    from decogs.formats.pictures import read_picture
+
+    np.testing.assert_array_equal(pictures[0], read_picture(rig.path / "cam03" / "0004.exr"))
