@@ -1,1 +1,24 @@
-"""Opens a .dgs stream, reconstructs any frame, renders any view and exports it; never needs torch."""
+"""Opens a .dgs stream, reconstructs any frame, renders any view and exports it; never needs torch.
+
+``decode``, ``export`` and ``info`` do what the commands of those names do, with the same options; ``open_stream`` and
+``render_view`` are the library below them. What is heavy (OpenCV, OpenEXR, OpenUSD, the rasteriser's kernel) is only
+loaded when it is used.
+"""
+
+from .inspection import StreamInfo, info
+from .output import DecodeReport, decode, export
+from .session import DecodedFrame, Stream, open_stream, render_view
+
+# ``export`` is the function here; the submodule of that name was loaded before and is reached by its full name only.
+
+__all__ = [
+    "DecodeReport",
+    "DecodedFrame",
+    "Stream",
+    "StreamInfo",
+    "decode",
+    "export",
+    "info",
+    "open_stream",
+    "render_view",
+]

@@ -1,0 +1,267 @@
+"""The decoder's commands: decogs-decode, decogs-export and decogs-info.
+
+Only arguments, terminal output and exit codes; the work is done by ``decode``, ``export`` and ``info`` of
+``decogs.decoder``. Exit code 0 when all went well, 2 after an error (one line on stderr), 130 after Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, NoReturn
+
+from decogs.formats.errors import DecogsError
+
+if TYPE_CHECKING:
+    from .inspection import FrameInfo, StreamInfo
+
+USER_ERROR = 2
+INTERRUPTED = 130
+_BROKEN_PIPE = 141
+_CONTROL = re.compile("[\x00-\x1f\x7f-\x9f]+")
+
+OnFrame = Callable[[int, int], None]
+
+
+def decode_main(arguments: Sequence[str] | None = None) -> int:
+    """``decogs-decode``: pictures of any view of any frames."""
+    parser = Parser(
+        prog="decogs-decode",
+        description="Decode a view of a .dgs stream to pictures, one per encoded frame.",
+        epilog="OUTPUT chooses the kind: a folder (PNG files), or a name ending in .png, .exr or .mp4; "
+        "x_%%06d.exr numbers files by frame. A pose file is described in decogs.decoder.free_camera.",
+    )
+    parser.add_argument("stream", help="the .dgs file")
+    parser.add_argument("-o", "--output", required=True, metavar="OUTPUT", help="folder, .png, .exr or .mp4 to write")
+    view = parser.add_mutually_exclusive_group(required=True)
+    view.add_argument("--view", metavar="CAM", help="a camera of the rig, by name (decogs-info lists them)")
+    view.add_argument("--camera", metavar="POSE.JSON", help="a free camera, or a path of one camera per frame")
+    _add_frames(parser)
+    parser.add_argument("--scale", type=float, default=1.0, metavar="S", help="size of the pictures (default 1)")
+    parser.add_argument("--background", type=_colour, metavar="R,G,B", help="0 to 1 each (default: the stream's)")
+    parser.add_argument("--undistorted", action="store_true", help="leave out the rig camera's lens distortion")
+    parser.add_argument("--threads", type=_thread_count, default=0, metavar="N", help="default: all processors")
+    return run(parser.prog, lambda: _decode(parser.parse_args(_with_values(arguments))))
+
+
+def export_main(arguments: Sequence[str] | None = None) -> int:
+    """``decogs-export``: frames of a stream as a USD file."""
+    parser = Parser(prog="decogs-export", description="Export a .dgs stream as USD, for Blender, Houdini, usdview.")
+    parser.add_argument("stream", help="the .dgs file")
+    parser.add_argument("-o", "--output", required=True, metavar="OUTPUT", help="the .usdc or .usda file to write")
+    _add_frames(parser)
+    parser.add_argument(
+        "--up-axis", choices=("Y", "Z"), default="Y", help="which world axis is up; nothing is rotated (default Y)"
+    )
+    return run(parser.prog, lambda: _export(parser.parse_args(_with_values(arguments))))
+
+
+def info_main(arguments: Sequence[str] | None = None) -> int:
+    """``decogs-info``: what a stream holds, frame by frame, and where its bytes go."""
+    parser = Parser(prog="decogs-info", description="Show what a .dgs stream holds; verifies every frame.")
+    parser.add_argument("stream", help="the .dgs file")
+    parser.add_argument("--json", action="store_true", help="print everything as JSON")
+    return run(parser.prog, lambda: _info(parser.parse_args(_with_values(arguments))))
+
+
+class Parser(argparse.ArgumentParser):
+    """Says what is wrong with the arguments in one line, as for every other error."""
+
+    def error(self, message: str) -> NoReturn:
+        sys.stderr.write(f"{self.prog}: error: {message} (see {self.prog} --help)\n")
+        raise SystemExit(USER_ERROR)
+
+
+def run(program: str, command: Callable[[], None]) -> int:
+    """Runs a command and returns its exit code; an error the user can act on becomes one line on stderr."""
+    try:
+        command()
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # The reader of a pipe (head, less) has seen enough; keep the interpreter from flushing into it once more.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _BROKEN_PIPE
+    except KeyboardInterrupt:
+        return _say(f"{program}: interrupted", INTERRUPTED)
+    except DecogsError as error:
+        return _say(f"{program}: error: {error}", USER_ERROR)
+    except OSError as error:
+        what = f"{error.filename}: {error.strerror}" if error.filename else str(error)
+        return _say(f"{program}: error: {what}", USER_ERROR)
+    except MemoryError:
+        return _say(f"{program}: error: out of memory; choose a smaller scale or fewer frames", USER_ERROR)
+    return 0
+
+
+@contextmanager
+def progress(what: str) -> Iterator[OnFrame]:
+    """A progress bar on stderr when that is a terminal; silent otherwise. Called with frames done and frames in all."""
+    if not sys.stderr.isatty():
+        yield lambda done, total: None
+        return
+    from tqdm import tqdm
+
+    with tqdm(desc=what, unit="frame", leave=False) as bar:
+
+        def show(done: int, total: int) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
+        yield show
+
+
+def _decode(options: argparse.Namespace) -> None:
+    from .output import decode
+
+    started = time.perf_counter()
+    with progress("decoding") as on_frame:
+        report = decode(
+            options.stream,
+            options.output,
+            view=options.view,
+            camera=options.camera,
+            frames=options.frames,
+            scale=options.scale,
+            background=options.background,
+            undistorted=options.undistorted,
+            threads=options.threads,
+            on_frame=on_frame,
+            on_warning=_warn_as("decogs-decode"),
+        )
+    print(
+        f"{options.output}: {_count(report.frame_count, 'frame')} of {report.view}, "
+        f"{report.width}x{report.height}, in {time.perf_counter() - started:.1f} s"
+    )
+
+
+def _export(options: argparse.Namespace) -> None:
+    from .output import export
+
+    with progress("exporting") as on_frame:
+        report = export(
+            options.stream,
+            options.output,
+            frames=options.frames,
+            up_axis=options.up_axis,
+            on_frame=on_frame,
+            on_warning=_warn_as("decogs-export"),
+        )
+    print(
+        f"{options.output}: {_count(report.frame_count, 'frame')}, {report.static_count} static and "
+        f"{report.dynamic_count} dynamic Gaussians, {_size(report.file_bytes)}"
+    )
+
+
+def _info(options: argparse.Namespace) -> None:
+    from .inspection import info
+
+    with progress("reading") as on_frame:
+        facts = info(options.stream, on_frame=on_frame)
+    print(json.dumps(facts.to_json(), indent=2) if options.json else "\n".join(_table(facts)))
+
+
+def _table(facts: StreamInfo) -> Iterator[str]:
+    header, totals = facts.header, facts.totals
+    yield f"{facts.path}: {_size(facts.file_bytes)}, bitstream {facts.version[0]}.{facts.version[1]}"
+    if not facts.complete:
+        tail = f", {facts.unfinished_bytes} bytes of an incomplete packet follow" if facts.unfinished_bytes else ""
+        yield f"unfinished   the stream has no end packet{tail}"
+    yield f"frames       {totals['frames']} ({totals['key_frames']} key, {totals['delta_frames']} delta, " + (
+        f"{totals['skip_frames']} skip)" + ("" if header.fps is None else f" at {header.fps:g} fps")
+    )
+    for camera in header.cameras:
+        lens = "" if camera.distortion_model == "none" else f", {camera.distortion_model} lens"
+        yield f"camera       {camera.name}  {camera.width}x{camera.height}{lens}" + (
+            ", held out" if camera.name in header.held_out else ""
+        )
+    yield f"colour       SH degree {header.sh_degree}, background {','.join(f'{c:g}' for c in header.background)}"
+    for name, text in (
+        ("effects", ", ".join(header.effects)),
+        ("source", header.source_text),
+        ("licence", header.licence),
+        ("writer", header.writer),
+        ("settings", ", ".join(f"{key}={value}" for key, value in header.settings.items())),
+    ):
+        if text:
+            yield f"{name:<12} {_printable(text)}"
+    yield ""
+    yield " frame kind       bytes  Gaussians   touched   added removed   share"
+    yield from (_row(frame) for frame in facts.frames)
+    yield ""
+    yield f"bytes per frame           {_number(totals['bytes_per_frame'])} (the whole file over all frames)"
+    yield f"  without the keyframes   {_number(totals['bytes_per_frame_without_keys'])}"
+    yield f"  mean delta              {_number(totals['mean_delta_bytes'])}"
+    yield f"  mean keyframe           {_number(totals['mean_key_bytes'])}"
+    if totals["mean_share_touched"] is not None:
+        yield f"share touched, mean       {totals['mean_share_touched']:.2%}"
+    for purpose, count in sorted(totals["bytes_by_purpose"].items(), key=lambda item: -item[1]):
+        yield f"bytes of {purpose:<22} {count:>10}  {count / max(1, facts.file_bytes):6.1%}"
+
+
+def _row(frame: FrameInfo) -> str:
+    return (
+        f"{frame.index:>6} {frame.kind:<5} {frame.bytes:>10} {frame.gaussians:>10} {frame.touched:>9} "
+        f"{frame.added:>7} {frame.removed:>7} {frame.share_touched:>7.2%}"
+    )
+
+
+def _add_frames(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--frames", metavar="A:B", help="half-open, as in Python: 0:10, 5:, -3: (default: all)")
+
+
+def _with_values(arguments: Sequence[str] | None) -> list[str]:
+    """Joins "--frames" with its value: argparse takes "-3:" for an option of its own."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    joined: list[str] = []
+    for argument in given:
+        if joined and joined[-1] == "--frames":
+            joined[-1] = f"--frames={argument}"
+        else:
+            joined.append(argument)
+    return joined
+
+
+def _colour(text: str) -> tuple[float, float, float]:
+    try:
+        red, green, blue = (float(part) for part in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no colour; write R,G,B from 0 to 1, such as 1,1,1") from None
+    return red, green, blue
+
+
+def _thread_count(text: str) -> int:
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of threads; 0 means all processors")
+    return int(text)
+
+
+def _warn_as(program: str) -> Callable[[str], None]:
+    return lambda text: print(f"{program}: warning: {text}", file=sys.stderr)
+
+
+def _say(line: str, code: int) -> int:
+    print(_printable(line), file=sys.stderr)
+    return code
+
+
+def _printable(text: str) -> str:
+    """Text of strangers on one line, without what a terminal would take for commands."""
+    return _CONTROL.sub(" ", text).strip()
+
+
+def _count(number: int, thing: str) -> str:
+    return f"{number} {thing}" + ("" if number == 1 else "s")
+
+
+def _number(value: float | None) -> str:
+    return f"{'-':>10}" if value is None else f"{value:>10.0f}"
+
+
+def _size(count: int) -> str:
+    return f"{count} bytes" if count < 10_000 else f"{count / 1e3:.1f} kB" if count < 1e7 else f"{count / 1e6:.1f} MB"

@@ -1,0 +1,160 @@
+"""What a .dgs stream holds and where its bytes go: the facts behind ``decogs-info``."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from decogs.codec.header import StreamHeader
+from decogs.formats.container import PacketKind
+
+from .session import DecodedFrame, open_stream
+
+
+@dataclass(frozen=True)
+class FrameInfo:
+    """One frame's packet: bytes on disk, Gaussians after it, how many it touched, added and removed.
+
+    ``bytes_by_purpose`` splits the payload (header, index set, attribute groups); with the container's overhead it adds
+    up to ``bytes``.
+    """
+
+    index: int
+    kind: str
+    bytes: int
+    gaussians: int
+    touched: int
+    added: int
+    removed: int
+    bytes_by_purpose: dict[str, int]
+
+    @property
+    def share_touched(self) -> float:
+        """Touched, added and removed Gaussians of a delta or skip frame as a share of those that are there."""
+        if self.kind == "key":
+            return 1.0
+        return min(1.0, (self.touched + self.added + self.removed) / max(1, self.gaussians))
+
+
+@dataclass(frozen=True)
+class StreamInfo:
+    """A whole stream; every frame was reconstructed and its digest verified."""
+
+    path: Path
+    file_bytes: int
+    version: tuple[int, int]
+    complete: bool
+    unfinished_bytes: int
+    header: StreamHeader
+    frames: tuple[FrameInfo, ...]
+
+    @property
+    def totals(self) -> dict[str, Any]:
+        """Counts and means; bytes per frame with the keyframes (the whole file) and without (the other packets).
+
+        ``bytes_by_purpose`` adds up to the file: "container" is what packets, header packet and index take.
+        """
+        keys = [frame.bytes for frame in self.frames if frame.kind == "key"]
+        others = [frame for frame in self.frames if frame.kind != "key"]
+        deltas = [frame.bytes for frame in self.frames if frame.kind == "delta"]
+        purposes: dict[str, int] = {}
+        for frame in self.frames:
+            for purpose, count in frame.bytes_by_purpose.items():
+                purposes[purpose] = purposes.get(purpose, 0) + count
+        purposes["container"] = self.file_bytes - sum(purposes.values())
+        return {
+            "frames": len(self.frames),
+            "key_frames": len(keys),
+            "delta_frames": len(deltas),
+            "skip_frames": len(others) - len(deltas),
+            "file_bytes": self.file_bytes,
+            "bytes_per_frame": _mean(self.file_bytes, len(self.frames)),
+            "bytes_per_frame_without_keys": _mean(sum(frame.bytes for frame in others), len(others)),
+            "mean_key_bytes": _mean(sum(keys), len(keys)),
+            "mean_delta_bytes": _mean(sum(deltas), len(deltas)),
+            "mean_share_touched": _mean(sum(frame.share_touched for frame in others), len(others)),
+            "bytes_by_purpose": purposes,
+        }
+
+    def to_json(self) -> dict[str, Any]:
+        """The same as plain JSON values, for ``decogs-info --json``."""
+        header = self.header
+        return {
+            "file": str(self.path),
+            "version": list(self.version),
+            "complete": self.complete,
+            "unfinished_bytes": self.unfinished_bytes,
+            "header": {
+                "cameras": [
+                    {
+                        "name": camera.name,
+                        "width": camera.width,
+                        "height": camera.height,
+                        "distortion_model": camera.distortion_model,
+                        "held_out": camera.name in header.held_out,
+                    }
+                    for camera in header.cameras
+                ],
+                "fps": header.fps,
+                "first_frame": header.first_frame,
+                "sh_degree": header.sh_degree,
+                "background": list(header.background),
+                "effects": list(header.effects),
+                "lattice": {name: _plain(value) for name, value in vars(header.lattice).items()},
+                "units": header.units,
+                "axes": header.axes,
+                "source_text": header.source_text,
+                "licence": header.licence,
+                "writer": header.writer,
+                "settings": dict(header.settings),
+            },
+            "frames": [vars(frame) | {"share_touched": frame.share_touched} for frame in self.frames],
+            "totals": self.totals,
+        }
+
+
+def info(stream: str | os.PathLike[str], *, on_frame: Callable[[int, int], None] | None = None) -> StreamInfo:
+    """Facts about a stream, whose every complete frame is reconstructed and verified on the way.
+
+    ``on_frame(done, all)`` is told of progress. Raises StreamError at damage, OSError when the file cannot be read.
+    """
+    with open_stream(stream, strict=False) as opened:
+        frames = []
+        for frame in opened.frames():
+            frames.append(_frame_info(frame))
+            if on_frame is not None:
+                on_frame(len(frames), opened.frame_count)
+        return StreamInfo(
+            opened.path,
+            opened.file_bytes,
+            opened.version,
+            opened.complete,
+            opened.unfinished_bytes,
+            opened.header,
+            tuple(frames),
+        )
+
+
+def _frame_info(frame: DecodedFrame) -> FrameInfo:
+    changes = frame.changes
+    return FrameInfo(
+        frame.index,
+        PacketKind(frame.kind).name.lower(),
+        frame.packet_bytes,
+        len(frame.state),
+        changes.touched,
+        changes.added,
+        changes.removed,
+        {purpose: count for purpose, count in frame.costs.items() if count},
+    )
+
+
+def _mean(total: float, count: int) -> float | None:
+    return total / count if count else None
+
+
+def _plain(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value

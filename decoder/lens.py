@@ -1,0 +1,436 @@
+"""Lens distortion, both ways: undistorted pictures for training, re-distorted renders for a rig camera's own view.
+
+The rasteriser knows pinhole cameras only. A picture of a distorted camera is undistorted before training sees it
+(``Undistortion``); a view of a distorted camera is rendered through a pinhole wide enough to see everything its lens
+sees and resampled to the camera's own pixels (``Redistortion``), so that it can be laid over the original video.
+
+Models, in normalised coordinates (x/z, y/z), with r the undistorted radius: "opencv" (Brown-Conrady with tangential
+and rational terms) and "fisheye" (Kannala-Brandt); formulas and coefficient order are those of OpenCV's calib3d
+documentation, against whose ``projectPoints`` the tests compare. OpenCV counts pixels from the centre of the first
+one, this project from its corner: only here, at the border to ``cv2.remap``, half a pixel is taken off.
+
+Both models fold: beyond some radius the polynomial turns back and far directions would appear a second time inside the
+picture. Directions past that radius are outside the lens's reach, not mapped.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any, NamedTuple, Protocol, TypeVar
+
+import numpy as np
+from decogs.formats.cameras import Camera, as_pinhole
+from decogs.formats.errors import UsageError
+from numpy.typing import NDArray
+
+F64 = NDArray[np.float64]
+Maps = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]
+PictureArray = TypeVar("PictureArray", bound=NDArray[Any])
+
+WIDEST = 3
+"""A re-distorted view is rendered at most this many times as wide and as high as the camera's own picture."""
+
+_REMAP_LIMIT = (1 << 15) - 2
+"""Side of the largest picture that ``cv2.remap`` takes."""
+
+_MARGIN = 2
+"""Pixels rendered beyond the outermost sample: the footprint of cubic interpolation."""
+
+_ROWS = 16
+"""Rows mapped at a time: the temporaries stay in the cache, which is several times faster than whole pictures."""
+
+
+class Lens(Protocol):
+    """One lens model with its coefficients, in normalised coordinates."""
+
+    reach: float
+
+    def distort(self, x: F64, y: F64) -> tuple[F64, F64]:
+        """Where the lens puts an undistorted direction; meaningless at radii past ``reach``."""
+        ...
+
+    def undistort(self, x: F64, y: F64) -> tuple[F64, F64]:
+        """The undistorted direction of a distorted point; NaN where the lens puts no direction."""
+        ...
+
+
+class BrownConradyLens:
+    """OpenCV's standard model: radial (k1 k2 k3, rational k4 k5 k6) and tangential (p1 p2)."""
+
+    def __init__(self, coefficients: tuple[float, ...]) -> None:
+        k1, k2, p1, p2, k3, k4, k5, k6 = (*coefficients, *([0.0] * (8 - len(coefficients))))
+        self._tangential = p1, p2
+        self._numerator = np.polynomial.Polynomial([1.0, k1, k2, k3])
+        self._denominator = np.polynomial.Polynomial([1.0, k4, k5, k6]) if any((k4, k5, k6)) else None
+        self.reach = self._radius_of_fold()
+        self._farthest = self._farthest_image()
+
+    def _radius_of_fold(self) -> float:
+        """Smallest radius at which the distorted radius stops growing (or has a pole), ignoring tangential terms.
+
+        With s = r^2 and r_d = r N(s) / D(s), dr_d/dr has the sign of (N + 2 s N') D - 2 s N D'.
+        """
+        n = self._numerator
+        d = self._denominator if self._denominator is not None else np.polynomial.Polynomial([1.0])
+        two_s = np.polynomial.Polynomial([0.0, 2.0])
+        growth: np.polynomial.Polynomial = (n + two_s * n.deriv()) * d - two_s * n * d.deriv()
+        return math.sqrt(_first_positive_root(growth, d))
+
+    def _farthest_image(self) -> float:
+        """No direction within ``reach`` is put farther from the centre than this."""
+        if math.isinf(self.reach):
+            return math.inf
+        with np.errstate(all="ignore"):
+            radial, _ = self._radial(np.array([self.reach**2]))
+        tangential = 3 * (abs(self._tangential[0]) + abs(self._tangential[1])) * self.reach**2
+        return float(self.reach * abs(radial[0]) + tangential)
+
+    def _radial(self, s: F64) -> tuple[F64, F64]:
+        """Radial factor R(s) and its derivative by s = r^2."""
+        n = self._numerator
+        value, slope = _horner(n.coef, s), _horner(n.deriv().coef, s)
+        if self._denominator is None:
+            return value, slope
+        d = self._denominator
+        below, slope_below = _horner(d.coef, s), _horner(d.deriv().coef, s)
+        return value / below, (slope - value / below * slope_below) / below
+
+    def distort(self, x: F64, y: F64) -> tuple[F64, F64]:
+        p1, p2 = self._tangential
+        s = x * x + y * y
+        radial, _ = self._radial(s)
+        return (
+            x * radial + 2 * p1 * x * y + p2 * (s + 2 * x * x),
+            y * radial + p1 * (s + 2 * y * y) + 2 * p2 * x * y,
+        )
+
+    def undistort(self, x: F64, y: F64) -> tuple[F64, F64]:
+        """Newton's method with the exact (symmetric) Jacobian, from the distorted point itself.
+
+        The radial function is concave for barrel and convex for pincushion lenses; from this start Newton then walks
+        monotonically to the first root, which is the one on this side of the fold.
+        """
+        p1, p2 = self._tangential
+        beyond = np.hypot(x, y) > self._farthest
+        u, v = np.where(beyond, np.nan, x), np.where(beyond, np.nan, y)
+        for _ in range(_NEWTON_STEPS):
+            s = u * u + v * v
+            radial, slope = self._radial(s)
+            uv2 = 2 * u * v
+            error_u = u * radial + p1 * uv2 + p2 * (s + 2 * u * u) - x
+            error_v = v * radial + p1 * (s + 2 * v * v) + p2 * uv2 - y
+            uu = radial + 2 * u * u * slope + 2 * p1 * v + 6 * p2 * u
+            vv = radial + 2 * v * v * slope + 6 * p1 * v + 2 * p2 * u
+            off = uv2 * slope + 2 * p1 * u + 2 * p2 * v
+            determinant = uu * vv - off * off
+            step_u = (vv * error_u - off * error_v) / determinant
+            step_v = (uu * error_v - off * error_u) / determinant
+            u -= step_u
+            v -= step_v
+            if not np.any(np.abs(step_u) + np.abs(step_v) > _CONVERGED):
+                break
+        again_x, again_y = self.distort(u, v)
+        found = (np.hypot(again_x - x, again_y - y) < _SAME) & (u * u + v * v < self.reach**2)
+        return np.where(found, u, np.nan), np.where(found, v, np.nan)
+
+
+class FisheyeLens:
+    """OpenCV's fisheye model: distorted radius = polynomial of the angle to the optical axis (k1 k2 k3 k4)."""
+
+    def __init__(self, coefficients: tuple[float, ...]) -> None:
+        k1, k2, k3, k4 = coefficients
+        self._polynomial = np.polynomial.Polynomial([1.0, k1, k2, k3, k4])
+        slope = np.polynomial.Polynomial([1.0, 3 * k1, 5 * k2, 7 * k3, 9 * k4])
+        # A pinhole cannot see 90 degrees off its axis, whatever the lens can.
+        self._widest_angle = min(math.sqrt(_first_positive_root(slope)), np.pi / 2 - 1e-3)
+        self._slope = slope
+        self.reach = math.tan(self._widest_angle)
+
+    def distort(self, x: F64, y: F64) -> tuple[F64, F64]:
+        radius = np.hypot(x, y)
+        angle = np.arctan(radius)
+        bent = angle * _horner(self._polynomial.coef, angle * angle)
+        factor = np.divide(bent, radius, out=np.ones_like(radius), where=radius > 0)
+        return x * factor, y * factor
+
+    def undistort(self, x: F64, y: F64) -> tuple[F64, F64]:
+        """Newton's method on the angle alone; the direction around the axis does not change."""
+        bent = np.hypot(x, y)
+        angle = np.minimum(bent, self._widest_angle)
+        for _ in range(_NEWTON_STEPS):
+            square = angle * angle
+            step = (angle * _horner(self._polynomial.coef, square) - bent) / _horner(self._slope.coef, square)
+            angle = np.clip(angle - step, 0.0, self._widest_angle)
+            if not np.any(np.abs(step) > _CONVERGED):
+                break
+        found = np.abs(angle * _horner(self._polynomial.coef, angle * angle) - bent) < _SAME
+        factor = np.divide(np.tan(angle), bent, out=np.ones_like(bent), where=bent > 0)
+        factor[~found] = np.nan
+        return x * factor, y * factor
+
+
+_CONVERGED = 1e-9
+"""Newton stops at steps this small: 1e-6 pixels at a focal length of 1000."""
+
+_NEWTON_STEPS = 15
+"""Enough right at the fold, where a step only halves the error: 1e-5 of the radius, 1e-10 of its image."""
+
+_SAME = 1e-6
+"""A direction is found when the lens puts it back this close: 0.001 pixels at a focal length of 1000."""
+
+
+def is_distorted(camera: Camera) -> bool:
+    """Whether the camera's lens bends anything: it has a model and a coefficient other than zero."""
+    return camera.distortion_model != "none" and any(camera.distortion)
+
+
+def lens_of(camera: Camera) -> Lens:
+    """The lens of a distorted camera; raises UsageError when its coefficients do not fit its model."""
+    model, coefficients = camera.distortion_model, tuple(float(c) for c in camera.distortion)
+    counts = {"opencv": (4, 5, 8), "fisheye": (4,)}
+    if len(coefficients) not in counts.get(model, ()) or not np.all(np.isfinite(coefficients)):
+        raise UsageError(
+            f"camera {camera.name!r}: {len(coefficients)} distortion coefficients {list(coefficients)} are no "
+            f"{model!r} lens; give 4, 5 or 8 finite ones for 'opencv', 4 for 'fisheye'"
+        )
+    return FisheyeLens(coefficients) if model == "fisheye" else BrownConradyLens(coefficients)
+
+
+def distort_pixels(camera: Camera, pixels: F64) -> F64:
+    """Where points of the pinhole picture lie in the distorted one: (..., 2) to (..., 2) float64 pixels.
+
+    Both pictures share size and intrinsics (``as_pinhole(camera)``); pixel centres at .5. NaN past the lens's reach.
+    """
+    if not is_distorted(camera):
+        return np.array(pixels, dtype=np.float64)
+    lens = lens_of(camera)
+    x, y = (pixels[..., 0] - camera.cx) / camera.fx, (pixels[..., 1] - camera.cy) / camera.fy
+    return _in_pixels(camera, *_bent(lens, x, y))
+
+
+def undistort_pixels(camera: Camera, pixels: F64) -> F64:
+    """Where points of the distorted picture lie in the pinhole one: (..., 2) to (..., 2); see ``distort_pixels``."""
+    if not is_distorted(camera):
+        return np.array(pixels, dtype=np.float64)
+    x, y = (pixels[..., 0] - camera.cx) / camera.fx, (pixels[..., 1] - camera.cy) / camera.fy
+    with np.errstate(all="ignore"):
+        return _in_pixels(camera, *lens_of(camera).undistort(x, y))
+
+
+class Undistortion:
+    """Takes a rig camera's pictures to a pinhole camera's, for training; the maps are computed once per camera.
+
+    ``pinhole`` is ``as_pinhole(camera)`` unless another pinhole of the same pose is given: the same size and scale at
+    the centre, at a barrel lens without blank pixels (at the price of the outermost recorded ones);
+    ``covering_pinhole(camera)`` keeps every recorded pixel instead, with blank corners. ``valid`` (H, W) bool marks
+    the pixels of the pinhole picture that were recorded; training must leave out the others.
+    """
+
+    def __init__(self, camera: Camera, pinhole: Camera | None = None) -> None:
+        self.camera = camera
+        self.pinhole = as_pinhole(camera) if pinhole is None else pinhole
+        self._maps: Maps | None = None
+        if is_distorted(camera) or pinhole is not None:
+            self._maps = _undistortion_maps(camera, self.pinhole)
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        if self._maps is None:
+            return np.ones((self.pinhole.height, self.pinhole.width), dtype=np.bool_)
+        return self._maps[2]
+
+    def apply(self, picture: PictureArray) -> PictureArray:
+        """The picture as the pinhole camera would have taken it, same dtype; 0 where nothing was recorded.
+
+        An undistorted camera's picture comes back as it is, not copied.
+        """
+        return picture if self._maps is None else _resampled(picture, self._maps, 0)
+
+
+def undistort(picture: PictureArray, camera: Camera) -> tuple[PictureArray, NDArray[np.bool_]]:
+    """One picture of ``camera`` as ``as_pinhole(camera)`` would have taken it, and which of its pixels were recorded.
+
+    For more than one picture of a camera keep an ``Undistortion``: its maps cost as much as several pictures.
+    """
+    plan = Undistortion(camera)
+    return plan.apply(picture), plan.valid
+
+
+class Redistortion:
+    """Takes renders of a wide pinhole camera to a rig camera's own size and geometry, its lens distortion re-applied.
+
+    Render ``render_camera``, then ``apply``. The pinhole has the camera's pose and focal lengths (so that splats keep
+    the size in pixels they were trained at), its pixel grid shifted by whole pixels, and just the size that the lens
+    needs, at most ``WIDEST`` times the camera's in each direction; what a stronger lens sees beyond stays background.
+    An undistorted camera is rendered as it is: ``apply`` returns its argument itself.
+    """
+
+    def __init__(self, camera: Camera) -> None:
+        self.camera = camera
+        if not is_distorted(camera):
+            self.render_camera, self._maps = as_pinhole(camera), None
+            return
+        lens_of(camera)
+        plan = _redistortion(
+            camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, camera.distortion_model,
+            tuple(camera.distortion),
+        )  # fmt: skip
+        self.render_camera = _shifted(camera, plan.window)
+        self._maps = plan.maps
+
+    @property
+    def is_identity(self) -> bool:
+        """Whether ``apply`` returns its argument itself."""
+        return self._maps is None
+
+    @property
+    def covered(self) -> NDArray[np.bool_]:
+        """(H, W): pixels of the camera's picture that the render reaches; False where its calibrated lens folds."""
+        if self._maps is None:
+            return np.ones((self.camera.height, self.camera.width), dtype=np.bool_)
+        return self._maps[2]
+
+    def apply(self, image: PictureArray, *, outside: Any = 0.0, nearest: bool = False) -> PictureArray:
+        """(h, w) or (h, w, C) of ``render_camera`` to (H, W) or (H, W, C) of ``camera``; same dtype.
+
+        ``outside`` (a number, or one per channel) fills pixels that no rendered pixel reaches. ``nearest`` for values
+        that must not be mixed across an edge, such as depth.
+        """
+        return image if self._maps is None else _resampled(image, self._maps, outside, nearest=nearest)
+
+
+def covering_pinhole(camera: Camera) -> Camera:
+    """A pinhole with the camera's pose and focal lengths that sees all of its distorted picture (to ``WIDEST``)."""
+    return Redistortion(camera).render_camera
+
+
+class _Window(NamedTuple):
+    """Whole pixels of the pinhole's image plane, in the coordinates of ``as_pinhole(camera)``: half-open ranges."""
+
+    left: int
+    top: int
+    right: int
+    bottom: int
+
+
+class _Plan(NamedTuple):
+    window: _Window
+    maps: Maps
+
+
+@lru_cache(maxsize=4)
+def _redistortion(
+    width: int, height: int, fx: float, fy: float, cx: float, cy: float, model: Any, distortion: tuple[float, ...]
+) -> _Plan:
+    """Window to render and maps into it, cached by intrinsics (poses do not matter): a preview asks every frame."""
+    camera = Camera("", width, height, fx, fy, cx, cy, np.eye(4), model, distortion)
+    lens = lens_of(camera)
+    u, v = _mapped(camera, lens.undistort, camera)
+    (left, right), (top, bottom) = _range(u, width), _range(v, height)
+    u -= left
+    v -= top
+    return _Plan(_Window(left, top, right, bottom), _for_remap(u, v, _within(u, v, right - left, bottom - top)))
+
+
+def _range(positions: F64, size: int) -> tuple[int, int]:
+    """Whole pixels that hold every finite position with its interpolation margin, at most WIDEST pictures wide."""
+    finite = positions[np.isfinite(positions)]
+    if not finite.size:
+        return 0, size
+    spare = min((WIDEST - 1) * size, _REMAP_LIMIT - size) // 2
+    first = max(float(np.floor(finite.min())) - _MARGIN, -spare)
+    last = min(float(np.ceil(finite.max())) + _MARGIN, size + spare)
+    return (int(first), int(last)) if first < last else (0, size)
+
+
+def _shifted(camera: Camera, window: _Window) -> Camera:
+    return replace(
+        as_pinhole(camera),
+        width=window.right - window.left,
+        height=window.bottom - window.top,
+        cx=camera.cx - window.left,
+        cy=camera.cy - window.top,
+    )
+
+
+def _undistortion_maps(camera: Camera, pinhole: Camera) -> Maps:
+    if not is_distorted(camera):
+        u, v = _mapped(pinhole, lambda x, y: (x, y), camera)
+    else:
+        lens = lens_of(camera)
+        u, v = _mapped(pinhole, lambda x, y: _bent(lens, x, y), camera)
+    return _for_remap(u, v, _within(u, v, camera.width, camera.height))
+
+
+def _mapped(source: Camera, through: Callable[[F64, F64], tuple[F64, F64]], target: Camera) -> tuple[F64, F64]:
+    """Pixel centres of ``source``, taken through a map of normalised coordinates, in pixels of ``target``."""
+    u = np.empty((source.height, source.width))
+    v = np.empty_like(u)
+    x = (np.arange(source.width) + 0.5 - source.cx) / source.fx
+    y = (np.arange(source.height) + 0.5 - source.cy) / source.fy
+    with np.errstate(all="ignore"):
+        for top in range(0, source.height, _ROWS):
+            rows = slice(top, min(top + _ROWS, source.height))
+            grid_x, grid_y = np.meshgrid(x, y[rows])
+            to_x, to_y = through(grid_x, grid_y)
+            u[rows] = to_x * target.fx + target.cx
+            v[rows] = to_y * target.fy + target.cy
+    return u, v
+
+
+def _bent(lens: Lens, x: F64, y: F64) -> tuple[F64, F64]:
+    """The lens's distorted points, NaN past its reach."""
+    with np.errstate(all="ignore"):
+        bent_x, bent_y = lens.distort(x, y)
+    beyond = x * x + y * y >= lens.reach**2
+    return np.where(beyond, np.nan, bent_x), np.where(beyond, np.nan, bent_y)
+
+
+def _in_pixels(camera: Camera, x: F64, y: F64) -> F64:
+    return np.stack([x * camera.fx + camera.cx, y * camera.fy + camera.cy], axis=-1)
+
+
+def _within(u: F64, v: F64, width: int, height: int) -> NDArray[np.bool_]:
+    """Positions inside the picture (False for NaN)."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray((u >= 0) & (u <= width) & (v >= 0) & (v <= height))
+
+
+def _for_remap(u: F64, v: F64, inside: NDArray[np.bool_]) -> Maps:
+    """Maps as ``cv2.remap`` wants them: float32, from the centre of the first pixel; outside ones parked at 0."""
+    return (
+        np.where(inside, u - 0.5, 0.0).astype(np.float32),
+        np.where(inside, v - 0.5, 0.0).astype(np.float32),
+        inside,
+    )
+
+
+def _resampled(image: PictureArray, maps: Maps, outside: Any, *, nearest: bool = False) -> PictureArray:
+    """Cubic interpolation: sharper than linear by decibels, four times as fast as Lanczos and less ringing (tests)."""
+    import cv2
+
+    u, v, inside = maps
+    how = cv2.INTER_NEAREST if nearest else cv2.INTER_CUBIC
+    result: Any = cv2.remap(image, u, v, interpolation=how, borderMode=cv2.BORDER_REPLICATE)
+    if not inside.all():
+        result[~inside] = outside
+    return result  # type: ignore[no-any-return]
+
+
+def _horner(coefficients: Any, at: F64) -> F64:
+    """Polynomial with coefficients in rising order."""
+    value = np.full_like(at, coefficients[-1])
+    for coefficient in coefficients[-2::-1]:
+        value *= at
+        value += coefficient
+    return value
+
+
+def _first_positive_root(*polynomials: np.polynomial.Polynomial) -> float:
+    """Smallest real root above zero of any of them; infinite when there is none."""
+    roots = np.concatenate([p.trim().roots() for p in polynomials])
+    real = roots.real[(np.abs(roots.imag) <= 1e-9 * np.abs(roots.real)) & (roots.real > 0)]
+    return float(real.min()) if real.size else float("inf")

@@ -1,0 +1,192 @@
+"""Decodes a range of frames to pictures of a view, or exports it: the library behind the decoder's commands."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from decogs.formats.cameras import Camera
+from decogs.formats.errors import UsageError
+
+from .export import ExportFrame, ExportReport, export_usd
+from .free_camera import read_free_cameras
+from .pictures import DEFAULT_FPS, open_sink
+from .session import DecodedFrame, Stream, camera_named, frame_range, open_stream, render_view, scaled_view
+
+if TYPE_CHECKING:
+    from .rasterise import Rendering
+
+Colour = tuple[float, float, float]
+OnFrame = Callable[[int, int], None]
+OnWarning = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class DecodeReport:
+    """What was written: the output as given, the view's name, frames, and the pictures' size in pixels."""
+
+    output: Path
+    view: str
+    frame_count: int
+    width: int
+    height: int
+
+
+def decode(
+    stream: str | os.PathLike[str],
+    output: str | os.PathLike[str],
+    *,
+    view: str | None = None,
+    camera: str | os.PathLike[str] | Camera | Sequence[Camera] | None = None,
+    frames: str | slice | None = None,
+    scale: float = 1.0,
+    background: Colour | None = None,
+    undistorted: bool = False,
+    threads: int = 0,
+    on_frame: OnFrame | None = None,
+    on_warning: OnWarning | None = None,
+) -> DecodeReport:
+    """Writes the pictures of one view of a stream, one per encoded frame.
+
+    ``view`` names a camera of the rig; ``camera`` is a pose file, a Camera, or a list of them with one per frame of the
+    stream. ``output`` chooses the kind of file, see ``decogs.decoder.pictures``. ``frames``: "A:B" or a slice, None for
+    all. ``background``: display-referred RGB in 0..1, the stream's when None. ``undistorted``: without the rig camera's
+    lens distortion. ``on_frame(done, all)`` and ``on_warning(text)`` are told of progress.
+
+    Raises UsageError, StreamError or OSError; nothing is then left under the output's name.
+    """
+    _check_colour(background)
+    with open_stream(stream, strict=False) as opened:
+        _warn_of_tail(opened, on_warning)
+        chosen = _chosen_frames(opened, frames)
+        cameras = _cameras(opened, view, camera)
+        first = scaled_view(cameras[0], scale)
+        fps = opened.header.fps
+        with open_sink(output, view=first.name, frames=len(chosen), fps=fps) as sink:
+            pictures = _pictures(opened, chosen, cameras, scale, background, undistorted, threads)
+            for done, (frame, picture) in enumerate(pictures, start=1):
+                sink.write(frame.index, picture)
+                if on_frame is not None:
+                    on_frame(done, len(chosen))
+    return DecodeReport(Path(output), first.name, len(chosen), first.width, first.height)
+
+
+def export(
+    stream: str | os.PathLike[str],
+    output: str | os.PathLike[str],
+    *,
+    frames: str | slice | None = None,
+    up_axis: Literal["Y", "Z"] = "Y",
+    on_frame: OnFrame | None = None,
+    on_warning: OnWarning | None = None,
+) -> ExportReport:
+    """Writes a range of frames as one USD file (.usdc, .usda), described in ``decogs.formats.usd``.
+
+    ``frames``: "A:B" or a slice, None for all. ``up_axis`` states which axis of the world is up; nothing is rotated.
+    The frames are read twice; ``on_frame(done, all)`` counts both readings. Raises UsageError, StreamError or OSError.
+    """
+    with open_stream(stream, strict=False) as opened:
+        _warn_of_tail(opened, on_warning)
+        chosen = _chosen_frames(opened, frames)
+        header = opened.header
+        done = 0
+
+        def read_again() -> Iterator[ExportFrame]:
+            nonlocal done
+            for frame in opened.frames(chosen.start, chosen.stop):
+                yield ExportFrame(frame.index, frame.state.ids, frame.splats)
+                done += 1
+                if on_frame is not None:
+                    on_frame(done, 2 * len(chosen))
+
+        return export_usd(
+            read_again,
+            Path(output),
+            fps=header.fps or DEFAULT_FPS,
+            cameras=header.cameras,
+            up_axis=up_axis,
+            documentation=" ".join(text for text in (header.source_text, header.licence) if text),
+        )
+
+
+def _pictures(
+    stream: Stream,
+    chosen: range,
+    cameras: Sequence[Camera],
+    scale: float,
+    background: Colour | None,
+    undistorted: bool,
+    threads: int,
+) -> Iterator[tuple[DecodedFrame, Rendering]]:
+    """Frame by frame what the camera sees. A fixed camera's picture of an unchanged scene is not rendered again."""
+    last: tuple[object, object, Rendering] | None = None
+    for frame in stream.frames(chosen.start, chosen.stop):
+        camera = cameras[0] if len(cameras) == 1 else _camera_of(cameras, frame.index)
+        splats = frame.splats
+        if last is None or last[0] is not splats or last[1] is not camera:
+            seen = render_view(
+                stream.header,
+                splats,
+                camera,
+                scale=scale,
+                background=background,
+                undistorted=undistorted,
+                threads=threads,
+            )
+            last = splats, camera, seen
+        yield frame, last[2]
+
+
+def _camera_of(path: Sequence[Camera], frame: int) -> Camera:
+    if frame >= len(path):
+        raise UsageError(
+            f"the camera path has {len(path)} cameras and none for frame {frame}; "
+            "list one per frame of the stream, or a single one for all"
+        )
+    return path[frame]
+
+
+def _cameras(
+    stream: Stream, view: str | None, camera: str | os.PathLike[str] | Camera | Sequence[Camera] | None
+) -> Sequence[Camera]:
+    """The rig camera, the free camera, or the camera path asked for."""
+    if (view is None) == (camera is None):
+        names = ", ".join(rig_camera.name for rig_camera in stream.header.cameras[:40])
+        raise UsageError(f"choose one view: a camera of the rig ({names}), or a free camera from a pose file")
+    if view is not None:
+        return (camera_named(stream.header, view),)
+    if isinstance(camera, Camera):
+        return (camera,)
+    if isinstance(camera, (str, os.PathLike)):
+        return read_free_cameras(camera)
+    if not camera:
+        raise UsageError("the camera path is empty; list one camera per frame")
+    return tuple(camera)
+
+
+def _chosen_frames(stream: Stream, frames: str | slice | None) -> range:
+    """The frames asked for as a range of this stream's, by Python's slicing rules; raises UsageError when none is."""
+    wanted = slice(None) if frames is None else frame_range(frames) if isinstance(frames, str) else frames
+    if wanted.step not in (None, 1):
+        raise UsageError("frames are decoded one after the other; a step is not possible")
+    start, stop, _ = wanted.indices(stream.frame_count)
+    if start >= stop:
+        what = "it has no frame" if not stream.frame_count else f"it has frames 0:{stream.frame_count}"
+        raise UsageError(f"{stream.path}: nothing to decode, {what}; choose others with frames A:B")
+    return range(start, stop)
+
+
+def _check_colour(colour: Colour | None) -> None:
+    if colour is not None and not (len(colour) == 3 and all(0 <= channel <= 1 for channel in colour)):
+        raise UsageError(f"the background {colour} is no colour; give red, green and blue from 0 to 1, such as 1,1,1")
+
+
+def _warn_of_tail(stream: Stream, on_warning: OnWarning | None) -> None:
+    if stream.unfinished_bytes and on_warning is not None:
+        on_warning(
+            f"{stream.path}: stops {stream.unfinished_bytes} bytes into a packet; "
+            f"its {stream.frame_count} complete frames are read"
+        )

@@ -1,0 +1,237 @@
+"""Writes decoded frames as pictures: a folder of PNG, single PNG or EXR files, or an MP4, chosen by the output's name.
+
+======================  ==============================================================================
+output                  what is written
+======================  ==============================================================================
+a folder (no suffix)    ``<view>_<frame>.png``, one per frame, names that sort
+``x.png``, ``x.exr``    that file for a single frame, ``x_<frame>.png`` and so on for several
+``x_%06d.exr``          one file per frame, the frame's index in place of the pattern (.png as well)
+``x.mp4``               a video (MPEG-4 Part 2, the one MP4 coder of OpenCV's free wheels) at the stream's frame rate
+======================  ==============================================================================
+
+PNG and MP4 hold the display-referred picture rounded to 8 bit. EXR holds linear light (the sRGB transfer function
+undone, Rec. 709 primaries) as half R, G, B and A, premultiplied, and float Z, the depth along the view axis in world
+units, 1e10 where nothing is seen.
+
+Everything is written into a hidden folder beside the output and moved to its name at the end: an error or an
+interruption leaves nothing under the output's name and nothing of what stood there before is touched.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import tempfile
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from decogs.formats.errors import UsageError
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from .rasterise import Rendering
+
+DEFAULT_FPS = 30.0
+"""Frame rate of a video of a stream that does not know its own."""
+
+NOTHING_SEEN = 1e10
+"""Depth written to EXR where no splat is: far behind everything, as compositing programs expect."""
+
+_OTHER_PICTURES = frozenset(
+    {".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".gif", ".webp", ".hdr", ".avi", ".mov", ".mkv", ".webm", ".m4v"}
+)
+_PATTERN = re.compile(r"%(0[1-9])?d")
+_PNG_EFFORT = 3
+"""zlib level of PNG files: a little larger than the default's, three times as fast."""
+
+
+class PictureSink(ABC):
+    """Takes the frames of one view in order; ``finish`` completes what was written."""
+
+    @abstractmethod
+    def write(self, frame: int, rendering: Rendering) -> None:
+        """Adds the picture of the frame with this index."""
+
+    @abstractmethod
+    def finish(self) -> None:
+        """Completes the files, so that they can be moved to their final names."""
+
+
+@contextmanager
+def open_sink(output: str | os.PathLike[str], *, view: str, frames: int, fps: float | None) -> Iterator[PictureSink]:
+    """A sink for ``frames`` pictures of ``view``, whose files appear under ``output`` when the block ends well.
+
+    Raises UsageError when the output's kind is unknown or it cannot be written.
+    """
+    target = Path(output)
+    create, folder = _plan(output, target, view, frames, fps or DEFAULT_FPS)
+    try:
+        staging = Path(tempfile.mkdtemp(prefix=".decogs-", dir=_existing_folder(target.parent)))
+    except OSError as error:
+        raise UsageError(f"{target}: cannot be written there ({error.strerror}); choose another output") from None
+    try:
+        sink = create(staging)
+        yield sink
+        sink.finish()
+        _publish(staging, folder)
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+
+
+def to_8bit(image: NDArray[Any]) -> NDArray[np.uint8]:
+    """Display-referred 0..1 to 0..255: clipped and rounded to nearest. The one rounding of every 8-bit picture."""
+    rounded: NDArray[np.uint8] = np.rint(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)
+    return rounded
+
+
+def linear_light(image: NDArray[Any]) -> NDArray[np.float32]:
+    """sRGB-coded values to linear light (IEC 61966-2-1), continued above 1 and, mirrored, below 0."""
+    size = np.abs(image, dtype=np.float32)
+    linear = np.where(size <= 0.04045, size / 12.92, ((size + 0.055) / 1.055) ** 2.4)
+    return np.asarray(np.copysign(linear, image), dtype=np.float32)
+
+
+class _Files(PictureSink):
+    """One file per frame, by a function that writes it."""
+
+    def __init__(self, name_of: Callable[[int], str], save: Callable[[Path, Rendering], None], folder: Path) -> None:
+        self._name_of, self._save, self._folder = name_of, save, folder
+
+    def write(self, frame: int, rendering: Rendering) -> None:
+        self._save(self._folder / self._name_of(frame), rendering)
+
+    def finish(self) -> None:
+        """Every file is complete as soon as it is written."""
+
+
+class _Video(PictureSink):
+    """An MP4. Its coder needs even sizes: an odd picture repeats its last row or column, nothing is cut off."""
+
+    def __init__(self, path: Path, fps: float) -> None:
+        self._path, self._fps, self._frames = path, fps, 0
+        self._writer: Any = None
+
+    def write(self, frame: int, rendering: Rendering) -> None:
+        picture = to_8bit(rendering.image)
+        height, width = picture.shape[:2]
+        picture = np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+        if self._writer is None:
+            self._writer = self._open(picture.shape[1], picture.shape[0])
+        self._writer.write(np.ascontiguousarray(picture[..., ::-1]))
+        self._frames += 1
+
+    def finish(self) -> None:
+        """Closes the video and counts its frames: OpenCV reports no failed write, a full disk for one."""
+        import cv2
+
+        if self._writer is None:
+            raise UsageError(f"{self._path.name}: a video needs at least one frame")
+        self._writer.release()
+        video = cv2.VideoCapture(str(self._path))
+        written = int(video.get(cv2.CAP_PROP_FRAME_COUNT))
+        video.release()
+        if written != self._frames:
+            raise UsageError(
+                f"{self._path.name}: the video holds {written} of {self._frames} frames; is the disk full? "
+                "Free some space or choose another output"
+            )
+
+    def _open(self, width: int, height: int) -> Any:
+        import cv2
+
+        fourcc = cv2.VideoWriter.fourcc(*"mp4v")
+        writer = cv2.VideoWriter(str(self._path), fourcc, self._fps, (width, height))
+        if not writer.isOpened():
+            raise UsageError(
+                f"{self._path.name}: OpenCV cannot write an MP4 of {width}x{height} pixels here; write PNG to a folder"
+            )
+        return writer
+
+
+def _save_png(path: Path, rendering: Rendering) -> None:
+    import cv2
+
+    picture = np.ascontiguousarray(to_8bit(rendering.image)[..., ::-1])
+    _, data = cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, _PNG_EFFORT])
+    path.write_bytes(data.tobytes())
+
+
+def _save_exr(path: Path, rendering: Rendering, *, fps: float) -> None:
+    import OpenEXR
+
+    rgb = np.clip(linear_light(rendering.image), -65504.0, 65504.0).astype(np.float16)
+    alpha = rendering.alpha.astype(np.float16)
+    depth = np.where((rendering.alpha > 0) & (rendering.depth > 0), rendering.depth, np.float32(NOTHING_SEEN)).astype(
+        np.float32
+    )
+    channels = {"R": rgb[..., 0], "G": rgb[..., 1], "B": rgb[..., 2], "A": alpha, "Z": depth}
+    header = {
+        "type": OpenEXR.scanlineimage,
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "chromaticities": (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329),
+        "decogs:colour": "linear light, Rec. 709 primaries; the sRGB transfer function of the display-referred scene "
+        "was undone after compositing over the background",
+        "decogs:depth": f"along the view axis, world units; {NOTHING_SEEN:g} where nothing is seen",
+        "decogs:fps": f"{fps:g}",
+    }
+    try:
+        with OpenEXR.File(header, {name: np.ascontiguousarray(plane) for name, plane in channels.items()}) as file:
+            file.write(str(path))
+    except RuntimeError as error:
+        raise UsageError(f"{path.name}: the EXR cannot be written ({error}); choose another output") from None
+
+
+def _plan(
+    output: str | os.PathLike[str], target: Path, view: str, frames: int, fps: float
+) -> tuple[Callable[[Path], PictureSink], Path]:
+    """How to make the sink in a staging folder, and the folder that its files are to be moved to."""
+    suffix = "" if str(output).endswith(("/", os.sep)) or target.is_dir() else target.suffix.lower()
+    if suffix in _OTHER_PICTURES:
+        raise UsageError(f"{target}: {suffix} is not written; name a folder (PNG), or a .png, .exr or .mp4 file")
+    if suffix == ".mp4":
+        return lambda folder: _Video(folder / target.name, fps), target.parent
+    if suffix not in (".png", ".exr"):
+        if target.exists() and not target.is_dir():
+            raise UsageError(f"{target}: is a file, not a folder; name a folder (PNG), or a .png, .exr or .mp4 file")
+        safe = re.sub(r"[^\w.-]+", "_", view).lstrip(".") or "view"
+        return lambda folder: _Files(lambda frame: f"{safe}_{frame:06d}.png", _save_png, folder), target
+
+    def save(path: Path, rendering: Rendering) -> None:
+        if suffix == ".png":
+            _save_png(path, rendering)
+        else:
+            _save_exr(path, rendering, fps=fps)
+
+    name_of = _numbered(target, frames)
+    return lambda folder: _Files(name_of, save, folder), target.parent
+
+
+def _numbered(target: Path, frames: int) -> Callable[[int], str]:
+    """The file name of each frame, from a pattern, a plain name for one frame, or a plain name to be numbered."""
+    if _PATTERN.search(target.name):
+        return lambda frame: _PATTERN.sub(lambda found: f"{frame:{found[1] or ''}d}", target.name, count=1)
+    if frames == 1:
+        return lambda _: target.name
+    return lambda frame: f"{target.stem}_{frame:06d}{target.suffix}"
+
+
+def _existing_folder(folder: Path) -> Path:
+    """The folder itself or its nearest ancestor that exists: the same disk, so that files can be renamed into place."""
+    while not folder.exists() and folder != folder.parent:
+        folder = folder.parent
+    return folder
+
+
+def _publish(staging: Path, folder: Path) -> None:
+    """Moves the finished files into place, making folders that are missing."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for file in sorted(staging.iterdir()):
+            os.replace(file, folder / file.name)
+    except OSError as error:
+        raise UsageError(f"{folder}: cannot be written ({error.strerror}); choose another output") from None

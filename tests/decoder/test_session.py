@@ -1,0 +1,208 @@
+"""Opening, ranges of frames, seeking, damage, and the one function that renders a view."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from decogs.codec.lattice import dequantise
+from decogs.codec.state import State
+from decogs.decoder.lens import Redistortion
+from decogs.decoder.rasterise import render
+from decogs.decoder.session import frame_range, open_stream, render_view
+from decogs.formats import container
+from decogs.formats.cameras import as_pinhole, scale_camera
+from decogs.formats.container import PACKET_OVERHEAD, read_index, scan_index
+from decogs.formats.errors import StreamError, UsageError
+
+ARRAYS = ("means", "log_scales", "quaternions", "opacity_logits", "sh", "ids")
+
+
+def assert_same_state(actual: State, expected: State) -> None:
+    assert (actual.frame, actual.next_id, actual.row_sum) == (expected.frame, expected.next_id, expected.row_sum)
+    for name in ARRAYS:
+        np.testing.assert_array_equal(getattr(actual, name), getattr(expected, name))
+
+
+def test_every_frame_equals_the_writers_state(small_stream) -> None:
+    with open_stream(small_stream.path) as stream:
+        frames = list(stream.frames())
+        assert stream.header.to_bytes() == small_stream.header.to_bytes()
+        assert (stream.frame_count, stream.complete, stream.unfinished_bytes) == (8, True, 0)
+    assert [frame.index for frame in frames] == list(range(8))
+    assert [frame.kind.name.lower() for frame in frames] == list(small_stream.kinds)
+    for frame, expected in zip(frames, small_stream.states, strict=True):
+        assert_same_state(frame.state, expected)
+        for name in ARRAYS[:5]:
+            activated = getattr(dequantise(expected, small_stream.header.lattice), name)
+            np.testing.assert_array_equal(getattr(frame.splats, name), activated)
+
+
+@pytest.mark.parametrize(("start", "stop"), [(0, 1), (2, 4), (3, None), (4, 6), (5, 8), (7, None), (3, 3)])
+def test_any_range_is_the_same_as_reading_from_the_start(small_stream, start: int, stop: int | None) -> None:
+    with open_stream(small_stream.path) as stream:
+        frames = list(stream.frames(start, stop))
+    assert [frame.index for frame in frames] == list(range(8))[start:stop]
+    for frame in frames:
+        assert_same_state(frame.state, small_stream.states[frame.index])
+
+
+def test_seeking_reads_from_the_last_keyframe_only(small_stream) -> None:
+    """The first keyframe's payload is damaged: frames of the second segment do not notice, earlier ones do."""
+    data = bytearray(small_stream.path.read_bytes())
+    with small_stream.path.open("rb") as file:
+        first_key = read_index(file)[0]
+    data[first_key.offset + PACKET_OVERHEAD + 5] ^= 1
+    small_stream.path.write_bytes(data)
+    with open_stream(small_stream.path) as stream:
+        assert_same_state(next(stream.frames(6)).state, small_stream.states[6])
+        with pytest.raises(StreamError, match=r"scene\.dgs: .* in packet 1 at byte \d+ \[bad-payload-crc\]"):
+            list(stream.frames(3))
+
+
+def test_readers_do_not_disturb_each_other(small_stream) -> None:
+    with open_stream(small_stream.path) as stream:
+        pairs = list(zip(stream.frames(), stream.frames(), strict=True))
+    for one, other in pairs:
+        assert_same_state(one.state, other.state)
+
+
+def test_skip_frames_share_the_splats(small_stream) -> None:
+    with open_stream(small_stream.path) as stream:
+        frames = list(stream.frames(4))
+    assert frames[2].splats is frames[1].splats
+    assert frames[3].splats is frames[1].splats
+    assert frames[1].splats is not frames[0].splats
+
+
+def test_bytes_add_up_to_the_file(small_stream) -> None:
+    with open_stream(small_stream.path) as stream:
+        frames = list(stream.frames())
+        total = stream.file_bytes
+    for frame in frames:
+        assert sum(frame.costs.values()) + PACKET_OVERHEAD == frame.packet_bytes
+    with small_stream.path.open("rb") as file:
+        first = read_index(file)[0].offset
+    tail = total - first - sum(frame.packet_bytes for frame in frames)
+    index_bytes = PACKET_OVERHEAD + 4 + 16 * 8
+    assert tail == index_bytes + container._END_PACKET_SIZE
+
+
+def test_changes_are_those_that_were_written(small_stream) -> None:
+    with open_stream(small_stream.path) as stream:
+        counted = [(f.changes.touched, f.changes.added, f.changes.removed) for f in stream.frames()]
+    assert counted == list(small_stream.changes)
+
+
+def test_an_unfinished_stream_gives_its_complete_frames(unfinished_stream) -> None:
+    with open_stream(unfinished_stream.path, strict=False) as stream:
+        assert (stream.frame_count, stream.complete, stream.unfinished_bytes) == (7, False, 3)
+        for frame in stream.frames():
+            assert_same_state(frame.state, unfinished_stream.states[frame.index])
+    with pytest.raises(
+        StreamError, match=r"cut\.dgs: the stream stops 3 bytes into a packet at byte \d+ \[truncated\]"
+    ):
+        open_stream(unfinished_stream.path)
+
+
+def test_cut_at_every_byte_gives_the_right_prefix_or_an_error(small_stream) -> None:
+    data = small_stream.path.read_bytes()
+    with small_stream.path.open("rb") as file:
+        ends = [entry.offset for entry in scan_index(file)][1:]
+    seen, reasons = set(), set()
+    for size in range(0, len(data), 11):
+        small_stream.path.write_bytes(data[:size])
+        try:
+            with open_stream(small_stream.path, strict=False) as stream:
+                frames = list(stream.frames())
+        except StreamError as error:
+            reasons.add(error.reason)
+            continue
+        assert len(frames) >= sum(end <= size for end in ends)
+        seen.add(len(frames))
+        for frame in frames:
+            assert frame.state.row_sum == small_stream.states[frame.index].row_sum
+    assert reasons == {"truncated"}
+    assert seen == set(range(9))
+
+
+def test_what_is_no_stream_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "x.dgs"
+    for content, reason in ((b"", "truncated"), (b"hello, this is no stream", "bad-signature")):
+        path.write_bytes(content)
+        with pytest.raises(StreamError, match=rf"x\.dgs: .*\[{reason}\]"):
+            open_stream(path)
+    with pytest.raises(FileNotFoundError):
+        open_stream(tmp_path / "none.dgs")
+
+
+def test_limits_refuse_what_is_too_large(small_stream) -> None:
+    for limits in ({"max_gaussians": 59}, {"max_memory": 6 * (4 * (11 + 12) + 8) * 59}):
+        with open_stream(small_stream.path, **limits) as stream, pytest.raises(StreamError) as caught:
+            next(stream.frames())
+        assert caught.value.reason == "too-many-gaussians"
+
+
+def test_ranges_outside_the_stream_are_refused(small_stream) -> None:
+    with open_stream(small_stream.path) as stream:
+        for start, stop in ((-1, 3), (3, 9), (5, 4)):
+            with pytest.raises(UsageError, match="not in this stream of 8 frames"):
+                list(stream.frames(start, stop))
+
+
+def test_a_pinhole_view_is_the_plain_render(small_stream) -> None:
+    header, splats = small_stream.header, dequantise(small_stream.states[0], small_stream.header.lattice)
+    for scale in (1.0, 1.5):
+        plain = render(splats, scale_camera(header.cameras[0], scale), header.background)
+        seen = render_view(header, splats, "cam00", scale=scale)
+        for name in ("image", "alpha", "depth"):
+            np.testing.assert_array_equal(getattr(seen, name), getattr(plain, name))
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_a_lens_view_has_the_cameras_size_and_its_lens(small_stream, number: int) -> None:
+    header, splats = small_stream.header, dequantise(small_stream.states[0], small_stream.header.lattice)
+    camera = header.cameras[number]
+    seen = render_view(header, splats, camera.name)
+    assert seen.image.shape == (camera.height, camera.width, 3)
+    plan = Redistortion(camera)
+    wide = render(splats, plan.render_camera, header.background)
+    np.testing.assert_array_equal(seen.image, plan.apply(wide.image, outside=header.background))
+    flat = render_view(header, splats, camera.name, undistorted=True)
+    np.testing.assert_array_equal(flat.image, render(splats, as_pinhole(camera), header.background).image)
+    assert np.abs(flat.image - seen.image).max() > 0.1
+    assert 0 <= seen.alpha.min() <= seen.alpha.max() <= 1
+    depths = seen.depth[seen.alpha > 0.2]
+    # Splats lie 1.6 to 2.6 from the origin; the camera stands 0.2 behind it.
+    assert 1.7 < depths.min() <= depths.max() < 2.9
+
+
+def test_backgrounds_default_to_the_streams(small_stream) -> None:
+    header, splats = small_stream.header, dequantise(small_stream.states[0], small_stream.header.lattice)
+    for name in ("cam00", "cam01", "wide"):
+        np.testing.assert_allclose(render_view(header, splats, name).image[0, 0], header.background, atol=1e-3)
+        white = render_view(header, splats, name, background=(1.0, 1.0, 1.0))
+        np.testing.assert_allclose(white.image[0, 0], 1.0, atol=1e-3)
+
+
+def test_views_that_cannot_be(small_stream) -> None:
+    header, splats = small_stream.header, dequantise(small_stream.states[0], small_stream.header.lattice)
+    with pytest.raises(UsageError, match=r"no camera 'cam7' in this stream; it has cam00, cam01, wide"):
+        render_view(header, splats, "cam7")
+    for scale in (0.0, -1.0, float("nan"), float("inf")):
+        with pytest.raises(UsageError, match="scale"):
+            render_view(header, splats, "cam00", scale=scale)
+    huge = replace(header.cameras[0], width=30_000, height=30_000)
+    with pytest.raises(UsageError, match="above the limit"):
+        render_view(header, splats, huge)
+
+
+def test_frame_ranges_are_read_as_in_python() -> None:
+    ranges = {"0:10": (0, 10), ":": (None, None), "5:": (5, None), "-3:": (-3, None), ":-1": (None, -1)}
+    for text, ends in ranges.items():
+        assert frame_range(text) == slice(*ends)
+    for text in ("", "5", "a:b", "1:2:3", "1.5:2", "0-10"):
+        with pytest.raises(UsageError, match="no range; write A:B"):
+            frame_range(text)
