@@ -1,1 +1,1 @@
-"""The normative integer maths of a .dgs stream, both directions: lattice, prediction, entropy coding, reconstruction."""
+"""The normative integer maths of a .dgs stream, both ways: lattice, prediction, entropy coding, reconstruction."""

@@ -1,0 +1,79 @@
+"""The state digest: a 64-bit fingerprint that costs what changed, not what there is (SPEC.md, "Digest").
+
+A row hash is a multilinear form of the id and the integers of one Gaussian, scrambled; the state's sum of row hashes is
+brought up to date by subtracting the hashes of the rows that go and adding those that come.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .state import GROUPS, Attributes, IntArray, Rows, State, group_channels, group_columns
+
+Hashes = NDArray[np.uint64]
+
+MASK = (1 << 64) - 1
+GOLDEN = 0x9E3779B97F4A7C15
+_FIRST_FACTOR = 0xBF58476D1CE4E5B9
+_SECOND_FACTOR = 0x94D049BB133111EB
+_MAX_COLUMNS = 1 + 3 + 3 + 4 + 1 + 48
+
+
+def mix(value: int) -> int:
+    """The finaliser of splitmix64 on one integer."""
+    value &= MASK
+    value = ((value ^ (value >> 30)) * _FIRST_FACTOR) & MASK
+    value = ((value ^ (value >> 27)) * _SECOND_FACTOR) & MASK
+    return value ^ (value >> 31)
+
+
+def _mix_array(values: Hashes) -> Hashes:
+    mixed: Hashes = (values ^ (values >> np.uint64(30))) * np.uint64(_FIRST_FACTOR)
+    mixed = (mixed ^ (mixed >> np.uint64(27))) * np.uint64(_SECOND_FACTOR)
+    mixed ^= mixed >> np.uint64(31)
+    return mixed
+
+
+def _column_keys() -> Hashes:
+    return np.array([mix((j + 1) * GOLDEN) | 1 for j in range(_MAX_COLUMNS)], np.uint64)
+
+
+_KEYS = _column_keys()
+
+
+def group_form(columns: IntArray, group: str, coefficients: int) -> Hashes:
+    """One attribute group's share of the rows' linear forms, (n,); ``columns`` is (n, channels)."""
+    widths = group_channels(coefficients)
+    start = 1 + sum(widths[name] for name in GROUPS[: GROUPS.index(group)])
+    # Signed integers: their sums and products modulo 2**64 have the same bits as the unsigned ones.
+    form: NDArray[np.int64] = np.einsum("nc,c->n", columns, _KEYS[start : start + widths[group]].view(np.int64))
+    return form.view(np.uint64)
+
+
+def linear_forms(attributes: Attributes, ids: Rows) -> Hashes:
+    """The rows' linear forms before scrambling, (n,)."""
+    forms: Hashes = ids.astype(np.uint64) * _KEYS[0]
+    for group in GROUPS:
+        forms += group_form(group_columns(attributes, group), group, attributes.coefficients)
+    return forms
+
+
+def hash_sum(forms: Hashes) -> int:
+    """Sum of the scrambled linear forms modulo 2**64."""
+    return int(_mix_array(forms).sum(dtype=np.uint64))
+
+
+def row_sum(attributes: Attributes, ids: Rows) -> int:
+    """The sum of all row hashes, computed from nothing."""
+    return hash_sum(linear_forms(attributes, ids))
+
+
+def combine(total: int, count: int, next_id: int) -> int:
+    """Digest from the sum of the row hashes, the number of Gaussians and the next id."""
+    return mix(mix(mix(total) + count) + next_id)
+
+
+def digest(state: State) -> int:
+    """The state's digest, from its running sum."""
+    return combine(state.row_sum, len(state), state.next_id)

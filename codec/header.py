@@ -1,0 +1,324 @@
+"""The header packet: all a decoder needs without the rig, as strict JSON (SPEC.md, "Header packet")."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NoReturn, TypeVar
+
+import numpy as np
+
+from decogs.formats.cameras import Camera
+from decogs.formats.errors import StreamError
+from decogs.formats.reasons import Reason
+
+from .lattice import Lattice, Vector
+
+MAX_HEADER_BYTES = 1 << 20
+MAX_CAMERAS = 1024
+MAX_DEPTH = 16
+MAX_SIDE = 1 << 15
+_MAX_TEXT = 1 << 16
+_MAX_NAME = 255
+_STEP_RANGE = (1e-12, 1e6)
+_QUATERNION_STEP_MAX = 0.5
+_COORDINATE_MAX = 1e12
+_RIGID_TOLERANCE = 1e-2
+
+EFFECTS = frozenset({"motion", "appearance_change", "emergence", "disappearance", "view_dependence", "lens_distortion"})
+"""Effects a 1.0 decoder reproduces; a stream that names another one asks for more than this decoder can do."""
+
+_COEFFICIENT_COUNTS = {"none": (0,), "opencv": (4, 5, 8), "fisheye": (4,)}
+_STRING = re.compile(rb'"(?:[^"\\]|\\.)*(?:"|\\?\Z)', re.DOTALL)
+"""A JSON string, or an unfinished one to the end: no second try at the same bytes, so the search stays linear."""
+_CONTROL = re.compile("[\x00-\x1f\x7f-\x9f]")
+
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True, eq=False)
+class StreamHeader:
+    """What the first packet says. How many frames follow is not known: a stream may still be growing.
+
+    ``cameras``: the rig's, held-out ones included, which ``held_out`` names; ``fps`` None when unknown;
+    ``first_frame``: the rig's index of the stream's frame 0; ``background``: the colour trained against,
+    display-referred RGB; ``settings``: the encoder's own, for people, never needed for decoding.
+    """
+
+    cameras: tuple[Camera, ...]
+    lattice: Lattice
+    sh_degree: int = 0
+    fps: float | None = None
+    first_frame: int = 0
+    background: Vector = (0.0, 0.0, 0.0)
+    effects: tuple[str, ...] = ()
+    held_out: tuple[str, ...] = ()
+    axes: str = "right-handed world; cameras look along +z, x right, y down"
+    units: str = "world units of the rig's calibration"
+    source_text: str = ""
+    licence: str = ""
+    writer: str = "decogs"
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def coefficients(self) -> int:
+        """SH coefficients per colour channel."""
+        return (self.sh_degree + 1) ** 2
+
+    def to_bytes(self) -> bytes:
+        """The header packet's payload in canonical form; raises StreamError when a field is out of its bounds."""
+        document = {
+            "axes": self.axes,
+            "background": _floats(self.background),
+            "cameras": [_camera_document(camera) for camera in self.cameras],
+            "effects": list(self.effects),
+            "first_frame": self.first_frame,
+            "fps": None if self.fps is None else float(self.fps),
+            "held_out": list(self.held_out),
+            "lattice": _lattice_document(self.lattice),
+            "licence": self.licence,
+            "settings": dict(self.settings),
+            "sh_degree": self.sh_degree,
+            "source_text": self.source_text,
+            "units": self.units,
+            "writer": self.writer,
+        }
+        try:
+            text = json.dumps(document, sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
+        except ValueError as error:
+            raise StreamError(Reason.BAD_HEADER, f"the header cannot be written: {error}") from error
+        payload = text.encode("ascii")
+        StreamHeader.from_bytes(payload)
+        return payload
+
+    @staticmethod
+    def from_bytes(payload: bytes) -> StreamHeader:
+        """Reads and checks every field; raises StreamError "bad-header" or "unsupported-effect"."""
+        fields = _Fields(_parse(payload), "")
+        header = StreamHeader(
+            cameras=tuple(
+                _camera(_Fields(camera, f"cameras[{i}]."))
+                for i, camera in enumerate(fields.list("cameras", 1, MAX_CAMERAS))
+            ),
+            lattice=_lattice(_Fields(fields.value("lattice"), "lattice.")),
+            sh_degree=fields.integer("sh_degree", 0, 3),
+            fps=fields.optional("fps", lambda: fields.number("fps", 1e-6, 1e6)),
+            first_frame=fields.integer("first_frame", 0, (1 << 31) - 1),
+            background=fields.vector("background", -1e3, 1e3),
+            effects=tuple(fields.names("effects")),
+            held_out=tuple(fields.names("held_out")),
+            axes=fields.text("axes"),
+            units=fields.text("units"),
+            source_text=fields.text("source_text"),
+            licence=fields.text("licence"),
+            writer=fields.text("writer"),
+            settings=fields.settings("settings"),
+        )
+        names = [camera.name for camera in header.cameras]
+        if len(set(names)) != len(names):
+            _refuse("two cameras have the same name")
+        if not set(header.held_out) <= set(names):
+            _refuse("held_out names a camera that the stream does not have")
+        unknown = sorted(set(header.effects) - EFFECTS)
+        if unknown:
+            raise StreamError(Reason.UNSUPPORTED_EFFECT, f"this decoder does not know the effect {unknown[0]!r}")
+        return header
+
+
+class _Fields:
+    """One JSON object whose members are taken by name, type and bounds; unknown members are left alone."""
+
+    def __init__(self, value: Any, path: str) -> None:
+        if not isinstance(value, dict):
+            _refuse(f"{path.rstrip('.') or 'the header'} is no object")
+        self._members: dict[str, Any] = value
+        self._path = path
+
+    def value(self, name: str) -> Any:
+        if name not in self._members:
+            self._refuse(name, "is missing")
+        return self._members[name]
+
+    def optional(self, name: str, read: Callable[[], _T]) -> _T | None:
+        return None if self.value(name) is None else read()
+
+    def number(self, name: str, low: float, high: float) -> float:
+        return self._number(name, self.value(name), low, high)
+
+    def integer(self, name: str, low: int, high: int) -> int:
+        value = self.value(name)
+        if type(value) is not int or not low <= value <= high:
+            self._refuse(name, f"is no integer from {low} to {high}")
+        return int(value)
+
+    def text(self, name: str, longest: int = _MAX_TEXT) -> str:
+        return self._text(name, self.value(name), longest)
+
+    def name(self, name: str) -> str:
+        """A text that may stand in a file name: no separators, no control characters, not empty."""
+        return self._name(name, self.value(name))
+
+    def names(self, name: str) -> list[str]:
+        return [self._name(name, value) for value in self.list(name, 0, MAX_CAMERAS)]
+
+    def list(self, name: str, shortest: int, longest: int) -> list[Any]:
+        value = self.value(name)
+        if not isinstance(value, list) or not shortest <= len(value) <= longest:
+            self._refuse(name, f"is no list of {shortest} to {longest} members")
+        return value
+
+    def numbers(self, name: str, counts: tuple[int, ...], low: float, high: float) -> tuple[float, ...]:
+        values = self.list(name, min(counts), max(counts))
+        if len(values) not in counts:
+            self._refuse(name, f"has {len(values)} numbers")
+        return tuple(self._number(name, value, low, high) for value in values)
+
+    def vector(self, name: str, low: float, high: float) -> Vector:
+        x, y, z = self.numbers(name, (3,), low, high)
+        return x, y, z
+
+    def settings(self, name: str) -> dict[str, Any]:
+        value = self.value(name)
+        if not isinstance(value, dict):
+            self._refuse(name, "is no object")
+        return value
+
+    def _number(self, name: str, value: Any, low: float, high: float) -> float:
+        if type(value) not in (int, float) or not low <= value <= high:
+            self._refuse(name, f"is no number from {low:g} to {high:g}")
+        return float(value)
+
+    def _text(self, name: str, value: Any, longest: int) -> str:
+        if not isinstance(value, str) or len(value) > longest:
+            self._refuse(name, f"is no text of at most {longest} characters")
+        return str(value)
+
+    def _name(self, name: str, value: Any) -> str:
+        text = self._text(name, value, _MAX_NAME)
+        if not text or text in (".", "..") or "/" in text or "\\" in text or _CONTROL.search(text):
+            self._refuse(name, "is empty or holds a path separator or control character")
+        return text
+
+    def _refuse(self, name: str, problem: str) -> NoReturn:
+        _refuse(f"{self._path}{name} {problem}")
+
+
+def _parse(payload: bytes) -> Any:
+    """JSON of bounded size and depth, every name once, numbers finite."""
+    if len(payload) > MAX_HEADER_BYTES:
+        raise StreamError(Reason.TOO_LARGE, f"a header of {len(payload)} bytes is above the limit", packet=0)
+    brackets = np.frombuffer(_STRING.sub(b"", payload), np.uint8)
+    steps = np.isin(brackets, [ord("["), ord("{")]).astype(np.int64) - np.isin(brackets, [ord("]"), ord("}")])
+    if np.cumsum(steps).max(initial=0) > MAX_DEPTH:
+        _refuse("is nested too deeply")
+    try:
+        document = json.loads(
+            payload.decode("utf-8"),
+            object_pairs_hook=_unique_members,
+            parse_constant=lambda name: _refuse(f"holds {name}"),
+            parse_float=_finite,
+        )
+        # Half a surrogate pair is a text that cannot be printed.
+        json.dumps(document, ensure_ascii=False).encode("utf-8")
+        return document
+    except ValueError as error:
+        raise StreamError(Reason.BAD_HEADER, f"the header is no valid JSON: {error}", packet=0) from error
+
+
+def _unique_members(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    members = dict(pairs)
+    if len(members) != len(pairs):
+        _refuse("names a field twice")
+    return members
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        _refuse(f"holds the number {text[:20]}, which is not finite")
+    return value
+
+
+def _refuse(problem: str) -> NoReturn:
+    raise StreamError(Reason.BAD_HEADER, f"header: {problem}", packet=0)
+
+
+def _floats(values: Any) -> list[float]:
+    return [float(value) for value in values]
+
+
+def _camera_document(camera: Camera) -> dict[str, Any]:
+    return {
+        "cx": float(camera.cx),
+        "cy": float(camera.cy),
+        "distortion": _floats(camera.distortion),
+        "distortion_model": camera.distortion_model,
+        "fx": float(camera.fx),
+        "fy": float(camera.fy),
+        "height": int(camera.height),
+        "name": camera.name,
+        "width": int(camera.width),
+        "world_to_camera": [_floats(row) for row in camera.world_to_camera[:3]],
+    }
+
+
+def _camera(fields: _Fields) -> Camera:
+    model = fields.text("distortion_model", _MAX_NAME)
+    if model not in _COEFFICIENT_COUNTS:
+        _refuse(f"distortion model {model[:40]!r} is unknown")
+    return Camera(
+        name=fields.name("name"),
+        width=fields.integer("width", 1, MAX_SIDE),
+        height=fields.integer("height", 1, MAX_SIDE),
+        fx=fields.number("fx", 1e-3, 1e9),
+        fy=fields.number("fy", 1e-3, 1e9),
+        cx=fields.number("cx", -1e9, 1e9),
+        cy=fields.number("cy", -1e9, 1e9),
+        world_to_camera=_pose(fields),
+        distortion_model=model,  # type: ignore[arg-type]
+        distortion=fields.numbers("distortion", _COEFFICIENT_COUNTS[model], -1e6, 1e6),
+    )
+
+
+def _pose(fields: _Fields) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    rows = fields.list("world_to_camera", 3, 3)
+    inner = [
+        _Fields({"row": row}, "world_to_camera.").numbers("row", (4,), -_COORDINATE_MAX, _COORDINATE_MAX)
+        for row in rows
+    ]
+    pose = np.eye(4)
+    pose[:3] = inner
+    rotation = pose[:3, :3]
+    # The largest entry first: products of hostile numbers stay far from overflow.
+    if np.abs(rotation).max() > 2 or np.abs(rotation @ rotation.T - np.eye(3)).max() > _RIGID_TOLERANCE:
+        _refuse("world_to_camera is no rigid motion")
+    if np.linalg.det(rotation) < 0:
+        _refuse("world_to_camera mirrors the scene")
+    return pose
+
+
+def _lattice_document(lattice: Lattice) -> dict[str, Any]:
+    return {
+        "log_scales": float(lattice.log_scales),
+        "means": _floats(lattice.means),
+        "opacity_logits": float(lattice.opacity_logits),
+        "origin": _floats(lattice.origin),
+        "quaternions": float(lattice.quaternions),
+        "sh_dc": float(lattice.sh_dc),
+        "sh_rest": float(lattice.sh_rest),
+    }
+
+
+def _lattice(fields: _Fields) -> Lattice:
+    return Lattice(
+        origin=fields.vector("origin", -_COORDINATE_MAX, _COORDINATE_MAX),
+        means=fields.vector("means", *_STEP_RANGE),
+        log_scales=fields.number("log_scales", *_STEP_RANGE),
+        quaternions=fields.number("quaternions", _STEP_RANGE[0], _QUATERNION_STEP_MAX),
+        opacity_logits=fields.number("opacity_logits", *_STEP_RANGE),
+        sh_dc=fields.number("sh_dc", *_STEP_RANGE),
+        sh_rest=fields.number("sh_rest", *_STEP_RANGE),
+    )

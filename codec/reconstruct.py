@@ -1,0 +1,51 @@
+"""Reconstruction: the one function that encoder and decoder both call on the bytes of a frame (SPEC.md, "Decoding")."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NoReturn
+
+from decogs.formats.container import PACKET_HEADER_SIZE, Packet, PacketKind
+from decogs.formats.errors import StreamError
+from decogs.formats.reasons import Reason
+
+from .deltas import apply_delta
+from .digest import digest
+from .header import StreamHeader
+from .state import DEFAULT_MAX_GAUSSIANS, State
+from .syntax import read_delta, read_key, read_skip
+
+
+def reconstruct(
+    state: State | None, packet: Packet, header: StreamHeader, *, max_gaussians: int = DEFAULT_MAX_GAUSSIANS
+) -> State:
+    """The state after a key, delta or skip packet; ``state`` is the one before it, None before the first keyframe.
+
+    Integer arithmetic only, so that every machine gets the same bits. The digest in the packet is compared with the
+    result's. Raises StreamError, whatever the payload holds.
+    """
+    next_state, declared = _advance(state, packet, header, max_gaussians)
+    if digest(next_state) != declared:
+        _refuse(packet, Reason.DIGEST_MISMATCH, "the reconstructed state is not the encoder's")
+    return next_state
+
+
+def _advance(state: State | None, packet: Packet, header: StreamHeader, max_gaussians: int) -> tuple[State, int]:
+    if packet.kind == PacketKind.KEY:
+        if state is not None and packet.frame <= state.frame:
+            _refuse(packet, Reason.FRAME_ORDER, f"frame {packet.frame} comes after frame {state.frame}")
+        return read_key(packet, header.coefficients, max_gaussians)
+    if packet.kind not in (PacketKind.DELTA, PacketKind.SKIP):
+        _refuse(packet, Reason.MISPLACED_PACKET, f"a packet of kind {packet.kind} holds no frame")
+    if state is None:
+        _refuse(packet, Reason.MISSING_KEY, f"frame {packet.frame} needs a keyframe before it")
+    if packet.frame != state.frame + 1:
+        _refuse(packet, Reason.FRAME_ORDER, f"frame {packet.frame} follows frame {state.frame}")
+    if packet.kind == PacketKind.SKIP:
+        return replace(state, frame=packet.frame), read_skip(packet)
+    delta, declared = read_delta(packet, state, max_gaussians)
+    return apply_delta(state, delta), declared
+
+
+def _refuse(packet: Packet, reason: str, message: str) -> NoReturn:
+    raise StreamError(reason, message, packet=packet.ordinal, offset=packet.offset + PACKET_HEADER_SIZE)

@@ -1,0 +1,417 @@
+"""The .dgs container: packets that delimit themselves, bounded, checksummed, append-only (SPEC.md, "Container").
+
+This file knows packets and nothing of what is in them, except for the index and end packets, which are its own.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import BinaryIO
+
+from .cursor import Cursor
+from .errors import StreamError
+from .reasons import Reason
+
+SIGNATURE = b"\x8bDGS\r\n\x1a\n"
+"""High bit, name, CR LF, Ctrl-Z, LF: a transfer that strips bits or translates line ends breaks it, as PNG's does."""
+
+VERSION = (1, 0)
+"""Version of the bitstream (major, minor), independent of the package's version."""
+
+SYNC = b"DGSP"
+PROLOGUE_SIZE = 16
+PACKET_HEADER_SIZE = 20
+PACKET_OVERHEAD = PACKET_HEADER_SIZE + 4
+MAX_PAYLOAD = 1 << 28
+MAX_FRAME = (1 << 31) - 1
+CRITICAL = 0x01
+
+_PROLOGUE = struct.Struct("<8sBBH")
+_PACKET_HEADER = struct.Struct("<4sBBHII")
+_CRC = struct.Struct("<I")
+_INDEX_ENTRY = struct.Struct("<QIB3x")
+_END = struct.Struct("<IQ")
+_END_PACKET_SIZE = PACKET_OVERHEAD + _END.size
+_READ_CHUNK = 1 << 20
+
+
+class PacketKind(IntEnum):
+    """What a packet holds; wire values, never renumbered."""
+
+    HEADER = 1
+    KEY = 2
+    DELTA = 3
+    SKIP = 4
+    INDEX = 5
+    END = 6
+    METRICS = 7
+
+
+CRITICAL_KINDS = frozenset({PacketKind.HEADER, PacketKind.KEY, PacketKind.DELTA, PacketKind.SKIP})
+FRAME_KINDS = frozenset({PacketKind.KEY, PacketKind.DELTA, PacketKind.SKIP})
+_KNOWN_KINDS = frozenset(int(kind) for kind in PacketKind)
+
+
+@dataclass(frozen=True)
+class Packet:
+    """One complete packet whose checksums were right.
+
+    ``kind`` is a PacketKind or an unknown ancillary number; ``ordinal`` counts the packets of the stream from 0 (None
+    when read at an offset); ``offset`` is the stream offset of the packet's first byte.
+    """
+
+    kind: int
+    frame: int
+    payload: bytes
+    critical: bool = True
+    ordinal: int | None = None
+    offset: int = 0
+
+    @property
+    def size(self) -> int:
+        """Bytes on disk, overhead included."""
+        return PACKET_OVERHEAD + len(self.payload)
+
+    def cursor(self) -> Cursor:
+        """A bounded reader of the payload that knows where the packet lies."""
+        return Cursor(self.payload, packet=self.ordinal, offset=self.offset + PACKET_HEADER_SIZE)
+
+
+@dataclass(frozen=True)
+class IndexEntry:
+    """Where the packet of one frame starts in the stream."""
+
+    offset: int
+    frame: int
+    kind: int
+
+
+def prologue(version: tuple[int, int] = VERSION) -> bytes:
+    """The first 16 bytes of every stream: signature, version, checksum."""
+    head = _PROLOGUE.pack(SIGNATURE, *version, 0)
+    return head + _CRC.pack(zlib.crc32(head))
+
+
+def packet_bytes(kind: int, frame: int, payload: bytes, *, critical: bool | None = None) -> bytes:
+    """One packet as it lies on disk; ``critical`` need only be given for a kind this version does not know."""
+    if critical is None:
+        critical = kind in CRITICAL_KINDS
+    if not 0 <= frame <= MAX_FRAME:
+        raise StreamError(Reason.TOO_LARGE, f"frame index {frame} is outside 0..{MAX_FRAME}")
+    if len(payload) > MAX_PAYLOAD:
+        raise StreamError(Reason.TOO_LARGE, f"a payload of {len(payload)} bytes is above the limit of {MAX_PAYLOAD}")
+    head = _PACKET_HEADER.pack(SYNC, kind, CRITICAL if critical else 0, 0, frame, len(payload))
+    return b"".join((head, _CRC.pack(zlib.crc32(head)), payload, _CRC.pack(zlib.crc32(payload))))
+
+
+class StreamWriter:
+    """Appends packets to any binary file object, a pipe included, and flushes after each one.
+
+    Whatever was written before an interruption is a valid, shorter stream. ``finish`` adds the index and end packets.
+    """
+
+    def __init__(self, file: BinaryIO, header_payload: bytes) -> None:
+        self._file = file
+        self.bytes_written = 0
+        self.entries: list[IndexEntry] = []
+        self._append(prologue() + packet_bytes(PacketKind.HEADER, 0, header_payload))
+
+    def write(self, kind: int, frame: int, payload: bytes, *, critical: bool | None = None) -> int:
+        """Appends one packet and returns its size in bytes."""
+        data = packet_bytes(kind, frame, payload, critical=critical)
+        if kind in FRAME_KINDS:
+            self.entries.append(IndexEntry(self.bytes_written, frame, kind))
+        self._append(data)
+        return len(data)
+
+    def finish(self) -> None:
+        """Appends the index of the frames and the end packet; the file stays open."""
+        index_offset = self.bytes_written
+        self.write(PacketKind.INDEX, 0, index_payload(self.entries))
+        self.write(PacketKind.END, 0, _END.pack(len(self.entries), index_offset))
+
+    def _append(self, data: bytes) -> None:
+        self._file.write(data)
+        self._file.flush()
+        self.bytes_written += len(data)
+
+
+class PacketReader:
+    """Takes packets off a stream as they become complete; needs no seeking, so it reads pipes and growing files.
+
+    ``next`` returns None when the bytes at hand hold no further complete packet, and may be called again once the file
+    has grown. ``pending`` is the number of bytes of the incomplete packet at the tail, ``ended`` whether the end packet
+    was seen. A damaged packet raises StreamError; ``resynchronise`` then moves on to the next intact packet header.
+    """
+
+    def __init__(self, file: BinaryIO, *, max_payload: int = MAX_PAYLOAD, offset: int = 0) -> None:
+        """Starts at the file's position; ``offset`` > 0 says that a packet starts there, at that stream offset."""
+        self._file = file
+        self._max_payload = max_payload
+        self._buffer = bytearray()
+        self._offset = offset
+        self._ordinal: int | None = 0 if offset == 0 else None
+        self._at_prologue = offset == 0
+        self._frames = 0
+        self._damaged = False
+        self.version = VERSION
+        self.ended = False
+
+    @property
+    def offset(self) -> int:
+        """Stream offset of the first byte that belongs to no packet returned so far."""
+        return self._offset
+
+    @property
+    def pending(self) -> int:
+        return len(self._buffer)
+
+    @property
+    def at_prologue(self) -> bool:
+        """Whether not even the stream's first 16 bytes have come in yet."""
+        return self._at_prologue
+
+    def next(self) -> Packet | None:
+        """The next complete packet, ancillary ones of unknown kind included, or None when there is none yet."""
+        if self._at_prologue and not self._read_prologue():
+            return None
+        if self.ended:
+            if self._fill(1):
+                self._fail(Reason.TRAILING_DATA, "bytes follow the end packet")
+            return None
+        if not self._fill(PACKET_HEADER_SIZE):
+            self._check_partial_sync()
+            return None
+        kind, critical, frame, length = self._packet_header()
+        if not self._fill(PACKET_OVERHEAD + length):
+            return None
+        payload = bytes(self._buffer[PACKET_HEADER_SIZE : PACKET_HEADER_SIZE + length])
+        (crc,) = _CRC.unpack_from(self._buffer, PACKET_HEADER_SIZE + length)
+        if crc != zlib.crc32(payload):
+            self._fail(Reason.BAD_PAYLOAD_CRC, "the payload's checksum is wrong")
+        packet = Packet(kind, frame, payload, critical, self._ordinal, self._offset)
+        self._check_place(packet)
+        self._consume(packet.size)
+        if self._ordinal is not None:
+            self._ordinal += 1
+        return packet
+
+    def resynchronise(self) -> int | None:
+        """Moves past the damage to the next intact packet header; the bytes skipped, None when there is none yet."""
+        skipped = 0
+        self._damaged = True
+        self._at_prologue = False
+        self._advance(1)
+        skipped += 1
+        while True:
+            found = self._buffer.find(SYNC)
+            step = found if found >= 0 else max(0, len(self._buffer) - len(SYNC) + 1)
+            self._advance(step)
+            skipped += step
+            if not self._fill(PACKET_HEADER_SIZE):
+                return None
+            if self._buffer.startswith(SYNC):
+                if self._header_crc_is_right():
+                    self._ordinal = None
+                    return skipped
+                self._advance(1)
+                skipped += 1
+
+    def _read_prologue(self) -> bool:
+        complete = self._fill(PROLOGUE_SIZE)
+        _check_signature(bytes(self._buffer[: len(SIGNATURE)]))
+        if not complete:
+            return False
+        _, major, minor, reserved = _PROLOGUE.unpack_from(self._buffer)
+        (crc,) = _CRC.unpack_from(self._buffer, _PROLOGUE.size)
+        if crc != zlib.crc32(bytes(self._buffer[: _PROLOGUE.size])):
+            raise StreamError(Reason.BAD_HEADER_CRC, "the checksum of the first 16 bytes is wrong", offset=0)
+        if major != VERSION[0]:
+            message = f"bitstream version {major}.{minor} is not readable here (this reader knows {VERSION[0]}.x)"
+            raise StreamError(Reason.UNSUPPORTED_VERSION, message, offset=8)
+        if reserved:
+            raise StreamError(Reason.RESERVED_BITS, "reserved bits are set", offset=10)
+        self.version = (major, minor)
+        self._at_prologue = False
+        self._consume(PROLOGUE_SIZE)
+        return True
+
+    def _packet_header(self) -> tuple[int, bool, int, int]:
+        sync, kind, flags, reserved, frame, length = _PACKET_HEADER.unpack_from(self._buffer)
+        if sync != SYNC:
+            self._fail(Reason.BAD_SYNC, "no packet starts here")
+        if not self._header_crc_is_right():
+            self._fail(Reason.BAD_HEADER_CRC, "the packet header's checksum is wrong")
+        if flags & ~CRITICAL or reserved or frame > MAX_FRAME:
+            self._fail(Reason.RESERVED_BITS, "reserved bits are set in the packet header")
+        critical = bool(flags & CRITICAL)
+        if kind not in _KNOWN_KINDS:
+            if critical:
+                self._fail(Reason.UNKNOWN_CRITICAL, f"packet kind {kind} is unknown and must not be ignored")
+        elif critical != (kind in CRITICAL_KINDS):
+            self._fail(Reason.RESERVED_BITS, f"the critical bit of a {PacketKind(kind).name} packet is wrong")
+        if length > self._max_payload:
+            self._fail(Reason.TOO_LARGE, f"a payload of {length} bytes is above the limit of {self._max_payload}")
+        return kind, critical, frame, length
+
+    def _header_crc_is_right(self) -> bool:
+        (crc,) = _CRC.unpack_from(self._buffer, _PACKET_HEADER.size)
+        return bool(crc == zlib.crc32(bytes(self._buffer[: _PACKET_HEADER.size])))
+
+    def _check_place(self, packet: Packet) -> None:
+        """The header comes first and once; the end packet counts the frames."""
+        if self._ordinal is not None and (packet.kind == PacketKind.HEADER) != (self._ordinal == 0):
+            self._fail(Reason.MISPLACED_PACKET, "a stream has one header packet, which comes first")
+        if packet.kind in FRAME_KINDS:
+            self._frames += 1
+        elif packet.kind == PacketKind.END:
+            frames, _ = _end_fields(packet)
+            if self._ordinal is not None and not self._damaged and frames != self._frames:
+                self._fail(Reason.INDEX_MISMATCH, f"the end packet counts {frames} frames, {self._frames} came")
+            self.ended = True
+
+    def _check_partial_sync(self) -> None:
+        """Bytes at the tail that cannot grow into a packet are damage, not a packet under way."""
+        head = bytes(self._buffer[: len(SYNC)])
+        if head != SYNC[: len(head)]:
+            self._fail(Reason.BAD_SYNC, "no packet starts here")
+
+    def _fill(self, size: int) -> bool:
+        """Reads on until ``size`` bytes are buffered; in bounded chunks, so that a lying length allocates nothing."""
+        while len(self._buffer) < size:
+            chunk = self._file.read(min(size - len(self._buffer), _READ_CHUNK))
+            if not chunk:
+                return False
+            self._buffer += chunk
+        return True
+
+    def _consume(self, size: int) -> None:
+        del self._buffer[:size]
+        self._offset += size
+
+    def _advance(self, size: int) -> None:
+        """Drops up to ``size`` buffered bytes, reading one when the buffer is empty."""
+        if size and not self._buffer:
+            self._fill(1)
+        self._consume(min(size, len(self._buffer)))
+
+    def _fail(self, reason: str, message: str) -> None:
+        raise StreamError(reason, message, packet=self._ordinal, offset=self._offset)
+
+
+def iterate_packets(file: BinaryIO, *, strict: bool = True, max_payload: int = MAX_PAYLOAD) -> Iterator[Packet]:
+    """Every complete packet from the start of a stream; ancillary packets of unknown kind are skipped.
+
+    An incomplete packet at the tail raises StreamError("truncated") after the complete ones when ``strict``, else the
+    iteration just ends. Damage always raises.
+    """
+    reader = PacketReader(file, max_payload=max_payload)
+    while (packet := reader.next()) is not None:
+        if packet.kind in _KNOWN_KINDS:
+            yield packet
+    if strict and (reader.pending or reader.at_prologue):
+        raise StreamError(
+            Reason.TRUNCATED, f"the stream stops {reader.pending} bytes into a packet", offset=reader.offset
+        )
+
+
+def read_packet_at(file: BinaryIO, entry: IndexEntry, *, max_payload: int = MAX_PAYLOAD) -> Packet:
+    """The packet an index entry points at; raises StreamError("index-mismatch") when another one lies there."""
+    file.seek(entry.offset)
+    reader = PacketReader(file, max_payload=max_payload, offset=entry.offset)
+    packet = reader.next()
+    if packet is None:
+        raise StreamError(Reason.TRUNCATED, "the stream stops inside a packet", offset=entry.offset)
+    if (packet.kind, packet.frame) != (entry.kind, entry.frame):
+        raise StreamError(Reason.INDEX_MISMATCH, "the index points at another packet", offset=entry.offset)
+    return packet
+
+
+def index_payload(entries: list[IndexEntry]) -> bytes:
+    """Payload of an index packet: count, then offset, frame and kind of each frame packet."""
+    rows = [_INDEX_ENTRY.pack(entry.offset, entry.frame, entry.kind) for entry in entries]
+    return _CRC.pack(len(rows)) + b"".join(rows)
+
+
+def parse_index(packet: Packet) -> list[IndexEntry]:
+    """The entries of an index packet; raises StreamError when it is malformed."""
+    cursor = packet.cursor()
+    count = cursor.u32()
+    if count * _INDEX_ENTRY.size != cursor.remaining:
+        cursor.fail(Reason.BAD_PAYLOAD, f"{count} index entries do not fill the {cursor.remaining} bytes left")
+    entries = [IndexEntry(*fields) for fields in _INDEX_ENTRY.iter_unpack(cursor.take(cursor.remaining))]
+    ends = [*(entry.offset for entry in entries[1:]), packet.offset]
+    if any(entry.offset + PACKET_OVERHEAD > end for entry, end in zip(entries, ends, strict=True)):
+        cursor.fail(Reason.INDEX_MISMATCH, "the index is not in stream order")
+    if any(entry.kind not in FRAME_KINDS for entry in entries):
+        cursor.fail(Reason.INDEX_MISMATCH, "the index lists a packet that is no frame")
+    return entries
+
+
+def read_index(file: BinaryIO) -> list[IndexEntry] | None:
+    """The index at the end of a seekable file, None when there is none that can be used; reads the tail only."""
+    size = file.seek(0, os.SEEK_END)
+    if size < PROLOGUE_SIZE + _END_PACKET_SIZE:
+        return None
+    try:
+        end = read_packet_at(file, IndexEntry(size - _END_PACKET_SIZE, 0, PacketKind.END))
+        frames, offset = _end_fields(end)
+        if not PROLOGUE_SIZE <= offset < end.offset:
+            return None
+        entries = parse_index(read_packet_at(file, IndexEntry(offset, 0, PacketKind.INDEX)))
+    except StreamError:
+        return None
+    return entries if len(entries) == frames else None
+
+
+def scan_index(file: BinaryIO) -> list[IndexEntry]:
+    """The same entries from the packet headers of a seekable file, without reading the payloads.
+
+    Stops at an incomplete tail; raises StreamError at a damaged packet header.
+    """
+    size = file.seek(0, os.SEEK_END)
+    file.seek(0)
+    head = file.read(PROLOGUE_SIZE)
+    _check_signature(head[: len(SIGNATURE)])
+    offset, entries = PROLOGUE_SIZE, []
+    while offset + PACKET_OVERHEAD <= size:
+        file.seek(offset)
+        head = file.read(PACKET_HEADER_SIZE)
+        sync, kind, _, _, frame, length = _PACKET_HEADER.unpack_from(head)
+        if sync != SYNC or _CRC.unpack_from(head, _PACKET_HEADER.size)[0] != zlib.crc32(head[: _PACKET_HEADER.size]):
+            raise StreamError(Reason.BAD_HEADER_CRC, "the packet header is damaged", offset=offset)
+        if offset + PACKET_OVERHEAD + length > size:
+            break
+        if kind in FRAME_KINDS:
+            entries.append(IndexEntry(offset, frame, kind))
+        offset += PACKET_OVERHEAD + length
+    return entries
+
+
+def frame_index(file: BinaryIO) -> list[IndexEntry]:
+    """Where every frame's packet lies: from the index when there is one, else from a scan of the packet headers."""
+    entries = read_index(file)
+    return scan_index(file) if entries is None else entries
+
+
+def _end_fields(packet: Packet) -> tuple[int, int]:
+    cursor = packet.cursor()
+    if cursor.remaining != _END.size:
+        cursor.fail(Reason.BAD_PAYLOAD, f"an end packet has {_END.size} bytes, not {cursor.remaining}")
+    frames, offset = _END.unpack(cursor.take(_END.size))
+    return frames, offset
+
+
+def _check_signature(head: bytes) -> None:
+    """Raises when these first bytes cannot be those of a .dgs stream."""
+    if head == SIGNATURE[: len(head)]:
+        return
+    damaged = (SIGNATURE.replace(b"\r\n", b"\n"), SIGNATURE.replace(b"\n", b"\r\n"), bytes(b & 127 for b in SIGNATURE))
+    if len(head) >= 6 and any(variant[: len(head)] == head[: len(variant)] for variant in damaged):
+        raise StreamError(Reason.TEXT_DAMAGE, "the file was transferred as text; transfer it again as binary", offset=0)
+    raise StreamError(Reason.BAD_SIGNATURE, "this is not a .dgs stream", offset=0)
