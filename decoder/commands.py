@@ -46,8 +46,8 @@ def decode_main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--scale", type=float, default=1.0, metavar="S", help="size of the pictures (default 1)")
     parser.add_argument("--background", type=_colour, metavar="R,G,B", help="0 to 1 each (default: the stream's)")
     parser.add_argument("--undistorted", action="store_true", help="leave out the rig camera's lens distortion")
-    parser.add_argument("--threads", type=_thread_count, default=0, metavar="N", help="default: all processors")
-    return run(parser.prog, lambda: _decode(parser.parse_args(_with_values(arguments))))
+    parser.add_argument("--threads", type=number_of_threads, default=0, metavar="N", help="default: all processors")
+    return run(parser.prog, lambda: _decode(parser.parse_args(frames_joined(arguments))))
 
 
 def export_main(arguments: Sequence[str] | None = None) -> int:
@@ -59,7 +59,7 @@ def export_main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--up-axis", choices=("Y", "Z"), default="Y", help="which world axis is up; nothing is rotated (default Y)"
     )
-    return run(parser.prog, lambda: _export(parser.parse_args(_with_values(arguments))))
+    return run(parser.prog, lambda: _export(parser.parse_args(frames_joined(arguments))))
 
 
 def info_main(arguments: Sequence[str] | None = None) -> int:
@@ -67,7 +67,7 @@ def info_main(arguments: Sequence[str] | None = None) -> int:
     parser = Parser(prog="decogs-info", description="Show what a .dgs stream holds; verifies every frame.")
     parser.add_argument("stream", help="the .dgs file")
     parser.add_argument("--json", action="store_true", help="print everything as JSON")
-    return run(parser.prog, lambda: _info(parser.parse_args(_with_values(arguments))))
+    return run(parser.prog, lambda: _info(parser.parse_args(frames_joined(arguments))))
 
 
 class Parser(argparse.ArgumentParser):
@@ -78,10 +78,13 @@ class Parser(argparse.ArgumentParser):
         raise SystemExit(USER_ERROR)
 
 
-def run(program: str, command: Callable[[], None]) -> int:
-    """Runs a command and returns its exit code; an error the user can act on becomes one line on stderr."""
+def run(program: str, command: Callable[[], int | None]) -> int:
+    """Runs a command and returns its exit code; an error the user can act on becomes one line on stderr.
+
+    The command returns an exit code of its own, or None for 0.
+    """
     try:
-        command()
+        code = command()
         sys.stdout.flush()
     except BrokenPipeError:
         # The reader of a pipe (head, less) has seen enough; keep the interpreter from flushing into it once more.
@@ -96,7 +99,7 @@ def run(program: str, command: Callable[[], None]) -> int:
         return _say(f"{program}: error: {what}", USER_ERROR)
     except MemoryError:
         return _say(f"{program}: error: out of memory; choose a smaller scale or fewer frames", USER_ERROR)
-    return 0
+    return code or 0
 
 
 @contextmanager
@@ -215,7 +218,7 @@ def _add_frames(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--frames", metavar="A:B", help="half-open, as in Python: 0:10, 5:, -3: (default: all)")
 
 
-def _with_values(arguments: Sequence[str] | None) -> list[str]:
+def frames_joined(arguments: Sequence[str] | None) -> list[str]:
     """Joins "--frames" with its value: argparse takes "-3:" for an option of its own."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     joined: list[str] = []
@@ -235,7 +238,7 @@ def _colour(text: str) -> tuple[float, float, float]:
     return red, green, blue
 
 
-def _thread_count(text: str) -> int:
+def number_of_threads(text: str) -> int:
     if not text.isdecimal():
         raise argparse.ArgumentTypeError(f"{text!r} is no number of threads; 0 means all processors")
     return int(text)

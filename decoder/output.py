@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 
-from .export import ExportFrame, ExportReport, export_usd
+from .usd_export import ExportFrame, ExportReport, export_usd
 from .free_camera import read_free_cameras
 from .pictures import DEFAULT_FPS, open_sink
 from .session import DecodedFrame, Stream, camera_named, frame_range, open_stream, render_view, scaled_view

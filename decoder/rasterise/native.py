@@ -6,13 +6,13 @@ import ctypes
 import os
 from functools import lru_cache
 from pathlib import Path
+from threading import Lock
 
 import numpy as np
-from numpy.typing import NDArray
-
 from decogs.formats.cameras import Camera, camera_centre
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import FloatArray, Splats
+from numpy.typing import NDArray
 
 INSTRUCTION_SETS = ("base", "avx2", "avx512")
 """Slowest first; the kernel gives the same bits on all of them."""
@@ -78,12 +78,19 @@ def native_camera(camera: Camera) -> NativeCamera:
 
 def native_scene(splats: Splats, sh_degree: int | None = None) -> NativeScene:
     """The kernel's view of stored values; the arrays must outlive it."""
-    for array in (splats.means, splats.log_scales, splats.quaternions, splats.opacity_logits, splats.sh):
-        if array.dtype != np.float32 or not array.flags.c_contiguous:
-            raise ValueError("splats must be C-contiguous float32 arrays")
+    n, coefficients = len(splats), splats.sh.shape[1]
+    for array, shape in (
+        (splats.means, (n, 3)),
+        (splats.log_scales, (n, 3)),
+        (splats.quaternions, (n, 4)),
+        (splats.opacity_logits, (n,)),
+        (splats.sh, (n, coefficients, 3)),
+    ):
+        if array.dtype != np.float32 or not array.flags.c_contiguous or array.shape != shape:
+            raise ValueError(f"splats must be C-contiguous float32: {array.dtype} {array.shape}, expected {shape}")
     return NativeScene(
-        len(splats),
-        splats.sh.shape[1],
+        n,
+        coefficients,
         splats.sh_degree if sh_degree is None else min(sh_degree, splats.sh_degree),
         splats.means.ctypes.data,
         splats.log_scales.ctypes.data,
@@ -135,9 +142,10 @@ def _library() -> ctypes.CDLL:
 
 
 class _Renderer:
-    """Owns a thread pool and the kernel's buffers."""
+    """Owns a thread pool and the kernel's buffers; one picture at a time."""
 
     def __init__(self, threads: int) -> None:
+        self._lock = Lock()
         self._library = _library()
         self._handle = self._library.decogs_renderer_create(threads)
 
@@ -145,7 +153,8 @@ class _Renderer:
         self._library.decogs_renderer_destroy(self._handle)
 
     def render(self, scene: NativeScene, camera: NativeCamera, planes: NativePlanes) -> None:
-        self._library.decogs_render(self._handle, ctypes.byref(scene), ctypes.byref(camera), ctypes.byref(planes))
+        with self._lock:  # ctypes lets other Python threads in while the kernel runs
+            self._library.decogs_render(self._handle, ctypes.byref(scene), ctypes.byref(camera), ctypes.byref(planes))
 
 
 @lru_cache(maxsize=2)

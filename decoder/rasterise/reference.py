@@ -11,7 +11,6 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-
 from decogs.formats.cameras import Camera, camera_centre
 
 BLUR = 0.3
@@ -82,6 +81,7 @@ def render_reference(
 
     Source: Kerbl 2023, section 4 and equation 3; the filter's compensation is Mip-Splatting's equation 9.
     """
+
     def constant(values: Any) -> Any:
         return xp.asarray(np.array(values, np.float64))
 
@@ -119,16 +119,14 @@ def render_reference(
     rgb = xp.where(rgb > 0, rgb, xp.zeros_like(rgb))
 
     centres = xp.stack([ray_x * camera.fx + camera.cx, ray_y * camera.fy + camera.cy], -1)
-    order = xp.argsort(z)
+    depths, peaks, largest = z.tolist(), opacities.tolist(), [max(row) for row in scales.tolist()]
+    drawn = [i for i, d in enumerate(depths) if d > 0 and d >= CLOSEST * largest[i] and peaks[i] > ALPHA_MIN]
     px, py = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     transmittance = xp.ones_like(constant(px))
     colour = [xp.zeros_like(transmittance) for _ in range(3)]
     depth = xp.zeros_like(transmittance)
     live = constant(px) > -1
-    for i in [int(k) for k in order]:
-        largest = float(scales[i].max())
-        if not (float(z[i]) > 0 and float(z[i]) >= CLOSEST * largest and float(opacities[i]) > ALPHA_MIN):
-            continue
+    for i in sorted(drawn, key=depths.__getitem__):  # stable: equal depths keep the order of the scene
         dx, dy = constant(px) - centres[i, 0], constant(py) - centres[i, 1]
         exponent = (0.5 * (c[i] * dx * dx + a[i] * dy * dy) - b0[i] * dx * dy) / det[i]
         unbounded = opacities[i] * xp.exp(-exponent)

@@ -58,7 +58,7 @@ class _LossSums(ctypes.Structure):
 
 class _AdamStep(ctypes.Structure):
     _fields_ = [
-        (name, ctypes.c_float) for name in ("rate", "beta1", "beta2", "epsilon", "correction1", "correction2")
+        (name, ctypes.c_float) for name in ("beta1", "beta2", "epsilon", "correction1", "correction2")
     ]
 
 
@@ -85,7 +85,7 @@ def _library() -> ctypes.CDLL:
         ctypes.c_int64,
         ctypes.c_void_p,
         ctypes.c_int,
-        *[ctypes.c_void_p] * 4,
+        *[ctypes.c_void_p] * 5,
     ]
     library.decogs_centres.argtypes = [handle, ctypes.c_int64, ctypes.c_void_p, ctypes.c_void_p]
     return library
@@ -167,6 +167,7 @@ class TrainingKernel:
         planes = NativePlanes(
             _address(picture.rgb), _address(picture.alpha), _address(picture.depth), (ctypes.c_float * 3)(*background)
         )
+        self._splats = splats  # the kernel reads these arrays again on the way back
         self._scene, self._camera = native_scene(splats, sh_degree), native_camera(camera)
         self._shape, self._background = size, background
         self._library.decogs_forward(
@@ -185,7 +186,7 @@ class TrainingKernel:
         out: SplatGradients | None = None,
     ) -> SplatGradients:
         """Gradients of every Gaussian (exactly zero outside ``selected``) for the cotangents of the last picture."""
-        n = len(splats)
+        n = self._same_scene(splats)
         out = out or SplatGradients(
             *(np.empty_like(a) for a in (splats.means, splats.log_scales, splats.quaternions)),
             np.empty_like(splats.opacity_logits),
@@ -193,14 +194,21 @@ class TrainingKernel:
             np.empty(n, np.float32),
         )
         arrays = (out.means, out.log_scales, out.quaternions, out.opacity_logits, out.sh, out.view)
+        if out.view.shape != (n,) or out.sh.shape != splats.sh.shape:
+            raise ValueError(f"gradients of {out.sh.shape} for splats of {splats.sh.shape}")
         self._backward(_Gradients(*(_float_address(a) for a in arrays), None), v_rgb, v_alpha, v_depth, selected)
         return out
 
     def weights(self, splats: Splats, v_rgb: FloatArray) -> FloatArray:
         """Rendering weight of every Gaussian (N, 3): the sum over pixels of alpha times transmittance times ``v_rgb``."""
-        rgb = np.empty((len(splats), 3), np.float32)
+        rgb = np.empty((self._same_scene(splats), 3), np.float32)
         self._backward(_Gradients(*[None] * 6, _float_address(rgb)), v_rgb, None, None, None)
         return rgb
+
+    def _same_scene(self, splats: Splats) -> int:
+        if not hasattr(self, "_splats") or len(splats) != len(self._splats):
+            raise ValueError("backward needs the scene of the last forward")
+        return len(splats)
 
     def _backward(
         self,
@@ -210,8 +218,11 @@ class TrainingKernel:
         v_depth: FloatArray | None,
         selected: NDArray[np.bool_] | None,
     ) -> None:
-        if v_rgb.shape != (3, *self._shape):
-            raise ValueError(f"cotangent of shape {v_rgb.shape} for a picture of {self._shape}")
+        for cotangent, shape in ((v_rgb, (3, *self._shape)), (v_alpha, self._shape), (v_depth, self._shape)):
+            if cotangent is not None and cotangent.shape != shape:
+                raise ValueError(f"cotangent of shape {cotangent.shape} for a picture of {self._shape}")
+        if selected is not None and (selected.dtype != np.bool_ or selected.shape != (len(self._splats),)):
+            raise ValueError(f"selected must be {len(self._splats)} booleans, not {selected.dtype} {selected.shape}")
         cotangents = _Cotangents(
             _float_address(v_rgb),
             _float_address(v_alpha),
@@ -252,6 +263,11 @@ class TrainingKernel:
             raise ValueError(f"picture {image.shape} against target {target.shape}")
         gradient = np.empty_like(image) if gradient is None else gradient
         _, height, width = image.shape
+        if image.shape[0] != 3 or gradient.shape != image.shape or gradient.dtype != np.float32:
+            raise ValueError(f"picture {image.shape} with a gradient of {gradient.dtype} {gradient.shape}")
+        for plane in (l1_weight, focus):
+            if plane is not None and plane.shape != (height, width):
+                raise ValueError(f"weights of shape {plane.shape} for a picture of {height} x {width}")
         given = _LossInput(
             *(_float_address(a) for a in (image, target, l1_weight, focus)), l1_scale, ssim_scale, width, height
         )
@@ -267,21 +283,31 @@ class TrainingKernel:
         first: FloatArray,
         second: FloatArray,
         *,
-        rate: float,
+        rate: float | FloatArray,
         step: int,
         beta1: float = 0.9,
         beta2: float = 0.999,
         epsilon: float = 1e-15,
         rows: NDArray[np.int64] | None = None,
     ) -> None:
-        """One Adam step (Kingma 2015) in place on ``rows`` of ``value``; ``step`` counts from 1."""
+        """One Adam step (Kingma 2015) in place on ``rows`` of ``value``; ``step`` counts from 1.
+
+        ``rate`` is one number, or one per column of ``value`` seen as (N, columns).
+        """
         count, columns = len(value), value.size // max(1, len(value))
-        setting = _AdamStep(rate, beta1, beta2, epsilon, 1 - beta1**step, 1 - beta2**step)
+        rates = np.ascontiguousarray(np.broadcast_to(np.asarray(rate, np.float32), (columns,)))
+        if any(a.shape != value.shape for a in (gradient, first, second)):
+            raise ValueError(f"gradient and moments must have the shape of the value, {value.shape}")
+        if rows is not None and rows.dtype != np.int64:
+            raise ValueError(f"rows must be int64, not {rows.dtype}")
+        # The kernel sees betas rounded to float32; corrections from the same numbers keep a constant gradient's step exact.
+        beta1, beta2 = float(np.float32(beta1)), float(np.float32(beta2))
+        setting = _AdamStep(beta1, beta2, epsilon, 1 - beta1**step, 1 - beta2**step)
         self._library.decogs_adam(
             self._handle,
             ctypes.byref(setting),
             count if rows is None else len(rows),
             _address(rows),
             columns,
-            *(_float_address(a) for a in (value, gradient, first, second)),
+            *(_float_address(a) for a in (rates, value, gradient, first, second)),
         )

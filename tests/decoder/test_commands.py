@@ -248,4 +248,4 @@ def test_functions_tell_of_progress_and_check_their_arguments(small_stream, tmp_
         with pytest.raises(UsageError, match=message):
             decode(small_stream.path, tmp_path / "x", **options)
     export(small_stream.path, tmp_path / "s.usda")
-    assert callable(decogs.decoder.export), "the function, not the submodule of that name"
+    assert callable(decogs.decoder.usd_export), "the function, not the submodule of that name"

@@ -29,7 +29,7 @@ struct Planes {  // planar pictures, (channels, height, width); null where not w
 
 struct Block {  // pixel centres of a block and which of its pixels lie inside the picture
     F x, y;
-    I inside;
+    M inside;
     int x0, y0;
 };
 
@@ -66,19 +66,17 @@ DECOGS_INLINE F read_block(const float* plane, const Block& block, const Camera&
 
 // The bits of the blocks of a tile that the drawn ellipse meets.
 DECOGS_INLINE uint16_t blocks_met(const Projected& g, const F& corner_x, const F& corner_y) {
-    float least[kLanes];
-    store(least, smallest_exponent(g, corner_x, corner_y, 3.0f));
-    uint16_t bits = 0;
-    for (int b = 0; b < kBlocks; ++b) bits |= static_cast<uint16_t>((least[b] <= g.cut) << b);
-    return bits;
+    return static_cast<uint16_t>(bits(smallest_exponent(g, corner_x, corner_y, 3.0f) <= g.cut));
 }
 
+constexpr uint32_t kAhead = 16;  // how many entries ahead an ellipse, which lies anywhere in memory, is asked for
 constexpr int kBatch = 256;  // entries at a time: their ellipses stay in the first-level cache
 
 // What a block has gathered so far, front to back.
 struct Gathered {
     F transmittance, rgb[3], depth;
-    I live, last;
+    M live;
+    I last;
 };
 
 // Adds to one block the ellipses `drawn` of the batch that begins at entry `base` of the tile's list.
@@ -90,13 +88,13 @@ DECOGS_INLINE void composite_block(Gathered& to, const Block& block, const Proje
         const F dx = block.x - g.x, dy = block.y - g.y;
         const F u = dx * g.p + dy * g.q, v = dy * g.r;
         const F exponent = u * u + v * v;
-        I on = (exponent <= g.cut) & now.live;
+        M on = (exponent <= g.cut) & now.live;
         if (!any(on)) continue;
         const F alpha = min(exp2_negative(exponent) * g.opacity, kAlphaMax);
         const F next = now.transmittance * (1.0f - alpha);
-        const I full = next < kTransmittanceMin;
-        now.live = select(on & full, splati(0), now.live);
-        on = select(full, splati(0), on);
+        const M full = next < kTransmittanceMin;
+        now.live = and_not(now.live, on & full);
+        on = and_not(on, full);
         const F weight = select(on, alpha * now.transmittance, splat(0.0f));
         for (int c = 0; c < 3; ++c) now.rgb[c] = now.rgb[c] + weight * g.rgb[c];
         if (kDepth) now.depth = now.depth + weight * g.depth;
@@ -124,16 +122,20 @@ inline void composite_tile(const TileLists& lists, const Camera& cam, int tile, 
     const F corner_x = load(cx), corner_y = load(cy);
     Projected batch[kBatch];
     uint16_t drawn[kBlocks][kBatch];
-    unsigned live = (1u << kBlocks) - 1;
+    unsigned live = 0;
+    for (int b = 0; b < kBlocks; ++b) live |= static_cast<unsigned>(any(blocks[b].inside)) << b;
+    const uint32_t last = first + count - 1;
     for (uint32_t base = 0; base < count && live; base += kBatch) {
         const int size = static_cast<int>(std::min<uint32_t>(kBatch, count - base));
         int drawn_count[kBlocks] = {0};
         for (int e = 0; e < size; ++e) {
-            batch[e] = lists.projected[lists.entries[first + base + e].gaussian];
+            const uint32_t at = first + base + e;
+            __builtin_prefetch(&lists.projected[lists.entries[std::min(at + kAhead, last)].gaussian]);
+            batch[e] = lists.projected[lists.entries[at].gaussian];
             const uint16_t met = blocks_met(batch[e], corner_x, corner_y);
-            if (trace) trace->blocks[first + base + e] = met;
-            for (unsigned bits = met & live; bits; bits &= bits - 1) {
-                const int b = __builtin_ctz(bits);
+            if (trace) trace->blocks[at] = met;
+            for (unsigned left = met & live; left; left &= left - 1) {
+                const int b = __builtin_ctz(left);
                 drawn[b][drawn_count[b]++] = static_cast<uint16_t>(e);
             }
         }

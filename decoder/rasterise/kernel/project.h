@@ -37,7 +37,7 @@ struct Scene {  // mirrored by ctypes in native.py
 
 // One Gaussian on the picture: it fades as 2^-exponent with exponent(dx, dy) = (p dx + q dy)^2 + (r dy)^2, a Cholesky
 // form that needs no cancellation however thin the ellipse is.
-struct Projected {
+struct alignas(64) Projected {
     float x, y, p, q, r;
     float opacity;
     float cut;  // exponent at which alpha falls to kAlphaMin; not drawn at all when <= 0
@@ -82,13 +82,14 @@ DECOGS_INLINE void sh_basis(int degree, const F& x, const F& y, const F& z, F* b
 struct Group {
     F x, y, z;           // camera coordinates
     F kx, ky;            // x/z and y/z held inside a widened field of view, as EWA needs
-    I free_x, free_y;    // where that bound does not bind
+    M free_x, free_y;    // where that bound does not bind
     F rot[9];            // rotation of the unit quaternion
     F unit[4], norm;     // unit quaternion and the stored one's norm
     F scale[3];
     F t[6];              // J W, 2x3
     F tr[6];             // J W R, 2x3
     F m[6];              // J W R S, 2x3
+    F n[3];              // cross product of its rows
     F a0, b0, c0, det0;  // covariance before the low-pass filter
     F a, c, det;         // and after it (b does not change)
     F sigmoid, compensation;
@@ -108,7 +109,7 @@ DECOGS_INLINE Group project_group(const Scene& scene, const Camera& cam, const i
     F q[4];
     for (int k = 0; k < 4; ++k) q[k] = gather(scene.quaternions, rows, 4, k);
     g.norm = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
-    const I turned = g.norm > 1e-18f;  // a zero quaternion stands for no rotation
+    const M turned = g.norm > 1e-18f;  // a zero quaternion stands for no rotation
     for (int k = 0; k < 4; ++k) g.unit[k] = select(turned, q[k] / g.norm, splat(k == 0 ? 1.0f : 0.0f));
     const F &qw = g.unit[0], &qx = g.unit[1], &qy = g.unit[2], &qz = g.unit[3];
     g.rot[0] = 1.0f - (qy * qy + qz * qz) * 2.0f;
@@ -145,8 +146,10 @@ DECOGS_INLINE Group project_group(const Scene& scene, const Camera& cam, const i
     g.b0 = m[0] * m[3] + m[1] * m[4] + m[2] * m[5];
     g.c0 = m[3] * m[3] + m[4] * m[4] + m[5] * m[5];
     // Lagrange's identity: the determinant is a sum of squares, so a thin ellipse loses no digits to a c - b b.
-    const F n0 = m[1] * m[5] - m[2] * m[4], n1 = m[2] * m[3] - m[0] * m[5], n2 = m[0] * m[4] - m[1] * m[3];
-    g.det0 = n0 * n0 + n1 * n1 + n2 * n2;
+    g.n[0] = m[1] * m[5] - m[2] * m[4];
+    g.n[1] = m[2] * m[3] - m[0] * m[5];
+    g.n[2] = m[0] * m[4] - m[1] * m[3];
+    g.det0 = g.n[0] * g.n[0] + g.n[1] * g.n[1] + g.n[2] * g.n[2];
     g.a = g.a0 + kBlur;
     g.c = g.c0 + kBlur;
     g.det = g.det0 + (g.a0 + g.c0) * kBlur + kBlur * kBlur;
@@ -155,6 +158,22 @@ DECOGS_INLINE Group project_group(const Scene& scene, const Camera& cam, const i
     g.mean2d_x = ray_x * cam.fx + cam.cx;
     g.mean2d_y = ray_y * cam.fy + cam.cy;
     return g;
+}
+
+constexpr float kFold = 1.38629436111989062f;  // 2 ln 2: a Gaussian fades as 2^-(u^2 + v^2) = exp(-kFold / 2 (u^2 + v^2))
+
+// The offset (dx, dy) in the ellipse's own coordinates is u = p dx + q dy, v = r dy: a Cholesky form of its conic.
+struct Ellipse {
+    F p, q, r;
+};
+
+DECOGS_INLINE Ellipse ellipse_of(const Group& g) {
+    const F half_in_bits = splat(0.5f * kLog2E);
+    Ellipse e;
+    e.p = sqrt(half_in_bits * g.c / g.det);
+    e.q = -(g.b0 / g.det) * half_in_bits / e.p;
+    e.r = sqrt(half_in_bits / g.c);
+    return e;
 }
 
 // Unit vectors from the camera to the group's centres; returns their lengths.
@@ -174,7 +193,7 @@ inline void project_rows(const Scene& scene, const Camera& cam, const int64_t* r
     const F reach = max(cut, 0.0f) * 2.0f;
     const F extent_x = sqrt(reach * g.a), extent_y = sqrt(reach * g.c);
     // Comparisons are written so that anything not a number fails them.
-    const I drawn = (g.z > 0.0f) & (g.z >= largest * kClosest) & (cut > 0.0f) & (g.mean2d_x + extent_x > 0.0f) &
+    const M drawn = (g.z > 0.0f) & (g.z >= largest * kClosest) & (cut > 0.0f) & (g.mean2d_x + extent_x > 0.0f) &
                     (g.mean2d_x - extent_x < static_cast<float>(cam.width)) & (g.mean2d_y + extent_y > 0.0f) &
                     (g.mean2d_y - extent_y < static_cast<float>(cam.height)) & (g.det > 0.0f) & (extent_x < 1e9f) &
                     (extent_y < 1e9f);
@@ -182,10 +201,8 @@ inline void project_rows(const Scene& scene, const Camera& cam, const int64_t* r
         for (int i = 0; i < kLanes; ++i) out[i].cut = 0.0f;
         return;
     }
-    const F half = splat(0.5f), half_in_bits = splat(0.5f * kLog2E);
-    const F p = sqrt(half_in_bits * g.c / g.det);
-    const F q = -(g.b0 / g.det) * half_in_bits / p;
-    const F r = sqrt(half_in_bits / g.c);
+    const Ellipse e = ellipse_of(g);
+    const F half = splat(0.5f);
 
     F rgb[3] = {half, half, half};
     const int stride = 3 * scene.sh_coefficients, used = (scene.sh_degree + 1) * (scene.sh_degree + 1);
@@ -198,7 +215,7 @@ inline void project_rows(const Scene& scene, const Camera& cam, const int64_t* r
 
     float lanes[13][kLanes];
     const F zero = splat(0.0f);
-    const F columns[13] = {g.mean2d_x,       g.mean2d_y,       p, q, r, opacity, select(drawn, cut * kLog2E, zero), g.z, max(rgb[0], 0.0f),
+    const F columns[13] = {g.mean2d_x,       g.mean2d_y,       e.p, e.q, e.r, opacity, select(drawn, cut * kLog2E, zero), g.z, max(rgb[0], 0.0f),
                            max(rgb[1], 0.0f), max(rgb[2], 0.0f), extent_x, extent_y};
     for (int k = 0; k < 13; ++k) store(lanes[k], columns[k]);
     for (int i = 0; i < kLanes; ++i) {

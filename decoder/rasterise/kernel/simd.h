@@ -31,9 +31,18 @@ typedef int32_t NativeI __attribute__((vector_size(4 * DECOGS_NATIVE)));
 struct F {
     NativeF v[kParts];
 };
-struct I {  // integers, or a mask of -1 (true) and 0 (false)
+struct I {
     NativeI v[kParts];
 };
+#if defined(__AVX512F__)
+struct M {  // a truth value per lane
+    __mmask16 bits;
+};
+#else
+struct M {  // a truth value per lane: -1 or 0
+    NativeI v[kParts];
+};
+#endif
 
 #define DECOGS_EACH for (int p = 0; p < kParts; ++p)
 
@@ -80,24 +89,6 @@ DECOGS_INLINE F operator-(const F& a) {
     return r;
 }
 
-#define DECOGS_COMPARE(op)                              \
-    DECOGS_INLINE I operator op(const F& a, const F& b) { \
-        I r;                                            \
-        DECOGS_EACH r.v[p] = a.v[p] op b.v[p];          \
-        return r;                                       \
-    }                                                   \
-    DECOGS_INLINE I operator op(const F& a, float b) { return a op splat(b); } \
-    DECOGS_INLINE I operator op(const I& a, const I& b) { \
-        I r;                                            \
-        DECOGS_EACH r.v[p] = a.v[p] op b.v[p];          \
-        return r;                                       \
-    }
-DECOGS_COMPARE(<)
-DECOGS_COMPARE(<=)
-DECOGS_COMPARE(>)
-DECOGS_COMPARE(>=)
-#undef DECOGS_COMPARE
-
 #define DECOGS_BITS(op)                                 \
     DECOGS_INLINE I operator op(const I& a, const I& b) { \
         I r;                                            \
@@ -120,18 +111,133 @@ DECOGS_INLINE I shift_right(const I& a, int n) {  // arithmetic
     DECOGS_EACH r.v[p] = a.v[p] >> n;
     return r;
 }
-DECOGS_INLINE F select(const I& mask, const F& a, const F& b) {
+
+// Comparisons (false for anything not a number), masks and selection. Instructions by name where the compiler would
+// spend several; each does what the plain loop at the end says.
+#if defined(__AVX512F__)
+#define DECOGS_COMPARE(op, code)                                                                              \
+    DECOGS_INLINE M operator op(const F& a, const F& b) {                                                     \
+        return {_mm512_cmp_ps_mask((__m512)a.v[0], (__m512)b.v[0], _CMP_##code##_OQ)};                        \
+    }                                                                                                         \
+    DECOGS_INLINE M operator op(const I& a, const I& b) {                                                     \
+        return {_mm512_cmp##code##_epi32_mask((__m512i)a.v[0], (__m512i)b.v[0])};                             \
+    }
+#define _mm512_cmpLT_epi32_mask _mm512_cmplt_epi32_mask
+#define _mm512_cmpLE_epi32_mask _mm512_cmple_epi32_mask
+#define _mm512_cmpGT_epi32_mask _mm512_cmpgt_epi32_mask
+#define _mm512_cmpGE_epi32_mask _mm512_cmpge_epi32_mask
+DECOGS_COMPARE(<, LT)
+DECOGS_COMPARE(<=, LE)
+DECOGS_COMPARE(>, GT)
+DECOGS_COMPARE(>=, GE)
+#undef DECOGS_COMPARE
+DECOGS_INLINE M operator&(M a, M b) { return {static_cast<__mmask16>(a.bits & b.bits)}; }
+DECOGS_INLINE M and_not(M a, M b) { return {static_cast<__mmask16>(a.bits & ~b.bits)}; }
+DECOGS_INLINE unsigned bits(M a) { return a.bits; }
+DECOGS_INLINE F select(M mask, const F& a, const F& b) {
+    return {{(NativeF)_mm512_mask_blend_ps(mask.bits, (__m512)b.v[0], (__m512)a.v[0])}};
+}
+DECOGS_INLINE I select(M mask, const I& a, const I& b) {
+    return {{(NativeI)_mm512_mask_blend_epi32(mask.bits, (__m512i)b.v[0], (__m512i)a.v[0])}};
+}
+#else
+#define DECOGS_COMPARE(op)                              \
+    DECOGS_INLINE M operator op(const F& a, const F& b) { \
+        M r;                                            \
+        DECOGS_EACH r.v[p] = a.v[p] op b.v[p];          \
+        return r;                                       \
+    }                                                   \
+    DECOGS_INLINE M operator op(const I& a, const I& b) { \
+        M r;                                            \
+        DECOGS_EACH r.v[p] = a.v[p] op b.v[p];          \
+        return r;                                       \
+    }
+DECOGS_COMPARE(<)
+DECOGS_COMPARE(<=)
+DECOGS_COMPARE(>)
+DECOGS_COMPARE(>=)
+#undef DECOGS_COMPARE
+DECOGS_INLINE M operator&(const M& a, const M& b) {
+    M r;
+    DECOGS_EACH r.v[p] = a.v[p] & b.v[p];
+    return r;
+}
+DECOGS_INLINE M and_not(const M& a, const M& b) {  // a and not b
+    M r;
+    DECOGS_EACH r.v[p] = a.v[p] & ~b.v[p];
+    return r;
+}
+DECOGS_INLINE unsigned bits(const M& a) {  // bit i: lane i
+    unsigned r = 0;
+#if defined(__AVX2__)
+    DECOGS_EACH r |= static_cast<unsigned>(_mm256_movemask_ps((__m256)a.v[p])) << (8 * p);
+#elif defined(__SSE4_1__)
+    DECOGS_EACH r |= static_cast<unsigned>(_mm_movemask_ps((__m128)a.v[p])) << (4 * p);
+#else
+    DECOGS_EACH for (int i = 0; i < DECOGS_NATIVE; ++i) r |= static_cast<unsigned>(a.v[p][i] & 1) << (DECOGS_NATIVE * p + i);
+#endif
+    return r;
+}
+DECOGS_INLINE F select(const M& mask, const F& a, const F& b) {
     F r;
+#if defined(__AVX2__)
+    DECOGS_EACH r.v[p] = (NativeF)_mm256_blendv_ps((__m256)b.v[p], (__m256)a.v[p], (__m256)mask.v[p]);
+#elif defined(__SSE4_1__)
+    DECOGS_EACH r.v[p] = (NativeF)_mm_blendv_ps((__m128)b.v[p], (__m128)a.v[p], (__m128)mask.v[p]);
+#else
     DECOGS_EACH r.v[p] = mask.v[p] ? a.v[p] : b.v[p];
+#endif
     return r;
 }
-DECOGS_INLINE I select(const I& mask, const I& a, const I& b) {
+DECOGS_INLINE I select(const M& mask, const I& a, const I& b) {
     I r;
-    DECOGS_EACH r.v[p] = mask.v[p] ? a.v[p] : b.v[p];
+    DECOGS_EACH r.v[p] = (mask.v[p] & a.v[p]) | (~mask.v[p] & b.v[p]);
     return r;
 }
-DECOGS_INLINE F min(const F& a, const F& b) { return select(a < b, a, b); }
-DECOGS_INLINE F max(const F& a, const F& b) { return select(a > b, a, b); }
+#endif
+DECOGS_INLINE M operator<(const F& a, float b) { return a < splat(b); }
+DECOGS_INLINE M operator<=(const F& a, float b) { return a <= splat(b); }
+DECOGS_INLINE M operator>(const F& a, float b) { return a > splat(b); }
+DECOGS_INLINE M operator>=(const F& a, float b) { return a >= splat(b); }
+
+DECOGS_INLINE bool any(const M& mask) {
+#if defined(__AVX512F__)
+    return mask.bits != 0;
+#elif defined(__AVX2__)
+    return _mm256_movemask_ps((__m256)(mask.v[0] | mask.v[1])) != 0;
+#elif defined(__SSE4_1__)
+    return _mm_movemask_ps((__m128)(mask.v[0] | mask.v[1] | mask.v[2] | mask.v[3])) != 0;
+#else
+    return bits(mask) != 0;
+#endif
+}
+
+DECOGS_INLINE F min(const F& a, const F& b) {  // a < b ? a : b
+    F r;
+#if defined(__AVX512F__)
+    DECOGS_EACH r.v[p] = (NativeF)_mm512_min_ps((__m512)a.v[p], (__m512)b.v[p]);
+#elif defined(__AVX2__)
+    DECOGS_EACH r.v[p] = (NativeF)_mm256_min_ps((__m256)a.v[p], (__m256)b.v[p]);
+#elif defined(__SSE4_1__)
+    DECOGS_EACH r.v[p] = (NativeF)_mm_min_ps((__m128)a.v[p], (__m128)b.v[p]);
+#else
+    r = select(a < b, a, b);
+#endif
+    return r;
+}
+DECOGS_INLINE F max(const F& a, const F& b) {  // a > b ? a : b
+    F r;
+#if defined(__AVX512F__)
+    DECOGS_EACH r.v[p] = (NativeF)_mm512_max_ps((__m512)a.v[p], (__m512)b.v[p]);
+#elif defined(__AVX2__)
+    DECOGS_EACH r.v[p] = (NativeF)_mm256_max_ps((__m256)a.v[p], (__m256)b.v[p]);
+#elif defined(__SSE4_1__)
+    DECOGS_EACH r.v[p] = (NativeF)_mm_max_ps((__m128)a.v[p], (__m128)b.v[p]);
+#else
+    r = select(a > b, a, b);
+#endif
+    return r;
+}
 DECOGS_INLINE F min(const F& a, float b) { return min(a, splat(b)); }
 DECOGS_INLINE F max(const F& a, float b) { return max(a, splat(b)); }
 
@@ -157,20 +263,53 @@ DECOGS_INLINE I float_to_bits(const F& a) {
 }
 DECOGS_INLINE F sqrt(const F& a) {
     F r;
+#if defined(__AVX512F__)
+    DECOGS_EACH r.v[p] = (NativeF)_mm512_sqrt_ps((__m512)a.v[p]);
+#elif defined(__AVX2__)
+    DECOGS_EACH r.v[p] = (NativeF)_mm256_sqrt_ps((__m256)a.v[p]);
+#elif defined(__SSE4_1__)
+    DECOGS_EACH r.v[p] = (NativeF)_mm_sqrt_ps((__m128)a.v[p]);
+#else
     DECOGS_EACH for (int i = 0; i < DECOGS_NATIVE; ++i) r.v[p][i] = __builtin_sqrtf(a.v[p][i]);
+#endif
     return r;
 }
-DECOGS_INLINE bool any(const I& mask) {  // of a mask, whose lanes are -1 or 0
+
+// Sums of the sixteen lanes of each of twelve vectors, always in this order: with q[i] = (x[i] + x[8+i]) + (x[4+i] + x[12+i]),
+// (q[0] + q[1]) + (q[2] + q[3]).
+DECOGS_INLINE void sum_lanes(const F* x, float* to) {
 #if defined(__AVX512F__)
-    return _mm512_test_epi32_mask((__m512i)mask.v[0], (__m512i)mask.v[0]) != 0;
-#elif defined(__AVX2__)
-    return _mm256_movemask_ps((__m256)(mask.v[0] | mask.v[1])) != 0;
-#elif defined(__SSE2__)
-    return _mm_movemask_ps((__m128)(mask.v[0] | mask.v[1] | mask.v[2] | mask.v[3])) != 0;
+    __m512 sums[3];
+    for (int k = 0; k < 3; ++k) {
+        const __m512 a = (__m512)x[4 * k].v[0], b = (__m512)x[4 * k + 1].v[0];
+        const __m512 c = (__m512)x[4 * k + 2].v[0], d = (__m512)x[4 * k + 3].v[0];
+        const __m512 ab = _mm512_add_ps(_mm512_shuffle_f32x4(a, b, 0x44), _mm512_shuffle_f32x4(a, b, 0xee));
+        const __m512 cd = _mm512_add_ps(_mm512_shuffle_f32x4(c, d, 0x44), _mm512_shuffle_f32x4(c, d, 0xee));
+        const __m512 q = _mm512_add_ps(_mm512_shuffle_f32x4(ab, cd, 0x88), _mm512_shuffle_f32x4(ab, cd, 0xdd));
+        const __m512 pair = _mm512_add_ps(q, _mm512_permute_ps(q, 0xb1));
+        sums[k] = _mm512_add_ps(pair, _mm512_permute_ps(pair, 0x4e));  // each sum four times
+    }
+    const __m512 mixed = _mm512_mask_blend_ps(0x4444, _mm512_mask_blend_ps(0x2222, sums[0], sums[1]), sums[2]);
+    const __m512i order = _mm512_setr_epi32(0, 4, 8, 12, 1, 5, 9, 13, 2, 6, 10, 14, 0, 0, 0, 0);
+    _mm512_mask_storeu_ps(to, 0x0fff, _mm512_permutexvar_ps(order, mixed));
+#elif defined(__SSE4_1__)
+    for (int k = 0; k < 3; ++k) {
+        __m128 q[4];
+        for (int i = 0; i < 4; ++i) {
+            __m128 part[4];
+            std::memcpy(part, &x[4 * k + i], sizeof part);
+            q[i] = _mm_add_ps(_mm_add_ps(part[0], part[2]), _mm_add_ps(part[1], part[3]));
+        }
+        _MM_TRANSPOSE4_PS(q[0], q[1], q[2], q[3]);
+        _mm_storeu_ps(to + 4 * k, _mm_add_ps(_mm_add_ps(q[0], q[1]), _mm_add_ps(q[2], q[3])));
+    }
 #else
-    int32_t all = 0;
-    DECOGS_EACH for (int i = 0; i < DECOGS_NATIVE; ++i) all |= mask.v[p][i];
-    return all != 0;
+    for (int k = 0; k < 12; ++k) {
+        float l[kLanes], q[4];
+        store(l, x[k]);
+        for (int i = 0; i < 4; ++i) q[i] = (l[i] + l[8 + i]) + (l[4 + i] + l[12 + i]);
+        to[k] = (q[0] + q[1]) + (q[2] + q[3]);
+    }
 #endif
 }
 
@@ -207,8 +346,8 @@ DECOGS_INLINE F log(const F& x) {
     const I bits = float_to_bits(x);
     I e = shift_right(bits, 23) - splati(126);
     F m = bits_to_float((bits & splati(0x007fffff)) | splati(0x3f000000));  // 0.5 <= m < 1
-    const I small = m < 0.707106781186547524f;
-    e = e + (small & splati(-1));
+    const M small = m < 0.707106781186547524f;
+    e = select(small, e - splati(1), e);
     m = select(small, m + m, m) - 1.0f;
     const F z = m * m;
     F p = m * 7.0376836292e-2f - 1.1514610310e-1f;

@@ -119,15 +119,15 @@ class Binner {
         const size_t before = tiles.size();
         for (int by = y0; by <= y1; by += 4)
             for (int bx = x0; bx <= x1; bx += 4) {  // sixteen tiles in one test
-                float cx[kLanes], cy[kLanes], least[kLanes];
+                float cx[kLanes], cy[kLanes];
                 for (int i = 0; i < kLanes; ++i) {
                     cx[i] = static_cast<float>((bx + i % 4) * kTile) + 0.5f;
                     cy[i] = static_cast<float>((by + i / 4) * kTile) + 0.5f;
                 }
-                store(least, smallest_exponent(g, load(cx), load(cy), kTile - 1.0f));
+                const unsigned met = bits(smallest_exponent(g, load(cx), load(cy), kTile - 1.0f) <= g.cut);
                 for (int j = 0; j < 4 && by + j <= y1; ++j)
                     for (int i = 0; i < 4 && bx + i <= x1; ++i)
-                        if (least[4 * j + i] <= g.cut) tiles.push_back(static_cast<uint32_t>((by + j) * columns + bx + i));
+                        if (met >> (4 * j + i) & 1) tiles.push_back(static_cast<uint32_t>((by + j) * columns + bx + i));
             }
         return static_cast<uint32_t>(tiles.size() - before);
     }

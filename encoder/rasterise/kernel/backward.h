@@ -27,28 +27,10 @@ struct Gradients {  // one row per Gaussian; all null but rgb when only colours 
     float* rgb;   // gradient of the activated colour; may be null
 };
 
-// What a pair adds up over its pixels: g = alpha * gradient of alpha against offsets, and weight * cotangent.
-constexpr int kMoments = 12;  // g, g dx, g dy, g dx dx, g dx dy, g dy dy, red, green, blue, depth, 2 unused
-typedef float V4 __attribute__((vector_size(16)));
-
-DECOGS_INLINE V4 quarters(const F& x) {
-    float lanes[kLanes];
-    store(lanes, x);
-    V4 a, b, c, d;
-    std::memcpy(&a, lanes, 16);
-    std::memcpy(&b, lanes + 4, 16);
-    std::memcpy(&c, lanes + 8, 16);
-    std::memcpy(&d, lanes + 12, 16);
-    return (a + c) + (b + d);
-}
-
-// The sums of the lanes of four vectors.
-DECOGS_INLINE V4 sums(const F& w, const F& x, const F& y, const F& z) {
-    const V4 a = quarters(w), b = quarters(x), c = quarters(y), d = quarters(z);
-    const V4 ab = __builtin_shufflevector(a, b, 0, 4, 1, 5) + __builtin_shufflevector(a, b, 2, 6, 3, 7);
-    const V4 cd = __builtin_shufflevector(c, d, 0, 4, 1, 5) + __builtin_shufflevector(c, d, 2, 6, 3, 7);
-    return __builtin_shufflevector(ab, cd, 0, 1, 4, 5) + __builtin_shufflevector(ab, cd, 2, 3, 6, 7);
-}
+// What a pair adds up over its pixels: g = alpha * gradient of alpha against the ellipse's own coordinates, in which a
+// needle is a circle (offsets in pixels would lose the digits of its squared length to cancellation), and weight *
+// cotangent.
+constexpr int kMoments = 12;  // g, g u, g v, g u u, g u v, g v v, red, green, blue, depth, 2 unused
 
 struct BlockBack {  // a block's pixels on the way back
     F x, y, transmittance, behind, rgb[3], depth;
@@ -86,17 +68,19 @@ inline void backward_tile_of(const TileLists& lists, const Trace& trace, const C
 
     const F zero = splat(0.0f);
     for (int32_t e = newest - 1; e >= 0; --e) {
-        const Entry entry = lists.entries[first + e];
+        const Entry entry = lists.entries[first + e], soon = lists.entries[first + std::max(e - static_cast<int32_t>(kAhead), 0)];
+        __builtin_prefetch(&lists.projected[soon.gaussian]);
+        __builtin_prefetch(moments + static_cast<size_t>(soon.pair) * kMoments, 1);
         const Projected& g = lists.projected[entry.gaussian];
         const bool wanted = !selected || selected[entry.gaussian];
-        F g0 = zero, gx = zero, gy = zero, gxx = zero, gxy = zero, gyy = zero, red = zero, green = zero, blue = zero, far = zero;
-        for (unsigned bits = trace.blocks[first + e]; bits; bits &= bits - 1) {
-            BlockBack& back = blocks[__builtin_ctz(bits)];
+        F g0 = zero, gu = zero, gv = zero, guu = zero, guv = zero, gvv = zero, red = zero, green = zero, blue = zero, far = zero;
+        for (unsigned left = trace.blocks[first + e]; left; left &= left - 1) {
+            BlockBack& back = blocks[__builtin_ctz(left)];
             if (e >= back.newest) continue;
             const F dx = back.x - g.x, dy = back.y - g.y;
             const F u = dx * g.p + dy * g.q, v = dy * g.r;
             const F exponent = u * u + v * v;
-            const I on = (exponent <= g.cut) & (splati(e) < back.last);
+            const M on = (exponent <= g.cut) & (splati(e) < back.last);
             if (!any(on)) continue;
             const F unbounded = exp2_negative(exponent) * g.opacity;
             const F alpha = min(unbounded, kAlphaMax);
@@ -114,18 +98,16 @@ inline void backward_tile_of(const TileLists& lists, const Trace& trace, const C
             if (kDepth) far = far + weight * back.depth;
             const F grad = select(unbounded <= kAlphaMax, weight * gap, zero);
             g0 = g0 + grad;
-            const F grad_x = grad * dx, grad_y = grad * dy;
-            gx = gx + grad_x;
-            gy = gy + grad_y;
-            gxx = gxx + grad_x * dx;
-            gxy = gxy + grad_x * dy;
-            gyy = gyy + grad_y * dy;
+            const F grad_u = grad * u, grad_v = grad * v;
+            gu = gu + grad_u;
+            gv = gv + grad_v;
+            guu = guu + grad_u * u;
+            guv = guv + grad_u * v;
+            gvv = gvv + grad_v * v;
         }
         float* to = moments + static_cast<size_t>(entry.pair) * kMoments;
-        const V4 a = sums(g0, gx, gy, gxx), b = sums(gxy, gyy, red, green), c = sums(blue, far, zero, zero);
-        std::memcpy(to, &a, 16);
-        std::memcpy(to + 4, &b, 16);
-        std::memcpy(to + 8, &c, 16);
+        const F fields[kMoments] = {g0, gu, gv, guu, guv, gvv, red, green, blue, far, zero, zero};
+        sum_lanes(fields, to);
     }
 }
 
@@ -219,33 +201,31 @@ inline void backward_group(const Scene& scene, const Camera& cam, const TileList
     F total[kMoments];
     for (int k = 0; k < kMoments; ++k) total[k] = load(lanes[k]);
     // A lane that was not drawn has zero moments; keep whatever its projection holds (0/0, infinities) out of its gradients.
-    int32_t drawn_lanes[kLanes];
-    for (int i = 0; i < kLanes; ++i) drawn_lanes[i] = lists.projected[rows[i]].cut > 0.0f ? -1 : 0;
-    const I on = loadi(drawn_lanes);
+    float cuts[kLanes];
+    for (int i = 0; i < kLanes; ++i) cuts[i] = lists.projected[rows[i]].cut;
+    const M on = load(cuts) > 0.0f;
 
-    // Conic of the filtered covariance, and the gradients of it and of the projected centre.
-    const F ka = g.c / g.det, kb = -(g.b0 / g.det), kc = g.a / g.det;
-    const F v_x2d = ka * total[1] + kb * total[2], v_y2d = kb * total[1] + kc * total[2];
-    const F va = total[3] * -0.5f, vb = total[4] * -0.5f, vc = total[5] * -0.5f;  // symmetric matrix of the conic's gradient
-    // d(inverse) = -K d(covariance) K; the compensation sqrt(det0 / det) adds half of each inverse times its own gradient.
-    const F ra = ka * va + kb * vb, rb = ka * vb + kb * vc, rc = kb * va + kc * vb, rd = kb * vb + kc * vc;
-    const F half_g = total[0] * 0.5f;
-    const F v_a = half_g * (g.c0 / g.det0 - ka) - (ra * ka + rb * kb);
-    const F v_b = half_g * (-(g.b0 / g.det0) - kb) - (ra * kb + rb * kc);
-    const F v_c = half_g * (g.a0 / g.det0 - kc) - (rc * kb + rd * kc);
+    // The conic is kFold A^T A with (u, v) = A (dx, dy), A = (p q; 0 r). Its gradient gives the covariance's: A^T B A, of
+    // which -g/2 is the filtered determinant's part in the opacity compensation sqrt(det0 / det).
+    const Ellipse a = ellipse_of(g);
+    const F v_x2d = a.p * total[1] * kFold, v_y2d = (a.q * total[1] + a.r * total[2]) * kFold;
+    const float square = 0.5f * kFold * kFold;
+    const F determinant = total[0] * (0.5f * kFold);
+    const F b_uu = total[3] * square - determinant, b_uv = total[4] * square, b_vv = total[5] * square - determinant;
 
-    // covariance = M M^T with M = T R S.
-    F v_m[6];
-    for (int k = 0; k < 3; ++k) {
-        v_m[k] = (v_a * g.m[k] + v_b * g.m[3 + k]) * 2.0f;
-        v_m[3 + k] = (v_b * g.m[k] + v_c * g.m[3 + k]) * 2.0f;
-    }
+    // covariance = M M^T with M = T R S; det0 = |n|^2 with n the cross product of the rows of M.
+    const F *m = g.m, *n = g.n;
+    const F f = total[0] / g.det0;
     F v_tr[6];
     for (int k = 0; k < 3; ++k) {
-        const F v_scale = v_m[k] * g.tr[k] + v_m[3 + k] * g.tr[3 + k];
-        scatter(out.log_scales, rows, used, 3, k, select(on, v_scale * g.scale[k], zero));
-        v_tr[k] = v_m[k] * g.scale[k];
-        v_tr[3 + k] = v_m[3 + k] * g.scale[k];
+        const int i = (k + 1) % 3, j = (k + 2) % 3;
+        const F u = a.p * m[k] + a.q * m[3 + k], v = a.r * m[3 + k];
+        const F v_u = (b_uu * u + b_uv * v) * 2.0f, v_v = (b_uv * u + b_vv * v) * 2.0f;
+        const F cross0 = f * (m[3 + i] * n[j] - m[3 + j] * n[i]), cross1 = f * (n[i] * m[j] - n[j] * m[i]);
+        const F v_log_scale = (v_u * u + v_v * v) + (cross0 * m[k] + cross1 * m[3 + k]);
+        scatter(out.log_scales, rows, used, 3, k, select(on, v_log_scale, zero));
+        v_tr[k] = (a.p * v_u + cross0) * g.scale[k];
+        v_tr[3 + k] = (a.q * v_u + a.r * v_v + cross1) * g.scale[k];
     }
     F v_rot[9], v_t[6];
     for (int i = 0; i < 3; ++i)
@@ -263,7 +243,7 @@ inline void backward_group(const Scene& scene, const Camera& cam, const TileList
     v_q[2] = (qx * (r[1] + r[3]) + qz * (r[5] + r[7]) + qw * (r[2] - r[6])) * 2.0f - qy * (r[0] + r[8]) * 4.0f;
     v_q[3] = (qx * (r[2] + r[6]) + qy * (r[5] + r[7]) + qw * (r[3] - r[1])) * 2.0f - qz * (r[0] + r[4]) * 4.0f;
     const F along = v_q[0] * qw + v_q[1] * qx + v_q[2] * qy + v_q[3] * qz;
-    const I turned = (g.norm > 1e-18f) & on;
+    const M turned = (g.norm > 1e-18f) & on;
     for (int k = 0; k < 4; ++k)
         scatter(out.quaternions, rows, used, 4, k, select(turned, (v_q[k] - along * g.unit[k]) / g.norm, zero));
 

@@ -51,9 +51,9 @@ void decogs_loss(void* handle, const LossInput* in, float* gradient, LossSums* s
     *sums = t.loss.run(t.pool, *in, gradient);
 }
 
-void decogs_adam(void* handle, const AdamStep* step, int64_t row_count, const int64_t* rows, int columns, float* value,
-                 const float* gradient, float* first, float* second) {
-    adam_rows(trainer_of(handle).pool, *step, row_count, rows, columns, value, gradient, first, second);
+void decogs_adam(void* handle, const AdamStep* step, int64_t row_count, const int64_t* rows, int columns, const float* rates,
+                 float* value, const float* gradient, float* first, float* second) {
+    adam_rows(trainer_of(handle).pool, *step, row_count, rows, columns, rates, value, gradient, first, second);
 }
 
 // The projected centres, (count, 2) pixels, and depths, (count,), of the last decogs_forward; not-a-number where not drawn.

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from decogs.decoder.export import ExportFrame, blender_script, export_usd, take_census, usd_splats
+from decogs.decoder.usd_export import ExportFrame, blender_script, export_usd, take_census, usd_splats
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import SH_C0, Splats, join_splats, take_splats

@@ -1,0 +1,72 @@
+"""The encoder's command: decogs-encode. Only arguments, terminal output and exit codes."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from decogs.decoder.commands import Parser, frames_joined, number_of_threads, run
+
+if TYPE_CHECKING:
+    from .loop import EncodeReport
+
+
+def encode_main(arguments: Sequence[str] | None = None) -> int:
+    """``decogs-encode``: a rig folder to a .dgs stream."""
+    parser = Parser(
+        prog="decogs-encode",
+        description="Encode a rig of synchronised, calibrated cameras as a stream of 3D Gaussians.",
+        epilog="Layouts: N3DV, MeetRoom, COLMAP, nerfstudio transforms.json, rig.json. Ctrl-C ends the stream early "
+        "but whole.",
+    )
+    parser.add_argument("rig_dir", help="the rig's folder, or one calibration file or folder inside it")
+    parser.add_argument("-o", "--output", required=True, metavar="SCENE.DGS", help="the stream to write")
+    parser.add_argument("--frames", metavar="A:B", help="half-open, as in Python: 0:10, 5:, -3: (default: all)")
+    parser.add_argument("--scale", type=float, default=1.0, metavar="S", help="size of the pictures trained on")
+    parser.add_argument(
+        "--holdout", action="append", default=[], metavar="CAM", help="keep a camera out of training (repeatable)"
+    )
+    parser.add_argument("--preset", default="standard", metavar="P", help="draft, standard (default), high or paper")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="same seed, same bytes (default 0)")
+    parser.add_argument("--threads", type=number_of_threads, default=0, metavar="N", help="default: all processors")
+    parser.add_argument("--device", default="auto", metavar="D", help="auto (default), cpu or cuda")
+    parser.add_argument("--log", metavar="FILE", help="write figures per frame as JSON lines")
+    return run(parser.prog, lambda: _encode(parser.parse_args(frames_joined(arguments))))
+
+
+def _encode(options: argparse.Namespace) -> int:
+    from .encoding import encode
+
+    report = encode(
+        options.rig_dir,
+        options.output,
+        frames=options.frames,
+        scale=options.scale,
+        holdout=options.holdout,
+        preset=options.preset,
+        seed=options.seed,
+        threads=options.threads,
+        device=options.device,
+        log=options.log,
+    )
+    print("\n".join(_summary(report)))
+    return 130 if report.interrupted else 0
+
+
+def _summary(report: EncodeReport) -> list[str]:
+    frames = report.frames
+    lines = [f"{report.output}: {len(frames)} frames, {report.total_bytes} bytes"]
+    if report.interrupted:
+        lines[0] += f"; stopped early by Ctrl-C, after frame {frames[-1].frame}: the stream is whole up to there"
+    held = [f.held_out_psnr for f in frames if f.held_out_psnr is not None]
+    if held:
+        lines.append(f"held-out PSNR  first {held[0]:.2f}  mean {sum(held) / len(held):.2f}  last {held[-1]:.2f} dB")
+    later = frames[1:]
+    if later:
+        seconds = [sum(s for name, s in f.seconds.items() if name != "measure") for f in later]
+        lines.append(
+            f"after the first frame  {sum(f.bytes for f in later) / len(later):.0f} bytes, "
+            f"{sum(seconds) / len(later):.2f} s, {sum(f.selected for f in later) / len(later):.1%} selected (means)"
+        )
+    return lines

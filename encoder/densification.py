@@ -1,0 +1,84 @@
+"""Where Gaussians are added and taken away: all over the keyframe, and only inside the focus of a later frame.
+
+Source: Kerbl 2023, section 5.2 (clone what is small, split what is large, where the projected centre's gradient is high);
+method.md, step 4, for later frames. Rejected for the keyframe: opacity resets (they cost short schedules more than the
+floaters they remove; the start points hold few), and growth without a limit (a dozen views overfit).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.decoder.rasterise.reference import rotation_matrices
+from decogs.formats.splats import Splats, take_splats
+
+_SPLIT_SHRINK = np.float32(np.log(1.6))
+
+
+class ViewGradients:
+    """Mean gradient of each Gaussian's projected centre over the views that drew it, in 3DGS's normalised units.
+
+    3DGS measures it in coordinates that run from -1 to 1 over the picture, hence the factor of half the picture's size.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._sum = np.zeros(count, np.float64)
+        self._views = np.zeros(count, np.int64)
+
+    def add(self, view: NDArray[np.float32], width: int, height: int) -> None:
+        """Takes one view's gradient lengths (N,) in pixels; 0 means not drawn or not selected."""
+        self._sum += view.astype(np.float64) * (max(width, height) / 2)
+        self._views += view > 0
+
+    def mean(self) -> NDArray[np.float64]:
+        return self._sum / np.maximum(self._views, 1)
+
+
+def opacities_of(splats: Splats) -> NDArray[np.float32]:
+    """Activated opacities 0..1, (N,)."""
+    logits = np.clip(splats.opacity_logits, -80, 80)
+    return np.asarray(1 / (1 + np.exp(-logits)), np.float32)
+
+
+@dataclass(frozen=True)
+class Growth:
+    """What densification proposes: ``children`` to append, one per parent row of ``parents``, and the parents' new values."""
+
+    parents: NDArray[np.int64]
+    children: Splats
+    parent_means: NDArray[np.float32]
+    parent_log_scales: NDArray[np.float32]
+
+
+def grow(splats: Splats, parents: NDArray[np.int64], large: float, random: np.random.Generator) -> Growth:
+    """One child per parent: a copy of a small Gaussian, the second half of one whose largest sigma exceeds ``large``.
+
+    Both halves of a split lie at opposite points drawn from the Gaussian itself and are 1.6 times smaller (Kerbl 2023).
+    """
+    taken = take_splats(splats, parents)
+    scales = np.exp(taken.log_scales.astype(np.float64))
+    rotations = rotation_matrices(np, taken.quaternions.astype(np.float64))
+    offsets = np.einsum("nij,nj->ni", rotations, random.normal(size=scales.shape) * scales)
+    split = (scales.max(axis=1, initial=0) > large)[:, None]
+    offsets = np.where(split, offsets, 0).astype(np.float32)
+    log_scales = np.where(split, taken.log_scales - _SPLIT_SHRINK, taken.log_scales)
+    children = Splats(
+        np.ascontiguousarray(taken.means + offsets),
+        np.ascontiguousarray(log_scales),
+        taken.quaternions,
+        taken.opacity_logits,
+        taken.sh,
+    )
+    return Growth(parents, children, taken.means - offsets, log_scales)
+
+
+def strongest(
+    gradients: NDArray[np.float64], eligible: NDArray[np.bool_], threshold: float, room: int
+) -> NDArray[np.int64]:
+    """Rows whose mean gradient reaches ``threshold``, the strongest ``room`` of them, in ascending order."""
+    candidates = np.flatnonzero((gradients >= threshold) & eligible)
+    best = candidates[np.argsort(-gradients[candidates], kind="stable")[: max(0, room)]]
+    return np.sort(best)

@@ -1,0 +1,85 @@
+"""A rig in, a stream out: the options of ``decogs-encode`` put to work."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from decogs.decoder.rasterise.native import thread_count
+from decogs.decoder.session import frame_range
+from decogs.formats.errors import UsageError
+from decogs.formats.rigs import open_rig
+
+from .ingest import Ingest
+from .loop import EncodeReport, encode_stream, frame_span
+from .presets import EncodeSettings
+from .presets import preset as named_preset
+from .progress import EncodeProgress
+
+DEVICES = ("auto", "cpu", "cuda")
+
+
+def encode(
+    rig_dir: str | os.PathLike[str],
+    output: str | os.PathLike[str],
+    *,
+    frames: str | slice | None = None,
+    scale: float = 1.0,
+    holdout: str | Sequence[str] = (),
+    preset: str | EncodeSettings = "standard",
+    seed: int = 0,
+    threads: int = 0,
+    device: str = "auto",
+    log: str | os.PathLike[str] | None = None,
+) -> EncodeReport:
+    """Encodes a rig of synchronised, calibrated cameras as a .dgs stream.
+
+    ``frames``: "A:B" half-open, as in Python, or a slice; all when None. ``scale``: of the pictures trained on.
+    ``holdout``: cameras kept out of training and measured on. ``preset``: a name in PRESETS, or settings.
+    ``threads``: 0 means all processors; the stream does not depend on it. ``log``: file for JSON lines.
+    Raises RigError, UsageError or TrainingError; nothing is then left under the output's name.
+    """
+    _check_device(device)
+    settings = _settings(preset)
+    held = [holdout] if isinstance(holdout, str) else list(holdout)
+    rig = open_rig(rig_dir)
+    span = frame_span(rig, frame_range(frames) if isinstance(frames, str) else frames)
+    ingest = Ingest(rig, holdout=held, scale=scale)
+    with EncodeProgress(len(span), None if log is None else Path(log)) as progress:
+        progress.started(
+            {
+                "rig": str(rig.path),
+                "layout": rig.layout,
+                "cameras": [camera.name for camera in rig.cameras],
+                "held_out": held,
+                "frames": [span.start, span.stop],
+                "seed": seed,
+                "settings": settings.as_document(),
+            }
+        )
+        report = encode_stream(
+            ingest,
+            Path(output),
+            span,
+            settings,
+            seed=seed,
+            threads=thread_count(threads),
+            on_frame=progress.frame,
+            on_keyframe_step=progress.keyframe_step,
+        )
+        progress.finished(
+            {"output": str(report.output), "bytes": report.total_bytes, "interrupted": report.interrupted}
+        )
+    return report
+
+
+def _settings(chosen: str | EncodeSettings) -> EncodeSettings:
+    return chosen if isinstance(chosen, EncodeSettings) else named_preset(chosen)
+
+
+def _check_device(device: str) -> None:
+    if device not in DEVICES:
+        raise UsageError(f"--device {device}: choose from {', '.join(DEVICES)}")
+    if device == "cuda":
+        raise UsageError("--device cuda: this version trains on the processor only; use auto or cpu")

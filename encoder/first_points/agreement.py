@@ -1,0 +1,184 @@
+"""Which depths of a sweep to believe: agreement between views in place and in look, and what other views see through.
+
+Source: geometric consistency and fusion as in multi-view stereo (Schönberger 2016, "Pixelwise view selection for unstructured
+multi-view stereo", section 4.4, and its fusion by reprojection).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from .plane_sweep import DepthMap
+from .views import Array, View, between, inside, pixel_rays, project
+
+_TOLERANCE = 1.0
+"""Disagreement of two depths, as a move in the other picture in pixels, up to which they count as the same."""
+_LOOK_ALIKE = 0.5
+"""Correlation of two windows from which on they count as the same texture."""
+_WINDOW = 7
+_NOISE_VARIANCE = 0.01**2
+_DETAIL, _UNEVEN = 0.4, 1.6
+_JUMP = 0.08
+"""Share of inverse depth by which it changes within 3 x 3 pixels where one surface ends before another."""
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Points one view proposes: ``xyz`` (P, 3) float64 world, ``rgb`` (P, 3), ``spacing`` (P,) world size of one pixel there,
+    more where there is little to see, less where there is much; ``confidence`` (P,) 0..1, ``inverse_depth``, ``column`` and ``row`` (P,) of the pixel."""
+
+    xyz: NDArray[np.float64]
+    rgb: Array
+    spacing: Array
+    confidence: Array
+    inverse_depth: Array
+    column: NDArray[np.int64]
+    row: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class _Projection:
+    """A view's surface in another view: columns, rows and depths there, (H, W); where it lies behind, -1e4, -1e4 and 0.
+
+    ``base`` (H, W) and ``shift``: depth there is base / inverse depth here + shift.
+    """
+
+    u: Array
+    v: Array
+    depth: Array
+    base: Array
+    shift: float
+
+
+def _project_surface(view: View, other: View, inverse_depth: Array) -> _Projection:
+    """Where the surface a view sees lies in another view, straight from pixel to pixel."""
+    matrix, offset = between(view, other)
+    columns = np.arange(view.width, dtype=np.float32)
+    rows = np.arange(view.height, dtype=np.float32)[:, None]
+    ramps = [np.float32(a) * columns + (np.float32(b) * rows + np.float32(c)) for a, b, c in matrix]
+    scaled = ramps[2] + np.float32(offset[2]) * inverse_depth
+    front = scaled > 1e-6
+    reciprocal = np.divide(1.0, scaled, out=np.zeros_like(scaled), where=front)
+    u = (ramps[0] + np.float32(offset[0]) * inverse_depth) * reciprocal
+    v = (ramps[1] + np.float32(offset[1]) * inverse_depth) * reciprocal
+    u[~front], v[~front] = -1e4, -1e4
+    depth = np.where(front, scaled / np.maximum(inverse_depth, 1e-12), 0).astype(np.float32)
+    return _Projection(u, v, depth, ramps[2], float(offset[2]))
+
+
+def _sample(picture: Array, u: Array, v: Array, outside: float) -> Array:
+    """Bilinear samples of (H, W) at pixel positions (first centre at 0) (H', W')."""
+    return np.asarray(
+        cv2.remap(picture, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=outside), np.float32
+    )
+
+
+def _within(other: View, u: Array, v: Array) -> NDArray[np.bool_]:
+    return np.asarray((u >= 0) & (u <= other.width - 1) & (v >= 0) & (v <= other.height - 1))
+
+
+def _similarities(view: View, others: Sequence[View], places: Sequence[_Projection]) -> Array:
+    """Correlation of windows of a view and of others around the same surface, (others, H, W); -1 where not seen.
+
+    Windows in which neither view has any texture above noise count as alike.
+    """
+    window = (_WINDOW, _WINDOW)
+    mean = cv2.blur(view.centred, window)
+    variance = cv2.blur(view.centred * view.centred, window) - mean * mean + _NOISE_VARIANCE
+    scores = np.empty((len(others), view.height, view.width), np.float32)
+    for k, (other, place) in enumerate(zip(others, places, strict=True)):
+        warped = _sample(other.centred, place.u, place.v, 0.0)
+        mean_there = cv2.blur(warped, window)
+        variance_there = cv2.blur(warped * warped, window) - mean_there * mean_there + _NOISE_VARIANCE
+        covariance = cv2.blur(view.centred * warped, window) - mean * mean_there + _NOISE_VARIANCE
+        scores[k] = covariance / np.sqrt(np.maximum(variance * variance_there, _NOISE_VARIANCE**2))
+        scores[k][~_within(other, place.u, place.v)] = -1
+    return scores
+
+
+def _edges(inverse_depth: Array) -> NDArray[np.bool_]:
+    """Pixels next to a jump of depth: their windows hold two surfaces, their colours may be mixed."""
+    kernel = np.ones((3, 3), np.uint8)
+    return np.asarray(cv2.dilate(inverse_depth, kernel) - cv2.erode(inverse_depth, kernel) > _JUMP * inverse_depth)
+
+
+def _looseness(view: View) -> Array:
+    """How much farther apart than on average points may stand, (H, W): texture needs more of them."""
+    typical = max(float(np.median(view.contrast)), 1e-6)
+    return np.asarray(np.clip((view.contrast / typical) ** -_DETAIL, 1 / _UNEVEN, _UNEVEN))
+
+
+def agree(
+    views: Sequence[View],
+    index: int,
+    neighbours: Sequence[int],
+    matched: Sequence[int],
+    depths: DepthMap,
+    maps: Sequence[DepthMap | None],
+) -> Candidates:
+    """The points of one view's depth map that other views confirm.
+
+    Kept is what at least one view in ``neighbours`` (two, if there are at least four) sees at the same place, what looks
+    alike in the better half of the views in ``matched`` (the first of ``neighbours``), and what not more views see
+    through; inverse depths are means over the views that agree.
+    """
+    view, own = views[index], depths.inverse_depth
+    places = [_project_surface(view, views[j], own) for j in neighbours]
+    total, count, through = own.copy(), np.zeros(own.shape, np.float32), np.zeros(own.shape, np.float32)
+    usable = 0
+    for j, place in zip(neighbours, places, strict=True):
+        depths_j = maps[j]
+        if depths_j is None:
+            continue
+        usable += 1
+        seen = _sample(depths_j.inverse_depth, place.u, place.v, 0.0)
+        valid = (seen > 0) & (place.depth > 0) & _within(views[j], place.u, place.v)
+        pixels = (place.depth * seen - 1) * (_sideways(view, views[j]) / np.maximum(place.depth, 1e-12))
+        same = valid & (np.abs(pixels) <= _TOLERANCE)
+        there = np.divide(1.0, seen, out=np.zeros_like(seen), where=same) - np.float32(place.shift)
+        same &= there > 0
+        total += np.divide(place.base, there, out=np.zeros_like(seen), where=same)
+        count += same
+        through += valid & (pixels < -3 * _TOLERANCE)
+    inverse_depth = total / (count + 1)
+    scores = _similarities(view, [views[j] for j in matched], places[: len(matched)])
+    score = np.sort(scores, axis=0)[::-1][: (len(matched) + 1) // 2].mean(axis=0)
+    keep = (count >= (2 if usable >= 4 else 1)) & (score >= _LOOK_ALIKE) & (through <= count)
+    keep &= (inverse_depth > 1e-12) & ~_edges(own)
+    row, column = np.nonzero(keep)
+    inverse = inverse_depth[keep]
+    depth = 1 / inverse.astype(np.float64)
+    rays = pixel_rays(view, column.astype(np.float64), row.astype(np.float64))
+    return Candidates(
+        xyz=view.centre + rays * depth[:, None],
+        rgb=view.picture[keep],
+        spacing=(depth / view.focal * _looseness(view)[keep]).astype(np.float32),
+        confidence=(np.clip(score, 0, 1) * count / (count + 1))[keep],
+        inverse_depth=inverse,
+        column=column,
+        row=row,
+    )
+
+
+def _sideways(view: View, other: View) -> float:
+    """Pixels a point at unit depth moves in the other view per relative change of its depth, when seen from ``view``."""
+    offset = other.centre - view.centre
+    along = float(offset @ other.rotation[2])
+    return float(other.focal * np.sqrt(max(float(offset @ offset) - along**2, 0.0)))
+
+
+def depth_ratio(
+    view: View, inverse_depth: Array, xyz: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+    """Depth of points (P, 3) over the depth a view sees there (> 1: hidden; NaN where it knows none, 0), and their pixels."""
+    u, v, z = project(view, xyz)
+    visible = inside(view, u, v) & (z > 0)
+    column = np.where(visible, np.round(u), 0).astype(np.int64)
+    row = np.where(visible, np.round(v), 0).astype(np.int64)
+    seen = inverse_depth[row, column]
+    return np.where(visible & (seen > 0), seen * z, np.nan), column, row

@@ -1,0 +1,118 @@
+"""What the cameras' poses alone tell: which depths a view shares with others, and which views to match it with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .views import View, inside, pixel_rays, project
+
+RAY_GRID = (12, 9)
+_DEPTHS = 64
+_WIDEST_RANGE = 400.0
+"""Farthest over nearest depth looked at, in a rig whose views overlap up to infinity."""
+_SHARE = 0.1
+"""Share of a view's pixels that another view has to see for a depth to count as shared."""
+_WORTH = 0.25
+
+
+@dataclass(frozen=True)
+class DepthRange:
+    """Depths (along the optical axis, world units) between which a view is searched."""
+
+    near: float
+    far: float
+
+
+def ray_grid(view: View) -> NDArray[np.float64]:
+    """World directions of a coarse grid of the view's pixels, (G, 3), at unit depth."""
+    u, v = np.meshgrid(
+        (np.arange(RAY_GRID[0]) + 0.5) / RAY_GRID[0] * view.width - 0.5,
+        (np.arange(RAY_GRID[1]) + 0.5) / RAY_GRID[1] * view.height - 0.5,
+    )
+    return pixel_rays(view, u.ravel(), v.ravel())
+
+
+def rig_size(views: Sequence[View]) -> float:
+    """Largest distance between two cameras, world units; 0 if all stand in one place."""
+    centres = np.array([view.centre for view in views])
+    return float(np.linalg.norm(centres[:, None] - centres[None], axis=-1).max())
+
+
+def angle_worth(degrees: NDArray[np.floating]) -> NDArray[np.float64]:
+    """How much a point seen by two views under this angle is worth for matching: 1 between 6 and 16 degrees, 0 for none.
+
+    Smaller angles tell little about depth, under larger ones the pictures look different.
+    """
+    small = np.minimum(degrees / 6.0, 1.0)
+    return np.asarray(small * np.exp(-(np.maximum(degrees - 16.0, 0.0) ** 2) / (2 * 13.0**2)))
+
+
+def shared_depths(views: Sequence[View]) -> list[DepthRange | None]:
+    """For every view the depths at which other views see a fair part of the same space; None if there are none.
+
+    Nearest: where the worth for matching (best other view of each pixel, see ``angle_worth``) reaches a quarter of its
+    largest value; closer up, cameras beside each other look past one another or under very different angles. Farthest:
+    where the last of the shared space is, up to "infinity" (20 times the rig's size).
+    """
+    size = rig_size(views)
+    if size <= 0:
+        return [None] * len(views)
+    depths = size * np.geomspace(2.0 / _WIDEST_RANGE, _WIDEST_RANGE / 20, _DEPTHS)
+    ranges: list[DepthRange | None] = []
+    for i, view in enumerate(views):
+        xyz = view.centre + ray_grid(view)[None] * depths[:, None, None]
+        seen = np.zeros(xyz.shape[:2], bool)
+        worth = np.zeros(xyz.shape[:2])
+        for j, other in enumerate(views):
+            if j != i:
+                u, v, _ = project(other, xyz)
+                visible = inside(other, u, v)
+                seen |= visible
+                np.maximum(worth, visible * angle_worth(_angles(xyz, view, other)), out=worth)
+        shared = seen.mean(axis=1) >= _SHARE
+        worth_at = worth.mean(axis=1)
+        shared &= (worth_at >= _WORTH * worth_at.max()) | (np.arange(_DEPTHS) > worth_at.argmax())
+        found = np.flatnonzero(shared)
+        ranges.append(DepthRange(float(depths[found[0]]), float(depths[found[-1]])) if found.size else None)
+    return ranges
+
+
+def _angles(xyz: NDArray[np.float64], a: View, b: View) -> NDArray[np.float64]:
+    """Angles, in degrees, under which two cameras see points (..., 3)."""
+    to_a, to_b = xyz - a.centre, xyz - b.centre
+    lengths = np.linalg.norm(to_a, axis=-1) * np.linalg.norm(to_b, axis=-1)
+    cosines = (to_a * to_b).sum(axis=-1) / np.maximum(lengths, 1e-12)
+    return np.asarray(np.degrees(np.arccos(np.clip(cosines, -1, 1))))
+
+
+def choose_neighbours(views: Sequence[View], samples: Sequence[NDArray[np.float64]], count: int) -> list[list[int]]:
+    """For every view up to ``count`` others to match it with, best first.
+
+    ``samples``: per view world points (S, 3) it may be looking at. Worth: the share of these the other view sees under a
+    helpful angle; views in the same direction as one already chosen count less, because they are occluded together.
+    """
+    chosen_of_all: list[list[int]] = []
+    for i, view in enumerate(views):
+        xyz = samples[i]
+        worth = np.zeros(len(views))
+        for j, other in enumerate(views):
+            if j == i or not len(xyz):
+                continue
+            u, v, _ = project(other, xyz)
+            worth[j] = np.mean(angle_worth(_angles(xyz, view, other)) * inside(other, u, v))
+        directions = np.array([other.centre - view.centre for other in views])
+        directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-12)
+        chosen: list[int] = []
+        floor = 0.02 * worth.max(initial=0.0)
+        left = worth.copy()
+        while len(chosen) < count and left.max() > max(floor, 1e-6):
+            best = int(left.argmax())
+            chosen.append(best)
+            left[best] = 0
+            left *= 1 - 0.5 * np.maximum(directions @ directions[best], 0) ** 4
+        chosen_of_all.append(chosen)
+    return chosen_of_all

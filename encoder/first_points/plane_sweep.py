@@ -1,0 +1,167 @@
+"""Depth of one view by plane sweep: photo-consistency on fronto-parallel planes, semi-global aggregation, sub-plane depth.
+
+Source: plane sweep after Collins (1996) with planes evenly spaced in inverse depth, aggregation after Hirschmüller (2008),
+"Stereo processing by semi-global matching and mutual information", with four path directions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from .frusta import DepthRange, ray_grid
+from .views import Array, View, between, project
+
+_TRUNCATION = 1.5
+"""Difference of normalised luminance from which on two pixels are just different."""
+_COST_SCALE = 255.0 / (2 * _TRUNCATION)
+_OUTSIDE = -100.0
+_SMALL_JUMP = 10
+_LARGE_JUMP = 60
+"""Costs of a depth step between neighbouring pixels by one plane, and by more (cost of one pixel: 0..255)."""
+_PIXELS_PER_PLANE = 1.25
+
+
+@dataclass(frozen=True)
+class DepthMap:
+    """``inverse_depth`` (H, W) float32, 1 / world units along the optical axis; ``margin`` (H, W) float32, how much the second best depth costs more."""
+
+    inverse_depth: Array
+    margin: Array
+
+
+@dataclass(frozen=True)
+class Costs:
+    """Costs of every depth for every pixel: ``upright`` (H, D, W) and the same ``turned`` (W, D, H), uint8."""
+
+    upright: NDArray[np.uint8]
+    turned: NDArray[np.uint8]
+
+
+def choose_planes(view: View, neighbours: Sequence[View], depths: DepthRange, most: int) -> Array:
+    """Inverse depths of the planes, ascending, so that a picture moves about one pixel from plane to plane."""
+    rays = ray_grid(view)
+    moves = []
+    for other in neighbours:
+        u0, v0, z0 = project(other, view.centre + rays * depths.far)
+        u1, v1, z1 = project(other, view.centre + rays * depths.near)
+        move = np.hypot(u1 - u0, v1 - v0)[(z0 > 0) & (z1 > 0)]
+        moves.append(float(np.median(move)) if move.size else 0.0)
+    count = int(np.clip(np.ceil(float(np.median(moves)) / _PIXELS_PER_PLANE) + 1, 8, most))
+    return np.linspace(1 / depths.far, 1 / depths.near, count, dtype=np.float32)
+
+
+def _behind(homography: NDArray[np.float64], width: int, height: int) -> NDArray[np.bool_] | None:
+    """Pixels whose point on the plane lies behind the other camera; None if there are none."""
+    a, b, c = homography[2]
+    corners = [c, a * (width - 1) + c, b * (height - 1) + c, a * (width - 1) + b * (height - 1) + c]
+    if min(corners) > 0:
+        return None
+    return np.asarray(a * np.arange(width) + b * np.arange(height)[:, None] + c <= 0)
+
+
+def _better_half(costs: list[Array]) -> Array:
+    """Mean of the better half of up to four pictures of costs: what is occluded in some neighbours is seen in others."""
+    if len(costs) == 1:
+        return costs[0] * 2
+    if len(costs) == 2:
+        return cv2.min(costs[0], costs[1]) * 2
+    if len(costs) == 3:
+        return cv2.add(cv2.add(costs[0], costs[1]), costs[2]) - cv2.max(cv2.max(costs[0], costs[1]), costs[2])
+    low0, high0 = cv2.min(costs[0], costs[1]), cv2.max(costs[0], costs[1])
+    low1, high1 = cv2.min(costs[2], costs[3]), cv2.max(costs[2], costs[3])
+    return cv2.add(cv2.min(low0, low1), cv2.min(cv2.max(low0, low1), cv2.min(high0, high1)))
+
+
+def matching_costs(view: View, neighbours: Sequence[View], planes: Array) -> Costs:
+    """Photo-consistency costs, 0 alike to 255 different or not seen, (H, D, W) and (W, D, H)."""
+    size = (view.width, view.height)
+    upright = np.empty((view.height, len(planes), view.width), np.uint8)
+    turned = np.empty((view.width, len(planes), view.height), np.uint8)
+    mappings = [between(view, other) for other in neighbours]
+    for d, inverse_depth in enumerate(planes):
+        per_view: list[Array] = []
+        for other, (matrix, offset) in zip(neighbours, mappings, strict=True):
+            homography = matrix + np.outer(offset, (0.0, 0.0, float(inverse_depth)))
+            warped = cv2.warpPerspective(
+                other.normalised,
+                homography,
+                size,
+                flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+                borderMode=cv2.BORDER_CONSTANT,
+                borderValue=_OUTSIDE,
+            )
+            hidden = _behind(homography, *size)
+            if hidden is not None:
+                warped[hidden] = _OUTSIDE
+            cv2.absdiff(warped, view.normalised, dst=warped)
+            cv2.threshold(warped, _TRUNCATION, 0, cv2.THRESH_TRUNC, dst=warped)
+            per_view.append(cv2.blur(warped, (3, 3)))
+        cost = cv2.convertScaleAbs(_better_half(per_view), alpha=_COST_SCALE)
+        upright[:, d] = cost
+        turned[:, d] = cv2.transpose(cost)
+    return Costs(upright, turned)
+
+
+def _aggregate_rows(costs: NDArray[np.uint8], jump: NDArray[np.int16], total: NDArray[np.int16]) -> None:
+    """Adds to ``total`` the path costs down and up the first axis of ``costs`` (rows, planes, columns)."""
+    rows, planes, columns = costs.shape
+    padded = np.full((planes + 2, columns), 10_000, np.int16)
+    path = padded[1:-1]
+    best = np.empty((planes, columns), np.int16)
+    for order in (range(rows), range(rows - 1, -1, -1)):
+        previous = -1
+        for y in order:
+            if previous < 0:
+                path[:] = costs[y]
+            else:
+                lowest = path.min(axis=0)
+                np.minimum(padded[:-2], padded[2:], out=best)
+                best += _SMALL_JUMP
+                np.minimum(best, path, out=best)
+                np.minimum(best, lowest + jump[max(y, previous)], out=best)
+                best -= lowest
+                np.add(best, costs[y], out=path)
+            total[y] += path
+            previous = y
+
+
+def aggregate(costs: Costs, luminance: Array) -> NDArray[np.int16]:
+    """Semi-global sums of matching costs over the four straight paths, (H, D, W); depth may jump where brightness does."""
+    total = np.zeros(costs.upright.shape, np.int16)
+    _aggregate_rows(costs.upright, _jump_costs(luminance), total)
+    turned = np.zeros(costs.turned.shape, np.int16)
+    _aggregate_rows(costs.turned, _jump_costs(np.ascontiguousarray(luminance.T)), turned)
+    for d in range(total.shape[1]):
+        total[:, d] += cv2.transpose(turned[:, d])
+    return total
+
+
+def _jump_costs(luminance: Array) -> NDArray[np.int16]:
+    step = np.abs(np.diff(luminance, axis=0, prepend=luminance[:1]))
+    return np.maximum(_LARGE_JUMP / (1 + 10 * step), _SMALL_JUMP + 5).astype(np.int16)
+
+
+def pick_depths(total: NDArray[np.int16], planes: Array) -> DepthMap:
+    """Cheapest plane per pixel, refined by a parabola through its neighbours' costs."""
+    best = total.argmin(axis=1)[:, None]
+    middle = np.clip(best, 1, len(planes) - 2)
+    here, below, above = (
+        np.take_along_axis(total, middle + k, axis=1)[:, 0].astype(np.float32) for k in (0, -1, 1)
+    )
+    curvature = below - 2 * here + above
+    offset = np.where(curvature > 0, (below - above) / np.maximum(2 * curvature, 1), best[:, 0] - middle[:, 0])
+    plane = middle[:, 0] + np.clip(offset, -1, 1)
+    step = (planes[-1] - planes[0]) / (len(planes) - 1)
+    margin = np.minimum(below, above) - here
+    return DepthMap((planes[0] + plane * step).astype(np.float32), margin.astype(np.float32))
+
+
+def sweep(view: View, neighbours: Sequence[View], planes: Array) -> DepthMap:
+    """Depth of every pixel of ``view`` seen in one to four neighbours; ``planes`` are inverse depths, ascending, evenly spaced."""
+    costs = matching_costs(view, neighbours, planes)
+    return pick_depths(aggregate(costs, view.picture.mean(axis=2)), planes)

@@ -1,0 +1,110 @@
+"""What the search for first points knows of one camera: its pinhole model, its picture and a picture to match with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.formats.cameras import Camera, scale_camera
+
+Array = NDArray[np.float32]
+_LUMINANCE = np.array([0.299, 0.587, 0.114], np.float32)
+_WINDOW_SIGMA = 3.0
+"""Standard deviation, in pixels, of the window in which brightness and contrast are normalised."""
+_NOISE = 0.012
+"""Contrast below which a window is noise rather than texture, picture units (3 of 255 steps)."""
+
+
+@dataclass(frozen=True)
+class View:
+    """One camera at the resolution of the sweep.
+
+    ``picture`` (H, W, 3) RGB 0..1; ``normalised`` (H, W) luminance with local mean and contrast taken out, so that
+    exposure and white balance of the cameras do not matter; ``centred`` (H, W) with the local mean alone taken out;
+    ``contrast`` (H, W) its standard deviation around each pixel.
+    ``intrinsics`` and its inverse put the centre of the first pixel at (0, 0), as OpenCV's sampling does.
+    """
+
+    camera: Camera
+    picture: Array
+    normalised: Array
+    centred: Array
+    contrast: Array
+    intrinsics: NDArray[np.float64]
+    rotation: NDArray[np.float64]
+    translation: NDArray[np.float64]
+    centre: NDArray[np.float64]
+
+    @property
+    def width(self) -> int:
+        return self.camera.width
+
+    @property
+    def height(self) -> int:
+        return self.camera.height
+
+    @property
+    def focal(self) -> float:
+        return float(np.sqrt(self.camera.fx * self.camera.fy))
+
+
+def make_view(camera: Camera, picture: Array, scale: float) -> View:
+    """The view of ``camera`` at ``scale`` (at most 1) of its resolution; ``picture`` (H, W, 3) RGB 0..1."""
+    if scale < 1:
+        camera = scale_camera(camera, scale)
+        picture = cv2.resize(picture, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+    luminance = picture @ _LUMINANCE
+    mean = cv2.GaussianBlur(luminance, (0, 0), _WINDOW_SIGMA)
+    centred = luminance - mean
+    contrast = np.sqrt(cv2.GaussianBlur(centred * centred, (0, 0), _WINDOW_SIGMA) + np.float32(_NOISE**2))
+    rotation, translation = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
+    return View(
+        camera=camera,
+        picture=picture,
+        normalised=centred / contrast,
+        centred=centred,
+        contrast=contrast,
+        intrinsics=np.array(
+            [[camera.fx, 0, camera.cx - 0.5], [0, camera.fy, camera.cy - 0.5], [0, 0, 1]],
+            np.float64,
+        ),
+        rotation=rotation,
+        translation=translation,
+        centre=-rotation.T @ translation,
+    )
+
+
+def pixel_rays(view: View, u: NDArray[np.floating], v: NDArray[np.floating]) -> NDArray[np.float64]:
+    """World directions of pixels (u, v; first centre at 0), shape (..., 3), scaled to unit depth along the optical axis."""
+    k = view.intrinsics
+    camera_rays = np.stack([(u - k[0, 2]) / k[0, 0], (v - k[1, 2]) / k[1, 1], np.ones_like(u)], axis=-1)
+    return np.asarray(camera_rays @ view.rotation)
+
+
+def project(view: View, xyz: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Pixel columns, rows (first centre at 0) and depths of world points (..., 3); columns and rows are -1e6 behind the camera."""
+    p = xyz @ view.rotation.T + view.translation
+    depth = p[..., 2]
+    in_front = depth > 1e-9
+    inverse = np.divide(1.0, depth, out=np.zeros_like(depth), where=in_front)
+    u = np.where(in_front, view.intrinsics[0, 0] * p[..., 0] * inverse + view.intrinsics[0, 2], -1e6)
+    v = np.where(in_front, view.intrinsics[1, 1] * p[..., 1] * inverse + view.intrinsics[1, 2], -1e6)
+    return u, v, depth
+
+
+def inside(view: View, u: NDArray[np.floating], v: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """Whether pixel positions (first centre at 0) fall inside the picture."""
+    return np.asarray((u > -0.5) & (u < view.width - 0.5) & (v > -0.5) & (v < view.height - 0.5))
+
+
+def between(view: View, other: View) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Matrix A (3, 3) and offset b (3,): pixel p = (u, v, 1) of ``view`` at inverse depth d falls on A p + b d of ``other``.
+
+    The third component over d is the depth there; first pixel centres at 0.
+    """
+    rotation = other.rotation @ view.rotation.T
+    offset = other.intrinsics @ (other.translation - rotation @ view.translation)
+    return np.asarray(other.intrinsics @ rotation @ np.linalg.inv(view.intrinsics)), np.asarray(offset)

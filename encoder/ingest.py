@@ -1,0 +1,104 @@
+"""Pictures as training wants them: planar floats of pinhole cameras, held-out cameras kept apart.
+
+The held-out camera's pictures go into ``RigFrame.held_out`` only; nothing that trains or writes packets takes that field.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.decoder.lens import Undistortion
+from decogs.formats.cameras import Camera, scale_camera
+from decogs.formats.errors import UsageError
+from decogs.formats.rigs import Rig, read_frames
+from decogs.formats.splats import FloatArray
+
+
+@dataclass(frozen=True)
+class View:
+    """What one camera contributes to training, at the scale trained at.
+
+    ``camera`` is the rig's with its lens, ``pinhole`` what is rendered; ``valid`` (H, W) float32 is 1 where the
+    undistorted picture was recorded, or None when that is everywhere.
+    """
+
+    camera: Camera
+    pinhole: Camera
+    valid: FloatArray | None
+
+
+@dataclass(frozen=True)
+class RigFrame:
+    """One time index: pictures (3, H, W) float32 0..1 of the training views and of the held-out ones, in their order."""
+
+    index: int
+    training: list[FloatArray]
+    held_out: list[FloatArray]
+
+
+class Ingest:
+    """A rig seen through its training and held-out views at one scale.
+
+    Raises UsageError when a held-out name is no camera, when no camera is left to train on, or for an impossible scale.
+    """
+
+    def __init__(self, rig: Rig, *, holdout: Sequence[str] = (), scale: float = 1.0) -> None:
+        if not 0 < scale <= 4:
+            raise UsageError(f"--scale {scale:g}: give a number above 0 and at most 4, such as 0.5")
+        names = [camera.name for camera in rig.cameras]
+        for name in holdout:
+            if name not in names:
+                raise UsageError(f"--holdout {name}: {rig.path} has no such camera; it has {', '.join(names)}")
+        self.rig = rig
+        self.scale = scale
+        self._names = [name for name in names if name not in holdout]
+        self._held_names = [name for name in names if name in holdout]
+        if not self._names:
+            raise UsageError(f"{rig.path}: every camera is held out; leave some to train on")
+        cameras = {camera.name: scale_camera(camera, scale) for camera in rig.cameras}
+        self._plans = {name: Undistortion(cameras[name]) for name in names}
+        self.views = [self._view(name) for name in self._names]
+        self.held_out_views = [self._view(name) for name in self._held_names]
+
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        """All cameras of the rig in its order, at the scale trained at."""
+        return tuple(self._plans[camera.name].camera for camera in self.rig.cameras)
+
+    def frames(self, start: int, stop: int) -> Iterator[RigFrame]:
+        """The rig's frames [start, stop) in order, one at a time."""
+        for index, pictures in read_frames(self.rig, start, stop, names=[*self._names, *self._held_names]):
+            planes = [
+                self._prepare(name, picture)
+                for name, picture in zip([*self._names, *self._held_names], pictures, strict=True)
+            ]
+            yield RigFrame(index, planes[: len(self._names)], planes[len(self._names) :])
+
+    def _view(self, name: str) -> View:
+        plan = self._plans[name]
+        valid = None if plan.valid.all() else np.ascontiguousarray(plan.valid, np.float32)
+        return View(plan.camera, plan.pinhole, valid)
+
+    def _prepare(self, name: str, picture: NDArray[np.uint8] | NDArray[np.float32]) -> FloatArray:
+        plan = self._plans[name]
+        size = (plan.camera.width, plan.camera.height)
+        if picture.shape[1::-1] != size:
+            shrinks = size[0] < picture.shape[1]
+            picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_CUBIC)  # type: ignore[assignment]
+        undistorted = plan.apply(picture)
+        display = display_referred(undistorted)
+        return np.ascontiguousarray(display.transpose(2, 0, 1))
+
+
+def display_referred(picture: NDArray[np.uint8] | NDArray[np.float32]) -> FloatArray:
+    """(H, W, 3) in 0..1: 8-bit pictures as they are, scene-linear ones clipped and sRGB-coded (IEC 61966-2-1)."""
+    if picture.dtype == np.uint8:
+        return picture.astype(np.float32) / np.float32(255)
+    linear = np.clip(picture.astype(np.float32), 0, 1)
+    coded = np.where(linear <= 0.0031308, linear * 12.92, 1.055 * np.power(linear, 1 / 2.4) - 0.055)
+    return coded.astype(np.float32)

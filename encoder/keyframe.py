@@ -1,0 +1,265 @@
+"""The keyframe: 3D Gaussian Splatting on the training views of one frame (Kerbl 2023).
+
+Chosen, measured on `workbench` with cam00 held out (see feasibility figures in the README): a dense cloud from the rig itself,
+small first Gaussians of opacity 0.1, rates above 3DGS's that fall to a fifth by the end, SH raised step by step.
+A dozen views overfit, so a few 16x16 pixel tiles of every training view are left out of the loss and say when to stop: nothing
+outside the training views is needed. Rejected: dropping random Gaussians (-0.5 dB at 10 %), opacity or scale penalties (no
+gain), MCMC noise (no gain), opacity resets.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.formats.cameras import camera_centre
+from decogs.formats.errors import TrainingError
+from decogs.formats.splats import SH_C0, FloatArray, Splats, take_splats
+
+from .densification import ViewGradients, grow, opacities_of, strongest
+from .first_points import FirstPoints
+from .ingest import View
+from .losses import whole_picture_loss
+from .optimiser import LearningRates, SplatOptimiser, gradient_buffers
+from .rasterise import TrainingKernel
+
+OnStep = Callable[[int, int, float], None]
+"""Told the step (from 1), the number of steps planned and the training loss."""
+
+
+@dataclass(frozen=True)
+class KeyframeSettings:
+    """How the keyframe is trained.
+
+    ``iterations``: more is slower and, up to the stop, better. ``cap``: most Gaussians; more is slower and larger.
+    ``sh_degree``: higher is slower and larger, better where views disagree. ``start_size``: first sigma in units of
+    the point spacing. ``grow_from``/``grow_to``: shares of the schedule in which densification runs every
+    ``grow_every`` steps, where the mean view gradient reaches ``grow_gradient``. ``validation_share``: share of the
+    tiles kept for the stop (0: no stop); the stop comes after ``patience`` checks without a new best.
+    """
+
+    iterations: int = 1000
+    cap: int = 52_000
+    sh_degree: int = 0
+    dissimilarity: float = 0.2
+    start_opacity: float = 0.1
+    start_size: float = 0.5
+    grow_from: float = 0.15
+    grow_to: float = 0.6
+    grow_every: int = 100
+    grow_gradient: float = 2e-4
+    prune_opacity: float = 0.005
+    validation_share: float = 0.02
+    validation_every: int = 100
+    patience: int = 4
+    rates: LearningRates = LearningRates(4e-4, 1e-2, 3e-3, 0.05, 1e-2, 5e-4)
+    means_decay: float = 0.05
+    late_decay: float = 0.2
+
+
+@dataclass(frozen=True)
+class TrainedKeyframe:
+    """The trained scene and how training went: steps run, and whether the validation tiles stopped it."""
+
+    splats: Splats
+    steps: int
+    stopped_early: bool
+    training_psnr: float
+
+
+def scene_extent(views: Sequence[View]) -> float:
+    """Size of the rig, 1.1 times the largest distance of a camera from their mean, as 3DGS scales its position rates."""
+    centres = np.array([camera_centre(view.pinhole) for view in views])
+    return float(1.1 * np.linalg.norm(centres - centres.mean(axis=0), axis=1).max())
+
+
+def splats_from_points(points: FirstPoints, settings: KeyframeSettings) -> Splats:
+    """One round Gaussian per first point, of its colour and of a size in proportion to the points' spacing."""
+    count, coefficients = len(points.xyz), (settings.sh_degree + 1) ** 2
+    sh = np.zeros((count, coefficients, 3), np.float32)
+    sh[:, 0] = (points.rgb - 0.5) / SH_C0
+    quaternions = np.zeros((count, 4), np.float32)
+    quaternions[:, 0] = 1.0
+    log_scales = np.log(np.maximum(points.spacing * settings.start_size, 1e-12), dtype=np.float32)
+    logit = np.log(settings.start_opacity / (1 - settings.start_opacity))
+    return Splats(
+        np.ascontiguousarray(points.xyz, np.float32),
+        np.repeat(log_scales[:, None], 3, axis=1),
+        quaternions,
+        np.full(count, logit, np.float32),
+        sh,
+    )
+
+
+def train_keyframe(
+    kernel: TrainingKernel,
+    views: Sequence[View],
+    pictures: Sequence[FloatArray],
+    points: FirstPoints,
+    settings: KeyframeSettings,
+    *,
+    seed: int,
+    on_step: OnStep | None = None,
+) -> TrainedKeyframe:
+    """Trains the first frame's Gaussians on ``pictures`` (3, H, W) of ``views``; the same seed gives the same bits.
+
+    Raises TrainingError without points or when the loss stops being finite.
+    """
+    if not len(points.xyz):
+        raise TrainingError("there are no first points to train from; check the poses, or give the rig COLMAP points")
+    training = _KeyframeTraining(kernel, views, pictures, points, settings, np.random.default_rng(seed))
+    return training.run(on_step)
+
+
+class _KeyframeTraining:
+    def __init__(
+        self,
+        kernel: TrainingKernel,
+        views: Sequence[View],
+        pictures: Sequence[FloatArray],
+        points: FirstPoints,
+        settings: KeyframeSettings,
+        random: np.random.Generator,
+    ) -> None:
+        self._kernel, self._views, self._settings, self._random = kernel, views, settings, random
+        self._extent = scene_extent(views) or 1.0
+        counted = [_counted(view, settings.validation_share, random) for view in views]
+        self._losses = [
+            whole_picture_loss(picture, c, settings.dissimilarity) for picture, c in zip(pictures, counted, strict=True)
+        ]
+        self._kept_back = [_kept_back(view, c) for view, c in zip(views, counted, strict=True)]
+        self._optimiser = SplatOptimiser(splats_from_points(points, settings), kernel)
+        self._gradients = gradient_buffers(self._optimiser.splats)
+        self._view_gradients = ViewGradients(len(self._optimiser.splats))
+        self._queue: list[int] = []
+
+    def run(self, on_step: OnStep | None) -> TrainedKeyframe:
+        settings = self._settings
+        best, best_splats, waited, step = -np.inf, self._optimiser.splats, 0, 0
+        while step < settings.iterations and waited < settings.patience:
+            loss = self._step(step)
+            step += 1
+            if on_step:
+                on_step(step, settings.iterations, loss)
+            if settings.validation_share and step % settings.validation_every == 0 and step > settings.iterations // 2:
+                score = self.validation_psnr(step)
+                if score > best:
+                    best, waited = score, 0
+                    best_splats = take_splats(self._optimiser.splats, np.arange(len(self._optimiser.splats)))
+                else:
+                    waited += 1
+        stopped = step < settings.iterations
+        splats = best_splats if stopped else self._optimiser.splats
+        seen = self._seen(splats)
+        return TrainedKeyframe(
+            splats if seen.all() else take_splats(splats, seen), step, stopped, self._training_psnr(splats)
+        )
+
+    def _step(self, step: int) -> float:
+        if not self._queue:
+            self._queue = list(self._random.permutation(len(self._views)))
+        index = int(self._queue.pop())
+        camera, loss = self._views[index].pinhole, self._losses[index]
+        splats = self._optimiser.splats
+        picture = self._kernel.forward(splats, camera, sh_degree=self._degree(step))
+        value, cotangent = loss.evaluate(self._kernel, picture.rgb)
+        if not np.isfinite(value.total):
+            raise TrainingError(
+                f"the keyframe's loss is {value.total} at step {step}; the pictures or poses are unusable"
+            )
+        self._kernel.backward(splats, cotangent, out=self._gradients)
+        self._view_gradients.add(self._gradients.view, camera.width, camera.height)
+        self._optimiser.step(self._gradients, self._rates(step / self._settings.iterations))
+        self._densify(step)
+        return value.total
+
+    def _degree(self, step: int) -> int:
+        """SH degree rises by one each quarter of the schedule."""
+        return min(self._settings.sh_degree, step * 4 // self._settings.iterations)
+
+    def _rates(self, progress: float) -> LearningRates:
+        rates = self._settings.rates.scaled(self._settings.late_decay ** max(0.0, 2 * progress - 1))
+        return replace(rates, means=self._settings.rates.means * self._extent * self._settings.means_decay**progress)
+
+    def _densify(self, step: int) -> None:
+        settings, progress = self._settings, step / self._settings.iterations
+        if (step + 1) % settings.grow_every or not settings.grow_from < progress < settings.grow_to:
+            return
+        splats = self._optimiser.splats
+        keep = opacities_of(splats) >= settings.prune_opacity
+        room = settings.cap - int(keep.sum())
+        parents = strongest(self._view_gradients.mean(), keep, settings.grow_gradient, room)
+        growth = grow(splats, parents, 0.01 * self._extent, self._random)
+        splats.means[parents] = growth.parent_means
+        splats.log_scales[parents] = growth.parent_log_scales
+        self._optimiser.append(growth.children)
+        self._optimiser.keep(np.concatenate([keep, np.ones(len(parents), bool)]))
+        if not len(self._optimiser.splats):
+            raise TrainingError("every Gaussian became transparent; the pictures and poses contradict each other")
+        self._gradients = gradient_buffers(self._optimiser.splats)
+        self._view_gradients = ViewGradients(len(self._optimiser.splats))
+
+    def validation_psnr(self, step: int) -> float:
+        """PSNR over the tiles that no loss has seen."""
+        square, pixels = 0.0, 0.0
+        for view, loss, kept in zip(self._views, self._losses, self._kept_back, strict=True):
+            if kept is None:
+                continue
+            picture = self._kernel.forward(self._optimiser.splats, view.pinhole, sh_degree=self._degree(step))
+            square += float((((np.clip(picture.rgb, 0, 1) - loss.target) ** 2) * kept).sum())
+            pixels += 3 * float(kept.sum())
+        return psnr_of(square / max(pixels, 1.0))
+
+    def _seen(self, splats: Splats) -> NDArray[np.bool_]:
+        """Gaussians that some training view draws: the others cost bytes and show only as floaters elsewhere."""
+        seen = np.zeros(len(splats), bool)
+        for view in self._views:
+            self._kernel.forward(splats, view.pinhole)
+            seen |= np.isfinite(self._kernel.centres(len(splats))[1])
+        return seen
+
+    def _training_psnr(self, splats: Splats) -> float:
+        return mean_psnr(self._kernel, splats, self._views, [loss.target for loss in self._losses])
+
+
+def psnr_of(mean_square: float) -> float:
+    """Peak signal-to-noise ratio in dB of pictures in 0..1."""
+    return float(-10 * np.log10(max(mean_square, 1e-12)))
+
+
+def mean_psnr(kernel: TrainingKernel, splats: Splats, views: Sequence[View], pictures: Sequence[FloatArray]) -> float:
+    """Mean over the views of each one's PSNR, over recorded pixels, of pictures clipped to 0..1; NaN without views."""
+    values = []
+    for view, target in zip(views, pictures, strict=True):
+        picture = kernel.forward(splats, view.pinhole)
+        square = (np.clip(picture.rgb, 0, 1) - target) ** 2
+        if view.valid is not None:
+            square = square * view.valid
+        values.append(psnr_of(float(square.sum(dtype=np.float64)) / (3 * float(_size(view)))))
+    return float(np.mean(values)) if values else float("nan")
+
+
+def _size(view: View) -> float:
+    if view.valid is None:
+        return view.pinhole.width * view.pinhole.height
+    return max(1.0, float(view.valid.sum()))
+
+
+def _counted(view: View, share: float, random: np.random.Generator) -> FloatArray | None:
+    """1 where a pixel counts in the loss: recorded, and not in one of the tiles kept back."""
+    height, width = view.pinhole.height, view.pinhole.width
+    counted = np.ones((height, width), np.float32) if view.valid is None else view.valid.copy()
+    if share > 0:
+        tiles = random.random((-(-height // 16), -(-width // 16))) < share
+        counted[np.repeat(np.repeat(tiles, 16, 0), 16, 1)[:height, :width]] = 0
+    return None if counted.all() else counted
+
+
+def _kept_back(view: View, counted: FloatArray | None) -> FloatArray | None:
+    if counted is None:
+        return None
+    recorded = np.ones_like(counted) if view.valid is None else view.valid
+    return recorded - counted

@@ -1,0 +1,303 @@
+"""The closed loop: every frame is trained from what the decoder has of the frame before it.
+
+Chosen: the encoder writes a packet, reconstructs the state from those very bytes, and trains the next frame from it,
+so that quantisation errors cannot add up. The stream grows beside its final name (``NAME.part``) and is renamed when
+it is done; what was complete when something went wrong stays in ``NAME.part``, a valid, shorter stream. Rejected:
+training on the encoder's own floats and quantising afterwards (drifts: the error of frame t is never seen again).
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from decogs.codec.deltas import Delta, difference
+from decogs.codec.header import StreamHeader
+from decogs.codec.keyframes import keyframe_state
+from decogs.codec.lattice import Lattice, default_lattice, dequantise, quantise, robust_extent
+from decogs.codec.reconstruct import reconstruct
+from decogs.codec.state import State, take_rows
+from decogs.codec.syntax import Coded, write_delta, write_key, write_skip
+from decogs.formats.container import Packet, PacketKind, StreamWriter
+from decogs.formats.errors import DecogsError, UsageError
+from decogs.formats.rigs import Rig
+from decogs.formats.splats import FloatArray, Splats
+
+from .first_points import first_points
+from .frame_training import FrameTrainer, TrainedFrame
+from .ingest import Ingest, RigFrame
+from .keyframe import mean_psnr, scene_extent, train_keyframe
+from .masks import FrameMask, frame_masks
+from .presets import EncodeSettings
+from .rasterise import TrainingKernel
+from .selection import select, view_evidence
+
+OnFrame = Callable[["FrameReport"], None]
+OnKeyframeStep = Callable[[int, int, float], None]
+
+
+@dataclass(frozen=True)
+class FrameReport:
+    """One encoded frame: the rig's index, how it was coded, what it cost and how it looks.
+
+    ``bytes``: the packet's on disk. ``selected``: share of Gaussians in S_t. PSNRs in dB from the reconstructed state,
+    means over the views; ``held_out_psnr`` None without held-out cameras. ``seconds`` by stage, wall clock.
+    """
+
+    frame: int
+    kind: str
+    bytes: int
+    gaussians: int
+    selected: float
+    training_psnr: float
+    held_out_psnr: float | None
+    seconds: dict[str, float]
+    costs: dict[str, int]
+
+
+@dataclass(frozen=True)
+class EncodeReport:
+    """What an encode made: the stream's path and its frames; ``interrupted`` when Ctrl-C ended it early."""
+
+    output: Path
+    frames: list[FrameReport]
+    total_bytes: int
+    interrupted: bool
+
+
+@dataclass
+class _Stopwatch:
+    """Wall-clock seconds by stage."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        begin = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - begin
+
+
+class StreamEncoder:
+    """Encodes frames one after the other into an open stream file."""
+
+    def __init__(self, ingest: Ingest, settings: EncodeSettings, *, seed: int, threads: int) -> None:
+        self._ingest, self._settings, self._seed, self._threads = ingest, settings, seed, threads
+        self._kernel = TrainingKernel(threads)
+        self._state: State | None = None
+        self._pictures: Sequence[FloatArray] = []
+        self._motion: FloatArray = np.zeros((0, 3), np.float32)
+
+    def encode_key(
+        self, frame: RigFrame, open_writer: Callable[[bytes], StreamWriter], on_step: OnKeyframeStep | None
+    ) -> FrameReport:
+        """Trains the first frame and writes header and keyframe; the file is only opened once training is done."""
+        watch, settings, views = _Stopwatch(), self._settings, self._ingest.views
+        with watch.stage("first_points"):
+            points = first_points(
+                [view.pinhole for view in views],
+                [picture.transpose(1, 2, 0) for picture in frame.training],
+                known=self._ingest.rig.points,
+                cap=settings.keyframe.cap,
+                seed=self._seed,
+                threads=self._threads,
+            )
+        with watch.stage("keyframe"):
+            trained = train_keyframe(
+                self._kernel, views, frame.training, points, settings.keyframe, seed=self._seed, on_step=on_step
+            )
+        extent, centre = robust_extent(trained.splats.means)
+        lattice = default_lattice(extent, centre=centre, quality=settings.quality)
+        self._header = self._stream_header(lattice)
+        self._first = frame.index
+        self._trainer = self._frame_trainer(trained.splats)
+        with watch.stage("write"):
+            state, _ = keyframe_state(quantise(trained.splats, lattice))
+            self._writer = open_writer(self._header.to_bytes())
+            coded = write_key(state, level=settings.zstd_level)
+            size = self._commit(PacketKind.KEY, 0, coded)
+        self._pictures = frame.training
+        return self._report(frame, "key", size, coded, 1.0, watch)
+
+    def encode_next(self, frame: RigFrame) -> FrameReport:
+        """Trains and writes the next frame from the reconstructed state of the one before."""
+        assert self._state is not None
+        watch, state = _Stopwatch(), self._state
+        with watch.stage("masks"):
+            masks = frame_masks(frame.training, self._pictures, self._settings.frame.masks)
+        selected = np.zeros(len(state), bool)
+        trained: TrainedFrame | None = None
+        if any(mask.raw.any() for mask in masks):
+            scene = dequantise(state, self._header.lattice)
+            with watch.stage("selection"):
+                selected = self._select(scene, masks)
+            if selected.any():
+                with watch.stage("training"):
+                    trained = self._trainer.train(scene, selected, frame.training, masks, self._motion)
+        with watch.stage("write"):
+            delta = None if trained is None else self._delta(state, trained)
+            index = frame.index - self._first
+            if delta is None or not (len(delta.rows) or len(delta.removed) or len(delta.added)):
+                kind, coded = PacketKind.SKIP, write_skip(state)
+            else:
+                kind, coded = PacketKind.DELTA, write_delta(state, delta, level=self._settings.zstd_level)
+            size = self._commit(kind, index, coded)
+        self._motion = self._displacements(state, self._state)
+        self._pictures = frame.training
+        share = float(selected.mean()) if len(selected) else 0.0
+        return self._report(frame, kind.name.lower(), size, coded, share, watch)
+
+    def finish(self) -> None:
+        """Completes the stream with its index."""
+        self._writer.finish()
+
+    def _select(self, scene: Splats, masks: Sequence[FrameMask]) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+        evidence = [
+            view_evidence(self._kernel, scene, view.pinhole, mask.dilated)
+            for view, mask in zip(self._ingest.views, masks, strict=True)
+        ]
+        return select(evidence, self._settings.frame.selection)
+
+    def _delta(self, state: State, trained: TrainedFrame) -> Delta:
+        lattice = self._header.lattice
+        current = quantise(trained.values, lattice, near=take_rows(state, trained.kept))
+        added = quantise(trained.added, lattice)
+        return difference(state, trained.kept, current, removed=trained.removed, added=added)
+
+    def _commit(self, kind: PacketKind, frame: int, coded: Coded) -> int:
+        """Reconstructs the next state from the packet's bytes, as the decoder will, and writes the packet."""
+        packet = Packet(kind=kind, critical=True, frame=frame, payload=coded.payload, offset=0, ordinal=frame + 1)
+        self._state = reconstruct(self._state, packet, self._header)
+        return self._writer.write(kind, frame, coded.payload)
+
+    def _displacements(self, before: State, after: State | None) -> FloatArray:
+        """How far every Gaussian of ``after`` moved in the last frame, (N, 3) world units; 0 for new ones."""
+        assert after is not None
+        motion = np.zeros((len(after), 3), np.float32)
+        _, was, now = np.intersect1d(before.ids, after.ids, assume_unique=True, return_indices=True)
+        steps = after.means[now].astype(np.float64) - before.means[was]
+        motion[now] = steps * np.asarray(self._header.lattice.means)
+        return motion
+
+    def _report(
+        self, frame: RigFrame, kind: str, size: int, coded: Coded, selected: float, watch: _Stopwatch
+    ) -> FrameReport:
+        assert self._state is not None
+        if kind == "key":
+            self._motion = np.zeros((len(self._state), 3), np.float32)
+        with watch.stage("measure"):
+            scene = dequantise(self._state, self._header.lattice)
+            training = mean_psnr(self._kernel, scene, self._ingest.views, frame.training)
+            held_out = mean_psnr(self._kernel, scene, self._ingest.held_out_views, frame.held_out)
+        return FrameReport(
+            frame.index,
+            kind,
+            size,
+            len(self._state),
+            selected,
+            training,
+            held_out if frame.held_out else None,
+            watch.seconds,
+            coded.costs,
+        )
+
+    def _stream_header(self, lattice: Lattice) -> StreamHeader:
+        rig, settings = self._ingest.rig, self._settings
+        return StreamHeader(
+            cameras=self._ingest.cameras,
+            lattice=lattice,
+            sh_degree=settings.keyframe.sh_degree,
+            fps=rig.fps,
+            held_out=tuple(view.camera.name for view in self._ingest.held_out_views),
+            source_text=rig.source_text,
+            licence=rig.licence,
+            settings={"seed": self._seed, "scale": self._ingest.scale, **settings.as_document()},
+        )
+
+    def _frame_trainer(self, splats: Splats) -> FrameTrainer:
+        low, high = np.percentile(splats.means.astype(np.float64), [1, 99], axis=0)
+        margin = 0.1 * (high - low) + 1e-6
+        return FrameTrainer(
+            self._kernel,
+            self._ingest.views,
+            self._settings.frame,
+            extent=scene_extent(self._ingest.views) or 1.0,
+            box=(low - margin, high + margin),
+            seed=self._seed,
+            threads=max(1, self._threads),
+        )
+
+
+def frame_span(rig: Rig, frames: slice | None) -> range:
+    """The rig's frames that ``frames`` names, as Python would; raises UsageError when there are none or they skip."""
+    chosen = range(rig.frame_count)[slice(None) if frames is None else frames]
+    if not len(chosen):
+        raise UsageError(f"--frames: {rig.path} has frames 0 to {rig.frame_count - 1}; the range holds none of them")
+    if chosen.step != 1:
+        raise UsageError("--frames: give consecutive frames, A:B")
+    return chosen
+
+
+def encode_stream(
+    ingest: Ingest,
+    output: Path,
+    span: range,
+    settings: EncodeSettings,
+    *,
+    seed: int,
+    threads: int,
+    on_frame: OnFrame | None = None,
+    on_keyframe_step: OnKeyframeStep | None = None,
+) -> EncodeReport:
+    """Encodes frames ``span`` of the rig to ``output``; Ctrl-C after the keyframe ends the stream early but whole.
+
+    Raises DecogsError for unusable input; complete frames then remain in ``output`` + ".part", and the message says so.
+    """
+    if not output.parent.is_dir():
+        raise UsageError(f"{output.parent}: no such folder; create it first")
+    growing = output.with_name(output.name + ".part")
+    encoder = StreamEncoder(ingest, settings, seed=seed, threads=threads)
+    reports: list[FrameReport] = []
+    interrupted = False
+    file = None
+
+    def open_writer(header: bytes) -> StreamWriter:
+        nonlocal file
+        file = growing.open("wb")
+        return StreamWriter(file, header)
+
+    try:
+        for frame in ingest.frames(span.start, span.stop):
+            if not reports:
+                report = encoder.encode_key(frame, open_writer, on_keyframe_step)
+            else:
+                report = encoder.encode_next(frame)
+            reports.append(report)
+            if on_frame:
+                on_frame(report)
+    except KeyboardInterrupt:
+        if not reports:
+            raise
+        interrupted = True
+    except DecogsError as error:
+        if reports:
+            message = f"{error}; the {len(reports)} frames before it are in {growing}"
+            raise type(error)(message) from error if not hasattr(error, "reason") else error
+        raise
+    finally:
+        if file is not None:
+            if reports:
+                encoder.finish()
+            file.close()
+            if not reports:
+                growing.unlink(missing_ok=True)
+    os.replace(growing, output)
+    return EncodeReport(output, reports, output.stat().st_size, interrupted)

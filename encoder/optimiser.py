@@ -1,0 +1,96 @@
+"""Adam over the stored values of a scene, with rows that come, go, or must not move.
+
+Chosen: one set of moments per attribute, stepped natively on the given rows only, so that a row that is not stepped keeps
+value and moments bit for bit (the method's "Adam reset" is then a matter of zeroing moments once, not of every step).
+Rejected: torch.optim.Adam (steps every row, and its sparse variant has no row sets that change).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.formats.splats import FloatArray, Splats, join_splats, take_splats
+
+from .rasterise import SplatGradients, TrainingKernel
+
+ATTRIBUTES = ("means", "log_scales", "quaternions", "opacity_logits", "sh")
+
+
+@dataclass(frozen=True)
+class LearningRates:
+    """Adam's step sizes, in the unit of each stored value; ``means`` in world units. Larger moves faster and settles later."""
+
+    means: float
+    log_scales: float
+    quaternions: float
+    opacity_logits: float
+    sh_dc: float
+    sh_rest: float
+
+    def scaled(self, factor: float) -> LearningRates:
+        return LearningRates(*(getattr(self, f.name) * factor for f in fields(self)))
+
+
+class SplatOptimiser:
+    """The stored values under training and their Adam moments; ``splats`` is stepped in place."""
+
+    def __init__(self, splats: Splats, kernel: TrainingKernel, *, epsilon: float = 1e-15) -> None:
+        self._kernel = kernel
+        self._epsilon = epsilon
+        self.splats = Splats(*(getattr(splats, name).copy() for name in ATTRIBUTES))
+        self._first = _zeros_like(splats)
+        self._second = _zeros_like(splats)
+        self._steps = 0
+
+    def step(self, gradients: SplatGradients, rates: LearningRates, *, rows: NDArray[np.int64] | None = None) -> None:
+        """One step of every attribute whose rate is not 0, on ``rows`` or on all."""
+        self._steps += 1
+        coefficients = self.splats.sh.shape[1]
+        sh_rates = np.repeat(np.float32([rates.sh_dc] + [rates.sh_rest] * (coefficients - 1)), 3)
+        for name in ATTRIBUTES:
+            rate = sh_rates if name == "sh" else getattr(rates, name)
+            if not np.any(rate):
+                continue
+            self._kernel.adam(
+                getattr(self.splats, name),
+                getattr(gradients, name),
+                getattr(self._first, name),
+                getattr(self._second, name),
+                rate=rate,
+                step=self._steps,
+                epsilon=self._epsilon,
+                rows=rows,
+            )
+
+    def reset_moments(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> None:
+        """Forgets the momentum of ``rows``: method.md, stage 2."""
+        for moments in (self._first, self._second):
+            for name in ATTRIBUTES:
+                getattr(moments, name)[rows] = 0.0
+
+    def moments_are_zero(self, rows: NDArray[np.bool_]) -> bool:
+        return not any(getattr(m, name)[rows].any() for m in (self._first, self._second) for name in ATTRIBUTES)
+
+    def keep(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> None:
+        """Drops every other row, or puts rows into a new order."""
+        self.splats = take_splats(self.splats, rows)
+        self._first, self._second = take_splats(self._first, rows), take_splats(self._second, rows)
+
+    def append(self, added: Splats) -> None:
+        """Adds rows without momentum."""
+        self.splats = join_splats(self.splats, added)
+        self._first = join_splats(self._first, _zeros_like(added))
+        self._second = join_splats(self._second, _zeros_like(added))
+
+
+def _zeros_like(splats: Splats) -> Splats:
+    return Splats(*(np.zeros_like(getattr(splats, name)) for name in ATTRIBUTES))
+
+
+def gradient_buffers(splats: Splats) -> SplatGradients:
+    """Arrays for the gradients of ``splats``, to be reused from step to step."""
+    arrays: list[FloatArray] = [np.zeros_like(getattr(splats, name)) for name in ATTRIBUTES]
+    return SplatGradients(*arrays, np.zeros(len(splats), np.float32))

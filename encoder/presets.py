@@ -1,0 +1,74 @@
+"""Everything that can be set, and the named sets of it.
+
+A preset is a starting point; every field says in its own docstring which way is slower.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+from decogs.codec.lattice import Quality
+from decogs.formats.errors import UsageError
+
+from .frame_training import FrameSettings
+from .keyframe import KeyframeSettings
+from .losses import FocusWeights
+from .masks import MaskSettings
+from .selection import SelectionSettings
+from .transformation_cache import CacheSettings
+
+
+@dataclass(frozen=True)
+class EncodeSettings:
+    """What an encode does. ``quality``: lattice steps, finer is larger. ``zstd_level``: higher is slower, smaller."""
+
+    keyframe: KeyframeSettings = field(default_factory=KeyframeSettings)
+    frame: FrameSettings = field(default_factory=FrameSettings)
+    quality: Quality = "fine"
+    zstd_level: int = 19
+
+    def as_document(self) -> dict[str, Any]:
+        """The settings as plain JSON values, for the stream's header and the log."""
+        return asdict(self)
+
+
+_SMALL_CACHE = CacheSettings(levels=8, features=2, table_log2=13, hidden_width=32, learning_rate=5e-3)
+
+_STANDARD = EncodeSettings(
+    keyframe=KeyframeSettings(iterations=1500, sh_degree=1),
+    frame=FrameSettings(
+        masks=MaskSettings(threshold=10.0, radius_share=0.018),
+        cache=_SMALL_CACHE,
+        carry_cache=True,
+        cache_iterations=40,
+        joint_iterations=100,
+        warm_start=0.9,
+    ),
+)
+
+PRESETS: dict[str, EncodeSettings] = {
+    "draft": replace(
+        _STANDARD,
+        keyframe=KeyframeSettings(iterations=400, cap=40_000),
+        frame=replace(_STANDARD.frame, cache_iterations=20, joint_iterations=60),
+    ),
+    "standard": _STANDARD,
+    "high": replace(
+        _STANDARD,
+        keyframe=KeyframeSettings(iterations=3000, cap=80_000, sh_degree=2),
+        frame=replace(_STANDARD.frame, cache_iterations=80, joint_iterations=250),
+    ),
+    "paper": EncodeSettings(
+        keyframe=KeyframeSettings(iterations=3000, sh_degree=1),
+        frame=FrameSettings(selection=SelectionSettings(rule="paper"), focus=FocusWeights()),
+    ),
+}
+"""From fast to slow, and ``paper``: the paper's numbers wherever it gives them (method.md)."""
+
+
+def preset(name: str) -> EncodeSettings:
+    """The settings of that name; raises UsageError for an unknown one."""
+    if name not in PRESETS:
+        raise UsageError(f"--preset {name}: there is no such preset; choose from {', '.join(PRESETS)}")
+    return PRESETS[name]

@@ -1,0 +1,94 @@
+"""What the user sees while an encode works: a bar with the time left on a terminal, JSON lines in a log file."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, TextIO
+
+from decogs.formats.errors import UsageError
+
+from .loop import FrameReport
+
+
+class EncodeProgress:
+    """Follows an encode of ``frame_count`` frames.
+
+    On a terminal: one bar over the keyframe's steps, one over the frames, and a line of figures per frame. In a pipe:
+    nothing. ``log``: one JSON object per line, appended as things happen. Raises UsageError when it cannot be written.
+    """
+
+    def __init__(self, frame_count: int, log: Path | None, *, terminal: TextIO | None = None) -> None:
+        stream = sys.stderr if terminal is None else terminal
+        self._terminal = stream if stream.isatty() else None
+        self._frame_count = frame_count
+        self._began = time.perf_counter()
+        self._bar: Any = None
+        self._log: TextIO | None = None
+        if log is not None:
+            try:
+                self._log = log.open("w", encoding="utf-8")
+            except OSError as error:
+                raise UsageError(
+                    f"--log {log}: {error.strerror}; name a file in a folder that can be written"
+                ) from error
+
+    def __enter__(self) -> EncodeProgress:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._close_bar()
+        if self._log:
+            self._log.close()
+
+    def started(self, facts: dict[str, Any]) -> None:
+        self._write({"event": "start", **facts})
+
+    def keyframe_step(self, step: int, steps: int, loss: float) -> None:
+        if self._terminal:
+            bar = self._bar or self._open_bar("keyframe", steps, "step")
+            bar.update(step - bar.n)
+            if step % 50 == 0:
+                bar.set_postfix_str(f"loss {loss:.4f}", refresh=False)
+
+    def frame(self, report: FrameReport) -> None:
+        self._write({"event": "frame", "elapsed": round(time.perf_counter() - self._began, 3), **asdict(report)})
+        if not self._terminal:
+            return
+        if report.kind == "key":
+            self._close_bar()
+            self._open_bar("frames", self._frame_count, "frame")
+        self._bar.write(frame_line(report), file=self._terminal)
+        self._bar.update(1)
+
+    def finished(self, facts: dict[str, Any]) -> None:
+        self._write({"event": "end", "elapsed": round(time.perf_counter() - self._began, 3), **facts})
+
+    def _open_bar(self, what: str, total: int, unit: str) -> Any:
+        from tqdm import tqdm
+
+        self._bar = tqdm(desc=what, total=total, unit=unit, file=self._terminal, leave=False)
+        return self._bar
+
+    def _close_bar(self) -> None:
+        if self._bar is not None:
+            self._bar.close()
+            self._bar = None
+
+    def _write(self, record: dict[str, Any]) -> None:
+        if self._log:
+            self._log.write(json.dumps(record) + "\n")
+            self._log.flush()
+
+
+def frame_line(report: FrameReport) -> str:
+    """One frame's figures on one line."""
+    held_out = "" if report.held_out_psnr is None else f"  held out {report.held_out_psnr:6.2f} dB"
+    stages = "  ".join(f"{name} {seconds:.2f} s" for name, seconds in report.seconds.items() if name != "measure")
+    return (
+        f"frame {report.frame:4d} {report.kind:5}  train {report.training_psnr:6.2f} dB{held_out}  "
+        f"selected {report.selected:6.1%}  {report.bytes:8d} bytes  {stages}"
+    )

@@ -1,0 +1,108 @@
+"""What must hold of an installed decogs: run in the development environment, and again in one that holds only the
+wheel and no torch (make wheel-check)."""
+
+from __future__ import annotations
+
+import ctypes
+import importlib.util
+import json
+import platform
+import subprocess
+import sys
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+
+ROOT = Path(__file__).resolve().parents[1]
+LAYERS = ("formats", "codec", "decoder", "encoder")
+INSTALLED = metadata.distribution("decogs")
+INSTRUCTION_SETS = ("base", "avx2", "avx512") if platform.machine() in ("x86_64", "AMD64") else ("base",)
+
+
+def is_editable() -> bool:
+    direct_url = json.loads(INSTALLED.read_text("direct_url.json") or "{}")
+    return bool(direct_url.get("dir_info", {}).get("editable"))
+
+
+def layer_folder(layer: str) -> Path:
+    """Where the installation has a layer, found without importing it."""
+    spec = importlib.util.find_spec(f"decogs.{layer}")
+    assert spec is not None
+    assert spec.origin is not None
+    return Path(spec.origin).resolve().parent
+
+
+def modules_in(folder: Path) -> list[str]:
+    return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*.py"))
+
+
+@pytest.mark.parametrize("layer", LAYERS)
+def test_a_layer_is_installed_whole(layer: str) -> None:
+    """No module of the checkout is missing and none is left over from an older build."""
+    expected = ROOT / layer if is_editable() else Path(str(INSTALLED.locate_file("decogs"))).resolve() / layer
+    assert layer_folder(layer) == expected
+    assert modules_in(expected) == modules_in(ROOT / layer)
+    assert (expected / "py.typed").is_file()
+
+
+def test_nothing_else_is_installed() -> None:
+    """Neither tests nor a generic name such as ``codec`` lands in site-packages."""
+    files = INSTALLED.files
+    assert files is not None
+    tops = {file.parts[0] for file in files if file.parts[0] != ".."}  # ".." leads to the commands in bin/
+    ours = {top for top in tops if not top.startswith(("decogs-", "__editable__"))}
+    assert ours <= {"decogs", "__pycache__"}
+    assert not [str(file) for file in files if file.parts[0] == "decogs" and "test" in str(file)]
+
+
+def test_the_specification_is_installed() -> None:
+    assert (layer_folder("formats") / "SPEC.md").read_bytes() == (ROOT / "formats" / "SPEC.md").read_bytes()
+
+
+@pytest.mark.parametrize("instruction_set", INSTRUCTION_SETS)
+@pytest.mark.parametrize(
+    ("layer", "stem", "function"),
+    [("decoder", "_forward", "decogs_render"), ("encoder", "_training", "decogs_backward")],
+)
+def test_the_kernels_are_installed(layer: str, stem: str, function: str, instruction_set: str) -> None:
+    """The wheel is built from the sdist, so this also shows that the sdist holds their sources."""
+    library = ctypes.CDLL(str(layer_folder(layer) / "rasterise" / f"{stem}_{instruction_set}.abi3.so"))
+    assert hasattr(library, function)
+
+
+def test_torch_is_needed_by_the_encode_extra_only() -> None:
+    needed = [Requirement(line) for line in metadata.requires("decogs") or []]
+    (torch,) = [requirement for requirement in needed if requirement.name == "torch"]
+    assert torch.marker is not None
+    assert torch.marker.evaluate({"extra": "encode"})
+    assert not torch.marker.evaluate({"extra": ""})
+    assert not torch.marker.evaluate({"extra": "dev"})
+
+
+def test_the_lower_layers_import_without_torch_and_encoder() -> None:
+    """Every module of formats, codec and decoder, with torch and decogs.encoder made impossible to import."""
+    program = """
+import importlib, sys
+sys.modules["torch"] = sys.modules["decogs.encoder"] = None
+for name in sys.argv[1:]:
+    importlib.import_module(name)
+"""
+    names = [
+        ".".join(["decogs", layer, *Path(module).with_suffix("").parts]).removesuffix(".__init__")
+        for layer in ("formats", "codec", "decoder")
+        for module in modules_in(ROOT / layer)
+    ]
+    command = [sys.executable, "-I", "-c", program, *names]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+
+
+@pytest.mark.parametrize("command", ["decogs-decode", "decogs-export", "decogs-info"])
+def test_a_command_explains_itself(command: str) -> None:
+    # Not resolved: the commands lie beside the environment's python, which is a link.
+    script = Path(sys.executable).parent / command
+    result = subprocess.run([str(script), "--help"], capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    assert f"usage: {command}" in result.stdout

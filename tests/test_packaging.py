@@ -1,0 +1,82 @@
+"""What pyproject.toml, constraints.txt and CHANGELOG.md say agrees with the checkout and with each other."""
+
+from __future__ import annotations
+
+import re
+import sys
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+ROOT = Path(__file__).resolve().parents[1]
+LAYERS = ("formats", "codec", "decoder", "encoder")
+
+
+@pytest.fixture(scope="module")
+def pyproject() -> dict[str, Any]:
+    return tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+
+
+def requirements(pyproject: dict[str, Any]) -> list[Requirement]:
+    project = pyproject["project"]
+    extras = project["optional-dependencies"].values()
+    lines = [*project["dependencies"], *(line for extra in extras for line in extra)]
+    return [Requirement(line) for line in [*lines, *pyproject["build-system"]["requires"]]]
+
+
+def pins() -> dict[str, list[Requirement]]:
+    lines = [line for line in (ROOT / "constraints.txt").read_text("utf-8").splitlines() if line and line[0] != "#"]
+    by_name: dict[str, list[Requirement]] = {}
+    for pin in map(Requirement, lines):
+        by_name.setdefault(canonicalize_name(pin.name), []).append(pin)
+    return by_name
+
+
+def test_packages_list_every_folder_with_modules(pyproject: dict[str, Any]) -> None:
+    """A folder missing from the list works in an editable install and is missing from the wheel only."""
+    folders = {path.parent.relative_to(ROOT) for layer in LAYERS for path in (ROOT / layer).rglob("*.py")}
+    assert sorted(pyproject["tool"]["setuptools"]["packages"]) == sorted(
+        ".".join(["decogs", *folder.parts]) for folder in folders
+    )
+
+
+def test_every_layer_is_mapped_and_typed(pyproject: dict[str, Any]) -> None:
+    mapping = pyproject["tool"]["setuptools"]["package-dir"]
+    assert mapping == {f"decogs.{layer}": layer for layer in LAYERS}
+    for layer in LAYERS:
+        assert (ROOT / layer / "py.typed").is_file()
+        # Type checkers follow these links; they know nothing of setuptools' mapping.
+        assert (ROOT / ".typing" / "decogs" / layer).resolve() == ROOT / layer
+
+
+@pytest.mark.parametrize("python_version", ["3.10", "3.11", "3.13"])
+def test_every_requirement_is_pinned_within_its_range(pyproject: dict[str, Any], python_version: str) -> None:
+    by_name = pins()
+    for requirement in requirements(pyproject):
+        candidates = by_name.get(canonicalize_name(requirement.name), [])
+        chosen = [p for p in candidates if p.marker is None or p.marker.evaluate({"python_version": python_version})]
+        assert len(chosen) == 1, f"constraints.txt pins {requirement.name} {len(chosen)} times on {python_version}"
+        (specifier,) = chosen[0].specifier
+        assert specifier.operator == "=="
+        assert requirement.specifier.contains(specifier.version), f"{chosen[0]} is outside {requirement}"
+
+
+def test_torch_is_pinned_by_number_only() -> None:
+    """A local version (+cpu, +cu130) in the pin would shut out the machine's own choice of device."""
+    assert [str(pin) for pin in pins()["torch"]] == ["torch==2.13.0"]
+
+
+def test_one_version(pyproject: dict[str, Any]) -> None:
+    version = pyproject["project"]["version"]
+    headings = re.findall(r"^## \[(\d[^\]]*)\]", (ROOT / "CHANGELOG.md").read_text("utf-8"), re.MULTILINE)
+    assert metadata.version("decogs") == version
+    assert headings[0] == version
