@@ -1,0 +1,72 @@
+# Everything a developer or a curious user runs. Needs Python 3.10 or later, a C++17 compiler and make.
+#   PYTHON    the Python to use                      make setup PYTHON=python3.12
+#   PIP_ARGS  more options for pip, such as an index make setup PIP_ARGS="--index-url ..."
+
+PYTHON ?= python3
+PIP_ARGS ?=
+
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/ready
+KERNEL_SOURCES := $(wildcard decoder/rasterise/kernel/* encoder/rasterise/kernel/*)
+
+# A second environment that holds only the built wheel, without torch.
+DIST := build/dist
+WHEEL_ENV := build/wheel-env
+
+.NOTPARALLEL:
+.DELETE_ON_ERROR:
+.PHONY: help setup demo test lint type layers wheel wheel-check unit bench clean
+
+help: ## list what can be made
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+setup: $(READY) ## create .venv with decogs (editable), training and the development tools
+
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit("Python 3.10 or later is needed: make PYTHON=python3.12" if sys.version_info < (3, 10) else 0)'
+	$(PYTHON) -m venv $(VENV)
+
+# Built without isolation, so that the pinned setuptools builds the kernels here too.
+$(READY): pyproject.toml setup.py constraints.txt $(KERNEL_SOURCES) | $(BIN)/python
+	$(BIN)/python -m pip install $(PIP_ARGS) --quiet -c constraints.txt setuptools
+	$(BIN)/python -m pip install $(PIP_ARGS) --quiet -c constraints.txt --no-build-isolation -e '.[encode,dev]'
+	@touch $@
+
+demo: $(READY) ## encode the sample rig, decode its held-out view, export USD
+	$(BIN)/python samples/demo.py
+
+test: lint type layers wheel-check unit ## every check; what continuous integration runs
+
+lint: $(READY) ## ruff: rules and formatting
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+type: $(READY) ## mypy --strict over the four layers
+	$(BIN)/mypy
+
+layers: $(READY) ## import contracts: formats <- codec <- decoder <- encoder
+	$(BIN)/lint-imports --no-logo
+
+unit: $(READY) ## pytest
+	$(BIN)/pytest
+
+wheel: $(READY) ## build the sdist, and from it the wheel, into build/dist
+	rm -rf $(DIST) && mkdir -p $(DIST)
+	$(BIN)/pyproject-build --no-isolation --outdir $(DIST) > build/wheel.log 2>&1 || { cat build/wheel.log; exit 1; }
+	@ls -l $(DIST)
+
+# What users get from `pip install decogs`: the wheel built from the sdist, in an environment of its own without torch.
+wheel-check: wheel ## install that wheel without the encode extra and run the decoder from it
+	rm -rf $(WHEEL_ENV)
+	$(BIN)/python -m venv $(WHEEL_ENV)
+	$(WHEEL_ENV)/bin/python -m pip install $(PIP_ARGS) --quiet -c constraints.txt $(DIST)/*.whl pytest
+	$(WHEEL_ENV)/bin/pytest -p no:cacheprovider tests/test_installed.py tests/decoder/test_standalone.py
+
+bench: $(READY) ## time the rasteriser at four scene sizes
+	$(BIN)/python tests/bench/rasterise.py
+
+clean: ## remove what was built and every cache; .venv and demo/ stay
+	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache $(READY)
+	find formats codec decoder encoder tests samples -name __pycache__ -prune -exec rm -rf {} +
+	find decoder encoder -name '*.abi3.so' -delete
