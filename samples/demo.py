@@ -30,13 +30,15 @@ def main() -> None:
     stream, pictures, scene, beside = (OUTPUT / name for name in ("scene.dgs", HELD_OUT, "scene.usdc", "beside.png"))
 
     encoded = encode(RIG, stream, holdout=(HELD_OUT,), log=OUTPUT / "encode.jsonl")
+    if encoded.interrupted:
+        sys.exit(f"demo: interrupted; {stream} holds the first {len(encoded.frames)} frames")
     started = time.perf_counter()
     decode(stream, pictures, view=HELD_OUT)
     decoding_seconds = time.perf_counter() - started
     export(stream, scene)
 
     decoded = [read_picture(path) for path in sorted(pictures.glob("*.png"))]
-    recorded = [frame for _, (frame,) in read_frames(open_rig(RIG), 0, len(decoded), names=[HELD_OUT])]
+    recorded = [frame for _, (frame,) in read_frames(open_rig(RIG), names=[HELD_OUT])]
     quality = [psnr(mine, truth) for mine, truth in zip(decoded, recorded, strict=True)]
     cv2.imwrite(str(beside), np.hstack([recorded[-1], decoded[-1]])[:, :, ::-1])
 
