@@ -256,9 +256,11 @@ class TransformationCache:
         """Fix the M selected Gaussians to be moved: means (M, 3) in world units, quaternions (M, 4) wxyz, any norm.
 
         The grid will be read at these means until the next call; where the base values differ from the reading points
-        (stage 2), give those to `rebase` afterwards. Gradients not yet stepped are dropped. A new frame starts with Adam at rest; with
-        ``same_frame`` (densification in mid-frame) moments and step count stay, and entries read for the first time
-        have zero moments, as they would have in an Adam over the whole table. Takes about 2 kB per Gaussian.
+        (stage 2), give those to `rebase` afterwards. Gradients not yet stepped are dropped.
+
+        A new frame starts with Adam at rest; with ``same_frame`` (densification in mid-frame) moments and step count
+        stay, and entries read for the first time have zero moments, as they would have in an Adam over the whole table.
+        Takes about 2 kB per Gaussian.
         Raises TrainingError for values that are not finite.
         """
         with _one_thread():
