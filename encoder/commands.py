@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -49,6 +50,7 @@ def _encode(options: argparse.Namespace) -> int:
         threads=options.threads,
         device=options.device,
         log=options.log,
+        terminal=sys.stderr,
     )
     print("\n".join(_summary(report)))
     return 130 if report.interrupted else 0

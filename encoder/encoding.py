@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TextIO
 
 from decogs.decoder.rasterise.native import thread_count
 from decogs.decoder.session import frame_range
@@ -32,21 +33,25 @@ def encode(
     threads: int = 0,
     device: str = "auto",
     log: str | os.PathLike[str] | None = None,
+    terminal: TextIO | None = None,
 ) -> EncodeReport:
     """Encodes a rig of synchronised, calibrated cameras as a .dgs stream.
 
     ``frames``: "A:B" half-open, as in Python, or a slice; all when None. ``scale``: of the pictures trained on.
     ``holdout``: cameras kept out of training and measured on. ``preset``: a name in PRESETS, or settings.
     ``threads``: 0 means all processors; the stream does not depend on it. ``log``: file for JSON lines.
-    Raises RigError, UsageError or TrainingError; nothing is then left under the output's name.
+    ``terminal``: where to show a progress bar, if it is one. Ctrl-C after the first frame ends the stream early but
+    whole. Raises RigError, UsageError or TrainingError; nothing is then left under the output's name.
     """
     _check_device(device)
+    if seed < 0:
+        raise UsageError(f"--seed {seed}: give a number of at least 0")
     settings = _settings(preset)
     held = [holdout] if isinstance(holdout, str) else list(holdout)
     rig = open_rig(rig_dir)
     span = frame_span(rig, frame_range(frames) if isinstance(frames, str) else frames)
     ingest = Ingest(rig, holdout=held, scale=scale)
-    with EncodeProgress(len(span), None if log is None else Path(log)) as progress:
+    with EncodeProgress(len(span), None if log is None else Path(log), terminal=terminal) as progress:
         progress.started(
             {
                 "rig": str(rig.path),

@@ -62,6 +62,7 @@ class Ingest:
             raise UsageError(f"{rig.path}: every camera is held out; leave some to train on")
         cameras = {camera.name: scale_camera(camera, scale) for camera in rig.cameras}
         self._plans = {name: Undistortion(cameras[name]) for name in names}
+        self._fillings = {name: _filling(plan.valid) for name, plan in self._plans.items()}
         self.views = [self._view(name) for name in self._names]
         self.held_out_views = [self._view(name) for name in self._held_names]
 
@@ -91,14 +92,33 @@ class Ingest:
             shrinks = size[0] < picture.shape[1]
             picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_CUBIC)  # type: ignore[assignment]
         undistorted = plan.apply(picture)
-        display = display_referred(undistorted)
-        return np.ascontiguousarray(display.transpose(2, 0, 1))
+        planes = np.ascontiguousarray(display_referred(undistorted).transpose(2, 0, 1))
+        missing, nearest = self._fillings[name]
+        planes.reshape(3, -1)[:, missing] = planes.reshape(3, -1)[:, nearest]
+        return planes
+
+
+def _filling(valid: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Flat indices of the pixels that were not recorded, and of the recorded one nearest to each.
+
+    No loss counts them, but the search for first points would take black corners for a surface that every camera sees.
+    """
+    missing = np.flatnonzero(~valid)
+    if not len(missing) or len(missing) == valid.size:
+        return missing[:0], missing[:0]
+    _, labels = cv2.distanceTransformWithLabels(
+        (~valid).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    recorded = np.flatnonzero(valid)
+    of_label = np.zeros(int(labels.max()) + 1, np.int64)
+    of_label[labels.ravel()[recorded]] = recorded
+    return missing, of_label[labels.ravel()[missing]]
 
 
 def display_referred(picture: NDArray[np.uint8] | NDArray[np.float32]) -> FloatArray:
     """(H, W, 3) in 0..1: 8-bit pictures as they are, scene-linear ones clipped and sRGB-coded (IEC 61966-2-1)."""
     if picture.dtype == np.uint8:
-        return picture.astype(np.float32) / np.float32(255)
+        return np.asarray(picture.astype(np.float32) / np.float32(255))
     linear = np.clip(picture.astype(np.float32), 0, 1)
     coded = np.where(linear <= 0.0031308, linear * 12.92, 1.055 * np.power(linear, 1 / 2.4) - 0.055)
     return coded.astype(np.float32)

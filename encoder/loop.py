@@ -14,8 +14,10 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from decogs.codec.deltas import Delta, difference
 from decogs.codec.header import StreamHeader
@@ -133,7 +135,7 @@ class StreamEncoder:
         watch, state = _Stopwatch(), self._state
         with watch.stage("masks"):
             masks = frame_masks(frame.training, self._pictures, self._settings.frame.masks)
-        selected = np.zeros(len(state), bool)
+        selected: NDArray[np.bool_] = np.zeros(len(state), bool)
         trained: TrainedFrame | None = None
         if any(mask.raw.any() for mask in masks):
             scene = dequantise(state, self._header.lattice)
@@ -159,7 +161,7 @@ class StreamEncoder:
         """Completes the stream with its index."""
         self._writer.finish()
 
-    def _select(self, scene: Splats, masks: Sequence[FrameMask]) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    def _select(self, scene: Splats, masks: Sequence[FrameMask]) -> NDArray[np.bool_]:
         evidence = [
             view_evidence(self._kernel, scene, view.pinhole, mask.dilated)
             for view, mask in zip(self._ingest.views, masks, strict=True)
@@ -261,18 +263,19 @@ def encode_stream(
 
     Raises DecogsError for unusable input; complete frames then remain in ``output`` + ".part", and the message says so.
     """
-    if not output.parent.is_dir():
-        raise UsageError(f"{output.parent}: no such folder; create it first")
+    _check_output(output)
     growing = output.with_name(output.name + ".part")
     encoder = StreamEncoder(ingest, settings, seed=seed, threads=threads)
     reports: list[FrameReport] = []
     interrupted = False
-    file = None
+    file: BinaryIO | None = None
+    writer: StreamWriter | None = None
 
     def open_writer(header: bytes) -> StreamWriter:
-        nonlocal file
+        nonlocal file, writer
         file = growing.open("wb")
-        return StreamWriter(file, header)
+        writer = StreamWriter(file, header)
+        return writer
 
     try:
         for frame in ingest.frames(span.start, span.stop):
@@ -289,15 +292,35 @@ def encode_stream(
         interrupted = True
     except DecogsError as error:
         if reports:
-            message = f"{error}; the {len(reports)} frames before it are in {growing}"
-            raise type(error)(message) from error if not hasattr(error, "reason") else error
+            error.args = (f"{error}; the {len(reports)} frames before it are in {growing}",)
         raise
     finally:
         if file is not None:
-            if reports:
+            if reports and writer is not None:
+                _cut_after(len(reports), file, writer)
                 encoder.finish()
             file.close()
             if not reports:
                 growing.unlink(missing_ok=True)
     os.replace(growing, output)
     return EncodeReport(output, reports, output.stat().st_size, interrupted)
+
+
+def _check_output(output: Path) -> None:
+    """Training takes minutes: what can be known about writing is said before it begins."""
+    if output.is_dir():
+        raise UsageError(f"{output}: is a folder; name a file in it, such as {output / 'scene.dgs'}")
+    if not output.parent.is_dir():
+        raise UsageError(f"{output.parent}: no such folder; create it first")
+    if not os.access(output.parent, os.W_OK):
+        raise UsageError(f"{output.parent}: cannot be written to; choose another folder")
+
+
+def _cut_after(frames: int, file: BinaryIO, writer: StreamWriter) -> None:
+    """Takes off what an interruption left, in whole or in part, of a packet after the first ``frames``."""
+    if len(writer.entries) > frames:
+        end = writer.entries[frames].offset
+        file.seek(end)
+        file.truncate()
+        del writer.entries[frames:]
+        writer.bytes_written = end

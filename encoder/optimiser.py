@@ -12,7 +12,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.splats import FloatArray, Splats, join_splats, take_splats
+from decogs.formats.splats import Splats, join_splats, take_splats
 
 from .rasterise import SplatGradients, TrainingKernel
 
@@ -49,7 +49,7 @@ class SplatOptimiser:
         """One step of every attribute whose rate is not 0, on ``rows`` or on all."""
         self._steps += 1
         coefficients = self.splats.sh.shape[1]
-        sh_rates = np.repeat(np.float32([rates.sh_dc] + [rates.sh_rest] * (coefficients - 1)), 3)
+        sh_rates = np.repeat(np.array([rates.sh_dc] + [rates.sh_rest] * (coefficients - 1), np.float32), 3)
         for name in ATTRIBUTES:
             rate = sh_rates if name == "sh" else getattr(rates, name)
             if not np.any(rate):
@@ -92,5 +92,12 @@ def _zeros_like(splats: Splats) -> Splats:
 
 def gradient_buffers(splats: Splats) -> SplatGradients:
     """Arrays for the gradients of ``splats``, to be reused from step to step."""
-    arrays: list[FloatArray] = [np.zeros_like(getattr(splats, name)) for name in ATTRIBUTES]
-    return SplatGradients(*arrays, np.zeros(len(splats), np.float32))
+    zeros = _zeros_like(splats)
+    return SplatGradients(
+        zeros.means,
+        zeros.log_scales,
+        zeros.quaternions,
+        zeros.opacity_logits,
+        zeros.sh,
+        np.zeros(len(splats), np.float32),
+    )

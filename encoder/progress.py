@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 import time
 from dataclasses import asdict
 from pathlib import Path
@@ -17,13 +16,13 @@ from .loop import FrameReport
 class EncodeProgress:
     """Follows an encode of ``frame_count`` frames.
 
-    On a terminal: one bar over the keyframe's steps, one over the frames, and a line of figures per frame. In a pipe:
-    nothing. ``log``: one JSON object per line, appended as things happen. Raises UsageError when it cannot be written.
+    ``terminal``: a bar over the keyframe's steps, one over the frames, and a line of figures per frame; nothing when
+    it is None or a pipe. ``log``: one JSON object per line, written as things happen: "start", one "frame" per frame
+    (the fields of FrameReport, and ``elapsed`` seconds), "end". Raises UsageError when it cannot be written.
     """
 
     def __init__(self, frame_count: int, log: Path | None, *, terminal: TextIO | None = None) -> None:
-        stream = sys.stderr if terminal is None else terminal
-        self._terminal = stream if stream.isatty() else None
+        self._terminal = terminal if terminal is not None and terminal.isatty() else None
         self._frame_count = frame_count
         self._began = time.perf_counter()
         self._bar: Any = None

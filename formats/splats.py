@@ -44,7 +44,7 @@ class Splats:
 
 def sh_degree_of(coefficients: int) -> int:
     """Spherical-harmonics degree that has this many coefficients per channel (1, 4, 9, 16)."""
-    degree = round(float(coefficients) ** 0.5) - 1
+    degree: int = round(float(coefficients) ** 0.5) - 1
     if (degree + 1) ** 2 != coefficients or not 0 <= degree <= 3:
         raise ValueError(f"{coefficients} SH coefficients per channel is no degree from 0 to 3")
     return degree

@@ -29,7 +29,7 @@ def main() -> None:
     OUTPUT.mkdir()
     stream, pictures, scene, beside = (OUTPUT / name for name in ("scene.dgs", HELD_OUT, "scene.usdc", "beside.png"))
 
-    encoded = encode(RIG, stream, holdout=(HELD_OUT,), log=OUTPUT / "encode.jsonl")
+    encoded = encode(RIG, stream, holdout=(HELD_OUT,), log=OUTPUT / "encode.jsonl", terminal=sys.stderr)
     if encoded.interrupted:
         sys.exit(f"demo: interrupted; {stream} holds the first {len(encoded.frames)} frames")
     started = time.perf_counter()

@@ -188,7 +188,9 @@ class TrainingKernel:
         """Gradients of every Gaussian (exactly zero outside ``selected``) for the cotangents of the last picture."""
         n = self._same_scene(splats)
         out = out or SplatGradients(
-            *(np.empty_like(a) for a in (splats.means, splats.log_scales, splats.quaternions)),
+            np.empty_like(splats.means),
+            np.empty_like(splats.log_scales),
+            np.empty_like(splats.quaternions),
             np.empty_like(splats.opacity_logits),
             np.empty_like(splats.sh),
             np.empty(n, np.float32),
