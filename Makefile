@@ -29,6 +29,7 @@ $(BIN)/python:
 
 # Built without isolation, so that the pinned setuptools builds the kernels here too.
 $(READY): pyproject.toml setup.py constraints.txt $(KERNEL_SOURCES) | $(BIN)/python
+	@echo 'Installing into $(VENV): a few minutes, torch is large (CONTRIBUTING.md: which torch)'
 	$(BIN)/python -m pip install $(PIP_ARGS) --quiet -c constraints.txt setuptools
 	$(BIN)/python -m pip install $(PIP_ARGS) --quiet -c constraints.txt --no-build-isolation -e '.[encode,dev]'
 	@touch $@

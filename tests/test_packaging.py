@@ -12,6 +12,8 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
+from decogs.formats.rigs import open_rig, read_frames
+
 if sys.version_info >= (3, 11):
     import tomllib
 else:
@@ -80,3 +82,11 @@ def test_one_version(pyproject: dict[str, Any]) -> None:
     headings = re.findall(r"^## \[(\d[^\]]*)\]", (ROOT / "CHANGELOG.md").read_text("utf-8"), re.MULTILINE)
     assert metadata.version("decogs") == version
     assert headings[0] == version
+
+
+def test_the_sample_rig_is_whole() -> None:
+    rig = open_rig(ROOT / "samples" / "workbench")
+    assert [camera.name for camera in rig.cameras] == [f"cam{number:02d}" for number in range(13)]
+    assert (rig.layout, rig.fps, rig.frame_count) == ("n3dv", 30.0, 9)
+    assert [frame for frame, _ in read_frames(rig)] == list(range(9))
+    assert sum(path.stat().st_size for path in rig.path.iterdir()) < 3_000_000
