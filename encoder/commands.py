@@ -58,7 +58,7 @@ def _encode(options: argparse.Namespace) -> int:
 
 def _summary(report: EncodeReport) -> list[str]:
     frames = report.frames
-    lines = [f"{report.output}: {len(frames)} frames, {report.total_bytes} bytes"]
+    lines = [f"{report.output}: {len(frames)} frame{'s'[: len(frames) > 1]}, {report.total_bytes} bytes"]
     if report.interrupted:
         lines[0] += f"; stopped early by Ctrl-C, after frame {frames[-1].frame}: the stream is whole up to there"
     held = [f.held_out_psnr for f in frames if f.held_out_psnr is not None]

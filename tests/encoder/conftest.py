@@ -201,10 +201,10 @@ Encode = Callable[..., Encoded]
 def _encode(output: Path, rig: Path, **options: Any) -> Encoded:
     chosen: dict[str, Any] = {
         "settings": TINY, "holdout": [HELD_OUT], "seed": 0, "threads": 2, "scale": 1.0, "on_frame": None,
-        "ingest": None, "stop": None,
+        "start": 0, "stop": None, "on_keyframe_step": None,
     } | options  # fmt: skip
     opened = open_rig(rig)
-    ingest = (chosen["ingest"] or Ingest)(opened, holdout=chosen["holdout"], scale=chosen["scale"])
+    ingest = Ingest(opened, holdout=chosen["holdout"], scale=chosen["scale"])
     states: list[State] = []
     selected: dict[int, np.ndarray] = {}
     reconstruct, select = loop.reconstruct, loop.select
@@ -223,19 +223,24 @@ def _encode(output: Path, rig: Path, **options: Any) -> Encoded:
         report = encode_stream(
             ingest,
             output,
-            range(chosen["stop"] or opened.frame_count),
+            range(chosen["start"], chosen["stop"] or opened.frame_count),
             chosen["settings"],
             seed=chosen["seed"],
             threads=chosen["threads"],
             on_frame=chosen["on_frame"],
+            on_keyframe_step=chosen["on_keyframe_step"],
         )
     return Encoded(output, report, states, selected)
 
 
 @pytest.fixture(scope="session")
 def encode(tmp_path_factory: pytest.TempPathFactory) -> Encode:
-    """``encode(rig, settings=, holdout=, seed=, threads=, scale=, stop=, on_frame=, ingest=)``: the rig as a stream."""
-    return lambda rig, **options: _encode(tmp_path_factory.mktemp("encoded") / "scene.dgs", rig, **options)
+    """``encode(rig, settings=, holdout=, seed=, threads=, scale=, start=, stop=, on_frame=, output=)`` and observes."""
+
+    def run(rig: Path, *, output: Path | None = None, **options: Any) -> Encoded:
+        return _encode(output or tmp_path_factory.mktemp("encoded") / "scene.dgs", rig, **options)
+
+    return run
 
 
 @pytest.fixture(scope="session")

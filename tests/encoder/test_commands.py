@@ -1,0 +1,259 @@
+"""``decogs-encode``: what it prints, returns and leaves behind, also when the rig or the user stops it."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import OpenEXR
+import pytest
+
+from decogs.decoder.session import open_stream
+from decogs.encoder import PRESETS
+from decogs.encoder.commands import encode_main
+
+
+@pytest.fixture(autouse=True)
+def tiny_preset(monkeypatch: pytest.MonkeyPatch, tiny_settings: Any) -> None:
+    monkeypatch.setitem(PRESETS, "tiny", tiny_settings)
+
+
+@pytest.fixture
+def refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """Runs the command, which must fail with code 2 and leave no output, and returns its one line."""
+
+    def run(rig: Path, *options: str, output: Path | None = None) -> str:
+        folder = tmp_path / "out"
+        folder.mkdir(exist_ok=True)
+        name = output or folder / "scene.dgs"
+        try:
+            code = encode_main([str(rig), "-o", str(name), "--preset", "tiny", *options])
+        except SystemExit as error:
+            code = error.code  # type: ignore[assignment]
+        printed = capfd.readouterr()
+        assert code == 2
+        assert printed.out == ""
+        assert printed.err.count("\n") == 1
+        assert printed.err.startswith("decogs-encode: error: ")
+        assert not name.is_file()
+        return printed.err
+
+    return run
+
+
+def test_a_rig_becomes_a_stream_and_a_summary(
+    moving: Any, moving_rig: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    output = tmp_path / "scene.dgs"
+    arguments = [str(moving_rig), "-o", str(output), "--preset", "tiny", "--holdout", "cam02", "--threads", "2"]
+    assert encode_main([*arguments, "--seed", "0", "--device", "auto", "--log", str(tmp_path / "log.jsonl")]) == 0
+    assert output.read_bytes() == moving.data
+    printed = capfd.readouterr()
+    assert printed.err == "", "quiet in a pipe"
+    lines = printed.out.splitlines()
+    assert lines[0] == f"{output}: 4 frames, {len(moving.data)} bytes"
+    held_out = [frame.held_out_psnr for frame in moving.report.frames]
+    assert lines[1] == (
+        f"held-out PSNR  first {held_out[0]:.2f}  mean {np.mean(held_out):.2f}  last {held_out[-1]:.2f} dB"
+    )
+    assert lines[2].startswith(
+        f"after the first frame  {np.mean([f.bytes for f in moving.report.frames[1:]]):.0f} bytes, "
+    )
+    assert len((tmp_path / "log.jsonl").read_text().splitlines()) == 6
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["log.jsonl", "scene.dgs"]
+
+
+def test_options_reach_the_encoder(moving_rig: Path, tmp_path: Path) -> None:
+    output = tmp_path / "scene.dgs"
+    arguments = ["--preset", "tiny", "--frames", "-3:3", "--scale", "0.5", "--holdout", "cam00", "--holdout", "cam04"]
+    assert encode_main([str(moving_rig), "-o", str(output), *arguments, "--seed", "7"]) == 0
+    with open_stream(output) as stream:
+        assert stream.frame_count == 2
+        assert stream.header.held_out == ("cam00", "cam04")
+        assert (stream.header.cameras[0].width, stream.header.cameras[0].height) == (32, 24)
+        assert (stream.header.settings["seed"], stream.header.settings["scale"]) == (7, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--scale", "0"], "--scale 0: give a number above 0"),
+        (["--scale", "nan"], "--scale nan"),
+        (["--scale", "half"], "--scale: invalid float value: 'half'"),
+        (["--holdout", "cam9"], "--holdout cam9: "),
+        ([o for i in range(5) for o in ("--holdout", f"cam0{i}")], "every camera is held out; leave some"),
+        (["--preset", "nope"], "--preset nope: there is no such preset; choose from draft, standard"),
+        (["--frames", "5:5"], "--frames: "),
+        (["--frames", "-9:-8"], "--frames: "),
+        (["--frames", "two"], "frames 'two' are no range; write A:B"),
+        (["--device", "cuda"], "--device cuda: "),
+        (["--device", "abacus"], "--device abacus: choose from"),
+        (["--seed", "-1"], "--seed -1: "),
+        (["--threads", "-2"], "no number of threads"),
+        (["--log", "/no/such/folder/log"], "--log /no/such/folder/log: No such file or directory"),
+        (["--quality", "9"], "unrecognized arguments: --quality 9"),
+    ],
+)
+def test_options_that_cannot_be(moving_rig: Path, refused: Any, options: list[str], message: str) -> None:
+    assert message in refused(moving_rig, *options)
+
+
+def test_places_that_cannot_be(moving_rig: Path, refused: Any, tmp_path: Path) -> None:
+    assert "missing: no such folder; create it first" in refused(moving_rig, output=tmp_path / "missing" / "x.dgs")
+    assert "is a folder; name a file in it" in refused(moving_rig, output=tmp_path)
+    assert "there is no such folder" in refused(tmp_path / "no_rig")
+    assert "no calibration" in refused(tmp_path)
+
+
+def broken_picture(rig: Path) -> str:
+    path = rig / "cam03" / "0002.png"
+    path.write_bytes(path.read_bytes()[:500])
+    return "cam03/0002.png: "
+
+
+def missing_camera(rig: Path) -> str:
+    shutil.rmtree(rig / "cam03")
+    return "cam03 is missing; put it back or remove the camera from rig.json"
+
+
+def missing_picture(rig: Path) -> str:
+    (rig / "cam03" / "0003.png").unlink()
+    return "cam03"
+
+
+def other_size(rig: Path) -> str:
+    cv2.imwrite(str(rig / "cam03" / "0002.png"), np.zeros((10, 10, 3), np.uint8))
+    return "cam03/0002.png: 10 x 10 pixels"
+
+
+def nan_in_an_exr(rig: Path) -> str:
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    for path in list((rig / "cam03").iterdir()):
+        pixels = (cv2.imread(str(path))[..., ::-1] / 255.0).astype(np.float32)
+        if path.stem == "0002":
+            pixels[7, 9, 1] = np.nan
+        OpenEXR.File(header, {"RGB": pixels}).write(str(path.with_suffix(".exr")))
+        path.unlink()
+    return "cam03/0002.exr: 1 pixel(s) are NaN or infinite"
+
+
+def no_poses(rig: Path) -> str:
+    document = json.loads((rig / "rig.json").read_text())
+    document["cameras"][3]["world_to_camera"][0] = [0, 0, 0, 0]
+    (rig / "rig.json").write_text(json.dumps(document))
+    return "cam03"
+
+
+def video_that_breaks(rig: Path) -> str:
+    """A video in place of the pictures whose index lists all frames, but whose data stop after the first ones."""
+    folder = rig / "cam03"
+    pictures = [cv2.imread(str(path)) for path in sorted(folder.iterdir())]
+    shutil.rmtree(folder)
+    video = rig / "cam03.mp4"
+    writer = cv2.VideoWriter(str(video), cv2.CAP_FFMPEG, cv2.VideoWriter_fourcc(*"mp4v"), 25, (64, 48))
+    for picture in pictures:
+        writer.write(picture)
+    writer.release()
+    data = bytearray(video.read_bytes())
+    start = data.index(b"mdat") + 4
+    size = int.from_bytes(data[start - 8 : start - 4], "big") - 8
+    data[start + size // 2 : start + size] = bytes(size - size // 2)
+    video.write_bytes(data)
+    text = (rig / "rig.json").read_text().replace('"file": "cam03"', '"file": "cam03.mp4"')
+    (rig / "rig.json").write_text(text)
+    return "cam03.mp4"
+
+
+@pytest.mark.parametrize(
+    "breaks",
+    [broken_picture, missing_camera, missing_picture, other_size, nan_in_an_exr, no_poses, video_that_breaks],
+)
+def test_rigs_that_break(moving_rig: Path, refused: Any, tmp_path: Path, breaks: Callable[[Path], str]) -> None:
+    rig = tmp_path / "rig"
+    shutil.copytree(moving_rig, rig)
+    named = breaks(rig)
+    said = refused(rig)
+    assert named in said
+    part = tmp_path / "out" / "scene.dgs.part"
+    assert part.exists() == (str(part) in said)
+    if part.exists():
+        with open_stream(part) as stream:
+            assert stream.complete
+            assert f"the {stream.frame_count} frames before it are in" in said
+
+
+CHILD = """
+import json, sys
+from dataclasses import replace
+from decogs.encoder import PRESETS
+from decogs.encoder.commands import encode_main
+from decogs.encoder.loop import EncodeSettings
+
+keyframe, frame = json.loads(sys.argv.pop(1))
+start = PRESETS["draft"]
+PRESETS["child"] = replace(
+    start,
+    keyframe=replace(start.keyframe, iterations=keyframe, cap=500, validation_share=0.0),
+    frame=replace(start.frame, joint_iterations=frame),
+)
+sys.exit(encode_main())
+"""
+ENDLESS = 10**7
+
+
+def interrupted(rig: Path, output: Path, keyframe: int, frame: int, event: str) -> subprocess.CompletedProcess[str]:
+    """Runs the command and sends it SIGINT shortly after its log tells of ``event``."""
+    log = output.with_suffix(".jsonl")
+    arguments = [str(rig), "-o", str(output), "--preset", "child", "--log", str(log), "--threads", "1"]
+    child = subprocess.Popen(
+        [sys.executable, "-c", CHILD, json.dumps([keyframe, frame]), *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        deadline = time.monotonic() + 60
+        while not (log.exists() and f'"event": "{event}"' in log.read_text()):
+            assert child.poll() is None, child.communicate()
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        time.sleep(0.3)
+        child.send_signal(signal.SIGINT)
+        out, err = child.communicate(timeout=60)
+    finally:
+        child.kill()
+    return subprocess.CompletedProcess(arguments, child.returncode, out, err)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals")
+def test_ctrl_c_leaves_a_shorter_stream_and_says_so(moving_rig: Path, tmp_path: Path) -> None:
+    output = tmp_path / "scene.dgs"
+    ended = interrupted(moving_rig, output, 20, ENDLESS, "frame")
+    assert ended.returncode == 130
+    assert f"{output}: 1 frame, " in ended.stdout
+    assert "stopped early by Ctrl-C, after frame 0: the stream is whole up to there" in ended.stdout
+    assert ended.stderr == ""
+    with open_stream(output) as stream:
+        assert stream.complete
+        assert [frame.index for frame in stream.frames()] == [0]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["scene.dgs", "scene.jsonl"]
+    assert json.loads((tmp_path / "scene.jsonl").read_text().splitlines()[-1])["interrupted"] is True
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals")
+def test_ctrl_c_during_the_keyframe_leaves_nothing(moving_rig: Path, tmp_path: Path) -> None:
+    ended = interrupted(moving_rig, tmp_path / "scene.dgs", ENDLESS, 1, "start")
+    assert ended.returncode == 130
+    assert ended.stdout == ""
+    assert ended.stderr == "decogs-encode: interrupted\n"
+    assert [path.name for path in tmp_path.iterdir()] == ["scene.jsonl"]

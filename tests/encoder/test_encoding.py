@@ -1,0 +1,78 @@
+"""``encode`` from Python: the command's options by the same names, and the same bytes as the loop alone."""
+
+from __future__ import annotations
+
+import inspect
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from decogs.encoder import PRESETS
+from decogs.encoder import encode as encode_rig
+from decogs.formats.errors import RigError, UsageError
+
+
+def test_same_bytes_as_the_loop_whatever_is_logged(
+    moving: Any, moving_rig: Path, tiny_rig: Any, tiny_settings: Any, tmp_path: Path
+) -> None:
+    output, log = tmp_path / "scene.dgs", tmp_path / "log.jsonl"
+    report = encode_rig(moving_rig, output, holdout=tiny_rig.held_out, preset=tiny_settings, log=log)
+    assert output.read_bytes() == moving.data
+    assert report.output == output
+    records = [json.loads(line) for line in log.read_text().splitlines()]
+    assert [record["event"] for record in records] == ["start", "frame", "frame", "frame", "frame", "end"]
+    start, *frames, end = records
+    assert start["cameras"] == list(tiny_rig.names)
+    assert (start["held_out"], start["frames"], start["seed"]) == ([tiny_rig.held_out], [0, 4], 0)
+    assert start["settings"] == json.loads(json.dumps(tiny_settings.as_document()))
+    assert [frame["kind"] for frame in frames] == ["key", "delta", "skip", "delta"]
+    for record, frame in zip(frames, report.frames, strict=True):
+        for name in ("frame", "bytes", "gaussians", "selected", "training_psnr", "held_out_psnr", "seconds", "costs"):
+            assert record[name] == getattr(frame, name)
+    assert (end["output"], end["bytes"], end["interrupted"]) == (str(output), len(moving.data), False)
+
+
+def test_frames_as_text_and_as_slice_on_a_terminal_or_not(moving_rig: Path, tiny_settings: Any, tmp_path: Path) -> None:
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    terminal = Terminal()
+    first, second = tmp_path / "1.dgs", tmp_path / "2.dgs"
+    encode_rig(moving_rig, first, frames="1:2", scale=0.5, preset=tiny_settings, threads=1, terminal=terminal)
+    encode_rig(str(moving_rig), str(second), frames=slice(1, 2), scale=0.5, preset=tiny_settings)
+    assert first.read_bytes() == second.read_bytes()
+    assert "frame    1 key" in terminal.getvalue()
+
+
+def test_options_have_the_commands_names() -> None:
+    options = set(inspect.signature(encode_rig).parameters)
+    assert {"frames", "scale", "holdout", "preset", "seed", "threads", "device", "log"} <= options
+    assert inspect.signature(encode_rig).parameters["preset"].default in PRESETS
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"device": "cuda"}, "--device cuda: "),
+        ({"device": "tpu"}, "--device tpu: choose from auto, cpu, cuda"),
+        ({"seed": -1}, "--seed -1: give a number of at least 0"),
+        ({"preset": "fast"}, "--preset fast: there is no such preset"),
+        ({"frames": "1-2"}, "frames '1-2' are no range"),
+        ({"threads": 5000}, "--threads 5000"),
+    ],
+)
+def test_impossible_options_are_refused(
+    moving_rig: Path, tmp_path: Path, options: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(UsageError, match=message):
+        encode_rig(moving_rig, tmp_path / "x.dgs", **options)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_is_no_rig_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RigError, match="no calibration"):
+        encode_rig(tmp_path, tmp_path / "x.dgs")

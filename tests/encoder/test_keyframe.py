@@ -1,0 +1,231 @@
+"""Keyframe training: the cap, the stop that needs no held-out view, the SH schedule, and what may never count."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from decogs.encoder.first_points import FirstPoints
+from decogs.encoder.ingest import Ingest, View
+from decogs.encoder.keyframe import (
+    KeyframeSettings,
+    mean_psnr,
+    psnr_of,
+    scene_extent,
+    splats_from_points,
+    train_keyframe,
+)
+from decogs.encoder.rasterise import TrainingKernel
+from decogs.formats.errors import TrainingError
+from decogs.formats.rigs import open_rig
+from decogs.formats.splats import Splats
+
+SHORT = KeyframeSettings(iterations=60, cap=500, sh_degree=1, grow_every=10, validation_every=20)
+
+
+@dataclass(frozen=True)
+class Case:
+    """Frame 0 of a rig: training views with their pictures, and the held-out view with its own."""
+
+    views: list[View]
+    pictures: list[np.ndarray]
+    held_out_views: list[View]
+    held_out: list[np.ndarray]
+
+
+def case_of(rig: Path, holdout: list[str]) -> Case:
+    ingest = Ingest(open_rig(rig), holdout=holdout)
+    frame = next(ingest.frames(0, 1))
+    return Case(ingest.views, frame.training, ingest.held_out_views, frame.held_out)
+
+
+@pytest.fixture(scope="module")
+def case(moving_rig: Path) -> Case:
+    return case_of(moving_rig, ["cam02"])
+
+
+def points(count: int = 400, seed: int = 3) -> FirstPoints:
+    """Grey points spread over the wall and before it."""
+    random = np.random.default_rng(seed)
+    xyz = random.uniform([-1.5, -1.2, -0.2], [1.5, 1.2, 0.6], (count, 3)).astype(np.float32)
+    rgb = np.full((count, 3), 0.5, np.float32)
+    return FirstPoints(xyz, rgb, np.full(count, 0.15, np.float32), np.ones(count, np.float32))
+
+
+def trained(case: Case, settings: KeyframeSettings = SHORT, *, seed: int = 0, first: FirstPoints | None = None) -> Any:
+    return train_keyframe(TrainingKernel(2), case.views, case.pictures, first or points(), settings, seed=seed)
+
+
+def equal_bits(first: Splats, second: Splats) -> bool:
+    return all(array.tobytes() == getattr(second, name).tobytes() for name, array in vars(first).items())
+
+
+def test_first_gaussians_are_round_and_have_colour_opacity_and_size_of_their_points() -> None:
+    given = FirstPoints(
+        np.array([[0, 0, 1], [2, 3, 4]], np.float32),
+        np.array([[0.1, 0.5, 0.9], [1.0, 0.0, 0.3]], np.float32),
+        np.array([0.2, 0.4], np.float32),
+        np.ones(2, np.float32),
+    )
+    splats = splats_from_points(given, replace(SHORT, sh_degree=2, start_opacity=0.25, start_size=0.5))
+    np.testing.assert_array_equal(splats.means, given.xyz)
+    assert splats.sh.shape == (2, 9, 3)
+    np.testing.assert_allclose(0.5 + 0.28209479177387814 * splats.sh[:, 0], given.rgb, atol=1e-6)
+    assert not splats.sh[:, 1:].any()
+    np.testing.assert_allclose(np.exp(splats.log_scales), [[0.1] * 3, [0.2] * 3], rtol=1e-6)
+    np.testing.assert_allclose(1 / (1 + np.exp(-splats.opacity_logits)), [0.25, 0.25], rtol=1e-6)
+    np.testing.assert_array_equal(splats.quaternions, [[1, 0, 0, 0]] * 2)
+
+
+def test_training_learns_the_pictures(case: Case) -> None:
+    before = mean_psnr(TrainingKernel(2), splats_from_points(points(), SHORT), case.views, case.pictures)
+    result = trained(case, replace(SHORT, iterations=200, validation_share=0.0))
+    after = mean_psnr(TrainingKernel(2), result.splats, case.views, case.pictures)
+    assert after > before + 3.0
+    assert result.training_psnr == pytest.approx(after, abs=1e-9)
+    assert (result.steps, result.stopped_early) == (200, False)
+
+
+def test_the_same_seed_gives_the_same_bits_and_another_does_not(case: Case) -> None:
+    first, second, other = (trained(case, seed=seed).splats for seed in (5, 5, 6))
+    assert equal_bits(first, second)
+    assert not equal_bits(first, other)
+
+
+def test_growth_respects_the_cap(case: Case) -> None:
+    eager = replace(SHORT, grow_gradient=0.0, cap=430)
+    grown = trained(case, eager)
+    assert 400 < len(grown.splats) <= 430
+    assert len(trained(case, replace(eager, grow_gradient=1e9)).splats) <= 400
+
+
+def test_transparent_gaussians_are_pruned(case: Case) -> None:
+    # Opacity starts at 0.1; at 100 % every Gaussian is below the limit, which cannot end well and is said so.
+    with pytest.raises(TrainingError, match="every Gaussian became transparent"):
+        trained(case, replace(SHORT, prune_opacity=1.0, grow_gradient=1e9))
+    settings = replace(SHORT, prune_opacity=0.1, grow_gradient=1e9)
+    assert 0 < len(trained(case, settings).splats) < len(trained(case, replace(settings, prune_opacity=0.0)).splats)
+
+
+def test_three_noisy_views_overfit_and_the_kept_back_tiles_say_when_to_stop(tmp_path: Path, tiny_rig: Any) -> None:
+    case = case_of(tiny_rig.write(tmp_path / "noisy", frames=[0], noise=40.0), ["cam01", "cam03"])
+    assert len(case.views) == 3
+    settings = replace(SHORT, iterations=500, cap=2000, validation_share=0.1, patience=3)
+    stopped = trained(case, settings, first=points(2000))
+    to_the_end = trained(case, replace(settings, patience=10**6), first=points(2000))
+    assert stopped.stopped_early
+    assert not to_the_end.stopped_early
+    assert stopped.steps < to_the_end.steps == 500
+    # Checks begin past the middle; the best state is kept, so the stop comes `patience` checks after it at least.
+    assert stopped.steps >= 250 + settings.patience * settings.validation_every
+    assert stopped.training_psnr < to_the_end.training_psnr, "it did overfit: more steps fit the training views better"
+    kernel = TrainingKernel(2)
+    held_out = [
+        mean_psnr(kernel, result.splats, case.held_out_views, case.held_out) for result in (stopped, to_the_end)
+    ]
+    assert held_out[0] > held_out[1], "and the views not trained on worse"
+
+
+def test_without_kept_back_tiles_there_is_no_stop(case: Case) -> None:
+    result = trained(case, replace(SHORT, validation_share=0.0, patience=1))
+    assert (result.steps, result.stopped_early) == (60, False)
+
+
+class Listening(TrainingKernel):
+    """Notes the SH degree of every picture rendered for training."""
+
+    def __init__(self) -> None:
+        super().__init__(2)
+        self.degrees: list[int | None] = []
+
+    def forward(self, *arguments: Any, **options: Any) -> Any:
+        self.degrees.append(options.get("sh_degree"))
+        return super().forward(*arguments, **options)
+
+
+@pytest.mark.parametrize(("degree", "expected"), [(0, [0] * 40), (3, [0] * 10 + [1] * 10 + [2] * 10 + [3] * 10)])
+def test_sh_degree_rises_by_one_each_quarter(case: Case, degree: int, expected: list[int]) -> None:
+    kernel = Listening()
+    settings = replace(SHORT, iterations=40, sh_degree=degree, validation_share=0.0)
+    result = train_keyframe(kernel, case.views, case.pictures, points(), settings, seed=0)
+    assert kernel.degrees[:40] == expected
+    assert result.splats.sh.shape[1] == (degree + 1) ** 2
+    assert all(result.splats.sh[:, k].any() for k in range((degree + 1) ** 2))
+
+
+def test_pixels_that_were_not_recorded_never_matter(case: Case) -> None:
+    valid = np.ones((case.views[0].pinhole.height, case.views[0].pinhole.width), np.float32)
+    valid[:, :9] = 0
+    views = [replace(case.views[0], valid=valid), *case.views[1:]]
+    poisoned = case.pictures[0].copy()
+    poisoned[:, :, :9] = 1 - poisoned[:, :, :9]
+    masked = replace(case, views=views)
+    clean = trained(masked)
+    dirty = trained(replace(masked, pictures=[poisoned, *case.pictures[1:]]))
+    assert equal_bits(clean.splats, dirty.splats)
+    assert clean.training_psnr == dirty.training_psnr
+    seen = trained(replace(case, pictures=[poisoned, *case.pictures[1:]]))
+    assert not equal_bits(trained(case).splats, seen.splats), "the same pixels do matter where they were recorded"
+
+
+def test_every_gaussian_kept_is_drawn_in_some_training_view(case: Case) -> None:
+    behind = points(50)
+    behind.xyz[:] = [0, 0, -8]
+    first = points()
+    joined = FirstPoints(*(np.concatenate([getattr(first, n), getattr(behind, n)]) for n in vars(first)))
+    result = trained(case, replace(SHORT, grow_gradient=1e9), first=joined)
+    kernel, drawn = TrainingKernel(1), np.zeros(len(result.splats), bool)
+    for view in case.views:
+        kernel.forward(result.splats, view.pinhole)
+        drawn |= np.isfinite(kernel.centres(len(result.splats))[1])
+    assert drawn.all()
+    assert len(result.splats) <= 400
+
+
+def test_steps_are_reported(case: Case) -> None:
+    told: list[tuple[int, int, float]] = []
+    train_keyframe(
+        TrainingKernel(2), case.views, case.pictures, points(), SHORT, seed=0, on_step=lambda *step: told.append(step)
+    )
+    assert [step for step, _, _ in told] == list(range(1, 61))
+    assert {planned for _, planned, _ in told} == {60}
+    assert all(np.isfinite(loss) and loss > 0 for _, _, loss in told)
+
+
+def test_what_cannot_be_trained_is_said_in_one_line(case: Case) -> None:
+    with pytest.raises(TrainingError, match="no first points"):
+        trained(case, first=FirstPoints(*(array[:0] for array in vars(points()).values())))
+    broken = [np.full_like(picture, np.nan) for picture in case.pictures]
+    with pytest.raises(
+        TrainingError, match=r"the keyframe's loss is nan at step 0; the pictures or poses are unusable"
+    ):
+        trained(replace(case, pictures=broken))
+
+
+def test_psnr_is_over_recorded_pixels_of_clipped_pictures(case: Case, tiny_rig: Any) -> None:
+    bright = tiny_rig.patch((0, 0, 0.5), 40, 30, 0.11, 1)
+    bright.sh[:] = 5.0  # far above white
+    kernel, view = TrainingKernel(1), case.views[0]
+    picture = np.clip(kernel.forward(bright, view.pinhole).rgb.astype(np.float64), 0, 1)
+    square = (picture - case.pictures[0]) ** 2
+    assert mean_psnr(kernel, bright, [view], [case.pictures[0]]) == pytest.approx(
+        -10 * np.log10(square.mean()), abs=1e-4
+    )
+    valid = np.zeros(square.shape[1:], np.float32)
+    valid[10:20, 5:50] = 1
+    masked = mean_psnr(kernel, bright, [replace(view, valid=valid)], [case.pictures[0]])
+    assert masked == pytest.approx(-10 * np.log10(square[:, 10:20, 5:50].mean()), abs=1e-4)
+    assert np.isnan(mean_psnr(kernel, bright, [], []))
+    assert psnr_of(0.01) == pytest.approx(20.0)
+
+
+def test_extent_is_1_1_times_the_farthest_camera_from_their_middle(case: Case) -> None:
+    from decogs.formats.cameras import camera_centre
+
+    centres = np.array([camera_centre(view.pinhole) for view in case.views])
+    farthest = max(np.linalg.norm(centre - centres.mean(axis=0)) for centre in centres)
+    assert scene_extent(case.views) == pytest.approx(1.1 * farthest)

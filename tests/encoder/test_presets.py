@@ -1,0 +1,53 @@
+"""The named settings: what they are called, that they can be written down, and that ``paper`` is the paper's."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from decogs.encoder import PRESETS, EncodeSettings
+from decogs.encoder.presets import preset
+from decogs.formats.errors import UsageError
+
+
+def test_the_names_users_know() -> None:
+    assert list(PRESETS) == ["draft", "standard", "high", "paper"]
+    for name, settings in PRESETS.items():
+        assert preset(name) is settings
+
+
+def test_an_unknown_name_is_answered_with_those_there_are() -> None:
+    with pytest.raises(UsageError, match=r"--preset fast: there is no such preset; choose from draft, standard, high"):
+        preset("fast")
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_settings_are_plain_json_that_says_everything(name: str) -> None:
+    document = PRESETS[name].as_document()
+    assert json.loads(json.dumps(document, allow_nan=False)) == document
+    assert document["keyframe"]["iterations"] == PRESETS[name].keyframe.iterations
+    assert document["frame"]["masks"]["threshold"] == PRESETS[name].frame.masks.threshold
+    assert EncodeSettings().as_document().keys() == document.keys()
+
+
+def test_faster_presets_do_less() -> None:
+    draft, standard, high = (PRESETS[name] for name in ("draft", "standard", "high"))
+    for fast, slow in ((draft, standard), (standard, high)):
+        assert fast.keyframe.iterations < slow.keyframe.iterations
+        assert fast.frame.joint_iterations <= slow.frame.joint_iterations
+
+
+def test_paper_holds_the_papers_numbers() -> None:
+    """method.md: the DecoGS paper's defaults, and 3DGStream's released cache where the paper is silent."""
+    paper = PRESETS["paper"].frame
+    assert (paper.masks.threshold, paper.masks.radius(1352), paper.masks.speck_area) == (25.0, 48, 0)
+    assert (paper.selection.rule, paper.selection.least_views) == ("paper", 2)
+    assert (paper.cache_iterations, paper.joint_iterations) == (150, 100)
+    assert (paper.grow_gradient, paper.focus.dissimilarity) == (1e-4, 0.2)
+    assert not paper.carry_cache
+    assert paper.warm_start == 0
+    cache = paper.cache
+    assert cache is not None
+    assert (cache.levels, cache.features, cache.table, cache.base_resolution) == (16, 4, 1 << 15, 16)
+    assert (cache.level_scale, cache.hidden_layers, cache.hidden_width, cache.learning_rate) == (2.0, 2, 64, 2e-3)

@@ -1,0 +1,97 @@
+"""What the user sees: a bar on a terminal, nothing in a pipe, and every figure in the log."""
+
+from __future__ import annotations
+
+import io
+import json
+from dataclasses import asdict, fields, replace
+from pathlib import Path
+
+import pytest
+
+from decogs.encoder import FrameReport
+from decogs.encoder.progress import EncodeProgress, frame_line
+from decogs.formats.errors import UsageError
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def follow(progress: EncodeProgress, report: FrameReport) -> None:
+    with progress:
+        progress.started({"rig": "somewhere"})
+        for step in range(1, 101):
+            progress.keyframe_step(step, 100, 0.5 / step)
+        progress.frame(replace(report, frame=0, kind="key", held_out_psnr=None))
+        progress.frame(report)
+        progress.finished({"bytes": 5})
+
+
+def test_a_pipe_gets_nothing(frame_report: FrameReport) -> None:
+    pipe = io.StringIO()
+    follow(EncodeProgress(2, None, terminal=pipe), frame_report)
+    assert pipe.getvalue() == ""
+
+
+def test_without_a_terminal_nothing_is_printed(frame_report: FrameReport, capfd: pytest.CaptureFixture[str]) -> None:
+    follow(EncodeProgress(2, None), frame_report)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_terminal_gets_two_bars_with_the_time_left_and_a_line_per_frame(frame_report: FrameReport) -> None:
+    terminal = Terminal()
+    follow(EncodeProgress(2, None, terminal=terminal), frame_report)
+    shown = terminal.getvalue()
+    assert "keyframe:" in shown
+    assert "/100 [" in shown
+    assert "frames:" in shown
+    assert "/2 [" in shown
+    assert "<" in shown.split("frames:")[-1], "tqdm writes elapsed<left"
+    lines = [line.rsplit("\r", 1)[-1] for line in shown.split("\n")]
+    assert frame_line(frame_report) in lines
+    assert shown.rstrip(" ").endswith("\r"), "the bars are wiped when all is done"
+
+
+def test_leaving_early_wipes_the_bar() -> None:
+    terminal = Terminal()
+    with EncodeProgress(2, None, terminal=terminal) as progress:
+        progress.keyframe_step(1, 100, 0.5)  # and then the block is left
+    assert terminal.getvalue().rstrip(" ").endswith("\r")
+
+
+def test_a_frames_figures_on_one_line(frame_report: FrameReport) -> None:
+    assert frame_line(frame_report) == (
+        "frame    3 delta  train  31.50 dB  held out  30.25 dB  selected   6.2%      1234 bytes  "
+        "masks 0.10 s  training 1.50 s"
+    )
+    assert "held out" not in frame_line(replace(frame_report, held_out_psnr=None))
+
+
+def test_the_log_holds_one_json_object_per_event(frame_report: FrameReport, tmp_path: Path) -> None:
+    path = tmp_path / "log.jsonl"
+    follow(EncodeProgress(2, path), frame_report)
+    records = [json.loads(line) for line in path.read_text().splitlines()]
+    assert [record.pop("event") for record in records] == ["start", "frame", "frame", "end"]
+    assert records[0] == {"rig": "somewhere"}
+    elapsed = [record.pop("elapsed") for record in records[1:]]
+    assert elapsed == sorted(elapsed)
+    assert records[2] == asdict(frame_report)
+    assert set(records[2]) == {field.name for field in fields(FrameReport)} == {
+        "frame", "kind", "bytes", "gaussians", "selected", "training_psnr", "held_out_psnr", "seconds", "costs",
+    }  # fmt: skip
+    assert records[1]["held_out_psnr"] is None
+    assert records[3] == {"bytes": 5}
+
+
+def test_the_log_can_be_followed_while_it_grows(frame_report: FrameReport, tmp_path: Path) -> None:
+    path = tmp_path / "log.jsonl"
+    with EncodeProgress(2, path) as progress:
+        progress.frame(frame_report)
+        assert json.loads(path.read_text())["frame"] == 3
+
+
+def test_a_log_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"--log .*x/log\.jsonl: No such file or directory; name a file"):
+        EncodeProgress(2, tmp_path / "x" / "log.jsonl")
