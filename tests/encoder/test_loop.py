@@ -130,13 +130,13 @@ def test_a_change_that_one_view_alone_shows_selects_nothing(encode: Any, tiny_ri
     assert kinds(decoded(encoded.path)) == ["KEY", "SKIP"]
 
 
-def test_new_gaussians_appear_where_an_object_does(moving: Any) -> None:
-    first, last = decoded(moving.path)[2:]
-    added = last.splats.means[~np.isin(last.state.ids, first.state.ids)]
-    assert len(added) > 0
-    assert (added[:, 2] < 0.45).all(), "before the wall"
-    reported = [frame.gaussians for frame in moving.report.frames]
-    assert reported == [len(state) for state in moving.states]
+def test_new_gaussians_get_new_ids(moving: Any) -> None:
+    for before, after in zip(moving.states, moving.states[1:], strict=False):
+        added = after.ids[~np.isin(after.ids, before.ids)]
+        assert (added >= before.next_id).all()
+        assert after.next_id == before.next_id + len(added)
+    assert moving.states[-1].next_id > moving.states[0].next_id
+    assert [frame.gaussians for frame in moving.report.frames] == [len(state) for state in moving.states]
 
 
 # Encoder and decoder
