@@ -30,6 +30,10 @@ from .selection import SelectionSettings
 from .transformation_cache import CacheSettings, TransformationCache
 
 
+INVISIBLE_LOGIT = -80.0
+"""Opacity logit of a Gaussian that is only there until the frame is done."""
+
+
 @dataclass(frozen=True)
 class FrameSettings:
     """How a later frame is trained; the defaults are the paper's where it gives a number.
@@ -52,8 +56,8 @@ class FrameSettings:
     grow_share: float = 0.05
     prune_opacity: float = 0.01
     focus: FocusWeights = field(default_factory=FocusWeights)
-    rates: LearningRates = field(default_factory=lambda: LearningRates(6.4e-4, 1e-2, 4e-3, 0.05, 1e-2, 5e-4))
-    late_decay: float = 0.3
+    rates: LearningRates = field(default_factory=lambda: LearningRates(1.28e-3, 2e-2, 8e-3, 0.1, 2e-2, 1e-3))
+    late_decay: float = 0.03
 
 
 @dataclass(frozen=True)
@@ -103,60 +107,67 @@ class FrameTrainer:
             focus_loss(picture, mask.dilated, view.valid, self._settings.focus)
             for picture, mask, view in zip(pictures, masks, self._views, strict=True)
         ]
-        work = _Working(scene, np.flatnonzero(selected))
+        work = _Working(scene, np.flatnonzero(selected), self._kernel)
         work.base.means[:] += np.float32(self._settings.warm_start) * motion[work.rows]
         if self._cache is not None:
             if not self._settings.carry_cache:
                 self._cache.restart()
             self._cache.place(work.base.means, work.base.quaternions)
-        view_gradients = self._stage1(work, losses)
-        removed = self._densify(work, view_gradients, masks)
-        self._stage2(work, losses)
-        return work.result(removed)
+            self._densify(work, self._stage1(work, losses, self._cache), masks)
+        self._stage2(work, losses, masks)
+        return work.result()
 
-    def _stage1(self, work: _Working, losses: Sequence[PhotometricLoss]) -> ViewGradients:
+    def _stage1(
+        self, work: _Working, losses: Sequence[PhotometricLoss], cache: TransformationCache
+    ) -> ViewGradients:
         """The cache alone; the last third gathers the gradients that densification goes by."""
         gathered = ViewGradients(len(work.scene))
-        iterations = self._settings.cache_iterations if self._cache is not None else 0
+        iterations = self._settings.cache_iterations
         for step, index in enumerate(self._view_order(iterations)):
-            work.show(*self._moved(work), work.base)
+            work.show(*cache.moved())
             gradients = self._gradients(work, losses, index)
-            assert self._cache is not None
-            self._cache.backward(gradients.means[work.rows], gradients.quaternions[work.rows])
-            self._cache.step()
+            cache.backward(gradients.means[work.rows], gradients.quaternions[work.rows])
+            cache.step()
             if 3 * step >= 2 * iterations:
-                gathered.add(gradients.view, self._views[index].pinhole.width, self._views[index].pinhole.height)
-        work.show(*self._moved(work), work.base)
-        if not iterations:
-            for index, view in enumerate(self._views):
-                gathered.add(self._gradients(work, losses, index).view, view.pinhole.width, view.pinhole.height)
+                self._gather(gathered, gradients, losses, index)
+        work.show(*cache.moved())
         return gathered
 
-    def _stage2(self, work: _Working, losses: Sequence[PhotometricLoss]) -> None:
+    def _stage2(self, work: _Working, losses: Sequence[PhotometricLoss], masks: Sequence[FrameMask]) -> None:
+        """The Gaussians' own values, with the cache if there is one; without it, densification falls in here."""
         settings = self._settings
         rates = replace(settings.rates, means=settings.rates.means * self._extent)
-        optimiser = SplatOptimiser(work.base, self._kernel)
+        gathered = ViewGradients(len(work.scene))
+        grow_from, grow_at = settings.joint_iterations // 4, settings.joint_iterations // 2
         for step, index in enumerate(self._view_order(settings.joint_iterations)):
+            if self._cache is None and step == grow_at:
+                self._densify(work, gathered, masks)
+            self._show(work)
+            gradients = self._gradients(work, losses, index)
+            if grow_from <= step < grow_at:
+                self._gather(gathered, gradients, losses, index)
+            mine = _gradient_rows(gradients, work.rows)
             if self._cache is not None:
-                self._cache.rebase(optimiser.splats.means, optimiser.splats.quaternions)
-            work.base = optimiser.splats
-            work.show(*self._moved(work), work.base)
-            gradients = _gradient_rows(self._gradients(work, losses, index), work.rows)
-            if self._cache is not None:
-                means, quaternions = self._cache.backward(gradients.means, gradients.quaternions)
-                gradients = replace(gradients, means=means, quaternions=quaternions)
+                means, quaternions = self._cache.backward(mine.means, mine.quaternions)
+                mine = replace(mine, means=means, quaternions=quaternions)
                 self._cache.step()
             late = settings.late_decay ** max(0.0, 2 * step / settings.joint_iterations - 1)
-            optimiser.step(gradients, rates.scaled(late))
-        work.base = optimiser.splats
-        if self._cache is not None:
-            self._cache.rebase(work.base.means, work.base.quaternions)
-        work.show(*self._moved(work), work.base)
+            work.optimiser.step(mine, rates.scaled(late))
+        self._show(work)
 
-    def _moved(self, work: _Working) -> tuple[FloatArray, FloatArray]:
+    def _show(self, work: _Working) -> None:
         if self._cache is None:
-            return work.base.means, work.base.quaternions
-        return self._cache.moved()
+            work.show(work.base.means, work.base.quaternions)
+            return
+        self._cache.rebase(work.base.means, work.base.quaternions)
+        work.show(*self._cache.moved())
+
+    def _gather(
+        self, gathered: ViewGradients, gradients: SplatGradients, losses: Sequence[PhotometricLoss], index: int
+    ) -> None:
+        """Adds a view's gradients, brought back to the scale that the threshold is meant for: the plain loss's."""
+        camera = self._views[index].pinhole
+        gathered.add(gradients.view / np.float32(losses[index].emphasis), camera.width, camera.height)
 
     def _gradients(self, work: _Working, losses: Sequence[PhotometricLoss], index: int) -> SplatGradients:
         picture = self._kernel.forward(work.scene, self._views[index].pinhole)
@@ -189,11 +200,9 @@ class FrameTrainer:
             work.base.means[parents] = growth.parent_means
             work.base.log_scales[parents] = growth.parent_log_scales
             work.append(growth.children)
-        removed = work.rows[: len(faint)][faint]
-        work.remove(removed)
-        if self._cache is not None and (len(parents) or len(removed)):
+        work.remove(np.flatnonzero(faint))
+        if self._cache is not None and (len(parents) or faint.any()):
             self._cache.place(work.base.means, work.base.quaternions, same_frame=True)
-        return removed
 
     def _inside_focus(self, means: FloatArray, masks: Sequence[FrameMask]) -> NDArray[np.bool_]:
         """Points (P, 3) that project into the region of interest of at least one view."""
@@ -211,52 +220,59 @@ class FrameTrainer:
 
 
 class _Working:
-    """A frame in the making: the whole scene as rendered, and the base values of the rows under training.
+    """A frame in the making: the whole scene as rendered, and the values of the rows under training.
 
     ``scene`` holds the previous frame's N Gaussians, then the added ones; ``rows`` are the scene's rows under
-    training and ``base`` their values before the cache moves them. Removed rows stay in ``scene``, invisible.
+    training, ``base`` their own values before the cache moves them. Removed rows stay in ``scene``, invisible.
     """
 
-    def __init__(self, scene: Splats, rows: NDArray[np.int64]) -> None:
-        self.population = len(scene)
+    def __init__(self, scene: Splats, rows: NDArray[np.int64], kernel: TrainingKernel) -> None:
+        self._population = len(scene)
+        self._removed = np.zeros(0, np.int64)
         self.scene = take_splats(scene, np.arange(len(scene)))
         self.rows = rows
-        self.base = take_splats(scene, rows)
+        self.optimiser = SplatOptimiser(take_splats(scene, rows), kernel)
         self.selected = np.zeros(len(scene), bool)
         self.selected[rows] = True
 
-    def show(self, means: FloatArray, quaternions: FloatArray, values: Splats) -> None:
+    @property
+    def base(self) -> Splats:
+        return self.optimiser.splats
+
+    def show(self, means: FloatArray, quaternions: FloatArray) -> None:
         """Puts the rows under training into the scene, moved."""
         self.scene.means[self.rows] = means
         self.scene.quaternions[self.rows] = quaternions
-        self.scene.log_scales[self.rows] = values.log_scales
-        self.scene.opacity_logits[self.rows] = values.opacity_logits
-        self.scene.sh[self.rows] = values.sh
+        self.scene.log_scales[self.rows] = self.base.log_scales
+        self.scene.opacity_logits[self.rows] = self.base.opacity_logits
+        self.scene.sh[self.rows] = self.base.sh
 
     def append(self, children: Splats) -> None:
-        """Every per-Gaussian buffer follows the new count (method.md: re-synchronisation)."""
+        """Every per-Gaussian buffer follows the new count (method.md, step 4)."""
         first = len(self.scene)
         self.scene = join_splats(self.scene, children)
-        self.base = join_splats(self.base, children)
+        self.optimiser.append(children)
         self.rows = np.concatenate([self.rows, np.arange(first, len(self.scene))])
         self.selected = np.concatenate([self.selected, np.ones(len(children), bool)])
 
-    def remove(self, removed: NDArray[np.int64]) -> None:
-        """Takes rows out of training and out of the picture."""
-        if not len(removed):
-            return
-        stays = ~np.isin(self.rows, removed)
-        self.rows, self.base = self.rows[stays], take_splats(self.base, stays)
-        self.selected[removed] = False
-        self.scene.opacity_logits[removed] = -80.0
+    def remove(self, positions: NDArray[np.int64]) -> None:
+        """Takes the rows at ``positions`` of ``rows`` out of training and out of the picture."""
+        gone = self.rows[positions]
+        stays = np.ones(len(self.rows), bool)
+        stays[positions] = False
+        self.rows = self.rows[stays]
+        self.optimiser.keep(stays)
+        self.selected[gone] = False
+        self.scene.opacity_logits[gone] = INVISIBLE_LOGIT
+        self._removed = np.sort(np.concatenate([self._removed, gone]))
 
-    def result(self, removed: NDArray[np.int64]) -> TrainedFrame:
+    def result(self) -> TrainedFrame:
         """Bakes the cache's motion in (method.md, step 7)."""
-        old = self.rows < self.population
+        old = self.rows < self._population
         return TrainedFrame(
             self.rows[old],
             take_splats(self.scene, self.rows[old]),
-            removed,
+            self._removed,
             take_splats(self.scene, self.rows[~old]),
         )
 

@@ -27,13 +27,17 @@ class FocusWeights:
 
 @dataclass(frozen=True)
 class PhotometricLoss:
-    """A loss against one target picture, ready for the kernel; weight maps are (H, W) float32, None meaning 1."""
+    """A loss against one target picture, ready for the kernel; weight maps are (H, W) float32, None meaning 1.
+
+    ``emphasis``: how much more a pixel in focus weighs here than in the mean over the whole picture.
+    """
 
     target: FloatArray
     l1_scale: float
     ssim_scale: float
     l1_weight: FloatArray | None = None
     focus: FloatArray | None = None
+    emphasis: float = 1.0
 
     def evaluate(self, kernel: TrainingKernel, image: FloatArray) -> tuple[LossValue, FloatArray]:
         """The loss of ``image`` (3, H, W) and its gradient."""
@@ -67,4 +71,6 @@ def focus_loss(
     if focus_size > 0:
         l1 = l1 + focus * np.float32(weights.focus / focus_size)
     ssim_scale = weights.dissimilarity / focus_size if focus_size > 0 else 0.0
-    return PhotometricLoss(target, 1 - weights.dissimilarity, ssim_scale, np.ascontiguousarray(l1, np.float32), focus)
+    emphasis = weights.whole + weights.focus * whole_size / focus_size if focus_size > 0 else 1.0
+    weight = np.ascontiguousarray(l1, np.float32)
+    return PhotometricLoss(target, 1 - weights.dissimilarity, ssim_scale, weight, focus, emphasis)

@@ -13,10 +13,8 @@ from decogs.formats.errors import UsageError
 
 from .frame_training import FrameSettings
 from .keyframe import KeyframeSettings
-from .losses import FocusWeights
 from .masks import MaskSettings
 from .selection import SelectionSettings
-from .transformation_cache import CacheSettings
 
 
 @dataclass(frozen=True)
@@ -33,15 +31,11 @@ class EncodeSettings:
         return asdict(self)
 
 
-_SMALL_CACHE = CacheSettings(levels=8, features=2, table_log2=13, hidden_width=32, learning_rate=5e-3)
-
 _STANDARD = EncodeSettings(
     keyframe=KeyframeSettings(iterations=1500, sh_degree=1),
     frame=FrameSettings(
         masks=MaskSettings(threshold=10.0, radius_share=0.018),
-        cache=_SMALL_CACHE,
-        carry_cache=True,
-        cache_iterations=40,
+        cache=None,
         joint_iterations=100,
         warm_start=0.9,
     ),
@@ -50,18 +44,18 @@ _STANDARD = EncodeSettings(
 PRESETS: dict[str, EncodeSettings] = {
     "draft": replace(
         _STANDARD,
-        keyframe=KeyframeSettings(iterations=400, cap=40_000),
-        frame=replace(_STANDARD.frame, cache_iterations=20, joint_iterations=60),
+        keyframe=KeyframeSettings(iterations=500, cap=40_000),
+        frame=replace(_STANDARD.frame, joint_iterations=60),
     ),
     "standard": _STANDARD,
     "high": replace(
         _STANDARD,
         keyframe=KeyframeSettings(iterations=3000, cap=80_000, sh_degree=2),
-        frame=replace(_STANDARD.frame, cache_iterations=80, joint_iterations=250),
+        frame=replace(_STANDARD.frame, joint_iterations=250),
     ),
     "paper": EncodeSettings(
         keyframe=KeyframeSettings(iterations=3000, sh_degree=1),
-        frame=FrameSettings(selection=SelectionSettings(rule="paper"), focus=FocusWeights()),
+        frame=FrameSettings(selection=SelectionSettings(rule="paper")),
     ),
 }
 """From fast to slow, and ``paper``: the paper's numbers wherever it gives them (method.md)."""
