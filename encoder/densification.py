@@ -1,8 +1,8 @@
 """Where Gaussians are added and taken away: all over the keyframe, and only inside the focus of a later frame.
 
-Source: Kerbl 2023, section 5.2 (clone what is small, split what is large, where the projected centre's gradient is high);
-method.md, step 4, for later frames. Rejected for the keyframe: opacity resets (they cost short schedules more than the
-floaters they remove; the start points hold few), and growth without a limit (a dozen views overfit).
+Source: Kerbl 2023, section 5.2 (clone what is small, split what is large, where the projected centre's gradient is
+high); method.md, step 4, for later frames. Rejected for the keyframe: opacity resets (they cost short schedules more
+than the floaters they remove; the start points hold few), and growth without a limit (a dozen views overfit).
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def opacities_of(splats: Splats) -> NDArray[np.float32]:
 
 @dataclass(frozen=True)
 class Growth:
-    """What densification proposes: ``children`` to append, one per parent row of ``parents``, and the parents' new values."""
+    """What densification proposes: ``children`` to append, one per row of ``parents``, and the parents' new values."""
 
     parents: NDArray[np.int64]
     children: Splats

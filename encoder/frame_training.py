@@ -29,7 +29,6 @@ from .rasterise import SplatGradients, TrainingKernel
 from .selection import SelectionSettings
 from .transformation_cache import CacheSettings, TransformationCache
 
-
 INVISIBLE_LOGIT = -80.0
 """Opacity logit of a Gaussian that is only there until the frame is done."""
 
@@ -117,9 +116,7 @@ class FrameTrainer:
         self._stage2(work, losses, masks)
         return work.result()
 
-    def _stage1(
-        self, work: _Working, losses: Sequence[PhotometricLoss], cache: TransformationCache
-    ) -> ViewGradients:
+    def _stage1(self, work: _Working, losses: Sequence[PhotometricLoss], cache: TransformationCache) -> ViewGradients:
         """The cache alone; the last third gathers the gradients that densification goes by."""
         gathered = ViewGradients(len(work.scene))
         iterations = self._settings.cache_iterations
@@ -185,8 +182,8 @@ class FrameTrainer:
             order += [int(i) for i in self._random.permutation(len(self._views))]
         return order[:steps]
 
-    def _densify(self, work: _Working, view_gradients: ViewGradients, masks: Sequence[FrameMask]) -> NDArray[np.int64]:
-        """Adds Gaussians to ``work`` where the gradient asks for them; returns the scene rows to remove."""
+    def _densify(self, work: _Working, view_gradients: ViewGradients, masks: Sequence[FrameMask]) -> None:
+        """Adds Gaussians to ``work`` where the gradient asks for them, and takes those away that have become faint."""
         settings = self._settings
         gradients = view_gradients.mean()[work.rows]
         faint = opacities_of(work.base) < settings.prune_opacity

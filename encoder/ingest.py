@@ -1,6 +1,7 @@
 """Pictures as training wants them: planar floats of pinhole cameras, held-out cameras kept apart.
 
-The held-out camera's pictures go into ``RigFrame.held_out`` only; nothing that trains or writes packets takes that field.
+The held-out camera's pictures go into ``RigFrame.held_out`` only; nothing that trains or writes packets takes that
+field.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ class View:
 
 @dataclass(frozen=True)
 class RigFrame:
-    """One time index: pictures (3, H, W) float32 0..1 of the training views and of the held-out ones, in their order."""
+    """One time index: pictures (3, H, W) float32 0..1 of the training views and of the held-out ones, in order."""
 
     index: int
     training: list[FloatArray]

@@ -1,7 +1,8 @@
 """Adam over the stored values of a scene, with rows that come, go, or must not move.
 
-Chosen: one set of moments per attribute, stepped natively on the given rows only, so that a row that is not stepped keeps
-value and moments bit for bit (the method's "Adam reset" is then a matter of zeroing moments once, not of every step).
+Chosen: one set of moments per attribute, stepped natively on the given rows only, so that a row that is not stepped
+keeps value and moments bit for bit (the method's "Adam reset" is then a matter of zeroing moments once, not of every
+step).
 Rejected: torch.optim.Adam (steps every row, and its sparse variant has no row sets that change).
 """
 
@@ -21,7 +22,7 @@ ATTRIBUTES = ("means", "log_scales", "quaternions", "opacity_logits", "sh")
 
 @dataclass(frozen=True)
 class LearningRates:
-    """Adam's step sizes, in the unit of each stored value; ``means`` in world units. Larger moves faster and settles later."""
+    """Adam's step sizes, in the unit of each stored value (``means``: world units). Larger is faster, settles later."""
 
     means: float
     log_scales: float

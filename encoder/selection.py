@@ -1,11 +1,13 @@
 """Which Gaussians a frame may change (method.md, step 2): one protocol, two rules, visibility part of either.
 
-Both rules look at the rendering weight of each Gaussian in each view, the sum over pixels of alpha times transmittance: one
-forward and one backward pass per view on the previous frame's scene gives it, in all and inside the mask.
+Both rules look at the rendering weight of each Gaussian in each view, the sum over pixels of alpha times
+transmittance: one forward and one backward pass per view on the previous frame's scene gives it, in all and inside
+the mask.
 
 * ``paper``: the projected centre lies in the dilated mask in at least ``least_views`` views in which it is visible.
-* ``weight``: in the views where it is visible, more than ``least_share`` of its weight falls inside the masks. It leaves out
-  the background that merely stands behind moving things (feasibility.md, second study: 6 % selected instead of 26 %).
+* ``weight``: in the views where it is visible, more than ``least_share`` of its weight falls inside the masks. It
+  leaves out the background that merely stands behind moving things (feasibility.md, second study: 6 % selected
+  instead of 26 %).
 """
 
 from __future__ import annotations
@@ -40,7 +42,7 @@ class SelectionSettings:
 
 @dataclass(frozen=True)
 class ViewEvidence:
-    """What one view says of every Gaussian: drawn there at all, centre inside its mask, weight in all and in the mask."""
+    """What one view says of every Gaussian: centre inside its mask, weight in all and in the mask."""
 
     centre_inside: NDArray[np.bool_]
     weight: NDArray[np.float32]

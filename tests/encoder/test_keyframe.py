@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +53,13 @@ def points(count: int = 400, seed: int = 3) -> FirstPoints:
     random = np.random.default_rng(seed)
     xyz = random.uniform([-1.5, -1.2, -0.2], [1.5, 1.2, 0.6], (count, 3)).astype(np.float32)
     rgb = np.full((count, 3), 0.5, np.float32)
-    return FirstPoints(xyz, rgb, np.full(count, 0.15, np.float32), np.ones(count, np.float32))
+    return first_points(xyz, rgb, np.full(count, 0.15, np.float32))
+
+
+def first_points(xyz: np.ndarray, rgb: np.ndarray, spacing: np.ndarray) -> FirstPoints:
+    """With full confidence, and whatever else is known of them unknown (0)."""
+    unknown = {field.name: 0.0 for field in fields(FirstPoints)[4:]}
+    return FirstPoints(xyz, rgb, spacing, np.ones(len(xyz), np.float32), **unknown)
 
 
 def trained(case: Case, settings: KeyframeSettings = SHORT, *, seed: int = 0, first: FirstPoints | None = None) -> Any:
@@ -65,11 +71,10 @@ def equal_bits(first: Splats, second: Splats) -> bool:
 
 
 def test_first_gaussians_are_round_and_have_colour_opacity_and_size_of_their_points() -> None:
-    given = FirstPoints(
+    given = first_points(
         np.array([[0, 0, 1], [2, 3, 4]], np.float32),
         np.array([[0.1, 0.5, 0.9], [1.0, 0.0, 0.3]], np.float32),
         np.array([0.2, 0.4], np.float32),
-        np.ones(2, np.float32),
     )
     splats = splats_from_points(given, replace(SHORT, sh_degree=2, start_opacity=0.25, start_size=0.5))
     np.testing.assert_array_equal(splats.means, given.xyz)
@@ -176,7 +181,9 @@ def test_every_gaussian_kept_is_drawn_in_some_training_view(case: Case) -> None:
     behind = points(50)
     behind.xyz[:] = [0, 0, -8]
     first = points()
-    joined = FirstPoints(*(np.concatenate([getattr(first, n), getattr(behind, n)]) for n in vars(first)))
+    joined = first_points(
+        *(np.concatenate([getattr(p, n) for p in (first, behind)]) for n in ("xyz", "rgb", "spacing"))
+    )
     result = trained(case, replace(SHORT, grow_gradient=1e9), first=joined)
     kernel, drawn = TrainingKernel(1), np.zeros(len(result.splats), bool)
     for view in case.views:
@@ -198,7 +205,7 @@ def test_steps_are_reported(case: Case) -> None:
 
 def test_what_cannot_be_trained_is_said_in_one_line(case: Case) -> None:
     with pytest.raises(TrainingError, match="no first points"):
-        trained(case, first=FirstPoints(*(array[:0] for array in vars(points()).values())))
+        trained(case, first=points(0))
     broken = [np.full_like(picture, np.nan) for picture in case.pictures]
     with pytest.raises(
         TrainingError, match=r"the keyframe's loss is nan at step 0; the pictures or poses are unusable"
