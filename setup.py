@@ -1,8 +1,8 @@
 """Builds the native kernels, one shared library per instruction set; everything else is in pyproject.toml.
 
-The libraries have a plain C interface and are loaded with ctypes, so they need neither Python's headers nor its ABI. One
-library per instruction set (rather than one library with three copies) keeps the linker from merging inline functions
-that were compiled for a newer machine into code that an older one runs.
+The libraries have a plain C interface and are loaded with ctypes, so they need neither Python's headers nor its ABI.
+One library per instruction set (rather than one library with three copies) keeps the linker from merging inline
+functions that were compiled for a newer machine into code that an older one runs.
 """
 
 import platform

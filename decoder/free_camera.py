@@ -29,9 +29,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
-from numpy.typing import NDArray
 
 MAX_FILE_BYTES = 64 << 20
 MAX_SIDE = 1 << 16

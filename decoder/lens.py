@@ -22,9 +22,10 @@ from functools import lru_cache
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
+
 from decogs.formats.cameras import Camera, as_pinhole
 from decogs.formats.errors import UsageError
-from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
 Maps = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]

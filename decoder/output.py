@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Literal
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 
-from .usd_export import ExportFrame, ExportReport, export_usd
 from .free_camera import read_free_cameras
 from .pictures import DEFAULT_FPS, open_sink
 from .session import DecodedFrame, Stream, camera_named, frame_range, open_stream, render_view, scaled_view
+from .usd_export import ExportFrame, ExportReport, export_usd
 
 if TYPE_CHECKING:
     from .rasterise import Rendering

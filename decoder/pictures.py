@@ -30,8 +30,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from decogs.formats.errors import UsageError
 from numpy.typing import NDArray
+
+from decogs.formats.errors import UsageError
 
 if TYPE_CHECKING:
     from .rasterise import Rendering

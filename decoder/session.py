@@ -17,6 +17,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
 from decogs.codec.header import StreamHeader
 from decogs.codec.lattice import Lattice, dequantise
 from decogs.codec.reconstruct import reconstruct

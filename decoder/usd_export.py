@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
+
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import SH_C0, FloatArray, Splats, empty_splats, join_splats, take_splats
@@ -22,7 +24,6 @@ from decogs.formats.usd import (
     check_usd_request,
     linear_from_srgb,
 )
-from numpy.typing import NDArray
 
 Ids = NDArray[np.int64]
 Mask = NDArray[np.bool_]

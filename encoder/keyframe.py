@@ -1,16 +1,16 @@
 """The keyframe: 3D Gaussian Splatting on the training views of one frame (Kerbl 2023).
 
-Chosen, measured on `workbench` with cam00 held out (see feasibility figures in the README): a dense cloud from the rig itself,
-small first Gaussians of opacity 0.1, rates above 3DGS's that fall to a fifth by the end, SH raised step by step.
-A dozen views overfit, so a few 16x16 pixel tiles of every training view are left out of the loss and say when to stop: nothing
-outside the training views is needed. Rejected: dropping random Gaussians (-0.5 dB at 10 %), opacity or scale penalties (no
-gain), MCMC noise (no gain), opacity resets.
+Chosen, measured on `workbench` with cam00 held out (figures in the README): a dense cloud from the
+rig itself, small first Gaussians of opacity 0.1, rates above 3DGS's that fall to a fifth by the end, SH raised step
+by step. A dozen views overfit, so a few 16x16 pixel tiles of every training view are left out of the loss and say
+when to stop: nothing outside the training views is needed. Rejected: dropping random Gaussians (-0.5 dB at 10 %),
+opacity or scale penalties (no gain), MCMC noise (no gain), opacity resets.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +55,7 @@ class KeyframeSettings:
     validation_share: float = 0.02
     validation_every: int = 100
     patience: int = 4
-    rates: LearningRates = LearningRates(4e-4, 1e-2, 3e-3, 0.05, 1e-2, 5e-4)
+    rates: LearningRates = field(default_factory=lambda: LearningRates(4e-4, 1e-2, 3e-3, 0.05, 1e-2, 5e-4))
     means_decay: float = 0.05
     late_decay: float = 0.2
 
@@ -71,7 +71,7 @@ class TrainedKeyframe:
 
 
 def scene_extent(views: Sequence[View]) -> float:
-    """Size of the rig, 1.1 times the largest distance of a camera from their mean, as 3DGS scales its position rates."""
+    """Size of the rig, 1.1 times the largest distance of a camera from their mean; 3DGS scales position rates by it."""
     centres = np.array([camera_centre(view.pinhole) for view in views])
     return float(1.1 * np.linalg.norm(centres - centres.mean(axis=0), axis=1).max())
 

@@ -1,7 +1,7 @@
 """The losses of the keyframe and of later frames, as weights for the kernel's fused L1 + SSIM.
 
-Chosen, measured on `workbench`: lambda 0.2 as 3DGS; beta1 0.2 and beta2 0.8, which the paper does not publish: they only set
-how much a pixel outside the focus counts against one inside, since Adam does not see the loss's scale.
+Chosen, measured on `workbench`: lambda 0.2 as 3DGS; beta1 0.2 and beta2 0.8, which the paper does not publish: they
+only set how much a pixel outside the focus counts against one inside, since Adam does not see the loss's scale.
 """
 
 from __future__ import annotations

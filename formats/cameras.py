@@ -1,8 +1,8 @@
 """The camera vocabulary: one calibrated camera, OpenCV axes (x right, y down, z forward), pixel centres at .5.
 
 A point X in the world lies at ``world_to_camera @ (X, 1)`` in the camera. Without distortion it falls on
-``u = fx * x / z + cx``, ``v = fy * y / z + cy``, measured from the top left corner of the picture, so that the centre of
-the first pixel is (0.5, 0.5).
+``u = fx * x / z + cx``, ``v = fy * y / z + cy``, measured from the top left corner of the picture, so that the
+centre of the first pixel is (0.5, 0.5).
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ DistortionModel = Literal["none", "opencv", "fisheye"]
 class Camera:
     """One fixed camera of a rig.
 
-    ``world_to_camera`` is (4, 4) float64, rigid, in world units. ``distortion`` holds the coefficients in OpenCV's order:
-    (k1, k2, p1, p2[, k3[, k4, k5, k6]]) for "opencv", (k1, k2, k3, k4) for "fisheye", empty for "none".
+    ``world_to_camera`` is (4, 4) float64, rigid, in world units. ``distortion`` holds the coefficients in OpenCV's
+    order: (k1, k2, p1, p2[, k3[, k4, k5, k6]]) for "opencv", (k1, k2, k3, k4) for "fisheye", empty for "none".
     Width, height, fx, fy, cx, cy in pixels.
     """
 

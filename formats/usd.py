@@ -41,10 +41,11 @@ from types import TracebackType
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
+
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import FloatArray
-from numpy.typing import NDArray
 
 UpAxis = Literal["Y", "Z"]
 

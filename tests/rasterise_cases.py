@@ -1,8 +1,8 @@
-"""Scenes that try the rasteriser, the textbook calculation that says where float32 may fall on either side of a threshold,
-and the comparator. Loaded by path from the decoder's and the encoder's tests.
+"""Scenes that try the rasteriser, the textbook calculation that says where float32 may fall on either side of a
+threshold, and the comparator. Loaded by path from the decoder's and the encoder's tests.
 
-Run as a script (``python rasterise_cases.py decoder|encoder THREADS``) it prints a digest of everything the native kernel
-computes on these scenes: what must not depend on the number of threads or the instruction set.
+Run as a script (``python rasterise_cases.py decoder|encoder THREADS``) it prints a digest of everything the native
+kernel computes on these scenes: what must not depend on the number of threads or the instruction set.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+
 from decogs.decoder.rasterise.reference import (
     ALPHA_MAX,
     ALPHA_MIN,
@@ -44,7 +45,13 @@ class Case:
 
 
 def pinhole(
-    width: int, height: int, focal: float, *, turn: float = 0.0, nod: float = 0.0, offset: tuple[float, ...] = (0, 0, 2.5)
+    width: int,
+    height: int,
+    focal: float,
+    *,
+    turn: float = 0.0,
+    nod: float = 0.0,
+    offset: tuple[float, ...] = (0, 0, 2.5),
 ) -> Camera:
     """Camera whose principal point and focal lengths are deliberately a little odd, turned about y and then x."""
     c, s, d, e = np.cos(turn), np.sin(turn), np.cos(nod), np.sin(nod)
@@ -198,7 +205,7 @@ def textbook(case: Case) -> Textbook:
     rgb = np.maximum(unclamped, 0)
 
     near = z / (CLOSEST * scales.max(1))
-    drawn = np.flatnonzero((z > 0) & (near >= 1) & (opacities > ALPHA_MIN))
+    drawn = np.flatnonzero((z > 0) & (near >= 1) & (opacities > ALPHA_MIN * (1 - BAND)))  # or might be
     order = drawn[np.argsort(z[drawn], kind="stable")]
     fragile = []
     if (np.abs(near - 1) < BAND).any():
@@ -319,7 +326,15 @@ def encoder_digest(threads: int) -> str:
         sh = splats.sh.copy()
         kernel.adam(sh, g.sh, *moments, rate=0.01, step=3)
         assert picture.depth is not None
-        arrays = (picture.rgb, picture.alpha, picture.depth, kernel.weights(splats, np.abs(v_rgb)), gradient, sh, *moments)
+        arrays = (
+            picture.rgb,
+            picture.alpha,
+            picture.depth,
+            kernel.weights(splats, np.abs(v_rgb)),
+            gradient,
+            sh,
+            *moments,
+        )
         for array in (*arrays, *kernel.centres(len(splats)), np.array([value.total, value.mean_square])):
             digest.update(array.tobytes())
     return digest.hexdigest()

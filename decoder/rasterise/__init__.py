@@ -4,8 +4,8 @@ Chosen: EWA splatting with the opacity-compensated low-pass filter of Mip-Splatt
 keeps its brightness; one C++ source compiled per instruction set; tiles of 16x16 pixels composited in 4x4 blocks.
 Rejected: numba (two to five times slower, silently when a loop fails to vectorise), torch per tile (seconds a picture).
 
-A backend is a function with the signature of ``native.render_planes``; a CUDA one (gsplat, ``rasterize_mode="antialiased"``)
-fits behind it.
+A backend is a function with the signature of ``native.render_planes``; a CUDA one (gsplat,
+``rasterize_mode="antialiased"``) fits behind it.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import FloatArray, Splats
@@ -40,7 +41,9 @@ def render(
     ``threads`` 0 means all processors; the result does not depend on it. Source: Kerbl 2023, equation 3.
     """
     if camera.distortion_model != "none" and any(camera.distortion):
-        raise UsageError(f"camera {camera.name}: render through its pinhole and re-apply the lens distortion afterwards")
+        raise UsageError(
+            f"camera {camera.name}: render through its pinhole and re-apply the lens distortion afterwards"
+        )
     rgb, alpha, depth_sum = render_planes(splats, camera, background, threads)
     depth = np.divide(depth_sum, alpha, out=np.zeros_like(depth_sum), where=alpha > 0)
     return Rendering(np.ascontiguousarray(rgb.transpose(1, 2, 0)), alpha, depth)

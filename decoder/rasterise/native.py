@@ -9,10 +9,11 @@ from pathlib import Path
 from threading import Lock
 
 import numpy as np
+from numpy.typing import NDArray
+
 from decogs.formats.cameras import Camera, camera_centre
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import FloatArray, Splats
-from numpy.typing import NDArray
 
 INSTRUCTION_SETS = ("base", "avx2", "avx512")
 """Slowest first; the kernel gives the same bits on all of them."""
@@ -113,7 +114,7 @@ def kernel_path(package: Path, stem: str, instruction_set: str) -> Path:
 
 @lru_cache(maxsize=1)
 def best_instruction_set() -> str:
-    """The widest instruction set this machine runs; DECOGS_INSTRUCTION_SET (base, avx2, avx512) asks for a narrower one."""
+    """The widest instruction set this machine runs; DECOGS_INSTRUCTION_SET (base, avx2, avx512) narrows it."""
     base = ctypes.CDLL(str(kernel_path(Path(__file__).parent, "_forward", "base")))
     widest = INSTRUCTION_SETS[base.decogs_instruction_set()]
     wanted = os.environ.get("DECOGS_INSTRUCTION_SET", widest)

@@ -11,6 +11,7 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
+
 from decogs.formats.cameras import Camera, camera_centre
 
 BLUR = 0.3
@@ -19,7 +20,7 @@ ALPHA_MIN = 1.0 / 255.0
 ALPHA_MAX = 0.99
 TRANSMITTANCE_MIN = 1e-4
 CLOSEST = 0.5
-"""A Gaussian whose depth is below this many of its largest sigma is not drawn: the linearisation means nothing there."""
+"""A Gaussian nearer than this many of its largest sigma is not drawn: the linearisation means nothing there."""
 
 
 def rotation_matrices(xp: ModuleType, quaternions: Any) -> Any:

@@ -1,6 +1,7 @@
 """Renders with gradients: the native training kernel, and tests against the float64 twin in ``decoder.rasterise``.
 
-A CUDA backend (gsplat: ``rasterize_to_pixels`` with tile masks, ``packed=False``) fits behind ``TrainingKernel``'s methods.
+A CUDA backend (gsplat: ``rasterize_to_pixels`` with tile masks, ``packed=False``) fits behind ``TrainingKernel``'s
+methods.
 """
 
 from .native import LossValue, Picture, SplatGradients, TrainingKernel

@@ -102,7 +102,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class SplatGradients:
-    """Gradients of the stored values, shaped like them; ``view`` (N,) is the length of the projected centre's, in pixels."""
+    """Gradients of the stored values, shaped like them; ``view`` (N,): length of the projected centre's, in pixels."""
 
     means: FloatArray
     log_scales: FloatArray

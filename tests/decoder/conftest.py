@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from decogs.codec.deltas import apply_delta, difference
 from decogs.codec.header import StreamHeader
 from decogs.codec.keyframes import keyframe_state

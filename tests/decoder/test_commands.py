@@ -7,10 +7,11 @@ import os
 from pathlib import Path
 
 import cv2
-import decogs.decoder
 import numpy as np
 import OpenEXR
 import pytest
+
+import decogs.decoder
 from decogs.codec.lattice import dequantise
 from decogs.decoder import decode, export, info, render_view
 from decogs.decoder.commands import decode_main, export_main, info_main
@@ -248,4 +249,4 @@ def test_functions_tell_of_progress_and_check_their_arguments(small_stream, tmp_
         with pytest.raises(UsageError, match=message):
             decode(small_stream.path, tmp_path / "x", **options)
     export(small_stream.path, tmp_path / "s.usda")
-    assert callable(decogs.decoder.usd_export), "the function, not the submodule of that name"
+    assert callable(decogs.decoder.export), "the function, not the submodule of that name"

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from decogs.decoder.free_camera import read_free_cameras
 from decogs.formats.cameras import camera_centre
 from decogs.formats.errors import UsageError

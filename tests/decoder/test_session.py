@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from decogs.codec.lattice import dequantise
 from decogs.codec.state import State
 from decogs.decoder.lens import Redistortion

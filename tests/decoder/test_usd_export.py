@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from pxr import Usd, UsdGeom, UsdValidation
+
 from decogs.decoder.usd_export import ExportFrame, blender_script, export_usd, take_census, usd_splats
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import SH_C0, Splats, join_splats, take_splats
-from numpy.typing import NDArray
-from pxr import Usd, UsdGeom, UsdValidation
 
 
 def some_splats(rng: np.random.Generator, count: int, sh_degree: int = 1) -> Splats:

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import OpenEXR
 import pytest
+
 from decogs.formats.errors import RigError
 from decogs.formats.pictures import picture_size, read_picture
 

@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 import OpenEXR
 import pytest
-from decogs.formats.errors import RigError
-from decogs.formats.rigs import Rig, open_rig, read_frames
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+
+from decogs.formats.errors import RigError
+from decogs.formats.rigs import Rig, open_rig, read_frames
 
 
 @pytest.fixture

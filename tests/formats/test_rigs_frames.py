@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from decogs.formats.errors import RigError, UsageError
 from decogs.formats.pictures import Picture
 from decogs.formats.rigs import FrameSource, Rig, open_rig, read_frames

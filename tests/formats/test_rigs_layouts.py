@@ -11,6 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+
 from decogs.formats.cameras import Camera, camera_centre
 from decogs.formats.rigs import Rig, open_rig, read_frames
 

@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdValidation
+
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 from decogs.formats.usd import UsdSplats, UsdWriter, linear_from_srgb, splat_extent
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdValidation
 
 
 def some_splats(count: int, seed: int = 0) -> UsdSplats:

@@ -9,6 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+
 from decogs.formats import videos
 from decogs.formats.errors import RigError
 from decogs.formats.videos import VideoSource, open_video
