@@ -142,6 +142,9 @@ class _Fields:
             self._refuse(name, "is missing")
         return self._members[name]
 
+    def has(self, name: str) -> bool:
+        return name in self._members
+
     def optional(self, name: str, read: Callable[[], _T]) -> _T | None:
         return None if self.value(name) is None else read()
 
@@ -260,6 +263,7 @@ def _camera_document(camera: Camera) -> dict[str, Any]:
         "fy": float(camera.fy),
         "height": int(camera.height),
         "name": camera.name,
+        **({"near": float(camera.near)} if camera.near else {}),
         "width": int(camera.width),
         "world_to_camera": [_floats(row) for row in camera.world_to_camera[:3]],
     }
@@ -280,6 +284,7 @@ def _camera(fields: _Fields) -> Camera:
         world_to_camera=_pose(fields),
         distortion_model=model,  # type: ignore[arg-type]
         distortion=fields.numbers("distortion", _COEFFICIENT_COUNTS[model], -1e6, 1e6),
+        near=fields.number("near", 0.0, _COORDINATE_MAX) if fields.has("near") else 0.0,
     )
 
 

@@ -7,7 +7,7 @@ field.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -18,6 +18,10 @@ from decogs.formats.cameras import Camera, scale_camera
 from decogs.formats.errors import UsageError
 from decogs.formats.rigs import Rig, read_frames
 from decogs.formats.splats import FloatArray
+
+
+NEAR_SHARE = 0.1
+"""Near plane of a rig camera as a share of the median depth it sees: beyond any housing, before any subject."""
 
 
 @dataclass(frozen=True)
@@ -63,14 +67,25 @@ class Ingest:
             raise UsageError(f"{rig.path}: every camera is held out; leave some to train on")
         cameras = {camera.name: scale_camera(camera, scale) for camera in rig.cameras}
         self._plans = {name: Undistortion(cameras[name]) for name in names}
+        self._near = dict.fromkeys(names, 0.0)
         self._fillings = {name: _filling(plan.valid) for name, plan in self._plans.items()}
         self.views = [self._view(name) for name in self._names]
         self.held_out_views = [self._view(name) for name in self._held_names]
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
-        """All cameras of the rig in its order, at the scale trained at."""
-        return tuple(self._plans[camera.name].camera for camera in self.rig.cameras)
+        """All cameras of the rig in its order and at their own size, so that decoded views lie over the videos."""
+        return tuple(replace(camera, near=self._near[camera.name]) for camera in self.rig.cameras)
+
+    def place_near_planes(self, xyz: FloatArray) -> None:
+        """Gives every camera a near plane at NEAR_SHARE of the median depth of the points (P, 3) it sees.
+
+        Geometry only, found by the training views: a held-out camera's pictures play no part.
+        """
+        for name, plan in self._plans.items():
+            self._near[name] = NEAR_SHARE * _median_depth(plan.pinhole, xyz)
+        self.views = [self._view(name) for name in self._names]
+        self.held_out_views = [self._view(name) for name in self._held_names]
 
     def frames(self, start: int, stop: int) -> Iterator[RigFrame]:
         """The rig's frames [start, stop) in order, one at a time."""
@@ -84,7 +99,8 @@ class Ingest:
     def _view(self, name: str) -> View:
         plan = self._plans[name]
         valid = None if plan.valid.all() else np.ascontiguousarray(plan.valid, np.float32)
-        return View(plan.camera, plan.pinhole, valid)
+        near = self._near[name]
+        return View(replace(plan.camera, near=near), replace(plan.pinhole, near=near), valid)
 
     def _prepare(self, name: str, picture: NDArray[np.uint8] | NDArray[np.float32]) -> FloatArray:
         plan = self._plans[name]
@@ -114,6 +130,17 @@ def _filling(valid: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.in
     of_label = np.zeros(int(labels.max()) + 1, np.int64)
     of_label[labels.ravel()[recorded]] = recorded
     return missing, of_label[labels.ravel()[missing]]
+
+
+def _median_depth(camera: Camera, xyz: FloatArray) -> float:
+    """Median depth of the points inside the camera's picture; 0 when it sees none."""
+    position = xyz.astype(np.float64) @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+    depth = position[:, 2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u = camera.fx * position[:, 0] / depth + camera.cx
+        v = camera.fy * position[:, 1] / depth + camera.cy
+    seen = (depth > 0) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+    return float(np.median(depth[seen])) if seen.any() else 0.0
 
 
 def display_referred(picture: NDArray[np.uint8] | NDArray[np.float32]) -> FloatArray:

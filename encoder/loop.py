@@ -26,6 +26,7 @@ from decogs.codec.lattice import Lattice, default_lattice, dequantise, quantise,
 from decogs.codec.reconstruct import reconstruct
 from decogs.codec.state import State, take_rows
 from decogs.codec.syntax import Coded, write_delta, write_key, write_skip
+from decogs.decoder.lens import is_distorted
 from decogs.formats.container import Packet, PacketKind, StreamWriter
 from decogs.formats.errors import DecogsError, UsageError
 from decogs.formats.rigs import Rig
@@ -112,6 +113,8 @@ class StreamEncoder:
                 seed=self._seed,
                 threads=self._threads,
             )
+        self._ingest.place_near_planes(points.xyz)
+        views = self._ingest.views
         with watch.stage("keyframe"):
             trained = train_keyframe(
                 self._kernel, views, frame.training, points, settings.keyframe, seed=self._seed, on_step=on_step
@@ -218,6 +221,7 @@ class StreamEncoder:
             lattice=lattice,
             sh_degree=settings.keyframe.sh_degree,
             fps=rig.fps,
+            effects=_effects(rig, settings),
             held_out=tuple(view.camera.name for view in self._ingest.held_out_views),
             source_text=rig.source_text,
             licence=rig.licence,
@@ -236,6 +240,16 @@ class StreamEncoder:
             seed=self._seed,
             threads=max(1, self._threads),
         )
+
+
+def _effects(rig: Rig, settings: EncodeSettings) -> tuple[str, ...]:
+    """What a stream of this encode may carry (SPEC.md, "Header packet")."""
+    effects = ["motion", "appearance_change", "emergence", "disappearance"]
+    if settings.keyframe.sh_degree:
+        effects.append("view_dependence")
+    if any(is_distorted(camera) for camera in rig.cameras):
+        effects.append("lens_distortion")
+    return tuple(effects)
 
 
 def frame_span(rig: Rig, frames: slice | None) -> range:

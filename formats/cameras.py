@@ -22,7 +22,8 @@ class Camera:
 
     ``world_to_camera`` is (4, 4) float64, rigid, in world units. ``distortion`` holds the coefficients in OpenCV's
     order: (k1, k2, p1, p2[, k3[, k4, k5, k6]]) for "opencv", (k1, k2, k3, k4) for "fisheye", empty for "none".
-    Width, height, fx, fy, cx, cy in pixels.
+    Width, height, fx, fy, cx, cy in pixels. Nothing whose depth is below ``near`` (world units) is drawn: a rig's
+    cameras see each other's housings, and a housing must not cover the view of the camera inside it.
     """
 
     name: str
@@ -35,6 +36,7 @@ class Camera:
     world_to_camera: NDArray[np.float64]
     distortion_model: DistortionModel = "none"
     distortion: tuple[float, ...] = ()
+    near: float = 0.0
 
 
 def camera_centre(camera: Camera) -> NDArray[np.float64]:

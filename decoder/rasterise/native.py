@@ -30,6 +30,7 @@ class NativeCamera(ctypes.Structure):
         ("fy", ctypes.c_float),
         ("cx", ctypes.c_float),
         ("cy", ctypes.c_float),
+        ("near", ctypes.c_float),
         ("width", ctypes.c_int32),
         ("height", ctypes.c_int32),
     ]
@@ -72,6 +73,7 @@ def native_camera(camera: Camera) -> NativeCamera:
         camera.fy,
         camera.cx,
         camera.cy,
+        camera.near,
         camera.width,
         camera.height,
     )

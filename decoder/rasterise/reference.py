@@ -121,7 +121,11 @@ def render_reference(
 
     centres = xp.stack([ray_x * camera.fx + camera.cx, ray_y * camera.fy + camera.cy], -1)
     depths, peaks, largest = z.tolist(), opacities.tolist(), [max(row) for row in scales.tolist()]
-    drawn = [i for i, d in enumerate(depths) if d > 0 and d >= CLOSEST * largest[i] and peaks[i] > ALPHA_MIN]
+    drawn = [
+        i
+        for i, d in enumerate(depths)
+        if d > 0 and d >= max(camera.near, CLOSEST * largest[i]) and peaks[i] > ALPHA_MIN
+    ]
     px, py = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     transmittance = xp.ones_like(constant(px))
     colour = [xp.zeros_like(transmittance) for _ in range(3)]

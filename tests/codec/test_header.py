@@ -184,3 +184,10 @@ def test_mutated_headers_raise_stream_errors_only(position: int, patch: bytes) -
         StreamHeader.from_bytes(bytes(payload))
     except StreamError:
         return
+
+
+def test_near_plane_survives_and_is_left_out_when_there_is_none() -> None:
+    camera = replace(FULL.cameras[0], near=0.25)
+    with_near = replace(FULL, cameras=(camera, *FULL.cameras[1:]))
+    assert StreamHeader.from_bytes(with_near.to_bytes()).cameras[0].near == 0.25
+    assert b'"near"' not in FULL.to_bytes()

@@ -54,7 +54,7 @@ def test_half_size_is_the_mean_of_four_pixels_seen_by_the_scaled_camera(moving_r
     camera, full = ingest.views[0].pinhole, tiny_rig.camera(0)
     assert (camera.width, camera.height) == (tiny_rig.width // 2, tiny_rig.height // 2)
     assert (camera.fx, camera.cx, camera.cy) == (full.fx / 2, full.cx / 2, full.cy / 2)
-    assert ingest.cameras[0].width == camera.width
+    assert ingest.cameras[0].width == full.width, "decoded views lie over the original videos"
 
 
 def test_a_lens_is_taken_out_and_unrecorded_pixels_take_the_nearest_recorded_one(lens_rig: Path) -> None:
@@ -132,3 +132,17 @@ def test_display_referred_codes_linear_light_as_srgb() -> None:
 def test_impossible_options_are_refused(moving_rig: Path, options: dict[str, Any], message: str) -> None:
     with pytest.raises(UsageError, match=message):
         Ingest(open_rig(moving_rig), **options)
+
+
+def test_a_camera_does_not_see_its_own_housing(moving_rig: Path) -> None:
+    """Every camera, held out or not, gets a near plane at a tenth of the median depth of the points it sees."""
+    ingest = Ingest(open_rig(moving_rig), holdout=["cam00"])
+    camera = ingest.views[0].pinhole
+    inward = camera.world_to_camera[2, :3]
+    centre = -camera.world_to_camera[:3, :3].T @ camera.world_to_camera[:3, 3]
+    points = np.float32([centre + inward * depth for depth in (1.0, 2.0, 4.0)])
+    ingest.place_near_planes(points)
+    # Depths come from float32 points: 1e-6 of the largest.
+    assert ingest.views[0].pinhole.near == pytest.approx(0.2, abs=4e-6)
+    assert ingest.views[0].camera.near == ingest.views[0].pinhole.near
+    assert {c.name: c.near for c in ingest.cameras}[camera.name] == ingest.views[0].pinhole.near

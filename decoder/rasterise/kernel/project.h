@@ -20,7 +20,7 @@ struct Camera {  // mirrored by ctypes in native.py
     float rotation[9];
     float translation[3];
     float centre[3];
-    float fx, fy, cx, cy;
+    float fx, fy, cx, cy, near;
     int32_t width, height;
 };
 
@@ -193,7 +193,7 @@ inline void project_rows(const Scene& scene, const Camera& cam, const int64_t* r
     const F reach = max(cut, 0.0f) * 2.0f;
     const F extent_x = sqrt(reach * g.a), extent_y = sqrt(reach * g.c);
     // Comparisons are written so that anything not a number fails them.
-    const M drawn = (g.z > 0.0f) & (g.z >= largest * kClosest) & (cut > 0.0f) & (g.mean2d_x + extent_x > 0.0f) &
+    const M drawn = (g.z > 0.0f) & (g.z >= cam.near) & (g.z >= largest * kClosest) & (cut > 0.0f) & (g.mean2d_x + extent_x > 0.0f) &
                     (g.mean2d_x - extent_x < static_cast<float>(cam.width)) & (g.mean2d_y + extent_y > 0.0f) &
                     (g.mean2d_y - extent_y < static_cast<float>(cam.height)) & (g.det > 0.0f) & (extent_x < 1e9f) &
                     (extent_y < 1e9f);
