@@ -1,7 +1,7 @@
 """Which depths of a sweep to believe: agreement between views in place and in look, and what other views see through.
 
-Source: geometric consistency and fusion as in multi-view stereo (Schönberger 2016, "Pixelwise view selection for unstructured
-multi-view stereo", section 4.4, and its fusion by reprojection).
+Source: geometric consistency and fusion as in multi-view stereo (Schönberger 2016, "Pixelwise view selection for
+unstructured multi-view stereo", section 4.4, and its fusion by reprojection).
 """
 
 from __future__ import annotations
@@ -22,15 +22,18 @@ _LOOK_ALIKE = 0.5
 """Correlation of two windows from which on they count as the same texture."""
 _WINDOW = 7
 _NOISE_VARIANCE = 0.01**2
-_DETAIL, _UNEVEN = 0.4, 1.6
+_DETAIL, _UNEVEN = 0.6, 2.0
 _JUMP = 0.08
 """Share of inverse depth by which it changes within 3 x 3 pixels where one surface ends before another."""
 
 
 @dataclass(frozen=True)
 class Candidates:
-    """Points one view proposes: ``xyz`` (P, 3) float64 world, ``rgb`` (P, 3), ``spacing`` (P,) world size of one pixel there,
-    more where there is little to see, less where there is much; ``confidence`` (P,) 0..1, ``inverse_depth``, ``column`` and ``row`` (P,) of the pixel."""
+    """Points one view proposes.
+
+    ``xyz`` (P, 3) float64 world, ``rgb`` (P, 3), ``spacing`` (P,) world size of one pixel there, more where there is
+    little to see, less where there is much; ``confidence`` (P,) 0..1; ``inverse_depth``, ``column``, ``row`` (P,).
+    """
 
     xyz: NDArray[np.float64]
     rgb: Array
@@ -39,6 +42,15 @@ class Candidates:
     inverse_depth: Array
     column: NDArray[np.int64]
     row: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+
+def no_candidates() -> Candidates:
+    """Nothing to propose."""
+    none, nowhere = np.zeros(0, np.float32), np.zeros(0, np.int64)
+    return Candidates(np.zeros((0, 3)), np.zeros((0, 3), np.float32), none, none, none, nowhere, nowhere)
 
 
 @dataclass(frozen=True)
@@ -123,9 +135,9 @@ def agree(
 ) -> Candidates:
     """The points of one view's depth map that other views confirm.
 
-    Kept is what at least one view in ``neighbours`` (two, if there are at least four) sees at the same place, what looks
-    alike in the better half of the views in ``matched`` (the first of ``neighbours``), and what not more views see
-    through; inverse depths are means over the views that agree.
+    Kept is what at least one view in ``neighbours`` (two, if there are at least four) sees at the same place, what
+    looks alike in the better half of the views in ``matched`` (the first of ``neighbours``), and what not more views
+    see through; inverse depths are means over the views that agree.
     """
     view, own = views[index], depths.inverse_depth
     places = [_project_surface(view, views[j], own) for j in neighbours]
@@ -166,7 +178,7 @@ def agree(
 
 
 def _sideways(view: View, other: View) -> float:
-    """Pixels a point at unit depth moves in the other view per relative change of its depth, when seen from ``view``."""
+    """Pixels a point at unit depth moves in the other view per relative change of its depth, seen from ``view``."""
     offset = other.centre - view.centre
     along = float(offset @ other.rotation[2])
     return float(other.focal * np.sqrt(max(float(offset @ offset) - along**2, 0.0)))
@@ -175,7 +187,7 @@ def _sideways(view: View, other: View) -> float:
 def depth_ratio(
     view: View, inverse_depth: Array, xyz: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
-    """Depth of points (P, 3) over the depth a view sees there (> 1: hidden; NaN where it knows none, 0), and their pixels."""
+    """Depth of points (P, 3) over the depth seen there (> 1: hidden; NaN where unknown, 0), their columns and rows."""
     u, v, z = project(view, xyz)
     visible = inside(view, u, v) & (z > 0)
     column = np.where(visible, np.round(u), 0).astype(np.int64)

@@ -1,4 +1,4 @@
-"""One cloud out of the views' candidates: evenly spread, at most so many, free of floaters, filled up where views stay empty."""
+"""One cloud out of the views' candidates: evenly spread, at most so many, without floaters."""
 
 from __future__ import annotations
 
@@ -10,18 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .agreement import Candidates, depth_ratio
-from .views import Array, View, inside, pixel_rays, project
+from .frusta import DepthRange
+from .views import Array, View, inside, project
 
-CELL = 8
-"""Side, in pixels, of the picture cells that should hold a point."""
 _SEEN_THROUGH = 0.04
 """Share of its depth by which a point lies in front of what a view sees, when that view sees through it."""
 
-_MOST_GUESSES = 4
-"""Guesses per empty picture cell."""
-_GUESS_CONFIDENCE = 0.05
-_FEW_KNOWN = 0.01
-"""Share of a view's pixels with confirmed depths below which points of other views tell its depths."""
 _CLOSEST = 0.7
 """Pixels between points from which on more of them tell nothing new."""
 _TRIALS = 10
@@ -41,9 +35,22 @@ class Cloud:
 
 
 @dataclass(frozen=True)
+class Survey:
+    """What is known of one view: ``believed`` (H, W) inverse depths of its sweep, ``confirmed`` (H, W) those other
+    views agree with, 0 elsewhere (both None if it shares nothing with others), ``nearest`` depth of the latter (0 if
+    unknown)."""
+
+    view: View
+    depths: DepthRange | None
+    believed: Array | None
+    confirmed: Array | None
+    nearest: float
+
+
+@dataclass(frozen=True)
 class Sight:
-    """Per point (P,): how many views see ``through`` it to something behind, how many see it ``in_place``; ``rgb`` (P, 3) is
-    the mean of its own colour and of what the latter see."""
+    """Per point (P,): how many views see ``through`` it to something behind, how many see it ``in_place``; ``rgb``
+    (P, 3) is the mean of its own colour and of what the latter see."""
 
     through: NDArray[np.int64]
     in_place: NDArray[np.int64]
@@ -120,7 +127,9 @@ def spread_to_count(cloud: Cloud, most: int) -> tuple[Cloud, float]:
             high, chosen = pixels, trial
             if len(trial) > 0.97 * most or low == 0:
                 break
-        guess = pixels * (len(trial) / (0.985 * most)) ** 0.6  # surfaces: the count falls with the square of the distance
+        guess = (
+            pixels * (len(trial) / (0.985 * most)) ** 0.6
+        )  # surfaces: the count falls with the square of the distance
         pixels = min(max(guess, 1.02 * low), 0.5 * (low + high) if high < np.inf else np.inf, 4 * max(low, _CLOSEST))
     if not len(chosen) and len(cloud):  # cannot be for surfaces; thin the surest evenly instead
         chosen = np.arange(0, len(cloud), -(-len(cloud) // most))
@@ -128,112 +137,31 @@ def spread_to_count(cloud: Cloud, most: int) -> tuple[Cloud, float]:
     return take(cloud, chosen), float(high) if high < np.inf else _CLOSEST
 
 
-def look_from_all(cloud: Cloud, views: Sequence[View], confirmed: Sequence[Array | None]) -> Sight:
-    """What the views say of a cloud's points; ``confirmed``: per view inverse depths (H, W), 0 where unknown."""
+def look_from_all(cloud: Cloud, surveys: Sequence[Survey]) -> Sight:
+    """What the views say of a cloud's points."""
     through, in_place = np.zeros(len(cloud), np.int64), np.zeros(len(cloud), np.int64)
     rgb = cloud.rgb.copy()
-    for view, depths in zip(views, confirmed, strict=True):
-        if depths is None:
+    for survey in surveys:
+        if survey.confirmed is None:
             continue
-        ratio, column, row = depth_ratio(view, depths, cloud.xyz)
+        ratio, column, row = depth_ratio(survey.view, survey.confirmed, cloud.xyz)
         through += ratio < 1 - _SEEN_THROUGH
         here = np.abs(ratio - 1) <= _SEEN_THROUGH
         in_place += here
-        rgb[here] += view.picture[row[here], column[here]]
+        rgb[here] += survey.view.picture[row[here], column[here]]
     return Sight(through, in_place, rgb / (1 + in_place[:, None]).astype(np.float32))
 
 
-def cell_counts(view: View, xyz: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Points per picture cell of 8 x 8 pixels, (rows, columns); what hides what is not looked at."""
-    u, v, _ = project(view, xyz)
-    visible = inside(view, u, v)
-    columns, rows = -(-view.width // CELL), -(-view.height // CELL)
-    cell = np.round(v[visible]).astype(np.int64) // CELL * columns + np.round(u[visible]).astype(np.int64) // CELL
-    return np.bincount(cell, minlength=rows * columns).reshape(rows, columns)
+def too_near(cloud: Cloud, surveys: Sequence[Survey], share: float) -> NDArray[np.bool_]:
+    """Points (P,) right in front of a camera: nearer than ``share`` of the nearest depth confirmed in its view.
 
-
-def fill_depths(known: Array) -> Array:
-    """Known inverse depths (H, W; 0: unknown) spread into the gaps, the far ones a little stronger; (H, W).
-
-    Push and pull: unknown pixels get the mean of ever larger surroundings, until there is a known one.
+    Cameras that stand in one another's view are found as points, and they would hide what they look at.
     """
-    weight = np.where(known > 0, 1 / np.maximum(known, 1e-12), 0).astype(np.float32)
-    weight /= max(float(weight.max()), 1e-12)
-    levels = [(known * weight, weight)]
-    while min(levels[-1][0].shape) > 1 and (levels[-1][1] <= 1e-6).any():
-        values, weights = levels[-1]
-        size = (max(1, values.shape[1] // 2), max(1, values.shape[0] // 2))
-        levels.append(
-            (
-                cv2.resize(values, size, interpolation=cv2.INTER_AREA),
-                cv2.resize(weights, size, interpolation=cv2.INTER_AREA),
-            )
-        )
-    values, weights = levels[-1]
-    filled = np.full(values.shape, float(values.sum() / max(float(weights.sum()), 1e-12)), np.float32)
-    for values, weights in reversed(levels):
-        filled = cv2.resize(filled, values.shape[::-1], interpolation=cv2.INTER_LINEAR)
-        enough = weights > 1e-6
-        filled[enough] = values[enough] / weights[enough]
-    return np.asarray(filled)
-
-
-def projected_depths(view: View, xyz: NDArray[np.float64]) -> Array:
-    """Inverse depths (H, W) of the nearest point in every pixel, 0 where there is none."""
-    u, v, depth = project(view, xyz)
-    visible = inside(view, u, v) & (depth > 0)
-    column, row, depth = np.round(u[visible]).astype(np.int64), np.round(v[visible]).astype(np.int64), depth[visible]
-    far_first = np.argsort(-depth, kind="stable")
-    inverse = np.zeros((view.height, view.width), np.float32)
-    inverse[row[far_first], column[far_first]] = 1 / depth[far_first]
-    return inverse
-
-
-def random_in_frustum(view: View, near: float, far: float, count: int, random: np.random.Generator) -> Cloud:
-    """Random points of the view's colours, evenly over its picture and over inverse depth between ``near`` and ``far``."""
-    column, row = random.integers(0, view.width, count), random.integers(0, view.height, count)
-    depth = 1 / random.uniform(1 / far, 1 / near, count)
-    return _guess(view, column, row, depth)
-
-
-def _guess(view: View, column: NDArray[np.int64], row: NDArray[np.int64], depth: NDArray[np.float64]) -> Cloud:
-    xyz = view.centre + pixel_rays(view, column.astype(np.float64), row.astype(np.float64)) * depth[:, None]
-    spacing = (2 * depth / view.focal).astype(np.float32)
-    return Cloud(xyz, view.picture[row, column], spacing, np.full(len(xyz), _GUESS_CONFIDENCE, np.float32))
-
-
-def fill_empty_cells(
-    view: View,
-    cloud: Cloud,
-    known: Array | None,
-    believed: Array | None,
-    pixels: float,
-    random: np.random.Generator,
-) -> Cloud:
-    """Points for the cells of a view in which no point falls, ``pixels`` pixels apart.
-
-    Half of them at the depth of known points around (``known`` (H, W) inverse depth, 0 unknown), with some scatter; the other
-    half at the unconfirmed depth of the view's own sweep ``believed``, if there is one.
-    """
-    empty = np.argwhere(cell_counts(view, cloud.xyz) == 0)
-    per_cell = min((CELL / pixels) ** 2, _MOST_GUESSES)
-    wanted = int(np.ceil(len(empty) * per_cell))
-    if not wanted:
-        return empty_cloud()
-    cell = empty[random.integers(0, len(empty), wanted)]
-    column = np.minimum(cell[:, 1] * CELL + random.integers(0, CELL, wanted), view.width - 1)
-    row = np.minimum(cell[:, 0] * CELL + random.integers(0, CELL, wanted), view.height - 1)
-    if known is None or np.count_nonzero(known) < _FEW_KNOWN * known.size:
-        known = projected_depths(view, cloud.xyz)
-    filled = fill_depths(known)
-    inverse = filled[row, column] * np.exp(0.05 * random.standard_normal(wanted))
-    if believed is not None:
-        low, high = np.percentile(known[known > 0], [1, 99]) if (known > 0).any() else (0.0, np.inf)
-        own = believed[row, column]
-        use = (random.random(wanted) < 0.5) & (own > 0.8 * low) & (own < 1.1 * high)
-        inverse[use] = own[use]
-    good = inverse > 1e-12
-    return _guess(view, column[good], row[good], 1 / inverse[good])
+    near = np.zeros(len(cloud), bool)
+    for survey in surveys:
+        u, v, depth = project(survey.view, cloud.xyz)
+        near |= inside(survey.view, u, v) & (depth > 0) & (depth < share * survey.nearest)
+    return near
 
 
 def neighbour_distances(xyz: NDArray[np.float64]) -> Array:

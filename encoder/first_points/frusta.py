@@ -17,6 +17,8 @@ _WIDEST_RANGE = 400.0
 _SHARE = 0.1
 """Share of a view's pixels that another view has to see for a depth to count as shared."""
 _WORTH = 0.25
+_FEWEST_POINTS = 200
+"""Points found in a view from which on they tell its depth range."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,7 @@ def rig_size(views: Sequence[View]) -> float:
 
 
 def angle_worth(degrees: NDArray[np.floating]) -> NDArray[np.float64]:
-    """How much a point seen by two views under this angle is worth for matching: 1 between 6 and 16 degrees, 0 for none.
+    """What a point seen by two views under this angle is worth for matching: 1 between 6 and 16 degrees, 0 at none.
 
     Smaller angles tell little about depth, under larger ones the pictures look different.
     """
@@ -92,8 +94,8 @@ def _angles(xyz: NDArray[np.float64], a: View, b: View) -> NDArray[np.float64]:
 def choose_neighbours(views: Sequence[View], samples: Sequence[NDArray[np.float64]], count: int) -> list[list[int]]:
     """For every view up to ``count`` others to match it with, best first.
 
-    ``samples``: per view world points (S, 3) it may be looking at. Worth: the share of these the other view sees under a
-    helpful angle; views in the same direction as one already chosen count less, because they are occluded together.
+    ``samples``: per view world points (S, 3) it may be looking at. Worth: the share of these the other view sees under
+    a helpful angle; views in the same direction as one already chosen count less: they are occluded together.
     """
     chosen_of_all: list[list[int]] = []
     for i, view in enumerate(views):
@@ -116,3 +118,48 @@ def choose_neighbours(views: Sequence[View], samples: Sequence[NDArray[np.float6
             left *= 1 - 0.5 * np.maximum(directions @ directions[best], 0) ** 4
         chosen_of_all.append(chosen)
     return chosen_of_all
+
+
+def points_within(view: View, depths: DepthRange | None) -> NDArray[np.float64]:
+    """World points (S, 3) all over the depths the view shares with others, evenly in inverse depth."""
+    if depths is None:
+        return np.zeros((0, 3))
+    steps = 1 / np.linspace(1 / depths.far, 1 / depths.near, 16)
+    return np.asarray((view.centre + ray_grid(view) * steps[:, None, None]).reshape(-1, 3))
+
+
+def depths_of(
+    view: View, own: NDArray[np.float64], all_views: NDArray[np.float64], shared: DepthRange | None
+) -> DepthRange | None:
+    """Depths between which a view should be searched closely, with a margin; ``shared`` if too little was found so far.
+
+    ``own`` (P, 3): points found in this view; ``all_views`` (Q, 3): in all. Of the latter the outermost hundredths are
+    left out: among them are the camera's own housing, seen by others, and what it cannot see behind other things.
+    """
+    depth = (own - view.centre) @ view.rotation[2]
+    u, v, others = project(view, all_views)
+    others = others[inside(view, u, v) & (others > 0)]
+    if len(others) < _FEWEST_POINTS:
+        return shared
+    near, far = np.percentile(others, [1, 99])
+    if len(depth) >= _FEWEST_POINTS:
+        near, far = min(near, np.percentile(depth, 0.1)), max(far, np.percentile(depth, 99.9))
+    return DepthRange(float(near) * 0.9, float(far) * 1.15)
+
+
+def likely_points(view: View, xyz: NDArray[np.float64], depths: DepthRange | None) -> NDArray[np.float64]:
+    """World points (S, 3), one per cell of the view, at the median depth of what was found in it or in all."""
+    if depths is None:
+        return np.zeros((0, 3))
+    u, v, depth = project(view, xyz)
+    rays = ray_grid(view)
+    columns, rows = RAY_GRID
+    visible = inside(view, u, v) & (depth > 0)
+    if not visible.any():
+        return points_within(view, depths)
+    column = np.clip((u[visible] + 0.5) / view.width * columns, 0, columns - 1).astype(np.int64)
+    row = np.clip((v[visible] + 0.5) / view.height * rows, 0, rows - 1).astype(np.int64)
+    cell, depth = row * columns + column, depth[visible]
+    everywhere = float(np.median(depth))
+    likely = np.array([np.median(depth[cell == k]) if (cell == k).any() else everywhere for k in range(len(rays))])
+    return np.asarray(view.centre + rays * likely[:, None])

@@ -1,7 +1,7 @@
-"""Depth of one view by plane sweep: photo-consistency on fronto-parallel planes, semi-global aggregation, sub-plane depth.
+"""Depth of one view by plane sweep: photo-consistency on planes, semi-global aggregation, sub-plane depth.
 
-Source: plane sweep after Collins (1996) with planes evenly spaced in inverse depth, aggregation after Hirschmüller (2008),
-"Stereo processing by semi-global matching and mutual information", with four path directions.
+Source: plane sweep after Collins (1996) with planes evenly spaced in inverse depth, aggregation after Hirschmüller
+(2008), "Stereo processing by semi-global matching and mutual information", with four path directions.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .frusta import DepthRange, ray_grid
-from .views import Array, View, between, project
+from .views import Array, View, between, floats, project
 
 _TRUNCATION = 1.5
 """Difference of normalised luminance from which on two pixels are just different."""
@@ -28,10 +28,9 @@ _PIXELS_PER_PLANE = 1.25
 
 @dataclass(frozen=True)
 class DepthMap:
-    """``inverse_depth`` (H, W) float32, 1 / world units along the optical axis; ``margin`` (H, W) float32, how much the second best depth costs more."""
+    """``inverse_depth`` (H, W) float32, 1 / world units along the optical axis."""
 
     inverse_depth: Array
-    margin: Array
 
 
 @dataclass(frozen=True)
@@ -65,16 +64,16 @@ def _behind(homography: NDArray[np.float64], width: int, height: int) -> NDArray
 
 
 def _better_half(costs: list[Array]) -> Array:
-    """Mean of the better half of up to four pictures of costs: what is occluded in some neighbours is seen in others."""
+    """Twice the mean of the better half of up to four costs: what is occluded in some neighbours is seen in others."""
     if len(costs) == 1:
         return costs[0] * 2
     if len(costs) == 2:
-        return cv2.min(costs[0], costs[1]) * 2
+        return floats(cv2.min(costs[0], costs[1])) * 2
     if len(costs) == 3:
-        return cv2.add(cv2.add(costs[0], costs[1]), costs[2]) - cv2.max(cv2.max(costs[0], costs[1]), costs[2])
+        return costs[0] + costs[1] + costs[2] - floats(cv2.max(cv2.max(costs[0], costs[1]), costs[2]))
     low0, high0 = cv2.min(costs[0], costs[1]), cv2.max(costs[0], costs[1])
     low1, high1 = cv2.min(costs[2], costs[3]), cv2.max(costs[2], costs[3])
-    return cv2.add(cv2.min(low0, low1), cv2.min(cv2.max(low0, low1), cv2.min(high0, high1)))
+    return floats(cv2.add(cv2.min(low0, low1), cv2.min(cv2.max(low0, low1), cv2.min(high0, high1))))
 
 
 def matching_costs(view: View, neighbours: Sequence[View], planes: Array) -> Costs:
@@ -100,7 +99,7 @@ def matching_costs(view: View, neighbours: Sequence[View], planes: Array) -> Cos
                 warped[hidden] = _OUTSIDE
             cv2.absdiff(warped, view.normalised, dst=warped)
             cv2.threshold(warped, _TRUNCATION, 0, cv2.THRESH_TRUNC, dst=warped)
-            per_view.append(cv2.blur(warped, (3, 3)))
+            per_view.append(floats(cv2.blur(warped, (3, 3))))
         cost = cv2.convertScaleAbs(_better_half(per_view), alpha=_COST_SCALE)
         upright[:, d] = cost
         turned[:, d] = cv2.transpose(cost)
@@ -131,13 +130,14 @@ def _aggregate_rows(costs: NDArray[np.uint8], jump: NDArray[np.int16], total: ND
 
 
 def aggregate(costs: Costs, luminance: Array) -> NDArray[np.int16]:
-    """Semi-global sums of matching costs over the four straight paths, (H, D, W); depth may jump where brightness does."""
+    """Semi-global sums of matching costs over four straight paths, (H, D, W); depth may jump where brightness does."""
     total = np.zeros(costs.upright.shape, np.int16)
+    planes = costs.upright.shape[1]
     _aggregate_rows(costs.upright, _jump_costs(luminance), total)
     turned = np.zeros(costs.turned.shape, np.int16)
     _aggregate_rows(costs.turned, _jump_costs(np.ascontiguousarray(luminance.T)), turned)
-    for d in range(total.shape[1]):
-        total[:, d] += cv2.transpose(turned[:, d])
+    for d in range(planes):
+        total[:, d] += np.asarray(cv2.transpose(turned[:, d]), np.int16)
     return total
 
 
@@ -150,18 +150,15 @@ def pick_depths(total: NDArray[np.int16], planes: Array) -> DepthMap:
     """Cheapest plane per pixel, refined by a parabola through its neighbours' costs."""
     best = total.argmin(axis=1)[:, None]
     middle = np.clip(best, 1, len(planes) - 2)
-    here, below, above = (
-        np.take_along_axis(total, middle + k, axis=1)[:, 0].astype(np.float32) for k in (0, -1, 1)
-    )
+    here, below, above = (np.take_along_axis(total, middle + k, axis=1)[:, 0].astype(np.float32) for k in (0, -1, 1))
     curvature = below - 2 * here + above
     offset = np.where(curvature > 0, (below - above) / np.maximum(2 * curvature, 1), best[:, 0] - middle[:, 0])
     plane = middle[:, 0] + np.clip(offset, -1, 1)
     step = (planes[-1] - planes[0]) / (len(planes) - 1)
-    margin = np.minimum(below, above) - here
-    return DepthMap((planes[0] + plane * step).astype(np.float32), margin.astype(np.float32))
+    return DepthMap(floats(planes[0] + plane * step))
 
 
 def sweep(view: View, neighbours: Sequence[View], planes: Array) -> DepthMap:
-    """Depth of every pixel of ``view`` seen in one to four neighbours; ``planes`` are inverse depths, ascending, evenly spaced."""
+    """Depth of every pixel of ``view``, matched with one to four neighbours; ``planes``: see ``choose_planes``."""
     costs = matching_costs(view, neighbours, planes)
     return pick_depths(aggregate(costs, view.picture.mean(axis=2)), planes)

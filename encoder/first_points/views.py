@@ -55,8 +55,9 @@ def make_view(camera: Camera, picture: Array, scale: float) -> View:
     """The view of ``camera`` at ``scale`` (at most 1) of its resolution; ``picture`` (H, W, 3) RGB 0..1."""
     if scale < 1:
         camera = scale_camera(camera, scale)
-        picture = cv2.resize(picture, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
-    luminance = picture @ _LUMINANCE
+        picture = floats(cv2.resize(picture, (camera.width, camera.height), interpolation=cv2.INTER_AREA))
+    picture = np.ascontiguousarray(picture)
+    luminance = floats(picture @ _LUMINANCE)
     mean = cv2.GaussianBlur(luminance, (0, 0), _WINDOW_SIGMA)
     centred = luminance - mean
     contrast = np.sqrt(cv2.GaussianBlur(centred * centred, (0, 0), _WINDOW_SIGMA) + np.float32(_NOISE**2))
@@ -77,15 +78,22 @@ def make_view(camera: Camera, picture: Array, scale: float) -> View:
     )
 
 
+def floats(picture: NDArray[np.generic]) -> Array:
+    """A picture as float32, without a copy if it is: OpenCV's stubs do not say what a function returns."""
+    return np.asarray(picture, np.float32)
+
+
 def pixel_rays(view: View, u: NDArray[np.floating], v: NDArray[np.floating]) -> NDArray[np.float64]:
-    """World directions of pixels (u, v; first centre at 0), shape (..., 3), scaled to unit depth along the optical axis."""
+    """World directions of pixels (u, v; first centre at 0), shape (..., 3), at unit depth along the optical axis."""
     k = view.intrinsics
     camera_rays = np.stack([(u - k[0, 2]) / k[0, 0], (v - k[1, 2]) / k[1, 1], np.ones_like(u)], axis=-1)
     return np.asarray(camera_rays @ view.rotation)
 
 
-def project(view: View, xyz: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Pixel columns, rows (first centre at 0) and depths of world points (..., 3); columns and rows are -1e6 behind the camera."""
+def project(
+    view: View, xyz: NDArray[np.floating]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Pixel columns, rows (first centre at 0; -1e6 behind the camera) and depths of world points (..., 3)."""
     p = xyz @ view.rotation.T + view.translation
     depth = p[..., 2]
     in_front = depth > 1e-9
@@ -101,7 +109,7 @@ def inside(view: View, u: NDArray[np.floating], v: NDArray[np.floating]) -> NDAr
 
 
 def between(view: View, other: View) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Matrix A (3, 3) and offset b (3,): pixel p = (u, v, 1) of ``view`` at inverse depth d falls on A p + b d of ``other``.
+    """A (3, 3) and b (3,): pixel p = (u, v, 1) of ``view`` at inverse depth d falls on pixel A p + b d of ``other``.
 
     The third component over d is the depth there; first pixel centres at 0.
     """

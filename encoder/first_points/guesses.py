@@ -1,0 +1,134 @@
+"""Points where views have none: guesses, so that training has something to start from everywhere it will be judged."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from .cloud import Cloud, Survey, empty_cloud, join, look_from_all, take, too_near
+from .frusta import DepthRange, rig_size
+from .views import Array, View, floats, inside, pixel_rays, project
+
+CELL = 8
+"""Side, in pixels, of the picture cells that should hold a point."""
+_APART = 1.2
+"""Distance between guesses, in units of that between confirmed points."""
+_BELIEVED = 0.5
+"""Share of the guesses at the unconfirmed depth of the view's own sweep, where it is likely enough."""
+_SCATTER, _WIDE_SCATTER = 0.05, 0.5
+"""Relative standard deviation of the depth of the other guesses around that of known points near them: in a view in
+which enough is confirmed, and in one in which nothing is."""
+_ENOUGH = 0.4
+"""Share of confirmed pixels that is enough."""
+_CONFIDENCE = 0.05
+_FEW_KNOWN = 0.01
+"""Share of a view's pixels with confirmed depths below which points of other views tell its depths."""
+_WITHOUT_POINTS = 20_000
+"""Guesses in all if there is no confirmed point."""
+_CLEAR = 0.9
+"""Share of the nearest confirmed depth of any view that sees it at which a guess must lie at least."""
+
+
+def guess_points(cloud: Cloud, surveys: Sequence[Survey], pixels: float, random: np.random.Generator) -> Cloud:
+    """Points where views have none of ``cloud``: near what is known, or anywhere in the frusta if nothing is.
+
+    ``pixels``: how far apart the points of ``cloud`` are in a picture.
+    """
+    found = [empty_cloud()]
+    if not len(cloud):
+        size = rig_size([survey.view for survey in surveys]) or 1.0
+        each = max(1, _WITHOUT_POINTS // len(surveys))
+        for survey in surveys:
+            depths = survey.depths or DepthRange(size / 2, size * 5)
+            found.append(random_in_frustum(survey.view, depths, each, random))
+        return join(found)
+    for survey in surveys:
+        guess = fill_empty_cells(survey, join([cloud, *found]), pixels, random)
+        wrong = (look_from_all(guess, surveys).through > 0) | too_near(guess, surveys, _CLEAR)
+        found.append(take(guess, ~wrong))
+    return join(found)
+
+
+def cell_counts(view: View, xyz: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Points per picture cell of 8 x 8 pixels, (rows, columns); what hides what is not looked at."""
+    u, v, _ = project(view, xyz)
+    visible = inside(view, u, v)
+    columns, rows = -(-view.width // CELL), -(-view.height // CELL)
+    cell = np.round(v[visible]).astype(np.int64) // CELL * columns + np.round(u[visible]).astype(np.int64) // CELL
+    return np.bincount(cell, minlength=rows * columns).reshape(rows, columns)
+
+
+def fill_depths(known: Array) -> Array:
+    """Known inverse depths (H, W; 0: unknown) spread into the gaps, the far ones a little stronger; (H, W).
+
+    Push and pull: unknown pixels get the mean of ever larger surroundings, until there is a known one.
+    """
+    weight = np.where(known > 0, 1 / np.maximum(known, 1e-12), 0).astype(np.float32)
+    weight /= max(float(weight.max()), 1e-12)
+    levels: list[tuple[Array, Array]] = [(known * weight, weight)]
+    while min(levels[-1][0].shape) > 1 and (levels[-1][1] <= 1e-6).any():
+        values, weights = levels[-1]
+        size = (max(1, values.shape[1] // 2), max(1, values.shape[0] // 2))
+        halves = [cv2.resize(whole, size, interpolation=cv2.INTER_AREA) for whole in (values, weights)]
+        levels.append((floats(halves[0]), floats(halves[1])))
+    values, weights = levels[-1]
+    filled = np.full(values.shape, float(values.sum() / max(float(weights.sum()), 1e-12)), np.float32)
+    for values, weights in reversed(levels):
+        filled = floats(cv2.resize(filled, values.shape[::-1], interpolation=cv2.INTER_LINEAR))
+        enough = weights > 1e-6
+        filled[enough] = values[enough] / weights[enough]
+    return np.asarray(filled)
+
+
+def projected_depths(view: View, xyz: NDArray[np.float64]) -> Array:
+    """Inverse depths (H, W) of the nearest point in every pixel, 0 where there is none."""
+    u, v, depth = project(view, xyz)
+    visible = inside(view, u, v) & (depth > 0)
+    column, row, depth = np.round(u[visible]).astype(np.int64), np.round(v[visible]).astype(np.int64), depth[visible]
+    far_first = np.argsort(-depth, kind="stable")
+    inverse = np.zeros((view.height, view.width), np.float32)
+    inverse[row[far_first], column[far_first]] = 1 / depth[far_first]
+    return inverse
+
+
+def random_in_frustum(view: View, depths: DepthRange, count: int, random: np.random.Generator) -> Cloud:
+    """Random points of the view's colours, evenly over its picture and over inverse depth."""
+    column, row = random.integers(0, view.width, count), random.integers(0, view.height, count)
+    return _guess(view, column, row, 1 / random.uniform(1 / depths.far, 1 / depths.near, count))
+
+
+def _guess(view: View, column: NDArray[np.int64], row: NDArray[np.int64], depth: NDArray[np.float64]) -> Cloud:
+    xyz = view.centre + pixel_rays(view, column.astype(np.float64), row.astype(np.float64)) * depth[:, None]
+    spacing = (_APART * depth / view.focal).astype(np.float32)
+    return Cloud(xyz, view.picture[row, column], spacing, np.full(len(xyz), _CONFIDENCE, np.float32))
+
+
+def fill_empty_cells(survey: Survey, cloud: Cloud, pixels: float, random: np.random.Generator) -> Cloud:
+    """Points for the cells of a view in which no point of ``cloud`` falls.
+
+    Some lie at the depth of known points around, with some scatter, some at the unconfirmed depth of the own sweep.
+    """
+    view = survey.view
+    empty = np.argwhere(cell_counts(view, cloud.xyz) == 0)
+    wanted = int(np.ceil(len(empty) * min((CELL / (_APART * pixels)) ** 2, 4.0)))
+    if not wanted:
+        return empty_cloud()
+    cell = empty[random.integers(0, len(empty), wanted)]
+    column = np.minimum(cell[:, 1] * CELL + random.integers(0, CELL, wanted), view.width - 1)
+    row = np.minimum(cell[:, 0] * CELL + random.integers(0, CELL, wanted), view.height - 1)
+    known = survey.confirmed
+    if known is None or np.count_nonzero(known) < _FEW_KNOWN * known.size:
+        known = projected_depths(view, cloud.xyz)
+    doubt = 1 - min(1.0, np.count_nonzero(known) / (_ENOUGH * known.size))
+    scatter = _SCATTER + (_WIDE_SCATTER - _SCATTER) * doubt
+    inverse = fill_depths(known)[row, column] * np.exp(scatter * random.standard_normal(wanted))
+    if survey.believed is not None and known.any():
+        low, high = np.percentile(known[known > 0], [1, 99])
+        own = survey.believed[row, column]
+        use = (random.random(wanted) < _BELIEVED) & (own > 0.8 * low) & (own < 1.1 * high)
+        inverse[use] = own[use]
+    good = inverse > 1e-12
+    return _guess(view, column[good], row[good], 1 / inverse[good])
