@@ -5,8 +5,9 @@ interest. Stage 2 trains the selected Gaussians' own values together with the ca
 never written: gradients are computed for the selected only, and Adam's moments exist for the selected only, so that
 the paper's gradient gate and its reset of stale moments hold by construction.
 
-Beyond the paper: ``warm_start`` lets a Gaussian begin where its last displacement would take it. Without a cache
-(``cache`` None) stage 1 is left out and stage 2 moves the Gaussians directly.
+Beyond the paper: what newly appears gets Gaussians of its own (``emergence``), and ``warm_start`` lets a Gaussian
+begin where its last displacement would take it. Without a cache (``cache`` None) stage 1 is left out and stage 2 moves
+the Gaussians directly.
 """
 
 from __future__ import annotations
@@ -18,9 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.formats.errors import TrainingError
-from decogs.formats.splats import FloatArray, Splats, join_splats, take_splats
+from decogs.formats.splats import FloatArray, Splats, empty_splats, join_splats, take_splats
 
 from .densification import ViewGradients, grow, opacities_of, strongest
+from .emergence import EmergenceSettings, Look, missed, seeds, worth_a_search
 from .ingest import View
 from .losses import FocusWeights, PhotometricLoss, focus_loss
 from .masks import FrameMask, MaskSettings
@@ -57,11 +59,12 @@ class FrameSettings:
     focus: FocusWeights = field(default_factory=FocusWeights)
     rates: LearningRates = field(default_factory=lambda: LearningRates(1.28e-3, 2e-2, 8e-3, 0.1, 2e-2, 1e-3))
     late_decay: float = 0.03
+    emergence: EmergenceSettings = field(default_factory=EmergenceSettings)
 
 
 @dataclass(frozen=True)
 class TrainedFrame:
-    """What a frame changed: new values (M rows) for the rows ``kept`` of the scene, rows ``removed``, Gaussians ``added``."""
+    """What a frame changed: new values (M rows) for the rows ``kept``, rows ``removed``, Gaussians ``added``."""
 
     kept: NDArray[np.int64]
     values: Splats
@@ -106,13 +109,14 @@ class FrameTrainer:
             focus_loss(picture, mask.dilated, view.valid, self._settings.focus)
             for picture, mask, view in zip(pictures, masks, self._views, strict=True)
         ]
-        work = _Working(scene, np.flatnonzero(selected), self._kernel)
+        work = _Working(scene, np.flatnonzero(selected), self._kernel, self._settings.prune_opacity)
         work.base.means[:] += np.float32(self._settings.warm_start) * motion[work.rows]
         if self._cache is not None:
             if not self._settings.carry_cache:
                 self._cache.restart()
             self._cache.place(work.base.means, work.base.quaternions)
             self._densify(work, self._stage1(work, losses, self._cache), masks)
+            self._add_emerging(work, losses, masks)
         self._stage2(work, losses, masks)
         return work.result()
 
@@ -140,6 +144,9 @@ class FrameTrainer:
             if self._cache is None and step == grow_at:
                 self._densify(work, gathered, masks)
             self._show(work)
+            if self._cache is None and step == grow_from:
+                self._add_emerging(work, losses, masks)
+                gathered = ViewGradients(len(work.scene))
             gradients = self._gradients(work, losses, index)
             if grow_from <= step < grow_at:
                 self._gather(gathered, gradients, losses, index)
@@ -201,6 +208,35 @@ class FrameTrainer:
         if self._cache is not None and (len(parents) or faint.any()):
             self._cache.place(work.base.means, work.base.quaternions, same_frame=True)
 
+    def _add_emerging(self, work: _Working, losses: Sequence[PhotometricLoss], masks: Sequence[FrameMask]) -> None:
+        """Adds what newly appears in this frame to ``work``."""
+        new = self._emerging(work, losses, masks)
+        work.append(new)
+        if self._cache is not None and len(new):
+            self._cache.place(work.base.means, work.base.quaternions, same_frame=True)
+
+    def _emerging(self, work: _Working, losses: Sequence[PhotometricLoss], masks: Sequence[FrameMask]) -> Splats:
+        """Seeds of it; a few views tell whether to look at all of them."""
+        settings = self._settings.emergence
+        if settings.most <= 0:
+            return empty_splats(work.scene.sh_degree)
+        looks: dict[int, Look] = {}
+        for probe in (range(0, len(self._views), 3), range(len(self._views))):
+            for index in probe:
+                if index not in looks:
+                    looks[index] = self._look(work, index, losses[index].target, masks[index])
+            if not worth_a_search([missed(look, settings) for look in looks.values()], settings):
+                return empty_splats(work.scene.sh_degree)
+        return seeds([looks[i] for i in range(len(looks))], settings, work.scene.sh_degree)
+
+    def _look(self, work: _Working, index: int, target: FloatArray, mask: FrameMask) -> Look:
+        view = self._views[index]
+        picture = self._kernel.forward(work.scene, view.pinhole, depth=True)
+        assert picture.depth is not None
+        depth = picture.depth / np.maximum(picture.alpha, np.float32(1e-6))
+        focus = mask.dilated if view.valid is None else mask.dilated & (view.valid > 0)
+        return Look(view.pinhole, target, picture.rgb, depth, focus)
+
     def _inside_focus(self, means: FloatArray, masks: Sequence[FrameMask]) -> NDArray[np.bool_]:
         """Points (P, 3) that project into the region of interest of at least one view."""
         inside = np.zeros(len(means), bool)
@@ -223,7 +259,8 @@ class _Working:
     training, ``base`` their own values before the cache moves them. Removed rows stay in ``scene``, invisible.
     """
 
-    def __init__(self, scene: Splats, rows: NDArray[np.int64], kernel: TrainingKernel) -> None:
+    def __init__(self, scene: Splats, rows: NDArray[np.int64], kernel: TrainingKernel, prune_opacity: float) -> None:
+        self._prune_opacity = prune_opacity
         self._population = len(scene)
         self._removed = np.zeros(0, np.int64)
         self.scene = take_splats(scene, np.arange(len(scene)))
@@ -264,13 +301,14 @@ class _Working:
         self._removed = np.sort(np.concatenate([self._removed, gone]))
 
     def result(self) -> TrainedFrame:
-        """Bakes the cache's motion in (method.md, step 7)."""
+        """Bakes the cache's motion in (method.md, step 7); Gaussians added in vain are left out."""
         old = self.rows < self._population
+        lasting = ~old & (opacities_of(self.base) >= self._prune_opacity)
         return TrainedFrame(
             self.rows[old],
             take_splats(self.scene, self.rows[old]),
             self._removed,
-            take_splats(self.scene, self.rows[~old]),
+            take_splats(self.scene, self.rows[lasting]),
         )
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from decogs.encoder.emergence import EmergenceSettings
 from decogs.encoder.frame_training import FrameSettings, FrameTrainer, TrainedFrame
 from decogs.encoder.ingest import Ingest
 from decogs.encoder.masks import FrameMask
@@ -20,7 +21,9 @@ from decogs.formats.splats import Splats, take_splats
 
 BOX = (np.array([-3.0, -3.0, -1.0]), np.array([3.0, 3.0, 1.0]))
 CACHE = CacheSettings(levels=4, features=2, table_log2=8, base_resolution=4, hidden_width=16, learning_rate=5e-3)
-MOVING = FrameSettings(cache=CACHE, cache_iterations=30, joint_iterations=30, grow_share=0.0)
+MOVING = FrameSettings(
+    cache=CACHE, cache_iterations=30, joint_iterations=30, grow_share=0.0, emergence=EmergenceSettings(most=0)
+)
 DIRECT = replace(MOVING, cache=None)
 NOTHING = replace(MOVING, cache=replace(CACHE, learning_rate=0.0), cache_iterations=1, joint_iterations=0)
 """A cache that learns nothing and stays the identity: what densification and the warm start alone do."""
