@@ -19,7 +19,6 @@ from decogs.formats.errors import UsageError
 from decogs.formats.rigs import Rig, read_frames
 from decogs.formats.splats import FloatArray
 
-
 NEAR_SHARE = 0.1
 """Near plane of a rig camera as a share of the median depth it sees: beyond any housing, before any subject."""
 

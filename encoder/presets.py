@@ -38,6 +38,7 @@ _STANDARD = EncodeSettings(
         cache=None,
         joint_iterations=100,
         warm_start=0.9,
+        grow_share=0.02,
     ),
 )
 
