@@ -1,7 +1,7 @@
 """The keyframe: 3D Gaussian Splatting on the training views of one frame (Kerbl 2023).
 
 Chosen, measured on `workbench` with cam00 held out (figures in the README): a dense cloud from the
-rig itself, small first Gaussians of opacity 0.1, rates above 3DGS's that fall to a fifth by the end, SH raised step
+rig itself, small first Gaussians of opacity 0.3, rates above 3DGS's that fall to a fifth by the end, SH raised step
 by step. A dozen views overfit, so a few 16x16 pixel tiles of every training view are left out of the loss and say
 when to stop: nothing outside the training views is needed. Rejected: dropping random Gaussians (-0.5 dB at 10 %),
 opacity or scale penalties (no gain), MCMC noise (no gain), opacity resets.
@@ -45,7 +45,7 @@ class KeyframeSettings:
     cap: int = 52_000
     sh_degree: int = 0
     dissimilarity: float = 0.2
-    start_opacity: float = 0.1
+    start_opacity: float = 0.3
     start_size: float = 0.5
     grow_from: float = 0.15
     grow_to: float = 0.6
