@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -143,8 +143,10 @@ CASES: dict[str, Callable[[], Case]] = {
     "degree-3": lambda: Case(scene(4, 60, 3), pinhole(45, 37, 40.0, nod=1.2)),
     "black": lambda: Case(scene(9, 60, 3), pinhole(45, 37, 40.0), background=(0.0, 0.0, 0.0)),
     "clamped-colours": lambda: Case(scene(6, 60, 2, colour=1.2), pinhole(45, 37, 40.0), roundings=100),
+    "near": lambda: Case(scene(10, 60, 1), replace(pinhole(45, 37, 40.0), near=2.25)),
     "one-pixel": lambda: Case(scene(7, 20, 0), pinhole(1, 1, 2.0)),
     "17x13": lambda: Case(scene(8, 40, 1), pinhole(17, 13, 15.0)),
+    "tiles": lambda: Case(scene(81, 400, 0, sigma=(0.01, 0.2)), pinhole(101, 89, 90.0)),
     "needles": _needles,
     "around": _around,
     "stack": _stack,
@@ -204,7 +206,7 @@ def textbook(case: Case) -> Textbook:
     unclamped = 0.5 + np.einsum("nk,nkc->nc", sh_basis(np, s.sh_degree, directions), s.sh.astype(float))
     rgb = np.maximum(unclamped, 0)
 
-    near = z / (CLOSEST * scales.max(1))
+    near = z / np.maximum(cam.near, CLOSEST * scales.max(1))
     drawn = np.flatnonzero((z > 0) & (near >= 1) & (opacities > ALPHA_MIN * (1 - BAND)))  # or might be
     order = drawn[np.argsort(z[drawn], kind="stable")]
     fragile = []

@@ -57,9 +57,7 @@ class _LossSums(ctypes.Structure):
 
 
 class _AdamStep(ctypes.Structure):
-    _fields_ = [
-        (name, ctypes.c_float) for name in ("beta1", "beta2", "epsilon", "correction1", "correction2")
-    ]
+    _fields_ = [(name, ctypes.c_float) for name in ("beta1", "beta2", "epsilon", "correction1", "correction2")]
 
 
 @lru_cache(maxsize=1)
@@ -202,7 +200,7 @@ class TrainingKernel:
         return out
 
     def weights(self, splats: Splats, v_rgb: FloatArray) -> FloatArray:
-        """Rendering weight of every Gaussian (N, 3): the sum over pixels of alpha times transmittance times ``v_rgb``."""
+        """Rendering weight of every Gaussian (N, 3): the sum over pixels of alpha * transmittance * ``v_rgb``."""
         rgb = np.empty((self._same_scene(splats), 3), np.float32)
         self._backward(_Gradients(*[None] * 6, _float_address(rgb)), v_rgb, None, None, None)
         return rgb
@@ -302,7 +300,7 @@ class TrainingKernel:
             raise ValueError(f"gradient and moments must have the shape of the value, {value.shape}")
         if rows is not None and rows.dtype != np.int64:
             raise ValueError(f"rows must be int64, not {rows.dtype}")
-        # The kernel sees betas rounded to float32; corrections from the same numbers keep a constant gradient's step exact.
+        # The kernel sees betas rounded to float32; corrections from the same numbers keep the first step's size exact.
         beta1, beta2 = float(np.float32(beta1)), float(np.float32(beta2))
         setting = _AdamStep(beta1, beta2, epsilon, 1 - beta1**step, 1 - beta2**step)
         self._library.decogs_adam(

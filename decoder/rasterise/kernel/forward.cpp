@@ -14,8 +14,8 @@ struct Renderer {
 
 extern "C" {
 
-// 2 when this machine runs the AVX-512 build, 1 the AVX2 build, 0 only the base build. Defined in the base build alone,
-// which every machine can load.
+// 2 when this machine runs the AVX-512 build, 1 the AVX2 build, 0 only the base build. Asked of the base build, which
+// every machine can load.
 int decogs_instruction_set() {
 #if defined(__x86_64__)
     __builtin_cpu_init();

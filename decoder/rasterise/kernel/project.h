@@ -2,6 +2,7 @@
 // opacity compensation of the 2D low-pass filter (Yu 2024, Mip-Splatting, equation 9).
 #pragma once
 
+#include <algorithm>
 #include <cmath>
 
 #include "simd.h"
@@ -48,10 +49,48 @@ struct alignas(64) Projected {
 };
 static_assert(sizeof(Projected) == 64, "one cache line each");
 
+DECOGS_INLINE void scatter(float* array, const int64_t* rows, int rows_used, int stride, int column, const F& value) {
+    float lanes[kLanes];
+    store(lanes, value);
+    for (int i = 0; i < rows_used; ++i) array[rows[i] * stride + column] = lanes[i];
+}
+
 DECOGS_INLINE F gather(const float* array, const int64_t* rows, int stride, int column) {
     float lanes[kLanes];
     for (int i = 0; i < kLanes; ++i) lanes[i] = array[rows[i] * stride + column];
     return load(lanes);
+}
+
+// Sixteen rows of an array turned into `count` columns, a lane per row, and back; four by four, since single values cost
+// as much each as four.
+inline void load_columns(const float* array, const int64_t* rows, int stride, int count, F* columns) {
+    int k = 0;
+#if defined(__SSE4_1__)
+    for (; k + 4 <= count; k += 4)
+        for (int i = 0; i < kLanes; i += 4) {
+            __m128 part[4];
+            for (int j = 0; j < 4; ++j) part[j] = _mm_loadu_ps(array + rows[i + j] * stride + k);
+            _MM_TRANSPOSE4_PS(part[0], part[1], part[2], part[3]);
+            for (int j = 0; j < 4; ++j) _mm_storeu_ps(reinterpret_cast<float*>(&columns[k + j]) + i, part[j]);
+        }
+#endif
+    for (; k < count; ++k) columns[k] = gather(array, rows, stride, k);
+}
+inline void store_columns(float* array, const int64_t* rows, int rows_used, int stride, int count, const F* columns) {
+    int k = 0;
+#if defined(__SSE4_1__)
+    for (; k + 4 <= count; k += 4)
+        for (int i = 0; i < rows_used; i += 4) {
+            __m128 part[4];
+            for (int j = 0; j < 4; ++j) part[j] = _mm_loadu_ps(reinterpret_cast<const float*>(&columns[k + j]) + i);
+            _MM_TRANSPOSE4_PS(part[0], part[1], part[2], part[3]);
+            if (i + 4 <= rows_used)
+                for (int j = 0; j < 4; ++j) _mm_storeu_ps(array + rows[i + j] * stride + k, part[j]);
+            else
+                for (int j = 0; j < rows_used - i; ++j) _mm_storeu_ps(array + rows[i + j] * stride + k, part[j]);
+        }
+#endif
+    for (; k < count; ++k) scatter(array, rows, rows_used, stride, k, columns[k]);
 }
 
 // Spherical-harmonics basis values of unit directions, in the order 3DGS stores its coefficients.
@@ -210,8 +249,10 @@ inline void project_rows(const Scene& scene, const Camera& cam, const int64_t* r
     F direction[3] = {half, half, half};
     if (scene.sh_degree > 0) view_directions(scene, cam, rows, direction);
     sh_basis(scene.sh_degree, direction[0], direction[1], direction[2], basis);
+    F sh[48];
+    load_columns(scene.sh, rows, stride, 3 * used, sh);
     for (int k = 0; k < used; ++k)
-        for (int c = 0; c < 3; ++c) rgb[c] = rgb[c] + basis[k] * gather(scene.sh, rows, stride, 3 * k + c);
+        for (int c = 0; c < 3; ++c) rgb[c] = rgb[c] + basis[k] * sh[3 * k + c];
 
     float lanes[13][kLanes];
     const F zero = splat(0.0f);

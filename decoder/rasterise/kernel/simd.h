@@ -56,18 +56,44 @@ DECOGS_INLINE I splati(int32_t x) {
     DECOGS_EACH r.v[p] = x - NativeI{};
     return r;
 }
+// One native vector at a time: copied as a whole, a compiler may split them differently and wait for its own stores.
 DECOGS_INLINE F load(const float* a) {
     F r;
-    std::memcpy(&r, a, sizeof r);
+    DECOGS_EACH std::memcpy(&r.v[p], a + p * DECOGS_NATIVE, sizeof r.v[p]);
     return r;
+}
+// load(a + kOffset) for aligned `a`, of which the sixteen values before and behind may be read too.
+template <int kOffset>
+DECOGS_INLINE F load_beside(const float* a) {
+#if defined(__AVX512F__)  // a load across two cache lines costs twice, a shift across two registers does not
+    const __m512i here = _mm512_load_si512(a);
+    if (kOffset < 0) return {{(NativeF)_mm512_alignr_epi32(here, _mm512_load_si512(a - 16), (16 + kOffset) & 15)}};
+    return {{(NativeF)_mm512_alignr_epi32(_mm512_load_si512(a + 16), here, kOffset & 15)}};
+#else
+    return load(a + kOffset);
+#endif
 }
 DECOGS_INLINE I loadi(const int32_t* a) {
     I r;
-    std::memcpy(&r, a, sizeof r);
+    DECOGS_EACH std::memcpy(&r.v[p], a + p * DECOGS_NATIVE, sizeof r.v[p]);
     return r;
 }
-DECOGS_INLINE void store(float* a, const F& x) { std::memcpy(a, &x, sizeof x); }
-DECOGS_INLINE void storei(int32_t* a, const I& x) { std::memcpy(a, &x, sizeof x); }
+DECOGS_INLINE void store(float* a, const F& x) { DECOGS_EACH std::memcpy(a + p * DECOGS_NATIVE, &x.v[p], sizeof x.v[p]); }
+DECOGS_INLINE void storei(int32_t* a, const I& x) { DECOGS_EACH std::memcpy(a + p * DECOGS_NATIVE, &x.v[p], sizeof x.v[p]); }
+
+// The same for an array that ends after `left` values; zero beyond.
+DECOGS_INLINE F load_some(const float* a, int64_t left) {
+    if (left >= kLanes) return load(a);
+    float lanes[kLanes] = {0};
+    std::memcpy(lanes, a, sizeof(float) * left);
+    return load(lanes);
+}
+DECOGS_INLINE void store_some(float* a, int64_t left, const F& x) {
+    if (left >= kLanes) return store(a, x);
+    float lanes[kLanes];
+    store(lanes, x);
+    std::memcpy(a, lanes, sizeof(float) * left);
+}
 
 #define DECOGS_BINARY(op)                          \
     DECOGS_INLINE F operator op(const F& a, const F& b) { \
@@ -253,12 +279,12 @@ DECOGS_INLINE F to_float(const I& a) {
 }
 DECOGS_INLINE F bits_to_float(const I& a) {
     F r;
-    std::memcpy(&r, &a, sizeof r);
+    DECOGS_EACH r.v[p] = (NativeF)a.v[p];
     return r;
 }
 DECOGS_INLINE I float_to_bits(const F& a) {
     I r;
-    std::memcpy(&r, &a, sizeof r);
+    DECOGS_EACH r.v[p] = (NativeI)a.v[p];
     return r;
 }
 DECOGS_INLINE F sqrt(const F& a) {

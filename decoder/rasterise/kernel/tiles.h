@@ -6,6 +6,7 @@
 #pragma once
 
 #include <algorithm>
+#include <stdexcept>
 #include <vector>
 
 #include "pool.h"
@@ -61,14 +62,15 @@ class Binner {
         pool.run(chunks, [&](int chunk) { project_chunk(scene, cam, lists, chunk); });
 
         lists.first_pair.resize(n + 1);
-        uint32_t pairs = 0;
+        uint64_t pairs = 0;
         drawn_.clear();
         for (int64_t i = 0; i < n; ++i) {
-            lists.first_pair[i] = pairs;
+            lists.first_pair[i] = static_cast<uint32_t>(pairs);
             pairs += count_[i];
             if (count_[i]) drawn_.push_back({depth_key(lists.projected[i].depth), static_cast<uint32_t>(i)});
         }
-        lists.first_pair[n] = pairs;
+        if (pairs > UINT32_MAX) throw std::length_error("decogs: more than 2^32 pairs of a tile and a Gaussian");
+        lists.first_pair[n] = static_cast<uint32_t>(pairs);
         lists.tile_of_pair.resize(pairs);
         uint32_t at = 0;
         for (int c = 0; c < chunks; ++c) {
@@ -76,7 +78,7 @@ class Binner {
             at += static_cast<uint32_t>(chunk_tiles_[c].size());
         }
         sort_by_depth();
-        fill(lists, pairs);
+        fill(lists, static_cast<uint32_t>(pairs));
     }
 
    private:

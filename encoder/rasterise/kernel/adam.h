@@ -2,8 +2,10 @@
 #pragma once
 
 #include <cmath>
+#include <vector>
 
 #include "pool.h"
+#include "simd.h"
 
 namespace decogs {
 
@@ -12,22 +14,43 @@ struct AdamStep {  // mirrored by ctypes
     float correction1, correction2;  // 1 - beta^t of the step
 };
 
+// One step on `count` consecutive values; rates[k] is the rate of value k, repeating every `columns`.
+inline void adam_run(const AdamStep& step, int64_t count, int columns, const float* rates, float* value, const float* gradient,
+                     float* first, float* second) {
+    const float first_scale = 1.0f / step.correction1, root = 1.0f / std::sqrt(step.correction2);
+    int64_t k = 0;
+    int column = 0;
+    for (; k + kLanes <= count; k += kLanes) {
+        const F g = load(gradient + k);
+        const F m = load(first + k) * step.beta1 + g * (1.0f - step.beta1);
+        const F v = load(second + k) * step.beta2 + g * g * (1.0f - step.beta2);
+        store(first + k, m);
+        store(second + k, v);
+        store(value + k, load(value + k) - load(rates + column) * (m * first_scale) / (sqrt(v) * root + step.epsilon));
+        column = (column + kLanes) % columns;
+    }
+    for (; k < count; ++k) {  // the same on single values
+        const float g = gradient[k];
+        first[k] = first[k] * step.beta1 + g * (1.0f - step.beta1);
+        second[k] = second[k] * step.beta2 + g * g * (1.0f - step.beta2);
+        value[k] -= rates[column] * (first[k] * first_scale) / (std::sqrt(second[k]) * root + step.epsilon);
+        column = column + 1 == columns ? 0 : column + 1;
+    }
+}
+
 inline void adam_rows(Pool& pool, const AdamStep& step, int64_t row_count, const int64_t* rows, int columns,
                       const float* rates, float* value, const float* gradient, float* first, float* second) {
     constexpr int64_t kRows = 4096;
-    const int tasks = static_cast<int>((row_count + kRows - 1) / kRows);
-    const float first_scale = 1.0f / step.correction1, root = 1.0f / std::sqrt(step.correction2);
-    pool.run(tasks, [&](int task) {
+    if (row_count == 0 || columns == 0) return;
+    std::vector<float> repeated(columns + kLanes);
+    for (size_t k = 0; k < repeated.size(); ++k) repeated[k] = rates[k % columns];
+    pool.run(static_cast<int>((row_count + kRows - 1) / kRows), [&](int task) {
         const int64_t end = std::min(row_count, (task + 1) * kRows);
-        for (int64_t r = task * kRows; r < end; ++r) {
-            const int64_t base = (rows ? rows[r] : r) * columns;
-            for (int c = 0; c < columns; ++c) {
-                const int64_t k = base + c;
-                const float g = gradient[k];
-                first[k] = step.beta1 * first[k] + (1.0f - step.beta1) * g;
-                second[k] = step.beta2 * second[k] + (1.0f - step.beta2) * (g * g);
-                value[k] -= rates[c] * (first[k] * first_scale) / (std::sqrt(second[k]) * root + step.epsilon);
-            }
+        for (int64_t r = task * kRows, next; r < end; r = next) {  // rows that follow one another are one run of values
+            next = rows ? r + 1 : end;
+            while (next < end && rows[next] == rows[next - 1] + 1) ++next;
+            const int64_t at = (rows ? rows[r] : r) * columns;
+            adam_run(step, (next - r) * columns, columns, repeated.data(), value + at, gradient + at, first + at, second + at);
         }
     });
 }

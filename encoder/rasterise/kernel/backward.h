@@ -105,6 +105,7 @@ inline void backward_tile_of(const TileLists& lists, const Trace& trace, const C
             guv = guv + grad_u * v;
             gvv = gvv + grad_v * v;
         }
+        if (!wanted) continue;  // nobody reads its moments
         float* to = moments + static_cast<size_t>(entry.pair) * kMoments;
         const F fields[kMoments] = {g0, gu, gv, guu, guv, gvv, red, green, blue, far, zero, zero};
         sum_lanes(fields, to);
@@ -149,12 +150,6 @@ DECOGS_INLINE void sh_backward(int degree, const F& x, const F& y, const F& z, c
     vy = vy - c13 * x * y * 2.0f - c14 * y * z * 2.0f - c15 * x * y * 6.0f;
     vz = vz + c10 * x * y + c11 * y * z * 8.0f + c12 * (zz * 6.0f - xx * 3.0f - yy * 3.0f) + c13 * x * z * 8.0f;
     vz = vz + c14 * (xx - yy);
-}
-
-DECOGS_INLINE void scatter(float* array, const int64_t* rows, int rows_used, int stride, int column, const F& value) {
-    float lanes[kLanes];
-    store(lanes, value);
-    for (int i = 0; i < rows_used; ++i) array[rows[i] * stride + column] = lanes[i];
 }
 
 // Adds up the pair moments of Gaussian `row`; returns whether it was drawn.
@@ -268,20 +263,25 @@ inline void backward_group(const Scene& scene, const Camera& cam, const TileList
     // Colour.
     F direction[3] = {splat(0.5f), splat(0.5f), splat(0.5f)}, length = splat(1.0f), basis[16];
     if (scene.sh_degree > 0) length = view_directions(scene, cam, rows, direction);
+    for (F& d : direction) d = select(on, d, splat(0.5f));
     sh_basis(scene.sh_degree, direction[0], direction[1], direction[2], basis);
     const int coefficients = (scene.sh_degree + 1) * (scene.sh_degree + 1);
     F v_basis[16];
     for (int k = 0; k < coefficients; ++k) v_basis[k] = zero;
+    F sh[48], v_sh[48];
+    if (scene.sh_degree > 0) load_columns(scene.sh, rows, stride, 3 * coefficients, sh);
+    for (int k = coefficients; k < scene.sh_coefficients; ++k)
+        for (int c = 0; c < 3; ++c) v_sh[3 * k + c] = zero;
     for (int c = 0; c < 3; ++c) {
         float shown[kLanes];
         for (int i = 0; i < kLanes; ++i) shown[i] = lists.projected[rows[i]].rgb[c];
         const F v_rgb = select((load(shown) > 0.0f) & on, total[6 + c], zero);
         for (int k = 0; k < coefficients; ++k) {
-            scatter(out.sh, rows, used, stride, 3 * k + c, v_rgb * basis[k]);
-            if (scene.sh_degree > 0) v_basis[k] = v_basis[k] + v_rgb * gather(scene.sh, rows, stride, 3 * k + c);
+            v_sh[3 * k + c] = v_rgb * basis[k];
+            if (scene.sh_degree > 0) v_basis[k] = v_basis[k] + v_rgb * sh[3 * k + c];
         }
-        for (int k = coefficients; k < scene.sh_coefficients; ++k) scatter(out.sh, rows, used, stride, 3 * k + c, zero);
     }
+    store_columns(out.sh, rows, used, stride, stride, v_sh);
     if (scene.sh_degree > 0) {
         F v_dir[3] = {zero, zero, zero};
         sh_backward(scene.sh_degree, direction[0], direction[1], direction[2], v_basis, v_dir);

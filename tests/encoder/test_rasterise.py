@@ -1,0 +1,323 @@
+"""Gradients of the native training kernel against automatic differentiation of the float64 twin, and what must not
+change a bit: threads, instruction sets, the selected rows."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from decogs.decoder.rasterise import render
+from decogs.decoder.rasterise.native import INSTRUCTION_SETS
+from decogs.encoder.rasterise import SplatGradients, TrainingKernel
+from decogs.formats.splats import Splats, empty_splats, join_splats
+
+CASES_PATH = Path(__file__).resolve().parents[1] / "rasterise_cases.py"
+spec = importlib.util.spec_from_file_location("rasterise_cases", CASES_PATH)
+assert spec is not None
+assert spec.loader is not None
+cases = importlib.util.module_from_spec(spec)
+sys.modules["rasterise_cases"] = cases
+spec.loader.exec_module(cases)
+
+FIELDS = ("means", "log_scales", "quaternions", "opacity_logits", "sh")
+GRADIENT_ROUNDINGS = 150
+"""A gradient sums some hundred pixels' terms, each through some fifty operations whose errors are of either sign; seen:
+at most 55 roundings of the largest gradient (75 in the needles' opacities)."""
+ROW_TOLERANCE = 5e-4
+"""A Gaussian's own gradient may be a small difference of its pixels' terms; seen: 6e-5 of its length."""
+
+
+def twin_gradients(
+    case: cases.Case, v_rgb: np.ndarray, v_alpha: np.ndarray, v_depth: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Gradients of the stored values, and ``view``, of sum(v rgb) + sum(v alpha) + sum(v depth) by torch in float64."""
+    arrays = [torch.tensor(getattr(case.splats, f).astype(float), requires_grad=True) for f in FIELDS]
+    rgb, alpha, depth, centres = cases.twin(case, torch, arrays)
+    centres.retain_grad()
+    v = [torch.tensor(plane.astype(float)) for plane in (v_rgb, v_alpha, v_depth)]
+    ((rgb * v[0]).sum() + (alpha * v[1]).sum() + (depth * v[2]).sum()).backward()
+    gradients = {f: a.grad.numpy() for f, a in zip(FIELDS, arrays, strict=True)}
+    return gradients | {"view": np.linalg.norm(centres.grad.numpy(), axis=1)}
+
+
+def kernel_gradients(case: cases.Case, planes: tuple[np.ndarray, ...], threads: int = 1) -> SplatGradients:
+    kernel = TrainingKernel(threads)
+    kernel.forward(case.splats, case.camera, case.background, depth=True)
+    return kernel.backward(case.splats, planes[0], v_alpha=planes[1], v_depth=planes[2])
+
+
+def compare_gradient(actual: np.ndarray, expected: np.ndarray) -> None:
+    """Every value to GRADIENT_ROUNDINGS of the largest; every row that matters to ROW_TOLERANCE of its length."""
+    largest = np.abs(expected).max()
+    cases.compare(actual, expected, GRADIENT_ROUNDINGS * cases.ROUNDING * largest)
+    rows = expected.reshape(len(expected), -1)
+    lengths = np.linalg.norm(rows, axis=1)
+    errors = np.linalg.norm(actual.reshape(rows.shape) - rows, axis=1)
+    matter = lengths > 1e-3 * lengths.max()
+    worst = int(np.argmax(np.where(matter, errors / np.maximum(lengths, 1e-30), 0)))
+    assert errors[worst] <= ROW_TOLERANCE * lengths[worst], f"row {worst} off by {errors[worst] / lengths[worst]:.3g}"
+
+
+@pytest.mark.parametrize("name", cases.CASES)
+def test_gradients_are_the_twins(name: str) -> None:
+    case = cases.CASES[name]()
+    book = cases.textbook(case)
+    assert book.fragile == []
+    assert book.doubtful.sum() <= max(1, 0.03 * book.doubtful.size)
+    planes = cases.cotangents(case, book.doubtful)  # a pixel on a threshold says nothing about gradients
+    expected = twin_gradients(case, *planes)
+    actual = kernel_gradients(case, planes)
+    for field in (*FIELDS, "view"):
+        compare_gradient(getattr(actual, field), expected[field])
+    unseen = book.weights.max((1, 2)) == 0
+    for field in FIELDS:
+        assert not getattr(actual, field)[unseen & ~book.doubtful.any()].any()
+
+
+@pytest.mark.parametrize("plane", [0, 1, 2])
+def test_each_plane_has_its_own_gradient(plane: int) -> None:
+    case = cases.CASES["degree-3"]()
+    planes = tuple(
+        v if k == plane else np.zeros_like(v)
+        for k, v in enumerate(cases.cotangents(case, cases.textbook(case).doubtful))
+    )
+    expected, actual = twin_gradients(case, *planes), kernel_gradients(case, planes)
+    for field in (*FIELDS, "view"):
+        if plane > 0 and field == "sh":
+            assert not actual.sh.any()
+        else:
+            compare_gradient(getattr(actual, field), expected[field])
+    kernel = TrainingKernel(1)
+    if plane == 0:  # planes that are not asked for change nothing
+        kernel.forward(case.splats, case.camera, case.background)
+        bare = kernel.backward(case.splats, planes[0])
+        for field in (*FIELDS, "view"):
+            compare_gradient(getattr(bare, field), expected[field])
+
+
+def test_gradient_comparator_finds_faults() -> None:
+    expected = np.random.default_rng(0).normal(size=(20, 3))
+    expected[7] *= 0.01
+    compare_gradient(expected * (1 + 1e-6), expected)
+    for row, factor in ((3, 1.001), (7, 1.001), (3, -1.0), (3, np.nan)):
+        wrong = expected.copy()
+        wrong[row] *= factor
+        with pytest.raises(AssertionError):
+            compare_gradient(wrong, expected)
+
+
+@pytest.mark.parametrize("name", ["degree-3", "around", "needles", "stack"])
+def test_twins_gradients_are_its_finite_differences(name: str) -> None:
+    # Central differences in float64: rounding 2e-16 * loss / step, and curvature * step^2, both below 1e-6.
+    case = cases.CASES[name]()
+    planes = cases.cotangents(case, cases.textbook(case).doubtful)
+    gradients = twin_gradients(case, *planes)
+    arrays = {f: getattr(case.splats, f).astype(float) for f in FIELDS}
+
+    def loss() -> float:
+        shown = cases.twin(case, np, list(arrays.values()))
+        return float(sum((a * v).sum() for a, v in zip(shown, planes, strict=False)))
+
+    rng = np.random.default_rng(5)
+    for field, array in arrays.items():
+        flat, expected = array.reshape(-1), gradients[field].reshape(-1)
+        visible = np.flatnonzero(np.abs(expected) > 1e-3 * np.abs(expected).max())
+        for k in rng.choice(visible, 4, replace=False):
+            value, step = flat[k], 1e-6
+            flat[k] = value + step
+            above = loss()
+            flat[k] = value - step
+            below = loss()
+            flat[k] = value
+            assert abs((above - below) / (2 * step) - expected[k]) < 1e-5 * np.abs(expected).max(), (field, k)
+
+
+def test_lower_degree_ignores_the_higher_coefficients() -> None:
+    case = cases.CASES["degree-3"]()
+    planes = cases.cotangents(case)
+    low = cases.edited(case.splats, sh=case.splats.sh[:, :4])
+    kernel = TrainingKernel(1)
+    picture = kernel.forward(case.splats, case.camera, case.background, sh_degree=1, depth=True)
+    g = kernel.backward(case.splats, planes[0], v_alpha=planes[1], v_depth=planes[2])
+    expected_picture = kernel.forward(low, case.camera, case.background, depth=True)
+    expected = kernel.backward(low, planes[0], v_alpha=planes[1], v_depth=planes[2])
+    np.testing.assert_array_equal(picture.rgb, expected_picture.rgb)
+    np.testing.assert_array_equal(g.means, expected.means)
+    np.testing.assert_array_equal(g.sh[:, :4], expected.sh)
+    assert not g.sh[:, 4:].any()
+
+
+def test_the_decoder_shows_the_same_bits() -> None:
+    kernel = TrainingKernel(1)
+    for case in [make() for make in cases.CASES.values()] + [cases.large_case()]:
+        picture = kernel.forward(case.splats, case.camera, case.background, depth=True)
+        shown = render(case.splats, case.camera, case.background, threads=1)
+        np.testing.assert_array_equal(picture.rgb.transpose(1, 2, 0), shown.image)
+        np.testing.assert_array_equal(picture.alpha, shown.alpha)
+        assert picture.depth is not None
+        depth = np.divide(picture.depth, picture.alpha, out=np.zeros_like(shown.depth), where=picture.alpha > 0)
+        np.testing.assert_array_equal(depth, shown.depth)
+        np.testing.assert_array_equal(kernel.forward(case.splats, case.camera, case.background).rgb, picture.rgb)
+
+
+def test_any_number_of_threads_gives_the_same_bits() -> None:
+    digests = {threads: cases.encoder_digest(threads) for threads in (1, 2, 5)}
+    assert len(set(digests.values())) == 1, digests
+
+
+@pytest.mark.parametrize("instruction_set", INSTRUCTION_SETS)
+def test_any_instruction_set_gives_the_same_bits(instruction_set: str) -> None:
+    run = subprocess.run(
+        [sys.executable, str(CASES_PATH), "encoder", "2"],
+        env={**os.environ, "DECOGS_INSTRUCTION_SET": instruction_set},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if "UsageError" in run.stderr and "this machine runs" in run.stderr:
+        pytest.skip(f"this machine does not run {instruction_set}")
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.strip() == cases.encoder_digest(1)
+
+
+@pytest.mark.parametrize("name", ["degree-3", "around", "crowd"])
+def test_selected_rows_get_the_dense_gradients_bit_for_bit(name: str) -> None:
+    case = cases.CASES[name]()
+    v_rgb, v_alpha, v_depth = cases.cotangents(case)
+    kernel = TrainingKernel(2)
+    kernel.forward(case.splats, case.camera, case.background, depth=True)
+    dense = kernel.backward(case.splats, v_rgb, v_alpha=v_alpha, v_depth=v_depth)
+    rng = np.random.default_rng(3)
+    for share in (0.0, 0.1, 0.5, 1.0):
+        selected = rng.random(len(case.splats)) < share
+        sparse = kernel.backward(case.splats, v_rgb, v_alpha=v_alpha, v_depth=v_depth, selected=selected)
+        for field in (*FIELDS, "view"):
+            np.testing.assert_array_equal(getattr(sparse, field)[selected], getattr(dense, field)[selected])
+            assert not getattr(sparse, field)[~selected].any()
+
+
+def test_gradients_land_in_the_given_arrays() -> None:
+    case = cases.CASES["degree-1"]()
+    planes = cases.cotangents(case)
+    expected = kernel_gradients(case, planes)
+    out = SplatGradients(*(np.full_like(getattr(expected, f), np.nan) for f in (*FIELDS, "view")))
+    kernel = TrainingKernel(1)
+    kernel.forward(case.splats, case.camera, case.background, depth=True)
+    assert kernel.backward(case.splats, planes[0], v_alpha=planes[1], v_depth=planes[2], out=out) is out
+    for field in (*FIELDS, "view"):
+        np.testing.assert_array_equal(getattr(out, field), getattr(expected, field))
+
+
+@pytest.mark.parametrize("name", ["degree-0", "around", "stack", "crowd", "clamped-colours"])
+def test_weights_are_the_textbooks(name: str) -> None:
+    case = cases.CASES[name]()
+    book = cases.textbook(case)
+    v_rgb = np.abs(cases.cotangents(case, book.doubtful)[0])
+    kernel = TrainingKernel(1)
+    kernel.forward(case.splats, case.camera, case.background)
+    weights = kernel.weights(case.splats, v_rgb)
+    expected = np.einsum("nhw,chw->nc", book.weights, v_rgb.astype(float))
+    cases.compare(weights, expected, GRADIENT_ROUNDINGS * cases.ROUNDING * expected.max())
+
+
+def test_centres_are_the_projections_of_what_was_drawn() -> None:
+    case = cases.CASES["around"]()
+    kernel = TrainingKernel(1)
+    kernel.forward(case.splats, case.camera, case.background)
+    centres, depths = kernel.centres(len(case.splats))
+    seen = cases.textbook(case).weights.max((1, 2)) > 0
+    expected = cases.twin(case)[3]
+    z = case.splats.means @ case.camera.world_to_camera[2, :3] + case.camera.world_to_camera[2, 3]
+    # Ten roundings of the coordinates in front of the division, of which the largest drawn here is some 4 * focal / z.
+    np.testing.assert_allclose(centres[seen], expected[seen], rtol=0, atol=20 * cases.ROUNDING * 400)
+    np.testing.assert_allclose(depths[seen], z[seen], rtol=0, atol=10 * cases.ROUNDING * 8)
+    behind = z <= 0
+    assert behind.any()
+    assert np.isnan(centres[behind]).all()
+    assert np.isnan(depths[behind]).all()
+
+
+def test_no_gaussians_and_none_in_sight() -> None:
+    kernel = TrainingKernel(2)
+    nothing = empty_splats(2)
+    camera = cases.pinhole(19, 7, 12.0)
+    picture = kernel.forward(nothing, camera, (0.5, 0.25, 1.0), depth=True)
+    assert (picture.rgb == np.float32([0.5, 0.25, 1.0])[:, None, None]).all()
+    g = kernel.backward(nothing, np.ones_like(picture.rgb))
+    assert g.sh.shape == (0, 9, 3)
+    assert kernel.weights(nothing, np.ones_like(picture.rgb)).shape == (0, 3)
+    case = cases.CASES["degree-1"]()
+    hidden = cases.edited(case.splats, means=case.splats.means - np.float32([0, 0, 50]))
+    kernel.forward(hidden, cases.pinhole(19, 7, 12.0))
+    g = kernel.backward(hidden, np.ones((3, 7, 19), np.float32))
+    for field in (*FIELDS, "view"):
+        assert not getattr(g, field).any()
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("means", np.nan), ("means", 3e38), ("log_scales", np.inf), ("log_scales", -200.0), ("quaternions", 0.0)],
+)
+def test_spoilt_gaussians_leave_the_others_gradients_alone(field: str, value: float) -> None:
+    case = cases.CASES["17x13"]()
+    planes = cases.cotangents(case)
+    spoilt = cases.scene(77, 19, 1)
+    array = getattr(spoilt, field).copy()
+    array[...] = value
+    spoilt = cases.edited(spoilt, **{field: array})
+    mixed = cases.Case(join_splats(case.splats, spoilt), case.camera, case.background)
+    g = kernel_gradients(mixed, planes)
+    for name in FIELDS:
+        assert np.isfinite(getattr(g, name)).all()
+    if field != "quaternions":  # drawn by none of these
+        alone = kernel_gradients(case, planes)
+        for name in (*FIELDS, "view"):
+            np.testing.assert_array_equal(getattr(g, name)[: len(case.splats)], getattr(alone, name))
+            assert not getattr(g, name)[len(case.splats) :].any()
+    else:
+        assert not g.quaternions[len(case.splats) :].any()
+
+
+def test_a_kernel_serves_one_scene_after_another() -> None:
+    # Buffers shrink, grow and are used again: nothing of a scene may show in the next one's gradients.
+    kernel = TrainingKernel(2)
+    for name in ("crowd", "one-pixel", "degree-3", "stack", "17x13", "crowd"):
+        case = cases.CASES[name]()
+        planes = cases.cotangents(case)
+        kernel.forward(case.splats, case.camera, case.background, depth=True)
+        g = kernel.backward(case.splats, planes[0], v_alpha=planes[1], v_depth=planes[2])
+        fresh = kernel_gradients(case, planes)
+        for field in (*FIELDS, "view"):
+            np.testing.assert_array_equal(getattr(g, field), getattr(fresh, field))
+
+
+def test_misuse_is_refused() -> None:
+    case = cases.CASES["17x13"]()
+    v_rgb, v_alpha, _ = cases.cotangents(case)
+    kernel = TrainingKernel(1)
+    with pytest.raises(ValueError, match="forward"):
+        kernel.backward(case.splats, v_rgb)
+    kernel.forward(case.splats, case.camera)
+
+    def scene_of(count: int) -> Splats:
+        return cases.scene(1, count, 1)
+
+    with pytest.raises(ValueError, match="last forward"):
+        kernel.backward(scene_of(3), v_rgb)
+    with pytest.raises(ValueError, match="cotangent"):
+        kernel.backward(case.splats, v_rgb[:, 1:])
+    with pytest.raises(ValueError, match="cotangent"):
+        kernel.backward(case.splats, v_rgb, v_alpha=v_alpha.T.copy())
+    with pytest.raises(ValueError, match="float32"):
+        kernel.backward(case.splats, v_rgb.astype(np.float64))
+    with pytest.raises(ValueError, match="booleans"):
+        kernel.backward(case.splats, v_rgb, selected=np.zeros(len(case.splats), np.int64))  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="booleans"):
+        kernel.backward(case.splats, v_rgb, selected=np.zeros(3, bool))
