@@ -35,7 +35,7 @@ $(READY): pyproject.toml setup.py constraints.txt $(KERNEL_SOURCES) | $(BIN)/pyt
 	@touch $@
 
 demo: $(READY) ## encode the sample rig, decode its held-out view, export USD
-	$(BIN)/python samples/demo.py
+	$(BIN)/python tests/demo/demo.py
 
 test: lint type layers wheel-check unit ## every check; what continuous integration runs
 
@@ -69,5 +69,5 @@ bench: $(READY) ## time the rasteriser at four scene sizes
 
 clean: ## remove what was built and every cache; .venv and demo/ stay
 	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache $(READY)
-	find formats codec decoder encoder tests samples -name __pycache__ -prune -exec rm -rf {} +
+	find formats codec decoder encoder tests -name __pycache__ -prune -exec rm -rf {} +
 	find decoder encoder -name '*.abi3.so' -delete

@@ -9,7 +9,6 @@ from .inspection import StreamInfo, info
 from .output import DecodeReport, decode, export
 from .session import DecodedFrame, Stream, open_stream, render_view
 
-# ``export`` is the function here; the submodule of that name was loaded before and is reached by its full name only.
 
 __all__ = [
     "DecodeReport",

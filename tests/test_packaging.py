@@ -85,7 +85,7 @@ def test_one_version(pyproject: dict[str, Any]) -> None:
 
 
 def test_the_sample_rig_is_whole() -> None:
-    rig = open_rig(ROOT / "samples" / "workbench")
+    rig = open_rig(ROOT / "tests" / "demo" / "workbench")
     assert [camera.name for camera in rig.cameras] == [f"cam{number:02d}" for number in range(13)]
     assert (rig.layout, rig.fps, rig.frame_count) == ("n3dv", 30.0, 9)
     assert [frame for frame, _ in read_frames(rig)] == list(range(9))
