@@ -9,7 +9,6 @@ from .inspection import StreamInfo, info
 from .output import DecodeReport, decode, export
 from .session import DecodedFrame, Stream, open_stream, render_view
 
-
 __all__ = [
     "DecodeReport",
     "DecodedFrame",

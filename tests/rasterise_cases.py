@@ -146,7 +146,7 @@ CASES: dict[str, Callable[[], Case]] = {
     "near": lambda: Case(scene(10, 60, 1), replace(pinhole(45, 37, 40.0), near=2.25)),
     "one-pixel": lambda: Case(scene(7, 20, 0), pinhole(1, 1, 2.0)),
     "17x13": lambda: Case(scene(8, 40, 1), pinhole(17, 13, 15.0)),
-    "tiles": lambda: Case(scene(81, 400, 0, sigma=(0.01, 0.2)), pinhole(101, 89, 90.0)),
+    "tiles": lambda: Case(scene(81, 220, 0, sigma=(0.01, 0.2)), pinhole(75, 67, 75.0)),
     "needles": _needles,
     "around": _around,
     "stack": _stack,
