@@ -121,8 +121,8 @@ class StreamEncoder:
             )
         extent, centre = robust_extent(trained.splats.means)
         lattice = default_lattice(extent, centre=centre, quality=settings.quality)
-        self._header = self._stream_header(lattice)
         self._first = frame.index
+        self._header = self._stream_header(lattice)
         self._trainer = self._frame_trainer(trained.splats)
         with watch.stage("write"):
             state, _ = keyframe_state(quantise(trained.splats, lattice))
@@ -221,6 +221,7 @@ class StreamEncoder:
             lattice=lattice,
             sh_degree=settings.keyframe.sh_degree,
             fps=rig.fps,
+            first_frame=self._first,
             effects=_effects(rig, settings),
             held_out=tuple(view.camera.name for view in self._ingest.held_out_views),
             source_text=rig.source_text,

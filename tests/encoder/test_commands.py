@@ -80,6 +80,7 @@ def test_options_reach_the_encoder(moving_rig: Path, tmp_path: Path) -> None:
     with open_stream(output) as stream:
         assert stream.frame_count == 2
         assert stream.header.held_out == ("cam00", "cam04")
+        assert stream.header.first_frame == 1, "the range -3:3 of four frames begins at the rig's frame 1"
         assert (stream.header.cameras[0].width, stream.header.cameras[0].height) == (64, 48)
         assert (stream.header.settings["seed"], stream.header.settings["scale"]) == (7, 0.5)
 
