@@ -12,9 +12,9 @@ import os
 import re
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from decogs.formats.errors import DecogsError
 
@@ -189,7 +189,7 @@ def _table(facts: StreamInfo) -> Iterator[str]:
         ("source", header.source_text),
         ("licence", header.licence),
         ("writer", header.writer),
-        ("settings", ", ".join(f"{key}={value}" for key, value in header.settings.items())),
+        ("settings", _short_settings(header.settings)),
     ):
         if text:
             yield f"{name:<12} {_printable(text)}"
@@ -205,6 +205,12 @@ def _table(facts: StreamInfo) -> Iterator[str]:
         yield f"share touched, mean       {totals['mean_share_touched']:.2%}"
     for purpose, count in sorted(totals["bytes_by_purpose"].items(), key=lambda item: -item[1]):
         yield f"bytes of {purpose:<22} {count:>10}  {count / max(1, facts.file_bytes):6.1%}"
+
+
+def _short_settings(settings: Mapping[str, Any]) -> str:
+    """The settings that are single values; groups of them are for --json."""
+    shown = [f"{key}={value}" for key, value in settings.items() if not isinstance(value, Mapping)]
+    return ", ".join(shown) + (" (groups: see --json)" if len(shown) < len(settings) else "")
 
 
 def _row(frame: FrameInfo) -> str:
