@@ -221,6 +221,8 @@ def interrupted(rig: Path, output: Path, keyframe: int, frame: int, event: str) 
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        # A shell's background jobs ignore Ctrl-C and pass that on; the child is to behave as in the foreground.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     try:
         deadline = time.monotonic() + 60
@@ -233,6 +235,7 @@ def interrupted(rig: Path, output: Path, keyframe: int, frame: int, event: str) 
         out, err = child.communicate(timeout=60)
     finally:
         child.kill()
+        child.communicate()
     return subprocess.CompletedProcess(arguments, child.returncode, out, err)
 
 
