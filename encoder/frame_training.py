@@ -27,7 +27,7 @@ from .ingest import View
 from .losses import FocusWeights, PhotometricLoss, focus_loss
 from .masks import FrameMask, MaskSettings
 from .optimiser import LearningRates, SplatOptimiser
-from .rasterise import SplatGradients, TrainingKernel
+from .rasterise import Canvas, SplatGradients, TrainingKernel
 from .selection import SelectionSettings
 from .transformation_cache import CacheSettings, TransformationCache
 
@@ -174,8 +174,10 @@ class FrameTrainer:
         gathered.add(gradients.view / np.float32(losses[index].emphasis), camera.width, camera.height)
 
     def _gradients(self, work: _Working, losses: Sequence[PhotometricLoss], index: int) -> SplatGradients:
-        picture = self._kernel.forward(work.scene, self._views[index].pinhole)
-        value, cotangent = losses[index].evaluate(self._kernel, picture.rgb)
+        camera = self._views[index].pinhole
+        canvas = work.canvases.setdefault(index, Canvas(camera))
+        rgb = self._kernel.redraw(work.scene, camera, canvas, work.selected)
+        value, cotangent = losses[index].evaluate(self._kernel, rgb)
         if not np.isfinite(value.total):
             raise TrainingError(
                 f"the loss of camera {self._views[index].camera.name} is {value.total}; lower the rates"
@@ -266,6 +268,7 @@ class _Working:
         self.scene = take_splats(scene, np.arange(len(scene)))
         self.rows = rows
         self.optimiser = SplatOptimiser(take_splats(scene, rows), kernel)
+        self.canvases: dict[int, Canvas] = {}
         self.selected = np.zeros(len(scene), bool)
         self.selected[rows] = True
 

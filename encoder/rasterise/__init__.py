@@ -4,6 +4,6 @@ A CUDA backend (gsplat: ``rasterize_to_pixels`` with tile masks, ``packed=False`
 methods.
 """
 
-from .native import LossValue, Picture, SplatGradients, TrainingKernel
+from .native import Canvas, LossValue, Picture, SplatGradients, TrainingKernel
 
-__all__ = ["LossValue", "Picture", "SplatGradients", "TrainingKernel"]
+__all__ = ["Canvas", "LossValue", "Picture", "SplatGradients", "TrainingKernel"]

@@ -22,6 +22,9 @@ from decogs.decoder.rasterise.native import (
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import FloatArray, Splats
 
+_TILE = 16
+"""Side of the kernel's tiles (kernel/project.h)."""
+
 
 class _Cotangents(ctypes.Structure):
     _fields_ = [
@@ -68,6 +71,7 @@ def _library() -> ctypes.CDLL:
     library.decogs_trainer_create.argtypes = [ctypes.c_int]
     library.decogs_trainer_destroy.argtypes = [handle]
     library.decogs_forward.argtypes = [handle, pointer(NativeScene), pointer(NativeCamera), pointer(NativePlanes)]
+    library.decogs_redraw.argtypes = [*library.decogs_forward.argtypes, ctypes.c_void_p, ctypes.c_int, ctypes.c_void_p]
     library.decogs_backward.argtypes = [
         handle,
         pointer(NativeScene),
@@ -96,6 +100,14 @@ class Picture:
     rgb: FloatArray
     alpha: FloatArray
     depth: FloatArray | None
+
+
+class Canvas:
+    """A view's picture (3, H, W) that is drawn again and again while only selected Gaussians change."""
+
+    def __init__(self, camera: Camera) -> None:
+        self.rgb: FloatArray = np.empty((3, camera.height, camera.width), np.float32)
+        self.touched: NDArray[np.uint8] | None = None
 
 
 @dataclass(frozen=True)
@@ -172,6 +184,33 @@ class TrainingKernel:
             self._handle, ctypes.byref(self._scene), ctypes.byref(self._camera), ctypes.byref(planes)
         )
         return picture
+
+    def redraw(self, splats: Splats, camera: Camera, canvas: Canvas, selected: NDArray[np.bool_]) -> FloatArray:
+        """Brings ``canvas`` up to date and returns its picture; the way back then goes to ``selected`` only.
+
+        Between calls with the same canvas nothing but Gaussians selected at one of them may change (they may become
+        invisible, new ones may be appended): only tiles that those meet are drawn. The pixels are ``forward``'s, bit
+        for bit. Source: method.md, "cost follows motion".
+        """
+        if canvas.rgb.shape[1:] != (camera.height, camera.width) or len(selected) != len(splats):
+            raise ValueError("the canvas or the selection belongs to another camera or scene")
+        first = canvas.touched is None
+        if canvas.touched is None:
+            canvas.touched = np.zeros(-(-camera.width // _TILE) * -(-camera.height // _TILE), np.uint8)
+        self._splats = splats
+        self._scene, self._camera = native_scene(splats), native_camera(camera)
+        self._shape, self._background = (camera.height, camera.width), (0.0, 0.0, 0.0)
+        planes = NativePlanes(_address(canvas.rgb), None, None, (ctypes.c_float * 3)(*self._background))
+        self._library.decogs_redraw(
+            self._handle,
+            ctypes.byref(self._scene),
+            ctypes.byref(self._camera),
+            ctypes.byref(planes),
+            _address(selected),
+            int(first),
+            _address(canvas.touched),
+        )
+        return canvas.rgb
 
     def backward(
         self,

@@ -43,6 +43,10 @@ inline void backward_tile_of(const TileLists& lists, const Trace& trace, const C
                              const uint8_t* selected, float* moments) {
     const int tile_x = tile % lists.columns, tile_y = tile / lists.columns;
     const uint32_t first = lists.first_entry[tile], count = lists.first_entry[tile + 1] - first;
+    // Moments are wanted of selected Gaussians alone, and what lies in front of the foremost of them has no part in those.
+    uint32_t foremost = 0;
+    while (selected && foremost < count && !selected[lists.entries[first + foremost].gaussian]) ++foremost;
+    if (foremost == count) return;
     const int64_t plane = static_cast<int64_t>(cam.width) * cam.height;
     BlockBack blocks[kBlocks];
     int32_t newest = 0;
@@ -67,7 +71,7 @@ inline void backward_tile_of(const TileLists& lists, const Trace& trace, const C
         std::memset(moments + static_cast<size_t>(lists.entries[first + e].pair) * kMoments, 0, kMoments * sizeof(float));
 
     const F zero = splat(0.0f);
-    for (int32_t e = newest - 1; e >= 0; --e) {
+    for (int32_t e = newest - 1; e >= static_cast<int32_t>(foremost); --e) {
         const Entry entry = lists.entries[first + e], soon = lists.entries[first + std::max(e - static_cast<int32_t>(kAhead), 0)];
         __builtin_prefetch(&lists.projected[soon.gaussian]);
         __builtin_prefetch(moments + static_cast<size_t>(soon.pair) * kMoments, 1);

@@ -29,7 +29,27 @@ void decogs_forward(void* handle, const Scene* scene, const Camera* camera, cons
     render_picture(t.pool, t.binner, *scene, *camera, *out, t.lists, &t.trace);
 }
 
-// Gradients of the last decogs_forward; `selected`, one byte per Gaussian, may be null for all.
+// As decogs_forward into a picture that already shows the scene with other values of `selected`: only tiles that one of
+// them meets now, or met when the picture was drawn before, can differ. `touched`, one byte per tile, remembers those.
+// `first` draws the whole picture and starts that memory.
+void decogs_redraw(void* handle, const Scene* scene, const Camera* camera, const Planes* out, const uint8_t* selected, int first,
+                   uint8_t* touched) {
+    Trainer& t = trainer_of(handle);
+    t.binner.run(t.pool, *scene, *camera, t.lists);
+    t.trace.resize(t.lists);
+    t.pool.run(t.lists.rows, [&](int row) {
+        for (int tile = row * t.lists.columns; tile < (row + 1) * t.lists.columns; ++tile) {
+            bool met = false;
+            for (uint32_t e = t.lists.first_entry[tile]; !met && e < t.lists.first_entry[tile + 1]; ++e)
+                met = selected[t.lists.entries[e].gaussian];
+            if (first) touched[tile] = 0;
+            touched[tile] |= met;
+            if (first || touched[tile]) composite_tile(t.lists, *camera, tile, *out, &t.trace);
+        }
+    });
+}
+
+// Gradients of the last decogs_forward or decogs_redraw; `selected`, one byte per Gaussian, may be null for all.
 void decogs_backward(void* handle, const Scene* scene, const Camera* camera, const Cotangents* cotangents, const uint8_t* selected,
                      const Gradients* out) {
     Trainer& t = trainer_of(handle);
