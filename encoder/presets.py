@@ -11,6 +11,7 @@ from typing import Any
 from decogs.codec.lattice import Quality
 from decogs.formats.errors import UsageError
 
+from .emergence import EmergenceSettings
 from .frame_training import FrameSettings
 from .keyframe import KeyframeSettings
 from .masks import MaskSettings
@@ -56,10 +57,10 @@ PRESETS: dict[str, EncodeSettings] = {
     ),
     "paper": EncodeSettings(
         keyframe=KeyframeSettings(iterations=3000, sh_degree=1),
-        frame=FrameSettings(selection=SelectionSettings(rule="paper")),
+        frame=FrameSettings(selection=SelectionSettings(rule="paper"), emergence=EmergenceSettings(most=0)),
     ),
 }
-"""From fast to slow, and ``paper``: the paper's numbers wherever it gives them (method.md)."""
+"""From fast to slow, and ``paper``: the paper's numbers wherever it gives them (method.md), and nothing beyond it."""
 
 
 def preset(name: str) -> EncodeSettings:

@@ -8,6 +8,7 @@ import pytest
 
 from decogs.encoder import PRESETS, EncodeSettings
 from decogs.encoder.presets import preset
+from decogs.encoder.transformation_cache import CacheSettings
 from decogs.formats.errors import UsageError
 
 
@@ -51,3 +52,10 @@ def test_paper_holds_the_papers_numbers() -> None:
     assert cache is not None
     assert (cache.levels, cache.features, cache.table, cache.base_resolution) == (16, 4, 1 << 15, 16)
     assert (cache.level_scale, cache.hidden_layers, cache.hidden_width, cache.learning_rate) == (2.0, 2, 64, 2e-3)
+
+
+def test_the_papers_preset_has_nothing_beyond_the_paper() -> None:
+    frame = PRESETS["paper"].frame
+    assert (frame.emergence.most, frame.warm_start, frame.selection.rule) == (0, 0.0, "paper")
+    assert (frame.cache_iterations, frame.joint_iterations, frame.masks.threshold) == (150, 100, 25.0)
+    assert frame.cache == CacheSettings()
