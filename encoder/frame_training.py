@@ -43,7 +43,7 @@ class FrameSettings:
     ``carry_cache``: keep the cache's weights from frame to frame instead of restarting it. ``warm_start``: share of
     the last displacement to begin with, 0 to 1. ``grow_gradient``: the paper's tau_d; lower adds more Gaussians.
     ``grow_share``: most Gaussians a frame may add, as a share of the selected. ``rates``: stage 2, ``means`` in
-    units of the rig's extent.
+    units of the rig's extent. ``ablated``: parts of the method left out (`methods.without` says which there are).
     """
 
     masks: MaskSettings = field(default_factory=MaskSettings)
@@ -60,6 +60,7 @@ class FrameSettings:
     rates: LearningRates = field(default_factory=lambda: LearningRates(1.28e-3, 2e-2, 8e-3, 0.1, 2e-2, 1e-3))
     late_decay: float = 0.03
     emergence: EmergenceSettings = field(default_factory=EmergenceSettings)
+    ablated: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -30,12 +30,14 @@ from decogs.decoder.lens import is_distorted
 from decogs.formats.container import Packet, PacketKind, StreamWriter
 from decogs.formats.errors import DecogsError, UsageError
 from decogs.formats.rigs import Rig
-from decogs.formats.splats import FloatArray, Splats
+from decogs.formats.splats import FloatArray, Splats, sh_degree_of
 
+from .baseline import BaselineTrainer
 from .first_points import first_points
 from .frame_training import FrameTrainer, TrainedFrame
 from .ingest import Ingest, RigFrame
 from .keyframe import mean_psnr, scene_extent, train_keyframe
+from .keyframe_source import KeyframeSource
 from .masks import FrameMask, frame_masks
 from .presets import EncodeSettings
 from .rasterise import TrainingKernel
@@ -51,6 +53,8 @@ class FrameReport:
 
     ``bytes``: the packet's on disk. ``selected``: share of Gaussians in S_t. PSNRs in dB from the reconstructed state,
     means over the views; ``held_out_psnr`` None without held-out cameras. ``seconds`` by stage, wall clock.
+    ``cpu_seconds``: processor time of all threads together, from decoded pictures to the written packet; measuring
+    (the stage "measure") is left out.
     """
 
     frame: int
@@ -62,6 +66,7 @@ class FrameReport:
     held_out_psnr: float | None
     seconds: dict[str, float]
     costs: dict[str, int]
+    cpu_seconds: float
 
 
 @dataclass(frozen=True)
@@ -76,9 +81,13 @@ class EncodeReport:
 
 @dataclass
 class _Stopwatch:
-    """Wall-clock seconds by stage."""
+    """Wall-clock seconds by stage, and processor seconds since it was made."""
 
     seconds: dict[str, float] = field(default_factory=dict)
+    began: float = field(default_factory=time.process_time)
+
+    def cpu_seconds(self) -> float:
+        return time.process_time() - self.began
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -90,10 +99,19 @@ class _Stopwatch:
 
 
 class StreamEncoder:
-    """Encodes frames one after the other into an open stream file."""
+    """Encodes frames one after the other into an open stream file; ``keyframe`` is one to begin with, untrained."""
 
-    def __init__(self, ingest: Ingest, settings: EncodeSettings, *, seed: int, threads: int) -> None:
+    def __init__(
+        self,
+        ingest: Ingest,
+        settings: EncodeSettings,
+        *,
+        seed: int,
+        threads: int,
+        keyframe: KeyframeSource | None = None,
+    ) -> None:
         self._ingest, self._settings, self._seed, self._threads = ingest, settings, seed, threads
+        self._source = keyframe
         self._kernel = TrainingKernel(threads)
         self._state: State | None = None
         self._pictures: Sequence[FloatArray] = []
@@ -102,8 +120,29 @@ class StreamEncoder:
     def encode_key(
         self, frame: RigFrame, open_writer: Callable[[bytes], StreamWriter], on_step: OnKeyframeStep | None
     ) -> FrameReport:
-        """Trains the first frame and writes header and keyframe; the file is only opened once training is done."""
-        watch, settings, views = _Stopwatch(), self._settings, self._ingest.views
+        """Trains or takes over the first frame and writes header and keyframe; the file is opened only then."""
+        watch = _Stopwatch()
+        if self._source is None:
+            state, lattice = self._trained_keyframe(frame, watch, on_step)
+        else:
+            self._source.check(self._ingest, frame.index)
+            self._ingest.set_near_planes(self._source.near_planes)
+            state, lattice = self._source.state, self._source.header.lattice
+        self._first = frame.index
+        self._header = self._stream_header(lattice, sh_degree_of(state.coefficients))
+        self._trainer = self._frame_trainer(dequantise(state, lattice))
+        with watch.stage("write"):
+            self._writer = open_writer(self._header.to_bytes())
+            coded = write_key(state, level=self._settings.zstd_level)
+            size = self._commit(PacketKind.KEY, 0, coded)
+        self._pictures = frame.training
+        return self._report(frame, "key", size, coded, 1.0, watch)
+
+    def _trained_keyframe(
+        self, frame: RigFrame, watch: _Stopwatch, on_step: OnKeyframeStep | None
+    ) -> tuple[State, Lattice]:
+        """The keyframe's Gaussians on the lattice that suits them."""
+        settings, views = self._settings, self._ingest.views
         with watch.stage("first_points"):
             points = first_points(
                 [view.pinhole for view in views],
@@ -121,21 +160,33 @@ class StreamEncoder:
             )
         extent, centre = robust_extent(trained.splats.means)
         lattice = default_lattice(extent, centre=centre, quality=settings.quality)
-        self._first = frame.index
-        self._header = self._stream_header(lattice)
-        self._trainer = self._frame_trainer(trained.splats)
-        with watch.stage("write"):
-            state, _ = keyframe_state(quantise(trained.splats, lattice))
-            self._writer = open_writer(self._header.to_bytes())
-            coded = write_key(state, level=settings.zstd_level)
-            size = self._commit(PacketKind.KEY, 0, coded)
-        self._pictures = frame.training
-        return self._report(frame, "key", size, coded, 1.0, watch)
+        state, _ = keyframe_state(quantise(trained.splats, lattice))
+        return state, lattice
 
     def encode_next(self, frame: RigFrame) -> FrameReport:
         """Trains and writes the next frame from the reconstructed state of the one before."""
         assert self._state is not None
         watch, state = _Stopwatch(), self._state
+        train = self._train_all if self._settings.method == "3dgstream" else self._train_selected
+        trained, share = train(frame, state, watch)
+        with watch.stage("write"):
+            delta = None if trained is None else self._delta(state, trained)
+            index = frame.index - self._first
+            if delta is None or not (len(delta.rows) or len(delta.removed) or len(delta.added)):
+                kind, coded = PacketKind.SKIP, write_skip(state)
+            else:
+                kind, coded = PacketKind.DELTA, write_delta(state, delta, level=self._settings.zstd_level)
+            size = self._commit(kind, index, coded)
+        self._motion = self._displacements(state, self._state)
+        self._pictures = frame.training
+        return self._report(frame, kind.name.lower(), size, coded, share, watch)
+
+    def finish(self) -> None:
+        """Completes the stream with its index."""
+        self._writer.finish()
+
+    def _train_selected(self, frame: RigFrame, state: State, watch: _Stopwatch) -> tuple[TrainedFrame | None, float]:
+        """What DecoGS changes, None when the frame selects nothing, and the share of Gaussians selected."""
         with watch.stage("masks"):
             masks = frame_masks(frame.training, self._pictures, self._settings.frame.masks)
         selected: NDArray[np.bool_] = np.zeros(len(state), bool)
@@ -147,24 +198,18 @@ class StreamEncoder:
             if selected.any():
                 with watch.stage("training"):
                     trained = self._trainer.train(scene, selected, frame.training, masks, self._motion)
-        with watch.stage("write"):
-            delta = None if trained is None else self._delta(state, trained)
-            index = frame.index - self._first
-            if delta is None or not (len(delta.rows) or len(delta.removed) or len(delta.added)):
-                kind, coded = PacketKind.SKIP, write_skip(state)
-            else:
-                kind, coded = PacketKind.DELTA, write_delta(state, delta, level=self._settings.zstd_level)
-            size = self._commit(kind, index, coded)
-        self._motion = self._displacements(state, self._state)
-        self._pictures = frame.training
-        share = float(selected.mean()) if len(selected) else 0.0
-        return self._report(frame, kind.name.lower(), size, coded, share, watch)
+        return trained, float(selected.mean()) if len(selected) else 0.0
 
-    def finish(self) -> None:
-        """Completes the stream with its index."""
-        self._writer.finish()
+    def _train_all(self, frame: RigFrame, state: State, watch: _Stopwatch) -> tuple[TrainedFrame, float]:
+        """What the dense baseline changes: it looks at no mask, selects nothing and so takes part in every frame."""
+        scene = dequantise(state, self._header.lattice)
+        with watch.stage("training"):
+            everything = np.ones(len(state), bool)
+            return self._trainer.train(scene, everything, frame.training, [], self._motion), 1.0
 
     def _select(self, scene: Splats, masks: Sequence[FrameMask]) -> NDArray[np.bool_]:
+        if "select" in self._settings.frame.ablated:
+            return np.ones(len(scene), bool)
         evidence = [
             view_evidence(self._kernel, scene, view.pinhole, mask.dilated)
             for view, mask in zip(self._ingest.views, masks, strict=True)
@@ -198,6 +243,7 @@ class StreamEncoder:
         assert self._state is not None
         if kind == "key":
             self._motion = np.zeros((len(self._state), 3), np.float32)
+        cpu_seconds = watch.cpu_seconds()
         with watch.stage("measure"):
             scene = dequantise(self._state, self._header.lattice)
             training = mean_psnr(self._kernel, scene, self._ingest.views, frame.training)
@@ -212,41 +258,49 @@ class StreamEncoder:
             held_out if frame.held_out else None,
             watch.seconds,
             coded.costs,
+            cpu_seconds,
         )
 
-    def _stream_header(self, lattice: Lattice) -> StreamHeader:
-        rig, settings = self._ingest.rig, self._settings
+    def _stream_header(self, lattice: Lattice, sh_degree: int) -> StreamHeader:
+        rig, document = self._ingest.rig, self._settings.as_document()
+        if self._source is not None:
+            document |= self._source.settings
         return StreamHeader(
             cameras=self._ingest.cameras,
             lattice=lattice,
-            sh_degree=settings.keyframe.sh_degree,
+            sh_degree=sh_degree,
             fps=rig.fps,
             first_frame=self._first,
-            effects=_effects(rig, settings),
+            effects=_effects(rig, sh_degree),
             held_out=tuple(view.camera.name for view in self._ingest.held_out_views),
             source_text=rig.source_text,
             licence=rig.licence,
-            settings={"seed": self._seed, "scale": self._ingest.scale, **settings.as_document()},
+            settings={"seed": self._seed, "scale": self._ingest.scale, **document},
         )
 
-    def _frame_trainer(self, splats: Splats) -> FrameTrainer:
+    def _frame_trainer(self, splats: Splats) -> FrameTrainer | BaselineTrainer:
         low, high = np.percentile(splats.means.astype(np.float64), [1, 99], axis=0)
         margin = 0.1 * (high - low) + 1e-6
-        return FrameTrainer(
-            self._kernel,
-            self._ingest.views,
-            self._settings.frame,
-            extent=scene_extent(self._ingest.views) or 1.0,
-            box=(low - margin, high + margin),
-            seed=self._seed,
-            threads=max(1, self._threads),
-        )
+        box, extent = (low - margin, high + margin), scene_extent(self._ingest.views) or 1.0
+        kernel, views, seed, threads = self._kernel, self._ingest.views, self._seed, max(1, self._threads)
+        if self._settings.method == "3dgstream":
+            return BaselineTrainer(
+                kernel,
+                views,
+                self._settings.baseline,
+                population=len(splats),
+                extent=extent,
+                box=box,
+                seed=seed,
+                threads=threads,
+            )
+        return FrameTrainer(kernel, views, self._settings.frame, extent=extent, box=box, seed=seed, threads=threads)
 
 
-def _effects(rig: Rig, settings: EncodeSettings) -> tuple[str, ...]:
+def _effects(rig: Rig, sh_degree: int) -> tuple[str, ...]:
     """What a stream of this encode may carry (SPEC.md, "Header packet")."""
     effects = ["motion", "appearance_change", "emergence", "disappearance"]
-    if settings.keyframe.sh_degree:
+    if sh_degree:
         effects.append("view_dependence")
     if any(is_distorted(camera) for camera in rig.cameras):
         effects.append("lens_distortion")
@@ -271,16 +325,18 @@ def encode_stream(
     *,
     seed: int,
     threads: int,
+    keyframe: KeyframeSource | None = None,
     on_frame: OnFrame | None = None,
     on_keyframe_step: OnKeyframeStep | None = None,
 ) -> EncodeReport:
     """Encodes frames ``span`` of the rig to ``output``; Ctrl-C after the keyframe ends the stream early but whole.
 
+    ``keyframe``: an earlier stream's, to begin with instead of training one; UsageError when it does not fit the rig.
     Raises DecogsError for unusable input; complete frames then remain in ``output`` + ".part", and the message says so.
     """
     _check_output(output)
     growing = output.with_name(output.name + ".part")
-    encoder = StreamEncoder(ingest, settings, seed=seed, threads=threads)
+    encoder = StreamEncoder(ingest, settings, seed=seed, threads=threads, keyframe=keyframe)
     reports: list[FrameReport] = []
     interrupted = False
     file: BinaryIO | None = None
