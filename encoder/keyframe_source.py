@@ -58,7 +58,7 @@ class KeyframeSource:
         held = {view.camera.name for view in ingest.held_out_views}
         if set(self.header.held_out) != held:
             self._refuse(
-                f"it was trained with {_listed(self.header.held_out)} held out, not {_listed(held)}",
+                f"it was trained with {_listed(self.header.held_out)} held out, this encode holds out {_listed(held)}",
                 "use the same --holdout",
             )
         if self.header.first_frame != first_frame:

@@ -19,6 +19,7 @@ from decogs.codec.state import State
 from decogs.decoder.pictures import to_8bit
 from decogs.decoder.session import render_view
 from decogs.encoder import EncodeReport, EncodeSettings, FrameReport
+from decogs.encoder.baseline import BaselineSettings
 from decogs.encoder.frame_training import FrameSettings
 from decogs.encoder.ingest import Ingest
 from decogs.encoder.keyframe import KeyframeSettings
@@ -35,17 +36,20 @@ HELD_OUT = "cam02"
 LENS = (0.12, 0.01, 0.002, -0.003)
 """Pincushion: its undistorted picture has unrecorded corners."""
 
+CACHE = CacheSettings(levels=4, features=2, table_log2=8, base_resolution=4, hidden_width=16, learning_rate=5e-3)
+
 TINY = EncodeSettings(
     keyframe=KeyframeSettings(iterations=80, cap=1200, sh_degree=1, grow_every=20, validation_every=20),
     frame=FrameSettings(
         masks=MaskSettings(threshold=10.0),
-        cache=CacheSettings(levels=4, features=2, table_log2=8, base_resolution=4, hidden_width=16, learning_rate=5e-3),
+        cache=CACHE,
         cache_iterations=10,
         joint_iterations=10,
         warm_start=0.9,
         grow_gradient=1e-5,
     ),
     zstd_level=3,
+    baseline=BaselineSettings(cache=CACHE, cache_iterations=30, spawn_iterations=20, prune_every=10),
 )
 
 
@@ -252,6 +256,12 @@ def moving(encode: Encode, moving_rig: Path) -> Encoded:
 
 
 @pytest.fixture(scope="session")
+def dense(encode: Encode, moving_rig: Path, moving: Encoded) -> Encoded:
+    """The moving rig's stream by the dense baseline, from the same keyframe."""
+    return encode(moving_rig, settings=replace(TINY, method="3dgstream"), keyframe=moving.path)
+
+
+@pytest.fixture(scope="session")
 def still(encode: Encode, still_rig: Path) -> Encoded:
     return encode(still_rig)
 
@@ -271,4 +281,6 @@ def shared_data() -> Callable[[str], Path]:
 
 @pytest.fixture
 def frame_report() -> FrameReport:
-    return FrameReport(3, "delta", 1234, 5678, 0.062, 31.5, 30.25, {"masks": 0.1, "training": 1.5, "measure": 9.0}, {}, 2.5)
+    return FrameReport(
+        3, "delta", 1234, 5678, 0.062, 31.5, 30.25, {"masks": 0.1, "training": 1.5, "measure": 9.0}, {}, 2.5
+    )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -66,8 +67,11 @@ def test_a_rig_becomes_a_stream_and_a_summary(
     assert lines[1] == (
         f"held-out PSNR  first {held_out[0]:.2f}  mean {np.mean(held_out):.2f}  last {held_out[-1]:.2f} dB"
     )
-    assert lines[2].startswith(
-        f"after the first frame  {np.mean([f.bytes for f in moving.report.frames[1:]]):.0f} bytes, "
+    later = moving.report.frames[1:]
+    assert re.fullmatch(
+        rf"after the first frame  {np.mean([f.bytes for f in later]):.0f} bytes, \d+\.\d\d s, \d+\.\d\d CPU-s, "
+        rf"{np.mean([f.selected for f in later]):.1%} selected \(means\)",
+        lines[2],
     )
     assert len((tmp_path / "log.jsonl").read_text().splitlines()) == 6
     assert sorted(path.name for path in tmp_path.iterdir()) == ["log.jsonl", "scene.dgs"]
@@ -85,6 +89,19 @@ def test_options_reach_the_encoder(moving_rig: Path, tmp_path: Path) -> None:
         assert (stream.header.settings["seed"], stream.header.settings["scale"]) == (7, 0.5)
 
 
+def test_switches_reach_the_encoder(moving: Any, dense: Any, moving_rig: Path, tmp_path: Path) -> None:
+    output = tmp_path / "scene.dgs"
+    given = [str(moving_rig), "-o", str(output), "--preset", "tiny", "--holdout", "cam02"]
+    assert encode_main([*given, "--method", "3dgstream", "--keyframe", str(moving.path)]) == 0
+    assert output.read_bytes() == dense.data
+    assert encode_main([*given, "--ablate", "select,gate", "--frames", ":1"]) == 0
+    with open_stream(output) as stream:
+        assert stream.header.settings["frame"]["ablated"] == ["select", "gate"]
+    assert encode_main([*given, "--selection", "paper", "--method", "decogs", "--frames", ":1"]) == 0
+    with open_stream(output) as stream:
+        assert stream.header.settings["frame"]["selection"]["rule"] == "paper"
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -94,6 +111,11 @@ def test_options_reach_the_encoder(moving_rig: Path, tmp_path: Path) -> None:
         (["--holdout", "cam9"], "--holdout cam9: "),
         ([o for i in range(5) for o in ("--holdout", f"cam0{i}")], "every camera is held out; leave some"),
         (["--preset", "nope"], "--preset nope: there is no such preset; choose from draft, standard"),
+        (["--method", "nope"], "--method nope: there is no such method; choose from decogs, 3dgstream"),
+        (["--ablate", "select,x"], "--ablate x: there is no such part; choose from select, focus, gate"),
+        (["--selection", "x"], "--selection x: there is no such rule; choose from paper, weight"),
+        (["--method", "3dgstream", "--selection", "paper"], "--method 3dgstream trains every Gaussian; drop one"),
+        (["--keyframe", "/no/such.dgs"], "--keyframe /no/such.dgs: No such file or directory"),
         (["--frames", "5:5"], "--frames: "),
         (["--frames", "-9:-8"], "--frames: "),
         (["--frames", "two"], "frames 'two' are no range; write A:B"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import io
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,8 @@ def test_same_bytes_as_the_loop_whatever_is_logged(
     assert start["settings"] == json.loads(json.dumps(tiny_settings.as_document()))
     assert [frame["kind"] for frame in frames] == ["key", "delta", "skip", "delta"]
     for record, frame in zip(frames, report.frames, strict=True):
-        for name in ("frame", "bytes", "gaussians", "selected", "training_psnr", "held_out_psnr", "seconds", "costs"):
+        for name in ("frame", "bytes", "gaussians", "selected", "training_psnr", "held_out_psnr", "seconds", "costs",
+                     "cpu_seconds"):  # fmt: skip
             assert record[name] == getattr(frame, name)
     assert (end["output"], end["bytes"], end["interrupted"]) == (str(output), len(moving.data), False)
 
@@ -51,7 +53,32 @@ def test_frames_as_text_and_as_slice_on_a_terminal_or_not(moving_rig: Path, tiny
 def test_options_have_the_commands_names() -> None:
     options = set(inspect.signature(encode_rig).parameters)
     assert {"frames", "scale", "holdout", "preset", "seed", "threads", "device", "log"} <= options
+    assert {"method", "ablate", "selection", "keyframe"} <= options
     assert inspect.signature(encode_rig).parameters["preset"].default in PRESETS
+
+
+@pytest.mark.parametrize("parts", ["gate,focus", ["focus", "gate"], ["gate", "gate, focus"]])
+def test_switches_apply_on_top_of_the_preset(
+    moving: Any, moving_rig: Path, tiny_rig: Any, tiny_settings: Any, tmp_path: Path, parts: Any
+) -> None:
+    given = {"preset": tiny_settings, "holdout": tiny_rig.held_out, "keyframe": moving.path, "frames": ":2"}
+    encode_rig(moving_rig, tmp_path / "x.dgs", **given, ablate=parts, selection="paper", log=tmp_path / "log")
+    start = json.loads((tmp_path / "log").read_text().splitlines()[0])
+    assert start["keyframe"] == str(moving.path)
+    expected = tiny_settings.as_document()
+    expected["frame"] |= {"ablated": ["focus", "gate"]}
+    expected["frame"]["selection"] |= {"rule": "paper"}
+    assert start["settings"] == expected
+
+
+def test_the_method_of_the_settings_holds_unless_another_is_asked_for(
+    dense: Any, moving: Any, moving_rig: Path, tiny_rig: Any, tiny_settings: Any, tmp_path: Path
+) -> None:
+    given = {"holdout": tiny_rig.held_out, "keyframe": moving.path}
+    settings = replace(tiny_settings, method="3dgstream")
+    for options, expected in (({}, dense), ({"method": "decogs"}, moving)):
+        encode_rig(moving_rig, tmp_path / "x.dgs", preset=settings, **given, **options)
+        assert (tmp_path / "x.dgs").read_bytes() == expected.data
 
 
 @pytest.mark.parametrize(
@@ -61,6 +88,11 @@ def test_options_have_the_commands_names() -> None:
         ({"device": "tpu"}, "--device tpu: choose from auto, cpu, cuda"),
         ({"seed": -1}, "--seed -1: give a number of at least 0"),
         ({"preset": "fast"}, "--preset fast: there is no such preset"),
+        ({"method": "dense"}, "--method dense: there is no such method"),
+        ({"ablate": "select,mask"}, "--ablate mask: there is no such part"),
+        ({"method": "3dgstream", "ablate": ["gate"]}, "--ablate gate: --method 3dgstream has no such part"),
+        ({"ablate": "select", "selection": "weight"}, "--selection weight: --ablate select takes every Gaussian"),
+        ({"keyframe": "no.dgs"}, "--keyframe no.dgs: No such file or directory; give the .dgs file"),
         ({"frames": "1-2"}, "frames '1-2' are no range"),
         ({"threads": 5000}, "--threads 5000"),
     ],

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ import cv2
 import numpy as np
 import pytest
 
+import decogs.encoder.loop as loop
 from decogs.codec.digest import digest
 from decogs.codec.lattice import dequantise
 from decogs.decoder.commands import decode_main
@@ -192,6 +194,26 @@ def test_reports_agree_with_the_stream(moving: Any) -> None:
     assert set(moving.report.frames[0].seconds) == {"first_points", "keyframe", "write", "measure"}
     assert set(moving.report.frames[1].seconds) == {"masks", "selection", "training", "write", "measure"}
     assert not moving.report.interrupted
+
+
+def test_processor_seconds_are_those_of_the_frame_without_the_measuring(
+    encode: Any, moving_rig: Path, moving: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def slowed(function: Any, seconds: float) -> Any:
+        def run(*arguments: Any) -> Any:
+            end = time.process_time() + seconds
+            while time.process_time() < end:
+                pass
+            return function(*arguments)
+
+        return run
+
+    monkeypatch.setattr(loop, "mean_psnr", slowed(loop.mean_psnr, 0.1))  # twice a frame
+    monkeypatch.setattr(loop, "frame_masks", slowed(loop.frame_masks, 0.05))
+    key, _, skip, _ = encode(moving_rig, keyframe=moving.path).report.frames
+    assert (key.kind, skip.kind) == ("key", "skip")
+    assert 0 < key.cpu_seconds < 0.2
+    assert 0.05 <= skip.cpu_seconds < 0.2
 
 
 def test_header_holds_what_a_decoder_needs_without_the_rig(moving: Any, tiny_rig: Any, tiny_settings: Any) -> None:

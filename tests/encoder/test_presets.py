@@ -7,6 +7,7 @@ import json
 import pytest
 
 from decogs.encoder import PRESETS, EncodeSettings
+from decogs.encoder.methods import METHODS
 from decogs.encoder.presets import preset
 from decogs.encoder.transformation_cache import CacheSettings
 from decogs.formats.errors import UsageError
@@ -30,6 +31,13 @@ def test_settings_are_plain_json_that_says_everything(name: str) -> None:
     assert document["keyframe"]["iterations"] == PRESETS[name].keyframe.iterations
     assert document["frame"]["masks"]["threshold"] == PRESETS[name].frame.masks.threshold
     assert EncodeSettings().as_document().keys() == document.keys()
+
+
+def test_settings_tell_of_the_method_in_use_and_not_of_the_other() -> None:
+    ours, dense = (EncodeSettings(method=method).as_document() for method in METHODS)
+    assert (ours["method"], dense["method"]) == ("decogs", "3dgstream")
+    assert set(ours) - set(dense) == {"frame"}
+    assert set(dense) - set(ours) == {"baseline"}
 
 
 def test_faster_presets_do_less() -> None:
