@@ -35,10 +35,10 @@ from decogs.formats.splats import FloatArray, Splats
 from .first_points import first_points
 from .frame_training import FrameTrainer, TrainedFrame
 from .ingest import Ingest, RigFrame
-from .keyframe import mean_psnr, scene_extent, train_keyframe
+from .keyframe import mean_picture_psnr, mean_psnr, scene_extent, train_keyframe
 from .masks import FrameMask, frame_masks
 from .presets import EncodeSettings
-from .rasterise import TrainingKernel
+from .rasterise import FixedView, TrainingKernel
 from .selection import select, view_evidence
 
 OnFrame = Callable[["FrameReport"], None]
@@ -123,12 +123,18 @@ class StreamEncoder:
         lattice = default_lattice(extent, centre=centre, quality=settings.quality)
         self._first = frame.index
         self._header = self._stream_header(lattice)
+        self._watch = [FixedView(self._kernel, view.pinhole) for view in views]
         self._trainer = self._frame_trainer(trained.splats)
         with watch.stage("write"):
             state, _ = keyframe_state(quantise(trained.splats, lattice))
             self._writer = open_writer(self._header.to_bytes())
             coded = write_key(state, level=settings.zstd_level)
             size = self._commit(PacketKind.KEY, 0, coded)
+            assert self._state is not None
+            scene = dequantise(self._state, lattice)
+            for view in self._watch:
+                view.place(scene)
+                view.refresh()
         self._pictures = frame.training
         return self._report(frame, "key", size, coded, 1.0, watch)
 
@@ -143,7 +149,7 @@ class StreamEncoder:
         if any(mask.raw.any() for mask in masks):
             scene = dequantise(state, self._header.lattice)
             with watch.stage("selection"):
-                selected = self._select(scene, masks)
+                selected = self._select(masks)
             if selected.any():
                 with watch.stage("training"):
                     trained = self._trainer.train(scene, selected, frame.training, masks, self._motion)
@@ -155,6 +161,9 @@ class StreamEncoder:
             else:
                 kind, coded = PacketKind.DELTA, write_delta(state, delta, level=self._settings.zstd_level)
             size = self._commit(kind, index, coded)
+        if trained is not None:
+            with watch.stage("settle"):
+                self._settle(state, trained)
         self._motion = self._displacements(state, self._state)
         self._pictures = frame.training
         share = float(selected.mean()) if len(selected) else 0.0
@@ -164,12 +173,25 @@ class StreamEncoder:
         """Completes the stream with its index."""
         self._writer.finish()
 
-    def _select(self, scene: Splats, masks: Sequence[FrameMask]) -> NDArray[np.bool_]:
-        evidence = [
-            view_evidence(self._kernel, scene, view.pinhole, mask.dilated)
-            for view, mask in zip(self._ingest.views, masks, strict=True)
-        ]
+    def _select(self, masks: Sequence[FrameMask]) -> NDArray[np.bool_]:
+        evidence = [view_evidence(view, mask.dilated) for view, mask in zip(self._watch, masks, strict=True)]
         return select(evidence, self._settings.frame.selection)
+
+    def _settle(self, before: State, trained: TrainedFrame) -> None:
+        """The watching views go on from the frame's reconstructed state; only what was trained can differ."""
+        assert self._state is not None
+        scene, ids = dequantise(self._state, self._header.lattice), self._state.ids
+        renumbered = np.searchsorted(ids, before.ids)
+        renumbered[~np.isin(before.ids, ids, assume_unique=True)] = -1
+        new = np.flatnonzero(~np.isin(ids, before.ids, assume_unique=True))
+        rows = np.concatenate([np.setdiff1d(renumbered[trained.kept], [-1]), new])
+        everything = len(trained.kept) + len(trained.removed) == len(before)
+        for view in self._watch:
+            if everything:
+                view.place(scene)
+            else:
+                view.settle(scene, rows, renumbered)
+            view.refresh()
 
     def _delta(self, state: State, trained: TrainedFrame) -> Delta:
         lattice = self._header.lattice
@@ -200,7 +222,8 @@ class StreamEncoder:
             self._motion = np.zeros((len(self._state), 3), np.float32)
         with watch.stage("measure"):
             scene = dequantise(self._state, self._header.lattice)
-            training = mean_psnr(self._kernel, scene, self._ingest.views, frame.training)
+            shown = [view.rgb for view in self._watch]
+            training = mean_picture_psnr(self._ingest.views, shown, frame.training)
             held_out = mean_psnr(self._kernel, scene, self._ingest.held_out_views, frame.held_out)
         return FrameReport(
             frame.index,
@@ -235,6 +258,7 @@ class StreamEncoder:
         return FrameTrainer(
             self._kernel,
             self._ingest.views,
+            self._watch,
             self._settings.frame,
             extent=scene_extent(self._ingest.views) or 1.0,
             box=(low - margin, high + margin),
