@@ -29,6 +29,14 @@ def encode_main(arguments: Sequence[str] | None = None) -> int:
         "--holdout", action="append", default=[], metavar="CAM", help="keep a camera out of training (repeatable)"
     )
     parser.add_argument("--preset", default="standard", metavar="P", help="draft, standard (default), high or paper")
+    parser.add_argument("--method", metavar="M", help="decogs (default), or 3dgstream: the dense baseline, slower")
+    parser.add_argument(
+        "--ablate", default="", metavar="PARTS", help="leave out select, focus, gate (any, with commas)"
+    )
+    parser.add_argument("--selection", metavar="RULE", help="paper or weight (default: the preset's)")
+    parser.add_argument(
+        "--keyframe", metavar="OTHER.DGS", help="begin with the keyframe of an earlier encode of this rig"
+    )
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="same seed, same bytes (default 0)")
     parser.add_argument("--threads", type=number_of_threads, default=0, metavar="N", help="default: all processors")
     parser.add_argument("--device", default="auto", metavar="D", help="auto (default), cpu or cuda")
@@ -46,6 +54,10 @@ def _encode(options: argparse.Namespace) -> int:
         scale=options.scale,
         holdout=options.holdout,
         preset=options.preset,
+        method=options.method,
+        ablate=options.ablate,
+        selection=options.selection,
+        keyframe=options.keyframe,
         seed=options.seed,
         threads=options.threads,
         device=options.device,
@@ -63,12 +75,17 @@ def _summary(report: EncodeReport) -> list[str]:
         lines[0] += f"; stopped early by Ctrl-C, after frame {frames[-1].frame}: the stream is whole up to there"
     held = [f.held_out_psnr for f in frames if f.held_out_psnr is not None]
     if held:
-        lines.append(f"held-out PSNR  first {held[0]:.2f}  mean {sum(held) / len(held):.2f}  last {held[-1]:.2f} dB")
+        lines.append(f"held-out PSNR  first {held[0]:.2f}  mean {_mean(held):.2f}  last {held[-1]:.2f} dB")
     later = frames[1:]
     if later:
         seconds = [sum(s for name, s in f.seconds.items() if name != "measure") for f in later]
+        cpu_seconds, selected = [f.cpu_seconds for f in later], [f.selected for f in later]
         lines.append(
-            f"after the first frame  {sum(f.bytes for f in later) / len(later):.0f} bytes, "
-            f"{sum(seconds) / len(later):.2f} s, {sum(f.selected for f in later) / len(later):.1%} selected (means)"
+            f"after the first frame  {_mean([f.bytes for f in later]):.0f} bytes, {_mean(seconds):.2f} s, "
+            f"{_mean(cpu_seconds):.2f} CPU-s, {_mean(selected):.1%} selected (means)"
         )
     return lines
+
+
+def _mean(values: Sequence[float]) -> float:
+    return sum(values) / len(values)

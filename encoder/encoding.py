@@ -13,7 +13,9 @@ from decogs.formats.errors import UsageError
 from decogs.formats.rigs import open_rig
 
 from .ingest import Ingest
+from .keyframe_source import read_keyframe
 from .loop import EncodeReport, encode_stream, frame_span
+from .methods import with_method, with_selection, without
 from .presets import EncodeSettings
 from .presets import preset as named_preset
 from .progress import EncodeProgress
@@ -29,6 +31,10 @@ def encode(
     scale: float = 1.0,
     holdout: str | Sequence[str] = (),
     preset: str | EncodeSettings = "standard",
+    method: str | None = None,
+    ablate: str | Sequence[str] = (),
+    selection: str | None = None,
+    keyframe: str | os.PathLike[str] | None = None,
     seed: int = 0,
     threads: int = 0,
     device: str = "auto",
@@ -39,6 +45,9 @@ def encode(
 
     ``frames``: "A:B" half-open, as in Python, or a slice; all when None. ``scale``: of the pictures trained on.
     ``holdout``: cameras kept out of training and measured on. ``preset``: a name in PRESETS, or settings.
+    ``method``: "decogs" or "3dgstream"; ``ablate``: parts of DecoGS to leave out, a list or text with commas;
+    ``selection``: "paper" or "weight"; all three on top of the preset (`methods`). ``keyframe``: an earlier stream of
+    the same rig, first frame and held-out cameras whose keyframe is taken as it is.
     ``threads``: 0 means all processors; the stream does not depend on it. ``log``: file for JSON lines.
     ``terminal``: where to show a progress bar, if it is one. Ctrl-C after the first frame ends the stream early but
     whole. Raises RigError, UsageError or TrainingError; nothing is then left under the output's name.
@@ -46,7 +55,8 @@ def encode(
     _check_device(device)
     if seed < 0:
         raise UsageError(f"--seed {seed}: give a number of at least 0")
-    settings = _settings(preset)
+    settings = _settings(preset, method, [ablate] if isinstance(ablate, str) else ablate, selection)
+    source = None if keyframe is None else read_keyframe(keyframe)
     held = [holdout] if isinstance(holdout, str) else list(holdout)
     rig = open_rig(rig_dir)
     span = frame_span(rig, frame_range(frames) if isinstance(frames, str) else frames)
@@ -60,6 +70,7 @@ def encode(
                 "held_out": held,
                 "frames": [span.start, span.stop],
                 "seed": seed,
+                "keyframe": None if source is None else str(source.path),
                 "settings": settings.as_document(),
             }
         )
@@ -70,6 +81,7 @@ def encode(
             settings,
             seed=seed,
             threads=thread_count(threads),
+            keyframe=source,
             on_frame=progress.frame,
             on_keyframe_step=progress.keyframe_step,
         )
@@ -79,8 +91,15 @@ def encode(
     return report
 
 
-def _settings(chosen: str | EncodeSettings) -> EncodeSettings:
-    return chosen if isinstance(chosen, EncodeSettings) else named_preset(chosen)
+def _settings(
+    preset: str | EncodeSettings, method: str | None, ablate: Sequence[str], selection: str | None
+) -> EncodeSettings:
+    """The preset with the switches applied; what they rule out together, the later one says."""
+    settings = preset if isinstance(preset, EncodeSettings) else named_preset(preset)
+    if method is not None:
+        settings = with_method(settings, method)
+    settings = without(settings, [part.strip() for text in ablate for part in text.split(",") if part.strip()])
+    return settings if selection is None else with_selection(settings, selection)
 
 
 def _check_device(device: str) -> None:

@@ -40,7 +40,7 @@ class FrameSettings:
     ``carry_cache``: keep the cache's weights from frame to frame instead of restarting it. ``warm_start``: share of
     the last displacement to begin with, 0 to 1. ``grow_gradient``: the paper's tau_d; lower adds more Gaussians.
     ``grow_share``: most Gaussians a frame may add, as a share of the selected. ``rates``: stage 2, ``means`` in
-    units of the rig's extent.
+    units of the rig's extent. ``ablated``: parts of the method left out (`methods.without` says which there are).
     """
 
     masks: MaskSettings = field(default_factory=MaskSettings)

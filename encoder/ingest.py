@@ -6,7 +6,7 @@ field.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -81,8 +81,13 @@ class Ingest:
 
         Geometry only, found by the training views: a held-out camera's pictures play no part.
         """
-        for name, plan in self._plans.items():
-            self._near[name] = NEAR_SHARE * _median_depth(plan.pinhole, xyz)
+        self.set_near_planes(
+            {name: NEAR_SHARE * _median_depth(plan.pinhole, xyz) for name, plan in self._plans.items()}
+        )
+
+    def set_near_planes(self, near: Mapping[str, float]) -> None:
+        """Gives every camera, by name, this near plane in world units."""
+        self._near = dict(near)
         self.views = [self._view(name) for name in self._names]
         self.held_out_views = [self._view(name) for name in self._held_names]
 

@@ -30,12 +30,14 @@ from decogs.decoder.lens import is_distorted
 from decogs.formats.container import Packet, PacketKind, StreamWriter
 from decogs.formats.errors import DecogsError, UsageError
 from decogs.formats.rigs import Rig
-from decogs.formats.splats import FloatArray, Splats
+from decogs.formats.splats import FloatArray, Splats, sh_degree_of
 
+from .baseline import BaselineTrainer
 from .first_points import first_points
 from .frame_training import FrameTrainer, TrainedFrame
 from .ingest import Ingest, RigFrame
 from .keyframe import mean_picture_psnr, mean_psnr, scene_extent, train_keyframe
+from .keyframe_source import KeyframeSource
 from .masks import FrameMask, frame_masks
 from .presets import EncodeSettings
 from .rasterise import FixedView, TrainingKernel
@@ -51,6 +53,8 @@ class FrameReport:
 
     ``bytes``: the packet's on disk. ``selected``: share of Gaussians in S_t. PSNRs in dB from the reconstructed state,
     means over the views; ``held_out_psnr`` None without held-out cameras. ``seconds`` by stage, wall clock.
+    ``cpu_seconds``: processor time of all threads together, from decoded pictures to the written packet; measuring
+    (the stage "measure") is left out.
     """
 
     frame: int
@@ -62,6 +66,7 @@ class FrameReport:
     held_out_psnr: float | None
     seconds: dict[str, float]
     costs: dict[str, int]
+    cpu_seconds: float
 
 
 @dataclass(frozen=True)
@@ -76,9 +81,13 @@ class EncodeReport:
 
 @dataclass
 class _Stopwatch:
-    """Wall-clock seconds by stage."""
+    """Wall-clock seconds by stage, and processor seconds since it was made."""
 
     seconds: dict[str, float] = field(default_factory=dict)
+    began: float = field(default_factory=time.process_time)
+
+    def cpu_seconds(self) -> float:
+        return time.process_time() - self.began
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -90,11 +99,21 @@ class _Stopwatch:
 
 
 class StreamEncoder:
-    """Encodes frames one after the other into an open stream file."""
+    """Encodes frames one after the other into an open stream file; ``keyframe`` is one to begin with, untrained."""
 
-    def __init__(self, ingest: Ingest, settings: EncodeSettings, *, seed: int, threads: int) -> None:
+    def __init__(
+        self,
+        ingest: Ingest,
+        settings: EncodeSettings,
+        *,
+        seed: int,
+        threads: int,
+        keyframe: KeyframeSource | None = None,
+    ) -> None:
         self._ingest, self._settings, self._seed, self._threads = ingest, settings, seed, threads
+        self._source = keyframe
         self._kernel = TrainingKernel(threads)
+        self._watch: list[FixedView] = []
         self._state: State | None = None
         self._pictures: Sequence[FloatArray] = []
         self._motion: FloatArray = np.zeros((0, 3), np.float32)
@@ -102,8 +121,30 @@ class StreamEncoder:
     def encode_key(
         self, frame: RigFrame, open_writer: Callable[[bytes], StreamWriter], on_step: OnKeyframeStep | None
     ) -> FrameReport:
-        """Trains the first frame and writes header and keyframe; the file is only opened once training is done."""
-        watch, settings, views = _Stopwatch(), self._settings, self._ingest.views
+        """Trains or takes over the first frame and writes header and keyframe; the file is opened only then."""
+        watch = _Stopwatch()
+        if self._source is None:
+            state, lattice = self._trained_keyframe(frame, watch, on_step)
+        else:
+            self._source.check(self._ingest, frame.index)
+            self._ingest.set_near_planes(self._source.near_planes)
+            state, lattice = self._source.state, self._source.header.lattice
+        self._first = frame.index
+        self._header = self._stream_header(lattice, sh_degree_of(state.coefficients))
+        with watch.stage("write"):
+            self._writer = open_writer(self._header.to_bytes())
+            coded = write_key(state, level=self._settings.zstd_level)
+            size = self._commit(PacketKind.KEY, 0, coded)
+        with watch.stage("settle"):
+            self._trainer = self._frame_trainer(dequantise(state, lattice))
+        self._pictures = frame.training
+        return self._report(frame, "key", size, coded, 1.0, watch)
+
+    def _trained_keyframe(
+        self, frame: RigFrame, watch: _Stopwatch, on_step: OnKeyframeStep | None
+    ) -> tuple[State, Lattice]:
+        """The keyframe's Gaussians on the lattice that suits them."""
+        settings, views = self._settings, self._ingest.views
         with watch.stage("first_points"):
             points = first_points(
                 [view.pinhole for view in views],
@@ -121,38 +162,15 @@ class StreamEncoder:
             )
         extent, centre = robust_extent(trained.splats.means)
         lattice = default_lattice(extent, centre=centre, quality=settings.quality)
-        self._first = frame.index
-        self._header = self._stream_header(lattice)
-        self._watch = [FixedView(self._kernel, view.pinhole) for view in views]
-        self._trainer = self._frame_trainer(trained.splats)
-        with watch.stage("write"):
-            state, _ = keyframe_state(quantise(trained.splats, lattice))
-            self._writer = open_writer(self._header.to_bytes())
-            coded = write_key(state, level=settings.zstd_level)
-            size = self._commit(PacketKind.KEY, 0, coded)
-            assert self._state is not None
-            scene = dequantise(self._state, lattice)
-            for view in self._watch:
-                view.place(scene)
-                view.refresh()
-        self._pictures = frame.training
-        return self._report(frame, "key", size, coded, 1.0, watch)
+        state, _ = keyframe_state(quantise(trained.splats, lattice))
+        return state, lattice
 
     def encode_next(self, frame: RigFrame) -> FrameReport:
         """Trains and writes the next frame from the reconstructed state of the one before."""
         assert self._state is not None
         watch, state = _Stopwatch(), self._state
-        with watch.stage("masks"):
-            masks = frame_masks(frame.training, self._pictures, self._settings.frame.masks)
-        selected: NDArray[np.bool_] = np.zeros(len(state), bool)
-        trained: TrainedFrame | None = None
-        if any(mask.raw.any() for mask in masks):
-            scene = dequantise(state, self._header.lattice)
-            with watch.stage("selection"):
-                selected = self._select(masks)
-            if selected.any():
-                with watch.stage("training"):
-                    trained = self._trainer.train(scene, selected, frame.training, masks, self._motion)
+        train = self._train_all if self._settings.method == "3dgstream" else self._train_selected
+        trained, share = train(frame, state, watch)
         with watch.stage("write"):
             delta = None if trained is None else self._delta(state, trained)
             index = frame.index - self._first
@@ -166,14 +184,38 @@ class StreamEncoder:
                 self._settle(state, trained)
         self._motion = self._displacements(state, self._state)
         self._pictures = frame.training
-        share = float(selected.mean()) if len(selected) else 0.0
         return self._report(frame, kind.name.lower(), size, coded, share, watch)
 
     def finish(self) -> None:
         """Completes the stream with its index."""
         self._writer.finish()
 
+    def _train_selected(self, frame: RigFrame, state: State, watch: _Stopwatch) -> tuple[TrainedFrame | None, float]:
+        """What DecoGS changes, None when the frame selects nothing, and the share of Gaussians selected."""
+        with watch.stage("masks"):
+            masks = frame_masks(frame.training, self._pictures, self._settings.frame.masks)
+        selected: NDArray[np.bool_] = np.zeros(len(state), bool)
+        trained: TrainedFrame | None = None
+        if any(mask.raw.any() for mask in masks):
+            scene = dequantise(state, self._header.lattice)
+            with watch.stage("selection"):
+                selected = self._select(masks)
+            if selected.any():
+                with watch.stage("training"):
+                    trained = self._trainer.train(scene, selected, frame.training, masks, self._motion)
+        return trained, float(selected.mean()) if len(selected) else 0.0
+
+    def _train_all(self, frame: RigFrame, state: State, watch: _Stopwatch) -> tuple[TrainedFrame, float]:
+        """What the dense baseline changes: it looks at no mask, selects nothing and so takes part in every frame."""
+        scene = dequantise(state, self._header.lattice)
+        with watch.stage("training"):
+            everything = np.ones(len(state), bool)
+            return self._trainer.train(scene, everything, frame.training, [], self._motion), 1.0
+
     def _select(self, masks: Sequence[FrameMask]) -> NDArray[np.bool_]:
+        if "select" in self._settings.frame.ablated:
+            assert self._state is not None
+            return np.ones(len(self._state), bool)
         evidence = [view_evidence(view, mask.dilated) for view, mask in zip(self._watch, masks, strict=True)]
         return select(evidence, self._settings.frame.selection)
 
@@ -185,12 +227,8 @@ class StreamEncoder:
         renumbered[~np.isin(before.ids, ids, assume_unique=True)] = -1
         new = np.flatnonzero(~np.isin(ids, before.ids, assume_unique=True))
         rows = np.concatenate([np.setdiff1d(renumbered[trained.kept], [-1]), new])
-        everything = len(trained.kept) + len(trained.removed) == len(before)
         for view in self._watch:
-            if everything:
-                view.place(scene)
-            else:
-                view.settle(scene, rows, renumbered)
+            view.settle(scene, rows, renumbered)
             view.refresh()
 
     def _delta(self, state: State, trained: TrainedFrame) -> Delta:
@@ -220,10 +258,10 @@ class StreamEncoder:
         assert self._state is not None
         if kind == "key":
             self._motion = np.zeros((len(self._state), 3), np.float32)
+        cpu_seconds = watch.cpu_seconds()
         with watch.stage("measure"):
             scene = dequantise(self._state, self._header.lattice)
-            shown = [view.rgb for view in self._watch]
-            training = mean_picture_psnr(self._ingest.views, shown, frame.training)
+            training = self._training_psnr(scene, frame)
             held_out = mean_psnr(self._kernel, scene, self._ingest.held_out_views, frame.held_out)
         return FrameReport(
             frame.index,
@@ -235,42 +273,61 @@ class StreamEncoder:
             held_out if frame.held_out else None,
             watch.seconds,
             coded.costs,
+            cpu_seconds,
         )
 
-    def _stream_header(self, lattice: Lattice) -> StreamHeader:
-        rig, settings = self._ingest.rig, self._settings
+    def _training_psnr(self, scene: Splats, frame: RigFrame) -> float:
+        """Of the training views, which DecoGS has drawn already."""
+        if not self._watch:
+            return mean_psnr(self._kernel, scene, self._ingest.views, frame.training)
+        return mean_picture_psnr(self._ingest.views, [view.rgb for view in self._watch], frame.training)
+
+    def _stream_header(self, lattice: Lattice, sh_degree: int) -> StreamHeader:
+        rig, document = self._ingest.rig, self._settings.as_document()
+        if self._source is not None:
+            document |= self._source.settings
         return StreamHeader(
             cameras=self._ingest.cameras,
             lattice=lattice,
-            sh_degree=settings.keyframe.sh_degree,
+            sh_degree=sh_degree,
             fps=rig.fps,
             first_frame=self._first,
-            effects=_effects(rig, settings),
+            effects=_effects(rig, sh_degree),
             held_out=tuple(view.camera.name for view in self._ingest.held_out_views),
             source_text=rig.source_text,
             licence=rig.licence,
-            settings={"seed": self._seed, "scale": self._ingest.scale, **settings.as_document()},
+            settings={"seed": self._seed, "scale": self._ingest.scale, **document},
         )
 
-    def _frame_trainer(self, splats: Splats) -> FrameTrainer:
+    def _frame_trainer(self, splats: Splats) -> FrameTrainer | BaselineTrainer:
         low, high = np.percentile(splats.means.astype(np.float64), [1, 99], axis=0)
         margin = 0.1 * (high - low) + 1e-6
+        box, extent = (low - margin, high + margin), scene_extent(self._ingest.views) or 1.0
+        kernel, views, seed, threads = self._kernel, self._ingest.views, self._seed, max(1, self._threads)
+        if self._settings.method == "3dgstream":
+            return BaselineTrainer(
+                kernel,
+                views,
+                self._settings.baseline,
+                population=len(splats),
+                extent=extent,
+                box=box,
+                seed=seed,
+                threads=threads,
+            )
+        self._watch = [FixedView(kernel, view.pinhole) for view in views]
+        for view in self._watch:
+            view.place(splats)
+            view.refresh()
         return FrameTrainer(
-            self._kernel,
-            self._ingest.views,
-            self._watch,
-            self._settings.frame,
-            extent=scene_extent(self._ingest.views) or 1.0,
-            box=(low - margin, high + margin),
-            seed=self._seed,
-            threads=max(1, self._threads),
+            kernel, views, self._watch, self._settings.frame, extent=extent, box=box, seed=seed, threads=threads
         )
 
 
-def _effects(rig: Rig, settings: EncodeSettings) -> tuple[str, ...]:
+def _effects(rig: Rig, sh_degree: int) -> tuple[str, ...]:
     """What a stream of this encode may carry (SPEC.md, "Header packet")."""
     effects = ["motion", "appearance_change", "emergence", "disappearance"]
-    if settings.keyframe.sh_degree:
+    if sh_degree:
         effects.append("view_dependence")
     if any(is_distorted(camera) for camera in rig.cameras):
         effects.append("lens_distortion")
@@ -295,16 +352,18 @@ def encode_stream(
     *,
     seed: int,
     threads: int,
+    keyframe: KeyframeSource | None = None,
     on_frame: OnFrame | None = None,
     on_keyframe_step: OnKeyframeStep | None = None,
 ) -> EncodeReport:
     """Encodes frames ``span`` of the rig to ``output``; Ctrl-C after the keyframe ends the stream early but whole.
 
+    ``keyframe``: an earlier stream's, to begin with instead of training one; UsageError when it does not fit the rig.
     Raises DecogsError for unusable input; complete frames then remain in ``output`` + ".part", and the message says so.
     """
     _check_output(output)
     growing = output.with_name(output.name + ".part")
-    encoder = StreamEncoder(ingest, settings, seed=seed, threads=threads)
+    encoder = StreamEncoder(ingest, settings, seed=seed, threads=threads, keyframe=keyframe)
     reports: list[FrameReport] = []
     interrupted = False
     file: BinaryIO | None = None

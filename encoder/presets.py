@@ -5,31 +5,43 @@ A preset is a starting point; every field says in its own docstring which way is
 
 from __future__ import annotations
 
+import json
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from typing import Any, Literal
 
 from decogs.codec.lattice import Quality
 from decogs.formats.errors import UsageError
 
+from .baseline import BaselineSettings
 from .emergence import EmergenceSettings
 from .frame_training import FrameSettings
 from .keyframe import KeyframeSettings
 from .masks import MaskSettings
 from .selection import SelectionSettings
 
+Method = Literal["decogs", "3dgstream"]
+"""How later frames are trained (`methods`)."""
+
 
 @dataclass(frozen=True)
 class EncodeSettings:
-    """What an encode does. ``quality``: lattice steps, finer is larger. ``zstd_level``: higher is slower, smaller."""
+    """What an encode does. ``quality``: lattice steps, finer is larger. ``zstd_level``: higher is slower, smaller.
+
+    ``method``: later frames follow ``frame`` ("decogs") or ``baseline`` ("3dgstream", slower).
+    """
 
     keyframe: KeyframeSettings = field(default_factory=KeyframeSettings)
     frame: FrameSettings = field(default_factory=FrameSettings)
     quality: Quality = "fine"
     zstd_level: int = 19
+    method: Method = "decogs"
+    baseline: BaselineSettings = field(default_factory=BaselineSettings)
 
     def as_document(self) -> dict[str, Any]:
-        """The settings as plain JSON values, for the stream's header and the log."""
-        return asdict(self)
+        """The settings as plain JSON values, for the stream's header and the log; without the other method's."""
+        document: dict[str, Any] = json.loads(json.dumps(asdict(self)))
+        del document["frame" if self.method == "3dgstream" else "baseline"]
+        return document
 
 
 _STANDARD = EncodeSettings(

@@ -22,6 +22,7 @@ from decogs.encoder import EncodeReport, EncodeSettings, FrameReport
 from decogs.encoder.frame_training import FrameSettings
 from decogs.encoder.ingest import Ingest
 from decogs.encoder.keyframe import KeyframeSettings
+from decogs.encoder.keyframe_source import read_keyframe
 from decogs.encoder.loop import encode_stream
 from decogs.encoder.masks import MaskSettings
 from decogs.encoder.transformation_cache import CacheSettings
@@ -201,7 +202,7 @@ Encode = Callable[..., Encoded]
 def _encode(output: Path, rig: Path, **options: Any) -> Encoded:
     chosen: dict[str, Any] = {
         "settings": TINY, "holdout": [HELD_OUT], "seed": 0, "threads": 2, "scale": 1.0, "on_frame": None,
-        "start": 0, "stop": None, "on_keyframe_step": None,
+        "start": 0, "stop": None, "on_keyframe_step": None, "keyframe": None,
     } | options  # fmt: skip
     opened = open_rig(rig)
     ingest = Ingest(opened, holdout=chosen["holdout"], scale=chosen["scale"])
@@ -227,6 +228,7 @@ def _encode(output: Path, rig: Path, **options: Any) -> Encoded:
             chosen["settings"],
             seed=chosen["seed"],
             threads=chosen["threads"],
+            keyframe=None if chosen["keyframe"] is None else read_keyframe(chosen["keyframe"]),
             on_frame=chosen["on_frame"],
             on_keyframe_step=chosen["on_keyframe_step"],
         )
@@ -235,7 +237,7 @@ def _encode(output: Path, rig: Path, **options: Any) -> Encoded:
 
 @pytest.fixture(scope="session")
 def encode(tmp_path_factory: pytest.TempPathFactory) -> Encode:
-    """``encode(rig, settings=, holdout=, seed=, threads=, scale=, start=, stop=, on_frame=, output=)`` and observes."""
+    """``encode(rig, settings=, holdout=, seed=, threads=, scale=, start=, stop=, keyframe=, output=)`` and observes."""
 
     def run(rig: Path, *, output: Path | None = None, **options: Any) -> Encoded:
         return _encode(output or tmp_path_factory.mktemp("encoded") / "scene.dgs", rig, **options)
@@ -269,4 +271,6 @@ def shared_data() -> Callable[[str], Path]:
 
 @pytest.fixture
 def frame_report() -> FrameReport:
-    return FrameReport(3, "delta", 1234, 5678, 0.062, 31.5, 30.25, {"masks": 0.1, "training": 1.5, "measure": 9.0}, {})
+    return FrameReport(
+        3, "delta", 1234, 5678, 0.062, 31.5, 30.25, {"masks": 0.1, "training": 1.5, "measure": 9.0}, {}, 2.5
+    )

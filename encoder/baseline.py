@@ -1,0 +1,200 @@
+"""The baseline: 3DGStream's recipe (Sun 2024), dense, on the same keyframe, views, rasteriser and cache as DecoGS.
+
+Stage 1 trains the transformation cache over all Gaussians from its identity start, anew in every frame. The moved
+Gaussians are what lasts. Stage 2 spawns Gaussians where the gradient was high and trains those alone; they show in
+this frame only and are removed before the next one. Nothing is selected, nothing masked: every pixel and every
+Gaussian takes part in every step, which is the cost and the flicker that DecoGS is measured against.
+
+Numbers: the released configuration (field.md, section 1.3). Two things follow the released code and not the paper's
+text: gradients for spawning are gathered in the last 20 steps of stage 1 only, and stage 2 takes away but adds nothing
+more (the code's second round of spawning reads gradient sums that stage 2 never fills). Differences that remain: the
+cache's box is the loop's, as for DecoGS, not 3DGStream's quantile box; frames pass through the lattice, so that the
+stream is an ordinary one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.decoder.rasterise.reference import rotation_matrices
+from decogs.formats.errors import TrainingError
+from decogs.formats.splats import FloatArray, Splats, join_splats, take_splats
+
+from .densification import ViewGradients, opacities_of
+from .frame_training import TrainedFrame
+from .ingest import View
+from .losses import PhotometricLoss, whole_picture_loss
+from .masks import FrameMask
+from .optimiser import ATTRIBUTES, LearningRates, SplatOptimiser
+from .rasterise import SplatGradients, TrainingKernel, gradients_like
+from .transformation_cache import CacheSettings, TransformationCache
+
+_BASE_RATES = LearningRates(
+    means=1.6e-4, log_scales=5e-3, quaternions=1e-3, opacity_logits=5e-2, sh_dc=2.5e-3, sh_rest=2.5e-3 / 20
+)
+"""3DGS's own (Kerbl 2023), ``means`` in units of the rig's extent."""
+
+
+@dataclass(frozen=True)
+class BaselineSettings:
+    """The numbers of 3DGStream's recipe; the defaults are its released configuration.
+
+    ``cache_iterations``, ``spawn_iterations``: steps of stage 1 and stage 2, one view each; more is slower.
+    ``spawn_gradient``: mean view gradient, over the last ``spawn_window`` steps of stage 1, from which a Gaussian
+    spawns another; lower spawns more, and is slower. ``spawn_spread``: standard deviation of its place about the
+    parent's, in the parent's own sigmas; ``spawn_opacity``: its opacity, 0 to 1; ``spawn_growth``: its size in units of
+    the parent's. Every ``prune_every`` steps of stage 2, spawned Gaussians of less than ``prune_opacity`` or with a
+    sigma above ``prune_size`` (in units of the rig's extent) go. ``rates``: stage 2, ``means`` in units of the rig's
+    extent. ``dissimilarity``: lambda of 3DGS's loss.
+    """
+
+    cache: CacheSettings = field(default_factory=CacheSettings)
+    cache_iterations: int = 150
+    spawn_iterations: int = 100
+    spawn_gradient: float = 1.5e-4
+    spawn_window: int = 20
+    spawn_spread: float = 2.0
+    spawn_opacity: float = 0.1
+    spawn_growth: float = 1.25
+    prune_every: int = 20
+    prune_opacity: float = 0.01
+    prune_size: float = 0.1
+    rates: LearningRates = field(default_factory=lambda: _BASE_RATES.scaled(15))
+    dissimilarity: float = 0.2
+
+
+class BaselineTrainer:
+    """Trains later frames of one stream as 3DGStream does.
+
+    ``population``: Gaussians of the keyframe; rows of a scene beyond them were spawned for the frame before.
+    ``extent`` is the rig's, the box bounds what the cache may move and where Gaussians may spawn.
+    """
+
+    def __init__(
+        self,
+        kernel: TrainingKernel,
+        views: Sequence[View],
+        settings: BaselineSettings,
+        *,
+        population: int,
+        extent: float,
+        box: tuple[NDArray[np.float64], NDArray[np.float64]],
+        seed: int,
+        threads: int = 1,
+    ) -> None:
+        self._kernel, self._views, self._settings = kernel, views, settings
+        self._population, self._extent, self._box = population, extent, box
+        self._random = np.random.default_rng(seed)
+        self._queue: list[int] = []
+        self._cache = TransformationCache(*box, settings.cache, seed, threads=threads)
+
+    def train(
+        self,
+        scene: Splats,
+        selected: NDArray[np.bool_],
+        pictures: Sequence[FloatArray],
+        masks: Sequence[FrameMask],
+        motion: FloatArray,
+    ) -> TrainedFrame:
+        """Trains all Gaussians of ``scene`` on one frame's pictures (3, H, W).
+
+        The call is `FrameTrainer.train`'s; ``selected``, ``masks`` and ``motion`` have no part in this method.
+        """
+        losses = [
+            whole_picture_loss(picture, view.valid, self._settings.dissimilarity)
+            for picture, view in zip(pictures, self._views, strict=True)
+        ]
+        kept = np.arange(self._population)
+        lasting = take_splats(scene, kept)
+        gradients = self._stage1(lasting, losses)
+        spawned = self._stage2(lasting, self._spawned(lasting, gradients), losses)
+        return TrainedFrame(kept, lasting, np.arange(self._population, len(scene)), spawned)
+
+    def _stage1(self, scene: Splats, losses: Sequence[PhotometricLoss]) -> NDArray[np.float64]:
+        """Moves ``scene`` by a freshly trained cache; returns the mean view gradients that spawning goes by."""
+        settings, cache = self._settings, self._cache
+        gathered, gradients = ViewGradients(len(scene)), gradients_like(scene)
+        cache.restart()
+        cache.place(scene.means, scene.quaternions)
+        for step in range(settings.cache_iterations):
+            scene.means[:], scene.quaternions[:] = cache.moved()
+            camera = self._views[self._descend(scene, losses, gradients)].pinhole
+            if step >= settings.cache_iterations - settings.spawn_window:
+                gathered.add(gradients.view, camera.width, camera.height)
+            cache.backward(gradients.means, gradients.quaternions)
+            cache.step()
+        scene.means[:], scene.quaternions[:] = cache.moved()
+        return gathered.mean()
+
+    def _spawned(self, scene: Splats, gradients: NDArray[np.float64]) -> Splats:
+        """One new Gaussian beside every one in the box whose view gradient reaches the threshold."""
+        settings = self._settings
+        low, high = self._box
+        inside = ((scene.means >= low) & (scene.means <= high)).all(axis=1)
+        parents = take_splats(scene, np.flatnonzero(inside & (gradients >= settings.spawn_gradient)))
+        scales = np.exp(parents.log_scales.astype(np.float64))
+        rotations = rotation_matrices(np, parents.quaternions.astype(np.float64))
+        drawn = settings.spawn_spread * scales * self._random.normal(size=scales.shape)
+        upright = np.zeros_like(parents.quaternions)
+        upright[:, 0] = 1
+        logit = np.log(settings.spawn_opacity / (1 - settings.spawn_opacity))
+        return Splats(
+            (parents.means + np.einsum("nij,nj->ni", rotations, drawn)).astype(np.float32),
+            parents.log_scales + np.float32(np.log(settings.spawn_growth)),
+            upright,
+            np.full(len(parents), logit, np.float32),
+            parents.sh,
+        )
+
+    def _stage2(self, lasting: Splats, spawned: Splats, losses: Sequence[PhotometricLoss]) -> Splats:
+        """Trains the spawned Gaussians alone, in the whole scene, and takes away those that come to nothing."""
+        settings = self._settings
+        rates = replace(settings.rates, means=settings.rates.means * self._extent)
+        optimiser = SplatOptimiser(spawned, self._kernel)
+        scene = join_splats(lasting, spawned)
+        gradients = gradients_like(scene)
+        for step in range(1, settings.spawn_iterations + 1):
+            if not len(optimiser.splats):
+                break
+            self._descend(scene, losses, gradients)
+            optimiser.step(_rows_from(gradients, self._population), rates)
+            if step % settings.prune_every == 0:
+                optimiser.keep(self._worth_keeping(optimiser.splats))
+                scene = join_splats(lasting, optimiser.splats)
+                gradients = gradients_like(scene)
+            else:
+                for name in ATTRIBUTES:
+                    getattr(scene, name)[self._population :] = getattr(optimiser.splats, name)
+        return take_splats(optimiser.splats, self._worth_keeping(optimiser.splats))
+
+    def _worth_keeping(self, spawned: Splats) -> NDArray[np.bool_]:
+        small = spawned.log_scales.max(axis=1, initial=-np.inf) <= np.log(self._settings.prune_size * self._extent)
+        return np.asarray(small & (opacities_of(spawned) >= self._settings.prune_opacity))
+
+    def _descend(self, scene: Splats, losses: Sequence[PhotometricLoss], out: SplatGradients) -> int:
+        """Puts the gradients of one view's loss into ``out``, views at random, each once before any comes again."""
+        if not self._queue:
+            self._queue = [int(i) for i in self._random.permutation(len(self._views))]
+        index = self._queue.pop()
+        picture = self._kernel.forward(scene, self._views[index].pinhole)
+        value, cotangent = losses[index].evaluate(self._kernel, picture.rgb)
+        if not np.isfinite(value.total):
+            name = self._views[index].camera.name
+            raise TrainingError(f"the loss of camera {name} is {value.total}; lower the rates")
+        self._kernel.backward(scene, cotangent, out=out)
+        return index
+
+
+def _rows_from(gradients: SplatGradients, first: int) -> SplatGradients:
+    return SplatGradients(
+        gradients.means[first:],
+        gradients.log_scales[first:],
+        gradients.quaternions[first:],
+        gradients.opacity_logits[first:],
+        gradients.sh[first:],
+        gradients.view[first:],
+    )
