@@ -29,8 +29,8 @@ from .frame_training import TrainedFrame
 from .ingest import View
 from .losses import PhotometricLoss, whole_picture_loss
 from .masks import FrameMask
-from .optimiser import ATTRIBUTES, LearningRates, SplatOptimiser, gradient_buffers
-from .rasterise import SplatGradients, TrainingKernel
+from .optimiser import ATTRIBUTES, LearningRates, SplatOptimiser
+from .rasterise import SplatGradients, TrainingKernel, gradients_like
 from .transformation_cache import CacheSettings, TransformationCache
 
 _BASE_RATES = LearningRates(
@@ -117,7 +117,7 @@ class BaselineTrainer:
     def _stage1(self, scene: Splats, losses: Sequence[PhotometricLoss]) -> NDArray[np.float64]:
         """Moves ``scene`` by a freshly trained cache; returns the mean view gradients that spawning goes by."""
         settings, cache = self._settings, self._cache
-        gathered, gradients = ViewGradients(len(scene)), gradient_buffers(scene)
+        gathered, gradients = ViewGradients(len(scene)), gradients_like(scene)
         cache.restart()
         cache.place(scene.means, scene.quaternions)
         for step in range(settings.cache_iterations):
@@ -156,7 +156,7 @@ class BaselineTrainer:
         rates = replace(settings.rates, means=settings.rates.means * self._extent)
         optimiser = SplatOptimiser(spawned, self._kernel)
         scene = join_splats(lasting, spawned)
-        gradients = gradient_buffers(scene)
+        gradients = gradients_like(scene)
         for step in range(1, settings.spawn_iterations + 1):
             if not len(optimiser.splats):
                 break
@@ -165,7 +165,7 @@ class BaselineTrainer:
             if step % settings.prune_every == 0:
                 optimiser.keep(self._worth_keeping(optimiser.splats))
                 scene = join_splats(lasting, optimiser.splats)
-                gradients = gradient_buffers(scene)
+                gradients = gradients_like(scene)
             else:
                 for name in ATTRIBUTES:
                     getattr(scene, name)[self._population :] = getattr(optimiser.splats, name)

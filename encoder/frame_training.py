@@ -19,20 +19,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.formats.errors import TrainingError
-from decogs.formats.splats import FloatArray, Splats, empty_splats, join_splats, take_splats
+from decogs.formats.splats import FloatArray, Splats, empty_splats, take_splats
 
 from .densification import ViewGradients, grow, opacities_of, strongest
 from .emergence import EmergenceSettings, Look, missed, seeds, worth_a_search
 from .ingest import View
-from .losses import FocusWeights, PhotometricLoss, focus_loss
+from .losses import FocusWeights, PhotometricLoss, focus_loss, whole_picture_loss
 from .masks import FrameMask, MaskSettings
 from .optimiser import LearningRates, SplatOptimiser
-from .rasterise import Canvas, SplatGradients, TrainingKernel
+from .rasterise import FixedView, SplatGradients, TrainingKernel, gradients_like
 from .selection import SelectionSettings
 from .transformation_cache import CacheSettings, TransformationCache
-
-INVISIBLE_LOGIT = -80.0
-"""Opacity logit of a Gaussian that is only there until the frame is done."""
 
 
 @dataclass(frozen=True)
@@ -74,12 +71,16 @@ class TrainedFrame:
 
 
 class FrameTrainer:
-    """Trains later frames of one stream; ``extent`` is the rig's, the box bounds what the cache may move."""
+    """Trains later frames of one stream; ``extent`` is the rig's, the box bounds what the cache may move.
+
+    ``watch``: the training views as fixed views of the stream's scene, all of it at rest between frames.
+    """
 
     def __init__(
         self,
         kernel: TrainingKernel,
         views: Sequence[View],
+        watch: Sequence[FixedView],
         settings: FrameSettings,
         *,
         extent: float,
@@ -87,9 +88,11 @@ class FrameTrainer:
         seed: int,
         threads: int = 1,
     ) -> None:
-        self._kernel, self._views, self._settings = kernel, views, settings
+        self._kernel, self._views, self._watch, self._settings = kernel, views, watch, settings
         self._random = np.random.default_rng(seed)
         self._extent = extent
+        self._cotangents = [np.empty_like(view.rgb) for view in watch]
+        self._ungated: SplatOptimiser | None = None
         self._cache: TransformationCache | None = None
         if settings.cache is not None and settings.cache_iterations + settings.joint_iterations > 0:
             self._cache = TransformationCache(*box, settings.cache, seed, threads=threads)
@@ -104,13 +107,15 @@ class FrameTrainer:
     ) -> TrainedFrame:
         """Trains the ``selected`` Gaussians of ``scene`` on one frame's pictures (3, H, W).
 
-        ``motion`` (N, 3) is every Gaussian's last displacement, for the warm start.
+        ``motion`` (N, 3) is every Gaussian's last displacement, for the warm start. The watching views are left with
+        the trained Gaussians lifted.
         """
         losses = [
-            focus_loss(picture, mask.dilated, view.valid, self._settings.focus)
-            for picture, mask, view in zip(pictures, masks, self._views, strict=True)
+            self._loss(picture, mask, view) for picture, mask, view in zip(pictures, masks, self._views, strict=True)
         ]
-        work = _Working(scene, np.flatnonzero(selected), self._kernel, self._settings.prune_opacity)
+        work = _Working(scene, np.flatnonzero(selected), self._kernel)
+        for view in self._watch:
+            view.lift(work.rows)
         work.base.means[:] += np.float32(self._settings.warm_start) * motion[work.rows]
         if self._cache is not None:
             if not self._settings.carry_cache:
@@ -118,17 +123,25 @@ class FrameTrainer:
             self._cache.place(work.base.means, work.base.quaternions)
             self._densify(work, self._stage1(work, losses, self._cache), masks)
             self._add_emerging(work, losses, masks)
+        if "gate" in self._settings.ablated:
+            self._open_gate(work, scene)
         self._stage2(work, losses, masks)
-        return work.result()
+        return self._result(work)
+
+    def _loss(self, picture: FloatArray, mask: FrameMask, view: View) -> PhotometricLoss:
+        weights = self._settings.focus
+        if "focus" in self._settings.ablated:
+            return whole_picture_loss(picture, view.valid, weights.dissimilarity)
+        return focus_loss(picture, mask.dilated, view.valid, weights)
 
     def _stage1(self, work: _Working, losses: Sequence[PhotometricLoss], cache: TransformationCache) -> ViewGradients:
         """The cache alone; the last third gathers the gradients that densification goes by."""
-        gathered = ViewGradients(len(work.scene))
+        gathered = ViewGradients(len(work.rows))
         iterations = self._settings.cache_iterations
         for step, index in enumerate(self._view_order(iterations)):
             work.show(*cache.moved())
             gradients = self._gradients(work, losses, index)
-            cache.backward(gradients.means[work.rows], gradients.quaternions[work.rows])
+            cache.backward(gradients.means, gradients.quaternions)
             cache.step()
             if 3 * step >= 2 * iterations:
                 self._gather(gathered, gradients, losses, index)
@@ -139,7 +152,7 @@ class FrameTrainer:
         """The Gaussians' own values, with the cache if there is one; without it, densification falls in here."""
         settings = self._settings
         rates = replace(settings.rates, means=settings.rates.means * self._extent)
-        gathered = ViewGradients(len(work.scene))
+        gathered = ViewGradients(len(work.rows))
         grow_from, grow_at = settings.joint_iterations // 4, settings.joint_iterations // 2
         for step, index in enumerate(self._view_order(settings.joint_iterations)):
             if self._cache is None and step == grow_at:
@@ -147,25 +160,34 @@ class FrameTrainer:
             self._show(work)
             if self._cache is None and step == grow_from:
                 self._add_emerging(work, losses, masks)
-                gathered = ViewGradients(len(work.scene))
+                gathered = ViewGradients(len(work.rows))
             gradients = self._gradients(work, losses, index)
             if grow_from <= step < grow_at:
                 self._gather(gathered, gradients, losses, index)
-            mine = _gradient_rows(gradients, work.rows)
             if self._cache is not None:
-                means, quaternions = self._cache.backward(mine.means, mine.quaternions)
-                mine = replace(mine, means=means, quaternions=quaternions)
-                self._cache.step()
+                gradients = self._through_cache(work, gradients, self._cache)
             late = settings.late_decay ** max(0.0, 2 * step / settings.joint_iterations - 1)
-            work.optimiser.step(mine, rates.scaled(late))
+            work.optimiser.step(gradients, rates.scaled(late))
         self._show(work)
 
     def _show(self, work: _Working) -> None:
+        """Shows the base values, moved by the cache if there is one."""
         if self._cache is None:
             work.show(work.base.means, work.base.quaternions)
             return
-        self._cache.rebase(work.base.means, work.base.quaternions)
-        work.show(*self._cache.moved())
+        means, quaternions, rows = work.base.means.copy(), work.base.quaternions.copy(), work.selected
+        self._cache.rebase(means[rows], quaternions[rows])
+        means[rows], quaternions[rows] = self._cache.moved()
+        work.show(means, quaternions)
+
+    def _through_cache(self, work: _Working, gradients: SplatGradients, cache: TransformationCache) -> SplatGradients:
+        """Steps the cache; the gradients of the base values."""
+        means, quaternions = gradients.means.copy(), gradients.quaternions.copy()
+        means[work.selected], quaternions[work.selected] = cache.backward(
+            means[work.selected], quaternions[work.selected]
+        )
+        cache.step()
+        return replace(gradients, means=means, quaternions=quaternions)
 
     def _gather(
         self, gathered: ViewGradients, gradients: SplatGradients, losses: Sequence[PhotometricLoss], index: int
@@ -175,15 +197,15 @@ class FrameTrainer:
         gathered.add(gradients.view / np.float32(losses[index].emphasis), camera.width, camera.height)
 
     def _gradients(self, work: _Working, losses: Sequence[PhotometricLoss], index: int) -> SplatGradients:
-        camera = self._views[index].pinhole
-        canvas = work.canvases.setdefault(index, Canvas(camera))
-        rgb = self._kernel.redraw(work.scene, camera, canvas, work.selected)
-        value, cotangent = losses[index].evaluate(self._kernel, rgb)
+        """Gradients of the shown values; pixels that nothing under training meets have no part in them."""
+        view, cotangent = self._watch[index], self._cotangents[index]
+        rgb = view.draw(work.shown, work.rows)
+        value = losses[index].evaluate(self._kernel, rgb, tiles=view.met, gradient=cotangent)[0]
         if not np.isfinite(value.total):
             raise TrainingError(
                 f"the loss of camera {self._views[index].camera.name} is {value.total}; lower the rates"
             )
-        return self._kernel.backward(work.scene, cotangent, selected=work.selected)
+        return view.backward(cotangent, out=work.gradients)
 
     def _view_order(self, steps: int) -> list[int]:
         """Views at random, each once before any comes again."""
@@ -195,50 +217,68 @@ class FrameTrainer:
     def _densify(self, work: _Working, view_gradients: ViewGradients, masks: Sequence[FrameMask]) -> None:
         """Adds Gaussians to ``work`` where the gradient asks for them, and takes those away that have become faint."""
         settings = self._settings
-        gradients = view_gradients.mean()[work.rows]
-        faint = opacities_of(work.base) < settings.prune_opacity
-        room = int(settings.grow_share * len(work.rows))
-        parents = strongest(gradients, ~faint, settings.grow_gradient, room)
+        faint = work.selected & (opacities_of(work.base) < settings.prune_opacity)
+        room = int(settings.grow_share * work.selected.sum())
+        parents = strongest(view_gradients.mean(), work.selected & ~faint, settings.grow_gradient, room)
         if len(parents):
             growth = grow(work.base, parents, 0.01 * self._extent, self._random)
-            shift = work.scene.means[work.rows[parents]] - work.base.means[parents]
+            shift = work.shown.means[parents] - work.base.means[parents]
             stray = ~self._inside_focus(growth.children.means + shift, masks)
             growth.children.means[stray] = work.base.means[parents[stray]]
             work.base.means[parents] = growth.parent_means
             work.base.log_scales[parents] = growth.parent_log_scales
             work.append(growth.children)
         work.remove(np.flatnonzero(faint))
-        if self._cache is not None and (len(parents) or faint.any()):
+        if len(parents) or faint.any():
+            self._replace(work)
+
+    def _replace(self, work: _Working) -> None:
+        """After Gaussians came or went: the cache follows, and the picture."""
+        if self._cache is not None:
             self._cache.place(work.base.means, work.base.quaternions, same_frame=True)
+        self._show(work)
 
     def _add_emerging(self, work: _Working, losses: Sequence[PhotometricLoss], masks: Sequence[FrameMask]) -> None:
         """Adds what newly appears in this frame to ``work``."""
         new = self._emerging(work, losses, masks)
-        work.append(new)
-        if self._cache is not None and len(new):
-            self._cache.place(work.base.means, work.base.quaternions, same_frame=True)
+        if len(new):
+            work.append(new)
+            self._replace(work)
 
     def _emerging(self, work: _Working, losses: Sequence[PhotometricLoss], masks: Sequence[FrameMask]) -> Splats:
         """Seeds of it; a few views tell whether to look at all of them."""
         settings = self._settings.emergence
         if settings.most <= 0:
-            return empty_splats(work.scene.sh_degree)
+            return empty_splats(work.base.sh_degree)
         looks: dict[int, Look] = {}
         for probe in (range(0, len(self._views), 3), range(len(self._views))):
             for index in probe:
                 if index not in looks:
                     looks[index] = self._look(work, index, losses[index].target, masks[index])
             if not worth_a_search([missed(look, settings) for look in looks.values()], settings):
-                return empty_splats(work.scene.sh_degree)
-        return seeds([looks[i] for i in range(len(looks))], settings, work.scene.sh_degree)
+                return empty_splats(work.base.sh_degree)
+        return seeds([looks[i] for i in range(len(looks))], settings, work.base.sh_degree)
 
     def _look(self, work: _Working, index: int, target: FloatArray, mask: FrameMask) -> Look:
-        view = self._views[index]
-        picture = self._kernel.forward(work.scene, view.pinhole, depth=True)
-        assert picture.depth is not None
-        depth = picture.depth / np.maximum(picture.alpha, np.float32(1e-6))
+        view, watching = self._views[index], self._watch[index]
+        rgb = watching.draw(work.shown, work.rows, depth=True)
+        depth = watching.depth / np.maximum(watching.alpha, np.float32(1e-6))
         focus = mask.dilated if view.valid is None else mask.dilated & (view.valid > 0)
-        return Look(view.pinhole, target, picture.rgb, depth, focus)
+        return Look(view.pinhole, target, rgb, depth, focus)
+
+    def _open_gate(self, work: _Working, scene: Splats) -> None:
+        """Ablation: from here on every Gaussian is stepped, with the momentum of the frames before."""
+        others = np.setdiff1d(np.arange(len(scene)), work.lifted)
+        for view in self._watch:
+            view.lift(others)
+        work.admit(others, take_splats(scene, others), self._ungated)
+
+    def _result(self, work: _Working) -> TrainedFrame:
+        result = work.result(self._settings.prune_opacity)
+        if "gate" in self._settings.ablated:
+            self._ungated = work.optimiser
+            self._ungated.keep(work.lasting(self._settings.prune_opacity))
+        return result
 
     def _inside_focus(self, means: FloatArray, masks: Sequence[FrameMask]) -> NDArray[np.bool_]:
         """Points (P, 3) that project into the region of interest of at least one view."""
@@ -256,72 +296,69 @@ class FrameTrainer:
 
 
 class _Working:
-    """A frame in the making: the whole scene as rendered, and the values of the rows under training.
+    """A frame in the making: the Gaussians under training, apart from the scene they belong to.
 
-    ``scene`` holds the previous frame's N Gaussians, then the added ones; ``rows`` are the scene's rows under
-    training, ``base`` their own values before the cache moves them. Removed rows stay in ``scene``, invisible.
+    ``rows`` (M,), ascending, are their rows in the scene; Gaussians that are added get rows behind its last. ``base``
+    are their own values, ``shown`` the same as the cache moves them. ``selected`` (M,): all, but for an ablation.
     """
 
-    def __init__(self, scene: Splats, rows: NDArray[np.int64], kernel: TrainingKernel, prune_opacity: float) -> None:
-        self._prune_opacity = prune_opacity
-        self._population = len(scene)
-        self._removed = np.zeros(0, np.int64)
-        self.scene = take_splats(scene, np.arange(len(scene)))
-        self.rows = rows
+    def __init__(self, scene: Splats, rows: NDArray[np.int64], kernel: TrainingKernel) -> None:
+        self._population = self._next_row = len(scene)
+        self.lifted = self.rows = rows
         self.optimiser = SplatOptimiser(take_splats(scene, rows), kernel)
-        self.canvases: dict[int, Canvas] = {}
-        self.selected = np.zeros(len(scene), bool)
-        self.selected[rows] = True
+        self.selected = np.ones(len(rows), bool)
+        self.shown, self.gradients = self.base, gradients_like(self.base)
 
     @property
     def base(self) -> Splats:
         return self.optimiser.splats
 
     def show(self, means: FloatArray, quaternions: FloatArray) -> None:
-        """Puts the rows under training into the scene, moved."""
-        self.scene.means[self.rows] = means
-        self.scene.quaternions[self.rows] = quaternions
-        self.scene.log_scales[self.rows] = self.base.log_scales
-        self.scene.opacity_logits[self.rows] = self.base.opacity_logits
-        self.scene.sh[self.rows] = self.base.sh
+        self.shown = replace(self.base, means=means, quaternions=quaternions)
 
     def append(self, children: Splats) -> None:
         """Every per-Gaussian buffer follows the new count (method.md, step 4)."""
-        first = len(self.scene)
-        self.scene = join_splats(self.scene, children)
         self.optimiser.append(children)
-        self.rows = np.concatenate([self.rows, np.arange(first, len(self.scene))])
+        self.rows = np.concatenate([self.rows, np.arange(self._next_row, self._next_row + len(children))])
         self.selected = np.concatenate([self.selected, np.ones(len(children), bool)])
+        self._next_row += len(children)
+        self._resized()
 
     def remove(self, positions: NDArray[np.int64]) -> None:
-        """Takes the rows at ``positions`` of ``rows`` out of training and out of the picture."""
-        gone = self.rows[positions]
+        """Takes the Gaussians at ``positions`` of ``rows`` out of training and out of the picture."""
         stays = np.ones(len(self.rows), bool)
         stays[positions] = False
-        self.rows = self.rows[stays]
+        self.rows, self.selected = self.rows[stays], self.selected[stays]
         self.optimiser.keep(stays)
-        self.selected[gone] = False
-        self.scene.opacity_logits[gone] = INVISIBLE_LOGIT
-        self._removed = np.sort(np.concatenate([self._removed, gone]))
+        self._resized()
 
-    def result(self) -> TrainedFrame:
-        """Bakes the cache's motion in (method.md, step 7); Gaussians added in vain are left out."""
+    def admit(self, rows: NDArray[np.int64], splats: Splats, momentum: SplatOptimiser | None) -> None:
+        """Takes further ``rows`` of the scene under training that are not selected."""
+        joined = np.concatenate([self.rows, rows])
+        order = np.argsort(joined)
+        self.rows = joined[order]
+        self.selected = np.concatenate([self.selected, np.zeros(len(rows), bool)])[order]
+        self.lifted = np.sort(np.concatenate([self.lifted, rows]))
+        self.optimiser.append(splats)
+        self.optimiser.keep(order)
+        if momentum is not None:
+            old = self.rows[self.rows < self._population]
+            self.optimiser.remember(momentum, np.arange(len(old)), old)
+        self._resized()
+
+    def lasting(self, prune_opacity: float) -> NDArray[np.bool_]:
+        """Which of ``rows`` outlive the frame: all but those that were added in vain."""
+        return (self.rows < self._population) | (opacities_of(self.base) >= prune_opacity)
+
+    def result(self, prune_opacity: float) -> TrainedFrame:
+        """Bakes the cache's motion in (method.md, step 7)."""
         old = self.rows < self._population
-        lasting = ~old & (opacities_of(self.base) >= self._prune_opacity)
         return TrainedFrame(
             self.rows[old],
-            take_splats(self.scene, self.rows[old]),
-            self._removed,
-            take_splats(self.scene, self.rows[lasting]),
+            take_splats(self.shown, old),
+            np.setdiff1d(self.lifted, self.rows),
+            take_splats(self.shown, ~old & self.lasting(prune_opacity)),
         )
 
-
-def _gradient_rows(gradients: SplatGradients, rows: NDArray[np.int64]) -> SplatGradients:
-    return SplatGradients(
-        gradients.means[rows],
-        gradients.log_scales[rows],
-        gradients.quaternions[rows],
-        gradients.opacity_logits[rows],
-        gradients.sh[rows],
-        gradients.view[rows],
-    )
+    def _resized(self) -> None:
+        self.shown, self.gradients = self.base, gradients_like(self.base)

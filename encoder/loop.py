@@ -36,11 +36,11 @@ from .baseline import BaselineTrainer
 from .first_points import first_points
 from .frame_training import FrameTrainer, TrainedFrame
 from .ingest import Ingest, RigFrame
-from .keyframe import mean_psnr, scene_extent, train_keyframe
+from .keyframe import mean_picture_psnr, mean_psnr, scene_extent, train_keyframe
 from .keyframe_source import KeyframeSource
 from .masks import FrameMask, frame_masks
 from .presets import EncodeSettings
-from .rasterise import TrainingKernel
+from .rasterise import FixedView, TrainingKernel
 from .selection import select, view_evidence
 
 OnFrame = Callable[["FrameReport"], None]
@@ -113,6 +113,7 @@ class StreamEncoder:
         self._ingest, self._settings, self._seed, self._threads = ingest, settings, seed, threads
         self._source = keyframe
         self._kernel = TrainingKernel(threads)
+        self._watch: list[FixedView] = []
         self._state: State | None = None
         self._pictures: Sequence[FloatArray] = []
         self._motion: FloatArray = np.zeros((0, 3), np.float32)
@@ -130,11 +131,12 @@ class StreamEncoder:
             state, lattice = self._source.state, self._source.header.lattice
         self._first = frame.index
         self._header = self._stream_header(lattice, sh_degree_of(state.coefficients))
-        self._trainer = self._frame_trainer(dequantise(state, lattice))
         with watch.stage("write"):
             self._writer = open_writer(self._header.to_bytes())
             coded = write_key(state, level=self._settings.zstd_level)
             size = self._commit(PacketKind.KEY, 0, coded)
+        with watch.stage("settle"):
+            self._trainer = self._frame_trainer(dequantise(state, lattice))
         self._pictures = frame.training
         return self._report(frame, "key", size, coded, 1.0, watch)
 
@@ -177,6 +179,9 @@ class StreamEncoder:
             else:
                 kind, coded = PacketKind.DELTA, write_delta(state, delta, level=self._settings.zstd_level)
             size = self._commit(kind, index, coded)
+        if trained is not None:
+            with watch.stage("settle"):
+                self._settle(state, trained)
         self._motion = self._displacements(state, self._state)
         self._pictures = frame.training
         return self._report(frame, kind.name.lower(), size, coded, share, watch)
@@ -194,7 +199,7 @@ class StreamEncoder:
         if any(mask.raw.any() for mask in masks):
             scene = dequantise(state, self._header.lattice)
             with watch.stage("selection"):
-                selected = self._select(scene, masks)
+                selected = self._select(masks)
             if selected.any():
                 with watch.stage("training"):
                     trained = self._trainer.train(scene, selected, frame.training, masks, self._motion)
@@ -207,14 +212,24 @@ class StreamEncoder:
             everything = np.ones(len(state), bool)
             return self._trainer.train(scene, everything, frame.training, [], self._motion), 1.0
 
-    def _select(self, scene: Splats, masks: Sequence[FrameMask]) -> NDArray[np.bool_]:
+    def _select(self, masks: Sequence[FrameMask]) -> NDArray[np.bool_]:
         if "select" in self._settings.frame.ablated:
-            return np.ones(len(scene), bool)
-        evidence = [
-            view_evidence(self._kernel, scene, view.pinhole, mask.dilated)
-            for view, mask in zip(self._ingest.views, masks, strict=True)
-        ]
+            assert self._state is not None
+            return np.ones(len(self._state), bool)
+        evidence = [view_evidence(view, mask.dilated) for view, mask in zip(self._watch, masks, strict=True)]
         return select(evidence, self._settings.frame.selection)
+
+    def _settle(self, before: State, trained: TrainedFrame) -> None:
+        """The watching views go on from the frame's reconstructed state; only what was trained can differ."""
+        assert self._state is not None
+        scene, ids = dequantise(self._state, self._header.lattice), self._state.ids
+        renumbered = np.searchsorted(ids, before.ids)
+        renumbered[~np.isin(before.ids, ids, assume_unique=True)] = -1
+        new = np.flatnonzero(~np.isin(ids, before.ids, assume_unique=True))
+        rows = np.concatenate([np.setdiff1d(renumbered[trained.kept], [-1]), new])
+        for view in self._watch:
+            view.settle(scene, rows, renumbered)
+            view.refresh()
 
     def _delta(self, state: State, trained: TrainedFrame) -> Delta:
         lattice = self._header.lattice
@@ -246,7 +261,7 @@ class StreamEncoder:
         cpu_seconds = watch.cpu_seconds()
         with watch.stage("measure"):
             scene = dequantise(self._state, self._header.lattice)
-            training = mean_psnr(self._kernel, scene, self._ingest.views, frame.training)
+            training = self._training_psnr(scene, frame)
             held_out = mean_psnr(self._kernel, scene, self._ingest.held_out_views, frame.held_out)
         return FrameReport(
             frame.index,
@@ -260,6 +275,12 @@ class StreamEncoder:
             coded.costs,
             cpu_seconds,
         )
+
+    def _training_psnr(self, scene: Splats, frame: RigFrame) -> float:
+        """Of the training views, which DecoGS has drawn already."""
+        if not self._watch:
+            return mean_psnr(self._kernel, scene, self._ingest.views, frame.training)
+        return mean_picture_psnr(self._ingest.views, [view.rgb for view in self._watch], frame.training)
 
     def _stream_header(self, lattice: Lattice, sh_degree: int) -> StreamHeader:
         rig, document = self._ingest.rig, self._settings.as_document()
@@ -294,7 +315,13 @@ class StreamEncoder:
                 seed=seed,
                 threads=threads,
             )
-        return FrameTrainer(kernel, views, self._settings.frame, extent=extent, box=box, seed=seed, threads=threads)
+        self._watch = [FixedView(kernel, view.pinhole) for view in views]
+        for view in self._watch:
+            view.place(splats)
+            view.refresh()
+        return FrameTrainer(
+            kernel, views, self._watch, self._settings.frame, extent=extent, box=box, seed=seed, threads=threads
+        )
 
 
 def _effects(rig: Rig, sh_degree: int) -> tuple[str, ...]:

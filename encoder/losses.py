@@ -40,8 +40,15 @@ class PhotometricLoss:
     focus: FloatArray | None = None
     emphasis: float = 1.0
 
-    def evaluate(self, kernel: TrainingKernel, image: FloatArray) -> tuple[LossValue, FloatArray]:
-        """The loss of ``image`` (3, H, W) and its gradient."""
+    def evaluate(
+        self,
+        kernel: TrainingKernel,
+        image: FloatArray,
+        *,
+        tiles: NDArray[np.uint8] | None = None,
+        gradient: FloatArray | None = None,
+    ) -> tuple[LossValue, FloatArray]:
+        """The loss of ``image`` (3, H, W) and its gradient; with ``tiles``, of these tiles only."""
         return kernel.loss(
             image,
             self.target,
@@ -49,6 +56,8 @@ class PhotometricLoss:
             ssim_scale=self.ssim_scale,
             l1_weight=self.l1_weight,
             focus=self.focus,
+            tiles=tiles,
+            gradient=gradient,
         )
 
 

@@ -1,8 +1,7 @@
 """Adam over the stored values of a scene, with rows that come, go, or must not move.
 
 Chosen: one set of moments per attribute, stepped natively on the given rows only, so that a row that is not stepped
-keeps value and moments bit for bit (the method's "Adam reset" is then a matter of zeroing moments once, not of every
-step).
+keeps value and moments bit for bit (the method's "Adam reset" is then a matter of starting without moments).
 Rejected: torch.optim.Adam (steps every row, and its sparse variant has no row sets that change).
 """
 
@@ -66,19 +65,20 @@ class SplatOptimiser:
                 rows=rows,
             )
 
-    def reset_moments(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> None:
-        """Forgets the momentum of ``rows``: method.md, stage 2."""
-        for moments in (self._first, self._second):
-            for name in ATTRIBUTES:
-                getattr(moments, name)[rows] = 0.0
-
-    def moments_are_zero(self, rows: NDArray[np.bool_]) -> bool:
+    def moments_are_zero(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> bool:
         return not any(getattr(m, name)[rows].any() for m in (self._first, self._second) for name in ATTRIBUTES)
 
     def keep(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> None:
         """Drops every other row, or puts rows into a new order."""
         self.splats = take_splats(self.splats, rows)
         self._first, self._second = take_splats(self._first, rows), take_splats(self._second, rows)
+
+    def remember(self, other: SplatOptimiser, rows: NDArray[np.int64], theirs: NDArray[np.int64]) -> None:
+        """Takes over the momentum of another optimiser's rows ``theirs`` for ``rows``, and its count of steps."""
+        self._steps = other._steps
+        for own, moments in ((self._first, other._first), (self._second, other._second)):
+            for name in ATTRIBUTES:
+                getattr(own, name)[rows] = getattr(moments, name)[theirs]
 
     def append(self, added: Splats) -> None:
         """Adds rows without momentum."""
@@ -89,16 +89,3 @@ class SplatOptimiser:
 
 def _zeros_like(splats: Splats) -> Splats:
     return Splats(*(np.zeros_like(getattr(splats, name)) for name in ATTRIBUTES))
-
-
-def gradient_buffers(splats: Splats) -> SplatGradients:
-    """Arrays for the gradients of ``splats``, to be reused from step to step."""
-    zeros = _zeros_like(splats)
-    return SplatGradients(
-        zeros.means,
-        zeros.log_scales,
-        zeros.quaternions,
-        zeros.opacity_logits,
-        zeros.sh,
-        np.zeros(len(splats), np.float32),
-    )

@@ -1,8 +1,7 @@
 """Which Gaussians a frame may change (method.md, step 2): one protocol, two rules, visibility part of either.
 
 Both rules look at the rendering weight of each Gaussian in each view, the sum over pixels of alpha times
-transmittance: one forward and one backward pass per view on the previous frame's scene gives it, in all and inside
-the mask.
+transmittance, in all and inside the mask. A view weighs only the tiles that changed or that the mask meets.
 
 * ``paper``: the projected centre lies in the dilated mask in at least ``least_views`` views in which it is visible.
 * ``weight``: in the views where it is visible, more than ``least_share`` of its weight falls inside the masks. It
@@ -19,10 +18,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.cameras import Camera
-from decogs.formats.splats import Splats
-
-from .rasterise import TrainingKernel
+from .rasterise import FixedView
 
 SelectionRule = Literal["paper", "weight"]
 
@@ -49,15 +45,10 @@ class ViewEvidence:
     masked_weight: NDArray[np.float32]
 
 
-def view_evidence(kernel: TrainingKernel, splats: Splats, camera: Camera, mask: NDArray[np.bool_]) -> ViewEvidence:
-    """Renders ``splats`` through ``camera`` and weighs every Gaussian against the view's dilated mask (H, W)."""
-    kernel.forward(splats, camera)
-    cotangent = np.zeros((3, *mask.shape), np.float32)
-    cotangent[0] = mask
-    cotangent[1] = 1.0
-    weights = kernel.weights(splats, cotangent)
-    centres, _ = kernel.centres(len(splats))
-    return ViewEvidence(_centres_inside(centres, mask), weights[:, 1], weights[:, 0])
+def view_evidence(view: FixedView, mask: NDArray[np.bool_]) -> ViewEvidence:
+    """Weighs every Gaussian of the scene at rest against the view's dilated mask (H, W)."""
+    weight, masked_weight = view.refresh(mask)
+    return ViewEvidence(_centres_inside(view.centres(), mask), weight, masked_weight)
 
 
 def select(evidence: Sequence[ViewEvidence], settings: SelectionSettings) -> NDArray[np.bool_]:

@@ -25,7 +25,7 @@ from decogs.decoder.rasterise.reference import (
     sh_basis,
 )
 from decogs.formats.cameras import Camera, camera_centre
-from decogs.formats.splats import Splats, join_splats
+from decogs.formats.splats import Splats, join_splats, take_splats
 
 ROUNDING = 2.0**-24
 """Relative error of one float32 operation."""
@@ -307,7 +307,7 @@ def decoder_digest(threads: int) -> str:
 
 def encoder_digest(threads: int) -> str:
     """Hash of pictures, all gradients, weights, centres, loss and Adam steps of every case."""
-    from decogs.encoder.rasterise import TrainingKernel
+    from decogs.encoder.rasterise import FixedView, TrainingKernel
 
     kernel = TrainingKernel(threads)
     digest = hashlib.sha256()
@@ -315,10 +315,14 @@ def encoder_digest(threads: int) -> str:
         splats = case.splats
         picture = kernel.forward(splats, case.camera, case.background, depth=True)
         v_rgb, v_alpha, v_depth = cotangents(case)
-        every_third = np.arange(len(splats)) % 3 == 0
-        for selected in (None, every_third):
-            g = kernel.backward(splats, v_rgb, v_alpha=v_alpha, v_depth=v_depth, selected=selected)
-            for array in (g.means, g.log_scales, g.quaternions, g.opacity_logits, g.sh, g.view):
+        g = kernel.backward(splats, v_rgb, v_alpha=v_alpha, v_depth=v_depth)
+        view, third = FixedView(kernel, case.camera), np.arange(0, len(splats), 3)
+        view.place(splats)
+        digest.update(view.refresh(v_depth > 0).tobytes())
+        view.lift(third)
+        digest.update(view.draw(take_splats(splats, third), third).tobytes())
+        for some in (g, view.backward(v_rgb)):
+            for array in (some.means, some.log_scales, some.quaternions, some.opacity_logits, some.sh, some.view):
                 digest.update(array.tobytes())
         target, focus = np.abs(v_rgb) / 3, (v_alpha > 0).astype(np.float32)
         value, gradient = kernel.loss(
@@ -332,12 +336,11 @@ def encoder_digest(threads: int) -> str:
             picture.rgb,
             picture.alpha,
             picture.depth,
-            kernel.weights(splats, np.abs(v_rgb)),
             gradient,
             sh,
             *moments,
         )
-        for array in (*arrays, *kernel.centres(len(splats)), np.array([value.total, value.mean_square])):
+        for array in (*arrays, *kernel.centres(len(splats)), np.array([value.total])):
             digest.update(array.tobytes())
     return digest.hexdigest()
 

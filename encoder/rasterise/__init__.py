@@ -4,6 +4,7 @@ A CUDA backend (gsplat: ``rasterize_to_pixels`` with tile masks, ``packed=False`
 methods.
 """
 
-from .native import Canvas, LossValue, Picture, SplatGradients, TrainingKernel
+from .fixed_view import FixedView
+from .native import LossValue, Picture, SplatGradients, TrainingKernel, gradients_like
 
-__all__ = ["Canvas", "LossValue", "Picture", "SplatGradients", "TrainingKernel"]
+__all__ = ["FixedView", "LossValue", "Picture", "SplatGradients", "TrainingKernel", "gradients_like"]

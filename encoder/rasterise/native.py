@@ -26,7 +26,7 @@ _TILE = 16
 """Side of the kernel's tiles (kernel/project.h)."""
 
 
-class _Cotangents(ctypes.Structure):
+class NativeCotangents(ctypes.Structure):
     _fields_ = [
         ("rgb", ctypes.c_void_p),
         ("alpha", ctypes.c_void_p),
@@ -35,10 +35,9 @@ class _Cotangents(ctypes.Structure):
     ]
 
 
-class _Gradients(ctypes.Structure):
+class NativeGradients(ctypes.Structure):
     _fields_ = [
-        (name, ctypes.c_void_p)
-        for name in ("means", "log_scales", "quaternions", "opacity_logits", "sh", "view", "rgb")
+        (name, ctypes.c_void_p) for name in ("means", "log_scales", "quaternions", "opacity_logits", "sh", "view")
     ]
 
 
@@ -48,6 +47,7 @@ class _LossInput(ctypes.Structure):
         ("target", ctypes.c_void_p),
         ("l1_weight", ctypes.c_void_p),
         ("focus", ctypes.c_void_p),
+        ("tiles", ctypes.c_void_p),
         ("l1_scale", ctypes.c_float),
         ("ssim_scale", ctypes.c_float),
         ("width", ctypes.c_int32),
@@ -56,7 +56,7 @@ class _LossInput(ctypes.Structure):
 
 
 class _LossSums(ctypes.Structure):
-    _fields_ = [("l1", ctypes.c_double), ("ssim", ctypes.c_double), ("square", ctypes.c_double)]
+    _fields_ = [("l1", ctypes.c_double), ("ssim", ctypes.c_double)]
 
 
 class _AdamStep(ctypes.Structure):
@@ -64,22 +64,44 @@ class _AdamStep(ctypes.Structure):
 
 
 @lru_cache(maxsize=1)
-def _library() -> ctypes.CDLL:
+def library() -> ctypes.CDLL:
     library = load_kernel(Path(__file__).parent, "_training")
     pointer, handle = ctypes.POINTER, ctypes.c_void_p
     library.decogs_trainer_create.restype = handle
     library.decogs_trainer_create.argtypes = [ctypes.c_int]
     library.decogs_trainer_destroy.argtypes = [handle]
     library.decogs_forward.argtypes = [handle, pointer(NativeScene), pointer(NativeCamera), pointer(NativePlanes)]
-    library.decogs_redraw.argtypes = [*library.decogs_forward.argtypes, ctypes.c_void_p, ctypes.c_int, ctypes.c_void_p]
     library.decogs_backward.argtypes = [
         handle,
         pointer(NativeScene),
         pointer(NativeCamera),
-        pointer(_Cotangents),
-        ctypes.c_void_p,
-        pointer(_Gradients),
+        pointer(NativeCotangents),
+        pointer(NativeGradients),
     ]
+    library.decogs_view_create.restype = handle
+    library.decogs_view_create.argtypes = [pointer(NativeCamera)]
+    library.decogs_view_destroy.argtypes = [handle]
+    library.decogs_view_place.argtypes = [handle, handle, pointer(NativeScene)]
+    library.decogs_view_lift.argtypes = [handle, handle, ctypes.c_int64]
+    library.decogs_view_draw.argtypes = [handle, handle, pointer(NativeScene), handle, pointer(NativePlanes), handle]
+    library.decogs_view_backward.argtypes = [
+        handle,
+        handle,
+        pointer(NativeScene),
+        pointer(NativeCotangents),
+        pointer(NativeGradients),
+    ]
+    library.decogs_view_settle.argtypes = [
+        handle,
+        handle,
+        pointer(NativeScene),
+        handle,
+        ctypes.c_int64,
+        handle,
+        ctypes.c_int64,
+    ]
+    library.decogs_view_refresh.argtypes = [handle, handle, handle, pointer(NativePlanes), handle, ctypes.c_int64]
+    library.decogs_view_centres.argtypes = [handle, ctypes.c_int64, handle]
     library.decogs_loss.argtypes = [handle, pointer(_LossInput), ctypes.c_void_p, pointer(_LossSums)]
     library.decogs_adam.argtypes = [
         handle,
@@ -102,14 +124,6 @@ class Picture:
     depth: FloatArray | None
 
 
-class Canvas:
-    """A view's picture (3, H, W) that is drawn again and again while only selected Gaussians change."""
-
-    def __init__(self, camera: Camera) -> None:
-        self.rgb: FloatArray = np.empty((3, camera.height, camera.width), np.float32)
-        self.touched: NDArray[np.uint8] | None = None
-
-
 @dataclass(frozen=True)
 class SplatGradients:
     """Gradients of the stored values, shaped like them; ``view`` (N,): length of the projected centre's, in pixels."""
@@ -121,18 +135,36 @@ class SplatGradients:
     sh: FloatArray
     view: FloatArray
 
+    def native(self, splats: Splats) -> NativeGradients:
+        """The kernel's view of these arrays; raises ValueError unless they are shaped like ``splats``."""
+        if self.view.shape != (len(splats),) or self.sh.shape != splats.sh.shape:
+            raise ValueError(f"gradients of {self.sh.shape} for splats of {splats.sh.shape}")
+        arrays = (self.means, self.log_scales, self.quaternions, self.opacity_logits, self.sh, self.view)
+        return NativeGradients(*(float_address(a) for a in arrays))
+
+
+def gradients_like(splats: Splats) -> SplatGradients:
+    """Room for the gradients of ``splats``, to be reused from step to step."""
+    return SplatGradients(
+        np.empty_like(splats.means),
+        np.empty_like(splats.log_scales),
+        np.empty_like(splats.quaternions),
+        np.empty_like(splats.opacity_logits),
+        np.empty_like(splats.sh),
+        np.empty(len(splats), np.float32),
+    )
+
 
 @dataclass(frozen=True)
 class LossValue:
-    """What a picture costs: the loss itself, its weighted L1 and SSIM sums and the mean square error."""
+    """What a picture costs where it was looked at: the loss itself, its weighted L1 and SSIM sums."""
 
     total: float
     l1: float
     ssim: float
-    mean_square: float
 
 
-def _address(array: NDArray[np.generic] | None) -> int | None:
+def address(array: NDArray[np.generic] | None) -> int | None:
     if array is None:
         return None
     if not array.flags.c_contiguous:
@@ -140,10 +172,15 @@ def _address(array: NDArray[np.generic] | None) -> int | None:
     return array.ctypes.data
 
 
-def _float_address(array: FloatArray | None) -> int | None:
+def float_address(array: FloatArray | None) -> int | None:
     if array is not None and array.dtype != np.float32:
         raise ValueError("the kernel reads float32 arrays only")
-    return _address(array)
+    return address(array)
+
+
+def tile_count(width: int, height: int) -> int:
+    """How many of the kernel's tiles a picture has."""
+    return -(-width // _TILE) * -(-height // _TILE)
 
 
 class TrainingKernel:
@@ -153,12 +190,12 @@ class TrainingKernel:
     """
 
     def __init__(self, threads: int = 0) -> None:
-        self._library = _library()
-        self._handle = self._library.decogs_trainer_create(thread_count(threads))
+        self._library = library()
+        self.handle = self._library.decogs_trainer_create(thread_count(threads))
 
     def __del__(self) -> None:
-        if hasattr(self, "_handle"):
-            self._library.decogs_trainer_destroy(self._handle)
+        if hasattr(self, "handle"):
+            self._library.decogs_trainer_destroy(self.handle)
 
     def forward(
         self,
@@ -175,42 +212,15 @@ class TrainingKernel:
             np.empty((3, *size), np.float32), np.empty(size, np.float32), np.empty(size, np.float32) if depth else None
         )
         planes = NativePlanes(
-            _address(picture.rgb), _address(picture.alpha), _address(picture.depth), (ctypes.c_float * 3)(*background)
+            address(picture.rgb), address(picture.alpha), address(picture.depth), (ctypes.c_float * 3)(*background)
         )
         self._splats = splats  # the kernel reads these arrays again on the way back
         self._scene, self._camera = native_scene(splats, sh_degree), native_camera(camera)
         self._shape, self._background = size, background
         self._library.decogs_forward(
-            self._handle, ctypes.byref(self._scene), ctypes.byref(self._camera), ctypes.byref(planes)
+            self.handle, ctypes.byref(self._scene), ctypes.byref(self._camera), ctypes.byref(planes)
         )
         return picture
-
-    def redraw(self, splats: Splats, camera: Camera, canvas: Canvas, selected: NDArray[np.bool_]) -> FloatArray:
-        """Brings ``canvas`` up to date and returns its picture; the way back then goes to ``selected`` only.
-
-        Between calls with the same canvas nothing but Gaussians selected at one of them may change (they may become
-        invisible, new ones may be appended): only tiles that those meet are drawn. The pixels are ``forward``'s, bit
-        for bit. Source: method.md, "cost follows motion".
-        """
-        if canvas.rgb.shape[1:] != (camera.height, camera.width) or len(selected) != len(splats):
-            raise ValueError("the canvas or the selection belongs to another camera or scene")
-        first = canvas.touched is None
-        if canvas.touched is None:
-            canvas.touched = np.zeros(-(-camera.width // _TILE) * -(-camera.height // _TILE), np.uint8)
-        self._splats = splats
-        self._scene, self._camera = native_scene(splats), native_camera(camera)
-        self._shape, self._background = (camera.height, camera.width), (0.0, 0.0, 0.0)
-        planes = NativePlanes(_address(canvas.rgb), None, None, (ctypes.c_float * 3)(*self._background))
-        self._library.decogs_redraw(
-            self._handle,
-            ctypes.byref(self._scene),
-            ctypes.byref(self._camera),
-            ctypes.byref(planes),
-            _address(selected),
-            int(first),
-            _address(canvas.touched),
-        )
-        return canvas.rgb
 
     def backward(
         self,
@@ -219,68 +229,34 @@ class TrainingKernel:
         *,
         v_alpha: FloatArray | None = None,
         v_depth: FloatArray | None = None,
-        selected: NDArray[np.bool_] | None = None,
         out: SplatGradients | None = None,
     ) -> SplatGradients:
-        """Gradients of every Gaussian (exactly zero outside ``selected``) for the cotangents of the last picture."""
-        n = self._same_scene(splats)
-        out = out or SplatGradients(
-            np.empty_like(splats.means),
-            np.empty_like(splats.log_scales),
-            np.empty_like(splats.quaternions),
-            np.empty_like(splats.opacity_logits),
-            np.empty_like(splats.sh),
-            np.empty(n, np.float32),
-        )
-        arrays = (out.means, out.log_scales, out.quaternions, out.opacity_logits, out.sh, out.view)
-        if out.view.shape != (n,) or out.sh.shape != splats.sh.shape:
-            raise ValueError(f"gradients of {out.sh.shape} for splats of {splats.sh.shape}")
-        self._backward(_Gradients(*(_float_address(a) for a in arrays), None), v_rgb, v_alpha, v_depth, selected)
-        return out
-
-    def weights(self, splats: Splats, v_rgb: FloatArray) -> FloatArray:
-        """Rendering weight of every Gaussian (N, 3): the sum over pixels of alpha * transmittance * ``v_rgb``."""
-        rgb = np.empty((self._same_scene(splats), 3), np.float32)
-        self._backward(_Gradients(*[None] * 6, _float_address(rgb)), v_rgb, None, None, None)
-        return rgb
-
-    def _same_scene(self, splats: Splats) -> int:
+        """Gradients of every Gaussian for the cotangents of the last picture."""
         if not hasattr(self, "_splats") or len(splats) != len(self._splats):
             raise ValueError("backward needs the scene of the last forward")
-        return len(splats)
-
-    def _backward(
-        self,
-        gradients: _Gradients,
-        v_rgb: FloatArray,
-        v_alpha: FloatArray | None,
-        v_depth: FloatArray | None,
-        selected: NDArray[np.bool_] | None,
-    ) -> None:
+        out = out or gradients_like(splats)
         for cotangent, shape in ((v_rgb, (3, *self._shape)), (v_alpha, self._shape), (v_depth, self._shape)):
             if cotangent is not None and cotangent.shape != shape:
                 raise ValueError(f"cotangent of shape {cotangent.shape} for a picture of {self._shape}")
-        if selected is not None and (selected.dtype != np.bool_ or selected.shape != (len(self._splats),)):
-            raise ValueError(f"selected must be {len(self._splats)} booleans, not {selected.dtype} {selected.shape}")
-        cotangents = _Cotangents(
-            _float_address(v_rgb),
-            _float_address(v_alpha),
-            _float_address(v_depth),
+        cotangents = NativeCotangents(
+            float_address(v_rgb),
+            float_address(v_alpha),
+            float_address(v_depth),
             (ctypes.c_float * 3)(*self._background),
         )
         self._library.decogs_backward(
-            self._handle,
+            self.handle,
             ctypes.byref(self._scene),
             ctypes.byref(self._camera),
             ctypes.byref(cotangents),
-            _address(selected),
-            ctypes.byref(gradients),
+            ctypes.byref(out.native(splats)),
         )
+        return out
 
     def centres(self, count: int) -> tuple[FloatArray, FloatArray]:
         """Projected centres (N, 2) in pixels and depths (N,) of the last picture; NaN where nothing was drawn."""
         centres, depths = np.empty((count, 2), np.float32), np.empty(count, np.float32)
-        self._library.decogs_centres(self._handle, count, _address(centres), _address(depths))
+        self._library.decogs_centres(self.handle, count, address(centres), address(depths))
         return centres, depths
 
     def loss(
@@ -292,11 +268,14 @@ class TrainingKernel:
         ssim_scale: float,
         l1_weight: FloatArray | None = None,
         focus: FloatArray | None = None,
+        tiles: NDArray[np.uint8] | None = None,
         gradient: FloatArray | None = None,
     ) -> tuple[LossValue, FloatArray]:
         """``l1_scale * sum(l1_weight |a-b|) + ssim_scale * sum(focus (1 - SSIM(focus a, focus b)))`` and its gradient.
 
-        Shapes: image, target and gradient (3, H, W); l1_weight and focus (H, W). Source: Wang 2004, Kerbl 2023 eq. 7.
+        Shapes: image, target and gradient (3, H, W); l1_weight and focus (H, W). With ``tiles``, one number per 16x16
+        tile in rows, only pixels of tiles that are not 0 are summed and given a gradient; the others' gradients are
+        left as they were. Source: Wang 2004, Kerbl 2023 eq. 7.
         """
         if image.shape != target.shape:
             raise ValueError(f"picture {image.shape} against target {target.shape}")
@@ -307,13 +286,14 @@ class TrainingKernel:
         for plane in (l1_weight, focus):
             if plane is not None and plane.shape != (height, width):
                 raise ValueError(f"weights of shape {plane.shape} for a picture of {height} x {width}")
-        given = _LossInput(
-            *(_float_address(a) for a in (image, target, l1_weight, focus)), l1_scale, ssim_scale, width, height
-        )
+        if tiles is not None and (tiles.dtype != np.uint8 or tiles.size != tile_count(width, height)):
+            raise ValueError(f"{tiles.dtype} tiles of shape {tiles.shape} for a picture of {height} x {width}")
+        planes = (float_address(a) for a in (image, target, l1_weight, focus))
+        given = _LossInput(*planes, address(tiles), l1_scale, ssim_scale, width, height)
         sums = _LossSums()
-        self._library.decogs_loss(self._handle, ctypes.byref(given), _address(gradient), ctypes.byref(sums))
+        self._library.decogs_loss(self.handle, ctypes.byref(given), address(gradient), ctypes.byref(sums))
         total = l1_scale * sums.l1 + ssim_scale * sums.ssim
-        return LossValue(total, sums.l1, sums.ssim, sums.square / image.size), gradient
+        return LossValue(total, sums.l1, sums.ssim), gradient
 
     def adam(
         self,
@@ -343,10 +323,10 @@ class TrainingKernel:
         beta1, beta2 = float(np.float32(beta1)), float(np.float32(beta2))
         setting = _AdamStep(beta1, beta2, epsilon, 1 - beta1**step, 1 - beta2**step)
         self._library.decogs_adam(
-            self._handle,
+            self.handle,
             ctypes.byref(setting),
             count if rows is None else len(rows),
-            _address(rows),
+            address(rows),
             columns,
-            *(_float_address(a) for a in (rates, value, gradient, first, second)),
+            *(float_address(a) for a in (rates, value, gradient, first, second)),
         )

@@ -12,7 +12,7 @@ from decogs.encoder.emergence import EmergenceSettings, Look, missed, seeds, wor
 from decogs.encoder.frame_training import FrameSettings, FrameTrainer
 from decogs.encoder.ingest import View
 from decogs.encoder.masks import FrameMask
-from decogs.encoder.rasterise import TrainingKernel
+from decogs.encoder.rasterise import FixedView, TrainingKernel
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import SH_C0, Splats, join_splats, take_splats
 
@@ -190,7 +190,11 @@ def trained(kernel: TrainingKernel, wall: Splats, shown: Splats, emergence: Emer
     everywhere = np.ones((HEIGHT, WIDTH), bool)
     settings = FrameSettings(cache=None, joint_iterations=40, grow_share=0.0, emergence=emergence)
     box = (np.full(3, -3.0), np.full(3, 3.0))
-    trainer = FrameTrainer(kernel, views, settings, extent=1.2, box=box, seed=0)
+    watch = [FixedView(kernel, view.pinhole) for view in views]
+    for watching in watch:
+        watching.place(wall)
+        watching.refresh()
+    trainer = FrameTrainer(kernel, views, watch, settings, extent=1.2, box=box, seed=0)
     selected = np.abs(wall.means[:, 0]) < 0.1
     frame = trainer.train(
         wall, selected, pictures, [FrameMask(everywhere, everywhere)] * len(views), np.zeros_like(wall.means)

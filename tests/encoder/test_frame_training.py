@@ -13,7 +13,7 @@ from decogs.encoder.emergence import EmergenceSettings
 from decogs.encoder.frame_training import FrameSettings, FrameTrainer, TrainedFrame
 from decogs.encoder.ingest import Ingest
 from decogs.encoder.masks import FrameMask
-from decogs.encoder.rasterise import TrainingKernel
+from decogs.encoder.rasterise import FixedView, TrainingKernel
 from decogs.encoder.transformation_cache import CacheSettings
 from decogs.formats.errors import TrainingError
 from decogs.formats.rigs import open_rig
@@ -42,13 +42,18 @@ class Case:
         mask = np.full(self.pictures[0].shape[1:], everywhere)
         return [FrameMask(mask, mask) for _ in self.pictures]
 
+    def trainer(self, settings: FrameSettings, *, threads: int = 2, seed: int = 0) -> FrameTrainer:
+        kernel = TrainingKernel(threads)
+        watch = [FixedView(kernel, view.pinhole) for view in self.ingest.views]
+        for view in watch:
+            view.place(self.scene)
+            view.refresh()
+        return FrameTrainer(kernel, self.ingest.views, watch, settings, extent=1.2, box=BOX, seed=seed, threads=threads)
+
     def train(
         self, settings: FrameSettings, *, everywhere: bool = True, threads: int = 2, **other: Any
     ) -> TrainedFrame:
-        trainer = FrameTrainer(
-            TrainingKernel(threads), self.ingest.views, settings, extent=1.2, box=BOX, seed=other.pop("seed", 0),
-            threads=threads,
-        )  # fmt: skip
+        trainer = self.trainer(settings, threads=threads, seed=other.pop("seed", 0))
         given: dict[str, Any] = {
             "scene": self.scene,
             "selected": self.selected,
@@ -187,9 +192,11 @@ def test_the_cache_may_be_carried_from_frame_to_frame(case: Case) -> None:
     """Restarted, a second frame without any step is moved by nothing; carried on, by what the first one taught."""
     for carry, moved in ((False, False), (True, True)):
         settings = replace(MOVING, carry_cache=carry, joint_iterations=0)
-        trainer = FrameTrainer(TrainingKernel(2), case.ingest.views, settings, extent=1.2, box=BOX, seed=0)
+        trainer = case.trainer(settings)
         given = (case.selected, case.pictures, case.masks(everywhere=True), np.zeros_like(case.scene.means))
         trainer.train(case.scene, *given)
+        for view in trainer._watch:
+            view.settle(case.scene, np.flatnonzero(case.selected))
         trainer._settings = replace(settings, cache_iterations=0)
         frame = trainer.train(case.scene, *given)
         assert (frame.values.means != case.scene.means[frame.kept]).any() == moved
@@ -199,3 +206,42 @@ def test_a_loss_that_is_not_finite_names_the_camera(case: Case) -> None:
     pictures = [*case.pictures[:4], np.full_like(case.pictures[4], np.nan)]
     with pytest.raises(TrainingError, match="the loss of camera cam04 is nan"):
         case.train(DIRECT, pictures=pictures)
+
+
+def test_what_is_trained_is_what_a_whole_rendering_trains(case: Case) -> None:
+    """The frame's loss falls as the pictures of the views say: no view keeps showing what has moved away."""
+    trainer = case.trainer(DIRECT)
+    motion = np.zeros_like(case.scene.means)
+    frame = trainer.train(case.scene, case.selected, case.pictures, case.masks(everywhere=True), motion)
+    now, kernel = applied(case.scene, frame), TrainingKernel(1)
+    for view, watching in zip(case.ingest.views, trainer._watch, strict=True):
+        watching.settle(now, np.flatnonzero(case.selected))
+        watching.refresh()
+        np.testing.assert_array_equal(watching.rgb, kernel.forward(now, view.pinhole).rgb)
+
+
+def test_without_the_gate_everything_moves_and_momentum_lasts(case: Case) -> None:
+    settings = replace(DIRECT, ablated=("gate",))
+    given = (case.selected, case.pictures, case.masks(everywhere=True), np.zeros_like(case.scene.means))
+    results = []
+    for forget in (False, True):
+        trainer = case.trainer(settings)
+        frame = trainer.train(case.scene, *given)
+        np.testing.assert_array_equal(frame.kept, np.arange(len(case.scene)))
+        moved = (frame.values.means != case.scene.means).any(axis=1)
+        assert moved[~case.selected].mean() > 0.8  # the wall reaches a little beyond what the cameras see
+        for view in trainer._watch:
+            view.place(case.scene)
+        if forget:
+            trainer._ungated = None
+        results.append(bits(trainer.train(case.scene, *given).values))
+    assert results[0] != results[1]
+
+
+def test_without_the_focus_the_masks_are_not_in_the_loss(case: Case) -> None:
+    def with_masks(settings: FrameSettings, everywhere: bool) -> bytes:
+        return bits(case.train(replace(settings, grow_share=0.0), everywhere=everywhere).values)
+
+    plain = replace(DIRECT, ablated=("focus",))
+    assert with_masks(plain, True) == with_masks(plain, False)
+    assert with_masks(DIRECT, True) != with_masks(DIRECT, False)

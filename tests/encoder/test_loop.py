@@ -191,8 +191,8 @@ def test_reports_agree_with_the_stream(moving: Any) -> None:
     assert [report.selected for report in moving.report.frames] == shares
     for report in moving.report.frames:
         assert all(seconds >= 0 for seconds in report.seconds.values())
-    assert set(moving.report.frames[0].seconds) == {"first_points", "keyframe", "write", "measure"}
-    assert set(moving.report.frames[1].seconds) == {"masks", "selection", "training", "write", "measure"}
+    assert set(moving.report.frames[0].seconds) == {"first_points", "keyframe", "write", "settle", "measure"}
+    assert set(moving.report.frames[1].seconds) == {"masks", "selection", "training", "write", "settle", "measure"}
     assert not moving.report.interrupted
 
 

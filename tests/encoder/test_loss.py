@@ -72,7 +72,6 @@ def check(
     reference = a.grad.numpy()
     assert np.isfinite(gradient).all()
     assert np.abs(gradient - reference).max() <= tolerance * np.abs(reference).max()
-    assert value.mean_square == pytest.approx(float(((image.astype(float) - target) ** 2).mean()), rel=VALUE)
 
 
 SIZES = [(1, 1), (1, 17), (11, 5), (16, 16), (50, 61), (63, 128), (64, 129), (65, 127), (130, 300)]
@@ -116,7 +115,6 @@ def test_equal_pictures_cost_nothing() -> None:
     # 1 - SSIM of equal pictures: rounding of the two products that should be equal, per pixel.
     assert abs(value.total) <= 20 * ROUNDING * image.size
     assert value.l1 == 0
-    assert value.mean_square == 0
     assert np.abs(gradient).max() < 1e-3  # against some 30 for pictures that differ by 0.1
 
 

@@ -1,5 +1,5 @@
 """Gradients of the native training kernel against automatic differentiation of the float64 twin, and what must not
-change a bit: threads, instruction sets, the selected rows."""
+change a bit: threads, instruction sets."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import torch
 
 from decogs.decoder.rasterise import render
 from decogs.decoder.rasterise.native import INSTRUCTION_SETS
-from decogs.encoder.rasterise import Canvas, SplatGradients, TrainingKernel
+from decogs.encoder.rasterise import SplatGradients, TrainingKernel
 from decogs.formats.splats import Splats, empty_splats, join_splats
 
 CASES_PATH = Path(__file__).resolve().parents[1] / "rasterise_cases.py"
@@ -187,22 +187,6 @@ def test_any_instruction_set_gives_the_same_bits(instruction_set: str) -> None:
     assert run.stdout.strip() == cases.encoder_digest(1)
 
 
-@pytest.mark.parametrize("name", ["degree-3", "around", "crowd"])
-def test_selected_rows_get_the_dense_gradients_bit_for_bit(name: str) -> None:
-    case = cases.CASES[name]()
-    v_rgb, v_alpha, v_depth = cases.cotangents(case)
-    kernel = TrainingKernel(2)
-    kernel.forward(case.splats, case.camera, case.background, depth=True)
-    dense = kernel.backward(case.splats, v_rgb, v_alpha=v_alpha, v_depth=v_depth)
-    rng = np.random.default_rng(3)
-    for share in (0.0, 0.1, 0.5, 1.0):
-        selected = rng.random(len(case.splats)) < share
-        sparse = kernel.backward(case.splats, v_rgb, v_alpha=v_alpha, v_depth=v_depth, selected=selected)
-        for field in (*FIELDS, "view"):
-            np.testing.assert_array_equal(getattr(sparse, field)[selected], getattr(dense, field)[selected])
-            assert not getattr(sparse, field)[~selected].any()
-
-
 def test_gradients_land_in_the_given_arrays() -> None:
     case = cases.CASES["degree-1"]()
     planes = cases.cotangents(case)
@@ -213,18 +197,6 @@ def test_gradients_land_in_the_given_arrays() -> None:
     assert kernel.backward(case.splats, planes[0], v_alpha=planes[1], v_depth=planes[2], out=out) is out
     for field in (*FIELDS, "view"):
         np.testing.assert_array_equal(getattr(out, field), getattr(expected, field))
-
-
-@pytest.mark.parametrize("name", ["degree-0", "around", "stack", "crowd", "clamped-colours"])
-def test_weights_are_the_textbooks(name: str) -> None:
-    case = cases.CASES[name]()
-    book = cases.textbook(case)
-    v_rgb = np.abs(cases.cotangents(case, book.doubtful)[0])
-    kernel = TrainingKernel(1)
-    kernel.forward(case.splats, case.camera, case.background)
-    weights = kernel.weights(case.splats, v_rgb)
-    expected = np.einsum("nhw,chw->nc", book.weights, v_rgb.astype(float))
-    cases.compare(weights, expected, GRADIENT_ROUNDINGS * cases.ROUNDING * expected.max())
 
 
 def test_centres_are_the_projections_of_what_was_drawn() -> None:
@@ -252,7 +224,6 @@ def test_no_gaussians_and_none_in_sight() -> None:
     assert (picture.rgb == np.float32([0.5, 0.25, 1.0])[:, None, None]).all()
     g = kernel.backward(nothing, np.ones_like(picture.rgb))
     assert g.sh.shape == (0, 9, 3)
-    assert kernel.weights(nothing, np.ones_like(picture.rgb)).shape == (0, 3)
     case = cases.CASES["degree-1"]()
     hidden = cases.edited(case.splats, means=case.splats.means - np.float32([0, 0, 50]))
     kernel.forward(hidden, cases.pinhole(19, 7, 12.0))
@@ -317,33 +288,3 @@ def test_misuse_is_refused() -> None:
         kernel.backward(case.splats, v_rgb, v_alpha=v_alpha.T.copy())
     with pytest.raises(ValueError, match="float32"):
         kernel.backward(case.splats, v_rgb.astype(np.float64))
-    with pytest.raises(ValueError, match="booleans"):
-        kernel.backward(case.splats, v_rgb, selected=np.zeros(len(case.splats), np.int64))  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="booleans"):
-        kernel.backward(case.splats, v_rgb, selected=np.zeros(3, bool))
-
-
-def test_redrawing_gives_the_bits_of_a_whole_rendering_while_the_selection_moves() -> None:
-    """Only touched tiles are drawn again, yet picture and gradients equal the dense ones bit for bit."""
-    case = cases.scene(3, 400, 1, sigma=(0.02, 0.05))
-    rng = np.random.default_rng(5)
-    camera = cases.pinhole(83, 61, 70.0)
-    kernel, dense = TrainingKernel(2), TrainingKernel(2)
-    selected = rng.random(len(case)) < 0.02
-    canvas = Canvas(camera)
-    drawn = []
-    for step in range(6):
-        moved = case.means.copy()
-        moved[selected] += np.float32(0.15 * step)
-        now = cases.edited(case, means=moved)
-        redrawn = kernel.redraw(now, camera, canvas, selected)
-        whole = dense.forward(now, camera).rgb
-        assert np.array_equal(redrawn, whole)
-        cotangent = rng.normal(size=whole.shape).astype(np.float32)
-        sparse, full = kernel.backward(now, cotangent, selected=selected), dense.backward(now, cotangent)
-        for name in ("means", "log_scales", "quaternions", "opacity_logits", "sh", "view"):
-            assert np.array_equal(getattr(sparse, name)[selected], getattr(full, name)[selected]), name
-            assert not getattr(sparse, name)[~selected].any(), name
-        assert canvas.touched is not None
-        drawn.append(int(canvas.touched.sum()))
-    assert 0 < drawn[0] <= drawn[-1] < canvas.touched.size, "some tiles, but not all, are drawn again"

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from decogs.encoder.rasterise import TrainingKernel
+from decogs.encoder.rasterise import FixedView, TrainingKernel
 from decogs.encoder.selection import SelectionSettings, ViewEvidence, select, view_evidence
+from decogs.formats.cameras import Camera
 from decogs.formats.splats import Splats, join_splats
 
 PAPER = SelectionSettings(rule="paper", least_views=2, visible_weight=0.02)
@@ -59,13 +60,19 @@ def hidden_scene(tiny_rig: Any) -> Splats:
     return scene
 
 
+def watching(splats: Splats, camera: Camera) -> FixedView:
+    view = FixedView(TrainingKernel(1), camera)
+    view.place(splats)
+    return view
+
+
 def masked_views(tiny_rig: Any, splats: Splats, *, where: tuple[int, ...] = (0, 1, 2, 3, 4)) -> list[ViewEvidence]:
     """The mask is a band of 12 pixels about the middle row, in the views ``where``."""
-    kernel, views = TrainingKernel(1), []
+    views = []
     for index in range(5):
         mask = np.zeros((tiny_rig.height, tiny_rig.width), bool)
         mask[18:30] = index in where
-        views.append(view_evidence(kernel, splats, tiny_rig.camera(index), mask))
+        views.append(view_evidence(watching(splats, tiny_rig.camera(index)), mask))
     return views
 
 
@@ -86,9 +93,8 @@ def test_kappa_views_of_the_rendered_scene(tiny_rig: Any, hidden_scene: Splats) 
 
 def test_what_is_behind_the_camera_or_outside_the_picture_is_not_selected(tiny_rig: Any) -> None:
     splats = join_splats(tiny_rig.patch((0, 0, -4.0), 1, 1, 0.1, 1), tiny_rig.patch((9.0, 0, 0), 1, 1, 0.1, 2))
-    kernel = TrainingKernel(1)
     everywhere = np.ones((tiny_rig.height, tiny_rig.width), bool)
-    views = [view_evidence(kernel, splats, tiny_rig.camera(index), everywhere) for index in range(5)]
+    views = [view_evidence(watching(splats, tiny_rig.camera(index)), everywhere) for index in range(5)]
     for settings in (PAPER, WEIGHT):
         assert not select(views, settings).any()
 
@@ -98,7 +104,7 @@ def test_weights_are_alpha_times_transmittance_summed_over_pixels(tiny_rig: Any,
     kernel, camera = TrainingKernel(1), tiny_rig.camera(1)
     mask = np.zeros((tiny_rig.height, tiny_rig.width), bool)
     mask[10:30, 5:40] = True
-    found = view_evidence(kernel, hidden_scene, camera, mask)
+    found = view_evidence(watching(hidden_scene, camera), mask)
     alpha = kernel.forward(hidden_scene, camera).alpha
     assert found.weight.sum() == pytest.approx(alpha.sum(), rel=1e-5)
     assert found.masked_weight.sum() == pytest.approx(alpha[mask].sum(), rel=1e-5)

@@ -79,9 +79,17 @@ struct Gathered {
     I last;
 };
 
-// Adds to one block the ellipses `drawn` of the batch that begins at entry `base` of the tile's list.
-template <bool kDepth>
-DECOGS_INLINE void composite_block(Gathered& to, const Block& block, const Projected* batch, const uint16_t* drawn, int count, int base) {
+// What may be told of every weight (alpha times transmittance, per pixel of a block) as a tile is drawn.
+struct Unwatched {
+    void begin(int) {}
+    void note(int, int, const F&) {}
+    void end(uint32_t, int) {}
+};
+
+// Adds to block `b` the ellipses `drawn` of the batch that begins at entry `base` of the tile's list.
+template <bool kDepth, class Watch>
+DECOGS_INLINE void composite_block(Gathered& to, const Block& block, int b, const Projected* batch, const uint16_t* drawn, int count, int base,
+                                   Watch& watch) {
     Gathered now = to;
     for (int k = 0; k < count; ++k) {
         const Projected& g = batch[drawn[k]];
@@ -96,6 +104,7 @@ DECOGS_INLINE void composite_block(Gathered& to, const Block& block, const Proje
         now.live = and_not(now.live, on & full);
         on = and_not(on, full);
         const F weight = select(on, alpha * now.transmittance, splat(0.0f));
+        watch.note(b, drawn[k], weight);
         for (int c = 0; c < 3; ++c) now.rgb[c] = now.rgb[c] + weight * g.rgb[c];
         if (kDepth) now.depth = now.depth + weight * g.depth;
         now.transmittance = select(on, next, now.transmittance);
@@ -105,8 +114,9 @@ DECOGS_INLINE void composite_block(Gathered& to, const Block& block, const Proje
     to = now;
 }
 
-// Draws one tile. With a trace, remembers what the backward pass needs.
-inline void composite_tile(const TileLists& lists, const Camera& cam, int tile, const Planes& out, Trace* trace) {
+// Draws one tile. With a trace, remembers what the backward pass needs; `watch` hears of the entries, a batch at a time.
+template <class Watch>
+inline void composite_tile(const TileLists& lists, const Camera& cam, int tile, const Planes& out, Trace* trace, Watch& watch) {
     const int tile_x = tile % lists.columns, tile_y = tile / lists.columns;
     const uint32_t first = lists.first_entry[tile], count = lists.first_entry[tile + 1] - first;
     float cx[kLanes], cy[kLanes];
@@ -128,6 +138,7 @@ inline void composite_tile(const TileLists& lists, const Camera& cam, int tile, 
     for (uint32_t base = 0; base < count && live; base += kBatch) {
         const int size = static_cast<int>(std::min<uint32_t>(kBatch, count - base));
         int drawn_count[kBlocks] = {0};
+        watch.begin(size);
         for (int e = 0; e < size; ++e) {
             const uint32_t at = first + base + e;
             __builtin_prefetch(&lists.projected[lists.entries[std::min(at + kAhead, last)].gaussian]);
@@ -141,11 +152,12 @@ inline void composite_tile(const TileLists& lists, const Camera& cam, int tile, 
         }
         for (int b = 0; b < kBlocks; ++b) {
             if (out.depth)
-                composite_block<true>(gathered[b], blocks[b], batch, drawn[b], drawn_count[b], static_cast<int>(base));
+                composite_block<true>(gathered[b], blocks[b], b, batch, drawn[b], drawn_count[b], static_cast<int>(base), watch);
             else
-                composite_block<false>(gathered[b], blocks[b], batch, drawn[b], drawn_count[b], static_cast<int>(base));
+                composite_block<false>(gathered[b], blocks[b], b, batch, drawn[b], drawn_count[b], static_cast<int>(base), watch);
             if (!any(gathered[b].live)) live &= ~(1u << b);
         }
+        watch.end(first + base, size);
     }
     const int64_t plane = static_cast<int64_t>(cam.width) * cam.height;
     for (int b = 0; b < kBlocks; ++b) {
@@ -161,6 +173,11 @@ inline void composite_tile(const TileLists& lists, const Camera& cam, int tile, 
         if (out.alpha) write_block(out.alpha, block, cam, 1.0f - g.transmittance);
         if (out.depth) write_block(out.depth, block, cam, g.depth);
     }
+}
+
+inline void composite_tile(const TileLists& lists, const Camera& cam, int tile, const Planes& out, Trace* trace) {
+    Unwatched nobody;
+    composite_tile(lists, cam, tile, out, trace, nobody);
 }
 
 // A picture of the whole scene.

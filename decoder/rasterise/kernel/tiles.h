@@ -14,9 +14,11 @@
 
 namespace decogs {
 
+constexpr uint32_t kNoPair = UINT32_MAX;
+
 struct Entry {
     uint32_t gaussian;
-    uint32_t pair;  // where this (tile, Gaussian) pair writes its gradient: pairs of one Gaussian are consecutive
+    uint32_t pair;  // where this (tile, Gaussian) pair writes its gradient, or kNoPair: pairs of one Gaussian are consecutive
 };
 
 struct TileLists {
@@ -48,6 +50,63 @@ DECOGS_INLINE F smallest_exponent(const Projected& g, const F& x0, const F& y0, 
     return smallest - slack;
 }
 
+struct Key {
+    uint32_t depth, gaussian;
+};
+
+DECOGS_INLINE uint32_t depth_key(float depth) {  // drawn depths are positive, so their bits sort like the numbers
+    uint32_t bits;
+    std::memcpy(&bits, &depth, 4);
+    return bits;
+}
+
+// Stable: least significant digit first; digits that all keys share are skipped.
+inline void sort_by_depth(std::vector<Key>& keys, std::vector<Key>& scratch) {
+    scratch.resize(keys.size());
+    for (int shift = 0; shift < 32; shift += 11) {
+        uint32_t start[2048] = {0};
+        for (const Key& k : keys) ++start[(k.depth >> shift) & 2047];
+        if (!keys.empty() && start[(keys[0].depth >> shift) & 2047] == keys.size()) continue;
+        uint32_t total = 0;
+        for (uint32_t& s : start) {
+            const uint32_t c = s;
+            s = total;
+            total += c;
+        }
+        for (const Key& k : keys) scratch[start[(k.depth >> shift) & 2047]++] = k;
+        keys.swap(scratch);
+    }
+}
+
+// Appends the tiles that the drawn ellipse meets; returns how many.
+inline uint32_t touch(const Projected& g, int columns, int rows, std::vector<uint32_t>& tiles) {
+    if (!(g.cut > 0.0f)) return 0;
+    const float ex = g.extent_x * 1.0001f + 0.01f, ey = g.extent_y * 1.0001f + 0.01f;
+    const int x0 = static_cast<int>(std::max(0.0f, (g.x - ex) / kTile));
+    const int y0 = static_cast<int>(std::max(0.0f, (g.y - ey) / kTile));
+    const int x1 = static_cast<int>(std::min(columns - 1.0f, (g.x + ex) / kTile));
+    const int y1 = static_cast<int>(std::min(rows - 1.0f, (g.y + ey) / kTile));
+    if (x1 < x0 || y1 < y0) return 0;
+    if (x0 == x1 && y0 == y1) {
+        tiles.push_back(static_cast<uint32_t>(y0 * columns + x0));
+        return 1;
+    }
+    const size_t before = tiles.size();
+    for (int by = y0; by <= y1; by += 4)
+        for (int bx = x0; bx <= x1; bx += 4) {  // sixteen tiles in one test
+            float cx[kLanes], cy[kLanes];
+            for (int i = 0; i < kLanes; ++i) {
+                cx[i] = static_cast<float>((bx + i % 4) * kTile) + 0.5f;
+                cy[i] = static_cast<float>((by + i / 4) * kTile) + 0.5f;
+            }
+            const unsigned met = bits(smallest_exponent(g, load(cx), load(cy), kTile - 1.0f) <= g.cut);
+            for (int j = 0; j < 4 && by + j <= y1; ++j)
+                for (int i = 0; i < 4 && bx + i <= x1; ++i)
+                    if (met >> (4 * j + i) & 1) tiles.push_back(static_cast<uint32_t>((by + j) * columns + bx + i));
+        }
+    return static_cast<uint32_t>(tiles.size() - before);
+}
+
 class Binner {
    public:
     void run(Pool& pool, const Scene& scene, const Camera& cam, TileLists& lists) {
@@ -77,21 +136,11 @@ class Binner {
             std::copy(chunk_tiles_[c].begin(), chunk_tiles_[c].end(), lists.tile_of_pair.begin() + at);
             at += static_cast<uint32_t>(chunk_tiles_[c].size());
         }
-        sort_by_depth();
+        sort_by_depth(drawn_, other_);
         fill(lists, static_cast<uint32_t>(pairs));
     }
 
    private:
-    struct Key {
-        uint32_t depth, gaussian;
-    };
-
-    static uint32_t depth_key(float depth) {  // drawn depths are positive, so their bits sort like the numbers
-        uint32_t bits;
-        std::memcpy(&bits, &depth, 4);
-        return bits;
-    }
-
     void project_chunk(const Scene& scene, const Camera& cam, TileLists& lists, int chunk) {
         const int64_t n = scene.count, begin = static_cast<int64_t>(chunk) * kChunk, end = std::min(n, begin + kChunk);
         auto& tiles = chunk_tiles_[chunk];
@@ -102,52 +151,6 @@ class Binner {
             project_rows(scene, cam, rows, &lists.projected[base]);
             for (int64_t i = base; i < std::min(base + kLanes, end); ++i)
                 count_[i] = touch(lists.projected[i], lists.columns, lists.rows, tiles);
-        }
-    }
-
-    // Appends the tiles that the drawn ellipse meets.
-    static uint32_t touch(const Projected& g, int columns, int rows, std::vector<uint32_t>& tiles) {
-        if (!(g.cut > 0.0f)) return 0;
-        const float ex = g.extent_x * 1.0001f + 0.01f, ey = g.extent_y * 1.0001f + 0.01f;
-        const int x0 = static_cast<int>(std::max(0.0f, (g.x - ex) / kTile));
-        const int y0 = static_cast<int>(std::max(0.0f, (g.y - ey) / kTile));
-        const int x1 = static_cast<int>(std::min(columns - 1.0f, (g.x + ex) / kTile));
-        const int y1 = static_cast<int>(std::min(rows - 1.0f, (g.y + ey) / kTile));
-        if (x1 < x0 || y1 < y0) return 0;
-        if (x0 == x1 && y0 == y1) {
-            tiles.push_back(static_cast<uint32_t>(y0 * columns + x0));
-            return 1;
-        }
-        const size_t before = tiles.size();
-        for (int by = y0; by <= y1; by += 4)
-            for (int bx = x0; bx <= x1; bx += 4) {  // sixteen tiles in one test
-                float cx[kLanes], cy[kLanes];
-                for (int i = 0; i < kLanes; ++i) {
-                    cx[i] = static_cast<float>((bx + i % 4) * kTile) + 0.5f;
-                    cy[i] = static_cast<float>((by + i / 4) * kTile) + 0.5f;
-                }
-                const unsigned met = bits(smallest_exponent(g, load(cx), load(cy), kTile - 1.0f) <= g.cut);
-                for (int j = 0; j < 4 && by + j <= y1; ++j)
-                    for (int i = 0; i < 4 && bx + i <= x1; ++i)
-                        if (met >> (4 * j + i) & 1) tiles.push_back(static_cast<uint32_t>((by + j) * columns + bx + i));
-            }
-        return static_cast<uint32_t>(tiles.size() - before);
-    }
-
-    void sort_by_depth() {  // stable: least significant digit first, digits that all keys share are skipped
-        other_.resize(drawn_.size());
-        for (int shift = 0; shift < 32; shift += 11) {
-            uint32_t start[2048] = {0};
-            for (const Key& k : drawn_) ++start[(k.depth >> shift) & 2047];
-            if (!drawn_.empty() && start[(drawn_[0].depth >> shift) & 2047] == drawn_.size()) continue;
-            uint32_t total = 0;
-            for (uint32_t& s : start) {
-                const uint32_t c = s;
-                s = total;
-                total += c;
-            }
-            for (const Key& k : drawn_) other_[start[(k.depth >> shift) & 2047]++] = k;
-            drawn_.swap(other_);
         }
     }
 

@@ -17,14 +17,13 @@ struct Cotangents {  // planar, like the pictures; alpha and depth may be null
     float background[3];
 };
 
-struct Gradients {  // one row per Gaussian; all null but rgb when only colours are asked for
+struct Gradients {  // one row per Gaussian
     float* means;
     float* log_scales;
     float* quaternions;
     float* opacity_logits;
     float* sh;
     float* view;  // length of the gradient of the projected centre, in pixels
-    float* rgb;   // gradient of the activated colour; may be null
 };
 
 // What a pair adds up over its pixels: g = alpha * gradient of alpha against the ellipse's own coordinates, in which a
@@ -38,14 +37,14 @@ struct BlockBack {  // a block's pixels on the way back
     int32_t newest;  // one past the last entry that any pixel of the block drew
 };
 
+// An entry without a pair (kNoPair) is of a Gaussian whose gradient nobody asks for.
 template <bool kDepth>
-inline void backward_tile_of(const TileLists& lists, const Trace& trace, const Camera& cam, int tile, const Cotangents& ct,
-                             const uint8_t* selected, float* moments) {
+inline void backward_tile_of(const TileLists& lists, const Trace& trace, const Camera& cam, int tile, const Cotangents& ct, float* moments) {
     const int tile_x = tile % lists.columns, tile_y = tile / lists.columns;
     const uint32_t first = lists.first_entry[tile], count = lists.first_entry[tile + 1] - first;
-    // Moments are wanted of selected Gaussians alone, and what lies in front of the foremost of them has no part in those.
+    // What lies in front of the foremost wanted one has no part in any wanted gradient.
     uint32_t foremost = 0;
-    while (selected && foremost < count && !selected[lists.entries[first + foremost].gaussian]) ++foremost;
+    while (foremost < count && lists.entries[first + foremost].pair == kNoPair) ++foremost;
     if (foremost == count) return;
     const int64_t plane = static_cast<int64_t>(cam.width) * cam.height;
     BlockBack blocks[kBlocks];
@@ -67,16 +66,18 @@ inline void backward_tile_of(const TileLists& lists, const Trace& trace, const C
         for (int i = 0; i < kLanes; ++i) back.newest = std::max(back.newest, trace.last[slot + i]);
         newest = std::max(newest, back.newest);
     }
-    for (uint32_t e = static_cast<uint32_t>(newest); e < count; ++e)
-        std::memset(moments + static_cast<size_t>(lists.entries[first + e].pair) * kMoments, 0, kMoments * sizeof(float));
+    for (uint32_t e = static_cast<uint32_t>(newest); e < count; ++e) {
+        const uint32_t pair = lists.entries[first + e].pair;
+        if (pair != kNoPair) std::memset(moments + static_cast<size_t>(pair) * kMoments, 0, kMoments * sizeof(float));
+    }
 
     const F zero = splat(0.0f);
     for (int32_t e = newest - 1; e >= static_cast<int32_t>(foremost); --e) {
         const Entry entry = lists.entries[first + e], soon = lists.entries[first + std::max(e - static_cast<int32_t>(kAhead), 0)];
         __builtin_prefetch(&lists.projected[soon.gaussian]);
-        __builtin_prefetch(moments + static_cast<size_t>(soon.pair) * kMoments, 1);
+        if (soon.pair != kNoPair) __builtin_prefetch(moments + static_cast<size_t>(soon.pair) * kMoments, 1);
         const Projected& g = lists.projected[entry.gaussian];
-        const bool wanted = !selected || selected[entry.gaussian];
+        const bool wanted = entry.pair != kNoPair;
         F g0 = zero, gu = zero, gv = zero, guu = zero, guv = zero, gvv = zero, red = zero, green = zero, blue = zero, far = zero;
         for (unsigned left = trace.blocks[first + e]; left; left &= left - 1) {
             BlockBack& back = blocks[__builtin_ctz(left)];
@@ -109,19 +110,18 @@ inline void backward_tile_of(const TileLists& lists, const Trace& trace, const C
             guv = guv + grad_u * v;
             gvv = gvv + grad_v * v;
         }
-        if (!wanted) continue;  // nobody reads its moments
+        if (!wanted) continue;
         float* to = moments + static_cast<size_t>(entry.pair) * kMoments;
         const F fields[kMoments] = {g0, gu, gv, guu, guv, gvv, red, green, blue, far, zero, zero};
         sum_lanes(fields, to);
     }
 }
 
-inline void backward_tile(const TileLists& lists, const Trace& trace, const Camera& cam, int tile, const Cotangents& ct,
-                          const uint8_t* selected, float* moments) {
+inline void backward_tile(const TileLists& lists, const Trace& trace, const Camera& cam, int tile, const Cotangents& ct, float* moments) {
     if (ct.depth)
-        backward_tile_of<true>(lists, trace, cam, tile, ct, selected, moments);
+        backward_tile_of<true>(lists, trace, cam, tile, ct, moments);
     else
-        backward_tile_of<false>(lists, trace, cam, tile, ct, selected, moments);
+        backward_tile_of<false>(lists, trace, cam, tile, ct, moments);
 }
 
 // Gradient of the unit directions through the spherical harmonics: adds dL/d(x, y, z) for one coefficient's dL/dbasis.
@@ -156,19 +156,24 @@ DECOGS_INLINE void sh_backward(int degree, const F& x, const F& y, const F& z, c
     vz = vz + c14 * (xx - yy);
 }
 
+// What the forward pass knows of each of the scene's Gaussians: its ellipse and where its pairs lie.
+struct Drawn {
+    const Projected* projected;
+    const uint32_t* first_pair;
+};
+
 // Adds up the pair moments of Gaussian `row`; returns whether it was drawn.
-inline bool gather_moments(const TileLists& lists, const float* moments, int64_t row, const uint8_t* selected, float* total) {
+inline bool gather_moments(const Drawn& drawn, const float* moments, int64_t row, float* total) {
     std::memset(total, 0, kMoments * sizeof(float));
-    if (selected && !selected[row]) return false;
-    const uint32_t begin = lists.first_pair[row], end = lists.first_pair[row + 1];
+    const uint32_t begin = drawn.first_pair[row], end = drawn.first_pair[row + 1];
     for (uint32_t pair = begin; pair < end; ++pair)
         for (int k = 0; k < kMoments; ++k) total[k] += moments[static_cast<size_t>(pair) * kMoments + k];
     return end > begin;
 }
 
 // Gradients of sixteen consecutive Gaussians from their moments.
-inline void backward_group(const Scene& scene, const Camera& cam, const TileLists& lists, const float* moments, int64_t base,
-                           const uint8_t* selected, const Gradients& out) {
+inline void backward_group(const Scene& scene, const Camera& cam, const Drawn& forward, const float* moments, int64_t base,
+                           const Gradients& out) {
     const int used = static_cast<int>(std::min<int64_t>(kLanes, scene.count - base));
     int64_t rows[kLanes];
     float lanes[kMoments][kLanes];
@@ -177,15 +182,12 @@ inline void backward_group(const Scene& scene, const Camera& cam, const TileList
         rows[i] = base + std::min(i, used - 1);
         float total[kMoments];
         if (i < used)
-            drawn |= gather_moments(lists, moments, rows[i], selected, total);
+            drawn |= gather_moments(forward, moments, rows[i], total);
         else
             std::memset(total, 0, sizeof total);
         for (int k = 0; k < kMoments; ++k) lanes[k][i] = total[k];
     }
     const int stride = 3 * scene.sh_coefficients;
-    if (out.rgb)
-        for (int c = 0; c < 3; ++c) scatter(out.rgb, rows, used, 3, c, load(lanes[6 + c]));
-    if (!out.means) return;
     if (!drawn) {
         std::memset(out.means + base * 3, 0, sizeof(float) * 3 * used);
         std::memset(out.log_scales + base * 3, 0, sizeof(float) * 3 * used);
@@ -201,7 +203,7 @@ inline void backward_group(const Scene& scene, const Camera& cam, const TileList
     for (int k = 0; k < kMoments; ++k) total[k] = load(lanes[k]);
     // A lane that was not drawn has zero moments; keep whatever its projection holds (0/0, infinities) out of its gradients.
     float cuts[kLanes];
-    for (int i = 0; i < kLanes; ++i) cuts[i] = lists.projected[rows[i]].cut;
+    for (int i = 0; i < kLanes; ++i) cuts[i] = forward.projected[rows[i]].cut;
     const M on = load(cuts) > 0.0f;
 
     // The conic is kFold A^T A with (u, v) = A (dx, dy), A = (p q; 0 r). Its gradient gives the covariance's: A^T B A, of
@@ -278,7 +280,7 @@ inline void backward_group(const Scene& scene, const Camera& cam, const TileList
         for (int c = 0; c < 3; ++c) v_sh[3 * k + c] = zero;
     for (int c = 0; c < 3; ++c) {
         float shown[kLanes];
-        for (int i = 0; i < kLanes; ++i) shown[i] = lists.projected[rows[i]].rgb[c];
+        for (int i = 0; i < kLanes; ++i) shown[i] = forward.projected[rows[i]].rgb[c];
         const F v_rgb = select((load(shown) > 0.0f) & on, total[6 + c], zero);
         for (int k = 0; k < coefficients; ++k) {
             v_sh[3 * k + c] = v_rgb * basis[k];
@@ -295,6 +297,16 @@ inline void backward_group(const Scene& scene, const Camera& cam, const TileList
     for (int k = 0; k < 3; ++k) scatter(out.means, rows, used, 3, k, select(on, v_mean[k], zero));
     scatter(out.opacity_logits, rows, used, 1, 0, select(on, total[0] * (1.0f - g.sigmoid), zero));
     if (out.view) scatter(out.view, rows, used, 1, 0, select(on, sqrt(v_x2d * v_x2d + v_y2d * v_y2d), zero));
+}
+
+// Gradients of the whole scene, a chunk of Gaussians per task.
+inline void backward_scene(Pool& pool, const Scene& scene, const Camera& cam, const Drawn& forward, const float* moments, const Gradients& out) {
+    const int chunks = static_cast<int>((scene.count + kChunk - 1) / kChunk);
+    pool.run(chunks, [&](int chunk) {
+        const int64_t end = std::min<int64_t>(scene.count, static_cast<int64_t>(chunk + 1) * kChunk);
+        for (int64_t base = static_cast<int64_t>(chunk) * kChunk; base < end; base += kLanes)
+            backward_group(scene, cam, forward, moments, base, out);
+    });
 }
 
 }  // namespace decogs

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "pool.h"
+#include "project.h"
 #include "simd.h"
 
 namespace decogs {
@@ -16,43 +17,94 @@ struct LossInput {  // mirrored by ctypes
     const float* target;    // (3, H, W)
     const float* l1_weight; // (H, W), multiplies |image - target|; null: everywhere 1
     const float* focus;     // (H, W) multiplies both pictures before SSIM and weighs its map; null: everywhere 1
+    const uint8_t* tiles;   // one per 16x16 tile: where the loss is wanted; null: everywhere
     float l1_scale;         // factors that turn the weighted sums into the loss
     float ssim_scale;
     int32_t width, height;
 };
 
-struct LossSums {  // over all pixels and channels
+struct LossSums {  // over the wanted pixels and all channels
     double l1;    // sum of l1_weight |image - target|
     double ssim;  // sum of focus (1 - SSIM)
-    double square;  // sum of (image - target)^2
+};
+
+struct Region {
+    int x0, x1, y0, y1;  // pixels [x0, x1) x [y0, y1)
 };
 
 class Loss {
    public:
-    // Writes the gradient of l1_scale * l1 + ssim_scale * ssim to `gradient`, (3, H, W).
+    // Writes the gradient of l1_scale * l1 + ssim_scale * ssim to `gradient`, (3, H, W), at the wanted pixels. It is exact
+    // there: the SSIM windows that reach beyond the wanted tiles are evaluated as well.
     LossSums run(Pool& pool, const LossInput& in, float* gradient) {
         width_ = in.width;
         height_ = in.height;
-        stride_ = (width_ + kLanes - 1) / kLanes * kLanes;
-        row_sums_.assign(static_cast<size_t>(height_) * 3, LossSums{0, 0, 0});
-        const int bands = (height_ + kBand - 1) / kBand;
-        if (in.ssim_scale != 0.0f) {
-            for (auto& map : maps_) map.resize(static_cast<size_t>(stride_) * height_ * 3);
-            pool.run(3 * bands, [&](int task) { statistics(in, task / bands, task % bands); });
-        }
-        pool.run(3 * bands, [&](int task) { derivatives(in, gradient, task / bands, task % bands); });
-        LossSums total{0, 0, 0};
-        for (const LossSums& row : row_sums_) {
-            total.l1 += row.l1;
-            total.ssim += row.ssim;
-            total.square += row.square;
+        find_regions(in.tiles);
+        const int tasks = 3 * static_cast<int>(regions_.size());
+        sums_.assign(tasks, LossSums{0, 0});
+        pool.run(tasks, [&](int task) { sums_[task] = region(in, gradient, task % 3, regions_[task / 3]); });
+        LossSums total{0, 0};
+        for (const LossSums& part : sums_) {
+            total.l1 += part.l1;
+            total.ssim += part.ssim;
         }
         return total;
     }
 
    private:
-    // A task is a band of rows, walked in strips of columns so that what the window reads stays in the first-level cache.
     static constexpr int kRadius = 5, kTaps = 11, kBand = 64, kStrip = 128, kMargin = 16, kRow = kStrip + 2 * kMargin;
+
+    // The wanted tiles as rectangles: runs along rows of tiles, joined with the run above when they begin and end together.
+    void find_regions(const uint8_t* tiles) {
+        regions_.clear();
+        if (!tiles) {
+            for (int y = 0; y < height_; y += kBand) regions_.push_back({0, width_, y, std::min(height_, y + kBand)});
+            return;
+        }
+        const int columns = (width_ + kTile - 1) / kTile, rows = (height_ + kTile - 1) / kTile;
+        for (int r = 0; r < rows; ++r)
+            for (int c = 0; c < columns;) {
+                if (!tiles[r * columns + c]) {
+                    ++c;
+                    continue;
+                }
+                const int begin = c;
+                while (c < columns && tiles[r * columns + c]) ++c;
+                add_run({begin * kTile, std::min(width_, c * kTile), r * kTile, std::min(height_, (r + 1) * kTile)});
+            }
+    }
+
+    void add_run(const Region& run) {
+        for (Region& above : regions_)
+            if (above.y1 == run.y0 && above.x0 == run.x0 && above.x1 == run.x1 && run.y1 - above.y0 <= kBand) {
+                above.y1 = run.y1;
+                return;
+            }
+        regions_.push_back(run);
+    }
+
+    // What a task works on: SSIM's derivatives in the statistics of its region and of the margin its windows need.
+    struct Maps {
+        int x0, y0, stride;
+        std::vector<float> field[3];
+        float* at(int k, int x, int y) { return &field[k][static_cast<size_t>(y - y0) * stride + (x - x0)]; }
+    };
+
+    LossSums region(const LossInput& in, float* gradient, int channel, const Region& r) const {
+        thread_local Maps maps;
+        LossSums sums{0, 0};
+        if (in.ssim_scale != 0.0f) {
+            const Region wide{std::max(0, r.x0 - kRadius), std::min(width_, r.x1 + kRadius), std::max(0, r.y0 - kRadius),
+                              std::min(height_, r.y1 + kRadius)};
+            maps.x0 = wide.x0;
+            maps.y0 = wide.y0;
+            maps.stride = (wide.x1 - wide.x0 + kLanes - 1) / kLanes * kLanes;
+            for (auto& field : maps.field) field.resize(static_cast<size_t>(maps.stride) * (wide.y1 - wide.y0));
+            sums.ssim = statistics(in, channel, wide, r, maps);
+        }
+        sums.l1 = derivatives(in, gradient, channel, r, maps);
+        return sums;
+    }
 
     static const float* window() {
         static const float taps[6] = {0.26601171f, 0.21300553f, 0.10936069f, 0.036000773f, 0.0075987577f, 0.0010283801f};
@@ -121,9 +173,9 @@ class Loss {
         }
     }
 
-    // Partial derivatives of 1 - SSIM in the window's statistics of the image: mean, mean square, mean product.
-    void statistics(const LossInput& in, int channel, int band) {
-        const int y0 = band * kBand, y1 = std::min(height_, y0 + kBand);
+    // Partial derivatives of 1 - SSIM in the window's statistics of the image: mean, mean square, mean product. Returns the
+    // sum of focus (1 - SSIM) over the region itself.
+    double statistics(const LossInput& in, int channel, const Region& wide, const Region& own, Maps& maps) const {
         const auto fill = [&](int y, int from, int to, float* row) {
             focused_row(in, in.image, channel, y, from, to, row);
             focused_row(in, in.target, channel, y, from, to, row + kRow);
@@ -133,14 +185,18 @@ class Loss {
                 store(row + 3 * kRow + x, a * b);
             }
         };
-        for (int x0 = 0; x0 < stride_; x0 += kStrip) {
-            const int x1 = std::min(stride_, x0 + kStrip);
-            blur_strip<4>(y0, y1, x0, x1, fill, [&](int y, const float* blurred) { take_statistics(in, channel, y, x0, x1, blurred); });
+        double total = 0;
+        for (int x0 = wide.x0; x0 < wide.x1; x0 += kStrip) {
+            const int x1 = std::min(wide.x1, x0 + kStrip);
+            blur_strip<4>(wide.y0, wide.y1, x0, x1, fill, [&](int y, const float* blurred) {
+                const double row = take_statistics(in, y, x0, x1, own, blurred, maps);
+                if (y >= own.y0 && y < own.y1) total += row;
+            });
         }
+        return total;
     }
 
-    void take_statistics(const LossInput& in, int channel, int y, int x0, int x1, const float* blurred) {
-        const size_t line = static_cast<size_t>(channel) * height_ + y;
+    double take_statistics(const LossInput& in, int y, int x0, int x1, const Region& own, const float* blurred, Maps& maps) const {
         const float* focus = in.focus ? in.focus + static_cast<size_t>(y) * width_ : nullptr;
         F total = splat(0.0f);
         for (int x = x0; x < x1; x += kLanes) {
@@ -157,13 +213,19 @@ class Loss {
             const F to_ab = weight * n1 * inverse * -2.0f;
             const F to_squares = weight * similarity * inverse2;
             const F to_mean = weight * (mb * (n1 - n2) * inverse * 2.0f + similarity * ma * (inverse1 - inverse2) * 2.0f);
-            const size_t to = line * stride_ + x;
-            store(&maps_[0][to], to_mean);
-            store(&maps_[1][to], to_squares);
-            store(&maps_[2][to], to_ab);
-            total = total + weight * (1.0f - similarity);
+            store(maps.at(0, x, y), to_mean);
+            store(maps.at(1, x, y), to_squares);
+            store(maps.at(2, x, y), to_ab);
+            const F column = lane_numbers() + static_cast<float>(x);
+            const M counted = (column >= static_cast<float>(own.x0)) & (column < static_cast<float>(own.x1));
+            total = total + select(counted, weight * (1.0f - similarity), splat(0.0f));
         }
-        row_sums_[line].ssim += sum_of(total);
+        return sum_of(total);
+    }
+
+    static F lane_numbers() {
+        static const float values[kLanes] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
+        return load(values);
     }
 
     static const float* ones() {
@@ -171,33 +233,34 @@ class Loss {
         return values;
     }
 
-    void derivatives(const LossInput& in, float* gradient, int channel, int band) {
-        const int y0 = band * kBand, y1 = std::min(height_, y0 + kBand);
+    // The gradient of the region, and its sum of l1_weight |image - target|.
+    double derivatives(const LossInput& in, float* gradient, int channel, const Region& r, Maps& maps) const {
         const auto fill = [&](int y, int from, int to, float* row) {
-            const size_t at = (static_cast<size_t>(channel) * height_ + y) * stride_ + from;
-            for (int k = 0; k < 3; ++k) std::memcpy(row + k * kRow, &maps_[k][at], sizeof(float) * (to - from));
+            for (int k = 0; k < 3; ++k) std::memcpy(row + k * kRow, maps.at(k, from, y), sizeof(float) * (to - from));
         };
-        for (int x0 = 0; x0 < stride_; x0 += kStrip) {
-            const int x1 = std::min(stride_, x0 + kStrip);
+        double l1 = 0;
+        for (int x0 = r.x0; x0 < r.x1; x0 += kStrip) {
+            const int x1 = std::min(r.x1, x0 + kStrip);
+            const auto take = [&](int y, const float* blurred) { l1 += finish(in, gradient, channel, y, x0, x1, blurred); };
             if (in.ssim_scale != 0.0f)
-                blur_strip<3>(y0, y1, x0, x1, fill, [&](int y, const float* blurred) { finish(in, gradient, channel, y, x0, x1, blurred); });
+                blur_strip<3>(r.y0, r.y1, x0, x1, fill, take);
             else
-                for (int y = y0; y < y1; ++y) finish(in, gradient, channel, y, x0, x1, nullptr);
+                for (int y = r.y0; y < r.y1; ++y) take(y, nullptr);
         }
+        return l1;
     }
 
-    // The gradient of columns [x0, x1) of a row, and what the row adds to L1 and mean square.
-    void finish(const LossInput& in, float* gradient, int channel, int y, int x0, int x1, const float* blurred) {
+    // The gradient of columns [x0, x1) of a row, and what the row adds to L1.
+    double finish(const LossInput& in, float* gradient, int channel, int y, int x0, int x1, const float* blurred) const {
         const size_t pixel = static_cast<size_t>(y) * width_, line = static_cast<size_t>(channel) * height_ + y;
         const F zero = splat(0.0f), one = splat(1.0f);
-        F l1 = zero, square = zero;
-        for (int x = x0; x < std::min(x1, width_); x += kLanes) {
-            const int left = width_ - x;
+        F l1 = zero;
+        for (int x = x0; x < x1; x += kLanes) {
+            const int left = x1 - x;
             const F a = load_some(in.image + line * width_ + x, left), b = load_some(in.target + line * width_ + x, left);
             const F weight = in.l1_weight ? load_some(in.l1_weight + pixel + x, left) : one;
             const F difference = a - b;
             l1 = l1 + weight * max(difference, -difference);
-            square = square + difference * difference;
             F value = weight * in.l1_scale * (select(difference > 0.0f, one, zero) - select(difference < 0.0f, one, zero));
             if (blurred) {
                 const float* at = blurred + (x - x0);
@@ -207,13 +270,12 @@ class Loss {
             }
             store_some(gradient + line * width_ + x, left, value);
         }
-        row_sums_[line].l1 += sum_of(l1);
-        row_sums_[line].square += sum_of(square);
+        return sum_of(l1);
     }
 
-    int width_ = 0, height_ = 0, stride_ = 0;
-    std::vector<float> maps_[3];
-    std::vector<LossSums> row_sums_;
+    int width_ = 0, height_ = 0;
+    std::vector<Region> regions_;
+    std::vector<LossSums> sums_;
 };
 
 }  // namespace decogs

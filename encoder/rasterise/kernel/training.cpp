@@ -1,6 +1,7 @@
 // The encoder's differentiable renderer, loss and optimiser behind a plain C interface; mirrored in native.py.
 #include "adam.h"
 #include "backward.h"
+#include "fixed_view.h"
 #include "loss.h"
 
 using namespace decogs;
@@ -16,6 +17,7 @@ struct Trainer {
     Loss loss;
 };
 Trainer& trainer_of(void* handle) { return *static_cast<Trainer*>(handle); }
+FixedView& view_of(void* handle) { return *static_cast<FixedView*>(handle); }
 }  // namespace
 
 extern "C" {
@@ -29,42 +31,46 @@ void decogs_forward(void* handle, const Scene* scene, const Camera* camera, cons
     render_picture(t.pool, t.binner, *scene, *camera, *out, t.lists, &t.trace);
 }
 
-// As decogs_forward into a picture that already shows the scene with other values of `selected`: only tiles that one of
-// them meets now, or met when the picture was drawn before, can differ. `touched`, one byte per tile, remembers those.
-// `first` draws the whole picture and starts that memory.
-void decogs_redraw(void* handle, const Scene* scene, const Camera* camera, const Planes* out, const uint8_t* selected, int first,
-                   uint8_t* touched) {
-    Trainer& t = trainer_of(handle);
-    t.binner.run(t.pool, *scene, *camera, t.lists);
-    t.trace.resize(t.lists);
-    t.pool.run(t.lists.rows, [&](int row) {
-        for (int tile = row * t.lists.columns; tile < (row + 1) * t.lists.columns; ++tile) {
-            bool met = false;
-            for (uint32_t e = t.lists.first_entry[tile]; !met && e < t.lists.first_entry[tile + 1]; ++e)
-                met = selected[t.lists.entries[e].gaussian];
-            if (first) touched[tile] = 0;
-            touched[tile] |= met;
-            if (first || touched[tile]) composite_tile(t.lists, *camera, tile, *out, &t.trace);
-        }
-    });
-}
-
-// Gradients of the last decogs_forward or decogs_redraw; `selected`, one byte per Gaussian, may be null for all.
-void decogs_backward(void* handle, const Scene* scene, const Camera* camera, const Cotangents* cotangents, const uint8_t* selected,
-                     const Gradients* out) {
+// Gradients of the last decogs_forward.
+void decogs_backward(void* handle, const Scene* scene, const Camera* camera, const Cotangents* cotangents, const Gradients* out) {
     Trainer& t = trainer_of(handle);
     t.moments.resize(t.lists.entries.size() * kMoments);
     t.pool.run(t.lists.rows, [&](int row) {
         for (int column = 0; column < t.lists.columns; ++column)
-            backward_tile(t.lists, t.trace, *camera, row * t.lists.columns + column, *cotangents, selected, t.moments.data());
+            backward_tile(t.lists, t.trace, *camera, row * t.lists.columns + column, *cotangents, t.moments.data());
     });
-    const int chunks = static_cast<int>((scene->count + kChunk - 1) / kChunk);
-    t.pool.run(chunks, [&](int chunk) {
-        const int64_t end = std::min<int64_t>(scene->count, static_cast<int64_t>(chunk + 1) * kChunk);
-        for (int64_t base = static_cast<int64_t>(chunk) * kChunk; base < end; base += kLanes)
-            backward_group(*scene, *camera, t.lists, t.moments.data(), base, selected, *out);
-    });
+    backward_scene(t.pool, *scene, *camera, {t.lists.projected.data(), t.lists.first_pair.data()}, t.moments.data(), *out);
 }
+
+void* decogs_view_create(const Camera* camera) { return new FixedView(*camera); }
+
+void decogs_view_destroy(void* view) { delete static_cast<FixedView*>(view); }
+
+void decogs_view_place(void* handle, void* view, const Scene* scene) {
+    Trainer& t = trainer_of(handle);
+    view_of(view).place(t.pool, t.binner, *scene);
+}
+
+void decogs_view_lift(void* view, const int64_t* rows, int64_t count) { view_of(view).lift(rows, count); }
+
+void decogs_view_draw(void* handle, void* view, const Scene* moving, const int64_t* rows, const Planes* out, uint8_t* met) {
+    view_of(view).draw(trainer_of(handle).pool, *moving, rows, *out, met);
+}
+
+void decogs_view_backward(void* handle, void* view, const Scene* moving, const Cotangents* cotangents, const Gradients* out) {
+    view_of(view).backward(trainer_of(handle).pool, *moving, *cotangents, *out);
+}
+
+void decogs_view_settle(void* handle, void* view, const Scene* scene, const int64_t* rows, int64_t count, const int64_t* renumbered,
+                        int64_t before) {
+    view_of(view).settle(trainer_of(handle).pool, *scene, rows, count, renumbered, before);
+}
+
+void decogs_view_refresh(void* handle, void* view, const uint8_t* marks, const Planes* out, float* weights, int64_t count) {
+    view_of(view).refresh(trainer_of(handle).pool, marks, *out, weights, count);
+}
+
+void decogs_view_centres(void* view, int64_t count, float* to) { view_of(view).centres(count, to); }
 
 void decogs_loss(void* handle, const LossInput* in, float* gradient, LossSums* sums) {
     Trainer& t = trainer_of(handle);

@@ -1,0 +1,166 @@
+"""A fixed camera that watches a scene of which few Gaussians change: the exact sparse path of training.
+
+What does not change is neither projected, nor sorted, nor drawn again; pictures and gradients have the bits of a whole
+rendering. Design and rejected alternatives: kernel/fixed_view.h.
+"""
+
+from __future__ import annotations
+
+import ctypes
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.decoder.rasterise.native import NativePlanes, native_camera, native_scene
+from decogs.formats.cameras import Camera
+from decogs.formats.splats import FloatArray, Splats
+
+from .native import (
+    NativeCotangents,
+    SplatGradients,
+    TrainingKernel,
+    address,
+    float_address,
+    gradients_like,
+    library,
+    tile_count,
+)
+
+RowArray = NDArray[np.int64]
+
+
+class FixedView:
+    """The picture of a pinhole ``camera``, kept up to date while Gaussians change a few at a time.
+
+    The order of calls: ``place`` a scene; then for every frame ``refresh`` (as often as wanted), ``lift`` the Gaussians
+    that are about to change, ``draw`` and ``backward`` as often as wanted, ``settle``.
+
+    ``rgb`` (3, H, W), ``alpha`` and ``depth`` (H, W; the depth summed by weight) are the picture as last drawn or
+    refreshed; ``alpha`` and ``depth`` are those of the last refresh or of the last draw with ``depth``.
+    """
+
+    def __init__(self, kernel: TrainingKernel, camera: Camera) -> None:
+        self._library, self._kernel, self.camera = library(), kernel, camera
+        self._native = native_camera(camera)
+        size = (camera.height, camera.width)
+        self.rgb: FloatArray = np.zeros((3, *size), np.float32)
+        self.alpha: FloatArray = np.zeros(size, np.float32)
+        self.depth: FloatArray = np.zeros(size, np.float32)
+        self.met: NDArray[np.uint8] = np.zeros(tile_count(camera.width, camera.height), np.uint8)
+        """One per 16x16 tile: whether a Gaussian of the last ``draw`` meets it. Nothing else can change its pixels."""
+        self._population = 0
+        self._drawn: tuple[Splats, RowArray] | None = None
+        self._handle = self._library.decogs_view_create(ctypes.byref(self._native))
+
+    def __del__(self) -> None:
+        if hasattr(self, "_handle"):
+            self._library.decogs_view_destroy(self._handle)
+
+    def place(self, scene: Splats) -> None:
+        """Starts with a whole scene (N Gaussians), all of it at rest; the picture is there after ``refresh``."""
+        self._library.decogs_view_place(self._kernel.handle, self._handle, ctypes.byref(native_scene(scene)))
+        self._population = len(scene)
+
+    def refresh(self, marks: NDArray[np.bool_] | None = None) -> FloatArray:
+        """Brings the picture up to date with the scene at rest; every Gaussian's rendering weight, (2, N).
+
+        The weight is the sum of alpha times transmittance: in row 0 over all pixels, in row 1 over ``marks`` (H, W).
+        """
+        if marks is not None and (marks.shape != self.depth.shape or marks.dtype != np.bool_):
+            raise ValueError(f"marks of {marks.dtype} {marks.shape} for a picture of {self.depth.shape}")
+        weights = np.empty((2, self._population), np.float32)
+        planes = self._planes(depth=True)
+        self._library.decogs_view_refresh(
+            self._kernel.handle,
+            self._handle,
+            address(marks),
+            ctypes.byref(planes),
+            address(weights),
+            self._population,
+        )
+        return weights
+
+    def lift(self, rows: RowArray) -> None:
+        """Takes the Gaussians ``rows`` out of the scene at rest: they are what changes until ``settle``."""
+        rows = self._checked(rows, self._population)
+        self._library.decogs_view_lift(self._handle, address(rows), len(rows))
+
+    def draw(self, moving: Splats, rows: RowArray, *, depth: bool = False) -> FloatArray:
+        """The picture (3, H, W) with ``moving`` (M Gaussians) in it, which are the scene's ``rows``, ascending.
+
+        Rows are lifted ones, or new ones, numbered from N on. Lifted ones that are left out do not show.
+        """
+        rows = self._checked(rows, None)
+        if len(moving) != len(rows):
+            raise ValueError(f"{len(moving)} Gaussians for {len(rows)} rows")
+        planes = self._planes(depth=depth)
+        self._drawn = (moving, rows)  # read again on the way back
+        self._scene = native_scene(moving)
+        self._library.decogs_view_draw(
+            self._kernel.handle,
+            self._handle,
+            ctypes.byref(self._scene),
+            address(rows),
+            ctypes.byref(planes),
+            address(self.met),
+        )
+        return self.rgb
+
+    def backward(self, v_rgb: FloatArray, *, out: SplatGradients | None = None) -> SplatGradients:
+        """Gradients of the Gaussians of the last ``draw`` (M), for the cotangent (3, H, W) of its picture.
+
+        The cotangent is read in the tiles of ``met`` only.
+        """
+        if self._drawn is None:
+            raise ValueError("backward needs a draw before it")
+        if v_rgb.shape != self.rgb.shape:
+            raise ValueError(f"cotangent of shape {v_rgb.shape} for a picture of {self.rgb.shape}")
+        moving, _ = self._drawn
+        out = out or gradients_like(moving)
+        cotangents = NativeCotangents(float_address(v_rgb), None, None, (ctypes.c_float * 3)(0, 0, 0))
+        self._library.decogs_view_backward(
+            self._kernel.handle,
+            self._handle,
+            ctypes.byref(self._scene),
+            ctypes.byref(cotangents),
+            ctypes.byref(out.native(moving)),
+        )
+        return out
+
+    def settle(self, scene: Splats, rows: RowArray, renumbered: RowArray | None = None) -> None:
+        """All is at rest again: ``scene`` is the scene from now on, ``rows`` (ascending) were lifted or are new.
+
+        ``renumbered`` (N,) gives every old Gaussian's row in ``scene``, -1 for one that is gone, which must have been
+        lifted; None when all kept theirs.
+        """
+        rows = self._checked(rows, len(scene))
+        if renumbered is not None and renumbered.shape != (self._population,):
+            raise ValueError(f"{renumbered.shape} new numbers for {self._population} Gaussians")
+        self._library.decogs_view_settle(
+            self._kernel.handle,
+            self._handle,
+            ctypes.byref(native_scene(scene)),
+            address(rows),
+            len(rows),
+            address(renumbered),
+            self._population,
+        )
+        self._population, self._drawn = len(scene), None
+
+    def centres(self) -> FloatArray:
+        """Projected centres (N, 2) of the scene at rest, in pixels; NaN where a Gaussian is not drawn."""
+        centres = np.empty((self._population, 2), np.float32)
+        self._library.decogs_view_centres(self._handle, self._population, address(centres))
+        return centres
+
+    def _planes(self, *, depth: bool) -> NativePlanes:
+        more = (address(self.alpha), address(self.depth)) if depth else (None, None)
+        return NativePlanes(address(self.rgb), *more, (ctypes.c_float * 3)(0, 0, 0))
+
+    def _checked(self, rows: RowArray, population: int | None) -> RowArray:
+        if rows.dtype != np.int64 or rows.ndim != 1:
+            raise ValueError(f"rows must be int64, not {rows.dtype} {rows.shape}")
+        outside = len(rows) > 0 and (rows[0] < 0 or (population is not None and rows[-1] >= population))
+        if outside or (np.diff(rows) <= 0).any():
+            raise ValueError("rows must ascend and lie in the scene")
+        return np.ascontiguousarray(rows)

@@ -1,0 +1,189 @@
+"""The sparse path of training: bits of a whole rendering, whatever moves, comes, goes and settles."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from decogs.encoder.rasterise import FixedView, TrainingKernel
+from decogs.formats.splats import Splats, join_splats, take_splats
+
+CASES_PATH = Path(__file__).resolve().parents[1] / "rasterise_cases.py"
+spec = importlib.util.spec_from_file_location("rasterise_cases", CASES_PATH)
+assert spec is not None
+assert spec.loader is not None
+cases = importlib.util.module_from_spec(spec)
+sys.modules["rasterise_cases"] = cases
+spec.loader.exec_module(cases)
+
+FIELDS = ("means", "log_scales", "quaternions", "opacity_logits", "sh", "view")
+CAMERA = cases.pinhole(83, 61, 70.0)
+GRADIENT_ROUNDINGS = 50
+
+
+def small_scene(seed: int, count: int = 300) -> Splats:
+    return cases.scene(seed, count, 1, sigma=(0.02, 0.08))
+
+
+def jittered(splats: Splats, rng: np.random.Generator, size: float) -> Splats:
+    """All attributes somewhat elsewhere."""
+    return Splats(
+        *(
+            np.ascontiguousarray(a + rng.normal(0, size, a.shape), np.float32)
+            for a in (splats.means, splats.log_scales, splats.quaternions, splats.opacity_logits, splats.sh)
+        )
+    )
+
+
+def with_rows(scene: Splats, rows: np.ndarray, moving: Splats) -> Splats:
+    """The whole scene that ``moving`` at ``rows`` stands for; lifted rows left out must have been hidden before."""
+    grown = join_splats(scene, take_splats(moving, np.arange(int((rows < len(scene)).sum()), len(rows))))
+    for name in FIELDS[:-1]:
+        getattr(grown, name)[rows] = getattr(moving, name)
+    return grown
+
+
+def hidden(scene: Splats, rows: np.ndarray) -> Splats:
+    logits = scene.opacity_logits.copy()
+    logits[rows] = -80
+    return cases.edited(scene, opacity_logits=logits)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_draws_and_gradients_are_the_dense_ones_bit_for_bit(seed: int) -> None:
+    """Frames of random lifts, moves, removals and additions; the set of moving Gaussians changes between draws too."""
+    rng = np.random.default_rng(seed)
+    scene = small_scene(seed)
+    kernel, dense = TrainingKernel(2), TrainingKernel(1)
+    view = FixedView(kernel, CAMERA)
+    view.place(scene)
+    for share in (0.05, 0.0, 0.3, 1.0, 0.1):
+        weights = view.refresh()
+        assert_shows(view, scene, dense, depth=True)
+        assert np.array_equal(weights, fresh_weights(scene, None))
+        rows = lifted = np.flatnonzero(rng.random(len(scene)) < share)
+        view.lift(lifted)
+        moving = take_splats(scene, rows)
+        for step in range(4):
+            if step == 2:  # some are taken away, others come
+                stay = rng.random(len(rows)) < 0.8
+                new = take_splats(small_scene(seed + 100), np.arange(7))
+                moving = join_splats(take_splats(moving, stay), new)
+                rows = np.concatenate([rows[stay], np.arange(len(scene), len(scene) + len(new))])
+            moving = jittered(moving, rng, 0.05)
+            now = with_rows(hidden(scene, lifted), rows, moving)
+            view.draw(moving, rows, depth=step == 3)
+            assert_shows(view, now, dense, depth=step == 3)
+            cotangent = rng.normal(size=view.rgb.shape).astype(np.float32)
+            sparse, whole = view.backward(cotangent), dense.backward(now, cotangent)
+            for name in FIELDS:
+                assert np.array_equal(getattr(sparse, name), getattr(whole, name)[rows]), name
+        gone = np.setdiff1d(lifted, rows)
+        stays = np.setdiff1d(np.arange(len(now)), gone)
+        scene = take_splats(now, stays)
+        renumbered = np.full(len(now), -1, np.int64)
+        renumbered[stays] = np.arange(len(stays))
+        view.settle(scene, renumbered[rows], renumbered[: len(now) - len(new)] if len(gone) else None)
+
+
+def assert_shows(view: FixedView, scene: Splats, dense: TrainingKernel, *, depth: bool) -> None:
+    picture = dense.forward(scene, CAMERA, depth=True)
+    assert np.array_equal(view.rgb, picture.rgb)
+    if depth:
+        assert np.array_equal(view.alpha, picture.alpha)
+        assert picture.depth is not None
+        assert np.array_equal(view.depth, picture.depth)
+
+
+def fresh_weights(scene: Splats, marks: np.ndarray | None) -> np.ndarray:
+    """Weights of a view that has no history."""
+    view = FixedView(TrainingKernel(1), CAMERA)
+    view.place(scene)
+    return view.refresh(marks)
+
+
+@pytest.mark.parametrize("name", ["degree-0", "around", "stack", "crowd", "clamped-colours"])
+def test_weights_are_the_textbooks(name: str) -> None:
+    case = cases.CASES[name]()
+    book = cases.textbook(case)
+    marks = np.random.default_rng(4).random((case.camera.height, case.camera.width)) < 0.3
+    view = FixedView(TrainingKernel(2), case.camera)
+    view.place(case.splats)
+    weights = view.refresh(marks)
+    for got, counted in zip(weights, (np.ones_like(marks), marks), strict=True):
+        expected = (book.weights * counted).sum((1, 2))
+        slack = (book.doubtful & counted).sum()  # a doubtful pixel's weight may be there or not
+        cases.compare(got, expected, GRADIENT_ROUNDINGS * cases.ROUNDING * max(1.0, expected.max()) + slack)
+
+
+def test_marks_are_weighed_whatever_was_drawn_before() -> None:
+    scene, rng = small_scene(3), np.random.default_rng(3)
+    view = FixedView(TrainingKernel(2), CAMERA)
+    view.place(scene)
+    for share in (0.0, 0.01, 0.5, 1.0):
+        marks = rng.random((CAMERA.height, CAMERA.width)) < share
+        assert np.array_equal(view.refresh(marks), fresh_weights(scene, marks))
+
+
+def test_only_tiles_that_change_are_drawn_again() -> None:
+    scene = small_scene(1)
+    view = FixedView(TrainingKernel(1), CAMERA)
+    view.place(scene)
+    view.refresh()
+    rows = np.array([17], np.int64)
+    view.lift(rows)
+    view.rgb[:] = -1
+    view.draw(take_splats(scene, rows), rows)
+    tiles = view.met.reshape(-(-CAMERA.height // 16), -(-CAMERA.width // 16)).astype(bool)
+    drawn = np.kron(tiles, np.ones((16, 16), bool))[: CAMERA.height, : CAMERA.width]
+    assert 0 < tiles.sum() < tiles.size
+    assert (view.rgb[:, ~drawn] == -1).all()
+    assert (view.rgb[:, drawn] >= 0).all()
+
+
+def test_the_loss_of_some_tiles_has_the_gradient_of_the_whole() -> None:
+    rng = np.random.default_rng(8)
+    kernel = TrainingKernel(2)
+    for width, height in ((83, 61), (200, 150), (16, 16), (300, 40)):
+        image, target = (rng.random((3, height, width)).astype(np.float32) for _ in range(2))
+        focus = (rng.random((height, width)) < 0.5).astype(np.float32)
+        weight = rng.random((height, width)).astype(np.float32)
+        scales = {"l1_scale": 0.8, "ssim_scale": 0.2, "l1_weight": weight, "focus": focus}
+        whole, expected = kernel.loss(image, target, **scales)
+        shape = (-(-height // 16), -(-width // 16))
+        parts = 0.0
+        chosen = rng.random(shape) < 0.4
+        for tiles in (chosen, ~chosen):
+            drawn = np.kron(tiles, np.ones((16, 16), bool))[:height, :width]
+            untouched = np.full_like(image, 7)
+            value, gradient = kernel.loss(image, target, **scales, tiles=tiles.astype(np.uint8), gradient=untouched)
+            assert np.array_equal(gradient[:, drawn], expected[:, drawn])
+            assert (gradient[:, ~drawn] == 7).all()
+            parts += value.total
+        assert parts == pytest.approx(whole.total, rel=1e-6)  # float32 sums of a row each, added in another order
+
+
+def test_misuse_is_refused() -> None:
+    view = FixedView(TrainingKernel(1), CAMERA)
+    scene = small_scene(2)
+    view.place(scene)
+    with pytest.raises(ValueError, match="ascend"):
+        view.lift(np.array([3, 1], np.int64))
+    with pytest.raises(ValueError, match="in the scene"):
+        view.lift(np.array([len(scene)], np.int64))
+    with pytest.raises(ValueError, match="int64"):
+        view.lift(np.array([1], np.int32))  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="draw before"):
+        view.backward(view.rgb)
+    with pytest.raises(ValueError, match="marks"):
+        view.refresh(np.zeros((3, 3), bool))
+    with pytest.raises(ValueError, match="rows"):
+        view.draw(scene, np.array([1], np.int64))
+    with pytest.raises(ValueError, match="new numbers"):
+        view.settle(scene, np.zeros(0, np.int64), np.zeros(3, np.int64))
+    with pytest.raises(ValueError, match="tiles"):
+        TrainingKernel(1).loss(view.rgb, view.rgb, l1_scale=1, ssim_scale=1, tiles=np.zeros(3, np.uint8))
