@@ -90,7 +90,17 @@ def test_the_papers_report(
         assert cv2.imread(str(path)).std() > 10, "something is drawn"
     # The preset itself (tau 10, r 1; all parts; every frame) is run once, by its first name.
     assert sorted(encoded) == sorted(
-        ["keyframe", "decogs", "decogs-paper", "3dgstream", "fresh-keyframe", "no-parts", "select", "select-focus"]
+        [
+            "keyframe",
+            "decogs",
+            "decogs-paper",
+            "3dgstream",
+            "keyframe-held",
+            "fresh-keyframe",
+            "no-parts",
+            "select",
+            "select-focus",
+        ]
         + ["selection-paper", "every-5", "every-10"]
         + [f"tau{tau}-r{r}" for tau in (10, 25, 50) for r in ("0.5", "1", "2") if (tau, r) != (10, "1")]
     )
@@ -99,6 +109,7 @@ def test_the_papers_report(
     assert by_name["3dgstream"]["selected"] == 1
     assert by_name["decogs"]["selected"] < 0.5
     assert by_name["decogs"]["mtv"] < by_name["3dgstream"]["mtv"], "what is frozen does not flicker"
+    assert (by_name["keyframe-held"]["mtv"], by_name["keyframe-held"]["selected"]) == (0, 0)
 
 
 def test_a_report_goes_on_where_it_stopped(
