@@ -1,9 +1,13 @@
 # Everything a developer or a curious user runs. Needs Python 3.10 or later, a C++17 compiler and make.
 #   PYTHON    the Python to use                      make setup PYTHON=python3.12
 #   PIP_ARGS  more options for pip, such as an index make setup PIP_ARGS="--index-url ..."
+#   RIGS      the rigs of the report                 make report RIGS="rig_a rig_b"
+#   BENCH_ARGS  more options for decogs-bench        make report BENCH_ARGS="--frames :10"
 
 PYTHON ?= python3
 PIP_ARGS ?=
+RIGS ?= $(addprefix ../shared/data/rigs/,workbench candle popup)
+BENCH_ARGS ?=
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -16,7 +20,7 @@ WHEEL_ENV := build/wheel-env
 
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
-.PHONY: help setup demo test lint type layers wheel wheel-check unit bench clean
+.PHONY: help setup demo test lint type layers wheel wheel-check unit bench report clean
 
 help: ## list what can be made
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -66,6 +70,11 @@ wheel-check: wheel ## install that wheel without the encode extra and run the de
 
 bench: $(READY) ## time the rasteriser at four scene sizes
 	$(BIN)/python tests/bench/rasterise.py
+
+# Hours: what is already in report/runs, made by the same code, is not made again.
+report: $(READY) ## the paper's tables and our choices, measured on RIGS, into report/
+	$(BIN)/decogs-bench paper $(RIGS) -o report $(BENCH_ARGS)
+	$(BIN)/decogs-bench choices $(RIGS) -o report $(BENCH_ARGS)
 
 clean: ## remove what was built and every cache; .venv and demo/ stay
 	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache $(READY)

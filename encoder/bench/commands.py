@@ -1,0 +1,76 @@
+"""The bench's command: decogs-bench. Only arguments, terminal output and exit codes."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from decogs.decoder.commands import Parser, frames_joined, number_of_threads, run
+
+
+def bench_main(arguments: Sequence[str] | None = None) -> int:
+    """``decogs-bench``: rigs to a report of what the encoder does on them."""
+    parser = Parser(
+        prog="decogs-bench",
+        description="Encode rigs in many ways, measure each on a held-out camera, and write a report.",
+        epilog="Results are kept in OUTPUT/runs: an interrupted report goes on where it stopped.",
+    )
+    kinds = parser.add_subparsers(dest="kind", required=True, metavar="KIND")
+    paper = kinds.add_parser(
+        "paper", help="the paper's tables and figures: methods, components, frame rates, tau and r"
+    )
+    choices = kinds.add_parser("choices", help="what the paper leaves open and every default, one table per question")
+    for kind in (paper, choices):
+        _add_options(kind)
+    given = frames_joined(arguments)
+    return run(parser.prog, lambda: _bench(parser.parse_args(given), given))
+
+
+def _add_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("rigs", nargs="+", metavar="RIG", help="the rigs' folders")
+    parser.add_argument("-o", "--output", required=True, metavar="OUTPUT", help="folder of the report")
+    parser.add_argument("--holdout", metavar="CAM", help="camera to measure on (default: the rig's own, or cam00)")
+    parser.add_argument("--frames", metavar="A:B", help="half-open, as in Python: 0:10, 5:, -3: (default: all)")
+    parser.add_argument("--scale", type=float, default=1.0, metavar="S", help="size of the pictures")
+    parser.add_argument("--preset", default="standard", metavar="P", help="what variants start from (default standard)")
+    parser.add_argument(
+        "--only", default="", metavar="PARTS", help="run for these tables only (with commas); none: no run"
+    )
+    parser.add_argument("--threads", type=number_of_threads, default=0, metavar="N", help="default: all processors")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of all runs (default 0)")
+    parser.add_argument("--any-code", action="store_true", help="take results that other code made")
+    parser.add_argument("--keep-streams", action="store_true", help="leave the .dgs files in OUTPUT/streams")
+
+
+def _bench(options: argparse.Namespace, given: Sequence[str]) -> None:
+    from .report import PLANS, make_report
+    from .runs import BenchOptions
+
+    path = make_report(
+        PLANS[options.kind],
+        options.rigs,
+        options.output,
+        BenchOptions(
+            holdout=options.holdout,
+            frames=options.frames,
+            scale=options.scale,
+            preset=options.preset,
+            threads=options.threads,
+            seed=options.seed,
+            any_code=options.any_code,
+            keep_streams=options.keep_streams,
+        ),
+        only=[part for part in options.only.split(",") if part],
+        command=_command(given, [*options.rigs, options.output]),
+        terminal=sys.stderr,
+        on_warning=lambda text: print(f"decogs-bench: warning: {text}", file=sys.stderr),
+    )
+    print(path)
+
+
+def _command(given: Sequence[str], folders: Sequence[str]) -> str:
+    """The command as it was given, folders by their names only: where they lay says nothing elsewhere."""
+    return shlex.join(["decogs-bench", *(Path(word).name if word in folders else word for word in given)])

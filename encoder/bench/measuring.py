@@ -1,0 +1,105 @@
+"""A finished stream against what the held-out camera recorded: quality by region, flicker, and the time to render."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from statistics import median
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.decoder.pictures import to_8bit
+from decogs.decoder.session import open_stream, render_view
+
+from ..keyframe import psnr_of
+from .metrics import BytePicture, mean_over, psnr, square_error_map, ssim_map, total_variation
+from .perceptual import Distance
+from .regions import Regions
+
+
+@dataclass(frozen=True)
+class FrameQuality:
+    """One frame of the held-out camera. PSNR in dB; None for a region without pixels.
+
+    ``variation``: mean change of the static pixels since the frame before, 0..1; None in the first.
+    """
+
+    psnr: float
+    psnr_dynamic: float | None
+    psnr_static: float | None
+    ssim: float
+    ssim_dynamic: float | None
+    ssim_static: float | None
+    lpips: float | None
+    variation: float | None
+
+
+@dataclass(frozen=True)
+class StreamQuality:
+    """All frames, the median seconds to render one and to read one, and one column of every frame, (H, T, 3)."""
+
+    frames: list[FrameQuality]
+    render_seconds: float
+    read_seconds: float
+    column: NDArray[np.uint8]
+
+
+def measure_stream(
+    path: str | os.PathLike[str],
+    recorded: Iterable[BytePicture],
+    regions: Regions,
+    *,
+    camera: str,
+    scale: float,
+    threads: int,
+    column: int,
+    distance: Distance | None = None,
+) -> StreamQuality:
+    """Decodes a stream as any viewer would and compares ``camera``'s view of every frame with the one recorded.
+
+    Every frame is rendered, also one in which nothing changed. ``column``: which one to keep.
+    """
+    frames: list[FrameQuality] = []
+    rendering: list[float] = []
+    reading: list[float] = []
+    columns: list[NDArray[np.uint8]] = []
+    before: BytePicture | None = None
+    with open_stream(path) as stream:
+        decoded = stream.frames()
+        for target in recorded:
+            began = time.perf_counter()
+            splats = next(decoded).splats
+            reading.append(time.perf_counter() - began)
+            if not rendering:  # the first rendering loads the kernel
+                render_view(stream.header, splats, camera, scale=scale, threads=threads)
+            began = time.perf_counter()
+            image = render_view(stream.header, splats, camera, scale=scale, threads=threads).image
+            rendering.append(time.perf_counter() - began)
+            seen = to_8bit(image)
+            frames.append(_quality(before, seen, target, regions, distance))
+            columns.append(seen[:, column])
+            before = seen
+    return StreamQuality(frames, median(rendering), median(reading), np.stack(columns, axis=1))
+
+
+def _quality(
+    before: BytePicture | None,
+    seen: BytePicture,
+    recorded: BytePicture,
+    regions: Regions,
+    distance: Distance | None,
+) -> FrameQuality:
+    errors, likeness = square_error_map(seen, recorded), ssim_map(seen, recorded)
+    return FrameQuality(
+        psnr_of(float(errors.mean())),
+        psnr(errors, regions.dynamic),
+        psnr(errors, regions.static),
+        float(likeness.mean()),
+        mean_over(likeness, regions.dynamic),
+        mean_over(likeness, regions.static),
+        None if distance is None else distance(seen, recorded),
+        None if before is None else total_variation(before, seen, regions.static),
+    )

@@ -1,0 +1,98 @@
+"""The paper's tables and figures, asked of any rig."""
+
+from __future__ import annotations
+
+from .variants import Question, Times, Variant
+
+DECOGS = Variant("decogs", "DecoGS")
+DECOGS_PAPER = Variant("decogs-paper", "DecoGS, the paper's recipe (preset paper)", preset="paper")
+BASELINE = Variant("3dgstream", "3DGStream baseline, dense", method="3dgstream")
+METHODS = (DECOGS, DECOGS_PAPER, BASELINE)
+HELD = Variant(
+    "keyframe-held", "the keyframe alone, nothing sent after it", {"frame.masks.threshold": 255.0, "frame.cache": None}
+)
+"""No pixel changes by more than 255 levels. What its static PSNR loses, the recording itself has changed."""
+FRESH = Variant("fresh-keyframe", "a keyframe trained on the last frame", frames=-1, own_keyframe=True)
+
+TAUS = (10.0, 25.0, 50.0)
+RADII = (0.5, 1.0, 2.0)
+STRIDES = (1, 5, 10)
+
+_COST = ("seconds", "cpu", "fps", "megabytes", "megabytes_all", "selected")
+_BRIEF = ("psnr", "psnr_dynamic", "psnr_static", "last_dynamic", "mtv", "selected", "cpu", "megabytes")
+
+
+def _sweep() -> tuple[Variant, ...]:
+    return tuple(
+        Variant(
+            f"tau{tau:g}-r{radius:g}",
+            f"τ = {tau:g}, r × {radius:g}",
+            {"frame.masks.threshold": tau, "frame.masks.radius_share": Times(radius)},
+        )
+        for tau in TAUS
+        for radius in RADII
+    )
+
+
+QUESTIONS = (
+    Question(
+        "methods",
+        "Methods side by side",
+        "The same keyframe, views and rasteriser for all. The last row sends nothing: what its static PSNR loses over "
+        "time is the recording's own (noise, video coding), not a method's.",
+        (*METHODS, HELD),
+        (
+            ("psnr", "psnr_dynamic", "psnr_static", "slope", "slope_dynamic", "static_change"),
+            ("ssim", "ssim_dynamic", "ssim_static", "lpips", "mtv"),
+            _COST,
+        ),
+    ),
+    Question(
+        "fresh",
+        "The last frame, against a keyframe trained on it",
+        "What training from scratch would reach there, with the preset's keyframe settings.",
+        (*METHODS, FRESH),
+        (("last", "last_dynamic", "last_static", "gaussians"),),
+    ),
+    Question(
+        "components",
+        "Components",
+        "In the paper's order, each row with one part more; then the two rules of selection. Without any part it is "
+        "fine-tuning of all Gaussians frame by frame, not yet the 3DGStream baseline.",
+        (
+            Variant("no-parts", "none", ablate=("select", "focus", "gate")),
+            Variant("select", "+ selection", ablate=("focus", "gate")),
+            Variant("select-focus", "+ focus loss", ablate=("gate",)),
+            Variant("select-focus-gate", "+ gate: DecoGS"),
+            Variant("selection-paper", "DecoGS, selection by centre (the paper's)", selection="paper"),
+            Variant("selection-weight", "DecoGS, selection by rendering weight", selection="weight"),
+        ),
+        (_BRIEF,),
+    ),
+    Question(
+        "frame-rate",
+        "Frame rate",
+        "Every frame, every 5th, every 10th: what lies between two frames grows. The frames measured are those "
+        "encoded; the second column compares the frames that all rows have. mTV is from one encoded frame to the next.",
+        (
+            *(
+                Variant(f"every-{k}", "DecoGS, every frame" if k == 1 else f"DecoGS, every {k}th frame", stride=k)
+                for k in STRIDES
+            ),
+            Variant("baseline-every-1", "3DGStream baseline, every frame", method="3dgstream"),
+        ),
+        (("psnr", "psnr_common", "psnr_dynamic", "mtv", "selected", "cpu", "megabytes"),),
+    ),
+    Question(
+        "sweep",
+        "Sensitivity to τ and r",
+        "τ is the threshold of the difference mask in 8-bit levels, r its dilation, here in units of the preset's "
+        "(a share of the picture's width, so it goes with the size).",
+        _sweep(),
+        (_BRIEF,),
+    ),
+)
+
+TIME, SCANLINES = "time", "scanlines"
+FIGURES = {TIME: METHODS, SCANLINES: (DECOGS, BASELINE)}
+"""Keys of the figures, for ``--only``, and the variants they show."""

@@ -1,0 +1,116 @@
+"""The report's pictures: PSNR and effort over time, and a column of pixels over time. Needs the extra ``bench``."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.formats.errors import UsageError
+
+from .runs import Run
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_COLOURS = ("#0072b2", "#e69f00", "#d55e00", "#009e73", "#cc79a7")
+"""Told apart by colour-blind eyes, too (Okabe and Ito)."""
+_DEVIATION = 12
+"""8-bit levels from a pixel's own mean that are drawn as black or white."""
+
+
+def require_plots() -> None:
+    """Raises UsageError when the plotting library is missing: better now than after hours of training."""
+    if importlib.util.find_spec("matplotlib") is None:
+        raise UsageError("the report's plots need matplotlib: pip install 'decogs[encode,bench]'")
+
+
+def plot_quality(path: Path, runs: Mapping[str, Run]) -> None:
+    """Held-out PSNR of every frame, over the whole picture and over the dynamic region; ``runs`` by label."""
+    figure = _figure(10, 4)
+    for place, (name, title) in enumerate((("psnr", "whole picture"), ("psnr_dynamic", "dynamic region")), 1):
+        axes = _panel(figure, 1, 2, place, title, "held-out PSNR, dB")
+        for (label, run), colour in zip(runs.items(), _COLOURS, strict=False):
+            values = [getattr(frame, name) for frame in run.frames]
+            axes.plot(_frames(run), [np.nan if v is None else v for v in values], color=colour, label=label)
+    _save(figure, path)
+
+
+def plot_effort(path: Path, runs: Mapping[str, Run]) -> None:
+    """Share of Gaussians selected and processor seconds spent, frame by frame after the keyframe."""
+    figure = _figure(10, 4)
+    selected = _panel(figure, 1, 2, 1, "Gaussians trained", "% of all")
+    effort = _panel(figure, 1, 2, 2, "time per frame", "processor seconds")
+    for (label, run), colour in zip(runs.items(), _COLOURS, strict=False):
+        later = run.frames[1:]
+        selected.plot(_frames(run)[1:], [100 * frame.selected for frame in later], color=colour, label=label)
+        effort.plot(_frames(run)[1:], [frame.cpu_seconds for frame in later], color=colour, label=label)
+    selected.set_ylim(bottom=0)
+    effort.set_ylim(bottom=0)
+    _save(figure, path)
+
+
+def plot_scanlines(path: Path, strips: Mapping[str, NDArray[np.uint8]], column: int, first_frame: int) -> None:
+    """One image column over time, (H, T, 3) by label: as it is, and how far each pixel strays from its own mean."""
+    figure = _figure(1.2 + 2.9 * len(strips), 6.4)
+    for place, (label, strip) in enumerate(strips.items(), 1):
+        height, frames = strip.shape[:2]
+        extent = (first_frame - 0.5, first_frame + frames - 0.5, float(height), 0.0)
+        shown: dict[str, Any] = {"extent": extent, "aspect": "auto", "interpolation": "nearest"}
+        above = _picture(figure, len(strips), place, label, f"row of column {column}")
+        above.imshow(strip, **shown)
+        grey = strip.astype(np.float64).mean(axis=2)
+        below = _picture(figure, len(strips), place + len(strips), "", f"± {_DEVIATION} levels from its mean")
+        strayed = grey - grey.mean(axis=1, keepdims=True)
+        below.imshow(strayed, cmap="gray", vmin=-_DEVIATION, vmax=_DEVIATION, **shown)
+        below.set_xlabel("frame")
+    _save(figure, path, legend=False)
+
+
+def _figure(width: float, height: float) -> Figure:
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def _panel(figure: Figure, rows: int, columns: int, place: int, title: str, what: str) -> Axes:
+    axes = figure.add_subplot(rows, columns, place)
+    axes.set_title(title)
+    axes.set_xlabel("frame")
+    axes.set_ylabel(what)
+    axes.grid(alpha=0.3)
+    _number_frames(axes)
+    return axes
+
+
+def _picture(figure: Figure, columns: int, place: int, title: str, what: str) -> Axes:
+    axes = figure.add_subplot(2, columns, place)
+    axes.set_title(title)
+    _number_frames(axes)
+    if place % columns == 1:
+        axes.set_ylabel(what)
+    else:
+        axes.set_yticks([])
+    return axes
+
+
+def _number_frames(axes: Axes) -> None:
+    from matplotlib.ticker import MaxNLocator
+
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+
+
+def _frames(run: Run) -> Sequence[int]:
+    return [frame.frame for frame in run.frames]
+
+
+def _save(figure: Figure, path: Path, *, legend: bool = True) -> None:
+    if legend:
+        handles, labels = figure.axes[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+    figure.savefig(path, dpi=110, metadata={"Software": None})

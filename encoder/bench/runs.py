@@ -1,0 +1,393 @@
+"""Runs of variants over rigs: encoded from one shared keyframe, measured, and kept as one JSON file each.
+
+A run is looked for by its rig and a digest of everything that decides it, so that a report that was interrupted goes on
+where it stopped. One made by other code is made again in its place, unless the caller takes it as it is: the file says
+which code it was. Chosen: one file per run rather than one for all, so that an interruption or a damaged file costs one
+run. Rejected: the code in the digest (every edit would leave a file behind that nobody asks for again).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass, fields
+from datetime import datetime, timezone
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.decoder.rasterise.native import thread_count
+from decogs.decoder.session import frame_range
+from decogs.formats.errors import UsageError
+from decogs.formats.rigs import Rig, open_rig
+
+from ..ingest import Ingest
+from ..keyframe_source import read_keyframe
+from ..loop import EncodeReport, FrameReport, OnKeyframeStep, encode_stream, frame_span
+from .machine import code_version, load, machine_facts
+from .measuring import FrameQuality, StreamQuality, measure_stream
+from .metrics import BytePicture
+from .perceptual import installed_network, perceptual_distance
+from .regions import Regions, find_regions, held_out_pictures, static_column
+from .strided import strided
+from .variants import Variant, settings_of
+
+FORMAT = 1
+"""Of the JSON files; raise it when what is measured changes."""
+
+KEYFRAME = Variant("keyframe", "the keyframe that all variants start from", frames=1, own_keyframe=True)
+
+
+@dataclass(frozen=True)
+class BenchOptions:
+    """What all runs of a report share; as ``decogs-bench``'s options of these names.
+
+    ``any_code``: take results that other code made. ``keep_streams``: leave the .dgs files.
+    """
+
+    holdout: str | None = None
+    frames: str | None = None
+    scale: float = 1.0
+    preset: str = "standard"
+    threads: int = 0
+    seed: int = 0
+    any_code: bool = False
+    keep_streams: bool = False
+
+
+@dataclass(frozen=True)
+class RunFrame:
+    """One frame of a run: what FrameReport and FrameQuality say of it; ``frame`` is the rig's index.
+
+    ``seconds``: wall clock by stage; ``cpu_seconds``: all cores added; both without measuring.
+    """
+
+    frame: int
+    kind: str
+    bytes: int
+    gaussians: int
+    selected: float
+    training_psnr: float
+    seconds: dict[str, float]
+    cpu_seconds: float
+    psnr: float
+    psnr_dynamic: float | None
+    psnr_static: float | None
+    ssim: float
+    ssim_dynamic: float | None
+    ssim_static: float | None
+    lpips: float | None
+    variation: float | None
+
+
+@dataclass(frozen=True)
+class Run:
+    """One variant over one rig, and how it was obtained; plain values, as they lie in the JSON file.
+
+    ``key``: digest of what decides the run. ``span``: the rig's frames, start, stop and step. ``load``: of the machine
+    before and after. ``changed``: settings that differ from the preset's. ``render_seconds``, ``read_seconds``: medians
+    per frame. ``stream_bytes``: the file's. ``column``: image column of the held-out camera that is kept in the picture
+    beside the JSON file.
+    """
+
+    rig: str
+    variant: str
+    description: str
+    key: str
+    code: str
+    date: str
+    machine: dict[str, Any]
+    load: list[float]
+    camera: str
+    span: list[int]
+    scale: float
+    seed: int
+    threads: int
+    preset: str
+    command: str
+    changed: dict[str, str]
+    settings: dict[str, Any]
+    masks: str
+    lpips_network: str | None
+    render_seconds: float
+    read_seconds: float
+    stream_bytes: int
+    column: int
+    frames: list[RunFrame]
+
+
+class RigBench:
+    """One rig of a report: its held-out camera, frames and masks, and the runs over it."""
+
+    def __init__(self, rig_dir: str | os.PathLike[str], output: Path, options: BenchOptions) -> None:
+        """Raises RigError and UsageError for a rig or options that cannot be measured; nothing is trained yet."""
+        if options.seed < 0:
+            raise UsageError(f"--seed {options.seed}: give a number of at least 0")
+        settings_of(KEYFRAME, options.preset)
+        self.rig = open_rig(rig_dir)
+        self.name = re.sub(r"[^\w.-]+", "_", self.rig.path.resolve().name) or "rig"
+        self.options = options
+        self.camera = _held_out(self.rig, options.holdout)
+        self.frames = frame_span(self.rig, None if options.frames is None else frame_range(options.frames))
+        if len(self.frames) < 2:
+            raise UsageError(f"{self.rig.path}: a report compares frames; give at least 2 with --frames A:B")
+        Ingest(self.rig, holdout=[self.camera], scale=options.scale)
+        self._threads = thread_count(options.threads)
+        self._runs, self._streams = output / "runs", output / "streams"
+
+    @cached_property
+    def regions(self) -> Regions:
+        """Static and dynamic pixels, told from all frames of the report, whatever a variant's stride."""
+        return find_regions(self.rig, self.camera, self.frames, self.options.scale)
+
+    @cached_property
+    def column(self) -> int:
+        """The image column that the scanlines follow."""
+        return static_column(self.regions, next(self._recorded(self.frames[:1])))
+
+    def recorded_column(self) -> NDArray[np.uint8]:
+        """That column as recorded, (H, T, 3)."""
+        return np.stack([picture[:, self.column] for picture in self._recorded(self.frames)], axis=1)
+
+    def frames_of(self, variant: Variant) -> range:
+        """The rig's frames that the variant encodes."""
+        frames = self.frames[:: variant.stride]
+        return frames[variant.frames :] if (variant.frames or 0) < 0 else frames[: variant.frames]
+
+    def find(self, variant: Variant) -> Run | None:
+        """The run of this variant that an earlier report left, or None."""
+        for path in sorted(self._runs.glob(f"{self.name}-*-{self.key(variant)}.json")):
+            run = read_run(path)
+            if run is not None and (self.options.any_code or run.code == code_version()):
+                return run
+        return None
+
+    def file_of(self, run: Run) -> Path:
+        """Where the run's JSON lies."""
+        return self._runs / f"{run.rig}-{run.variant}-{run.key}.json"
+
+    def column_of(self, run: Run) -> NDArray[np.uint8]:
+        """The followed column as the run shows it, (H, T, 3)."""
+        path = self.file_of(run).with_suffix(".png")
+        picture = cv2.imread(str(path))
+        if picture is None:
+            raise UsageError(f"{path}: is missing or damaged; remove {self.file_of(run).name} to make it again")
+        return np.asarray(picture[..., ::-1], np.uint8)
+
+    def run(
+        self,
+        variant: Variant,
+        *,
+        on_frame: Callable[[], None] | None = None,
+        on_keyframe_step: OnKeyframeStep | None = None,
+    ) -> Run:
+        """Encodes and measures a variant and keeps the result; Ctrl-C and errors leave no half result.
+
+        ``on_frame`` is called after each of the variant's own frames, ``on_keyframe_step`` while a keyframe is trained.
+        """
+        self._runs.mkdir(parents=True, exist_ok=True)
+        self._streams.mkdir(parents=True, exist_ok=True)
+        keyframe = None if variant.own_keyframe else self._keyframe(on_keyframe_step)
+        loads = [load()]
+        report = self._encode(variant, keyframe, on_frame, on_keyframe_step)
+        loads.append(load())
+        quality = measure_stream(
+            report.output,
+            self._recorded(self.frames_of(variant)),
+            self.regions,
+            camera=self.camera,
+            scale=self.options.scale,
+            threads=self._threads,
+            column=self.column,
+            distance=perceptual_distance(installed_network()),
+        )
+        run = self._result(variant, report, quality, loads)
+        _write_whole(self.file_of(run).with_suffix(".png"), _png(quality.column))
+        _write_whole(self.file_of(run), _document(run).encode())
+        if variant is not KEYFRAME and not self.options.keep_streams:
+            report.output.unlink()
+        return run
+
+    def tidy(self) -> None:
+        """Removes the shared keyframe's stream, and the folder of streams when it is empty."""
+        if self.options.keep_streams or not self._streams.is_dir():
+            return
+        self._stream(KEYFRAME).unlink(missing_ok=True)
+        if not any(self._streams.iterdir()):
+            self._streams.rmdir()
+
+    def _keyframe(self, on_step: OnKeyframeStep | None) -> Path:
+        """The stream with the one keyframe of all variants, trained with the report's preset when first needed."""
+        if self.find(KEYFRAME) is None or not self._stream(KEYFRAME).is_file():
+            self.run(KEYFRAME, on_keyframe_step=on_step)
+        return self._stream(KEYFRAME)
+
+    def _stream(self, variant: Variant) -> Path:
+        return self._streams / f"{self.name}-{variant.name}-{self.key(variant)}.dgs"
+
+    def _encode(
+        self,
+        variant: Variant,
+        keyframe: Path | None,
+        on_frame: Callable[[], None] | None,
+        on_keyframe_step: OnKeyframeStep | None,
+    ) -> EncodeReport:
+        frames = self.frames_of(variant)
+        first = frames.start
+        ingest = Ingest(strided(self.rig, first, frames.step), holdout=[self.camera], scale=self.options.scale)
+        report = encode_stream(
+            ingest,
+            self._stream(variant),
+            range(first, first + len(frames)),
+            settings_of(variant, self.options.preset),
+            seed=self.options.seed,
+            threads=self._threads,
+            keyframe=None if keyframe is None else read_keyframe(keyframe),
+            on_frame=None if on_frame is None else lambda _: on_frame(),
+            on_keyframe_step=on_keyframe_step,
+        )
+        if report.interrupted:
+            report.output.unlink(missing_ok=True)
+            raise KeyboardInterrupt
+        return report
+
+    def _recorded(self, frames: range) -> Iterator[BytePicture]:
+        return held_out_pictures(self.rig, self.camera, frames, self.options.scale)
+
+    def key(self, variant: Variant) -> str:
+        """Digest of everything that decides the stream, and of the number of threads, which decides how long it takes.
+
+        Variants of the same key are the same run, whatever they are called.
+        """
+        options, rig, frames = self.options, self.rig, self.frames_of(variant)
+        return _digest(
+            {
+                "format": FORMAT,
+                "settings": settings_of(variant, options.preset).as_document(),
+                "own_keyframe": variant.own_keyframe,
+                "rig": [self.name, rig.layout, rig.frame_count, [camera.name for camera in rig.cameras]],
+                "frames": [frames.start, frames.stop, frames.step],
+                "options": [self.camera, options.scale, options.seed, self._threads],
+            }
+        )
+
+    def _result(self, variant: Variant, report: EncodeReport, quality: StreamQuality, loads: list[float]) -> Run:
+        options, frames = self.options, self.frames_of(variant)
+        pairs = zip(frames, report.frames, quality.frames, strict=True)
+        return Run(
+            rig=self.name,
+            variant=variant.name,
+            description=variant.description,
+            key=self.key(variant),
+            code=code_version(),
+            date=datetime.now(timezone.utc).isoformat(timespec="seconds"),
+            machine=machine_facts(),
+            load=loads,
+            camera=self.camera,
+            span=[frames.start, frames.stop, frames.step],
+            scale=options.scale,
+            seed=options.seed,
+            threads=self._threads,
+            preset=variant.preset or options.preset,
+            command=self._command(variant, frames),
+            changed={path: str(value) for path, value in variant.settings.items()},
+            settings=settings_of(variant, options.preset).as_document(),
+            masks=self.regions.about,
+            lpips_network=installed_network(),
+            render_seconds=quality.render_seconds,
+            read_seconds=quality.read_seconds,
+            stream_bytes=report.total_bytes,
+            column=self.column,
+            frames=[_frame(index, cost, looks) for index, cost, looks in pairs],
+        )
+
+    def _command(self, variant: Variant, frames: range) -> str:
+        """The encode as a command; a stride and changed settings have no option of their own and follow in words."""
+        options = self.options
+        words = ["decogs-encode", self.name, "-o", f"{variant.name}.dgs", "--holdout", self.camera]
+        words += ["--frames", f"{frames.start}:{frames.stop}", "--preset", variant.preset or options.preset]
+        words += ["--seed", str(options.seed), "--threads", str(self._threads)]
+        words += [] if options.scale == 1 else ["--scale", f"{options.scale:g}"]
+        words += [] if variant.method == "decogs" else ["--method", variant.method]
+        words += ["--ablate", ",".join(variant.ablate)] if variant.ablate else []
+        words += ["--selection", variant.selection] if variant.selection else []
+        words += [] if variant.own_keyframe else ["--keyframe", f"{KEYFRAME.name}.dgs"]
+        extra = [] if frames.step == 1 else [f"every {frames.step}. frame"]
+        extra += [f"{path} = {value}" for path, value in variant.settings.items()]
+        return " ".join(words) + (f" ({', '.join(extra)})" if extra else "")
+
+
+def _document(run: Run) -> str:
+    """A run as JSON, a line for each field and each frame."""
+    values = asdict(run)
+    frames = ",\n  ".join(json.dumps(frame) for frame in values.pop("frames"))
+    lines = [f"{json.dumps(name)}: {json.dumps(value)}" for name, value in values.items()]
+    return "{\n " + ",\n ".join([*lines, f'"frames": [\n  {frames}\n ]']) + "\n}\n"
+
+
+def read_run(path: Path) -> Run | None:
+    """A run from its JSON file; None when the file is damaged or of another format."""
+    try:
+        values = json.loads(path.read_text("utf-8"))
+        values["frames"] = [RunFrame(**frame) for frame in values["frames"]]
+        return Run(**values)
+    except (OSError, ValueError, TypeError, KeyError):
+        return None
+
+
+def _frame(index: int, cost: FrameReport, looks: FrameQuality) -> RunFrame:
+    taken = {f.name for f in fields(RunFrame)}
+    values = {name: value for name, value in asdict(cost).items() if name in taken} | asdict(looks)
+    values["frame"] = index
+    values["seconds"] = {stage: seconds for stage, seconds in cost.seconds.items() if stage != "measure"}
+    return RunFrame(**_rounded(values))
+
+
+def _rounded(value: Any) -> Any:
+    """Floats to seven significant digits: files of many numbers are read by people, too."""
+    if isinstance(value, dict):
+        return {name: _rounded(entry) for name, entry in value.items()}
+    return float(f"{value:.7g}") if isinstance(value, float) else value
+
+
+def _held_out(rig: Rig, chosen: str | None) -> str:
+    """The camera to measure on: the one asked for, the rig's own, or cam00."""
+    names = [camera.name for camera in rig.cameras]
+    if chosen is not None:
+        if chosen not in names:
+            raise UsageError(f"--holdout {chosen}: {rig.path} has no such camera; it has {', '.join(names)}")
+        return chosen
+    for name in (_own_held_out(rig.path / "rig.json"), "cam00"):
+        if name in names:
+            return str(name)
+    raise UsageError(f"{rig.path}: names no camera to hold out and has no cam00; choose one with --holdout CAM")
+
+
+def _own_held_out(calibration: Path) -> str | None:
+    """``held_out_camera`` of a rig.json, which the rig reader leaves alone: it matters to measuring only."""
+    try:
+        value = json.loads(calibration.read_text("utf-8")).get("held_out_camera")
+    except (OSError, ValueError, AttributeError):
+        return None
+    return value if isinstance(value, str) else None
+
+
+def _digest(facts: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:10]
+
+
+def _png(picture: NDArray[np.uint8]) -> bytes:
+    return bytes(cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))[1].tobytes())
+
+
+def _write_whole(path: Path, data: bytes) -> None:
+    growing = path.with_name(path.name + ".part")
+    growing.write_bytes(data)
+    os.replace(growing, path)

@@ -1,0 +1,97 @@
+"""What is compared: variants of the encoder as plain data, and the questions that sets of them answer."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from typing import Any
+
+from decogs.formats.errors import UsageError
+
+from ..methods import with_method, with_selection, without
+from ..presets import EncodeSettings, preset
+
+
+@dataclass(frozen=True)
+class Times:
+    """A changed setting that is so many times what it was: a number, or a group of numbers such as learning rates."""
+
+    factor: float
+
+    def __str__(self) -> str:
+        return f"x {self.factor:g}"
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One way to encode.
+
+    ``name``: letters, digits, '.', '_' and '-'; part of file names. ``settings``: what differs from the preset, by
+    dotted path ("frame.masks.threshold"); values replace the setting, or are Times. ``preset`` None: the report's.
+    ``method``, ``ablate``, ``selection``: as ``encode``'s. ``stride``: every so many frames. ``frames``: only the first
+    so many, or the last so many when negative. ``own_keyframe``: trains its own instead of starting from the one that
+    all variants of a rig share.
+    """
+
+    name: str
+    description: str
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    preset: str | None = None
+    method: str = "decogs"
+    ablate: tuple[str, ...] = ()
+    selection: str | None = None
+    stride: int = 1
+    frames: int | None = None
+    own_keyframe: bool = False
+
+
+@dataclass(frozen=True)
+class Question:
+    """A question put to every rig: its key (for ``--only``), heading, a sentence or two, and the rows that answer it.
+
+    ``columns``: keys of ``tables.COLUMNS``, one table for each group of them.
+    """
+
+    key: str
+    title: str
+    about: str
+    variants: tuple[Variant, ...]
+    columns: tuple[tuple[str, ...], ...]
+
+
+def settings_of(variant: Variant, report_preset: str) -> EncodeSettings:
+    """Everything that a variant's encode does, its method included; with a shared keyframe, what the preset says of it.
+
+    Raises UsageError for a setting that does not exist, one of the keyframe that the variant does not train, and
+    switches that exclude each other.
+    """
+    settings: Any = preset(variant.preset or report_preset)
+    if not variant.own_keyframe:
+        shared = preset(report_preset)
+        settings = replace(settings, keyframe=shared.keyframe, quality=shared.quality)
+    for path, value in variant.settings.items():
+        if path.split(".")[0] in ("keyframe", "quality") and not variant.own_keyframe:
+            raise UsageError(f"variant {variant.name}: changes {path} but shares the keyframe; set own_keyframe")
+        try:
+            settings = _changed(settings, path.split("."), value)
+        except AttributeError:
+            raise UsageError(f"variant {variant.name}: there is no setting {path!r}; see encoder/presets.py") from None
+    settings = without(with_method(settings, variant.method), variant.ablate)
+    return settings if variant.selection is None else with_selection(settings, variant.selection)
+
+
+def _changed(group: Any, path: list[str], value: Any) -> Any:
+    """``group`` with the setting at ``path`` replaced."""
+    if not path:
+        return _times(group, value.factor) if isinstance(value, Times) else value
+    name, *rest = path
+    if not is_dataclass(group) or name not in {f.name for f in fields(group)}:
+        raise AttributeError(name)
+    changed = _changed(getattr(group, name), rest, value)
+    return replace(group, **{name: changed})  # type: ignore[type-var]
+
+
+def _times(group: Any, factor: float) -> Any:
+    if is_dataclass(group) and not isinstance(group, type):
+        return replace(group, **{f.name: _times(getattr(group, f.name), factor) for f in fields(group)})
+    return type(group)(group * factor)

@@ -1,0 +1,288 @@
+"""The whole command on a tiny rig: the report, going on where it stopped, and what it says when it cannot."""
+
+from __future__ import annotations
+
+import importlib.util
+import io
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from decogs.encoder.bench import report, runs
+from decogs.encoder.bench.commands import bench_main
+from decogs.encoder.bench.progress import BenchProgress
+from decogs.encoder.bench.report import CHOICES, PAPER, Plan, make_report
+from decogs.encoder.bench.runs import BenchOptions
+from decogs.encoder.bench.variants import Question, Variant
+from decogs.formats.errors import TrainingError
+
+pytestmark = pytest.mark.usefixtures("short_presets")
+
+OPTIONS = BenchOptions(holdout="cam02", preset="tiny", threads=1)
+SMALL = Plan(
+    "small",
+    "A small report",
+    (
+        Question(
+            "rules",
+            "Rules",
+            "Which one?",
+            (Variant("plain", "as it is"), Variant("paper-rule", "the paper's", selection="paper")),
+            (("psnr", "mtv"), ("cpu",)),
+        ),
+        Question("again", "Again", "", (Variant("the-same", "as it is"),), (("psnr",),)),
+    ),
+)
+
+
+@pytest.fixture
+def encoded(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Names of the streams that get encoded."""
+    names: list[str] = []
+    encode_stream = runs.encode_stream
+
+    def observed(ingest: Any, output: Path, *arguments: Any, **options: Any) -> Any:
+        names.append(re.fullmatch(r"\w+-(.*)-[0-9a-f]{10}\.dgs", output.name)[1])  # type: ignore[index]
+        return encode_stream(ingest, output, *arguments, **options)
+
+    monkeypatch.setattr(runs, "encode_stream", observed)
+    return names
+
+
+def linked_files(markdown: str) -> set[str]:
+    return set(re.findall(r"\]\(([^)]+)\)", markdown))
+
+
+@pytest.mark.skipif(importlib.util.find_spec("matplotlib") is None, reason="plots need the extra 'bench'")
+def test_the_papers_report(
+    three_frames: Path, tmp_path: Path, encoded: list[str], capfd: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "report"
+    arguments = ["paper", str(three_frames), "-o", str(folder), "--holdout", "cam02", "--preset", "tiny"]
+    assert bench_main([*arguments, "--threads", "2"]) == 0
+    printed = capfd.readouterr()
+    assert (printed.out, printed.err) == (f"{folder / 'paper.md'}\n", ""), "quiet in a pipe"
+    assert sorted(path.name for path in folder.iterdir()) == ["paper.json", "paper.md", "pictures", "runs"]
+    text = (folder / "paper.md").read_text()
+    for question in PAPER.questions:
+        assert f"### {question.title}\n" in text
+    for sentence in (
+        "Made by `decogs-bench paper three -o report --holdout cam02 --preset tiny --threads 2`.",
+        "4 training views, cam02 held out (64x48), frames 0 to 2.",
+        "told from the recorded frames",
+        "## DecoGS against the baseline",
+    ):
+        assert sentence in text
+    assert "not run" not in text
+    assert str(tmp_path) not in text + (folder / "paper.json").read_text()
+    links = linked_files(text)
+    assert all((folder / link).is_file() for link in links), "relative, and all there"
+    assert {f"pictures/three-{name}.png" for name in ("quality", "effort", "scanlines")} <= links
+    for path in (folder / "pictures").iterdir():
+        assert cv2.imread(str(path)).std() > 10, "something is drawn"
+    # The preset itself (tau 10, r 1; all parts; every frame) is run once, by its first name.
+    assert sorted(encoded) == sorted(
+        [
+            "keyframe",
+            "decogs",
+            "decogs-paper",
+            "3dgstream",
+            "keyframe-held",
+            "fresh-keyframe",
+            "no-parts",
+            "select",
+            "select-focus",
+        ]
+        + ["selection-paper", "every-5", "every-10"]
+        + [f"tau{tau}-r{r}" for tau in (10, 25, 50) for r in ("0.5", "1", "2") if (tau, r) != (10, "1")]
+    )
+    figures = json.loads((folder / "paper.json").read_text())["rigs"]["three"]["questions"]
+    by_name = {row["variant"]: row["figures"] for row in figures["methods"]}
+    assert by_name["3dgstream"]["selected"] == 1
+    assert by_name["decogs"]["selected"] < 0.5
+    assert by_name["decogs"]["mtv"] < by_name["3dgstream"]["mtv"], "what is frozen does not flicker"
+    assert (by_name["keyframe-held"]["mtv"], by_name["keyframe-held"]["selected"]) == (0, 0)
+
+
+def test_a_report_goes_on_where_it_stopped(
+    three_frames: Path, tmp_path: Path, encoded: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    measure = runs.measure_stream
+    with monkeypatch.context() as patched:
+
+        def stop_at_the_second(path: Path, *arguments: Any, **options: Any) -> Any:
+            if "paper-rule" in path.name:
+                raise KeyboardInterrupt
+            return measure(path, *arguments, **options)
+
+        patched.setattr(runs, "measure_stream", stop_at_the_second)
+        with pytest.raises(KeyboardInterrupt):
+            make_report(SMALL, [three_frames], tmp_path, OPTIONS)
+    assert encoded == ["keyframe", "plain", "paper-rule"]
+    first = sorted(path.stat().st_mtime_ns for path in (tmp_path / "runs").glob("three-plain-*"))
+    path = make_report(SMALL, [three_frames], tmp_path, OPTIONS)
+    assert encoded == ["keyframe", "plain", "paper-rule", "paper-rule"], "the keyframe's stream was still there"
+    assert sorted(path.stat().st_mtime_ns for path in (tmp_path / "runs").glob("three-plain-*")) == first
+    assert not (tmp_path / "streams").exists()
+    assert "not run" not in path.read_text()
+    again = path.read_text()
+    assert make_report(SMALL, [three_frames], tmp_path, OPTIONS).read_text() == again
+    assert len(encoded) == 4
+
+
+def test_only_runs_what_a_part_needs_and_writes_all_there_is(
+    three_frames: Path, tmp_path: Path, encoded: list[str]
+) -> None:
+    text = make_report(SMALL, [three_frames], tmp_path, OPTIONS, only=["none"]).read_text()
+    assert encoded == []
+    assert text.count("not run") == 5
+    text = make_report(SMALL, [three_frames], tmp_path, OPTIONS, only=["again"]).read_text()
+    assert encoded == ["keyframe", "the-same"]
+    assert text.count("not run") == 2, "the other table has a row for it"
+    assert "| as it is (the preset) | " in text
+
+
+def test_a_variant_that_cannot_be_trained_is_said_and_the_others_go_on(
+    three_frames: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    encode_stream = runs.encode_stream
+
+    def failing(ingest: Any, output: Path, *arguments: Any, **options: Any) -> Any:
+        if "paper-rule" in output.name:
+            raise TrainingError("the loss of camera cam01 is nan; lower the rates")
+        return encode_stream(ingest, output, *arguments, **options)
+
+    monkeypatch.setattr(runs, "encode_stream", failing)
+    said: list[str] = []
+    path = make_report(SMALL, [three_frames], tmp_path, OPTIONS, on_warning=said.append)
+    assert said == ["three paper-rule: the loss of camera cam01 is nan; lower the rates"]
+    assert "| the paper's | – | – | failed |" in path.read_text()
+    assert "paper-rule failed: the loss of camera cam01 is nan" in path.read_text()
+    assert "[plain](runs/three-plain-" in path.read_text()
+    assert json.loads((tmp_path / "small.json").read_text())["rigs"]["three"]["failures"]
+
+
+def test_choices_need_no_plots(three_frames: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    find = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "matplotlib" else find(name))
+    folder = tmp_path / "report"
+    arguments = ["choices", str(three_frames), "-o", str(folder), "--preset", "tiny", "--only", "start-opacity"]
+    assert bench_main(arguments) == 0
+    text = (folder / "choices.md").read_text()
+    assert set(re.findall(r"\[(opacity[^\]]+)\]\(runs/", text)) == {"opacity0.1", "opacity0.2", "opacity0.3"}
+    assert all(f"### {question.title}\n" in text for question in CHOICES.questions)
+
+
+@pytest.fixture
+def refused(tmp_path: Path, three_frames: Path, capfd: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """Runs the command, which must fail with code 2 before anything is made, and returns its one line."""
+
+    def command(*options: str, kind: str = "choices", rigs: tuple[str, ...] = ()) -> str:
+        folder = tmp_path / "report"
+        try:
+            code = bench_main([kind, *(rigs or [str(three_frames)]), "-o", str(folder), "--preset", "tiny", *options])
+        except SystemExit as error:
+            code = error.code  # type: ignore[assignment]
+        printed = capfd.readouterr()
+        assert (code, printed.out) == (2, "")
+        assert printed.err.count("\n") == 1
+        assert not folder.is_dir()
+        return printed.err
+
+    return command
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--only", "speed"], "--only speed: there is no such part; choose from beta, "),
+        (["--holdout", "cam9"], "--holdout cam9: "),
+        (["--frames", "2:1"], "--frames: "),
+        (["--frames", "-1:"], "give at least 2 with --frames A:B"),
+        (["--seed", "-1"], "--seed -1: "),
+        (["--scale", "0"], "--scale 0: "),
+        (["--threads", "-2"], "no number of threads"),
+        (["--preset", "nope"], "--preset nope: "),
+        (["--speed"], "unrecognized arguments: --speed"),
+    ],
+)
+def test_impossible_options_are_refused(refused: Callable[..., str], options: list[str], message: str) -> None:
+    assert message in refused(*options)
+
+
+def test_a_folder_that_is_no_rig_is_refused(refused: Callable[..., str], tmp_path: Path) -> None:
+    assert "no calibration" in refused(rigs=(str(tmp_path),))
+
+
+def test_rigs_of_one_name_are_refused(refused: Callable[..., str], three_frames: Path) -> None:
+    assert "has the same name; give each its own report" in refused(rigs=(str(three_frames),) * 2)
+
+
+def test_a_file_in_the_reports_place_is_refused(refused: Callable[..., str], tmp_path: Path) -> None:
+    (tmp_path / "report").write_text("")
+    assert "report: is a file; name a folder for the report" in refused()
+
+
+def test_an_unknown_kind_of_report_is_refused(refused: Callable[..., str]) -> None:
+    assert "invalid choice: 'novel'" in refused(kind="novel")
+
+
+def test_plots_without_their_library_are_one_line(refused: Callable[..., str], monkeypatch: pytest.MonkeyPatch) -> None:
+    find = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "matplotlib" else find(name))
+    line = refused(kind="paper")
+    assert line == "decogs-bench: error: the report's plots need matplotlib: pip install 'decogs[encode,bench]'\n"
+
+
+def test_the_plotting_library_is_loaded_for_plots_only() -> None:
+    program = "import sys, decogs.encoder.bench.report; sys.exit('matplotlib' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
+
+
+def test_several_rigs_in_one_report(three_frames: Path, still_rig: Path, tmp_path: Path) -> None:
+    path = make_report(SMALL, [three_frames, still_rig], tmp_path, OPTIONS)
+    text = path.read_text()
+    assert text.index("## three\n") < text.index("## still\n")
+    still = json.loads((tmp_path / "small.json").read_text())["rigs"]["still"]["questions"]["rules"][0]
+    assert still["figures"]["mtv"] == 0, "nothing changes, nothing is sent"
+
+
+def test_progress_on_a_terminal_and_nothing_in_a_pipe(run_of: Any, frame_of: Any) -> None:
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    for terminal in (Terminal(), io.StringIO(), None):
+        with BenchProgress(2, terminal) as progress:
+            progress.started("rig", "variant")
+            for step in range(1, 4):
+                progress.keyframe_step(step, 3, 0.1)
+            progress.frame()
+            progress.frame()
+            progress.finished(run_of([frame_of(0), frame_of(1)]))
+        if isinstance(terminal, Terminal):
+            assert "rig variant:" in terminal.getvalue()
+            assert "rig v: 2 frames, 30.00 dB" in terminal.getvalue()
+            assert "2/2 [" in terminal.getvalue()
+        elif terminal is not None:
+            assert terminal.getvalue() == ""
+
+
+def test_recorded_masks_are_named_in_the_report(three_frames: Path, tmp_path: Path) -> None:
+    (tmp_path / "rig").mkdir()
+    for path in three_frames.iterdir():
+        (tmp_path / "rig" / path.name).symlink_to(path)
+    truth = tmp_path / "rig" / "truth"
+    truth.mkdir()
+    for kind in ("static", "changing"):
+        cv2.imwrite(str(truth / f"{kind}_cam02.png"), np.full((48, 64), 255, np.uint8))
+    text = make_report(SMALL, [tmp_path / "rig"], tmp_path / "report", OPTIONS, only=[report.NONE]).read_text()
+    assert "the rig's own true masks, static_cam02.png and changing_cam02.png" in text
