@@ -6,8 +6,8 @@ never written: gradients are computed for the selected only, and Adam's moments 
 the paper's gradient gate and its reset of stale moments hold by construction.
 
 Beyond the paper: what newly appears gets Gaussians of its own (``emergence``), and ``warm_start`` lets a Gaussian
-begin where its last displacement would take it. Without a cache (``cache`` None) stage 1 is left out and stage 2 moves
-the Gaussians directly.
+begin where the last displacement of its neighbourhood would take it (``motion``). Without a cache (``cache`` None)
+stage 1 is left out and stage 2 moves the Gaussians directly.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from .emergence import EmergenceSettings, Look, missed, seeds, worth_a_search
 from .ingest import View
 from .losses import FocusWeights, PhotometricLoss, focus_loss, whole_picture_loss
 from .masks import FrameMask, MaskSettings
+from .motion import shared_displacements
 from .optimiser import LearningRates, SplatOptimiser
 from .rasterise import FixedView, SplatGradients, TrainingKernel, gradients_like
 from .selection import SelectionSettings
@@ -38,9 +39,12 @@ class FrameSettings:
 
     ``cache_iterations`` and ``joint_iterations``: stage 1 and stage 2; more is slower and follows faster motion.
     ``carry_cache``: keep the cache's weights from frame to frame instead of restarting it. ``warm_start``: share of
-    the last displacement to begin with, 0 to 1. ``grow_gradient``: the paper's tau_d; lower adds more Gaussians.
-    ``grow_share``: most Gaussians a frame may add, as a share of the selected. ``rates``: stage 2, ``means`` in
-    units of the rig's extent. ``ablated``: parts of the method left out (`methods.without` says which there are).
+    the last displacement to begin with, 0 to 1, the median over the ``warm_neighbours`` nearest selected Gaussians.
+    ``grow_gradient``: the paper's tau_d; lower adds more Gaussians. ``grow_share``: most Gaussians a frame may add, as
+    a share of the selected. ``rates``: stage 2, ``means`` in units of the rig's extent; over its second half they fall
+    to ``late_decay`` of that. ``beta1``, ``beta2``: stage 2's Adam. ``flat``: stage 2 ends, not before its half, once a
+    round through all views lowers their loss by less than this share; higher is faster. ``ablated``: parts of the
+    method left out (``methods.without``).
     """
 
     masks: MaskSettings = field(default_factory=MaskSettings)
@@ -50,12 +54,16 @@ class FrameSettings:
     cache_iterations: int = 150
     joint_iterations: int = 100
     warm_start: float = 0.0
+    warm_neighbours: int = 24
     grow_gradient: float = 1e-4
     grow_share: float = 0.05
     prune_opacity: float = 0.01
     focus: FocusWeights = field(default_factory=FocusWeights)
     rates: LearningRates = field(default_factory=lambda: LearningRates(1.28e-3, 2e-2, 8e-3, 0.1, 2e-2, 1e-3))
-    late_decay: float = 0.03
+    late_decay: float = 0.2
+    beta1: float = 0.9
+    beta2: float = 0.999
+    flat: float = 0.0
     emergence: EmergenceSettings = field(default_factory=EmergenceSettings)
     ablated: tuple[str, ...] = ()
 
@@ -93,6 +101,7 @@ class FrameTrainer:
         self._extent = extent
         self._cotangents = [np.empty_like(view.rgb) for view in watch]
         self._ungated: SplatOptimiser | None = None
+        self._values: list[float] = []
         self._cache: TransformationCache | None = None
         if settings.cache is not None and settings.cache_iterations + settings.joint_iterations > 0:
             self._cache = TransformationCache(*box, settings.cache, seed, threads=threads)
@@ -113,10 +122,10 @@ class FrameTrainer:
         losses = [
             self._loss(picture, mask, view) for picture, mask, view in zip(pictures, masks, self._views, strict=True)
         ]
-        work = _Working(scene, np.flatnonzero(selected), self._kernel)
+        work = _Working(scene, np.flatnonzero(selected), self._kernel, self._settings)
         for view in self._watch:
             view.lift(work.rows)
-        work.base.means[:] += np.float32(self._settings.warm_start) * motion[work.rows]
+        self._start_warm(work, motion[work.rows])
         if self._cache is not None:
             if not self._settings.carry_cache:
                 self._cache.restart()
@@ -127,6 +136,11 @@ class FrameTrainer:
             self._open_gate(work, scene)
         self._stage2(work, losses, masks)
         return self._result(work)
+
+    def _start_warm(self, work: _Working, motion: FloatArray) -> None:
+        share = np.float32(self._settings.warm_start)
+        if share and motion.any():
+            work.base.means[:] += share * shared_displacements(work.base.means, motion, self._settings.warm_neighbours)
 
     def _loss(self, picture: FloatArray, mask: FrameMask, view: View) -> PhotometricLoss:
         weights = self._settings.focus
@@ -152,7 +166,7 @@ class FrameTrainer:
         """The Gaussians' own values, with the cache if there is one; without it, densification falls in here."""
         settings = self._settings
         rates = replace(settings.rates, means=settings.rates.means * self._extent)
-        gathered = ViewGradients(len(work.rows))
+        gathered, self._values = ViewGradients(len(work.rows)), []
         grow_from, grow_at = settings.joint_iterations // 4, settings.joint_iterations // 2
         for step, index in enumerate(self._view_order(settings.joint_iterations)):
             if self._cache is None and step == grow_at:
@@ -166,9 +180,19 @@ class FrameTrainer:
                 self._gather(gathered, gradients, losses, index)
             if self._cache is not None:
                 gradients = self._through_cache(work, gradients, self._cache)
+            if step > grow_at and self._has_fallen_flat(step):
+                break
             late = settings.late_decay ** max(0.0, 2 * step / settings.joint_iterations - 1)
             work.optimiser.step(gradients, rates.scaled(late))
         self._show(work)
+
+    def _has_fallen_flat(self, step: int) -> bool:
+        """Whether the round through all views that ends here lowered the loss by too little to go on."""
+        count = len(self._views)
+        if not self._settings.flat or (step + 1) % count or len(self._values) < 2 * count:
+            return False
+        before, now = sum(self._values[-2 * count : -count]), sum(self._values[-count:])
+        return now > (1 - self._settings.flat) * before
 
     def _show(self, work: _Working) -> None:
         """Shows the base values, moved by the cache if there is one."""
@@ -205,6 +229,7 @@ class FrameTrainer:
             raise TrainingError(
                 f"the loss of camera {self._views[index].camera.name} is {value.total}; lower the rates"
             )
+        self._values.append(value.total)
         return view.backward(cotangent, out=work.gradients)
 
     def _view_order(self, steps: int) -> list[int]:
@@ -274,10 +299,11 @@ class FrameTrainer:
         work.admit(others, take_splats(scene, others), self._ungated)
 
     def _result(self, work: _Working) -> TrainedFrame:
-        result = work.result(self._settings.prune_opacity)
+        result = work.result()
         if "gate" in self._settings.ablated:
+            lasting = work.lasting()
             self._ungated = work.optimiser
-            self._ungated.keep(work.lasting(self._settings.prune_opacity))
+            self._ungated.keep(lasting)
         return result
 
     def _inside_focus(self, means: FloatArray, masks: Sequence[FrameMask]) -> NDArray[np.bool_]:
@@ -302,10 +328,11 @@ class _Working:
     are their own values, ``shown`` the same as the cache moves them. ``selected`` (M,): all, but for an ablation.
     """
 
-    def __init__(self, scene: Splats, rows: NDArray[np.int64], kernel: TrainingKernel) -> None:
+    def __init__(self, scene: Splats, rows: NDArray[np.int64], kernel: TrainingKernel, settings: FrameSettings) -> None:
         self._population = self._next_row = len(scene)
+        self._prune_opacity = settings.prune_opacity
         self.lifted = self.rows = rows
-        self.optimiser = SplatOptimiser(take_splats(scene, rows), kernel)
+        self.optimiser = SplatOptimiser(take_splats(scene, rows), kernel, beta1=settings.beta1, beta2=settings.beta2)
         self.selected = np.ones(len(rows), bool)
         self.shown, self.gradients = self.base, gradients_like(self.base)
 
@@ -346,18 +373,18 @@ class _Working:
             self.optimiser.remember(momentum, np.arange(len(old)), old)
         self._resized()
 
-    def lasting(self, prune_opacity: float) -> NDArray[np.bool_]:
+    def lasting(self) -> NDArray[np.bool_]:
         """Which of ``rows`` outlive the frame: all but those that were added in vain."""
-        return (self.rows < self._population) | (opacities_of(self.base) >= prune_opacity)
+        return (self.rows < self._population) | (opacities_of(self.base) >= self._prune_opacity)
 
-    def result(self, prune_opacity: float) -> TrainedFrame:
+    def result(self) -> TrainedFrame:
         """Bakes the cache's motion in (method.md, step 7)."""
         old = self.rows < self._population
         return TrainedFrame(
             self.rows[old],
             take_splats(self.shown, old),
             np.setdiff1d(self.lifted, self.rows),
-            take_splats(self.shown, ~old & self.lasting(prune_opacity)),
+            take_splats(self.shown, ~old & self.lasting()),
         )
 
     def _resized(self) -> None:

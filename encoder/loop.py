@@ -38,7 +38,7 @@ from .frame_training import FrameTrainer, TrainedFrame
 from .ingest import Ingest, RigFrame
 from .keyframe import mean_picture_psnr, mean_psnr, scene_extent, train_keyframe
 from .keyframe_source import KeyframeSource
-from .masks import FrameMask, frame_masks
+from .masks import FrameMask, frame_masks, next_references
 from .presets import EncodeSettings
 from .rasterise import FixedView, TrainingKernel
 from .selection import select, view_evidence
@@ -115,7 +115,7 @@ class StreamEncoder:
         self._kernel = TrainingKernel(threads)
         self._watch: list[FixedView] = []
         self._state: State | None = None
-        self._pictures: Sequence[FloatArray] = []
+        self._references: Sequence[FloatArray] = []
         self._motion: FloatArray = np.zeros((0, 3), np.float32)
 
     def encode_key(
@@ -137,7 +137,7 @@ class StreamEncoder:
             size = self._commit(PacketKind.KEY, 0, coded)
         with watch.stage("settle"):
             self._trainer = self._frame_trainer(dequantise(state, lattice))
-        self._pictures = frame.training
+        self._references = frame.training
         return self._report(frame, "key", size, coded, 1.0, watch)
 
     def _trained_keyframe(
@@ -183,7 +183,6 @@ class StreamEncoder:
             with watch.stage("settle"):
                 self._settle(state, trained)
         self._motion = self._displacements(state, self._state)
-        self._pictures = frame.training
         return self._report(frame, kind.name.lower(), size, coded, share, watch)
 
     def finish(self) -> None:
@@ -193,7 +192,8 @@ class StreamEncoder:
     def _train_selected(self, frame: RigFrame, state: State, watch: _Stopwatch) -> tuple[TrainedFrame | None, float]:
         """What DecoGS changes, None when the frame selects nothing, and the share of Gaussians selected."""
         with watch.stage("masks"):
-            masks = frame_masks(frame.training, self._pictures, self._settings.frame.masks)
+            settings = self._settings.frame.masks
+            masks = frame_masks(frame.training, self._references, settings)
         selected: NDArray[np.bool_] = np.zeros(len(state), bool)
         trained: TrainedFrame | None = None
         if any(mask.raw.any() for mask in masks):
@@ -203,6 +203,8 @@ class StreamEncoder:
             if selected.any():
                 with watch.stage("training"):
                     trained = self._trainer.train(scene, selected, frame.training, masks, self._motion)
+        done = None if trained is None else masks
+        self._references = next_references(self._references, frame.training, done, settings)
         return trained, float(selected.mean()) if len(selected) else 0.0
 
     def _train_all(self, frame: RigFrame, state: State, watch: _Stopwatch) -> tuple[TrainedFrame, float]:

@@ -31,14 +31,19 @@ class MaskSettings:
     ``threshold`` in 8-bit levels (paper: 25); ``radius_share`` is the max-pool's radius as a share of the picture's
     width (paper: 48 px at 1352); ``speck_area`` drops connected (8-neighbour) changes of fewer pixels than this before
     growing. The paper has no such step, so 0 (off) is the default; a few pixels help with noisy sensors.
+    ``since_trained``: compare with the picture on which a pixel was last in a region of interest, not with the frame
+    before: changes too slow for the threshold then add up until they are seen. ``noise_multiple``: a camera's
+    threshold is at least that many standard deviations of its own frame-to-frame noise; 0 leaves it as it is.
     """
 
     threshold: float = 25.0
     radius_share: float = 0.0355
     speck_area: int = 0
+    since_trained: bool = False
+    noise_multiple: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("threshold", "radius_share", "speck_area"):
+        for name in ("threshold", "radius_share", "speck_area", "noise_multiple"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0):
                 raise UsageError(f"mask setting {name} is {value}; it must be a finite number of at least 0")
@@ -94,16 +99,50 @@ def without_specks(mask: BoolArray, area: int) -> BoolArray:
     return kept
 
 
-def frame_masks(
-    current: Sequence[FloatArray], previous: Sequence[FloatArray], settings: MaskSettings
-) -> list[FrameMask]:
-    """The masks of every view of a frame against the frame before it, in the views' order.
+def frame_noise(current: FloatArray, previous: FloatArray) -> float:
+    """Standard deviation of a camera's frame-to-frame noise, in 8-bit levels, whatever moves in the pictures.
 
-    ``current`` and ``previous`` hold one planar float32 (3, H, W) picture per view; views may differ in size.
-    Raises ValueError when the two frames do not hold the same views. Source: DecoGS, difference mask.
+    Both (3, H, W). Differences beyond three standard deviations are left out until that changes nothing more.
+    """
+    difference = (current - previous).ravel()[::7].astype(np.float64) * 255
+    # From the median, which what moves hardly shifts; it is a whole level, often 0, in pictures of 8 bits.
+    deviation = 1.5 * float(np.median(np.abs(difference))) + 1
+    for _ in range(20):
+        kept = difference[np.abs(difference) <= 3 * deviation]
+        smaller = float(np.sqrt(np.mean(kept**2))) if len(kept) else 0.0
+        if smaller >= 0.999 * deviation:
+            break
+        deviation = smaller
+    return deviation
+
+
+def frame_masks(
+    current: Sequence[FloatArray], references: Sequence[FloatArray], settings: MaskSettings
+) -> list[FrameMask]:
+    """The masks of every view of a frame against its reference, the frame before it or an older one, in views' order.
+
+    ``current`` and ``references`` hold one planar float32 (3, H, W) picture per view; views may differ in size.
+    Raises ValueError when the two do not hold the same views. Source: DecoGS, difference mask.
     """
     masks = []
-    for now, before in zip(current, previous, strict=True):
-        raw = without_specks(difference_mask(now, before, settings.threshold), settings.speck_area)
+    for now, before in zip(current, references, strict=True):
+        threshold = settings.threshold
+        if settings.noise_multiple:
+            threshold = max(threshold, settings.noise_multiple * frame_noise(now, before))
+        raw = without_specks(difference_mask(now, before, threshold), settings.speck_area)
         masks.append(FrameMask(raw, dilate(raw, settings.radius(raw.shape[1]))))
     return masks
+
+
+def next_references(
+    references: Sequence[FloatArray],
+    current: Sequence[FloatArray],
+    masks: Sequence[FrameMask] | None,
+    settings: MaskSettings,
+) -> list[FloatArray]:
+    """What the next frame is compared with, (3, H, W) per view; ``masks``: this frame's, None if it was not trained."""
+    if not settings.since_trained:
+        return list(current)
+    if masks is None:
+        return list(references)
+    return [np.where(mask.dilated, now, before) for now, before, mask in zip(current, references, masks, strict=True)]

@@ -37,9 +37,17 @@ class LearningRates:
 class SplatOptimiser:
     """The stored values under training and their Adam moments; ``splats`` is stepped in place."""
 
-    def __init__(self, splats: Splats, kernel: TrainingKernel, *, epsilon: float = 1e-15) -> None:
+    def __init__(
+        self,
+        splats: Splats,
+        kernel: TrainingKernel,
+        *,
+        beta1: float = 0.9,
+        beta2: float = 0.999,
+        epsilon: float = 1e-15,
+    ) -> None:
         self._kernel = kernel
-        self._epsilon = epsilon
+        self._beta1, self._beta2, self._epsilon = beta1, beta2, epsilon
         self.splats = Splats(*(getattr(splats, name).copy() for name in ATTRIBUTES))
         self._first = _zeros_like(splats)
         self._second = _zeros_like(splats)
@@ -61,6 +69,8 @@ class SplatOptimiser:
                 getattr(self._second, name),
                 rate=rate,
                 step=self._steps,
+                beta1=self._beta1,
+                beta2=self._beta2,
                 epsilon=self._epsilon,
                 rows=rows,
             )

@@ -47,11 +47,13 @@ class EncodeSettings:
 _STANDARD = EncodeSettings(
     keyframe=KeyframeSettings(iterations=1500, sh_degree=1),
     frame=FrameSettings(
-        masks=MaskSettings(threshold=10.0, radius_share=0.018, speck_area=8),
+        masks=MaskSettings(threshold=10.0, radius_share=0.018, speck_area=8, since_trained=True),
         cache=None,
         joint_iterations=100,
         warm_start=0.9,
         grow_share=0.02,
+        beta1=0.7,
+        beta2=0.99,
     ),
 )
 

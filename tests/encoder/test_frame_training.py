@@ -130,7 +130,7 @@ def test_results_depend_on_the_seed_and_not_on_threads(case: Case) -> None:
 
 def test_the_warm_start_carries_the_last_displacement_on(case: Case) -> None:
     motion = np.random.default_rng(0).normal(0, 0.1, case.scene.means.shape).astype(np.float32)
-    frame = case.train(replace(NOTHING, warm_start=0.75), motion=motion)
+    frame = case.train(replace(NOTHING, warm_start=0.75, warm_neighbours=1), motion=motion)
     expected = case.scene.means[case.selected] + np.float32(0.75) * motion[case.selected]
     np.testing.assert_allclose(frame.values.means, expected, atol=1e-6)
 
@@ -245,3 +245,19 @@ def test_without_the_focus_the_masks_are_not_in_the_loss(case: Case) -> None:
     plain = replace(DIRECT, ablated=("focus",))
     assert with_masks(plain, True) == with_masks(plain, False)
     assert with_masks(DIRECT, True) != with_masks(DIRECT, False)
+
+
+def test_training_ends_when_the_loss_no_longer_falls(case: Case) -> None:
+    def steps(settings: FrameSettings) -> int:
+        trainer = case.trainer(settings)
+        motion = np.zeros_like(case.scene.means)
+        trainer.train(case.scene, case.selected, case.pictures, case.masks(everywhere=True), motion)
+        return len(trainer._values)
+
+    still = replace(DIRECT, joint_iterations=60, rates=DIRECT.rates.scaled(1e-9))
+    assert steps(still) == 60
+    count = len(case.ingest.views)
+    ended = steps(replace(still, flat=0.01))
+    assert 30 < ended <= 30 + 2 * count
+    assert ended % count == 0
+    assert steps(replace(DIRECT, joint_iterations=60, flat=-10.0)) == 60

@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from decogs.encoder.masks import FrameMask, MaskSettings, difference_mask, dilate, frame_masks, without_specks
+from decogs.encoder.masks import (
+    FrameMask,
+    MaskSettings,
+    difference_mask,
+    dilate,
+    frame_masks,
+    frame_noise,
+    next_references,
+    without_specks,
+)
 from decogs.formats.errors import UsageError
 
 RNG = np.random.default_rng(7)
@@ -91,13 +101,60 @@ def test_specks_are_kept_unless_asked_for() -> None:
     assert not without_specks(kept, 4).any()
 
 
+def test_a_change_too_slow_for_the_threshold_adds_up_until_it_is_seen() -> None:
+    settings = MaskSettings(threshold=10.0, radius_share=0.0)
+    for since_trained, expected in ((False, [0, 0, 0, 0]), (True, [0, 0, 1, 0])):
+        chosen = replace(settings, since_trained=since_trained)
+        references, seen = [np.zeros((3, 8, 8), np.float32)], []
+        for level in (4, 8, 12, 16):  # 8-bit levels of one pixel
+            now = np.zeros((3, 8, 8), np.float32)
+            now[:, 2, 5] = level / 255
+            masks = frame_masks([now], references, chosen)
+            seen.append(int(masks[0].raw.sum()))
+            references = next_references(references, [now], masks if masks[0].raw.any() else None, chosen)
+        assert seen == expected
+
+
+def test_only_the_region_of_interest_takes_over_the_new_picture() -> None:
+    before, now = np.zeros((3, 4, 4), np.float32), np.ones((3, 4, 4), np.float32)
+    raw, dilated = np.zeros((4, 4), bool), np.zeros((4, 4), bool)
+    dilated[1:3] = True
+    settings = MaskSettings(since_trained=True)
+    found = next_references([before], [now], [FrameMask(raw, dilated)], settings)[0]
+    np.testing.assert_array_equal(found, np.broadcast_to(dilated, (3, 4, 4)))
+    assert next_references([before], [now], None, settings)[0] is before
+    assert next_references([before], [now], None, MaskSettings())[0] is now
+
+
+@pytest.mark.parametrize("deviation", [0.7, 2.0, 6.0])
+def test_noise_is_measured_beside_what_moves(deviation: float) -> None:
+    before = RNG.normal(128, deviation, (3, 120, 160))
+    now = RNG.normal(128, deviation, (3, 120, 160))
+    now[:, 20:60, 30:90] += 60  # an eighth of the picture changes
+    pictures = [np.round(p).astype(np.float32) / 255 for p in (now, before)]
+    # The difference of two frames, each rounded to whole levels; 8 % for the tails that are cut off and the sample.
+    expected = np.sqrt(2 * (deviation**2 + 1 / 12))
+    assert frame_noise(pictures[0], pictures[1]) == pytest.approx(expected, rel=0.08)
+    assert frame_noise(pictures[0], pictures[0]) == 0
+
+
+def test_a_noisy_camera_gets_a_threshold_of_its_own() -> None:
+    quiet, noisy = (RNG.normal(128, d, (2, 3, 60, 80)).astype(np.float32) / 255 for d in (1.0, 8.0))
+    now, before = [quiet[0], noisy[0]], [quiet[1], noisy[1]]
+    shares = [m.raw.mean() for m in frame_masks(now, before, MaskSettings(threshold=10.0, radius_share=0))]
+    assert shares[0] < 0.001
+    assert shares[1] > 0.5
+    aware = MaskSettings(threshold=10.0, radius_share=0, noise_multiple=5.0)
+    assert all(m.raw.mean() < 0.001 for m in frame_masks(now, before, aware))
+
+
 def test_unfit_input_is_refused() -> None:
     picture = np.zeros((3, 4, 4), np.float32)
     with pytest.raises(ValueError, match=r"two \(3, H, W\)"):
         difference_mask(picture, picture[:, :3], 25.0)
     with pytest.raises(ValueError, match=r"shorter|longer"):
         frame_masks([picture], [], MaskSettings())
-    for bad in ({"threshold": -1.0}, {"radius_share": float("nan")}, {"speck_area": -1}):
+    for bad in ({"threshold": -1.0}, {"radius_share": float("nan")}, {"speck_area": -1}, {"noise_multiple": -1}):
         with pytest.raises(UsageError, match=next(iter(bad))):
             MaskSettings(**bad)  # type: ignore[arg-type]
 

@@ -1,0 +1,114 @@
+"""Measures the exact sparse step against the dense one, and what a scene's size costs it.
+
+    python tests/bench/sparse.py [--rounds N]
+
+One thread, process time, medians over rounds; in every round all variants run in turn. A step is the drawing of the
+picture, its loss and the gradients of the moving Gaussians: the dense one draws and differentiates everything.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+
+from decogs.encoder.rasterise import FixedView, TrainingKernel
+from decogs.formats.cameras import Camera
+from decogs.formats.splats import Splats, join_splats, take_splats
+
+sys.path.insert(0, str(Path(__file__).parent))
+from rasterise import Step, front_camera, milliseconds, random_scene
+
+COUNT, WIDTH, HEIGHT = 40_000, 352, 264
+"""Of the order of `workbench` and its keyframe."""
+SHARES = (0.02, 0.05, 0.1, 0.35)
+BALL = (0.0, 0.2, -0.3)
+"""Where the moving Gaussians are: around this point."""
+
+
+def nearest(splats: Splats, count: int) -> np.ndarray:
+    """Rows of the ``count`` Gaussians nearest to the ball's centre."""
+    distance = np.linalg.norm(splats.means - np.float32(BALL), axis=1)
+    return np.sort(np.argsort(distance)[:count])
+
+
+class SparseStep:
+    """A training step of the Gaussians ``rows``; the others rest."""
+
+    def __init__(self, kernel: TrainingKernel, splats: Splats, camera: Camera, rows: np.ndarray) -> None:
+        self.kernel, self.rows, self.moving = kernel, rows, take_splats(splats, rows)
+        self.target = np.random.default_rng(1).random((3, camera.height, camera.width), dtype=np.float32)
+        self.view = FixedView(kernel, camera)
+        self.view.place(splats)
+        self.view.refresh()
+        self.view.lift(self.rows)
+        self.view.draw(self.moving, self.rows)
+        self.cotangent = np.empty_like(self.view.rgb)
+        self.gradients = self.view.backward(self.cotangent)
+
+    def __call__(self) -> None:
+        picture = self.view.draw(self.moving, self.rows)
+        scales = {"l1_scale": 0.8, "ssim_scale": 0.2}
+        self.kernel.loss(picture, self.target, **scales, tiles=self.view.met, gradient=self.cotangent)
+        self.view.backward(self.cotangent, out=self.gradients)
+
+
+def bench_shares(rounds: int) -> None:
+    """Dense against sparse, by the share of Gaussians that move."""
+    splats, camera, kernel = random_scene(COUNT, 1), front_camera(WIDTH, HEIGHT), TrainingKernel(1)
+    whole = Step(kernel, splats, camera)
+    steps = [SparseStep(kernel, splats, camera, nearest(splats, int(share * COUNT))) for share in SHARES]
+
+    def dense() -> None:
+        whole.forward()
+        whole.loss()
+        whole.backward()
+
+    rows = [[milliseconds(step, time.process_time) for step in (dense, *steps)] for _ in range(rounds)]
+    print(f"{COUNT} Gaussians, degree 1, {WIDTH}x{HEIGHT}: dense {median(r[0] for r in rows):.1f} ms a step")
+    print("moving   tiles they meet   sparse ms   dense / sparse (median of the rounds' ratios)")
+    for index, (share, step) in enumerate(zip(SHARES, steps, strict=True), start=1):
+        ratio = median(r[0] / r[index] for r in rows)
+        print(f"{share:6.0%} {step.view.met.mean():17.0%} {median(r[index] for r in rows):11.2f} {ratio:16.1f}")
+
+
+def shifted(splats: Splats, offset: float) -> Splats:
+    means = splats.means + np.float32([offset, 0, 0])
+    return Splats(means, splats.log_scales, splats.quaternions, splats.opacity_logits, splats.sh)
+
+
+def bench_size(rounds: int) -> None:
+    """The same moving Gaussians in a scene of N, of twice as many beside them, and of twice as many around them."""
+    camera, kernel = front_camera(2 * WIDTH, HEIGHT), TrainingKernel(1)
+    scene, others = random_scene(COUNT, 1), random_scene(COUNT, 1)
+    others = take_splats(others, np.arange(COUNT)[::-1])
+    moving = nearest(scene, int(0.05 * COUNT))
+    scenes = {
+        "N": scene,
+        "2 N, the others beside them": join_splats(scene, shifted(others, 2.5)),
+        "2 N, the others among them": join_splats(scene, shifted(others, 0.01)),
+    }
+    steps = {name: SparseStep(kernel, splats, camera, moving) for name, splats in scenes.items()}
+    rows = [[milliseconds(step, time.process_time) for step in steps.values()] for _ in range(rounds)]
+    print(f"\n{len(moving)} moving Gaussians in a scene of N = {COUNT} or of 2 N, {2 * WIDTH}x{HEIGHT}")
+    for index, name in enumerate(steps):
+        ratio = median(r[index] / r[0] for r in rows)
+        print(f"{name:30} {median(r[index] for r in rows):6.2f} ms   {ratio:.2f} of N's")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rounds", type=int, default=31, help="measurements of each variant (default 31)")
+    rounds = parser.parse_args().rounds
+    print(f"Milliseconds, 1 thread, process time, medians of {rounds}; load average {os.getloadavg()[0]:.1f}\n")
+    bench_shares(rounds)
+    bench_size(rounds)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,44 @@
+"""The last displacement of a neighbourhood: medians over the nearest, against a search written out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from decogs.encoder.motion import shared_displacements
+
+
+def written_out(means: np.ndarray, displacements: np.ndarray, neighbours: int) -> np.ndarray:
+    squares = ((means[:, None].astype(np.float64) - means[None]) ** 2).sum(axis=2)
+    nearest = np.argsort(squares, axis=1)[:, :neighbours]
+    return np.median(displacements[nearest], axis=1)
+
+
+@pytest.mark.parametrize("neighbours", [3, 24])
+def test_medians_over_the_nearest(neighbours: int) -> None:
+    random = np.random.default_rng(0)
+    means = random.normal(size=(400, 3)).astype(np.float32)
+    displacements = random.normal(size=(400, 3)).astype(np.float32)
+    found = shared_displacements(means, displacements, neighbours)
+    np.testing.assert_array_equal(found, written_out(means, displacements, neighbours).astype(np.float32))
+
+
+def test_a_new_gaussian_moves_with_its_neighbours_and_an_outlier_does_not_count() -> None:
+    random = np.random.default_rng(1)
+    means = random.normal(size=(50, 3)).astype(np.float32)
+    displacements = np.tile(np.float32([0.1, 0, -0.2]), (50, 1))
+    displacements[7] = 0
+    displacements[9] = 50
+    found = shared_displacements(means, displacements, 12)
+    np.testing.assert_array_equal(found, np.tile(np.float32([0.1, 0, -0.2]), (50, 1)))
+
+
+@pytest.mark.parametrize("count", [0, 1, 5])
+def test_fewer_gaussians_than_neighbours(count: int) -> None:
+    random = np.random.default_rng(2)
+    means, displacements = random.normal(size=(2, count, 3)).astype(np.float32)
+    found = shared_displacements(means, displacements, 24)
+    assert found.shape == (count, 3)
+    if count:
+        np.testing.assert_allclose(found, np.tile(np.median(displacements, axis=0), (count, 1)), rtol=1e-6)
+    np.testing.assert_array_equal(shared_displacements(means, displacements, 1), displacements)
