@@ -38,7 +38,7 @@ from .frame_training import FrameTrainer, TrainedFrame
 from .ingest import Ingest, RigFrame
 from .keyframe import mean_picture_psnr, mean_psnr, scene_extent, train_keyframe
 from .keyframe_source import KeyframeSource
-from .masks import FrameMask, frame_masks, next_references
+from .masks import FrameMask, MaskMemory
 from .presets import EncodeSettings
 from .rasterise import FixedView, TrainingKernel
 from .selection import select, view_evidence
@@ -115,7 +115,6 @@ class StreamEncoder:
         self._kernel = TrainingKernel(threads)
         self._watch: list[FixedView] = []
         self._state: State | None = None
-        self._references: Sequence[FloatArray] = []
         self._motion: FloatArray = np.zeros((0, 3), np.float32)
 
     def encode_key(
@@ -137,7 +136,7 @@ class StreamEncoder:
             size = self._commit(PacketKind.KEY, 0, coded)
         with watch.stage("settle"):
             self._trainer = self._frame_trainer(dequantise(state, lattice))
-        self._references = frame.training
+        self._masks = MaskMemory(frame.training, self._settings.frame.masks)
         return self._report(frame, "key", size, coded, 1.0, watch)
 
     def _trained_keyframe(
@@ -192,8 +191,7 @@ class StreamEncoder:
     def _train_selected(self, frame: RigFrame, state: State, watch: _Stopwatch) -> tuple[TrainedFrame | None, float]:
         """What DecoGS changes, None when the frame selects nothing, and the share of Gaussians selected."""
         with watch.stage("masks"):
-            settings = self._settings.frame.masks
-            masks = frame_masks(frame.training, self._references, settings)
+            masks = self._masks.masks(frame.training, [view.rgb for view in self._watch])
         selected: NDArray[np.bool_] = np.zeros(len(state), bool)
         trained: TrainedFrame | None = None
         if any(mask.raw.any() for mask in masks):
@@ -203,8 +201,9 @@ class StreamEncoder:
             if selected.any():
                 with watch.stage("training"):
                     trained = self._trainer.train(scene, selected, frame.training, masks, self._motion)
-        done = None if trained is None else masks
-        self._references = next_references(self._references, frame.training, done, settings)
+        if trained is not None:
+            self._masks.trained(frame.training, masks)
+        self._masks.passed(frame.training)
         return trained, float(selected.mean()) if len(selected) else 0.0
 
     def _train_all(self, frame: RigFrame, state: State, watch: _Stopwatch) -> tuple[TrainedFrame, float]:

@@ -34,6 +34,9 @@ class MaskSettings:
     ``since_trained``: compare with the picture on which a pixel was last in a region of interest, not with the frame
     before: changes too slow for the threshold then add up until they are seen. ``noise_multiple``: a camera's
     threshold is at least that many standard deviations of its own frame-to-frame noise; 0 leaves it as it is.
+    ``residual``: where a picture has changed before, pixels count as changed as long as the rendering misses them by
+    more than so many 8-bit levels, so that what one frame got wrong the next ones mend; 0 turns it off, lower selects
+    more.
     """
 
     threshold: float = 25.0
@@ -41,9 +44,10 @@ class MaskSettings:
     speck_area: int = 0
     since_trained: bool = False
     noise_multiple: float = 0.0
+    residual: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("threshold", "radius_share", "speck_area", "noise_multiple"):
+        for name in ("threshold", "radius_share", "speck_area", "noise_multiple", "residual"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0):
                 raise UsageError(f"mask setting {name} is {value}; it must be a finite number of at least 0")
@@ -116,33 +120,49 @@ def frame_noise(current: FloatArray, previous: FloatArray) -> float:
     return deviation
 
 
-def frame_masks(
-    current: Sequence[FloatArray], references: Sequence[FloatArray], settings: MaskSettings
-) -> list[FrameMask]:
-    """The masks of every view of a frame against its reference, the frame before it or an older one, in views' order.
+def _without_lines(mask: BoolArray) -> BoolArray:
+    """The mask where it is two pixels wide both ways: a rendering misses edges one pixel wide everywhere."""
+    square = np.ones((2, 2), np.uint8)
+    cores = cv2.erode(mask.view(np.uint8), square, anchor=(0, 0))
+    opened: BoolArray = cv2.dilate(cores, square, anchor=(1, 1)).view(np.bool_)
+    return opened
 
-    ``current`` and ``references`` hold one planar float32 (3, H, W) picture per view; views may differ in size.
-    Raises ValueError when the two do not hold the same views. Source: DecoGS, difference mask.
+
+class MaskMemory:
+    """The masks of a stream's frames, and what they need to know of the frames before.
+
+    ``pictures``: the first frame's, one planar float32 (3, H, W) per view; views may differ in size.
     """
-    masks = []
-    for now, before in zip(current, references, strict=True):
-        threshold = settings.threshold
+
+    def __init__(self, pictures: Sequence[FloatArray], settings: MaskSettings) -> None:
+        self._settings = settings
+        self._references = list(pictures)
+        self._changed = [np.zeros(picture.shape[1:], bool) for picture in pictures]
+
+    def masks(self, current: Sequence[FloatArray], shown: Sequence[FloatArray]) -> list[FrameMask]:
+        """The masks of every view's ``current`` picture, in the views' order; ``shown``: the scene before this frame.
+
+        Raises ValueError when they are not the same views. Source: DecoGS, difference mask.
+        """
+        views = zip(current, self._references, shown, self._changed, strict=True)
+        return [self._mask(*view) for view in views]
+
+    def _mask(self, now: FloatArray, reference: FloatArray, shown: FloatArray, changed: BoolArray) -> FrameMask:
+        settings, threshold = self._settings, self._settings.threshold
         if settings.noise_multiple:
-            threshold = max(threshold, settings.noise_multiple * frame_noise(now, before))
-        raw = without_specks(difference_mask(now, before, threshold), settings.speck_area)
-        masks.append(FrameMask(raw, dilate(raw, settings.radius(raw.shape[1]))))
-    return masks
+            threshold = max(threshold, settings.noise_multiple * frame_noise(now, reference))
+        raw = without_specks(difference_mask(now, reference, threshold), settings.speck_area)
+        if settings.residual and changed.any():
+            raw |= _without_lines(difference_mask(now, shown, settings.residual) & changed)
+        return FrameMask(raw, dilate(raw, settings.radius(raw.shape[1])))
 
+    def trained(self, current: Sequence[FloatArray], masks: Sequence[FrameMask]) -> None:
+        """Tells that the regions of interest were trained on ``current``."""
+        for index, (now, mask) in enumerate(zip(current, masks, strict=True)):
+            self._references[index] = np.where(mask.dilated, now, self._references[index])
+            self._changed[index] |= mask.dilated
 
-def next_references(
-    references: Sequence[FloatArray],
-    current: Sequence[FloatArray],
-    masks: Sequence[FrameMask] | None,
-    settings: MaskSettings,
-) -> list[FloatArray]:
-    """What the next frame is compared with, (3, H, W) per view; ``masks``: this frame's, None if it was not trained."""
-    if not settings.since_trained:
-        return list(current)
-    if masks is None:
-        return list(references)
-    return [np.where(mask.dilated, now, before) for now, before, mask in zip(current, references, masks, strict=True)]
+    def passed(self, current: Sequence[FloatArray]) -> None:
+        """Tells that the frame is over, trained or not."""
+        if not self._settings.since_trained:
+            self._references = list(current)

@@ -47,7 +47,7 @@ class EncodeSettings:
 _STANDARD = EncodeSettings(
     keyframe=KeyframeSettings(iterations=1500, sh_degree=1),
     frame=FrameSettings(
-        masks=MaskSettings(threshold=10.0, radius_share=0.018, speck_area=8, since_trained=True),
+        masks=MaskSettings(threshold=10.0, radius_share=0.018, speck_area=8, since_trained=True, residual=25.0),
         cache=None,
         joint_iterations=100,
         warm_start=0.9,

@@ -15,7 +15,6 @@ _COST = ("selected", "seconds", "cpu", "megabytes")
 _BOTH = (_QUALITY + _COST,)
 _KEYFRAME = (("psnr", "ssim", "training", "gaussians", "keyframe_seconds", "keyframe_bytes"),)
 
-_SMALL_CACHE = CacheSettings(levels=8, features=2, table_log2=13)
 _FAST_CACHE = CacheSettings(learning_rate=1e-2)
 
 
@@ -23,7 +22,6 @@ def _caches() -> tuple[Variant, ...]:
     rows = [Variant(f"cache-none-warm{w:g}", f"none, warm start {w:g}", _cache(None, False, w)) for w in (0.0, 0.9)]
     kinds = (
         ("", "3DGStream's", CacheSettings()),
-        ("-small", "small", _SMALL_CACHE),
         ("-fast", "rate x 5", _FAST_CACHE),
     )
     for suffix, words, cache in kinds:
@@ -76,9 +74,19 @@ QUESTIONS = (
         _BOTH,
     ),
     Question(
+        "neighbours",
+        "Whose displacement a warm start takes",
+        "A Gaussian's own, or the median over its nearest selected neighbours.",
+        tuple(
+            Variant(f"neighbours{n}", f"{n} nearest" if n > 1 else "its own", {"frame.warm_neighbours": n})
+            for n in (1, 8, 24, 64)
+        ),
+        _BOTH,
+    ),
+    Question(
         "cache",
         "Neural transformation cache",
-        "None, anew in every frame, or carried over; with and without the warm start; its size and its rate. "
+        "None, anew in every frame, or carried over; with and without the warm start; at its rate and at five times. "
         "Stage 1 takes the preset's cache_iterations, stage 2 its joint_iterations.",
         _caches(),
         _BOTH,
@@ -88,6 +96,94 @@ QUESTIONS = (
         "Iterations of stage 2",
         "",
         tuple(Variant(f"iterations{n}", f"{n}", {"frame.joint_iterations": n}) for n in (30, 60, 100, 200)),
+        _BOTH,
+    ),
+    Question(
+        "early-stop",
+        "Stopping early",
+        "Stage 2 ends once a round through all views lowers the loss by less than this share.",
+        tuple(Variant(f"flat{f:g}", f"{f:g}", {"frame.flat": f}) for f in (0.0, 0.01, 0.03, 0.1)),
+        _BOTH,
+    ),
+    Question(
+        "attributes",
+        "What stage 2 trains",
+        "Places, sizes and turns always; opacity and colour as the row says.",
+        (
+            Variant("attributes-all", "opacity and colour too"),
+            Variant("attributes-no-opacity", "not opacity", {"frame.rates.opacity_logits": 0.0}),
+            Variant("attributes-no-colour", "not colour", {"frame.rates.sh_dc": 0.0, "frame.rates.sh_rest": 0.0}),
+            Variant(
+                "attributes-places",
+                "neither",
+                {"frame.rates.sh_dc": 0.0, "frame.rates.sh_rest": 0.0, "frame.rates.opacity_logits": 0.0},
+            ),
+        ),
+        _BOTH,
+    ),
+    Question(
+        "adam",
+        "Adam's memory in stage 2",
+        "",
+        tuple(
+            Variant(f"adam{b1:g}-{b2:g}", f"β1 {b1:g}, β2 {b2:g}", {"frame.beta1": b1, "frame.beta2": b2})
+            for b1, b2 in ((0.9, 0.999), (0.8, 0.99), (0.7, 0.99))
+        ),
+        _BOTH,
+    ),
+    Question(
+        "visibility",
+        "Visibility in the selection",
+        "A Gaussian counts in a view only if its rendering weight there reaches so many pixels; 0 is no test, so that "
+        "the paper's rule also takes what is hidden.",
+        tuple(
+            Variant(
+                f"visible-{rule}-{weight:g}",
+                f"rule {rule}, {weight:g} pixels",
+                {"frame.selection.visible_weight": weight},
+                selection=rule,
+            )
+            for rule in ("paper", "weight")
+            for weight in (0.0, 0.02)
+        ),
+        _BOTH,
+    ),
+    Question(
+        "reference",
+        "What a frame is compared with",
+        "The frame before, or for every pixel the picture on which it was last trained.",
+        (
+            Variant("reference-before", "the frame before", {"frame.masks.since_trained": False}),
+            Variant("reference-trained", "last trained", {"frame.masks.since_trained": True}),
+        ),
+        _BOTH,
+    ),
+    Question(
+        "residual",
+        "Going back to what was got wrong",
+        "Where a picture has changed before, pixels count as changed while the rendering misses them by so much.",
+        tuple(
+            Variant(f"residual{r:g}", f"{r:g} levels" if r else "never", {"frame.masks.residual": r})
+            for r in (0.0, 15.0, 25.0, 40.0)
+        ),
+        _BOTH,
+    ),
+    Question(
+        "noise",
+        "Threshold by the camera's own noise",
+        "τ 4 without and with a floor of so many standard deviations of the camera's frame-to-frame noise; no specks "
+        "are dropped, so that the threshold alone decides.",
+        (
+            Variant("noise-preset", "τ 10, specks dropped, no floor"),
+            *(
+                Variant(
+                    f"noise{m:g}",
+                    f"τ 4, {m:g} standard deviations" if m else "τ 4, no floor",
+                    {"frame.masks.threshold": 4.0, "frame.masks.speck_area": 0, "frame.masks.noise_multiple": m},
+                )
+                for m in (0.0, 4.0, 6.0)
+            ),
+        ),
         _BOTH,
     ),
     Question(

@@ -202,7 +202,7 @@ def test_no_mask_is_made_and_nothing_selected(
     def never(*_: Any) -> None:
         raise AssertionError("a mask or a selection was asked for")
 
-    monkeypatch.setattr(loop, "frame_masks", never)
+    monkeypatch.setattr(loop.MaskMemory, "masks", never)
     monkeypatch.setattr(loop, "view_evidence", never)
     again = encode(moving_rig, settings=replace(tiny_settings, method="3dgstream"), keyframe=moving.path)
     assert again.data == dense.data

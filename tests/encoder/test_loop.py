@@ -209,7 +209,7 @@ def test_processor_seconds_are_those_of_the_frame_without_the_measuring(
         return run
 
     monkeypatch.setattr(loop, "mean_psnr", slowed(loop.mean_psnr, 0.1))  # twice a frame
-    monkeypatch.setattr(loop, "frame_masks", slowed(loop.frame_masks, 0.05))
+    monkeypatch.setattr(loop.MaskMemory, "masks", slowed(loop.MaskMemory.masks, 0.05))
     key, _, skip, _ = encode(moving_rig, keyframe=moving.path).report.frames
     assert (key.kind, skip.kind) == ("key", "skip")
     assert 0 < key.cpu_seconds < 0.2

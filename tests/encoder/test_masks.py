@@ -10,12 +10,11 @@ import pytest
 
 from decogs.encoder.masks import (
     FrameMask,
+    MaskMemory,
     MaskSettings,
     difference_mask,
     dilate,
-    frame_masks,
     frame_noise,
-    next_references,
     without_specks,
 )
 from decogs.formats.errors import UsageError
@@ -105,13 +104,15 @@ def test_a_change_too_slow_for_the_threshold_adds_up_until_it_is_seen() -> None:
     settings = MaskSettings(threshold=10.0, radius_share=0.0)
     for since_trained, expected in ((False, [0, 0, 0, 0]), (True, [0, 0, 1, 0])):
         chosen = replace(settings, since_trained=since_trained)
-        references, seen = [np.zeros((3, 8, 8), np.float32)], []
+        memory, seen = MaskMemory([np.zeros((3, 8, 8), np.float32)], chosen), []
         for level in (4, 8, 12, 16):  # 8-bit levels of one pixel
             now = np.zeros((3, 8, 8), np.float32)
             now[:, 2, 5] = level / 255
-            masks = frame_masks([now], references, chosen)
+            masks = memory.masks([now], [now])
             seen.append(int(masks[0].raw.sum()))
-            references = next_references(references, [now], masks if masks[0].raw.any() else None, chosen)
+            if masks[0].raw.any():
+                memory.trained([now], masks)
+            memory.passed([now])
         assert seen == expected
 
 
@@ -119,11 +120,24 @@ def test_only_the_region_of_interest_takes_over_the_new_picture() -> None:
     before, now = np.zeros((3, 4, 4), np.float32), np.ones((3, 4, 4), np.float32)
     raw, dilated = np.zeros((4, 4), bool), np.zeros((4, 4), bool)
     dilated[1:3] = True
-    settings = MaskSettings(since_trained=True)
-    found = next_references([before], [now], [FrameMask(raw, dilated)], settings)[0]
-    np.testing.assert_array_equal(found, np.broadcast_to(dilated, (3, 4, 4)))
-    assert next_references([before], [now], None, settings)[0] is before
-    assert next_references([before], [now], None, MaskSettings())[0] is now
+    memory = MaskMemory([before], MaskSettings(since_trained=True, radius_share=0))
+    memory.trained([now], [FrameMask(raw, dilated)])
+    memory.passed([now])
+    np.testing.assert_array_equal(memory.masks([now], [now])[0].raw, ~dilated)
+
+
+def test_what_was_got_wrong_is_mended_where_the_picture_has_changed_before() -> None:
+    picture, wrong = np.full((3, 12, 12), 0.5, np.float32), np.full((3, 12, 12), 0.5, np.float32)
+    wrong[:, 2:5, 2:5] = wrong[:, 8:11, 8:11] = wrong[:, 3, 8] = 0.6  # by 25.5 levels: two squares and a pixel
+    changed = np.zeros((12, 12), bool)
+    changed[:7] = True
+    expected = np.zeros((12, 12), bool)
+    expected[2:5, 2:5] = True
+    for residual, found in ((0.0, np.zeros((12, 12), bool)), (25.0, expected), (26.0, np.zeros((12, 12), bool))):
+        memory = MaskMemory([picture], MaskSettings(residual=residual, radius_share=0))
+        assert not memory.masks([picture], [wrong])[0].raw.any()
+        memory.trained([picture], [FrameMask(changed, changed)])
+        np.testing.assert_array_equal(memory.masks([picture], [wrong])[0].raw, found)
 
 
 @pytest.mark.parametrize("deviation", [0.7, 2.0, 6.0])
@@ -146,6 +160,11 @@ def test_a_noisy_camera_gets_a_threshold_of_its_own() -> None:
     assert shares[1] > 0.5
     aware = MaskSettings(threshold=10.0, radius_share=0, noise_multiple=5.0)
     assert all(m.raw.mean() < 0.001 for m in frame_masks(now, before, aware))
+
+
+def frame_masks(current: list[np.ndarray], references: list[np.ndarray], settings: MaskSettings) -> list[FrameMask]:
+    """Masks of a stream's second frame."""
+    return MaskMemory(references, settings).masks(current, references)
 
 
 def test_unfit_input_is_refused() -> None:
