@@ -64,6 +64,20 @@ DECOGS_INLINE F read_block(const float* plane, const Block& block, const Camera&
     return load(lanes);
 }
 
+// The centres of the first pixels of a tile's blocks, a lane per block.
+struct TileCorners {
+    F x, y;
+};
+
+DECOGS_INLINE TileCorners block_corners(int tile_x, int tile_y) {
+    float x[kLanes], y[kLanes];
+    for (int b = 0; b < kBlocks; ++b) {
+        x[b] = static_cast<float>(tile_x * kTile + (b % 4) * 4) + 0.5f;
+        y[b] = static_cast<float>(tile_y * kTile + (b / 4) * 4) + 0.5f;
+    }
+    return {load(x), load(y)};
+}
+
 // The bits of the blocks of a tile that the drawn ellipse meets.
 DECOGS_INLINE uint16_t blocks_met(const Projected& g, const F& corner_x, const F& corner_y) {
     return static_cast<uint16_t>(bits(smallest_exponent(g, corner_x, corner_y, 3.0f) <= g.cut));
@@ -119,17 +133,14 @@ template <class Watch>
 inline void composite_tile(const TileLists& lists, const Camera& cam, int tile, const Planes& out, Trace* trace, Watch& watch) {
     const int tile_x = tile % lists.columns, tile_y = tile / lists.columns;
     const uint32_t first = lists.first_entry[tile], count = lists.first_entry[tile + 1] - first;
-    float cx[kLanes], cy[kLanes];
     Block blocks[kBlocks];
     Gathered gathered[kBlocks];
     const F zero = splat(0.0f);
     for (int b = 0; b < kBlocks; ++b) {
-        cx[b] = static_cast<float>(tile_x * kTile + (b % 4) * 4) + 0.5f;
-        cy[b] = static_cast<float>(tile_y * kTile + (b / 4) * 4) + 0.5f;
         blocks[b] = block_of(tile_x, tile_y, b, cam);
         gathered[b] = {splat(1.0f), {zero, zero, zero}, zero, blocks[b].inside, splati(0)};
     }
-    const F corner_x = load(cx), corner_y = load(cy);
+    const TileCorners corners = block_corners(tile_x, tile_y);
     Projected batch[kBatch];
     uint16_t drawn[kBlocks][kBatch];
     unsigned live = 0;
@@ -143,7 +154,8 @@ inline void composite_tile(const TileLists& lists, const Camera& cam, int tile, 
             const uint32_t at = first + base + e;
             __builtin_prefetch(&lists.projected[lists.entries[std::min(at + kAhead, last)].gaussian]);
             batch[e] = lists.projected[lists.entries[at].gaussian];
-            const uint16_t met = blocks_met(batch[e], corner_x, corner_y);
+            const int32_t known = lists.entries[at].blocks;
+            const uint16_t met = known < 0 ? blocks_met(batch[e], corners.x, corners.y) : static_cast<uint16_t>(known);
             if (trace) trace->blocks[at] = met;
             for (unsigned left = met & live; left; left &= left - 1) {
                 const int b = __builtin_ctz(left);

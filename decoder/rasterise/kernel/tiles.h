@@ -19,6 +19,7 @@ constexpr uint32_t kNoPair = UINT32_MAX;
 struct Entry {
     uint32_t gaussian;
     uint32_t pair;  // where this (tile, Gaussian) pair writes its gradient, or kNoPair: pairs of one Gaussian are consecutive
+    int32_t blocks = -1;  // the bits of the tile's blocks that the ellipse meets, if known already
 };
 
 struct TileLists {

@@ -69,7 +69,7 @@ class FixedView {
             tiles_[t] = Tile();
             for (uint32_t e = lists_.first_entry[t]; e < lists_.first_entry[t + 1]; ++e) {
                 const uint32_t g = lists_.entries[e].gaussian;
-                tiles_[t].resting.push_back({depth_key(lists_.projected[g].depth), g, 0.0f});
+                tiles_[t].resting.push_back({depth_key(lists_.projected[g].depth), g, 0.0f, -1});
             }
         }
     }
@@ -131,7 +131,7 @@ class FixedView {
             merged.clear();
             each_in_order(
                 t, rows, [&](const Resting& r) { merged.push_back(r); },
-                [&](const Arrival& a) { merged.push_back({a.depth, static_cast<uint32_t>(rows[a.index]), 0.0f}); });
+                [&](const Arrival& a) { merged.push_back({a.depth, static_cast<uint32_t>(rows[a.index]), 0.0f, -1}); });
             tile.resting.swap(merged);
             tile.stale = true;
         }
@@ -167,7 +167,8 @@ class FixedView {
  private:
     struct Resting {
         uint32_t depth, gaussian;
-        float weight;  // over the tile, as of its last refresh
+        float weight;    // over the tile, as of its last refresh
+        int32_t blocks;  // of the tile that its ellipse meets; -1: not known yet
     };
     struct Tile {
         std::vector<Resting> resting;  // front to back; equal depths in the scene's order
@@ -247,8 +248,8 @@ class FixedView {
         for (int t : active_) {
             Entry* to = lists_.entries.data() + lists_.first_entry[t];
             each_in_order(
-                t, rows, [&](const Resting& r) { *to++ = {r.gaussian, kNoPair}; },
-                [&](const Arrival& a) { *to++ = {static_cast<uint32_t>(rows[a.index]), a.pair}; });
+                t, rows, [&](const Resting& r) { *to++ = {r.gaussian, kNoPair, r.blocks}; },
+                [&](const Arrival& a) { *to++ = {static_cast<uint32_t>(rows[a.index]), a.pair, -1}; });
         }
     }
 
@@ -270,8 +271,19 @@ class FixedView {
         std::fill(in_all_.begin() + begin, in_all_.begin() + end, 0.0f);  // what lies behind a full tile is never come to
         std::fill(marked_.begin() + begin, marked_.begin() + end, 0.0f);
         weigher.start(camera_, t % lists_.columns, t / lists_.columns);
+        find_blocks(t);
         composite_tile(lists_, camera_, t, out, nullptr, weigher);
         for (uint32_t e = begin; e < end; ++e) tiles_[t].resting[e - begin].weight = in_all_[e];
+    }
+
+    // Which blocks of a tile the ellipses at rest in it meet, for all draws to come.
+    void find_blocks(int t) {
+        const TileCorners corners = block_corners(t % lists_.columns, t / lists_.columns);
+        Entry* entry = lists_.entries.data() + lists_.first_entry[t];
+        for (Resting& r : tiles_[t].resting) {
+            if (r.blocks < 0) r.blocks = blocks_met(lists_.projected[r.gaussian], corners.x, corners.y);
+            (entry++)->blocks = r.blocks;
+        }
     }
 
     bool any_marked(const uint8_t* marks, int t) const {
