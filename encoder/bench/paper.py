@@ -17,6 +17,8 @@ FRESH = Variant("fresh-keyframe", "a keyframe trained on the last frame", frames
 TAUS = (10.0, 25.0, 50.0)
 RADII = (0.5, 1.0, 2.0)
 STRIDES = (1, 5, 10)
+SWEEP_FRAMES = 16
+"""Nine runs a rig: the first frames tell as much."""
 
 _COST = ("seconds", "cpu", "fps", "megabytes", "megabytes_all", "selected")
 _BRIEF = ("psnr", "psnr_dynamic", "psnr_static", "last_dynamic", "mtv", "selected", "cpu", "megabytes")
@@ -28,6 +30,7 @@ def _sweep() -> tuple[Variant, ...]:
             f"tau{tau:g}-r{radius:g}",
             f"τ = {tau:g}, r × {radius:g}",
             {"frame.masks.threshold": tau, "frame.masks.radius_share": Times(radius)},
+            frames=SWEEP_FRAMES,
         )
         for tau in TAUS
         for radius in RADII
@@ -87,7 +90,7 @@ QUESTIONS = (
         "sweep",
         "Sensitivity to τ and r",
         "τ is the threshold of the difference mask in 8-bit levels, r its dilation, here in units of the preset's "
-        "(a share of the picture's width, so it goes with the size).",
+        f"(a share of the picture's width, so it goes with the size). The first {SWEEP_FRAMES} frames.",
         _sweep(),
         (_BRIEF,),
     ),
