@@ -282,6 +282,22 @@ def test_a_still_scene_is_skips_after_the_keyframe(still: Any) -> None:
     assert all(report.selected == 0 for report in still.report.frames[1:])
 
 
+def test_a_frame_without_changes_costs_its_masks_and_nothing_else(
+    encode: Any, still_rig: Path, still: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def never(*_: Any, **__: Any) -> None:
+        raise AssertionError("a still frame was drawn, weighed, trained or settled")
+
+    for name in ("lift", "draw", "backward", "settle"):
+        monkeypatch.setattr(loop.FixedView, name, never)
+    refreshed: list[object] = []
+    refresh = loop.FixedView.refresh
+    monkeypatch.setattr(loop.FixedView, "refresh", lambda view, *a: (refreshed.append(view), refresh(view, *a))[1])
+    again = encode(still_rig, keyframe=still.path)
+    assert [set(report.seconds) for report in again.report.frames[1:]] == [{"masks", "write", "measure"}] * 3
+    assert len(refreshed) == len(set(map(id, refreshed))), "for the keyframe, and never again"
+
+
 def test_the_shared_still_rig_is_skips_after_the_keyframe(encode: Any, shared_data: Any, tiny_settings: Any) -> None:
     """Real video coding noise against the standard preset's masks; the paper's threshold is higher still."""
     frame = replace(PRESETS["standard"].frame, cache=None, joint_iterations=1)
