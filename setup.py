@@ -2,7 +2,9 @@
 
 The libraries have a plain C interface and are loaded with ctypes, so they need neither Python's headers nor its ABI.
 One library per instruction set (rather than one library with three copies) keeps the linker from merging inline
-functions that were compiled for a newer machine into code that an older one runs.
+functions that were compiled for a newer machine into code that an older one runs. For the same reason each set has a
+C++ namespace of its own: the loader shares thread-local variables of one name between libraries, and a process may load
+several, as tests do.
 """
 
 import platform
@@ -44,7 +46,7 @@ def kernels() -> list[Extension]:
             [f"{folder}/{source}"],
             include_dirs=["decoder/rasterise/kernel"],
             depends=headers,
-            extra_compile_args=[*COMMON_FLAGS, *flags],
+            extra_compile_args=[*COMMON_FLAGS, f"-Ddecogs=decogs_{instruction_set}", *flags],
             extra_link_args=["-pthread"],
             language="c++",
             py_limited_api=True,
