@@ -24,6 +24,7 @@ if platform.machine() in ("x86_64", "AMD64"):
 KERNELS = {
     "decogs.decoder.rasterise._forward": ("decoder/rasterise/kernel", "forward.cpp"),
     "decogs.encoder.rasterise._training": ("encoder/rasterise/kernel", "training.cpp"),
+    "decogs.encoder.transformation_cache._cache": ("encoder/transformation_cache/kernel", "cache.cpp"),
 }
 
 
@@ -44,7 +45,7 @@ def kernels() -> list[Extension]:
         Extension(
             f"{name}_{instruction_set}",
             [f"{folder}/{source}"],
-            include_dirs=["decoder/rasterise/kernel"],
+            include_dirs=["decoder/rasterise/kernel", "encoder/rasterise/kernel"],
             depends=headers,
             extra_compile_args=[*COMMON_FLAGS, f"-Ddecogs=decogs_{instruction_set}", *flags],
             extra_link_args=["-pthread"],
