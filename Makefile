@@ -13,7 +13,7 @@ BENCH_ARGS ?=
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/ready
-KERNEL_SOURCES := $(wildcard decoder/rasterise/kernel/* encoder/rasterise/kernel/*)
+KERNEL_SOURCES := $(wildcard decoder/rasterise/kernel/* encoder/*/kernel/*)
 
 # A second environment that holds only the built wheel, without torch.
 DIST := build/dist

@@ -2,7 +2,9 @@
 
 The libraries have a plain C interface and are loaded with ctypes, so they need neither Python's headers nor its ABI.
 One library per instruction set (rather than one library with three copies) keeps the linker from merging inline
-functions that were compiled for a newer machine into code that an older one runs.
+functions that were compiled for a newer machine into code that an older one runs. For the same reason each set has a
+C++ namespace of its own: the loader shares thread-local variables of one name between libraries, and a process may load
+several, as tests do.
 """
 
 import platform
@@ -22,6 +24,7 @@ if platform.machine() in ("x86_64", "AMD64"):
 KERNELS = {
     "decogs.decoder.rasterise._forward": ("decoder/rasterise/kernel", "forward.cpp"),
     "decogs.encoder.rasterise._training": ("encoder/rasterise/kernel", "training.cpp"),
+    "decogs.encoder.transformation_cache._cache": ("encoder/transformation_cache/kernel", "cache.cpp"),
 }
 
 
@@ -42,9 +45,9 @@ def kernels() -> list[Extension]:
         Extension(
             f"{name}_{instruction_set}",
             [f"{folder}/{source}"],
-            include_dirs=["decoder/rasterise/kernel"],
+            include_dirs=["decoder/rasterise/kernel", "encoder/rasterise/kernel"],
             depends=headers,
-            extra_compile_args=[*COMMON_FLAGS, *flags],
+            extra_compile_args=[*COMMON_FLAGS, f"-Ddecogs=decogs_{instruction_set}", *flags],
             extra_link_args=["-pthread"],
             language="c++",
             py_limited_api=True,

@@ -63,12 +63,16 @@ def test_the_specification_is_installed() -> None:
 
 @pytest.mark.parametrize("instruction_set", INSTRUCTION_SETS)
 @pytest.mark.parametrize(
-    ("layer", "stem", "function"),
-    [("decoder", "_forward", "decogs_render"), ("encoder", "_training", "decogs_backward")],
+    ("layer", "package", "stem", "function"),
+    [
+        ("decoder", "rasterise", "_forward", "decogs_render"),
+        ("encoder", "rasterise", "_training", "decogs_backward"),
+        ("encoder", "transformation_cache", "_cache", "decogs_cache_step"),
+    ],
 )
-def test_the_kernels_are_installed(layer: str, stem: str, function: str, instruction_set: str) -> None:
+def test_the_kernels_are_installed(layer: str, package: str, stem: str, function: str, instruction_set: str) -> None:
     """The wheel is built from the sdist, so this also shows that the sdist holds their sources."""
-    library = ctypes.CDLL(str(layer_folder(layer) / "rasterise" / f"{stem}_{instruction_set}.abi3.so"))
+    library = ctypes.CDLL(str(layer_folder(layer) / package / f"{stem}_{instruction_set}.abi3.so"))
     assert hasattr(library, function)
 
 

@@ -59,8 +59,17 @@ class _LossSums(ctypes.Structure):
     _fields_ = [("l1", ctypes.c_double), ("ssim", ctypes.c_double)]
 
 
-class _AdamStep(ctypes.Structure):
+class AdamStep(ctypes.Structure):
+    """Adam's numbers at one step, as the kernels read them (kernel/adam.h)."""
+
     _fields_ = [(name, ctypes.c_float) for name in ("beta1", "beta2", "epsilon", "correction1", "correction2")]
+
+
+def adam_step(step: int, beta1: float, beta2: float, epsilon: float) -> AdamStep:
+    """Adam's numbers at ``step``, counted from 1."""
+    # The kernels see betas rounded to float32; corrections from the same numbers keep the first step's size exact.
+    beta1, beta2 = float(np.float32(beta1)), float(np.float32(beta2))
+    return AdamStep(beta1, beta2, epsilon, 1 - beta1**step, 1 - beta2**step)
 
 
 @lru_cache(maxsize=1)
@@ -105,7 +114,7 @@ def library() -> ctypes.CDLL:
     library.decogs_loss.argtypes = [handle, pointer(_LossInput), ctypes.c_void_p, pointer(_LossSums)]
     library.decogs_adam.argtypes = [
         handle,
-        pointer(_AdamStep),
+        pointer(AdamStep),
         ctypes.c_int64,
         ctypes.c_void_p,
         ctypes.c_int,
@@ -319,9 +328,7 @@ class TrainingKernel:
             raise ValueError(f"gradient and moments must have the shape of the value, {value.shape}")
         if rows is not None and rows.dtype != np.int64:
             raise ValueError(f"rows must be int64, not {rows.dtype}")
-        # The kernel sees betas rounded to float32; corrections from the same numbers keep the first step's size exact.
-        beta1, beta2 = float(np.float32(beta1)), float(np.float32(beta2))
-        setting = _AdamStep(beta1, beta2, epsilon, 1 - beta1**step, 1 - beta2**step)
+        setting = adam_step(step, beta1, beta2, epsilon)
         self._library.decogs_adam(
             self.handle,
             ctypes.byref(setting),

@@ -257,7 +257,7 @@ print(hashlib.sha256(encoded.data).hexdigest())
 def test_bytes_do_not_depend_on_the_kernels_instruction_set(
     moving: Any, moving_rig: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The kernels are ours; torch's matrix products choose their own instructions and are not pinned by this."""
+    """The whole of training, the transformation cache included."""
     narrower = INSTRUCTION_SETS[: INSTRUCTION_SETS.index(best_instruction_set())]
     if not narrower:
         pytest.skip("this machine runs one instruction set only")

@@ -1,0 +1,159 @@
+// The multi-resolution hash grid (Instant-NGP, Mueller 2022), read at fixed points.
+//
+// Which entries a point reads, and with what trilinear weights, is settled once, when points are placed. From then on
+// only the entries that some point reads exist: each level numbers its own in the table's order, and values, gradients
+// and moments are rows in that order, level after level. Features are kept level by level as well, (levels, padded,
+// features), so that a level's rows stay in the processor's cache while they are read.
+#pragma once
+
+#include <algorithm>
+#include <cstdint>
+#include <vector>
+
+#include "simd.h"
+
+namespace decogs {
+
+constexpr int kCorners = 8;
+constexpr int kMostFeatures = 32;
+
+struct Grid {
+    int levels, features, table_log2;
+    std::vector<int32_t> resolutions;  // vertices along each side of the box, per level
+};
+
+struct Points {  // in the unit cube, x, y and z apart; the last one is repeated to fill whole groups of lanes
+    int64_t count = 0, padded = 0;
+    std::vector<double> at[3];
+};
+
+struct LevelReading {
+    std::vector<uint32_t> rows;      // (padded, 8): the level's row that each corner reads
+    std::vector<float> fractions;    // (padded / 16, 3, 16): where in its cell a point is
+    std::vector<uint32_t> entries;   // the table's entry of each row, ascending
+    int64_t first_row = 0;           // of this level among all levels' rows
+};
+
+// A vertex's entry in a level's table: x fastest where all vertices fit, hashed (Mueller 2022, equation 4) where not.
+inline uint32_t table_entry(const Grid& grid, uint32_t resolution, uint32_t x, uint32_t y, uint32_t z) {
+    const uint64_t table = uint64_t{1} << grid.table_log2, side = resolution;
+    if (side * side <= table && side * side * side <= table) return x + resolution * (y + resolution * z);
+    return (x ^ y * 2654435761u ^ z * 805459861u) & static_cast<uint32_t>(table - 1);
+}
+
+// Corner k is offset by bits 0, 1, 2 of k along x, y, z. The box's upper faces belong to the last cell.
+inline void place_level(const Grid& grid, int level, const Points& points, LevelReading& reading) {
+    const int32_t resolution = grid.resolutions[level];
+    reading.rows.resize(points.padded * kCorners);
+    reading.fractions.resize(points.padded * 3);
+    reading.entries.clear();
+    std::vector<uint32_t> row_of(size_t{1} << grid.table_log2, 0);
+    for (int64_t i = 0; i < points.padded; ++i) {
+        uint32_t cell[3];
+        for (int axis = 0; axis < 3; ++axis) {
+            const double position = points.at[axis][i] * (resolution - 1);
+            cell[axis] = static_cast<uint32_t>(std::min(static_cast<int32_t>(position), resolution - 2));
+            reading.fractions[(i / kLanes * 3 + axis) * kLanes + i % kLanes] = static_cast<float>(position - cell[axis]);
+        }
+        for (uint32_t k = 0; k < kCorners; ++k) {
+            const uint32_t entry = table_entry(grid, resolution, cell[0] + (k & 1), cell[1] + (k >> 1 & 1), cell[2] + (k >> 2));
+            reading.rows[i * kCorners + k] = entry;
+            row_of[entry] = 1;
+        }
+    }
+    for (size_t entry = 0; entry < row_of.size(); ++entry) {
+        if (!row_of[entry]) continue;
+        row_of[entry] = static_cast<uint32_t>(reading.entries.size());
+        reading.entries.push_back(static_cast<uint32_t>(entry));
+    }
+    for (uint32_t& row : reading.rows) row = row_of[row];
+}
+
+// The features of one row or point: one vector where their number is known, any number of values where it is not (0).
+template <int kFeatures>
+struct Features {
+    typedef float Vector __attribute__((vector_size(4 * kFeatures)));
+    Vector sum{};
+    DECOGS_INLINE explicit Features(int) {}
+    DECOGS_INLINE void load(const float* a) { std::memcpy(&sum, a, sizeof sum); }
+    DECOGS_INLINE void add(float weight, const float* a) {
+        Vector value;
+        std::memcpy(&value, a, sizeof value);
+        sum += weight * value;
+    }
+    DECOGS_INLINE void store(float* a) const { std::memcpy(a, &sum, sizeof sum); }
+};
+template <>
+struct Features<0> {
+    float sum[kMostFeatures] = {};
+    int count;
+    DECOGS_INLINE explicit Features(int features) : count(features) {}
+    DECOGS_INLINE void load(const float* a) { std::copy(a, a + count, sum); }
+    DECOGS_INLINE void add(float weight, const float* a) {
+        for (int f = 0; f < count; ++f) sum[f] += weight * a[f];
+    }
+    DECOGS_INLINE void store(float* a) const { std::copy(sum, sum + count, a); }
+};
+
+// Trilinear weights of sixteen points, to[k][i] that of corner k of point i.
+DECOGS_INLINE void corner_weights(const float* fractions, float to[kCorners][kLanes]) {
+    F side[3][2];
+    for (int axis = 0; axis < 3; ++axis) {
+        side[axis][1] = load(fractions + axis * kLanes);
+        side[axis][0] = 1.0f - side[axis][1];
+    }
+    for (int k = 0; k < kCorners; ++k) store(to[k], side[0][k & 1] * side[1][k >> 1 & 1] * side[2][k >> 2]);
+}
+
+// One level's features (padded, features) of all points, from the level's rows of `values`.
+template <int kFeatures>
+inline void read_level_of(const LevelReading& reading, int features, const float* values, float* to) {
+    if (kFeatures) features = kFeatures;
+    alignas(64) float weights[kCorners][kLanes];
+    const int64_t points = static_cast<int64_t>(reading.rows.size()) / kCorners;
+    for (int64_t base = 0; base < points; base += kLanes) {
+        corner_weights(&reading.fractions[base * 3], weights);
+        for (int i = 0; i < kLanes; ++i) {
+            const uint32_t* rows = &reading.rows[(base + i) * kCorners];
+            Features<kFeatures> read(features);
+            for (int k = 0; k < kCorners; ++k) read.add(weights[k][i], values + static_cast<int64_t>(rows[k]) * features);
+            read.store(to + (base + i) * features);
+        }
+    }
+}
+
+// The way back: adds to the level's rows of `gradient` what they fed into the features, point after point.
+template <int kFeatures>
+inline void scatter_level_of(const LevelReading& reading, int features, const float* v_features, float* gradient) {
+    if (kFeatures) features = kFeatures;
+    alignas(64) float weights[kCorners][kLanes];
+    const int64_t points = static_cast<int64_t>(reading.rows.size()) / kCorners;
+    for (int64_t base = 0; base < points; base += kLanes) {
+        corner_weights(&reading.fractions[base * 3], weights);
+        for (int i = 0; i < kLanes; ++i) {
+            const uint32_t* rows = &reading.rows[(base + i) * kCorners];
+            const float* v = v_features + (base + i) * features;
+            for (int k = 0; k < kCorners; ++k) {
+                float* row = gradient + static_cast<int64_t>(rows[k]) * features;
+                Features<kFeatures> total(features);
+                total.load(row);
+                total.add(weights[k][i], v);
+                total.store(row);
+            }
+        }
+    }
+}
+
+inline void read_level(const LevelReading& reading, int features, const float* values, float* to) {
+    if (features == 4) return read_level_of<4>(reading, features, values, to);
+    if (features == 2) return read_level_of<2>(reading, features, values, to);
+    read_level_of<0>(reading, features, values, to);
+}
+
+inline void scatter_level(const LevelReading& reading, int features, const float* v_features, float* gradient) {
+    if (features == 4) return scatter_level_of<4>(reading, features, v_features, gradient);
+    if (features == 2) return scatter_level_of<2>(reading, features, v_features, gradient);
+    scatter_level_of<0>(reading, features, v_features, gradient);
+}
+
+}  // namespace decogs
