@@ -39,7 +39,12 @@ def encode_main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="same seed, same bytes (default 0)")
     parser.add_argument("--threads", type=number_of_threads, default=0, metavar="N", help="default: all processors")
-    parser.add_argument("--device", default="auto", metavar="D", help="auto (default), cpu or cuda")
+    parser.add_argument(
+        "--device",
+        default="auto",
+        metavar="D",
+        help="auto (default), cpu or cuda; cuda has never run on a GPU: auto is cpu",
+    )
     parser.add_argument("--log", metavar="FILE", help="write figures per frame as JSON lines")
     return run(parser.prog, lambda: _encode(parser.parse_args(frames_joined(arguments))))
 

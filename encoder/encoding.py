@@ -19,8 +19,7 @@ from .methods import with_method, with_selection, without
 from .presets import EncodeSettings
 from .presets import preset as named_preset
 from .progress import EncodeProgress
-
-DEVICES = ("auto", "cpu", "cuda")
+from .rasterise import check_device
 
 
 def encode(
@@ -48,11 +47,12 @@ def encode(
     ``method``: "decogs" or "3dgstream"; ``ablate``: parts of DecoGS to leave out, a list or text with commas;
     ``selection``: "paper" or "weight"; all three on top of the preset (`methods`). ``keyframe``: an earlier stream of
     the same rig, first frame and held-out cameras whose keyframe is taken as it is.
-    ``threads``: 0 means all processors; the stream does not depend on it. ``log``: file for JSON lines.
+    ``threads``: 0 means all processors; the stream does not depend on it. ``device``: "cuda" takes gsplat, has never
+    run on a GPU and gives other bits every time; "auto" is the CPU as long as that is so. ``log``: file for JSON lines.
     ``terminal``: where to show a progress bar, if it is one. Ctrl-C after the first frame ends the stream early but
     whole. Raises RigError, UsageError or TrainingError; nothing is then left under the output's name.
     """
-    _check_device(device)
+    check_device(device)
     if seed < 0:
         raise UsageError(f"--seed {seed}: give a number of at least 0")
     settings = _settings(preset, method, [ablate] if isinstance(ablate, str) else ablate, selection)
@@ -82,6 +82,7 @@ def encode(
             seed=seed,
             threads=thread_count(threads),
             keyframe=source,
+            device=device,
             on_frame=progress.frame,
             on_keyframe_step=progress.keyframe_step,
         )
@@ -100,10 +101,3 @@ def _settings(
         settings = with_method(settings, method)
     settings = without(settings, [part.strip() for text in ablate for part in text.split(",") if part.strip()])
     return settings if selection is None else with_selection(settings, selection)
-
-
-def _check_device(device: str) -> None:
-    if device not in DEVICES:
-        raise UsageError(f"--device {device}: choose from {', '.join(DEVICES)}")
-    if device == "cuda":
-        raise UsageError("--device cuda: this version trains on the processor only; use auto or cpu")

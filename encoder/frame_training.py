@@ -99,7 +99,6 @@ class FrameTrainer:
         self._kernel, self._views, self._watch, self._settings = kernel, views, watch, settings
         self._random = np.random.default_rng(seed)
         self._extent = extent
-        self._cotangents = [np.empty_like(view.rgb) for view in watch]
         self._ungated: SplatOptimiser | None = None
         self._values: list[float] = []
         self._cache: TransformationCache | None = None
@@ -222,15 +221,15 @@ class FrameTrainer:
 
     def _gradients(self, work: _Working, losses: Sequence[PhotometricLoss], index: int) -> SplatGradients:
         """Gradients of the shown values; pixels that nothing under training meets have no part in them."""
-        view, cotangent = self._watch[index], self._cotangents[index]
-        rgb = view.draw(work.shown, work.rows)
-        value = losses[index].evaluate(self._kernel, rgb, tiles=view.met, gradient=cotangent)[0]
+        view = self._watch[index]
+        view.draw(work.shown, work.rows)
+        value = losses[index].evaluate_drawn(view)
         if not np.isfinite(value.total):
             raise TrainingError(
                 f"the loss of camera {self._views[index].camera.name} is {value.total}; lower the rates"
             )
         self._values.append(value.total)
-        return view.backward(cotangent, out=work.gradients)
+        return view.backward(out=work.gradients)
 
     def _view_order(self, steps: int) -> list[int]:
         """Views at random, each once before any comes again."""
@@ -286,10 +285,10 @@ class FrameTrainer:
 
     def _look(self, work: _Working, index: int, target: FloatArray, mask: FrameMask) -> Look:
         view, watching = self._views[index], self._watch[index]
-        rgb = watching.draw(work.shown, work.rows, depth=True)
+        watching.draw(work.shown, work.rows, depth=True)
         depth = watching.depth / np.maximum(watching.alpha, np.float32(1e-6))
         focus = mask.dilated if view.valid is None else mask.dilated & (view.valid > 0)
-        return Look(view.pinhole, target, rgb, depth, focus)
+        return Look(view.pinhole, target, watching.rgb, depth, focus)
 
     def _open_gate(self, work: _Working, scene: Splats) -> None:
         """Ablation: from here on every Gaussian is stepped, with the momentum of the frames before."""

@@ -40,7 +40,7 @@ from .keyframe import mean_picture_psnr, mean_psnr, scene_extent, train_keyframe
 from .keyframe_source import KeyframeSource
 from .masks import FrameMask, MaskMemory
 from .presets import EncodeSettings
-from .rasterise import FixedView, TrainingKernel
+from .rasterise import FixedView, fixed_view, training_kernel
 from .selection import select, view_evidence
 
 OnFrame = Callable[["FrameReport"], None]
@@ -109,10 +109,11 @@ class StreamEncoder:
         seed: int,
         threads: int,
         keyframe: KeyframeSource | None = None,
+        device: str = "auto",
     ) -> None:
         self._ingest, self._settings, self._seed, self._threads = ingest, settings, seed, threads
         self._source = keyframe
-        self._kernel = TrainingKernel(threads)
+        self._kernel = training_kernel(device, threads)
         self._watch: list[FixedView] = []
         self._state: State | None = None
         self._motion: FloatArray = np.zeros((0, 3), np.float32)
@@ -316,7 +317,7 @@ class StreamEncoder:
                 seed=seed,
                 threads=threads,
             )
-        self._watch = [FixedView(kernel, view.pinhole) for view in views]
+        self._watch = [fixed_view(kernel, view.pinhole) for view in views]
         for view in self._watch:
             view.place(splats)
             view.refresh()
@@ -354,6 +355,7 @@ def encode_stream(
     seed: int,
     threads: int,
     keyframe: KeyframeSource | None = None,
+    device: str = "auto",
     on_frame: OnFrame | None = None,
     on_keyframe_step: OnKeyframeStep | None = None,
 ) -> EncodeReport:
@@ -364,7 +366,7 @@ def encode_stream(
     """
     _check_output(output)
     growing = output.with_name(output.name + ".part")
-    encoder = StreamEncoder(ingest, settings, seed=seed, threads=threads, keyframe=keyframe)
+    encoder = StreamEncoder(ingest, settings, seed=seed, threads=threads, keyframe=keyframe, device=device)
     reports: list[FrameReport] = []
     interrupted = False
     file: BinaryIO | None = None

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from decogs.formats.splats import FloatArray
 
-from .rasterise import LossValue, TrainingKernel
+from .rasterise import FixedView, LossValue, TrainingKernel
 
 
 @dataclass(frozen=True)
@@ -40,15 +40,8 @@ class PhotometricLoss:
     focus: FloatArray | None = None
     emphasis: float = 1.0
 
-    def evaluate(
-        self,
-        kernel: TrainingKernel,
-        image: FloatArray,
-        *,
-        tiles: NDArray[np.uint8] | None = None,
-        gradient: FloatArray | None = None,
-    ) -> tuple[LossValue, FloatArray]:
-        """The loss of ``image`` (3, H, W) and its gradient; with ``tiles``, of these tiles only."""
+    def evaluate(self, kernel: TrainingKernel, image: FloatArray) -> tuple[LossValue, FloatArray]:
+        """The loss of ``image`` (3, H, W) and its gradient."""
         return kernel.loss(
             image,
             self.target,
@@ -56,8 +49,16 @@ class PhotometricLoss:
             ssim_scale=self.ssim_scale,
             l1_weight=self.l1_weight,
             focus=self.focus,
-            tiles=tiles,
-            gradient=gradient,
+        )
+
+    def evaluate_drawn(self, view: FixedView) -> LossValue:
+        """The loss of what ``view`` has just drawn, in the tiles that can change; the view keeps its gradient."""
+        return view.loss(
+            self.target,
+            l1_scale=self.l1_scale,
+            ssim_scale=self.ssim_scale,
+            l1_weight=self.l1_weight,
+            focus=self.focus,
         )
 
 

@@ -320,7 +320,8 @@ def encoder_digest(threads: int) -> str:
         view.place(splats)
         digest.update(view.refresh(v_depth > 0).tobytes())
         view.lift(third)
-        digest.update(view.draw(take_splats(splats, third), third).tobytes())
+        view.draw(take_splats(splats, third), third)
+        digest.update(view.rgb.tobytes())
         for some in (g, view.backward(v_rgb)):
             for array in (some.means, some.log_scales, some.quaternions, some.opacity_logits, some.sh, some.view):
                 digest.update(array.tobytes())

@@ -16,6 +16,7 @@ from decogs.formats.cameras import Camera
 from decogs.formats.splats import FloatArray, Splats
 
 from .native import (
+    LossValue,
     NativeCotangents,
     SplatGradients,
     TrainingKernel,
@@ -43,18 +44,36 @@ class FixedView:
         self._library, self._kernel, self.camera = library(), kernel, camera
         self._native = native_camera(camera)
         size = (camera.height, camera.width)
-        self.rgb: FloatArray = np.zeros((3, *size), np.float32)
-        self.alpha: FloatArray = np.zeros(size, np.float32)
-        self.depth: FloatArray = np.zeros(size, np.float32)
-        self.met: NDArray[np.uint8] = np.zeros(tile_count(camera.width, camera.height), np.uint8)
-        """One per 16x16 tile: whether a Gaussian of the last ``draw`` meets it. Nothing else can change its pixels."""
+        self._rgb: FloatArray = np.zeros((3, *size), np.float32)
+        self._alpha: FloatArray = np.zeros(size, np.float32)
+        self._depth: FloatArray = np.zeros(size, np.float32)
+        self._met: NDArray[np.uint8] = np.zeros(tile_count(camera.width, camera.height), np.uint8)
         self._population = 0
         self._drawn: tuple[Splats, RowArray] | None = None
+        self._cotangent: FloatArray | None = None
+        self._evaluated = False
         self._handle = self._library.decogs_view_create(ctypes.byref(self._native))
 
     def __del__(self) -> None:
         if hasattr(self, "_handle"):
             self._library.decogs_view_destroy(self._handle)
+
+    @property
+    def rgb(self) -> FloatArray:
+        return self._rgb
+
+    @property
+    def alpha(self) -> FloatArray:
+        return self._alpha
+
+    @property
+    def depth(self) -> FloatArray:
+        return self._depth
+
+    @property
+    def met(self) -> NDArray[np.uint8]:
+        """One per 16x16 tile: whether a Gaussian of the last ``draw`` meets it. Nothing else can change its pixels."""
+        return self._met
 
     def place(self, scene: Splats) -> None:
         """Starts with a whole scene (N Gaussians), all of it at rest; the picture is there after ``refresh``."""
@@ -66,8 +85,8 @@ class FixedView:
 
         The weight is the sum of alpha times transmittance: in row 0 over all pixels, in row 1 over ``marks`` (H, W).
         """
-        if marks is not None and (marks.shape != self.depth.shape or marks.dtype != np.bool_):
-            raise ValueError(f"marks of {marks.dtype} {marks.shape} for a picture of {self.depth.shape}")
+        if marks is not None and (marks.shape != self._depth.shape or marks.dtype != np.bool_):
+            raise ValueError(f"marks of {marks.dtype} {marks.shape} for a picture of {self._depth.shape}")
         weights = np.empty((2, self._population), np.float32)
         planes = self._planes(depth=True)
         self._library.decogs_view_refresh(
@@ -85,8 +104,8 @@ class FixedView:
         rows = self._checked(rows, self._population)
         self._library.decogs_view_lift(self._handle, address(rows), len(rows))
 
-    def draw(self, moving: Splats, rows: RowArray, *, depth: bool = False) -> FloatArray:
-        """The picture (3, H, W) with ``moving`` (M Gaussians) in it, which are the scene's ``rows``, ascending.
+    def draw(self, moving: Splats, rows: RowArray, *, depth: bool = False) -> None:
+        """Brings the picture up to date with ``moving`` (M Gaussians) in it, which are the scene's ``rows``, ascending.
 
         Rows are lifted ones, or new ones, numbered from N on. Lifted ones that are left out do not show.
         """
@@ -94,7 +113,7 @@ class FixedView:
         if len(moving) != len(rows):
             raise ValueError(f"{len(moving)} Gaussians for {len(rows)} rows")
         planes = self._planes(depth=depth)
-        self._drawn = (moving, rows)  # read again on the way back
+        self._drawn, self._evaluated = (moving, rows), False  # the arrays are read again on the way back
         self._scene = native_scene(moving)
         self._library.decogs_view_draw(
             self._kernel.handle,
@@ -102,19 +121,46 @@ class FixedView:
             ctypes.byref(self._scene),
             address(rows),
             ctypes.byref(planes),
-            address(self.met),
+            address(self._met),
         )
-        return self.rgb
 
-    def backward(self, v_rgb: FloatArray, *, out: SplatGradients | None = None) -> SplatGradients:
+    def loss(
+        self,
+        target: FloatArray,
+        *,
+        l1_scale: float,
+        ssim_scale: float,
+        l1_weight: FloatArray | None = None,
+        focus: FloatArray | None = None,
+    ) -> LossValue:
+        """``TrainingKernel.loss`` of the last ``draw`` in the tiles of ``met``; its gradient waits for ``backward``.
+
+        The arrays must not change until the next ``lift``: a device keeps its copy of them for a frame.
+        """
+        value, self._cotangent = self._kernel.loss(
+            self._rgb,
+            target,
+            l1_scale=l1_scale,
+            ssim_scale=ssim_scale,
+            l1_weight=l1_weight,
+            focus=focus,
+            tiles=self._met,
+            gradient=self._cotangent,
+        )
+        self._evaluated = True
+        return value
+
+    def backward(self, v_rgb: FloatArray | None = None, *, out: SplatGradients | None = None) -> SplatGradients:
         """Gradients of the Gaussians of the last ``draw`` (M), for the cotangent (3, H, W) of its picture.
 
-        The cotangent is read in the tiles of ``met`` only.
+        The cotangent is read in the tiles of ``met`` only; None means the gradient of the ``loss`` of that draw.
         """
-        if self._drawn is None:
-            raise ValueError("backward needs a draw before it")
-        if v_rgb.shape != self.rgb.shape:
-            raise ValueError(f"cotangent of shape {v_rgb.shape} for a picture of {self.rgb.shape}")
+        if v_rgb is None and self._evaluated:
+            v_rgb = self._cotangent
+        if self._drawn is None or v_rgb is None:
+            raise ValueError("backward needs a draw before it, and the draw's loss or a cotangent")
+        if v_rgb.shape != self._rgb.shape:
+            raise ValueError(f"cotangent of shape {v_rgb.shape} for a picture of {self._rgb.shape}")
         moving, _ = self._drawn
         out = out or gradients_like(moving)
         cotangents = NativeCotangents(float_address(v_rgb), None, None, (ctypes.c_float * 3)(0, 0, 0))
@@ -154,8 +200,8 @@ class FixedView:
         return centres
 
     def _planes(self, *, depth: bool) -> NativePlanes:
-        more = (address(self.alpha), address(self.depth)) if depth else (None, None)
-        return NativePlanes(address(self.rgb), *more, (ctypes.c_float * 3)(0, 0, 0))
+        more = (address(self._alpha), address(self._depth)) if depth else (None, None)
+        return NativePlanes(address(self._rgb), *more, (ctypes.c_float * 3)(0, 0, 0))
 
     def _checked(self, rows: RowArray, population: int | None) -> RowArray:
         if rows.dtype != np.int64 or rows.ndim != 1:

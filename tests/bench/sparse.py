@@ -17,7 +17,7 @@ from statistics import median
 
 import numpy as np
 
-from decogs.encoder.rasterise import FixedView, TrainingKernel
+from decogs.encoder.rasterise import FixedView, TrainingKernel, gradients_like
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import Splats, join_splats, take_splats
 
@@ -41,21 +41,18 @@ class SparseStep:
     """A training step of the Gaussians ``rows``; the others rest."""
 
     def __init__(self, kernel: TrainingKernel, splats: Splats, camera: Camera, rows: np.ndarray) -> None:
-        self.kernel, self.rows, self.moving = kernel, rows, take_splats(splats, rows)
+        self.rows, self.moving = rows, take_splats(splats, rows)
         self.target = np.random.default_rng(1).random((3, camera.height, camera.width), dtype=np.float32)
         self.view = FixedView(kernel, camera)
         self.view.place(splats)
         self.view.refresh()
         self.view.lift(self.rows)
-        self.view.draw(self.moving, self.rows)
-        self.cotangent = np.empty_like(self.view.rgb)
-        self.gradients = self.view.backward(self.cotangent)
+        self.gradients = gradients_like(self.moving)
 
     def __call__(self) -> None:
-        picture = self.view.draw(self.moving, self.rows)
-        scales = {"l1_scale": 0.8, "ssim_scale": 0.2}
-        self.kernel.loss(picture, self.target, **scales, tiles=self.view.met, gradient=self.cotangent)
-        self.view.backward(self.cotangent, out=self.gradients)
+        self.view.draw(self.moving, self.rows)
+        self.view.loss(self.target, l1_scale=0.8, ssim_scale=0.2)
+        self.view.backward(out=self.gradients)
 
 
 def bench_shares(rounds: int) -> None:

@@ -127,7 +127,10 @@ def test_switches_reach_the_encoder(moving: Any, dense: Any, moving_rig: Path, t
         (["--quality", "9"], "unrecognized arguments: --quality 9"),
     ],
 )
-def test_options_that_cannot_be(moving_rig: Path, refused: Any, options: list[str], message: str) -> None:
+def test_options_that_cannot_be(
+    moving_rig: Path, refused: Any, options: list[str], message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
     assert message in refused(moving_rig, *options)
 
 

@@ -98,8 +98,9 @@ def test_the_method_of_the_settings_holds_unless_another_is_asked_for(
     ],
 )
 def test_impossible_options_are_refused(
-    moving_rig: Path, tmp_path: Path, options: dict[str, Any], message: str
+    moving_rig: Path, tmp_path: Path, options: dict[str, Any], message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
     with pytest.raises(UsageError, match=message):
         encode_rig(moving_rig, tmp_path / "x.dgs", **options)
     assert list(tmp_path.iterdir()) == []

@@ -167,6 +167,27 @@ def test_the_loss_of_some_tiles_has_the_gradient_of_the_whole() -> None:
         assert parts == pytest.approx(whole.total, rel=1e-6)  # float32 sums of a row each, added in another order
 
 
+def test_the_loss_of_what_was_drawn_leads_back_as_its_gradient_does() -> None:
+    rng, scene, rows = np.random.default_rng(6), small_scene(6), np.arange(0, 300, 9)
+    kernel = TrainingKernel(2)
+    view = FixedView(kernel, CAMERA)
+    view.place(scene)
+    view.refresh()
+    view.lift(rows)
+    target, weight = rng.random(view.rgb.shape).astype(np.float32), rng.random(view.depth.shape).astype(np.float32)
+    given = {"l1_scale": 0.8, "ssim_scale": 0.2, "l1_weight": weight, "focus": weight}
+    for _ in range(2):
+        moving = jittered(take_splats(scene, rows), rng, 0.05)
+        view.draw(moving, rows)
+        with pytest.raises(ValueError, match="the draw's loss or a cotangent"):
+            view.backward()
+        value, cotangent = kernel.loss(view.rgb, target, tiles=view.met, **given)
+        assert view.loss(target, **given) == value
+        found, expected = view.backward(), view.backward(np.nan_to_num(cotangent))
+        for name in FIELDS:
+            assert np.array_equal(getattr(found, name), getattr(expected, name)), name
+
+
 def test_misuse_is_refused() -> None:
     view = FixedView(TrainingKernel(1), CAMERA)
     scene = small_scene(2)
