@@ -34,9 +34,9 @@ $(BIN)/python:
 
 # Built without isolation, so that the pinned setuptools builds the kernels here too.
 $(READY): pyproject.toml setup.py constraints.txt $(KERNEL_SOURCES) | $(BIN)/python
-	@echo 'Installing into $(VENV): a few minutes, torch is large (CONTRIBUTING.md: which torch)'
+	@echo 'Installing into $(VENV): a few minutes, torch, which the tests need, is large (CONTRIBUTING.md: which torch)'
 	$(BIN)/python -m pip install $(PIP_ARGS) --quiet -c constraints.txt setuptools
-	$(BIN)/python -m pip install $(PIP_ARGS) --quiet -c constraints.txt --no-build-isolation -e '.[encode,dev]'
+	$(BIN)/python -m pip install $(PIP_ARGS) --quiet -c constraints.txt --no-build-isolation -e '.[dev]'
 	@touch $@
 
 demo: $(READY) ## encode the sample rig, decode its held-out view, export USD
@@ -63,7 +63,7 @@ wheel: $(READY) ## build the sdist, and from it the wheel, into build/dist
 	@ls -l $(DIST)
 
 # What users get from `pip install decogs`: the wheel built from the sdist, in an environment of its own without torch.
-wheel-check: wheel ## install that wheel without the encode extra and run the decoder from it
+wheel-check: wheel ## install that wheel without any extra and run it
 	rm -rf $(WHEEL_ENV)
 	$(BIN)/python -m venv $(WHEEL_ENV)
 	$(WHEEL_ENV)/bin/python -m pip install $(PIP_ARGS) --quiet -c constraints.txt $(DIST)/*.whl pytest
