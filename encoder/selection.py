@@ -32,7 +32,7 @@ class SelectionSettings:
 
     rule: SelectionRule = "weight"
     least_views: int = 2
-    least_share: float = 0.3
+    least_share: float = 0.5
     visible_weight: float = 0.02
 
 
