@@ -136,7 +136,7 @@ class StreamEncoder:
             coded = write_key(state, level=self._settings.zstd_level)
             size = self._commit(PacketKind.KEY, 0, coded)
         with watch.stage("settle"):
-            self._trainer = self._frame_trainer(dequantise(state, lattice))
+            self._trainer = self._frame_trainer(self._scene)
         self._masks = MaskMemory(frame.training, self._settings.frame.masks)
         return self._report(frame, "key", size, coded, 1.0, watch)
 
@@ -196,12 +196,11 @@ class StreamEncoder:
         selected: NDArray[np.bool_] = np.zeros(len(state), bool)
         trained: TrainedFrame | None = None
         if any(mask.raw.any() for mask in masks):
-            scene = dequantise(state, self._header.lattice)
             with watch.stage("selection"):
                 selected = self._select(masks)
             if selected.any():
                 with watch.stage("training"):
-                    trained = self._trainer.train(scene, selected, frame.training, masks, self._motion)
+                    trained = self._trainer.train(self._scene, selected, frame.training, masks, self._motion)
         if trained is not None:
             self._masks.trained(frame.training, masks)
         self._masks.passed(frame.training)
@@ -209,28 +208,28 @@ class StreamEncoder:
 
     def _train_all(self, frame: RigFrame, state: State, watch: _Stopwatch) -> tuple[TrainedFrame, float]:
         """What the dense baseline changes: it looks at no mask, selects nothing and so takes part in every frame."""
-        scene = dequantise(state, self._header.lattice)
         with watch.stage("training"):
             everything = np.ones(len(state), bool)
-            return self._trainer.train(scene, everything, frame.training, [], self._motion), 1.0
+            return self._trainer.train(self._scene, everything, frame.training, [], self._motion), 1.0
 
     def _select(self, masks: Sequence[FrameMask]) -> NDArray[np.bool_]:
         if "select" in self._settings.frame.ablated:
             assert self._state is not None
             return np.ones(len(self._state), bool)
-        evidence = [view_evidence(view, mask.dilated) for view, mask in zip(self._watch, masks, strict=True)]
-        return select(evidence, self._settings.frame.selection)
+        settings = self._settings.frame.selection
+        pairs = zip(self._watch, masks, strict=True)
+        return select([view_evidence(view, mask.dilated, settings.rule) for view, mask in pairs], settings)
 
     def _settle(self, before: State, trained: TrainedFrame) -> None:
         """The watching views go on from the frame's reconstructed state; only what was trained can differ."""
         assert self._state is not None
-        scene, ids = dequantise(self._state, self._header.lattice), self._state.ids
+        ids = self._state.ids
         renumbered = np.searchsorted(ids, before.ids)
         renumbered[~np.isin(before.ids, ids, assume_unique=True)] = -1
         new = np.flatnonzero(~np.isin(ids, before.ids, assume_unique=True))
         rows = np.concatenate([np.setdiff1d(renumbered[trained.kept], [-1]), new])
         for view in self._watch:
-            view.settle(scene, rows, renumbered)
+            view.settle(self._scene, rows, renumbered)
             view.refresh()
 
     def _delta(self, state: State, trained: TrainedFrame) -> Delta:
@@ -243,6 +242,7 @@ class StreamEncoder:
         """Reconstructs the next state from the packet's bytes, as the decoder will, and writes the packet."""
         packet = Packet(kind=kind, critical=True, frame=frame, payload=coded.payload, offset=0, ordinal=frame + 1)
         self._state = reconstruct(self._state, packet, self._header)
+        self._scene = dequantise(self._state, self._header.lattice)
         return self._writer.write(kind, frame, coded.payload)
 
     def _displacements(self, before: State, after: State | None) -> FloatArray:
@@ -262,9 +262,8 @@ class StreamEncoder:
             self._motion = np.zeros((len(self._state), 3), np.float32)
         cpu_seconds = watch.cpu_seconds()
         with watch.stage("measure"):
-            scene = dequantise(self._state, self._header.lattice)
-            training = self._training_psnr(scene, frame)
-            held_out = mean_psnr(self._kernel, scene, self._ingest.held_out_views, frame.held_out)
+            training = self._training_psnr(frame)
+            held_out = mean_psnr(self._kernel, self._scene, self._ingest.held_out_views, frame.held_out)
         return FrameReport(
             frame.index,
             kind,
@@ -278,10 +277,10 @@ class StreamEncoder:
             cpu_seconds,
         )
 
-    def _training_psnr(self, scene: Splats, frame: RigFrame) -> float:
+    def _training_psnr(self, frame: RigFrame) -> float:
         """Of the training views, which DecoGS has drawn already."""
         if not self._watch:
-            return mean_psnr(self._kernel, scene, self._ingest.views, frame.training)
+            return mean_psnr(self._kernel, self._scene, self._ingest.views, frame.training)
         return mean_picture_psnr(self._ingest.views, [view.rgb for view in self._watch], frame.training)
 
     def _stream_header(self, lattice: Lattice, sh_degree: int) -> StreamHeader:

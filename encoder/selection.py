@@ -38,29 +38,30 @@ class SelectionSettings:
 
 @dataclass(frozen=True)
 class ViewEvidence:
-    """What one view says of every Gaussian: centre inside its mask, weight in all and in the mask."""
+    """What one view says of every Gaussian: weight in all and in its mask; centre inside it, if the rule asks."""
 
-    centre_inside: NDArray[np.bool_]
     weight: NDArray[np.float32]
     masked_weight: NDArray[np.float32]
+    centre_inside: NDArray[np.bool_] | None = None
 
 
-def view_evidence(view: FixedView, mask: NDArray[np.bool_]) -> ViewEvidence:
+def view_evidence(view: FixedView, mask: NDArray[np.bool_], rule: SelectionRule) -> ViewEvidence:
     """Weighs every Gaussian of the scene at rest against the view's dilated mask (H, W)."""
     weight, masked_weight = view.refresh(mask)
-    return ViewEvidence(_centres_inside(view.centres(), mask), weight, masked_weight)
+    return ViewEvidence(weight, masked_weight, _centres_inside(view.centres(), mask) if rule == "paper" else None)
 
 
 def select(evidence: Sequence[ViewEvidence], settings: SelectionSettings) -> NDArray[np.bool_]:
     """S_t as a mask over the Gaussians, (N,)."""
-    if settings.rule == "paper":
-        votes = sum((e.centre_inside & (e.weight >= settings.visible_weight)).astype(np.int32) for e in evidence)
-        return np.asarray(votes >= min(settings.least_views, len(evidence)))
     visible = [e.weight >= settings.visible_weight for e in evidence]
-    inside = sum(np.where(seen, e.masked_weight, 0) for seen, e in zip(visible, evidence, strict=True))
-    total = sum(np.where(seen, e.weight, 0) for seen, e in zip(visible, evidence, strict=True))
-    votes = sum((seen & (e.masked_weight > 0)).astype(np.int32) for seen, e in zip(visible, evidence, strict=True))
-    return np.asarray((inside > settings.least_share * total) & (votes >= min(settings.least_views, len(evidence))))
+    inside = [e.masked_weight > 0 if e.centre_inside is None else e.centre_inside for e in evidence]
+    votes = sum((seen & met).astype(np.int32) for seen, met in zip(visible, inside, strict=True))
+    chosen = np.asarray(votes >= min(settings.least_views, len(evidence)))
+    if settings.rule == "weight":
+        masked = sum(np.where(seen, e.masked_weight, 0) for seen, e in zip(visible, evidence, strict=True))
+        total = sum(np.where(seen, e.weight, 0) for seen, e in zip(visible, evidence, strict=True))
+        chosen &= masked > settings.least_share * total
+    return chosen
 
 
 def _centres_inside(centres: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
