@@ -9,6 +9,7 @@ import json
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
+from decogs.codec.entropy import DEFAULT_LEVEL
 from decogs.codec.lattice import Quality
 from decogs.formats.errors import UsageError
 
@@ -33,7 +34,7 @@ class EncodeSettings:
     keyframe: KeyframeSettings = field(default_factory=KeyframeSettings)
     frame: FrameSettings = field(default_factory=FrameSettings)
     quality: Quality = "fine"
-    zstd_level: int = 19
+    zstd_level: int = DEFAULT_LEVEL
     method: Method = "decogs"
     baseline: BaselineSettings = field(default_factory=BaselineSettings)
 
