@@ -23,8 +23,8 @@ from .native import (
     address,
     float_address,
     gradients_like,
-    library,
     tile_count,
+    training_library,
 )
 
 RowArray = NDArray[np.int64]
@@ -41,7 +41,7 @@ class FixedView:
     """
 
     def __init__(self, kernel: TrainingKernel, camera: Camera) -> None:
-        self._library, self._kernel, self.camera = library(), kernel, camera
+        self._library, self._kernel, self.camera = training_library(), kernel, camera
         self._native = native_camera(camera)
         size = (camera.height, camera.width)
         self._rgb: FloatArray = np.zeros((3, *size), np.float32)

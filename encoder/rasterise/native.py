@@ -73,7 +73,7 @@ def adam_step(step: int, beta1: float, beta2: float, epsilon: float) -> AdamStep
 
 
 @lru_cache(maxsize=1)
-def library() -> ctypes.CDLL:
+def training_library() -> ctypes.CDLL:
     library = load_kernel(Path(__file__).parent, "_training")
     pointer, handle = ctypes.POINTER, ctypes.c_void_p
     library.decogs_trainer_create.restype = handle
@@ -199,7 +199,7 @@ class TrainingKernel:
     """
 
     def __init__(self, threads: int = 0) -> None:
-        self._library = library()
+        self._library = training_library()
         self.handle = self._library.decogs_trainer_create(thread_count(threads))
 
     def __del__(self) -> None:

@@ -65,7 +65,7 @@ def instruction_set(name: str) -> Iterator[None]:
     before = os.environ.get("DECOGS_INSTRUCTION_SET")
     os.environ["DECOGS_INSTRUCTION_SET"] = name
     best_instruction_set.cache_clear()
-    native.library.cache_clear()
+    native.training_library.cache_clear()
     try:
         yield
     finally:
@@ -74,7 +74,7 @@ def instruction_set(name: str) -> Iterator[None]:
         else:
             os.environ["DECOGS_INSTRUCTION_SET"] = before
         best_instruction_set.cache_clear()
-        native.library.cache_clear()
+        native.training_library.cache_clear()
 
 
 def kernels_by_instruction_set() -> dict[str, TrainingKernel]:
