@@ -10,9 +10,7 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 import time
-from pathlib import Path
 from statistics import median
 
 import numpy as np
@@ -20,8 +18,6 @@ import numpy as np
 from decogs.encoder.rasterise import FixedView, TrainingKernel, gradients_like
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import Splats, join_splats, take_splats
-
-sys.path.insert(0, str(Path(__file__).parent))
 from rasterise import Step, front_camera, milliseconds, random_scene
 
 COUNT, WIDTH, HEIGHT = 40_000, 352, 264

@@ -7,7 +7,6 @@ fills with NaN. What no test here can show: that gsplat's kernels do on a GPU wh
 
 from __future__ import annotations
 
-import importlib.util
 import inspect
 import sys
 from collections.abc import Callable
@@ -22,20 +21,13 @@ import torch
 from torch import Tensor
 
 import decogs.encoder.loop as loop
+import rasterise_cases as cases
 from decogs.decoder.rasterise.reference import rotation_matrices
 from decogs.encoder.rasterise import FixedView, SplatGradients, TrainingKernel, fixed_view, training_kernel
 from decogs.encoder.rasterise.cuda import CudaKernel, missing_for_cuda
 from decogs.encoder.rasterise.photometric import photometric_loss
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import Splats, empty_splats, join_splats, take_splats
-
-CASES_PATH = Path(__file__).resolve().parents[1] / "rasterise_cases.py"
-spec = importlib.util.spec_from_file_location("rasterise_cases", CASES_PATH)
-assert spec is not None
-assert spec.loader is not None
-cases = importlib.util.module_from_spec(spec)
-sys.modules["rasterise_cases"] = cases
-spec.loader.exec_module(cases)
 
 FIELDS = ("means", "log_scales", "quaternions", "opacity_logits", "sh", "view")
 CAMERA = cases.pinhole(83, 61, 70.0)

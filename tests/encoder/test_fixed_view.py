@@ -2,23 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
+import rasterise_cases as cases
 from decogs.encoder.rasterise import FixedView, TrainingKernel
 from decogs.formats.splats import Splats, join_splats, take_splats
-
-CASES_PATH = Path(__file__).resolve().parents[1] / "rasterise_cases.py"
-spec = importlib.util.spec_from_file_location("rasterise_cases", CASES_PATH)
-assert spec is not None
-assert spec.loader is not None
-cases = importlib.util.module_from_spec(spec)
-sys.modules["rasterise_cases"] = cases
-spec.loader.exec_module(cases)
 
 FIELDS = ("means", "log_scales", "quaternions", "opacity_logits", "sh", "view")
 CAMERA = cases.pinhole(83, 61, 70.0)

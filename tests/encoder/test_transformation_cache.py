@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
-import subprocess
-import sys
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +13,7 @@ from numpy.typing import NDArray
 from decogs.decoder.rasterise.native import INSTRUCTION_SETS
 from decogs.encoder.transformation_cache import CacheSettings, CacheWeights, TransformationCache
 from decogs.formats.errors import TrainingError, UsageError
+from instruction_sets import printed_on
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -336,24 +334,9 @@ print(found.hexdigest())
 """
 
 
-def child_digest(instruction_set: str, threads: int) -> str:
-    """Hash of everything that training gives on an instruction set; skips where this machine lacks it."""
-    run = subprocess.run(
-        [sys.executable, "-c", CHILD, str(threads)],
-        env={**os.environ, "DECOGS_INSTRUCTION_SET": instruction_set},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if "UsageError" in run.stderr and "this machine runs" in run.stderr:
-        pytest.skip(f"this machine does not run {instruction_set}")
-    assert run.returncode == 0, run.stderr
-    return run.stdout
-
-
 @pytest.mark.parametrize("instruction_set", INSTRUCTION_SETS[1:])
 def test_any_instruction_set_gives_the_same_bits(instruction_set: str) -> None:
-    assert child_digest(instruction_set, 2) == child_digest("base", 1)
+    assert printed_on(instruction_set, "-c", CHILD, "2") == printed_on("base", "-c", CHILD, "1")
 
 
 def test_seed_decides_the_start() -> None:
