@@ -21,17 +21,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.decoder.rasterise.reference import rotation_matrices
-from decogs.formats.errors import TrainingError
 from decogs.formats.splats import FloatArray, Splats, join_splats, take_splats
 
 from .densification import ViewGradients, opacities_of
 from .frame_training import TrainedFrame
 from .ingest import View
-from .losses import PhotometricLoss, whole_picture_loss
+from .losses import PhotometricLoss, require_finite, whole_picture_loss
 from .masks import FrameMask
 from .optimiser import ATTRIBUTES, LearningRates, SplatOptimiser
 from .rasterise import SplatGradients, TrainingKernel, gradients_like
 from .transformation_cache import CacheSettings, TransformationCache
+from .view_order import view_order
 
 _BASE_RATES = LearningRates(
     means=1.6e-4, log_scales=5e-3, quaternions=1e-3, opacity_logits=5e-2, sh_dc=2.5e-3, sh_rest=2.5e-3 / 20
@@ -89,7 +89,7 @@ class BaselineTrainer:
         self._kernel, self._views, self._settings = kernel, views, settings
         self._population, self._extent, self._box = population, extent, box
         self._random = np.random.default_rng(seed)
-        self._queue: list[int] = []
+        self._order = view_order(len(views), self._random)
         self._cache = TransformationCache(*box, settings.cache, seed, threads=threads)
 
     def train(
@@ -176,15 +176,11 @@ class BaselineTrainer:
         return np.asarray(small & (opacities_of(spawned) >= self._settings.prune_opacity))
 
     def _descend(self, scene: Splats, losses: Sequence[PhotometricLoss], out: SplatGradients) -> int:
-        """Puts the gradients of one view's loss into ``out``, views at random, each once before any comes again."""
-        if not self._queue:
-            self._queue = [int(i) for i in self._random.permutation(len(self._views))]
-        index = self._queue.pop()
+        """Puts the gradients of the next view's loss into ``out``; returns which view it was."""
+        index = next(self._order)
         picture = self._kernel.forward(scene, self._views[index].pinhole)
         value, cotangent = losses[index].evaluate(self._kernel, picture.rgb)
-        if not np.isfinite(value.total):
-            name = self._views[index].camera.name
-            raise TrainingError(f"the loss of camera {name} is {value.total}; lower the rates")
+        require_finite(value, self._views[index].camera)
         self._kernel.backward(scene, cotangent, out=out)
         return index
 

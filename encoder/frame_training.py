@@ -18,13 +18,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.errors import TrainingError
 from decogs.formats.splats import FloatArray, Splats, empty_splats, take_splats
 
 from .densification import ViewGradients, grow, opacities_of, strongest
 from .emergence import EmergenceSettings, Look, missed, seeds, worth_a_search
 from .ingest import View
-from .losses import FocusWeights, PhotometricLoss, focus_loss, whole_picture_loss
+from .losses import FocusWeights, PhotometricLoss, focus_loss, require_finite, whole_picture_loss
 from .masks import FrameMask, MaskSettings
 from .motion import shared_displacements
 from .optimiser import LearningRates, SplatOptimiser
@@ -224,10 +223,7 @@ class FrameTrainer:
         view = self._watch[index]
         view.draw(work.shown, work.rows)
         value = losses[index].evaluate_drawn(view)
-        if not np.isfinite(value.total):
-            raise TrainingError(
-                f"the loss of camera {self._views[index].camera.name} is {value.total}; lower the rates"
-            )
+        require_finite(value, self._views[index].camera)
         self._values.append(value.total)
         return view.backward(out=work.gradients)
 

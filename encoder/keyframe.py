@@ -25,6 +25,7 @@ from .ingest import View
 from .losses import whole_picture_loss
 from .optimiser import LearningRates, SplatOptimiser
 from .rasterise import TrainingKernel, gradients_like
+from .view_order import view_order
 
 OnStep = Callable[[int, int, float], None]
 """Told the step (from 1), the number of steps planned and the training loss."""
@@ -134,7 +135,7 @@ class _KeyframeTraining:
         self._optimiser = SplatOptimiser(splats_from_points(points, settings), kernel)
         self._gradients = gradients_like(self._optimiser.splats)
         self._view_gradients = ViewGradients(len(self._optimiser.splats))
-        self._queue: list[int] = []
+        self._order = view_order(len(views), random)
 
     def run(self, on_step: OnStep | None) -> TrainedKeyframe:
         settings = self._settings
@@ -159,9 +160,7 @@ class _KeyframeTraining:
         )
 
     def _step(self, step: int) -> float:
-        if not self._queue:
-            self._queue = list(self._random.permutation(len(self._views)))
-        index = int(self._queue.pop())
+        index = next(self._order)
         camera, loss = self._views[index].pinhole, self._losses[index]
         splats = self._optimiser.splats
         picture = self._kernel.forward(splats, camera, sh_degree=self._degree(step))

@@ -1,17 +1,20 @@
 """The losses of the keyframe and of later frames, as weights for the kernel's fused L1 + SSIM.
 
 Lambda 0.2 as 3DGS. The paper does not publish beta1 and beta2; they only set how much a pixel outside the focus counts
-against one inside, since Adam does not see the loss's scale. 0.2 and 0.8 are not the winners of a measurement: on
-`workbench` (5 frames, one seed) beta1 1, beta2 0 gave the same mean (27.49 dB where things move), so they are open.
+against one inside, since Adam does not see the loss's scale. 0.2 and 0.8 are not the winners of a measurement: from
+1 and 0 to 0 and 1 it makes no difference (DESIGN.md).
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.formats.cameras import Camera
+from decogs.formats.errors import TrainingError
 from decogs.formats.splats import FloatArray
 
 from .rasterise import FixedView, LossValue, TrainingKernel
@@ -60,6 +63,12 @@ class PhotometricLoss:
             l1_weight=self.l1_weight,
             focus=self.focus,
         )
+
+
+def require_finite(value: LossValue, camera: Camera) -> None:
+    """Raises TrainingError for the loss of a later frame that has run away."""
+    if not math.isfinite(value.total):
+        raise TrainingError(f"the loss of camera {camera.name} is {value.total}; lower the rates")
 
 
 def whole_picture_loss(target: FloatArray, counted: FloatArray | None, dissimilarity: float) -> PhotometricLoss:

@@ -27,7 +27,7 @@ _DEVIATION = 12
 def require_plots() -> None:
     """Raises UsageError when the plotting library is missing: better now than after hours of training."""
     if importlib.util.find_spec("matplotlib") is None:
-        raise UsageError("the report's plots need matplotlib: pip install 'decogs[encode,bench]'")
+        raise UsageError("the report's plots need matplotlib: pip install 'decogs[bench]'")
 
 
 def plot_quality(path: Path, runs: Mapping[str, Run]) -> None:

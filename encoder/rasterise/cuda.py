@@ -304,9 +304,7 @@ class CudaFixedView(FixedView):
         A Gaussian's weight is the gradient of its red with a cotangent of 1 in every pixel, of its green with 1 in
         every marked one.
         """
-        size = (self.camera.height, self.camera.width)
-        if marks is not None and (marks.shape != size or marks.dtype != np.bool_):
-            raise ValueError(f"marks of {marks.dtype} {marks.shape} for a picture of {size}")
+        self._check_marks(marks)
         resting = self._resting._replace(colours=self._resting.colours.detach().requires_grad_())
         planes = self._device_kernel.composite(resting, self._lens, self._lists(resting))
         cotangent = torch.zeros_like(planes[:2])
@@ -325,9 +323,7 @@ class CudaFixedView(FixedView):
 
     def draw(self, moving: Splats, rows: RowArray, *, depth: bool = False) -> None:
         """As the native view's; alpha and depth are always drawn along."""
-        rows = self._checked(rows, None)
-        if len(moving) != len(rows):
-            raise ValueError(f"{len(moving)} Gaussians for {len(rows)} rows")
+        rows = self._checked_of(moving, rows)
         kernel, lens = self._device_kernel, self._lens
         where, leaves = kernel.upload(rows), kernel.leaves(moving)
         projected = kernel.project(leaves, lens, moving.sh_degree)
@@ -369,18 +365,17 @@ class CudaFixedView(FixedView):
         return value
 
     def backward(self, v_rgb: FloatArray | None = None, *, out: SplatGradients | None = None) -> SplatGradients:
+        if v_rgb is not None:
+            self._check_cotangent(v_rgb)
         cotangent = self._gradient if v_rgb is None else self._device_kernel.upload(v_rgb)
         if self._drawn is None or self._trace is None or cotangent is None:
             raise ValueError("backward needs a draw before it, and the draw's loss or a cotangent")
-        if cotangent.shape != self._shown[:3].shape:
-            raise ValueError(f"cotangent of shape {tuple(cotangent.shape)} for a picture of {self._shown[:3].shape}")
         return self._trace.gradients([cotangent], out or gradients_like(self._drawn[0]))
 
     def settle(self, scene: Splats, rows: RowArray, renumbered: RowArray | None = None) -> None:
         rows = self._checked(rows, len(scene))
+        self._check_renumbered(renumbered)
         if renumbered is not None:
-            if renumbered.shape != (self._population,):
-                raise ValueError(f"{renumbered.shape} new numbers for {self._population} Gaussians")
             kept = self._resting.take(self._device_kernel.upload(np.flatnonzero(renumbered >= 0)))
             blank = _Projected.blank(len(scene), self._device_kernel.device)
             self._resting = blank.put(self._device_kernel.upload(renumbered[renumbered >= 0]), kept)

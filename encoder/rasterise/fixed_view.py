@@ -85,8 +85,7 @@ class FixedView:
 
         The weight is the sum of alpha times transmittance: in row 0 over all pixels, in row 1 over ``marks`` (H, W).
         """
-        if marks is not None and (marks.shape != self._depth.shape or marks.dtype != np.bool_):
-            raise ValueError(f"marks of {marks.dtype} {marks.shape} for a picture of {self._depth.shape}")
+        self._check_marks(marks)
         weights = np.empty((2, self._population), np.float32)
         planes = self._planes(depth=True)
         self._library.decogs_view_refresh(
@@ -109,9 +108,7 @@ class FixedView:
 
         Rows are lifted ones, or new ones, numbered from N on. Lifted ones that are left out do not show.
         """
-        rows = self._checked(rows, None)
-        if len(moving) != len(rows):
-            raise ValueError(f"{len(moving)} Gaussians for {len(rows)} rows")
+        rows = self._checked_of(moving, rows)
         planes = self._planes(depth=depth)
         self._drawn, self._evaluated = (moving, rows), False  # the arrays are read again on the way back
         self._scene = native_scene(moving)
@@ -159,8 +156,7 @@ class FixedView:
             v_rgb = self._cotangent
         if self._drawn is None or v_rgb is None:
             raise ValueError("backward needs a draw before it, and the draw's loss or a cotangent")
-        if v_rgb.shape != self._rgb.shape:
-            raise ValueError(f"cotangent of shape {v_rgb.shape} for a picture of {self._rgb.shape}")
+        self._check_cotangent(v_rgb)
         moving, _ = self._drawn
         out = out or gradients_like(moving)
         cotangents = NativeCotangents(float_address(v_rgb), None, None, (ctypes.c_float * 3)(0, 0, 0))
@@ -180,8 +176,7 @@ class FixedView:
         lifted; None when all kept theirs.
         """
         rows = self._checked(rows, len(scene))
-        if renumbered is not None and renumbered.shape != (self._population,):
-            raise ValueError(f"{renumbered.shape} new numbers for {self._population} Gaussians")
+        self._check_renumbered(renumbered)
         self._library.decogs_view_settle(
             self._kernel.handle,
             self._handle,
@@ -210,3 +205,22 @@ class FixedView:
         if outside or (np.diff(rows) <= 0).any():
             raise ValueError("rows must ascend and lie in the scene")
         return np.ascontiguousarray(rows)
+
+    def _checked_of(self, moving: Splats, rows: RowArray) -> RowArray:
+        if len(moving) != len(rows):
+            raise ValueError(f"{len(moving)} Gaussians for {len(rows)} rows")
+        return self._checked(rows, None)
+
+    def _check_renumbered(self, renumbered: RowArray | None) -> None:
+        if renumbered is not None and renumbered.shape != (self._population,):
+            raise ValueError(f"{renumbered.shape} new numbers for {self._population} Gaussians")
+
+    def _check_marks(self, marks: NDArray[np.bool_] | None) -> None:
+        size = (self.camera.height, self.camera.width)
+        if marks is not None and (marks.shape != size or marks.dtype != np.bool_):
+            raise ValueError(f"marks of {marks.dtype} {marks.shape} for a picture of {size}")
+
+    def _check_cotangent(self, v_rgb: FloatArray) -> None:
+        size = (3, self.camera.height, self.camera.width)
+        if v_rgb.shape != size:
+            raise ValueError(f"cotangent of shape {v_rgb.shape} for a picture of {size}")
