@@ -63,8 +63,8 @@ class BenchOptions:
 
 
 @dataclass(frozen=True)
-class RunFrame:
-    """One frame of a run: what FrameReport and FrameQuality say of it; ``frame`` is the rig's index.
+class FrameCost:
+    """What a run keeps of one FrameReport; ``frame`` is the rig's index, whatever the stride.
 
     ``seconds``: wall clock by stage; ``cpu_seconds``: all cores added; both without measuring.
     """
@@ -77,14 +77,11 @@ class RunFrame:
     training_psnr: float
     seconds: dict[str, float]
     cpu_seconds: float
-    psnr: float
-    psnr_dynamic: float | None
-    psnr_static: float | None
-    ssim: float
-    ssim_dynamic: float | None
-    ssim_static: float | None
-    lpips: float | None
-    variation: float | None
+
+
+@dataclass(frozen=True)
+class RunFrame(FrameQuality, FrameCost):
+    """One frame of a run: what it cost and how it looks, in one line of the JSON file."""
 
 
 @dataclass(frozen=True)
@@ -343,8 +340,7 @@ def read_run(path: Path) -> Run | None:
 
 
 def _frame(index: int, cost: FrameReport, looks: FrameQuality) -> RunFrame:
-    taken = {f.name for f in fields(RunFrame)}
-    values = {name: value for name, value in asdict(cost).items() if name in taken} | asdict(looks)
+    values = {f.name: getattr(cost, f.name) for f in fields(FrameCost)} | asdict(looks)
     values["frame"] = index
     values["seconds"] = {stage: seconds for stage, seconds in cost.seconds.items() if stage != "measure"}
     return RunFrame(**_rounded(values))

@@ -32,9 +32,9 @@ class TransformationCache:
     def __init__(
         self, box_low: ArrayLike, box_high: ArrayLike, settings: CacheSettings, seed: int, *, threads: int = 1
     ) -> None:
-        self._low, self._high = (np.asarray(b, np.float64).reshape(3) for b in (box_low, box_high))
-        if not (np.isfinite(self._low).all() and np.isfinite(self._high).all() and (self._low < self._high).all()):
-            raise UsageError(f"the box of the moving scene is empty: {self._low.tolist()} to {self._high.tolist()}")
+        low, high = (np.asarray(b, np.float64).reshape(3) for b in (box_low, box_high))
+        if not (np.isfinite(low).all() and np.isfinite(high).all() and (low < high).all()):
+            raise UsageError(f"the box of the moving scene is empty: {low.tolist()} to {high.tolist()}")
         if threads < 1:
             raise UsageError(f"threads is {threads}; it must be at least 1")
         self.settings = settings
@@ -43,7 +43,7 @@ class TransformationCache:
         self._has_read = self._has_moved = self._has_gradients = False
         sizes = [settings.levels * settings.features, *[settings.hidden_width] * settings.hidden_layers, _OUTPUTS]
         self._shapes = [(out, given) for given, out in pairwise(sizes)]
-        self._kernel = CacheKernel(settings, self._low, self._high, threads)
+        self._kernel = CacheKernel(settings, low, high, threads)
         self._store(_first_weights(settings, self._shapes, seed))
         self._place(np.zeros((0, 3), np.float32), np.zeros((0, 4), np.float32))
 
@@ -113,47 +113,21 @@ class TransformationCache:
 
     def step(self) -> None:
         """One Adam step on the gradients of the last `backward`; nothing happens when they are spent."""
-        self._adam(self.settings.learning_rate)
+        self._has_moved = False
+        if not self._has_gradients:
+            return
+        self._count += 1
+        s = self.settings
+        adam = adam_step(self._count, s.beta1, s.beta2, s.epsilon)
+        self._kernel.step(adam, s.learning_rate, self._rows, self._head)
+        self._has_gradients = False
 
     def restart(self) -> None:
-        """Back to the starting (identity or warmed-up) weights, Adam at rest; placed Gaussians stay placed."""
+        """Back to the starting weights, Adam at rest; placed Gaussians stay placed."""
         grid, head = self._start
         self._grid[:] = grid
         self._head = Parameters(head.copy())
         self._rest()
-
-    def warm_up(
-        self,
-        means: FloatArray,
-        *,
-        iterations: int = 500,
-        learning_rate: float = 1e-4,
-        points: int = 8192,
-        noise: float = 0.01,
-        seed: int = 0,
-    ) -> float:
-        """Train towards the identity on the initial frame's centres; `restart` then returns to these weights.
-
-        Loss (3DGStream): L1 of the translation + (1 - cos^2) of the rotation to the identity, over at most ``points``
-        of {centres, centres + noise * U[0, 1), uniform in the box}, a third each. Adam at 3DGStream's warm-up rate,
-        500 iterations as in DecoGS. Returns the last loss. Not needed, and without effect, with ``identity_start``:
-        the loss is then at its minimum. Forgets placed Gaussians.
-        """
-        samples = self._warm_up_samples(means, max(1, points // 3), noise, np.random.default_rng(seed))
-        self.place(samples, np.tile(np.array([1, 0, 0, 0], np.float32), (len(samples), 1)))
-        loss, scale = 0.0, self.settings.translation_scale
-        for _ in range(iterations):
-            shifted, turned = self.moved()
-            shift, cosine = (shifted - samples).astype(np.float64) / scale, turned[:, 0].astype(np.float64)
-            loss = float(np.abs(shift).mean() + (1.0 - cosine**2).mean())
-            v_turned = np.zeros((len(samples), 4), np.float32)
-            v_turned[:, 0] = -2.0 * cosine / len(samples)
-            self.backward((np.sign(shift) / (shift.size * scale)).astype(np.float32), v_turned)
-            self._adam(learning_rate)
-        self._settle()
-        self._place(samples[:0], np.zeros((0, 4), np.float32))
-        self._start = self._grid.copy(), self._head.value.copy()
-        return loss
 
     # -- the weights as data --------------------------------------------------------------------------------------
 
@@ -179,15 +153,6 @@ class TransformationCache:
         self._rest()
 
     # -- inside ---------------------------------------------------------------------------------------------------
-
-    def _adam(self, rate: float) -> None:
-        self._has_moved = False
-        if not self._has_gradients:
-            return
-        self._count += 1
-        s = self.settings
-        self._kernel.step(adam_step(self._count, s.beta1, s.beta2, s.epsilon), rate, self._rows, self._head)
-        self._has_gradients = False
 
     def _place(self, means: FloatArray, quaternions: FloatArray) -> None:
         """A new frame: reads the grid as it stands at these means, Adam at rest."""
@@ -233,15 +198,6 @@ class TransformationCache:
         s = self.settings
         matrices, biases = (tuple(a.copy() for a in arrays) for arrays in self._layers(head))
         return CacheWeights(grid.reshape(s.levels, s.table, s.features).copy(), matrices, biases)
-
-    def _warm_up_samples(self, means: FloatArray, third: int, noise: float, random: np.random.Generator) -> FloatArray:
-        """Centres, centres with noise, and points anywhere in the box (S, 3); those inside the box."""
-        chosen = means[random.permutation(len(means))[:third]].astype(np.float64)
-        spread = chosen + noise * random.random(chosen.shape)
-        anywhere = self._low + (self._high - self._low) * random.random((third, 3))
-        samples = np.concatenate([chosen, spread, anywhere]).astype(np.float32)
-        inside: FloatArray = samples[((samples >= self._low) & (samples <= self._high)).all(axis=1)]
-        return inside
 
 
 def _rounded_up(count: int) -> int:

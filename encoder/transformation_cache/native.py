@@ -54,10 +54,9 @@ def _library() -> ctypes.CDLL:
 class Parameters:
     """Parameters under Adam (Kingma 2015): the values and both moments, float32 arrays of one shape."""
 
-    def __init__(self, value: FloatArray, first: FloatArray | None = None, second: FloatArray | None = None) -> None:
+    def __init__(self, value: FloatArray) -> None:
         self.value = np.ascontiguousarray(value, np.float32)
-        self.first = np.zeros_like(self.value) if first is None else first
-        self.second = np.zeros_like(self.value) if second is None else second
+        self.first, self.second = np.zeros_like(self.value), np.zeros_like(self.value)
 
     def native(self) -> _Trained:
         return _Trained(*(array.ctypes.data for array in (self.value, self.first, self.second)))

@@ -17,7 +17,7 @@ class CacheSettings:
     More levels, features, entries or hidden units are slower. Adam: ``learning_rate``, ``beta1``, ``beta2``,
     ``epsilon``. ``translation_scale`` is the world units that an output of 1 stands for. ``grid_spread``: table entries
     start uniform in +-spread (Instant-NGP). ``identity_start``: the last layer starts at zero, so that the untrained
-    cache is the identity; False starts it at random, to be warmed up. ``gradient_limit``: gradients handed in are
+    cache is the identity; False starts it at random. ``gradient_limit``: gradients handed in are
     clipped to this, far above any real one, so that no square overflows.
     """
 

@@ -157,6 +157,13 @@ def test_starts_at_the_identity() -> None:
     assert turned.flags.c_contiguous
 
 
+def test_starts_anywhere_but_at_the_identity_when_asked_to() -> None:
+    cache = TransformationCache(LOW, HIGH, replace(SMALL, identity_start=False, grid_spread=0.1), seed=3)
+    means, quaternions = gaussians(50)
+    cache.place(means, quaternions)
+    assert (cache.moved()[0] != means).all()
+
+
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("count", [1, 16, 1100])
 def test_moves_as_the_plain_network_does(shape: str, count: int) -> None:
@@ -446,28 +453,7 @@ def test_learns_a_rigid_motion() -> None:
     assert np.rad2deg(2 * np.arccos(cosines)).mean() < 0.125
 
 
-# -- warm-up, settings, bookkeeping -----------------------------------------------------------------------------------
-
-
-def test_warm_up_has_nothing_to_do_from_an_identity_start() -> None:
-    cache = TransformationCache(LOW, HIGH, SMALL, seed=0)
-    before = digest(cache)
-    assert cache.warm_up(gaussians(100)[0], iterations=3) == 0.0
-    assert digest(cache) == before
-
-
-def test_warm_up_brings_a_random_start_to_the_identity() -> None:
-    settings = replace(SMALL, identity_start=False, grid_spread=0.1)
-    cache = TransformationCache(LOW, HIGH, settings, seed=0)
-    means, quaternions = gaussians(100)
-    first = cache.warm_up(means, iterations=1, learning_rate=0.0)
-    last = cache.warm_up(means, iterations=300, learning_rate=1e-3)
-    assert last < 0.1 * first
-    warmed = digest(cache)
-    cache.place(means, quaternions)
-    train(cache, 3)
-    cache.restart()
-    assert digest(cache) == warmed
+# -- settings, bookkeeping --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
