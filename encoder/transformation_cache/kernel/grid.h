@@ -105,43 +105,42 @@ DECOGS_INLINE void corner_weights(const float* fractions, float to[kCorners][kLa
     for (int k = 0; k < kCorners; ++k) store(to[k], side[0][k & 1] * side[1][k >> 1 & 1] * side[2][k >> 2]);
 }
 
-// One level's features (padded, features) of all points, from the level's rows of `values`.
-template <int kFeatures>
-inline void read_level_of(const LevelReading& reading, int features, const float* values, float* to) {
-    if (kFeatures) features = kFeatures;
+// work(point, its eight rows, weights) for all points in turn; weights[k * kLanes] is that of corner k.
+template <class Work>
+DECOGS_INLINE void for_points(const LevelReading& reading, const Work& work) {
     alignas(64) float weights[kCorners][kLanes];
     const int64_t points = static_cast<int64_t>(reading.rows.size()) / kCorners;
     for (int64_t base = 0; base < points; base += kLanes) {
         corner_weights(&reading.fractions[base * 3], weights);
-        for (int i = 0; i < kLanes; ++i) {
-            const uint32_t* rows = &reading.rows[(base + i) * kCorners];
-            Features<kFeatures> read(features);
-            for (int k = 0; k < kCorners; ++k) read.add(weights[k][i], values + static_cast<int64_t>(rows[k]) * features);
-            read.store(to + (base + i) * features);
-        }
+        for (int i = 0; i < kLanes; ++i) work(base + i, &reading.rows[(base + i) * kCorners], &weights[0][i]);
     }
+}
+
+// One level's features (padded, features) of all points, from the level's rows of `values`.
+template <int kFeatures>
+inline void read_level_of(const LevelReading& reading, int features, const float* values, float* to) {
+    if (kFeatures) features = kFeatures;
+    for_points(reading, [&](int64_t point, const uint32_t* rows, const float* weights) {
+        Features<kFeatures> read(features);
+        for (int k = 0; k < kCorners; ++k)
+            read.add(weights[k * kLanes], values + static_cast<int64_t>(rows[k]) * features);
+        read.store(to + point * features);
+    });
 }
 
 // The way back: adds to the level's rows of `gradient` what they fed into the features, point after point.
 template <int kFeatures>
 inline void scatter_level_of(const LevelReading& reading, int features, const float* v_features, float* gradient) {
     if (kFeatures) features = kFeatures;
-    alignas(64) float weights[kCorners][kLanes];
-    const int64_t points = static_cast<int64_t>(reading.rows.size()) / kCorners;
-    for (int64_t base = 0; base < points; base += kLanes) {
-        corner_weights(&reading.fractions[base * 3], weights);
-        for (int i = 0; i < kLanes; ++i) {
-            const uint32_t* rows = &reading.rows[(base + i) * kCorners];
-            const float* v = v_features + (base + i) * features;
-            for (int k = 0; k < kCorners; ++k) {
-                float* row = gradient + static_cast<int64_t>(rows[k]) * features;
-                Features<kFeatures> total(features);
-                total.load(row);
-                total.add(weights[k][i], v);
-                total.store(row);
-            }
+    for_points(reading, [&](int64_t point, const uint32_t* rows, const float* weights) {
+        for (int k = 0; k < kCorners; ++k) {
+            float* row = gradient + static_cast<int64_t>(rows[k]) * features;
+            Features<kFeatures> total(features);
+            total.load(row);
+            total.add(weights[k * kLanes], v_features + point * features);
+            total.store(row);
         }
-    }
+    });
 }
 
 inline void read_level(const LevelReading& reading, int features, const float* values, float* to) {
