@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from .metrics import Slope, slope
 from .perceptual import NOT_INSTALLED
@@ -13,18 +14,20 @@ from .runs import Run, RunFrame
 NOTHING = "–"
 NOT_RUN = "not run"
 
-_MEANS = (
-    "psnr", "psnr_dynamic", "psnr_static", "ssim", "ssim_dynamic", "ssim_static", "lpips", "training_psnr",
-)  # fmt: skip
+Figure = float | Slope | None
 
 
 @dataclass(frozen=True)
 class Column:
-    """A column's heading, what it means, and its value for one run of a table of runs."""
+    """A column's heading, what it means, its figure for one run of a table of runs, and how that is written."""
 
     heading: str
     meaning: str
-    value: Callable[[Run, Sequence[Run]], str]
+    figure: Callable[[Run, Sequence[Run]], Figure]
+    write: Callable[[Any], str]
+
+    def value(self, run: Run, runs: Sequence[Run]) -> str:
+        return self.write(self.figure(run, runs))
 
 
 def mean(values: Iterable[float | None]) -> float | None:
@@ -77,16 +80,22 @@ def static_change(run: Run) -> float | None:
     return None if first is None or last is None else last - first
 
 
-def number(value: float | None, digits: int, *, signed: bool = False) -> str:
-    return NOTHING if value is None else f"{value:{'+' if signed else ''}.{digits}f}"
+def number(specification: str, nothing: str = NOTHING) -> Callable[[float | None], str]:
+    """Writes a figure as a format specification says."""
+    return lambda value: nothing if value is None else format(value, specification)
 
 
 def with_error(value: Slope | None) -> str:
     return NOTHING if value is None else f"{value.per_100_frames:+.2f} ± {value.error:.2f}"
 
 
-def _average(heading: str, meaning: str, name: str, digits: int) -> Column:
-    return Column(heading, f"{meaning}; mean over all frames", lambda run, _: number(mean_of(run, name), digits))
+def _average(heading: str, meaning: str, name: str, digits: int, nothing: str = NOTHING) -> Column:
+    return Column(
+        heading,
+        f"{meaning}; mean over all frames",
+        lambda run, _: mean_of(run, name),
+        number(f".{digits}f", nothing),
+    )
 
 
 COLUMNS: dict[str, Column] = {
@@ -96,122 +105,113 @@ COLUMNS: dict[str, Column] = {
     "last_dynamic": Column(
         "dynamic, last frame",
         "PSNR in dB over the dynamic region of the last frame",
-        lambda run, _: number(run.frames[-1].psnr_dynamic, 2),
+        lambda run, _: run.frames[-1].psnr_dynamic,
+        number(".2f"),
     ),
-    "last": Column("PSNR, last frame", "dB over the whole picture", lambda run, _: number(run.frames[-1].psnr, 2)),
+    "last": Column("PSNR, last frame", "dB over the whole picture", lambda run, _: run.frames[-1].psnr, number(".2f")),
     "last_static": Column(
         "static, last frame",
         "PSNR in dB over the static region of the last frame",
-        lambda run, _: number(run.frames[-1].psnr_static, 2),
+        lambda run, _: run.frames[-1].psnr_static,
+        number(".2f"),
     ),
     "static_change": Column(
         "static, last − first",
         "PSNR of the last frame less that of the keyframe, dB over the static region",
-        lambda run, _: number(static_change(run), 3, signed=True),
+        lambda run, _: static_change(run),
+        number("+.3f"),
     ),
     "psnr_common": Column(
         "PSNR, frames of all rows",
         "dB over the whole picture, mean over the frames that every row of the table has",
-        lambda run, runs: number(in_common(run, runs), 2),
+        in_common,
+        number(".2f"),
     ),
     "training": _average("training PSNR", "dB over the training views, undistorted", "training_psnr", 2),
     "ssim": _average("SSIM", "over the whole picture", "ssim", 4),
     "ssim_dynamic": _average("SSIM dynamic", "SSIM map over the dynamic region", "ssim_dynamic", 4),
     "ssim_static": _average("SSIM static", "SSIM map over the static region", "ssim_static", 4),
-    "lpips": Column(
-        "LPIPS",
-        "over the whole picture, mean over all frames",
-        lambda run, _: NOT_INSTALLED if run.lpips_network is None else number(mean_of(run, "lpips"), 4),
-    ),
+    "lpips": _average("LPIPS", "over the whole picture", "lpips", 4, NOT_INSTALLED),
     "mtv": Column(
         "mTV ×100",
         "flicker: change of static pixels from frame to frame",
-        lambda run, _: number(flicker(run), 4),
+        lambda run, _: flicker(run),
+        number(".4f"),
     ),
     "seconds": Column(
         "s/frame",
         "wall clock, decoded pictures to written packet, mean of the later frames",
-        lambda run, _: number(wall_seconds(run), 2),
+        lambda run, _: wall_seconds(run),
+        number(".2f"),
     ),
     "cpu": Column(
         "CPU-s/frame",
         "the same in processor seconds, all cores added",
-        lambda run, _: number(cpu_seconds(run), 2),
+        lambda run, _: cpu_seconds(run),
+        number(".2f"),
     ),
     "fps": Column(
         "render FPS",
         "1 / the median time to render the held-out view of a decoded frame",
-        lambda run, _: number(1 / run.render_seconds, 1),
+        lambda run, _: 1 / run.render_seconds,
+        number(".1f"),
     ),
     "megabytes": Column(
         "MB/frame",
         "packet on disk, mean of the later frames",
-        lambda run, _: number(_mega(mean(frame.bytes for frame in later(run))), 4),
+        lambda run, _: mean(frame.bytes / 1e6 for frame in later(run)),
+        number(".4f"),
     ),
     "megabytes_all": Column(
         "MB/frame, keyframe included",
         "the file over all its frames",
-        lambda run, _: number(_mega(run.stream_bytes / len(run.frames)), 4),
+        lambda run, _: run.stream_bytes / len(run.frames) / 1e6,
+        number(".4f"),
     ),
     "selected": Column(
         "selected",
         "share of Gaussians trained, mean of the later frames",
-        lambda run, _: _percent(mean(frame.selected for frame in later(run))),
+        lambda run, _: mean(frame.selected for frame in later(run)),
+        number(".1%"),
     ),
     "slope": Column(
         "slope",
         "PSNR in dB per 100 frames, least squares over all frames, ± its standard error",
-        lambda run, _: with_error(drift(run, "psnr")),
+        lambda run, _: drift(run, "psnr"),
+        with_error,
     ),
     "slope_dynamic": Column(
         "slope dynamic",
         "the same of the dynamic region's PSNR",
-        lambda run, _: with_error(drift(run, "psnr_dynamic")),
+        lambda run, _: drift(run, "psnr_dynamic"),
+        with_error,
     ),
-    "gaussians": Column(
-        "Gaussians",
-        "in the last frame",
-        lambda run, _: str(run.frames[-1].gaussians),
-    ),
+    "gaussians": Column("Gaussians", "in the last frame", lambda run, _: run.frames[-1].gaussians, number("d")),
     "keyframe_seconds": Column(
         "keyframe, s",
         "wall clock, decoded pictures to written keyframe",
-        lambda run, _: number(math.fsum(run.frames[0].seconds.values()), 1),
+        lambda run, _: math.fsum(run.frames[0].seconds.values()),
+        number(".1f"),
     ),
-    "keyframe_bytes": Column("keyframe, MB", "packet on disk", lambda run, _: number(run.frames[0].bytes / 1e6, 4)),
+    "keyframe_bytes": Column("keyframe, MB", "packet on disk", lambda run, _: run.frames[0].bytes / 1e6, number(".4f")),
 }
 
 
 def figures(run: Run) -> dict[str, float | None]:
-    """The figures of a run as numbers, for JSON; units as in COLUMNS."""
-    slopes = {name: drift(run, field) for name, field in (("slope", "psnr"), ("slope_dynamic", "psnr_dynamic"))}
-    return {
-        **{name: mean_of(run, name) for name in _MEANS},
-        "last": run.frames[-1].psnr,
-        "last_dynamic": run.frames[-1].psnr_dynamic,
-        "last_static": run.frames[-1].psnr_static,
-        "static_change": static_change(run),
-        "mtv": flicker(run),
-        "seconds": wall_seconds(run),
-        "cpu": cpu_seconds(run),
-        "fps": 1 / run.render_seconds,
-        "megabytes": _mega(mean(frame.bytes for frame in later(run))),
-        "megabytes_all": run.stream_bytes / len(run.frames) / 1e6,
-        "selected": mean(frame.selected for frame in later(run)),
-        **{name: None if value is None else value.per_100_frames for name, value in slopes.items()},
-        **{f"{name}_error": None if value is None else value.error for name, value in slopes.items()},
-    }
+    """The figures of a run as numbers, for JSON: keys and units as in COLUMNS, a slope's error beside it."""
+    found: dict[str, float | None] = {}
+    for key, column in COLUMNS.items():
+        if key == "psnr_common":  # a table's figure, not a run's
+            continue
+        figure = column.figure(run, [run])
+        if isinstance(figure, Slope):
+            found |= {key: figure.per_100_frames, f"{key}_error": figure.error}
+        else:
+            found[key] = figure
+    return found
 
 
 def markdown(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
     """A table's lines; the first column to the left, figures to the right."""
     lines = ["| " + " | ".join(headings) + " |", "|---" + "|--:" * (len(headings) - 1) + "|"]
     return lines + ["| " + " | ".join(text.replace("|", "\\|") for text in row) + " |" for row in rows]
-
-
-def _mega(value: float | None) -> float | None:
-    return None if value is None else value / 1e6
-
-
-def _percent(value: float | None) -> str:
-    return NOTHING if value is None else f"{value:.1%}"

@@ -161,7 +161,7 @@ def test_starts_anywhere_but_at_the_identity_when_asked_to() -> None:
     cache = TransformationCache(LOW, HIGH, replace(SMALL, identity_start=False, grid_spread=0.1), seed=3)
     means, quaternions = gaussians(50)
     cache.place(means, quaternions)
-    assert (cache.moved()[0] != means).all()
+    assert (cache.moved()[0] != means).mean() > 0.9  # where no hidden unit is active, nothing moves
 
 
 @pytest.mark.parametrize("shape", SHAPES)
