@@ -17,24 +17,33 @@ from .syntax import read_delta, read_key, read_skip
 
 
 def reconstruct(
-    state: State | None, packet: Packet, header: StreamHeader, *, max_gaussians: int = DEFAULT_MAX_GAUSSIANS
+    state: State | None,
+    packet: Packet,
+    header: StreamHeader,
+    *,
+    first: State | None = None,
+    max_gaussians: int = DEFAULT_MAX_GAUSSIANS,
 ) -> State:
-    """The state after a key, delta or skip packet; ``state`` is the one before it, None before the first keyframe.
+    """The state after a key, delta or skip packet; ``state`` is the one before it, None where decoding begins.
+
+    ``first``: the state of the stream's first keyframe, to which later ones may refer (``refers_to_first``).
 
     Integer arithmetic only, so that every machine gets the same bits. The digest in the packet is compared with the
     result's. Raises StreamError, whatever the payload holds.
     """
-    next_state, declared = _advance(state, packet, header, max_gaussians)
+    next_state, declared = _advance(state, packet, header, first, max_gaussians)
     if digest(next_state) != declared:
         _refuse(packet, Reason.DIGEST_MISMATCH, "the reconstructed state is not the encoder's")
     return next_state
 
 
-def _advance(state: State | None, packet: Packet, header: StreamHeader, max_gaussians: int) -> tuple[State, int]:
+def _advance(
+    state: State | None, packet: Packet, header: StreamHeader, first: State | None, max_gaussians: int
+) -> tuple[State, int]:
     if packet.kind == PacketKind.KEY:
         if state is not None and packet.frame <= state.frame:
             _refuse(packet, Reason.FRAME_ORDER, f"frame {packet.frame} comes after frame {state.frame}")
-        return read_key(packet, header.coefficients, max_gaussians)
+        return read_key(packet, header.coefficients, max_gaussians, first=first)
     if packet.kind not in (PacketKind.DELTA, PacketKind.SKIP):
         _refuse(packet, Reason.MISPLACED_PACKET, f"a packet of kind {packet.kind} holds no frame")
     if state is None:

@@ -113,6 +113,12 @@ def take_rows(attributes: Attributes, rows: NDArray[Any]) -> Attributes:
     )
 
 
+def join_rows(first: Attributes, second: Attributes) -> Attributes:
+    """The Gaussians of both, ``second``'s behind ``first``'s, without their ids."""
+    names = ("means", "log_scales", "quaternions", "opacity_logits", "sh")
+    return Attributes(*(np.concatenate([getattr(first, name), getattr(second, name)]) for name in names))
+
+
 def check_shapes(attributes: Attributes) -> None:
     """Raises ValueError unless the arrays are int32 of one length and of the shapes of Splats."""
     n, k = len(attributes), attributes.coefficients

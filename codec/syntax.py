@@ -16,11 +16,11 @@ from decogs.formats.container import Packet, PacketKind
 from decogs.formats.cursor import Cursor
 from decogs.formats.reasons import Reason
 
-from .deltas import Delta, apply_delta, ids_left
+from .deltas import Delta, apply_delta, difference, ids_left
 from .digest import digest
 from .entropy import DEFAULT_LEVEL, coded_block, read_block, skip_block
 from .groups import read_groups, read_presence, skip_group, write_groups, write_residuals, write_values
-from .index_sets import read_index_set, read_varints, skip_index_set, write_index_set, write_varints
+from .index_sets import EMPTY, read_index_set, read_varints, skip_index_set, write_index_set, write_varints
 from .keyframes import new_state
 from .state import (
     DEFAULT_MAX_GAUSSIANS,
@@ -28,18 +28,22 @@ from .state import (
     MAX_GAUSSIANS,
     MAX_ID,
     Attributes,
+    IntArray,
     Rows,
     State,
     attributes_from_columns,
     empty_attributes,
     group_channels,
     group_columns,
+    join_rows,
+    take_rows,
 )
 
 _KEY = struct.Struct("<QQIBBQ")
 _DIGEST = struct.Struct("<Q")
 _COUNT = struct.Struct("<I")
-_INTRA = 0
+_REFERENCE_OFFSET = 20
+_INTRA, _FIRST_KEYFRAME = 0, 1
 _CONSECUTIVE_IDS, _LISTED_IDS = 0, 1
 _MAX_ID_BYTES = 5
 
@@ -51,31 +55,45 @@ class Coded(NamedTuple):
     costs: dict[str, int]
 
 
-def write_key(state: State, *, level: int = DEFAULT_LEVEL) -> Coded:
-    """A key packet's payload: the whole state, referring to nothing."""
+def write_key(state: State, *, first: State | None = None, level: int = DEFAULT_LEVEL) -> Coded:
+    """A key packet's payload: the whole state, or its difference from ``first``, whichever is smaller.
+
+    ``first`` is the state of the stream's first keyframe, None in that keyframe itself.
+    """
     _check_count(len(state))
-    first = int(state.ids[0]) if len(state) else 0
-    consecutive = not len(state) or int(state.ids[-1]) - first == len(state) - 1
-    mode = _CONSECUTIVE_IDS if consecutive else _LISTED_IDS
-    parts = [("header", _KEY.pack(digest(state), state.next_id, len(state), _INTRA, mode, first))]
-    if not consecutive:
-        parts.append(("ids", coded_block(write_varints(_id_gaps(state.ids)), level)))
-    return _coded([*parts, *_write_new(state, level)])
+    alone = _coded([*_key_head(state, _INTRA, state.ids, level), *_write_new(state, level)])
+    if first is None or not _descends(state, first):
+        return alone
+    return min(alone, _write_referring_key(state, first, level), key=lambda coded: len(coded.payload))
 
 
-def read_key(packet: Packet, coefficients: int, max_gaussians: int = DEFAULT_MAX_GAUSSIANS) -> tuple[State, int]:
-    """The state of a key packet and the digest it declares; raises StreamError."""
+def refers_to_first(packet: Packet) -> bool:
+    """Whether a packet is a keyframe that can only be read with the stream's first one."""
+    head = packet.payload[: _REFERENCE_OFFSET + 1]
+    return packet.kind == PacketKind.KEY and len(head) > _REFERENCE_OFFSET and head[-1] == _FIRST_KEYFRAME
+
+
+def read_key(
+    packet: Packet, coefficients: int, max_gaussians: int = DEFAULT_MAX_GAUSSIANS, *, first: State | None = None
+) -> tuple[State, int]:
+    """The state of a key packet and the digest it declares; raises StreamError.
+
+    ``first``: the state of the stream's first keyframe, for packets that refer to it.
+    """
     cursor = packet.cursor()
-    declared, next_id, count, reference, mode, first = _KEY.unpack(cursor.take(_KEY.size))
-    if reference != _INTRA or mode not in (_CONSECUTIVE_IDS, _LISTED_IDS):
+    declared, next_id, count, reference, mode, first_id = _KEY.unpack(cursor.take(_KEY.size))
+    if reference not in (_INTRA, _FIRST_KEYFRAME) or mode not in (_CONSECUTIVE_IDS, _LISTED_IDS):
         cursor.fail(Reason.UNSUPPORTED_MODE, f"reference mode {reference} or id mode {mode} is unknown")
     _check_limit(cursor, count, max_gaussians)
-    if max(next_id, first) > MAX_ID or (not count and first):
+    if max(next_id, first_id) > MAX_ID:
         cursor.fail(Reason.BAD_PAYLOAD, "ids are out of range")
-    ids = first + np.arange(count, dtype=np.int64) if mode == _CONSECUTIVE_IDS else _read_ids(cursor, first, count)
-    if count and not 0 <= int(ids[-1]) < next_id:
+    if reference == _INTRA:
+        ids = _read_new_ids(cursor, mode, first_id, count)
+        attributes = _read_new(cursor, count, coefficients)
+    else:
+        ids, attributes = _read_referring_key(cursor, count, mode, first_id, first)
+    if not (int(ids[-1]) if count else -1) < next_id:
         cursor.fail(Reason.BAD_PAYLOAD, "the next id is not above all ids")
-    attributes = _read_new(cursor, count, coefficients)
     cursor.finish()
     return new_state(attributes, packet.frame, ids=ids, next_id=next_id), declared
 
@@ -84,32 +102,26 @@ def write_delta(previous: State, delta: Delta, *, level: int = DEFAULT_LEVEL) ->
     """A delta packet's payload, applied to ``previous``."""
     state = apply_delta(previous, delta)
     _check_count(len(state))
-    parts = [("header", _DIGEST.pack(digest(state)))]
-    parts.append(("index", write_index_set(delta.rows, len(previous), level)))
-    if len(delta.rows):
-        parts += write_groups(dict(delta.residuals), lambda columns, _: write_residuals(columns, level))
-    parts.append(("removed", write_index_set(delta.removed, len(previous), level)))
-    parts.append(("header", _COUNT.pack(len(delta.added))))
-    if len(delta.added):
-        parts += [
-            (name if name == "header" else f"added.{name}", data) for name, data in _write_new(delta.added, level)
+    return _coded(
+        [
+            ("header", _DIGEST.pack(digest(state))),
+            *_write_changes(len(previous), delta, level),
+            ("header", _COUNT.pack(len(delta.added))),
+            *_write_added(delta.added, level),
         ]
-    return _coded(parts)
+    )
 
 
 def read_delta(packet: Packet, previous: State, max_gaussians: int = DEFAULT_MAX_GAUSSIANS) -> tuple[Delta, int]:
     """The delta in a packet and the digest it declares for the state after it; raises StreamError."""
     cursor = packet.cursor()
-    population, coefficients = len(previous), previous.coefficients
     declared = cursor.u64()
-    rows = read_index_set(cursor, population)
-    residuals = read_groups(cursor, len(rows), coefficients, values=False) if len(rows) else {}
-    removed = read_index_set(cursor, population)
+    rows, residuals, removed = _read_changes(cursor, previous)
     count = cursor.u32()
-    _check_limit(cursor, population - len(removed) + count, max_gaussians)
+    _check_limit(cursor, len(previous) - len(removed) + count, max_gaussians)
     if count > ids_left(previous):
         cursor.fail(Reason.BAD_PAYLOAD, "the ids run out")
-    added = _read_new(cursor, count, coefficients) if count else empty_attributes(coefficients)
+    added = _read_new(cursor, count, previous.coefficients) if count else empty_attributes(previous.coefficients)
     cursor.finish()
     return Delta(rows, residuals, removed, added), declared
 
@@ -131,25 +143,38 @@ def payload_costs(packet: Packet, coefficients: int) -> dict[str, int]:
     """A frame packet's payload bytes by purpose, from its declared lengths, without decoding it; raises StreamError."""
     cursor, costs = packet.cursor(), {"header": 0}
     if packet.kind == PacketKind.KEY:
-        mode, count = _KEY.unpack(cursor.take(_KEY.size))[4], None
-        if mode == _LISTED_IDS:
-            skip_block(cursor)
-            costs["ids"] = cursor.position - _KEY.size
-        _group_costs(cursor, coefficients, "", costs)
+        mode = _KEY.unpack(cursor.take(_KEY.size))[4]
+        if refers_to_first(packet):
+            _change_costs(cursor, coefficients, mode, costs)
+        else:
+            _id_cost(cursor, mode, costs)
+            _group_costs(cursor, coefficients, "", costs)
     elif packet.kind == PacketKind.DELTA:
         cursor.u64()
-        costs["index"] = _set_cost(cursor)
-        if costs["index"] > 1 or packet.payload[_DIGEST.size : _DIGEST.size + 1] != b"\0":
-            _group_costs(cursor, coefficients, "", costs)
-        costs["removed"] = _set_cost(cursor)
-        count = cursor.u32()
-        if count:
-            _group_costs(cursor, coefficients, "added.", costs)
+        _change_costs(cursor, coefficients, _CONSECUTIVE_IDS, costs)
     else:
         cursor.u64()
     cursor.finish()
     costs["header"] = len(packet.payload) - sum(costs.values())
     return costs
+
+
+def _change_costs(cursor: Cursor, coefficients: int, id_mode: int, costs: dict[str, int]) -> None:
+    touched = cursor.peek() != EMPTY
+    costs["index"] = _set_cost(cursor)
+    if touched:
+        _group_costs(cursor, coefficients, "", costs)
+    costs["removed"] = _set_cost(cursor)
+    if cursor.u32():
+        _id_cost(cursor, id_mode, costs)
+        _group_costs(cursor, coefficients, "added.", costs)
+
+
+def _id_cost(cursor: Cursor, id_mode: int, costs: dict[str, int]) -> None:
+    start = cursor.position
+    if id_mode == _LISTED_IDS:
+        skip_block(cursor)
+        costs["ids"] = cursor.position - start
 
 
 def _group_costs(cursor: Cursor, coefficients: int, prefix: str, costs: dict[str, int]) -> None:
@@ -164,6 +189,74 @@ def _set_cost(cursor: Cursor) -> int:
     start = cursor.position
     skip_index_set(cursor)
     return cursor.position - start
+
+
+def _key_head(state: State, reference: int, listed: Rows, level: int) -> list[tuple[str, bytes]]:
+    """A key packet's fixed fields, and the ids after the first of ``listed`` where they are not consecutive."""
+    first = int(listed[0]) if len(listed) else 0
+    consecutive = not len(listed) or int(listed[-1]) - first == len(listed) - 1
+    mode = _CONSECUTIVE_IDS if consecutive else _LISTED_IDS
+    parts = [("header", _KEY.pack(digest(state), state.next_id, len(state), reference, mode, first))]
+    return parts if consecutive else [*parts, ("ids", coded_block(write_varints(_id_gaps(listed)), level))]
+
+
+def _descends(state: State, first: State) -> bool:
+    """Whether ``state`` holds nothing but Gaussians of ``first`` and younger ones."""
+    return (
+        state.next_id >= first.next_id
+        and not np.isin(state.ids[state.ids < first.next_id], first.ids, assume_unique=True, invert=True).any()
+    )
+
+
+def _write_referring_key(state: State, first: State, level: int) -> Coded:
+    """Reference 1: what became of the first keyframe's Gaussians, then the younger ones."""
+    stays = np.isin(first.ids, state.ids, assume_unique=True)
+    old, young = np.split(np.arange(len(state)), [int(stays.sum())])
+    rows = np.flatnonzero(stays)
+    changes = difference(first, rows, take_rows(state, old), removed=np.flatnonzero(~stays))
+    head, *ids = _key_head(state, _FIRST_KEYFRAME, state.ids[young], level)
+    count = ("header", _COUNT.pack(len(young)))
+    added = _write_added(take_rows(state, young), level)
+    return _coded([head, *_write_changes(len(first), changes, level), count, *ids, *added])
+
+
+def _read_referring_key(
+    cursor: Cursor, count: int, mode: int, first_id: int, first: State | None
+) -> tuple[Rows, Attributes]:
+    if first is None:
+        cursor.fail(Reason.MISSING_KEY, "a keyframe refers to the stream's first one, which is not at hand")
+    rows, residuals, removed = _read_changes(cursor, first)
+    young = cursor.u32()
+    if len(first) - len(removed) + young != count:
+        cursor.fail(Reason.BAD_PAYLOAD, f"{count} Gaussians are declared, others are there")
+    old = apply_delta(first, Delta(rows, residuals, removed, empty_attributes(first.coefficients)))
+    if not young:
+        return old.ids, old
+    if first_id < first.next_id:
+        cursor.fail(Reason.BAD_PAYLOAD, "an added Gaussian's id is not above the first keyframe's")
+    ids = _read_new_ids(cursor, mode, first_id, young)
+    return np.concatenate([old.ids, ids]), join_rows(old, _read_new(cursor, young, first.coefficients))
+
+
+def _write_changes(population: int, delta: Delta, level: int) -> list[tuple[str, bytes]]:
+    """Touched rows and their residuals, removed rows."""
+    parts = [("index", write_index_set(delta.rows, population, level))]
+    if len(delta.rows):
+        parts += write_groups(dict(delta.residuals), lambda columns, _: write_residuals(columns, level))
+    return [*parts, ("removed", write_index_set(delta.removed, population, level))]
+
+
+def _read_changes(cursor: Cursor, previous: State) -> tuple[Rows, dict[str, IntArray], Rows]:
+    population = len(previous)
+    rows = read_index_set(cursor, population)
+    residuals = read_groups(cursor, len(rows), previous.coefficients, values=False) if len(rows) else {}
+    return rows, residuals, read_index_set(cursor, population)
+
+
+def _write_added(added: Attributes, level: int) -> list[tuple[str, bytes]]:
+    if not len(added):
+        return []
+    return [(name if name == "header" else f"added.{name}", data) for name, data in _write_new(added, level)]
 
 
 def _write_new(attributes: Attributes, level: int) -> list[tuple[str, bytes]]:
@@ -182,6 +275,17 @@ def _id_gaps(ids: Rows) -> np.ndarray[tuple[int, ...], np.dtype[np.uint64]]:
     if gaps.max(initial=0) >= 1 << 35:
         raise ValueError("ids are more than 2**35 apart")
     return gaps.astype(np.uint64)
+
+
+def _read_new_ids(cursor: Cursor, mode: int, first: int, count: int) -> Rows:
+    """The ids of ``count`` whole Gaussians, all below 2**63."""
+    if not count and first:
+        cursor.fail(Reason.BAD_PAYLOAD, "ids are out of range")
+    if mode == _LISTED_IDS:
+        return _read_ids(cursor, first, count)
+    if first + count > MAX_ID:
+        cursor.fail(Reason.BAD_PAYLOAD, "ids are out of range")
+    return first + np.arange(count, dtype=np.int64)
 
 
 def _read_ids(cursor: Cursor, first: int, count: int) -> Rows:

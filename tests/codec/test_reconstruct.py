@@ -14,7 +14,7 @@ from decogs.codec.digest import digest
 from decogs.codec.keyframes import new_state
 from decogs.codec.reconstruct import reconstruct
 from decogs.codec.state import Attributes, empty_attributes, take_rows
-from decogs.codec.syntax import payload_costs, write_delta, write_key, write_skip
+from decogs.codec.syntax import payload_costs, refers_to_first, write_delta, write_key, write_skip
 from decogs.formats.container import PACKET_OVERHEAD, Packet, PacketKind, packet_bytes
 from decogs.formats.errors import StreamError
 
@@ -23,6 +23,13 @@ INT32 = np.iinfo(np.int32)
 
 def key(state) -> Packet:
     return Packet(PacketKind.KEY, state.frame, write_key(state, level=3).payload)
+
+
+def referring_key(state, first) -> Packet:
+    """A keyframe told as the difference from the first one, which must be the smaller way."""
+    packet = Packet(PacketKind.KEY, state.frame, write_key(state, first=first, level=3).payload)
+    assert refers_to_first(packet)
+    return packet
 
 
 def delta_packet(state, delta) -> Packet:
@@ -70,6 +77,69 @@ def test_listed_ids_round_trip_in_a_later_keyframe(samples) -> None:
         write_key(far)
     far = new_state(take_rows(state, np.arange(3)), ids=np.array([2**62, 2**62 + 1, 2**62 + 2**34]))
     assert samples.same(reconstruct(None, key(far), header), far)
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    touched=st.integers(0, 60),
+    removed=st.integers(0, 40),
+    added=st.integers(0, 5),
+    degree=st.integers(0, 3),
+)
+@settings(deadline=None, max_examples=40)
+def test_later_keyframes_refer_to_the_first(samples, seed, touched, removed, added, degree) -> None:
+    rng, header = np.random.default_rng(seed), samples.header(degree)
+    first = state = samples.state(rng, 120, (degree + 1) ** 2)
+    for _ in range(3):
+        state = apply_delta(state, samples.delta(rng, state, touched, min(removed, len(state)), added))
+    packet = Packet(PacketKind.KEY, state.frame, write_key(state, first=first, level=3).payload)
+    assert len(packet.payload) <= len(key(state).payload)
+    for before in (None, first):
+        after = reconstruct(before, packet, header, first=first)
+        assert samples.same(after, state)
+        assert after.frame == 3
+    assert sum(payload_costs(packet, first.coefficients).values()) == len(packet.payload)
+
+
+def test_a_referring_keyframe_costs_what_has_changed_since_the_first(samples) -> None:
+    rng, header = np.random.default_rng(0), samples.header()
+    first = samples.state(rng, 3000)
+    for frame in (1, 7):
+        packet = referring_key(replace(first, frame=frame), first)
+        assert len(packet.payload) == 36
+        assert samples.same(reconstruct(None, packet, header, first=first), first)
+    delta = samples.delta(rng, first, 50, 4, 3)
+    state = apply_delta(first, delta)
+    packet, by_itself = referring_key(state, first), delta_packet(first, delta)
+    assert len(packet.payload) <= len(by_itself.payload) + 30, "the delta, and the key packet's own fields"
+    assert set(payload_costs(packet, 1)) >= {"index", "removed", "means", "added.means"}
+    gone = apply_delta(state, difference(state, np.arange(0), empty_attributes(1), removed=np.array([len(state) - 2])))
+    listed = referring_key(gone, first)
+    assert payload_costs(listed, 1)["ids"] > 0
+    assert samples.same(reconstruct(None, listed, header, first=first), gone)
+
+
+def test_what_does_not_descend_from_the_first_keyframe_is_written_whole(samples) -> None:
+    rng = np.random.default_rng(0)
+    first, stranger = samples.state(rng, 40), samples.state(rng, 41)
+    assert write_key(stranger, first=first) == write_key(stranger)
+    sparse = new_state(take_rows(first, np.arange(0, 40, 2)), ids=first.ids[::2], next_id=first.next_id)
+    assert write_key(first, first=sparse) == write_key(first), "an id between those of the first"
+
+
+def test_a_referring_keyframe_needs_the_right_first_one(samples) -> None:
+    rng, header = np.random.default_rng(0), samples.header()
+    first = samples.state(rng, 300)
+    state = apply_delta(first, samples.delta(rng, first, 9, 2, 2))
+    packet = referring_key(state, first)
+    assert reason_of(None, packet, header) == "missing-key"
+    assert reason_of(None, packet, header, first=samples.state(rng, 300)) == "digest-mismatch"
+    assert reason_of(None, packet, header, first=samples.state(rng, 299)) in {"bad-payload", "bad-index-set"}
+    assert reason_of(None, packet, header, first=first, max_gaussians=299) == "too-many-gaussians"
+    for offset, value, reason in ((16, 299, "bad-payload"), (22, 299, "bad-payload"), (20, 2, "unsupported-mode")):
+        damaged = bytearray(packet.payload)
+        damaged[offset : offset + 2] = value.to_bytes(2, "little")
+        assert reason_of(None, Packet(PacketKind.KEY, 1, bytes(damaged)), header, first=first) == reason
 
 
 def test_empty_keyframe_then_additions(samples) -> None:
@@ -198,11 +268,11 @@ def test_errors_name_packet_and_offset(samples) -> None:
     assert (caught.value.packet, caught.value.offset) == (7, 1000 + 20 + len(packet.payload) - 1)
 
 
-def _accepts_or_refuses(state, kind, payload, header) -> None:
+def _accepts_or_refuses(state, kind, payload, header, first=None) -> None:
     """Damage that no checksum caught: an error, or a state whose digest the payload declares. Never anything else."""
     packet = Packet(kind, 0 if state is None else 1, payload)
     try:
-        after = reconstruct(state, packet, header, max_gaussians=1000)
+        after = reconstruct(state, packet, header, first=first, max_gaussians=1000)
     except StreamError:
         return
     assert digest(after) == int.from_bytes(payload[:8], "little")
@@ -215,16 +285,17 @@ def test_cut_and_flipped_payloads_are_refused(samples, degree) -> None:
     delta = samples.delta(rng, state, 20, 5, 6)
     for before, kind, payload in (
         (None, PacketKind.KEY, write_key(state).payload),
+        (None, PacketKind.KEY, referring_key(apply_delta(state, delta), state).payload),
         (state, PacketKind.DELTA, write_delta(state, delta).payload),
         (state, PacketKind.SKIP, write_skip(state).payload),
     ):
         for size in range(len(payload)):
             with pytest.raises(StreamError):
-                reconstruct(before, Packet(kind, 0 if before is None else 1, payload[:size]), header)
+                reconstruct(before, Packet(kind, 0 if before is None else 1, payload[:size]), header, first=state)
         for position in range(len(payload)):
             flipped = bytearray(payload)
             flipped[position] ^= 1 << (position % 8)
-            _accepts_or_refuses(before, kind, bytes(flipped), header)
+            _accepts_or_refuses(before, kind, bytes(flipped), header, state)
 
 
 @given(data=st.data())
@@ -237,6 +308,7 @@ def test_mutated_payloads_raise_stream_errors_only(samples, data) -> None:
         st.sampled_from(
             [
                 (None, PacketKind.KEY, write_key(state, level=1).payload),
+                (None, PacketKind.KEY, referring_key(apply_delta(state, delta), state).payload),
                 (state, PacketKind.DELTA, write_delta(state, delta, level=1).payload),
             ]
         )
@@ -245,7 +317,7 @@ def test_mutated_payloads_raise_stream_errors_only(samples, data) -> None:
     for _ in range(data.draw(st.integers(1, 4))):
         start = data.draw(st.integers(0, len(mutated)))
         mutated[start : start + data.draw(st.integers(0, 8))] = data.draw(st.binary(max_size=8))
-    _accepts_or_refuses(before, kind, bytes(mutated), header)
+    _accepts_or_refuses(before, kind, bytes(mutated), header, state)
 
 
 @given(st.sampled_from([PacketKind.KEY, PacketKind.DELTA, PacketKind.SKIP]), st.binary(max_size=200))
