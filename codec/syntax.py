@@ -98,6 +98,14 @@ def read_key(
     return new_state(attributes, packet.frame, ids=ids, next_id=next_id), declared
 
 
+def key_changes(packet: Packet, first: State) -> tuple[int, int, int]:
+    """How many of ``first``'s Gaussians a keyframe that refers to it touches, how many come and how many of them go."""
+    cursor = packet.cursor()
+    cursor.take(_KEY.size)
+    rows, _, removed = _read_changes(cursor, first)
+    return len(rows), cursor.u32(), len(removed)
+
+
 def write_delta(previous: State, delta: Delta, *, level: int = DEFAULT_LEVEL) -> Coded:
     """A delta packet's payload, applied to ``previous``."""
     state = apply_delta(previous, delta)

@@ -196,9 +196,11 @@ def _table(facts: StreamInfo) -> Iterator[str]:
     yield ""
     yield " frame kind       bytes  Gaussians   touched   added removed   share"
     yield from (_row(frame) for frame in facts.frames)
+    if any(frame.refers_to_first for frame in facts.frames):
+        yield "key*: told as the difference from the first keyframe, against which it counts"
     yield ""
     yield f"bytes per frame           {_number(totals['bytes_per_frame'])} (the whole file over all frames)"
-    yield f"  without the keyframes   {_number(totals['bytes_per_frame_without_keys'])}"
+    yield f"  without the first key   {_number(totals['bytes_per_frame_without_first_key'])}"
     yield f"  mean delta              {_number(totals['mean_delta_bytes'])}"
     yield f"  mean keyframe           {_number(totals['mean_key_bytes'])}"
     if totals["mean_share_touched"] is not None:
@@ -214,8 +216,9 @@ def _short_settings(settings: Mapping[str, Any]) -> str:
 
 
 def _row(frame: FrameInfo) -> str:
+    kind = frame.kind + "*" * frame.refers_to_first
     return (
-        f"{frame.index:>6} {frame.kind:<5} {frame.bytes:>10} {frame.gaussians:>10} {frame.touched:>9} "
+        f"{frame.index:>6} {kind:<5} {frame.bytes:>10} {frame.gaussians:>10} {frame.touched:>9} "
         f"{frame.added:>7} {frame.removed:>7} {frame.share_touched:>7.2%}"
     )
 

@@ -18,6 +18,7 @@ from .session import DecodedFrame, open_stream
 class FrameInfo:
     """One frame's packet: bytes on disk, Gaussians after it, how many it touched, added and removed.
 
+    ``refers_to_first``: a keyframe told as the difference from the stream's first one, which its counts then refer to.
     ``bytes_by_purpose`` splits the payload (header, index set, attribute groups); with the container's overhead it adds
     up to ``bytes``.
     """
@@ -30,12 +31,11 @@ class FrameInfo:
     added: int
     removed: int
     bytes_by_purpose: dict[str, int]
+    refers_to_first: bool
 
     @property
     def share_touched(self) -> float:
-        """Touched, added and removed Gaussians of a delta or skip frame as a share of those that are there."""
-        if self.kind == "key":
-            return 1.0
+        """Touched, added and removed Gaussians as a share of those that are there."""
         return min(1.0, (self.touched + self.added + self.removed) / max(1, self.gaussians))
 
 
@@ -53,11 +53,12 @@ class StreamInfo:
 
     @property
     def totals(self) -> dict[str, Any]:
-        """Counts and means; bytes per frame with the keyframes (the whole file) and without (the other packets).
+        """Counts and means; bytes per frame with the first keyframe (the whole file) and without (the later packets).
 
         ``bytes_by_purpose`` adds up to the file: "container" is what packets, header packet and index take.
         """
         keys = [frame.bytes for frame in self.frames if frame.kind == "key"]
+        later = self.frames[1:]
         others = [frame for frame in self.frames if frame.kind != "key"]
         deltas = [frame.bytes for frame in self.frames if frame.kind == "delta"]
         purposes: dict[str, int] = {}
@@ -72,7 +73,7 @@ class StreamInfo:
             "skip_frames": len(others) - len(deltas),
             "file_bytes": self.file_bytes,
             "bytes_per_frame": _mean(self.file_bytes, len(self.frames)),
-            "bytes_per_frame_without_keys": _mean(sum(frame.bytes for frame in others), len(others)),
+            "bytes_per_frame_without_first_key": _mean(sum(frame.bytes for frame in later), len(later)),
             "mean_key_bytes": _mean(sum(keys), len(keys)),
             "mean_delta_bytes": _mean(sum(deltas), len(deltas)),
             "mean_share_touched": _mean(sum(frame.share_touched for frame in others), len(others)),
@@ -149,6 +150,7 @@ def _frame_info(frame: DecodedFrame) -> FrameInfo:
         changes.added,
         changes.removed,
         {purpose: count for purpose, count in frame.costs.items() if count},
+        frame.refers_to_first,
     )
 
 

@@ -22,7 +22,7 @@ from decogs.codec.header import StreamHeader
 from decogs.codec.lattice import Lattice, dequantise
 from decogs.codec.reconstruct import reconstruct
 from decogs.codec.state import DEFAULT_MAX_GAUSSIANS, MAX_GAUSSIANS, State
-from decogs.codec.syntax import payload_costs, read_delta
+from decogs.codec.syntax import key_changes, payload_costs, read_delta, refers_to_first
 from decogs.formats.cameras import Camera, as_pinhole, scale_camera
 from decogs.formats.container import (
     FRAME_KINDS,
@@ -46,8 +46,9 @@ if TYPE_CHECKING:
 MAX_PICTURE_PIXELS = 1 << 26
 """No larger picture is rendered (8192 x 8192): a few header bytes must not be able to claim all memory."""
 
-_COPIES = 6
-"""States and splats that are alive at once while a delta is applied, generously counted; for ``max_memory``."""
+_COPIES = 7
+"""States and splats that are alive at once while a delta is applied, generously counted, and the first keyframe; for
+``max_memory``."""
 
 
 class _Activation:
@@ -68,13 +69,21 @@ class DecodedFrame:
     overhead included; ``state`` is the scene as lattice integers with ids, checked against the encoder's digest.
     """
 
-    def __init__(self, packet: Packet, state: State, header: StreamHeader, before: DecodedFrame | None) -> None:
+    def __init__(
+        self,
+        packet: Packet,
+        state: State,
+        header: StreamHeader,
+        before: DecodedFrame | None,
+        first: State | None = None,
+    ) -> None:
         self.index = packet.frame
         self.kind = PacketKind(packet.kind)
         self.packet_bytes = packet.size
         self.state = state
         self._packet, self._coefficients = packet, header.coefficients
         self._state_before = None if before is None else before.state
+        self._first = first
         unchanged = before is not None and self.kind == PacketKind.SKIP
         self._activation: _Activation = (
             before._activation if before and unchanged else _Activation(state, header.lattice)
@@ -86,16 +95,26 @@ class DecodedFrame:
         return self._activation.splats
 
     @property
+    def refers_to_first(self) -> bool:
+        """Whether this is a keyframe told as the difference from the stream's first one."""
+        return refers_to_first(self._packet)
+
+    @property
     def costs(self) -> dict[str, int]:
         """The payload's bytes by purpose: header, index set, each attribute group (see SPEC.md, "Payloads")."""
         return payload_costs(self._packet, self._coefficients)
 
     @property
     def changes(self) -> Changes:
-        """How many Gaussians this frame touched, added and removed; a keyframe brings all of them anew."""
+        """How many Gaussians this frame touched, added and removed; a keyframe brings all of them anew.
+
+        One that refers to the first keyframe counts against that.
+        """
         if self.kind == PacketKind.DELTA and self._state_before is not None:
             delta, _ = read_delta(self._packet, self._state_before, max_gaussians=MAX_GAUSSIANS)
             return Changes(len(delta.rows), len(delta.added), len(delta.removed))
+        if self._first is not None:
+            return Changes(*key_changes(self._packet, self._first))
         return Changes(0, len(self.state) if self.kind == PacketKind.KEY else 0, 0)
 
 
@@ -128,6 +147,7 @@ class Stream:
             self._entries = scan_index(self._file) if index is None else index
             self.complete, self.unfinished_bytes = (True, 0) if index is not None else self._tail()
             self._max_gaussians = _gaussians_within(max_memory, self.header.coefficients, max_gaussians)
+            self._first: State | None = None
 
     def __enter__(self) -> Stream:
         return self
@@ -150,8 +170,9 @@ class Stream:
     def frames(self, start: int = 0, stop: int | None = None) -> Iterator[DecodedFrame]:
         """The frames from ``start`` up to, not including, ``stop`` (the stream's end when None), in order.
 
-        Reading begins at the last keyframe at or before ``start``. Every frame's checksums and state digest are
-        verified. Raises StreamError at damage, UsageError when the range is not one of this stream.
+        Reading begins at the last keyframe at or before ``start``; the stream's first one is read, too, where that one
+        refers to it. Every frame's checksums and state digest are verified. Raises StreamError at damage, UsageError
+        when the range is not one of this stream.
         """
         stop = self.frame_count if stop is None else stop
         if not 0 <= start <= stop <= self.frame_count:
@@ -170,8 +191,17 @@ class Stream:
 
     def _decoded(self, packet: Packet, before: DecodedFrame | None) -> DecodedFrame:
         state_before = None if before is None else before.state
-        state = reconstruct(state_before, packet, self.header, max_gaussians=self._max_gaussians)
-        return DecodedFrame(packet, state, self.header, before)
+        first = self._first_keyframe() if refers_to_first(packet) else None
+        state = reconstruct(state_before, packet, self.header, first=first, max_gaussians=self._max_gaussians)
+        return DecodedFrame(packet, state, self.header, before, first)
+
+    def _first_keyframe(self) -> State:
+        """The state that later keyframes refer to; kept from the first time it is asked for."""
+        if self._first is None:
+            entry = self._entries[0]
+            packet = self._next_frame(self._reader(entry.offset), entry)
+            self._first = reconstruct(None, packet, self.header, max_gaussians=self._max_gaussians)
+        return self._first
 
     def _next_frame(self, reader: PacketReader, entry: IndexEntry) -> Packet:
         while (packet := reader.next()) is not None and packet.kind not in FRAME_KINDS:

@@ -88,8 +88,7 @@ class BaselineTrainer:
     ) -> None:
         self._kernel, self._views, self._settings = kernel, views, settings
         self._population, self._extent, self._box = population, extent, box
-        self._random = np.random.default_rng(seed)
-        self._order = view_order(len(views), self._random)
+        self._seed = seed
         self._cache = TransformationCache(*box, settings.cache, seed, threads=threads)
 
     def train(
@@ -99,11 +98,15 @@ class BaselineTrainer:
         pictures: Sequence[FloatArray],
         masks: Sequence[FrameMask],
         motion: FloatArray,
+        *,
+        frame: int,
     ) -> TrainedFrame:
         """Trains all Gaussians of ``scene`` on one frame's pictures (3, H, W).
 
         The call is `FrameTrainer.train`'s; ``selected``, ``masks`` and ``motion`` have no part in this method.
         """
+        self._random = np.random.default_rng((self._seed, frame))
+        self._order = view_order(len(self._views), self._random)
         losses = [
             whole_picture_loss(picture, view.valid, self._settings.dissimilarity)
             for picture, view in zip(pictures, self._views, strict=True)

@@ -96,7 +96,7 @@ class FrameTrainer:
         threads: int = 1,
     ) -> None:
         self._kernel, self._views, self._watch, self._settings = kernel, views, watch, settings
-        self._random = np.random.default_rng(seed)
+        self._seed = seed
         self._extent = extent
         self._ungated: SplatOptimiser | None = None
         self._values: list[float] = []
@@ -111,12 +111,16 @@ class FrameTrainer:
         pictures: Sequence[FloatArray],
         masks: Sequence[FrameMask],
         motion: FloatArray,
+        *,
+        frame: int,
     ) -> TrainedFrame:
         """Trains the ``selected`` Gaussians of ``scene`` on one frame's pictures (3, H, W).
 
-        ``motion`` (N, 3) is every Gaussian's last displacement, for the warm start. The watching views are left with
+        ``motion`` (N, 3) is every Gaussian's last displacement, for the warm start. ``frame``: its index, which with
+        the seed makes all that is random, so that a frame can be trained again alone. The watching views are left with
         the trained Gaussians lifted.
         """
+        self._random = np.random.default_rng((self._seed, frame))
         losses = [
             self._loss(picture, mask, view) for picture, mask, view in zip(pictures, masks, self._views, strict=True)
         ]

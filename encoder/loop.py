@@ -200,7 +200,9 @@ class StreamEncoder:
                 selected = self._select(masks)
             if selected.any():
                 with watch.stage("training"):
-                    trained = self._trainer.train(self._scene, selected, frame.training, masks, self._motion)
+                    trained = self._trainer.train(
+                        self._scene, selected, frame.training, masks, self._motion, frame=frame.index - self._first
+                    )
         if trained is not None:
             self._masks.trained(frame.training, masks)
         self._masks.passed(frame.training)
@@ -210,7 +212,9 @@ class StreamEncoder:
         """What the dense baseline changes: it looks at no mask, selects nothing and so takes part in every frame."""
         with watch.stage("training"):
             everything = np.ones(len(state), bool)
-            return self._trainer.train(self._scene, everything, frame.training, [], self._motion), 1.0
+            return self._trainer.train(
+                self._scene, everything, frame.training, [], self._motion, frame=frame.index - self._first
+            ), 1.0
 
     def _select(self, masks: Sequence[FrameMask]) -> NDArray[np.bool_]:
         if "select" in self._settings.frame.ablated:

@@ -108,6 +108,40 @@ def write_stream(path: Path, *, finished: bool = True) -> SmallStream:
     return SmallStream(path, header, tuple(states), KINDS, tuple(changes))
 
 
+SEGMENT = 5
+
+
+def write_segments(path: Path) -> SmallStream:
+    """Four segments of five frames, later keyframes told as differences from the first; things move, come and go."""
+    lattice = default_lattice(2.0)
+    header = StreamHeader(cameras=some_cameras(), lattice=lattice, sh_degree=1, fps=25.0)
+    first, _ = keyframe_state(quantise(some_splats(1600), lattice))
+    states, kinds, random = [first], [], np.random.default_rng(5)
+    with path.open("wb") as file:
+        writer = StreamWriter(file, header.to_bytes())
+        for frame in range(4 * SEGMENT):
+            if frame:
+                rows = np.arange(20 * frame, 20 * frame + 800)
+                current = take_rows(states[-1], rows)
+                current = replace(current, means=current.means + random.integers(-90, 90, (800, 3), dtype=np.int32))
+                young = quantise(some_splats(2, seed=frame), lattice) if frame % 3 == 0 else None
+                delta = difference(states[-1], rows, current, removed=rows[:1], added=young)
+                states.append(apply_delta(states[-1], delta))
+            if frame % SEGMENT == 0:
+                kind, coded = "key", write_key(states[-1], first=first if frame else None)
+            else:
+                kind, coded = "delta", write_delta(states[-2], delta)
+            writer.write(PacketKind[kind.upper()], frame, coded.payload)
+            kinds.append(kind)
+        writer.finish()
+    return SmallStream(path, header, tuple(states), tuple(kinds), ())
+
+
+@pytest.fixture
+def segmented_stream(tmp_path: Path) -> SmallStream:
+    return write_segments(tmp_path / "segments.dgs")
+
+
 @pytest.fixture
 def small_stream(tmp_path: Path) -> SmallStream:
     return write_stream(tmp_path / "scene.dgs")

@@ -160,8 +160,8 @@ def test_info_counts_what_was_written(small_stream, capsys) -> None:
     size = small_stream.path.stat().st_size
     assert totals["file_bytes"] == sum(totals["bytes_by_purpose"].values()) == size
     assert totals["bytes_per_frame"] == size / 8
-    others = [frame["bytes"] for frame in facts["frames"] if frame["kind"] != "key"]
-    assert totals["bytes_per_frame_without_keys"] == sum(others) / 6
+    later = [frame["bytes"] for frame in facts["frames"][1:]]
+    assert totals["bytes_per_frame_without_first_key"] == sum(later) / 7
     assert totals["mean_delta_bytes"] == np.mean([f["bytes"] for f in facts["frames"] if f["kind"] == "delta"])
     assert facts["header"]["cameras"][1] == {
         "name": "cam01", "width": 60, "height": 44, "distortion_model": "opencv", "held_out": True,
@@ -178,6 +178,25 @@ def test_info_prints_a_table_without_terminal_commands(small_stream, unfinished_
     assert "unfinished" not in printed
     assert info_main([str(unfinished_stream.path)]) == 0
     assert "no end packet, 3 bytes of an incomplete packet follow" in capsys.readouterr().out
+
+
+def test_info_tells_keyframes_that_refer_to_the_first(segmented_stream, capsys) -> None:
+    assert info_main([str(segmented_stream.path), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert [f["index"] for f in facts["frames"] if f["refers_to_first"]] == [5, 10, 15]
+    first, last = segmented_stream.states[0], segmented_stream.states[15]
+    key = facts["frames"][15]
+    assert (key["added"], key["removed"]) == (
+        len(np.setdiff1d(last.ids, first.ids)),
+        len(np.setdiff1d(first.ids, last.ids)),
+    )
+    assert 0 < key["touched"] < len(last)
+    assert key["share_touched"] < facts["frames"][0]["share_touched"] == 1
+    assert {"ids", "index", "removed", "added.means"} <= set(key["bytes_by_purpose"])
+    assert info_main([str(segmented_stream.path)]) == 0
+    printed = capsys.readouterr().out
+    assert printed.count(" key* ") == 3
+    assert "key*: told as the difference from the first keyframe" in printed
 
 
 def test_errors_are_one_line_and_exit_code_2(small_stream, tmp_path: Path, capsys) -> None:

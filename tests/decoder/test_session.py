@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -61,6 +63,67 @@ def test_seeking_reads_from_the_last_keyframe_only(small_stream) -> None:
         assert_same_state(next(stream.frames(6)).state, small_stream.states[6])
         with pytest.raises(StreamError, match=r"scene\.dgs: .* in packet 1 at byte \d+ \[bad-payload-crc\]"):
             list(stream.frames(3))
+
+
+@contextmanager
+def bytes_read() -> Iterator[list[int]]:
+    """Counts what the process reads from any file meanwhile, as the kernel sees it."""
+
+    def so_far() -> int:
+        counts = dict(line.split(": ") for line in Path("/proc/self/io").read_text().splitlines())
+        return int(counts["rchar"])
+
+    own = -so_far() + so_far()  # what reading the counter costs
+    counted, before = [0], so_far()
+    yield counted
+    counted[0] = so_far() - before - own
+
+
+READ_AHEAD = 3 * 8192
+"""Of Python's file objects: one for the header, one at the file's end, one for the frames."""
+
+
+def test_opening_a_whole_file_reads_its_header_and_index_only(segmented_stream) -> None:
+    size = segmented_stream.path.stat().st_size
+    with bytes_read() as counted, open_stream(segmented_stream.path) as stream:
+        assert stream.frame_count == 20
+    assert 0 < counted[0] < len(segmented_stream.header.to_bytes()) + 20 * 16 + READ_AHEAD < size / 2
+
+
+def test_a_range_reads_the_first_keyframe_and_its_own_segment_only(segmented_stream) -> None:
+    path, size = segmented_stream.path, segmented_stream.path.stat().st_size
+    with path.open("rb") as file:
+        offsets = [entry.offset for entry in read_index(file)]
+    first_key, until_frame_18 = offsets[1] - offsets[0], offsets[18] - offsets[15]
+    with open_stream(path) as stream, bytes_read() as counted:
+        frames = list(stream.frames(16, 18))
+    for frame in frames:
+        assert_same_state(frame.state, segmented_stream.states[frame.index])
+    assert first_key + until_frame_18 <= counted[0] < first_key + until_frame_18 + READ_AHEAD < 0.8 * size
+    data = bytearray(path.read_bytes())
+    for between in range(offsets[1], offsets[15]):
+        data[between] = 0
+    path.write_bytes(data)
+    with open_stream(path) as stream:
+        assert_same_state(next(stream.frames(19)).state, segmented_stream.states[19])
+
+
+@pytest.mark.parametrize("start", range(0, 20, 3))
+def test_segments_decode_alike_from_anywhere(segmented_stream, start: int) -> None:
+    with open_stream(segmented_stream.path) as stream:
+        for frame in stream.frames(start):
+            assert_same_state(frame.state, segmented_stream.states[frame.index])
+            assert frame.refers_to_first == (frame.index in (5, 10, 15))
+
+
+def test_a_segment_without_the_first_keyframe_is_an_error(segmented_stream) -> None:
+    data = bytearray(segmented_stream.path.read_bytes())
+    with segmented_stream.path.open("rb") as file:
+        first, *_, last = scan_index(file)
+    data[first.offset + PACKET_OVERHEAD + 5] ^= 1
+    segmented_stream.path.write_bytes(data)
+    with open_stream(segmented_stream.path) as stream, pytest.raises(StreamError, match="bad-payload-crc"):
+        next(stream.frames(last.frame))
 
 
 def test_readers_do_not_disturb_each_other(small_stream) -> None:

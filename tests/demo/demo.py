@@ -52,7 +52,7 @@ def main() -> None:
 
 PSNR of {HELD_OUT}     {np.mean(quality):.2f} dB (first frame {quality[0]:.2f}, last {quality[-1]:.2f})
 bytes per frame   {totals["bytes_per_frame"]:,.0f} (keyframe {totals["mean_key_bytes"]:,.0f}, each later frame \
-{totals["bytes_per_frame_without_keys"]:,.0f})
+{totals["bytes_per_frame_without_first_key"]:,.0f})
 seconds per frame {np.mean([keyframe_seconds, *later_seconds]):.1f} (keyframe {keyframe_seconds:.1f}, each later frame \
 {np.mean(later_seconds):.1f}); {decoding_seconds / len(decoded):.2f} to decode and write""")
 

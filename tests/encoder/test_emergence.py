@@ -197,7 +197,7 @@ def trained(kernel: TrainingKernel, wall: Splats, shown: Splats, emergence: Emer
     trainer = FrameTrainer(kernel, views, watch, settings, extent=1.2, box=box, seed=0)
     selected = np.abs(wall.means[:, 0]) < 0.1
     frame = trainer.train(
-        wall, selected, pictures, [FrameMask(everywhere, everywhere)] * len(views), np.zeros_like(wall.means)
+        wall, selected, pictures, [FrameMask(everywhere, everywhere)] * len(views), np.zeros_like(wall.means), frame=1
     )
     scene = take_splats(wall, np.arange(len(wall)))
     for name, array in vars(scene).items():

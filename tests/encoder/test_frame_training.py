@@ -60,6 +60,7 @@ class Case:
             "pictures": self.pictures,
             "masks": self.masks(everywhere=everywhere),
             "motion": np.zeros_like(self.scene.means),
+            "frame": 1,
         }
         return trainer.train(**(given | other))
 
@@ -194,12 +195,26 @@ def test_the_cache_may_be_carried_from_frame_to_frame(case: Case) -> None:
         settings = replace(MOVING, carry_cache=carry, joint_iterations=0)
         trainer = case.trainer(settings)
         given = (case.selected, case.pictures, case.masks(everywhere=True), np.zeros_like(case.scene.means))
-        trainer.train(case.scene, *given)
+        trainer.train(case.scene, *given, frame=1)
         for view in trainer._watch:
             view.settle(case.scene, np.flatnonzero(case.selected))
         trainer._settings = replace(settings, cache_iterations=0)
-        frame = trainer.train(case.scene, *given)
+        frame = trainer.train(case.scene, *given, frame=2)
         assert (frame.values.means != case.scene.means[frame.kept]).any() == moved
+
+
+@pytest.mark.parametrize("settings", [MOVING, DIRECT], ids=["cache", "no cache"])
+def test_a_frame_is_trained_alike_whatever_was_trained_before(case: Case, settings: FrameSettings) -> None:
+    given = (case.selected, case.pictures, case.masks(everywhere=True), np.zeros_like(case.scene.means))
+    trainer = case.trainer(settings)
+    results = []
+    for frame in (1, 2, 1):
+        trained = trainer.train(case.scene, *given, frame=frame)
+        results.append(bits(trained.values) + bits(trained.added))
+        for view in trainer._watch:
+            view.settle(case.scene, np.flatnonzero(case.selected))
+            view.refresh()
+    assert results[0] == results[2] != results[1]
 
 
 def test_a_loss_that_is_not_finite_names_the_camera(case: Case) -> None:
@@ -212,7 +227,7 @@ def test_what_is_trained_is_what_a_whole_rendering_trains(case: Case) -> None:
     """The frame's loss falls as the pictures of the views say: no view keeps showing what has moved away."""
     trainer = case.trainer(DIRECT)
     motion = np.zeros_like(case.scene.means)
-    frame = trainer.train(case.scene, case.selected, case.pictures, case.masks(everywhere=True), motion)
+    frame = trainer.train(case.scene, case.selected, case.pictures, case.masks(everywhere=True), motion, frame=1)
     now, kernel = applied(case.scene, frame), TrainingKernel(1)
     for view, watching in zip(case.ingest.views, trainer._watch, strict=True):
         watching.settle(now, np.flatnonzero(case.selected))
@@ -226,7 +241,7 @@ def test_without_the_gate_everything_moves_and_momentum_lasts(case: Case) -> Non
     results = []
     for forget in (False, True):
         trainer = case.trainer(settings)
-        frame = trainer.train(case.scene, *given)
+        frame = trainer.train(case.scene, *given, frame=1)
         np.testing.assert_array_equal(frame.kept, np.arange(len(case.scene)))
         moved = (frame.values.means != case.scene.means).any(axis=1)
         assert moved[~case.selected].mean() > 0.8  # the wall reaches a little beyond what the cameras see
@@ -234,7 +249,7 @@ def test_without_the_gate_everything_moves_and_momentum_lasts(case: Case) -> Non
             view.place(case.scene)
         if forget:
             trainer._ungated = None
-        results.append(bits(trainer.train(case.scene, *given).values))
+        results.append(bits(trainer.train(case.scene, *given, frame=2).values))
     assert results[0] != results[1]
 
 
@@ -251,7 +266,7 @@ def test_training_ends_when_the_loss_no_longer_falls(case: Case) -> None:
     def steps(settings: FrameSettings) -> int:
         trainer = case.trainer(settings)
         motion = np.zeros_like(case.scene.means)
-        trainer.train(case.scene, case.selected, case.pictures, case.masks(everywhere=True), motion)
+        trainer.train(case.scene, case.selected, case.pictures, case.masks(everywhere=True), motion, frame=1)
         return len(trainer._values)
 
     still = replace(DIRECT, joint_iterations=60, rates=DIRECT.rates.scaled(1e-9))
