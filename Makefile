@@ -21,7 +21,7 @@ WHEEL_ENV := build/wheel-env
 
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
-.PHONY: help setup demo test lint type layers wheel wheel-check unit bench report clean
+.PHONY: help setup demo test lint type layers wheel wheel-check unit soak bench report clean
 
 help: ## list what can be made
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -56,6 +56,9 @@ layers: $(READY) ## import contracts: formats <- codec <- decoder <- encoder
 
 unit: $(READY) ## pytest
 	$(BIN)/pytest
+
+soak: $(READY) ## the tests that take minutes: an encode killed again and again
+	$(BIN)/pytest -m soak
 
 wheel: $(READY) ## build the sdist, and from it the wheel, into build/dist
 	rm -rf $(DIST) && mkdir -p $(DIST)

@@ -22,7 +22,7 @@ def encode_main(arguments: Sequence[str] | None = None) -> int:
         "but whole.",
     )
     parser.add_argument("rig_dir", help="the rig's folder, or one calibration file or folder inside it")
-    parser.add_argument("-o", "--output", required=True, metavar="SCENE.DGS", help="the stream to write")
+    parser.add_argument("-o", "--output", required=True, metavar="SCENE.DGS", help="the stream to write; - for stdout")
     parser.add_argument("--frames", metavar="A:B", help="half-open, as in Python: 0:10, 5:, -3: (default: all)")
     parser.add_argument("--scale", type=float, default=1.0, metavar="S", help="size of the pictures trained on")
     parser.add_argument(
@@ -36,6 +36,12 @@ def encode_main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--selection", metavar="RULE", help="paper or weight (default: the preset's)")
     parser.add_argument(
         "--keyframe", metavar="OTHER.DGS", help="begin with the keyframe of an earlier encode of this rig"
+    )
+    parser.add_argument(
+        "--segment", type=int, metavar="N", help="a keyframe every N frames, to seek to (default: only the first frame)"
+    )
+    parser.add_argument(
+        "--resume", action="store_true", help="go on with SCENE.DGS.part, or SCENE.DGS, that an encode left unfinished"
     )
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="same seed, same bytes (default 0)")
     parser.add_argument("--threads", type=number_of_threads, default=0, metavar="N", help="default: all processors")
@@ -52,9 +58,10 @@ def encode_main(arguments: Sequence[str] | None = None) -> int:
 def _encode(options: argparse.Namespace) -> int:
     from .encoding import encode
 
+    piped = options.output == "-"
     report = encode(
         options.rig_dir,
-        options.output,
+        sys.stdout.buffer if piped else options.output,
         frames=options.frames,
         scale=options.scale,
         holdout=options.holdout,
@@ -63,25 +70,31 @@ def _encode(options: argparse.Namespace) -> int:
         ablate=options.ablate,
         selection=options.selection,
         keyframe=options.keyframe,
+        segment=options.segment,
+        resume=options.resume,
         seed=options.seed,
         threads=options.threads,
         device=options.device,
         log=options.log,
         terminal=sys.stderr,
     )
-    print("\n".join(_summary(report)))
+    print("\n".join(_summary(report)), file=sys.stderr if piped else sys.stdout)
     return 130 if report.interrupted else 0
 
 
 def _summary(report: EncodeReport) -> list[str]:
     frames = report.frames
+    if not frames:
+        return [f"{report.output}: all {report.resumed} frames are there already, {report.total_bytes} bytes"]
     lines = [f"{report.output}: {len(frames)} frame{'s'[: len(frames) > 1]}, {report.total_bytes} bytes"]
+    if report.resumed is not None:
+        lines[0] += f"; {report.resumed or 'none'} of them were there already"
     if report.interrupted:
         lines[0] += f"; stopped early by Ctrl-C, after frame {frames[-1].frame}: the stream is whole up to there"
     held = [f.held_out_psnr for f in frames if f.held_out_psnr is not None]
     if held:
         lines.append(f"held-out PSNR  first {held[0]:.2f}  mean {_mean(held):.2f}  last {held[-1]:.2f} dB")
-    later = frames[1:]
+    later = [frame for frame in frames[1:] if not frame.replayed]
     if later:
         seconds = [sum(s for name, s in f.seconds.items() if name != "measure") for f in later]
         cpu_seconds, selected = [f.cpu_seconds for f in later], [f.selected for f in later]

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TextIO
+from typing import BinaryIO, TextIO
 
 from decogs.decoder.rasterise.native import thread_count
 from decogs.decoder.session import frame_range
@@ -24,7 +25,7 @@ from .rasterise import check_device
 
 def encode(
     rig_dir: str | os.PathLike[str],
-    output: str | os.PathLike[str],
+    output: str | os.PathLike[str] | BinaryIO,
     *,
     frames: str | slice | None = None,
     scale: float = 1.0,
@@ -34,6 +35,8 @@ def encode(
     ablate: str | Sequence[str] = (),
     selection: str | None = None,
     keyframe: str | os.PathLike[str] | None = None,
+    segment: int | None = None,
+    resume: bool = False,
     seed: int = 0,
     threads: int = 0,
     device: str = "auto",
@@ -42,11 +45,15 @@ def encode(
 ) -> EncodeReport:
     """Encodes a rig of synchronised, calibrated cameras as a .dgs stream.
 
+    ``output``: the file to write, or an open one that takes bytes, such as a pipe.
     ``frames``: "A:B" half-open, as in Python, or a slice; all when None. ``scale``: of the pictures trained on.
     ``holdout``: cameras kept out of training and measured on. ``preset``: a name in PRESETS, or settings.
     ``method``: "decogs" or "3dgstream"; ``ablate``: parts of DecoGS to leave out, a list or text with commas;
     ``selection``: "paper" or "weight"; all three on top of the preset (`methods`). ``keyframe``: an earlier stream of
-    the same rig, first frame and held-out cameras whose keyframe is taken as it is.
+    the same rig, first frame and held-out cameras whose keyframe is taken as it is. ``segment``: frames from one
+    keyframe to the next; later ones are told as differences from the first. ``resume``: go on with what an encode with
+    the same options left in ``output`` + ".part", or as a shorter stream; the file gets the bytes of one that was not
+    cut off.
     ``threads``: 0 means all processors; the stream does not depend on it. ``device``: "cuda" takes gsplat, has never
     run on a GPU and gives other bits every time; "auto" is the CPU as long as that is so. ``log``: file for JSON lines.
     ``terminal``: where to show a progress bar, if it is one. Ctrl-C after the first frame ends the stream early but
@@ -56,6 +63,10 @@ def encode(
     if seed < 0:
         raise UsageError(f"--seed {seed}: give a number of at least 0")
     settings = _settings(preset, method, [ablate] if isinstance(ablate, str) else ablate, selection)
+    if segment is not None:
+        if segment < 1:
+            raise UsageError(f"--segment {segment}: give a number of frames, at least 1")
+        settings = replace(settings, segment=segment)
     source = None if keyframe is None else read_keyframe(keyframe)
     held = [holdout] if isinstance(holdout, str) else list(holdout)
     rig = open_rig(rig_dir)
@@ -71,23 +82,30 @@ def encode(
                 "frames": [span.start, span.stop],
                 "seed": seed,
                 "keyframe": None if source is None else str(source.path),
+                "resume": resume,
                 "settings": settings.as_document(),
             }
         )
         report = encode_stream(
             ingest,
-            Path(output),
+            Path(output) if isinstance(output, (str, os.PathLike)) else output,
             span,
             settings,
             seed=seed,
             threads=thread_count(threads),
             keyframe=source,
             device=device,
+            resume=resume,
             on_frame=progress.frame,
             on_keyframe_step=progress.keyframe_step,
         )
         progress.finished(
-            {"output": str(report.output), "bytes": report.total_bytes, "interrupted": report.interrupted}
+            {
+                "output": str(report.output),
+                "bytes": report.total_bytes,
+                "interrupted": report.interrupted,
+                "resumed": report.resumed,
+            }
         )
     return report
 

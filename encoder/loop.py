@@ -1,33 +1,33 @@
 """The closed loop: every frame is trained from what the decoder has of the frame before it.
 
 Chosen: the encoder writes a packet, reconstructs the state from those very bytes, and trains the next frame from it,
-so that quantisation errors cannot add up. The stream grows beside its final name (``NAME.part``) and is renamed when
-it is done; what was complete when something went wrong stays in ``NAME.part``, a valid, shorter stream. Rejected:
-training on the encoder's own floats and quantising afterwards (drifts: the error of frame t is never seen again).
+so that quantisation errors cannot add up. A frame that an earlier encode has written already is replayed: all that
+encoding it does but for the training (`resuming`). Rejected: training on the encoder's own floats and quantising
+afterwards (drifts: the error of frame t is never seen again).
 """
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.codec.deltas import Delta, difference
+from decogs.codec.deltas import Delta, apply_delta, difference
+from decogs.codec.digest import digest
 from decogs.codec.header import StreamHeader
 from decogs.codec.keyframes import keyframe_state
 from decogs.codec.lattice import Lattice, default_lattice, dequantise, quantise, robust_extent
 from decogs.codec.reconstruct import reconstruct
 from decogs.codec.state import State, take_rows
-from decogs.codec.syntax import Coded, write_delta, write_key, write_skip
+from decogs.codec.syntax import Coded, payload_costs, write_delta, write_key, write_skip
 from decogs.decoder.lens import is_distorted
-from decogs.formats.container import Packet, PacketKind, StreamWriter
+from decogs.formats.container import Packet, PacketKind
 from decogs.formats.errors import DecogsError, UsageError
 from decogs.formats.rigs import Rig
 from decogs.formats.splats import FloatArray, Splats, sh_degree_of
@@ -41,7 +41,9 @@ from .keyframe_source import KeyframeSource
 from .masks import FrameMask, MaskMemory
 from .presets import EncodeSettings
 from .rasterise import FixedView, fixed_view, training_kernel
+from .resuming import Interrupted, check_resumable, find_interrupted
 from .selection import select, view_evidence
+from .stream_output import FileOutput, PipeOutput, StreamOutput, part_of
 
 OnFrame = Callable[["FrameReport"], None]
 OnKeyframeStep = Callable[[int, int, float], None]
@@ -54,7 +56,7 @@ class FrameReport:
     ``bytes``: the packet's on disk. ``selected``: share of Gaussians in S_t. PSNRs in dB from the reconstructed state,
     means over the views; ``held_out_psnr`` None without held-out cameras. ``seconds`` by stage, wall clock.
     ``cpu_seconds``: processor time of all threads together, from decoded pictures to the written packet; measuring
-    (the stage "measure") is left out.
+    (the stage "measure") is left out. ``replayed``: an earlier encode had written it.
     """
 
     frame: int
@@ -67,16 +69,22 @@ class FrameReport:
     seconds: dict[str, float]
     costs: dict[str, int]
     cpu_seconds: float
+    replayed: bool = False
 
 
 @dataclass(frozen=True)
 class EncodeReport:
-    """What an encode made: the stream's path and its frames; ``interrupted`` when Ctrl-C ended it early."""
+    """What an encode made: the stream's path (``-`` for a pipe) and its frames.
+
+    ``interrupted``: Ctrl-C ended it early. ``resumed``: how many frames an earlier encode had left, None when it was
+    not looked for; ``frames`` is empty when that was the whole stream.
+    """
 
     output: Path
     frames: list[FrameReport]
     total_bytes: int
     interrupted: bool
+    resumed: int | None = None
 
 
 @dataclass
@@ -99,12 +107,13 @@ class _Stopwatch:
 
 
 class StreamEncoder:
-    """Encodes frames one after the other into an open stream file; ``keyframe`` is one to begin with, untrained."""
+    """Encodes frames one after the other into an open stream; ``keyframe`` is one to begin with, untrained."""
 
     def __init__(
         self,
         ingest: Ingest,
         settings: EncodeSettings,
+        output: StreamOutput,
         *,
         seed: int,
         threads: int,
@@ -112,16 +121,15 @@ class StreamEncoder:
         device: str = "auto",
     ) -> None:
         self._ingest, self._settings, self._seed, self._threads = ingest, settings, seed, threads
-        self._source = keyframe
+        self._output, self._source = output, keyframe
         self._kernel = training_kernel(device, threads)
         self._watch: list[FixedView] = []
         self._state: State | None = None
+        self._first_state: State | None = None
         self._motion: FloatArray = np.zeros((0, 3), np.float32)
 
-    def encode_key(
-        self, frame: RigFrame, open_writer: Callable[[bytes], StreamWriter], on_step: OnKeyframeStep | None
-    ) -> FrameReport:
-        """Trains or takes over the first frame and writes header and keyframe; the file is opened only then."""
+    def encode_key(self, frame: RigFrame, on_step: OnKeyframeStep | None) -> FrameReport:
+        """Trains or takes over the first frame and writes header and keyframe; the output begins only then."""
         watch = _Stopwatch()
         if self._source is None:
             state, lattice = self._trained_keyframe(frame, watch, on_step)
@@ -129,16 +137,44 @@ class StreamEncoder:
             self._source.check(self._ingest, frame.index)
             self._ingest.set_near_planes(self._source.near_planes)
             state, lattice = self._source.state, self._source.header.lattice
-        self._first = frame.index
-        self._header = self._stream_header(lattice, sh_degree_of(state.coefficients))
+        self._header = self._stream_header(frame.index, lattice, sh_degree_of(state.coefficients))
         with watch.stage("write"):
-            self._writer = open_writer(self._header.to_bytes())
+            self._output.begin(self._header.to_bytes())
             coded = write_key(state, level=self._settings.zstd_level)
-            size = self._commit(PacketKind.KEY, 0, coded)
-        with watch.stage("settle"):
-            self._trainer = self._frame_trainer(self._scene)
-        self._masks = MaskMemory(frame.training, self._settings.frame.masks)
-        return self._report(frame, "key", size, coded, 1.0, watch)
+            packet = self._commit(PacketKind.KEY, 0, coded)
+        self._settle_key(frame, watch)
+        return self._report(frame, packet, coded.costs, 1.0, watch)
+
+    def take_over(self, left: Interrupted, span: range) -> None:
+        """Goes on from what an earlier encode left; raises UsageError unless it is the beginning of this one."""
+        first, header, near = span.start, left.header, left.near_planes
+        if self._source is not None:
+            self._source.check(self._ingest, first)
+            header, near = self._source.header, self._source.near_planes
+        self._ingest.set_near_planes({camera.name: near.get(camera.name, 0.0) for camera in self._ingest.rig.cameras})
+        self._header = self._stream_header(first, header.lattice, header.sh_degree)
+        left.check(self._header, len(span))
+        if self._source is not None:
+            key = reconstruct(None, next(left.packets()), self._header)
+            left.check_keyframe(same=digest(key) == digest(self._source.state))
+
+    def replay(self, frame: RigFrame, packet: Packet) -> FrameReport:
+        """Does all that encoding the frame did but for the training: the result is in the packet."""
+        watch, before, share = _Stopwatch(), self._state, 1.0
+        if before is None:
+            self._advance(packet)
+            self._settle_key(frame, watch)
+        else:
+            masks, selected = self._changes(frame, len(before), watch)
+            trained = np.flatnonzero(selected) if selected.any() else None
+            if trained is not None:
+                for view in self._watch:
+                    view.lift(trained)
+            self._advance(packet)
+            self._go_on(frame, before, masks, trained, watch)
+            share = _share(selected)
+        costs = payload_costs(packet, self._header.coefficients)
+        return replace(self._report(frame, packet, costs, share, watch), replayed=True)
 
     def _trained_keyframe(
         self, frame: RigFrame, watch: _Stopwatch, on_step: OnKeyframeStep | None
@@ -168,53 +204,60 @@ class StreamEncoder:
     def encode_next(self, frame: RigFrame) -> FrameReport:
         """Trains and writes the next frame from the reconstructed state of the one before."""
         assert self._state is not None
-        watch, state = _Stopwatch(), self._state
-        train = self._train_all if self._settings.method == "3dgstream" else self._train_selected
-        trained, share = train(frame, state, watch)
+        watch, before, index = _Stopwatch(), self._state, frame.index - self._header.first_frame
+        masks, selected = self._changes(frame, len(before), watch)
+        trained: TrainedFrame | None = None
+        if selected.any():
+            with watch.stage("training"):
+                trained = self._trainer.train(self._scene, selected, frame.training, masks, self._motion, frame=index)
         with watch.stage("write"):
-            delta = None if trained is None else self._delta(state, trained)
-            index = frame.index - self._first
-            if delta is None or not (len(delta.rows) or len(delta.removed) or len(delta.added)):
-                kind, coded = PacketKind.SKIP, write_skip(state)
-            else:
-                kind, coded = PacketKind.DELTA, write_delta(state, delta, level=self._settings.zstd_level)
-            size = self._commit(kind, index, coded)
-        if trained is not None:
-            with watch.stage("settle"):
-                self._settle(state, trained)
-        self._motion = self._displacements(state, self._state)
-        return self._report(frame, kind.name.lower(), size, coded, share, watch)
+            delta = None if trained is None else self._delta(before, trained)
+            kind, coded = self._coded(before, delta, index)
+            packet = self._commit(kind, index, coded)
+        self._go_on(frame, before, masks, None if trained is None else trained.kept, watch)
+        return self._report(frame, packet, coded.costs, _share(selected), watch)
 
-    def finish(self) -> None:
-        """Completes the stream with its index."""
-        self._writer.finish()
-
-    def _train_selected(self, frame: RigFrame, state: State, watch: _Stopwatch) -> tuple[TrainedFrame | None, float]:
-        """What DecoGS changes, None when the frame selects nothing, and the share of Gaussians selected."""
+    def _changes(
+        self, frame: RigFrame, population: int, watch: _Stopwatch
+    ) -> tuple[Sequence[FrameMask], NDArray[np.bool_]]:
+        """The frame's masks and S_t; the dense baseline looks at no mask and takes every Gaussian."""
+        if self._settings.method == "3dgstream":
+            return [], np.ones(population, bool)
         with watch.stage("masks"):
             masks = self._masks.masks(frame.training, [view.rgb for view in self._watch])
-        selected: NDArray[np.bool_] = np.zeros(len(state), bool)
-        trained: TrainedFrame | None = None
-        if any(mask.raw.any() for mask in masks):
-            with watch.stage("selection"):
-                selected = self._select(masks)
-            if selected.any():
-                with watch.stage("training"):
-                    trained = self._trainer.train(
-                        self._scene, selected, frame.training, masks, self._motion, frame=frame.index - self._first
-                    )
-        if trained is not None:
-            self._masks.trained(frame.training, masks)
-        self._masks.passed(frame.training)
-        return trained, float(selected.mean()) if len(selected) else 0.0
+        if not any(mask.raw.any() for mask in masks):
+            return masks, np.zeros(population, bool)
+        with watch.stage("selection"):
+            return masks, self._select(masks)
 
-    def _train_all(self, frame: RigFrame, state: State, watch: _Stopwatch) -> tuple[TrainedFrame, float]:
-        """What the dense baseline changes: it looks at no mask, selects nothing and so takes part in every frame."""
-        with watch.stage("training"):
-            everything = np.ones(len(state), bool)
-            return self._trainer.train(
-                self._scene, everything, frame.training, [], self._motion, frame=frame.index - self._first
-            ), 1.0
+    def _coded(self, before: State, delta: Delta | None, index: int) -> tuple[PacketKind, Coded]:
+        """The frame as it is smallest to tell; where a segment opens, without what lies between it and the first."""
+        level, segment = self._settings.zstd_level, self._settings.segment
+        if delta is not None and not (len(delta.rows) or len(delta.removed) or len(delta.added)):
+            delta = None
+        if segment and index % segment == 0:
+            after = replace(before, frame=index) if delta is None else apply_delta(before, delta)
+            return PacketKind.KEY, write_key(after, first=self._first_state, level=level)
+        if delta is None:
+            return PacketKind.SKIP, write_skip(before)
+        return PacketKind.DELTA, write_delta(before, delta, level=level)
+
+    def _go_on(
+        self,
+        frame: RigFrame,
+        before: State,
+        masks: Sequence[FrameMask],
+        trained: NDArray[np.int64] | None,
+        watch: _Stopwatch,
+    ) -> None:
+        """All that later frames need to know of this one, whose state stands; ``trained``: rows that were, or None."""
+        if trained is not None:
+            if masks:
+                self._masks.trained(frame.training, masks)
+            with watch.stage("settle"):
+                self._settle(before, trained)
+        self._masks.passed(frame.training)
+        self._motion = self._displacements(before, self._state)
 
     def _select(self, masks: Sequence[FrameMask]) -> NDArray[np.bool_]:
         if "select" in self._settings.frame.ablated:
@@ -224,14 +267,21 @@ class StreamEncoder:
         pairs = zip(self._watch, masks, strict=True)
         return select([view_evidence(view, mask.dilated, settings.rule) for view, mask in pairs], settings)
 
-    def _settle(self, before: State, trained: TrainedFrame) -> None:
+    def _settle_key(self, frame: RigFrame, watch: _Stopwatch) -> None:
+        """All that later frames need to know of the first one."""
+        with watch.stage("settle"):
+            self._trainer = self._frame_trainer(self._scene)
+        self._masks = MaskMemory(frame.training, self._settings.frame.masks)
+        self._motion = np.zeros((len(self._scene), 3), np.float32)
+
+    def _settle(self, before: State, trained: NDArray[np.int64]) -> None:
         """The watching views go on from the frame's reconstructed state; only what was trained can differ."""
         assert self._state is not None
         ids = self._state.ids
         renumbered = np.searchsorted(ids, before.ids)
         renumbered[~np.isin(before.ids, ids, assume_unique=True)] = -1
         new = np.flatnonzero(~np.isin(ids, before.ids, assume_unique=True))
-        rows = np.concatenate([np.setdiff1d(renumbered[trained.kept], [-1]), new])
+        rows = np.concatenate([np.setdiff1d(renumbered[trained], [-1]), new])
         for view in self._watch:
             view.settle(self._scene, rows, renumbered)
             view.refresh()
@@ -242,12 +292,18 @@ class StreamEncoder:
         added = quantise(trained.added, lattice)
         return difference(state, trained.kept, current, removed=trained.removed, added=added)
 
-    def _commit(self, kind: PacketKind, frame: int, coded: Coded) -> int:
+    def _commit(self, kind: PacketKind, frame: int, coded: Coded) -> Packet:
         """Reconstructs the next state from the packet's bytes, as the decoder will, and writes the packet."""
         packet = Packet(kind=kind, critical=True, frame=frame, payload=coded.payload, offset=0, ordinal=frame + 1)
-        self._state = reconstruct(self._state, packet, self._header)
+        self._advance(packet)
+        self._output.write(kind, frame, coded.payload)
+        return packet
+
+    def _advance(self, packet: Packet) -> None:
+        self._state = reconstruct(self._state, packet, self._header, first=self._first_state)
+        if self._first_state is None:
+            self._first_state = self._state
         self._scene = dequantise(self._state, self._header.lattice)
-        return self._writer.write(kind, frame, coded.payload)
 
     def _displacements(self, before: State, after: State | None) -> FloatArray:
         """How far every Gaussian of ``after`` moved in the last frame, (N, 3) world units; 0 for new ones."""
@@ -259,25 +315,23 @@ class StreamEncoder:
         return motion
 
     def _report(
-        self, frame: RigFrame, kind: str, size: int, coded: Coded, selected: float, watch: _Stopwatch
+        self, frame: RigFrame, packet: Packet, costs: dict[str, int], selected: float, watch: _Stopwatch
     ) -> FrameReport:
         assert self._state is not None
-        if kind == "key":
-            self._motion = np.zeros((len(self._state), 3), np.float32)
         cpu_seconds = watch.cpu_seconds()
         with watch.stage("measure"):
             training = self._training_psnr(frame)
             held_out = mean_psnr(self._kernel, self._scene, self._ingest.held_out_views, frame.held_out)
         return FrameReport(
             frame.index,
-            kind,
-            size,
+            PacketKind(packet.kind).name.lower(),
+            packet.size,
             len(self._state),
             selected,
             training,
             held_out if frame.held_out else None,
             watch.seconds,
-            coded.costs,
+            costs,
             cpu_seconds,
         )
 
@@ -287,7 +341,7 @@ class StreamEncoder:
             return mean_psnr(self._kernel, self._scene, self._ingest.views, frame.training)
         return mean_picture_psnr(self._ingest.views, [view.rgb for view in self._watch], frame.training)
 
-    def _stream_header(self, lattice: Lattice, sh_degree: int) -> StreamHeader:
+    def _stream_header(self, first: int, lattice: Lattice, sh_degree: int) -> StreamHeader:
         rig, document = self._ingest.rig, self._settings.as_document()
         if self._source is not None:
             document |= self._source.settings
@@ -296,7 +350,7 @@ class StreamEncoder:
             lattice=lattice,
             sh_degree=sh_degree,
             fps=rig.fps,
-            first_frame=self._first,
+            first_frame=first,
             effects=_effects(rig, sh_degree),
             held_out=tuple(view.camera.name for view in self._ingest.held_out_views),
             source_text=rig.source_text,
@@ -351,7 +405,7 @@ def frame_span(rig: Rig, frames: slice | None) -> range:
 
 def encode_stream(
     ingest: Ingest,
-    output: Path,
+    output: Path | BinaryIO,
     span: range,
     settings: EncodeSettings,
     *,
@@ -359,72 +413,61 @@ def encode_stream(
     threads: int,
     keyframe: KeyframeSource | None = None,
     device: str = "auto",
+    resume: bool = False,
     on_frame: OnFrame | None = None,
     on_keyframe_step: OnKeyframeStep | None = None,
 ) -> EncodeReport:
     """Encodes frames ``span`` of the rig to ``output``; Ctrl-C after the keyframe ends the stream early but whole.
 
-    ``keyframe``: an earlier stream's, to begin with instead of training one; UsageError when it does not fit the rig.
+    ``output``: a path, or an open file that takes bytes, such as a pipe. ``keyframe``: an earlier stream's, to begin
+    with instead of training one; UsageError when it does not fit the rig. ``resume``: go on with what an earlier encode
+    left, in ``output`` + ".part" or as a shorter stream; the result has the bytes of one that was not cut off.
     Raises DecogsError for unusable input; complete frames then remain in ``output`` + ".part", and the message says so.
     """
-    _check_output(output)
-    growing = output.with_name(output.name + ".part")
-    encoder = StreamEncoder(ingest, settings, seed=seed, threads=threads, keyframe=keyframe, device=device)
+    left = _left(output, settings) if resume else None
+    target = FileOutput(output, left) if isinstance(output, Path) else PipeOutput(output)
+    encoder = StreamEncoder(ingest, settings, target, seed=seed, threads=threads, keyframe=keyframe, device=device)
+    resumed = (0 if left is None else len(left.entries)) if resume else None
+    packets: Iterator[Packet] = iter(())
+    if left is not None:
+        encoder.take_over(left, span)
+        packets = left.packets()
+        if left.path == output and left.ended and resumed == len(span):
+            return EncodeReport(target.name, [], output.stat().st_size, False, resumed)
     reports: list[FrameReport] = []
     interrupted = False
-    file: BinaryIO | None = None
-    writer: StreamWriter | None = None
-
-    def open_writer(header: bytes) -> StreamWriter:
-        nonlocal file, writer
-        file = growing.open("wb")
-        writer = StreamWriter(file, header)
-        return writer
-
     try:
         for frame in ingest.frames(span.start, span.stop):
-            if not reports:
-                report = encoder.encode_key(frame, open_writer, on_keyframe_step)
+            packet = next(packets, None)
+            if packet is not None:
+                report = encoder.replay(frame, packet)
+            elif not reports:
+                report = encoder.encode_key(frame, on_keyframe_step)
             else:
                 report = encoder.encode_next(frame)
             reports.append(report)
             if on_frame:
                 on_frame(report)
+        target.open()
     except KeyboardInterrupt:
-        if not reports:
+        if not reports or not target.is_open:
             raise
         interrupted = True
     except DecogsError as error:
-        if reports:
-            error.args = (f"{error}; the {len(reports)} frames before it are in {growing}",)
+        if reports and target.is_open and isinstance(target, FileOutput):
+            error.args = (f"{error}; the {len(reports)} frames before it are in {target.growing}",)
         raise
     finally:
-        if file is not None:
-            if reports and writer is not None:
-                _cut_after(len(reports), file, writer)
-                encoder.finish()
-            file.close()
-            if not reports:
-                growing.unlink(missing_ok=True)
-    os.replace(growing, output)
-    return EncodeReport(output, reports, output.stat().st_size, interrupted)
+        target.close(len(reports))
+    return EncodeReport(target.name, reports, target.publish(), interrupted, resumed)
 
 
-def _check_output(output: Path) -> None:
-    """Training takes minutes: what can be known about writing is said before it begins."""
-    if output.is_dir():
-        raise UsageError(f"{output}: is a folder; name a file in it, such as {output / 'scene.dgs'}")
-    if not output.parent.is_dir():
-        raise UsageError(f"{output.parent}: no such folder; create it first")
-    if not os.access(output.parent, os.W_OK):
-        raise UsageError(f"{output.parent}: cannot be written to; choose another folder")
+def _left(output: Path | BinaryIO, settings: EncodeSettings) -> Interrupted | None:
+    if not isinstance(output, Path):
+        raise UsageError("--resume: a pipe cannot be gone on with; name a file with -o")
+    check_resumable(settings)
+    return find_interrupted(output, part_of(output))
 
 
-def _cut_after(frames: int, file: BinaryIO, writer: StreamWriter) -> None:
-    """Takes off what an interruption left, in whole or in part, of a packet after the first ``frames``."""
-    if len(writer.entries) > frames:
-        end = writer.entries[frames].offset
-        file.seek(end)
-        file.truncate()
-        del writer.entries[frames:]
-        writer.bytes_written = end
+def _share(selected: NDArray[np.bool_]) -> float:
+    return float(selected.mean()) if len(selected) else 0.0

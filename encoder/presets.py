@@ -28,7 +28,9 @@ Method = Literal["decogs", "3dgstream"]
 class EncodeSettings:
     """What an encode does. ``quality``: lattice steps, finer is larger. ``zstd_level``: higher is slower, smaller.
 
-    ``method``: later frames follow ``frame`` ("decogs") or ``baseline`` ("3dgstream", slower).
+    ``method``: later frames follow ``frame`` ("decogs") or ``baseline`` ("3dgstream", slower). ``segment``: frames from
+    one keyframe to the next, 0 for a single keyframe; fewer is larger, and quicker to seek. Only how a frame is told
+    depends on it, not what is in it.
     """
 
     keyframe: KeyframeSettings = field(default_factory=KeyframeSettings)
@@ -37,6 +39,7 @@ class EncodeSettings:
     zstd_level: int = DEFAULT_LEVEL
     method: Method = "decogs"
     baseline: BaselineSettings = field(default_factory=BaselineSettings)
+    segment: int = 0
 
     def as_document(self) -> dict[str, Any]:
         """The settings as plain JSON values, for the stream's header and the log; without the other method's."""

@@ -26,6 +26,7 @@ class EncodeProgress:
         self._frame_count = frame_count
         self._began = time.perf_counter()
         self._bar: Any = None
+        self._keyframe_done = False
         self._log: TextIO | None = None
         if log is not None:
             try:
@@ -57,7 +58,8 @@ class EncodeProgress:
         self._write({"event": "frame", "elapsed": round(time.perf_counter() - self._began, 3), **asdict(report)})
         if not self._terminal:
             return
-        if report.kind == "key":
+        if not self._keyframe_done:
+            self._keyframe_done = True
             self._close_bar()
             self._open_bar("frames", self._frame_count, "frame")
         self._bar.write(frame_line(report), file=self._terminal)
@@ -87,6 +89,8 @@ def frame_line(report: FrameReport) -> str:
     """One frame's figures on one line."""
     held_out = "" if report.held_out_psnr is None else f"  held out {report.held_out_psnr:6.2f} dB"
     stages = "  ".join(f"{name} {seconds:.2f} s" for name, seconds in report.seconds.items() if name != "measure")
+    if report.replayed:
+        stages = "was there already"
     return (
         f"frame {report.frame:4d} {report.kind:5}  train {report.training_psnr:6.2f} dB{held_out}  "
         f"selected {report.selected:6.1%}  {report.bytes:8d} bytes  {stages}"

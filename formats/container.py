@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import BinaryIO
@@ -120,6 +120,13 @@ class StreamWriter:
         self.bytes_written = 0
         self.entries: list[IndexEntry] = []
         self._append(prologue() + packet_bytes(PacketKind.HEADER, 0, header_payload))
+
+    @classmethod
+    def continuing(cls, file: BinaryIO, entries: Sequence[IndexEntry], size: int) -> StreamWriter:
+        """Goes on with a stream of ``size`` bytes whose frames are ``entries``; the file stands behind its last one."""
+        writer = cls.__new__(cls)
+        writer._file, writer.entries, writer.bytes_written = file, list(entries), size
+        return writer
 
     def write(self, kind: int, frame: int, payload: bytes, *, critical: bool | None = None) -> int:
         """Appends one packet and returns its size in bytes."""

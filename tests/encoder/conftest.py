@@ -206,7 +206,7 @@ Encode = Callable[..., Encoded]
 def _encode(output: Path, rig: Path, **options: Any) -> Encoded:
     chosen: dict[str, Any] = {
         "settings": TINY, "holdout": [HELD_OUT], "seed": 0, "threads": 2, "scale": 1.0, "on_frame": None,
-        "start": 0, "stop": None, "on_keyframe_step": None, "keyframe": None,
+        "start": 0, "stop": None, "on_keyframe_step": None, "keyframe": None, "resume": False,
     } | options  # fmt: skip
     opened = open_rig(rig)
     ingest = Ingest(opened, holdout=chosen["holdout"], scale=chosen["scale"])
@@ -214,8 +214,8 @@ def _encode(output: Path, rig: Path, **options: Any) -> Encoded:
     selected: dict[int, np.ndarray] = {}
     reconstruct, select = loop.reconstruct, loop.select
 
-    def observed_reconstruct(*arguments: Any) -> State:
-        states.append(reconstruct(*arguments))
+    def observed_reconstruct(*arguments: Any, **options: Any) -> State:
+        states.append(reconstruct(*arguments, **options))
         return states[-1]
 
     def observed_select(*arguments: Any) -> np.ndarray:
@@ -233,6 +233,7 @@ def _encode(output: Path, rig: Path, **options: Any) -> Encoded:
             seed=chosen["seed"],
             threads=chosen["threads"],
             keyframe=None if chosen["keyframe"] is None else read_keyframe(chosen["keyframe"]),
+            resume=chosen["resume"],
             on_frame=chosen["on_frame"],
             on_keyframe_step=chosen["on_keyframe_step"],
         )
@@ -241,7 +242,10 @@ def _encode(output: Path, rig: Path, **options: Any) -> Encoded:
 
 @pytest.fixture(scope="session")
 def encode(tmp_path_factory: pytest.TempPathFactory) -> Encode:
-    """``encode(rig, settings=, holdout=, seed=, threads=, scale=, start=, stop=, keyframe=, output=)`` and observes."""
+    """``encode(rig, settings=, holdout=, seed=, threads=, scale=, start=, stop=, keyframe=, resume=, output=)``.
+
+    It observes what it runs.
+    """
 
     def run(rig: Path, *, output: Path | None = None, **options: Any) -> Encoded:
         return _encode(output or tmp_path_factory.mktemp("encoded") / "scene.dgs", rig, **options)

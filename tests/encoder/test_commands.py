@@ -77,13 +77,45 @@ def test_a_rig_becomes_a_stream_and_a_summary(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["log.jsonl", "scene.dgs"]
 
 
+def test_a_stream_goes_to_stdout_and_all_else_to_stderr(
+    moving: Any, moving_rig: Path, capfdbinary: pytest.CaptureFixture[bytes]
+) -> None:
+    given = ["--preset", "tiny", "--holdout", "cam02", "--keyframe", str(moving.path)]
+    assert encode_main([str(moving_rig), "-o", "-", *given]) == 0
+    printed = capfdbinary.readouterr()
+    assert printed.out == moving.data
+    assert printed.err.decode().startswith(f"-: 4 frames, {len(moving.data)} bytes\n")
+
+
+def test_resuming_says_what_was_there(
+    moving: Any, moving_rig: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    output = tmp_path / "scene.dgs"
+    arguments = [str(moving_rig), "-o", str(output), "--preset", "tiny", "--holdout", "cam02", "--resume"]
+    said = []
+    for left in (b"", moving.data[:-100], None):
+        if left is not None:
+            output.unlink(missing_ok=True)
+            (tmp_path / "scene.dgs.part").write_bytes(left)
+        assert encode_main(arguments) == 0
+        assert output.read_bytes() == moving.data
+        said.append(capfd.readouterr().out.splitlines()[0])
+    assert said == [
+        f"{output}: 4 frames, {len(moving.data)} bytes; none of them were there already",
+        f"{output}: 4 frames, {len(moving.data)} bytes; 4 of them were there already",
+        f"{output}: all 4 frames are there already, {len(moving.data)} bytes",
+    ]
+
+
 def test_options_reach_the_encoder(moving_rig: Path, tmp_path: Path) -> None:
     output = tmp_path / "scene.dgs"
     arguments = ["--preset", "tiny", "--frames", "-3:3", "--scale", "0.5", "--holdout", "cam00", "--holdout", "cam04"]
+    arguments += ["--segment", "1"]
     assert encode_main([str(moving_rig), "-o", str(output), *arguments, "--seed", "7"]) == 0
     with open_stream(output) as stream:
         assert stream.frame_count == 2
         assert stream.header.held_out == ("cam00", "cam04")
+        assert [frame.refers_to_first for frame in stream.frames()] == [False, True]
         assert stream.header.first_frame == 1, "the range -3:3 of four frames begins at the rig's frame 1"
         assert (stream.header.cameras[0].width, stream.header.cameras[0].height) == (64, 48)
         assert (stream.header.settings["seed"], stream.header.settings["scale"]) == (7, 0.5)

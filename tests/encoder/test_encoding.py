@@ -13,7 +13,8 @@ import pytest
 
 from decogs.encoder import PRESETS
 from decogs.encoder import encode as encode_rig
-from decogs.formats.errors import RigError, UsageError
+from decogs.formats.container import iterate_packets
+from decogs.formats.errors import RigError, StreamError, UsageError
 
 
 def test_same_bytes_as_the_loop_whatever_is_logged(
@@ -37,6 +38,42 @@ def test_same_bytes_as_the_loop_whatever_is_logged(
     assert (end["output"], end["bytes"], end["interrupted"]) == (str(output), len(moving.data), False)
 
 
+def test_an_open_file_gets_the_same_bytes(moving: Any, moving_rig: Path, tiny_rig: Any, tiny_settings: Any) -> None:
+    pipe = io.BytesIO()
+    report = encode_rig(moving_rig, pipe, holdout=tiny_rig.held_out, preset=tiny_settings, keyframe=moving.path)
+    assert pipe.getvalue() == moving.data
+    assert (report.output, report.total_bytes) == (Path("-"), len(moving.data))
+
+
+def test_a_pipe_interrupted_inside_a_packet_ends_there(
+    moving: Any, moving_rig: Path, tiny_rig: Any, tiny_settings: Any
+) -> None:
+    class Torn(io.BytesIO):
+        def __init__(self, share: float) -> None:
+            super().__init__()
+            self.share = share
+
+        def write(self, data: Any) -> int:
+            if self.tell() < len(whole) <= self.tell() + len(data):
+                super().write(data[: int(self.share * len(data))])
+                raise KeyboardInterrupt
+            return super().write(data)
+
+    packets = list(iterate_packets(io.BytesIO(moving.data)))
+    whole = moving.data[: packets[2].offset + packets[2].size]
+    given = {"holdout": tiny_rig.held_out, "preset": tiny_settings, "keyframe": moving.path}
+    for share, frames, error in ((0.0, 1, None), (0.5, 1, "truncated")):
+        pipe = Torn(share)
+        report = encode_rig(moving_rig, pipe, **given)
+        assert (report.interrupted, len(report.frames)) == (True, frames)
+        left = list(iterate_packets(io.BytesIO(pipe.getvalue()), strict=False))
+        assert left == packets[: len(left)]
+        assert len(left) == 1 + frames
+        if error:
+            with pytest.raises(StreamError, match=error):
+                list(iterate_packets(io.BytesIO(pipe.getvalue())))
+
+
 def test_frames_as_text_and_as_slice_on_a_terminal_or_not(moving_rig: Path, tiny_settings: Any, tmp_path: Path) -> None:
     class Terminal(io.StringIO):
         def isatty(self) -> bool:
@@ -53,7 +90,7 @@ def test_frames_as_text_and_as_slice_on_a_terminal_or_not(moving_rig: Path, tiny
 def test_options_have_the_commands_names() -> None:
     options = set(inspect.signature(encode_rig).parameters)
     assert {"frames", "scale", "holdout", "preset", "seed", "threads", "device", "log"} <= options
-    assert {"method", "ablate", "selection", "keyframe"} <= options
+    assert {"method", "ablate", "selection", "keyframe", "segment", "resume"} <= options
     assert inspect.signature(encode_rig).parameters["preset"].default in PRESETS
 
 
@@ -93,6 +130,7 @@ def test_the_method_of_the_settings_holds_unless_another_is_asked_for(
         ({"method": "3dgstream", "ablate": ["gate"]}, "--ablate gate: --method 3dgstream has no such part"),
         ({"ablate": "select", "selection": "weight"}, "--selection weight: --ablate select takes every Gaussian"),
         ({"keyframe": "no.dgs"}, "--keyframe no.dgs: No such file or directory; give the .dgs file"),
+        ({"segment": 0}, "--segment 0: give a number of frames, at least 1"),
         ({"frames": "1-2"}, "frames '1-2' are no range"),
         ({"threads": 5000}, "--threads 5000"),
     ],
@@ -104,6 +142,11 @@ def test_impossible_options_are_refused(
     with pytest.raises(UsageError, match=message):
         encode_rig(moving_rig, tmp_path / "x.dgs", **options)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_pipe_cannot_be_resumed(moving_rig: Path, tiny_settings: Any) -> None:
+    with pytest.raises(UsageError, match="--resume: a pipe cannot be gone on with; name a file"):
+        encode_rig(moving_rig, io.BytesIO(), preset=tiny_settings, resume=True)
 
 
 def test_a_folder_that_is_no_rig_is_refused(tmp_path: Path) -> None:

@@ -227,6 +227,30 @@ def test_header_holds_what_a_decoder_needs_without_the_rig(moving: Any, tiny_rig
     assert header.settings["frame"]["cache_iterations"] == tiny_settings.frame.cache_iterations
 
 
+# Segments
+
+
+@pytest.mark.parametrize("stream", ["moving", "still"])
+def test_segments_change_how_frames_are_told_and_not_what_is_in_them(
+    stream: str, request: pytest.FixtureRequest, encode: Any, tiny_settings: Any
+) -> None:
+    encoded = request.getfixturevalue(stream)
+    rig = request.getfixturevalue(f"{stream}_rig")
+    cut = encode(rig, settings=replace(tiny_settings, segment=2), keyframe=encoded.path)
+    frames = decoded(cut.path)
+    assert [frame.kind == PacketKind.KEY for frame in frames] == [True, False, True, False]
+    for frame, state in zip(frames, encoded.states, strict=True):
+        assert digest(frame.state) == digest(state)
+        for name in (*ATTRIBUTES, "ids"):
+            np.testing.assert_array_equal(getattr(frame.state, name), getattr(state, name))
+    assert frames[2].refers_to_first
+    assert frames[2].packet_bytes < frames[0].packet_bytes / 4, "what has not changed is not told again"
+    assert [report.kind for report in cut.report.frames][::2] == ["key", "key"]
+    assert [report.costs for report in cut.report.frames] == [frame.costs for frame in frames]
+    with open_stream(cut.path) as opened:
+        assert digest(next(opened.frames(3)).state) == digest(encoded.states[3])
+
+
 # Determinism
 
 

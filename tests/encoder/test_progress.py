@@ -54,6 +54,16 @@ def test_a_terminal_gets_two_bars_with_the_time_left_and_a_line_per_frame(frame_
     assert shown.rstrip(" ").endswith("\r"), "the bars are wiped when all is done"
 
 
+def test_later_keyframes_open_no_bar_and_replayed_frames_are_told(frame_report: FrameReport) -> None:
+    terminal = Terminal()
+    with EncodeProgress(3, None, terminal=terminal) as progress:
+        for frame in range(3):
+            progress.frame(replace(frame_report, frame=frame, kind="key", replayed=frame < 2))
+    shown = terminal.getvalue()
+    assert "2/3 [" in shown, "one bar counts all of them"
+    assert shown.count("was there already") == 2
+
+
 def test_leaving_early_wipes_the_bar() -> None:
     terminal = Terminal()
     with EncodeProgress(2, None, terminal=terminal) as progress:

@@ -1,0 +1,296 @@
+"""``--resume``: the finished file has the bytes of an encode that was never cut off, wherever it was cut."""
+
+from __future__ import annotations
+
+import io
+import random
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from decogs.encoder import encode as encode_rig
+from decogs.encoder.frame_training import FrameTrainer
+from decogs.formats.container import FRAME_KINDS, iterate_packets
+from decogs.formats.errors import DecogsError, UsageError
+
+
+def never(*_: Any, **__: Any) -> None:
+    raise AssertionError("this was done already")
+
+
+def ends(path: Path) -> list[int]:
+    """Stream offsets behind each packet of a whole stream: header, frames, index, end."""
+    with path.open("rb") as file:
+        return [packet.offset + packet.size for packet in iterate_packets(file)]
+
+
+def part(folder: Path, data: bytes) -> Path:
+    """The output to resume, beside whose name ``data`` was left."""
+    (folder / "scene.dgs.part").write_bytes(data)
+    return folder / "scene.dgs"
+
+
+# Where it was cut
+
+
+@pytest.mark.parametrize("frames", [1, 2, 3, 4])
+@pytest.mark.parametrize("more", [0, 1, 30])
+def test_the_bytes_are_those_of_an_uninterrupted_encode(
+    encode: Any, moving: Any, moving_rig: Path, tmp_path: Path, frames: int, more: int
+) -> None:
+    output = part(tmp_path, moving.data[: ends(moving.path)[frames] + more])
+    resumed = encode(moving_rig, output=output, resume=True, on_keyframe_step=never)
+    assert resumed.data == moving.data
+    assert [path.name for path in tmp_path.iterdir()] == ["scene.dgs"]
+    assert resumed.report.resumed == frames
+    assert [frame.replayed for frame in resumed.report.frames] == [index < frames for index in range(4)]
+    for ours, theirs in zip(resumed.report.frames, moving.report.frames, strict=True):
+        for name in ("frame", "kind", "bytes", "gaussians", "selected", "training_psnr", "held_out_psnr", "costs"):
+            assert getattr(ours, name) == getattr(theirs, name)
+
+
+def test_frames_that_are_there_are_not_trained_again(
+    encode: Any, moving: Any, moving_rig: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(FrameTrainer, "train", never)
+    output = part(tmp_path, moving.data[: ends(moving.path)[4]])
+    assert encode(moving_rig, output=output, resume=True, on_keyframe_step=never).data == moving.data
+
+
+@pytest.mark.parametrize("size", [0, 7, 200, -1])
+def test_without_a_whole_keyframe_it_starts_over(
+    encode: Any, moving: Any, moving_rig: Path, tmp_path: Path, size: int
+) -> None:
+    data = moving.data[: ends(moving.path)[1] - 1 if size < 0 else size]
+    resumed = encode(moving_rig, output=part(tmp_path, data), resume=True)
+    assert resumed.data == moving.data
+    assert resumed.report.resumed == 0
+
+
+def test_there_need_be_nothing_to_resume(encode: Any, moving: Any, moving_rig: Path, tmp_path: Path) -> None:
+    resumed = encode(moving_rig, output=tmp_path / "scene.dgs", resume=True)
+    assert (resumed.data, resumed.report.resumed) == (moving.data, 0)
+
+
+def test_damage_is_encoded_again(encode: Any, moving: Any, moving_rig: Path, tmp_path: Path) -> None:
+    """A power cut can leave more than a short packet."""
+    data = bytearray(moving.data)
+    data[ends(moving.path)[2] + 25] ^= 1
+    resumed = encode(moving_rig, output=part(tmp_path, data), resume=True, on_keyframe_step=never)
+    assert (resumed.data, resumed.report.resumed) == (moving.data, 2)
+
+
+def test_the_dense_baseline_resumes(
+    encode: Any, dense: Any, moving: Any, moving_rig: Path, tmp_path: Path, tiny_settings: Any
+) -> None:
+    output = part(tmp_path, dense.data[: ends(dense.path)[2] + 9])
+    given = {"settings": replace(tiny_settings, method="3dgstream"), "keyframe": moving.path}
+    assert encode(moving_rig, output=output, resume=True, **given).data == dense.data
+
+
+def test_what_masks_remember_is_replayed(
+    encode: Any, moving: Any, moving_rig: Path, tmp_path: Path, tiny_settings: Any
+) -> None:
+    frame = replace(
+        tiny_settings.frame,
+        masks=replace(tiny_settings.frame.masks, since_trained=True, residual=15.0),
+        cache=None,
+        joint_iterations=20,
+    )
+    given = {"settings": replace(tiny_settings, frame=frame, segment=2), "keyframe": moving.path}
+    whole = encode(moving_rig, **given)
+    for frames in (1, 2, 3):
+        output = part(tmp_path, whole.data[: ends(whole.path)[frames] + 5])
+        assert encode(moving_rig, output=output, resume=True, **given).data == whole.data
+
+
+# Under the stream's own name
+
+
+def test_a_stream_that_ctrl_c_ended_is_gone_on_with(encode: Any, moving: Any, moving_rig: Path, tmp_path: Path) -> None:
+    def interrupt(report: Any) -> None:
+        if report.frame == 2:
+            raise KeyboardInterrupt
+
+    output = tmp_path / "scene.dgs"
+    assert encode(moving_rig, output=output, on_frame=interrupt).report.interrupted
+    resumed = encode(moving_rig, output=output, resume=True, on_keyframe_step=never)
+    assert (resumed.data, resumed.report.resumed) == (moving.data, 3)
+    assert [path.name for path in tmp_path.iterdir()] == ["scene.dgs"]
+
+
+def test_a_whole_stream_is_left_as_it_is(encode: Any, moving: Any, moving_rig: Path, tmp_path: Path) -> None:
+    output = tmp_path / "scene.dgs"
+    output.write_bytes(moving.data)
+    report = encode(moving_rig, output=output, resume=True, on_keyframe_step=never, on_frame=never).report
+    assert (report.frames, report.resumed, report.total_bytes) == ([], 4, len(moving.data))
+    assert output.read_bytes() == moving.data
+
+
+def test_more_frames_can_be_added(encode: Any, moving: Any, moving_rig: Path, tmp_path: Path) -> None:
+    output = tmp_path / "scene.dgs"
+    encode(moving_rig, output=output, stop=2)
+    assert encode(moving_rig, output=output, resume=True, on_keyframe_step=never).data == moving.data
+
+
+# What does not fit
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"seed": 3}, r"scene\.dgs\.part was begun with seed 0, this encode has 3; give the same options, or drop"),
+        ({"holdout": "cam03"}, r"was begun with held_out \[\"cam02\"\], this encode has \[\"cam03\"\]"),
+        ({"scale": 0.5}, "was begun with scale 1.0, this encode has 0.5"),
+        ({"frames": "1:4"}, "was begun with first_frame 0, this encode has 1"),
+        ({"frames": ":1"}, "holds 2 frames already, this encode has 1"),
+        ({"segment": 2}, "was begun with segment 0, this encode has 2"),
+        ({"method": "3dgstream"}, 'was begun with method "decogs", this encode has "3dgstream"'),
+        ({"selection": "paper"}, 'was begun with frame.selection.rule "weight", this encode has "paper"'),
+        ({"ablate": "gate"}, "--resume: --ablate gate keeps something of training that no stream has"),
+    ],
+)
+def test_other_options_are_refused_and_nothing_is_touched(
+    moving: Any, moving_rig: Path, tiny_settings: Any, tmp_path: Path, options: dict[str, Any], message: str
+) -> None:
+    data = moving.data[: ends(moving.path)[2] + 7]
+    output = part(tmp_path, data)
+    with pytest.raises(UsageError, match=message) as raised:
+        encode_rig(moving_rig, output, resume=True, **({"preset": tiny_settings, "holdout": "cam02"} | options))
+    assert "\n" not in str(raised.value)
+    assert [path.name for path in tmp_path.iterdir()] == ["scene.dgs.part"]
+    assert (tmp_path / "scene.dgs.part").read_bytes() == data
+
+
+def test_a_carried_cache_and_another_keyframe_are_refused(
+    encode: Any, moving: Any, moving_rig: Path, tiny_settings: Any, tmp_path: Path
+) -> None:
+    output = part(tmp_path, moving.data[: ends(moving.path)[2]])
+    carried = replace(tiny_settings, frame=replace(tiny_settings.frame, carry_cache=True))
+    with pytest.raises(UsageError, match="--resume: the carried cache keeps"):
+        encode(moving_rig, output=output, resume=True, settings=carried)
+    other = replace(tiny_settings, keyframe=replace(tiny_settings.keyframe, iterations=60))
+    keyframe = encode(moving_rig, settings=other, stop=1).path
+    with pytest.raises(UsageError, match=r"scene\.dgs\.part (was begun with|begins with another keyframe)"):
+        encode(moving_rig, output=output, resume=True, keyframe=keyframe)
+    assert encode(moving_rig, output=output, resume=True, keyframe=moving.path).data == moving.data
+
+
+def test_another_rig_is_refused(encode: Any, moving: Any, lens_rig: Path, tmp_path: Path) -> None:
+    output = part(tmp_path, moving.data[: ends(moving.path)[1]])
+    with pytest.raises(UsageError, match="was begun with cameras"):
+        encode(lens_rig, output=output, resume=True)
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, DecogsError])
+def test_what_goes_wrong_while_frames_are_replayed_touches_nothing(
+    encode: Any, moving: Any, moving_rig: Path, tmp_path: Path, error: type[BaseException]
+) -> None:
+    def fail(report: Any) -> None:
+        raise error
+
+    data = moving.data[: ends(moving.path)[3] + 3]
+    output = part(tmp_path, data)
+    with pytest.raises(error):
+        encode(moving_rig, output=output, resume=True, on_frame=fail)
+    assert [path.name for path in tmp_path.iterdir()] == ["scene.dgs.part"]
+    assert (tmp_path / "scene.dgs.part").read_bytes() == data
+
+
+# Killed
+
+
+CHILD = """
+import importlib.util, sys
+
+specification = importlib.util.spec_from_file_location("encoder_conftest", sys.argv.pop(1))
+module = importlib.util.module_from_spec(specification)
+sys.modules["encoder_conftest"] = module
+specification.loader.exec_module(module)
+
+from decogs.encoder import PRESETS
+from decogs.encoder.commands import encode_main
+
+PRESETS["tiny"] = module.TINY
+sys.exit(encode_main())
+"""
+MOMENTS = (0, 1, 2, 3, 3, 2, 1, 0, 1, 3)
+
+
+@pytest.fixture(scope="module")
+def long_rig(tiny_rig: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tiny_rig.write(tmp_path_factory.mktemp("rigs") / "long", frames=MOMENTS)
+
+
+def start(rig: Path, output: Path) -> tuple[subprocess.Popen[str], Path]:
+    """An encode in a process of its own, which has begun: its log says so."""
+    log = output.with_suffix(".jsonl")
+    log.unlink(missing_ok=True)
+    options = ["--preset", "tiny", "--segment", "4", "--threads", "1", "--resume", "--log", str(log)]
+    conftest = str(Path(__file__).with_name("conftest.py"))
+    child = subprocess.Popen(
+        [sys.executable, "-c", CHILD, conftest, str(rig), "-o", str(output), *options],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    deadline = time.monotonic() + 120
+    while not (log.exists() and log.read_text().endswith("\n")):
+        assert child.poll() is None, child.communicate()
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+    return child, log
+
+
+def finish(child: subprocess.Popen[str], output: Path, expected: bytes) -> None:
+    _, err = child.communicate(timeout=120)
+    assert (child.returncode, err) == (0, "")
+    assert output.read_bytes() == expected
+
+
+def check_killed(rig: Path, folder: Path, kills: int, pause: Callable[[float], float]) -> list[int]:
+    """Kills an encode again and again at ``pause(longest)`` seconds after it began; the frames that each kill left."""
+    output = folder / "scene.dgs"
+    child, _ = start(rig, folder / "whole.dgs")
+    began = time.monotonic()
+    child.communicate(timeout=120)
+    expected, longest = (folder / "whole.dgs").read_bytes(), time.monotonic() - began
+    left = []
+    while len(left) < kills:
+        child, _ = start(rig, output)
+        try:
+            child.wait(pause(longest))
+        except subprocess.TimeoutExpired:
+            child.kill()
+            child.communicate()
+            growing = output.with_name("scene.dgs.part")
+            data = growing.read_bytes() if growing.exists() else b""
+            assert expected.startswith(data)
+            left.append(sum(packet.kind in FRAME_KINDS for packet in iterate_packets(io.BytesIO(data), strict=False)))
+        else:
+            finish(child, output, expected)
+            output.unlink()
+    child, _ = start(rig, output)
+    finish(child, output, expected)
+    return left
+
+
+def test_killed_twice(long_rig: Path, tmp_path: Path) -> None:
+    """After a third and after two thirds of the time that the whole takes."""
+    pauses = iter([1 / 3, 2 / 3, 10])
+    left = check_killed(long_rig, tmp_path, 2, lambda longest: longest * next(pauses))
+    assert left == sorted(left)
+
+
+@pytest.mark.soak
+def test_killed_at_random_moments(long_rig: Path, tmp_path: Path) -> None:
+    moments = random.Random(time.time_ns())
+    left = check_killed(long_rig, tmp_path, 30, lambda longest: moments.uniform(0, 0.7) * longest)
+    assert len(left) == 30
+    assert len(set(left)) > 3, "killed before and between frames"
