@@ -37,7 +37,7 @@ def decode_main(arguments: Sequence[str] | None = None) -> int:
         epilog="OUTPUT chooses the kind: a folder (PNG files), or a name ending in .png, .exr or .mp4; "
         "x_%%06d.exr numbers files by frame. A pose file is described in decogs.decoder.free_camera.",
     )
-    parser.add_argument("stream", help="the .dgs file")
+    parser.add_argument("stream", help="the .dgs file; - for stdin")
     parser.add_argument("-o", "--output", required=True, metavar="OUTPUT", help="folder, .png, .exr or .mp4 to write")
     view = parser.add_mutually_exclusive_group(required=True)
     view.add_argument("--view", metavar="CAM", help="a camera of the rig, by name (decogs-info lists them)")
@@ -47,6 +47,15 @@ def decode_main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--background", type=_colour, metavar="R,G,B", help="0 to 1 each (default: the stream's)")
     parser.add_argument("--undistorted", action="store_true", help="leave out the rig camera's lens distortion")
     parser.add_argument("--threads", type=number_of_threads, default=0, metavar="N", help="default: all processors")
+    parser.add_argument(
+        "--follow", action="store_true", help="decode frames as an encoder writes them; name the file it will become"
+    )
+    parser.add_argument(
+        "--idle",
+        type=float,
+        metavar="S",
+        help="with --follow: stop when nothing came for S seconds (default 600)",
+    )
     return run(parser.prog, lambda: _decode(parser.parse_args(frames_joined(arguments))))
 
 
@@ -120,12 +129,13 @@ def progress(what: str) -> Iterator[OnFrame]:
 
 
 def _decode(options: argparse.Namespace) -> None:
+    from .following import DEFAULT_IDLE
     from .output import decode
 
     started = time.perf_counter()
     with progress("decoding") as on_frame:
         report = decode(
-            options.stream,
+            sys.stdin.buffer if options.stream == "-" else options.stream,
             options.output,
             view=options.view,
             camera=options.camera,
@@ -134,6 +144,8 @@ def _decode(options: argparse.Namespace) -> None:
             background=options.background,
             undistorted=options.undistorted,
             threads=options.threads,
+            follow=options.follow,
+            idle=DEFAULT_IDLE if options.idle is None else options.idle,
             on_frame=on_frame,
             on_warning=_warn_as("decogs-decode"),
         )

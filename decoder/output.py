@@ -5,12 +5,15 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, BinaryIO, Literal
 
+from decogs.codec.header import StreamHeader
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 
+from .following import DEFAULT_IDLE, GrowingStream, follow_stream
 from .free_camera import read_free_cameras
 from .pictures import DEFAULT_FPS, open_sink
 from .session import DecodedFrame, Stream, camera_named, frame_range, open_stream, render_view, scaled_view
@@ -36,7 +39,7 @@ class DecodeReport:
 
 
 def decode(
-    stream: str | os.PathLike[str],
+    stream: str | os.PathLike[str] | BinaryIO,
     output: str | os.PathLike[str],
     *,
     view: str | None = None,
@@ -46,6 +49,8 @@ def decode(
     background: Colour | None = None,
     undistorted: bool = False,
     threads: int = 0,
+    follow: bool = False,
+    idle: float = DEFAULT_IDLE,
     on_frame: OnFrame | None = None,
     on_warning: OnWarning | None = None,
 ) -> DecodeReport:
@@ -54,20 +59,30 @@ def decode(
     ``view`` names a camera of the rig; ``camera`` is a pose file, a Camera, or a list of them with one per frame of the
     stream. ``output`` chooses the kind of file, see ``decogs.decoder.pictures``. ``frames``: "A:B" or a slice, None for
     all. ``background``: display-referred RGB in 0..1, the stream's when None. ``undistorted``: without the rig camera's
-    lens distortion. ``on_frame(done, all)`` and ``on_warning(text)`` are told of progress.
+    lens distortion. ``on_frame(done, all)`` and ``on_warning(text)`` are told of progress; ``all`` is 0
+    while nobody knows.
 
-    Raises UsageError, StreamError or OSError; nothing is then left under the output's name.
+    ``follow``: each picture as soon as its packet is complete in the file that an encoder is writing as ``stream``
+    (``decogs.decoder.following``), until the stream ends or nothing came for ``idle`` seconds; files of single pictures
+    then appear one by one. A ``stream`` that is an open file, such as a pipe, is read in that way, too.
+
+    Raises UsageError, StreamError or OSError; nothing is then left under the output's name, but for pictures that
+    appeared one by one.
     """
     _check_colour(background)
+    show = _Show(scale, background, undistorted, threads)
+    if follow or not isinstance(stream, (str, os.PathLike)):
+        with follow_stream(stream, idle=idle) as growing:
+            cameras = _cameras(growing.header, view, camera)
+            return _decode_growing(growing, output, cameras, _coming_frames(frames), show, on_frame, on_warning)
     with open_stream(stream, strict=False) as opened:
         _warn_of_tail(opened, on_warning)
         chosen = _chosen_frames(opened, frames)
-        cameras = _cameras(opened, view, camera)
+        cameras = _cameras(opened.header, view, camera)
         first = scaled_view(cameras[0], scale)
-        fps = opened.header.fps
-        with open_sink(output, view=first.name, frames=len(chosen), fps=fps) as sink:
-            pictures = _pictures(opened, chosen, cameras, scale, background, undistorted, threads)
-            for done, (frame, picture) in enumerate(pictures, start=1):
+        with open_sink(output, view=first.name, frames=len(chosen), fps=opened.header.fps) as sink:
+            coming = opened.frames(chosen.start, chosen.stop)
+            for done, (frame, picture) in enumerate(_pictures(opened.header, coming, cameras, show), start=1):
                 sink.write(frame.index, picture)
                 if on_frame is not None:
                     on_frame(done, len(chosen))
@@ -112,31 +127,50 @@ def export(
         )
 
 
-def _pictures(
-    stream: Stream,
-    chosen: range,
+@dataclass(frozen=True)
+class _Show:
+    """How pictures are rendered, whatever they show."""
+
+    scale: float
+    background: Colour | None
+    undistorted: bool
+    threads: int
+
+
+def _decode_growing(
+    stream: GrowingStream,
+    output: str | os.PathLike[str],
     cameras: Sequence[Camera],
-    scale: float,
-    background: Colour | None,
-    undistorted: bool,
-    threads: int,
+    chosen: slice,
+    show: _Show,
+    on_frame: OnFrame | None,
+    on_warning: OnWarning | None,
+) -> DecodeReport:
+    first, done = scaled_view(cameras[0], show.scale), 0
+    with open_sink(output, view=first.name, frames=None, fps=stream.header.fps) as sink:
+        coming = islice(stream.frames(), chosen.start, chosen.stop)
+        for frame, picture in _pictures(stream.header, coming, cameras, show):
+            sink.write(frame.index, picture)
+            done += 1
+            if on_frame is not None:
+                on_frame(done, 0)
+        if not done:
+            raise UsageError(f"{stream.name}: nothing to decode, no such frame came")
+    if on_warning is not None and not stream.ended and (chosen.stop is None or chosen.start + done < chosen.stop):
+        on_warning(f"{stream.name}: nothing more came, and no end packet; {done} pictures were written")
+    return DecodeReport(Path(output), first.name, done, first.width, first.height)
+
+
+def _pictures(
+    header: StreamHeader, frames: Iterator[DecodedFrame], cameras: Sequence[Camera], show: _Show
 ) -> Iterator[tuple[DecodedFrame, Rendering]]:
     """Frame by frame what the camera sees. A fixed camera's picture of an unchanged scene is not rendered again."""
     last: tuple[object, object, Rendering] | None = None
-    for frame in stream.frames(chosen.start, chosen.stop):
+    for frame in frames:
         camera = cameras[0] if len(cameras) == 1 else _camera_of(cameras, frame.index)
         splats = frame.splats
         if last is None or last[0] is not splats or last[1] is not camera:
-            seen = render_view(
-                stream.header,
-                splats,
-                camera,
-                scale=scale,
-                background=background,
-                undistorted=undistorted,
-                threads=threads,
-            )
-            last = splats, camera, seen
+            last = splats, camera, render_view(header, splats, camera, **vars(show))
         yield frame, last[2]
 
 
@@ -150,14 +184,14 @@ def _camera_of(path: Sequence[Camera], frame: int) -> Camera:
 
 
 def _cameras(
-    stream: Stream, view: str | None, camera: str | os.PathLike[str] | Camera | Sequence[Camera] | None
+    header: StreamHeader, view: str | None, camera: str | os.PathLike[str] | Camera | Sequence[Camera] | None
 ) -> Sequence[Camera]:
     """The rig camera, the free camera, or the camera path asked for."""
     if (view is None) == (camera is None):
-        names = ", ".join(rig_camera.name for rig_camera in stream.header.cameras[:40])
+        names = ", ".join(rig_camera.name for rig_camera in header.cameras[:40])
         raise UsageError(f"choose one view: a camera of the rig ({names}), or a free camera from a pose file")
     if view is not None:
-        return (camera_named(stream.header, view),)
+        return (camera_named(header, view),)
     if isinstance(camera, Camera):
         return (camera,)
     if isinstance(camera, (str, os.PathLike)):
@@ -177,6 +211,15 @@ def _chosen_frames(stream: Stream, frames: str | slice | None) -> range:
         what = "it has no frame" if not stream.frame_count else f"it has frames 0:{stream.frame_count}"
         raise UsageError(f"{stream.path}: nothing to decode, {what}; choose others with frames A:B")
     return range(start, stop)
+
+
+def _coming_frames(frames: str | slice | None) -> slice:
+    """The frames asked for of a stream whose end is not known; raises UsageError where they count from there."""
+    wanted = slice(None) if frames is None else frame_range(frames) if isinstance(frames, str) else frames
+    start, stop = wanted.start or 0, wanted.stop
+    if wanted.step not in (None, 1) or start < 0 or (stop is not None and stop <= start):
+        raise UsageError("frames of a stream that still grows are A:B with 0 <= A < B, or A:, one after the other")
+    return slice(start, stop)
 
 
 def _check_colour(colour: Colour | None) -> None:

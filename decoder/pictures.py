@@ -14,7 +14,8 @@ undone, Rec. 709 primaries) as half R, G, B and A, premultiplied, and float Z, t
 units, 1e10 where nothing is seen.
 
 Everything is written into a hidden folder beside the output and moved to its name at the end: an error or an
-interruption leaves nothing under the output's name and nothing of what stood there before is touched.
+interruption leaves nothing under the output's name and nothing of what stood there before is touched. Only when a
+stream is followed while it grows does each picture appear as soon as it is whole (a video still at the end).
 """
 
 from __future__ import annotations
@@ -64,8 +65,12 @@ class PictureSink(ABC):
 
 
 @contextmanager
-def open_sink(output: str | os.PathLike[str], *, view: str, frames: int, fps: float | None) -> Iterator[PictureSink]:
+def open_sink(
+    output: str | os.PathLike[str], *, view: str, frames: int | None, fps: float | None
+) -> Iterator[PictureSink]:
     """A sink for ``frames`` pictures of ``view``, whose files appear under ``output`` when the block ends well.
+
+    ``frames`` None: nobody knows how many will come. Files of single pictures then appear each as soon as it is whole.
 
     Raises UsageError when the output's kind is unknown or it cannot be written.
     """
@@ -77,6 +82,8 @@ def open_sink(output: str | os.PathLike[str], *, view: str, frames: int, fps: fl
         raise UsageError(f"{target}: cannot be written there ({error.strerror}); choose another output") from None
     try:
         sink = create(staging)
+        if frames is None and isinstance(sink, _Files):
+            sink = _OneByOne(sink, staging, folder)
         yield sink
         sink.finish()
         _publish(staging, folder)
@@ -108,6 +115,20 @@ class _Files(PictureSink):
 
     def finish(self) -> None:
         """Every file is complete as soon as it is written."""
+
+
+class _OneByOne(PictureSink):
+    """Gives every file its final name as soon as it is whole."""
+
+    def __init__(self, files: _Files, staging: Path, folder: Path) -> None:
+        self._files, self._staging, self._folder = files, staging, folder
+
+    def write(self, frame: int, rendering: Rendering) -> None:
+        self._files.write(frame, rendering)
+        _publish(self._staging, self._folder)
+
+    def finish(self) -> None:
+        """Every file is in place already."""
 
 
 class _Video(PictureSink):
@@ -188,7 +209,7 @@ def _save_exr(path: Path, rendering: Rendering, *, fps: float) -> None:
 
 
 def _plan(
-    output: str | os.PathLike[str], target: Path, view: str, frames: int, fps: float
+    output: str | os.PathLike[str], target: Path, view: str, frames: int | None, fps: float
 ) -> tuple[Callable[[Path], PictureSink], Path]:
     """How to make the sink in a staging folder, and the folder that its files are to be moved to."""
     suffix = "" if str(output).endswith(("/", os.sep)) or target.is_dir() else target.suffix.lower()
@@ -212,7 +233,7 @@ def _plan(
     return lambda folder: _Files(name_of, save, folder), target.parent
 
 
-def _numbered(target: Path, frames: int) -> Callable[[int], str]:
+def _numbered(target: Path, frames: int | None) -> Callable[[int], str]:
     """The file name of each frame, from a pattern, a plain name for one frame, or a plain name to be numbered."""
     if _PATTERN.search(target.name):
         return lambda frame: _PATTERN.sub(lambda found: f"{frame:{found[1] or ''}d}", target.name, count=1)

@@ -138,10 +138,10 @@ class Stream:
     def __init__(self, path: Path, *, max_gaussians: int, max_memory: int | None) -> None:
         self.path = path
         self._file = open(path, "rb")  # noqa: SIM115 (closed by __exit__)
-        with self._closed_on_error(), _errors_name(path):
+        with self._closed_on_error(), errors_name(path):
             self._max_payload = MAX_PAYLOAD if max_memory is None else min(MAX_PAYLOAD, max_memory // 4)
             reader = self._reader(0)
-            self.header = _read_header(reader)
+            self.header = read_header(reader.next(), reader.offset)
             self.version = reader.version
             index = read_index(self._file)
             self._entries = scan_index(self._file) if index is None else index
@@ -184,7 +184,7 @@ class Stream:
         reader = self._reader(0 if key == 0 else self._entries[key].offset)
         frame: DecodedFrame | None = None
         for position in range(key, stop):
-            with _errors_name(self.path):
+            with errors_name(self.path):
                 frame = self._decoded(self._next_frame(reader, self._entries[position]), frame)
             if position >= start:
                 yield frame
@@ -330,7 +330,7 @@ def frame_range(text: str) -> slice:
 
 
 @contextmanager
-def _errors_name(path: Path) -> Iterator[None]:
+def errors_name(path: Path | str) -> Iterator[None]:
     """Puts the file's name before what the container and the codec, which know bytes only, have to say."""
     try:
         yield
@@ -355,10 +355,10 @@ class _At(io.RawIOBase):
         return len(data)
 
 
-def _read_header(reader: PacketReader) -> StreamHeader:
-    packet = reader.next()
+def read_header(packet: Packet | None, offset: int) -> StreamHeader:
+    """The header in a stream's first packet; None means that it is not there up to ``offset``."""
     if packet is None:
-        raise StreamError(Reason.TRUNCATED, "the stream stops before its header is complete", offset=reader.offset)
+        raise StreamError(Reason.TRUNCATED, "the stream stops before its header is complete", offset=offset)
     return StreamHeader.from_bytes(packet.payload)
 
 

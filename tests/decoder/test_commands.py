@@ -192,7 +192,7 @@ def test_info_tells_keyframes_that_refer_to_the_first(segmented_stream, capsys) 
     )
     assert 0 < key["touched"] < len(last)
     assert key["share_touched"] < facts["frames"][0]["share_touched"] == 1
-    assert {"ids", "index", "removed", "added.means"} <= set(key["bytes_by_purpose"])
+    assert {"index", "removed", "added.means"} <= set(key["bytes_by_purpose"])
     assert info_main([str(segmented_stream.path)]) == 0
     printed = capsys.readouterr().out
     assert printed.count(" key* ") == 3
