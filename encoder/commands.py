@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from decogs.decoder.commands import Parser, frames_joined, number_of_threads, run
+from decogs.formats.errors import UsageError
 
 if TYPE_CHECKING:
     from .loop import EncodeReport
@@ -59,6 +60,8 @@ def _encode(options: argparse.Namespace) -> int:
     from .encoding import encode
 
     piped = options.output == "-"
+    if piped and sys.stdout.isatty():
+        raise UsageError("-o -: the stream would go to the terminal; redirect it, or name a file")
     report = encode(
         options.rig_dir,
         sys.stdout.buffer if piped else options.output,

@@ -87,6 +87,11 @@ def test_a_stream_goes_to_stdout_and_all_else_to_stderr(
     assert printed.err.decode().startswith(f"-: 4 frames, {len(moving.data)} bytes\n")
 
 
+def test_a_terminal_gets_no_stream(moving_rig: Path, refused: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    assert "-o -: the stream would go to the terminal; redirect it" in refused(moving_rig, output=Path("-"))
+
+
 def test_resuming_says_what_was_there(
     moving: Any, moving_rig: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
