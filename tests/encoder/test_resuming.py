@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import io
 import random
+import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -248,49 +250,59 @@ def start(rig: Path, output: Path) -> tuple[subprocess.Popen[str], Path]:
     return child, log
 
 
-def finish(child: subprocess.Popen[str], output: Path, expected: bytes) -> None:
+def check_killed(
+    rig: Path, folder: Path, moments: Iterable[Callable[[subprocess.Popen[str], Path], None]]
+) -> list[int]:
+    """Kills an encode at each of the moments (they wait for it, given process and log); the frames each kill left."""
+    output = folder / "scene.dgs"
+    child, _ = start(rig, folder / "whole.dgs")
+    child.communicate(timeout=120)
+    expected, left = (folder / "whole.dgs").read_bytes(), []
+    for wait in moments:
+        child, log = start(rig, output)
+        wait(child, log)
+        child.kill()
+        _, err = child.communicate(timeout=120)
+        assert err == ""
+        if child.returncode == 0:  # it was quicker: the next one begins anew
+            assert output.read_bytes() == expected
+            output.unlink()
+            continue
+        assert child.returncode == -signal.SIGKILL
+        growing = output.with_name("scene.dgs.part")
+        data = growing.read_bytes() if growing.exists() else b""
+        assert expected.startswith(data)
+        left.append(sum(packet.kind in FRAME_KINDS for packet in iterate_packets(io.BytesIO(data), strict=False)))
+    child, _ = start(rig, output)
     _, err = child.communicate(timeout=120)
     assert (child.returncode, err) == (0, "")
     assert output.read_bytes() == expected
-
-
-def check_killed(rig: Path, folder: Path, kills: int, pause: Callable[[float], float]) -> list[int]:
-    """Kills an encode again and again at ``pause(longest)`` seconds after it began; the frames that each kill left."""
-    output = folder / "scene.dgs"
-    child, _ = start(rig, folder / "whole.dgs")
-    began = time.monotonic()
-    child.communicate(timeout=120)
-    expected, longest = (folder / "whole.dgs").read_bytes(), time.monotonic() - began
-    left = []
-    while len(left) < kills:
-        child, _ = start(rig, output)
-        try:
-            child.wait(pause(longest))
-        except subprocess.TimeoutExpired:
-            child.kill()
-            child.communicate()
-            growing = output.with_name("scene.dgs.part")
-            data = growing.read_bytes() if growing.exists() else b""
-            assert expected.startswith(data)
-            left.append(sum(packet.kind in FRAME_KINDS for packet in iterate_packets(io.BytesIO(data), strict=False)))
-        else:
-            finish(child, output, expected)
-            output.unlink()
-    child, _ = start(rig, output)
-    finish(child, output, expected)
     return left
 
 
 def test_killed_twice(long_rig: Path, tmp_path: Path) -> None:
-    """After a third and after two thirds of the time that the whole takes."""
-    pauses = iter([1 / 3, 2 / 3, 10])
-    left = check_killed(long_rig, tmp_path, 2, lambda longest: longest * next(pauses))
+    """After 3 and after 6 of the 10 frames, those that were there already counted."""
+
+    def after(frames: int) -> Callable[[subprocess.Popen[str], Path], None]:
+        def wait(child: subprocess.Popen[str], log: Path) -> None:
+            while child.poll() is None and log.read_text().count('"event": "frame"') < frames:
+                time.sleep(0.002)
+
+        return wait
+
+    left = check_killed(long_rig, tmp_path, [after(3), after(6)])
     assert left == sorted(left)
+    assert all(frames >= 3 for frames in left)
 
 
 @pytest.mark.soak
 def test_killed_at_random_moments(long_rig: Path, tmp_path: Path) -> None:
     moments = random.Random(time.time_ns())
-    left = check_killed(long_rig, tmp_path, 30, lambda longest: moments.uniform(0, 0.7) * longest)
-    assert len(left) == 30
+
+    def wait(child: subprocess.Popen[str], log: Path) -> None:
+        with suppress(subprocess.TimeoutExpired):
+            child.wait(moments.uniform(0, 1.5))
+
+    left = check_killed(long_rig, tmp_path, [wait] * 40)
+    assert len(left) >= 10
     assert len(set(left)) > 3, "killed before and between frames"
