@@ -98,8 +98,7 @@ def apply_delta(previous: State, delta: Delta) -> State:
     rows, residuals = _rows_that_stay(delta, stays)
     change, moved = _moved_rows(previous, rows, residuals)
     arrays = _resized(previous, delta, stays)
-    # A row moves up by the number of removed rows before it.
-    places = rows - np.searchsorted(delta.removed, rows) if len(delta.removed) else rows
+    places = rows_after(delta.removed, rows)
     for name, values in moved.items():
         if arrays[name] is getattr(previous, name):
             arrays[name] = arrays[name].copy()
@@ -112,6 +111,12 @@ def apply_delta(previous: State, delta: Delta) -> State:
         total += row_sum(delta.added, np.arange(previous.next_id, next_id, dtype=np.int64))
     frozen = {name: read_only(array) for name, array in arrays.items()}
     return State(**frozen, next_id=next_id, frame=previous.frame + 1, row_sum=total & MASK)
+
+
+def rows_after(removed: Rows, rows: Rows) -> Rows:
+    """Where rows that stay are once those of ``removed`` (ascending) are gone."""
+    # A row moves up by the number of removed rows before it.
+    return rows - np.searchsorted(removed, rows) if len(removed) else rows
 
 
 def ids_left(previous: State) -> int:

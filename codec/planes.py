@@ -49,7 +49,7 @@ def join_planes(counts: PlaneCounts, data: bytes, n: int) -> NDArray[np.unsigned
     planes = np.frombuffer(data, np.uint8).reshape(int(counts.sum(dtype=np.int64)), n)
     longest = int(counts.max(initial=0))
     if longest == 1 and counts.all():
-        return planes.T
+        return np.asarray(planes.T)
     dtype = next(t for t in (np.uint8, np.uint16, np.uint32, np.uint64) if t().itemsize >= longest)
     codes = np.zeros((len(counts), n), dtype)
     start = 0

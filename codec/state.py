@@ -124,6 +124,11 @@ def take_rows(attributes: Attributes, rows: NDArray[Any]) -> Attributes:
     )
 
 
+def same_scene(first: State, second: State) -> bool:
+    """Whether two states are one scene at two times: they share every array, and nothing was compared."""
+    return all(getattr(first, name) is getattr(second, name) for name in (*ARRAYS, "ids"))
+
+
 def check_shapes(attributes: Attributes) -> None:
     """Raises ValueError unless the arrays are int32 of one length and of the shapes of Splats."""
     n, k = len(attributes), attributes.coefficients

@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
@@ -121,23 +121,17 @@ def _pictures(
     undistorted: bool,
     threads: int,
 ) -> Iterator[tuple[DecodedFrame, Rendering]]:
-    """Frame by frame what the camera sees. A fixed camera's picture of an unchanged scene is not rendered again."""
-    last: tuple[object, object, Rendering] | None = None
+    """Frame by frame what the camera sees; of a fixed camera's picture, only what changed is rendered again."""
+    from .played_view import PlayedView
+
+    header = stream.header
+    options: dict[str, Any] = {"scale": scale, "background": background, "undistorted": undistorted, "threads": threads}
+    fixed = PlayedView(header, cameras[0], **options) if len(cameras) == 1 else None
     for frame in stream.frames(chosen.start, chosen.stop):
-        camera = cameras[0] if len(cameras) == 1 else _camera_of(cameras, frame.index)
-        splats = frame.splats
-        if last is None or last[0] is not splats or last[1] is not camera:
-            seen = render_view(
-                stream.header,
-                splats,
-                camera,
-                scale=scale,
-                background=background,
-                undistorted=undistorted,
-                threads=threads,
-            )
-            last = splats, camera, seen
-        yield frame, last[2]
+        if fixed is not None:
+            yield frame, fixed.show(frame)
+        else:
+            yield frame, render_view(header, frame.splats, _camera_of(cameras, frame.index), **options)
 
 
 def _camera_of(path: Sequence[Camera], frame: int) -> Camera:
