@@ -11,7 +11,7 @@ import numpy as np
 from decogs.codec.deltas import Delta, rows_after
 from decogs.codec.header import StreamHeader
 from decogs.codec.lattice import dequantise
-from decogs.codec.state import State, same_scene, take_rows
+from decogs.codec.state import Rows, State, same_scene, take_rows
 from decogs.formats.cameras import Camera
 
 from .rasterise import Rendering
@@ -68,22 +68,25 @@ class PlayedView:
             self._change(self._shown, delta, frame.state)
 
     def _change(self, before: State, delta: Delta, after: State) -> None:
-        rows = rows_after(delta.removed, np.setdiff1d(delta.rows, delta.removed, assume_unique=True))
-        added = np.arange(len(after) - len(delta.added), len(after), dtype=np.int64)
-        changed = np.concatenate([rows, added])
+        touched = np.zeros(len(before), bool)
+        touched[delta.rows] = touched[delta.removed] = True
+        lifted = np.flatnonzero(touched)
+        touched[delta.removed] = False
+        added = np.arange(len(after) - len(delta.added), len(after))
+        changed = np.concatenate([rows_after(delta.removed, np.flatnonzero(touched)), added])
         self._view.change(
-            np.union1d(delta.rows, delta.removed),
+            lifted,
             dequantise(take_rows(after, changed), self._lattice),
             changed,
             population=len(after),
-            renumbered=_renumbered(len(before), delta) if len(delta.removed) else None,
+            renumbered=_renumbered(len(before), delta.removed) if len(delta.removed) else None,
         )
 
 
-def _renumbered(population: int, delta: Delta) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
+def _renumbered(population: int, removed: Rows) -> Rows:
     """Every row's new one, -1 for removed ones."""
     stays = np.ones(population, np.int64)
-    stays[delta.removed] = 0
-    renumbered = np.cumsum(stays) - 1
-    renumbered[delta.removed] = -1
+    stays[removed] = 0
+    renumbered: Rows = np.cumsum(stays) - 1
+    renumbered[removed] = -1
     return renumbered

@@ -15,7 +15,7 @@ from decogs.decoder.rasterise import render
 from decogs.decoder.session import frame_range, open_stream, render_view
 from decogs.formats import container
 from decogs.formats.cameras import as_pinhole, scale_camera
-from decogs.formats.container import PACKET_OVERHEAD, read_index, scan_index
+from decogs.formats.container import PACKET_OVERHEAD, PacketKind, StreamWriter, read_index, scan_index
 from decogs.formats.errors import StreamError, UsageError
 
 ARRAYS = ("means", "log_scales", "quaternions", "opacity_logits", "sh", "ids")
@@ -61,6 +61,25 @@ def test_seeking_reads_from_the_last_keyframe_only(small_stream) -> None:
         assert_same_state(next(stream.frames(6)).state, small_stream.states[6])
         with pytest.raises(StreamError, match=r"scene\.dgs: .* in packet 1 at byte \d+ \[bad-payload-crc\]"):
             list(stream.frames(3))
+
+
+def test_opening_reads_header_and_index_only(small_stream, tmp_path: Path) -> None:
+    """Not the frame, which is no valid one; a buffer's worth of it may come along."""
+    large = tmp_path / "large.dgs"
+    with large.open("wb") as file:
+        writer = StreamWriter(file, small_stream.header.to_bytes())
+        writer.write(PacketKind.KEY, 0, bytes(1 << 22))
+        writer.finish()
+    before = bytes_read()
+    with open_stream(large) as stream:
+        assert stream.frame_count == 1
+    assert 0 < bytes_read() - before < 1 << 18
+
+
+def bytes_read() -> int:
+    """What this process has read so far, as the system counts it."""
+    fields = dict(line.split(": ") for line in Path("/proc/self/io").read_text().splitlines())
+    return int(fields["rchar"])
 
 
 def test_readers_do_not_disturb_each_other(small_stream) -> None:
