@@ -72,9 +72,10 @@ wheel-check: wheel ## install that wheel without any extra and run it
 	$(WHEEL_ENV)/bin/python -m pip install $(PIP_ARGS) --quiet -c constraints.txt $(DIST)/*.whl pytest
 	$(WHEEL_ENV)/bin/pytest -p no:cacheprovider tests/test_installed.py tests/decoder/test_standalone.py
 
-bench: $(READY) ## time the rasteriser, and sparse training steps against dense ones
+bench: $(READY) ## time the rasteriser, sparse training steps against dense ones, and decoding
 	$(BIN)/python tests/bench/rasterise.py
 	$(BIN)/python tests/bench/sparse.py
+	$(BIN)/python tests/bench/decode.py
 
 # Hours: what is already in report/runs, made by the same code, is not made again.
 report: $(READY) ## the paper's tables and our choices, measured on RIGS, into report/

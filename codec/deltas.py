@@ -13,15 +13,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .digest import MASK, group_form, hash_sum, linear_forms, row_sum
+from .digest import MASK, array_form, hash_sum, id_form, row_sum
 from .morton import morton_order
 from .state import (
+    ARRAYS,
     GROUPS,
     MAX_ID,
     Attributes,
     IntArray,
     Rows,
     State,
+    array_columns,
+    array_of,
     check_shapes,
     empty_attributes,
     group_channels,
@@ -30,7 +33,7 @@ from .state import (
     take_rows,
 )
 
-_ARRAYS = ("means", "log_scales", "quaternions", "opacity_logits", "sh", "ids")
+_ARRAYS = (*ARRAYS, "ids")
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,15 +93,18 @@ def apply_delta(previous: State, delta: Delta) -> State:
 
     The indices of ``delta`` must be valid (``difference`` and the payload reader see to it).
     """
-    rows, residuals = _rows_that_stay(delta)
-    forms, moved = _moved_columns(previous, rows, residuals)
-    arrays = _resized(previous, delta)
-    # A row moves up by the number of removed rows before it.
-    places = rows - np.searchsorted(delta.removed, rows)
-    for group, columns in moved.items():
-        _store(arrays, previous, group, places, columns)
+    stays = np.ones(len(previous), bool)
+    stays[delta.removed] = False
+    rows, residuals = _rows_that_stay(delta, stays)
+    change, moved = _moved_rows(previous, rows, residuals)
+    arrays = _resized(previous, delta, stays)
+    places = rows_after(delta.removed, rows)
+    for name, values in moved.items():
+        if arrays[name] is getattr(previous, name):
+            arrays[name] = arrays[name].copy()
+        arrays[name][places] = values
     next_id = previous.next_id + len(delta.added)
-    total = previous.row_sum + forms
+    total = previous.row_sum + change
     if len(delta.removed):
         total -= row_sum(take_rows(previous, delta.removed), previous.ids.take(delta.removed))
     if len(delta.added):
@@ -107,40 +113,52 @@ def apply_delta(previous: State, delta: Delta) -> State:
     return State(**frozen, next_id=next_id, frame=previous.frame + 1, row_sum=total & MASK)
 
 
+def rows_after(removed: Rows, rows: Rows) -> Rows:
+    """Where rows that stay are once those of ``removed`` (ascending) are gone."""
+    # A row moves up by the number of removed rows before it.
+    return rows - np.searchsorted(removed, rows) if len(removed) else rows
+
+
 def ids_left(previous: State) -> int:
     """How many Gaussians may still be added before the ids run out."""
     return MAX_ID - previous.next_id
 
 
-def _rows_that_stay(delta: Delta) -> tuple[Rows, Mapping[str, IntArray]]:
+def _rows_that_stay(delta: Delta, stays: NDArray[np.bool_]) -> tuple[Rows, Mapping[str, IntArray]]:
     """Touched rows and their residuals without those of rows that are removed anyway."""
-    gone = np.isin(delta.rows, delta.removed) if len(delta.removed) else np.zeros(0, bool)
-    if not gone.any():
+    kept = stays.take(delta.rows)
+    if kept.all():
         return delta.rows, delta.residuals
-    return delta.rows[~gone], {group: residual[~gone] for group, residual in delta.residuals.items()}
+    return delta.rows[kept], {group: residual[kept] for group, residual in delta.residuals.items()}
 
 
-def _moved_columns(previous: State, rows: Rows, residuals: Mapping[str, IntArray]) -> tuple[int, dict[str, IntArray]]:
-    """The change of the sum of row hashes, and the touched rows' new values per group."""
+def _moved_rows(previous: State, rows: Rows, residuals: Mapping[str, IntArray]) -> tuple[int, dict[str, IntArray]]:
+    """The change of the sum of row hashes, and of the arrays that change the touched rows as they are afterwards."""
     if not len(rows) or not residuals:
         return 0, {}
-    old = take_rows(previous, rows)
-    before = linear_forms(old, previous.ids.take(rows))
+    before = id_form(previous.ids.take(rows))
     after, moved = before.copy(), {}
-    for group, residual in residuals.items():
-        columns = group_columns(old, group)
-        moved[group] = columns + residual
-        after += group_form(moved[group], group, previous.coefficients)
-        after -= group_form(columns, group, previous.coefficients)
+    changing = {array_of(group) for group in residuals}
+    for name in ARRAYS:
+        values: IntArray = getattr(previous, name).take(rows, axis=0)
+        form = array_form(values, name)
+        before += form
+        if name in changing:
+            for group, residual in residuals.items():
+                if array_of(group) == name:
+                    columns = array_columns(values, group)
+                    columns += residual
+            form, moved[name] = array_form(values, name), values
+        after += form
     return hash_sum(after) - hash_sum(before), moved
 
 
-def _resized(previous: State, delta: Delta) -> dict[str, NDArray[Any]]:
+def _resized(previous: State, delta: Delta, stays: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
     """The state's arrays without the removed and with the added rows; the very same arrays when there are neither."""
     arrays: dict[str, NDArray[Any]] = {name: getattr(previous, name) for name in _ARRAYS}
     if not len(delta.removed) and not len(delta.added):
         return arrays
-    keep = np.delete(np.arange(len(previous)), delta.removed)
+    keep = np.flatnonzero(stays)
     size = len(keep) + len(delta.added)
     for name, array in arrays.items():
         # One new array, filled in one pass: memory traffic is what this function costs.
@@ -151,19 +169,6 @@ def _resized(previous: State, delta: Delta) -> dict[str, NDArray[Any]]:
         )
         arrays[name] = resized
     return arrays
-
-
-def _store(arrays: dict[str, NDArray[Any]], previous: State, group: str, rows: Rows, values: IntArray) -> None:
-    """Writes one group's values, into a copy if the array is still the previous state's."""
-    name = "sh" if group.startswith("sh_") else group
-    if arrays[name] is getattr(previous, name):
-        arrays[name] = arrays[name].copy()
-    if group == "sh_dc":
-        arrays[name][rows, 0] = values
-    elif group == "sh_rest":
-        arrays[name][rows, 1:] = values.reshape(len(values), -1, 3)
-    else:
-        arrays[name][rows] = values[:, 0] if group == "opacity_logits" else values
 
 
 def _residuals(before: Attributes, after: Attributes) -> dict[str, IntArray]:

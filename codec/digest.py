@@ -6,10 +6,12 @@ brought up to date by subtracting the hashes of the rows that go and adding thos
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
-from .state import GROUPS, Attributes, IntArray, Rows, State, group_channels, group_columns
+from .state import ARRAYS, Attributes, IntArray, Rows, State
 
 Hashes = NDArray[np.uint64]
 
@@ -40,22 +42,30 @@ def _column_keys() -> Hashes:
 
 
 _KEYS = _column_keys()
+_FIRST_KEY = dict(zip(ARRAYS, (1, 4, 7, 11, 12), strict=True))
 
 
-def group_form(columns: IntArray, group: str, coefficients: int) -> Hashes:
-    """One attribute group's share of the rows' linear forms, (n,); ``columns`` is (n, channels)."""
-    widths = group_channels(coefficients)
-    start = 1 + sum(widths[name] for name in GROUPS[: GROUPS.index(group)])
+def id_form(ids: Rows) -> Hashes:
+    """The ids' share of the rows' linear forms, (n,)."""
+    form: Hashes = ids.astype(np.uint64) * _KEYS[0]
+    return form
+
+
+def array_form(values: IntArray, name: str) -> Hashes:
+    """The share of one of ``ARRAYS`` in the rows' linear forms, (n,); ``values`` is its rows, (n, ...)."""
+    columns = values.reshape(len(values), math.prod(values.shape[1:]))
+    start = _FIRST_KEY[name]
     # Signed integers: their sums and products modulo 2**64 have the same bits as the unsigned ones.
-    form: NDArray[np.int64] = np.einsum("nc,c->n", columns, _KEYS[start : start + widths[group]].view(np.int64))
+    keys = _KEYS[start : start + columns.shape[1]].view(np.int64)
+    form: NDArray[np.int64] = np.einsum("nc,c->n", columns, keys)
     return form.view(np.uint64)
 
 
 def linear_forms(attributes: Attributes, ids: Rows) -> Hashes:
     """The rows' linear forms before scrambling, (n,)."""
-    forms: Hashes = ids.astype(np.uint64) * _KEYS[0]
-    for group in GROUPS:
-        forms += group_form(group_columns(attributes, group), group, attributes.coefficients)
+    forms = id_form(ids)
+    for name in ARRAYS:
+        forms += array_form(getattr(attributes, name), name)
     return forms
 
 

@@ -61,7 +61,7 @@ def read_group(cursor: Cursor, group: str, n: int, channels: int, *, values: boo
     data = read_block(cursor, size, size)
     if header.mode == MORTON:
         return _morton_values(cursor, header, data, n)
-    residuals = unzigzag(join_planes(header.counts, data, n, np.uint32))
+    residuals = unzigzag(join_planes(header.counts, data, n)).astype(np.int32, order="C")
     if header.mode == PREVIOUS_ROW:
         return np.cumsum(residuals, axis=0, dtype=np.int32)
     return residuals + header.offsets if header.mode == OFFSET else residuals
@@ -142,7 +142,7 @@ def _write_morton(means: IntArray, level: int) -> bytes | None:
 
 
 def _morton_values(cursor: Cursor, header: GroupHeader, data: bytes, n: int) -> IntArray:
-    gaps: NDArray[np.uint64] = join_planes(header.counts, data, n, np.uint64)[:, 0]
+    gaps = join_planes(header.counts, data, n)[:, 0].astype(np.uint64)
     codes = np.cumsum(gaps, dtype=np.uint64)
     if n and ((codes[1:] < codes[:-1]).any() or int(codes[-1]) >> (3 * AXIS_BITS)):
         cursor.fail(Reason.BAD_PAYLOAD, "Morton codes leave their 63 bits")

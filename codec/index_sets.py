@@ -72,6 +72,8 @@ def write_varints(values: NDArray[np.uint64]) -> bytes:
 def read_varints(cursor: Cursor, raw: bytes, count: int) -> NDArray[np.uint64]:
     """Exactly ``count`` numbers in their shortest form; raises StreamError("bad-index-set") otherwise."""
     data = np.frombuffer(raw, np.uint8)
+    if len(data) == count and data.max(initial=0) < 128:
+        return data.astype(np.uint64)
     ends = np.nonzero(data < 128)[0]
     if len(ends) != count or (count and ends[-1] != len(data) - 1):
         cursor.fail(Reason.BAD_INDEX_SET, f"{len(data)} bytes do not hold {count} numbers")

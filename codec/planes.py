@@ -17,9 +17,12 @@ def zigzag(values: IntArray) -> NDArray[np.uint32]:
     return np.asarray((values << np.int32(1)) ^ (values >> np.int32(31))).view(np.uint32)
 
 
-def unzigzag(codes: NDArray[np.uint32]) -> IntArray:
-    """The inverse of ``zigzag``, for every 32-bit code."""
-    return np.asarray((codes >> np.uint32(1)) ^ (np.uint32(0) - (codes & np.uint32(1)))).view(np.int32)
+def unzigzag(codes: NDArray[np.unsignedinteger[Any]]) -> NDArray[np.signedinteger[Any]]:
+    """The inverse of ``zigzag``, for every code of an unsigned type, in the signed type of its width."""
+    one = codes.dtype.type(1)
+    signs = codes & one
+    np.negative(signs, out=signs)
+    return np.asarray((codes >> one) ^ signs).view(f"i{codes.itemsize}")
 
 
 def split_planes(codes: NDArray[Any]) -> tuple[PlaneCounts, bytes]:
@@ -37,17 +40,22 @@ def split_planes(codes: NDArray[Any]) -> tuple[PlaneCounts, bytes]:
     return counts, b"".join(planes)
 
 
-def join_planes(counts: PlaneCounts, data: bytes, n: int, dtype: type[np.unsignedinteger[Any]]) -> NDArray[Any]:
-    """The codes (n, channels) from their planes; ``data`` has ``counts.sum() * n`` bytes."""
-    codes = np.zeros((len(counts), n), dtype)
+def join_planes(counts: PlaneCounts, data: bytes, n: int) -> NDArray[np.unsignedinteger[Any]]:
+    """The codes (n, channels) from their planes; ``data`` has ``counts.sum() * n`` bytes.
+
+    Their type is the narrowest that holds as many bytes as the longest channel has planes: most residuals fit one byte,
+    and what is narrow is quickly turned.
+    """
     planes = np.frombuffer(data, np.uint8).reshape(int(counts.sum(dtype=np.int64)), n)
+    longest = int(counts.max(initial=0))
+    if longest == 1 and counts.all():
+        return np.asarray(planes.T)
+    dtype = next(t for t in (np.uint8, np.uint16, np.uint32, np.uint64) if t().itemsize >= longest)
+    codes = np.zeros((len(counts), n), dtype)
     start = 0
-    for p in range(int(counts.max(initial=0))):
+    for p in range(longest):
         wanted = counts > p
         stop = start + int(wanted.sum())
-        if wanted.all():
-            codes |= planes[start:stop].astype(dtype) << dtype(8 * p)
-        else:
-            codes[wanted] |= planes[start:stop].astype(dtype) << dtype(8 * p)
+        codes[wanted] |= planes[start:stop].astype(dtype) << dtype(8 * p)
         start = stop
     return np.asarray(codes.T)

@@ -5,6 +5,7 @@ Arrays of a State are read-only and may be shared between successive states: a d
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -19,6 +20,9 @@ Rows = NDArray[np.int64]
 
 GROUPS = ("means", "log_scales", "quaternions", "opacity_logits", "sh_dc", "sh_rest")
 """The attribute groups in wire order; bit g of a presence byte stands for GROUPS[g]."""
+
+ARRAYS = ("means", "log_scales", "quaternions", "opacity_logits", "sh")
+"""The arrays that hold the groups, in the same order; ``sh`` holds the last two."""
 
 DEFAULT_MAX_GAUSSIANS = 1 << 21
 """What a reader accepts unless told otherwise; bounds the memory a hostile stream can claim (SPEC.md, "Limits")."""
@@ -71,13 +75,20 @@ def group_channels(coefficients: int) -> dict[str, int]:
 
 def group_columns(attributes: Attributes, group: str) -> IntArray:
     """One attribute group as a view (N, channels); sh_rest runs over coefficients, then colours."""
-    n = len(attributes)
+    return array_columns(getattr(attributes, array_of(group)), group)
+
+
+def array_columns(values: IntArray, group: str) -> IntArray:
+    """One attribute group as a view (n, channels) of rows (n, ...) of the array that holds it, C-contiguous."""
+    columns = values.reshape(len(values), math.prod(values.shape[1:]))
     if group == "sh_dc":
-        return attributes.sh[:, 0, :]
-    if group == "sh_rest":
-        return attributes.sh[:, 1:, :].reshape(n, 3 * (attributes.coefficients - 1))
-    columns: IntArray = getattr(attributes, group)
-    return columns[:, None] if group == "opacity_logits" else columns
+        return columns[:, :3]
+    return columns[:, 3:] if group == "sh_rest" else columns
+
+
+def array_of(group: str) -> str:
+    """The name of the array that holds an attribute group."""
+    return "sh" if group.startswith("sh_") else group
 
 
 def attributes_from_columns(columns: Mapping[str, IntArray], count: int, coefficients: int) -> Attributes:
@@ -115,8 +126,12 @@ def take_rows(attributes: Attributes, rows: NDArray[Any]) -> Attributes:
 
 def join_rows(first: Attributes, second: Attributes) -> Attributes:
     """The Gaussians of both, ``second``'s behind ``first``'s, without their ids."""
-    names = ("means", "log_scales", "quaternions", "opacity_logits", "sh")
-    return Attributes(*(np.concatenate([getattr(first, name), getattr(second, name)]) for name in names))
+    return Attributes(*(np.concatenate([getattr(first, name), getattr(second, name)]) for name in ARRAYS))
+
+
+def same_scene(first: State, second: State) -> bool:
+    """Whether two states are one scene at two times: they share every array, and nothing was compared."""
+    return all(getattr(first, name) is getattr(second, name) for name in (*ARRAYS, "ids"))
 
 
 def check_shapes(attributes: Attributes) -> None:

@@ -164,14 +164,15 @@ def _decode_growing(
 def _pictures(
     header: StreamHeader, frames: Iterator[DecodedFrame], cameras: Sequence[Camera], show: _Show
 ) -> Iterator[tuple[DecodedFrame, Rendering]]:
-    """Frame by frame what the camera sees. A fixed camera's picture of an unchanged scene is not rendered again."""
-    last: tuple[object, object, Rendering] | None = None
+    """Frame by frame what the camera sees; of a fixed camera's picture, only what changed is rendered again."""
+    from .played_view import PlayedView
+
+    fixed = PlayedView(header, cameras[0], **vars(show)) if len(cameras) == 1 else None
     for frame in frames:
-        camera = cameras[0] if len(cameras) == 1 else _camera_of(cameras, frame.index)
-        splats = frame.splats
-        if last is None or last[0] is not splats or last[1] is not camera:
-            last = splats, camera, render_view(header, splats, camera, **vars(show))
-        yield frame, last[2]
+        if fixed is not None:
+            yield frame, fixed.show(frame)
+        else:
+            yield frame, render_view(header, frame.splats, _camera_of(cameras, frame.index), **vars(show))
 
 
 def _camera_of(path: Sequence[Camera], frame: int) -> Camera:

@@ -18,10 +18,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from decogs.codec.deltas import Delta
 from decogs.codec.header import StreamHeader
 from decogs.codec.lattice import Lattice, dequantise
 from decogs.codec.reconstruct import reconstruct
-from decogs.codec.state import DEFAULT_MAX_GAUSSIANS, MAX_GAUSSIANS, State
+from decogs.codec.state import DEFAULT_MAX_GAUSSIANS, MAX_GAUSSIANS, State, same_scene
 from decogs.codec.syntax import key_changes, payload_costs, read_delta, refers_to_first
 from decogs.formats.cameras import Camera, as_pinhole, scale_camera
 from decogs.formats.container import (
@@ -104,14 +105,22 @@ class DecodedFrame:
         """The payload's bytes by purpose: header, index set, each attribute group (see SPEC.md, "Payloads")."""
         return payload_costs(self._packet, self._coefficients)
 
+    def delta_from(self, state: State) -> Delta | None:
+        """What this frame changed of ``state``, read from its packet again; None unless it is a delta to that scene."""
+        before = self._state_before
+        if self.kind != PacketKind.DELTA or before is None or not same_scene(before, state):
+            return None
+        delta, _ = read_delta(self._packet, before, max_gaussians=MAX_GAUSSIANS)
+        return delta
+
     @property
     def changes(self) -> Changes:
         """How many Gaussians this frame touched, added and removed; a keyframe brings all of them anew.
 
         One that refers to the first keyframe counts against that.
         """
-        if self.kind == PacketKind.DELTA and self._state_before is not None:
-            delta, _ = read_delta(self._packet, self._state_before, max_gaussians=MAX_GAUSSIANS)
+        delta = None if self._state_before is None else self.delta_from(self._state_before)
+        if delta is not None:
             return Changes(len(delta.rows), len(delta.added), len(delta.removed))
         if self._first is not None:
             return Changes(*key_changes(self._packet, self._first))
@@ -286,12 +295,23 @@ def render_view(
     ``background``: display-referred RGB, the header's when None; it also fills what a lens sees past the rendered
     pinhole. ``threads`` 0 means all processors. Raises UsageError for an unknown camera or an impossible size.
     """
-    from .rasterise import Rendering, render
+    from .rasterise import render
 
-    camera = scaled_view(camera_named(header, view) if isinstance(view, str) else view, scale)
+    plan = view_plan(header, view, scale=scale, undistorted=undistorted)
     background = header.background if background is None else background
-    plan = Redistortion(as_pinhole(camera) if undistorted else camera)
-    seen = render(splats, plan.render_camera, background, threads=threads)
+    return through_lens(plan, render(splats, plan.render_camera, background, threads=threads), background)
+
+
+def view_plan(header: StreamHeader, view: str | Camera, *, scale: float, undistorted: bool) -> Redistortion:
+    """What to render for the view that ``render_view`` takes, and the way from there to its own pixels."""
+    camera = scaled_view(camera_named(header, view) if isinstance(view, str) else view, scale)
+    return Redistortion(as_pinhole(camera) if undistorted else camera)
+
+
+def through_lens(plan: Redistortion, seen: Rendering, background: tuple[float, float, float]) -> Rendering:
+    """The rendering of ``plan.render_camera`` as the view's own camera sees it; the same object without a lens."""
+    from .rasterise import Rendering
+
     if plan.is_identity:
         return seen
     return Rendering(

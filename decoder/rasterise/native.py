@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import ctypes
 import os
+from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 from threading import Lock
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +16,8 @@ from numpy.typing import NDArray
 from decogs.formats.cameras import Camera, camera_centre
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import FloatArray, Splats
+
+RowArray = NDArray[np.int64]
 
 INSTRUCTION_SETS = ("base", "avx2", "avx512")
 """Slowest first; the kernel gives the same bits on all of them."""
@@ -62,6 +66,12 @@ class NativePlanes(ctypes.Structure):
     ]
 
 
+class NativePicture(ctypes.Structure):
+    """Where the kernel writes a picture as it is handed out (kernel/resting_view.h)."""
+
+    _fields_ = [("image", ctypes.c_void_p), ("depth", ctypes.c_void_p)]
+
+
 def native_camera(camera: Camera) -> NativeCamera:
     """The kernel's form of a pinhole camera; its lens distortion, if any, is not its concern."""
     pose = np.asarray(camera.world_to_camera, np.float64)
@@ -103,6 +113,16 @@ def native_scene(splats: Splats, sh_degree: int | None = None) -> NativeScene:
     )
 
 
+def checked_rows(rows: RowArray, population: int | None) -> RowArray:
+    """The rows for the kernel; ValueError unless they ascend and lie in a scene of ``population`` Gaussians."""
+    if rows.dtype != np.int64 or rows.ndim != 1:
+        raise ValueError(f"rows must be int64, not {rows.dtype} {rows.shape}")
+    outside = len(rows) > 0 and (rows[0] < 0 or (population is not None and rows[-1] >= population))
+    if outside or (np.diff(rows) <= 0).any():
+        raise ValueError("rows must ascend and lie in the scene")
+    return np.ascontiguousarray(rows)
+
+
 def thread_count(threads: int) -> int:
     """Number of threads to use: ``threads``, or all processors this process may use when it is 0."""
     if threads < 0 or threads > 1024:
@@ -141,28 +161,52 @@ def _library() -> ctypes.CDLL:
     library.decogs_renderer_destroy.argtypes = [ctypes.c_void_p]
     pointers = [ctypes.POINTER(t) for t in (NativeScene, NativeCamera, NativePlanes)]
     library.decogs_render.argtypes = [ctypes.c_void_p, *pointers]
+    handle, scene, camera, planes = ctypes.c_void_p, *pointers
+    library.decogs_resting_create.restype = handle
+    library.decogs_resting_create.argtypes = [camera]
+    library.decogs_resting_destroy.argtypes = [handle]
+    library.decogs_resting_place.argtypes = [handle, handle, scene]
+    library.decogs_resting_change.argtypes = [
+        handle,
+        handle,
+        handle,
+        ctypes.c_int64,
+        scene,
+        handle,
+        ctypes.c_int64,
+        handle,
+        ctypes.c_int64,
+    ]
+    library.decogs_resting_refresh.restype = ctypes.c_int64
+    library.decogs_resting_refresh.argtypes = [handle, handle, planes, ctypes.POINTER(NativePicture)]
     return library
 
 
-class _Renderer:
-    """Owns a thread pool and the kernel's buffers; one picture at a time."""
+class Renderer:
+    """Owns a thread pool and the kernel's buffers; one picture at a time, whoever asks for it."""
 
     def __init__(self, threads: int) -> None:
+        self.library = _library()
         self._lock = Lock()
-        self._library = _library()
-        self._handle = self._library.decogs_renderer_create(threads)
+        self._handle = self.library.decogs_renderer_create(threads)
 
     def __del__(self) -> None:
-        self._library.decogs_renderer_destroy(self._handle)
+        self.library.decogs_renderer_destroy(self._handle)
 
-    def render(self, scene: NativeScene, camera: NativeCamera, planes: NativePlanes) -> None:
+    def run(self, function: Callable[..., Any], *arguments: object) -> Any:
+        """Calls a function of ``library`` that works on this renderer."""
         with self._lock:  # ctypes lets other Python threads in while the kernel runs
-            self._library.decogs_render(self._handle, ctypes.byref(scene), ctypes.byref(camera), ctypes.byref(planes))
+            return function(self._handle, *arguments)
 
 
 @lru_cache(maxsize=2)
-def _renderer(threads: int) -> _Renderer:
-    return _Renderer(threads)
+def _renderer(threads: int) -> Renderer:
+    return Renderer(threads)
+
+
+def renderer(threads: int) -> Renderer:
+    """The renderer that all who want this number of threads share."""
+    return _renderer(thread_count(threads))
 
 
 def render_planes(
@@ -172,5 +216,8 @@ def render_planes(
     size = (camera.height, camera.width)
     rgb, alpha, depth = np.empty((3, *size), np.float32), np.empty(size, np.float32), np.empty(size, np.float32)
     planes = NativePlanes(rgb.ctypes.data, alpha.ctypes.data, depth.ctypes.data, (ctypes.c_float * 3)(*background))
-    _renderer(thread_count(threads)).render(native_scene(splats), native_camera(camera), planes)
+    shared, scene = renderer(threads), native_scene(splats)
+    shared.run(
+        shared.library.decogs_render, ctypes.byref(scene), ctypes.byref(native_camera(camera)), ctypes.byref(planes)
+    )
     return rgb, alpha, depth

@@ -30,11 +30,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from decogs.decoder.rasterise.native import RowArray, checked_rows
 from decogs.decoder.rasterise.reference import BLUR, CLOSEST, sh_basis
 from decogs.formats.cameras import Camera, camera_centre
 from decogs.formats.splats import FloatArray, Splats, take_splats
 
-from .fixed_view import FixedView, RowArray
+from .fixed_view import FixedView
 from .native import LossValue, Picture, SplatGradients, TrainingKernel, gradients_like
 from .photometric import photometric_loss
 
@@ -316,7 +317,7 @@ class CudaFixedView(FixedView):
         return _host(weights[:, :2].T)
 
     def lift(self, rows: RowArray) -> None:
-        lifted = self._device_kernel.upload(self._checked(rows, self._population))
+        lifted = self._device_kernel.upload(checked_rows(rows, self._population))
         self._stale = self._stale | self._tiles(self._lists(self._resting.take(lifted)).tiles)
         self._resting = self._resting._replace(radii=self._resting.radii.index_fill(0, lifted, 0))
         self._forget()
@@ -373,7 +374,7 @@ class CudaFixedView(FixedView):
         return self._trace.gradients([cotangent], out or gradients_like(self._drawn[0]))
 
     def settle(self, scene: Splats, rows: RowArray, renumbered: RowArray | None = None) -> None:
-        rows = self._checked(rows, len(scene))
+        rows = checked_rows(rows, len(scene))
         self._check_renumbered(renumbered)
         if renumbered is not None:
             kept = self._resting.take(self._device_kernel.upload(np.flatnonzero(renumbered >= 0)))

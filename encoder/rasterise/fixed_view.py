@@ -11,7 +11,7 @@ import ctypes
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.decoder.rasterise.native import NativePlanes, native_camera, native_scene
+from decogs.decoder.rasterise.native import NativePlanes, RowArray, checked_rows, native_camera, native_scene
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import FloatArray, Splats
 
@@ -26,8 +26,6 @@ from .native import (
     tile_count,
     training_library,
 )
-
-RowArray = NDArray[np.int64]
 
 
 class FixedView:
@@ -100,7 +98,7 @@ class FixedView:
 
     def lift(self, rows: RowArray) -> None:
         """Takes the Gaussians ``rows`` out of the scene at rest: they are what changes until ``settle``."""
-        rows = self._checked(rows, self._population)
+        rows = checked_rows(rows, self._population)
         self._library.decogs_view_lift(self._handle, address(rows), len(rows))
 
     def draw(self, moving: Splats, rows: RowArray, *, depth: bool = False) -> None:
@@ -175,7 +173,7 @@ class FixedView:
         ``renumbered`` (N,) gives every old Gaussian's row in ``scene``, -1 for one that is gone, which must have been
         lifted; None when all kept theirs.
         """
-        rows = self._checked(rows, len(scene))
+        rows = checked_rows(rows, len(scene))
         self._check_renumbered(renumbered)
         self._library.decogs_view_settle(
             self._kernel.handle,
@@ -198,18 +196,10 @@ class FixedView:
         more = (address(self._alpha), address(self._depth)) if depth else (None, None)
         return NativePlanes(address(self._rgb), *more, (ctypes.c_float * 3)(0, 0, 0))
 
-    def _checked(self, rows: RowArray, population: int | None) -> RowArray:
-        if rows.dtype != np.int64 or rows.ndim != 1:
-            raise ValueError(f"rows must be int64, not {rows.dtype} {rows.shape}")
-        outside = len(rows) > 0 and (rows[0] < 0 or (population is not None and rows[-1] >= population))
-        if outside or (np.diff(rows) <= 0).any():
-            raise ValueError("rows must ascend and lie in the scene")
-        return np.ascontiguousarray(rows)
-
     def _checked_of(self, moving: Splats, rows: RowArray) -> RowArray:
         if len(moving) != len(rows):
             raise ValueError(f"{len(moving)} Gaussians for {len(rows)} rows")
-        return self._checked(rows, None)
+        return checked_rows(rows, None)
 
     def _check_renumbered(self, renumbered: RowArray | None) -> None:
         if renumbered is not None and renumbered.shape != (self._population,):

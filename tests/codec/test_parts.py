@@ -36,7 +36,7 @@ def test_zigzag_has_the_values_of_the_specification() -> None:
 def test_planes_round_trip(values: np.ndarray) -> None:
     counts, data = split_planes(zigzag(values))
     assert len(data) == int(counts.sum()) * len(values)
-    assert np.array_equal(unzigzag(join_planes(counts, data, len(values), np.uint32)), values)
+    assert np.array_equal(unzigzag(join_planes(counts, data, len(values))), values)
 
 
 def test_planes_of_zeros_take_no_bytes_and_large_values_take_four() -> None:

@@ -16,6 +16,7 @@ from decogs.codec.lattice import dequantise
 from decogs.decoder import decode, export, info, render_view
 from decogs.decoder.commands import decode_main, export_main, info_main
 from decogs.decoder.pictures import linear_light, to_8bit
+from decogs.decoder.rasterise.resting_view import RestingView
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 
@@ -120,15 +121,16 @@ def test_video_and_exr_show_the_same(small_stream, tmp_path: Path) -> None:
 
 
 def test_an_unchanged_scene_is_not_rendered_twice(small_stream, tmp_path: Path, monkeypatch) -> None:
-    calls = []
+    drawn = []
+    refresh = RestingView.refresh
 
-    def counting(*arguments, **options):
-        calls.append(arguments)
-        return render_view(*arguments, **options)
+    def counting(view: RestingView) -> int:
+        drawn.append(refresh(view))
+        return drawn[-1]
 
-    monkeypatch.setattr("decogs.decoder.output.render_view", counting)
+    monkeypatch.setattr(RestingView, "refresh", counting)
     decode(small_stream.path, tmp_path / "o", view="cam00")
-    assert len(calls) == 5, "8 frames, 3 of them skip"
+    assert [tiles > 0 for tiles in drawn] == [kind != "skip" for kind in small_stream.kinds]
 
 
 def test_decoding_an_unfinished_stream_warns(unfinished_stream, tmp_path: Path, capsys) -> None:
@@ -241,7 +243,7 @@ def test_ctrl_c_is_one_line_and_leaves_nothing(small_stream, tmp_path: Path, cap
     def interrupted(*arguments, **options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("decogs.decoder.output.render_view", interrupted)
+    monkeypatch.setattr("decogs.decoder.played_view.PlayedView.show", interrupted)
     assert decode_main([str(small_stream.path), "--view", "cam00", "-o", str(tmp_path / "o.mp4")]) == 130
     assert capsys.readouterr().err == "decogs-decode: interrupted\n"
     assert os.listdir(tmp_path) == ["scene.dgs"]

@@ -1,5 +1,5 @@
 // The decoder's renderer behind a plain C interface; the signatures are mirrored in native.py.
-#include "composite.h"
+#include "resting_view.h"
 
 using namespace decogs;
 
@@ -10,6 +10,8 @@ struct Renderer {
     Binner binner;
     TileLists lists;
 };
+Renderer& renderer_of(void* handle) { return *static_cast<Renderer*>(handle); }
+RestingView& view_of(void* handle) { return *static_cast<RestingView*>(handle); }
 }  // namespace
 
 extern "C" {
@@ -32,7 +34,27 @@ void* decogs_renderer_create(int threads) { return new Renderer(threads); }
 void decogs_renderer_destroy(void* renderer) { delete static_cast<Renderer*>(renderer); }
 
 void decogs_render(void* handle, const Scene* scene, const Camera* camera, const Planes* out) {
-    auto& renderer = *static_cast<Renderer*>(handle);
+    Renderer& renderer = renderer_of(handle);
     render_picture(renderer.pool, renderer.binner, *scene, *camera, *out, renderer.lists, nullptr);
+}
+
+void* decogs_resting_create(const Camera* camera) { return new RestingView(*camera); }
+
+void decogs_resting_destroy(void* view) { delete static_cast<RestingView*>(view); }
+
+void decogs_resting_place(void* handle, void* view, const Scene* scene) {
+    Renderer& renderer = renderer_of(handle);
+    view_of(view).place(renderer.pool, renderer.binner, *scene);
+}
+
+// Lifts `gone_count` Gaussians, `gone`, and settles `rows` as the Gaussians of `changed`.
+void decogs_resting_change(void* handle, void* view, const int64_t* gone, int64_t gone_count, const Scene* changed, const int64_t* rows,
+                           int64_t population, const int64_t* renumbered, int64_t before) {
+    view_of(view).lift(gone, gone_count);
+    view_of(view).settle(renderer_of(handle).pool, *changed, nullptr, rows, changed->count, population, renumbered, before);
+}
+
+int64_t decogs_resting_refresh(void* handle, void* view, const Planes* planes, const Picture* to) {
+    return view_of(view).refresh(renderer_of(handle).pool, *planes, *to);
 }
 }

@@ -1,0 +1,92 @@
+"""A stream played through a fixed camera: frame after frame, only what changed is rendered again.
+
+Gaussians that a delta does not name keep their bits, so that the camera's picture of them is kept as well: their
+ellipses, the tiles they meet, and every tile that nothing touched. The pixels are those of ``render_view``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from decogs.codec.deltas import Delta, rows_after
+from decogs.codec.header import StreamHeader
+from decogs.codec.lattice import dequantise
+from decogs.codec.state import Rows, State, same_scene, take_rows
+from decogs.formats.cameras import Camera
+
+from .rasterise import Rendering
+from .rasterise.resting_view import RestingView
+from .session import DecodedFrame, through_lens, view_plan
+
+
+class PlayedView:
+    """What one camera sees of a stream's frames, shown one after the other; options as in ``render_view``.
+
+    Any frame may come next: after a seek or at a keyframe the whole picture is rendered, otherwise what changed.
+    """
+
+    def __init__(
+        self,
+        header: StreamHeader,
+        view: str | Camera,
+        *,
+        scale: float = 1.0,
+        background: tuple[float, float, float] | None = None,
+        undistorted: bool = False,
+        threads: int = 0,
+    ) -> None:
+        self._lattice = header.lattice
+        self._background = header.background if background is None else background
+        self._plan = view_plan(header, view, scale=scale, undistorted=undistorted)
+        self._view = RestingView(self._plan.render_camera, self._background, threads=threads)
+        self._shown: State | None = None
+        self._rendering: Rendering | None = None
+        self.redrawn = 0
+        """How many tiles the last frame shown had rendered again."""
+
+    def show(self, frame: DecodedFrame) -> Rendering:
+        """The picture of a frame; its arrays are read-only and may change when the next one is shown.
+
+        It is the very object of the frame shown before when no pixel can have changed.
+        """
+        self._follow(frame)
+        self._shown = frame.state
+        self.redrawn = self._view.refresh()
+        if self._rendering is None or self.redrawn:
+            seen = Rendering(self._view.image, self._view.alpha, self._view.depth)
+            self._rendering = through_lens(self._plan, seen, self._background)
+        return self._rendering
+
+    def _follow(self, frame: DecodedFrame) -> None:
+        """Brings the view's scene to that of the frame."""
+        if self._shown is not None and same_scene(self._shown, frame.state):
+            return
+        delta = None if self._shown is None else frame.delta_from(self._shown)
+        if self._shown is None or delta is None:
+            self._view.place(frame.splats)
+        else:
+            self._change(self._shown, delta, frame.state)
+
+    def _change(self, before: State, delta: Delta, after: State) -> None:
+        touched = np.zeros(len(before), bool)
+        touched[delta.rows] = touched[delta.removed] = True
+        lifted = np.flatnonzero(touched)
+        touched[delta.removed] = False
+        added = np.arange(len(after) - len(delta.added), len(after))
+        changed = np.concatenate([rows_after(delta.removed, np.flatnonzero(touched)), added])
+        self._view.change(
+            lifted,
+            dequantise(take_rows(after, changed), self._lattice),
+            changed,
+            population=len(after),
+            renumbered=_renumbered(len(before), delta.removed) if len(delta.removed) else None,
+        )
+
+
+def _renumbered(population: int, removed: Rows) -> Rows:
+    """Every row's new one, -1 for removed ones."""
+    stays = np.ones(population, np.int64)
+    stays[removed] = 0
+    renumbered: Rows = np.cumsum(stays) - 1
+    renumbered[removed] = -1
+    return renumbered

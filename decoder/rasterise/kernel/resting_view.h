@@ -1,0 +1,243 @@
+// A fixed camera's picture of a scene of which few Gaussians change from one frame to the next: what rests keeps its place in
+// the picture, its ellipse and its tiles.
+//
+// Chosen: every tile keeps the list of the Gaussians that rest in it, front to back. Gaussians that are about to change are
+// lifted out of these lists and merged into them again as they are afterwards; only tiles that lost or got one are drawn
+// again. Order, arithmetic and so every bit are those of a whole rendering. The encoder's view (fixed_view.h there) draws
+// lifted Gaussians too.
+// Rejected: comparing the tiles' lists of two whole renderings (projection and binning cost as much as what it saves).
+#pragma once
+
+#include "composite.h"
+
+namespace decogs {
+
+// A picture as it is handed out, beside the planes that the kernel composites.
+struct Picture {
+    float* image;  // (height, width, 3)
+    float* depth;  // (height, width): mean of what the pixel shows, 0 where that is nothing
+};
+
+// Brings the picture up to date with the planes in one tile.
+inline void finish_tile(const Camera& cam, int x0, int y0, const Planes& planes, const Picture& to) {
+    const int64_t plane = static_cast<int64_t>(cam.width) * cam.height;
+    const int columns = std::min(kTile, cam.width - x0);
+    for (int y = y0; y < std::min(cam.height, y0 + kTile); ++y) {
+        const int64_t first = static_cast<int64_t>(y) * cam.width + x0;
+        for (int64_t i = first; i < first + columns; ++i) {
+            for (int c = 0; c < 3; ++c) to.image[3 * i + c] = planes.rgb[c * plane + i];
+            to.depth[i] = planes.alpha[i] > 0.0f ? planes.depth[i] / planes.alpha[i] : 0.0f;
+        }
+    }
+}
+
+class RestingView {
+ public:
+    explicit RestingView(const Camera& camera) : camera_(camera) {
+        lists_.columns = (camera.width + kTile - 1) / kTile;
+        lists_.rows = (camera.height + kTile - 1) / kTile;
+        tiles_.resize(lists_.tiles());
+    }
+
+    // Starts anew with a whole scene, all of it at rest.
+    void place(Pool& pool, Binner& binner, const Scene& scene) {
+        binner.run(pool, scene, camera_, lists_);
+        for (int t = 0; t < lists_.tiles(); ++t) {
+            tiles_[t] = Tile();
+            for (uint32_t e = lists_.first_entry[t]; e < lists_.first_entry[t + 1]; ++e) {
+                const uint32_t g = lists_.entries[e].gaussian;
+                tiles_[t].resting.push_back({depth_key(lists_.projected[g].depth), g, 0.0f, -1});
+            }
+        }
+    }
+
+    // Takes Gaussians out of the tiles they rest in: from now on they are what changes. Returns these tiles, ascending.
+    std::vector<uint32_t> lift(const int64_t* rows, int64_t count) {
+        std::vector<uint8_t> lifted(lists_.projected.size(), 0);
+        std::vector<uint32_t> left;
+        for (int64_t i = 0; i < count; ++i) {
+            lifted[rows[i]] = 1;
+            touch(lists_.projected[rows[i]], lists_.columns, lists_.rows, left);
+        }
+        std::sort(left.begin(), left.end());
+        left.erase(std::unique(left.begin(), left.end()), left.end());
+        for (uint32_t t : left) {
+            auto& resting = tiles_[t].resting;
+            resting.erase(std::remove_if(resting.begin(), resting.end(), [&](const Resting& r) { return lifted[r.gaussian] != 0; }), resting.end());
+            tiles_[t].stale = true;
+        }
+        return left;
+    }
+
+    // All is at rest again: of the `population` Gaussians from now on, `rows` (ascending) were lifted or are new, and are the
+    // rows `from` of `scene` (null: all of it, in order). `renumbered` gives the new row of each of the `before` old ones, -1
+    // for those that are gone, which were lifted; null: all keep theirs.
+    void settle(Pool& pool, const Scene& scene, const int64_t* from, const int64_t* rows, int64_t count, int64_t population,
+                const int64_t* renumbered, int64_t before) {
+        if (renumbered) renumber(renumbered, before);
+        lists_.projected.resize(population);
+        bring(pool, scene, from, rows, count);
+        std::vector<Resting> merged;
+        for (int t = 0; t < lists_.tiles(); ++t) {
+            Tile& tile = tiles_[t];
+            if (first_arrival_[t + 1] == first_arrival_[t]) continue;
+            merged.clear();
+            each_in_order(
+                t, rows, [&](const Resting& r) { merged.push_back(r); },
+                [&](const Arrival& a) { merged.push_back({a.depth, static_cast<uint32_t>(rows[a.index]), 0.0f, -1}); });
+            tile.resting.swap(merged);
+            tile.stale = true;
+        }
+    }
+
+    // Redraws the tiles that do not show the scene at rest; returns how many there were.
+    int64_t refresh(Pool& pool, const Planes& planes, const Picture& to) {
+        line_up([](int) { return false; });
+        each_active(pool, [&](int t) {
+            find_blocks(t);
+            composite_tile(lists_, camera_, t, planes, nullptr);
+            finish_tile(camera_, t % lists_.columns * kTile, t / lists_.columns * kTile, planes, to);
+        });
+        return static_cast<int64_t>(active_.size());
+    }
+
+ protected:
+    struct Resting {
+        uint32_t depth, gaussian;
+        float weight;    // over the tile, for who weighs it
+        int32_t blocks;  // of the tile that its ellipse meets; -1: not known yet
+    };
+    struct Tile {
+        std::vector<Resting> resting;  // front to back; equal depths in the scene's order
+        bool stale = true;             // the picture is not that of the scene at rest
+    };
+    struct Arrival {  // of a Gaussian that was just projected, in a tile
+        uint32_t depth, index, pair;
+    };
+
+    // Projects the scene's rows `from` (null: all) into the places `to`, and sorts them into the tiles they meet.
+    void bring(Pool& pool, const Scene& scene, const int64_t* from, const int64_t* to, int64_t count) {
+        if (count && static_cast<int64_t>(lists_.projected.size()) <= to[count - 1]) lists_.projected.resize(to[count - 1] + 1);
+        projected_.resize((count + kLanes - 1) / kLanes * kLanes);
+        pairs_of_.resize(count);
+        const int chunks = static_cast<int>((count + kChunk - 1) / kChunk);
+        chunk_tiles_.resize(std::max<size_t>(chunk_tiles_.size(), chunks));
+        pool.run(chunks, [&](int chunk) {
+            const int64_t begin = static_cast<int64_t>(chunk) * kChunk, end = std::min<int64_t>(count, begin + kChunk);
+            chunk_tiles_[chunk].clear();
+            for (int64_t base = begin; base < end; base += kLanes) {
+                int64_t rows[kLanes];
+                for (int64_t i = 0; i < kLanes; ++i) rows[i] = from ? from[std::min(base + i, count - 1)] : std::min(base + i, count - 1);
+                project_rows(scene, camera_, rows, &projected_[base]);
+                for (int64_t i = base; i < std::min(base + kLanes, end); ++i) {
+                    lists_.projected[to[i]] = projected_[i];
+                    pairs_of_[i] = touch(projected_[i], lists_.columns, lists_.rows, chunk_tiles_[chunk]);
+                }
+            }
+        });
+        first_pair_.resize(count + 1);
+        order_.clear();
+        uint32_t pairs = 0;
+        for (int64_t i = 0; i < count; ++i) {
+            first_pair_[i] = pairs;
+            pairs += pairs_of_[i];
+            if (pairs_of_[i]) order_.push_back({depth_key(projected_[i].depth), static_cast<uint32_t>(i)});
+        }
+        first_pair_[count] = pairs;
+        tile_of_pair_.clear();
+        for (int chunk = 0; chunk < chunks; ++chunk) tile_of_pair_.insert(tile_of_pair_.end(), chunk_tiles_[chunk].begin(), chunk_tiles_[chunk].end());
+        sort_by_depth(order_, scratch_);
+        first_arrival_.assign(lists_.tiles() + 1, 0);
+        for (uint32_t tile : tile_of_pair_) ++first_arrival_[tile + 1];
+        for (int t = 0; t < lists_.tiles(); ++t) first_arrival_[t + 1] += first_arrival_[t];
+        cursor_.assign(first_arrival_.begin(), first_arrival_.end() - 1);
+        arrivals_.resize(pairs);
+        for (const Key& k : order_)
+            for (uint32_t pair = first_pair_[k.gaussian]; pair < first_pair_[k.gaussian + 1]; ++pair)
+                arrivals_[cursor_[tile_of_pair_[pair]]++] = {k.depth, k.gaussian, pair};
+    }
+
+    // Walks a tile's resting Gaussians and arrivals together, front to back.
+    template <class OnResting, class OnArrival>
+    void each_in_order(int t, const int64_t* rows, const OnResting& on_resting, const OnArrival& on_arrival) const {
+        uint32_t a = first_arrival_[t];
+        const uint32_t end = first_arrival_[t + 1];
+        for (const Resting& r : tiles_[t].resting) {
+            for (; a < end; ++a) {
+                const Arrival& next = arrivals_[a];
+                if (next.depth > r.depth || (next.depth == r.depth && rows[next.index] > static_cast<int64_t>(r.gaussian))) break;
+                on_arrival(next);
+            }
+            on_resting(r);
+        }
+        for (; a < end; ++a) on_arrival(arrivals_[a]);
+    }
+
+    // The lists of the active tiles, ready to be drawn.
+    void merge(const int64_t* rows) {
+        lists_.first_entry.assign(lists_.tiles() + 1, 0);
+        for (int t : active_)
+            lists_.first_entry[t + 1] = static_cast<uint32_t>(tiles_[t].resting.size()) + first_arrival_[t + 1] - first_arrival_[t];
+        for (int t = 0; t < lists_.tiles(); ++t) lists_.first_entry[t + 1] += lists_.first_entry[t];
+        lists_.entries.resize(lists_.first_entry[lists_.tiles()]);
+        for (int t : active_) {
+            Entry* to = lists_.entries.data() + lists_.first_entry[t];
+            each_in_order(
+                t, rows, [&](const Resting& r) { *to++ = {r.gaussian, kNoPair, r.blocks}; },
+                [&](const Arrival& a) { *to++ = {static_cast<uint32_t>(rows[a.index]), a.pair, -1}; });
+        }
+    }
+
+    // The tiles that do not show the scene at rest, and those that are `wanted`, become active: their lists are ready, and
+    // what is drawn of them from now on shows it.
+    template <class Wanted>
+    void line_up(const Wanted& wanted) {
+        active_.clear();
+        for (int t = 0; t < lists_.tiles(); ++t) {
+            if (!tiles_[t].stale && !wanted(t)) continue;
+            active_.push_back(t);
+            tiles_[t].stale = false;
+        }
+        first_arrival_.assign(lists_.tiles() + 1, 0);
+        merge(nullptr);
+    }
+
+    template <class Task>
+    void each_active(Pool& pool, const Task& task) {
+        constexpr int kTogether = 4;
+        const int count = static_cast<int>(active_.size());
+        pool.run((count + kTogether - 1) / kTogether, [&](int group) {
+            for (int i = group * kTogether; i < std::min(count, (group + 1) * kTogether); ++i) task(active_[i]);
+        });
+    }
+
+    // Which blocks of a tile the ellipses at rest in it meet, for all draws to come.
+    void find_blocks(int t) {
+        const TileCorners corners = block_corners(t % lists_.columns, t / lists_.columns);
+        Entry* entry = lists_.entries.data() + lists_.first_entry[t];
+        for (Resting& r : tiles_[t].resting) {
+            if (r.blocks < 0) r.blocks = blocks_met(lists_.projected[r.gaussian], corners.x, corners.y);
+            (entry++)->blocks = r.blocks;
+        }
+    }
+
+    void renumber(const int64_t* renumbered, int64_t before) {
+        for (int64_t i = 0; i < before; ++i)
+            if (renumbered[i] >= 0) lists_.projected[renumbered[i]] = lists_.projected[i];
+        for (Tile& tile : tiles_)
+            for (Resting& r : tile.resting) r.gaussian = static_cast<uint32_t>(renumbered[r.gaussian]);
+    }
+
+    Camera camera_;
+    TileLists lists_;  // `projected` of the whole scene; entries of the active tiles only
+    std::vector<Tile> tiles_;
+    std::vector<int> active_;
+    // What was brought last.
+    std::vector<Projected> projected_;
+    std::vector<uint32_t> pairs_of_, first_pair_, tile_of_pair_, first_arrival_, cursor_;
+    std::vector<std::vector<uint32_t>> chunk_tiles_;
+    std::vector<Key> order_, scratch_;
+    std::vector<Arrival> arrivals_;
+};
+
+}  // namespace decogs

@@ -1,0 +1,113 @@
+"""A fixed camera's picture, kept up to date while few Gaussians of its scene change from frame to frame.
+
+What rests is neither projected, nor sorted, nor drawn again; pictures have the bits of ``render``. Design and rejected
+alternatives: kernel/resting_view.h. Training builds on the same kernel, see ``decogs.encoder.rasterise``.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.formats.cameras import Camera
+from decogs.formats.splats import FloatArray, Splats
+
+from .native import (
+    NativePicture,
+    NativePlanes,
+    RowArray,
+    checked_rows,
+    native_camera,
+    native_scene,
+    renderer,
+)
+
+
+class RestingView:
+    """The picture of a pinhole ``camera``: ``place`` a scene, then ``change`` it frame by frame; ``refresh`` draws.
+
+    ``image`` (H, W, 3), ``alpha`` and ``depth`` (H, W) are those of a Rendering, as of the last ``refresh``: the same
+    read-only arrays all the time, whose pixels change. ``threads`` 0 means all processors.
+    """
+
+    def __init__(self, camera: Camera, background: tuple[float, float, float], *, threads: int = 0) -> None:
+        self._renderer = renderer(threads)
+        self._library = self._renderer.library
+        height, width = camera.height, camera.width
+        self._rgb = np.empty((3, height, width), np.float32)
+        self._depth_sum = np.empty((height, width), np.float32)
+        image = np.empty((height, width, 3), np.float32)
+        alpha, depth = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
+        self._planes = NativePlanes(
+            self._rgb.ctypes.data,
+            alpha.ctypes.data,
+            self._depth_sum.ctypes.data,
+            (ctypes.c_float * 3)(*background),
+        )
+        self._picture = NativePicture(image.ctypes.data, depth.ctypes.data)
+        self.image, self.alpha, self.depth = _seen(image), _seen(alpha), _seen(depth)
+        self._population = 0
+        self._handle = self._library.decogs_resting_create(ctypes.byref(native_camera(camera)))
+
+    def __del__(self) -> None:
+        if hasattr(self, "_handle"):
+            self._library.decogs_resting_destroy(self._handle)
+
+    def place(self, scene: Splats) -> None:
+        """Starts anew with a whole scene (N Gaussians)."""
+        self._run(self._library.decogs_resting_place, ctypes.byref(native_scene(scene)))
+        self._population = len(scene)
+
+    def change(
+        self,
+        lifted: RowArray,
+        changed: Splats,
+        rows: RowArray,
+        *,
+        population: int,
+        renumbered: RowArray | None = None,
+    ) -> None:
+        """Takes the rows ``lifted`` out of the scene and puts ``changed`` (M Gaussians) in at ``rows`` (M,).
+
+        Both ascend; ``rows`` are those of the scene of ``population`` Gaussians that it is then. ``renumbered`` (N,)
+        gives every former row's new one, -1 for lifted ones that are gone; None when all kept theirs.
+        """
+        lifted, rows = checked_rows(lifted, self._population), checked_rows(rows, population)
+        if len(changed) != len(rows):
+            raise ValueError(f"{len(changed)} Gaussians for {len(rows)} rows")
+        if renumbered is not None:
+            renumbered = np.ascontiguousarray(renumbered, np.int64)
+            if renumbered.shape != (self._population,) or renumbered.max(initial=-1) >= population:
+                raise ValueError(f"{renumbered.shape} new numbers below {population} for {self._population} Gaussians")
+        self._run(
+            self._library.decogs_resting_change,
+            lifted.ctypes.data,
+            len(lifted),
+            ctypes.byref(native_scene(changed)),
+            rows.ctypes.data,
+            population,
+            None if renumbered is None else renumbered.ctypes.data,
+            self._population,
+        )
+        self._population = population
+
+    def refresh(self) -> int:
+        """Redraws the 16x16 tiles that do not show the scene; returns how many there were."""
+        drawn: int = self._run(
+            self._library.decogs_resting_refresh, ctypes.byref(self._planes), ctypes.byref(self._picture)
+        )
+        return drawn
+
+    def _run(self, function: Callable[..., Any], *arguments: object) -> Any:
+        return self._renderer.run(function, self._handle, *arguments)
+
+
+def _seen(array: FloatArray) -> FloatArray:
+    """The same pixels, not to be written."""
+    view: NDArray[np.float32] = array.view()
+    view.flags.writeable = False
+    return view
