@@ -7,9 +7,11 @@ loaded when it is used.
 
 from .inspection import StreamInfo, info
 from .output import DecodeReport, decode, export
-from .session import DecodedFrame, Stream, open_stream, render_view
+from .session import Damage, DamageWarning, DecodedFrame, Stream, open_stream, render_view
 
 __all__ = [
+    "Damage",
+    "DamageWarning",
     "DecodeReport",
     "DecodedFrame",
     "Stream",

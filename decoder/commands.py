@@ -18,6 +18,8 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from decogs.formats.errors import DecogsError
 
+from .session import DEFAULT_MAX_MEMORY
+
 if TYPE_CHECKING:
     from .inspection import FrameInfo, StreamInfo
 
@@ -43,6 +45,7 @@ def decode_main(arguments: Sequence[str] | None = None) -> int:
     view.add_argument("--view", metavar="CAM", help="a camera of the rig, by name (decogs-info lists them)")
     view.add_argument("--camera", metavar="POSE.JSON", help="a free camera, or a path of one camera per frame")
     _add_frames(parser)
+    _add_trust(parser)
     parser.add_argument("--scale", type=float, default=1.0, metavar="S", help="size of the pictures (default 1)")
     parser.add_argument("--background", type=_colour, metavar="R,G,B", help="0 to 1 each (default: the stream's)")
     parser.add_argument("--undistorted", action="store_true", help="leave out the rig camera's lens distortion")
@@ -65,6 +68,7 @@ def export_main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("stream", help="the .dgs file")
     parser.add_argument("-o", "--output", required=True, metavar="OUTPUT", help="the .usdc or .usda file to write")
     _add_frames(parser)
+    _add_trust(parser)
     parser.add_argument(
         "--up-axis", choices=("Y", "Z"), default="Y", help="which world axis is up; nothing is rotated (default Y)"
     )
@@ -76,6 +80,7 @@ def info_main(arguments: Sequence[str] | None = None) -> int:
     parser = Parser(prog="decogs-info", description="Show what a .dgs stream holds; verifies every frame.")
     parser.add_argument("stream", help="the .dgs file")
     parser.add_argument("--json", action="store_true", help="print everything as JSON")
+    _add_trust(parser)
     return run(parser.prog, lambda: _info(parser.parse_args(frames_joined(arguments))))
 
 
@@ -144,6 +149,8 @@ def _decode(options: argparse.Namespace) -> None:
             background=options.background,
             undistorted=options.undistorted,
             threads=options.threads,
+            strict=options.strict,
+            max_memory=options.max_memory,
             follow=options.follow,
             idle=DEFAULT_IDLE if options.idle is None else options.idle,
             on_frame=on_frame,
@@ -164,6 +171,8 @@ def _export(options: argparse.Namespace) -> None:
             options.output,
             frames=options.frames,
             up_axis=options.up_axis,
+            strict=options.strict,
+            max_memory=options.max_memory,
             on_frame=on_frame,
             on_warning=_warn_as("decogs-export"),
         )
@@ -177,7 +186,7 @@ def _info(options: argparse.Namespace) -> None:
     from .inspection import info
 
     with progress("reading") as on_frame:
-        facts = info(options.stream, on_frame=on_frame)
+        facts = info(options.stream, strict=options.strict, max_memory=options.max_memory, on_frame=on_frame)
     print(json.dumps(facts.to_json(), indent=2) if options.json else "\n".join(_table(facts)))
 
 
@@ -187,9 +196,12 @@ def _table(facts: StreamInfo) -> Iterator[str]:
     if not facts.complete:
         tail = f", {facts.unfinished_bytes} bytes of an incomplete packet follow" if facts.unfinished_bytes else ""
         yield f"unfinished   the stream has no end packet{tail}"
+    lost = f", {totals['lost_frames']} lost" if totals["lost_frames"] else ""
     yield f"frames       {totals['frames']} ({totals['key_frames']} key, {totals['delta_frames']} delta, " + (
-        f"{totals['skip_frames']} skip)" + ("" if header.fps is None else f" at {header.fps:g} fps")
+        f"{totals['skip_frames']} skip{lost})" + ("" if header.fps is None else f" at {header.fps:g} fps")
     )
+    for damage in facts.damage:
+        yield f"damage       {_printable(str(damage))}"
     for camera in header.cameras:
         lens = "" if camera.distortion_model == "none" else f", {camera.distortion_model} lens"
         yield f"camera       {camera.name}  {camera.width}x{camera.height}{lens}" + (
@@ -239,6 +251,19 @@ def _add_frames(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--frames", metavar="A:B", help="half-open, as in Python: 0:10, 5:, -3: (default: all)")
 
 
+def _add_trust(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--strict", action="store_true", help="damage is an error; otherwise damaged frames show the last good one"
+    )
+    parser.add_argument(
+        "--max-memory",
+        type=number_of_bytes,
+        default=DEFAULT_MAX_MEMORY,
+        metavar="SIZE",
+        help="what a stream may claim, such as 512M or 2G (default 4G)",
+    )
+
+
 def frames_joined(arguments: Sequence[str] | None) -> list[str]:
     """Joins "--frames" with its value: argparse takes "-3:" for an option of its own."""
     given = list(sys.argv[1:] if arguments is None else arguments)
@@ -257,6 +282,14 @@ def _colour(text: str) -> tuple[float, float, float]:
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r} is no colour; write R,G,B from 0 to 1, such as 1,1,1") from None
     return red, green, blue
+
+
+def number_of_bytes(text: str) -> int:
+    """A size as the user writes it: digits, and K, M or G for powers of 1024."""
+    match = re.fullmatch(r"([0-9]{1,12})([KMG]?)", text, re.IGNORECASE | re.ASCII)
+    if match is None or not int(match[1]):
+        raise argparse.ArgumentTypeError(f"{text!r} is no size; write bytes, or a number with K, M or G, such as 512M")
+    return int(match[1]) << {"": 0, "K": 10, "M": 20, "G": 30}[match[2].upper()]
 
 
 def number_of_threads(text: str) -> int:

@@ -20,7 +20,7 @@ from decogs.formats.container import FRAME_KINDS, Packet, PacketReader
 from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.reasons import Reason
 
-from .session import DecodedFrame, errors_name, read_header
+from .session import DEFAULT_MAX_MEMORY, DecodedFrame, errors_name, gaussians_within, payload_within, read_header
 
 DEFAULT_IDLE = 600.0
 """Seconds without anything new after which nothing more is expected; training a keyframe takes minutes."""
@@ -34,11 +34,12 @@ class GrowingStream:
     ``header`` is there from the beginning; ``ended`` tells whether the end packet has come.
     """
 
-    def __init__(self, file: BinaryIO, name: str, *, idle: float | None, max_gaussians: int) -> None:
-        self._file, self.name, self._idle, self._max_gaussians = file, name, idle, max_gaussians
-        self._reader = PacketReader(file)
+    def __init__(self, file: BinaryIO, name: str, *, idle: float | None, max_memory: int) -> None:
+        self._file, self.name, self._idle = file, name, idle
+        self._reader = PacketReader(file, max_payload=payload_within(max_memory))
         with errors_name(name):
             self.header = read_header(self._next(), self._reader.offset)
+        self._max_gaussians = gaussians_within(max_memory, self.header.coefficients, DEFAULT_MAX_GAUSSIANS)
 
     @property
     def ended(self) -> bool:
@@ -90,9 +91,11 @@ def follow_stream(
     stream: str | os.PathLike[str] | BinaryIO,
     *,
     idle: float = DEFAULT_IDLE,
-    max_gaussians: int = DEFAULT_MAX_GAUSSIANS,
+    max_memory: int = DEFAULT_MAX_MEMORY,
 ) -> Iterator[GrowingStream]:
     """Follows the stream that the encoder writes as ``stream``, or reads one from a pipe until that ends.
+
+    ``max_memory``: as in ``open_stream``. Damage is an error.
 
     Waits up to ``idle`` seconds for the file, for its header, and for each further packet. A file is looked for as
     ``stream`` + ".part" first. Raises UsageError when there is none, StreamError for what is no readable stream.
@@ -100,10 +103,10 @@ def follow_stream(
     if not idle > 0:
         raise UsageError(f"{idle:g} s are no time to wait; give a number of seconds above 0")
     if not isinstance(stream, (str, os.PathLike)):
-        yield GrowingStream(stream, "-", idle=None, max_gaussians=max_gaussians)
+        yield GrowingStream(stream, "-", idle=None, max_memory=max_memory)
         return
     with _opened(Path(stream), idle) as file:
-        yield GrowingStream(file, str(stream), idle=idle, max_gaussians=max_gaussians)
+        yield GrowingStream(file, str(stream), idle=idle, max_memory=max_memory)
 
 
 def _opened(path: Path, idle: float) -> BinaryIO:

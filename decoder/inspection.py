@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import Any
 
 from decogs.codec.header import StreamHeader
-from decogs.formats.container import PacketKind
 
-from .session import DecodedFrame, open_stream
+from .session import DEFAULT_MAX_MEMORY, Damage, DecodedFrame, open_stream
 
 
 @dataclass(frozen=True)
 class FrameInfo:
     """One frame's packet: bytes on disk, Gaussians after it, how many it touched, added and removed.
 
+    ``kind``: "key", "delta", "skip", or "lost" when the frame is damaged and shows the last good one.
     ``refers_to_first``: a keyframe told as the difference from the stream's first one, which its counts then refer to.
     ``bytes_by_purpose`` splits the payload (header, index set, attribute groups); with the container's overhead it adds
     up to ``bytes``.
@@ -41,7 +41,7 @@ class FrameInfo:
 
 @dataclass(frozen=True)
 class StreamInfo:
-    """A whole stream; every frame was reconstructed and its digest verified."""
+    """A whole stream; every frame that is not lost was reconstructed and its digest verified."""
 
     path: Path
     file_bytes: int
@@ -50,16 +50,18 @@ class StreamInfo:
     unfinished_bytes: int
     header: StreamHeader
     frames: tuple[FrameInfo, ...]
+    damage: tuple[Damage, ...] = ()
 
     @property
     def totals(self) -> dict[str, Any]:
         """Counts and means; bytes per frame with the first keyframe (the whole file) and without (the later packets).
 
-        ``bytes_by_purpose`` adds up to the file: "container" is what packets, header packet and index take.
+        ``bytes_by_purpose`` adds up to the file: "container" is what packets, header packet and index take, and what is
+        damaged.
         """
         keys = [frame.bytes for frame in self.frames if frame.kind == "key"]
-        later = self.frames[1:]
-        others = [frame for frame in self.frames if frame.kind != "key"]
+        later = [frame for frame in self.frames[1:] if frame.kind != "lost"]
+        others = [frame for frame in self.frames if frame.kind in ("delta", "skip")]
         deltas = [frame.bytes for frame in self.frames if frame.kind == "delta"]
         purposes: dict[str, int] = {}
         for frame in self.frames:
@@ -71,6 +73,7 @@ class StreamInfo:
             "key_frames": len(keys),
             "delta_frames": len(deltas),
             "skip_frames": len(others) - len(deltas),
+            "lost_frames": len(self.frames) - len(keys) - len(others),
             "file_bytes": self.file_bytes,
             "bytes_per_frame": _mean(self.file_bytes, len(self.frames)),
             "bytes_per_frame_without_first_key": _mean(sum(frame.bytes for frame in later), len(later)),
@@ -112,17 +115,36 @@ class StreamInfo:
                 "writer": header.writer,
                 "settings": dict(header.settings),
             },
+            "damage": [
+                {
+                    "frames": [damage.frames.start, damage.frames.stop],
+                    "held": damage.held,
+                    "packet": damage.error.packet,
+                    "offset": damage.error.offset,
+                    "reason": damage.error.reason,
+                    "message": str(damage.error),
+                }
+                for damage in self.damage
+            ],
             "frames": [vars(frame) | {"share_touched": frame.share_touched} for frame in self.frames],
             "totals": self.totals,
         }
 
 
-def info(stream: str | os.PathLike[str], *, on_frame: Callable[[int, int], None] | None = None) -> StreamInfo:
+def info(
+    stream: str | os.PathLike[str],
+    *,
+    strict: bool = False,
+    max_memory: int = DEFAULT_MAX_MEMORY,
+    on_frame: Callable[[int, int], None] | None = None,
+) -> StreamInfo:
     """Facts about a stream, whose every complete frame is reconstructed and verified on the way.
 
-    ``on_frame(done, all)`` is told of progress. Raises StreamError at damage, OSError when the file cannot be read.
+    ``strict`` and ``max_memory`` (bytes) are those of ``open_stream``; without ``strict``, damage is among the facts.
+    ``on_frame(done, all)`` is told of progress. Raises StreamError, OSError when the file cannot be read.
     """
-    with open_stream(stream, strict=False) as opened:
+    found: list[Damage] = []
+    with open_stream(stream, strict=strict, max_memory=max_memory, on_damage=found.append) as opened:
         frames = []
         for frame in opened.frames():
             frames.append(_frame_info(frame))
@@ -136,6 +158,7 @@ def info(stream: str | os.PathLike[str], *, on_frame: Callable[[int, int], None]
             opened.unfinished_bytes,
             opened.header,
             tuple(frames),
+            tuple(found),
         )
 
 
@@ -143,7 +166,7 @@ def _frame_info(frame: DecodedFrame) -> FrameInfo:
     changes = frame.changes
     return FrameInfo(
         frame.index,
-        PacketKind(frame.kind).name.lower(),
+        "lost" if frame.kind is None else frame.kind.name.lower(),
         frame.packet_bytes,
         len(frame.state),
         changes.touched,

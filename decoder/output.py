@@ -16,7 +16,17 @@ from decogs.formats.errors import UsageError
 from .following import DEFAULT_IDLE, GrowingStream, follow_stream
 from .free_camera import read_free_cameras
 from .pictures import DEFAULT_FPS, open_sink
-from .session import DecodedFrame, Stream, camera_named, frame_range, open_stream, render_view, scaled_view
+from .session import (
+    DEFAULT_MAX_MEMORY,
+    DecodedFrame,
+    OnDamage,
+    Stream,
+    camera_named,
+    frame_range,
+    open_stream,
+    render_view,
+    scaled_view,
+)
 from .usd_export import ExportFrame, ExportReport, export_usd
 
 if TYPE_CHECKING:
@@ -25,6 +35,9 @@ if TYPE_CHECKING:
 Colour = tuple[float, float, float]
 OnFrame = Callable[[int, int], None]
 OnWarning = Callable[[str], None]
+
+_PIXEL_BYTES = 64
+"""What a pixel takes while its picture is rendered and written, counted for ``max_memory``."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +62,8 @@ def decode(
     background: Colour | None = None,
     undistorted: bool = False,
     threads: int = 0,
+    strict: bool = False,
+    max_memory: int = DEFAULT_MAX_MEMORY,
     follow: bool = False,
     idle: float = DEFAULT_IDLE,
     on_frame: OnFrame | None = None,
@@ -59,8 +74,9 @@ def decode(
     ``view`` names a camera of the rig; ``camera`` is a pose file, a Camera, or a list of them with one per frame of the
     stream. ``output`` chooses the kind of file, see ``decogs.decoder.pictures``. ``frames``: "A:B" or a slice, None for
     all. ``background``: display-referred RGB in 0..1, the stream's when None. ``undistorted``: without the rig camera's
-    lens distortion. ``on_frame(done, all)`` and ``on_warning(text)`` are told of progress; ``all`` is 0
-    while nobody knows.
+    lens distortion. ``strict`` and ``max_memory`` (bytes) are those of ``open_stream``: without ``strict``, damaged
+    frames show the last good one. ``on_frame(done, all)`` is told of progress, ``all`` being 0 while nobody knows, and
+    ``on_warning(text)`` of damage.
 
     ``follow``: each picture as soon as its packet is complete in the file that an encoder is writing as ``stream``
     (``decogs.decoder.following``), until the stream ends or nothing came for ``idle`` seconds; files of single pictures
@@ -72,14 +88,15 @@ def decode(
     _check_colour(background)
     show = _Show(scale, background, undistorted, threads)
     if follow or not isinstance(stream, (str, os.PathLike)):
-        with follow_stream(stream, idle=idle) as growing:
+        with follow_stream(stream, idle=idle, max_memory=max_memory) as growing:
             cameras = _cameras(growing.header, view, camera)
             return _decode_growing(growing, output, cameras, _coming_frames(frames), show, on_frame, on_warning)
-    with open_stream(stream, strict=False) as opened:
+    with open_stream(stream, strict=strict, max_memory=max_memory, on_damage=_damage_to(on_warning)) as opened:
         _warn_of_tail(opened, on_warning)
         chosen = _chosen_frames(opened, frames)
         cameras = _cameras(opened.header, view, camera)
         first = scaled_view(cameras[0], scale)
+        _check_picture(first, max_memory)
         with open_sink(output, view=first.name, frames=len(chosen), fps=opened.header.fps) as sink:
             coming = opened.frames(chosen.start, chosen.stop)
             for done, (frame, picture) in enumerate(_pictures(opened.header, coming, cameras, show), start=1):
@@ -95,15 +112,18 @@ def export(
     *,
     frames: str | slice | None = None,
     up_axis: Literal["Y", "Z"] = "Y",
+    strict: bool = False,
+    max_memory: int = DEFAULT_MAX_MEMORY,
     on_frame: OnFrame | None = None,
     on_warning: OnWarning | None = None,
 ) -> ExportReport:
     """Writes a range of frames as one USD file (.usdc, .usda), described in ``decogs.formats.usd``.
 
     ``frames``: "A:B" or a slice, None for all. ``up_axis`` states which axis of the world is up; nothing is rotated.
-    The frames are read twice; ``on_frame(done, all)`` counts both readings. Raises UsageError, StreamError or OSError.
+    ``strict`` and ``max_memory`` (bytes) are those of ``open_stream``. The frames are read twice; ``on_frame(done,
+    all)`` counts both readings, ``on_warning(text)`` is told of damage. Raises UsageError, StreamError or OSError.
     """
-    with open_stream(stream, strict=False) as opened:
+    with open_stream(stream, strict=strict, max_memory=max_memory, on_damage=_damage_to(on_warning)) as opened:
         _warn_of_tail(opened, on_warning)
         chosen = _chosen_frames(opened, frames)
         header = opened.header
@@ -226,6 +246,18 @@ def _coming_frames(frames: str | slice | None) -> slice:
 def _check_colour(colour: Colour | None) -> None:
     if colour is not None and not (len(colour) == 3 and all(0 <= channel <= 1 for channel in colour)):
         raise UsageError(f"the background {colour} is no colour; give red, green and blue from 0 to 1, such as 1,1,1")
+
+
+def _check_picture(camera: Camera, max_memory: int) -> None:
+    if camera.width * camera.height * _PIXEL_BYTES > max_memory:
+        raise UsageError(
+            f"camera {camera.name!r}: a picture of {camera.width}x{camera.height} needs more than the memory allowed; "
+            "choose a smaller scale or more memory (--max-memory)"
+        )
+
+
+def _damage_to(on_warning: OnWarning | None) -> OnDamage:
+    return lambda damage: None if on_warning is None else on_warning(str(damage))
 
 
 def _warn_of_tail(stream: Stream, on_warning: OnWarning | None) -> None:

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Iterator
+import warnings
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
@@ -36,8 +38,9 @@ from decogs.formats.container import (
     scan_index,
 )
 from decogs.formats.errors import StreamError, UsageError
-from decogs.formats.reasons import Reason
+from decogs.formats.reasons import DAMAGE, Reason
 from decogs.formats.splats import Splats
+from decogs.formats.survey import Survey, search, survey
 
 from .lens import Redistortion
 
@@ -47,9 +50,47 @@ if TYPE_CHECKING:
 MAX_PICTURE_PIXELS = 1 << 26
 """No larger picture is rendered (8192 x 8192): a few header bytes must not be able to claim all memory."""
 
-_COPIES = 7
-"""States and splats that are alive at once while a delta is applied, generously counted, and the first keyframe; for
-``max_memory``."""
+DEFAULT_MAX_MEMORY = 4 << 30
+"""What decoding may take unless told otherwise, in bytes, beyond the program itself."""
+
+_PAYLOAD_SHARE = 6
+"""A payload may take this fraction of the memory: all that a delta can say of the scene that fits, uncompressed."""
+
+_COPIES = 15
+"""A Gaussian may take this many times its bytes in a state: two states and the first keyframe's, their floats,
+and what is there in passing.
+
+The largest files that pass take up to 80 % of the limit (``tests/decoder/test_damage.py``)."""
+
+_FRAME_SHARE, _FRAME_BYTES = 16, 256
+"""The fraction of the memory for knowing where frames lie, and what one costs: 240 bytes, the index packet included."""
+
+
+class DamageWarning(UserWarning):
+    """Part of a stream is damaged and was concealed."""
+
+
+@dataclass(frozen=True)
+class Damage:
+    """A damaged place of a stream: what is wrong, and what a reader that goes on shows instead.
+
+    ``frames``: those that cannot be reconstructed, up to the next keyframe; none when only an accelerator or a packet
+    for people is hit. They show the frame ``held``. ``error`` names packet, offset and reason.
+    """
+
+    error: StreamError
+    frames: range = range(0)
+    held: int | None = None
+
+    def __str__(self) -> str:
+        if not self.frames:
+            return f"{self.error}; the frames around it are whole"
+        first, last = self.frames[0], self.frames[-1]
+        lost = f"frame {first} shows" if first == last else f"frames {first} to {last} show"
+        return f"{self.error}; {lost} frame {self.held}"
+
+
+OnDamage = Callable[[Damage], None]
 
 
 class _Activation:
@@ -68,6 +109,9 @@ class DecodedFrame:
 
     ``index`` counts frames from 0; ``kind`` is KEY, DELTA or SKIP; ``packet_bytes`` are its bytes on disk, container
     overhead included; ``state`` is the scene as lattice integers with ids, checked against the encoder's digest.
+
+    ``concealed`` is None, unless the frame could not be reconstructed: then it is what is wrong, ``kind`` is None,
+    ``packet_bytes`` 0, and the scene that of the last good frame.
     """
 
     def __init__(
@@ -79,16 +123,26 @@ class DecodedFrame:
         first: State | None = None,
     ) -> None:
         self.index = packet.frame
-        self.kind = PacketKind(packet.kind)
+        self.kind: PacketKind | None = PacketKind(packet.kind)
         self.packet_bytes = packet.size
         self.state = state
-        self._packet, self._coefficients = packet, header.coefficients
+        self.concealed: Damage | None = None
+        self._packet: Packet | None = packet
+        self._coefficients = header.coefficients
         self._state_before = None if before is None else before.state
         self._first = first
         unchanged = before is not None and self.kind == PacketKind.SKIP
         self._activation: _Activation = (
             before._activation if before and unchanged else _Activation(state, header.lattice)
         )
+
+    def held(self, index: int, damage: Damage) -> DecodedFrame:
+        """This frame shown once more in place of a damaged one."""
+        frame = copy(self)
+        frame.index, frame.concealed = index, damage
+        frame.kind, frame.packet_bytes, frame._packet = None, 0, None
+        frame.state = replace(self.state, frame=index)
+        return frame
 
     @property
     def splats(self) -> Splats:
@@ -98,17 +152,17 @@ class DecodedFrame:
     @property
     def refers_to_first(self) -> bool:
         """Whether this is a keyframe told as the difference from the stream's first one."""
-        return refers_to_first(self._packet)
+        return self._packet is not None and refers_to_first(self._packet)
 
     @property
     def costs(self) -> dict[str, int]:
         """The payload's bytes by purpose: header, index set, each attribute group (see SPEC.md, "Payloads")."""
-        return payload_costs(self._packet, self._coefficients)
+        return {} if self._packet is None else payload_costs(self._packet, self._coefficients)
 
     def delta_from(self, state: State) -> Delta | None:
         """What this frame changed of ``state``, read from its packet again; None unless it is a delta to that scene."""
         before = self._state_before
-        if self.kind != PacketKind.DELTA or before is None or not same_scene(before, state):
+        if self._packet is None or self.kind != PacketKind.DELTA or before is None or not same_scene(before, state):
             return None
         delta, _ = read_delta(self._packet, before, max_gaussians=MAX_GAUSSIANS)
         return delta
@@ -122,7 +176,7 @@ class DecodedFrame:
         delta = None if self._state_before is None else self.delta_from(self._state_before)
         if delta is not None:
             return Changes(len(delta.rows), len(delta.added), len(delta.removed))
-        if self._first is not None:
+        if self._first is not None and self._packet is not None:
             return Changes(*key_changes(self._packet, self._first))
         return Changes(0, len(self.state) if self.kind == PacketKind.KEY else 0, 0)
 
@@ -144,19 +198,33 @@ class Stream:
     independent of each other.
     """
 
-    def __init__(self, path: Path, *, max_gaussians: int, max_memory: int | None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        *,
+        strict: bool,
+        on_damage: OnDamage,
+        max_gaussians: int,
+        max_memory: int,
+    ) -> None:
         self.path = path
+        self._strict, self._on_damage = strict, on_damage
+        self._told: set[tuple[int | None, str, range]] = set()
         self._file = open(path, "rb")  # noqa: SIM115 (closed by __exit__)
         with self._closed_on_error(), errors_name(path):
-            self._max_payload = MAX_PAYLOAD if max_memory is None else min(MAX_PAYLOAD, max_memory // 4)
+            self._max_payload = payload_within(max_memory)
             reader = self._reader(0)
             self.header = read_header(reader.next(), reader.offset)
             self.version = reader.version
-            index = read_index(self._file)
-            self._entries = scan_index(self._file) if index is None else index
-            self.complete, self.unfinished_bytes = (True, 0) if index is not None else self._tail()
-            self._max_gaussians = _gaussians_within(max_memory, self.header.coefficients, max_gaussians)
+            self._survey = self._surveyed(max_memory // _FRAME_SHARE // _FRAME_BYTES)
+            self.complete, self.unfinished_bytes = self._survey.complete, self._survey.unfinished_bytes
+            if strict and self.unfinished_bytes:
+                message = f"the stream stops {self.unfinished_bytes} bytes into a packet"
+                raise StreamError(Reason.TRUNCATED, message, offset=self.file_bytes - self.unfinished_bytes)
+            self._max_gaussians = gaussians_within(max_memory, self.header.coefficients, max_gaussians)
             self._first: State | None = None
+        for error in self._survey.harmless():
+            self._tell(Damage(_named(error, path)))
 
     def __enter__(self) -> Stream:
         return self
@@ -168,8 +236,8 @@ class Stream:
 
     @property
     def frame_count(self) -> int:
-        """Frames whose packets are complete."""
-        return len(self._entries)
+        """Frames whose packets are complete, and those that are known to be lost."""
+        return self._survey.frame_count
 
     @property
     def file_bytes(self) -> int:
@@ -180,23 +248,55 @@ class Stream:
         """The frames from ``start`` up to, not including, ``stop`` (the stream's end when None), in order.
 
         Reading begins at the last keyframe at or before ``start``; the stream's first one is read, too, where that one
-        refers to it. Every frame's checksums and state digest are verified. Raises StreamError at damage, UsageError
-        when the range is not one of this stream.
+        refers to it. Every frame's checksums and state digest are verified. A frame that is damaged, and those after it
+        up to the next keyframe, are the last good frame once more, ``concealed``; when there is none, or the stream was
+        opened strictly, damage raises StreamError. Raises UsageError when the range is not one of this stream.
         """
         stop = self.frame_count if stop is None else stop
         if not 0 <= start <= stop <= self.frame_count:
             raise UsageError(f"{self.path}: frames {start}:{stop} are not in this stream of {self.frame_count} frames")
         if start == stop:
             return
-        key = self._keyframe_before(start)
-        # From the very start when no keyframe is passed over: errors can then count packets.
-        reader = self._reader(0 if key == 0 else self._entries[key].offset)
-        frame: DecodedFrame | None = None
-        for position in range(key, stop):
-            with errors_name(self.path):
-                frame = self._decoded(self._next_frame(reader, self._entries[position]), frame)
-            if position >= start:
+        with errors_name(self.path):
+            packets = _FramePackets(self._survey, self._reader, self._pass_over)
+            frame = self._opening(start, packets)
+        while True:
+            if frame.index >= start:
                 yield frame
+            if frame.index + 1 == stop:
+                return
+            with errors_name(self.path):
+                frame = self._following(frame, packets)
+
+    def _opening(self, start: int, packets: _FramePackets) -> DecodedFrame:
+        """The last keyframe at or before ``start`` that can be reconstructed."""
+        key = self._survey.keyframe_before(start + 1)
+        if key is None:
+            raise self._nothing_to_hold(start)
+        while True:
+            try:
+                return self._decoded(packets.of(key), None)
+            except StreamError as error:  # noqa: PERF203 (one turn, unless keyframes are damaged)
+                earlier = self._survey.keyframe_before(key)
+                if not self._conceals(error) or earlier is None:
+                    raise
+                key = earlier
+
+    def _following(self, before: DecodedFrame, packets: _FramePackets) -> DecodedFrame:
+        """The frame after ``before``, which is held when that frame is damaged."""
+        index, damage = before.index + 1, before.concealed
+        if damage is None or index not in damage.frames:
+            try:
+                return self._decoded(packets.of(index), before)
+            except StreamError as error:
+                if not self._conceals(error):
+                    raise
+                resumes = self._survey.keyframe_after(index)
+                lost = range(index, self.frame_count if resumes is None else resumes)
+                held = before.index if damage is None else damage.held
+                damage = Damage(_named(error, self.path), lost, held)
+                self._tell(damage)
+        return before.held(index, damage)
 
     def _decoded(self, packet: Packet, before: DecodedFrame | None) -> DecodedFrame:
         state_before = None if before is None else before.state
@@ -207,26 +307,50 @@ class Stream:
     def _first_keyframe(self) -> State:
         """The state that later keyframes refer to; kept from the first time it is asked for."""
         if self._first is None:
-            entry = self._entries[0]
-            packet = self._next_frame(self._reader(entry.offset), entry)
+            packet = _FramePackets(self._survey, self._reader, self._pass_over).of(0)
             self._first = reconstruct(None, packet, self.header, max_gaussians=self._max_gaussians)
         return self._first
 
-    def _next_frame(self, reader: PacketReader, entry: IndexEntry) -> Packet:
-        while (packet := reader.next()) is not None and packet.kind not in FRAME_KINDS:
-            pass
-        if packet is None:
-            raise StreamError(Reason.TRUNCATED, "the stream stops inside a packet", offset=reader.offset)
-        if (packet.offset, packet.kind, packet.frame) != (entry.offset, entry.kind, entry.frame):
-            message = f"the index says that frame {entry.frame} lies elsewhere"
-            raise StreamError(Reason.INDEX_MISMATCH, message, packet=packet.ordinal, offset=packet.offset)
-        return packet
+    def _conceals(self, error: StreamError) -> bool:
+        return not self._strict and error.reason in DAMAGE
 
-    def _keyframe_before(self, position: int) -> int:
-        keys = [i for i in range(position + 1) if self._entries[i].kind == PacketKind.KEY]
-        if not keys:
-            raise StreamError(Reason.MISSING_KEY, f"{self.path}: frame {position} needs a keyframe before it")
-        return keys[-1]
+    def _pass_over(self, error: StreamError) -> None:
+        """Damage before a frame's packet, in one that holds no frame."""
+        if not self._conceals(error):
+            raise error
+        self._tell(Damage(_named(error, self.path)))
+
+    def _tell(self, damage: Damage) -> None:
+        """Each damaged place is told of once, however often it is read."""
+        place = damage.error.offset, damage.error.reason, damage.frames
+        if place not in self._told:
+            self._told.add(place)
+            self._on_damage(damage)
+
+    def _nothing_to_hold(self, frame: int) -> StreamError:
+        key = self._survey.keyframe_after(frame)
+        message = f"frame {frame} needs a keyframe before it"
+        if key is not None:
+            message += f", and the first intact one is frame {key}; choose frames from there on"
+        return StreamError(Reason.MISSING_KEY, message, offset=self._survey.cause(frame).offset)
+
+    def _surveyed(self, max_frames: int) -> Survey:
+        """Where the frames lie: from the index, else from the packet headers, else from a search past the damage."""
+        try:
+            index = read_index(self._file, max_payload=self._max_payload, max_frames=max_frames)
+            if index is not None:
+                return survey(index, complete=True)
+            entries = scan_index(self._file, max_frames=max_frames)
+            reader = self._reader(entries[-1].offset if entries else 0)
+            while reader.next() is not None:
+                pass
+            unfinished = reader.pending
+            if not unfinished or self._strict or reader.resynchronise() is None:
+                return survey(entries, complete=reader.ended, unfinished_bytes=unfinished)
+        except StreamError as error:
+            if not self._conceals(error):
+                raise
+        return search(self._reader(0), max_frames=max_frames)
 
     @contextmanager
     def _closed_on_error(self) -> Iterator[None]:
@@ -236,37 +360,81 @@ class Stream:
             self._file.close()
             raise
 
-    def _tail(self) -> tuple[bool, int]:
-        """Whether the stream was finished (end packet), and the bytes of an incomplete packet at its tail."""
-        reader = self._reader(self._entries[-1].offset if self._entries else 0)
-        while reader.next() is not None:
-            pass
-        return reader.ended, reader.pending
-
     def _reader(self, offset: int) -> PacketReader:
+        """A reader of the packets from ``offset`` on, where one must start."""
         file = io.BufferedReader(_At(self._file.fileno(), offset))
         return PacketReader(file, max_payload=self._max_payload, offset=offset)
+
+
+class _FramePackets:
+    """The packets of frames in rising order, read one after the other as long as none is damaged or passed over."""
+
+    def __init__(
+        self, places: Survey, reader_at: Callable[[int], PacketReader], pass_over: Callable[[StreamError], None]
+    ) -> None:
+        self._places, self._reader_at, self._pass_over = places, reader_at, pass_over
+        self._reader: PacketReader | None = None
+        self._last: int | None = None
+
+    def of(self, frame: int) -> Packet:
+        """The packet of a frame; raises StreamError when it is lost or damaged."""
+        entry = self._places.entry(frame)
+        reader, self._reader = self._reader, None
+        if entry is None:
+            raise self._places.cause(frame)
+        if reader is None or self._last != frame - 1:
+            # From the very start when no frame is passed over: errors can then count packets.
+            reader = self._reader_at(0 if entry == self._places.entries[0] else entry.offset)
+        try:
+            packet = _next_frame(reader, entry)
+        except StreamError as error:
+            if reader.offset >= entry.offset:
+                raise
+            self._pass_over(error)
+            reader = self._reader_at(entry.offset)
+            packet = _next_frame(reader, entry)
+        self._reader, self._last = reader, frame
+        return packet
+
+
+def _next_frame(reader: PacketReader, entry: IndexEntry) -> Packet:
+    while (packet := reader.next()) is not None and packet.kind not in FRAME_KINDS:
+        pass
+    if packet is None:
+        raise StreamError(Reason.TRUNCATED, "the stream stops inside a packet", offset=reader.offset)
+    if (packet.offset, packet.kind, packet.frame) != (entry.offset, entry.kind, entry.frame):
+        message = f"the index says that frame {entry.frame} lies elsewhere"
+        raise StreamError(Reason.INDEX_MISMATCH, message, packet=packet.ordinal, offset=packet.offset)
+    return packet
 
 
 def open_stream(
     path: str | os.PathLike[str],
     *,
-    strict: bool = True,
+    strict: bool = False,
+    on_damage: OnDamage | None = None,
     max_gaussians: int = DEFAULT_MAX_GAUSSIANS,
-    max_memory: int | None = None,
+    max_memory: int = DEFAULT_MAX_MEMORY,
 ) -> Stream:
     """Opens a .dgs file; reads its header and where its frames lie, not the frames.
 
-    A file that stops inside a packet is an error when ``strict``; otherwise its complete frames can be decoded and
-    ``unfinished_bytes`` tells. ``max_gaussians`` and ``max_memory`` (bytes) bound what a hostile stream can claim.
+    ``strict`` makes damage an error, wherever it is met, and a file that stops inside a packet too. Otherwise the
+    complete frames of such a file can be decoded (``unfinished_bytes`` tells), damaged frames hold the last good one,
+    and ``on_damage`` is told of every damaged place; when it is None, a DamageWarning is issued. What no reader can
+    conceal is an error all the same: a damaged header, another version, a limit.
+
+    ``max_memory`` bounds in bytes what decoding a stream can take beyond the program itself and up to 60 MB for the
+    text of its header, ``max_gaussians`` its scene.
+
     Raises StreamError for what is no readable stream, OSError when the file cannot be read.
     """
-    stream = Stream(Path(path), max_gaussians=max_gaussians, max_memory=max_memory)
-    if strict and stream.unfinished_bytes:
-        with stream:
-            message = f"{path}: the stream stops {stream.unfinished_bytes} bytes into a packet"
-            raise StreamError(Reason.TRUNCATED, message, offset=stream.file_bytes - stream.unfinished_bytes)
-    return stream
+    return Stream(
+        Path(path),
+        strict=strict,
+        on_damage=_warn if on_damage is None else on_damage,
+        max_gaussians=max_gaussians,
+        max_memory=max_memory,
+    )
 
 
 def camera_named(header: StreamHeader, name: str) -> Camera:
@@ -349,13 +517,24 @@ def frame_range(text: str) -> slice:
     return slice(first, last)
 
 
+def _warn(damage: Damage) -> None:
+    warnings.warn(str(damage), DamageWarning, stacklevel=4)
+
+
+def _named(error: StreamError, path: Path | str) -> StreamError:
+    """The same error with the file's name before what the container and the codec, which know bytes only, say."""
+    if not str(error).startswith(f"{path}: "):
+        error.args = (f"{path}: {error}",)
+    return error
+
+
 @contextmanager
 def errors_name(path: Path | str) -> Iterator[None]:
     """Puts the file's name before what the container and the codec, which know bytes only, have to say."""
     try:
         yield
     except StreamError as error:
-        error.args = (f"{path}: {error}",)
+        _named(error, path)
         raise
 
 
@@ -382,8 +561,11 @@ def read_header(packet: Packet | None, offset: int) -> StreamHeader:
     return StreamHeader.from_bytes(packet.payload)
 
 
-def _gaussians_within(max_memory: int | None, coefficients: int, max_gaussians: int) -> int:
+def payload_within(max_memory: int) -> int:
+    """The largest payload that is read, in bytes."""
+    return min(MAX_PAYLOAD, max_memory // _PAYLOAD_SHARE)
+
+
+def gaussians_within(max_memory: int, coefficients: int, max_gaussians: int) -> int:
     """The Gaussians that fit: each has 11 + 3 K numbers of 4 bytes and an id of 8."""
-    if max_memory is None:
-        return max_gaussians
     return min(max_gaussians, max_memory // (_COPIES * (4 * (11 + 3 * coefficients) + 8)))

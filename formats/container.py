@@ -11,7 +11,7 @@ import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import BinaryIO
+from typing import BinaryIO, NoReturn
 
 from .cursor import Cursor
 from .errors import StreamError
@@ -38,6 +38,11 @@ _INDEX_ENTRY = struct.Struct("<QIB3x")
 _END = struct.Struct("<IQ")
 _END_PACKET_SIZE = PACKET_OVERHEAD + _END.size
 _READ_CHUNK = 1 << 20
+_SEARCH_CHUNK = 1 << 16
+
+_MAX_TIMES_CHECKED = 4
+"""How often, on average, each byte may be part of a packet whose checksum is wrong. Damage takes one or two; forged
+packet headers inside each other would make the search for an intact one quadratic."""
 
 
 class PacketKind(IntEnum):
@@ -82,7 +87,7 @@ class Packet:
         return Cursor(self.payload, packet=self.ordinal, offset=self.offset + PACKET_HEADER_SIZE)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class IndexEntry:
     """Where the packet of one frame starts in the stream."""
 
@@ -166,6 +171,7 @@ class PacketReader:
         self._at_prologue = offset == 0
         self._frames = 0
         self._damaged = False
+        self._checked_in_vain = 0
         self.version = VERSION
         self.ended = False
 
@@ -197,11 +203,7 @@ class PacketReader:
         kind, critical, frame, length = self._packet_header()
         if not self._fill(PACKET_OVERHEAD + length):
             return None
-        payload = bytes(self._buffer[PACKET_HEADER_SIZE : PACKET_HEADER_SIZE + length])
-        (crc,) = _CRC.unpack_from(self._buffer, PACKET_HEADER_SIZE + length)
-        if crc != zlib.crc32(payload):
-            self._fail(Reason.BAD_PAYLOAD_CRC, "the payload's checksum is wrong")
-        packet = Packet(kind, frame, payload, critical, self._ordinal, self._offset)
+        packet = Packet(kind, frame, self._payload(length), critical, self._ordinal, self._offset)
         self._check_place(packet)
         self._consume(packet.size)
         if self._ordinal is not None:
@@ -210,24 +212,21 @@ class PacketReader:
 
     def resynchronise(self) -> int | None:
         """Moves past the damage to the next intact packet header; the bytes skipped, None when there is none yet."""
-        skipped = 0
+        start = self._offset
         self._damaged = True
         self._at_prologue = False
-        self._advance(1)
-        skipped += 1
+        self._ordinal = None
+        self._consume(min(1, len(self._buffer)))
         while True:
             found = self._buffer.find(SYNC)
-            step = found if found >= 0 else max(0, len(self._buffer) - len(SYNC) + 1)
-            self._advance(step)
-            skipped += step
-            if not self._fill(PACKET_HEADER_SIZE):
-                return None
-            if self._buffer.startswith(SYNC):
-                if self._header_crc_is_right():
-                    self._ordinal = None
-                    return skipped
-                self._advance(1)
-                skipped += 1
+            self._consume(found if found >= 0 else max(0, len(self._buffer) - len(SYNC) + 1))
+            if len(self._buffer) < PACKET_HEADER_SIZE:
+                if not self._read_on():
+                    return None
+            elif self._header_crc_is_right():
+                return self._offset - start
+            else:
+                self._consume(1)
 
     def _read_prologue(self) -> bool:
         complete = self._fill(PROLOGUE_SIZE)
@@ -266,6 +265,18 @@ class PacketReader:
             self._fail(Reason.TOO_LARGE, f"a payload of {length} bytes is above the limit of {self._max_payload}")
         return kind, critical, frame, length
 
+    def _payload(self, length: int) -> bytes:
+        """The buffered packet's payload; raises when its checksum is wrong."""
+        end = PACKET_HEADER_SIZE + length
+        (crc,) = _CRC.unpack_from(self._buffer, end)
+        with memoryview(self._buffer) as buffered, buffered[PACKET_HEADER_SIZE:end] as payload:
+            if crc == zlib.crc32(payload):
+                return bytes(payload)
+        self._checked_in_vain += length
+        if self._checked_in_vain > _READ_CHUNK + _MAX_TIMES_CHECKED * (self._offset + len(self._buffer)):
+            self._fail(Reason.TOO_LARGE, "too many damaged packets overlap")
+        self._fail(Reason.BAD_PAYLOAD_CRC, "the payload's checksum is wrong")
+
     def _header_crc_is_right(self) -> bool:
         (crc,) = _CRC.unpack_from(self._buffer, _PACKET_HEADER.size)
         return bool(crc == zlib.crc32(bytes(self._buffer[: _PACKET_HEADER.size])))
@@ -277,7 +288,7 @@ class PacketReader:
         if packet.kind in FRAME_KINDS:
             self._frames += 1
         elif packet.kind == PacketKind.END:
-            frames, _ = _end_fields(packet)
+            frames, _ = end_fields(packet)
             if self._ordinal is not None and not self._damaged and frames != self._frames:
                 self._fail(Reason.INDEX_MISMATCH, f"the end packet counts {frames} frames, {self._frames} came")
             self.ended = True
@@ -297,17 +308,17 @@ class PacketReader:
             self._buffer += chunk
         return True
 
+    def _read_on(self) -> bool:
+        """Buffers some more bytes, whatever is there at once in a pipe; whether there were any."""
+        chunk: bytes = getattr(self._file, "read1", self._file.read)(_SEARCH_CHUNK)
+        self._buffer += chunk
+        return bool(chunk)
+
     def _consume(self, size: int) -> None:
         del self._buffer[:size]
         self._offset += size
 
-    def _advance(self, size: int) -> None:
-        """Drops up to ``size`` buffered bytes, reading one when the buffer is empty."""
-        if size and not self._buffer:
-            self._fill(1)
-        self._consume(min(size, len(self._buffer)))
-
-    def _fail(self, reason: str, message: str) -> None:
+    def _fail(self, reason: str, message: str) -> NoReturn:
         raise StreamError(reason, message, packet=self._ordinal, offset=self._offset)
 
 
@@ -345,12 +356,14 @@ def index_payload(entries: list[IndexEntry]) -> bytes:
     return _CRC.pack(len(rows)) + b"".join(rows)
 
 
-def parse_index(packet: Packet) -> list[IndexEntry]:
+def parse_index(packet: Packet, *, max_frames: int = MAX_FRAME) -> list[IndexEntry]:
     """The entries of an index packet; raises StreamError when it is malformed."""
     cursor = packet.cursor()
     count = cursor.u32()
     if count * _INDEX_ENTRY.size != cursor.remaining:
         cursor.fail(Reason.BAD_PAYLOAD, f"{count} index entries do not fill the {cursor.remaining} bytes left")
+    if count > max_frames:
+        cursor.fail(Reason.TOO_LARGE, f"{count} frames are above the limit of {max_frames}")
     entries = [IndexEntry(*fields) for fields in _INDEX_ENTRY.iter_unpack(cursor.take(cursor.remaining))]
     ends = [*(entry.offset for entry in entries[1:]), packet.offset]
     if any(entry.offset + PACKET_OVERHEAD > end for entry, end in zip(entries, ends, strict=True)):
@@ -360,43 +373,57 @@ def parse_index(packet: Packet) -> list[IndexEntry]:
     return entries
 
 
-def read_index(file: BinaryIO) -> list[IndexEntry] | None:
-    """The index at the end of a seekable file, None when there is none that can be used; reads the tail only."""
+def read_index(
+    file: BinaryIO, *, max_payload: int = MAX_PAYLOAD, max_frames: int = MAX_FRAME
+) -> list[IndexEntry] | None:
+    """The index at the end of a seekable file, None when there is none that can be used; reads the tail only.
+
+    Raises StreamError("too-large") above a limit.
+    """
     size = file.seek(0, os.SEEK_END)
     if size < PROLOGUE_SIZE + _END_PACKET_SIZE:
         return None
     try:
         end = read_packet_at(file, IndexEntry(size - _END_PACKET_SIZE, 0, PacketKind.END))
-        frames, offset = _end_fields(end)
+        frames, offset = end_fields(end)
         if not PROLOGUE_SIZE <= offset < end.offset:
             return None
-        entries = parse_index(read_packet_at(file, IndexEntry(offset, 0, PacketKind.INDEX)))
-    except StreamError:
+        packet = read_packet_at(file, IndexEntry(offset, 0, PacketKind.INDEX), max_payload=max_payload)
+        entries = parse_index(packet, max_frames=max_frames)
+    except StreamError as error:
+        if error.reason == Reason.TOO_LARGE:
+            raise
         return None
     return entries if len(entries) == frames else None
 
 
-def scan_index(file: BinaryIO) -> list[IndexEntry]:
+def scan_index(file: BinaryIO, *, max_frames: int = MAX_FRAME) -> list[IndexEntry]:
     """The same entries from the packet headers of a seekable file, without reading the payloads.
 
-    Stops at an incomplete tail; raises StreamError at a damaged packet header.
+    Stops at an incomplete tail; raises StreamError at a damaged packet header and above ``max_frames``.
     """
     size = file.seek(0, os.SEEK_END)
     file.seek(0)
     head = file.read(PROLOGUE_SIZE)
     _check_signature(head[: len(SIGNATURE)])
-    offset, entries = PROLOGUE_SIZE, []
+    offset, ordinal, entries = PROLOGUE_SIZE, 0, []
     while offset + PACKET_OVERHEAD <= size:
         file.seek(offset)
         head = file.read(PACKET_HEADER_SIZE)
         sync, kind, _, _, frame, length = _PACKET_HEADER.unpack_from(head)
-        if sync != SYNC or _CRC.unpack_from(head, _PACKET_HEADER.size)[0] != zlib.crc32(head[: _PACKET_HEADER.size]):
-            raise StreamError(Reason.BAD_HEADER_CRC, "the packet header is damaged", offset=offset)
+        if sync != SYNC:
+            raise StreamError(Reason.BAD_SYNC, "no packet starts here", packet=ordinal, offset=offset)
+        if _CRC.unpack_from(head, _PACKET_HEADER.size)[0] != zlib.crc32(head[: _PACKET_HEADER.size]):
+            message = "the packet header's checksum is wrong"
+            raise StreamError(Reason.BAD_HEADER_CRC, message, packet=ordinal, offset=offset)
         if offset + PACKET_OVERHEAD + length > size:
             break
         if kind in FRAME_KINDS:
             entries.append(IndexEntry(offset, frame, kind))
+            if len(entries) > max_frames:
+                raise StreamError(Reason.TOO_LARGE, f"more frames than the limit of {max_frames}", offset=offset)
         offset += PACKET_OVERHEAD + length
+        ordinal += 1
     return entries
 
 
@@ -406,7 +433,8 @@ def frame_index(file: BinaryIO) -> list[IndexEntry]:
     return scan_index(file) if entries is None else entries
 
 
-def _end_fields(packet: Packet) -> tuple[int, int]:
+def end_fields(packet: Packet) -> tuple[int, int]:
+    """Number of frames and offset of the index packet (0 for none) in an end packet; raises StreamError."""
     cursor = packet.cursor()
     if cursor.remaining != _END.size:
         cursor.fail(Reason.BAD_PAYLOAD, f"an end packet has {_END.size} bytes, not {cursor.remaining}")

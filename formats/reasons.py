@@ -34,3 +34,23 @@ class Reason:
 
 
 ALL_REASONS: Final = frozenset(value for name, value in vars(Reason).items() if name.isupper())
+
+DAMAGE: Final = frozenset(
+    {
+        Reason.TRUNCATED,
+        Reason.BAD_SYNC,
+        Reason.BAD_HEADER_CRC,
+        Reason.BAD_PAYLOAD_CRC,
+        Reason.MISPLACED_PACKET,
+        Reason.TRAILING_DATA,
+        Reason.INDEX_MISMATCH,
+        Reason.BAD_PAYLOAD,
+        Reason.BAD_INDEX_SET,
+        Reason.BAD_COMPRESSION,
+        Reason.MISSING_KEY,
+        Reason.FRAME_ORDER,
+        Reason.DIGEST_MISMATCH,
+    }
+)
+"""What a reader may conceal: bytes that changed or went missing. The others say that the reader cannot or must not show
+the stream: another format or version, or a limit."""

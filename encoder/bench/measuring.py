@@ -67,7 +67,7 @@ def measure_stream(
     reading: list[float] = []
     columns: list[NDArray[np.uint8]] = []
     before: BytePicture | None = None
-    with open_stream(path) as stream:
+    with open_stream(path, strict=True) as stream:
         decoded = stream.frames()
         for target in recorded:
             began = time.perf_counter()

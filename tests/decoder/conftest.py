@@ -148,6 +148,31 @@ def small_stream(tmp_path: Path) -> SmallStream:
 
 
 @pytest.fixture
+def tiny_stream(tmp_path: Path) -> SmallStream:
+    """Five frames of three Gaussians, the fourth a keyframe, in little more than a kilobyte: for trying every byte."""
+    lattice = default_lattice(2.0)
+    header = StreamHeader(cameras=some_cameras()[:1], lattice=lattice)
+    scene = quantise(some_splats(3), lattice)
+    state, _ = keyframe_state(replace(scene, sh=scene.sh[:, :1].copy()))
+    states: list[State] = []
+    kinds = ("key", "delta", "skip", "key", "delta")
+    path = tmp_path / "tiny.dgs"
+    with path.open("wb") as file:
+        writer = StreamWriter(file, header.to_bytes())
+        for frame, kind in enumerate(kinds):
+            if kind == "delta":
+                delta = difference(state, np.array([1]), moved(take_rows(state, np.array([1])), 9))
+                payload, state = write_delta(state, delta).payload, apply_delta(state, delta)
+            else:
+                state = replace(state, frame=frame)
+                payload = (write_key(state) if kind == "key" else write_skip(state)).payload
+            writer.write(PacketKind[kind.upper()], frame, payload)
+            states.append(state)
+        writer.finish()
+    return SmallStream(path, header, tuple(states), kinds, ())
+
+
+@pytest.fixture
 def unfinished_stream(tmp_path: Path) -> SmallStream:
     """The same without index and end packet, cut 3 bytes into the last frame's packet."""
     stream = write_stream(tmp_path / "cut.dgs", finished=False)

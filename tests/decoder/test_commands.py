@@ -229,11 +229,16 @@ def test_errors_are_one_line_and_exit_code_2(small_stream, tmp_path: Path, capsy
             [str(tmp_path / "file"), "--view", "cam00", "-o", out],
             "file: this is not a .dgs stream at byte 0 [bad-sig",
         ),
-        ([str(broken), "--view", "cam00", "-o", out], "[bad-"),
+        ([str(broken), "--view", "cam00", "-o", out, "--strict"], "[bad-"),
+        ([scene, "--view", "cam00", "-o", out, "--max-memory", "lots"], "'lots' is no size; write bytes, or"),
+        ([scene, "--view", "cam00", "-o", out, "--max-memory", "0"], "'0' is no size"),
+        ([scene, "--view", "cam00", "-o", out, "--max-memory", "1M", "--scale", "9"], "more memory (--max-memory)"),
     ):
         assert message in fails(decode_main, arguments, capsys), arguments
         assert sorted(os.listdir(tmp_path)) == ["broken.dgs", "file", "scene.dgs"]
-    assert "[bad-" in fails(info_main, [str(broken)], capsys)
+    assert "[bad-" in fails(info_main, [str(broken), "--strict"], capsys)
+    assert "[bad-" in fails(export_main, [str(broken), "-o", f"{out}.usda", "--strict"], capsys)
+    assert "[too-" in fails(info_main, [scene, "--max-memory", "35K"], capsys)
     assert "required: stream" in fails(info_main, [], capsys)
     assert "o.obj" in fails(export_main, [scene, "-o", f"{out}.obj"], capsys)
     assert "nothing to decode" in fails(export_main, [scene, "-o", f"{out}.usda", "--frames", "5:5"], capsys)
