@@ -49,7 +49,8 @@ class PlayedView:
 
         It is the very object of the frame shown before when no pixel can have changed.
         """
-        self._follow(frame)
+        shown, self._shown = self._shown, None  # a refused scene leaves nothing to go on from
+        self._follow(shown, frame)
         self._shown = frame.state
         self.redrawn = self._view.refresh()
         if self._rendering is None or self.redrawn:
@@ -57,15 +58,15 @@ class PlayedView:
             self._rendering = through_lens(self._plan, seen, self._background)
         return self._rendering
 
-    def _follow(self, frame: DecodedFrame) -> None:
-        """Brings the view's scene to that of the frame."""
-        if self._shown is not None and same_scene(self._shown, frame.state):
+    def _follow(self, shown: State | None, frame: DecodedFrame) -> None:
+        """Brings the view's scene from what it has shown to that of the frame."""
+        if shown is not None and same_scene(shown, frame.state):
             return
-        delta = None if self._shown is None else frame.delta_from(self._shown)
-        if self._shown is None or delta is None:
+        delta = None if shown is None else frame.delta_from(shown)
+        if shown is None or delta is None:
             self._view.place(frame.splats)
         else:
-            self._change(self._shown, delta, frame.state)
+            self._change(shown, delta, frame.state)
 
     def _change(self, before: State, delta: Delta, after: State) -> None:
         touched = np.zeros(len(before), bool)

@@ -160,12 +160,15 @@ def _library() -> ctypes.CDLL:
     library.decogs_renderer_create.argtypes = [ctypes.c_int]
     library.decogs_renderer_destroy.argtypes = [ctypes.c_void_p]
     pointers = [ctypes.POINTER(t) for t in (NativeScene, NativeCamera, NativePlanes)]
+    library.decogs_render.restype = ctypes.c_int
     library.decogs_render.argtypes = [ctypes.c_void_p, *pointers]
     handle, scene, camera, planes = ctypes.c_void_p, *pointers
     library.decogs_resting_create.restype = handle
     library.decogs_resting_create.argtypes = [camera]
     library.decogs_resting_destroy.argtypes = [handle]
+    library.decogs_resting_place.restype = ctypes.c_int
     library.decogs_resting_place.argtypes = [handle, handle, scene]
+    library.decogs_resting_change.restype = ctypes.c_int
     library.decogs_resting_change.argtypes = [
         handle,
         handle,
@@ -209,6 +212,14 @@ def renderer(threads: int) -> Renderer:
     return _renderer(thread_count(threads))
 
 
+def check_drawn(refused: int, width: int, height: int) -> None:
+    """Raises UsageError when the kernel refused a scene."""
+    if refused:
+        raise UsageError(
+            f"a picture of {width}x{height} is covered too many times by the scene's Gaussians; choose a smaller scale"
+        )
+
+
 def render_planes(
     splats: Splats, camera: Camera, background: tuple[float, float, float], threads: int
 ) -> tuple[FloatArray, FloatArray, NDArray[np.float32]]:
@@ -217,7 +228,8 @@ def render_planes(
     rgb, alpha, depth = np.empty((3, *size), np.float32), np.empty(size, np.float32), np.empty(size, np.float32)
     planes = NativePlanes(rgb.ctypes.data, alpha.ctypes.data, depth.ctypes.data, (ctypes.c_float * 3)(*background))
     shared, scene = renderer(threads), native_scene(splats)
-    shared.run(
+    refused = shared.run(
         shared.library.decogs_render, ctypes.byref(scene), ctypes.byref(native_camera(camera)), ctypes.byref(planes)
     )
+    check_drawn(refused, camera.width, camera.height)
     return rgb, alpha, depth

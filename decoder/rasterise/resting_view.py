@@ -20,6 +20,7 @@ from .native import (
     NativePicture,
     NativePlanes,
     RowArray,
+    check_drawn,
     checked_rows,
     native_camera,
     native_scene,
@@ -59,7 +60,8 @@ class RestingView:
 
     def place(self, scene: Splats) -> None:
         """Starts anew with a whole scene (N Gaussians)."""
-        self._run(self._library.decogs_resting_place, ctypes.byref(native_scene(scene)))
+        refused = self._run(self._library.decogs_resting_place, ctypes.byref(native_scene(scene)))
+        check_drawn(refused, *self.alpha.shape[::-1])
         self._population = len(scene)
 
     def change(
@@ -83,7 +85,7 @@ class RestingView:
             renumbered = np.ascontiguousarray(renumbered, np.int64)
             if renumbered.shape != (self._population,) or renumbered.max(initial=-1) >= population:
                 raise ValueError(f"{renumbered.shape} new numbers below {population} for {self._population} Gaussians")
-        self._run(
+        refused = self._run(
             self._library.decogs_resting_change,
             lifted.ctypes.data,
             len(lifted),
@@ -93,6 +95,7 @@ class RestingView:
             None if renumbered is None else renumbered.ctypes.data,
             self._population,
         )
+        check_drawn(refused, *self.alpha.shape[::-1])
         self._population = population
 
     def refresh(self) -> int:

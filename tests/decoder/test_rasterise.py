@@ -14,7 +14,8 @@ import pytest
 import rasterise_cases as cases
 from decogs.decoder.rasterise import render
 from decogs.decoder.rasterise.native import INSTRUCTION_SETS, render_planes, thread_count
-from decogs.formats.cameras import Camera
+from decogs.decoder.rasterise.resting_view import RestingView
+from decogs.formats.cameras import Camera, scale_camera
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import Splats, empty_splats, join_splats, take_splats
 from instruction_sets import printed_on
@@ -222,6 +223,19 @@ def test_lens_distortion_is_refused() -> None:
     camera = replace(cases.pinhole(8, 8, 8.0), distortion_model="opencv", distortion=(0.1, 0.0, 0.0, 0.0))
     with pytest.raises(UsageError, match="camera case"):
         render(empty_splats(0), camera)
+
+
+def test_a_scene_that_covers_the_picture_thousands_of_times_is_refused() -> None:
+    """2^27 pairs of a tile and a Gaussian are the most: a small stream must not be able to claim all memory."""
+    count = 2**27 // 256**2 + 1
+    row = np.float32([[0, 0, 2]]), np.ones((1, 3)), np.float32([[1, 0, 0, 0]]), np.full(1, 5.0), np.zeros((1, 1, 3))
+    splats = Splats(*(np.repeat(value, count, axis=0).astype(np.float32) for value in row))
+    wide = Camera("wide", 4096, 4096, 4e3, 4e3, 2048.0, 2048.0, np.eye(4))
+    with pytest.raises(UsageError, match="4096x4096 is covered too many times"):
+        RestingView(wide, (0.0, 0.0, 0.0)).place(splats)
+    with pytest.raises(UsageError, match="4096x4096 is covered too many times by the scene's Gaussians; choose a smal"):
+        render(splats, wide)
+    assert render(splats, scale_camera(wide, 1 / 64)).alpha.min() > 0.9, "and the renderer is as good as new"
 
 
 def test_malformed_arrays_are_refused() -> None:

@@ -14,6 +14,17 @@ Renderer& renderer_of(void* handle) { return *static_cast<Renderer*>(handle); }
 RestingView& view_of(void* handle) { return *static_cast<RestingView*>(handle); }
 }  // namespace
 
+// 0, or 1 when the scene covers the picture so many times that its tile lists would not fit; nothing is drawn then.
+template <class Work>
+int refused(const Work& work) {
+    try {
+        work();
+    } catch (const std::exception&) {
+        return 1;
+    }
+    return 0;
+}
+
 extern "C" {
 
 // 2 when this machine runs the AVX-512 build, 1 the AVX2 build, 0 only the base build. Asked of the base build, which
@@ -33,25 +44,27 @@ void* decogs_renderer_create(int threads) { return new Renderer(threads); }
 
 void decogs_renderer_destroy(void* renderer) { delete static_cast<Renderer*>(renderer); }
 
-void decogs_render(void* handle, const Scene* scene, const Camera* camera, const Planes* out) {
+int decogs_render(void* handle, const Scene* scene, const Camera* camera, const Planes* out) {
     Renderer& renderer = renderer_of(handle);
-    render_picture(renderer.pool, renderer.binner, *scene, *camera, *out, renderer.lists, nullptr);
+    return refused([&] { render_picture(renderer.pool, renderer.binner, *scene, *camera, *out, renderer.lists, nullptr); });
 }
 
 void* decogs_resting_create(const Camera* camera) { return new RestingView(*camera); }
 
 void decogs_resting_destroy(void* view) { delete static_cast<RestingView*>(view); }
 
-void decogs_resting_place(void* handle, void* view, const Scene* scene) {
+int decogs_resting_place(void* handle, void* view, const Scene* scene) {
     Renderer& renderer = renderer_of(handle);
-    view_of(view).place(renderer.pool, renderer.binner, *scene);
+    return refused([&] { view_of(view).place(renderer.pool, renderer.binner, *scene); });
 }
 
 // Lifts `gone_count` Gaussians, `gone`, and settles `rows` as the Gaussians of `changed`.
-void decogs_resting_change(void* handle, void* view, const int64_t* gone, int64_t gone_count, const Scene* changed, const int64_t* rows,
+int decogs_resting_change(void* handle, void* view, const int64_t* gone, int64_t gone_count, const Scene* changed, const int64_t* rows,
                            int64_t population, const int64_t* renumbered, int64_t before) {
-    view_of(view).lift(gone, gone_count);
-    view_of(view).settle(renderer_of(handle).pool, *changed, nullptr, rows, changed->count, population, renumbered, before);
+    return refused([&] {
+        view_of(view).lift(gone, gone_count);
+        view_of(view).settle(renderer_of(handle).pool, *changed, nullptr, rows, changed->count, population, renumbered, before);
+    });
 }
 
 int64_t decogs_resting_refresh(void* handle, void* view, const Planes* planes, const Picture* to) {

@@ -122,10 +122,15 @@ class RestingView {
         pairs_of_.resize(count);
         const int chunks = static_cast<int>((count + kChunk - 1) / kChunk);
         chunk_tiles_.resize(std::max<size_t>(chunk_tiles_.size(), chunks));
+        uint64_t resting = 0;
+        for (const Tile& tile : tiles_) resting += tile.resting.size();
+        count_.restart(resting);
         pool.run(chunks, [&](int chunk) {
             const int64_t begin = static_cast<int64_t>(chunk) * kChunk, end = std::min<int64_t>(count, begin + kChunk);
             chunk_tiles_[chunk].clear();
-            for (int64_t base = begin; base < end; base += kLanes) {
+            uint64_t added = 0;
+            for (int64_t base = begin; base < end && count_.fits_with(added); base += kLanes) {
+                const size_t so_far = chunk_tiles_[chunk].size();
                 int64_t rows[kLanes];
                 for (int64_t i = 0; i < kLanes; ++i) rows[i] = from ? from[std::min(base + i, count - 1)] : std::min(base + i, count - 1);
                 project_rows(scene, camera_, rows, &projected_[base]);
@@ -133,8 +138,11 @@ class RestingView {
                     lists_.projected[to[i]] = projected_[i];
                     pairs_of_[i] = touch(projected_[i], lists_.columns, lists_.rows, chunk_tiles_[chunk]);
                 }
+                added = chunk_tiles_[chunk].size() - so_far;
             }
+            count_.fits_with(added);
         });
+        count_.check();
         first_pair_.resize(count + 1);
         order_.clear();
         uint32_t pairs = 0;
@@ -238,6 +246,7 @@ class RestingView {
     std::vector<std::vector<uint32_t>> chunk_tiles_;
     std::vector<Key> order_, scratch_;
     std::vector<Arrival> arrivals_;
+    PairCount count_;
 };
 
 }  // namespace decogs

@@ -15,6 +15,7 @@
 namespace decogs {
 
 constexpr uint32_t kNoPair = UINT32_MAX;
+constexpr uint64_t kMaxPairs = 1u << 27;  // of a tile and a Gaussian in one picture: 20 bytes each, 2.7 GB
 
 struct Entry {
     uint32_t gaussian;
@@ -108,6 +109,20 @@ inline uint32_t touch(const Projected& g, int columns, int rows, std::vector<uin
     return static_cast<uint32_t>(tiles.size() - before);
 }
 
+// Counts the pairs that threads find together; a stream of a stranger can hold millions of Gaussians that each fill the
+// picture, and counting must stop before memory does.
+class PairCount {
+ public:
+    void restart(uint64_t pairs) { pairs_.store(pairs); }
+    bool fits_with(uint64_t more) { return pairs_.fetch_add(more) + more <= kMaxPairs; }
+    void check() const {
+        if (pairs_.load() > kMaxPairs) throw std::length_error("decogs: too many pairs of a tile and a Gaussian");
+    }
+
+ private:
+    std::atomic<uint64_t> pairs_{0};
+};
+
 class Binner {
    public:
     void run(Pool& pool, const Scene& scene, const Camera& cam, TileLists& lists) {
@@ -119,7 +134,9 @@ class Binner {
         const int chunks = static_cast<int>((n + kChunk - 1) / kChunk);
         chunk_tiles_.resize(std::max<size_t>(chunk_tiles_.size(), chunks));
         count_.resize(n);
+        pairs_.restart(0);
         pool.run(chunks, [&](int chunk) { project_chunk(scene, cam, lists, chunk); });
+        pairs_.check();
 
         lists.first_pair.resize(n + 1);
         uint64_t pairs = 0;
@@ -129,7 +146,6 @@ class Binner {
             pairs += count_[i];
             if (count_[i]) drawn_.push_back({depth_key(lists.projected[i].depth), static_cast<uint32_t>(i)});
         }
-        if (pairs > UINT32_MAX) throw std::length_error("decogs: more than 2^32 pairs of a tile and a Gaussian");
         lists.first_pair[n] = static_cast<uint32_t>(pairs);
         lists.tile_of_pair.resize(pairs);
         uint32_t at = 0;
@@ -146,13 +162,17 @@ class Binner {
         const int64_t n = scene.count, begin = static_cast<int64_t>(chunk) * kChunk, end = std::min(n, begin + kChunk);
         auto& tiles = chunk_tiles_[chunk];
         tiles.clear();
-        for (int64_t base = begin; base < end; base += kLanes) {
+        uint64_t added = 0;
+        for (int64_t base = begin; base < end && pairs_.fits_with(added); base += kLanes) {
+            const size_t before = tiles.size();
             int64_t rows[kLanes];
             for (int i = 0; i < kLanes; ++i) rows[i] = std::min(base + i, n - 1);
             project_rows(scene, cam, rows, &lists.projected[base]);
             for (int64_t i = base; i < std::min(base + kLanes, end); ++i)
                 count_[i] = touch(lists.projected[i], lists.columns, lists.rows, tiles);
+            added = tiles.size() - before;
         }
+        pairs_.fits_with(added);
     }
 
     void fill(TileLists& lists, uint32_t pairs) {
@@ -169,6 +189,7 @@ class Binner {
     std::vector<std::vector<uint32_t>> chunk_tiles_;
     std::vector<uint32_t> count_, cursor_;
     std::vector<Key> drawn_, other_;
+    PairCount pairs_;
 };
 
 }  // namespace decogs
