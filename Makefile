@@ -2,6 +2,7 @@
 #   PYTHON    the Python to use                      make setup PYTHON=python3.12
 #   PIP_ARGS  more options for pip, such as an index make setup PIP_ARGS="--index-url ..."
 #   RIGS      the rigs of the report                 make report RIGS="rig_a rig_b"
+#   FUZZ_ARGS more options for make fuzz             make fuzz FUZZ_ARGS="--seed 2 --inputs 1000000"
 #   BENCH_ARGS  more options for decogs-bench        make report BENCH_ARGS="--frames :10"
 
 PYTHON ?= python3
@@ -21,7 +22,7 @@ WHEEL_ENV := build/wheel-env
 
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
-.PHONY: help setup demo test lint type layers wheel wheel-check unit soak bench report clean
+.PHONY: help setup demo test lint type layers wheel wheel-check unit soak fuzz bench report clean
 
 help: ## list what can be made
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -71,6 +72,10 @@ wheel-check: wheel ## install that wheel without any extra and run it
 	$(BIN)/python -m venv $(WHEEL_ENV)
 	$(WHEEL_ENV)/bin/python -m pip install $(PIP_ARGS) --quiet -c constraints.txt $(DIST)/*.whl pytest
 	$(WHEEL_ENV)/bin/pytest -p no:cacheprovider tests/test_installed.py tests/decoder/test_standalone.py
+
+# Minutes; with `.venv/bin/pip install atheris` guided by coverage.
+fuzz: $(READY) ## hostile streams and payloads, 210 000 of them
+	$(BIN)/python tests/fuzz/run.py $(FUZZ_ARGS)
 
 bench: $(READY) ## time the rasteriser, sparse training steps against dense ones, and decoding
 	$(BIN)/python tests/bench/rasterise.py
