@@ -79,7 +79,12 @@ def info_main(arguments: Sequence[str] | None = None) -> int:
     """``decogs-info``: what a stream holds, frame by frame, and where its bytes go."""
     parser = Parser(prog="decogs-info", description="Show what a .dgs stream holds; verifies every frame.")
     parser.add_argument("stream", help="the .dgs file")
-    parser.add_argument("--json", action="store_true", help="print everything as JSON")
+    parser.add_argument("--json", action="store_true", help="print everything as JSON, the table of --bytes included")
+    parser.add_argument(
+        "--bytes",
+        action="store_true",
+        help="print where every byte goes instead: frame by frame, attribute by attribute",
+    )
     _add_trust(parser)
     return run(parser.prog, lambda: _info(parser.parse_args(frames_joined(arguments))))
 
@@ -187,7 +192,10 @@ def _info(options: argparse.Namespace) -> None:
 
     with progress("reading") as on_frame:
         facts = info(options.stream, strict=options.strict, max_memory=options.max_memory, on_frame=on_frame)
-    print(json.dumps(facts.to_json(), indent=2) if options.json else "\n".join(_table(facts)))
+    if options.json:
+        print(json.dumps(facts.to_json(), indent=2))
+    else:
+        print("\n".join(_bytes(facts) if options.bytes else _table(facts)))
 
 
 def _table(facts: StreamInfo) -> Iterator[str]:
@@ -231,6 +239,25 @@ def _table(facts: StreamInfo) -> Iterator[str]:
         yield f"share touched, mean       {totals['mean_share_touched']:.2%}"
     for purpose, count in sorted(totals["bytes_by_purpose"].items(), key=lambda item: -item[1]):
         yield f"bytes of {purpose:<22} {count:>10}  {count / max(1, facts.file_bytes):6.1%}"
+
+
+def _bytes(facts: StreamInfo) -> Iterator[str]:
+    """Bytes by frame and purpose; the rows of frames and "around" add up to the last one, and that to the file."""
+    table = facts.byte_table
+    names = [*table.purposes, "all"]
+    widths = [max(9, len(name) + 1) for name in names]
+
+    def line(label: str, values: Sequence[float]) -> str:
+        cells = [*values, sum(values)]
+        return f"{label:<14}" + "".join(f"{v:>{width}.0f}" for v, width in zip(cells, widths, strict=True))
+
+    yield f"{'bytes':<14}" + "".join(f"{name:>{width}}" for name, width in zip(names, widths, strict=True))
+    for frame, row in zip(facts.frames, table.rows, strict=True):
+        yield line(f"{frame.index:>6} {frame.kind}{'*' * frame.refers_to_first}", row)
+    for kind, means in table.means.items():
+        yield line(f"mean of {kind}", means)
+    yield line("around frames", (*[0] * (len(table.purposes) - 1), table.around))
+    yield line("the file", table.totals)
 
 
 def _short_settings(settings: Mapping[str, Any]) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from decogs.codec.header import StreamHeader
+from decogs.codec.state import GROUPS
 
 from .session import DEFAULT_MAX_MEMORY, Damage, DecodedFrame, open_stream
 
@@ -39,6 +40,56 @@ class FrameInfo:
         return min(1.0, (self.touched + self.added + self.removed) / max(1, self.gaussians))
 
 
+PURPOSES = ("header", "index", *GROUPS, *(f"added.{group}" for group in GROUPS), "ids", "removed")
+"""What a frame's payload can hold, in the order of tables; "container" follows, its packet around the payload."""
+
+CONTAINER = "container"
+
+
+@dataclass(frozen=True)
+class ByteTable:
+    """Bytes on disk by frame and purpose: ``rows[i][j]`` are frame i's of ``purposes[j]``, those that occur.
+
+    ``around``: what belongs to no frame (prologue, header packet, index, end) or is damaged. ``totals`` has the sum of
+    each column, ``around`` counted as the container's, so that it adds up to the file's ``total``.
+    """
+
+    purposes: tuple[str, ...]
+    rows: tuple[tuple[int, ...], ...]
+    kinds: tuple[str, ...]
+    around: int
+
+    @property
+    def totals(self) -> tuple[int, ...]:
+        columns = [sum(column) for column in zip(*self.rows, strict=True)] or [0] * len(self.purposes)
+        return (*columns[:-1], columns[-1] + self.around)
+
+    @property
+    def total(self) -> int:
+        return sum(self.totals)
+
+    @property
+    def means(self) -> dict[str, tuple[float, ...]]:
+        """Mean of each column over the frames of each kind that occurs, lost ones left out."""
+        by_kind: dict[str, list[tuple[int, ...]]] = {}
+        for row, kind in zip(self.rows, self.kinds, strict=True):
+            if kind != "lost":
+                by_kind.setdefault(kind, []).append(row)
+        return {
+            kind: tuple(sum(column) / len(rows) for column in zip(*rows, strict=True)) for kind, rows in by_kind.items()
+        }
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain JSON values; columns as in ``purposes``."""
+        return {
+            "purposes": list(self.purposes),
+            "frames": [list(row) for row in self.rows],
+            "around": self.around,
+            "totals": list(self.totals),
+            "means": {kind: list(means) for kind, means in self.means.items()},
+        }
+
+
 @dataclass(frozen=True)
 class StreamInfo:
     """A whole stream; every frame that is not lost was reconstructed and its digest verified."""
@@ -63,11 +114,7 @@ class StreamInfo:
         later = [frame for frame in self.frames[1:] if frame.kind != "lost"]
         others = [frame for frame in self.frames if frame.kind in ("delta", "skip")]
         deltas = [frame.bytes for frame in self.frames if frame.kind == "delta"]
-        purposes: dict[str, int] = {}
-        for frame in self.frames:
-            for purpose, count in frame.bytes_by_purpose.items():
-                purposes[purpose] = purposes.get(purpose, 0) + count
-        purposes["container"] = self.file_bytes - sum(purposes.values())
+        table = self.byte_table
         return {
             "frames": len(self.frames),
             "key_frames": len(keys),
@@ -80,8 +127,20 @@ class StreamInfo:
             "mean_key_bytes": _mean(sum(keys), len(keys)),
             "mean_delta_bytes": _mean(sum(deltas), len(deltas)),
             "mean_share_touched": _mean(sum(frame.share_touched for frame in others), len(others)),
-            "bytes_by_purpose": purposes,
+            "bytes_by_purpose": dict(zip(table.purposes, table.totals, strict=True)),
         }
+
+    @property
+    def byte_table(self) -> ByteTable:
+        """Where every byte of the file goes, frame by frame."""
+        present = {purpose for frame in self.frames for purpose in frame.bytes_by_purpose}
+        purposes = [*(purpose for purpose in PURPOSES if purpose in present), *sorted(present.difference(PURPOSES))]
+        rows = []
+        for frame in self.frames:
+            payload = [frame.bytes_by_purpose.get(purpose, 0) for purpose in purposes]
+            rows.append((*payload, frame.bytes - sum(payload)))
+        around = self.file_bytes - sum(frame.bytes for frame in self.frames)
+        return ByteTable((*purposes, CONTAINER), tuple(rows), tuple(frame.kind for frame in self.frames), around)
 
     def to_json(self) -> dict[str, Any]:
         """The same as plain JSON values, for ``decogs-info --json``."""
@@ -128,6 +187,7 @@ class StreamInfo:
             ],
             "frames": [vars(frame) | {"share_touched": frame.share_touched} for frame in self.frames],
             "totals": self.totals,
+            "bytes": self.byte_table.to_json(),
         }
 
 

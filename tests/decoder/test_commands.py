@@ -182,6 +182,40 @@ def test_info_prints_a_table_without_terminal_commands(small_stream, unfinished_
     assert "no end packet, 3 bytes of an incomplete packet follow" in capsys.readouterr().out
 
 
+def test_info_bytes_is_a_table_that_adds_up_to_the_file(segmented_stream, capsys) -> None:
+    assert info_main([str(segmented_stream.path), "--bytes"]) == 0
+    printed = capsys.readouterr().out.splitlines()
+    widths = {len(line) for line in printed}
+    assert len(widths) == 1, "columns are aligned"
+    rows = {line[:14].strip(): [int(cell) for cell in line[14:].split()] for line in printed[1:]}
+    frames = [cells for label, cells in rows.items() if label[0].isdigit()]
+    assert "5 key*" in rows
+    assert len(frames) == len(segmented_stream.states)
+    size = segmented_stream.path.stat().st_size
+    columns = list(zip(*frames, rows["around frames"], strict=True))
+    assert [sum(column) for column in columns] == rows["the file"]
+    assert all(sum(cells[:-1]) == cells[-1] for cells in frames)
+    assert rows["the file"][-1] == size
+    keys = [cells for label, cells in rows.items() if "key" in label and label[0].isdigit()]
+    assert rows["mean of key"] == pytest.approx(np.mean(keys, axis=0), abs=0.5), "rounded to whole bytes"
+
+    assert info_main([str(segmented_stream.path), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    table = facts["bytes"]
+    assert table["frames"] == [cells[:-1] for cells in frames]
+    for frame, cells in zip(facts["frames"], table["frames"], strict=True):
+        by_name = dict(zip(table["purposes"], cells, strict=True))
+        assert frame["bytes"] == sum(cells)
+        assert frame["bytes_by_purpose"].items() <= by_name.items()
+    assert table["purposes"][0] == "header"
+    assert table["purposes"][-1] == "container"
+    assert {"means", "index", "removed", "added.means"} <= set(table["purposes"])
+    assert sum(table["totals"]) == size
+    assert table["means"]["delta"] == pytest.approx(
+        np.mean([c for f, c in zip(facts["frames"], table["frames"], strict=True) if f["kind"] == "delta"], axis=0)
+    )
+
+
 def test_info_tells_keyframes_that_refer_to_the_first(segmented_stream, capsys) -> None:
     assert info_main([str(segmented_stream.path), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
