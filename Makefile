@@ -9,6 +9,7 @@ PYTHON ?= python3
 PIP_ARGS ?=
 RIGS ?= $(addprefix ../shared/data/rigs/,workbench candle popup)
 CHOICE_RIGS ?= $(addprefix ../shared/data/rigs/,workbench popup)
+RATE_RIGS ?= ../shared/data/rigs/workbench
 BENCH_ARGS ?=
 
 VENV := .venv
@@ -83,9 +84,10 @@ bench: $(READY) ## time the rasteriser, sparse training steps against dense ones
 	$(BIN)/python tests/bench/decode.py
 
 # Hours: what is already in report/runs, made by the same code, is not made again.
-report: $(READY) ## the paper's tables and our choices, measured on RIGS, into report/
+report: $(READY) ## the paper's tables, our choices, and rate against distortion, measured on RIGS, into report/
 	$(BIN)/decogs-bench paper $(RIGS) -o report $(BENCH_ARGS)
 	$(BIN)/decogs-bench choices $(CHOICE_RIGS) -o report --frames :16 $(BENCH_ARGS)
+	$(BIN)/decogs-bench rates $(RATE_RIGS) -o report $(BENCH_ARGS)
 
 clean: ## remove what was built and every cache; .venv and demo/ stay
 	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache $(READY)

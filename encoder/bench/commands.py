@@ -23,7 +23,8 @@ def bench_main(arguments: Sequence[str] | None = None) -> int:
         "paper", help="the paper's tables and figures: methods, components, frame rates, tau and r"
     )
     choices = kinds.add_parser("choices", help="what the paper leaves open and every default, one table per question")
-    for kind in (paper, choices):
+    rates = kinds.add_parser("rates", help="rate and distortion: several rates, and other ways to keep the same frames")
+    for kind in (paper, choices, rates):
         _add_options(kind)
     given = frames_joined(arguments)
     return run(parser.prog, lambda: _bench(parser.parse_args(given), given))

@@ -1,18 +1,19 @@
-"""A finished stream against what the held-out camera recorded: quality by region, flicker, and the time to render."""
+"""Decoded frames against what the held-out camera recorded: quality by region, flicker, and the time to render."""
 
 from __future__ import annotations
 
-import os
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from statistics import median
 
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.codec.header import StreamHeader
 from decogs.decoder.pictures import to_8bit
-from decogs.decoder.session import open_stream, render_view
+from decogs.decoder.session import render_view
+from decogs.formats.splats import Splats
 
 from ..keyframe import psnr_of
 from .metrics import BytePicture, mean_over, psnr, square_error_map, ssim_map, total_variation
@@ -47,8 +48,9 @@ class StreamQuality:
     column: NDArray[np.uint8]
 
 
-def measure_stream(
-    path: str | os.PathLike[str],
+def measure_scenes(
+    header: StreamHeader,
+    scenes: Iterator[Splats],
     recorded: Iterable[BytePicture],
     regions: Regions,
     *,
@@ -58,30 +60,29 @@ def measure_stream(
     column: int,
     distance: Distance | None = None,
 ) -> StreamQuality:
-    """Decodes a stream as any viewer would and compares ``camera``'s view of every frame with the one recorded.
+    """Compares ``camera``'s view of every frame, as any viewer would show it, with the one recorded.
 
-    Every frame is rendered, also one in which nothing changed. ``column``: which one to keep.
+    ``header`` has the camera; ``scenes``, a frame each, are read as they are needed. Every frame is rendered, also one
+    in which nothing changed. ``column``: which one to keep.
     """
     frames: list[FrameQuality] = []
     rendering: list[float] = []
     reading: list[float] = []
     columns: list[NDArray[np.uint8]] = []
     before: BytePicture | None = None
-    with open_stream(path, strict=True) as stream:
-        decoded = stream.frames()
-        for target in recorded:
-            began = time.perf_counter()
-            splats = next(decoded).splats
-            reading.append(time.perf_counter() - began)
-            if not rendering:  # the first rendering loads the kernel
-                render_view(stream.header, splats, camera, scale=scale, threads=threads)
-            began = time.perf_counter()
-            image = render_view(stream.header, splats, camera, scale=scale, threads=threads).image
-            rendering.append(time.perf_counter() - began)
-            seen = to_8bit(image)
-            frames.append(_quality(before, seen, target, regions, distance))
-            columns.append(seen[:, column])
-            before = seen
+    for target in recorded:
+        began = time.perf_counter()
+        splats = next(scenes)
+        reading.append(time.perf_counter() - began)
+        if not rendering:  # the first rendering loads the kernel
+            render_view(header, splats, camera, scale=scale, threads=threads)
+        began = time.perf_counter()
+        image = render_view(header, splats, camera, scale=scale, threads=threads).image
+        rendering.append(time.perf_counter() - began)
+        seen = to_8bit(image)
+        frames.append(_quality(before, seen, target, regions, distance))
+        columns.append(seen[:, column])
+        before = seen
     return StreamQuality(frames, median(rendering), median(reading), np.stack(columns, axis=1))
 
 

@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 
 from decogs.formats.errors import UsageError
 
+from .rival_runs import RatePoint
 from .runs import Run
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_COLOURS = ("#0072b2", "#e69f00", "#d55e00", "#009e73", "#cc79a7")
+_COLOURS = ("#0072b2", "#e69f00", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#000000")
 """Told apart by colour-blind eyes, too (Okabe and Ito)."""
 _DEVIATION = 12
 """8-bit levels from a pixel's own mean that are drawn as black or white."""
@@ -52,6 +53,31 @@ def plot_effort(path: Path, runs: Mapping[str, Run]) -> None:
         effort.plot(_frames(run)[1:], [frame.cpu_seconds for frame in later], color=colour, label=label)
     selected.set_ylim(bottom=0)
     effort.set_ylim(bottom=0)
+    _save(figure, path)
+
+
+def plot_rates(path: Path, points: Sequence[RatePoint]) -> None:
+    """Held-out PSNR over the bytes of a frame after the first one, a line for each family."""
+    figure = _figure(10, 4.4)
+    families = dict.fromkeys(point.family for point in points)
+    for place, (name, title) in enumerate((("psnr", "whole picture"), ("psnr_dynamic", "dynamic region")), 1):
+        axes = figure.add_subplot(1, 2, place)
+        axes.set_title(title)
+        axes.set_xlabel("kB per frame after the first one")
+        axes.set_ylabel("held-out PSNR, dB")
+        axes.set_xscale("log")
+        axes.grid(alpha=0.3)
+        for family, colour in zip(families, _COLOURS, strict=False):
+            mine = sorted((p for p in points if p.family == family), key=lambda point: point.later_bytes)
+            values = [getattr(point, name) for point in mine]
+            axes.plot(
+                [point.later_bytes / 1e3 for point in mine],
+                [np.nan if value is None else value for value in values],
+                color=colour,
+                label=family,
+                marker="o",
+                markersize=4,
+            )
     _save(figure, path)
 
 

@@ -9,18 +9,20 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, TextIO
 
 from decogs.formats.errors import TrainingError, UsageError
 
-from . import choices, paper
+from . import choices, paper, rates
 from .machine import code_version, machine_facts
 from .perceptual import installed_network
-from .plots import plot_effort, plot_quality, plot_scanlines, require_plots
+from .plots import plot_effort, plot_quality, plot_rates, plot_scanlines, require_plots
 from .progress import BenchProgress
+from .rival_runs import RatePoint, RivalRun, find_rival, point_of, point_of_rival, rival_file, run_rival
+from .rivals.sequences import Rival
 from .runs import KEYFRAME, BenchOptions, RigBench, Run
 from .tables import (
     COLUMNS,
@@ -32,6 +34,7 @@ from .tables import (
     flicker,
     markdown,
     mean_of,
+    number,
     wall_seconds,
     with_error,
 )
@@ -44,6 +47,19 @@ NONE = "none"
 
 
 @dataclass(frozen=True)
+class Contest:
+    """The encoder's rates, finest first, and rivals that keep the frames of the finest; ``key`` for ``--only``."""
+
+    key: str
+    rates: tuple[Variant, ...]
+    rivals: tuple[Rival, ...]
+
+    @property
+    def source(self) -> Variant:
+        return self.rates[0]
+
+
+@dataclass(frozen=True)
 class Plan:
     """A kind of report: its name (of the files, too), heading, questions, and figures with the variants they show."""
 
@@ -51,20 +67,34 @@ class Plan:
     title: str
     questions: tuple[Question, ...]
     figures: Mapping[str, tuple[Variant, ...]] = field(default_factory=dict)
+    contest: Contest | None = None
+
+    @property
+    def lent(self) -> tuple[Variant, ...]:
+        """Variants whose streams are needed after their own run."""
+        return (KEYFRAME,) if self.contest is None else (KEYFRAME, self.contest.source)
 
 
 PAPER = Plan("paper", "DecoGS and its baseline, measured", paper.QUESTIONS, paper.FIGURES)
 CHOICES = Plan("choices", "Choices, measured", choices.QUESTIONS)
-PLANS = {plan.name: plan for plan in (PAPER, CHOICES)}
+RATES = Plan(
+    "rates",
+    "Rate and distortion, measured",
+    rates.QUESTIONS,
+    rates.FIGURES,
+    Contest(rates.RIVALS_PART, rates.RATE_POINTS, rates.RIVALS),
+)
+PLANS = {plan.name: plan for plan in (PAPER, CHOICES, RATES)}
 
 
 @dataclass
 class _RigResults:
-    """A rig's runs by key, and what went wrong by variant name."""
+    """A rig's runs by key, what went wrong by the variant's or rival's name, and rivals by theirs."""
 
     bench: RigBench
     runs: dict[str, Run] = field(default_factory=dict)
     failures: dict[str, str] = field(default_factory=dict)
+    rivals: dict[str, RivalRun] = field(default_factory=dict)
 
     def run_of(self, variant: Variant) -> Run | None:
         return self.runs.get(self.bench.key(variant))
@@ -98,10 +128,15 @@ def make_report(
     results = [_RigResults(RigBench(rig_dir, folder, options)) for rig_dir in rig_dirs]
     _check_names([result.bench for result in results])
     folder.mkdir(parents=True, exist_ok=True)
-    _run_missing(results, wanted, terminal, on_warning)
+    _run_missing(results, wanted, plan.lent, terminal, on_warning)
+    if plan.contest is not None:
+        if not only or plan.contest.key in only:
+            _run_rivals(results, plan.contest, terminal, on_warning)
+        for result in results:
+            _gather_rivals(result, plan.contest)
     for result in results:
         _gather(result, [*(v for question in plan.questions for v in question.variants), KEYFRAME])
-        result.bench.tidy()
+        result.bench.tidy(plan.lent)
     lines = _markdown(plan, results, folder, command)
     path = folder / f"{plan.name}.md"
     (folder / f"{plan.name}.json").write_text(json.dumps(_document(plan, results, command), indent=1) + "\n", "utf-8")
@@ -112,6 +147,8 @@ def make_report(
 def _wanted(plan: Plan, only: Sequence[str]) -> list[Variant]:
     """The variants to run, in the order of their first question."""
     sets = {question.key: question.variants for question in plan.questions} | dict(plan.figures)
+    if plan.contest is not None:
+        sets[plan.contest.key] = (plan.contest.source,)
     for key in only:
         if key != NONE and key not in sets:
             raise UsageError(f"--only {key}: there is no such part; choose from {', '.join(sets)}, {NONE}")
@@ -133,6 +170,7 @@ def _check_names(benches: Sequence[RigBench]) -> None:
 def _run_missing(
     results: Sequence[_RigResults],
     wanted: Sequence[Variant],
+    lent: Sequence[Variant],
     terminal: TextIO | None,
     on_warning: OnWarning | None,
 ) -> None:
@@ -143,13 +181,50 @@ def _run_missing(
             for variant in variants:
                 progress.started(result.bench.name, variant.name)
                 try:
-                    run = result.bench.run(variant, on_frame=progress.frame, on_keyframe_step=progress.keyframe_step)
+                    run = result.bench.run(
+                        variant,
+                        on_frame=progress.frame,
+                        on_keyframe_step=progress.keyframe_step,
+                        keep_stream=variant in lent,
+                    )
                 except TrainingError as error:
                     result.failures[variant.name] = str(error)
                     if on_warning:
                         on_warning(f"{result.bench.name} {variant.name}: {error}")
                 else:
                     progress.finished(run)
+
+
+def _run_rivals(
+    results: Sequence[_RigResults], contest: Contest, terminal: TextIO | None, on_warning: OnWarning | None
+) -> None:
+    """Those of which no result is there and that can be tried here; a source that cannot be trained has none."""
+    here = [rival for rival in contest.rivals if rival.coder.missing() is None]
+    missing = [
+        (result, [rival for rival in here if find_rival(result.bench, contest.source, rival) is None])
+        for result in results
+        if contest.source.name not in result.failures
+    ]
+    frames = sum(len(result.bench.frames_of(contest.source)) * len(rivals) for result, rivals in missing)
+    with BenchProgress(frames, terminal) as progress:
+        for result, rivals in missing:
+            bench = result.bench
+            for rival in rivals:
+                progress.started(bench.name, rival.name)
+                stream = bench.stream(contest.source, progress.keyframe_step)
+                try:
+                    run_rival(bench, contest.source, rival, stream, progress.frame)
+                except UsageError as error:
+                    result.failures[rival.name] = str(error)
+                    if on_warning:
+                        on_warning(f"{bench.name} {rival.name}: {error}")
+
+
+def _gather_rivals(result: _RigResults, contest: Contest) -> None:
+    for rival in contest.rivals:
+        run = find_rival(result.bench, contest.source, rival)
+        if run is not None:
+            result.rivals[rival.name] = run
 
 
 def _missing(bench: RigBench, wanted: Sequence[Variant]) -> list[Variant]:
@@ -219,6 +294,8 @@ def _rig_section(plan: Plan, result: _RigResults, folder: Path) -> list[str]:
         for columns in question.columns:
             lines += [*_table(result, question, columns), ""]
         lines += [f"{name} failed: {error}" for name, error in _failed(result, question)]
+    if plan.contest is not None:
+        lines += _contest_section(plan.contest, result)
     return lines + (_figures(plan, result, folder) if plan.figures else [])
 
 
@@ -256,6 +333,50 @@ def _table(result: _RigResults, question: Question, columns: Sequence[str]) -> l
     return markdown(["", *(COLUMNS[key].heading for key in columns), "how"], rows)
 
 
+def _contest_section(contest: Contest, result: _RigResults) -> list[str]:
+    """The encoder's rates and, kept in other ways, the frames of its source."""
+    bench, source = result.bench, result.run_of(contest.source)
+    rows = [
+        _rate_row(point_of(run, f"decogs, {variant.description}"), source, _link(bench, run))
+        for variant in contest.rates
+        if (run := result.run_of(variant)) is not None
+    ]
+    notes: dict[str, list[str]] = {}
+    for rival in contest.rivals:
+        kept = result.rivals.get(rival.name)
+        if kept is None:
+            why = result.failures.get(rival.name, rival.coder.missing() or NOT_RUN)
+            rows.append([rival.description, *[NOTHING] * 7, why])
+        else:
+            link = f"[{rival.name}](runs/{rival_file(bench, contest.source, rival).name})"
+            rows.append(_rate_row(point_of_rival(kept), source, link))
+        if rival.about:
+            notes.setdefault(rival.about, []).append(rival.name)
+    headings = [
+        "", "PSNR", "dynamic", "static", "first frame, kB", "kB/frame after it", "× ours", "kB/frame, all", "how",
+    ]  # fmt: skip
+    return [
+        "### Against other ways to keep the same frames",
+        "",
+        f"Rivals keep the decoded frames of “{contest.source.description}”, the first row; they are read again from "
+        "what they wrote, rendered and measured like a stream. Those frames lie on our lattice already, which helps a "
+        "general-purpose compressor.",
+        "",
+        *markdown(headings, rows),
+        "",
+        *(f"- {', '.join(names)}: {about}" for about, names in notes.items()),
+        "",
+    ]
+
+
+def _rate_row(point: RatePoint, source: Run | None, link: str) -> list[str]:
+    ours = None if source is None else point_of(source, "").later_bytes
+    times = None if not ours else point.later_bytes / ours
+    quality = [number(".2f")(value) for value in (point.psnr, point.psnr_dynamic, point.psnr_static)]
+    sizes = [f"{value / 1e3:.2f}" for value in (point.first_bytes, point.later_bytes, point.frame_bytes)]
+    return [point.label, *quality, sizes[0], sizes[1], number(".2f")(times), sizes[2], link]
+
+
 def _failed(result: _RigResults, question: Question) -> list[tuple[str, str]]:
     names = {variant.name for variant in question.variants}
     return [(name, error) for name, error in result.failures.items() if name in names]
@@ -271,14 +392,20 @@ def _figures(plan: Plan, result: _RigResults, folder: Path) -> list[str]:
     pictures = folder / "pictures"
     pictures.mkdir(exist_ok=True)
     lines: list[str] = []
-    over_time = _labelled(result, plan.figures[paper.TIME])
+    curve = _labelled(result, plan.figures.get(rates.CURVES, ()))
+    if curve:
+        name = f"{bench.name}-rates.png"
+        points = [point_of(run, label) for label, run in curve.items()]
+        plot_rates(pictures / name, points + [point_of_rival(run) for run in result.rivals.values()])
+        lines += ["### Rate and distortion", "", f"![PSNR over bytes per frame](pictures/{name})", ""]
+    over_time = _labelled(result, plan.figures.get(paper.TIME, ()))
     if over_time:
         quality, effort = f"{bench.name}-quality.png", f"{bench.name}-effort.png"
         plot_quality(pictures / quality, over_time)
         plot_effort(pictures / effort, over_time)
         lines += ["### Over time", "", f"![PSNR of every frame](pictures/{quality})", ""]
         lines += [f"![share of Gaussians trained, and processor seconds](pictures/{effort})", ""]
-    followed = _labelled(result, plan.figures[paper.SCANLINES])
+    followed = _labelled(result, plan.figures.get(paper.SCANLINES, ()))
     if followed:
         name = f"{bench.name}-scanlines.png"
         strips = {"recorded": bench.recorded_column()}
@@ -326,7 +453,8 @@ def _how(plan: Plan, results: Sequence[_RigResults]) -> list[str]:
         "one after the other: compare processor seconds where the load was high.",
         "- Render FPS: the median over frames, projection to picture, all threads of the run; reading the packet is "
         "not in it (`read_seconds` in the run's file).",
-        "- MB: 10^6 bytes on disk.",
+        "- MB, kB: 10^6, 10^3 bytes on disk.",
+        *(_how_rivals() if plan.contest is not None else []),
         "- One run and one seed for each row: differences below 0.1 dB mean little.",
         "",
         "Columns:",
@@ -334,6 +462,16 @@ def _how(plan: Plan, results: Sequence[_RigResults]) -> list[str]:
         *(f"- {COLUMNS[key].heading}: {COLUMNS[key].meaning}" for key in used),
     ]
     return lines
+
+
+def _how_rivals() -> list[str]:
+    return [
+        "- First frame: all bytes that have to be there before it shows: of a stream the keyframe with header and "
+        "index, of a file per frame the first file. The frames after it: the other bytes over the other frames. "
+        "× ours: those over the finest stream's.",
+        "- Rivals are written to disk by this program (PLY, SPZ, .splat and arrays by writers of its own, splats4d by "
+        "its own command at zstd level 19) and sizes taken from the files.",
+    ]
 
 
 def _circumstances(runs: Sequence[Run]) -> list[str]:
@@ -375,7 +513,7 @@ def _document(plan: Plan, results: Sequence[_RigResults], command: str) -> dict[
 
 def _rig_document(plan: Plan, result: _RigResults) -> dict[str, Any]:
     bench, regions = result.bench, result.bench.regions
-    return {
+    document: dict[str, Any] = {
         "held_out": bench.camera,
         "frames": [bench.frames.start, bench.frames.stop],
         "masks": regions.about,
@@ -387,6 +525,9 @@ def _rig_document(plan: Plan, result: _RigResults) -> dict[str, Any]:
             for question in plan.questions
         },
     }
+    if plan.contest is not None:
+        document[plan.contest.key] = [_rival_document(result, plan.contest, rival) for rival in plan.contest.rivals]
+    return document
 
 
 def _row_document(result: _RigResults, variant: Variant) -> dict[str, Any]:
@@ -395,3 +536,12 @@ def _row_document(result: _RigResults, variant: Variant) -> dict[str, Any]:
     if run is not None:
         row |= {"run": f"runs/{result.bench.file_of(run).name}", "how": run.command, "figures": figures(run)}
     return row
+
+
+def _rival_document(result: _RigResults, contest: Contest, rival: Rival) -> dict[str, Any]:
+    run = result.rivals.get(rival.name)
+    row: dict[str, Any] = {"rival": rival.name, "description": rival.description, "about": rival.about}
+    if run is None:
+        return row | {"missing": rival.coder.missing() or NOT_RUN}
+    name = rival_file(result.bench, contest.source, rival).name
+    return row | {"run": f"runs/{name}", "how": run.coder, "figures": asdict(point_of_rival(run))}

@@ -12,32 +12,37 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from datetime import datetime, timezone
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.codec.header import StreamHeader
 from decogs.decoder.rasterise.native import thread_count
-from decogs.decoder.session import frame_range
+from decogs.decoder.session import frame_range, open_stream
 from decogs.formats.errors import UsageError
 from decogs.formats.rigs import Rig, open_rig
+from decogs.formats.splats import Splats
 
 from ..ingest import Ingest
 from ..keyframe_source import read_keyframe
 from ..loop import EncodeReport, FrameReport, OnKeyframeStep, encode_stream, frame_span
 from .machine import code_version, load, machine_facts
-from .measuring import FrameQuality, StreamQuality, measure_stream
+from .measuring import FrameQuality, StreamQuality, measure_scenes
 from .metrics import BytePicture
 from .perceptual import installed_network, perceptual_distance
 from .regions import Regions, find_regions, held_out_pictures, static_column
 from .strided import strided
 from .variants import Variant, settings_of
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 FORMAT = 1
 """Of the JSON files; raise it when what is measured changes."""
@@ -137,7 +142,7 @@ class RigBench:
             raise UsageError(f"{self.rig.path}: a report compares frames; give at least 2 with --frames A:B")
         Ingest(self.rig, holdout=[self.camera], scale=options.scale)
         self._threads = thread_count(options.threads)
-        self._runs, self._streams = output / "runs", output / "streams"
+        self.runs_folder, self._streams = output / "runs", output / "streams"
 
     @cached_property
     def regions(self) -> Regions:
@@ -160,7 +165,7 @@ class RigBench:
 
     def find(self, variant: Variant) -> Run | None:
         """The run of this variant that an earlier report left, or None."""
-        for path in sorted(self._runs.glob(f"{self.name}-*-{self.key(variant)}.json")):
+        for path in sorted(self.runs_folder.glob(f"{self.name}-*-{self.key(variant)}.json")):
             run = read_run(path)
             if run is not None and (self.options.any_code or run.code == code_version()):
                 return run
@@ -168,7 +173,7 @@ class RigBench:
 
     def file_of(self, run: Run) -> Path:
         """Where the run's JSON lies."""
-        return self._runs / f"{run.rig}-{run.variant}-{run.key}.json"
+        return self.runs_folder / f"{run.rig}-{run.variant}-{run.key}.json"
 
     def column_of(self, run: Run) -> NDArray[np.uint8]:
         """The followed column as the run shows it, (H, T, 3)."""
@@ -184,20 +189,35 @@ class RigBench:
         *,
         on_frame: Callable[[], None] | None = None,
         on_keyframe_step: OnKeyframeStep | None = None,
+        keep_stream: bool = False,
     ) -> Run:
         """Encodes and measures a variant and keeps the result; Ctrl-C and errors leave no half result.
 
         ``on_frame`` is called after each of the variant's own frames, ``on_keyframe_step`` while a keyframe is trained.
+        ``keep_stream``: leave the .dgs file for ``stream``, whatever the options say; ``tidy`` removes it.
         """
-        self._runs.mkdir(parents=True, exist_ok=True)
+        self.runs_folder.mkdir(parents=True, exist_ok=True)
         self._streams.mkdir(parents=True, exist_ok=True)
-        keyframe = None if variant.own_keyframe else self._keyframe(on_keyframe_step)
+        keyframe = None if variant.own_keyframe else self.stream(KEYFRAME, on_keyframe_step)
         loads = [load()]
         report = self._encode(variant, keyframe, on_frame, on_keyframe_step)
         loads.append(load())
-        quality = measure_stream(
-            report.output,
-            self._recorded(self.frames_of(variant)),
+        with open_stream(report.output, strict=True) as stream:
+            scenes = (frame.splats for frame in stream.frames())
+            quality = self.measured(stream.header, scenes, self.frames_of(variant))
+        run = self._result(variant, report, quality, loads)
+        write_whole(self.file_of(run).with_suffix(".png"), _png(quality.column))
+        write_whole(self.file_of(run), document(run).encode())
+        if not (keep_stream or self.options.keep_streams):
+            report.output.unlink()
+        return run
+
+    def measured(self, header: StreamHeader, scenes: Iterator[Splats], frames: range) -> StreamQuality:
+        """What the held-out camera sees of decoded scenes, one for each of the rig's ``frames``."""
+        return measure_scenes(
+            header,
+            scenes,
+            self._recorded(frames),
             self.regions,
             camera=self.camera,
             scale=self.options.scale,
@@ -205,26 +225,21 @@ class RigBench:
             column=self.column,
             distance=perceptual_distance(installed_network()),
         )
-        run = self._result(variant, report, quality, loads)
-        _write_whole(self.file_of(run).with_suffix(".png"), _png(quality.column))
-        _write_whole(self.file_of(run), _document(run).encode())
-        if variant is not KEYFRAME and not self.options.keep_streams:
-            report.output.unlink()
-        return run
 
-    def tidy(self) -> None:
-        """Removes the shared keyframe's stream, and the folder of streams when it is empty."""
+    def stream(self, variant: Variant, on_keyframe_step: OnKeyframeStep | None = None) -> Path:
+        """The variant's stream; encoded (again) when it is not there or was made by other code."""
+        if self.find(variant) is None or not self._stream(variant).is_file():
+            self.run(variant, on_keyframe_step=on_keyframe_step, keep_stream=True)
+        return self._stream(variant)
+
+    def tidy(self, lent: Sequence[Variant]) -> None:
+        """Removes the streams of ``lent``, which ``stream`` gave, and the folder of streams when it is empty."""
         if self.options.keep_streams or not self._streams.is_dir():
             return
-        self._stream(KEYFRAME).unlink(missing_ok=True)
+        for variant in lent:
+            self._stream(variant).unlink(missing_ok=True)
         if not any(self._streams.iterdir()):
             self._streams.rmdir()
-
-    def _keyframe(self, on_step: OnKeyframeStep | None) -> Path:
-        """The stream with the one keyframe of all variants, trained with the report's preset when first needed."""
-        if self.find(KEYFRAME) is None or not self._stream(KEYFRAME).is_file():
-            self.run(KEYFRAME, on_keyframe_step=on_step)
-        return self._stream(KEYFRAME)
 
     def _stream(self, variant: Variant) -> Path:
         return self._streams / f"{self.name}-{variant.name}-{self.key(variant)}.dgs"
@@ -264,7 +279,7 @@ class RigBench:
         Variants of the same key are the same run, whatever they are called.
         """
         options, rig, frames = self.options, self.rig, self.frames_of(variant)
-        return _digest(
+        return digest(
             {
                 "format": FORMAT,
                 "settings": settings_of(variant, options.preset).as_document(),
@@ -321,8 +336,8 @@ class RigBench:
         return " ".join(words) + (f" ({', '.join(extra)})" if extra else "")
 
 
-def _document(run: Run) -> str:
-    """A run as JSON, a line for each field and each frame."""
+def document(run: DataclassInstance) -> str:
+    """A run, which has ``frames``, as JSON, a line for each field and each frame."""
     values = asdict(run)
     frames = ",\n  ".join(json.dumps(frame) for frame in values.pop("frames"))
     lines = [f"{json.dumps(name)}: {json.dumps(value)}" for name, value in values.items()]
@@ -343,13 +358,13 @@ def _frame(index: int, cost: FrameReport, looks: FrameQuality) -> RunFrame:
     values = {f.name: getattr(cost, f.name) for f in fields(FrameCost)} | asdict(looks)
     values["frame"] = index
     values["seconds"] = {stage: seconds for stage, seconds in cost.seconds.items() if stage != "measure"}
-    return RunFrame(**_rounded(values))
+    return RunFrame(**rounded(values))
 
 
-def _rounded(value: Any) -> Any:
+def rounded(value: Any) -> Any:
     """Floats to seven significant digits: files of many numbers are read by people, too."""
     if isinstance(value, dict):
-        return {name: _rounded(entry) for name, entry in value.items()}
+        return {name: rounded(entry) for name, entry in value.items()}
     return float(f"{value:.7g}") if isinstance(value, float) else value
 
 
@@ -375,7 +390,7 @@ def _own_held_out(calibration: Path) -> str | None:
     return value if isinstance(value, str) else None
 
 
-def _digest(facts: Mapping[str, Any]) -> str:
+def digest(facts: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:10]
 
 
@@ -383,7 +398,7 @@ def _png(picture: NDArray[np.uint8]) -> bytes:
     return bytes(cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))[1].tobytes())
 
 
-def _write_whole(path: Path, data: bytes) -> None:
+def write_whole(path: Path, data: bytes) -> None:
     growing = path.with_name(path.name + ".part")
     growing.write_bytes(data)
     os.replace(growing, path)

@@ -9,6 +9,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +17,20 @@ import cv2
 import numpy as np
 import pytest
 
+from decogs.codec.header import StreamHeader
 from decogs.encoder.bench import report, runs
 from decogs.encoder.bench.commands import bench_main
 from decogs.encoder.bench.progress import BenchProgress
-from decogs.encoder.bench.report import CHOICES, PAPER, Plan, make_report
+from decogs.encoder.bench.rates import CURVES
+from decogs.encoder.bench.report import CHOICES, PAPER, RATES, Contest, Plan, make_report
+from decogs.encoder.bench.rivals import splat4d
+from decogs.encoder.bench.rivals.float_arrays import FloatDeltas
+from decogs.encoder.bench.rivals.ply import Ply
+from decogs.encoder.bench.rivals.sequences import FilePerFrame, Rival
+from decogs.encoder.bench.rivals.spz import Spz
 from decogs.encoder.bench.runs import BenchOptions
 from decogs.encoder.bench.variants import Question, Variant
-from decogs.formats.errors import TrainingError
+from decogs.formats.errors import TrainingError, UsageError
 
 pytestmark = pytest.mark.usefixtures("short_presets")
 
@@ -40,6 +48,21 @@ SMALL = Plan(
         ),
         Question("again", "Again", "", (Variant("the-same", "as it is"),), (("psnr",),)),
     ),
+)
+
+
+RIVALS = (
+    Rival("ply", "PLY", "a .ply each", FilePerFrame(Ply())),
+    Rival("spz", "SPZ", "a .spz each", FilePerFrame(Spz(2, 2, 2)), "Coarse."),
+    Rival("deltas", "float32", "float32 that changes", FloatDeltas()),
+)
+FINE = Variant("fine", "fine", {"quality": "fine"}, own_keyframe=True)
+COARSE = Variant("coarse", "coarse", {"quality": "coarse"}, own_keyframe=True)
+RACE = Plan(
+    "race",
+    "A small race",
+    (Question("rates", "Rates", "", (FINE, COARSE), (("psnr",),)),),
+    contest=Contest("rivals", (FINE, COARSE), RIVALS),
 )
 
 
@@ -115,15 +138,15 @@ def test_the_papers_report(
 def test_a_report_goes_on_where_it_stopped(
     three_frames: Path, tmp_path: Path, encoded: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    measure = runs.measure_stream
+    measure = runs.measure_scenes
     with monkeypatch.context() as patched:
 
-        def stop_at_the_second(path: Path, *arguments: Any, **options: Any) -> Any:
-            if "paper-rule" in path.name:
+        def stop_at_the_second(header: StreamHeader, *arguments: Any, **options: Any) -> Any:
+            if header.settings["frame"]["selection"]["rule"] == "paper":
                 raise KeyboardInterrupt
-            return measure(path, *arguments, **options)
+            return measure(header, *arguments, **options)
 
-        patched.setattr(runs, "measure_stream", stop_at_the_second)
+        patched.setattr(runs, "measure_scenes", stop_at_the_second)
         with pytest.raises(KeyboardInterrupt):
             make_report(SMALL, [three_frames], tmp_path, OPTIONS)
     assert encoded == ["keyframe", "plain", "paper-rule"]
@@ -168,6 +191,74 @@ def test_a_variant_that_cannot_be_trained_is_said_and_the_others_go_on(
     assert "paper-rule failed: the loss of camera cam01 is nan" in path.read_text()
     assert "[plain](runs/three-plain-" in path.read_text()
     assert json.loads((tmp_path / "small.json").read_text())["rigs"]["three"]["failures"]
+
+
+def test_rivals_keep_the_frames_of_the_finest_stream(
+    three_frames: Path, tmp_path: Path, encoded: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written: list[str] = []
+    write = FilePerFrame.write
+    monkeypatch.setattr(
+        FilePerFrame, "write", lambda self, *rest: written.append(self.format.suffix) or write(self, *rest)
+    )
+    path = make_report(RACE, [three_frames], tmp_path, OPTIONS)
+    assert encoded == ["fine", "coarse"], "one stream serves as rate point and as the rivals' source"
+    assert written == [".ply", ".spz"]
+    assert not (tmp_path / "streams").exists()
+    rig = json.loads((tmp_path / "race.json").read_text())["rigs"]["three"]
+    fine, coarse = (row["figures"] for row in rig["questions"]["rates"])
+    ply, spz, deltas = (row["figures"] for row in rig["rivals"])
+    assert coarse["megabytes"] < fine["megabytes"]
+    for lossless in (ply, deltas):
+        assert lossless["psnr"] == pytest.approx(fine["psnr"], rel=1e-6), "kept to seven digits"
+        assert lossless["psnr_dynamic"] == pytest.approx(fine["psnr_dynamic"], rel=1e-6)
+    assert spz["psnr"] < fine["psnr"] - 0.1
+    assert spz["later_bytes"] < ply["later_bytes"]
+    assert 1e6 * fine["megabytes"] < deltas["later_bytes"] < ply["later_bytes"]
+    assert ply["frame_bytes"] == pytest.approx((ply["first_bytes"] + 2 * ply["later_bytes"]) / 3)
+    text = path.read_text()
+    (line,) = [line for line in text.splitlines() if line.startswith("| decogs, fine |")]
+    assert [cell.strip() for cell in line.split("|")][7] == "1.00", "times itself"
+    assert "- spz: Coarse." in text
+    assert all((tmp_path / link).is_file() for link in linked_files(text))
+    assert len([link for link in linked_files(text) if "-rival-" in link]) == 3
+
+    make_report(RACE, [three_frames], tmp_path, OPTIONS)
+    assert (len(encoded), len(written)) == (2, 2), "all was there"
+    next((tmp_path / "runs").glob("three-rival-spz-*")).write_text("{")
+    make_report(RACE, [three_frames], tmp_path, OPTIONS)
+    assert (encoded[2:], written[2:]) == (["fine"], [".spz"]), "its stream was gone"
+
+
+def test_a_rival_that_fails_is_said_and_the_others_go_on(
+    three_frames: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def failing(self: Spz, splats: Any) -> bytes:
+        raise UsageError("spz: out of luck")
+
+    monkeypatch.setattr(Spz, "encode", failing)
+    said: list[str] = []
+    text = make_report(RACE, [three_frames], tmp_path, OPTIONS, on_warning=said.append).read_text()
+    assert said == ["three spz: spz: out of luck"]
+    assert "| a .spz each | – | – | – | – | – | – | – | spz: out of luck |" in text
+    assert "| float32 that changes | – |" not in text
+
+
+def test_what_is_not_installed_is_said(three_frames: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(splat4d, "_command", lambda: None)
+    text = make_report(replace(RATES, figures={}), [three_frames], tmp_path, OPTIONS, only=["none"]).read_text()
+    assert text.count("| not installed |") == 4
+    assert text.count("| not run |") == 4 + 9, "streams, and rivals that need nothing"
+
+
+@pytest.mark.skipif(importlib.util.find_spec("matplotlib") is None, reason="plots need the extra 'bench'")
+def test_rates_are_drawn(three_frames: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[str] = []
+    monkeypatch.setattr(report, "plot_rates", lambda path, points: drawn.extend(p.label for p in points) or plot(path))
+    plot = Path.touch
+    text = make_report(replace(RACE, figures={CURVES: (FINE, COARSE)}), [three_frames], tmp_path, OPTIONS).read_text()
+    assert drawn == ["fine", "coarse", "a .ply each", "a .spz each", "float32 that changes"]
+    assert "pictures/three-rates.png" in linked_files(text)
 
 
 def test_choices_need_no_plots(three_frames: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -84,7 +84,7 @@ def test_variants_share_the_keyframe_and_streams_are_removed(bench: RigBench, tm
         assert "keyframe" not in run.frames[0].seconds, "it was taken, not trained"
     assert first.frames[1].psnr != second.frames[1].psnr
     assert [path.name.split("-")[1] for path in (tmp_path / "streams").iterdir()] == ["keyframe"]
-    bench.tidy()
+    bench.tidy([KEYFRAME])
     assert not (tmp_path / "streams").exists()
 
 

@@ -7,7 +7,7 @@ import re
 import pytest
 
 from decogs.encoder import PRESETS
-from decogs.encoder.bench import choices, paper
+from decogs.encoder.bench import choices, paper, rates
 from decogs.encoder.bench.tables import COLUMNS
 from decogs.encoder.bench.variants import Question, Times, Variant, settings_of
 from decogs.formats.errors import UsageError
@@ -62,7 +62,9 @@ def test_impossible_variants_are_refused(variant: Variant, message: str) -> None
         settings_of(variant, "standard")
 
 
-@pytest.mark.parametrize("questions", [paper.QUESTIONS, choices.QUESTIONS], ids=["paper", "choices"])
+@pytest.mark.parametrize(
+    "questions", [paper.QUESTIONS, choices.QUESTIONS, rates.QUESTIONS], ids=["paper", "choices", "rates"]
+)
 @pytest.mark.parametrize("preset", sorted(PRESETS))
 def test_every_question_can_be_asked_of_every_preset(questions: tuple[Question, ...], preset: str) -> None:
     assert len({question.key for question in questions}) == len(questions)
@@ -73,7 +75,9 @@ def test_every_question_can_be_asked_of_every_preset(questions: tuple[Question, 
             assert re.fullmatch(r"[\w.-]+", variant.name), "names become file names"
 
 
-@pytest.mark.parametrize("questions", [paper.QUESTIONS, choices.QUESTIONS], ids=["paper", "choices"])
+@pytest.mark.parametrize(
+    "questions", [paper.QUESTIONS, choices.QUESTIONS, rates.QUESTIONS], ids=["paper", "choices", "rates"]
+)
 def test_a_name_means_one_variant(questions: tuple[Question, ...]) -> None:
     by_name: dict[str, Variant] = {}
     for variant in (variant for question in questions for variant in question.variants):

@@ -1,0 +1,107 @@
+"""The rival codec .splat4d, through the command that the PyPI package ``splats4d`` brings (0.1.0 was tried)."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sysconfig
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.codec.state import Rows
+from decogs.formats.errors import UsageError
+from decogs.formats.splats import Splats
+
+from .sequences import Frames, Sizes
+from .splat import Splat, records
+
+_STREAM, _FIRST, _DECODED = "scene.splat4d", "first.splat4d", "decoded.splat"
+
+
+@dataclass(frozen=True)
+class Splat4d:
+    """All frames in one file. Bounds of the error: millimetres (a world unit counts as a metre), 8-bit levels of colour
+    and opacity, 1/128 of a quaternion's component, percent of the size.
+
+    Its input has the same Gaussians in every frame: one that is not there yet, or no more, stays where it first, or
+    last, was, with opacity 0.
+    """
+
+    position_mm: float
+    colour_levels: int
+    rotation_steps: int
+    scale_percent: float
+
+    def missing(self) -> str | None:
+        return None if _command() else "not installed"
+
+    def write(self, frames: Frames, folder: Path) -> Sizes:
+        """The first frame's bytes are those of a file of that frame alone: the whole one does not tell them apart."""
+        series, alone = folder / "series", folder / "alone"
+        series.mkdir()
+        alone.mkdir()
+        count = 0
+        for count, table in enumerate(of_one_length(frames), 1):
+            (series / f"frame_{count - 1:06d}.splat").write_bytes(table.tobytes())
+        shutil.copy(series / "frame_000000.splat", alone)
+        sizes = Sizes(self._encode(alone, folder / _FIRST), self._encode(series, folder / _STREAM))
+        (folder / "count").write_text(str(count))
+        shutil.rmtree(series)
+        return sizes
+
+    def read(self, folder: Path) -> Iterator[Splats]:
+        decoded = folder / _DECODED
+        for index in range(int((folder / "count").read_text())):
+            _run("decode", str(folder / _STREAM), "--frame", str(index), "-o", str(decoded))
+            yield Splat().decode(decoded.read_bytes())
+
+    def _encode(self, frames: Path, output: Path) -> int:
+        bounds = [
+            f"--pos-mm={self.position_mm:g}",
+            f"--color-levels={self.colour_levels}",
+            f"--rot-steps={self.rotation_steps}",
+            f"--scale-pct={self.scale_percent:g}",
+            "--zstd-level=19",
+        ]
+        _run("encode", "-i", str(frames), "-o", str(output), *bounds)
+        return output.stat().st_size
+
+
+def of_one_length(frames: Frames) -> Iterator[NDArray[np.void]]:
+    """Every frame as records of all Gaussians that are ever there, in the order of their ids."""
+    ids, table = _first_seen(frames)
+    table["opacity"] = 0
+    for frame in frames():
+        rows = np.searchsorted(ids, frame.ids)
+        table["opacity"] = 0
+        table[rows] = records(frame.splats)
+        yield table
+
+
+def _first_seen(frames: Frames) -> tuple[Rows, NDArray[np.void]]:
+    """Each Gaussian's id, ascending, and its record in the first frame that has it."""
+    ids: Rows = np.zeros(0, np.int64)
+    tables = []
+    for frame in frames():
+        # Ids only grow, and no later Gaussian reuses one.
+        new = frame.ids > (ids[-1] if len(ids) else -1)
+        ids = np.concatenate([ids, frame.ids[new]])
+        tables.append(records(frame.splats)[new])
+    return ids, np.concatenate(tables)
+
+
+def _command() -> str | None:
+    return shutil.which("splat4d") or shutil.which("splat4d", path=sysconfig.get_path("scripts"))
+
+
+def _run(*arguments: str) -> None:
+    command = _command()
+    assert command is not None
+    done = subprocess.run([command, *arguments], capture_output=True, text=True, check=False)
+    if done.returncode:
+        reason = (done.stderr.strip().splitlines() or ["no reason given"])[0]
+        raise UsageError(f"splat4d {arguments[0]}: {reason}")
