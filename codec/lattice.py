@@ -6,7 +6,7 @@ Both directions compute in float64; ``dequantise`` rounds once more, to float32.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,6 @@ from decogs.formats.splats import Splats
 
 from .state import Attributes, IntArray
 
-Quality = Literal["fine", "medium", "coarse"]
 Vector = tuple[float, float, float]
 Doubles = NDArray[np.float64]
 
@@ -41,16 +40,14 @@ class Lattice:
 _KEPT_SCALE = (0.7, 1.5)
 """Bounds of the largest component, in units, between which a delta keeps a quaternion's scale."""
 
-_STEPS: dict[Quality, tuple[float, float, float, float, float, float]] = {
-    # Positions as a fraction of the extent, then log-scale, quaternion, opacity logit, SH degree 0, SH above.
-    "fine": (2.0**-13, 0.05, 1 / 128, 0.2, 1 / 64, 1 / 64),
-    "medium": (2.0**-12, 0.07, 1 / 64, 0.3, 1 / 32, 1 / 32),
-    "coarse": (2.0**-11, 0.1, 1 / 48, 0.4, 1 / 16, 1 / 16),
-}
+_EXTENT_STEPS = 2.0**13
+
+_STEPS = {"log_scales": 0.06, "quaternions": 1 / 32, "opacity_logits": 0.25, "sh_dc": 1 / 12, "sh_rest": 1 / 8}
+"""Together they cost a keyframe .04 dB, whose training rounds rotations and colours before its end (DESIGN.md)."""
 
 
-def default_lattice(extent: float, *, centre: Vector = (0.0, 0.0, 0.0), quality: Quality = "fine") -> Lattice:
-    """Steps that measured well; ``extent`` is the size in world units of what the cameras look at.
+def default_lattice(extent: float, *, centre: Vector = (0.0, 0.0, 0.0), scale: float = 1.0) -> Lattice:
+    """Steps that measured well, ``scale`` times as coarse; ``extent``: size in world units of what the cameras look at.
 
     Raises TrainingError when the extent is no positive number.
     """
@@ -58,10 +55,9 @@ def default_lattice(extent: float, *, centre: Vector = (0.0, 0.0, 0.0), quality:
         raise TrainingError(
             f"the scene's extent is {extent}, so no position step can be chosen; check the first points"
         )
-    fraction, log_scales, quaternions, opacity_logits, sh_dc, sh_rest = _STEPS[quality]
-    step = float(extent) * fraction
+    step = float(extent) / _EXTENT_STEPS * scale
     origin = (float(centre[0]), float(centre[1]), float(centre[2]))
-    return Lattice(origin, (step, step, step), log_scales, quaternions, opacity_logits, sh_dc, sh_rest)
+    return Lattice(origin, (step, step, step), **{name: scale * of for name, of in _STEPS.items()})
 
 
 def robust_extent(means: NDArray[Any]) -> tuple[float, Vector]:

@@ -18,9 +18,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.splats import FloatArray, Splats, empty_splats, take_splats
+from decogs.formats.splats import FloatArray, Splats, empty_splats, join_splats, take_splats
 
 from .densification import ViewGradients, grow, opacities_of, strongest
+from .economy import EconomySettings, picture_share, take_back
 from .emergence import EmergenceSettings, Look, missed, seeds, worth_a_search
 from .ingest import View
 from .losses import FocusWeights, PhotometricLoss, focus_loss, require_finite, whole_picture_loss
@@ -39,11 +40,12 @@ class FrameSettings:
     ``cache_iterations`` and ``joint_iterations``: stage 1 and stage 2; more is slower and follows faster motion.
     ``carry_cache``: keep the cache's weights from frame to frame instead of restarting it. ``warm_start``: share of
     the last displacement to begin with, 0 to 1, the median over the ``warm_neighbours`` nearest selected Gaussians.
-    ``grow_gradient``: the paper's tau_d; lower adds more Gaussians. ``grow_share``: most Gaussians a frame may add, as
-    a share of the selected. ``rates``: stage 2, ``means`` in units of the rig's extent; over its second half they fall
-    to ``late_decay`` of that. ``beta1``, ``beta2``: stage 2's Adam. ``flat``: stage 2 ends, not before its half, once a
-    round through all views lowers their loss by less than this share; higher is faster. ``ablated``: parts of the
-    method left out (``methods.without``).
+    ``grow_gradient``: the paper's tau_d; lower adds more Gaussians. ``grow_share``: most Gaussians a frame may add,
+    as a share of the selected. ``rates``: stage 2, ``means`` in units of the rig's extent; over its second half
+    they fall to ``late_decay`` of that. ``economy``: what changes must be worth, without a cache. ``beta1``,
+    ``beta2``: stage 2's Adam. ``flat``: stage 2 ends, not before its half, once a round through all views lowers
+    their loss by less than this share; higher is faster. ``ablated``: parts of the method left out
+    (``methods.without``).
     """
 
     masks: MaskSettings = field(default_factory=MaskSettings)
@@ -63,6 +65,7 @@ class FrameSettings:
     beta1: float = 0.9
     beta2: float = 0.999
     flat: float = 0.0
+    economy: EconomySettings = field(default_factory=EconomySettings)
     emergence: EmergenceSettings = field(default_factory=EmergenceSettings)
     ablated: tuple[str, ...] = ()
 
@@ -136,7 +139,7 @@ class FrameTrainer:
             self._add_emerging(work, losses, masks)
         if "gate" in self._settings.ablated:
             self._open_gate(work, scene)
-        self._stage2(work, losses, masks)
+        self._stage2(work, scene, losses, masks)
         return self._result(work)
 
     def _start_warm(self, work: _Working, motion: FloatArray) -> None:
@@ -164,12 +167,15 @@ class FrameTrainer:
         work.show(*cache.moved())
         return gathered
 
-    def _stage2(self, work: _Working, losses: Sequence[PhotometricLoss], masks: Sequence[FrameMask]) -> None:
+    def _stage2(
+        self, work: _Working, scene: Splats, losses: Sequence[PhotometricLoss], masks: Sequence[FrameMask]
+    ) -> None:
         """The Gaussians' own values, with the cache if there is one; without it, densification falls in here."""
         settings = self._settings
         rates = replace(settings.rates, means=settings.rates.means * self._extent)
         gathered, self._values = ViewGradients(len(work.rows)), []
         grow_from, grow_at = settings.joint_iterations // 4, settings.joint_iterations // 2
+        hold_at = max(grow_at + 1, round(settings.economy.hold_at * settings.joint_iterations))
         for step, index in enumerate(self._view_order(settings.joint_iterations)):
             if self._cache is None and step == grow_at:
                 self._densify(work, gathered, masks)
@@ -182,6 +188,9 @@ class FrameTrainer:
                 self._gather(gathered, gradients, losses, index)
             if self._cache is not None:
                 gradients = self._through_cache(work, gradients, self._cache)
+            if step == hold_at and settings.economy.worth and self._cache is None:
+                worth = settings.economy.worth * picture_share(losses)
+                take_back(work.optimiser, work.before(scene), work.rows < len(scene), worth)
             if step > grow_at and self._has_fallen_flat(step):
                 break
             late = settings.late_decay ** max(0.0, 2 * step / settings.joint_iterations - 1)
@@ -371,6 +380,11 @@ class _Working:
             old = self.rows[self.rows < self._population]
             self.optimiser.remember(momentum, np.arange(len(old)), old)
         self._resized()
+
+    def before(self, scene: Splats) -> Splats:
+        """What ``rows`` were in the ``scene``; those that were added are as they are."""
+        old = self.rows < self._population
+        return join_splats(take_splats(scene, self.rows[old]), take_splats(self.base, ~old))
 
     def lasting(self) -> NDArray[np.bool_]:
         """Which of ``rows`` outlive the frame: all but those that were added in vain."""

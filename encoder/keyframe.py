@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.codec.lattice import Lattice, default_lattice, dequantise, quantise, robust_extent
 from decogs.formats.cameras import camera_centre
 from decogs.formats.errors import TrainingError
 from decogs.formats.splats import SH_C0, FloatArray, Splats, take_splats
@@ -39,7 +40,8 @@ class KeyframeSettings:
     ``sh_degree``: higher is slower and larger, better where views disagree. ``start_size``: first sigma in units of
     the point spacing. ``grow_from``/``grow_to``: shares of the schedule in which densification runs every
     ``grow_every`` steps, where the mean view gradient reaches ``grow_gradient``. ``validation_share``: share of the
-    tiles kept for the stop (0: no stop); the stop comes after ``patience`` checks without a new best.
+    tiles kept for the stop (0: no stop); the stop comes after ``patience`` checks without a new best. At the end,
+    rotations and colours are put on the lattice, and in ``settle_iterations`` more steps the rest makes up for it.
     """
 
     iterations: int = 1000
@@ -59,13 +61,15 @@ class KeyframeSettings:
     rates: LearningRates = field(default_factory=lambda: LearningRates(4e-4, 1e-2, 3e-3, 0.05, 1e-2, 5e-4))
     means_decay: float = 0.05
     late_decay: float = 0.2
+    settle_iterations: int = 150
 
 
 @dataclass(frozen=True)
 class TrainedKeyframe:
-    """The trained scene and how training went: steps run, and whether the validation tiles stopped it."""
+    """The trained scene, its lattice and how training went: steps run, and whether the validation tiles stopped it."""
 
     splats: Splats
+    lattice: Lattice
     steps: int
     stopped_early: bool
     training_psnr: float
@@ -103,15 +107,17 @@ def train_keyframe(
     settings: KeyframeSettings,
     *,
     seed: int,
+    lattice_scale: float = 1.0,
     on_step: OnStep | None = None,
 ) -> TrainedKeyframe:
     """Trains the first frame's Gaussians on ``pictures`` (3, H, W) of ``views``; the same seed gives the same bits.
 
-    Raises TrainingError without points or when the loss stops being finite.
+    ``lattice_scale``: how coarse the lattice is to be, in units of the default one's steps. Raises TrainingError
+    without points or when the loss stops being finite.
     """
     if not len(points.xyz):
         raise TrainingError("there are no first points to train from; check the poses, or give the rig COLMAP points")
-    training = _KeyframeTraining(kernel, views, pictures, points, settings, np.random.default_rng(seed))
+    training = _KeyframeTraining(kernel, views, pictures, points, settings, lattice_scale, np.random.default_rng(seed))
     return training.run(on_step)
 
 
@@ -123,9 +129,11 @@ class _KeyframeTraining:
         pictures: Sequence[FloatArray],
         points: FirstPoints,
         settings: KeyframeSettings,
+        lattice_scale: float,
         random: np.random.Generator,
     ) -> None:
         self._kernel, self._views, self._settings, self._random = kernel, views, settings, random
+        self._lattice_scale = lattice_scale
         self._extent = scene_extent(views) or 1.0
         counted = [_counted(view, settings.validation_share, random) for view in views]
         self._losses = [
@@ -138,13 +146,23 @@ class _KeyframeTraining:
         self._order = view_order(len(views), random)
 
     def run(self, on_step: OnStep | None) -> TrainedKeyframe:
+        steps, stopped = self._train(on_step)
+        lattice = self._settle_on_lattice(steps, on_step)
+        splats = self._optimiser.splats
+        seen = self._seen(splats)
+        if not seen.all():
+            splats = take_splats(splats, seen)
+        return TrainedKeyframe(splats, lattice, steps, stopped, self._training_psnr(splats))
+
+    def _train(self, on_step: OnStep | None) -> tuple[int, bool]:
+        """Trains until the schedule or the stop ends it, and goes back to the best; steps, and whether it stopped."""
         settings = self._settings
         best, best_splats, waited, step = -np.inf, self._optimiser.splats, 0, 0
         while step < settings.iterations and waited < settings.patience:
             loss = self._step(step)
             step += 1
             if on_step:
-                on_step(step, settings.iterations, loss)
+                on_step(step, self._planned, loss)
             if settings.validation_share and step % settings.validation_every == 0 and step > settings.iterations // 2:
                 score = self.validation_psnr(step)
                 if score > best:
@@ -153,11 +171,29 @@ class _KeyframeTraining:
                 else:
                     waited += 1
         stopped = step < settings.iterations
-        splats = best_splats if stopped else self._optimiser.splats
-        seen = self._seen(splats)
-        return TrainedKeyframe(
-            splats if seen.all() else take_splats(splats, seen), step, stopped, self._training_psnr(splats)
-        )
+        if stopped:
+            self._optimiser = SplatOptimiser(best_splats, self._kernel)
+            self._gradients = gradients_like(best_splats)
+        return step, stopped
+
+    def _settle_on_lattice(self, steps: int, on_step: OnStep | None) -> Lattice:
+        """Puts rotations and colours on the lattice, which is coarse for them, and trains the others around them."""
+        splats, settings = self._optimiser.splats, self._settings
+        extent, centre = robust_extent(splats.means)
+        lattice = default_lattice(extent, centre=centre, scale=self._lattice_scale)
+        if settings.settle_iterations:
+            points = dequantise(quantise(splats, lattice), lattice)
+            splats.quaternions[:], splats.sh[:] = points.quaternions, points.sh
+            self._optimiser.hold({name: np.ones(getattr(splats, name).shape, bool) for name in ("quaternions", "sh")})
+        for more in range(settings.settle_iterations):
+            loss = self._step(settings.iterations)
+            if on_step:
+                on_step(min(self._planned, steps + 1 + more), self._planned, loss)
+        return lattice
+
+    @property
+    def _planned(self) -> int:
+        return self._settings.iterations + self._settings.settle_iterations
 
     def _step(self, step: int) -> float:
         index = next(self._order)
@@ -177,7 +213,7 @@ class _KeyframeTraining:
 
     def _degree(self, step: int) -> int:
         """SH degree rises by one each quarter of the schedule."""
-        return min(self._settings.sh_degree, step * 4 // self._settings.iterations)
+        return min(self._settings.sh_degree, step * 4 // max(1, self._settings.iterations))
 
     def _rates(self, progress: float) -> LearningRates:
         rates = self._settings.rates.scaled(self._settings.late_decay ** max(0.0, 2 * progress - 1))

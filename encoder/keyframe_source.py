@@ -42,7 +42,9 @@ class KeyframeSource:
     @property
     def settings(self) -> dict[str, Any]:
         """What the earlier encode wrote down of how the keyframe was made."""
-        return {name: self.header.settings[name] for name in ("keyframe", "quality") if name in self.header.settings}
+        return {
+            name: self.header.settings[name] for name in ("keyframe", "lattice_scale") if name in self.header.settings
+        }
 
     def check(self, ingest: Ingest, first_frame: int) -> None:
         """Raises UsageError unless rig, held-out cameras and first frame are those the keyframe was trained on."""

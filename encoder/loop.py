@@ -22,7 +22,7 @@ from decogs.codec.deltas import Delta, apply_delta, difference
 from decogs.codec.digest import digest
 from decogs.codec.header import StreamHeader
 from decogs.codec.keyframes import keyframe_state
-from decogs.codec.lattice import Lattice, default_lattice, dequantise, quantise, robust_extent
+from decogs.codec.lattice import Lattice, dequantise, quantise
 from decogs.codec.reconstruct import reconstruct
 from decogs.codec.state import State, take_rows
 from decogs.codec.syntax import Coded, payload_costs, write_delta, write_key, write_skip
@@ -33,6 +33,7 @@ from decogs.formats.rigs import Rig
 from decogs.formats.splats import FloatArray, Splats, sh_degree_of
 
 from .baseline import BaselineTrainer
+from .economy import coarse_changes
 from .first_points import first_points
 from .frame_training import FrameTrainer, TrainedFrame
 from .ingest import Ingest, RigFrame
@@ -194,12 +195,17 @@ class StreamEncoder:
         views = self._ingest.views
         with watch.stage("keyframe"):
             trained = train_keyframe(
-                self._kernel, views, frame.training, points, settings.keyframe, seed=self._seed, on_step=on_step
+                self._kernel,
+                views,
+                frame.training,
+                points,
+                settings.keyframe,
+                seed=self._seed,
+                lattice_scale=settings.lattice_scale,
+                on_step=on_step,
             )
-        extent, centre = robust_extent(trained.splats.means)
-        lattice = default_lattice(extent, centre=centre, quality=settings.quality)
-        state, _ = keyframe_state(quantise(trained.splats, lattice))
-        return state, lattice
+        state, _ = keyframe_state(quantise(trained.splats, trained.lattice))
+        return state, trained.lattice
 
     def encode_next(self, frame: RigFrame) -> FrameReport:
         """Trains and writes the next frame from the reconstructed state of the one before."""
@@ -287,8 +293,10 @@ class StreamEncoder:
             view.refresh()
 
     def _delta(self, state: State, trained: TrainedFrame) -> Delta:
-        lattice = self._header.lattice
-        current = quantise(trained.values, lattice, near=take_rows(state, trained.kept))
+        lattice, before = self._header.lattice, take_rows(state, trained.kept)
+        current = quantise(trained.values, lattice, near=before)
+        if self._settings.method == "decogs":
+            current = coarse_changes(before, current, self._settings.frame.economy.coarseness)
         added = quantise(trained.added, lattice)
         return difference(state, trained.kept, current, removed=trained.removed, added=added)
 

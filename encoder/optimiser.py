@@ -7,12 +7,13 @@ Rejected: torch.optim.Adam (steps every row, and its sparse variant has no row s
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.splats import Splats, join_splats, take_splats
+from decogs.formats.splats import FloatArray, Splats, join_splats, take_splats
 
 from .rasterise import SplatGradients, TrainingKernel
 
@@ -52,6 +53,7 @@ class SplatOptimiser:
         self._first = _zeros_like(splats)
         self._second = _zeros_like(splats)
         self._steps = 0
+        self._held: dict[str, tuple[NDArray[np.bool_], FloatArray]] = {}
 
     def step(self, gradients: SplatGradients, rates: LearningRates, *, rows: NDArray[np.int64] | None = None) -> None:
         """One step of every attribute whose rate is not 0, on ``rows`` or on all."""
@@ -74,13 +76,25 @@ class SplatOptimiser:
                 epsilon=self._epsilon,
                 rows=rows,
             )
+        for name, (held, values) in self._held.items():
+            np.copyto(getattr(self.splats, name), values, where=held)
+
+    def hold(self, held: Mapping[str, NDArray[np.bool_]]) -> None:
+        """From now on these numbers of each attribute keep their values, until rows come or go."""
+        self._held = {name: (mask, getattr(self.splats, name).copy()) for name, mask in held.items()}
+
+    def gradient_size(self, name: str) -> FloatArray:
+        """Root mean square of an attribute's gradients so far, shaped like it, the recent ones weighing most."""
+        seen = 1 - float(np.float32(self._beta2)) ** self._steps
+        second: FloatArray = getattr(self._second, name)
+        return np.asarray(np.sqrt(second * np.float32(1 / seen)))
 
     def moments_are_zero(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> bool:
         return not any(getattr(m, name)[rows].any() for m in (self._first, self._second) for name in ATTRIBUTES)
 
     def keep(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> None:
         """Drops every other row, or puts rows into a new order."""
-        self.splats = take_splats(self.splats, rows)
+        self.splats, self._held = take_splats(self.splats, rows), {}
         self._first, self._second = take_splats(self._first, rows), take_splats(self._second, rows)
 
     def remember(self, other: SplatOptimiser, rows: NDArray[np.int64], theirs: NDArray[np.int64]) -> None:
@@ -92,7 +106,7 @@ class SplatOptimiser:
 
     def append(self, added: Splats) -> None:
         """Adds rows without momentum."""
-        self.splats = join_splats(self.splats, added)
+        self.splats, self._held = join_splats(self.splats, added), {}
         self._first = join_splats(self._first, _zeros_like(added))
         self._second = join_splats(self._second, _zeros_like(added))
 

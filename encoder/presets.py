@@ -10,10 +10,10 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
 from decogs.codec.entropy import DEFAULT_LEVEL
-from decogs.codec.lattice import Quality
 from decogs.formats.errors import UsageError
 
 from .baseline import BaselineSettings
+from .economy import Coarseness, EconomySettings
 from .emergence import EmergenceSettings
 from .frame_training import FrameSettings
 from .keyframe import KeyframeSettings
@@ -26,7 +26,8 @@ Method = Literal["decogs", "3dgstream"]
 
 @dataclass(frozen=True)
 class EncodeSettings:
-    """What an encode does. ``quality``: lattice steps, finer is larger. ``zstd_level``: higher is slower, smaller.
+    """What an encode does. ``lattice_scale``: of the lattice's steps, in units of the
+    default ones; higher is smaller and less exact. ``zstd_level``: higher is slower, smaller.
 
     ``method``: later frames follow ``frame`` ("decogs") or ``baseline`` ("3dgstream", slower). ``segment``: frames from
     one keyframe to the next, 0 for a single keyframe; fewer is larger, and quicker to seek. Only how a frame is told
@@ -35,7 +36,7 @@ class EncodeSettings:
 
     keyframe: KeyframeSettings = field(default_factory=KeyframeSettings)
     frame: FrameSettings = field(default_factory=FrameSettings)
-    quality: Quality = "fine"
+    lattice_scale: float = 1.0
     zstd_level: int = DEFAULT_LEVEL
     method: Method = "decogs"
     baseline: BaselineSettings = field(default_factory=BaselineSettings)
@@ -53,11 +54,16 @@ _STANDARD = EncodeSettings(
     frame=FrameSettings(
         masks=MaskSettings(threshold=10.0, radius_share=0.018, speck_area=8, since_trained=True, residual=25.0),
         cache=None,
-        joint_iterations=100,
+        joint_iterations=150,
         warm_start=0.9,
-        grow_share=0.02,
+        grow_share=0.01,
         beta1=0.7,
         beta2=0.99,
+        economy=EconomySettings(
+            worth=0.02,
+            hold_at=0.5,
+            coarseness=Coarseness(means=3, log_scales=3, quaternions=2, opacity_logits=3, sh_dc=2, sh_rest=1),
+        ),
     ),
 )
 

@@ -7,6 +7,7 @@ table.
 
 from __future__ import annotations
 
+from ..economy import Coarseness
 from ..transformation_cache import CacheSettings
 from .variants import Question, Times, Variant
 
@@ -87,7 +88,8 @@ QUESTIONS = (
         "cache",
         "Neural transformation cache",
         "None, anew in every frame, or carried over; with and without the warm start; at its rate and at five times. "
-        "Stage 1 takes the preset's cache_iterations, stage 2 its joint_iterations.",
+        "Stage 1 takes the preset's cache_iterations, stage 2 its joint_iterations. With a cache no change is judged "
+        "by its worth, so that those rows have more bytes.",
         _caches(),
         _BOTH,
     ),
@@ -95,7 +97,7 @@ QUESTIONS = (
         "iterations",
         "Iterations of stage 2",
         "",
-        tuple(Variant(f"iterations{n}", f"{n}", {"frame.joint_iterations": n}) for n in (30, 60, 100, 200)),
+        tuple(Variant(f"iterations{n}", f"{n}", {"frame.joint_iterations": n}) for n in (60, 100, 150, 200)),
         _BOTH,
     ),
     Question(
@@ -215,6 +217,38 @@ QUESTIONS = (
         "Least share of the rendering weight inside the masks",
         "For the selection by weight.",
         tuple(Variant(f"share{s:g}", f"{s:g}", {"frame.selection.least_share": s}) for s in (0.1, 0.3, 0.5, 0.7)),
+        _BOTH,
+    ),
+    Question(
+        "worth",
+        "What a change must be worth",
+        "By how much it must move a picture's summed loss to be sent; 0 sends everything.",
+        tuple(Variant(f"worth{w:g}", f"{w:g}", {"frame.economy.worth": w}) for w in (0.0, 0.01, 0.02, 0.04)),
+        _BOTH,
+    ),
+    Question(
+        "hold-at",
+        "When changes are judged",
+        "The share of stage 2 after which those that are worth too little are taken back.",
+        tuple(Variant(f"hold{h:g}", f"{h:g}", {"frame.economy.hold_at": h}) for h in (0.5, 0.6, 0.75)),
+        _BOTH,
+    ),
+    Question(
+        "coarseness",
+        "Steps in which changes are written",
+        "In lattice steps.",
+        (
+            Variant("coarseness-1", "1 for all", {"frame.economy.coarseness": Coarseness()}),
+            Variant("coarseness-preset", "the preset's"),
+            Variant("coarseness-double", "twice the preset's", {"frame.economy.coarseness": Times(2)}),
+        ),
+        _BOTH,
+    ),
+    Question(
+        "grow-share",
+        "Most Gaussians that a frame may add",
+        "As a share of the selected.",
+        tuple(Variant(f"grow{g:g}", f"{g:g}", {"frame.grow_share": g}) for g in (0.005, 0.01, 0.02, 0.05)),
         _BOTH,
     ),
     Question(

@@ -10,13 +10,14 @@ from .rivals.splat4d import Splat4d
 from .rivals.spz import Spz
 from .variants import Question, Variant
 
-RATE_POINTS = (
-    Variant("rate-fine", "fine", {"quality": "fine"}, own_keyframe=True),
-    Variant("rate-medium", "medium", {"quality": "medium"}, own_keyframe=True),
-    Variant("rate-coarse", "coarse", {"quality": "coarse"}, own_keyframe=True),
+RATE_POINTS = tuple(
     Variant(
-        "rate-coarse-tau25", "coarse, τ 25", {"quality": "coarse", "frame.masks.threshold": 25.0}, own_keyframe=True
-    ),
+        f"rate-{worth:g}",
+        f"worth {worth:g}, lattice × {scale:g}",
+        {"frame.economy.worth": worth, "lattice_scale": scale},
+        own_keyframe=True,
+    )
+    for worth, scale in ((0.005, 0.71), (0.01, 0.84), (0.02, 1.0), (0.04, 1.19))
 )
 """From the finest to the coarsest. The first one's stream is what the rivals keep."""
 

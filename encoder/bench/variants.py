@@ -68,9 +68,9 @@ def settings_of(variant: Variant, report_preset: str) -> EncodeSettings:
     settings: Any = preset(variant.preset or report_preset)
     if not variant.own_keyframe:
         shared = preset(report_preset)
-        settings = replace(settings, keyframe=shared.keyframe, quality=shared.quality)
+        settings = replace(settings, keyframe=shared.keyframe, lattice_scale=shared.lattice_scale)
     for path, value in variant.settings.items():
-        if path.split(".")[0] in ("keyframe", "quality") and not variant.own_keyframe:
+        if path.split(".")[0] in ("keyframe", "lattice_scale") and not variant.own_keyframe:
             raise UsageError(f"variant {variant.name}: changes {path} but shares the keyframe; set own_keyframe")
         try:
             settings = _changed(settings, path.split("."), value)

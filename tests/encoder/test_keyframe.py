@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from decogs.codec.lattice import dequantise, quantise
 from decogs.encoder.first_points import FirstPoints
 from decogs.encoder.ingest import Ingest, View
 from decogs.encoder.keyframe import (
@@ -24,7 +25,7 @@ from decogs.formats.errors import TrainingError
 from decogs.formats.rigs import open_rig
 from decogs.formats.splats import Splats
 
-SHORT = KeyframeSettings(iterations=60, cap=500, sh_degree=1, grow_every=10, validation_every=20)
+SHORT = KeyframeSettings(iterations=60, cap=500, sh_degree=1, grow_every=10, validation_every=20, settle_iterations=5)
 
 
 @dataclass(frozen=True)
@@ -155,7 +156,7 @@ class Listening(TrainingKernel):
 @pytest.mark.parametrize(("degree", "expected"), [(0, [0] * 40), (3, [0] * 10 + [1] * 10 + [2] * 10 + [3] * 10)])
 def test_sh_degree_rises_by_one_each_quarter(case: Case, degree: int, expected: list[int]) -> None:
     kernel = Listening()
-    settings = replace(SHORT, iterations=40, sh_degree=degree, validation_share=0.0)
+    settings = replace(SHORT, iterations=40, sh_degree=degree, validation_share=0.0, settle_iterations=0)
     result = train_keyframe(kernel, case.views, case.pictures, points(), settings, seed=0)
     assert kernel.degrees[:40] == expected
     assert result.splats.sh.shape[1] == (degree + 1) ** 2
@@ -198,9 +199,31 @@ def test_steps_are_reported(case: Case) -> None:
     train_keyframe(
         TrainingKernel(2), case.views, case.pictures, points(), SHORT, seed=0, on_step=lambda *step: told.append(step)
     )
-    assert [step for step, _, _ in told] == list(range(1, 61))
-    assert {planned for _, planned, _ in told} == {60}
+    assert [step for step, _, _ in told] == list(range(1, 66))
+    assert {planned for _, planned, _ in told} == {65}
     assert all(np.isfinite(loss) and loss > 0 for _, _, loss in told)
+
+
+def test_rotations_and_colours_end_on_the_lattice_and_the_rest_goes_on(case: Case) -> None:
+    result, before = trained(case), trained(case, replace(SHORT, settle_iterations=0))
+    on_lattice = dequantise(quantise(result.splats, result.lattice), result.lattice)
+    rounded = dequantise(quantise(before.splats, before.lattice), before.lattice)
+    for name in ("quaternions", "sh"):
+        held = getattr(result.splats, name)
+        np.testing.assert_array_equal(held, getattr(on_lattice, name))
+        np.testing.assert_array_equal(held, getattr(rounded, name))
+        assert (held != getattr(before.splats, name)).any()
+    assert (result.splats.means != before.splats.means).any()
+
+
+def test_the_lattice_is_as_coarse_as_asked_for(case: Case) -> None:
+    options = {"seed": 0, "settings": replace(SHORT, settle_iterations=0)}
+    fine, coarse = (
+        train_keyframe(TrainingKernel(2), case.views, case.pictures, points(), lattice_scale=scale, **options).lattice
+        for scale in (1.0, 3.0)
+    )
+    assert coarse.means == pytest.approx(3 * np.array(fine.means))
+    assert coarse.sh_dc == 3 * fine.sh_dc
 
 
 def test_what_cannot_be_trained_is_said_in_one_line(case: Case) -> None:

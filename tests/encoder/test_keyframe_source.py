@@ -45,7 +45,7 @@ def test_other_settings_begin_with_the_same_keyframe(
         tiny_settings,
         keyframe=replace(tiny_settings.keyframe, sh_degree=0, iterations=9),
         frame=replace(tiny_settings.frame, cache=None),
-        quality="coarse",
+        lattice_scale=4.0,
     )
     other = encode(moving_rig, settings=changed, keyframe=moving.path, seed=5, on_keyframe_step=never, stop=2)
     ours, theirs = packets(other.path), packets(moving.path)
@@ -56,7 +56,7 @@ def test_other_settings_begin_with_the_same_keyframe(
     assert [camera.near for camera in one.cameras] == [camera.near for camera in two.cameras]
     assert all(camera.near > 0 for camera in one.cameras)
     # The header says how the keyframe was made, and how the rest.
-    for name in ("keyframe", "quality"):
+    for name in ("keyframe", "lattice_scale"):
         assert one.settings[name] == two.settings[name]
     assert (one.settings["seed"], one.settings["frame"]["cache"]) == (5, None)
 

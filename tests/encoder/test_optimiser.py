@@ -139,3 +139,36 @@ def test_kept_rows_take_their_momentum_with_them() -> None:
 
 def test_scaled_rates() -> None:
     assert RATES.scaled(0.5) == LearningRates(5e-4, 1e-3, 1.5e-3, 2e-3, 2.5e-3, 3e-3)
+
+
+def test_what_is_held_stays_and_the_rest_goes_as_without() -> None:
+    start, gradients = some_splats(1), gradients_of(some_splats(2))
+    free, holding = (SplatOptimiser(start, TrainingKernel(1)) for _ in range(2))
+    held = {name: np.random.default_rng(3).random(getattr(start, name).shape) < 0.5 for name in ATTRIBUTES}
+    holding.hold(held)
+    for optimiser in (free, holding, free, holding):
+        optimiser.step(gradients, RATES)
+    for name in ATTRIBUTES:
+        expected = np.where(held[name], getattr(start, name), getattr(free.splats, name))
+        np.testing.assert_array_equal(getattr(holding.splats, name), expected)
+
+
+def test_nothing_is_held_any_more_once_rows_come_or_go() -> None:
+    start, gradients = some_splats(1), gradients_of(some_splats(2))
+    for change in (lambda o: o.keep(np.arange(COUNT)), lambda o: o.append(take_splats(start, np.arange(0)))):
+        optimiser = SplatOptimiser(start, TrainingKernel(1))
+        optimiser.hold({"means": np.ones((COUNT, 3), bool)})
+        change(optimiser)
+        optimiser.step(gradients, RATES)
+        assert (optimiser.splats.means != start.means).all()
+
+
+def test_gradient_size_is_the_root_mean_square_of_what_came() -> None:
+    start, gradients = some_splats(1), [some_splats(seed) for seed in (2, 3, 4)]
+    optimiser = SplatOptimiser(start, TrainingKernel(1), beta2=0.9)
+    for gradient in gradients:
+        optimiser.step(gradients_of(gradient), RATES)
+    weights = np.array([0.81, 0.9, 1.0])
+    squares = sum(w * g.means.astype(np.float64) ** 2 for w, g in zip(weights, gradients, strict=True))
+    # float32 moments: a few units in the last place (1.2e-7).
+    np.testing.assert_allclose(optimiser.gradient_size("means"), np.sqrt(squares / weights.sum()), rtol=1e-6)

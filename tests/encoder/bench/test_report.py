@@ -56,8 +56,8 @@ RIVALS = (
     Rival("spz", "SPZ", "a .spz each", FilePerFrame(Spz(2, 2, 2)), "Coarse."),
     Rival("deltas", "float32", "float32 that changes", FloatDeltas()),
 )
-FINE = Variant("fine", "fine", {"quality": "fine"}, own_keyframe=True)
-COARSE = Variant("coarse", "coarse", {"quality": "coarse"}, own_keyframe=True)
+FINE = Variant("fine", "fine", {"lattice_scale": 1.0}, own_keyframe=True)
+COARSE = Variant("coarse", "coarse", {"lattice_scale": 4.0}, own_keyframe=True)
 RACE = Plan(
     "race",
     "A small race",

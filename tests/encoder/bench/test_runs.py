@@ -38,7 +38,7 @@ def test_a_run_holds_what_the_stream_shows(three_frames: Path, tmp_path: Path) -
     run = bench.run(
         PRESET, on_frame=lambda: calls.append("frame"), on_keyframe_step=lambda step, *_: calls.append("step")
     )
-    assert calls == ["step"] * 80 + ["frame"] * 3, "the keyframe is nobody's own frame"
+    assert calls == ["step"] * 90 + ["frame"] * 3, "the keyframe is nobody's own frame"
     (stream,) = (tmp_path / "streams").glob("three-preset-*.dgs")
     regions = find_regions(open_rig(three_frames), "cam02", range(3), 1.0)
     before: np.ndarray | None = None

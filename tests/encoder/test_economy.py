@@ -1,0 +1,108 @@
+"""What a change must be worth: judged in loss, taken back for good, and the rest written coarsely."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+from decogs.codec.state import ARRAYS, Attributes
+from decogs.encoder.economy import Coarseness, coarse_changes, picture_share, take_back
+from decogs.encoder.losses import FocusWeights, focus_loss, whole_picture_loss
+from decogs.encoder.optimiser import LearningRates, SplatOptimiser
+from decogs.encoder.rasterise import SplatGradients, TrainingKernel
+from decogs.formats.splats import Splats
+
+RATES = LearningRates(*[0.01] * 6)
+COUNT = 50
+
+
+def some_splats(seed: int) -> Splats:
+    random = np.random.default_rng(seed)
+    shapes = ((COUNT, 3), (COUNT, 3), (COUNT, 4), (COUNT,), (COUNT, 4, 3))
+    return Splats(*(random.normal(size=shape).astype(np.float32) for shape in shapes))
+
+
+def trained(start: Splats, sizes: Splats) -> tuple[SplatOptimiser, SplatGradients]:
+    """Three Adam steps: every number moves by .03, whatever its gradient."""
+    gradients = SplatGradients(*vars(sizes).values(), np.zeros(COUNT, np.float32))
+    optimiser = SplatOptimiser(start, TrainingKernel(1))
+    for _ in range(3):
+        optimiser.step(gradients, RATES)
+    return optimiser, gradients
+
+
+def test_changes_are_judged_by_what_they_do_to_the_loss_and_not_by_their_size() -> None:
+    start = some_splats(1)
+    sizes = Splats(*(np.where(array > 0, 1.0, 0.1).astype(np.float32) for array in vars(some_splats(2)).values()))
+    optimiser, gradients = trained(start, sizes)
+    old = np.arange(COUNT) < 40
+    moved = Splats(*(array.copy() for array in vars(optimiser.splats).values()))
+    take_back(optimiser, start, old, worth=0.01)  # between .1 * .03 and 1 * .03
+    for _ in range(5):
+        optimiser.step(gradients, RATES)
+    for name in ("means", "log_scales", "opacity_logits", "sh"):
+        idle = getattr(sizes, name) < 0.5
+        idle[~old] = False
+        values, was = getattr(optimiser.splats, name), getattr(start, name)
+        np.testing.assert_array_equal(values[idle], was[idle])
+        assert (values[~idle] != getattr(moved, name)[~idle]).all(), "what is worth it goes on"
+
+
+def test_no_change_is_taken_back_when_nothing_is_too_little() -> None:
+    start = some_splats(1)
+    optimiser, _ = trained(start, some_splats(2))
+    moved = optimiser.splats.means.copy()
+    take_back(optimiser, start, np.ones(COUNT, bool), worth=0.0)
+    np.testing.assert_array_equal(optimiser.splats.means, moved)
+
+
+def test_quaternions_keep_the_rotation_they_were_trained_to() -> None:
+    start = some_splats(1)
+    optimiser, _ = trained(start, some_splats(2))
+    moved = optimiser.splats.quaternions.copy()
+    take_back(optimiser, start, np.ones(COUNT, bool), worth=0.0)
+    now = optimiser.splats.quaternions
+    # The same up to scale, in float32: a rounding of 6e-8 in each component.
+    cosines = (now * moved).sum(axis=1) / np.linalg.norm(now, axis=1) / np.linalg.norm(moved, axis=1)
+    np.testing.assert_allclose(cosines, 1, atol=1e-6)
+    row, largest = np.arange(COUNT), np.abs(start.quaternions).argmax(axis=1)
+    np.testing.assert_array_equal(now[row, largest], start.quaternions[row, largest])
+
+
+def attributes(seed: int, span: int) -> Attributes:
+    random = np.random.default_rng(seed)
+    shapes = ((COUNT, 3), (COUNT, 3), (COUNT, 4), (COUNT,), (COUNT, 4, 3))
+    return Attributes(*(random.integers(-span, span + 1, shape).astype(np.int32) for shape in shapes))
+
+
+def test_changes_are_whole_multiples_as_near_as_can_be() -> None:
+    before, after = attributes(1, 1000), attributes(2, 1000)
+    coarseness = Coarseness(means=3, log_scales=2, quaternions=1, opacity_logits=5, sh_dc=4, sh_rest=7)
+    written = coarse_changes(before, after, coarseness)
+    for name in ARRAYS:
+        groups = ((np.s_[:],),) if name != "sh" else ((np.s_[:, :1], 4), (np.s_[:, 1:], 7))
+        for part, *step in groups:
+            multiple = step[0] if step else getattr(coarseness, name)
+            was, wanted, is_now = (getattr(values, name)[part].astype(int) for values in (before, after, written))
+            assert ((is_now - was) % multiple == 0).all()
+            assert (np.abs(is_now - wanted) <= multiple // 2).all()
+            assert (np.abs(is_now - was) <= np.abs(wanted - was) + (multiple - 1) // 2).all(), "halves towards none"
+
+
+def test_a_coarseness_of_one_writes_what_was_trained() -> None:
+    before, after = attributes(1, 1000), attributes(2, 2**30)
+    for name, array in vars(coarse_changes(before, after, Coarseness())).items():
+        np.testing.assert_array_equal(array, getattr(after, name))
+    assert {field.default for field in fields(Coarseness)} == {1}
+
+
+def test_a_share_of_the_summed_loss_is_the_same_whatever_the_focus() -> None:
+    target, mask = np.zeros((3, 40, 60), np.float32), np.zeros((40, 60), bool)
+    whole = whole_picture_loss(target, None, 0.2)
+    assert picture_share([whole]) == pytest.approx(1 / 2400)
+    mask[:10] = True
+    focused = focus_loss(target, mask, None, FocusWeights(whole=0.0, focus=1.0))
+    assert picture_share([focused]) == pytest.approx(1 / 600)
+    assert picture_share([whole, focused]) == pytest.approx((1 / 2400 + 1 / 600) / 2)
