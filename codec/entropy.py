@@ -65,7 +65,8 @@ def _decompress(cursor: Cursor, data: memoryview, low: int, high: int) -> bytes:
         frame = zstandard.get_frame_parameters(data)
     except zstandard.ZstdError:
         cursor.fail(Reason.BAD_COMPRESSION, "a compressed block does not start as a zstd frame")
-    if not low <= frame.content_size <= high:
+    # Nothing is never compressed; a size of 0 would also let frames pass that zstandard then does not look into.
+    if not max(low, 1) <= frame.content_size <= high:
         cursor.fail(Reason.BAD_COMPRESSION, f"a zstd frame declares {frame.content_size} bytes, not {low} to {high}")
     if frame.window_size > MAX_WINDOW or frame.dict_id:
         cursor.fail(Reason.BAD_COMPRESSION, "a zstd frame needs a window above 8 MiB or a dictionary")

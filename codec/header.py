@@ -12,6 +12,7 @@ from typing import Any, NoReturn, TypeVar
 import numpy as np
 
 from decogs.formats.cameras import Camera
+from decogs.formats.container import PACKET_HEADER_SIZE, PROLOGUE_SIZE
 from decogs.formats.errors import StreamError
 from decogs.formats.reasons import Reason
 
@@ -124,7 +125,7 @@ class StreamHeader:
             _refuse("held_out names a camera that the stream does not have")
         unknown = sorted(set(header.effects) - EFFECTS)
         if unknown:
-            raise StreamError(Reason.UNSUPPORTED_EFFECT, f"this decoder does not know the effect {unknown[0]!r}")
+            _refuse(f"this decoder does not know the effect {unknown[0]!r}", Reason.UNSUPPORTED_EFFECT)
         return header
 
 
@@ -212,7 +213,7 @@ class _Fields:
 def _parse(payload: bytes) -> Any:
     """JSON of bounded size and depth, every name once, numbers finite."""
     if len(payload) > MAX_HEADER_BYTES:
-        raise StreamError(Reason.TOO_LARGE, f"a header of {len(payload)} bytes is above the limit", packet=0)
+        _refuse(f"{len(payload)} bytes are above the limit", Reason.TOO_LARGE)
     brackets = np.frombuffer(_STRING.sub(b"", payload), np.uint8)
     steps = np.isin(brackets, [ord("["), ord("{")]).astype(np.int64) - np.isin(brackets, [ord("]"), ord("}")])
     if np.cumsum(steps).max(initial=0) > MAX_DEPTH:
@@ -223,12 +224,13 @@ def _parse(payload: bytes) -> Any:
             object_pairs_hook=_unique_members,
             parse_constant=lambda name: _refuse(f"holds {name}"),
             parse_float=_finite,
+            parse_int=_finite_integer,
         )
         # Half a surrogate pair is a text that cannot be printed.
         json.dumps(document, ensure_ascii=False).encode("utf-8")
         return document
     except ValueError as error:
-        raise StreamError(Reason.BAD_HEADER, f"the header is no valid JSON: {error}", packet=0) from error
+        _refuse(f"is no valid JSON: {error}")
 
 
 def _unique_members(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -245,8 +247,13 @@ def _finite(text: str) -> float:
     return value
 
 
-def _refuse(problem: str) -> NoReturn:
-    raise StreamError(Reason.BAD_HEADER, f"header: {problem}", packet=0)
+def _finite_integer(text: str) -> int:
+    _finite(text)
+    return int(text)
+
+
+def _refuse(problem: str, reason: str = Reason.BAD_HEADER) -> NoReturn:
+    raise StreamError(reason, f"header: {problem}", packet=0, offset=PROLOGUE_SIZE + PACKET_HEADER_SIZE)
 
 
 def _floats(values: Any) -> list[float]:

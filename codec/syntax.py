@@ -239,6 +239,7 @@ def _read_referring_key(
         cursor.fail(Reason.BAD_PAYLOAD, f"{count} Gaussians are declared, others are there")
     old = apply_delta(first, Delta(rows, residuals, removed, empty_attributes(first.coefficients)))
     if not young:
+        _check_first_id(cursor, first_id)
         return old.ids, old
     if first_id < first.next_id:
         cursor.fail(Reason.BAD_PAYLOAD, "an added Gaussian's id is not above the first keyframe's")
@@ -287,13 +288,19 @@ def _id_gaps(ids: Rows) -> np.ndarray[tuple[int, ...], np.dtype[np.uint64]]:
 
 def _read_new_ids(cursor: Cursor, mode: int, first: int, count: int) -> Rows:
     """The ids of ``count`` whole Gaussians, all below 2**63."""
-    if not count and first:
-        cursor.fail(Reason.BAD_PAYLOAD, "ids are out of range")
+    if not count:
+        _check_first_id(cursor, first)
     if mode == _LISTED_IDS:
         return _read_ids(cursor, first, count)
     if first + count > MAX_ID:
         cursor.fail(Reason.BAD_PAYLOAD, "ids are out of range")
     return first + np.arange(count, dtype=np.int64)
+
+
+def _check_first_id(cursor: Cursor, first: int) -> None:
+    """Where no Gaussian is listed, there is no first id."""
+    if first:
+        cursor.fail(Reason.BAD_PAYLOAD, "ids are out of range")
 
 
 def _read_ids(cursor: Cursor, first: int, count: int) -> Rows:

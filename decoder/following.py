@@ -16,7 +16,7 @@ from typing import BinaryIO
 
 from decogs.codec.reconstruct import reconstruct
 from decogs.codec.state import DEFAULT_MAX_GAUSSIANS, State
-from decogs.formats.container import FRAME_KINDS, Packet, PacketReader
+from decogs.formats.container import FRAME_KINDS, Packet, PacketReader, check_frame
 from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.reasons import Reason
 
@@ -60,6 +60,7 @@ class GrowingStream:
                 if packet.kind not in FRAME_KINDS:
                     continue
                 before = None if frame is None else frame.state
+                check_frame(packet, 0 if before is None else before.frame + 1)
                 state = reconstruct(before, packet, self.header, first=first, max_gaussians=self._max_gaussians)
                 first = state if first is None else first
                 frame = DecodedFrame(packet, state, self.header, frame, first)

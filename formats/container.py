@@ -181,13 +181,13 @@ class PacketReader:
         return self._offset
 
     @property
-    def pending(self) -> int:
-        return len(self._buffer)
+    def ordinal(self) -> int | None:
+        """Number of the next packet; None before the first, or when that is not known after reading from an offset."""
+        return None if self._at_prologue else self._ordinal
 
     @property
-    def at_prologue(self) -> bool:
-        """Whether not even the stream's first 16 bytes have come in yet."""
-        return self._at_prologue
+    def pending(self) -> int:
+        return len(self._buffer)
 
     def next(self) -> Packet | None:
         """The next complete packet, ancillary ones of unknown kind included, or None when there is none yet."""
@@ -283,7 +283,7 @@ class PacketReader:
 
     def _check_place(self, packet: Packet) -> None:
         """The header comes first and once; the end packet counts the frames."""
-        if self._ordinal is not None and (packet.kind == PacketKind.HEADER) != (self._ordinal == 0):
+        if (packet.kind == PacketKind.HEADER) != (packet.offset == PROLOGUE_SIZE):
             self._fail(Reason.MISPLACED_PACKET, "a stream has one header packet, which comes first")
         if packet.kind in FRAME_KINDS:
             self._frames += 1
@@ -328,14 +328,23 @@ def iterate_packets(file: BinaryIO, *, strict: bool = True, max_payload: int = M
     An incomplete packet at the tail raises StreamError("truncated") after the complete ones when ``strict``, else the
     iteration just ends. Damage always raises.
     """
-    reader = PacketReader(file, max_payload=max_payload)
+    reader, frame = PacketReader(file, max_payload=max_payload), 0
     while (packet := reader.next()) is not None:
+        if packet.kind in FRAME_KINDS:
+            check_frame(packet, frame)
+            frame += 1
         if packet.kind in _KNOWN_KINDS:
             yield packet
-    if strict and (reader.pending or reader.at_prologue):
-        raise StreamError(
-            Reason.TRUNCATED, f"the stream stops {reader.pending} bytes into a packet", offset=reader.offset
-        )
+    if strict and (reader.pending or not reader.ordinal):
+        message = f"the stream stops {reader.pending} bytes into a packet"
+        raise StreamError(Reason.TRUNCATED, message, packet=reader.ordinal, offset=reader.offset)
+
+
+def check_frame(packet: Packet, expected: int) -> None:
+    """Frames count 0, 1, 2, ... in a stream that is read in order; raises StreamError("frame-order") when not."""
+    if packet.frame != expected:
+        message = f"frame {packet.frame} where frame {expected} must come"
+        raise StreamError(Reason.FRAME_ORDER, message, packet=packet.ordinal, offset=packet.offset)
 
 
 def read_packet_at(file: BinaryIO, entry: IndexEntry, *, max_payload: int = MAX_PAYLOAD) -> Packet:
