@@ -1,0 +1,291 @@
+"""The vectors, the plain decoder and the product say the same: states, reason codes, packets and offsets."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import struct
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from decogs.codec.deltas import apply_delta, difference
+from decogs.codec.digest import digest
+from decogs.codec.header import StreamHeader
+from decogs.codec.keyframes import keyframe_state
+from decogs.codec.lattice import default_lattice, dequantise
+from decogs.codec.reconstruct import reconstruct
+from decogs.codec.state import ARRAYS, Attributes, State
+from decogs.codec.syntax import write_delta, write_key, write_skip
+from decogs.decoder.following import follow_stream
+from decogs.decoder.session import open_stream
+from decogs.encoder import encode
+from decogs.formats.cameras import Camera
+from decogs.formats.container import (
+    FRAME_KINDS,
+    Packet,
+    PacketKind,
+    StreamWriter,
+    iterate_packets,
+    parse_index,
+    read_packet_at,
+)
+from decogs.formats.errors import StreamError
+from decogs.formats.reasons import ALL_REASONS
+
+sys.path.insert(0, str(Path(__file__).parent))
+import make_vectors
+import plain_decoder
+
+FOLDER = make_vectors.FOLDER
+EXPECTED: dict[str, dict[str, Any]] = json.loads((FOLDER / "expected.json").read_text())
+GOOD = sorted(name for name, expected in EXPECTED.items() if expected["failure"] is None)
+BROKEN = sorted(set(EXPECTED) - set(GOOD))
+
+
+def vector(name: str) -> bytes:
+    return (FOLDER / f"{name}.dgs").read_bytes()
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a decoder made of a stream."""
+
+    frames: list[dict[str, Any]]
+    reason: str | None
+    packet: int | None = None
+    offset: int | None = None
+    indexes: tuple[bool, ...] = ()
+
+
+def by_the_plain_decoder(data: bytes, limits: dict[str, int]) -> Outcome:
+    decoded = plain_decoder.decode(data, plain_decoder.Limits(**limits))
+    frames = [make_vectors.hashes(state, decoded.header) for state in decoded.states]
+    indexes = tuple(decoded.indexes)
+    failure = decoded.failure
+    if failure is None:
+        return Outcome(frames, None, indexes=indexes)
+    return Outcome(frames, failure.reason, failure.packet, failure.offset, indexes)
+
+
+def by_the_product(data: bytes, limits: dict[str, int]) -> Outcome:
+    """The product's layers in order: container, header, reconstruction."""
+    header: StreamHeader | None = None
+    states: list[State] = []
+    indexes: list[bool] = []
+    container = {"max_payload": limits["payload_bytes"]} if "payload_bytes" in limits else {}
+    population = {"max_gaussians": limits["gaussians"]} if "gaussians" in limits else {}
+    failure: StreamError | None = None
+    try:
+        for packet in iterate_packets(io.BytesIO(data), **container):
+            if packet.kind == PacketKind.HEADER:
+                header = StreamHeader.from_bytes(packet.payload)
+            elif packet.kind == PacketKind.INDEX:
+                indexes.append(index_is_right(data, packet))
+            elif packet.kind in FRAME_KINDS:
+                before, first = (states[-1], states[0]) if states else (None, None)
+                states.append(reconstruct(before, packet, header, first=first, **population))
+    except StreamError as error:
+        failure = error
+    frames = [product_hashes(state, header) for state in states]
+    if failure is None:
+        return Outcome(frames, None, indexes=tuple(indexes))
+    return Outcome(frames, failure.reason, failure.packet, failure.offset, tuple(indexes))
+
+
+def index_is_right(data: bytes, packet: Packet) -> bool:
+    try:
+        return all(read_packet_at(io.BytesIO(data), entry) for entry in parse_index(packet))
+    except StreamError:
+        return False
+
+
+def product_hashes(state: State, header: StreamHeader) -> dict[str, Any]:
+    """As conformance/README.md defines them, from arrays."""
+    columns = [getattr(state, name).reshape(len(state), -1) for name in ARRAYS] if len(state) else []
+    rows = b"".join(
+        struct.pack("<Q", int(name)) + b"".join(np.asarray(column[row], "<i4").tobytes() for column in columns)
+        for row, name in enumerate(state.ids)
+    )
+    splats = dequantise(state, header.lattice)
+    shown = [getattr(splats, name).reshape(len(state), -1) for name in ARRAYS] if len(state) else []
+    floats = np.concatenate(shown, axis=1, dtype="<f4").tobytes() if shown else b""
+    return {
+        "gaussians": len(state),
+        "digest": f"{digest(state):016x}",
+        "integers": hashlib.sha256(struct.pack("<QI", state.next_id, len(state)) + rows).hexdigest(),
+        "floats": hashlib.sha256(floats).hexdigest(),
+    }
+
+
+DECODERS = {"plain": by_the_plain_decoder, "product": by_the_product}
+Decoder = Callable[[bytes, dict[str, int]], Outcome]
+
+
+def check(outcome: Outcome, expected: dict[str, Any], data: bytes) -> None:
+    failure = expected["failure"] or {"reason": None, "packet": None, "offset": None}
+    assert outcome.reason == failure["reason"]
+    assert outcome.packet == failure["packet"]
+    assert outcome.frames == expected["frames"]
+    assert outcome.indexes == tuple(expected.get("indexes", ()))
+    if failure["reason"] is not None:
+        assert outcome.offset is not None
+        # A reader may be more exact than the first byte of the packet (SPEC.md, section 9).
+        assert failure["offset"] <= outcome.offset <= len(data)
+        assert outcome.offset < end_of(data, failure)
+
+
+def end_of(data: bytes, failure: dict[str, Any]) -> int:
+    """Where the broken packet ends: offsets up to here are inside it."""
+    if failure["packet"] is None:
+        return 16
+    head = data[failure["offset"] : failure["offset"] + 20]
+    length = int.from_bytes(head[12:16], "little") if len(head) == 20 else 0
+    return failure["offset"] + 24 + length
+
+
+@pytest.mark.parametrize("name", sorted(EXPECTED))
+@pytest.mark.parametrize("decode", DECODERS.values(), ids=DECODERS)
+def test_a_vector_has_its_outcome(decode: Decoder, name: str) -> None:
+    expected, data = EXPECTED[name], vector(name)
+    check(decode(data, expected.get("limits", {})), expected, data)
+
+
+@pytest.mark.parametrize("decode", DECODERS.values(), ids=DECODERS)
+def test_large_vectors_have_their_outcomes(decode: Decoder) -> None:
+    for large in make_vectors.large_vectors():
+        check(decode(large.data, {}), make_vectors.outcome(large), large.data)
+
+
+def test_the_files_are_what_the_script_makes() -> None:
+    made = make_vectors.files()
+    kept = {path.relative_to(FOLDER).as_posix(): path for path in FOLDER.rglob("*") if path.is_file()}
+    assert sorted(kept) == sorted(made)
+    for name, path in kept.items():
+        assert path.read_bytes() == made[name], name
+
+
+def test_the_suite_is_small_and_has_every_reason_code() -> None:
+    assert sum(path.stat().st_size for path in FOLDER.rglob("*")) < 1_000_000
+    assert {expected["failure"]["reason"] for expected in EXPECTED.values() if expected["failure"]} == ALL_REASONS
+
+
+@pytest.mark.parametrize("name", [name for name in GOOD if name.startswith("good/")])
+@pytest.mark.parametrize("decode", DECODERS.values(), ids=DECODERS)
+def test_a_stream_cut_after_a_packet_is_a_shorter_stream(decode: Decoder, name: str) -> None:
+    data, frames = vector(name), 0
+    for packet in iterate_packets(io.BytesIO(data)):
+        frames += packet.kind in FRAME_KINDS
+        grown = decode(data[: packet.offset + packet.size], {})
+        assert (grown.reason, grown.frames) == (None, EXPECTED[name]["frames"][:frames])
+
+
+@pytest.mark.parametrize("name", [name for name in sorted(EXPECTED) if "payload_bytes" not in str(EXPECTED[name])])
+def test_an_opened_file_has_those_states_or_an_error(name: str) -> None:
+    """Through the index, where there is one: what it says wrong is an error, never another state."""
+    expected, states = EXPECTED[name], []
+    limits = expected.get("limits", {})
+    population = {"max_gaussians": limits["gaussians"]} if "gaussians" in limits else {}
+    reason = None
+    try:
+        with open_stream(FOLDER / f"{name}.dgs", strict=True, **population) as stream:
+            states.extend(product_hashes(frame.state, stream.header) for frame in stream.frames())
+    except StreamError as error:
+        reason = error.reason
+    assert states == expected["frames"][: len(states)]
+    assert (reason is None) == (name in GOOD), reason
+    if name in GOOD:
+        assert len(states) == len(expected["frames"])
+
+
+@pytest.mark.parametrize("name", [name for name in sorted(EXPECTED) if "limits" not in EXPECTED[name]])
+def test_a_followed_stream_has_those_states_and_that_reason(name: str) -> None:
+    """A pipe that ends inside a packet is no error here; limits are of memory and not of numbers."""
+    expected, states, reason = EXPECTED[name], [], None
+    try:
+        with follow_stream(io.BytesIO(vector(name))) as stream:
+            states.extend(product_hashes(frame.state, stream.header) for frame in stream.frames())
+    except StreamError as error:
+        reason = error.reason
+    assert states == expected["frames"]
+    if expected["failure"] and expected["failure"]["reason"] != "truncated":
+        assert reason == expected["failure"]["reason"]
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_what_the_product_writes_the_plain_decoder_reads(seed: int) -> None:
+    """Random scenes at every SH degree through the product's own choices: zstd, predictions, index sets, references."""
+    rng = np.random.default_rng(seed)
+    degree = seed % 4
+    camera = Camera("a", 64, 48, 50.0, 50.0, 32.0, 24.0, np.eye(4))
+    header = StreamHeader(cameras=(camera,), lattice=default_lattice(4.0), sh_degree=degree)
+    file = io.BytesIO()
+    writer = StreamWriter(file, header.to_bytes())
+    state, _ = keyframe_state(some_attributes(rng, 400, degree))
+    first = state
+    writer.write(PacketKind.KEY, 0, write_key(state).payload)
+    for frame in range(1, 9):
+        if frame == 4:
+            writer.write(PacketKind.SKIP, frame, write_skip(state).payload)
+            continue
+        delta = some_delta(rng, state, degree)
+        if frame == 7:
+            state = apply_delta(state, delta)
+            writer.write(PacketKind.KEY, frame, write_key(state, first=first, level=3).payload)
+            continue
+        writer.write(PacketKind.DELTA, frame, write_delta(state, delta, level=3 if frame % 2 else 19).payload)
+        state = apply_delta(state, delta)
+    writer.finish()
+    product = by_the_product(file.getvalue(), {})
+    assert product.reason is None
+    assert len(product.frames) == 9
+    assert product.frames[-1]["digest"] == f"{digest(state):016x}"
+    assert by_the_plain_decoder(file.getvalue(), {}) == product
+
+
+def test_what_the_encoder_makes_the_plain_decoder_reads(tmp_path: Path) -> None:
+    """The sample rig, small; the third frame is a keyframe that refers to the first."""
+    rig, path = Path(__file__).parents[1] / "demo" / "workbench", tmp_path / "encoded.dgs"
+    encode(rig, path, frames=":3", scale=0.1, preset="draft", segment=2)
+    product = by_the_product(path.read_bytes(), {})
+    assert (product.reason, len(product.frames), product.indexes) == (None, 3, (True,))
+    assert by_the_plain_decoder(path.read_bytes(), {}) == product
+
+
+def some_attributes(rng: np.random.Generator, count: int, degree: int) -> Attributes:
+    def draw(*shape: int) -> np.ndarray:
+        return rng.normal(0, 10 ** rng.uniform(0, 5), (count, *shape)).astype(np.int32)
+
+    return Attributes(draw(3), draw(3), draw(4), draw(), draw((degree + 1) ** 2, 3))
+
+
+def some_delta(rng: np.random.Generator, state: State, degree: int) -> Any:
+    rows = np.sort(rng.permutation(len(state))[: rng.integers(0, len(state))])
+    removed = np.sort(rng.permutation(len(state))[: rng.integers(0, 40)])
+    current = some_attributes(rng, len(rows), degree)
+    return difference(
+        state, rows, current, removed=removed, added=some_attributes(rng, int(rng.integers(0, 60)), degree)
+    )
+
+
+@pytest.mark.parametrize("name", ["good/worked-example", "good/keys-that-refer", "good/zstd-with-checksum"])
+def test_both_decoders_agree_on_every_flipped_byte(name: str) -> None:
+    """Of packets behind the header; checksums are made right again, so that payloads break in their own ways."""
+    data = vector(name)
+    packets = list(iterate_packets(io.BytesIO(data)))
+    step = 1 if len(data) < 1500 else 7
+    for packet in packets[1:]:
+        for position in range(0, len(packet.payload), step):
+            payload = bytearray(packet.payload)
+            payload[position] ^= 1 << position % 8
+            mended = make_vectors.packet(packet.kind, packet.frame, bytes(payload))
+            broken = data[: packet.offset] + mended + data[packet.offset + packet.size :]
+            plain, product = by_the_plain_decoder(broken, {}), by_the_product(broken, {})
+            assert plain.frames == product.frames
+            assert (plain.reason, plain.packet) == (product.reason, product.packet), (packet.kind, position)
