@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.cameras import Camera, camera_centre
+from decogs.formats.cameras import Camera, camera_centre, turned
 from decogs.formats.splats import SH_C0, FloatArray, Splats, empty_splats
 
 BoolArray = NDArray[np.bool_]
@@ -270,14 +270,14 @@ def _rays(camera: Camera, pixels: IntArray) -> NDArray[np.float64]:
     rows, columns = np.divmod(pixels, camera.width)
     x = (columns + 0.5 - camera.cx) / camera.fx
     y = (rows + 0.5 - camera.cy) / camera.fy
-    return np.asarray(np.stack([x, y, np.ones_like(x)], axis=1) @ camera.world_to_camera[:3, :3])
+    return turned(camera.world_to_camera[:3, :3].T, np.stack([x, y, np.ones_like(x)], axis=1))
 
 
 def _project(
     camera: Camera, points: NDArray[np.float64]
 ) -> tuple[IntArray, NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Flat pixel of every point, -1 outside the picture; column, row (pixel centres at .5) and depth."""
-    position = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+    position = turned(camera.world_to_camera[:3, :3], points) + camera.world_to_camera[:3, 3]
     depth = position[:, 2]
     front = depth > 1e-9
     reciprocal = 1 / np.where(front, depth, 1)

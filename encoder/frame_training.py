@@ -18,6 +18,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.formats.cameras import turned
 from decogs.formats.splats import FloatArray, Splats, empty_splats, join_splats, take_splats
 
 from .densification import ViewGradients, grow, opacities_of, strongest
@@ -319,7 +320,7 @@ class FrameTrainer:
         inside = np.zeros(len(means), bool)
         for view, mask in zip(self._views, masks, strict=True):
             camera = view.pinhole
-            position = means.astype(np.float64) @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+            position = turned(camera.world_to_camera[:3, :3], means.astype(np.float64)) + camera.world_to_camera[:3, 3]
             with np.errstate(divide="ignore", invalid="ignore"):
                 u = camera.fx * position[:, 0] / position[:, 2] + camera.cx
                 v = camera.fy * position[:, 1] / position[:, 2] + camera.cy

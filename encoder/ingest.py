@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.decoder.lens import Undistortion
-from decogs.formats.cameras import Camera, scale_camera
+from decogs.formats.cameras import Camera, scale_camera, turned
 from decogs.formats.errors import UsageError
 from decogs.formats.rigs import Rig, read_frames
 from decogs.formats.splats import FloatArray
@@ -138,7 +138,7 @@ def _filling(valid: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.in
 
 def _median_depth(camera: Camera, xyz: FloatArray) -> float:
     """Median depth of the points inside the camera's picture; 0 when it sees none."""
-    position = xyz.astype(np.float64) @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+    position = turned(camera.world_to_camera[:3, :3], xyz.astype(np.float64)) + camera.world_to_camera[:3, 3]
     depth = position[:, 2]
     with np.errstate(divide="ignore", invalid="ignore"):
         u = camera.fx * position[:, 0] / depth + camera.cx

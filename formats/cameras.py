@@ -42,7 +42,16 @@ class Camera:
 def camera_centre(camera: Camera) -> NDArray[np.float64]:
     """Position of the camera in the world, shape (3,)."""
     rotation, translation = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
-    return np.asarray(-rotation.T @ translation)
+    return -turned(rotation.T, translation)
+
+
+def turned(rotation: NDArray[np.float64], vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """``rotation @ v`` for vectors v (..., 3), summed in a fixed order.
+
+    A BLAS picks its code, and with it the last bits, by the processor; what is encoded must not depend on that.
+    """
+    x, y, z = (vectors[..., axis, None] for axis in range(3))
+    return np.asarray(x * rotation[:, 0] + y * rotation[:, 1] + z * rotation[:, 2])
 
 
 def scale_camera(camera: Camera, scale: float) -> Camera:
