@@ -8,14 +8,16 @@ refused.
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from decogs.codec.header import StreamHeader
-from decogs.codec.state import State
+from decogs.codec.keyframes import new_state
+from decogs.codec.lattice import Lattice
+from decogs.codec.state import ARRAYS, Attributes, State
 from decogs.decoder.session import open_stream
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
@@ -45,6 +47,27 @@ class KeyframeSource:
         return {
             name: self.header.settings[name] for name in ("keyframe", "lattice_scale") if name in self.header.settings
         }
+
+    def refined(self, factor: int) -> KeyframeSource:
+        """The same scene on a lattice of ``factor`` times finer steps: what an encode loses by rounding, it shows.
+
+        Raises UsageError when its integers would not fit 32 bits.
+        """
+        lattice, scene = self.header.lattice, self.state
+        finest = np.iinfo(np.int32).max // factor
+        if any(np.abs(getattr(scene, name).astype(np.int64)).max(initial=0) > finest for name in ARRAYS):
+            self._refuse(f"its scene does not fit a lattice {factor} times as fine", "take a coarser one")
+        finer = Lattice(
+            lattice.origin,
+            (lattice.means[0] / factor, lattice.means[1] / factor, lattice.means[2] / factor),
+            *(getattr(lattice, field.name) / factor for field in fields(Lattice)[2:]),
+        )
+        state = new_state(
+            Attributes(*(getattr(scene, name) * np.int32(factor) for name in ARRAYS)),
+            ids=scene.ids,
+            next_id=scene.next_id,
+        )
+        return replace(self, header=replace(self.header, lattice=finer), state=state)
 
     def check(self, ingest: Ingest, first_frame: int) -> None:
         """Raises UsageError unless rig, held-out cameras and first frame are those the keyframe was trained on."""

@@ -261,7 +261,7 @@ class RigBench:
             settings_of(variant, self.options.preset),
             seed=self.options.seed,
             threads=self._threads,
-            keyframe=None if keyframe is None else read_keyframe(keyframe),
+            keyframe=None if keyframe is None else read_keyframe(keyframe).refined(variant.refined),
             on_frame=None if on_frame is None else lambda _: on_frame(),
             on_keyframe_step=on_keyframe_step,
         )
@@ -284,6 +284,7 @@ class RigBench:
                 "format": FORMAT,
                 "settings": settings_of(variant, options.preset).as_document(),
                 "own_keyframe": variant.own_keyframe,
+                "refined": variant.refined,
                 "rig": [self.name, rig.layout, rig.frame_count, [camera.name for camera in rig.cameras]],
                 "frames": [frames.start, frames.stop, frames.step],
                 "options": [self.camera, options.scale, options.seed, self._threads],

@@ -30,7 +30,7 @@ class Variant:
     dotted path ("frame.masks.threshold"); values replace the setting, or are Times. ``preset`` None: the report's.
     ``method``, ``ablate``, ``selection``: as ``encode``'s. ``stride``: every so many frames. ``frames``: only the first
     so many, or the last so many when negative. ``own_keyframe``: trains its own instead of starting from the one that
-    all variants of a rig share.
+    all variants of a rig share. ``refined``: starts from the shared one on a lattice so many times as fine.
     """
 
     name: str
@@ -43,6 +43,7 @@ class Variant:
     stride: int = 1
     frames: int | None = None
     own_keyframe: bool = False
+    refined: int = 1
 
 
 @dataclass(frozen=True)

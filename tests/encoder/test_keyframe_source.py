@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from decogs.codec.lattice import dequantise
 from decogs.encoder.keyframe_source import read_keyframe
 from decogs.formats.container import Packet, PacketKind, PacketReader
 from decogs.formats.errors import DecogsError, StreamError, UsageError
@@ -139,3 +140,17 @@ def test_what_holds_no_keyframe_is_refused(moving: Any, tmp_path: Path) -> None:
     (tmp_path / "damaged.dgs").write_bytes(damaged)
     with pytest.raises(StreamError, match=r"damaged\.dgs: .*checksum"):
         read_keyframe(tmp_path / "damaged.dgs")
+
+
+def test_a_refined_keyframe_is_the_same_scene_on_a_finer_lattice(moving: Any) -> None:
+    source = read_keyframe(moving.path)
+    finer = source.refined(8)
+    assert finer.header.lattice.sh_dc == source.header.lattice.sh_dc / 8
+    before, after = dequantise(source.state, source.header.lattice), dequantise(finer.state, finer.header.lattice)
+    for name, array in vars(before).items():
+        # Steps divided by a power of two: every value is exactly the same.
+        np.testing.assert_array_equal(getattr(after, name), array)
+    assert (finer.state.means == 8 * source.state.means).all()
+    np.testing.assert_array_equal(finer.state.ids, source.state.ids)
+    with pytest.raises(UsageError, match="does not fit"):
+        source.refined(1 << 30)
