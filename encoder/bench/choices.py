@@ -223,7 +223,7 @@ QUESTIONS = (
         "worth",
         "What a change must be worth",
         "By how much it must move a picture's summed loss to be sent; 0 sends everything. The first row sends "
-        "everything on a lattice 128 times as fine, which is as good as floats: what economy and rounding cost together.",
+        "everything on a lattice 128 times as fine, which is as good as floats: what economy and rounding cost.",
         (
             Variant("exact", "everything, unrounded", {"frame.economy": EconomySettings()}, refined=128),
             *(Variant(f"worth{w:g}", f"{w:g}", {"frame.economy.worth": w}) for w in (0.0, 0.01, 0.02, 0.04)),
