@@ -100,10 +100,12 @@ class BaselineTrainer:
         motion: FloatArray,
         *,
         frame: int,
+        worth: float | None = None,
     ) -> TrainedFrame:
         """Trains all Gaussians of ``scene`` on one frame's pictures (3, H, W).
 
-        The call is `FrameTrainer.train`'s; ``selected``, ``masks`` and ``motion`` have no part in this method.
+        The call is `FrameTrainer.train`'s; ``selected``, ``masks``, ``motion`` and ``worth`` have no part in this
+        method.
         """
         self._random = np.random.default_rng((self._seed, frame))
         self._order = view_order(len(self._views), self._random)

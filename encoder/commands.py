@@ -42,6 +42,28 @@ def encode_main(arguments: Sequence[str] | None = None) -> int:
         "--segment", type=int, metavar="N", help="a keyframe every N frames, to seek to (default: only the first frame)"
     )
     parser.add_argument(
+        "--quality",
+        type=float,
+        metavar="Q",
+        help="0 (smallest) to 100 (most exact); 50 (default) is the preset as it is; 16 less: a change must show twice "
+        "as much to be sent, a lattice 1.19 times as coarse (with --keyframe: that one's)",
+    )
+    parser.add_argument(
+        "--bitrate",
+        type=float,
+        metavar="KBIT",
+        help="most kbit/s of the frames after the first, at the rig's fps",
+    )
+    parser.add_argument(
+        "--max-mb-per-frame",
+        type=float,
+        metavar="MB",
+        help="the same as a mean per frame, 1 MB = 1e6 bytes; the first keyframe is not counted, later ones are",
+    )
+    parser.add_argument(
+        "--lossless", action="store_true", help="send every change exactly as trained, to the lattice's steps"
+    )
+    parser.add_argument(
         "--resume", action="store_true", help="go on with SCENE.DGS.part, or SCENE.DGS, that an encode left unfinished"
     )
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="same seed, same bytes (default 0)")
@@ -74,6 +96,10 @@ def _encode(options: argparse.Namespace) -> int:
         selection=options.selection,
         keyframe=options.keyframe,
         segment=options.segment,
+        quality=options.quality,
+        bitrate=options.bitrate,
+        max_mb_per_frame=options.max_mb_per_frame,
+        lossless=options.lossless,
         resume=options.resume,
         seed=options.seed,
         threads=options.threads,
@@ -82,6 +108,8 @@ def _encode(options: argparse.Namespace) -> int:
         terminal=sys.stderr,
     )
     print("\n".join(_summary(report)), file=sys.stderr if piped else sys.stdout)
+    if missed := _missed_budget(report):
+        print(f"decogs-encode: warning: {missed}", file=sys.stderr)
     return 130 if report.interrupted else 0
 
 
@@ -106,6 +134,19 @@ def _summary(report: EncodeReport) -> list[str]:
             f"{_mean(cpu_seconds):.2f} CPU-s, {_mean(selected):.1%} selected (means)"
         )
     return lines
+
+
+def _missed_budget(report: EncodeReport) -> str:
+    """What to say of a stream that takes more than it should; empty when it does not."""
+    from .rate import TOLERANCE, over_budget
+
+    sizes, budget = [frame.bytes for frame in report.frames[1:]], report.frame_budget
+    if budget is None or (over := over_budget(sizes, budget)) <= TOLERANCE:
+        return ""
+    return (
+        f"frames after the first take {_mean(sizes):.0f} bytes (mean), {over:.0%} more than the {budget:.0f} asked "
+        "for; ask for more, or lower --quality, --scale or --preset"
+    )
 
 
 def _mean(values: Sequence[float]) -> float:

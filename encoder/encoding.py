@@ -11,7 +11,7 @@ from typing import BinaryIO, TextIO
 from decogs.decoder.rasterise.native import thread_count
 from decogs.decoder.session import frame_range
 from decogs.formats.errors import UsageError
-from decogs.formats.rigs import open_rig
+from decogs.formats.rigs import Rig, open_rig
 
 from .ingest import Ingest
 from .keyframe_source import read_keyframe
@@ -21,6 +21,7 @@ from .presets import EncodeSettings
 from .presets import preset as named_preset
 from .progress import EncodeProgress
 from .rasterise import check_device
+from .rate import with_budget, with_lossless, with_quality
 
 
 def encode(
@@ -36,6 +37,10 @@ def encode(
     selection: str | None = None,
     keyframe: str | os.PathLike[str] | None = None,
     segment: int | None = None,
+    quality: float | None = None,
+    bitrate: float | None = None,
+    max_mb_per_frame: float | None = None,
+    lossless: bool = False,
     resume: bool = False,
     seed: int = 0,
     threads: int = 0,
@@ -51,7 +56,11 @@ def encode(
     ``method``: "decogs" or "3dgstream"; ``ablate``: parts of DecoGS to leave out, a list or text with commas;
     ``selection``: "paper" or "weight"; all three on top of the preset (`methods`). ``keyframe``: an earlier stream of
     the same rig, first frame and held-out cameras whose keyframe is taken as it is. ``segment``: frames from one
-    keyframe to the next; later ones are told as differences from the first. ``resume``: go on with what an encode with
+    keyframe to the next; later ones are told as differences from the first.
+    ``quality``: 0 (smallest) to 100 (most exact), 50 is the preset as it is; with ``keyframe``, that of later frames.
+    ``max_mb_per_frame``, in units of 1e6 bytes, or ``bitrate``, in kbit/s at the rig's frame rate: most that the frames
+    after the first may take on average, keyframes among them included. ``lossless``: every change is written exactly
+    as trained, to the lattice's steps. ``resume``: go on with what an encode with
     the same options left in ``output`` + ".part", or as a shorter stream; the file gets the bytes of one that was not
     cut off.
     ``threads``: 0 means all processors; the stream does not depend on it. ``device``: "cuda" takes gsplat, has never
@@ -70,6 +79,7 @@ def encode(
     source = None if keyframe is None else read_keyframe(keyframe)
     held = [holdout] if isinstance(holdout, str) else list(holdout)
     rig = open_rig(rig_dir)
+    settings = _with_rate(settings, rig, quality, bitrate, max_mb_per_frame, lossless=lossless)
     span = frame_span(rig, frame_range(frames) if isinstance(frames, str) else frames)
     ingest = Ingest(rig, holdout=held, scale=scale)
     with EncodeProgress(len(span), None if log is None else Path(log), terminal=terminal) as progress:
@@ -119,3 +129,32 @@ def _settings(
         settings = with_method(settings, method)
     settings = without(settings, [part.strip() for text in ablate for part in text.split(",") if part.strip()])
     return settings if selection is None else with_selection(settings, selection)
+
+
+def _with_rate(
+    settings: EncodeSettings,
+    rig: Rig,
+    quality: float | None,
+    bitrate: float | None,
+    max_mb_per_frame: float | None,
+    *,
+    lossless: bool,
+) -> EncodeSettings:
+    """The settings at that quality and budget; raises UsageError for those that exclude each other."""
+    given = {"--quality": quality, "--bitrate": bitrate, "--max-mb-per-frame": max_mb_per_frame}
+    asked = [name for name, value in given.items() if value is not None]
+    if lossless:
+        if asked:
+            raise UsageError(f"--lossless: {asked[0]} asks for less than everything; drop one of the two")
+        return with_lossless(settings)
+    if bitrate is not None and max_mb_per_frame is not None:
+        raise UsageError("--bitrate and --max-mb-per-frame are one budget in two units; drop one of the two")
+    if quality is not None:
+        settings = with_quality(settings, quality)
+    if max_mb_per_frame is not None:
+        return with_budget(settings, max_mb_per_frame * 1e6, f"--max-mb-per-frame {max_mb_per_frame:g}")
+    if bitrate is not None:
+        if rig.fps is None:
+            raise UsageError(f"--bitrate: {rig.path} states no frame rate; use --max-mb-per-frame")
+        return with_budget(settings, bitrate * 1000 / 8 / rig.fps, f"--bitrate {bitrate:g}")
+    return settings

@@ -117,12 +117,13 @@ class FrameTrainer:
         motion: FloatArray,
         *,
         frame: int,
+        worth: float | None = None,
     ) -> TrainedFrame:
         """Trains the ``selected`` Gaussians of ``scene`` on one frame's pictures (3, H, W).
 
         ``motion`` (N, 3) is every Gaussian's last displacement, for the warm start. ``frame``: its index, which with
-        the seed makes all that is random, so that a frame can be trained again alone. The watching views are left with
-        the trained Gaussians lifted.
+        the seed makes all that is random, so that a frame can be trained again alone. ``worth``: of changes to be sent,
+        instead of the settings'. The watching views are left with the trained Gaussians lifted.
         """
         self._random = np.random.default_rng((self._seed, frame))
         losses = [
@@ -140,7 +141,7 @@ class FrameTrainer:
             self._add_emerging(work, losses, masks)
         if "gate" in self._settings.ablated:
             self._open_gate(work, scene)
-        self._stage2(work, scene, losses, masks)
+        self._stage2(work, scene, losses, masks, self._settings.economy.worth if worth is None else worth)
         return self._result(work)
 
     def _start_warm(self, work: _Working, motion: FloatArray) -> None:
@@ -169,7 +170,12 @@ class FrameTrainer:
         return gathered
 
     def _stage2(
-        self, work: _Working, scene: Splats, losses: Sequence[PhotometricLoss], masks: Sequence[FrameMask]
+        self,
+        work: _Working,
+        scene: Splats,
+        losses: Sequence[PhotometricLoss],
+        masks: Sequence[FrameMask],
+        worth: float,
     ) -> None:
         """The Gaussians' own values, with the cache if there is one; without it, densification falls in here."""
         settings = self._settings
@@ -189,9 +195,9 @@ class FrameTrainer:
                 self._gather(gathered, gradients, losses, index)
             if self._cache is not None:
                 gradients = self._through_cache(work, gradients, self._cache)
-            if step == hold_at and settings.economy.worth and self._cache is None:
-                worth = settings.economy.worth * picture_share(losses)
-                take_back(work.optimiser, work.before(scene), work.rows < len(scene), worth)
+            if step == hold_at and worth and self._cache is None:
+                before, old = work.before(scene), work.rows < len(scene)
+                take_back(work.optimiser, before, old, worth * picture_share(losses))
             if step > grow_at and self._has_fallen_flat(step):
                 break
             late = settings.late_decay ** max(0.0, 2 * step / settings.joint_iterations - 1)

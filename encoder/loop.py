@@ -33,7 +33,7 @@ from decogs.formats.rigs import Rig
 from decogs.formats.splats import FloatArray, Splats, sh_degree_of
 
 from .baseline import BaselineTrainer
-from .economy import coarse_changes
+from .economy import EconomySettings, coarse_changes
 from .first_points import first_points
 from .frame_training import FrameTrainer, TrainedFrame
 from .ingest import Ingest, RigFrame
@@ -42,6 +42,7 @@ from .keyframe_source import KeyframeSource
 from .masks import FrameMask, MaskMemory
 from .presets import EncodeSettings
 from .rasterise import FixedView, fixed_view, training_kernel
+from .rate import RateControl
 from .resuming import Interrupted, check_resumable, find_interrupted
 from .selection import select, view_evidence
 from .stream_output import FileOutput, PipeOutput, StreamOutput, part_of
@@ -78,7 +79,7 @@ class EncodeReport:
     """What an encode made: the stream's path (``-`` for a pipe) and its frames.
 
     ``interrupted``: Ctrl-C ended it early. ``resumed``: how many frames an earlier encode had left, None when it was
-    not looked for; ``frames`` is empty when that was the whole stream.
+    not looked for; ``frames`` is empty when that was the whole stream. ``frame_budget``: the settings'.
     """
 
     output: Path
@@ -86,6 +87,7 @@ class EncodeReport:
     total_bytes: int
     interrupted: bool
     resumed: int | None = None
+    frame_budget: float | None = None
 
 
 @dataclass
@@ -128,6 +130,8 @@ class StreamEncoder:
         self._state: State | None = None
         self._first_state: State | None = None
         self._motion: FloatArray = np.zeros((0, 3), np.float32)
+        budget = settings.frame_budget
+        self._rate = None if budget is None else RateControl(budget, settings.segment)
 
     def encode_key(self, frame: RigFrame, on_step: OnKeyframeStep | None) -> FrameReport:
         """Trains or takes over the first frame and writes header and keyframe; the output begins only then."""
@@ -215,7 +219,10 @@ class StreamEncoder:
         trained: TrainedFrame | None = None
         if selected.any():
             with watch.stage("training"):
-                trained = self._trainer.train(self._scene, selected, frame.training, masks, self._motion, frame=index)
+                worth = self._economy().worth
+                trained = self._trainer.train(
+                    self._scene, selected, frame.training, masks, self._motion, frame=index, worth=worth
+                )
         with watch.stage("write"):
             delta = None if trained is None else self._delta(before, trained)
             kind, coded = self._coded(before, delta, index)
@@ -292,11 +299,16 @@ class StreamEncoder:
             view.settle(self._scene, rows, renumbered)
             view.refresh()
 
+    def _economy(self) -> EconomySettings:
+        """Of the next frame; with a budget, what the packets before it leave."""
+        settings = self._settings.frame.economy
+        return settings if self._rate is None else self._rate.economy(settings)
+
     def _delta(self, state: State, trained: TrainedFrame) -> Delta:
         lattice, before = self._header.lattice, take_rows(state, trained.kept)
         current = quantise(trained.values, lattice, near=before)
         if self._settings.method == "decogs":
-            current = coarse_changes(before, current, self._settings.frame.economy.coarseness)
+            current = coarse_changes(before, current, self._economy().coarseness)
         added = quantise(trained.added, lattice)
         return difference(state, trained.kept, current, removed=trained.removed, added=added)
 
@@ -311,6 +323,8 @@ class StreamEncoder:
         self._state = reconstruct(self._state, packet, self._header, first=self._first_state)
         if self._first_state is None:
             self._first_state = self._state
+        elif self._rate is not None:
+            self._rate.wrote(packet.kind, packet.size)
         self._scene = dequantise(self._state, self._header.lattice)
 
     def _displacements(self, before: State, after: State | None) -> FloatArray:
@@ -467,7 +481,7 @@ def encode_stream(
         raise
     finally:
         target.close(len(reports))
-    return EncodeReport(target.name, reports, target.publish(), interrupted, resumed)
+    return EncodeReport(target.name, reports, target.publish(), interrupted, resumed, settings.frame_budget)
 
 
 def _left(output: Path | BinaryIO, settings: EncodeSettings) -> Interrupted | None:

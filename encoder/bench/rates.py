@@ -11,13 +11,7 @@ from .rivals.spz import Spz
 from .variants import Question, Variant
 
 RATE_POINTS = tuple(
-    Variant(
-        f"rate-{worth:g}",
-        f"worth {worth:g}, lattice × {scale:g}",
-        {"frame.economy.worth": worth, "lattice_scale": scale},
-        own_keyframe=True,
-    )
-    for worth, scale in ((0.005, 0.71), (0.01, 0.84), (0.02, 1.0), (0.04, 1.19))
+    Variant(f"rate-{quality}", f"quality {quality}", quality=quality, own_keyframe=True) for quality in (82, 66, 50, 34)
 )
 """From the finest to the coarsest. The first one's stream is what the rivals keep."""
 

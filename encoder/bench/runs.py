@@ -331,6 +331,7 @@ class RigBench:
         words += [] if variant.method == "decogs" else ["--method", variant.method]
         words += ["--ablate", ",".join(variant.ablate)] if variant.ablate else []
         words += ["--selection", variant.selection] if variant.selection else []
+        words += [] if variant.quality is None else ["--quality", f"{variant.quality:g}"]
         words += [] if variant.own_keyframe else ["--keyframe", f"{KEYFRAME.name}.dgs"]
         extra = [] if frames.step == 1 else [f"every {frames.step}. frame"]
         extra += [f"{path} = {value}" for path, value in variant.settings.items()]

@@ -10,6 +10,7 @@ from decogs.formats.errors import UsageError
 
 from ..methods import with_method, with_selection, without
 from ..presets import EncodeSettings, preset
+from ..rate import with_quality
 
 
 @dataclass(frozen=True)
@@ -28,9 +29,9 @@ class Variant:
 
     ``name``: letters, digits, '.', '_' and '-'; part of file names. ``settings``: what differs from the preset, by
     dotted path ("frame.masks.threshold"); values replace the setting, or are Times. ``preset`` None: the report's.
-    ``method``, ``ablate``, ``selection``: as ``encode``'s. ``stride``: every so many frames. ``frames``: only the first
-    so many, or the last so many when negative. ``own_keyframe``: trains its own instead of starting from the one that
-    all variants of a rig share. ``refined``: starts from the shared one on a lattice so many times as fine.
+    ``method``, ``ablate``, ``selection``, ``quality``: as ``encode``'s. ``stride``: every so many frames. ``frames``:
+    only the first so many, or the last so many when negative. ``own_keyframe``: trains its own instead of starting from
+    the one that all variants of a rig share. ``refined``: starts from the shared one on a lattice so many times as fine.
     """
 
     name: str
@@ -40,6 +41,7 @@ class Variant:
     method: str = "decogs"
     ablate: tuple[str, ...] = ()
     selection: str | None = None
+    quality: float | None = None
     stride: int = 1
     frames: int | None = None
     own_keyframe: bool = False
@@ -78,7 +80,14 @@ def settings_of(variant: Variant, report_preset: str) -> EncodeSettings:
         except AttributeError:
             raise UsageError(f"variant {variant.name}: there is no setting {path!r}; see encoder/presets.py") from None
     settings = without(with_method(settings, variant.method), variant.ablate)
-    return settings if variant.selection is None else with_selection(settings, variant.selection)
+    if variant.selection is not None:
+        settings = with_selection(settings, variant.selection)
+    if variant.quality is not None:
+        if not variant.own_keyframe:
+            raise UsageError(f"variant {variant.name}: changes quality but shares the keyframe; set own_keyframe")
+        settings = with_quality(settings, variant.quality)
+    assert isinstance(settings, EncodeSettings)
+    return settings
 
 
 def _changed(group: Any, path: list[str], value: Any) -> Any:

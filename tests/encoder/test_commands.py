@@ -161,7 +161,10 @@ def test_switches_reach_the_encoder(moving: Any, dense: Any, moving_rig: Path, t
         (["--seed", "-1"], "--seed -1: "),
         (["--threads", "-2"], "no number of threads"),
         (["--log", "/no/such/folder/log"], "--log /no/such/folder/log: No such file or directory"),
-        (["--quality", "9"], "unrecognized arguments: --quality 9"),
+        (["--quality", "-9"], "--quality -9: give a number from 0"),
+        (["--quality", "9", "--lossless"], "--lossless: --quality asks for less than everything"),
+        (["--bitrate", "9", "--max-mb-per-frame", "9"], "are one budget in two units"),
+        (["--crf", "9"], "unrecognized arguments: --crf 9"),
     ],
 )
 def test_options_that_cannot_be(

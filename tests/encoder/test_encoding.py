@@ -91,6 +91,7 @@ def test_options_have_the_commands_names() -> None:
     options = set(inspect.signature(encode_rig).parameters)
     assert {"frames", "scale", "holdout", "preset", "seed", "threads", "device", "log"} <= options
     assert {"method", "ablate", "selection", "keyframe", "segment", "resume"} <= options
+    assert {"quality", "bitrate", "max_mb_per_frame", "lossless"} <= options
     assert inspect.signature(encode_rig).parameters["preset"].default in PRESETS
 
 
@@ -131,6 +132,16 @@ def test_the_method_of_the_settings_holds_unless_another_is_asked_for(
         ({"ablate": "select", "selection": "weight"}, "--selection weight: --ablate select takes every Gaussian"),
         ({"keyframe": "no.dgs"}, "--keyframe no.dgs: No such file or directory; give the .dgs file"),
         ({"segment": 0}, "--segment 0: give a number of frames, at least 1"),
+        ({"quality": 101}, r"--quality 101: give a number from 0 \(smallest\) to 100"),
+        ({"quality": float("nan")}, "--quality nan: give a number from 0"),
+        ({"quality": 30, "lossless": True}, "--lossless: --quality asks for less than everything; drop one"),
+        ({"bitrate": 900, "lossless": True}, "--lossless: --bitrate asks for less"),
+        ({"bitrate": 900, "max_mb_per_frame": 0.01}, "--bitrate and --max-mb-per-frame are one budget in two units"),
+        ({"bitrate": 0}, "--bitrate 0: that is 0 bytes a frame; give at least 1"),
+        ({"max_mb_per_frame": -1}, "--max-mb-per-frame -1: that is -1e[+]06 bytes a frame; give at least 1"),
+        ({"max_mb_per_frame": float("inf")}, "--max-mb-per-frame inf: that is inf bytes a frame"),
+        ({"preset": "paper", "bitrate": 900}, "--bitrate 900: these settings send every change; choose --preset draft"),
+        ({"method": "3dgstream", "bitrate": 900}, "--bitrate 900: --method 3dgstream sends all it trains; drop one"),
         ({"frames": "1-2"}, "frames '1-2' are no range"),
         ({"threads": 5000}, "--threads 5000"),
     ],

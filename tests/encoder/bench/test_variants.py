@@ -38,6 +38,8 @@ def test_method_parts_and_rule_are_applied_on_top() -> None:
     assert settings_of(Variant("v", "", method="3dgstream"), "standard").method == "3dgstream"
     assert settings_of(Variant("v", "", ablate=("gate", "focus")), "standard").frame.ablated == ("focus", "gate")
     assert settings_of(Variant("v", "", selection="paper"), "standard").frame.selection.rule == "paper"
+    finer = settings_of(Variant("v", "", quality=66, own_keyframe=True), "standard")
+    assert finer.frame.economy.worth == PRESETS["standard"].frame.economy.worth / 2
 
 
 def test_another_preset_trains_its_frames_but_shares_the_keyframe() -> None:
@@ -53,6 +55,7 @@ def test_another_preset_trains_its_frames_but_shares_the_keyframe() -> None:
         (Variant("v", "", {"frame.tau": 1}), r"variant v: there is no setting 'frame\.tau'"),
         (Variant("v", "", {"frame.warm_start.share": 1}), r"variant v: there is no setting 'frame\.warm_start\.share'"),
         (Variant("v", "", {"keyframe.cap": 1}), r"variant v: changes keyframe\.cap but shares the keyframe"),
+        (Variant("v", "", quality=30), "variant v: changes quality but shares the keyframe; set own_keyframe"),
         (Variant("v", "", preset="fast"), "--preset fast: "),
         (Variant("v", "", method="3dgstream", ablate=("gate",)), "--ablate gate: "),
     ],

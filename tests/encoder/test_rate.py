@@ -1,0 +1,262 @@
+"""Quality, budgets and lossless encodes: what they change, how close a budget is kept, and that it can be resumed."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from decogs.encoder import PRESETS, EncodeSettings
+from decogs.encoder import encode as encode_rig
+from decogs.encoder.commands import encode_main
+from decogs.encoder.economy import Coarseness, EconomySettings
+from decogs.encoder.methods import with_method
+from decogs.encoder.rate import TOLERANCE, RateControl, over_budget, with_budget, with_lossless, with_quality
+from decogs.formats.container import PacketKind, iterate_packets
+from decogs.formats.errors import UsageError
+
+BUDGET = 10_000
+Content = Callable[[int], float]
+
+
+# Quality
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_a_quality_of_50_is_the_preset(name: str) -> None:
+    assert with_quality(PRESETS[name], 50) == PRESETS[name]
+
+
+def test_16_less_is_worth_twice_as_much_and_coarser_by_a_fourth_root_of_two() -> None:
+    standard = PRESETS["standard"]
+    for quality, worth, lattice in ((34, 0.04, 1.18921), (66, 0.01, 0.840896), (82, 0.005, 0.707107)):
+        settings = with_quality(standard, quality)
+        assert (settings.frame.economy.worth, settings.lattice_scale) == (worth, lattice)
+        economy = replace(settings.frame.economy, worth=standard.frame.economy.worth)
+        assert replace(settings, lattice_scale=1.0, frame=replace(settings.frame, economy=economy)) == standard
+    worths = [with_quality(standard, quality).frame.economy.worth for quality in range(101)]
+    assert worths == sorted(worths, reverse=True)
+    assert len(set(worths)) == 101
+
+
+@pytest.mark.parametrize("settings", [PRESETS["paper"], with_method(PRESETS["standard"], "3dgstream")])
+def test_where_every_change_is_sent_the_lattice_follows(settings: EncodeSettings) -> None:
+    assert with_quality(settings, 34).lattice_scale == 1.18921
+    with pytest.raises(UsageError, match=r"drop one of the two|these settings send every change"):
+        with_budget(settings, BUDGET, "--bitrate 9")
+
+
+# The controller, against scenes that answer as measured ones do
+
+
+def response(exponent: float, content: Content, noise: float = 0.0) -> Callable[[int, float], int]:
+    """What a frame takes at a worth: content * worth^-exponent, in budgets, with noise of that size in log."""
+    random = np.random.default_rng(3)
+    return lambda frame, worth: round(
+        BUDGET * content(frame) * worth**-exponent * float(np.exp(random.normal(0, noise)))
+    )
+
+
+def controlled(frames: int, answer: Callable[[int, float], int]) -> tuple[list[int], list[float]]:
+    """Sizes and worths of a clip's later frames."""
+    control, sizes, worths = RateControl(BUDGET, 0), [], []
+    for frame in range(frames):
+        worths.append(control.worth)
+        sizes.append(answer(frame, control.worth))
+        control.wrote(PacketKind.DELTA, sizes[-1])
+    return sizes, worths
+
+
+def doubling(frame: int) -> float:
+    return 1.0 if frame < 15 else 2.0
+
+
+@pytest.mark.parametrize("exponent", [0.4, 0.6, 0.9])
+@pytest.mark.parametrize("level", [0.5, 1.0, 2.0])
+def test_a_clip_keeps_its_budget_although_motion_doubles_in_its_middle(exponent: float, level: float) -> None:
+    sizes, _ = controlled(30, response(exponent, lambda frame: level * doubling(frame), noise=0.15))
+    assert np.mean(sizes) == pytest.approx(BUDGET, rel=TOLERANCE)
+
+
+@pytest.mark.parametrize("exponent", [0.3, 0.6, 1.0])
+def test_frames_settle_at_the_budget(exponent: float) -> None:
+    sizes, worths = controlled(60, response(exponent, lambda frame: 3.0))
+    assert np.abs(np.array(sizes[40:]) / BUDGET - 1).max() < 0.03, "the grid of worths is 1/32 octave"
+    assert worths[0] == 1
+    assert worths[-1] == pytest.approx(3.0 ** (1 / exponent), rel=0.05)
+
+
+@pytest.mark.parametrize(("content", "worth"), [(1e-4, 1 / 256), (1e4, 256)])
+def test_the_worth_is_bounded(content: float, worth: float) -> None:
+    sizes, worths = controlled(40, response(0.6, lambda frame: content))
+    assert worths[-1] == worth
+    assert (over_budget(sizes, BUDGET) > TOLERANCE) == (content > 1)
+
+
+def test_changes_are_rounded_more_coarsely_the_more_they_must_be_worth() -> None:
+    settings = PRESETS["standard"].frame.economy
+    for size, worth in ((BUDGET, settings.worth), (BUDGET * 100, 256 * settings.worth), (1, settings.worth / 256)):
+        control = RateControl(BUDGET, 0)
+        for _ in range(30):
+            control.wrote(PacketKind.DELTA, size)
+        economy = control.economy(settings)
+        assert economy == replace(settings, worth=pytest.approx(worth, rel=1e-5), coarseness=economy.coarseness)
+        factor = (worth / settings.worth) ** 0.25
+        for name, step in vars(settings.coarseness).items():
+            assert getattr(economy.coarseness, name) == max(1, round(factor * step))
+
+
+def test_what_a_still_scene_saves_is_not_thrown_at_its_first_motion() -> None:
+    control = RateControl(BUDGET, 0)
+    answer, sizes = response(0.6, lambda frame: 1.0), []
+    for frame in range(60):
+        if 10 <= frame < 30:
+            control.wrote(PacketKind.SKIP, 50)
+            continue
+        sizes.append(answer(frame, control.worth))
+        control.wrote(PacketKind.DELTA, sizes[-1])
+    assert max(sizes) < 3 * BUDGET
+    assert (sum(sizes) + 20 * 50) / 60 == pytest.approx(BUDGET, rel=TOLERANCE)
+
+
+def test_keyframes_are_saved_up_for() -> None:
+    """Each takes as much as five frames may; those around it keep what they have."""
+    control, deltas, spent = RateControl(BUDGET, 10), [], 0
+    answer = response(0.6, lambda frame: 1.0)
+    for frame in range(1, 61):
+        key = frame % 10 == 0
+        size = 5 * BUDGET if key else answer(frame, control.worth)
+        control.wrote(PacketKind.KEY if key else PacketKind.DELTA, size)
+        spent += size
+        if not key:
+            deltas.append(size)
+    assert spent / 60 == pytest.approx(BUDGET, rel=TOLERANCE)
+    settled = np.array(deltas[27:])
+    assert settled.mean() == pytest.approx(5 / 9 * BUDGET, rel=TOLERANCE)
+    assert settled.max() / settled.min() < 1.1
+
+
+def test_it_knows_nothing_but_sizes() -> None:
+    """The same packets, the same worths: what an encode that goes on relies on."""
+    answer = response(0.6, doubling, noise=0.3)
+    sizes, worths = controlled(30, answer)
+    again = RateControl(BUDGET, 0)
+    for size, worth in zip(sizes, worths, strict=True):
+        assert again.worth == worth
+        again.wrote(PacketKind.DELTA, size)
+
+
+# Encodes
+
+
+@pytest.fixture(scope="module")
+def economical(tiny_settings: EncodeSettings) -> EncodeSettings:
+    """The tiny settings with changes judged, as the presets do."""
+    economy = EconomySettings(worth=0.02, hold_at=0.5, coarseness=Coarseness(means=3, log_scales=3, sh_dc=2))
+    frame = replace(tiny_settings.frame, cache=None, joint_iterations=20, grow_share=0.0, economy=economy)
+    return replace(tiny_settings, frame=frame)
+
+
+@pytest.fixture(scope="module")
+def restless_rig(tiny_rig: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A square that moves to and fro in every one of 20 later frames."""
+    return tiny_rig.write(tmp_path_factory.mktemp("rigs") / "restless", frames=[0, *[1, 0] * 10])
+
+
+def later(encoded: Any) -> list[int]:
+    return [frame.bytes for frame in encoded.report.frames[1:]]
+
+
+def test_a_clip_keeps_its_budget_and_resumes_to_the_same_bytes(
+    encode: Any, moving: Any, restless_rig: Path, economical: EncodeSettings, tmp_path: Path
+) -> None:
+    free = encode(restless_rig, settings=economical, keyframe=moving.path)
+    for share in (0.6, 1.3):
+        budget = share * float(np.mean(later(free)))
+        given = {"settings": replace(economical, frame_budget=budget), "keyframe": moving.path}
+        held = encode(restless_rig, **given)
+        assert np.mean(later(held)) == pytest.approx(budget, rel=TOLERANCE)
+        with held.path.open("rb") as file:
+            ends = [packet.offset + packet.size for packet in iterate_packets(file)]
+        (tmp_path / "scene.dgs.part").write_bytes(held.data[: ends[9] + 11])
+        assert encode(restless_rig, output=tmp_path / "scene.dgs", resume=True, **given).data == held.data
+        # Frames can be added to a shorter clip: its length plays no part.
+        short = encode(restless_rig, stop=12, **given)
+        shutil.copy(short.path, tmp_path / "longer.dgs")
+        assert encode(restless_rig, output=tmp_path / "longer.dgs", resume=True, **given).data == held.data
+
+
+def test_options_become_settings(
+    moving: Any, moving_rig: Path, economical: EncodeSettings, tmp_path: Path, tiny_rig: Any
+) -> None:
+    given = {"preset": economical, "holdout": tiny_rig.held_out, "keyframe": moving.path, "frames": ":2"}
+
+    def settings(**options: Any) -> dict[str, Any]:
+        encode_rig(moving_rig, tmp_path / "x.dgs", **given, **options, log=tmp_path / "log")
+        document: dict[str, Any] = json.loads((tmp_path / "log").read_text().splitlines()[0])["settings"]
+        return document
+
+    assert "frame_budget" not in settings()
+    assert settings(max_mb_per_frame=0.002)["frame_budget"] == 2000
+    both = settings(bitrate=400, quality=34)
+    assert both["frame_budget"] == 2000, "400 kbit/s are 2000 bytes at the rig's 25 frames per second"
+    assert both["frame"]["economy"]["worth"] == 0.04
+    assert settings(lossless=True) == with_lossless(economical).as_document()
+
+
+def test_a_bitrate_wants_a_frame_rate(
+    moving_rig: Path, economical: EncodeSettings, tmp_path: Path, tiny_rig: Any
+) -> None:
+    rig = shutil.copytree(moving_rig, tmp_path / "rig")
+    values = json.loads((rig / "rig.json").read_text())
+    del values["fps"]
+    (rig / "rig.json").write_text(json.dumps(values))
+    with pytest.raises(UsageError, match=r"--bitrate: .* states no frame rate; use --max-mb-per-frame"):
+        encode_rig(rig, tmp_path / "x.dgs", preset=economical, bitrate=500)
+
+
+def test_a_budget_that_cannot_be_met_is_told(
+    moving: Any,
+    moving_rig: Path,
+    economical: EncodeSettings,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setitem(PRESETS, "economical", economical)
+    arguments = [str(moving_rig), "-o", str(tmp_path / "x.dgs"), "--preset", "economical", "--holdout", "cam02"]
+    arguments += ["--keyframe", str(moving.path), "--max-mb-per-frame"]
+    assert encode_main([*arguments, "1"]) == 0
+    assert capfd.readouterr().err == "", "less than asked for is no miss"
+    assert encode_main([*arguments, "1e-5"]) == 0
+    warning = capfd.readouterr().err
+    assert warning.startswith("decogs-encode: warning: frames after the first take ")
+    assert "% more than the 10 asked for; ask for more, or lower" in warning
+    assert warning.count("\n") == 1
+
+
+def test_lossless_writes_every_change_as_it_was_trained(
+    encode: Any, moving: Any, moving_rig: Path, economical: EncodeSettings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def exactly(state: Any, kept: np.ndarray, current: Any, **rest: Any) -> Any:
+        trained.append((kept, current))
+        return difference(state, kept, current, **rest)
+
+    import decogs.encoder.loop as loop
+
+    trained: list[Any] = []
+    difference, quantise, quantised = loop.difference, loop.quantise, []
+    monkeypatch.setattr(loop, "difference", exactly)
+    monkeypatch.setattr(loop, "quantise", lambda *a, **o: quantised.append(quantise(*a, **o)) or quantised[-1])
+    given = {"keyframe": moving.path, "stop": 2}
+    lossless = encode(moving_rig, settings=with_lossless(economical), **given)
+    (_, written), (current, _) = trained[0], quantised
+    for name, array in vars(written).items():
+        np.testing.assert_array_equal(array, getattr(current, name))
+    assert later(lossless)[0] > later(encode(moving_rig, settings=economical, **given))[0]
