@@ -91,8 +91,9 @@ def over_budget(sizes: Sequence[int], frame_budget: float) -> float:
 class RateControl:
     """What changes must be worth, in units of the settings', for later frames to keep to a mean of ``budget`` bytes.
 
-    ``segment``: frames from one keyframe to the next, or 0. Keyframes after the first count as frames; what the next
-    one will take is saved up beforehand, so that the frames behind it do not pay for it.
+    ``segment``: frames from one keyframe to the next, or 0. Keyframes after the first count as frames, and what
+    they take beyond the budget is paid by the other frames of their segment, evenly: a clip of whole segments is even.
+    Rejected: saving up for them (nothing tells what they will take; on workbench it doubles from one to the next).
     """
 
     def __init__(self, budget: float, segment: int) -> None:
@@ -136,10 +137,10 @@ class RateControl:
         """What the next frame is to take, in budgets."""
         saved = self._budget * self._frames - self._spent
         share = self._budget
-        if self._segment:
-            key = self._spent * self._segment / self._frames if self._key is None else self._key
-            share = (self._segment * self._budget - key) / max(1, self._segment - 1)
-            saved -= (self._budget - share) * (self._frames % self._segment)
+        if self._key is not None:
+            payment = (self._key - self._budget) / max(1, self._segment - 1)
+            share -= payment
+            saved += payment * (self._segment - 1 - self._frames % self._segment)
         low, high = _TARGET_RANGE
         return min(max((share + saved / _HORIZON) / self._budget, low), high)
 

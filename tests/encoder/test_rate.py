@@ -125,21 +125,18 @@ def test_what_a_still_scene_saves_is_not_thrown_at_its_first_motion() -> None:
     assert (sum(sizes) + 20 * 50) / 60 == pytest.approx(BUDGET, rel=TOLERANCE)
 
 
-def test_keyframes_are_saved_up_for() -> None:
-    """Each takes as much as five frames may; those around it keep what they have."""
-    control, deltas, spent = RateControl(BUDGET, 10), [], 0
+@pytest.mark.parametrize("key", [1.5, 3.0, 5.0])
+def test_the_frames_of_a_segment_pay_for_its_keyframe_evenly(key: float) -> None:
+    control, sizes = RateControl(BUDGET, 10), []
     answer = response(0.6, lambda frame: 1.0)
-    for frame in range(1, 61):
-        key = frame % 10 == 0
-        size = 5 * BUDGET if key else answer(frame, control.worth)
-        control.wrote(PacketKind.KEY if key else PacketKind.DELTA, size)
-        spent += size
-        if not key:
-            deltas.append(size)
-    assert spent / 60 == pytest.approx(BUDGET, rel=TOLERANCE)
-    settled = np.array(deltas[27:])
-    assert settled.mean() == pytest.approx(5 / 9 * BUDGET, rel=TOLERANCE)
-    assert settled.max() / settled.min() < 1.1
+    for frame in range(1, 60):
+        opens = frame % 10 == 0
+        sizes.append(round(key * BUDGET) if opens else answer(frame, control.worth))
+        control.wrote(PacketKind.KEY if opens else PacketKind.DELTA, sizes[-1])
+    for end in (29, 39, 49, 59):
+        assert np.mean(sizes[:end]) == pytest.approx(BUDGET, rel=TOLERANCE)
+    paying = np.array([size for frame, size in enumerate(sizes, 1) if frame > 35 and frame % 10])
+    assert paying == pytest.approx((10 - key) / 9 * BUDGET, rel=0.05)
 
 
 def test_it_knows_nothing_but_sizes() -> None:
@@ -190,6 +187,19 @@ def test_a_clip_keeps_its_budget_and_resumes_to_the_same_bytes(
         short = encode(restless_rig, stop=12, **given)
         shutil.copy(short.path, tmp_path / "longer.dgs")
         assert encode(restless_rig, output=tmp_path / "longer.dgs", resume=True, **given).data == held.data
+
+
+@pytest.mark.parametrize("frames", [1, 2, 3, 4])
+def test_segments_with_a_budget_resume_to_the_same_bytes(
+    encode: Any, moving: Any, moving_rig: Path, economical: EncodeSettings, tmp_path: Path, frames: int
+) -> None:
+    settings = replace(economical, frame_budget=1500.0, segment=2)
+    given = {"settings": settings, "keyframe": moving.path}
+    whole = encode(moving_rig, **given)
+    with whole.path.open("rb") as file:
+        ends = [packet.offset + packet.size for packet in iterate_packets(file)]
+    (tmp_path / "scene.dgs.part").write_bytes(whole.data[: ends[frames] + 3])
+    assert encode(moving_rig, output=tmp_path / "scene.dgs", resume=True, **given).data == whole.data
 
 
 def test_options_become_settings(
