@@ -31,7 +31,8 @@ class Variant:
     dotted path ("frame.masks.threshold"); values replace the setting, or are Times. ``preset`` None: the report's.
     ``method``, ``ablate``, ``selection``, ``quality``: as ``encode``'s. ``stride``: every so many frames. ``frames``:
     only the first so many, or the last so many when negative. ``own_keyframe``: trains its own instead of starting from
-    the one that all variants of a rig share. ``refined``: starts from the shared one on a lattice so many times as fine.
+    the one that all variants of a rig share. ``refined``: starts from the shared one on a lattice so many times as
+    fine.
     """
 
     name: str
