@@ -189,15 +189,15 @@ class Renderer:
     """Owns a thread pool and the kernel's buffers; one picture at a time, whoever asks for it."""
 
     def __init__(self, threads: int) -> None:
-        self.library = _library()
+        self.kernel = _library()
         self._lock = Lock()
-        self._handle = self.library.decogs_renderer_create(threads)
+        self._handle = self.kernel.decogs_renderer_create(threads)
 
     def __del__(self) -> None:
-        self.library.decogs_renderer_destroy(self._handle)
+        self.kernel.decogs_renderer_destroy(self._handle)
 
     def run(self, function: Callable[..., Any], *arguments: object) -> Any:
-        """Calls a function of ``library`` that works on this renderer."""
+        """Calls a function of ``kernel`` that works on this renderer."""
         with self._lock:  # ctypes lets other Python threads in while the kernel runs
             return function(self._handle, *arguments)
 
@@ -229,7 +229,7 @@ def render_planes(
     planes = NativePlanes(rgb.ctypes.data, alpha.ctypes.data, depth.ctypes.data, (ctypes.c_float * 3)(*background))
     shared, scene = renderer(threads), native_scene(splats)
     refused = shared.run(
-        shared.library.decogs_render, ctypes.byref(scene), ctypes.byref(native_camera(camera)), ctypes.byref(planes)
+        shared.kernel.decogs_render, ctypes.byref(scene), ctypes.byref(native_camera(camera)), ctypes.byref(planes)
     )
     check_drawn(refused, camera.width, camera.height)
     return rgb, alpha, depth

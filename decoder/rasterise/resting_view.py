@@ -37,7 +37,7 @@ class RestingView:
 
     def __init__(self, camera: Camera, background: tuple[float, float, float], *, threads: int = 0) -> None:
         self._renderer = renderer(threads)
-        self._library = self._renderer.library
+        self._library = self._renderer.kernel
         height, width = camera.height, camera.width
         self._rgb = np.empty((3, height, width), np.float32)
         self._depth_sum = np.empty((height, width), np.float32)
