@@ -65,6 +65,11 @@ class StreamHeader:
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     @property
+    def near_planes(self) -> dict[str, float]:
+        """Near plane of every camera by name, world units."""
+        return {camera.name: camera.near for camera in self.cameras}
+
+    @property
     def coefficients(self) -> int:
         """SH coefficients per colour channel."""
         return (self.sh_degree + 1) ** 2

@@ -37,7 +37,7 @@ class Lattice:
     sh_rest: float
 
 
-_KEPT_SCALE = (0.7, 1.5)
+KEPT_SCALE = (0.7, 1.5)
 """Bounds of the largest component, in units, between which a delta keeps a quaternion's scale."""
 
 _EXTENT_STEPS = 2.0**13
@@ -133,7 +133,7 @@ def _quantise_quaternions(quaternions: NDArray[Any], step: float, near: IntArray
     if near is not None:
         anchor = np.abs(near.astype(np.int64)).argmax(axis=1)
         kept, now = near[row, anchor].astype(np.float64), values[row, anchor]
-        low, high = _KEPT_SCALE
+        low, high = KEPT_SCALE
         usable = (kept != 0) & (np.abs(kept) * step >= low * np.abs(now)) & (np.abs(kept) * step <= high * np.abs(now))
         scale[usable] = kept[usable] / now[usable]
         # Where the scale starts afresh, the sign nearer to the previous quaternion.

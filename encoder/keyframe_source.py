@@ -37,11 +37,6 @@ class KeyframeSource:
     state: State
 
     @property
-    def near_planes(self) -> dict[str, float]:
-        """Near plane of every camera by name, world units."""
-        return {camera.name: camera.near for camera in self.header.cameras}
-
-    @property
     def settings(self) -> dict[str, Any]:
         """What the earlier encode wrote down of how the keyframe was made."""
         return {

@@ -140,7 +140,7 @@ class StreamEncoder:
             state, lattice = self._trained_keyframe(frame, watch, on_step)
         else:
             self._source.check(self._ingest, frame.index)
-            self._ingest.set_near_planes(self._source.near_planes)
+            self._ingest.set_near_planes(self._source.header.near_planes)
             state, lattice = self._source.state, self._source.header.lattice
         self._header = self._stream_header(frame.index, lattice, sh_degree_of(state.coefficients))
         with watch.stage("write"):
@@ -152,10 +152,11 @@ class StreamEncoder:
 
     def take_over(self, left: Interrupted, span: range) -> None:
         """Goes on from what an earlier encode left; raises UsageError unless it is the beginning of this one."""
-        first, header, near = span.start, left.header, left.near_planes
+        first, header = span.start, left.header
         if self._source is not None:
             self._source.check(self._ingest, first)
-            header, near = self._source.header, self._source.near_planes
+            header = self._source.header
+        near = header.near_planes
         self._ingest.set_near_planes({camera.name: near.get(camera.name, 0.0) for camera in self._ingest.rig.cameras})
         self._header = self._stream_header(first, header.lattice, header.sh_degree)
         left.check(self._header, len(span))

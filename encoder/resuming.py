@@ -32,11 +32,6 @@ class Interrupted:
     size: int
     ended: bool
 
-    @property
-    def near_planes(self) -> dict[str, float]:
-        """Near plane of every camera by name, world units."""
-        return {camera.name: camera.near for camera in self.header.cameras}
-
     def packets(self) -> Iterator[Packet]:
         """The frames' packets, in order."""
         with self.path.open("rb") as file:

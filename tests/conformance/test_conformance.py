@@ -40,8 +40,10 @@ from decogs.formats.errors import StreamError
 from decogs.formats.reasons import ALL_REASONS
 
 sys.path.insert(0, str(Path(__file__).parent))
+import limit_vectors
 import make_vectors
 import plain_decoder
+import stream_writer
 
 FOLDER = make_vectors.FOLDER
 EXPECTED: dict[str, dict[str, Any]] = json.loads((FOLDER / "expected.json").read_text())
@@ -159,7 +161,7 @@ def test_a_vector_has_its_outcome(decode: Decoder, name: str) -> None:
 
 @pytest.mark.parametrize("decode", DECODERS.values(), ids=DECODERS)
 def test_large_vectors_have_their_outcomes(decode: Decoder) -> None:
-    for large in make_vectors.large_vectors():
+    for large in limit_vectors.large_vectors():
         check(decode(large.data, {}), make_vectors.outcome(large), large.data)
 
 
@@ -284,7 +286,7 @@ def test_both_decoders_agree_on_every_flipped_byte(name: str) -> None:
         for position in range(0, len(packet.payload), step):
             payload = bytearray(packet.payload)
             payload[position] ^= 1 << position % 8
-            mended = make_vectors.packet(packet.kind, packet.frame, bytes(payload))
+            mended = stream_writer.packet(packet.kind, packet.frame, bytes(payload))
             broken = data[: packet.offset] + mended + data[packet.offset + packet.size :]
             plain, product = by_the_plain_decoder(broken, {}), by_the_product(broken, {})
             assert plain.frames == product.frames

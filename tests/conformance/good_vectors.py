@@ -1,0 +1,337 @@
+"""Streams that decode to their end: every packet, mode, tag and degree that SPEC.md knows, extremes included."""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from plain_decoder import DELTA, INDEX, KEY, MEANS, METRICS, digest
+from stream_writer import (
+    Coding,
+    Stream,
+    Vector,
+    bitmap,
+    changed,
+    coded,
+    example_header,
+    gap_varints,
+    gaps,
+    groups,
+    in_morton_order,
+    in_zstd,
+    key_head,
+    opened,
+    prologue,
+    scene,
+    stored,
+    with_degree,
+    zstd_block,
+    zstd_frame,
+)
+
+SPECIFICATION = Path(__file__).parents[2] / "formats" / "SPEC.md"
+LOWEST, HIGHEST = -(2**31), 2**31 - 1
+LAST_ID = 2**63 - 1
+EIGHT_MIB = 0x68
+"""Window descriptor of a zstd frame (RFC 8878, section 3.1.1.1.2)."""
+
+PLANES_OF_140 = bytes((i * i // 7) & 15 for i in range(420))
+COMPRESSED = bytes.fromhex(
+    "28b52ffd60a4005d010082430806707a0cc0f0640f2154870a63f99cca2d61dcb67d81b4277a73da80e21549c01f010098b6550505"
+)
+COMPRESSED_CHECKED = bytes.fromhex(
+    "28b52ffd64a4005d010082430806707a0cc0f0640f2154870a63f99cca2d61dcb67d81b4277a73da80e21549c01f010098b6550505068367da"
+)
+"""PLANES_OF_140 as zstd 1.5.7 compresses it at level 19, without and with its checksum."""
+
+
+def good_containers() -> Iterator[Vector]:
+    printed = re.search(r"```hex\n(.*?)```", SPECIFICATION.read_text(encoding="utf-8"), re.DOTALL)
+    assert printed is not None
+    yield replace(worked_example(), data=bytes.fromhex(printed.group(1)))
+
+    yield Stream().good("good/no-frames")
+
+    stream = moving()
+    yield stream.good("good/no-index-no-end")
+
+    stream = moving()
+    stream.index()
+    yield stream.good("good/index-without-end", indexes=[True])
+
+    stream = moving()
+    stream.end(with_index=False)
+    yield stream.good("good/end-without-index")
+
+    stream = opened()
+    stream.index()
+    stream.skip()
+    stream.finish()
+    yield stream.good("good/index-early-and-late", indexes=[True, True])
+
+    stream = opened()
+    stream.index([(stream.frames[0][0], 0, DELTA)])
+    stream.index([(stream.frames[0][0] + 24, 0, KEY)])
+    stream.add(INDEX, 0, struct.pack("<I", 7) + bytes(16))
+    stream.skip()
+    yield stream.good("good/wrong-indexes", indexes=[False, False, False])
+
+    stream = Stream()
+    stream.add(METRICS, 0, b'{"psnr": 30.5}')
+    stream.key(stream.state(scene(2, 3, stream.width)))
+    stream.add(METRICS, 0, b"")
+    stream.add(0, 0, b"", flags=0)
+    stream.add(8, 77, b"of a later version", flags=0)
+    stream.skip()
+    stream.add(128, 0, bytes(300), flags=0)
+    stream.add(METRICS, 1, b"\xff\xfe")
+    stream.finish()
+    yield stream.good("good/ancillary-packets", indexes=[True])
+
+    stream = opened(head=prologue(minor=7))
+    stream.skip()
+    stream.finish()
+    yield stream.good("good/higher-minor-version", indexes=[True])
+
+    stream = Stream(document=rich_header())
+    stream.key(stream.state(scene(3, 4, stream.width)))
+    stream.finish()
+    yield stream.good("good/rich-header", indexes=[True])
+
+
+def worked_example() -> Vector:
+    """The stream of SPEC.md, section 12: its states are written there, its bytes are read from there."""
+    stream = Stream()
+    first = [
+        [-2, 0, 0, -4, -5, -4, 2, 1, 0, 0, 3, 0, 8, 0],
+        [1, 1, 0, -4, -4, -4, 2, 0, 0, 0, 3, 8, 0, 0],
+        [300, 1, 2, -4, -4, -6, 2, 0, 0, 0, 3, 0, 0, 8],
+    ]
+    stream.key(stream.state(first))
+    stream.delta({1: [2, 0, -1, *[0] * 11]}, [2], [[5, 5, 5, -4, -4, -4, 2, 0, 0, 0, 3, 1, 1, 1]])
+    stream.skip()
+    stream.finish()
+    return stream.good("good/worked-example", indexes=[True])
+
+
+def moving() -> Stream:
+    """A key, a delta and a skip."""
+    stream = opened()
+    stream.delta({0: scene(4, 1, stream.width)[0]}, [2], scene(5, 2, stream.width))
+    stream.skip()
+    return stream
+
+
+def rich_header() -> dict[str, Any]:
+    """All kinds of cameras, unknown members, texts in many scripts, no canonical order."""
+    document = changed("sh_degree", 1)
+    camera = document["cameras"][0]
+    c, s = 0.8, 0.6
+    turned = [[c, -s, 0, 1e12], [s, c, 0, -2.5], [0, 0, 1, 3]]
+    document["cameras"] = [
+        {**camera, "name": "x" * 255, "distortion_model": "opencv", "distortion": [-0.3, 0.1, 0, 1e-4], "near": 0.25},
+        {**camera, "name": "caméra \U0001f3a5", "distortion_model": "opencv", "distortion": [1e6, -1e6, 0, 0, 5]},
+        {**camera, "name": "c", "distortion_model": "opencv", "distortion": [0.5, 0, 0, 0, 0, 0, 0, 1]},
+        {**camera, "name": "...", "distortion_model": "fisheye", "distortion": [1, 2, 3, 4], "world_to_camera": turned},
+        {**camera, "name": "\xa0", "later": {"version": [1, 2]}},
+    ]
+    texts = {
+        "axes": "\u202e\x00\x1b[31m",
+        "units": "m",
+        "source_text": "\ud7ff\ue000\uffff",
+        "licence": "",
+        "writer": "by hand",
+    }
+    return {
+        "zz_unknown": [[], {}, None, True, -0.0, 1e308],
+        **document,
+        **texts,
+        "fps": 30000 / 1001,
+        "background": [-1000, 0.5, 1000],
+        "effects": ["motion", "motion", "lens_distortion", "view_dependence", "emergence", "disappearance"],
+        "held_out": ["c", "c", *(camera["name"] for camera in document["cameras"])],
+        "settings": {"preset": "none", "nested": [[[1]]], "big": 10**300},
+    }
+
+
+def good_payloads() -> Iterator[Vector]:
+    for degree in range(4):
+        stream = with_degree(degree)
+        stream.key(stream.state(scene(6, 6, stream.width)))
+        stream.delta(
+            {1: scene(7, 1, stream.width)[0], 4: scene(8, 1, stream.width)[0]}, [0, 1], scene(9, 2, stream.width)
+        )
+        stream.skip()
+        stream.finish()
+        yield stream.good(f"good/sh-degree-{degree}", indexes=[True])
+    yield from good_predictions()
+    yield from good_index_sets()
+    yield from good_blocks()
+
+    stream = Stream()
+    stream.key(
+        stream.state(scene(10, 4, stream.width)),
+        {group: Coding(counts=[4] * width) for group, width in enumerate([3, 3, 4, 1, 3])},
+    )
+    codes = [0, 1, 255, 65_535, 2**24 - 1, HIGHEST, 0, 0, 0, 0, -1, -128, -32_768, LOWEST]
+    stream.delta({2: codes}, codings={2: Coding()})
+    stream.delta({0: [0] * 14, 3: [0] * 14})
+    yield stream.good("good/planes-0-to-4")
+
+
+def good_predictions() -> Iterator[Vector]:
+    for mode in (0, 1, 2):
+        stream = with_degree(1)
+        rows = [*scene(11, 5, stream.width), [LOWEST] * stream.width, [HIGHEST] * stream.width, [-1] * stream.width]
+        extremes = [(LOWEST, HIGHEST, -5)[channel % 3] for channel in range(max(stream.header.channels))]
+        codings = {
+            g: Coding(mode, extremes[:width] if mode == 2 else ()) for g, width in enumerate(stream.header.channels)
+        }
+        stream.key(stream.state(rows), codings)
+        stream.skip()
+        yield stream.good(f"good/prediction-mode-{mode}")
+
+    stream = Stream()
+    rows, origin = in_morton_order(scene(12, 40, stream.width))
+    stream.key(stream.state([*rows, rows[-1]]), {MEANS: Coding(3, origin)})
+    more, origin = in_morton_order(scene(13, 3, stream.width))
+    before = stream.states[-1]
+    after = stream.state([*before.rows, *more], ids=range(44), next_id=44)
+    added = groups(more, stream.header, {MEANS: Coding(3, origin, counts=[8], coder=in_zstd)})
+    stream.told(DELTA, after, struct.pack("<Q", digest(after, stream.width)) + b"\0\0" + struct.pack("<I", 3) + added)
+    yield stream.good("good/prediction-mode-3")
+
+    stream = Stream()
+    far = 2**21 - 1
+    rows = [[LOWEST, 0, HIGHEST], [LOWEST + far, 0, HIGHEST], [LOWEST + far, far, LOWEST + far - 1]]
+    stream.key(stream.state([[*mean, *[0] * 11] for mean in rows]), {MEANS: Coding(3, (LOWEST, 0, HIGHEST))})
+    yield stream.good("good/morton-code-2-to-63-minus-1")
+
+
+def good_index_sets() -> Iterator[Vector]:
+    stream = Stream()
+    stream.key(stream.state(scene(14, 9, stream.width)))
+    one, rows = scene(15, 9, stream.width), range(9)
+    stream.delta(dict(zip(rows, one, strict=True)), touched_set=b"\1")
+    stream.delta({0: one[0], 8: one[8]}, touched_set=bitmap([0, 8], 9))
+    stream.delta({8: one[1]}, touched_set=gaps([8]))
+    stream.delta(dict(zip(rows, one, strict=True)), touched_set=gaps(rows, in_zstd))
+    stream.delta({3: one[3]}, touched_set=bitmap([3], 9, in_zstd), removed_set=bitmap([], 9))
+    stream.delta(removed=[0, 7], removed_set=gaps([0, 7]))
+    stream.delta(removed=[6], removed_set=bitmap([6], 7))
+    stream.delta(removed=list(range(6)), removed_set=b"\1")
+    yield stream.good("good/index-sets")
+
+    stream = Stream()
+    stream.key(stream.state([[0] * 14] * 16_600))
+    stream.delta({0: [1] + [0] * 13, 129: [2] + [0] * 13, 16_599: [3] + [0] * 13}, touched_set=gaps([0, 129, 16_599]))
+    yield stream.good("good/gaps-of-three-bytes")
+
+    stream = opened(3)
+    stream.delta({0: [1] * 14, 1: [2] * 14}, removed=[1], added=[[7] * 14])
+    stream.delta({2: [-9] * 14}, removed=[0, 1, 2], added=[[8] * 14])
+    yield stream.good("good/touched-and-removed")
+
+    stream = opened(3)
+    after = stream.state(stream.states[-1].rows)
+    told = struct.pack("<Q", digest(after, stream.width))
+    nothing = struct.pack("<I", 0)
+    stream.told(DELTA, after, told + bitmap([], 3) + b"\0" + nothing)
+    stream.told(DELTA, replace(after, frame=2), told + b"\1\0" + b"\0" + nothing)
+    yield stream.good("good/deltas-of-nothing")
+
+
+def good_blocks() -> Iterator[Vector]:
+    def means_from(block: bytes) -> Stream:
+        """140 Gaussians whose positions are PLANES_OF_140."""
+        stream = Stream()
+        values = [(code >> 1) ^ -(code & 1) for code in PLANES_OF_140]
+        state = stream.state([[*values[row::140], *[0] * 11] for row in range(140)])
+        stream.told(KEY, state, key_head(state, stream.header) + b"\1\0\1\1\1" + block)
+        return stream
+
+    yield means_from(coded(1, COMPRESSED)).good("good/zstd-compressed")
+    yield means_from(coded(1, COMPRESSED_CHECKED)).good("good/zstd-with-checksum")
+    yield means_from(coded(1, zstd_frame(PLANES_OF_140, window=EIGHT_MIB))).good("good/zstd-window-8-mib")
+    two = zstd_block(0, PLANES_OF_140[:20], last=False) + zstd_block(0, PLANES_OF_140[20:], last=True)
+    yield means_from(coded(1, zstd_frame(PLANES_OF_140, blocks=two))).good("good/zstd-two-blocks")
+
+    stream = Stream()
+    state = stream.state([[1, 1, 1, *[0] * 11]] * 100)
+    run = zstd_frame(bytes(300), blocks=zstd_block(1, b"\2", last=True, size=300))
+    stream.told(KEY, state, key_head(state, stream.header) + b"\1\0\1\1\1" + coded(1, run))
+    yield stream.good("good/zstd-run")
+
+
+def good_states() -> Iterator[Vector]:
+    stream = Stream()
+    stream.key(stream.state([]))
+    stream.delta(added=scene(16, 2, stream.width))
+    stream.delta(removed=[0, 1], removed_set=b"\1")
+    stream.delta(touched_set=b"\1", removed_set=bitmap([], 0))
+    stream.skip()
+    stream.key(stream.state([], next_id=9))
+    state = stream.state([], next_id=0)
+    stream.told(KEY, state, key_head(state, stream.header, id_mode=1) + stored(b"") + groups([], stream.header))
+    stream.referring_key(added=scene(17, 1, stream.width), ids=[4], next_id=5)
+    stream.finish()
+    yield stream.good("good/empty-scenes", indexes=[True])
+
+    stream = Stream()
+    edges = [LOWEST, LOWEST + 1, -1, 0, 1, HIGHEST - 1, HIGHEST]
+    rows = [[edges[(row + channel) % 7] for channel in range(stream.width)] for row in range(7)]
+    stream.key(stream.state(rows))
+    stream.delta({row: [edges[(row + 2 * channel) % 7] for channel in range(stream.width)] for row in range(7)})
+    stream.delta({0: [HIGHEST] * 14, 1: [LOWEST] * 14}, touched_set=gaps([0, 1]))
+    yield stream.good("good/wrap-around")
+
+    lattice = example_header()["lattice"]
+    far = {**lattice, "origin": [1e12, -1e12, 0.1], "means": [1e6, 1e-12, 0.1], "log_scales": 0.07, "sh_dc": 1e6}
+    stream = Stream(changed("lattice", {**far, "opacity_logits": 0.3, "quaternions": 1 / 3, "sh_rest": 1e-12}))
+    stream.key(stream.state([*rows, *scene(18, 9, stream.width, 2000), [0] * 14]))
+    yield stream.good("good/floats")
+
+    stream = Stream()
+    ids = [3, 4, 3 + 2**35, 3 + 2**36, 3 + 2**36 + 129]
+    stream.key(stream.state(scene(19, 5, stream.width), ids=ids, next_id=2**40))
+    stream.delta(removed=[1, 3], added=scene(20, 2, stream.width))
+    stream.key(stream.state(scene(19, 1, stream.width), ids=[17], next_id=18))
+    state = stream.state(scene(19, 1, stream.width), ids=[17], next_id=18)
+    listed = key_head(state, stream.header, id_mode=1, first_id=17) + stored(b"")
+    stream.told(KEY, state, listed + groups(state.rows, stream.header))
+    state = stream.state(scene(21, 4, stream.width), ids=[5, 6, 300, 70_000], next_id=70_001)
+    listed = key_head(state, stream.header, id_mode=1, first_id=5) + in_zstd(gap_varints([6, 300, 70_000], 5))
+    stream.told(KEY, state, listed + groups(state.rows, stream.header))
+    yield stream.good("good/listed-ids")
+
+    stream = Stream()
+    stream.key(stream.state(scene(22, 2, stream.width), ids=[LAST_ID - 4, LAST_ID - 3], next_id=LAST_ID - 2))
+    stream.delta(added=scene(23, 2, stream.width))
+    stream.delta(removed=[0])
+    stream.key(stream.state(scene(22, 2, stream.width), ids=[LAST_ID - 2, LAST_ID - 1]))
+    yield stream.good("good/last-ids")
+
+    yield referring().good("good/keys-that-refer", indexes=[True])
+
+
+def referring() -> Stream:
+    """Keyframes told as a change of the first one: none, all of it, ids listed, past another keyframe."""
+    stream = with_degree(1)
+    stream.key(stream.state(scene(24, 6, stream.width), ids=[1, 2, 3, 5, 8, 13], next_id=20))
+    one = scene(25, 8, stream.width)
+    stream.referring_key(next_id=20)
+    stream.delta({0: one[0]}, [1], one[1:3])
+    stream.referring_key({0: one[3], 5: one[4]}, [1, 2], one[5:7], [22, 23], next_id=24)
+    stream.key(stream.state(scene(26, 2, stream.width)))
+    stream.skip()
+    stream.referring_key({1: one[5]}, [1], one[:3], [20, 25, 2**33], next_id=2**34, id_mode=1)
+    stream.delta({3: one[6]}, added=one[:1])
+    stream.referring_key(removed=range(6), next_id=14)
+    stream.referring_key({5: one[7]}, added=one[:1], ids=[20], next_id=21, id_mode=1)
+    stream.referring_key(id_mode=1, next_id=2**63 - 1)
+    stream.finish()
+    return stream
