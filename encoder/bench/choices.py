@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from ..economy import Coarseness, EconomySettings
 from ..transformation_cache import CacheSettings
+from .timing import TIMINGS
 from .variants import Question, Times, Variant
 
 _QUALITY = ("psnr", "psnr_dynamic", "psnr_static", "last_dynamic", "slope_dynamic", "mtv")
@@ -92,6 +93,22 @@ QUESTIONS = (
         "by its worth, so that those rows have more bytes.",
         _caches(),
         _BOTH,
+    ),
+    Question(
+        "timing",
+        "Where the cache might help: motion that turns back or speeds up",
+        "The same recording, every second frame to its end and back over those between, and in steps of 1, 1, 2, 2, 3, "
+        "3, ... frames; each without warm start, with it, and with a cache anew in every frame.",
+        tuple(
+            Variant(f"{timing}-{name}", f"{timing.replace('-', ' ')}, {words}", settings, timing=timing)
+            for timing in TIMINGS
+            for name, words, settings in (
+                ("cold", "no cache, no warm start", _cache(None, False, 0.0)),
+                ("warm", "no cache, warm start 0.9", _cache(None, False, 0.9)),
+                ("cache", "cache, no warm start", _cache(CacheSettings(), False, 0.0)),
+            )
+        ),
+        (("psnr", "psnr_dynamic", "psnr_static", "last_dynamic", "mtv", "selected", "cpu", "megabytes"),),
     ),
     Question(
         "iterations",

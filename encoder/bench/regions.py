@@ -8,7 +8,7 @@ spans 5 to 8 levels; the mean of 3x3 pixels spans 3 to 4).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,6 +24,7 @@ from decogs.formats.rigs import Rig, read_frames
 
 from ..ingest import display_referred
 from .metrics import BytePicture, Mask
+from .timing import retimed
 
 STATIC_RANGE = 6.0
 """A recorded pixel is static while its 3x3 mean stays within so many 8-bit levels, and so do its neighbours' ..."""
@@ -46,13 +47,11 @@ class Regions:
     about: str
 
 
-def held_out_pictures(rig: Rig, camera: str, frames: range, scale: float) -> Iterator[BytePicture]:
-    """What ``camera`` recorded in ``frames`` (rig indices, any step), 8 bit, at ``scale``, its lens left as it is."""
-    size = _size(rig, camera, scale)
-    wanted = set(frames)
-    for index, (picture,) in read_frames(rig, frames.start, frames[-1] + 1, names=[camera]):
-        if index in wanted:
-            yield _resized(to_8bit(display_referred(picture)), size)
+def held_out_pictures(rig: Rig, camera: str, frames: Sequence[int], scale: float) -> Iterator[BytePicture]:
+    """What ``camera`` recorded in ``frames`` (rig indices, any order), 8 bit, at ``scale``, its lens left as it is."""
+    size, first = _size(rig, camera, scale), frames[0]
+    for _, (picture,) in read_frames(retimed(rig, frames), first, first + len(frames), names=[camera]):
+        yield _resized(to_8bit(display_referred(picture)), size)
 
 
 def find_regions(rig: Rig, camera: str, frames: range, scale: float) -> Regions:

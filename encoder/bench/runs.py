@@ -38,7 +38,7 @@ from .measuring import FrameQuality, StreamQuality, measure_scenes
 from .metrics import BytePicture
 from .perceptual import installed_network, perceptual_distance
 from .regions import Regions, find_regions, held_out_pictures, static_column
-from .strided import strided
+from .timing import TIMINGS, retimed
 from .variants import Variant, settings_of
 
 if TYPE_CHECKING:
@@ -158,9 +158,10 @@ class RigBench:
         """That column as recorded, (H, T, 3)."""
         return np.stack([picture[:, self.column] for picture in self._recorded(self.frames)], axis=1)
 
-    def frames_of(self, variant: Variant) -> range:
-        """The rig's frames that the variant encodes."""
-        frames = self.frames[:: variant.stride]
+    def frames_of(self, variant: Variant) -> Sequence[int]:
+        """The rig's frames that the variant encodes, in its order."""
+        strided = self.frames[:: variant.stride]
+        frames = strided if variant.timing is None else TIMINGS[variant.timing](strided)
         return frames[variant.frames :] if (variant.frames or 0) < 0 else frames[: variant.frames]
 
     def find(self, variant: Variant) -> Run | None:
@@ -212,7 +213,7 @@ class RigBench:
             report.output.unlink()
         return run
 
-    def measured(self, header: StreamHeader, scenes: Iterator[Splats], frames: range) -> StreamQuality:
+    def measured(self, header: StreamHeader, scenes: Iterator[Splats], frames: Sequence[int]) -> StreamQuality:
         """What the held-out camera sees of decoded scenes, one for each of the rig's ``frames``."""
         return measure_scenes(
             header,
@@ -252,8 +253,8 @@ class RigBench:
         on_keyframe_step: OnKeyframeStep | None,
     ) -> EncodeReport:
         frames = self.frames_of(variant)
-        first = frames.start
-        ingest = Ingest(strided(self.rig, first, frames.step), holdout=[self.camera], scale=self.options.scale)
+        first = frames[0]
+        ingest = Ingest(retimed(self.rig, frames), holdout=[self.camera], scale=self.options.scale)
         report = encode_stream(
             ingest,
             self._stream(variant),
@@ -270,7 +271,7 @@ class RigBench:
             raise KeyboardInterrupt
         return report
 
-    def _recorded(self, frames: range) -> Iterator[BytePicture]:
+    def _recorded(self, frames: Sequence[int]) -> Iterator[BytePicture]:
         return held_out_pictures(self.rig, self.camera, frames, self.options.scale)
 
     def key(self, variant: Variant) -> str:
@@ -286,7 +287,7 @@ class RigBench:
                 "own_keyframe": variant.own_keyframe,
                 "refined": variant.refined,
                 "rig": [self.name, rig.layout, rig.frame_count, [camera.name for camera in rig.cameras]],
-                "frames": [frames.start, frames.stop, frames.step],
+                "frames": [frames.start, frames.stop, frames.step] if isinstance(frames, range) else frames,
                 "options": [self.camera, options.scale, options.seed, self._threads],
             }
         )
@@ -304,7 +305,7 @@ class RigBench:
             machine=machine_facts(),
             load=loads,
             camera=self.camera,
-            span=[frames.start, frames.stop, frames.step],
+            span=[min(frames), max(frames) + 1, variant.stride],
             scale=options.scale,
             seed=options.seed,
             threads=self._threads,
@@ -321,11 +322,11 @@ class RigBench:
             frames=[_frame(index, cost, looks) for index, cost, looks in pairs],
         )
 
-    def _command(self, variant: Variant, frames: range) -> str:
-        """The encode as a command; a stride and changed settings have no option of their own and follow in words."""
+    def _command(self, variant: Variant, frames: Sequence[int]) -> str:
+        """The encode as a command; stride, timing and changed settings have no option of their own: words follow."""
         options = self.options
         words = ["decogs-encode", self.name, "-o", f"{variant.name}.dgs", "--holdout", self.camera]
-        words += ["--frames", f"{frames.start}:{frames.stop}", "--preset", variant.preset or options.preset]
+        words += ["--frames", f"{min(frames)}:{max(frames) + 1}", "--preset", variant.preset or options.preset]
         words += ["--seed", str(options.seed), "--threads", str(self._threads)]
         words += [] if options.scale == 1 else ["--scale", f"{options.scale:g}"]
         words += [] if variant.method == "decogs" else ["--method", variant.method]
@@ -333,7 +334,8 @@ class RigBench:
         words += ["--selection", variant.selection] if variant.selection else []
         words += [] if variant.quality is None else ["--quality", f"{variant.quality:g}"]
         words += [] if variant.own_keyframe else ["--keyframe", f"{KEYFRAME.name}.dgs"]
-        extra = [] if frames.step == 1 else [f"every {frames.step}. frame"]
+        extra = [] if variant.stride == 1 else [f"every {variant.stride}. frame"]
+        extra += [] if variant.timing is None else [f"frames {', '.join(map(str, frames))}"]
         extra += [f"{path} = {value}" for path, value in variant.settings.items()]
         return " ".join(words) + (f" ({', '.join(extra)})" if extra else "")
 

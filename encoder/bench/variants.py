@@ -29,10 +29,10 @@ class Variant:
 
     ``name``: letters, digits, '.', '_' and '-'; part of file names. ``settings``: what differs from the preset, by
     dotted path ("frame.masks.threshold"); values replace the setting, or are Times. ``preset`` None: the report's.
-    ``method``, ``ablate``, ``selection``, ``quality``: as ``encode``'s. ``stride``: every so many frames. ``frames``:
-    only the first so many, or the last so many when negative. ``own_keyframe``: trains its own instead of starting from
-    the one that all variants of a rig share. ``refined``: starts from the shared one on a lattice so many times as
-    fine.
+    ``method``, ``ablate``, ``selection``, ``quality``: as ``encode``'s. ``stride``: every so many frames.
+    ``timing``: one of `timing.TIMINGS`. ``frames``: only the first so many, or the last so many when negative.
+    ``own_keyframe``: trains its own instead of starting from the one that all variants of a rig share. ``refined``:
+    starts from the shared one on a lattice so many times as fine.
     """
 
     name: str
@@ -44,6 +44,7 @@ class Variant:
     selection: str | None = None
     quality: float | None = None
     stride: int = 1
+    timing: str | None = None
     frames: int | None = None
     own_keyframe: bool = False
     refined: int = 1
