@@ -18,11 +18,12 @@ import numpy as np
 import pytest
 
 from decogs.codec.header import StreamHeader
-from decogs.encoder.bench import report, runs
+from decogs.encoder.bench import page, runs
 from decogs.encoder.bench.commands import bench_main
+from decogs.encoder.bench.plans import Contest, Plan
 from decogs.encoder.bench.progress import BenchProgress
 from decogs.encoder.bench.rates import CURVES
-from decogs.encoder.bench.report import CHOICES, PAPER, RATES, Contest, Plan, make_report
+from decogs.encoder.bench.report import CHOICES, NONE, PAPER, RATES, make_report
 from decogs.encoder.bench.rivals import splat4d
 from decogs.encoder.bench.rivals.float_arrays import FloatDeltas
 from decogs.encoder.bench.rivals.ply import Ply
@@ -254,7 +255,7 @@ def test_what_is_not_installed_is_said(three_frames: Path, tmp_path: Path, monke
 @pytest.mark.skipif(importlib.util.find_spec("matplotlib") is None, reason="plots need the extra 'bench'")
 def test_rates_are_drawn(three_frames: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[str] = []
-    monkeypatch.setattr(report, "plot_rates", lambda path, points: drawn.extend(p.label for p in points) or plot(path))
+    monkeypatch.setattr(page, "plot_rates", lambda path, points: drawn.extend(p.label for p in points) or plot(path))
     plot = Path.touch
     text = make_report(replace(RACE, figures={CURVES: (FINE, COARSE)}), [three_frames], tmp_path, OPTIONS).read_text()
     assert drawn == ["fine", "coarse", "a .ply each", "a .spz each", "float32 that changes"]
@@ -375,5 +376,5 @@ def test_recorded_masks_are_named_in_the_report(three_frames: Path, tmp_path: Pa
     truth.mkdir()
     for kind in ("static", "changing"):
         cv2.imwrite(str(truth / f"{kind}_cam02.png"), np.full((48, 64), 255, np.uint8))
-    text = make_report(SMALL, [tmp_path / "rig"], tmp_path / "report", OPTIONS, only=[report.NONE]).read_text()
+    text = make_report(SMALL, [tmp_path / "rig"], tmp_path / "report", OPTIONS, only=[NONE]).read_text()
     assert "the rig's own true masks, static_cam02.png and changing_cam02.png" in text

@@ -1,0 +1,241 @@
+"""A report as Markdown: a section for each rig with a table for each question, pictures, and how it was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from . import paper, rates
+from .machine import code_version
+from .perceptual import installed_network
+from .plans import Contest, Plan, RigResults
+from .plots import plot_effort, plot_quality, plot_rates, plot_scanlines
+from .rival_runs import RatePoint, point_of, point_of_rival, rival_file
+from .runs import KEYFRAME, RigBench, Run
+from .tables import COLUMNS, NOT_RUN, NOTHING, markdown, number
+from .variants import Question, Variant
+
+
+def report_page(plan: Plan, results: Sequence[RigResults], folder: Path, command: str) -> list[str]:
+    """The page's lines; draws the pictures it shows into the ``folder``."""
+    made = f"Made by `{command}`. " if command else ""
+    lines = [f"# {plan.title}", "", f"{made}Every row links to its run; the last section says how it was measured.", ""]
+    if plan.summary is not None:
+        lines += plan.summary(results)
+    for result in results:
+        lines += _rig_section(plan, result, folder)
+    return lines + _how(plan, results)
+
+
+def _rig_section(plan: Plan, result: RigResults, folder: Path) -> list[str]:
+    bench = result.bench
+    lines = [f"## {bench.name}", "", _about_rig(result), ""]
+    for question in plan.questions:
+        lines += [f"### {question.title}", ""] + ([question.about, ""] if question.about else [])
+        for columns in question.columns:
+            lines += [*_table(result, question, columns), ""]
+        lines += [f"{name} failed: {error}" for name, error in _failed(result, question)]
+    if plan.contest is not None:
+        lines += _contest_section(plan.contest, result)
+    return lines + (_figures(plan, result, folder) if plan.figures else [])
+
+
+def _about_rig(result: RigResults) -> str:
+    bench = result.bench
+    camera = next(camera for camera in bench.rig.cameras if camera.name == bench.camera)
+    regions, frames = bench.regions, bench.frames
+    text = (
+        f"{len(bench.rig.cameras) - 1} training views, {bench.camera} held out ({camera.width}x{camera.height}"
+        f"{'' if bench.options.scale == 1 else f', scale {bench.options.scale:g}'}), frames {frames.start} to "
+        f"{frames[-1]}. Static {regions.static.mean():.1%} of its pixels, dynamic {regions.dynamic.mean():.1%}: "
+        f"{regions.about}."
+    )
+    keyframe = result.run_of(KEYFRAME)
+    if keyframe is not None:
+        first = keyframe.frames[0]
+        text += (
+            f" Shared keyframe: preset {keyframe.preset}, {first.gaussians} Gaussians, {first.bytes} bytes, "
+            f"{sum(first.seconds.values()):.0f} s ({_link(bench, keyframe)})."
+        )
+    return text
+
+
+def _table(result: RigResults, question: Question, columns: Sequence[str]) -> list[str]:
+    runs = [run for variant in question.variants if (run := result.run_of(variant)) is not None]
+    rows = []
+    for variant in question.variants:
+        run = result.run_of(variant)
+        label = variant.description + (" (the preset)" if result.is_preset(variant) else "")
+        if run is None:
+            missing = "failed" if variant.name in result.failures else NOT_RUN
+            rows.append([label, *([NOTHING] * len(columns)), missing])
+        else:
+            rows.append([label, *(COLUMNS[key].value(run, runs) for key in columns), _link(result.bench, run)])
+    return markdown(["", *(COLUMNS[key].heading for key in columns), "how"], rows)
+
+
+def _contest_section(contest: Contest, result: RigResults) -> list[str]:
+    """The encoder's rates and, kept in other ways, the frames of its source."""
+    bench, source = result.bench, result.run_of(contest.source)
+    rows = [
+        _rate_row(point_of(run, f"decogs, {variant.description}"), source, _link(bench, run))
+        for variant in contest.rates
+        if (run := result.run_of(variant)) is not None
+    ]
+    notes: dict[str, list[str]] = {}
+    for rival in contest.rivals:
+        kept = result.rivals.get(rival.name)
+        if kept is None:
+            why = result.failures.get(rival.name, rival.coder.missing() or NOT_RUN)
+            rows.append([rival.description, *[NOTHING] * 7, why])
+        else:
+            link = f"[{rival.name}](runs/{rival_file(bench, contest.source, rival).name})"
+            rows.append(_rate_row(point_of_rival(kept), source, link))
+        if rival.about:
+            notes.setdefault(rival.about, []).append(rival.name)
+    headings = [
+        "", "PSNR", "dynamic", "static", "first frame, kB", "kB/frame after it", "× ours", "kB/frame, all", "how",
+    ]  # fmt: skip
+    return [
+        "### Against other ways to keep the same frames",
+        "",
+        f"Rivals keep the decoded frames of “{contest.source.description}”, the first row; they are read again from "
+        "what they wrote, rendered and measured like a stream. Those frames lie on our lattice already, which helps a "
+        "general-purpose compressor.",
+        "",
+        *markdown(headings, rows),
+        "",
+        *(f"- {', '.join(names)}: {about}" for about, names in notes.items()),
+        "",
+    ]
+
+
+def _rate_row(point: RatePoint, source: Run | None, link: str) -> list[str]:
+    ours = None if source is None else point_of(source, "").later_bytes
+    times = None if not ours else point.later_bytes / ours
+    quality = [number(".2f")(value) for value in (point.psnr, point.psnr_dynamic, point.psnr_static)]
+    sizes = [f"{value / 1e3:.2f}" for value in (point.first_bytes, point.later_bytes, point.frame_bytes)]
+    return [point.label, *quality, sizes[0], sizes[1], number(".2f")(times), sizes[2], link]
+
+
+def _failed(result: RigResults, question: Question) -> list[tuple[str, str]]:
+    names = {variant.name for variant in question.variants}
+    return [(name, error) for name, error in result.failures.items() if name in names]
+
+
+def _link(bench: RigBench, run: Run) -> str:
+    return f"[{run.variant}](runs/{bench.file_of(run).name})"
+
+
+def _figures(plan: Plan, result: RigResults, folder: Path) -> list[str]:
+    """Draws the rig's figures from the runs there are."""
+    bench = result.bench
+    pictures = folder / "pictures"
+    pictures.mkdir(exist_ok=True)
+    lines: list[str] = []
+    curve = _labelled(result, plan.figures.get(rates.CURVES, ()))
+    if curve:
+        name = f"{bench.name}-rates.png"
+        points = [point_of(run, label) for label, run in curve.items()]
+        plot_rates(pictures / name, points + [point_of_rival(run) for run in result.rivals.values()])
+        lines += ["### Rate and distortion", "", f"![PSNR over bytes per frame](pictures/{name})", ""]
+    over_time = _labelled(result, plan.figures.get(paper.TIME, ()))
+    if over_time:
+        quality, effort = f"{bench.name}-quality.png", f"{bench.name}-effort.png"
+        plot_quality(pictures / quality, over_time)
+        plot_effort(pictures / effort, over_time)
+        lines += ["### Over time", "", f"![PSNR of every frame](pictures/{quality})", ""]
+        lines += [f"![share of Gaussians trained, and processor seconds](pictures/{effort})", ""]
+    followed = _labelled(result, plan.figures.get(paper.SCANLINES, ()))
+    if followed:
+        name = f"{bench.name}-scanlines.png"
+        strips = {"recorded": bench.recorded_column()}
+        strips |= {label: bench.column_of(run) for label, run in followed.items()}
+        plot_scanlines(pictures / name, strips, bench.column, bench.frames.start)
+        lines += ["### Space-time scanlines", ""]
+        lines += [
+            f"Column {bench.column} of {bench.camera}, mostly static, from frame to frame. Above as it is; below how "
+            "far each pixel strays from its own mean over time: what is static should be plain grey.",
+            "",
+            f"![a column of pixels over time](pictures/{name})",
+            "",
+        ]
+    return lines
+
+
+def _labelled(result: RigResults, variants: Sequence[Variant]) -> dict[str, Run]:
+    found = {variant.description: result.run_of(variant) for variant in variants}
+    return {label: run for label, run in found.items() if run is not None}
+
+
+def _how(plan: Plan, results: Sequence[RigResults]) -> list[str]:
+    """How the figures were obtained: once for all, with what differs between runs as a range."""
+    runs = [run for result in results for run in result.runs.values()]
+    used = dict.fromkeys(key for question in plan.questions for columns in question.columns for key in columns)
+    lines = ["## How these figures were obtained", ""]
+    if runs:
+        lines += [*_circumstances(runs), ""]
+    lines += [
+        "The stream of each run is decoded from its file and the held-out camera's view of every frame rendered at its "
+        "own size, lens distortion included, and rounded to 8 bit as `decogs-decode` writes it; the recorded frame is "
+        "8 bit as well. Pictures count from 0 to 1.",
+        "",
+        "- PSNR: of the mean square error over the pixels of a region and the three channels; the mean of the frames' "
+        "values, the shared keyframe included.",
+        "- SSIM: 11x11 Gaussian window of sigma 1.5, zero outside the picture, C1 = 0.01², C2 = 0.03², on RGB; the map "
+        "of the whole picture is averaged over the region.",
+        "- mTV ×100: |I(t+1) − I(t)| of the rendered 8-bit pictures, mean over static pixels and channels, mean over "
+        "t, times 100 (Yun 2025, its code's definition). Its authors mark static pixels by hand; where a rig ships no "
+        "masks, ours are told from the recording, so that such figures compare within this report only.",
+        f"- LPIPS: {_about_lpips(runs)}.",
+        "- Static and dynamic regions: as said at each rig; the same for all its rows; pixels in between count in "
+        "neither.",
+        "- Time: of the encoding process, from decoded pictures to the written packet, measuring left out. Rows ran "
+        "one after the other: compare processor seconds where the load was high.",
+        "- Render FPS: the median over frames, projection to picture, all threads of the run; reading the packet is "
+        "not in it (`read_seconds` in the run's file).",
+        "- MB, kB: 10^6, 10^3 bytes on disk.",
+        *(_how_rivals() if plan.contest is not None else []),
+        "- One run and one seed for each row: differences below 0.1 dB mean little.",
+        "",
+        "Columns:",
+        "",
+        *(f"- {COLUMNS[key].heading}: {COLUMNS[key].meaning}" for key in used),
+    ]
+    return lines
+
+
+def _how_rivals() -> list[str]:
+    return [
+        "- First frame: all bytes that have to be there before it shows: of a stream the keyframe with header and "
+        "index, of a file per frame the first file. The frames after it: the other bytes over the other frames. "
+        "× ours: those over the finest stream's.",
+        "- Rivals are written to disk by this program (PLY, SPZ, .splat and arrays by writers of its own, splats4d by "
+        "its own command at zstd level 19) and sizes taken from the files.",
+    ]
+
+
+def _circumstances(runs: Sequence[Run]) -> list[str]:
+    machines = {f"{run.machine['cpu']}, {run.machine['cores']} cores" for run in runs}
+    threads, seeds = {run.threads for run in runs}, {run.seed for run in runs}
+    dates, loads = sorted(run.date for run in runs), [value for run in runs for value in run.load]
+    lines = [
+        f"- Machine: {'; '.join(sorted(machines))}; {_listed(threads)} threads; no GPU. Load average while running: "
+        f"{min(loads):.1f} to {max(loads):.1f}.",
+        f"- Seed {_listed(seeds)}; runs of {dates[0]} to {dates[-1]}; code {_listed({run.code for run in runs})}.",
+        "- Each run's file says the rest: command, settings, frame by frame figures. Paths in a command are names; "
+        "what stands in brackets after it has no option and is set from Python.",
+    ]
+    if {run.code for run in runs} != {code_version()}:
+        lines.append(f"- Written with other code than some runs were made with: now {code_version()}.")
+    return lines
+
+
+def _listed(values: set[Any]) -> str:
+    return ", ".join(str(value) for value in sorted(values))
+
+
+def _about_lpips(runs: Sequence[Run]) -> str:
+    networks = {run.lpips_network for run in runs if run.lpips_network} or {installed_network()} - {None}
+    return f"version 0.1, network {_listed(networks)}" if networks else "its package or weights are not installed here"
