@@ -100,11 +100,11 @@ class BaselineTrainer:
         motion: FloatArray,
         *,
         frame: int,
-        worth: float | None = None,
+        settings: FrameSettings | None = None,
     ) -> TrainedFrame:
         """Trains all Gaussians of ``scene`` on one frame's pictures (3, H, W).
 
-        The call is `FrameTrainer.train`'s; ``selected``, ``masks``, ``motion`` and ``worth`` have no part in this
+        The call is `FrameTrainer.train`'s; ``selected``, ``masks``, ``motion`` and ``settings`` have no part in this
         method.
         """
         self._random = np.random.default_rng((self._seed, frame))

@@ -35,6 +35,7 @@ def encode(
     method: str | None = None,
     ablate: str | Sequence[str] = (),
     selection: str | None = None,
+    effects: str | None = None,
     keyframe: str | os.PathLike[str] | None = None,
     segment: int | None = None,
     quality: float | None = None,
@@ -54,9 +55,11 @@ def encode(
     ``frames``: "A:B" half-open, as in Python, or a slice; all when None. ``scale``: of the pictures trained on.
     ``holdout``: cameras kept out of training and measured on. ``preset``: a name in PRESETS, or settings.
     ``method``: "decogs" or "3dgstream"; ``ablate``: parts of DecoGS to leave out, a list or text with commas;
-    ``selection``: "paper" or "weight"; all three on top of the preset (`methods`). ``keyframe``: an earlier stream of
-    the same rig, first frame and held-out cameras whose keyframe is taken as it is. ``segment``: frames from one
-    keyframe to the next; later ones are told as differences from the first.
+    ``selection``: "paper" or "weight"; all three on top of the preset (`methods`). ``effects``: "auto" looks at the rig
+    first, for seconds, and builds what scene and frames call for; "all", "none", or names with commas, "-name" takes
+    one away (`effects`); None is "auto" for a named preset, and for settings what they say; the baseline has none.
+    ``keyframe``: an earlier stream of the same rig, first frame and held-out cameras whose keyframe is taken as it is.
+    ``segment``: frames from one keyframe to the next; later ones are told as differences from the first.
     ``quality``: 0 (smallest) to 100 (most exact), 50 is the preset as it is; with ``keyframe``, that of later frames.
     ``max_mb_per_frame``, in units of 1e6 bytes, or ``bitrate``, in kbit/s at the rig's frame rate: most that the frames
     after the first may take on average, keyframes among them included. ``lossless``: every change is written exactly
@@ -81,6 +84,8 @@ def encode(
     rig = open_rig(rig_dir)
     settings = _with_rate(settings, rig, quality, bitrate, max_mb_per_frame, lossless=lossless)
     span = frame_span(rig, frame_range(frames) if isinstance(frames, str) else frames)
+    if effects is None and not isinstance(preset, EncodeSettings) and settings.method == "decogs":
+        effects = AUTO
     ingest = Ingest(rig, holdout=held, scale=scale)
     with EncodeProgress(len(span), None if log is None else Path(log), terminal=terminal) as progress:
         progress.started(

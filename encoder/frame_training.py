@@ -99,14 +99,14 @@ class FrameTrainer:
         seed: int,
         threads: int = 1,
     ) -> None:
-        self._kernel, self._views, self._watch, self._settings = kernel, views, watch, settings
-        self._seed = seed
+        self._kernel, self._views, self._watch = kernel, views, watch
+        self._whole_settings = self._settings = settings
+        self._seed, self._threads, self._box = seed, threads, box
         self._extent = extent
         self._ungated: SplatOptimiser | None = None
         self._values: list[float] = []
         self._cache: TransformationCache | None = None
-        if settings.cache is not None and settings.cache_iterations + settings.joint_iterations > 0:
-            self._cache = TransformationCache(*box, settings.cache, seed, threads=threads)
+        self._kept_cache: TransformationCache | None = None
 
     def train(
         self,
@@ -117,14 +117,16 @@ class FrameTrainer:
         motion: FloatArray,
         *,
         frame: int,
-        worth: float | None = None,
+        settings: FrameSettings | None = None,
     ) -> TrainedFrame:
         """Trains the ``selected`` Gaussians of ``scene`` on one frame's pictures (3, H, W).
 
         ``motion`` (N, 3) is every Gaussian's last displacement, for the warm start. ``frame``: its index, which with
-        the seed makes all that is random, so that a frame can be trained again alone. ``worth``: of changes to be sent,
-        instead of the settings'. The watching views are left with the trained Gaussians lifted.
+        the seed makes all that is random, so that a frame can be trained again alone. ``settings``: of this frame, where
+        they differ. The watching views are left with the trained Gaussians lifted.
         """
+        self._settings = self._whole_settings if settings is None else settings
+        self._cache = self._cache_of_frame()
         self._random = np.random.default_rng((self._seed, frame))
         losses = [
             self._loss(picture, mask, view) for picture, mask, view in zip(pictures, masks, self._views, strict=True)
@@ -141,8 +143,17 @@ class FrameTrainer:
             self._add_emerging(work, losses, masks)
         if "gate" in self._settings.ablated:
             self._open_gate(work, scene)
-        self._stage2(work, scene, losses, masks, self._settings.economy.worth if worth is None else worth)
+        self._stage2(work, scene, losses, masks)
         return self._result(work)
+
+    def _cache_of_frame(self) -> TransformationCache | None:
+        """The cache that this frame's settings ask for; built when the first frame does."""
+        settings = self._settings
+        if settings.cache is None or settings.cache_iterations + settings.joint_iterations == 0:
+            return None
+        if self._kept_cache is None:
+            self._kept_cache = TransformationCache(*self._box, settings.cache, self._seed, threads=self._threads)
+        return self._kept_cache
 
     def _start_warm(self, work: _Working, motion: FloatArray) -> None:
         share = np.float32(self._settings.warm_start)
@@ -175,10 +186,9 @@ class FrameTrainer:
         scene: Splats,
         losses: Sequence[PhotometricLoss],
         masks: Sequence[FrameMask],
-        worth: float,
     ) -> None:
         """The Gaussians' own values, with the cache if there is one; without it, densification falls in here."""
-        settings = self._settings
+        settings, worth = self._settings, self._settings.economy.worth
         rates = replace(settings.rates, means=settings.rates.means * self._extent)
         gathered, self._values = ViewGradients(len(work.rows)), []
         grow_from, grow_at = settings.joint_iterations // 4, settings.joint_iterations // 2

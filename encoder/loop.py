@@ -34,8 +34,9 @@ from decogs.formats.splats import FloatArray, Splats, sh_degree_of
 
 from .baseline import BaselineTrainer
 from .economy import EconomySettings, coarse_changes
+from .effects import FRAME_EFFECTS, frame_effects, leave_out
 from .first_points import first_points
-from .frame_training import FrameTrainer, TrainedFrame
+from .frame_training import FrameSettings, FrameTrainer, TrainedFrame
 from .ingest import Ingest, RigFrame
 from .keyframe import mean_picture_psnr, mean_psnr, scene_extent, train_keyframe
 from .keyframe_source import KeyframeSource
@@ -58,7 +59,8 @@ class FrameReport:
     ``bytes``: the packet's on disk. ``selected``: share of Gaussians in S_t. PSNRs in dB from the reconstructed state,
     means over the views; ``held_out_psnr`` None without held-out cameras. ``seconds`` by stage, wall clock.
     ``cpu_seconds``: processor time of all threads together, from decoded pictures to the written packet; measuring
-    (the stage "measure") is left out. ``replayed``: an earlier encode had written it.
+    (the stage "measure") is left out. ``replayed``: an earlier encode had written it. ``effects``: what it was trained
+    for; none for a first frame, a replayed one and one that is only held.
     """
 
     frame: int
@@ -72,6 +74,7 @@ class FrameReport:
     costs: dict[str, int]
     cpu_seconds: float
     replayed: bool = False
+    effects: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -218,18 +221,34 @@ class StreamEncoder:
         watch, before, index = _Stopwatch(), self._state, frame.index - self._header.first_frame
         masks, selected = self._changes(frame, len(before), watch)
         trained: TrainedFrame | None = None
-        if selected.any():
+        effects, settings = self._called_for(frame, masks, selected, watch)
+        if effects:
             with watch.stage("training"):
-                worth = self._economy().worth
                 trained = self._trainer.train(
-                    self._scene, selected, frame.training, masks, self._motion, frame=index, worth=worth
+                    self._scene, selected, frame.training, masks, self._motion, frame=index, settings=settings
                 )
         with watch.stage("write"):
-            delta = None if trained is None else self._delta(before, trained)
+            delta = None if trained is None else self._delta(before, trained, settings.economy)
             kind, coded = self._coded(before, delta, index)
             packet = self._commit(kind, index, coded)
         self._go_on(frame, before, masks, None if trained is None else trained.kept, watch)
-        return self._report(frame, packet, coded.costs, _share(selected), watch)
+        return replace(self._report(frame, packet, coded.costs, _share(selected), watch), effects=effects)
+
+    def _called_for(
+        self, frame: RigFrame, masks: Sequence[FrameMask], selected: NDArray[np.bool_], watch: _Stopwatch
+    ) -> tuple[tuple[str, ...], FrameSettings]:
+        """The effects that a frame calls for, none where nothing is selected, and how it is trained for them."""
+        settings = self._settings
+        effects = tuple(name for name in FRAME_EFFECTS if name in settings.effects) if selected.any() else ()
+        if effects and settings.ask_frames:
+            with watch.stage("effects"):
+                found = frame_effects(frame.training, self._previous, masks)
+            settings = leave_out(settings, [name for name in effects if name not in found])
+            effects = tuple(name for name in effects if name in found)
+        economy = settings.frame.economy
+        if self._rate is not None:
+            economy = self._rate.economy(economy)
+        return effects, replace(settings.frame, economy=economy)
 
     def _changes(
         self, frame: RigFrame, population: int, watch: _Stopwatch
@@ -237,6 +256,8 @@ class StreamEncoder:
         """The frame's masks and S_t; the dense baseline looks at no mask and takes every Gaussian."""
         if self._settings.method == "3dgstream":
             return [], np.ones(population, bool)
+        if not set(FRAME_EFFECTS) & set(self._settings.effects):
+            return [], np.zeros(population, bool)
         with watch.stage("masks"):
             masks = self._masks.masks(frame.training, [view.rgb for view in self._watch])
         if not any(mask.raw.any() for mask in masks):
@@ -271,6 +292,8 @@ class StreamEncoder:
             with watch.stage("settle"):
                 self._settle(before, trained)
         self._masks.passed(frame.training)
+        if self._settings.ask_frames:
+            self._previous = frame.training
         self._motion = self._displacements(before, self._state)
 
     def _select(self, masks: Sequence[FrameMask]) -> NDArray[np.bool_]:
@@ -286,6 +309,7 @@ class StreamEncoder:
         with watch.stage("settle"):
             self._trainer = self._frame_trainer(self._scene)
         self._masks = MaskMemory(frame.training, self._settings.frame.masks)
+        self._previous = frame.training if self._settings.ask_frames else []
         self._motion = np.zeros((len(self._scene), 3), np.float32)
 
     def _settle(self, before: State, trained: NDArray[np.int64]) -> None:
@@ -300,16 +324,11 @@ class StreamEncoder:
             view.settle(self._scene, rows, renumbered)
             view.refresh()
 
-    def _economy(self) -> EconomySettings:
-        """Of the next frame; with a budget, what the packets before it leave."""
-        settings = self._settings.frame.economy
-        return settings if self._rate is None else self._rate.economy(settings)
-
-    def _delta(self, state: State, trained: TrainedFrame) -> Delta:
+    def _delta(self, state: State, trained: TrainedFrame, economy: EconomySettings) -> Delta:
         lattice, before = self._header.lattice, take_rows(state, trained.kept)
         current = quantise(trained.values, lattice, near=before)
         if self._settings.method == "decogs":
-            current = coarse_changes(before, current, self._economy().coarseness)
+            current = coarse_changes(before, current, economy.coarseness)
         added = quantise(trained.added, lattice)
         return difference(state, trained.kept, current, removed=trained.removed, added=added)
 
@@ -374,7 +393,7 @@ class StreamEncoder:
             sh_degree=sh_degree,
             fps=rig.fps,
             first_frame=first,
-            effects=_effects(rig, sh_degree),
+            effects=_carried(self._settings.effects, rig, sh_degree),
             held_out=tuple(view.camera.name for view in self._ingest.held_out_views),
             source_text=rig.source_text,
             licence=rig.licence,
@@ -406,14 +425,14 @@ class StreamEncoder:
         )
 
 
-def _effects(rig: Rig, sh_degree: int) -> tuple[str, ...]:
-    """What a stream of this encode may carry (SPEC.md, "Header packet")."""
-    effects = ["motion", "appearance_change", "emergence", "disappearance"]
+def _carried(built: tuple[str, ...], rig: Rig, sh_degree: int) -> tuple[str, ...]:
+    """The effects that a stream of this encode may carry and a decoder must know (SPEC.md, "Header packet")."""
+    carried = [name for name in FRAME_EFFECTS if name in built]
     if sh_degree:
-        effects.append("view_dependence")
+        carried.append("view_dependence")
     if any(is_distorted(camera) for camera in rig.cameras):
-        effects.append("lens_distortion")
-    return tuple(effects)
+        carried.append("lens_distortion")
+    return tuple(carried)
 
 
 def frame_span(rig: Rig, frames: slice | None) -> range:

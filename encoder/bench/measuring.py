@@ -16,7 +16,7 @@ from decogs.decoder.session import render_view
 from decogs.formats.splats import Splats
 
 from ..keyframe import psnr_of
-from .metrics import BytePicture, mean_over, psnr, square_error_map, ssim_map, total_variation
+from .metrics import BytePicture, aligned, mean_over, psnr, square_error_map, ssim_map, total_variation
 from .perceptual import Distance
 from .regions import Regions
 
@@ -25,7 +25,8 @@ from .regions import Regions
 class FrameQuality:
     """One frame of the held-out camera. PSNR in dB; None for a region without pixels.
 
-    ``variation``: mean change of the static pixels since the frame before, 0..1; None in the first.
+    ``variation``: mean change of the static pixels since the frame before, 0..1; None in the first. ``psnr_aligned``:
+    of the whole picture once its colours are brought to the recording's.
     """
 
     psnr: float
@@ -36,6 +37,7 @@ class FrameQuality:
     ssim_static: float | None
     lpips: float | None
     variation: float | None
+    psnr_aligned: float | None = None
 
 
 @dataclass(frozen=True)
@@ -103,4 +105,5 @@ def _quality(
         mean_over(likeness, regions.static),
         None if distance is None else distance(seen, recorded),
         None if before is None else total_variation(before, seen, regions.static),
+        psnr_of(float(square_error_map(aligned(seen, recorded), recorded).mean())),
     )

@@ -16,7 +16,7 @@ from typing import Any, TextIO
 
 from decogs.formats.errors import TrainingError, UsageError
 
-from . import choices, paper, rates, summaries
+from . import choices, effects, paper, rates, summaries
 from .machine import code_version, machine_facts
 from .page import report_page
 from .plans import Contest, Plan, RigResults
@@ -48,7 +48,8 @@ RATES = Plan(
     rates.FIGURES,
     Contest(rates.RIVALS_PART, rates.RATE_POINTS, rates.RIVALS),
 )
-PLANS = {plan.name: plan for plan in (PAPER, CHOICES, RATES)}
+EFFECTS = Plan("effects", "Effects, measured", effects.QUESTIONS, summary=effects.matrix)
+PLANS = {plan.name: plan for plan in (PAPER, CHOICES, RATES, EFFECTS)}
 
 
 def make_report(

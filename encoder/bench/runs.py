@@ -30,9 +30,11 @@ from decogs.formats.errors import UsageError
 from decogs.formats.rigs import Rig, open_rig
 from decogs.formats.splats import Splats
 
+from ..effects import Decision, analyse, wanted_effects, with_effects
 from ..ingest import Ingest
 from ..keyframe_source import read_keyframe
 from ..loop import EncodeReport, FrameReport, OnKeyframeStep, encode_stream, frame_span
+from ..presets import EncodeSettings
 from .machine import code_version, load, machine_facts
 from .measuring import FrameQuality, StreamQuality, measure_scenes
 from .metrics import BytePicture
@@ -158,6 +160,24 @@ class RigBench:
         """That column as recorded, (H, T, 3)."""
         return np.stack([picture[:, self.column] for picture in self._recorded(self.frames)], axis=1)
 
+    @cached_property
+    def _decisions(self) -> tuple[Decision, ...]:
+        """What the report's frames call for."""
+        return analyse(self.rig, holdout=[self.camera], frames=self.frames, threads=self._threads)
+
+    def settings(self, variant: Variant) -> EncodeSettings:
+        """Everything that a variant's encode of this rig does."""
+        settings = settings_of(variant, self.options.preset)
+        if variant.effects is None:
+            return settings
+        return with_effects(settings, wanted_effects(variant.effects), lambda: self._decisions)
+
+    def _trains_keyframe(self, variant: Variant) -> bool:
+        """Effects may ask for another keyframe than the shared one."""
+        own, shared = self.settings(variant), settings_of(KEYFRAME, self.options.preset)
+        asked = variant.effects is not None
+        return variant.own_keyframe or (asked and (own.keyframe, own.corrections) != (shared.keyframe, shared.corrections))
+
     def frames_of(self, variant: Variant) -> Sequence[int]:
         """The rig's frames that the variant encodes, in its order."""
         strided = self.frames[:: variant.stride]
@@ -199,7 +219,7 @@ class RigBench:
         """
         self.runs_folder.mkdir(parents=True, exist_ok=True)
         self._streams.mkdir(parents=True, exist_ok=True)
-        keyframe = None if variant.own_keyframe else self.stream(KEYFRAME, on_keyframe_step)
+        keyframe = None if self._trains_keyframe(variant) else self.stream(KEYFRAME, on_keyframe_step)
         loads = [load()]
         report = self._encode(variant, keyframe, on_frame, on_keyframe_step)
         loads.append(load())
@@ -259,7 +279,7 @@ class RigBench:
             ingest,
             self._stream(variant),
             range(first, first + len(frames)),
-            settings_of(variant, self.options.preset),
+            self.settings(variant),
             seed=self.options.seed,
             threads=self._threads,
             keyframe=None if keyframe is None else read_keyframe(keyframe).refined(variant.refined),
@@ -283,8 +303,8 @@ class RigBench:
         return digest(
             {
                 "format": FORMAT,
-                "settings": settings_of(variant, options.preset).as_document(),
-                "own_keyframe": variant.own_keyframe,
+                "settings": self.settings(variant).as_document(),
+                "own_keyframe": self._trains_keyframe(variant),
                 "refined": variant.refined,
                 "rig": [self.name, rig.layout, rig.frame_count, [camera.name for camera in rig.cameras]],
                 "frames": [frames.start, frames.stop, frames.step] if isinstance(frames, range) else frames,
@@ -312,7 +332,7 @@ class RigBench:
             preset=variant.preset or options.preset,
             command=self._command(variant, frames),
             changed={path: str(value) for path, value in variant.settings.items()},
-            settings=settings_of(variant, options.preset).as_document(),
+            settings=self.settings(variant).as_document(),
             masks=self.regions.about,
             lpips_network=installed_network(),
             render_seconds=quality.render_seconds,
@@ -333,7 +353,8 @@ class RigBench:
         words += ["--ablate", ",".join(variant.ablate)] if variant.ablate else []
         words += ["--selection", variant.selection] if variant.selection else []
         words += [] if variant.quality is None else ["--quality", f"{variant.quality:g}"]
-        words += [] if variant.own_keyframe else ["--keyframe", f"{KEYFRAME.name}.dgs"]
+        words += ["--effects", "all" if variant.effects is None else variant.effects]
+        words += [] if self._trains_keyframe(variant) else ["--keyframe", f"{KEYFRAME.name}.dgs"]
         extra = [] if variant.stride == 1 else [f"every {variant.stride}. frame"]
         extra += [] if variant.timing is None else [f"frames {', '.join(map(str, frames))}"]
         extra += [f"{path} = {value}" for path, value in variant.settings.items()]

@@ -29,7 +29,8 @@ class Variant:
 
     ``name``: letters, digits, '.', '_' and '-'; part of file names. ``settings``: what differs from the preset, by
     dotted path ("frame.masks.threshold"); values replace the setting, or are Times. ``preset`` None: the report's.
-    ``method``, ``ablate``, ``selection``, ``quality``: as ``encode``'s. ``stride``: every so many frames.
+    ``method``, ``ablate``, ``selection``, ``quality``, ``effects``: as ``encode``'s; ``effects`` None is all that the
+    preset has. ``stride``: every so many frames.
     ``timing``: one of `timing.TIMINGS`. ``frames``: only the first so many, or the last so many when negative.
     ``own_keyframe``: trains its own instead of starting from the one that all variants of a rig share. ``refined``:
     starts from the shared one on a lattice so many times as fine.
@@ -43,6 +44,7 @@ class Variant:
     ablate: tuple[str, ...] = ()
     selection: str | None = None
     quality: float | None = None
+    effects: str | None = None
     stride: int = 1
     timing: str | None = None
     frames: int | None = None
@@ -65,7 +67,7 @@ class Question:
 
 
 def settings_of(variant: Variant, report_preset: str) -> EncodeSettings:
-    """Everything that a variant's encode does, its method included; with a shared keyframe, what the preset says of it.
+    """Everything that a variant's encode does, whatever the rig; with a shared keyframe, what the preset says of it.
 
     Raises UsageError for a setting that does not exist, one of the keyframe that the variant does not train, and
     switches that exclude each other.

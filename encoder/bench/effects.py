@@ -1,0 +1,65 @@
+"""What effects cost and what they are worth: built as called for, all of them, none, and each one wrongly left out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ..effects import EFFECT_NAMES
+from .plans import RigResults
+from .tables import NOTHING, markdown, mean_of, number
+from .variants import Question, Variant
+
+AUTO = Variant("effects-auto", "as called for (auto)", effects="auto")
+ALL = Variant("effects-all", "all", effects="all")
+NONE = Variant("effects-none", "none", effects="none")
+WITHOUT = {
+    name: Variant(f"effects-no-{name}", f"auto, without {name}", effects=f"auto,-{name}")
+    for name in EFFECT_NAMES
+    if name != "high_dynamic_range"
+}
+"""High dynamic range is told of, and has no part to leave out."""
+
+QUESTIONS = (
+    Question(
+        "effects",
+        "Only the effects that the scene calls for",
+        "`--effects auto`, the default, against all of them in every frame. Where a camera is corrected, and where SH "
+        "beyond degree 0 is left out, the row has a keyframe of its own.",
+        (AUTO, ALL, NONE),
+        (("psnr", "psnr_aligned", "psnr_dynamic", "psnr_static", "mtv"), ("selected", "seconds", "cpu", "megabytes")),
+    ),
+    Question(
+        "without",
+        "One effect wrongly left out",
+        "A row equal to auto's is the same run: the scene does not call for that effect.",
+        (AUTO, *WITHOUT.values()),
+        (("psnr", "psnr_aligned", "psnr_dynamic", "psnr_static", "selected", "cpu", "megabytes"),),
+    ),
+)
+
+
+def matrix(results: Sequence[RigResults]) -> list[str]:
+    """Scene by effect: what PSNR loses without an effect, dB, whole picture / dynamic region, colours aligned."""
+    rows = [[name, *(_loss(result, variant) for result in results)] for name, variant in WITHOUT.items()]
+    return [
+        "## What a scene loses without an effect",
+        "",
+        "PSNR of the held-out view once its colours are brought to the recording's, dB against auto: whole picture / "
+        "dynamic region. “not called for”: the same run as auto.",
+        "",
+        *markdown(["without", *(result.bench.name for result in results)], rows),
+        "",
+    ]
+
+
+def _loss(result: RigResults, variant: Variant) -> str:
+    bench, run, auto = result.bench, result.run_of(variant), result.run_of(AUTO)
+    if run is None or auto is None:
+        return NOTHING
+    if bench.key(variant) == bench.key(AUTO):
+        return "not called for"
+    return " / ".join(_change(mean_of(run, name), mean_of(auto, name)) for name in ("psnr_aligned", "psnr_dynamic"))
+
+
+def _change(value: float | None, reference: float | None) -> str:
+    return number("+.2f")(None if value is None or reference is None else value - reference)

@@ -1,0 +1,2 @@
+def frame_effects(current, previous, masks):
+    return ("motion",)

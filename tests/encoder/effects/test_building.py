@@ -1,0 +1,134 @@
+"""What is built of the effects: the words of --effects, and that what is left out is not there to cost anything."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from decogs.decoder.session import open_stream
+from decogs.encoder import PRESETS, frame_training, loop
+from decogs.encoder.effects import EFFECT_NAMES, FRAME_EFFECTS, Decision, Wanted, wanted_effects, with_effects
+from decogs.encoder.effects.names import CAMERA_EFFECTS
+from decogs.encoder.presets import EncodeSettings
+from decogs.formats.container import PacketKind
+from decogs.formats.errors import UsageError
+
+STANDARD = PRESETS["standard"]
+
+
+def decisions(*called_for: str, cameras: tuple[str, ...] = ("cam01",), **figures: Any) -> list[Decision]:
+    return [
+        Decision(
+            effect=name,
+            called_for=name in called_for,
+            confidence=1.0,
+            cameras=cameras if name in called_for else (),
+            frames=(),
+            reason="",
+            cost="",
+            figures=figures,
+        )
+        for name in EFFECT_NAMES
+    ]
+
+
+def built(text: str, found: Sequence[Decision] = (), settings: EncodeSettings = STANDARD) -> EncodeSettings:
+    return with_effects(settings, wanted_effects(text), lambda: found)
+
+
+@pytest.mark.parametrize(
+    ("text", "wanted"),
+    [
+        ("auto", Wanted("auto")),
+        ("all", Wanted("all")),
+        ("none", Wanted("none")),
+        ("motion, emergence", Wanted("none", frozenset({"motion", "emergence"}))),
+        ("auto,-camera_shake", Wanted("auto", dropped=frozenset({"camera_shake"}))),
+        ("-motion", Wanted("all", dropped=frozenset({"motion"}))),
+        ("none,motion,-motion", Wanted("none", frozenset({"motion"}), frozenset({"motion"}))),
+    ],
+)
+def test_words(text: str, wanted: Wanted) -> None:
+    assert wanted_effects(text) == wanted
+
+
+@pytest.mark.parametrize("text", ["movement", "auto,-movement", "motion auto"])
+def test_unknown_words_are_refused(text: str) -> None:
+    with pytest.raises(UsageError, match="there is no effect"):
+        wanted_effects(text)
+
+
+def test_auto_asks_every_frame_and_takes_what_the_scene_calls_for() -> None:
+    settings = built("auto", decisions("exposure_drift"))
+    assert settings.ask_frames
+    assert settings.effects == (*FRAME_EFFECTS, "exposure_drift")
+    assert settings.corrections.exposure == ("cam01",)
+    assert settings.keyframe.sh_degree == 0, "no views disagree"
+    assert built("auto,-exposure_drift", decisions("exposure_drift")).corrections == STANDARD.corrections
+
+
+def test_what_the_scene_calls_for_changes_nothing_that_the_preset_has() -> None:
+    settings = built("auto", decisions(*FRAME_EFFECTS, "view_dependence"))
+    assert replace(settings, effects=STANDARD.effects, ask_frames=False) == STANDARD
+
+
+def test_a_fixed_choice_does_not_look_at_the_rig() -> None:
+    def looked() -> Sequence[Decision]:
+        raise AssertionError("the rig was looked at")
+
+    for text in ("none", "motion,view_dependence", ",".join(FRAME_EFFECTS)):
+        settings = with_effects(STANDARD, wanted_effects(text), looked)
+        assert not settings.ask_frames
+        assert settings.corrections == STANDARD.corrections
+
+
+@pytest.mark.parametrize("name", [*CAMERA_EFFECTS, "sensor_noise", "view_dependence", *FRAME_EFFECTS])
+def test_every_effect_can_be_left_out(name: str) -> None:
+    everything = built("all", decisions(*EFFECT_NAMES, k1={"cam01": -0.1}, least_threshold={"cam01": 12.0}))
+    without = built(f"-{name}", decisions(*EFFECT_NAMES, k1={"cam01": -0.1}, least_threshold={"cam01": 12.0}))
+    assert name not in without.effects
+    assert without != replace(everything, effects=without.effects), "leaving it out changes what is done"
+
+
+def test_none_trains_and_compares_nothing(
+    encode: Any, moving_rig: Path, tiny_settings: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def never(*_: Any, **__: Any) -> Any:
+        raise AssertionError("built without being called for")
+
+    monkeypatch.setattr(loop.MaskMemory, "masks", never)
+    monkeypatch.setattr(frame_training.FrameTrainer, "train", never)
+    encoded = encode(moving_rig, settings=built("none", settings=tiny_settings))
+    assert {frame.kind for frame in encoded.report.frames[1:]} == {"skip"}
+    with open_stream(encoded.path) as stream:
+        assert stream.header.effects == ()
+        assert [frame.kind for frame in stream.frames()][1:] == [PacketKind.SKIP] * (len(encoded.report.frames) - 1)
+
+
+def test_a_change_of_light_builds_no_cache_and_seeks_nothing_new(
+    encode: Any, moving_rig: Path, tiny_settings: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Even where the preset has all of it."""
+
+    def never(*_: Any, **__: Any) -> Any:
+        raise AssertionError("built without being called for")
+
+    for place, name in (
+        (frame_training, "TransformationCache"),
+        (frame_training, "grow"),
+        (frame_training, "seeds"),
+        (frame_training, "shared_displacements"),
+    ):
+        monkeypatch.setattr(place, name, never)
+    settings = replace(tiny_settings, frame=replace(PRESETS["paper"].frame, masks=tiny_settings.frame.masks))
+    encoded = encode(moving_rig, settings=built("appearance_change", settings=settings))
+    deltas = [frame for frame in encoded.report.frames if frame.kind == "delta"]
+    assert deltas
+    for frame in deltas:
+        assert frame.effects == ("appearance_change",)
+        spent = {name for name, size in frame.costs.items() if size and name not in ("header", "index")}
+        assert spent <= {"opacity_logits", "sh_dc", "sh_rest"}, "no byte for what does not move"
