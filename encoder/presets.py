@@ -33,6 +33,9 @@ class EncodeSettings:
     one keyframe to the next, 0 for a single keyframe; fewer is larger, and quicker to seek. Only how a frame is told
     depends on it, not what is in it. ``frame_budget``: bytes that frames after the first may take on average (`rate`);
     lower is less exact, None leaves it to ``frame.economy``.
+    ``time_budget``: seconds that frames after the first may take on average (`time_budget`); higher is slower, None is
+    the whole schedule. ``target_psnr``: dB at which a frame's training ends (`effort.TargetWatch`); higher is slower,
+    None is the whole schedule.
     """
 
     keyframe: KeyframeSettings = field(default_factory=KeyframeSettings)
@@ -43,16 +46,19 @@ class EncodeSettings:
     baseline: BaselineSettings = field(default_factory=BaselineSettings)
     segment: int = 0
     frame_budget: float | None = None
+    time_budget: float | None = None
+    target_psnr: float | None = None
 
     def as_document(self) -> dict[str, Any]:
         """The settings as plain JSON values, for the stream's header and the log; without the other method's.
 
-        No budget is no entry: a stream begun before there were any can still be gone on with.
+        No budget or target is no entry: a stream begun before there were any can still be gone on with.
         """
         document: dict[str, Any] = json.loads(json.dumps(asdict(self)))
         del document["frame" if self.method == "3dgstream" else "baseline"]
-        if self.frame_budget is None:
-            del document["frame_budget"]
+        for name in ("frame_budget", "time_budget", "target_psnr"):
+            if document[name] is None:
+                del document[name]
         return document
 
 
