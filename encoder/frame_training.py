@@ -43,11 +43,11 @@ class FrameSettings:
     ``cache_iterations`` and ``joint_iterations``: stage 1 and stage 2; more is slower and follows faster motion.
     ``carry_cache``: keep the cache's weights from frame to frame instead of restarting it. ``warm_start``: share of
     the last displacement to begin with, 0 to 1, the median over the ``warm_neighbours`` nearest selected Gaussians.
-    ``grow_gradient``: the paper's tau_d; lower adds more Gaussians. ``grow_share``: most Gaussians a frame may add,
-    as a share of the selected. ``rates``: stage 2, ``means`` in units of the rig's extent; over its second half
-    they fall to ``late_decay`` of that. ``economy``: what changes must be worth, without a cache. ``beta1``,
-    ``beta2``: stage 2's Adam. ``flat``: stage 2 ends, not before its half, once a round through all views lowers
-    their loss by less than this share; higher is faster. ``ablated``: parts of the method left out
+    ``grow_gradient``: the paper's tau_d; lower adds more Gaussians. ``grow_share``: most Gaussians a frame may add, as
+    a share of the selected; more is slower and larger. ``rates``: stage 2, ``means`` in units of the rig's extent; over
+    its second half they fall to ``late_decay`` of that. ``economy``: what changes must be worth, without a cache.
+    ``beta1``, ``beta2``: stage 2's Adam. ``flat``: stage 2 ends, not before its half, once a round through all views
+    lowers their loss by less than this share; higher is faster. ``ablated``: parts of the method left out
     (``methods.without``).
     """
 

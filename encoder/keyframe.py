@@ -40,9 +40,10 @@ class KeyframeSettings:
     ``iterations``: more is slower and, up to the stop, better. ``cap``: most Gaussians; more is slower and larger.
     ``sh_degree``: higher is slower and larger, better where views disagree. ``start_size``: first sigma in units of
     the point spacing. ``grow_from``/``grow_to``: shares of the schedule in which densification runs every
-    ``grow_every`` steps, where the mean view gradient reaches ``grow_gradient``. ``validation_share``: share of the
-    tiles kept for the stop (0: no stop); the stop comes after ``patience`` checks without a new best. At the end,
-    rotations and colours are put on the lattice, and in ``settle_iterations`` more steps the rest makes up for it.
+    ``grow_every`` steps, where the mean view gradient reaches ``grow_gradient``; lower grows more and is slower, up to
+    the cap. ``validation_share``: share of the tiles kept for the stop (0: no stop); the stop comes after ``patience``
+    checks without a new best, more is slower. At the end, rotations and colours are put on the lattice, and in
+    ``settle_iterations`` more steps the rest makes up for it; more is slower.
     """
 
     iterations: int = 1000
