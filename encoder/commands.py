@@ -29,7 +29,9 @@ def encode_main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--holdout", action="append", default=[], metavar="CAM", help="keep a camera out of training (repeatable)"
     )
-    parser.add_argument("--preset", default="standard", metavar="P", help="draft, standard (default), high or paper")
+    parser.add_argument(
+        "--preset", default="standard", metavar="P", help="live, draft, standard (default), high, archive; or paper"
+    )
     parser.add_argument("--method", metavar="M", help="decogs (default), or 3dgstream: the dense baseline, slower")
     parser.add_argument(
         "--ablate", default="", metavar="PARTS", help="leave out select, focus, gate (any, with commas)"

@@ -86,8 +86,8 @@ class Pace:
             self._began += seconds
 
     def skip_to(self, mark: int) -> None:
-        """Leaves out what lies before that position."""
-        self.position = max(self.position, float(mark))
+        """Leaves out what lies between this step and that position, which the next step reaches."""
+        self.position = max(self.position, mark - 1.0)
 
     def _stride(self, deadline: float) -> float:
         """What is left of the schedule for each of the steps that still fit, this one included."""

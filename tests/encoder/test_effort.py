@@ -36,8 +36,8 @@ def run(pace: Pace, step: Callable[[int], None]) -> tuple[list[float], list[int]
     reached: list[int] = []
     while not pace.is_over:
         reached += [len(positions)] * sum(pace.reaches(mark) for mark in MARKS)
-        step(len(positions))
         positions.append(pace.position)
+        step(len(positions) - 1)
         pace.step()
     return positions, reached
 
@@ -115,8 +115,9 @@ def test_what_is_put_off_costs_no_steps(clock: Clock) -> None:
 def test_skipping_leaves_out_what_lies_between() -> None:
     pace = Pace(SCHEDULE)
     positions, reached = run(pace, lambda step: pace.skip_to(75) if step == 20 else None)
-    assert reached == [21], "the third mark alone"
-    assert len(positions) == SCHEDULE - (75 - 20)
+    assert reached == [21, 22], "all but the first mark"
+    assert positions[20:23] == [20, 75, 76]
+    assert len(positions) == SCHEDULE - (75 - 21)
 
 
 def test_a_stage_gets_its_share_of_what_is_left(clock: Clock) -> None:

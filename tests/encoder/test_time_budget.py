@@ -254,6 +254,20 @@ def test_a_target_ends_training_and_the_same_seed_still_gives_the_same_bytes(
     assert low[1] + low[3] < whole[1] + whole[3]
 
 
+def test_changes_are_judged_before_a_target_ends_training(
+    encode: Any, moving: Any, moving_rig: Path, patient: EncodeSettings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    judged: list[int] = []
+    take_back, backward = frame_training.take_back, frame_training.FixedView.backward
+    steps: list[int] = []
+    monkeypatch.setattr(frame_training, "take_back", lambda *a: (judged.append(len(steps)), take_back(*a)))
+    monkeypatch.setattr(frame_training.FixedView, "backward", lambda *a, **o: (steps.append(1), backward(*a, **o))[1])
+    encode(moving_rig, settings=with_target_psnr(patient, 10.0), keyframe=moving.path, stop=2)
+    views = 4
+    assert judged == [views + 1], "at once when every view was seen to be good enough"
+    assert views + 1 + views <= len(steps) <= views + 1 + 2 * views, "and then until each has been seen again"
+
+
 def test_a_target_out_of_reach_changes_nothing(
     encode: Any, moving: Any, moving_rig: Path, patient: EncodeSettings
 ) -> None:
