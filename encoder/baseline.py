@@ -24,6 +24,7 @@ from decogs.decoder.rasterise.reference import rotation_matrices
 from decogs.formats.splats import FloatArray, Splats, join_splats, take_splats
 
 from .densification import ViewGradients, opacities_of
+from .effort import WHOLE, Effort
 from .frame_training import TrainedFrame
 from .ingest import View
 from .losses import PhotometricLoss, require_finite, whole_picture_loss
@@ -101,12 +102,14 @@ class BaselineTrainer:
         *,
         frame: int,
         settings: FrameSettings | None = None,
+        effort: Effort = WHOLE,
     ) -> TrainedFrame:
         """Trains all Gaussians of ``scene`` on one frame's pictures (3, H, W).
 
         The call is `FrameTrainer.train`'s; ``selected``, ``masks``, ``motion`` and ``settings`` have no part in this
-        method.
+        method, nor has anything of ``effort`` that ends training early.
         """
+        self._on_loss = effort.on_loss
         self._random = np.random.default_rng((self._seed, frame))
         self._order = view_order(len(self._views), self._random)
         losses = [
@@ -127,7 +130,7 @@ class BaselineTrainer:
         cache.place(scene.means, scene.quaternions)
         for step in range(settings.cache_iterations):
             scene.means[:], scene.quaternions[:] = cache.moved()
-            camera = self._views[self._descend(scene, losses, gradients)].pinhole
+            camera = self._views[self._descend(scene, losses, gradients, ("cache", step))].pinhole
             if step >= settings.cache_iterations - settings.spawn_window:
                 gathered.add(gradients.view, camera.width, camera.height)
             cache.backward(gradients.means, gradients.quaternions)
@@ -165,7 +168,7 @@ class BaselineTrainer:
         for step in range(1, settings.spawn_iterations + 1):
             if not len(optimiser.splats):
                 break
-            self._descend(scene, losses, gradients)
+            self._descend(scene, losses, gradients, ("joint", step - 1))
             optimiser.step(_rows_from(gradients, self._population), rates)
             if step % settings.prune_every == 0:
                 optimiser.keep(self._worth_keeping(optimiser.splats))
@@ -180,12 +183,16 @@ class BaselineTrainer:
         small = spawned.log_scales.max(axis=1, initial=-np.inf) <= np.log(self._settings.prune_size * self._extent)
         return np.asarray(small & (opacities_of(spawned) >= self._settings.prune_opacity))
 
-    def _descend(self, scene: Splats, losses: Sequence[PhotometricLoss], out: SplatGradients) -> int:
-        """Puts the gradients of the next view's loss into ``out``; returns which view it was."""
+    def _descend(
+        self, scene: Splats, losses: Sequence[PhotometricLoss], out: SplatGradients, place: tuple[str, int]
+    ) -> int:
+        """Puts the gradients of the next view's loss into ``out``; returns which view; ``place`` is stage and step."""
         index = next(self._order)
         picture = self._kernel.forward(scene, self._views[index].pinhole)
         value, cotangent = losses[index].evaluate(self._kernel, picture.rgb)
         require_finite(value, self._views[index].camera)
+        if self._on_loss is not None:
+            self._on_loss(*place, value.total)
         self._kernel.backward(scene, cotangent, out=out)
         return index
 

@@ -29,7 +29,9 @@ def encode_main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--holdout", action="append", default=[], metavar="CAM", help="keep a camera out of training (repeatable)"
     )
-    parser.add_argument("--preset", default="standard", metavar="P", help="draft, standard (default), high or paper")
+    parser.add_argument(
+        "--preset", default="standard", metavar="P", help="live, draft, standard (default), high, archive; or paper"
+    )
     parser.add_argument("--method", metavar="M", help="decogs (default), or 3dgstream: the dense baseline, slower")
     parser.add_argument(
         "--ablate", default="", metavar="PARTS", help="leave out select, focus, gate (any, with commas)"
@@ -64,9 +66,28 @@ def encode_main(arguments: Sequence[str] | None = None) -> int:
         "--lossless", action="store_true", help="send every change exactly as trained, to the lattice's steps"
     )
     parser.add_argument(
+        "--time-budget",
+        metavar="T",
+        help="most wall-clock time a frame after the first may take on average (1.5s/frame, 500ms/frame or 1.5), from "
+        "decoded pictures to the written packet; training is shortened to fit, so that bytes depend on the machine",
+    )
+    parser.add_argument(
+        "--target-psnr",
+        type=float,
+        metavar="DB",
+        help="end a frame's training once the training views have so many dB in its regions of interest (the first "
+        "frame's: everywhere)",
+    )
+    parser.add_argument(
         "--resume", action="store_true", help="go on with SCENE.DGS.part, or SCENE.DGS, that an encode left unfinished"
     )
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="same seed, same bytes (default 0)")
+    parser.add_argument(
+        "--seed",
+        type=int,
+        default=0,
+        metavar="N",
+        help="same seed, same bytes (default 0), but for --time-budget",
+    )
     parser.add_argument("--threads", type=number_of_threads, default=0, metavar="N", help="default: all processors")
     parser.add_argument(
         "--device",
@@ -75,6 +96,7 @@ def encode_main(arguments: Sequence[str] | None = None) -> int:
         help="auto (default), cpu or cuda; cuda has never run on a GPU: auto is cpu",
     )
     parser.add_argument("--log", metavar="FILE", help="write figures per frame as JSON lines")
+    parser.add_argument("--anytime", metavar="FILE", help="write the loss of every training step as JSON lines")
     return run(parser.prog, lambda: _encode(parser.parse_args(frames_joined(arguments))))
 
 
@@ -100,15 +122,18 @@ def _encode(options: argparse.Namespace) -> int:
         bitrate=options.bitrate,
         max_mb_per_frame=options.max_mb_per_frame,
         lossless=options.lossless,
+        time_budget=options.time_budget,
+        target_psnr=options.target_psnr,
         resume=options.resume,
         seed=options.seed,
         threads=options.threads,
         device=options.device,
         log=options.log,
+        anytime=options.anytime,
         terminal=sys.stderr,
     )
     print("\n".join(_summary(report)), file=sys.stderr if piped else sys.stdout)
-    if missed := _missed_budget(report):
+    for missed in filter(None, (_missed_budget(report), _missed_time(report))):
         print(f"decogs-encode: warning: {missed}", file=sys.stderr)
     return 130 if report.interrupted else 0
 
@@ -146,6 +171,21 @@ def _missed_budget(report: EncodeReport) -> str:
     return (
         f"frames after the first take {_mean(sizes):.0f} bytes (mean), {over:.0%} more than the {budget:.0f} asked "
         "for; ask for more, or lower --quality, --scale or --preset"
+    )
+
+
+def _missed_time(report: EncodeReport) -> str:
+    """What to say of frames that take longer than they should; empty when they do not."""
+    from .time_budget import TIME_TOLERANCE, counted_seconds, over_time
+
+    frames, budget = [frame.seconds for frame in report.frames[1:] if not frame.replayed], report.time_budget
+    if budget is None or (over := over_time(frames, budget)) <= TIME_TOLERANCE:
+        return ""
+    took, trained = _mean([counted_seconds(f) for f in frames]), _mean([f.get("training", 0.0) for f in frames])
+    return (
+        f"frames after the first take {took:.3g} s (mean), {over:.0%} more than the {budget:.3g} asked for; "
+        f"{took - trained:.3g} s of that are masks, selection and writing, which no budget shortens; ask for more, or "
+        "lower --scale or --preset"
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO, TextIO
@@ -13,6 +14,7 @@ from decogs.decoder.session import frame_range
 from decogs.formats.errors import UsageError
 from decogs.formats.rigs import Rig, open_rig
 
+from .anytime import AnytimeLog
 from .ingest import Ingest
 from .keyframe_source import read_keyframe
 from .loop import EncodeReport, encode_stream, frame_span
@@ -22,6 +24,7 @@ from .presets import preset as named_preset
 from .progress import EncodeProgress
 from .rasterise import check_device
 from .rate import with_budget, with_lossless, with_quality
+from .time_budget import seconds_per_frame, with_target_psnr, with_time_budget
 
 
 def encode(
@@ -42,11 +45,14 @@ def encode(
     bitrate: float | None = None,
     max_mb_per_frame: float | None = None,
     lossless: bool = False,
+    time_budget: float | str | None = None,
+    target_psnr: float | None = None,
     resume: bool = False,
     seed: int = 0,
     threads: int = 0,
     device: str = "auto",
     log: str | os.PathLike[str] | None = None,
+    anytime: str | os.PathLike[str] | None = None,
     terminal: TextIO | None = None,
 ) -> EncodeReport:
     """Encodes a rig of synchronised, calibrated cameras as a .dgs stream.
@@ -63,11 +69,15 @@ def encode(
     ``quality``: 0 (smallest) to 100 (most exact), 50 is the preset as it is; with ``keyframe``, that of later frames.
     ``max_mb_per_frame``, in units of 1e6 bytes, or ``bitrate``, in kbit/s at the rig's frame rate: most that the frames
     after the first may take on average, keyframes among them included. ``lossless``: every change is written exactly
-    as trained, to the lattice's steps. ``resume``: go on with what an encode with
+    as trained, to the lattice's steps. ``time_budget``: seconds, or text such as "500ms/frame", that the frames after
+    the first may take on average, wall clock; training is shortened to fit, and the bytes then depend on the machine.
+    ``target_psnr``: dB in the training views' regions of interest (in a keyframe: everywhere) at which a frame's
+    training ends. ``resume``: go on with what an encode with
     the same options left in ``output`` + ".part", or as a shorter stream; the file gets the bytes of one that was not
     cut off.
     ``threads``: 0 means all processors; the stream does not depend on it. ``device``: "cuda" takes gsplat, has never
     run on a GPU and gives other bits every time; "auto" is the CPU as long as that is so. ``log``: file for JSON lines.
+    ``anytime``: file for the loss of every training step, as JSON lines.
     ``terminal``: where to show a progress bar, if it is one. Ctrl-C after the first frame ends the stream early but
     whole. Raises RigError, UsageError or TrainingError; nothing is then left under the output's name.
     """
@@ -83,11 +93,15 @@ def encode(
     held = [holdout] if isinstance(holdout, str) else list(holdout)
     rig = open_rig(rig_dir)
     settings = _with_rate(settings, rig, quality, bitrate, max_mb_per_frame, lossless=lossless)
+    settings = _with_effort(settings, time_budget, target_psnr)
     span = frame_span(rig, frame_range(frames) if isinstance(frames, str) else frames)
     if effects is None and not isinstance(preset, EncodeSettings) and settings.method == "decogs":
         effects = AUTO
     ingest = Ingest(rig, holdout=held, scale=scale)
-    with EncodeProgress(len(span), None if log is None else Path(log), terminal=terminal) as progress:
+    with (
+        EncodeProgress(len(span), None if log is None else Path(log), terminal=terminal) as progress,
+        nullcontext() if anytime is None else AnytimeLog(Path(anytime)) as curve,
+    ):
         progress.started(
             {
                 "rig": str(rig.path),
@@ -113,6 +127,7 @@ def encode(
             resume=resume,
             on_frame=progress.frame,
             on_keyframe_step=progress.keyframe_step,
+            anytime=curve,
         )
         progress.finished(
             {
@@ -134,6 +149,14 @@ def _settings(
         settings = with_method(settings, method)
     settings = without(settings, [part.strip() for text in ablate for part in text.split(",") if part.strip()])
     return settings if selection is None else with_selection(settings, selection)
+
+
+def _with_effort(
+    settings: EncodeSettings, time_budget: float | str | None, target_psnr: float | None
+) -> EncodeSettings:
+    if time_budget is not None:
+        settings = with_time_budget(settings, seconds_per_frame(time_budget))
+    return settings if target_psnr is None else with_target_psnr(settings, target_psnr)
 
 
 def _with_rate(

@@ -12,6 +12,7 @@ stage 1 is left out and stage 2 moves the Gaussians directly.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -23,6 +24,7 @@ from decogs.formats.splats import FloatArray, Splats, empty_splats, join_splats,
 
 from .densification import ViewGradients, grow, opacities_of, strongest
 from .economy import EconomySettings, picture_share, take_back
+from .effort import WHOLE, Effort, Pace, SearchTime, TargetWatch
 from .emergence import EmergenceSettings, Look, missed, seeds, worth_a_search
 from .ingest import View
 from .losses import FocusWeights, PhotometricLoss, focus_loss, require_finite, whole_picture_loss
@@ -41,11 +43,11 @@ class FrameSettings:
     ``cache_iterations`` and ``joint_iterations``: stage 1 and stage 2; more is slower and follows faster motion.
     ``carry_cache``: keep the cache's weights from frame to frame instead of restarting it. ``warm_start``: share of
     the last displacement to begin with, 0 to 1, the median over the ``warm_neighbours`` nearest selected Gaussians.
-    ``grow_gradient``: the paper's tau_d; lower adds more Gaussians. ``grow_share``: most Gaussians a frame may add,
-    as a share of the selected. ``rates``: stage 2, ``means`` in units of the rig's extent; over its second half
-    they fall to ``late_decay`` of that. ``economy``: what changes must be worth, without a cache. ``beta1``,
-    ``beta2``: stage 2's Adam. ``flat``: stage 2 ends, not before its half, once a round through all views lowers
-    their loss by less than this share; higher is faster. ``ablated``: parts of the method left out
+    ``grow_gradient``: the paper's tau_d; lower adds more Gaussians. ``grow_share``: most Gaussians a frame may add, as
+    a share of the selected; more is slower and larger. ``rates``: stage 2, ``means`` in units of the rig's extent; over
+    its second half they fall to ``late_decay`` of that. ``economy``: what changes must be worth, without a cache.
+    ``beta1``, ``beta2``: stage 2's Adam. ``flat``: stage 2 ends, not before its half, once a round through all views
+    lowers their loss by less than this share; higher is faster. ``ablated``: parts of the method left out
     (``methods.without``).
     """
 
@@ -105,6 +107,7 @@ class FrameTrainer:
         self._extent = extent
         self._ungated: SplatOptimiser | None = None
         self._values: list[float] = []
+        self._search = SearchTime()
         self._cache: TransformationCache | None = None
         self._kept_cache: TransformationCache | None = None
 
@@ -118,14 +121,16 @@ class FrameTrainer:
         *,
         frame: int,
         settings: FrameSettings | None = None,
+        effort: Effort = WHOLE,
     ) -> TrainedFrame:
         """Trains the ``selected`` Gaussians of ``scene`` on one frame's pictures (3, H, W).
 
         ``motion`` (N, 3) is every Gaussian's last displacement, for the warm start. ``frame``: its index, which with
         the seed makes all that is random, so that a frame can be trained again alone. ``settings``: of this frame, where
-        they differ. The watching views are left with the trained Gaussians lifted.
+        they differ. ``effort``: what ends training before the settings' iterations, in either stage a deadline, in
+        stage 2 a target in the regions of interest. The watching views are left with the trained Gaussians lifted.
         """
-        self._settings = self._whole_settings if settings is None else settings
+        self._settings, self._effort = self._whole_settings if settings is None else settings, effort
         self._cache = self._cache_of_frame()
         self._random = np.random.default_rng((self._seed, frame))
         losses = [
@@ -170,13 +175,18 @@ class FrameTrainer:
         """The cache alone; the last third gathers the gradients that densification goes by."""
         gathered = ViewGradients(len(work.rows))
         iterations = self._settings.cache_iterations
+        pace = Pace(iterations, self._effort.deadline_before(iterations, self._settings.joint_iterations))
         for step, index in enumerate(self._view_order(iterations)):
+            if pace.is_over:
+                break
             work.show(*cache.moved())
             gradients = self._gradients(work, losses, index)
+            self._tell("cache", step)
             cache.backward(gradients.means, gradients.quaternions)
             cache.step()
-            if 3 * step >= 2 * iterations:
+            if 3 * pace.position >= 2 * iterations:
                 self._gather(gathered, gradients, losses, index)
+            pace.step()
         work.show(*cache.moved())
         return gathered
 
@@ -193,26 +203,48 @@ class FrameTrainer:
         gathered, self._values = ViewGradients(len(work.rows)), []
         grow_from, grow_at = settings.joint_iterations // 4, settings.joint_iterations // 2
         hold_at = max(grow_at + 1, round(settings.economy.hold_at * settings.joint_iterations))
+        pace, judged = Pace(settings.joint_iterations, self._effort.deadline), not worth or self._cache is not None
+        target = self._target(losses, masks)
         for step, index in enumerate(self._view_order(settings.joint_iterations)):
-            if self._cache is None and step == grow_at:
+            if pace.is_over:
+                break
+            if self._cache is None and pace.reaches(grow_at):
                 self._densify(work, gathered, masks)
             self._show(work)
-            if self._cache is None and step == grow_from:
-                self._add_emerging(work, losses, masks)
+            if self._cache is None and pace.reaches(grow_from):
+                self._search_emerging(work, losses, masks, pace)
                 gathered = ViewGradients(len(work.rows))
             gradients = self._gradients(work, losses, index)
-            if grow_from <= step < grow_at:
+            self._tell("joint", step)
+            if grow_from <= pace.position < grow_at:
                 self._gather(gathered, gradients, losses, index)
             if self._cache is not None:
                 gradients = self._through_cache(work, gradients, self._cache)
-            if step == hold_at and worth and self._cache is None:
-                before, old = work.before(scene), work.rows < len(scene)
+            if pace.reaches(hold_at) and not judged:
+                before, old, judged = work.before(scene), work.rows < len(scene), True
                 take_back(work.optimiser, before, old, worth * picture_share(losses))
-            if step > grow_at and self._has_fallen_flat(step):
+                if target is not None:
+                    target.restart()
+            elif target is not None and target.saw(index, self._watch[index].rgb):
+                if judged:
+                    break
+                pace.skip_to(hold_at)
+            if pace.position > grow_at and self._has_fallen_flat(step):
                 break
-            late = settings.late_decay ** max(0.0, 2 * step / settings.joint_iterations - 1)
+            late = settings.late_decay ** max(0.0, 2 * pace.position / settings.joint_iterations - 1)
             work.optimiser.step(gradients, rates.scaled(late))
+            pace.step()
         self._show(work)
+
+    def _tell(self, stage: str, step: int) -> None:
+        if self._effort.on_loss is not None:
+            self._effort.on_loss(stage, step, self._values[-1])
+
+    def _target(self, losses: Sequence[PhotometricLoss], masks: Sequence[FrameMask]) -> TargetWatch | None:
+        if self._effort.target_psnr is None:
+            return None
+        regions = [_focus(view, mask) for view, mask in zip(self._views, masks, strict=True)]
+        return TargetWatch(self._effort.target_psnr, [loss.target for loss in losses], regions)
 
     def _has_fallen_flat(self, step: int) -> bool:
         """Whether the round through all views that ends here lowered the loss by too little to go on."""
@@ -288,6 +320,20 @@ class FrameTrainer:
             self._cache.place(work.base.means, work.base.quaternions, same_frame=True)
         self._show(work)
 
+    def _search_emerging(
+        self, work: _Working, losses: Sequence[PhotometricLoss], masks: Sequence[FrameMask], pace: Pace
+    ) -> None:
+        """Adds what newly appears; not in every frame when time is short."""
+        if self._effort.deadline is None:
+            self._add_emerging(work, losses, masks)
+            return
+        began = time.perf_counter()
+        if self._search.affords(self._effort.deadline - began):
+            self._add_emerging(work, losses, masks)
+            seconds = time.perf_counter() - began
+            self._search.took(seconds)
+            pace.put_off(seconds)
+
     def _add_emerging(self, work: _Working, losses: Sequence[PhotometricLoss], masks: Sequence[FrameMask]) -> None:
         """Adds what newly appears in this frame to ``work``."""
         new = self._emerging(work, losses, masks)
@@ -313,8 +359,7 @@ class FrameTrainer:
         view, watching = self._views[index], self._watch[index]
         watching.draw(work.shown, work.rows, depth=True)
         depth = watching.depth / np.maximum(watching.alpha, np.float32(1e-6))
-        focus = mask.dilated if view.valid is None else mask.dilated & (view.valid > 0)
-        return Look(view.pinhole, target, watching.rgb, depth, focus)
+        return Look(view.pinhole, target, watching.rgb, depth, _focus(view, mask))
 
     def _open_gate(self, work: _Working, scene: Splats) -> None:
         """Ablation: from here on every Gaussian is stepped, with the momentum of the frames before."""
@@ -344,6 +389,11 @@ class FrameTrainer:
             rows = np.flatnonzero(seen)
             inside[rows] |= mask.dilated[v[rows].astype(np.int64), u[rows].astype(np.int64)]
         return inside
+
+
+def _focus(view: View, mask: FrameMask) -> NDArray[np.bool_]:
+    """The recorded part of a view's region of interest, (H, W)."""
+    return mask.dilated if view.valid is None else mask.dilated & (view.valid > 0)
 
 
 class _Working:

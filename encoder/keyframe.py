@@ -21,6 +21,7 @@ from decogs.formats.errors import TrainingError
 from decogs.formats.splats import SH_C0, FloatArray, Splats, take_splats
 
 from .densification import ViewGradients, grow, opacities_of, strongest
+from .effort import WHOLE, Effort, TargetWatch
 from .first_points import FirstPoints
 from .ingest import View
 from .losses import whole_picture_loss
@@ -39,9 +40,10 @@ class KeyframeSettings:
     ``iterations``: more is slower and, up to the stop, better. ``cap``: most Gaussians; more is slower and larger.
     ``sh_degree``: higher is slower and larger, better where views disagree. ``start_size``: first sigma in units of
     the point spacing. ``grow_from``/``grow_to``: shares of the schedule in which densification runs every
-    ``grow_every`` steps, where the mean view gradient reaches ``grow_gradient``. ``validation_share``: share of the
-    tiles kept for the stop (0: no stop); the stop comes after ``patience`` checks without a new best. At the end,
-    rotations and colours are put on the lattice, and in ``settle_iterations`` more steps the rest makes up for it.
+    ``grow_every`` steps, where the mean view gradient reaches ``grow_gradient``; lower grows more and is slower, up to
+    the cap. ``validation_share``: share of the tiles kept for the stop (0: no stop); the stop comes after ``patience``
+    checks without a new best, more is slower. At the end, rotations and colours are put on the lattice, and in
+    ``settle_iterations`` more steps the rest makes up for it; more is slower.
     """
 
     iterations: int = 1000
@@ -109,15 +111,20 @@ def train_keyframe(
     seed: int,
     lattice_scale: float = 1.0,
     on_step: OnStep | None = None,
+    effort: Effort = WHOLE,
 ) -> TrainedKeyframe:
     """Trains the first frame's Gaussians on ``pictures`` (3, H, W) of ``views``; the same seed gives the same bits.
 
-    ``lattice_scale``: how coarse the lattice is to be, in units of the default one's steps. Raises TrainingError
+    ``lattice_scale``: how coarse the lattice is to be, in units of the default one's steps. ``effort``: a target in
+    the whole pictures, but for the tiles kept out of the loss, ends training before the settings' iterations; deadlines
+    are for later frames. Raises TrainingError
     without points or when the loss stops being finite.
     """
     if not len(points.xyz):
         raise TrainingError("there are no first points to train from; check the poses, or give the rig COLMAP points")
-    training = _KeyframeTraining(kernel, views, pictures, points, settings, lattice_scale, np.random.default_rng(seed))
+    training = _KeyframeTraining(
+        kernel, views, pictures, points, settings, lattice_scale, np.random.default_rng(seed), effort
+    )
     return training.run(on_step)
 
 
@@ -131,6 +138,7 @@ class _KeyframeTraining:
         settings: KeyframeSettings,
         lattice_scale: float,
         random: np.random.Generator,
+        effort: Effort,
     ) -> None:
         self._kernel, self._views, self._settings, self._random = kernel, views, settings, random
         self._lattice_scale = lattice_scale
@@ -139,6 +147,11 @@ class _KeyframeTraining:
         self._losses = [
             whole_picture_loss(picture, c, settings.dissimilarity) for picture, c in zip(pictures, counted, strict=True)
         ]
+        self._effort, self._is_good_enough = effort, False
+        self._target: TargetWatch | None = None
+        if effort.target_psnr is not None:
+            regions = [None if c is None else c > 0 for c in counted]
+            self._target = TargetWatch(effort.target_psnr, pictures, regions)
         self._kept_back = [_kept_back(view, c) for view, c in zip(views, counted, strict=True)]
         self._optimiser = SplatOptimiser(splats_from_points(points, settings), kernel)
         self._gradients = gradients_like(self._optimiser.splats)
@@ -155,11 +168,12 @@ class _KeyframeTraining:
         return TrainedKeyframe(splats, lattice, steps, stopped, self._training_psnr(splats))
 
     def _train(self, on_step: OnStep | None) -> tuple[int, bool]:
-        """Trains until the schedule or the stop ends it, and goes back to the best; steps, and whether it stopped."""
+        """Trains until schedule, target or stop, which goes back to the best; steps, and whether it stopped."""
         settings = self._settings
         best, best_splats, waited, step = -np.inf, self._optimiser.splats, 0, 0
-        while step < settings.iterations and waited < settings.patience:
+        while step < settings.iterations and waited < settings.patience and not self._is_good_enough:
             loss = self._step(step)
+            self._tell("keyframe", step, loss)
             step += 1
             if on_step:
                 on_step(step, self._planned, loss)
@@ -170,7 +184,7 @@ class _KeyframeTraining:
                     best_splats = take_splats(self._optimiser.splats, np.arange(len(self._optimiser.splats)))
                 else:
                     waited += 1
-        stopped = step < settings.iterations
+        stopped = step < settings.iterations and not self._is_good_enough
         if stopped:
             self._optimiser = SplatOptimiser(best_splats, self._kernel)
             self._gradients = gradients_like(best_splats)
@@ -187,6 +201,7 @@ class _KeyframeTraining:
             self._optimiser.hold({name: np.ones(getattr(splats, name).shape, bool) for name in ("quaternions", "sh")})
         for more in range(settings.settle_iterations):
             loss = self._step(settings.iterations)
+            self._tell("settle", more, loss)
             if on_step:
                 on_step(min(self._planned, steps + 1 + more), self._planned, loss)
         return lattice
@@ -201,6 +216,8 @@ class _KeyframeTraining:
         splats = self._optimiser.splats
         picture = self._kernel.forward(splats, camera, sh_degree=self._degree(step))
         value, cotangent = loss.evaluate(self._kernel, picture.rgb)
+        if self._target is not None:
+            self._is_good_enough = self._target.saw(index, picture.rgb)
         if not np.isfinite(value.total):
             raise TrainingError(
                 f"the keyframe's loss is {value.total} at step {step}; the pictures or poses are unusable"
@@ -210,6 +227,10 @@ class _KeyframeTraining:
         self._optimiser.step(self._gradients, self._rates(step / self._settings.iterations))
         self._densify(step)
         return value.total
+
+    def _tell(self, stage: str, step: int, loss: float) -> None:
+        if self._effort.on_loss is not None:
+            self._effort.on_loss(stage, step, loss)
 
     def _degree(self, step: int) -> int:
         """SH degree rises by one each quarter of the schedule."""

@@ -32,9 +32,11 @@ from decogs.formats.errors import DecogsError, UsageError
 from decogs.formats.rigs import Rig
 from decogs.formats.splats import FloatArray, Splats, sh_degree_of
 
+from .anytime import AnytimeLog
 from .baseline import BaselineTrainer
 from .economy import EconomySettings, coarse_changes
 from .effects import FRAME_EFFECTS, frame_effects, leave_out
+from .effort import Effort
 from .first_points import first_points
 from .frame_training import FrameSettings, FrameTrainer, TrainedFrame
 from .ingest import Ingest, RigFrame
@@ -47,6 +49,7 @@ from .rate import RateControl
 from .resuming import Interrupted, check_resumable, find_interrupted
 from .selection import select, view_evidence
 from .stream_output import FileOutput, PipeOutput, StreamOutput, part_of
+from .time_budget import TimeControl
 
 OnFrame = Callable[["FrameReport"], None]
 OnKeyframeStep = Callable[[int, int, float], None]
@@ -82,7 +85,8 @@ class EncodeReport:
     """What an encode made: the stream's path (``-`` for a pipe) and its frames.
 
     ``interrupted``: Ctrl-C ended it early. ``resumed``: how many frames an earlier encode had left, None when it was
-    not looked for; ``frames`` is empty when that was the whole stream. ``frame_budget``: the settings'.
+    not looked for; ``frames`` is empty when that was the whole stream. ``frame_budget`` and
+    ``time_budget``: the settings'.
     """
 
     output: Path
@@ -91,6 +95,7 @@ class EncodeReport:
     interrupted: bool
     resumed: int | None = None
     frame_budget: float | None = None
+    time_budget: float | None = None
 
 
 @dataclass
@@ -113,7 +118,10 @@ class _Stopwatch:
 
 
 class StreamEncoder:
-    """Encodes frames one after the other into an open stream; ``keyframe`` is one to begin with, untrained."""
+    """Encodes frames one after the other into an open stream; ``keyframe`` is one to begin with, untrained.
+
+    ``anytime`` takes the loss of every step of training.
+    """
 
     def __init__(
         self,
@@ -125,9 +133,10 @@ class StreamEncoder:
         threads: int,
         keyframe: KeyframeSource | None = None,
         device: str = "auto",
+        anytime: AnytimeLog | None = None,
     ) -> None:
         self._ingest, self._settings, self._seed, self._threads = ingest, settings, seed, threads
-        self._output, self._source = output, keyframe
+        self._output, self._source, self._anytime = output, keyframe, anytime
         self._kernel = training_kernel(device, threads)
         self._watch: list[FixedView] = []
         self._state: State | None = None
@@ -135,10 +144,11 @@ class StreamEncoder:
         self._motion: FloatArray = np.zeros((0, 3), np.float32)
         budget = settings.frame_budget
         self._rate = None if budget is None else RateControl(budget, settings.segment)
+        self._time = None if settings.time_budget is None else TimeControl(settings.time_budget)
 
     def encode_key(self, frame: RigFrame, on_step: OnKeyframeStep | None) -> FrameReport:
         """Trains or takes over the first frame and writes header and keyframe; the output begins only then."""
-        watch = _Stopwatch()
+        watch = self._begin(frame)
         if self._source is None:
             state, lattice = self._trained_keyframe(frame, watch, on_step)
         else:
@@ -211,6 +221,7 @@ class StreamEncoder:
                 seed=self._seed,
                 lattice_scale=settings.lattice_scale,
                 on_step=on_step,
+                effort=self._effort(),
             )
         state, _ = keyframe_state(quantise(trained.splats, trained.lattice))
         return state, trained.lattice
@@ -218,20 +229,29 @@ class StreamEncoder:
     def encode_next(self, frame: RigFrame) -> FrameReport:
         """Trains and writes the next frame from the reconstructed state of the one before."""
         assert self._state is not None
-        watch, before, index = _Stopwatch(), self._state, frame.index - self._header.first_frame
+        watch, before, index = self._begin(frame), self._state, frame.index - self._header.first_frame
         masks, selected = self._changes(frame, len(before), watch)
         trained: TrainedFrame | None = None
         effects, settings = self._called_for(frame, masks, selected, watch)
         if effects:
             with watch.stage("training"):
                 trained = self._trainer.train(
-                    self._scene, selected, frame.training, masks, self._motion, frame=index, settings=settings
+                    self._scene,
+                    selected,
+                    frame.training,
+                    masks,
+                    self._motion,
+                    frame=index,
+                    settings=settings,
+                    effort=self._effort(None if self._time is None else self._time.deadline(watch.seconds)),
                 )
         with watch.stage("write"):
             delta = None if trained is None else self._delta(before, trained, settings.economy)
             kind, coded = self._coded(before, delta, index)
             packet = self._commit(kind, index, coded)
         self._go_on(frame, before, masks, None if trained is None else trained.kept, watch)
+        if self._time is not None:
+            self._time.took(watch.seconds)
         return replace(self._report(frame, packet, coded.costs, _share(selected), watch), effects=effects)
 
     def _called_for(
@@ -249,6 +269,15 @@ class StreamEncoder:
         if self._rate is not None:
             economy = self._rate.economy(economy)
         return effects, replace(settings.frame, economy=economy)
+
+    def _begin(self, frame: RigFrame) -> _Stopwatch:
+        if self._anytime is not None:
+            self._anytime.begin(frame.index)
+        return _Stopwatch()
+
+    def _effort(self, deadline: float | None = None) -> Effort:
+        on_loss = None if self._anytime is None else self._anytime.step
+        return Effort(deadline, self._settings.target_psnr, on_loss)
 
     def _changes(
         self, frame: RigFrame, population: int, watch: _Stopwatch
@@ -458,17 +487,21 @@ def encode_stream(
     resume: bool = False,
     on_frame: OnFrame | None = None,
     on_keyframe_step: OnKeyframeStep | None = None,
+    anytime: AnytimeLog | None = None,
 ) -> EncodeReport:
     """Encodes frames ``span`` of the rig to ``output``; Ctrl-C after the keyframe ends the stream early but whole.
 
     ``output``: a path, or an open file that takes bytes, such as a pipe. ``keyframe``: an earlier stream's, to begin
     with instead of training one; UsageError when it does not fit the rig. ``resume``: go on with what an earlier encode
-    left, in ``output`` + ".part" or as a shorter stream; the result has the bytes of one that was not cut off.
+    left, in ``output`` + ".part" or as a shorter stream; the result has the bytes of one that was not cut off,
+    but for a time budget, with which no two encodes have the same. ``anytime`` takes the loss of every step.
     Raises DecogsError for unusable input; complete frames then remain in ``output`` + ".part", and the message says so.
     """
     left = _left(output, settings) if resume else None
     target = FileOutput(output, left) if isinstance(output, Path) else PipeOutput(output)
-    encoder = StreamEncoder(ingest, settings, target, seed=seed, threads=threads, keyframe=keyframe, device=device)
+    encoder = StreamEncoder(
+        ingest, settings, target, seed=seed, threads=threads, keyframe=keyframe, device=device, anytime=anytime
+    )
     resumed = (0 if left is None else len(left.entries)) if resume else None
     packets: Iterator[Packet] = iter(())
     if left is not None:
@@ -501,7 +534,9 @@ def encode_stream(
         raise
     finally:
         target.close(len(reports))
-    return EncodeReport(target.name, reports, target.publish(), interrupted, resumed, settings.frame_budget)
+    return EncodeReport(
+        target.name, reports, target.publish(), interrupted, resumed, settings.frame_budget, settings.time_budget
+    )
 
 
 def _left(output: Path | BinaryIO, settings: EncodeSettings) -> Interrupted | None:

@@ -28,15 +28,15 @@ slack keeps a difference of exactly tau on the unchanged side, as in integer ari
 class MaskSettings:
     """How much a pixel must change, and how far around it the region of interest reaches.
 
-    ``threshold`` in 8-bit levels (paper: 25); ``radius_share`` is the max-pool's radius as a share of the picture's
-    width (paper: 48 px at 1352); ``speck_area`` drops connected (8-neighbour) changes of fewer pixels than this before
-    growing. The paper has no such step, so 0 (off) is the default; a few pixels help with noisy sensors.
-    ``since_trained``: compare with the picture on which a pixel was last in a region of interest, not with the frame
-    before: changes too slow for the threshold then add up until they are seen. ``noise_multiple``: a camera's
-    threshold is at least that many standard deviations of its own frame-to-frame noise; 0 leaves it as it is.
-    ``residual``: where a picture has changed before, pixels count as changed as long as the rendering misses them by
-    more than so many 8-bit levels, so that what one frame got wrong the next ones mend; 0 turns it off, lower selects
-    more.
+    ``threshold`` in 8-bit levels (paper: 25), lower selects more and is slower; ``radius_share`` is the max-pool's
+    radius as a share of the picture's width (paper: 48 px at 1352), more is slower; ``speck_area`` drops connected
+    (8-neighbour) changes of fewer pixels than this before growing. The paper has no such step, so 0 (off) is the
+    default; a few pixels help with noisy sensors. ``since_trained``: compare with the picture on which a pixel was last
+    in a region of interest, not with the frame before: changes too slow for the threshold then add up until they are
+    seen. ``noise_multiple``: a camera's threshold is at least that many standard deviations of its own frame-to-frame
+    noise; 0 leaves it as it is. ``residual``: where a picture has changed before, pixels count as changed as long as
+    the rendering misses them by more than so many 8-bit levels, so that what one frame got wrong the next ones mend; 0
+    turns it off, lower selects more.
     """
 
     threshold: float = 25.0

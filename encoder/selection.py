@@ -25,7 +25,7 @@ SelectionRule = Literal["paper", "weight"]
 
 @dataclass(frozen=True)
 class SelectionSettings:
-    """``least_views`` is the paper's kappa; higher selects fewer. ``least_share``, 0 to 1, higher selects fewer.
+    """``least_views`` is the paper's kappa; higher selects fewer and is faster, and so does ``least_share``, 0 to 1.
 
     A Gaussian is visible in a view when its weight there is at least ``visible_weight`` pixels.
     """

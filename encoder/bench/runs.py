@@ -353,7 +353,7 @@ class RigBench:
         words += ["--ablate", ",".join(variant.ablate)] if variant.ablate else []
         words += ["--selection", variant.selection] if variant.selection else []
         words += [] if variant.quality is None else ["--quality", f"{variant.quality:g}"]
-        words += ["--effects", "all" if variant.effects is None else variant.effects]
+        words += ["--effects", variant.effects or ",".join(PRESET_EFFECTS)]
         words += [] if self._trains_keyframe(variant) else ["--keyframe", f"{KEYFRAME.name}.dgs"]
         extra = [] if variant.stride == 1 else [f"every {variant.stride}. frame"]
         extra += [] if variant.timing is None else [f"frames {', '.join(map(str, frames))}"]

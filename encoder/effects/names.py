@@ -9,3 +9,6 @@ CAMERA_EFFECTS = ("exposure_drift", "white_balance_drift", "camera_shake", "lens
 """Faults of single cameras, undone before anything else is looked at."""
 
 EFFECT_NAMES = (*FRAME_EFFECTS, *CAMERA_EFFECTS, "view_dependence", "sensor_noise", "high_dynamic_range")
+
+PRESET_EFFECTS = (*FRAME_EFFECTS, "view_dependence")
+"""What a preset builds in every frame when nobody says otherwise and no scene is looked at."""

@@ -92,6 +92,7 @@ def test_options_have_the_commands_names() -> None:
     assert {"frames", "scale", "holdout", "preset", "seed", "threads", "device", "log"} <= options
     assert {"method", "ablate", "selection", "keyframe", "segment", "resume"} <= options
     assert {"quality", "bitrate", "max_mb_per_frame", "lossless"} <= options
+    assert {"time_budget", "target_psnr", "anytime"} <= options
     assert inspect.signature(encode_rig).parameters["preset"].default in PRESETS
 
 
@@ -142,6 +143,11 @@ def test_the_method_of_the_settings_holds_unless_another_is_asked_for(
         ({"max_mb_per_frame": float("inf")}, "--max-mb-per-frame inf: that is inf bytes a frame"),
         ({"preset": "paper", "bitrate": 900}, "--bitrate 900: these settings send every change; choose --preset draft"),
         ({"method": "3dgstream", "bitrate": 900}, "--bitrate 900: --method 3dgstream sends all it trains; drop one"),
+        ({"time_budget": "soon"}, "--time-budget soon: that is no time; write 1.5s/frame"),
+        ({"time_budget": 0}, "--time-budget 0: that is no time"),
+        ({"target_psnr": 0}, "--target-psnr 0: give decibels above 0 and at most 100, such as 30"),
+        ({"target_psnr": float("nan")}, "--target-psnr nan: give decibels"),
+        ({"method": "3dgstream", "time_budget": 1}, "--time-budget: --method 3dgstream trains a fixed number of steps"),
         ({"frames": "1-2"}, "frames '1-2' are no range"),
         ({"threads": 5000}, "--threads 5000"),
     ],

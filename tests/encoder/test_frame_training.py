@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from decogs.encoder.effort import LEAST_STEPS, Effort
 from decogs.encoder.emergence import EmergenceSettings
 from decogs.encoder.frame_training import FrameSettings, FrameTrainer, TrainedFrame
 from decogs.encoder.ingest import Ingest
@@ -276,3 +277,14 @@ def test_training_ends_when_the_loss_no_longer_falls(case: Case) -> None:
     assert 30 < ended <= 30 + 2 * count
     assert ended % count == 0
     assert steps(replace(DIRECT, joint_iterations=60, flat=-10.0)) == 60
+
+
+@pytest.mark.parametrize("settings", [MOVING, DIRECT], ids=["cache", "direct"])
+def test_a_deadline_gone_by_leaves_the_least_of_every_stage(case: Case, settings: FrameSettings) -> None:
+    told: list[tuple[str, int]] = []
+    effort = Effort(deadline=0.0, on_loss=lambda stage, step, loss: told.append((stage, step)))
+    settings = replace(settings, cache_iterations=60, joint_iterations=60)
+    frame = case.train(settings, effort=effort)
+    stages = ["joint"] if settings.cache is None else ["cache", "joint"]
+    assert told == [(stage, step) for stage in stages for step in range(LEAST_STEPS)]
+    assert error(case, applied(case.scene, frame)) < error(case, case.scene)

@@ -2,25 +2,35 @@
 
 from __future__ import annotations
 
+import inspect
 import json
+import re
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+from itertools import pairwise
+from typing import Any
 
 import pytest
 
 from decogs.encoder import PRESETS, EncodeSettings
+from decogs.encoder.economy import Coarseness
 from decogs.encoder.methods import METHODS
-from decogs.encoder.presets import preset
+from decogs.encoder.presets import LADDER, preset
 from decogs.encoder.transformation_cache import CacheSettings
 from decogs.formats.errors import UsageError
 
 
 def test_the_names_users_know() -> None:
-    assert list(PRESETS) == ["draft", "standard", "high", "paper"]
+    assert list(PRESETS) == ["live", "draft", "standard", "high", "archive", "paper"]
     for name, settings in PRESETS.items():
         assert preset(name) is settings
 
 
 def test_an_unknown_name_is_answered_with_those_there_are() -> None:
-    with pytest.raises(UsageError, match=r"--preset fast: there is no such preset; choose from draft, standard, high"):
+    with pytest.raises(
+        UsageError,
+        match=r"--preset fast: there is no such preset; choose from live, draft, standard, high, archive, paper",
+    ):
         preset("fast")
 
 
@@ -40,11 +50,50 @@ def test_settings_tell_of_the_method_in_use_and_not_of_the_other() -> None:
     assert set(dense) - set(ours) == {"baseline"}
 
 
-def test_faster_presets_do_less() -> None:
-    draft, standard, high = (PRESETS[name] for name in ("draft", "standard", "high"))
-    for fast, slow in ((draft, standard), (standard, high)):
-        assert fast.keyframe.iterations < slow.keyframe.iterations
-        assert fast.frame.joint_iterations <= slow.frame.joint_iterations
+SLOWER = {
+    "keyframe.iterations": +1,
+    "keyframe.cap": +1,
+    "keyframe.sh_degree": +1,
+    "frame.joint_iterations": +1,
+    "frame.grow_share": +1,
+    "frame.emergence.most_rays": +1,
+    "frame.economy.worth": -1,
+    "frame.economy.coarseness.means": -1,
+    "frame.economy.coarseness.log_scales": -1,
+    "frame.economy.coarseness.quaternions": -1,
+    "frame.economy.coarseness.opacity_logits": -1,
+    "frame.economy.coarseness.sh_dc": -1,
+    "lattice_scale": -1,
+}
+"""Which way the settings' own docstrings call slower or larger, and better."""
+
+
+def leaves(settings: Any, path: str = "") -> Iterator[tuple[str, Any, Any]]:
+    """Path, value and the settings that hold it, for every single value."""
+    for field in fields(settings):
+        name, value = f"{path}{field.name}", getattr(settings, field.name)
+        if is_dataclass(value):
+            yield from leaves(value, f"{name}.")
+        else:
+            yield name, value, settings
+
+
+@pytest.mark.parametrize(("faster", "slower"), list(pairwise(LADDER)))
+def test_each_preset_is_the_one_before_with_some_settings_made_better(faster: str, slower: str) -> None:
+    before = {path: value for path, value, _ in leaves(PRESETS[faster])}
+    changed = [(path, value, holder) for path, value, holder in leaves(PRESETS[slower]) if value != before[path]]
+    assert len(before) == len(list(leaves(PRESETS[slower])))
+    for path, value, holder in changed:
+        assert (value - before[path]) * SLOWER[path] > 0, f"{path} goes the wrong way from {faster} to {slower}"
+        said = inspect.getdoc(type(holder)) or ""
+        assert path.rsplit(".", 1)[-1] in said or type(holder) is Coarseness, f"{path} says nothing of itself"
+        assert re.search(r"slower|larger|smaller", said), f"{type(holder).__name__} does not say which way is slower"
+    assert {"keyframe.iterations", "frame.joint_iterations"} <= {path for path, _, _ in changed}
+
+
+def test_the_ladder_sets_nothing_that_is_not_named_here() -> None:
+    first, last = ({path: value for path, value, _ in leaves(PRESETS[name])} for name in (LADDER[0], LADDER[-1]))
+    assert {path for path in first if first[path] != last[path]} == SLOWER.keys()
 
 
 def test_paper_holds_the_papers_numbers() -> None:

@@ -1,0 +1,52 @@
+"""The loss inside each frame against time: what an encode is worth at any moment of it, as JSON lines."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from types import TracebackType
+
+from decogs.formats.errors import UsageError
+
+
+class AnytimeLog:
+    """Writes one JSON object per training step to ``path``, those of a frame when it is over.
+
+    ``frame``: the rig's index; ``seconds``: since the frame's pictures were decoded; ``stage``: "keyframe", "settle"
+    (the keyframe's, on its lattice), "cache" or "joint" (stages 1 and 2 of a later frame); ``iteration``: within the
+    stage, from 0; ``loss``: of the one view that the step drew, before it. Views differ: a mean over as many
+    iterations as there are views is a steadier curve. Raises UsageError when the file cannot be written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._frame, self._began = 0, 0.0
+        try:
+            self._file = path.open("w", encoding="utf-8")
+        except OSError as error:
+            raise UsageError(
+                f"--anytime {path}: {error.strerror}; name a file in a folder that can be written"
+            ) from error
+
+    def __enter__(self) -> AnytimeLog:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
+
+    def begin(self, frame: int) -> None:
+        """Tells that a frame's pictures are there; what the frame before it wrote can be read from now on."""
+        self._file.flush()
+        self._frame, self._began = frame, time.perf_counter()
+
+    def step(self, stage: str, iteration: int, loss: float) -> None:
+        record = {
+            "frame": self._frame,
+            "stage": stage,
+            "iteration": iteration,
+            "seconds": round(time.perf_counter() - self._began, 6),
+            "loss": loss,
+        }
+        self._file.write(json.dumps(record) + "\n")

@@ -1,0 +1,153 @@
+"""How long one frame trains: to the end of its schedule, to a deadline, or until it looks as good as asked for.
+
+Chosen for a deadline: the schedule is run through in strides. After every step the frame's own median time per step
+says how many more fit, and what is left of the schedule is spread over them, so that densification, the judging of
+changes and the fall of the rates come where they always do, only sooner. A frame needs no knowledge of others for it,
+and a machine that slows down in its middle is followed. Rejected: cutting the schedule off at the deadline, which
+leaves changes unjudged and rates high (DESIGN.md has both measured); a number of steps from the last frame's speed
+(frames differ by how much of the picture moves).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from statistics import median
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.formats.splats import FloatArray
+
+OnLoss = Callable[[str, int, float], None]
+"""Told the stage, the iteration within it (from 0) and the loss of the view that it drew."""
+
+LEAST_STEPS = 12
+"""Steps that a stage runs however late it is: fewer follow nothing, and cost hardly less than these."""
+
+_SEARCH_SHARE = 0.25
+"""Of the time for training, what the search for emerging things may take on average when time is short."""
+
+
+@dataclass(frozen=True)
+class Effort:
+    """What ends a frame's training early, and who watches it; all None is the whole schedule.
+
+    ``deadline``: when training is to be over, in seconds of ``time.perf_counter``; the result then depends on the
+    machine. ``target_psnr``: what suffices (`TargetWatch`), in dB; higher is slower. ``on_loss``: told every step.
+    """
+
+    deadline: float | None = None
+    target_psnr: float | None = None
+    on_loss: OnLoss | None = None
+
+    def deadline_before(self, steps: int, later: int) -> float | None:
+        """The deadline of a stage of ``steps`` that begins now and leaves time for ``later`` ones; None without one."""
+        if self.deadline is None:
+            return None
+        now = time.perf_counter()
+        return now + (self.deadline - now) * steps / max(1, steps + later)
+
+
+WHOLE = Effort()
+"""The whole schedule, unwatched."""
+
+
+class Pace:
+    """Where a stage is in its schedule of ``iterations``: at every step one further, or more to meet a ``deadline``.
+
+    Without a deadline ``position`` is the number of steps done.
+    """
+
+    def __init__(self, iterations: int, deadline: float | None = None) -> None:
+        self._iterations, self._deadline = iterations, deadline
+        self._before, self.position = -1.0, 0.0
+        self._seconds: list[float] = []
+        self._began = time.perf_counter()
+
+    @property
+    def is_over(self) -> bool:
+        return self.position >= self._iterations
+
+    def reaches(self, mark: int) -> bool:
+        """Whether this step is the first one at or beyond that position."""
+        return self._before < mark <= self.position
+
+    def step(self) -> None:
+        """Tells that a step was done."""
+        self._before = self.position
+        self.position += 1.0 if self._deadline is None else self._stride(self._deadline)
+
+    def put_off(self, seconds: float) -> None:
+        """Gives the deadline back what something else than steps took; the frames after it pay for it."""
+        if self._deadline is not None:
+            self._deadline += seconds
+            self._began += seconds
+
+    def skip_to(self, mark: int) -> None:
+        """Leaves out what lies between this step and that position, which the next step reaches."""
+        self.position = max(self.position, mark - 1.0)
+
+    def _stride(self, deadline: float) -> float:
+        """What is left of the schedule for each of the steps that still fit, this one included."""
+        now = time.perf_counter()
+        self._seconds.append(now - self._began)
+        self._began = now
+        # The median: a single step that searched for what emerges says nothing of the next ones.
+        fitting = round((deadline - now) / max(median(self._seconds), 1e-9))
+        more = max(fitting, LEAST_STEPS - len(self._seconds), 0)
+        return max(1.0, (self._iterations - self.position) / (1 + more))
+
+
+class SearchTime:
+    """When frames under a deadline can afford the search for what emerges, which may take as long as all their steps.
+
+    A frame whose time allows few steps misses more when it is searched, so that every search is a long one.
+    """
+
+    def __init__(self) -> None:
+        self._credit = 0.0
+
+    def affords(self, left: float) -> bool:
+        """Whether a frame that has ``left`` seconds of training should search."""
+        if left > 0:
+            self._credit = min(self._credit + _SEARCH_SHARE * left, left)
+        return self._credit > 0
+
+    def took(self, seconds: float) -> None:
+        """Tells how long a search took."""
+        self._credit -= seconds
+
+
+class TargetWatch:
+    """Tells when what is drawn comes close enough to ``pictures`` (3, H, W) in ``regions`` (H, W), None all of it.
+
+    Measured is the PSNR of the mean square error over the regions of all views together and their three channels,
+    colours clipped to 0..1; every view counts as it was last drawn, so that it costs no drawing. Without any region
+    nothing is ever close enough.
+    """
+
+    def __init__(
+        self, target_psnr: float, pictures: Sequence[FloatArray], regions: Sequence[NDArray[np.bool_] | None]
+    ) -> None:
+        self._rows = [None if region is None else np.flatnonzero(region) for region in regions]
+        self._targets = [_pixels(picture, rows) for picture, rows in zip(pictures, self._rows, strict=True)]
+        values = sum(target.size for target in self._targets)
+        self._most = values * 10.0 ** (-target_psnr / 10) if values else -1.0
+        self.restart()
+
+    def restart(self) -> None:
+        """Forgets what was drawn so far."""
+        self._squares = np.array([np.nan if target.size else 0.0 for target in self._targets])
+
+    def saw(self, index: int, shown: FloatArray) -> bool:
+        """Takes what view ``index`` was drawn like; whether all views, each as last drawn, are close enough."""
+        difference = np.clip(_pixels(shown, self._rows[index]), 0, 1) - self._targets[index]
+        self._squares[index] = float(np.square(difference).sum(dtype=np.float64))
+        return bool(self._squares.sum() <= self._most)
+
+
+def _pixels(picture: FloatArray, rows: NDArray[np.int64] | None) -> FloatArray:
+    flat = picture.reshape(3, -1)
+    return flat if rows is None else flat[:, rows]

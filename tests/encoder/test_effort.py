@@ -1,0 +1,191 @@
+"""What ends a frame's training early: a schedule made to fit a deadline, and a target in the pictures."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from decogs.encoder.effort import LEAST_STEPS, Effort, Pace, SearchTime, TargetWatch
+
+SCHEDULE, MARKS = 150, (37, 75, 76)
+
+
+class Clock:
+    """Stands still unless told."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    clock = Clock()
+    monkeypatch.setattr(time, "perf_counter", clock)
+    return clock
+
+
+def run(pace: Pace, step: Callable[[int], None]) -> tuple[list[float], list[int]]:
+    """Positions at which steps were made, and the step at which each mark was reached."""
+    positions: list[float] = []
+    reached: list[int] = []
+    while not pace.is_over:
+        reached += [len(positions)] * sum(pace.reaches(mark) for mark in MARKS)
+        positions.append(pace.position)
+        step(len(positions) - 1)
+        pace.step()
+    return positions, reached
+
+
+# The schedule
+
+
+def test_without_a_deadline_every_step_is_made() -> None:
+    positions, reached = run(Pace(SCHEDULE), lambda step: None)
+    assert positions == list(range(SCHEDULE))
+    assert reached == list(MARKS)
+
+
+@pytest.mark.parametrize("fitting", [20, 50, 100])
+def test_a_deadline_is_met_with_every_mark_at_its_share_of_the_steps(clock: Clock, fitting: int) -> None:
+    def step(_: int) -> None:
+        clock.now += 0.01
+
+    deadline = clock.now + 0.01 * fitting
+    positions, reached = run(Pace(SCHEDULE, deadline), step)
+    assert clock.now == pytest.approx(deadline, abs=0.01), "one step"
+    assert reached == pytest.approx([mark * fitting / SCHEDULE for mark in MARKS], abs=1.5)
+    assert np.ptp(np.diff(positions)[1:]) < 0.2, "even strides once the first step has told its time"
+    assert positions[-1] > SCHEDULE * (1 - 1.5 / fitting), "rates fall all the way"
+
+
+def test_a_machine_that_slows_down_is_followed(clock: Clock) -> None:
+    def step(index: int) -> None:
+        clock.now += 0.01 if index < 40 else 0.03
+
+    deadline = clock.now + 1.0
+    _, reached = run(Pace(SCHEDULE, deadline), step)
+    assert clock.now == pytest.approx(deadline, abs=0.03)
+    assert reached == sorted(reached)
+    assert len(reached) == len(MARKS)
+
+
+def test_one_slow_step_does_not_make_the_others_look_slow(clock: Clock) -> None:
+    def step(index: int) -> None:
+        clock.now += 0.3 if index == 10 else 0.01
+
+    deadline = clock.now + 1.0
+    positions, _ = run(Pace(SCHEDULE, deadline), step)
+    assert clock.now == pytest.approx(deadline, abs=0.01)
+    assert len(positions) == pytest.approx(71, abs=1)
+
+
+def test_time_enough_changes_nothing(clock: Clock) -> None:
+    positions, _ = run(Pace(SCHEDULE, clock.now + 1e3), lambda step: None)
+    assert positions == list(range(SCHEDULE))
+
+
+@pytest.mark.parametrize("late", [0.0, 5.0])
+def test_a_deadline_gone_by_leaves_a_few_steps_with_all_that_belongs_to_them(clock: Clock, late: float) -> None:
+    def step(_: int) -> None:
+        clock.now += 0.01
+
+    positions, reached = run(Pace(SCHEDULE, clock.now - late), step)
+    assert len(positions) == LEAST_STEPS
+    assert len(reached) == len(MARKS)
+
+
+def test_what_is_put_off_costs_no_steps(clock: Clock) -> None:
+    def step(index: int) -> None:
+        clock.now += 0.01
+        if index == 10:
+            clock.now += 0.4
+            pace.put_off(0.4)
+
+    pace = Pace(SCHEDULE, clock.now + 0.5)
+    positions, _ = run(pace, step)
+    assert len(positions) == pytest.approx(50, abs=1)
+
+
+def test_skipping_leaves_out_what_lies_between() -> None:
+    pace = Pace(SCHEDULE)
+    positions, reached = run(pace, lambda step: pace.skip_to(75) if step == 20 else None)
+    assert reached == [21, 22], "all but the first mark"
+    assert positions[20:23] == [20, 75, 76]
+    assert len(positions) == SCHEDULE - (75 - 21)
+
+
+def test_a_stage_gets_its_share_of_what_is_left(clock: Clock) -> None:
+    assert Effort(clock.now + 10).deadline_before(150, 100) == clock.now + 6
+    assert Effort(clock.now + 10).deadline_before(0, 0) == clock.now
+    assert Effort().deadline_before(150, 100) is None
+
+
+@pytest.mark.parametrize("seconds", [0.01, 0.2, 3.0])
+def test_searching_takes_its_share_on_average_and_begins_at_once(seconds: float) -> None:
+    search, spent, when = SearchTime(), 0.0, []
+    for frame in range(200):
+        if search.affords(1.0):
+            search.took(seconds)
+            spent += seconds
+            when.append(frame)
+    assert when[0] == 0
+    assert spent / 200 == pytest.approx(min(seconds, 0.25), abs=seconds / 100)
+    assert np.ptp(np.diff(when)) <= 1, "evenly"
+
+
+def test_without_time_there_is_no_search() -> None:
+    assert not SearchTime().affords(-1.0)
+
+
+# The target
+
+
+def pictures(views: int) -> list[np.ndarray]:
+    return [np.full((3, 4, 5), 0.5, np.float32) for _ in range(views)]
+
+
+def off(by: float) -> np.ndarray:
+    return np.full((3, 4, 5), 0.5 + by, np.float32)
+
+
+def test_a_target_is_reached_when_all_views_together_are_close_enough() -> None:
+    """An error of 0.1 everywhere is 20 dB."""
+    for target, enough in ((19.9, True), (20.1, False)):
+        watch = TargetWatch(target, pictures(3), [None, None, None])
+        assert [watch.saw(view, off(0.1)) for view in (2, 0, 1)] == [False, False, enough]
+    watch = TargetWatch(20.1, pictures(2), [None, None])
+    assert not watch.saw(0, off(0.13))
+    assert watch.saw(1, off(0.0)), "what one view lacks the other makes up for"
+    assert not watch.saw(1, off(0.1))
+    assert watch.saw(0, off(0.09)), "every view as it was last drawn"
+
+
+def test_regions_alone_count_and_views_without_one_are_not_waited_for() -> None:
+    region = np.zeros((4, 5), bool)
+    region[1, 2:4] = True
+    shown = off(0.3)
+    shown[:, region] = 0.5
+    watch = TargetWatch(60.0, pictures(2), [region, np.zeros((4, 5), bool)])
+    assert watch.saw(0, shown)
+    shown[1, 1, 2] = 0.6
+    assert not watch.saw(0, shown)
+    nowhere = TargetWatch(1.0, pictures(1), [np.zeros((4, 5), bool)])
+    assert not nowhere.saw(0, off(0.0)), "nothing to look at is nothing reached"
+
+
+def test_colours_beyond_white_count_as_white() -> None:
+    watch = TargetWatch(60.0, [np.ones((3, 4, 5), np.float32)], [None])
+    assert watch.saw(0, np.full((3, 4, 5), 1.4, np.float32))
+
+
+def test_a_restart_waits_for_all_views_again() -> None:
+    watch = TargetWatch(20.0, pictures(2), [None, None])
+    assert [watch.saw(view, off(0.0)) for view in (0, 1)] == [False, True]
+    watch.restart()
+    assert [watch.saw(view, off(0.0)) for view in (1, 1, 0)] == [False, False, True]

@@ -1,0 +1,318 @@
+"""Time per frame and PSNR as goals of an encode: how they are asked for and kept, and what stays as it is."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import decogs.encoder.frame_training as frame_training
+from decogs.codec.digest import digest
+from decogs.decoder.session import open_stream
+from decogs.encoder import PRESETS, EncodeSettings
+from decogs.encoder import encode as encode_rig
+from decogs.encoder.commands import encode_main
+from decogs.encoder.economy import EconomySettings
+from decogs.encoder.effort import LEAST_STEPS
+from decogs.encoder.methods import with_method
+from decogs.encoder.time_budget import (
+    TIME_TOLERANCE,
+    TimeControl,
+    counted_seconds,
+    over_time,
+    seconds_per_frame,
+    with_target_psnr,
+    with_time_budget,
+)
+from decogs.formats.container import iterate_packets
+from decogs.formats.errors import UsageError
+
+BUDGET = 1.0
+
+
+# How it is asked for
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [
+        ("1.5s/frame", 1.5),
+        ("1.5", 1.5),
+        ("500ms/frame", 0.5),
+        (" 500 ms / frame", 0.5),
+        ("2s", 2.0),
+        ("1e3ms", 1.0),
+        (0.25, 0.25),
+    ],
+)
+def test_times_are_read(text: str | float, seconds: float) -> None:
+    assert seconds_per_frame(text) == seconds
+
+
+@pytest.mark.parametrize("text", ["", "s", "0", "-1s", "1h", "1s/second", "inf", "nan", "1,5", "1s 2", "1.5/framed"])
+def test_what_is_no_time_is_refused(text: str) -> None:
+    with pytest.raises(UsageError, match=r"that is no time; write 1\.5s/frame or 500ms/frame"):
+        seconds_per_frame(text)
+
+
+def test_methods_with_a_fixed_schedule_are_refused() -> None:
+    dense = with_method(PRESETS["standard"], "3dgstream")
+    with pytest.raises(UsageError, match="--time-budget: --method 3dgstream trains a fixed number of steps; drop one"):
+        with_time_budget(dense, 1.0)
+    with pytest.raises(UsageError, match="--target-psnr: --method 3dgstream trains a fixed number of steps; drop one"):
+        with_target_psnr(dense, 30.0)
+
+
+def test_goals_are_in_the_settings_when_they_are_set() -> None:
+    standard = PRESETS["standard"]
+    assert not {"time_budget", "target_psnr"} & standard.as_document().keys()
+    document = with_target_psnr(with_time_budget(standard, 1.5), 30.0).as_document()
+    assert (document["time_budget"], document["target_psnr"]) == (1.5, 30.0)
+
+
+# The control, against frames that take what measured ones do
+
+
+def clip(frames: int, needs: Callable[[int], float], noise: float = 0.0) -> list[dict[str, float]]:
+    """Seconds by stage of frames whose training goes on to its deadline, or for as long as it needs."""
+    control, random, spent = TimeControl(BUDGET), np.random.default_rng(3), []
+    for frame in range(frames):
+        seconds = {"masks": 0.1, "selection": 0.05}
+        if needs(frame):
+            left = control.deadline(seconds) - time.perf_counter()
+            seconds["training"] = min(needs(frame), max(left, 0.05)) * float(np.exp(random.normal(0, noise)))
+            seconds |= {"write": 0.08, "settle": 0.04}
+        seconds["measure"] = 5.0
+        control.took(seconds)
+        spent.append(seconds)
+    return spent
+
+
+@pytest.mark.parametrize("frames", [12, 30])
+@pytest.mark.parametrize("noise", [0.0, 0.2])
+def test_a_clip_keeps_its_budget(frames: int, noise: float) -> None:
+    spent = clip(frames, lambda frame: 100.0, noise)
+    assert np.mean([counted_seconds(seconds) for seconds in spent]) == pytest.approx(BUDGET, rel=TIME_TOLERANCE)
+
+
+def test_time_that_is_not_needed_is_not_taken_nor_thrown_at_the_first_frame_that_moves() -> None:
+    spent = [counted_seconds(s) for s in clip(40, lambda frame: 100.0 if frame >= 20 else 0.0)]
+    assert spent[:20] == pytest.approx([0.15] * 20)
+    assert max(spent) < 2.2 * BUDGET
+    assert np.mean(spent) <= BUDGET * (1 + TIME_TOLERANCE)
+
+
+def test_what_takes_longer_again_and_again_is_learned() -> None:
+    """Every third frame searches for what emerges, which its deadline is given back for."""
+    control, spent = TimeControl(BUDGET), []
+    for frame in range(15):
+        left = control.deadline({}) - time.perf_counter()
+        spent.append({"training": max(left, 0.05) + 0.4 * (frame % 3 == 0), "write": 0.05})
+        control.took(spent[-1])
+    assert over_time(spent, BUDGET) < TIME_TOLERANCE
+
+
+def test_a_miss_is_told_by_its_share() -> None:
+    seconds = {"masks": 1.0, "training": 0.5, "measure": 9.0}
+    assert over_time([seconds, seconds], 1.2) == pytest.approx(0.25)
+    assert over_time([seconds], 2.0) == over_time([], 1.0) == 0.0
+
+
+# Encodes
+
+
+@pytest.fixture(scope="module")
+def patient(tiny_settings: EncodeSettings) -> EncodeSettings:
+    """The tiny settings with a long stage 2 and changes judged, as the presets have them."""
+    frame = replace(
+        tiny_settings.frame, cache=None, joint_iterations=60, economy=EconomySettings(worth=0.02, hold_at=0.5)
+    )
+    return replace(tiny_settings, frame=frame)
+
+
+@pytest.fixture(scope="module")
+def restless_rig(tiny_rig: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A square that moves to and fro in every one of 12 later frames."""
+    return tiny_rig.write(tmp_path_factory.mktemp("rigs") / "restless", frames=[0, *[1, 0] * 6])
+
+
+def steps_of(path: Path) -> dict[int, int]:
+    """Training steps of each frame, from what --anytime wrote."""
+    steps: dict[int, int] = {}
+    for line in path.read_text().splitlines():
+        frame = json.loads(line)["frame"]
+        steps[frame] = steps.get(frame, 0) + 1
+    return steps
+
+
+def test_a_clip_keeps_its_time_and_its_changes_are_still_judged(
+    moving: Any,
+    restless_rig: Path,
+    patient: EncodeSettings,
+    tiny_rig: Any,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """On a clock of the test's own that only drawing moves: 10 ms for every picture."""
+    now, judged = [0.0], []
+    draw, take_back = frame_training.FixedView.draw, frame_training.take_back
+
+    def slow(view: Any, *arguments: Any, **options: Any) -> None:
+        now[0] += 0.01
+        draw(view, *arguments, **options)
+
+    monkeypatch.setattr(time, "perf_counter", lambda: now[0])
+    monkeypatch.setattr(frame_training.FixedView, "draw", slow)
+    monkeypatch.setattr(frame_training, "take_back", lambda *a: (judged.append(1), take_back(*a)))
+    output, given = tmp_path / "x.dgs", {"holdout": tiny_rig.held_out, "keyframe": moving.path, "preset": patient}
+    encode_rig(restless_rig, tmp_path / "free.dgs", **given)
+    judged.clear()
+    report = encode_rig(restless_rig, output, **given, time_budget="300ms/frame", anytime=tmp_path / "any")
+    spent = [counted_seconds(frame.seconds) for frame in report.frames[1:]]
+    assert np.mean(spent) == pytest.approx(0.3, rel=TIME_TOLERANCE)
+    assert len(judged) == 12
+    steps = steps_of(tmp_path / "any")
+    assert all(LEAST_STEPS <= steps[frame] < 60 for frame in range(1, 13))
+    with open_stream(output) as stream:
+        assert stream.complete
+        assert stream.header.settings["time_budget"] == 0.3
+        assert len(list(stream.frames())) == 13
+    assert output.stat().st_size < 1.3 * (tmp_path / "free.dgs").stat().st_size, "unjudged, frames take much more"
+
+
+def test_time_enough_gives_the_states_of_no_budget(
+    encode: Any, moving: Any, moving_rig: Path, patient: EncodeSettings
+) -> None:
+    free = encode(moving_rig, settings=patient, keyframe=moving.path)
+    timed = encode(moving_rig, settings=with_time_budget(patient, 1e4), keyframe=moving.path)
+    assert list(map(digest, timed.states)) == list(map(digest, free.states))
+
+
+def test_a_time_that_cannot_be_met_is_told(
+    moving: Any,
+    moving_rig: Path,
+    patient: EncodeSettings,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setitem(PRESETS, "patient", patient)
+    arguments = [str(moving_rig), "-o", str(tmp_path / "x.dgs"), "--preset", "patient", "--holdout", "cam02"]
+    arguments += ["--keyframe", str(moving.path), "--time-budget"]
+    assert encode_main([*arguments, "1000"]) == 0
+    assert capfd.readouterr().err == ""
+    assert encode_main([*arguments, "1us/frame"]) == 2
+    assert "--time-budget 1us/frame: that is no time" in capfd.readouterr().err
+    assert encode_main([*arguments, "0.001ms/frame"]) == 0
+    warning = capfd.readouterr().err
+    assert warning.startswith("decogs-encode: warning: frames after the first take ")
+    assert "% more than the 1e-06 asked for; " in warning
+    assert "are masks, selection and writing, which no budget shortens" in warning
+    assert warning.count("\n") == 1
+    with open_stream(tmp_path / "x.dgs") as stream:
+        assert len(list(stream.frames())) == 4
+
+
+def test_a_timed_encode_can_be_gone_on_with(
+    encode: Any, moving: Any, moving_rig: Path, patient: EncodeSettings, tmp_path: Path
+) -> None:
+    given = {"settings": with_time_budget(patient, 1e-6), "keyframe": moving.path}
+    whole = encode(moving_rig, **given)
+    with whole.path.open("rb") as file:
+        ends = [packet.offset + packet.size for packet in iterate_packets(file)]
+    (tmp_path / "scene.dgs.part").write_bytes(whole.data[: ends[2] + 3])
+    resumed = encode(moving_rig, output=tmp_path / "scene.dgs", resume=True, **given)
+    assert resumed.data[: ends[2]] == whole.data[: ends[2]]
+    assert [frame.replayed for frame in resumed.report.frames] == [True, True, False, False]
+    with open_stream(resumed.path) as stream:
+        assert len(list(stream.frames())) == 4
+
+
+# A target
+
+
+def test_a_target_ends_training_and_the_same_seed_still_gives_the_same_bytes(
+    moving: Any, moving_rig: Path, patient: EncodeSettings, tiny_rig: Any, tmp_path: Path
+) -> None:
+    given = {"holdout": tiny_rig.held_out, "preset": patient}
+    steps, data = {}, {}
+    for target in (None, 20.0, 20.0, 21.5):
+        path = tmp_path / "x.dgs"
+        encode_rig(moving_rig, path, **given, target_psnr=target, anytime=tmp_path / "any")
+        steps[target] = steps_of(tmp_path / "any")
+        assert data.setdefault(target, path.read_bytes()) == path.read_bytes()
+    whole, low, high = (steps[target] for target in (None, 20.0, 21.5))
+    assert whole[0] == patient.keyframe.iterations + patient.keyframe.settle_iterations
+    assert low[0] < high[0] < whole[0], "the keyframe's, too"
+    assert low[1] <= high[1] <= whole[1] == 60
+    assert low[1] + low[3] < whole[1] + whole[3]
+
+
+def test_changes_are_judged_before_a_target_ends_training(
+    encode: Any, moving: Any, moving_rig: Path, patient: EncodeSettings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    judged: list[int] = []
+    take_back, backward = frame_training.take_back, frame_training.FixedView.backward
+    steps: list[int] = []
+    monkeypatch.setattr(frame_training, "take_back", lambda *a: (judged.append(len(steps)), take_back(*a)))
+    monkeypatch.setattr(frame_training.FixedView, "backward", lambda *a, **o: (steps.append(1), backward(*a, **o))[1])
+    encode(moving_rig, settings=with_target_psnr(patient, 10.0), keyframe=moving.path, stop=2)
+    views = 4
+    assert judged == [views + 1], "at once when every view was seen to be good enough"
+    assert views + 1 + views <= len(steps) <= views + 1 + 2 * views, "and then until each has been seen again"
+
+
+def test_a_target_out_of_reach_changes_nothing(
+    encode: Any, moving: Any, moving_rig: Path, patient: EncodeSettings
+) -> None:
+    free = encode(moving_rig, settings=patient, keyframe=moving.path)
+    held = encode(moving_rig, settings=with_target_psnr(patient, 100.0), keyframe=moving.path)
+    assert list(map(digest, held.states)) == list(map(digest, free.states))
+
+
+# The loss inside a frame
+
+
+def test_anytime_tells_every_step_and_changes_no_byte(
+    moving: Any, moving_rig: Path, tiny_rig: Any, tiny_settings: EncodeSettings, tmp_path: Path
+) -> None:
+    path = tmp_path / "any.jsonl"
+    encode_rig(moving_rig, tmp_path / "x.dgs", holdout=tiny_rig.held_out, preset=tiny_settings, anytime=path)
+    assert (tmp_path / "x.dgs").read_bytes() == moving.data
+    records = [json.loads(line) for line in path.read_text().splitlines()]
+    assert all(record.keys() == {"frame", "stage", "iteration", "seconds", "loss"} for record in records)
+    keyframe, frame = tiny_settings.keyframe, tiny_settings.frame
+    later = {"cache": frame.cache_iterations, "joint": frame.joint_iterations}
+    expected = {0: {"keyframe": keyframe.iterations, "settle": keyframe.settle_iterations}, 1: later, 3: later}
+    for index, stages in expected.items():
+        own = [record for record in records if record["frame"] == index]
+        assert [(r["stage"], r["iteration"]) for r in own] == [(s, i) for s, n in stages.items() for i in range(n)]
+        seconds = [record["seconds"] for record in own]
+        assert seconds == sorted(seconds)
+        assert 0 < seconds[0] < seconds[-1]
+        losses = [record["loss"] for record in own]
+        assert np.mean(losses[-5:]) < np.mean(losses[:5])
+    assert {record["frame"] for record in records} == set(expected), "frame 2 changes nothing and is not trained"
+
+
+def test_anytime_tells_of_the_baseline(
+    moving: Any, moving_rig: Path, tiny_rig: Any, tiny_settings: EncodeSettings, tmp_path: Path
+) -> None:
+    given = {"holdout": tiny_rig.held_out, "preset": tiny_settings, "method": "3dgstream", "keyframe": moving.path}
+    encode_rig(moving_rig, tmp_path / "x.dgs", frames=":2", **given, anytime=tmp_path / "any")
+    records = [json.loads(line) for line in (tmp_path / "any").read_text().splitlines()]
+    steps = [record["iteration"] for record in records if record["stage"] == "cache"]
+    assert steps == list(range(tiny_settings.baseline.cache_iterations))
+    assert {record["stage"] for record in records} <= {"cache", "joint"}
+
+
+def test_a_file_that_cannot_be_written_is_refused(moving_rig: Path, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"--anytime .*x/any: No such file or directory; name a file"):
+        encode_rig(moving_rig, tmp_path / "x.dgs", anytime=tmp_path / "x" / "any")
+    assert list(tmp_path.iterdir()) == []
