@@ -1,0 +1,34 @@
+"""The effects a scene may call for, and how a rig's pictures tell, before any 3D model exists.
+
+Every effect is one module with one class that keeps the protocol of ``effect.py``: ``evidence`` turns the look at the
+rig into figures per camera and frame, ``decide`` turns these into a decision with its reason and cost. A new effect is
+one new module and one entry in ``EFFECTS``. What effects measure alike is measured once, by the look (``look.py``):
+gains of light (``light.py``), the motion of the camera (``registration.py``), what changed from frame to frame
+(``changes.py``), points that neighbouring cameras share (``matches.py``). ``frame_look.py`` says the same of one frame
+of one view, in milliseconds, for the encoder's loop. What was measured, and what was rejected, is in ``DESIGN.md``.
+"""
+
+from .appearance_change import AppearanceChange
+from .camera_shake import CameraShake
+from .effect import Decision, Effect, Evidence
+from .exposure_drift import ExposureDrift
+from .high_dynamic_range import HighDynamicRange
+from .lens_distortion import LensDistortion
+from .look import Look, look_at
+from .motion import Motion
+from .sensor_noise import SensorNoise
+from .white_balance_drift import WhiteBalanceDrift
+
+__all__ = ["EFFECTS", "Decision", "Effect", "Evidence", "Look", "look_at"]
+
+EFFECTS: tuple[Effect, ...] = (
+    Motion(),
+    AppearanceChange(),
+    ExposureDrift(),
+    WhiteBalanceDrift(),
+    CameraShake(),
+    LensDistortion(),
+    SensorNoise(),
+    HighDynamicRange(),
+)
+"""All effects, in the order in which they are shown."""
