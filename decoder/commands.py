@@ -122,14 +122,14 @@ def run(program: str, command: Callable[[], int | None]) -> int:
 
 
 @contextmanager
-def progress(what: str) -> Iterator[OnFrame]:
-    """A progress bar on stderr when that is a terminal; silent otherwise. Called with frames done and frames in all."""
+def progress(what: str, unit: str = "frame") -> Iterator[OnFrame]:
+    """A progress bar on stderr when that is a terminal; silent otherwise. Called with units done and units in all."""
     if not sys.stderr.isatty():
         yield lambda done, total: None
         return
     from tqdm import tqdm
 
-    with tqdm(desc=what, unit="frame", leave=False) as bar:
+    with tqdm(desc=what, unit=unit, leave=False) as bar:
 
         def show(done: int, total: int) -> None:
             bar.total = total

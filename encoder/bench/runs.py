@@ -30,7 +30,8 @@ from decogs.formats.errors import UsageError
 from decogs.formats.rigs import Rig, open_rig
 from decogs.formats.splats import Splats
 
-from ..effects import Decision, analyse, wanted_effects, with_effects
+from ..effects import PRESET_EFFECTS, Decision, wanted_effects, with_effects
+from ..effects.analysis import analyse
 from ..ingest import Ingest
 from ..keyframe_source import read_keyframe
 from ..loop import EncodeReport, FrameReport, OnKeyframeStep, encode_stream, frame_span
@@ -163,14 +164,16 @@ class RigBench:
     @cached_property
     def _decisions(self) -> tuple[Decision, ...]:
         """What the report's frames call for."""
-        return analyse(self.rig, holdout=[self.camera], frames=self.frames, threads=self._threads)
+        span = slice(self.frames.start, self.frames.stop)
+        return analyse(self.rig.path, holdout=[self.camera], frames=span, threads=self._threads).decisions
 
     def settings(self, variant: Variant) -> EncodeSettings:
         """Everything that a variant's encode of this rig does."""
         settings = settings_of(variant, self.options.preset)
         if variant.effects is None:
             return settings
-        return with_effects(settings, wanted_effects(variant.effects), lambda: self._decisions)
+        cameras = [camera.name for camera in self.rig.cameras if camera.name != self.camera]
+        return with_effects(settings, wanted_effects(variant.effects), cameras, lambda: self._decisions)
 
     def _trains_keyframe(self, variant: Variant) -> bool:
         """Effects may ask for another keyframe than the shared one."""

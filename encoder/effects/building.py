@@ -53,10 +53,11 @@ def wanted_effects(text: str) -> Wanted:
 
 
 def with_effects(
-    settings: EncodeSettings, wanted: Wanted, decisions: Callable[[], Sequence[Decision]]
+    settings: EncodeSettings, wanted: Wanted, cameras: Sequence[str], decisions: Callable[[], Sequence[Decision]]
 ) -> EncodeSettings:
     """``settings`` that build what is wanted and nothing else.
 
+    ``cameras``: names of all that train, for an effect that is wanted where the scene does not call for it.
     ``decisions``: of the rig (`analysis.analyse`), asked for only where what is wanted depends on them.
     """
     from . import EFFECTS
@@ -68,7 +69,10 @@ def with_effects(
         if effect.name not in names:
             settings = effect.left_out(settings)
         elif effect.name in found:
-            settings = effect.built(settings, found[effect.name])
+            decision = found[effect.name]
+            if not decision.called_for:
+                decision = replace(decision, cameras=tuple(cameras))
+            settings = effect.built(settings, decision)
     return replace(settings, effects=names, ask_frames=wanted.base == AUTO)
 
 

@@ -37,7 +37,7 @@ def decisions(*called_for: str, cameras: tuple[str, ...] = ("cam01",), **figures
 
 
 def built(text: str, found: Sequence[Decision] = (), settings: EncodeSettings = STANDARD) -> EncodeSettings:
-    return with_effects(settings, wanted_effects(text), lambda: found)
+    return with_effects(settings, wanted_effects(text), ["cam01", "cam02"], lambda: found)
 
 
 @pytest.mark.parametrize(
@@ -81,7 +81,7 @@ def test_a_fixed_choice_does_not_look_at_the_rig() -> None:
         raise AssertionError("the rig was looked at")
 
     for text in ("none", "motion,view_dependence", ",".join(FRAME_EFFECTS)):
-        settings = with_effects(STANDARD, wanted_effects(text), looked)
+        settings = with_effects(STANDARD, wanted_effects(text), ["cam01"], looked)
         assert not settings.ask_frames
         assert settings.corrections == STANDARD.corrections
 

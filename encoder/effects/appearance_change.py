@@ -1,0 +1,55 @@
+"""Light or colour changes while the geometry stays: lamps, screens, shadows of what is outside the picture."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .effect import Decision, Evidence, decided, seen_together, spans
+from .look import Look
+from .motion import PAUSE
+
+if TYPE_CHECKING:
+    from ..presets import EncodeSettings
+
+_LEAST_SHARE = 0.001
+"""Share of a picture below which a change is a speck: 93 pixels of 352 x 264."""
+
+
+class AppearanceChange:
+    """Evidence: of what changes, the share that is not near anything that moves; there the shadow belongs to the
+    motion."""
+
+    name = "appearance_change"
+
+    def evidence(self, look: Look) -> Evidence:
+        changed, near = (np.stack([getattr(s, name) for s in look.changes]) for name in ("changed", "near"))
+        alone = changed - near
+        share = alone / np.maximum(changed, 1e-9)
+        share[alone < _LEAST_SHARE] = 0
+        return Evidence(share * 100, "% of change", 20.0, {"changed": changed * 100, "alone": alone * 100})
+
+    def decide(self, look: Look, evidence: Evidence) -> Decision:
+        frames = seen_together(evidence)
+        area = float(np.nan_to_num(evidence.details["alone"]).max())
+        return decided(
+            look,
+            self,
+            evidence,
+            counts=np.asarray((evidence.reached & frames).any(axis=1)),
+            frames=spans(look, frames, gap=PAUSE),
+            reason=f"up to {area:.2g} % of a picture changes from one frame to the next, in place and away from motion",
+            cost="training and sending colours and opacities of what changes, no positions (estimated: a third of the "
+            "bytes of motion per Gaussian)",
+            figures={"alone_percent": area},
+        )
+
+    def built(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
+        return settings
+
+    def left_out(self, settings: EncodeSettings) -> EncodeSettings:
+        """Colours and opacities stay as they are."""
+        rates = replace(settings.frame.rates, opacity_logits=0.0, sh_dc=0.0, sh_rest=0.0)
+        return replace(settings, frame=replace(settings.frame, rates=rates))

@@ -1,0 +1,106 @@
+"""Points of the scene found again by neighbouring cameras, in the first picture of each: SIFT, compared both ways."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.decoder.lens import undistort_pixels
+from decogs.formats.cameras import Camera
+
+F64 = NDArray[np.float64]
+U8 = NDArray[np.uint8]
+
+_FEATURES = 800
+_NEIGHBOURS = 4
+_WIDEST_ANGLE = 1.0
+"""Radians between optical axes beyond which SIFT finds next to nothing again."""
+_RATIO = 0.8
+"""Lowe's ratio: how much better the best match must be than the second."""
+
+
+@dataclass(frozen=True)
+class PairMatches:
+    """Matches of the cameras ``first`` and ``second`` (positions in the look): pixels (N, 2) in both pictures.
+
+    ``first_rays``, ``second_rays`` (N, 2): the same as x/z and y/z, by the calibrated lens. Corner of the picture at 0.
+    """
+
+    first: int
+    second: int
+    first_pixels: F64
+    second_pixels: F64
+    first_rays: F64
+    second_rays: F64
+
+
+@dataclass(frozen=True)
+class Matches:
+    """What pairs of neighbouring cameras have in common, wrong matches among it."""
+
+    pairs: tuple[PairMatches, ...]
+
+
+@dataclass(frozen=True)
+class _Features:
+    pixels: F64
+    rays: F64
+    descriptors: NDArray[np.float32]
+
+
+def find_matches(cameras: Sequence[Camera], pictures: Sequence[U8], each: Callable[..., Iterator[Any]]) -> Matches:
+    """Matches between every camera and the few whose optical axes are nearest to its own."""
+    features: list[_Features] = list(each(_features, cameras, pictures))
+    pairs = _neighbouring(cameras)
+    return Matches(tuple(each(lambda pair: _matched(pair[0], pair[1], features[pair[0]], features[pair[1]]), pairs)))
+
+
+def _features(camera: Camera, picture: U8) -> _Features:
+    keypoints, descriptors = cv2.SIFT_create(_FEATURES).detectAndCompute(  # type: ignore[attr-defined]
+        cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), None
+    )
+    if descriptors is None:
+        return _Features(np.empty((0, 2)), np.empty((0, 2)), np.empty((0, 128), np.float32))
+    pixels = np.array([keypoint.pt for keypoint in keypoints]) + 0.5
+    straight = undistort_pixels(camera, pixels)
+    rays = (straight - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
+    # Square roots of shares compare better than the descriptors themselves (Arandjelovic and Zisserman, RootSIFT).
+    roots = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-9))
+    told = np.isfinite(rays).all(axis=1)
+    return _Features(pixels[told], rays[told], roots[told].astype(np.float32))
+
+
+def _neighbouring(cameras: Sequence[Camera]) -> list[tuple[int, int]]:
+    axes = np.array([camera.world_to_camera[2, :3] for camera in cameras])
+    angles = np.arccos(np.clip(axes @ axes.T, -1, 1))
+    pairs = set()
+    for row in range(len(cameras)):
+        near = [k for k in np.argsort(angles[row], kind="stable").tolist() if k != row][:_NEIGHBOURS]
+        pairs |= {(min(row, k), max(row, k)) for k in near if angles[row, k] < _WIDEST_ANGLE}
+    return sorted(pairs)
+
+
+def _matched(first: int, second: int, here: _Features, there: _Features) -> PairMatches:
+    rows, columns = _mutual(here.descriptors, there.descriptors)
+    return PairMatches(first, second, here.pixels[rows], there.pixels[columns], here.rays[rows], there.rays[columns])
+
+
+def _mutual(here: NDArray[np.float32], there: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows that are each other's best match, and clearly better than the second best."""
+    if len(here) < 2 or len(there) < 2:
+        return np.empty(0, np.int64), np.empty(0, np.int64)
+    matcher = cv2.BFMatcher(cv2.NORM_L2)
+    back = np.array([match.trainIdx for match in matcher.match(there, here)])
+    forth = matcher.knnMatch(here, there, k=2)
+    found = [
+        (best.queryIdx, best.trainIdx)
+        for best, second in forth
+        if best.distance < _RATIO * second.distance and back[best.trainIdx] == best.queryIdx
+    ]
+    rows = np.array(found, np.int64).reshape(-1, 2)
+    return rows[:, 0], rows[:, 1]
