@@ -13,6 +13,7 @@ from decogs.decoder.session import frame_range
 from decogs.formats.errors import UsageError
 from decogs.formats.rigs import Rig, open_rig
 
+from .corrections.settings import CorrectionSettings
 from .ingest import Ingest
 from .keyframe_source import read_keyframe
 from .loop import EncodeReport, encode_stream, frame_span
@@ -41,6 +42,7 @@ def encode(
     bitrate: float | None = None,
     max_mb_per_frame: float | None = None,
     lossless: bool = False,
+    corrections: CorrectionSettings | None = None,
     resume: bool = False,
     seed: int = 0,
     threads: int = 0,
@@ -60,7 +62,9 @@ def encode(
     ``quality``: 0 (smallest) to 100 (most exact), 50 is the preset as it is; with ``keyframe``, that of later frames.
     ``max_mb_per_frame``, in units of 1e6 bytes, or ``bitrate``, in kbit/s at the rig's frame rate: most that the frames
     after the first may take on average, keyframes among them included. ``lossless``: every change is written exactly
-    as trained, to the lattice's steps. ``resume``: go on with what an encode with
+    as trained, to the lattice's steps. ``corrections``: cameras whose exposure, white balance or pose drifts, or whose
+    lens is not as calibrated; their faults are taken out of the pictures before anything else, and told in the stream.
+    ``resume``: go on with what an encode with
     the same options left in ``output`` + ".part", or as a shorter stream; the file gets the bytes of one that was not
     cut off.
     ``threads``: 0 means all processors; the stream does not depend on it. ``device``: "cuda" takes gsplat, has never
@@ -81,7 +85,9 @@ def encode(
     rig = open_rig(rig_dir)
     settings = _with_rate(settings, rig, quality, bitrate, max_mb_per_frame, lossless=lossless)
     span = frame_span(rig, frame_range(frames) if isinstance(frames, str) else frames)
-    ingest = Ingest(rig, holdout=held, scale=scale)
+    if corrections is not None:
+        settings = replace(settings, corrections=corrections)
+    ingest = Ingest(rig, holdout=held, scale=scale, lens=settings.corrections.lens)
     with EncodeProgress(len(span), None if log is None else Path(log), terminal=terminal) as progress:
         progress.started(
             {

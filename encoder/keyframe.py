@@ -20,6 +20,7 @@ from decogs.formats.cameras import camera_centre
 from decogs.formats.errors import TrainingError
 from decogs.formats.splats import SH_C0, FloatArray, Splats, take_splats
 
+from .corrections import Corrector
 from .densification import ViewGradients, grow, opacities_of, strongest
 from .first_points import FirstPoints
 from .ingest import View
@@ -27,6 +28,10 @@ from .losses import whole_picture_loss
 from .optimiser import LearningRates, SplatOptimiser
 from .rasterise import TrainingKernel, gradients_like
 from .view_order import view_order
+
+_CORRECT_EVERY, _CORRECT_FROM, _CORRECT_TO = 20, 0.05, 0.6
+"""Cameras' faults are found anew every so many steps, within these shares of the schedule: what the scene took for its
+own in the steps between is taken out the next time."""
 
 OnStep = Callable[[int, int, float], None]
 """Told the step (from 1), the number of steps planned and the training loss."""
@@ -108,16 +113,19 @@ def train_keyframe(
     *,
     seed: int,
     lattice_scale: float = 1.0,
+    corrector: Corrector | None = None,
     on_step: OnStep | None = None,
 ) -> TrainedKeyframe:
     """Trains the first frame's Gaussians on ``pictures`` (3, H, W) of ``views``; the same seed gives the same bits.
 
-    ``lattice_scale``: how coarse the lattice is to be, in units of the default one's steps. Raises TrainingError
-    without points or when the loss stops being finite.
+    ``lattice_scale``: how coarse the lattice is to be, in units of the default one's steps. ``corrector``: of the
+    cameras whose faults are found, and taken out of their pictures, on the way. Raises TrainingError without points or
+    when the loss stops being finite.
     """
     if not len(points.xyz):
         raise TrainingError("there are no first points to train from; check the poses, or give the rig COLMAP points")
-    training = _KeyframeTraining(kernel, views, pictures, points, settings, lattice_scale, np.random.default_rng(seed))
+    random = np.random.default_rng(seed)
+    training = _KeyframeTraining(kernel, views, pictures, points, settings, lattice_scale, random, corrector)
     return training.run(on_step)
 
 
@@ -131,8 +139,10 @@ class _KeyframeTraining:
         settings: KeyframeSettings,
         lattice_scale: float,
         random: np.random.Generator,
+        corrector: Corrector | None,
     ) -> None:
         self._kernel, self._views, self._settings, self._random = kernel, views, settings, random
+        self._recorded, self._corrector = pictures, corrector
         self._lattice_scale = lattice_scale
         self._extent = scene_extent(views) or 1.0
         counted = [_counted(view, settings.validation_share, random) for view in views]
@@ -159,6 +169,8 @@ class _KeyframeTraining:
         settings = self._settings
         best, best_splats, waited, step = -np.inf, self._optimiser.splats, 0, 0
         while step < settings.iterations and waited < settings.patience:
+            if self._corrector is not None and self._corrects_at(step):
+                self._correct(self._corrector, step)
             loss = self._step(step)
             step += 1
             if on_step:
@@ -210,6 +222,20 @@ class _KeyframeTraining:
         self._optimiser.step(self._gradients, self._rates(step / self._settings.iterations))
         self._densify(step)
         return value.total
+
+    def _corrects_at(self, step: int) -> bool:
+        return step % _CORRECT_EVERY == 0 and _CORRECT_FROM <= step / self._settings.iterations <= _CORRECT_TO
+
+    def _correct(self, corrector: Corrector, step: int) -> None:
+        """Trains on from here on the pictures without the cameras' faults, as far as the scene tells them by now."""
+
+        def show(number: int) -> FloatArray:
+            return self._kernel.forward(
+                self._optimiser.splats, self._views[number].pinhole, sh_degree=self._degree(step)
+            ).rgb
+
+        pictures = corrector.undo(self._recorded, corrector.find_jointly(self._recorded, show))
+        self._losses = [replace(loss, target=target) for loss, target in zip(self._losses, pictures, strict=True)]
 
     def _degree(self, step: int) -> int:
         """SH degree rises by one each quarter of the schedule."""

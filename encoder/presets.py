@@ -13,6 +13,7 @@ from decogs.codec.entropy import DEFAULT_LEVEL
 from decogs.formats.errors import UsageError
 
 from .baseline import BaselineSettings
+from .corrections.settings import CorrectionSettings
 from .economy import Coarseness, EconomySettings
 from .emergence import EmergenceSettings
 from .frame_training import FrameSettings
@@ -32,7 +33,8 @@ class EncodeSettings:
     ``method``: later frames follow ``frame`` ("decogs") or ``baseline`` ("3dgstream", slower). ``segment``: frames from
     one keyframe to the next, 0 for a single keyframe; fewer is larger, and quicker to seek. Only how a frame is told
     depends on it, not what is in it. ``frame_budget``: bytes that frames after the first may take on average (`rate`);
-    lower is less exact, None leaves it to ``frame.economy``.
+    lower is less exact, None leaves it to ``frame.economy``. ``corrections``: cameras whose own faults are taken out of
+    their pictures.
     """
 
     keyframe: KeyframeSettings = field(default_factory=KeyframeSettings)
@@ -43,16 +45,20 @@ class EncodeSettings:
     baseline: BaselineSettings = field(default_factory=BaselineSettings)
     segment: int = 0
     frame_budget: float | None = None
+    corrections: CorrectionSettings = field(default_factory=CorrectionSettings)
 
     def as_document(self) -> dict[str, Any]:
         """The settings as plain JSON values, for the stream's header and the log; without the other method's.
 
-        No budget is no entry: a stream begun before there were any can still be gone on with.
+        No budget is no entry, and no corrections are none: a stream begun before there were any can still be gone on
+        with.
         """
         document: dict[str, Any] = json.loads(json.dumps(asdict(self)))
         del document["frame" if self.method == "3dgstream" else "baseline"]
         if self.frame_budget is None:
             del document["frame_budget"]
+        if self.corrections == CorrectionSettings():
+            del document["corrections"]
         return document
 
 
