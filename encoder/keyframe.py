@@ -26,7 +26,7 @@ from .first_points import FirstPoints
 from .ingest import View
 from .losses import whole_picture_loss
 from .optimiser import LearningRates, SplatOptimiser
-from .rasterise import TrainingKernel, gradients_like
+from .rasterise import Picture, TrainingKernel, gradients_like
 from .view_order import view_order
 
 _CORRECT_EVERY, _CORRECT_FROM, _CORRECT_TO = 20, 0.05, 0.6
@@ -229,12 +229,11 @@ class _KeyframeTraining:
     def _correct(self, corrector: Corrector, step: int) -> None:
         """Trains on from here on the pictures without the cameras' faults, as far as the scene tells them by now."""
 
-        def show(number: int) -> FloatArray:
-            return self._kernel.forward(
-                self._optimiser.splats, self._views[number].pinhole, sh_degree=self._degree(step)
-            ).rgb
+        def look(number: int) -> Picture:
+            camera = self._views[number].pinhole
+            return self._kernel.forward(self._optimiser.splats, camera, sh_degree=self._degree(step), depth=True)
 
-        pictures = corrector.undo(self._recorded, corrector.find_jointly(self._recorded, show))
+        pictures = corrector.undo(self._recorded, corrector.find_jointly(self._recorded, look))
         self._losses = [replace(loss, target=target) for loss, target in zip(self._losses, pictures, strict=True)]
 
     def _degree(self, step: int) -> int:

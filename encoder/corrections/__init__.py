@@ -18,6 +18,7 @@ from decogs.formats.errors import UsageError
 from decogs.formats.splats import FloatArray
 
 from ..ingest import View
+from .agreement import Look, agreeing_shifts
 from .colour import OddsShift, odds_shift, without_odds
 from .settings import CorrectionSettings
 from .shake import angles_of, turn_of, unturned
@@ -51,23 +52,31 @@ class Corrector:
         lists = (settings.exposure, settings.white_balance, settings.shake)
         self.cameras = CorrectedCameras(*(self._known(names) for names in lists))
         self._named = [name for name in self._views if self.cameras.of(name)]
+        self._has_colours = bool(self.cameras.exposure_drift or self.cameras.white_balance_drift)
 
     def find(self, recorded: Sequence[FloatArray], show: Show) -> Corrections:
         """The faults of a frame's ``recorded`` pictures (3, H, W) against the scene as ``show`` gives it."""
         measured = {name: self._measured(name, recorded, show) for name in self._named}
-        return {name: self._correction(name, fault, np.zeros(3)) for name, fault in measured.items()}
+        return {name: self._correction(name, fault) for name, fault in measured.items()}
 
-    def find_jointly(self, recorded: Sequence[FloatArray], show: Show) -> Corrections:
-        """The same while the scene is in the making and has taken some of the faults for its own.
+    def find_jointly(self, recorded: Sequence[FloatArray], look: Look) -> Corrections:
+        """The same while the scene is in the making, and has taken some of the faults for its own.
 
-        What its colours are off by is told by the cameras that are not named; where none is left, by the mean of all.
+        What is neutral is told by the cameras that are not named; where none is left, it is the mean of all.
         """
-        measured = {name: self._measured(name, recorded, show) for name in self._views}
-        shifts = {name: fault.colour.shift for name, fault in measured.items()}
-        green = _mean_of_others(shifts, self.cameras.exposure_drift)[1]
-        balance = _mean_of_others(shifts, self.cameras.white_balance_drift)
-        offset = green + balance - balance[1]
-        return {name: self._correction(name, measured[name], offset) for name in self._named}
+        straight, rotations = list(recorded), dict.fromkeys(self._named, np.eye(3))
+        for name in self.cameras.camera_shake:
+            number, view = self._views[name]
+            rotations[name] = self._measured(name, recorded, lambda number: look(number).rgb).rotation
+            straight[number] = unturned(recorded[number], view.pinhole, rotations[name])
+        if not self._has_colours:
+            return {name: self._correction(name, _Fault(_NO_SHIFT, rotations[name])) for name in self._named}
+        views = [view for _, view in self._views.values()]
+        colours = dict(zip(self._views, agreeing_shifts(views, straight, look), strict=True))
+        offset = self._neutral({name: colour.shift for name, colour in colours.items()})
+        return {
+            name: self._correction(name, _Fault(colours[name].without(offset), rotations[name])) for name in self._named
+        }
 
     def undo(self, recorded: Sequence[FloatArray], corrections: Corrections) -> list[FloatArray]:
         """The pictures without the faults; those of other cameras are the very objects."""
@@ -89,21 +98,26 @@ class Corrector:
     def _measured(self, name: str, recorded: Sequence[FloatArray], show: Show) -> _Fault:
         number, view = self._views[name]
         picture, shown = recorded[number], show(number)
-        has_colour = bool(self.cameras.exposure_drift or self.cameras.white_balance_drift)
-        colour = odds_shift(picture, shown, view.valid) if has_colour else _NO_SHIFT
+        colour = odds_shift(picture, shown, view.valid) if self._has_colours else _NO_SHIFT
         if name not in self.cameras.camera_shake:
             return _Fault(colour, np.eye(3))
         rotation = np.eye(3)
-        for _ in range(_ALTERNATIONS if has_colour else 1):
+        for _ in range(_ALTERNATIONS if self._has_colours else 1):
             red, green, blue = np.exp(colour.shift).tolist()
             rotation = turn_of(without_odds(picture, (red, green, blue)), shown, view.pinhole, view.valid)
-            if has_colour:
+            if self._has_colours:
                 colour = odds_shift(unturned(picture, view.pinhole, rotation), shown, view.valid)
         return _Fault(colour, rotation)
 
-    def _correction(self, name: str, fault: _Fault, offset: F64) -> Correction:
+    def _neutral(self, shifts: dict[str, F64]) -> F64:
+        """The shift (3,) that is none."""
+        exposure = _mean_of_others(shifts, self.cameras.exposure_drift)
+        balance = _mean_of_others(shifts, self.cameras.white_balance_drift)
+        return np.asarray(exposure[1] + balance - balance[1])
+
+    def _correction(self, name: str, fault: _Fault) -> Correction:
         """The numbers of the effects for which the camera is named."""
-        shift, precision = fault.colour.shift - offset, fault.colour.precision
+        shift, precision = fault.colour
         drifts, unbalanced = name in self.cameras.exposure_drift, name in self.cameras.white_balance_drift
         red, green, blue = shift.tolist()
         if not unbalanced:

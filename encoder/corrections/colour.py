@@ -15,7 +15,6 @@ from decogs.decoder.camera_faults import with_odds
 from decogs.formats.splats import FloatArray
 
 _DARKEST, _BRIGHTEST = 6 / 255, 249 / 255
-"""Values outside are clipped, or noise: they do not tell."""
 
 _MOST_PIXELS = 40_000
 """A regular grid of about so many pixels tells enough: the mean's own noise is then below 0.1 of an 8-bit level."""
@@ -33,6 +32,10 @@ class OddsShift(NamedTuple):
     shift: NDArray[np.float64]
     precision: NDArray[np.float64]
 
+    def without(self, shift: NDArray[np.float64]) -> OddsShift:
+        """What is left when ``shift`` (3,) counts as none."""
+        return self._replace(shift=self.shift - shift)
+
 
 def odds_shift(recorded: FloatArray, shown: FloatArray, valid: FloatArray | None = None) -> OddsShift:
     """How far the odds of ``recorded`` are from those of ``shown``, both (3, H, W), whatever moves between the two.
@@ -44,6 +47,11 @@ def odds_shift(recorded: FloatArray, shown: FloatArray, valid: FloatArray | None
     told = None if valid is None else valid[grid] > 0
     pairs = [_channel_shift(recorded[channel][grid], shown[channel][grid], told) for channel in range(len(shown))]
     return OddsShift(np.array([shift for shift, _ in pairs]), np.array([precision for _, precision in pairs]))
+
+
+def tells(values: FloatArray) -> NDArray[np.bool_]:
+    """Where colour values are neither clipped nor next to noise."""
+    return np.asarray((values > _DARKEST) & (values < _BRIGHTEST))
 
 
 def tukey_weights(residuals: FloatArray) -> FloatArray:
@@ -62,7 +70,7 @@ def without_odds(picture: FloatArray, odds: tuple[float, float, float]) -> Float
 
 def _channel_shift(recorded: FloatArray, shown: FloatArray, told: NDArray[np.bool_] | None) -> tuple[float, float]:
     """Gauss-Newton on the corrected picture; weighed by the scene's value, so that recorded noise has no bias."""
-    inside = (recorded > _DARKEST) & (recorded < _BRIGHTEST) & (shown > _DARKEST) & (shown < _BRIGHTEST)
+    inside = tells(recorded) & tells(shown)
     if told is not None:
         inside &= told
     if not inside.any():

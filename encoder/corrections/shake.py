@@ -21,6 +21,9 @@ from .colour import tukey_weights
 F64 = NDArray[np.float64]
 
 _LEVELS = (0.25, 0.5, 1.0)
+_MOST_PIXELS = 200_000
+"""The finest level has at most so many: a hundredth of a pixel is found there, which is enough in larger pictures."""
+
 _ROUNDS = 4
 """Steps per level; each one leaves a few per cent of the error of the one before."""
 
@@ -51,10 +54,10 @@ def turn_of(recorded: FloatArray, shown: FloatArray, camera: Camera, valid: Floa
 
     Both (3, H, W) of the pinhole ``camera``, of like colours. ``valid`` (H, W) is 0 where nothing was recorded.
     """
-    rotation = np.eye(3)
-    for scale in _LEVELS:
-        small = scale_camera(camera, scale)
-        if scale < 1 and min(small.width, small.height) < _SMALLEST_SIDE:
+    rotation, finest = np.eye(3), min(1.0, np.sqrt(_MOST_PIXELS / shown[0].size))
+    for level in _LEVELS:
+        small = scale_camera(camera, level * finest)
+        if level < 1 and min(small.width, small.height) < _SMALLEST_SIDE:
             continue
         target, source = _resized(shown, small), _resized(recorded, small)
         told = None if valid is None else cv2.resize(valid, (small.width, small.height)) > 0.99
@@ -80,8 +83,9 @@ def _step(error: FloatArray, columns: list[FloatArray], told: NDArray[np.bool_] 
     normal = np.array([[(weights * a * b).sum(dtype=np.float64) for b in columns] for a in columns])
     right = np.array([(weights * a * error).sum(dtype=np.float64) for a in columns])
     # A view without texture says nothing about some turn: it then stays at none.
-    normal += 1e-9 * max(np.trace(normal), 1e-12) * np.eye(3)
-    return np.asarray(np.linalg.solve(normal, right))
+    a, b, c = normal + 1e-9 * max(np.trace(normal), 1e-12) * np.eye(3)
+    minors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)])
+    return np.asarray((minors * right[:, None]).sum(axis=0) / (a * minors[0]).sum())
 
 
 def _flow_gradients(picture: FloatArray, camera: Camera) -> list[FloatArray]:
