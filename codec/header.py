@@ -16,6 +16,7 @@ from decogs.formats.container import PACKET_HEADER_SIZE, PROLOGUE_SIZE
 from decogs.formats.errors import StreamError
 from decogs.formats.reasons import Reason
 
+from .corrections import EFFECT_FIELDS, CorrectedCameras
 from .lattice import Lattice, Vector
 
 MAX_HEADER_BYTES = 1 << 20
@@ -29,7 +30,12 @@ _QUATERNION_STEP_MAX = 0.5
 _COORDINATE_MAX = 1e12
 _RIGID_TOLERANCE = 1e-2
 
-EFFECTS = frozenset({"motion", "appearance_change", "emergence", "disappearance", "view_dependence", "lens_distortion"})
+EFFECTS = frozenset(
+    {
+        *("motion", "appearance_change", "emergence", "disappearance", "view_dependence", "lens_distortion"),
+        *EFFECT_FIELDS,
+    }
+)
 """Effects a 1.0 decoder reproduces; a stream that names another one asks for more than this decoder can do."""
 
 _COEFFICIENT_COUNTS = {"none": (0,), "opencv": (4, 5, 8), "fisheye": (4,)}
@@ -46,7 +52,8 @@ class StreamHeader:
 
     ``cameras``: the rig's, held-out ones included, which ``held_out`` names; ``fps`` None when unknown;
     ``first_frame``: the rig's index of the stream's frame 0; ``background``: the colour trained against,
-    display-referred RGB; ``settings``: the encoder's own, for people, never needed for decoding.
+    display-referred RGB; ``corrected``: the cameras whose faults every frame tells; ``settings``: the encoder's own,
+    for people, never needed for decoding.
     """
 
     cameras: tuple[Camera, ...]
@@ -63,6 +70,7 @@ class StreamHeader:
     licence: str = ""
     writer: str = "decogs"
     settings: Mapping[str, Any] = field(default_factory=dict)
+    corrected: CorrectedCameras = field(default_factory=CorrectedCameras)
 
     @property
     def near_planes(self) -> dict[str, float]:
@@ -80,6 +88,7 @@ class StreamHeader:
             "axes": self.axes,
             "background": _floats(self.background),
             "cameras": [_camera_document(camera) for camera in self.cameras],
+            **({"corrected": _corrected_document(self.corrected)} if self.corrected.effects else {}),
             "effects": list(self.effects),
             "first_frame": self.first_frame,
             "fps": None if self.fps is None else float(self.fps),
@@ -122,12 +131,14 @@ class StreamHeader:
             licence=fields.text("licence"),
             writer=fields.text("writer"),
             settings=fields.settings("settings"),
+            corrected=_corrected(fields) if fields.has("corrected") else CorrectedCameras(),
         )
         names = [camera.name for camera in header.cameras]
         if len(set(names)) != len(names):
             _refuse("two cameras have the same name")
         if not set(header.held_out) <= set(names):
             _refuse("held_out names a camera that the stream does not have")
+        _check_corrected(header)
         unknown = sorted(set(header.effects) - EFFECTS)
         if unknown:
             _refuse(f"this decoder does not know the effect {unknown[0]!r}", Reason.UNSUPPORTED_EFFECT)
@@ -315,6 +326,26 @@ def _pose(fields: _Fields) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
     if np.linalg.det(rotation) < 0:
         _refuse("world_to_camera mirrors the scene")
     return pose
+
+
+def _corrected_document(corrected: CorrectedCameras) -> dict[str, Any]:
+    return {effect: list(getattr(corrected, effect)) for effect in corrected.effects}
+
+
+def _corrected(fields: _Fields) -> CorrectedCameras:
+    members = _Fields(fields.value("corrected"), "corrected.")
+    return CorrectedCameras(**{effect: tuple(members.names(effect)) for effect in EFFECT_FIELDS if members.has(effect)})
+
+
+def _check_corrected(header: StreamHeader) -> None:
+    """Every effect that corrects cameras says which, each once; what training did not see has no corrections."""
+    corrected, seen = header.corrected, {camera.name for camera in header.cameras} - set(header.held_out)
+    for effect in EFFECT_FIELDS:
+        names = getattr(corrected, effect)
+        if bool(names) != (effect in header.effects):
+            _refuse(f"effects and corrected disagree on {effect}")
+        if len(set(names)) != len(names) or not set(names) <= seen:
+            _refuse(f"corrected.{effect} names a camera twice, or one that training did not see")
 
 
 def _lattice_document(lattice: Lattice) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from decogs.formats.container import PACKET_HEADER_SIZE, Packet, PacketKind
 from decogs.formats.errors import StreamError
 from decogs.formats.reasons import Reason
 
+from .corrections import split_corrections
 from .deltas import apply_delta
 from .digest import digest
 from .header import StreamHeader
@@ -29,8 +30,10 @@ def reconstruct(
     ``first``: the state of the stream's first keyframe, to which later ones may refer (``refers_to_first``).
 
     Integer arithmetic only, so that every machine gets the same bits. The digest in the packet is compared with the
-    result's. Raises StreamError, whatever the payload holds.
+    result's. Corrections of cameras are passed over: the scene knows nothing of them. Raises StreamError, whatever the
+    payload holds.
     """
+    _, packet = split_corrections(packet, header.corrected)
     next_state, declared = _advance(state, packet, header, first, max_gaussians)
     if digest(next_state) != declared:
         _refuse(packet, Reason.DIGEST_MISMATCH, "the reconstructed state is not the encoder's")

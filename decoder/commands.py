@@ -21,6 +21,8 @@ from decogs.formats.errors import DecogsError
 from .session import DEFAULT_MAX_MEMORY
 
 if TYPE_CHECKING:
+    from decogs.codec.header import StreamHeader
+
     from .inspection import FrameInfo, StreamInfo
 
 USER_ERROR = 2
@@ -49,6 +51,11 @@ def decode_main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--scale", type=float, default=1.0, metavar="S", help="size of the pictures (default 1)")
     parser.add_argument("--background", type=_colour, metavar="R,G,B", help="0 to 1 each (default: the stream's)")
     parser.add_argument("--undistorted", action="store_true", help="leave out the rig camera's lens distortion")
+    parser.add_argument(
+        "--canonical",
+        action="store_true",
+        help="the scene's own colours and the calibrated pose, not the exposure, white balance and shake recorded",
+    )
     parser.add_argument("--threads", type=number_of_threads, default=0, metavar="N", help="default: all processors")
     parser.add_argument(
         "--follow", action="store_true", help="decode frames as an encoder writes them; name the file it will become"
@@ -153,6 +160,7 @@ def _decode(options: argparse.Namespace) -> None:
             scale=options.scale,
             background=options.background,
             undistorted=options.undistorted,
+            canonical=options.canonical,
             threads=options.threads,
             strict=options.strict,
             max_memory=options.max_memory,
@@ -212,9 +220,7 @@ def _table(facts: StreamInfo) -> Iterator[str]:
         yield f"damage       {_printable(str(damage))}"
     for camera in header.cameras:
         lens = "" if camera.distortion_model == "none" else f", {camera.distortion_model} lens"
-        yield f"camera       {camera.name}  {camera.width}x{camera.height}{lens}" + (
-            ", held out" if camera.name in header.held_out else ""
-        )
+        yield f"camera       {camera.name}  {camera.width}x{camera.height}{lens}" + _told_of(camera.name, header)
     yield f"colour       SH degree {header.sh_degree}, background {','.join(f'{c:g}' for c in header.background)}"
     for name, text in (
         ("effects", ", ".join(header.effects)),
@@ -239,6 +245,13 @@ def _table(facts: StreamInfo) -> Iterator[str]:
         yield f"share touched, mean       {totals['mean_share_touched']:.2%}"
     for purpose, count in sorted(totals["bytes_by_purpose"].items(), key=lambda item: -item[1]):
         yield f"bytes of {purpose:<22} {count:>10}  {count / max(1, facts.file_bytes):6.1%}"
+
+
+def _told_of(name: str, header: StreamHeader) -> str:
+    """What the frames tell of a camera, beside its calibration."""
+    if name in header.held_out:
+        return ", held out" + (", its own faults unknown: shown canonical" if header.corrected.effects else "")
+    return "".join(f", {effect.replace('_', ' ')}" for effect in header.corrected.of(name))
 
 
 def _bytes(facts: StreamInfo) -> Iterator[str]:

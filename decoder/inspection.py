@@ -40,7 +40,7 @@ class FrameInfo:
         return min(1.0, (self.touched + self.added + self.removed) / max(1, self.gaussians))
 
 
-PURPOSES = ("header", "index", *GROUPS, *(f"added.{group}" for group in GROUPS), "ids", "removed")
+PURPOSES = ("header", "corrections", "index", *GROUPS, *(f"added.{group}" for group in GROUPS), "ids", "removed")
 """What a frame's payload can hold, in the order of tables; "container" follows, its packet around the payload."""
 
 CONTAINER = "container"
@@ -158,6 +158,9 @@ class StreamInfo:
                         "height": camera.height,
                         "distortion_model": camera.distortion_model,
                         "held_out": camera.name in header.held_out,
+                        "corrected": [
+                            e for e in header.corrected.effects if camera.name in getattr(header.corrected, e)
+                        ],
                     }
                     for camera in header.cameras
                 ],

@@ -188,6 +188,14 @@ def is_distorted(camera: Camera) -> bool:
     return camera.distortion_model != "none" and any(camera.distortion)
 
 
+def with_k1(camera: Camera, k1: float) -> Camera:
+    """The camera with ``k1`` added to its lens's own; raises UsageError for a fisheye, whose k1 means another thing."""
+    if camera.distortion_model == "fisheye":
+        raise UsageError(f"camera {camera.name!r}: its fisheye lens has no k1 to add to; calibrate it again")
+    first, *others = camera.distortion or (0.0, 0.0, 0.0, 0.0)
+    return replace(camera, distortion_model="opencv", distortion=(first + k1, *others))
+
+
 def lens_of(camera: Camera) -> Lens:
     """The lens of a distorted camera; raises UsageError when its coefficients do not fit its model."""
     model, coefficients = camera.distortion_model, tuple(float(c) for c in camera.distortion)

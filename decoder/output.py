@@ -21,7 +21,7 @@ from .session import (
     DecodedFrame,
     OnDamage,
     Stream,
-    camera_named,
+    camera_of,
     frame_range,
     open_stream,
     render_view,
@@ -61,6 +61,7 @@ def decode(
     scale: float = 1.0,
     background: Colour | None = None,
     undistorted: bool = False,
+    canonical: bool = False,
     threads: int = 0,
     strict: bool = False,
     max_memory: int = DEFAULT_MAX_MEMORY,
@@ -74,9 +75,10 @@ def decode(
     ``view`` names a camera of the rig; ``camera`` is a pose file, a Camera, or a list of them with one per frame of the
     stream. ``output`` chooses the kind of file, see ``decogs.decoder.pictures``. ``frames``: "A:B" or a slice, None for
     all. ``background``: display-referred RGB in 0..1, the stream's when None. ``undistorted``: without the rig camera's
-    lens distortion. ``strict`` and ``max_memory`` (bytes) are those of ``open_stream``: without ``strict``, damaged
-    frames show the last good one. ``on_frame(done, all)`` is told of progress, ``all`` being 0 while nobody knows, and
-    ``on_warning(text)`` of damage.
+    lens distortion. ``canonical``: in the scene's own colours and through the calibrated pose, where the stream tells
+    exposure, white balance or shake of the camera; otherwise what it recorded. ``strict`` and ``max_memory`` (bytes)
+    are those of ``open_stream``: without ``strict``, damaged frames show the last good one. ``on_frame(done, all)`` is
+    told of progress, ``all`` being 0 while nobody knows, and ``on_warning(text)`` of damage.
 
     ``follow``: each picture as soon as its packet is complete in the file that an encoder is writing as ``stream``
     (``decogs.decoder.following``), until the stream ends or nothing came for ``idle`` seconds; files of single pictures
@@ -86,20 +88,20 @@ def decode(
     appeared one by one.
     """
     _check_colour(background)
-    show = _Show(scale, background, undistorted, threads)
+    show = _Show(scale, background, undistorted, threads, canonical)
     if follow or not isinstance(stream, (str, os.PathLike)):
         with follow_stream(stream, idle=idle, max_memory=max_memory) as growing:
-            cameras = _cameras(growing.header, view, camera)
-            return _decode_growing(growing, output, cameras, _coming_frames(frames), show, on_frame, on_warning)
+            views = _views(growing.header, view, camera)
+            return _decode_growing(growing, output, views, _coming_frames(frames), show, on_frame, on_warning)
     with open_stream(stream, strict=strict, max_memory=max_memory, on_damage=_damage_to(on_warning)) as opened:
         _warn_of_tail(opened, on_warning)
         chosen = _chosen_frames(opened, frames)
-        cameras = _cameras(opened.header, view, camera)
-        first = scaled_view(cameras[0], scale)
+        views = _views(opened.header, view, camera)
+        first = scaled_view(camera_of(opened.header, views[0]), scale)
         _check_picture(first, max_memory)
         with open_sink(output, view=first.name, frames=len(chosen), fps=opened.header.fps) as sink:
             coming = opened.frames(chosen.start, chosen.stop)
-            for done, (frame, picture) in enumerate(_pictures(opened.header, coming, cameras, show), start=1):
+            for done, (frame, picture) in enumerate(_pictures(opened.header, coming, views, show), start=1):
                 sink.write(frame.index, picture)
                 if on_frame is not None:
                     on_frame(done, len(chosen))
@@ -155,21 +157,22 @@ class _Show:
     background: Colour | None
     undistorted: bool
     threads: int
+    canonical: bool
 
 
 def _decode_growing(
     stream: GrowingStream,
     output: str | os.PathLike[str],
-    cameras: Sequence[Camera],
+    views: Sequence[str | Camera],
     chosen: slice,
     show: _Show,
     on_frame: OnFrame | None,
     on_warning: OnWarning | None,
 ) -> DecodeReport:
-    first, done = scaled_view(cameras[0], show.scale), 0
+    first, done = scaled_view(camera_of(stream.header, views[0]), show.scale), 0
     with open_sink(output, view=first.name, frames=None, fps=stream.header.fps) as sink:
         coming = islice(stream.frames(), chosen.start, chosen.stop)
-        for frame, picture in _pictures(stream.header, coming, cameras, show):
+        for frame, picture in _pictures(stream.header, coming, views, show):
             sink.write(frame.index, picture)
             done += 1
             if on_frame is not None:
@@ -182,20 +185,21 @@ def _decode_growing(
 
 
 def _pictures(
-    header: StreamHeader, frames: Iterator[DecodedFrame], cameras: Sequence[Camera], show: _Show
+    header: StreamHeader, frames: Iterator[DecodedFrame], views: Sequence[str | Camera], show: _Show
 ) -> Iterator[tuple[DecodedFrame, Rendering]]:
     """Frame by frame what the camera sees; of a fixed camera's picture, only what changed is rendered again."""
     from .played_view import PlayedView
 
-    fixed = PlayedView(header, cameras[0], **vars(show)) if len(cameras) == 1 else None
+    how = {name: value for name, value in vars(show).items() if name != "canonical"}
+    fixed = PlayedView(header, views[0], **vars(show)) if len(views) == 1 else None
     for frame in frames:
         if fixed is not None:
             yield frame, fixed.show(frame)
         else:
-            yield frame, render_view(header, frame.splats, _camera_of(cameras, frame.index), **vars(show))
+            yield frame, render_view(header, frame.splats, _view_of(views, frame.index), **how)
 
 
-def _camera_of(path: Sequence[Camera], frame: int) -> Camera:
+def _view_of(path: Sequence[str | Camera], frame: int) -> str | Camera:
     if frame >= len(path):
         raise UsageError(
             f"the camera path has {len(path)} cameras and none for frame {frame}; "
@@ -204,15 +208,15 @@ def _camera_of(path: Sequence[Camera], frame: int) -> Camera:
     return path[frame]
 
 
-def _cameras(
+def _views(
     header: StreamHeader, view: str | None, camera: str | os.PathLike[str] | Camera | Sequence[Camera] | None
-) -> Sequence[Camera]:
-    """The rig camera, the free camera, or the camera path asked for."""
+) -> Sequence[str | Camera]:
+    """The rig camera's name, the free camera, or the camera path asked for."""
     if (view is None) == (camera is None):
         names = ", ".join(rig_camera.name for rig_camera in header.cameras[:40])
         raise UsageError(f"choose one view: a camera of the rig ({names}), or a free camera from a pose file")
     if view is not None:
-        return (camera_named(header, view),)
+        return (view,)
     if isinstance(camera, Camera):
         return (camera,)
     if isinstance(camera, (str, os.PathLike)):

@@ -8,21 +8,25 @@ from __future__ import annotations
 
 import numpy as np
 
+from decogs.codec.corrections import Correction
 from decogs.codec.deltas import Delta, rows_after
 from decogs.codec.header import StreamHeader
 from decogs.codec.lattice import dequantise
 from decogs.codec.state import Rows, State, same_scene, take_rows
 from decogs.formats.cameras import Camera
 
+from .camera_faults import with_recorded_colours
 from .rasterise import Rendering
 from .rasterise.resting_view import RestingView
-from .session import DecodedFrame, through_lens, view_plan
+from .session import DecodedFrame, correction_of, through_lens, view_plan
 
 
 class PlayedView:
     """What one camera sees of a stream's frames, shown one after the other; options as in ``render_view``.
 
-    Any frame may come next: after a seek or at a keyframe the whole picture is rendered, otherwise what changed.
+    Any frame may come next: after a seek or at a keyframe the whole picture is rendered, otherwise what changed, unless
+    the camera was turned in between. A camera of the rig shows what it recorded, or the scene's own colours through its
+    calibrated pose when ``canonical``.
     """
 
     def __init__(
@@ -34,13 +38,16 @@ class PlayedView:
         background: tuple[float, float, float] | None = None,
         undistorted: bool = False,
         threads: int = 0,
+        canonical: bool = False,
     ) -> None:
-        self._lattice = header.lattice
+        self._header, self._wanted, self._canonical = header, view, canonical
+        self._scale, self._undistorted, self._threads = scale, undistorted, threads
         self._background = header.background if background is None else background
-        self._plan = view_plan(header, view, scale=scale, undistorted=undistorted)
-        self._view = RestingView(self._plan.render_camera, self._background, threads=threads)
         self._shown: State | None = None
+        self._correction: Correction | None = None
+        self._seen: Rendering | None = None
         self._rendering: Rendering | None = None
+        self._stand()
         self.redrawn = 0
         """How many tiles the last frame shown had rendered again."""
 
@@ -49,14 +56,37 @@ class PlayedView:
 
         It is the very object of the frame shown before when no pixel can have changed.
         """
+        before, self._correction = self._correction, self._correction_in(frame)
+        if _turned(self._correction) != _turned(before):
+            self._stand()
         shown, self._shown = self._shown, None  # a refused scene leaves nothing to go on from
         self._follow(shown, frame)
         self._shown = frame.state
         self.redrawn = self._view.refresh()
-        if self._rendering is None or self.redrawn:
+        if self._seen is None or self.redrawn:
             seen = Rendering(self._view.image, self._view.alpha, self._view.depth)
-            self._rendering = through_lens(self._plan, seen, self._background)
+            self._seen, self._rendering = through_lens(self._plan, seen, self._background), None
+        if self._rendering is None or self._correction != before:
+            self._rendering = self._coloured(self._seen)
         return self._rendering
+
+    def _correction_in(self, frame: DecodedFrame) -> Correction | None:
+        return None if self._canonical else correction_of(self._wanted, frame.corrections)
+
+    def _coloured(self, seen: Rendering) -> Rendering:
+        return seen if self._correction is None else with_recorded_colours(seen, self._correction)
+
+    def _stand(self) -> None:
+        """Begins anew with the camera as it stands in this frame."""
+        self._plan = view_plan(
+            self._header,
+            self._wanted,
+            scale=self._scale,
+            undistorted=self._undistorted,
+            correction=self._correction,
+        )
+        self._view = RestingView(self._plan.render_camera, self._background, threads=self._threads)
+        self._shown = self._seen = self._rendering = None
 
     def _follow(self, shown: State | None, frame: DecodedFrame) -> None:
         """Brings the view's scene from what it has shown to that of the frame."""
@@ -77,11 +107,15 @@ class PlayedView:
         changed = np.concatenate([rows_after(delta.removed, np.flatnonzero(touched)), added])
         self._view.change(
             lifted,
-            dequantise(take_rows(after, changed), self._lattice),
+            dequantise(take_rows(after, changed), self._header.lattice),
             changed,
             population=len(after),
             renumbered=_renumbered(len(before), delta.removed) if len(delta.removed) else None,
         )
+
+
+def _turned(correction: Correction | None) -> tuple[int, int, int]:
+    return (0, 0, 0) if correction is None else (correction.yaw, correction.pitch, correction.roll)
 
 
 def _renumbered(population: int, removed: Rows) -> Rows:

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from decogs.codec.corrections import Correction, Corrections, split_corrections
 from decogs.codec.deltas import Delta
 from decogs.codec.header import StreamHeader
 from decogs.codec.lattice import Lattice, dequantise
@@ -43,6 +44,7 @@ from decogs.formats.reasons import DAMAGE, Reason
 from decogs.formats.splats import Splats
 from decogs.formats.survey import Survey, search, survey
 
+from .camera_faults import as_it_stood, with_recorded_colours
 from .lens import Redistortion
 
 if TYPE_CHECKING:
@@ -109,7 +111,8 @@ class DecodedFrame:
     """One frame of a stream: what its packet says and the scene after it.
 
     ``index`` counts frames from 0; ``kind`` is KEY, DELTA or SKIP; ``packet_bytes`` are its bytes on disk, container
-    overhead included; ``state`` is the scene as lattice integers with ids, checked against the encoder's digest.
+    overhead included; ``state`` is the scene as lattice integers with ids, checked against the encoder's digest;
+    ``corrections`` tell of the cameras that the header names how their pictures differ from the scene.
 
     ``concealed`` is None, unless the frame could not be reconstructed: then it is what is wrong, ``kind`` is None,
     ``packet_bytes`` 0, and the scene that of the last good frame.
@@ -128,8 +131,9 @@ class DecodedFrame:
         self.packet_bytes = packet.size
         self.state = state
         self.concealed: Damage | None = None
-        self._packet: Packet | None = packet
-        self._coefficients = header.coefficients
+        self._packet: Packet | None
+        self.corrections, self._packet = split_corrections(packet, header.corrected)
+        self._coefficients, self._corrected = header.coefficients, header.corrected
         self._state_before = None if before is None else before.state
         self._first = first
         unchanged = before is not None and self.kind == PacketKind.SKIP
@@ -158,7 +162,10 @@ class DecodedFrame:
     @property
     def costs(self) -> dict[str, int]:
         """The payload's bytes by purpose: header, index set, each attribute group (see SPEC.md, "Payloads")."""
-        return {} if self._packet is None else payload_costs(self._packet, self._coefficients)
+        if self._packet is None:
+            return {}
+        told = {"corrections": self._corrected.block_bytes} if self._corrected.effects else {}
+        return payload_costs(self._packet, self._coefficients) | told
 
     def delta_from(self, state: State) -> Delta | None:
         """What this frame changed of ``state``, read from its packet again; None unless it is a delta to that scene."""
@@ -301,7 +308,8 @@ class Stream:
 
     def _decoded(self, packet: Packet, before: DecodedFrame | None) -> DecodedFrame:
         state_before = None if before is None else before.state
-        first = self._first_keyframe() if refers_to_first(packet) else None
+        refers = refers_to_first(split_corrections(packet, self.header.corrected)[1])
+        first = self._first_keyframe() if refers else None
         state = reconstruct(state_before, packet, self.header, first=first, max_gaussians=self._max_gaussians)
         return DecodedFrame(packet, state, self.header, before, first)
 
@@ -465,23 +473,42 @@ def render_view(
     background: tuple[float, float, float] | None = None,
     undistorted: bool = False,
     threads: int = 0,
+    corrections: Corrections | None = None,
 ) -> Rendering:
     """What a camera of the rig (by name), or any other camera, sees of a frame: image, alpha and depth.
 
     The picture has the camera's own size times ``scale``, and its lens distortion unless ``undistorted``.
+    ``corrections``: the frame's; a camera of the rig then shows what it recorded, from where it stood in that frame and
+    with its exposure and white balance. Without them, and from any other camera, it is the scene's own colours.
     ``background``: display-referred RGB, the header's when None; it also fills what a lens sees past the rendered
     pinhole. ``threads`` 0 means all processors. Raises UsageError for an unknown camera or an impossible size.
     """
     from .rasterise import render
 
-    plan = view_plan(header, view, scale=scale, undistorted=undistorted)
+    correction = correction_of(view, corrections)
+    plan = view_plan(header, view, scale=scale, undistorted=undistorted, correction=correction)
     background = header.background if background is None else background
-    return through_lens(plan, render(splats, plan.render_camera, background, threads=threads), background)
+    seen = through_lens(plan, render(splats, plan.render_camera, background, threads=threads), background)
+    return seen if correction is None else with_recorded_colours(seen, correction)
 
 
-def view_plan(header: StreamHeader, view: str | Camera, *, scale: float, undistorted: bool) -> Redistortion:
+def camera_of(header: StreamHeader, view: str | Camera) -> Camera:
+    """The camera that a view is: one of the rig by name, or any other; raises UsageError for an unknown name."""
+    return camera_named(header, view) if isinstance(view, str) else view
+
+
+def correction_of(view: str | Camera, corrections: Corrections | None) -> Correction | None:
+    """That of a rig camera, by name; None where nothing is corrected."""
+    return None if corrections is None or not isinstance(view, str) else corrections.get(view)
+
+
+def view_plan(
+    header: StreamHeader, view: str | Camera, *, scale: float, undistorted: bool, correction: Correction | None = None
+) -> Redistortion:
     """What to render for the view that ``render_view`` takes, and the way from there to its own pixels."""
-    camera = scaled_view(camera_named(header, view) if isinstance(view, str) else view, scale)
+    camera = scaled_view(camera_of(header, view), scale)
+    if correction is not None:
+        camera = as_it_stood(camera, correction)
     return Redistortion(as_pinhole(camera) if undistorted else camera)
 
 

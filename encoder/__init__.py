@@ -3,8 +3,9 @@
 ``encode`` does what ``decogs-encode`` does, with the same options.
 """
 
+from .corrections import CorrectionSettings
 from .encoding import encode
 from .loop import EncodeReport, FrameReport
 from .presets import PRESETS, EncodeSettings
 
-__all__ = ["PRESETS", "EncodeReport", "EncodeSettings", "FrameReport", "encode"]
+__all__ = ["PRESETS", "CorrectionSettings", "EncodeReport", "EncodeSettings", "FrameReport", "encode"]

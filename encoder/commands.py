@@ -38,6 +38,12 @@ def encode_main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--selection", metavar="RULE", help="paper or weight (default: the preset's)")
     parser.add_argument(
+        "--effects",
+        metavar="E",
+        help="auto (default): look at the rig first, as decogs-analyze does, and build what scene and frames call for; "
+        "all; none; or names with commas, -NAME takes one away: auto,-camera_shake",
+    )
+    parser.add_argument(
         "--keyframe", metavar="OTHER.DGS", help="begin with the keyframe of an earlier encode of this rig"
     )
     parser.add_argument(
@@ -116,6 +122,7 @@ def _encode(options: argparse.Namespace) -> int:
         method=options.method,
         ablate=options.ablate,
         selection=options.selection,
+        effects=options.effects,
         keyframe=options.keyframe,
         segment=options.segment,
         quality=options.quality,

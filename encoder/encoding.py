@@ -15,6 +15,9 @@ from decogs.formats.errors import UsageError
 from decogs.formats.rigs import Rig, open_rig
 
 from .anytime import AnytimeLog
+from .corrections.settings import CorrectionSettings
+from .effects import AUTO, Decision, wanted_effects, with_effects
+from .effects.analysis import analyse
 from .ingest import Ingest
 from .keyframe_source import read_keyframe
 from .loop import EncodeReport, encode_stream, frame_span
@@ -97,7 +100,9 @@ def encode(
     span = frame_span(rig, frame_range(frames) if isinstance(frames, str) else frames)
     if effects is None and not isinstance(preset, EncodeSettings) and settings.method == "decogs":
         effects = AUTO
-    ingest = Ingest(rig, holdout=held, scale=scale)
+    if effects is not None:
+        settings = _with_effects(settings, effects, rig, held, span, threads)
+    ingest = Ingest(rig, holdout=held, scale=scale, lens=settings.corrections.lens)
     with (
         EncodeProgress(len(span), None if log is None else Path(log), terminal=terminal) as progress,
         nullcontext() if anytime is None else AnytimeLog(Path(anytime)) as curve,
@@ -157,6 +162,20 @@ def _with_effort(
     if time_budget is not None:
         settings = with_time_budget(settings, seconds_per_frame(time_budget))
     return settings if target_psnr is None else with_target_psnr(settings, target_psnr)
+
+
+def _with_effects(
+    settings: EncodeSettings, effects: str, rig: Rig, held: Sequence[str], span: range, threads: int
+) -> EncodeSettings:
+    """The settings with the effects that are wanted, of which the rig may have to be looked at."""
+    if settings.method != "decogs":
+        raise UsageError(f"--effects {effects}: --method {settings.method} has no effects to choose; drop one of the two")
+
+    def decisions() -> Sequence[Decision]:
+        return analyse(rig.path, frames=slice(span.start, span.stop), holdout=held, threads=threads).decisions
+
+    cameras = [camera.name for camera in rig.cameras if camera.name not in held]
+    return with_effects(settings, wanted_effects(effects), cameras, decisions)
 
 
 def _with_rate(

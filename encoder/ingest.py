@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.decoder.lens import Undistortion
+from decogs.decoder.lens import Undistortion, with_k1
 from decogs.formats.cameras import Camera, scale_camera, turned
 from decogs.formats.errors import UsageError
 from decogs.formats.rigs import Rig, read_frames
@@ -48,16 +48,20 @@ class RigFrame:
 class Ingest:
     """A rig seen through its training and held-out views at one scale.
 
-    Raises UsageError when a held-out name is no camera, when no camera is left to train on, or for an impossible scale.
+    ``lens``: by camera, a k1 (OpenCV) that its calibration does not know. Raises UsageError when a held-out name, or
+    one in ``lens``, is no camera, when no camera is left to train on, or for an impossible scale.
     """
 
-    def __init__(self, rig: Rig, *, holdout: Sequence[str] = (), scale: float = 1.0) -> None:
+    def __init__(
+        self, rig: Rig, *, holdout: Sequence[str] = (), scale: float = 1.0, lens: Mapping[str, float] | None = None
+    ) -> None:
         if not 0 < scale <= 4:
             raise UsageError(f"--scale {scale:g}: give a number above 0 and at most 4, such as 0.5")
         names = [camera.name for camera in rig.cameras]
         for name in holdout:
             if name not in names:
                 raise UsageError(f"--holdout {name}: {rig.path} has no such camera; it has {', '.join(names)}")
+        rig = _with_lenses(rig, lens) if lens else rig
         self.rig = rig
         self.scale = scale
         self._names = [name for name in names if name not in holdout]
@@ -117,6 +121,15 @@ class Ingest:
         missing, nearest = self._fillings[name]
         planes.reshape(3, -1)[:, missing] = planes.reshape(3, -1)[:, nearest]
         return planes
+
+
+def _with_lenses(rig: Rig, lens: Mapping[str, float]) -> Rig:
+    """The rig with what was found of its lenses in their distortion models."""
+    unknown = sorted(set(lens) - {camera.name for camera in rig.cameras})
+    if unknown:
+        raise UsageError(f"{rig.path}: there is no camera {unknown[0]} whose lens could be corrected")
+    cameras = (with_k1(camera, lens[camera.name]) if camera.name in lens else camera for camera in rig.cameras)
+    return replace(rig, cameras=tuple(cameras))
 
 
 def _filling(valid: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -20,14 +20,19 @@ from decogs.formats.cameras import camera_centre
 from decogs.formats.errors import TrainingError
 from decogs.formats.splats import SH_C0, FloatArray, Splats, take_splats
 
+from .corrections import Corrector
 from .densification import ViewGradients, grow, opacities_of, strongest
 from .effort import WHOLE, Effort, TargetWatch
 from .first_points import FirstPoints
 from .ingest import View
 from .losses import whole_picture_loss
 from .optimiser import LearningRates, SplatOptimiser
-from .rasterise import TrainingKernel, gradients_like
+from .rasterise import Picture, TrainingKernel, gradients_like
 from .view_order import view_order
+
+_CORRECT_EVERY, _CORRECT_FROM, _CORRECT_TO = 20, 0.05, 0.6
+"""Cameras' faults are found anew every so many steps, within these shares of the schedule: what the scene took for its
+own in the steps between is taken out the next time."""
 
 OnStep = Callable[[int, int, float], None]
 """Told the step (from 1), the number of steps planned and the training loss."""
@@ -110,21 +115,21 @@ def train_keyframe(
     *,
     seed: int,
     lattice_scale: float = 1.0,
+    corrector: Corrector | None = None,
     on_step: OnStep | None = None,
     effort: Effort = WHOLE,
 ) -> TrainedKeyframe:
     """Trains the first frame's Gaussians on ``pictures`` (3, H, W) of ``views``; the same seed gives the same bits.
 
-    ``lattice_scale``: how coarse the lattice is to be, in units of the default one's steps. ``effort``: a target in
-    the whole pictures, but for the tiles kept out of the loss, ends training before the settings' iterations; deadlines
-    are for later frames. Raises TrainingError
-    without points or when the loss stops being finite.
+    ``lattice_scale``: how coarse the lattice is to be, in units of the default one's steps. ``corrector``: of the
+    cameras whose faults are found, and taken out of their pictures, on the way. ``effort``: a target in the whole
+    pictures, but for the tiles kept out of the loss, ends training before the settings' iterations; deadlines are for
+    later frames. Raises TrainingError without points or when the loss stops being finite.
     """
     if not len(points.xyz):
         raise TrainingError("there are no first points to train from; check the poses, or give the rig COLMAP points")
-    training = _KeyframeTraining(
-        kernel, views, pictures, points, settings, lattice_scale, np.random.default_rng(seed), effort
-    )
+    random = np.random.default_rng(seed)
+    training = _KeyframeTraining(kernel, views, pictures, points, settings, lattice_scale, random, corrector, effort)
     return training.run(on_step)
 
 
@@ -138,9 +143,11 @@ class _KeyframeTraining:
         settings: KeyframeSettings,
         lattice_scale: float,
         random: np.random.Generator,
+        corrector: Corrector | None,
         effort: Effort,
     ) -> None:
         self._kernel, self._views, self._settings, self._random = kernel, views, settings, random
+        self._recorded, self._corrector = pictures, corrector
         self._lattice_scale = lattice_scale
         self._extent = scene_extent(views) or 1.0
         counted = [_counted(view, settings.validation_share, random) for view in views]
@@ -148,10 +155,8 @@ class _KeyframeTraining:
             whole_picture_loss(picture, c, settings.dissimilarity) for picture, c in zip(pictures, counted, strict=True)
         ]
         self._effort, self._is_good_enough = effort, False
-        self._target: TargetWatch | None = None
-        if effort.target_psnr is not None:
-            regions = [None if c is None else c > 0 for c in counted]
-            self._target = TargetWatch(effort.target_psnr, pictures, regions)
+        self._regions = [None if c is None else c > 0 for c in counted]
+        self._target = self._target_watch()
         self._kept_back = [_kept_back(view, c) for view, c in zip(views, counted, strict=True)]
         self._optimiser = SplatOptimiser(splats_from_points(points, settings), kernel)
         self._gradients = gradients_like(self._optimiser.splats)
@@ -172,6 +177,8 @@ class _KeyframeTraining:
         settings = self._settings
         best, best_splats, waited, step = -np.inf, self._optimiser.splats, 0, 0
         while step < settings.iterations and waited < settings.patience and not self._is_good_enough:
+            if self._corrector is not None and self._corrects_at(step):
+                self._correct(self._corrector, step)
             loss = self._step(step)
             self._tell("keyframe", step, loss)
             step += 1
@@ -231,6 +238,24 @@ class _KeyframeTraining:
     def _tell(self, stage: str, step: int, loss: float) -> None:
         if self._effort.on_loss is not None:
             self._effort.on_loss(stage, step, loss)
+    def _corrects_at(self, step: int) -> bool:
+        return step % _CORRECT_EVERY == 0 and _CORRECT_FROM <= step / self._settings.iterations <= _CORRECT_TO
+
+    def _correct(self, corrector: Corrector, step: int) -> None:
+        """Trains on from here on the pictures without the cameras' faults, as far as the scene tells them by now."""
+
+        def look(number: int) -> Picture:
+            camera = self._views[number].pinhole
+            return self._kernel.forward(self._optimiser.splats, camera, sh_degree=self._degree(step), depth=True)
+
+        pictures = corrector.undo(self._recorded, corrector.find_jointly(self._recorded, look))
+        self._losses = [replace(loss, target=target) for loss, target in zip(self._losses, pictures, strict=True)]
+        self._target = self._target_watch()
+
+    def _target_watch(self) -> TargetWatch | None:
+        if self._effort.target_psnr is None:
+            return None
+        return TargetWatch(self._effort.target_psnr, [loss.target for loss in self._losses], self._regions)
 
     def _degree(self, step: int) -> int:
         """SH degree rises by one each quarter of the schedule."""

@@ -18,6 +18,7 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.codec.corrections import CorrectedCameras, Corrections, split_corrections, write_corrections
 from decogs.codec.deltas import Delta, apply_delta, difference
 from decogs.codec.digest import digest
 from decogs.codec.header import StreamHeader
@@ -34,6 +35,7 @@ from decogs.formats.splats import FloatArray, Splats, sh_degree_of
 
 from .anytime import AnytimeLog
 from .baseline import BaselineTrainer
+from .corrections import corrector_of
 from .economy import EconomySettings, coarse_changes
 from .effects import FRAME_EFFECTS, frame_effects, leave_out
 from .effort import Effort
@@ -60,7 +62,8 @@ class FrameReport:
     """One encoded frame: the rig's index, how it was coded, what it cost and how it looks.
 
     ``bytes``: the packet's on disk. ``selected``: share of Gaussians in S_t. PSNRs in dB from the reconstructed state,
-    means over the views; ``held_out_psnr`` None without held-out cameras. ``seconds`` by stage, wall clock.
+    means over the views: ``training_psnr`` against what was trained on, cameras' own faults taken out;
+    ``held_out_psnr`` None without held-out cameras. ``seconds`` by stage, wall clock.
     ``cpu_seconds``: processor time of all threads together, from decoded pictures to the written packet; measuring
     (the stage "measure") is left out. ``replayed``: an earlier encode had written it. ``effects``: what it was trained
     for; none for a first frame, a replayed one and one that is only held.
@@ -138,6 +141,7 @@ class StreamEncoder:
         self._ingest, self._settings, self._seed, self._threads = ingest, settings, seed, threads
         self._output, self._source, self._anytime = output, keyframe, anytime
         self._kernel = training_kernel(device, threads)
+        self._corrector = corrector_of(ingest.views, settings.corrections)
         self._watch: list[FixedView] = []
         self._state: State | None = None
         self._first_state: State | None = None
@@ -156,9 +160,10 @@ class StreamEncoder:
             self._ingest.set_near_planes(self._source.header.near_planes)
             state, lattice = self._source.state, self._source.header.lattice
         self._header = self._stream_header(frame.index, lattice, sh_degree_of(state.coefficients))
+        frame, corrections = self._corrected(frame, dequantise(state, lattice), watch)
         with watch.stage("write"):
             self._output.begin(self._header.to_bytes())
-            coded = write_key(state, level=self._settings.zstd_level)
+            coded = self._with_corrections(write_key(state, level=self._settings.zstd_level), corrections)
             packet = self._commit(PacketKind.KEY, 0, coded)
         self._settle_key(frame, watch)
         return self._report(frame, packet, coded.costs, 1.0, watch)
@@ -180,6 +185,9 @@ class StreamEncoder:
     def replay(self, frame: RigFrame, packet: Packet) -> FrameReport:
         """Does all that encoding the frame did but for the training: the result is in the packet."""
         watch, before, share = _Stopwatch(), self._state, 1.0
+        corrections, body = split_corrections(packet, self._header.corrected)
+        if self._corrector is not None:
+            frame = replace(frame, training=self._corrector.undo(frame.training, corrections))
         if before is None:
             self._advance(packet)
             self._settle_key(frame, watch)
@@ -192,7 +200,7 @@ class StreamEncoder:
             self._advance(packet)
             self._go_on(frame, before, masks, trained, watch)
             share = _share(selected)
-        costs = payload_costs(packet, self._header.coefficients)
+        costs = payload_costs(body, self._header.coefficients) | self._cost_of_corrections()
         return replace(self._report(frame, packet, costs, share, watch), replayed=True)
 
     def _trained_keyframe(
@@ -220,6 +228,7 @@ class StreamEncoder:
                 settings.keyframe,
                 seed=self._seed,
                 lattice_scale=settings.lattice_scale,
+                corrector=self._corrector,
                 on_step=on_step,
                 effort=self._effort(),
             )
@@ -230,6 +239,7 @@ class StreamEncoder:
         """Trains and writes the next frame from the reconstructed state of the one before."""
         assert self._state is not None
         watch, before, index = self._begin(frame), self._state, frame.index - self._header.first_frame
+        frame, corrections = self._corrected(frame, self._scene, watch)
         masks, selected = self._changes(frame, len(before), watch)
         trained: TrainedFrame | None = None
         effects, settings = self._called_for(frame, masks, selected, watch)
@@ -248,6 +258,7 @@ class StreamEncoder:
         with watch.stage("write"):
             delta = None if trained is None else self._delta(before, trained, settings.economy)
             kind, coded = self._coded(before, delta, index)
+            coded = self._with_corrections(coded, corrections)
             packet = self._commit(kind, index, coded)
         self._go_on(frame, before, masks, None if trained is None else trained.kept, watch)
         if self._time is not None:
@@ -278,6 +289,31 @@ class StreamEncoder:
     def _effort(self, deadline: float | None = None) -> Effort:
         on_loss = None if self._anytime is None else self._anytime.step
         return Effort(deadline, self._settings.target_psnr, on_loss)
+
+    def _corrected(self, frame: RigFrame, scene: Splats, watch: _Stopwatch) -> tuple[RigFrame, Corrections]:
+        """The frame without its cameras' faults, against the ``scene`` before it, and what was taken out."""
+        if self._corrector is None:
+            return frame, {}
+
+        def show(number: int) -> FloatArray:
+            if self._watch:
+                return self._watch[number].rgb
+            return self._kernel.forward(scene, self._ingest.views[number].pinhole).rgb
+
+        with watch.stage("corrections"):
+            corrections = self._corrector.find(frame.training, show)
+            return replace(frame, training=self._corrector.undo(frame.training, corrections)), corrections
+
+    def _with_corrections(self, coded: Coded, corrections: Corrections) -> Coded:
+        """The payload as the packet has it, the block of corrections before it if the stream has one."""
+        if self._corrector is None:
+            return coded
+        block = write_corrections(corrections, self._header.corrected)
+        return Coded(block + coded.payload, coded.costs | self._cost_of_corrections())
+
+    def _cost_of_corrections(self) -> dict[str, int]:
+        size = self._header.corrected.block_bytes
+        return {"corrections": size} if size else {}
 
     def _changes(
         self, frame: RigFrame, population: int, watch: _Stopwatch
@@ -416,17 +452,19 @@ class StreamEncoder:
         rig, document = self._ingest.rig, self._settings.as_document()
         if self._source is not None:
             document |= self._source.settings
+        corrected = CorrectedCameras() if self._corrector is None else self._corrector.cameras
         return StreamHeader(
             cameras=self._ingest.cameras,
             lattice=lattice,
             sh_degree=sh_degree,
             fps=rig.fps,
             first_frame=first,
-            effects=_carried(self._settings.effects, rig, sh_degree),
+            effects=(*_carried(self._settings.effects, rig, sh_degree), *corrected.effects),
             held_out=tuple(view.camera.name for view in self._ingest.held_out_views),
             source_text=rig.source_text,
             licence=rig.licence,
             settings={"seed": self._seed, "scale": self._ingest.scale, **document},
+            corrected=corrected,
         )
 
     def _frame_trainer(self, splats: Splats) -> FrameTrainer | BaselineTrainer:

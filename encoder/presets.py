@@ -14,6 +14,7 @@ from decogs.codec.entropy import DEFAULT_LEVEL
 from decogs.formats.errors import UsageError
 
 from .baseline import BaselineSettings
+from .corrections.settings import CorrectionSettings
 from .economy import Coarseness, EconomySettings
 from .effects.names import PRESET_EFFECTS
 from .emergence import EmergenceSettings
@@ -38,7 +39,8 @@ class EncodeSettings:
     ``time_budget``: seconds that frames after the first may take on average (`time_budget`); higher is slower, None is
     the whole schedule. ``target_psnr``: dB at which a frame's training ends (`effort.TargetWatch`); higher is slower,
     None is the whole schedule. ``effects``: those that are built (`effects`); fewer is faster and smaller.
-    ``ask_frames``: of these, a frame builds those that its own pictures call for; that is faster.
+    ``ask_frames``: of these, a frame builds those that its own pictures call for; that is faster. ``corrections``:
+    cameras whose own faults are taken out of their pictures.
     """
 
     keyframe: KeyframeSettings = field(default_factory=KeyframeSettings)
@@ -53,12 +55,13 @@ class EncodeSettings:
     target_psnr: float | None = None
     effects: tuple[str, ...] = PRESET_EFFECTS
     ask_frames: bool = False
+    corrections: CorrectionSettings = field(default_factory=CorrectionSettings)
 
     def as_document(self) -> dict[str, Any]:
         """The settings as plain JSON values, for the stream's header and the log; without the other method's.
 
-        No budget, target or choice of effects is no entry: a stream begun before there were any can still be gone on
-        with.
+        No budget, target, correction or choice of effects is no entry: a stream begun before there were any can still
+        be gone on with.
         """
         document: dict[str, Any] = json.loads(json.dumps(asdict(self)))
         del document["frame" if self.method == "3dgstream" else "baseline"]
@@ -67,6 +70,8 @@ class EncodeSettings:
                 del document[name]
         if (self.effects, self.ask_frames) == (PRESET_EFFECTS, False):
             del document["effects"], document["ask_frames"]
+        if self.corrections == CorrectionSettings():
+            del document["corrections"]
         return document
 
 

@@ -5,10 +5,20 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Iterator
+from copy import deepcopy
 from dataclasses import replace
 from typing import Any
 
-from good_vectors import COMPRESSED, COMPRESSED_CHECKED, LAST_ID, PLANES_OF_140, moving, worked_example
+from good_vectors import (
+    COMPRESSED,
+    COMPRESSED_CHECKED,
+    LAST_ID,
+    PLANES_OF_140,
+    corrected_header,
+    faults,
+    moving,
+    worked_example,
+)
 from plain_decoder import DELTA, END, HEADER, INDEX, KEY, METRICS, SKIP, Header, digest
 from stream_writer import (
     MISSING,
@@ -20,6 +30,7 @@ from stream_writer import (
     canonical,
     changed,
     coded,
+    corrections_block,
     example_header,
     gaps,
     groups,
@@ -202,6 +213,42 @@ def damaged_headers() -> Iterator[Vector]:
     yield with_header("damaged/bad-header-same-names", canonical(changed("cameras", second)), "bad-header")
     unknown = canonical(changed("effects", ["motion", "smell"]))
     yield with_header("damaged/unsupported-effect", unknown, "unsupported-effect")
+
+
+def damaged_corrections() -> Iterator[Vector]:
+    document = corrected_header()
+    right = document["corrected"]
+    wrong = {
+        "no-object": {"corrected": ["camera_shake"]},
+        "absent": {"corrected": {}},
+        "empty-list": {"corrected": {**right, "camera_shake": []}},
+        "no-list": {"corrected": {**right, "camera_shake": "a"}},
+        "effect-not-named": {"effects": ["exposure_drift", "camera_shake"]},
+        "unknown-camera": {"corrected": {**right, "camera_shake": ["e"]}},
+        "camera-twice": {"corrected": {**right, "exposure_drift": ["a", "c", "a"]}},
+        "held-out-camera": {"corrected": {**right, "exposure_drift": ["d"]}},
+    }
+    for name, change in wrong.items():
+        yield with_header(f"damaged/bad-header-corrected-{name}", canonical({**document, **change}), "bad-header")
+    without = canonical({name: value for name, value in document.items() if name != "corrected"})
+    yield with_header("damaged/bad-header-corrected-missing", without, "bad-header")
+
+    stream = Stream(document=document)
+    stream.corrections = faults(7)
+    stream.key(stream.state(scene(32, 2, stream.width)))
+    block = corrections_block(faults(8), stream.header)
+    told = struct.pack("<Q", digest(stream.states[0], stream.width))
+    payloads = {
+        "bad-payload-corrections-cut": block[:-1],
+        "bad-payload-corrections-alone": block,
+        "bad-payload-corrections-twice": block * 2 + told,
+        "bad-payload-corrections-missing": told,
+        "digest-mismatch-behind-corrections": block + bytes(8),
+    }
+    for name, payload in payloads.items():
+        broken = deepcopy(stream)
+        broken.add(SKIP, 1, payload)
+        yield broken.broken(f"damaged/{name}", reason_in(name))
 
 
 def with_header(name: str, payload: bytes, reason: str | None) -> Vector:

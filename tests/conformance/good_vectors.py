@@ -335,3 +335,50 @@ def referring() -> Stream:
     stream.referring_key(id_mode=1, next_id=2**63 - 1)
     stream.finish()
     return stream
+
+
+def corrected_header() -> dict[str, Any]:
+    """Four cameras: one is corrected in every way, one is held out."""
+    document = example_header()
+    camera = document["cameras"][0]
+    return {
+        **document,
+        "cameras": [{**camera, "name": name} for name in "abcd"],
+        "effects": ["white_balance_drift", "motion", "camera_shake", "exposure_drift"],
+        "held_out": ["d"],
+        "corrected": {"camera_shake": ["a", "b"], "exposure_drift": ["c", "a"], "white_balance_drift": ["a"]},
+    }
+
+
+def good_corrections() -> Iterator[Vector]:
+    """All kinds of frames, each with numbers of its own; a later keyframe refers to the first."""
+    stream = Stream(document=corrected_header())
+    stream.corrections = faults(100)
+    stream.key(stream.state(scene(30, 4, stream.width)))
+    stream.corrections = faults(-32_768)
+    stream.skip()
+    stream.corrections = faults(32_767 - 8)
+    stream.delta({1: scene(31, 1, stream.width)[0]})
+    stream.corrections = faults(0)
+    stream.referring_key(removed=[0], next_id=4)
+    stream.finish()
+    yield stream.good("good/corrections", indexes=[True])
+
+    document = {**corrected_header(), "effects": ["camera_shake"], "corrected": {"camera_shake": ["c"], "later": 5}}
+    stream = Stream(document=document)
+    stream.corrections = {"c": {"yaw": -1, "pitch": 0, "roll": 1}}
+    stream.key(stream.state([]))
+    stream.skip()
+    yield stream.good("good/corrections-of-one-effect")
+
+    yield opened(document={**example_header(), "corrected": {}}).good("good/corrections-of-nothing")
+
+
+def faults(first: int) -> dict[str, dict[str, int]]:
+    """Numbers of `corrected_header`, counted up from the first."""
+    return {
+        "c": {"exposure": first},
+        "a": {"exposure": first + 1, "red": first + 2, "blue": first + 3}
+        | {"yaw": first + 4, "pitch": first + 5, "roll": first + 6},
+        "b": {"yaw": first + 7, "pitch": first + 8, "roll": 5},
+    }

@@ -16,8 +16,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from damaged_vectors import damaged_blocks, damaged_containers, damaged_headers, damaged_payloads
-from good_vectors import good_containers, good_payloads, good_states
+from damaged_vectors import damaged_blocks, damaged_containers, damaged_corrections, damaged_headers, damaged_payloads
+from good_vectors import good_containers, good_corrections, good_payloads, good_states
 from limit_vectors import limits_of_headers, limits_of_streams
 from plain_decoder import Header, State, digest, floats
 from stream_writer import Vector
@@ -40,10 +40,12 @@ def vectors() -> Iterator[Vector]:
     yield from good_containers()
     yield from good_payloads()
     yield from good_states()
+    yield from good_corrections()
     yield from damaged_containers()
     yield from damaged_headers()
     yield from damaged_payloads()
     yield from damaged_blocks()
+    yield from damaged_corrections()
     yield from limits_of_headers()
     yield from limits_of_streams()
 
@@ -64,7 +66,9 @@ def hashes(state: State, header: Header) -> dict[str, Any]:
     for name, row in zip(state.ids, state.rows, strict=True):
         integers += struct.pack(f"<Q{len(row)}i", name, *row)
     shown = b"".join(struct.pack(f"<{len(row)}f", *row) for row in floats(state, header))
+    told = {"corrections": state.corrections} if state.corrections else {}
     return {
+        **told,
         "gaussians": len(state.ids),
         "digest": f"{digest(state, sum(header.channels)):016x}",
         "integers": hashlib.sha256(integers).hexdigest(),

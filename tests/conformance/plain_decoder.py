@@ -13,7 +13,7 @@ import sys
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -27,7 +27,15 @@ FRAME_KINDS = (KEY, DELTA, SKIP)
 CRITICAL = {HEADER: 1, KEY: 1, DELTA: 1, SKIP: 1, INDEX: 0, END: 0, METRICS: 0}
 MEANS, LOG_SCALES, QUATERNIONS, OPACITY_LOGITS, SH_DC, SH_REST = range(6)
 VALUES, RESIDUALS = "values", "residuals"
-EFFECTS = {"motion", "appearance_change", "emergence", "disappearance", "view_dependence", "lens_distortion"}
+CORRECTIONS = {
+    "exposure_drift": ["exposure"],
+    "white_balance_drift": ["red", "blue"],
+    "camera_shake": ["yaw", "pitch", "roll"],
+}
+EFFECTS = {
+    *("motion", "appearance_change", "emergence", "disappearance", "view_dependence", "lens_distortion"),
+    *CORRECTIONS,
+}
 COEFFICIENTS = {"none": (0,), "opencv": (4, 5, 8), "fisheye": (4,)}
 TWO_TO_64 = 1 << 64
 ID_END = 1 << 63
@@ -43,12 +51,13 @@ class Limits:
 
 @dataclass(frozen=True)
 class State:
-    """The scene after a frame (section 5): rows of integers, each with an id."""
+    """The scene after a frame (section 5): rows of integers, each with an id; and what is told of its cameras."""
 
     frame: int
     next_id: int
     ids: list[int]
     rows: list[list[int]]
+    corrections: dict[str, dict[str, int]] = field(default_factory=dict)
 
 
 class Broken(Exception):
@@ -197,10 +206,11 @@ def index_is_right(packet: Packet, found: list[Packet]) -> bool:
 
 @dataclass(frozen=True)
 class Header:
-    """What decoding needs of the header packet: the number of SH coefficients and the lattice."""
+    """What decoding needs of the header packet: the number of SH coefficients, the lattice, corrected cameras."""
 
     coefficients: int
     lattice: dict[str, Any]
+    corrected: dict[str, list[str]] = field(default_factory=dict)
 
     @property
     def channels(self) -> list[int]:
@@ -215,7 +225,7 @@ def read_header(payload: bytes) -> Header:
     check_header(header)
     if any(name not in EFFECTS for name in header["effects"]):
         refuse("unsupported-effect")
-    return Header((header["sh_degree"] + 1) ** 2, header["lattice"])
+    return Header((header["sh_degree"] + 1) ** 2, header["lattice"], header.get("corrected", {}))
 
 
 def expect(condition: bool) -> None:
@@ -320,9 +330,19 @@ def check_header(header: dict[str, Any]) -> None:
     expect(is_vector(header["background"], 3, -1000, 1000))
     expect(is_names(header["effects"]))
     expect(is_names(header["held_out"]) and set(header["held_out"]) <= set(names))
+    check_corrected(header, set(names) - set(header["held_out"]))
     for text in ("axes", "units", "source_text", "licence", "writer"):
         expect(isinstance(header[text], str) and len(header[text]) <= 65_536)
     expect(isinstance(header["settings"], dict))
+
+
+def check_corrected(header: dict[str, Any], seen: set[str]) -> None:
+    corrected = header.get("corrected", {})
+    expect(isinstance(corrected, dict))
+    for effect in CORRECTIONS:
+        names = corrected.get(effect, [])
+        expect(is_names(names) and len(set(names)) == len(names) and set(names) <= seen)
+        expect(bool(names) == (effect in header["effects"]))
 
 
 def check_camera(camera: Any) -> None:
@@ -570,6 +590,17 @@ def listed_ids(fields: Fields, id_mode: int, first: int, count: int) -> list[int
     return ids
 
 
+def corrections(packet: Packet, header: Header) -> tuple[dict[str, dict[str, int]], Packet]:
+    """What a frame tells of its cameras, and the packet behind that."""
+    fields, told = Fields(packet.payload), {}
+    for effect, numbers in CORRECTIONS.items():
+        for name in header.corrected.get(effect, []):
+            for number in numbers:
+                value = int.from_bytes(fields.take(2), "little", signed=True)
+                told.setdefault(name, {})[number] = value
+    return told, replace(packet, payload=packet.payload[fields.position :])
+
+
 def key(packet: Packet, header: Header, first_key: State | None, limits: Limits) -> tuple[int, State]:
     """The digest in a key packet and the state that it tells."""
     fields = Fields(packet.payload)
@@ -681,6 +712,7 @@ def frame(packet: Packet, header: Header, states: list[State], limits: Limits) -
         refuse("missing-key")
     if packet.frame != len(states):
         refuse("frame-order")
+    faults, packet = corrections(packet, header)
     if packet.kind == KEY:
         told, state = key(packet, header, states[0] if states else None, limits)
     elif packet.kind == DELTA:
@@ -689,7 +721,7 @@ def frame(packet: Packet, header: Header, states: list[State], limits: Limits) -
         told, state = skip(packet, states[-1])
     if digest(state, sum(header.channels)) != told:
         refuse("digest-mismatch")
-    return state
+    return replace(state, corrections=faults)
 
 
 def main() -> int:

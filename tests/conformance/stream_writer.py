@@ -9,11 +9,12 @@ import json
 import struct
 import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
 from plain_decoder import (
+    CORRECTIONS,
     DELTA,
     END,
     FRAME_KINDS,
@@ -173,6 +174,16 @@ def key_head(state: State, header: Header, *, reference: int = 0, id_mode: int =
     return struct.pack("<QQIBBQ", told, state.next_id, len(state.ids), reference, id_mode, first_id)
 
 
+def corrections_block(corrections: dict[str, dict[str, int]], header: Header) -> bytes:
+    numbers = [
+        corrections[name][number]
+        for effect, fields in CORRECTIONS.items()
+        for name in header.corrected.get(effect, [])
+        for number in fields
+    ]
+    return struct.pack(f"<{len(numbers)}h", *numbers)
+
+
 # Streams
 
 
@@ -237,12 +248,14 @@ class Stream:
     head: bytes = field(default_factory=prologue)
 
     def __post_init__(self) -> None:
-        self.header = Header((self.document["sh_degree"] + 1) ** 2, self.document["lattice"])
+        corrected = self.document.get("corrected", {})
+        self.header = Header((self.document["sh_degree"] + 1) ** 2, self.document["lattice"], corrected)
         self.width = sum(self.header.channels)
         self.data = self.head
         self.offsets: list[int] = []
         self.frames: list[tuple[int, int, int]] = []
         self.states: list[State] = []
+        self.corrections: dict[str, dict[str, int]] = {}
         self.add(HEADER, 0, canonical(self.document))
 
     def add(self, kind: int, frame: int, payload: bytes, **header: int) -> None:
@@ -262,8 +275,9 @@ class Stream:
         return State(len(self.frames), next_id, list(ids), [list(row) for row in rows])
 
     def told(self, kind: int, state: State, payload: bytes) -> None:
-        self.add(kind, state.frame, payload)
-        self.states.append(state)
+        """A frame packet, with the corrections at hand."""
+        self.add(kind, state.frame, corrections_block(self.corrections, self.header) + payload)
+        self.states.append(replace(state, corrections=self.corrections))
 
     def key(self, state: State, codings: dict[int, Coding] | None = None, *, coder: Coder = stored) -> None:
         """A key packet that refers to nothing; ids are listed when they are not consecutive."""

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from decogs.codec.corrections import EFFECT_FIELDS, Corrections, split_corrections
 from decogs.codec.deltas import apply_delta, difference
 from decogs.codec.digest import digest
 from decogs.codec.header import StreamHeader
@@ -80,6 +81,7 @@ def by_the_product(data: bytes, limits: dict[str, int]) -> Outcome:
     """The product's layers in order: container, header, reconstruction."""
     header: StreamHeader | None = None
     states: list[State] = []
+    told: list[Corrections] = []
     indexes: list[bool] = []
     container = {"max_payload": limits["payload_bytes"]} if "payload_bytes" in limits else {}
     population = {"max_gaussians": limits["gaussians"]} if "gaussians" in limits else {}
@@ -93,9 +95,10 @@ def by_the_product(data: bytes, limits: dict[str, int]) -> Outcome:
             elif packet.kind in FRAME_KINDS:
                 before, first = (states[-1], states[0]) if states else (None, None)
                 states.append(reconstruct(before, packet, header, first=first, **population))
+                told.append(split_corrections(packet, header.corrected)[0])
     except StreamError as error:
         failure = error
-    frames = [product_hashes(state, header) for state in states]
+    frames = [product_hashes(state, header, found) for state, found in zip(states, told, strict=True)]
     if failure is None:
         return Outcome(frames, None, indexes=tuple(indexes))
     return Outcome(frames, failure.reason, failure.packet, failure.offset, tuple(indexes))
@@ -108,8 +111,12 @@ def index_is_right(data: bytes, packet: Packet) -> bool:
         return False
 
 
-def product_hashes(state: State, header: StreamHeader) -> dict[str, Any]:
+def product_hashes(state: State, header: StreamHeader, corrections: Corrections) -> dict[str, Any]:
     """As conformance/README.md defines them, from arrays."""
+    told = {
+        name: {field: getattr(found, field) for effect in header.corrected.of(name) for field in EFFECT_FIELDS[effect]}
+        for name, found in corrections.items()
+    }
     columns = [getattr(state, name).reshape(len(state), -1) for name in ARRAYS] if len(state) else []
     rows = b"".join(
         struct.pack("<Q", int(name)) + b"".join(np.asarray(column[row], "<i4").tobytes() for column in columns)
@@ -119,6 +126,7 @@ def product_hashes(state: State, header: StreamHeader) -> dict[str, Any]:
     shown = [getattr(splats, name).reshape(len(state), -1) for name in ARRAYS] if len(state) else []
     floats = np.concatenate(shown, axis=1, dtype="<f4").tobytes() if shown else b""
     return {
+        **({"corrections": told} if told else {}),
         "gaussians": len(state),
         "digest": f"{digest(state):016x}",
         "integers": hashlib.sha256(struct.pack("<QI", state.next_id, len(state)) + rows).hexdigest(),
@@ -197,7 +205,7 @@ def test_an_opened_file_has_those_states_or_an_error(name: str) -> None:
     reason = None
     try:
         with open_stream(FOLDER / f"{name}.dgs", strict=True, **population) as stream:
-            states.extend(product_hashes(frame.state, stream.header) for frame in stream.frames())
+            states.extend(product_hashes(f.state, stream.header, f.corrections) for f in stream.frames())
     except StreamError as error:
         reason = error.reason
     assert states == expected["frames"][: len(states)]
@@ -212,7 +220,7 @@ def test_a_followed_stream_has_those_states_and_that_reason(name: str) -> None:
     expected, states, reason = EXPECTED[name], [], None
     try:
         with follow_stream(io.BytesIO(vector(name))) as stream:
-            states.extend(product_hashes(frame.state, stream.header) for frame in stream.frames())
+            states.extend(product_hashes(f.state, stream.header, f.corrections) for f in stream.frames())
     except StreamError as error:
         reason = error.reason
     assert states == expected["frames"]
@@ -276,7 +284,9 @@ def some_delta(rng: np.random.Generator, state: State, degree: int) -> Any:
     )
 
 
-@pytest.mark.parametrize("name", ["good/worked-example", "good/keys-that-refer", "good/zstd-with-checksum"])
+@pytest.mark.parametrize(
+    "name", ["good/worked-example", "good/keys-that-refer", "good/zstd-with-checksum", "good/corrections"]
+)
 def test_both_decoders_agree_on_every_flipped_byte(name: str) -> None:
     """Of packets behind the header; checksums are made right again, so that payloads break in their own ways."""
     data = vector(name)

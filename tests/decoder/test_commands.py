@@ -166,7 +166,7 @@ def test_info_counts_what_was_written(small_stream, capsys) -> None:
     assert totals["bytes_per_frame_without_first_key"] == sum(later) / 7
     assert totals["mean_delta_bytes"] == np.mean([f["bytes"] for f in facts["frames"] if f["kind"] == "delta"])
     assert facts["header"]["cameras"][1] == {
-        "name": "cam01", "width": 60, "height": 44, "distortion_model": "opencv", "held_out": True,
+        "name": "cam01", "width": 60, "height": 44, "distortion_model": "opencv", "held_out": True, "corrected": [],
     }  # fmt: skip
     assert (facts["complete"], facts["version"]) == (True, [1, 0])
 

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from decogs.codec.corrections import CorrectedCameras, Correction, Corrections, write_corrections
 from decogs.codec.deltas import apply_delta, difference
 from decogs.codec.header import StreamHeader
 from decogs.codec.keyframes import keyframe_state
 from decogs.codec.lattice import default_lattice, quantise
 from decogs.codec.state import Attributes, State, take_rows
-from decogs.codec.syntax import write_delta, write_key, write_skip
+from decogs.codec.syntax import Coded, write_delta, write_key, write_skip
 from decogs.decoder import open_stream, render_view
 from decogs.decoder.played_view import PlayedView
 from decogs.decoder.rasterise import Rendering
@@ -54,9 +56,18 @@ def jittered(rng: np.random.Generator, attributes: Attributes) -> Attributes:
 class StreamFile:
     """A stream that is written packet by packet from the states it leads through."""
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self._header = StreamHeader(cameras=CAMERAS, lattice=LATTICE, sh_degree=1, background=(0.2, 0.3, 0.4))
+    def __init__(self, path: Path, corrected: CorrectedCameras | None = None) -> None:
+        self.path, self._corrected = path, corrected or CorrectedCameras()
+        self._header = StreamHeader(
+            cameras=CAMERAS,
+            lattice=LATTICE,
+            sh_degree=1,
+            background=(0.2, 0.3, 0.4),
+            effects=self._corrected.effects,
+            corrected=self._corrected,
+        )
+        self.corrections: Corrections = {}
+        """Of the frames that are written from here on."""
         self._packets: list[tuple[PacketKind, bytes]] = []
         self._state: State | None = None
 
@@ -68,18 +79,21 @@ class StreamFile:
     def key(self, attributes: Attributes) -> None:
         first = 0 if self._state is None else self._state.next_id
         self._state, _ = keyframe_state(attributes, len(self._packets), first_id=first)
-        self._packets.append((PacketKind.KEY, write_key(self._state).payload))
+        self._add(PacketKind.KEY, write_key(self._state))
 
     def delta(
         self, rows: np.ndarray, values: Attributes, removed: np.ndarray | None = None, added: Attributes | None = None
     ) -> None:
         delta = difference(self.state, rows, values, removed=removed, added=added)
-        self._packets.append((PacketKind.DELTA, write_delta(self.state, delta).payload))
+        self._add(PacketKind.DELTA, write_delta(self.state, delta))
         self._state = apply_delta(self.state, delta)
 
     def skip(self) -> None:
         self._state = replace(self.state, frame=len(self._packets))
-        self._packets.append((PacketKind.SKIP, write_skip(self._state).payload))
+        self._add(PacketKind.SKIP, write_skip(self._state))
+
+    def _add(self, kind: PacketKind, coded: Coded) -> None:
+        self._packets.append((kind, write_corrections(self.corrections, self._corrected) + coded.payload))
 
     def finish(self) -> Path:
         with self.path.open("wb") as file:
@@ -153,6 +167,57 @@ def test_only_touched_tiles_are_drawn_and_nothing_when_nothing_shows(tmp_path: P
             assert 0 < drawn[1] < drawn[0] / 2
             assert drawn[2:] == [0, 0, 0]
             assert shown[1] is shown[2] is shown[3] is shown[4]
+
+
+CORRECTED = CorrectedCameras(("pinhole", "lens"), ("lens",), ("lens",))
+
+
+def corrected_stream(path: Path, rng: np.random.Generator) -> Path:
+    """Frames 0 to 6: colours and poses come, stay, change alone and together, while the scene changes or does not."""
+    stream = StreamFile(path, CORRECTED)
+    stream.key(quantise(some_splats(rng, 300), LATTICE))
+    first = {"pinhole": Correction(exposure=900), "lens": Correction(-700, 400, -300, 4000, -3000, 9000)}
+    for told in (first, first, {**first, "pinhole": Correction(exposure=-900)}, {}, {}):
+        stream.corrections = told
+        stream.skip()
+    stream.corrections = {"lens": Correction(yaw=-2500)}
+    stream.delta(np.arange(9), jittered(rng, take_rows(stream.state, np.arange(9))))
+    return stream.finish()
+
+
+@pytest.mark.parametrize("options", [{}, {"scale": 0.7, "undistorted": True, "threads": 2}])
+def test_a_played_view_shows_what_a_camera_recorded(tmp_path: Path, options: dict[str, Any]) -> None:
+    with open_stream(corrected_stream(tmp_path / "faults.dgs", np.random.default_rng(3))) as stream:
+        for camera in CAMERAS:
+            recorded = PlayedView(stream.header, camera.name, **options)
+            canonical = PlayedView(stream.header, camera.name, canonical=True, **options)
+            for frame in [*stream.frames(), *stream.frames(2, 4)]:
+                whole = render_view(stream.header, frame.splats, camera.name, corrections=frame.corrections, **options)
+                assert_same(recorded.show(frame), whole)
+                assert_same(canonical.show(frame), render_view(stream.header, frame.splats, camera.name, **options))
+
+
+def test_only_a_new_pose_is_rendered_anew(tmp_path: Path) -> None:
+    with open_stream(corrected_stream(tmp_path / "faults.dgs", np.random.default_rng(3))) as stream:
+        shown, drawn = {}, {}
+        for camera in CAMERAS:
+            view = PlayedView(stream.header, camera.name)
+            shown[camera.name] = [view.show(frame) for frame in stream.frames()]
+            view = PlayedView(stream.header, camera.name)
+            drawn[camera.name] = [view.redrawn for frame in stream.frames() if view.show(frame)]
+    assert not any(drawn["pinhole"][1:6])
+    assert [bool(tiles) for tiles in drawn["lens"][:6]] == [True, True, False, False, True, False]
+    assert shown["pinhole"][1] is shown["pinhole"][2]
+    assert shown["lens"][1] is shown["lens"][2] is shown["lens"][3]
+
+
+def test_other_cameras_show_the_scene_as_it_is(tmp_path: Path) -> None:
+    """One that happens to be equal to a camera of the rig is not that camera."""
+    with open_stream(corrected_stream(tmp_path / "faults.dgs", np.random.default_rng(3))) as stream:
+        frame = list(stream.frames())[1]
+        free = render_view(stream.header, frame.splats, CAMERAS[0], corrections=frame.corrections)
+        assert_same(free, render_view(stream.header, frame.splats, "pinhole"))
+        assert_same(PlayedView(stream.header, CAMERAS[0]).show(frame), free)
 
 
 def test_pictures_cannot_be_written(tmp_path: Path) -> None:

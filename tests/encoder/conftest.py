@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import decogs.encoder.loop as loop
+from decogs.codec.corrections import Correction
 from decogs.codec.state import State
 from decogs.decoder.pictures import to_8bit
 from decogs.decoder.session import render_view
@@ -106,8 +107,12 @@ class TinyRig:
         frames: Sequence[int] = range(FRAMES),
         noise: float = 0.0,
         lens: tuple[float, ...] = (),
+        faults: Callable[[str, int], Correction] | None = None,
     ) -> Path:
-        """rig.json with a folder of PNG per camera; ``frames`` are the moments shown, ``noise`` is in 8-bit steps."""
+        """rig.json with a folder of PNG per camera; ``frames`` are the moments shown, ``noise`` is in 8-bit steps.
+
+        ``faults``: of a camera in a frame, by name and index.
+        """
         random = np.random.default_rng(7)
         views = [camera(i) for i in range(cameras)]
         if lens:
@@ -115,7 +120,9 @@ class TinyRig:
         for view in views:
             (folder / view.name).mkdir(parents=True)
             for index, moment in enumerate(frames):
-                clean = to_8bit(render_view(_Lookup((view,)), scene_at(moment), view).image)  # type: ignore[arg-type]
+                told = None if faults is None else {view.name: faults(view.name, index)}
+                seen = render_view(_Lookup((view,)), scene_at(moment), view.name, corrections=told)  # type: ignore[arg-type]
+                clean = to_8bit(seen.image)
                 noisy = np.clip(np.rint(clean + random.normal(0, noise, clean.shape)), 0, 255).astype(np.uint8)
                 TinyRig.write_png(folder / view.name / f"{index:04d}.png", noisy)
         (folder / "rig.json").write_text(json.dumps(TinyRig.values(views)))
@@ -211,7 +218,8 @@ def _encode(output: Path, rig: Path, **options: Any) -> Encoded:
         "start": 0, "stop": None, "on_keyframe_step": None, "keyframe": None, "resume": False,
     } | options  # fmt: skip
     opened = open_rig(rig)
-    ingest = Ingest(opened, holdout=chosen["holdout"], scale=chosen["scale"])
+    lens = chosen["settings"].corrections.lens
+    ingest = Ingest(opened, holdout=chosen["holdout"], scale=chosen["scale"], lens=lens)
     states: list[State] = []
     selected: dict[int, np.ndarray] = {}
     reconstruct, select = loop.reconstruct, loop.select

@@ -1,0 +1,93 @@
+"""Exposure and white balance of a camera: how the odds of its colours differ from the scene's, per channel.
+
+A gain on light before a display's curve, which nobody knows, is within 0.02 dB of a factor on the odds v / (1 - v) of
+the coded value (DESIGN.md): black and white stay, nothing is clipped, and the inverse is the same with 1 / factor.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.decoder.camera_faults import with_odds
+from decogs.formats.splats import FloatArray
+
+_DARKEST, _BRIGHTEST = 6 / 255, 249 / 255
+
+_MOST_PIXELS = 40_000
+"""A regular grid of about so many pixels tells enough: the mean's own noise is then below 0.1 of an 8-bit level."""
+
+_ROUNDS = 8
+_TUKEY = 4.685
+"""Tukey's biweight at 95 % efficiency, in standard deviations."""
+
+_LEAST_SPREAD = 2 / 255
+
+
+class OddsShift(NamedTuple):
+    """Per channel, (3,) float64: the shift of the logarithm of the odds, and how well it is known (0: not at all)."""
+
+    shift: NDArray[np.float64]
+    precision: NDArray[np.float64]
+
+    def without(self, shift: NDArray[np.float64]) -> OddsShift:
+        """What is left when ``shift`` (3,) counts as none."""
+        return self._replace(shift=self.shift - shift)
+
+
+def odds_shift(recorded: FloatArray, shown: FloatArray, valid: FloatArray | None = None) -> OddsShift:
+    """How far the odds of ``recorded`` are from those of ``shown``, both (3, H, W), whatever moves between the two.
+
+    ``valid`` (H, W) is 0 where nothing was recorded. Channels that tell nothing get 0.
+    """
+    step = max(1, round(np.sqrt(shown[0].size / _MOST_PIXELS)))
+    grid = np.s_[::step, ::step]
+    told = None if valid is None else valid[grid] > 0
+    pairs = [_channel_shift(recorded[channel][grid], shown[channel][grid], told) for channel in range(len(shown))]
+    return OddsShift(np.array([shift for shift, _ in pairs]), np.array([precision for _, precision in pairs]))
+
+
+def tells(values: FloatArray) -> NDArray[np.bool_]:
+    """Where colour values are neither clipped nor next to noise."""
+    return np.asarray((values > _DARKEST) & (values < _BRIGHTEST))
+
+
+def tukey_weights(residuals: FloatArray) -> FloatArray:
+    """Tukey's biweight of residuals in picture units, by their own spread: 1 for none, 0 for what does not belong."""
+    spread = max(1.4826 * float(np.median(np.abs(residuals))), _LEAST_SPREAD)
+    inside = 1 - np.square(residuals / np.float32(_TUKEY * spread))
+    return np.asarray(np.square(np.maximum(inside, 0)))
+
+
+def without_odds(picture: FloatArray, odds: tuple[float, float, float]) -> FloatArray:
+    """A recorded picture (3, H, W) in the scene's own colours."""
+    red, green, blue = odds
+    planes = with_odds(picture.transpose(1, 2, 0), (1 / red, 1 / green, 1 / blue))
+    return np.ascontiguousarray(planes.transpose(2, 0, 1))
+
+
+def _channel_shift(recorded: FloatArray, shown: FloatArray, told: NDArray[np.bool_] | None) -> tuple[float, float]:
+    """Gauss-Newton on the corrected picture; weighed by the scene's value, so that recorded noise has no bias."""
+    inside = tells(recorded) & tells(shown)
+    if told is not None:
+        inside &= told
+    if not inside.any():
+        return 0.0, 0.0
+    v, s = recorded[inside], shown[inside]
+    slope = s * (1 - s)
+    shift = float(np.median(np.log(v / (1 - v)) - np.log(s / (1 - s))))
+    precision = 0.0
+    for _ in range(_ROUNDS):
+        factor = np.float32(np.exp(-shift))
+        corrected = factor * v / (1 + (factor - 1) * v)
+        weights = tukey_weights(corrected - s) * slope
+        precision = float((weights * corrected * (1 - corrected)).sum(dtype=np.float64))
+        if not precision:
+            break
+        step = float((weights * (corrected - s)).sum(dtype=np.float64)) / precision
+        shift += step
+        if abs(step) < 1e-5:
+            break
+    return shift, precision
