@@ -77,7 +77,10 @@ def take_back(optimiser: SplatOptimiser, before: Splats, old: NDArray[np.bool_],
 
 
 def coarse_changes(before: Attributes, after: Attributes, coarseness: Coarseness) -> Attributes:
-    """``after`` with its differences from ``before`` rounded to whole multiples, halves towards none."""
+    """``after`` with its differences from ``before`` rounded to whole multiples, halves towards none.
+
+    Where that would leave 32 bits, the difference stays as it is.
+    """
     sh_steps = np.full((after.coefficients, 1), coarseness.sh_rest)
     sh_steps[0] = coarseness.sh_dc
     return Attributes(
@@ -92,7 +95,8 @@ def coarse_changes(before: Attributes, after: Attributes, coarseness: Coarseness
 def _coarse(before: IntArray, after: IntArray, step: int | NDArray[np.int64]) -> IntArray:
     change = after.astype(np.int64) - before
     whole = np.sign(change) * ((2 * np.abs(change) + step - 1) // (2 * step))
-    return np.asarray(before + whole * step, np.int32)
+    coarse = before + whole * step
+    return np.where(np.abs(coarse) <= np.iinfo(np.int32).max, coarse, after).astype(np.int32)
 
 
 def _keep_scale(quaternions: FloatArray, before: FloatArray) -> None:

@@ -10,7 +10,7 @@ A backend is a function with the signature of ``native.render_planes``; a CUDA o
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -38,8 +38,14 @@ def render(
 ) -> Rendering:
     """The picture of ``splats`` through ``camera``, whose lens distortion must have been taken out (``as_pinhole``).
 
-    ``threads`` 0 means all processors; the result does not depend on it. Source: Kerbl 2023, equation 3.
+    ``threads`` 0 means all processors; the result does not depend on it. Raises UsageError for a camera with a lens and
+    for Gaussians that are not finite, which would be left out. Source: Kerbl 2023, equation 3.
     """
+    for field in fields(splats):
+        finite = np.isfinite(getattr(splats, field.name))
+        if not finite.all():
+            bad = len(splats) - int(finite.reshape(len(splats), -1).all(axis=1).sum())
+            raise UsageError(f"{field.name} of {bad} of {len(splats)} Gaussians are not finite; take those out first")
     if camera.distortion_model != "none" and any(camera.distortion):
         raise UsageError(
             f"camera {camera.name}: render through its pinhole and re-apply the lens distortion afterwards"

@@ -11,7 +11,14 @@ import ctypes
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.decoder.rasterise.native import NativePlanes, RowArray, checked_rows, native_camera, native_scene
+from decogs.decoder.rasterise.native import (
+    NativePlanes,
+    RowArray,
+    check_drawn,
+    checked_rows,
+    native_camera,
+    native_scene,
+)
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import FloatArray, Splats
 
@@ -75,7 +82,8 @@ class FixedView:
 
     def place(self, scene: Splats) -> None:
         """Starts with a whole scene (N Gaussians), all of it at rest; the picture is there after ``refresh``."""
-        self._library.decogs_view_place(self._kernel.handle, self._handle, ctypes.byref(native_scene(scene)))
+        placed = ctypes.byref(native_scene(scene))
+        self._check(self._library.decogs_view_place(self._kernel.handle, self._handle, placed))
         self._population = len(scene)
 
     def refresh(self, marks: NDArray[np.bool_] | None = None) -> FloatArray:
@@ -110,7 +118,7 @@ class FixedView:
         planes = self._planes(depth=depth)
         self._drawn, self._evaluated = (moving, rows), False  # the arrays are read again on the way back
         self._scene = native_scene(moving)
-        self._library.decogs_view_draw(
+        refused = self._library.decogs_view_draw(
             self._kernel.handle,
             self._handle,
             ctypes.byref(self._scene),
@@ -118,6 +126,7 @@ class FixedView:
             ctypes.byref(planes),
             address(self._met),
         )
+        self._check(refused)
 
     def loss(
         self,
@@ -175,7 +184,7 @@ class FixedView:
         """
         rows = checked_rows(rows, len(scene))
         self._check_renumbered(renumbered)
-        self._library.decogs_view_settle(
+        refused = self._library.decogs_view_settle(
             self._kernel.handle,
             self._handle,
             ctypes.byref(native_scene(scene)),
@@ -184,6 +193,7 @@ class FixedView:
             address(renumbered),
             self._population,
         )
+        self._check(refused)
         self._population, self._drawn = len(scene), None
 
     def centres(self) -> FloatArray:
@@ -191,6 +201,9 @@ class FixedView:
         centres = np.empty((self._population, 2), np.float32)
         self._library.decogs_view_centres(self._handle, self._population, address(centres))
         return centres
+
+    def _check(self, refused: int) -> None:
+        check_drawn(refused, self.camera.width, self.camera.height)
 
     def _planes(self, *, depth: bool) -> NativePlanes:
         more = (address(self._alpha), address(self._depth)) if depth else (None, None)

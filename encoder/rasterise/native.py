@@ -14,6 +14,7 @@ from decogs.decoder.rasterise.native import (
     NativeCamera,
     NativePlanes,
     NativeScene,
+    check_drawn,
     load_kernel,
     native_camera,
     native_scene,
@@ -215,7 +216,7 @@ class TrainingKernel:
         sh_degree: int | None = None,
         depth: bool = False,
     ) -> Picture:
-        """Renders and remembers what the way back needs."""
+        """Renders and remembers what the way back needs; UsageError when the scene covers the picture too often."""
         size = (camera.height, camera.width)
         picture = Picture(
             np.empty((3, *size), np.float32), np.empty(size, np.float32), np.empty(size, np.float32) if depth else None
@@ -226,9 +227,10 @@ class TrainingKernel:
         self._splats = splats  # the kernel reads these arrays again on the way back
         self._scene, self._camera = native_scene(splats, sh_degree), native_camera(camera)
         self._shape, self._background = size, background
-        self._library.decogs_forward(
+        refused = self._library.decogs_forward(
             self.handle, ctypes.byref(self._scene), ctypes.byref(self._camera), ctypes.byref(planes)
         )
+        check_drawn(refused, camera.width, camera.height)
         return picture
 
     def backward(

@@ -14,17 +14,6 @@ Renderer& renderer_of(void* handle) { return *static_cast<Renderer*>(handle); }
 RestingView& view_of(void* handle) { return *static_cast<RestingView*>(handle); }
 }  // namespace
 
-// 0, or 1 when the scene covers the picture so many times that its tile lists would not fit; nothing is drawn then.
-template <class Work>
-int refused(const Work& work) {
-    try {
-        work();
-    } catch (const std::exception&) {
-        return 1;
-    }
-    return 0;
-}
-
 extern "C" {
 
 // 2 when this machine runs the AVX-512 build, 1 the AVX2 build, 0 only the base build. Asked of the base build, which

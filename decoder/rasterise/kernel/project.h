@@ -21,6 +21,7 @@ struct Camera {  // mirrored by ctypes in native.py
     float rotation[9];
     float translation[3];
     float centre[3];
+    float origin[3];  // taken from positions before all else; translation and centre are as seen from there
     float fx, fy, cx, cy, near;
     int32_t width, height;
 };
@@ -137,7 +138,8 @@ struct Group {
 
 DECOGS_INLINE Group project_group(const Scene& scene, const Camera& cam, const int64_t* rows) {
     Group g;
-    const F mx = gather(scene.means, rows, 3, 0), my = gather(scene.means, rows, 3, 1), mz = gather(scene.means, rows, 3, 2);
+    const F mx = gather(scene.means, rows, 3, 0) - cam.origin[0], my = gather(scene.means, rows, 3, 1) - cam.origin[1],
+            mz = gather(scene.means, rows, 3, 2) - cam.origin[2];
     const float* w = cam.rotation;
     g.x = mx * w[0] + my * w[1] + mz * w[2] + cam.translation[0];
     g.y = mx * w[3] + my * w[4] + mz * w[5] + cam.translation[1];
@@ -147,9 +149,17 @@ DECOGS_INLINE Group project_group(const Scene& scene, const Camera& cam, const i
     for (int k = 0; k < 3; ++k) g.scale[k] = exp(gather(scene.log_scales, rows, 3, k));
     F q[4];
     for (int k = 0; k < 4; ++k) q[k] = gather(scene.quaternions, rows, 4, k);
-    g.norm = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
-    const M turned = g.norm > 1e-18f;  // a zero quaternion stands for no rotation
-    for (int k = 0; k < 4; ++k) g.unit[k] = select(turned, q[k] / g.norm, splat(k == 0 ? 1.0f : 0.0f));
+    F square = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3], enlarged = splat(1.0f);
+    const M huge = square > 1e36f;  // the square of its length overflows, or is about to
+    if (any(huge)) {
+        for (int k = 0; k < 4; ++k) q[k] = select(huge, q[k] * 0x1p-66f, q[k]);
+        square = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
+        enlarged = select(huge, splat(0x1p66f), enlarged);
+    }
+    const F length = sqrt(square);
+    g.norm = length * enlarged;
+    const M turned = length > 1e-18f;  // a zero quaternion stands for no rotation
+    for (int k = 0; k < 4; ++k) g.unit[k] = select(turned, q[k] / length, splat(k == 0 ? 1.0f : 0.0f));
     const F &qw = g.unit[0], &qx = g.unit[1], &qy = g.unit[2], &qz = g.unit[3];
     g.rot[0] = 1.0f - (qy * qy + qz * qz) * 2.0f;
     g.rot[1] = (qx * qy - qw * qz) * 2.0f;
@@ -217,7 +227,7 @@ DECOGS_INLINE Ellipse ellipse_of(const Group& g) {
 
 // Unit vectors from the camera to the group's centres; returns their lengths.
 DECOGS_INLINE F view_directions(const Scene& scene, const Camera& cam, const int64_t* rows, F* direction) {
-    for (int k = 0; k < 3; ++k) direction[k] = gather(scene.means, rows, 3, k) - cam.centre[k];
+    for (int k = 0; k < 3; ++k) direction[k] = (gather(scene.means, rows, 3, k) - cam.origin[k]) - cam.centre[k];
     const F length = sqrt(direction[0] * direction[0] + direction[1] * direction[1] + direction[2] * direction[2]);
     for (int k = 0; k < 3; ++k) direction[k] = direction[k] / length;
     return length;

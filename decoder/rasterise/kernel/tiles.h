@@ -123,6 +123,17 @@ class PairCount {
     std::atomic<uint64_t> pairs_{0};
 };
 
+// 0, or 1 when the scene covers the picture so many times that its tile lists would not fit; nothing is drawn then.
+template <class Work>
+int refused(const Work& work) {
+    try {
+        work();
+    } catch (const std::exception&) {
+        return 1;
+    }
+    return 0;
+}
+
 class Binner {
    public:
     void run(Pool& pool, const Scene& scene, const Camera& cam, TileLists& lists) {

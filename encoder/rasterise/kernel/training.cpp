@@ -26,9 +26,9 @@ void* decogs_trainer_create(int threads) { return new Trainer(threads); }
 
 void decogs_trainer_destroy(void* handle) { delete static_cast<Trainer*>(handle); }
 
-void decogs_forward(void* handle, const Scene* scene, const Camera* camera, const Planes* out) {
+int decogs_forward(void* handle, const Scene* scene, const Camera* camera, const Planes* out) {
     Trainer& t = trainer_of(handle);
-    render_picture(t.pool, t.binner, *scene, *camera, *out, t.lists, &t.trace);
+    return refused([&] { render_picture(t.pool, t.binner, *scene, *camera, *out, t.lists, &t.trace); });
 }
 
 // Gradients of the last decogs_forward.
@@ -46,24 +46,24 @@ void* decogs_view_create(const Camera* camera) { return new FixedView(*camera); 
 
 void decogs_view_destroy(void* view) { delete static_cast<FixedView*>(view); }
 
-void decogs_view_place(void* handle, void* view, const Scene* scene) {
+int decogs_view_place(void* handle, void* view, const Scene* scene) {
     Trainer& t = trainer_of(handle);
-    view_of(view).place(t.pool, t.binner, *scene);
+    return refused([&] { view_of(view).place(t.pool, t.binner, *scene); });
 }
 
 void decogs_view_lift(void* view, const int64_t* rows, int64_t count) { view_of(view).lift(rows, count); }
 
-void decogs_view_draw(void* handle, void* view, const Scene* moving, const int64_t* rows, const Planes* out, uint8_t* met) {
-    view_of(view).draw(trainer_of(handle).pool, *moving, rows, *out, met);
+int decogs_view_draw(void* handle, void* view, const Scene* moving, const int64_t* rows, const Planes* out, uint8_t* met) {
+    return refused([&] { view_of(view).draw(trainer_of(handle).pool, *moving, rows, *out, met); });
 }
 
 void decogs_view_backward(void* handle, void* view, const Scene* moving, const Cotangents* cotangents, const Gradients* out) {
     view_of(view).backward(trainer_of(handle).pool, *moving, *cotangents, *out);
 }
 
-void decogs_view_settle(void* handle, void* view, const Scene* scene, const int64_t* rows, int64_t count, const int64_t* renumbered,
-                        int64_t before) {
-    view_of(view).settle(trainer_of(handle).pool, *scene, rows, count, renumbered, before);
+int decogs_view_settle(void* handle, void* view, const Scene* scene, const int64_t* rows, int64_t count, const int64_t* renumbered,
+                       int64_t before) {
+    return refused([&] { view_of(view).settle(trainer_of(handle).pool, *scene, rows, count, renumbered, before); });
 }
 
 void decogs_view_refresh(void* handle, void* view, const uint8_t* marks, const Planes* out, float* weights, int64_t count) {
