@@ -25,7 +25,7 @@ from decogs.formats.splats import FloatArray, Splats, join_splats, take_splats
 
 from .densification import ViewGradients, opacities_of
 from .effort import WHOLE, Effort
-from .frame_training import TrainedFrame
+from .frame_training import FrameSettings, TrainedFrame
 from .ingest import View
 from .losses import PhotometricLoss, require_finite, whole_picture_loss
 from .masks import FrameMask

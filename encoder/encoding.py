@@ -50,6 +50,7 @@ def encode(
     lossless: bool = False,
     time_budget: float | str | None = None,
     target_psnr: float | None = None,
+    corrections: CorrectionSettings | None = None,
     resume: bool = False,
     seed: int = 0,
     threads: int = 0,
@@ -75,9 +76,9 @@ def encode(
     as trained, to the lattice's steps. ``time_budget``: seconds, or text such as "500ms/frame", that the frames after
     the first may take on average, wall clock; training is shortened to fit, and the bytes then depend on the machine.
     ``target_psnr``: dB in the training views' regions of interest (in a keyframe: everywhere) at which a frame's
-    training ends. ``resume``: go on with what an encode with
-    the same options left in ``output`` + ".part", or as a shorter stream; the file gets the bytes of one that was not
-    cut off.
+    training ends. ``corrections``: cameras whose faults are known, instead of those that ``effects`` finds.
+    ``resume``: go on with what an encode with the same options left in ``output`` + ".part", or as a shorter stream;
+    the file gets the bytes of one that was not cut off.
     ``threads``: 0 means all processors; the stream does not depend on it. ``device``: "cuda" takes gsplat, has never
     run on a GPU and gives other bits every time; "auto" is the CPU as long as that is so. ``log``: file for JSON lines.
     ``anytime``: file for the loss of every training step, as JSON lines.
@@ -102,6 +103,8 @@ def encode(
         effects = AUTO
     if effects is not None:
         settings = _with_effects(settings, effects, rig, held, span, threads)
+    if corrections is not None:
+        settings = replace(settings, corrections=corrections)
     ingest = Ingest(rig, holdout=held, scale=scale, lens=settings.corrections.lens)
     with (
         EncodeProgress(len(span), None if log is None else Path(log), terminal=terminal) as progress,
@@ -169,7 +172,7 @@ def _with_effects(
 ) -> EncodeSettings:
     """The settings with the effects that are wanted, of which the rig may have to be looked at."""
     if settings.method != "decogs":
-        raise UsageError(f"--effects {effects}: --method {settings.method} has no effects to choose; drop one of the two")
+        raise UsageError(f"--effects {effects}: --method {settings.method} has none of them; drop one of the two")
 
     def decisions() -> Sequence[Decision]:
         return analyse(rig.path, frames=slice(span.start, span.stop), holdout=held, threads=threads).decisions

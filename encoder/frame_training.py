@@ -126,9 +126,9 @@ class FrameTrainer:
         """Trains the ``selected`` Gaussians of ``scene`` on one frame's pictures (3, H, W).
 
         ``motion`` (N, 3) is every Gaussian's last displacement, for the warm start. ``frame``: its index, which with
-        the seed makes all that is random, so that a frame can be trained again alone. ``settings``: of this frame, where
-        they differ. ``effort``: what ends training before the settings' iterations, in either stage a deadline, in
-        stage 2 a target in the regions of interest. The watching views are left with the trained Gaussians lifted.
+        the seed makes all that is random, so that a frame can be trained again alone. ``settings``: of this frame,
+        where they differ. ``effort``: what ends training before the settings' iterations, in either stage a deadline,
+        in stage 2 a target in the regions of interest. The watching views are left with the trained Gaussians lifted.
         """
         self._settings, self._effort = self._whole_settings if settings is None else settings, effort
         self._cache = self._cache_of_frame()

@@ -238,6 +238,7 @@ class _KeyframeTraining:
     def _tell(self, stage: str, step: int, loss: float) -> None:
         if self._effort.on_loss is not None:
             self._effort.on_loss(stage, step, loss)
+
     def _corrects_at(self, step: int) -> bool:
         return step % _CORRECT_EVERY == 0 and _CORRECT_FROM <= step / self._settings.iterations <= _CORRECT_TO
 

@@ -273,7 +273,7 @@ class StreamEncoder:
         effects = tuple(name for name in FRAME_EFFECTS if name in settings.effects) if selected.any() else ()
         if effects and settings.ask_frames:
             with watch.stage("effects"):
-                found = frame_effects(frame.training, self._previous, masks)
+                found = frame_effects(frame.training, self._masks.references, masks)
             settings = leave_out(settings, [name for name in effects if name not in found])
             effects = tuple(name for name in effects if name in found)
         economy = settings.frame.economy
@@ -357,8 +357,6 @@ class StreamEncoder:
             with watch.stage("settle"):
                 self._settle(before, trained)
         self._masks.passed(frame.training)
-        if self._settings.ask_frames:
-            self._previous = frame.training
         self._motion = self._displacements(before, self._state)
 
     def _select(self, masks: Sequence[FrameMask]) -> NDArray[np.bool_]:
@@ -374,7 +372,6 @@ class StreamEncoder:
         with watch.stage("settle"):
             self._trainer = self._frame_trainer(self._scene)
         self._masks = MaskMemory(frame.training, self._settings.frame.masks)
-        self._previous = frame.training if self._settings.ask_frames else []
         self._motion = np.zeros((len(self._scene), 3), np.float32)
 
     def _settle(self, before: State, trained: NDArray[np.int64]) -> None:

@@ -139,6 +139,11 @@ class MaskMemory:
         self._references = list(pictures)
         self._changed = [np.zeros(picture.shape[1:], bool) for picture in pictures]
 
+    @property
+    def references(self) -> Sequence[FloatArray]:
+        """What every view's next picture is compared with, pixel by pixel."""
+        return self._references
+
     def masks(self, current: Sequence[FloatArray], shown: Sequence[FloatArray]) -> list[FrameMask]:
         """The masks of every view's ``current`` picture, in the views' order; ``shown``: the scene before this frame.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from statistics import median
 
 import numpy as np
@@ -37,7 +37,7 @@ class FrameQuality:
     ssim_static: float | None
     lpips: float | None
     variation: float | None
-    psnr_aligned: float | None = None
+    psnr_aligned: float | None = field(default=None, kw_only=True)
 
 
 @dataclass(frozen=True)
@@ -105,5 +105,5 @@ def _quality(
         mean_over(likeness, regions.static),
         None if distance is None else distance(seen, recorded),
         None if before is None else total_variation(before, seen, regions.static),
-        psnr_of(float(square_error_map(aligned(seen, recorded), recorded).mean())),
+        psnr_aligned=psnr_of(float(square_error_map(aligned(seen, recorded), recorded).mean())),
     )

@@ -177,9 +177,10 @@ class RigBench:
 
     def _trains_keyframe(self, variant: Variant) -> bool:
         """Effects may ask for another keyframe than the shared one."""
+        if variant.own_keyframe or variant.effects is None:
+            return variant.own_keyframe
         own, shared = self.settings(variant), settings_of(KEYFRAME, self.options.preset)
-        asked = variant.effects is not None
-        return variant.own_keyframe or (asked and (own.keyframe, own.corrections) != (shared.keyframe, shared.corrections))
+        return (own.keyframe, own.corrections) != (shared.keyframe, shared.corrections)
 
     def frames_of(self, variant: Variant) -> Sequence[int]:
         """The rig's frames that the variant encodes, in its order."""

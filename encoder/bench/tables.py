@@ -100,7 +100,7 @@ def _average(heading: str, meaning: str, name: str, digits: int, nothing: str = 
 
 COLUMNS: dict[str, Column] = {
     "psnr": _average("PSNR", "dB over the whole picture", "psnr", 2),
-    "psnr_aligned": _average("PSNR, colours aligned", "the same after aligning each channel's colours", "psnr_aligned", 2),
+    "psnr_aligned": _average("PSNR, aligned", "the same with each channel's colours aligned first", "psnr_aligned", 2),
     "psnr_dynamic": _average("dynamic", "PSNR in dB over the dynamic region", "psnr_dynamic", 2),
     "psnr_static": _average("static", "PSNR in dB over the static region", "psnr_static", 2),
     "last_dynamic": Column(

@@ -3,10 +3,11 @@
 Every effect is one module with one class that keeps the protocol of ``effect.py``: ``evidence`` turns the look at the
 rig into figures per camera and frame, ``decide`` turns these into a decision with its reason and cost, ``built`` and
 ``left_out`` turn that into what an encode does (`building`). A new effect is one new module and one entry in
-``EFFECTS``; one that a decoder has to know has its coded form in `codec`. What effects measure alike is measured once, by the look (``look.py``):
-gains of light (``light.py``), the motion of the camera (``registration.py``), what changed from frame to frame
-(``changes.py``), points that neighbouring cameras share (``matches.py``). ``frame_look.py`` says the same of one frame
-of one view, in milliseconds, for the encoder's loop. What was measured, and what was rejected, is in ``DESIGN.md``.
+``EFFECTS``; one that a decoder has to know has its coded form in `codec`. What effects measure alike is measured once,
+by the look (``look.py``): gains of light (``light.py``), the motion of the camera (``registration.py``), what changed
+from frame to frame (``changes.py``), points that neighbouring cameras share (``matches.py``). ``frame_look.py`` says
+the same of one frame of one view, in milliseconds, for the encoder's loop. What was measured, and what was rejected, is
+in ``DESIGN.md``.
 """
 
 from .appearance_change import AppearanceChange
