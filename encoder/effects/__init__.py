@@ -10,7 +10,9 @@ of one view, in milliseconds, for the encoder's loop. What was measured, and wha
 
 from .appearance_change import AppearanceChange
 from .camera_shake import CameraShake
+from .disappearance import Disappearance
 from .effect import Decision, Effect, Evidence
+from .emergence import Emergence
 from .exposure_drift import ExposureDrift
 from .high_dynamic_range import HighDynamicRange
 from .lens_distortion import LensDistortion
@@ -24,6 +26,8 @@ __all__ = ["EFFECTS", "Decision", "Effect", "Evidence", "Look", "look_at"]
 EFFECTS: tuple[Effect, ...] = (
     Motion(),
     AppearanceChange(),
+    Emergence(),
+    Disappearance(),
     ExposureDrift(),
     WhiteBalanceDrift(),
     CameraShake(),

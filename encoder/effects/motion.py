@@ -8,6 +8,9 @@ from .changes import WINDOW_PIXELS
 from .effect import Decision, Evidence, decided, seen_together, spans
 from .look import Look
 
+LIMIT = 0.15
+"""Restructured share of what changes around: in the geometric middle of what light alone and what motion bring."""
+
 PAUSE = 2
 """Frames without evidence that do not end a span: what turns round stands still for a moment."""
 
@@ -29,7 +32,7 @@ class Motion:
         share = restructured / np.maximum(near, 1e-9)
         share[restructured * pixels < WINDOW_PIXELS] = 0
         details = {"restructured": restructured * 100}
-        return Evidence(share * 100, "% restructured", 15.0, details)
+        return Evidence(share * 100, "% restructured", LIMIT * 100, details)
 
     def decide(self, look: Look, evidence: Evidence) -> Decision:
         frames = seen_together(evidence)
