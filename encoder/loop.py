@@ -274,8 +274,8 @@ class StreamEncoder:
         if effects and settings.ask_frames:
             with watch.stage("effects"):
                 found = frame_effects(frame.training, self._masks.references, masks)
-            settings = leave_out(settings, [name for name in effects if name not in found])
-            effects = tuple(name for name in effects if name in found)
+            settings = leave_out(settings, [name for name in effects if not getattr(found, name)])
+            effects = tuple(name for name in effects if getattr(found, name))
         economy = settings.frame.economy
         if self._rate is not None:
             economy = self._rate.economy(economy)

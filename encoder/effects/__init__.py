@@ -13,7 +13,9 @@ in ``DESIGN.md``.
 from .appearance_change import AppearanceChange
 from .building import AUTO, Wanted, leave_out, wanted_effects, with_effects
 from .camera_shake import CameraShake
+from .disappearance import Disappearance
 from .effect import Decision, Effect, Evidence
+from .emergence import Emergence
 from .exposure_drift import ExposureDrift
 from .frame_look import frame_effects
 from .high_dynamic_range import HighDynamicRange
@@ -45,6 +47,8 @@ __all__ = [
 EFFECTS: tuple[Effect, ...] = (
     Motion(),
     AppearanceChange(),
+    Emergence(),
+    Disappearance(),
     ExposureDrift(),
     WhiteBalanceDrift(),
     CameraShake(),

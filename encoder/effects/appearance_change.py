@@ -13,6 +13,8 @@ from .motion import PAUSE
 
 if TYPE_CHECKING:
     from ..presets import EncodeSettings
+LIMIT = 0.2
+"""Share of a change away from motion: the geometric middle of the shadows of what moves, and of light alone."""
 
 _LEAST_SHARE = 0.001
 """Share of a picture below which a change is a speck: 93 pixels of 352 x 264."""
@@ -29,7 +31,7 @@ class AppearanceChange:
         alone = changed - near
         share = alone / np.maximum(changed, 1e-9)
         share[alone < _LEAST_SHARE] = 0
-        return Evidence(share * 100, "% of change", 20.0, {"changed": changed * 100, "alone": alone * 100})
+        return Evidence(share * 100, "% of change", LIMIT * 100, {"changed": changed * 100, "alone": alone * 100})
 
     def decide(self, look: Look, evidence: Evidence) -> Decision:
         frames = seen_together(evidence)

@@ -93,13 +93,13 @@ class Effect(Protocol):
         ...
 
 
-def confidence(evidence: Evidence, *, at_most: float = 1.0) -> float:
+def confidence(evidence: Evidence) -> float:
     """How sure the decision is, by how far the peak lies from its limit: 1/2 there, 9/10 three times away; 0 untold."""
     peak = evidence.peak
     if not np.isfinite(peak):
         return 0.0
     square = min((max(peak, 0.0) / evidence.limit) ** 2, 1e6)
-    return min(at_most, max(square, 1.0) / (1.0 + square))
+    return max(square, 1.0) / (1.0 + square)
 
 
 def cameras_beyond(evidence: Evidence) -> BoolArray:
@@ -146,15 +146,19 @@ def decided(
     frames: tuple[Span, ...],
     reason: str,
     cost: str,
-    at_most: float = 1.0,
+    sure: float | None = None,
     figures: Mapping[str, Any] | None = None,
 ) -> Decision:
-    """The decision for an effect that is called for when any camera ``counts`` (cameras,); else where is left empty."""
+    """The decision for an effect that is called for when any camera ``counts`` (cameras,).
+
+    Cameras, frames and cost are left out of one that is not. ``sure``: the confidence, where it is not that of the
+    evidence alone.
+    """
     called_for = bool(counts.any())
     return Decision(
         effect=effect.name,
         called_for=called_for,
-        confidence=confidence(evidence, at_most=at_most),
+        confidence=confidence(evidence) if sure is None else sure,
         cameras=tuple(name for name, count in zip(look.names, counts, strict=True) if count),
         frames=frames if called_for else (),
         reason=reason,

@@ -1,62 +1,100 @@
-"""What a single frame calls for, told from its masks in a few milliseconds a view, while the encode waits.
+"""What one frame brings, told from the masks' own pictures in milliseconds a view: for the encoder's loop.
 
-The same evidence as over a whole rig (`changes`), on the part of every picture in which the frame's masks lie, against
-the picture on which each pixel was last trained. Only one thing is decided by it: whether light alone has changed, so
-that nothing has to move. In doubt, and where a mask only says that an earlier frame was got wrong, things move. What
-emerges and what disappears is not told by a single frame's changes; where something moves, training looks for both.
+The measure is that of the clip (``changes.py``), on the part of each view that its mask covers, at the size the clip is
+looked at. Whatever is in doubt is motion: training positions that did not change costs time, not training those that
+did costs the picture.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
+from decogs.encoder.masks import FrameMask
 from decogs.formats.splats import FloatArray
 
-from ..masks import FrameMask
-from .changes import U8, WINDOW_PIXELS, change_maps
-from .motion import RESTRUCTURED_PERCENT
-from .names import FRAME_EFFECTS
+from . import appearance_change, motion
+from .changes import WINDOW_PIXELS, change_maps, picture_noise
+from .look import MOST_PIXELS
 
-_NOISE = 1.0
-"""Deviation of a picture in 8-bit levels that is taken for granted: masks have left out what is fainter."""
-_EXPLAINED = 0.5
-"""Least share of a mask that has to have changed since it was last trained for the change to tell anything."""
+_LEAST_CHANGED = 4 * WINDOW_PIXELS
+"""Changed pixels of all views below which a frame is in doubt."""
+
+
+@dataclass(frozen=True)
+class FrameEffects:
+    """What a frame may bring. Without ``motion`` only colours and opacities need training.
+
+    ``emergence`` and ``disappearance`` are told over a clip, not by two pictures: any motion may bring them.
+    """
+
+    motion: bool
+    appearance_change: bool
+
+    @property
+    def emergence(self) -> bool:
+        return self.motion
+
+    @property
+    def disappearance(self) -> bool:
+        return self.motion
+
+
+@dataclass(frozen=True)
+class _Pixels:
+    """Pixels of one view, at the size looked at: changed, restructured, and changed near restructured ones."""
+
+    changed: int
+    restructured: int
+    near: int
+
+    @property
+    def moves(self) -> bool:
+        return self.restructured >= max(motion.LIMIT * self.near, WINDOW_PIXELS)
 
 
 def frame_effects(
-    current: Sequence[FloatArray], references: Sequence[FloatArray], masks: Sequence[FrameMask]
-) -> tuple[str, ...]:
-    """Names of the frame effects that training has to be ready for, given one (3, H, W) picture of every view.
+    current: Sequence[FloatArray], previous: Sequence[FloatArray], masks: Sequence[FrameMask]
+) -> FrameEffects:
+    """What a frame brings, from every view's picture (3, H, W) 0..1, the one it is compared with, and its mask.
 
-    ``references``: what each pixel is compared with. All of them, unless no two views show anything that moves.
+    Raises ValueError when they are not the same views.
     """
-    moving = 0
-    for now, before, mask in zip(current, references, masks, strict=True):
-        moving += mask.raw.any() and _moves(now, before, mask)
-        if moving >= min(2, len(masks)):
-            return FRAME_EFFECTS
-    return ("appearance_change",)
+    views = [_pixels(*view) for view in zip(current, previous, masks, strict=True) if view[2].raw.any()]
+    if not views:
+        return FrameEffects(motion=False, appearance_change=False)
+    # Many little doubts are one: all views together count as one more.
+    together = _Pixels(*(sum(getattr(view, field.name) for view in views) for field in fields(_Pixels)))
+    moves = together.changed < _LEAST_CHANGED or any(view.moves for view in (*views, together))
+    lit = any(v.changed - v.near >= appearance_change.LIMIT * max(v.changed, 1) for v in views)
+    return FrameEffects(motion=moves, appearance_change=lit or not moves)
 
 
-def _moves(now: FloatArray, before: FloatArray, mask: FrameMask) -> bool:
-    """Whether anything but light changes where a view's mask lies."""
+def _pixels(current: FloatArray, previous: FloatArray, mask: FrameMask) -> _Pixels:
+    scale = min(1.0, math.sqrt(MOST_PIXELS / mask.raw.size))
     part = _bounds(mask)
-    raw = mask.raw[part]
-    maps = change_maps(_bytes(before, part), _bytes(now, part), _NOISE)
-    if (raw & ~maps.changed).sum() > _EXPLAINED * raw.sum():
-        return True
-    restructured, near = int(maps.restructured.sum()), int(maps.near().sum())
-    return restructured >= WINDOW_PIXELS and 100 * restructured >= RESTRUCTURED_PERCENT * near
+    maps = change_maps(
+        _small(previous[:, part[0], part[1]], scale),
+        _small(current[:, part[0], part[1]], scale),
+        picture_noise(previous[1], current[1]),
+    )
+    near = maps.near(round(scale * mask.raw.shape[1]))
+    return _Pixels(int(maps.changed.sum()), int(maps.restructured.sum()), int(near.sum()))
 
 
 def _bounds(mask: FrameMask) -> tuple[slice, slice]:
-    """The smallest rectangle around the region of interest."""
     rows, columns = (np.flatnonzero(mask.dilated.any(axis=axis)) for axis in (1, 0))
-    return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
 
 
-def _bytes(picture: FloatArray, part: tuple[slice, slice]) -> U8:
-    inside = picture[:, part[0], part[1]].transpose(1, 2, 0)
-    return np.ascontiguousarray(np.rint(np.clip(inside, 0, 1) * 255).astype(np.uint8))
+def _small(picture: FloatArray, scale: float) -> NDArray[np.uint8]:
+    """(3, H, W) 0..1 as (h, w, 3) levels."""
+    levels = cv2.merge([np.ascontiguousarray(plane) for plane in picture])
+    if scale < 1:
+        levels = cv2.resize(levels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.convertScaleAbs(levels, alpha=255))

@@ -20,13 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.encoder.ingest import display_referred
-from decogs.encoder.masks import frame_noise
 from decogs.formats.cameras import Camera, scale_camera
 from decogs.formats.errors import UsageError
 from decogs.formats.pictures import Picture
 from decogs.formats.rigs import Rig, read_frames
 
-from .changes import ChangeShares, change_maps
+from .arrivals import Arrivals, camera_arrivals
+from .arrivals import untold as untold_arrivals
+from .changes import ChangeShares, change_maps, picture_noise
 from .light import Light, camera_light, steady_light, without_drift
 from .matches import Matches, find_matches
 from .registration import CameraPath, camera_path
@@ -40,8 +41,6 @@ OnStep = Callable[[int, int], None]
 
 MOST_PIXELS = 352 * 264
 """Size at which pictures are looked at, in pixels; smaller ones stay as they are."""
-
-_DETAIL = np.array([[0, -0.25, 0], [-0.25, 1, -0.25], [0, -0.25, 0]], np.float32)
 
 MOST_BYTES = 256 << 20
 """Memory for the pictures of all cameras; a clip that needs more is thinned to every n-th frame."""
@@ -69,6 +68,7 @@ class Look:
     light: Light
     paths: tuple[CameraPath, ...]
     changes: tuple[ChangeShares, ...]
+    arrivals: tuple[Arrivals, ...]
     matches: Matches
 
     @property
@@ -99,11 +99,11 @@ def look_at(
         paths = [steps.over(path) for path in each(camera_path, seen.pictures)]
         steady = each(without_drift, seen.pictures, light.curves())
         noise = _of_resting(seen.noise, paths)
-        changes = [steps.over(shares) for shares in each(_changes, steady, _typical(noise), paths)]
+        changes = [steps.over(found) for found in each(_changes, steady, _typical(noise), paths)]
         matches = find_matches(cameras, [pictures[0] for pictures in seen.pictures], each)
     return Look(
         cameras, scales, tuple(chosen), chosen.step, tuple(seen.pictures), noise, seen.above_white, seen.brightest,
-        light, tuple(paths), tuple(changes), matches,
+        light, tuple(paths), tuple(shares for shares, _ in changes), tuple(came for _, came in changes), matches,
     )  # fmt: skip
 
 
@@ -175,7 +175,7 @@ def _read(rig: Rig, cameras: Sequence[Camera], chosen: range, each: Each, steps:
                 brightest[row, column] = float(now[row].max())
         sparse = [_sparse(picture) for picture in now]
         if before:
-            noise[:, column] = list(each(_noise, sparse, before))
+            noise[:, column] = list(each(picture_noise, before, sparse))
         before = sparse
         steps.over(None)
     return _Seen(pictures, noise, above, brightest)
@@ -195,12 +195,6 @@ def _sparse(picture: Picture) -> F32:
     return display_referred(picture[::stride, ::stride])
 
 
-def _noise(now: F32, before: F32) -> float:
-    """Of what differs from its neighbours in the difference: light that changes slowly over the picture is no noise."""
-    detail = np.asarray(cv2.filter2D(now - before, -1, _DETAIL), np.float32)
-    return frame_noise(detail, np.zeros_like(detail)) / math.sqrt(2 * float((_DETAIL**2).sum()))
-
-
 def _of_resting(noise: F64, paths: Sequence[CameraPath]) -> F64:
     """The noise without that of shaking cameras, whose pictures differ by more than noise."""
     shakes = np.array([path.shakes for path in paths])
@@ -215,8 +209,9 @@ def _typical(noise: F64) -> F64:
     return np.array([float(np.median(row)) if row.size else overall for row in rows])
 
 
-def _changes(pictures: U8, noise: float, path: CameraPath) -> ChangeShares:
-    """Shares of each frame against the one before it; the first has none, nor has a camera that itself moves."""
+def _changes(pictures: U8, noise: float, path: CameraPath) -> tuple[ChangeShares, Arrivals]:
+    """What changed from each frame to the next, and over all; nothing is told of a camera that itself moves."""
     if path.shakes:
-        return ChangeShares.untold(len(pictures))
-    return ChangeShares.of([change_maps(before, now, noise) for before, now in pairwise(pictures)])
+        return ChangeShares.untold(len(pictures)), untold_arrivals(len(pictures))
+    maps = [change_maps(before, now, noise) for before, now in pairwise(pictures)]
+    return ChangeShares.of(maps), camera_arrivals(pictures, maps, noise)

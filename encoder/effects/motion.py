@@ -14,11 +14,12 @@ from .look import Look
 if TYPE_CHECKING:
     from ..presets import EncodeSettings
 
+LIMIT = 0.15
+"""Restructured share of what changes around: in the geometric middle of what light alone and what motion bring."""
+
 PAUSE = 2
 """Frames without evidence that do not end a span: what turns round stands still for a moment."""
 
-RESTRUCTURED_PERCENT = 15.0
-"""Share of a change from which on it counts as motion; DESIGN.md has the margins."""
 _WORTH_OF_LIGHT = 0.25
 """Of what a change must be worth (`economy`), where only light changes: it is spread over many Gaussians, each of which
 hardly shows, and only together they do. candle, frames 1 to 7: 5.1 to 6.0 kB and 33.90 dB, 3.1 kB and 33.57 without."""
@@ -41,7 +42,7 @@ class Motion:
         share = restructured / np.maximum(near, 1e-9)
         share[restructured * pixels < WINDOW_PIXELS] = 0
         details = {"restructured": restructured * 100}
-        return Evidence(share * 100, "% restructured", RESTRUCTURED_PERCENT, details)
+        return Evidence(share * 100, "% restructured", LIMIT * 100, details)
 
     def decide(self, look: Look, evidence: Evidence) -> Decision:
         frames = seen_together(evidence)

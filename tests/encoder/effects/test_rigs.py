@@ -11,6 +11,8 @@ SCENES = ("workbench", "workbench_drift", "candle", "popup", "still", "hdr")
 TOLD = (
     "motion",
     "appearance_change",
+    "emergence",
+    "disappearance",
     "exposure_drift",
     "white_balance_drift",
     "camera_shake",
