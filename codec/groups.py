@@ -16,18 +16,19 @@ from .morton import AXIS_BITS, morton_codes, morton_positions
 from .planes import PlaneCounts, join_planes, split_planes, unzigzag, zigzag
 from .state import GROUPS, IntArray, group_channels
 
-ZERO, PREVIOUS_ROW, OFFSET, MORTON = 0, 1, 2, 3
-"""Prediction modes: nothing, the row before, a constant per channel, gaps between Morton codes (means only)."""
+ZERO, PREVIOUS_ROW, OFFSET, MORTON, CHANNELS = 0, 1, 2, 3, 4
+"""Prediction modes: nothing, the row before, a constant per channel, gaps between Morton codes (means only), the same
+row's channel before and a constant."""
 
 RESIDUAL_MODES = (ZERO,)
-VALUE_MODES = (ZERO, PREVIOUS_ROW, OFFSET)
+VALUE_MODES = (ZERO, PREVIOUS_ROW, OFFSET, CHANNELS)
 
 _INT32 = np.dtype("<i4")
 
 
 @dataclass(frozen=True)
 class GroupHeader:
-    """What stands before a group's coded block: mode, constants per channel (modes 2 and 3), planes per channel."""
+    """What stands before a group's coded block: mode, constants per channel (modes 2 to 4), planes per channel."""
 
     mode: int
     offsets: IntArray
@@ -42,7 +43,9 @@ def write_residuals(residuals: IntArray, level: int) -> bytes:
 def write_values(values: IntArray, group: str, level: int) -> bytes:
     """The values (n, channels) of new rows in the mode that measures smallest."""
     candidates = [_write_plain(ZERO, values, level), _write_plain(PREVIOUS_ROW, _row_differences(values), level)]
-    candidates.append(_write_offset(values, level))
+    candidates.append(_write_offset(OFFSET, values, level))
+    if values.shape[1] > 1:
+        candidates.append(_write_offset(CHANNELS, _channel_differences(values), level))
     if group == "means" and (gaps := _write_morton(values, level)) is not None:
         candidates.append(gaps)
     return min(candidates, key=len)
@@ -64,14 +67,16 @@ def read_group(cursor: Cursor, group: str, n: int, channels: int, *, values: boo
     residuals = unzigzag(join_planes(header.counts, data, n)).astype(np.int32, order="C")
     if header.mode == PREVIOUS_ROW:
         return np.cumsum(residuals, axis=0, dtype=np.int32)
-    return residuals + header.offsets if header.mode == OFFSET else residuals
+    if header.mode in (OFFSET, CHANNELS):
+        residuals += header.offsets
+    return np.cumsum(residuals, axis=1, dtype=np.int32) if header.mode == CHANNELS else residuals
 
 
 def read_group_header(cursor: Cursor, channels: int) -> GroupHeader:
     """Mode, constants and plane counts, checked against their bounds."""
     mode = cursor.u8()
     offsets = np.zeros(0, np.int32)
-    if mode in (OFFSET, MORTON):
+    if mode in (OFFSET, MORTON, CHANNELS):
         offsets = np.frombuffer(cursor.take(4 * channels), _INT32).astype(np.int32)
     counts = np.frombuffer(cursor.take(1 if mode == MORTON else channels), np.uint8)
     if counts.max(initial=0) > (8 if mode == MORTON else 4):
@@ -113,16 +118,20 @@ def _row_differences(values: IntArray) -> IntArray:
     return np.diff(values, axis=0, prepend=np.zeros((1, values.shape[1]), np.int32))
 
 
+def _channel_differences(values: IntArray) -> IntArray:
+    return np.diff(values, axis=1, prepend=np.zeros((len(values), 1), np.int32))
+
+
 def _write_plain(mode: int, residuals: IntArray, level: int) -> bytes:
     counts, data = split_planes(zigzag(residuals))
     return bytes([mode]) + counts.tobytes() + coded_block(data, level)
 
 
-def _write_offset(values: IntArray, level: int) -> bytes:
-    """Mode 2 around the channel's median, where its values are densest."""
+def _write_offset(mode: int, values: IntArray, level: int) -> bytes:
+    """Modes 2 and 4 around the channel's median, where its values are densest."""
     offsets = np.sort(values, axis=0)[len(values) // 2] if len(values) else np.zeros(values.shape[1], np.int32)
     counts, data = split_planes(zigzag(values - offsets))
-    return bytes([OFFSET]) + offsets.astype(_INT32).tobytes() + counts.tobytes() + coded_block(data, level)
+    return bytes([mode]) + offsets.astype(_INT32).tobytes() + counts.tobytes() + coded_block(data, level)
 
 
 def _write_morton(means: IntArray, level: int) -> bytes | None:

@@ -40,10 +40,10 @@ class Lattice:
 KEPT_SCALE = (0.7, 1.5)
 """Bounds of the largest component, in units, between which a delta keeps a quaternion's scale."""
 
-_EXTENT_STEPS = 2.0**13
+_EXTENT_STEPS = 5500.0
 
-_STEPS = {"log_scales": 0.06, "quaternions": 1 / 32, "opacity_logits": 0.25, "sh_dc": 1 / 12, "sh_rest": 1 / 8}
-"""Together they cost a keyframe .04 dB, whose training rounds rotations and colours before its end (DESIGN.md)."""
+_STEPS = {"log_scales": 0.18, "quaternions": 1 / 32, "opacity_logits": 0.25, "sh_dc": 1 / 12, "sh_rest": 1 / 8}
+"""A keyframe's training rounds to them one after the other, and what is left makes up for it (DESIGN.md)."""
 
 
 def default_lattice(extent: float, *, centre: Vector = (0.0, 0.0, 0.0), scale: float = 1.0) -> Lattice:

@@ -16,12 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.codec.lattice import Lattice, default_lattice, dequantise, quantise, robust_extent
+from decogs.codec.state import Attributes
 from decogs.formats.cameras import camera_centre
 from decogs.formats.errors import TrainingError
 from decogs.formats.splats import SH_C0, FloatArray, Splats, take_splats
 
 from .corrections import Corrector
 from .densification import ViewGradients, grow, opacities_of, strongest
+from .economy import cheapest, picture_share
 from .effort import WHOLE, Effort, TargetWatch
 from .first_points import FirstPoints
 from .ingest import View
@@ -47,8 +49,10 @@ class KeyframeSettings:
     the point spacing. ``grow_from``/``grow_to``: shares of the schedule in which densification runs every
     ``grow_every`` steps, where the mean view gradient reaches ``grow_gradient``; lower grows more and is slower, up to
     the cap. ``validation_share``: share of the tiles kept for the stop (0: no stop); the stop comes after ``patience``
-    checks without a new best, more is slower. At the end, rotations and colours are put on the lattice, and in
-    ``settle_iterations`` more steps the rest makes up for it; more is slower.
+    checks without a new best, more is slower. At the end, rotations and colours, then sizes are put on the lattice, and
+    in ``settle_iterations`` more steps the rest makes up for it; more is slower. ``bit_worth``: what a bit of a
+    rotation or of a view-dependent colour must do to be written, as the square of the change of a picture's loss summed
+    over its pixels (1: one pixel from black to white); higher is smaller and less exact, 0 rounds to the nearest.
     """
 
     iterations: int = 1000
@@ -68,7 +72,8 @@ class KeyframeSettings:
     rates: LearningRates = field(default_factory=lambda: LearningRates(4e-4, 1e-2, 3e-3, 0.05, 1e-2, 5e-4))
     means_decay: float = 0.05
     late_decay: float = 0.2
-    settle_iterations: int = 150
+    settle_iterations: int = 300
+    bit_worth: float = 2e-5
 
 
 @dataclass(frozen=True)
@@ -175,7 +180,7 @@ class _KeyframeTraining:
     def _train(self, on_step: OnStep | None) -> tuple[int, bool]:
         """Trains until schedule, target or stop, which goes back to the best; steps, and whether it stopped."""
         settings = self._settings
-        best, best_splats, waited, step = -np.inf, self._optimiser.splats, 0, 0
+        best, best_optimiser, waited, step = -np.inf, self._optimiser, 0, 0
         while step < settings.iterations and waited < settings.patience and not self._is_good_enough:
             if self._corrector is not None and self._corrects_at(step):
                 self._correct(self._corrector, step)
@@ -188,30 +193,56 @@ class _KeyframeTraining:
                 score = self.validation_psnr(step)
                 if score > best:
                     best, waited = score, 0
-                    best_splats = take_splats(self._optimiser.splats, np.arange(len(self._optimiser.splats)))
+                    best_optimiser = self._optimiser.copied()
                 else:
                     waited += 1
         stopped = step < settings.iterations and not self._is_good_enough
         if stopped:
-            self._optimiser = SplatOptimiser(best_splats, self._kernel)
-            self._gradients = gradients_like(best_splats)
+            self._optimiser = best_optimiser
+            self._gradients = gradients_like(best_optimiser.splats)
         return step, stopped
 
     def _settle_on_lattice(self, steps: int, on_step: OnStep | None) -> Lattice:
-        """Puts rotations and colours on the lattice, which is coarse for them, and trains the others around them."""
-        splats, settings = self._optimiser.splats, self._settings
-        extent, centre = robust_extent(splats.means)
+        """Puts one attribute after the other on the lattice, which is coarse, and trains the others around them."""
+        total = self._settings.settle_iterations
+        extent, centre = robust_extent(self._optimiser.splats.means)
         lattice = default_lattice(extent, centre=centre, scale=self._lattice_scale)
-        if settings.settle_iterations:
-            points = dequantise(quantise(splats, lattice), lattice)
-            splats.quaternions[:], splats.sh[:] = points.quaternions, points.sh
-            self._optimiser.hold({name: np.ones(getattr(splats, name).shape, bool) for name in ("quaternions", "sh")})
-        for more in range(settings.settle_iterations):
-            loss = self._step(settings.iterations)
+        for more in range(total):
+            if more == 0:
+                self._fix(("quaternions", "sh"), self._judged(lattice), lattice)
+            if more == total // 3:
+                self._fix(("log_scales",), quantise(self._optimiser.splats, lattice), lattice)
+            if more == 2 * total // 3:
+                self._fix(("means",), quantise(self._optimiser.splats, lattice), lattice)
+            loss = self._step(self._settings.iterations)
             self._tell("settle", more, loss)
             if on_step:
                 on_step(min(self._planned, steps + 1 + more), self._planned, loss)
         return lattice
+
+    def _fix(self, names: Sequence[str], points: Attributes, lattice: Lattice) -> None:
+        """From now on these attributes are at ``points`` of the lattice."""
+        splats, there = self._optimiser.splats, dequantise(points, lattice)
+        for name in names:
+            getattr(splats, name)[:] = getattr(there, name)
+        self._optimiser.hold({name: np.ones(getattr(splats, name).shape, bool) for name in names})
+
+    def _judged(self, lattice: Lattice) -> Attributes:
+        """Lattice points: rotations and view-dependent colours as far as they show, the rest the nearest."""
+        splats, bit = self._optimiser.splats, self._settings.bit_worth
+        points, share = quantise(splats, lattice), np.float32(picture_share(self._losses))
+        quaternions, sh = (self._optimiser.gradient_size(name) / share for name in ("quaternions", "sh"))
+        row, largest = np.arange(len(splats)), np.abs(splats.quaternions).argmax(axis=1)
+        # In units of the lattice, which makes the largest component one.
+        one = splats.quaternions[row, largest][:, None] * np.float32(lattice.quaternions)
+        points.quaternions[:] = cheapest(splats.quaternions / one, quaternions * one, bit)
+        points.quaternions[row, largest] = np.rint(1 / lattice.quaternions)
+        step, rest = np.float32(lattice.sh_rest), points.sh[:, 1:]
+        flat = (len(splats), rest[0].size)
+        rest[:] = cheapest((splats.sh[:, 1:] / step).reshape(flat), (sh[:, 1:] * step).reshape(flat), bit).reshape(
+            rest.shape
+        )
+        return points
 
     @property
     def _planned(self) -> int:

@@ -55,6 +55,12 @@ class SplatOptimiser:
         self._steps = 0
         self._held: dict[str, tuple[NDArray[np.bool_], FloatArray]] = {}
 
+    def copied(self) -> SplatOptimiser:
+        """The same values and momentum, stepped apart from now on; nothing is held."""
+        other = SplatOptimiser(self.splats, self._kernel, beta1=self._beta1, beta2=self._beta2, epsilon=self._epsilon)
+        other.remember(self, np.arange(len(self.splats)), np.arange(len(self.splats)))
+        return other
+
     def step(self, gradients: SplatGradients, rates: LearningRates, *, rows: NDArray[np.int64] | None = None) -> None:
         """One step of every attribute whose rate is not 0, on ``rows`` or on all."""
         self._steps += 1
@@ -81,7 +87,7 @@ class SplatOptimiser:
 
     def hold(self, held: Mapping[str, NDArray[np.bool_]]) -> None:
         """From now on these numbers of each attribute keep their values, until rows come or go."""
-        self._held = {name: (mask, getattr(self.splats, name).copy()) for name, mask in held.items()}
+        self._held |= {name: (mask, getattr(self.splats, name).copy()) for name, mask in held.items()}
 
     def gradient_size(self, name: str) -> FloatArray:
         """Root mean square of an attribute's gradients so far, shaped like it, the recent ones weighing most."""

@@ -97,7 +97,7 @@ _LIVE = EncodeSettings(
         economy=EconomySettings(
             worth=0.02,
             hold_at=0.5,
-            coarseness=Coarseness(means=3, log_scales=3, quaternions=2, opacity_logits=3, sh_dc=2, sh_rest=1),
+            coarseness=Coarseness(means=2, log_scales=1, quaternions=2, opacity_logits=3, sh_dc=2, sh_rest=1),
         ),
         emergence=EmergenceSettings(most_rays=500),
     ),

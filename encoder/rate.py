@@ -48,16 +48,19 @@ _OCTAVE_STEPS = 32
 def with_quality(settings: EncodeSettings, quality: float) -> EncodeSettings:
     """The same settings at a quality of 0 to 100; raises UsageError beyond.
 
-    50 is the settings as they are. 16 less, and a change must be worth twice as much to be sent, and the lattice's
-    steps are 2^(1/4) times as coarse. Settings that send every change (``paper``, ``3dgstream``) follow with the
+    50 is the settings as they are. 16 less, and a change must be worth twice as much to be sent, the lattice's
+    steps are 2^(1/4) times as coarse, and a bit of the keyframe must be worth 2^(1/2) times as much (it is weighed
+    against squares). Settings that send every change (``paper``, ``3dgstream``) follow with the keyframe and the
     lattice only.
     """
     if not 0 <= quality <= 100:
         raise UsageError(f"--quality {quality:g}: give a number from 0 (smallest) to 100 (most exact)")
     factor = 2.0 ** ((NEUTRAL_QUALITY - quality) / _QUALITIES_PER_OCTAVE)
     economy = replace(settings.frame.economy, worth=_rounded(settings.frame.economy.worth * factor))
+    keyframe = replace(settings.keyframe, bit_worth=_rounded(settings.keyframe.bit_worth * factor ** (2 * _STEP_SHARE)))
     return replace(
         settings,
+        keyframe=keyframe,
         lattice_scale=_rounded(settings.lattice_scale * factor**_STEP_SHARE),
         frame=replace(settings.frame, economy=economy),
     )

@@ -164,9 +164,9 @@ def test_rows_decode_alone_as_they_do_together() -> None:
 
 def test_default_lattice_follows_extent_and_scale() -> None:
     fine, coarse = default_lattice(8.0, centre=(1.0, 2.0, 3.0)), default_lattice(8.0, scale=4.0)
-    assert fine.means == (8 / 8192,) * 3
+    assert fine.means == pytest.approx((8 / 5500,) * 3)
     assert fine.origin == (1.0, 2.0, 3.0)
-    assert coarse.means == (8 / 2048,) * 3
+    assert coarse.means == pytest.approx((32 / 5500,) * 3)
     assert coarse.sh_rest == 4 * fine.sh_rest
     with pytest.raises(TrainingError, match="extent"):
         default_lattice(float("nan"))

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from decogs.codec.entropy import MAX_WINDOW, coded_block, read_block, skip_block
-from decogs.codec.groups import MORTON, read_group, write_residuals, write_values
+from decogs.codec.groups import CHANNELS, MORTON, read_group, write_residuals, write_values
 from decogs.codec.index_sets import read_index_set, read_varints, skip_index_set, write_index_set, write_varints
 from decogs.codec.morton import morton_codes, morton_order, morton_positions
 from decogs.codec.planes import join_planes, split_planes, unzigzag, zigzag
@@ -188,12 +188,22 @@ def test_positions_on_a_surface_take_the_morton_mode() -> None:
     assert data[0] == MORTON
 
 
+def test_colours_that_are_nearly_grey_are_told_as_differences_between_their_channels() -> None:
+    rng = np.random.default_rng(2)
+    colours = (rng.integers(-60, 60, (4000, 1)) + rng.integers(-2, 3, (4000, 3))).astype(np.int32)
+    data = write_values(colours, "sh_dc", 15)
+    assert data[0] == CHANNELS
+    assert np.array_equal(read_group(Cursor(data), "sh_dc", *colours.shape, values=True), colours)
+    # 120 numbers and more in each channel, 6.9 bits and more each, without looking at the others.
+    assert len(data) < 0.8 * 4000 * 3 * 6.9 / 8
+
+
 def test_constant_channels_take_no_planes() -> None:
     values = np.full((1000, 4), -123456, np.int32)
     assert len(write_values(values, "quaternions", 19)) <= 1 + 16 + 4 + 5
 
 
-@pytest.mark.parametrize(("mode", "values"), [(1, False), (2, False), (3, False), (4, True), (255, True)])
+@pytest.mark.parametrize(("mode", "values"), [(1, False), (2, False), (3, False), (4, False), (5, True), (255, True)])
 def test_groups_refuse_modes_that_are_not_theirs(mode: int, values: bool) -> None:
     data = bytes([mode]) + bytes(40)
     with pytest.raises(StreamError, match="unsupported-mode"):

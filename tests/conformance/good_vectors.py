@@ -184,12 +184,13 @@ def good_payloads() -> Iterator[Vector]:
 
 
 def good_predictions() -> Iterator[Vector]:
-    for mode in (0, 1, 2):
+    for mode in (0, 1, 2, 4):
         stream = with_degree(1)
         rows = [*scene(11, 5, stream.width), [LOWEST] * stream.width, [HIGHEST] * stream.width, [-1] * stream.width]
         extremes = [(LOWEST, HIGHEST, -5)[channel % 3] for channel in range(max(stream.header.channels))]
         codings = {
-            g: Coding(mode, extremes[:width] if mode == 2 else ()) for g, width in enumerate(stream.header.channels)
+            g: Coding(mode, extremes[:width] if mode in (2, 4) else ())
+            for g, width in enumerate(stream.header.channels)
         }
         stream.key(stream.state(rows), codings)
         stream.skip()

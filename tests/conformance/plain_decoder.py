@@ -504,7 +504,7 @@ def gaps(fields: Fields, rows: int) -> list[int]:
 def attribute_group(fields: Fields, group: int, channels: int, rows: int, role: str) -> list[list[int]]:
     """One group of so many rows, as rows of channels, after prediction."""
     mode = fields.u8()
-    if mode > 3 or (mode > 0 and role == RESIDUALS) or (mode == 3 and group != MEANS):
+    if mode > 4 or (mode > 0 and role == RESIDUALS) or (mode == 3 and group != MEANS):
         refuse("unsupported-mode")
     constants = [fields.i32() for _ in range(channels)] if mode >= 2 else [0] * channels
     if mode == 3:
@@ -514,6 +514,8 @@ def attribute_group(fields: Fields, group: int, channels: int, rows: int, role: 
     for codes, constant in zip(planes(fields, channels, rows, 4), constants, strict=True):
         residuals = [(code >> 1) ^ -(code & 1) for code in codes]
         columns.append(predicted(residuals, mode, constant))
+        if mode == 4 and len(columns) > 1:
+            columns[-1] = [wrapped(value + before) for value, before in zip(columns[-1], columns[-2], strict=True)]
     return [list(row) for row in zip(*columns, strict=True)]
 
 

@@ -137,7 +137,10 @@ def attribute_group(rows: Rows, width: int, coding: Coding) -> bytes:
     head = bytes([coding.mode])
     if coding.mode == 1:
         columns = [[wrapped(b - a) for a, b in zip([0, *column[:-1]], column, strict=True)] for column in columns]
-    if coding.mode == 2:
+    if coding.mode == 4:
+        before = [[0] * len(rows), *columns[:-1]]
+        columns = [[b - a for a, b in zip(*pair, strict=True)] for pair in zip(before, columns, strict=True)]
+    if coding.mode in (2, 4):
         head += struct.pack(f"<{width}i", *coding.constants)
         columns = [
             [wrapped(value - constant) for value in column]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from decogs.codec.state import ARRAYS, Attributes
-from decogs.encoder.economy import Coarseness, coarse_changes, picture_share, take_back
+from decogs.encoder.economy import Coarseness, cheapest, coarse_changes, picture_share, take_back
 from decogs.encoder.losses import FocusWeights, focus_loss, whole_picture_loss
 from decogs.encoder.optimiser import LearningRates, SplatOptimiser
 from decogs.encoder.rasterise import SplatGradients, TrainingKernel
@@ -106,3 +106,39 @@ def test_a_share_of_the_summed_loss_is_the_same_whatever_the_focus() -> None:
     focused = focus_loss(target, mask, None, FocusWeights(whole=0.0, focus=1.0))
     assert picture_share([focused]) == pytest.approx(1 / 600)
     assert picture_share([whole, focused]) == pytest.approx((1 / 2400 + 1 / 600) / 2)
+
+
+def bits_of(column: np.ndarray) -> float:
+    """What an entropy coder with a table takes for it."""
+    counts = np.unique(column, return_counts=True)[1]
+    return float((counts * np.log2(len(column) / counts)).sum())
+
+
+def test_numbers_that_hardly_show_take_fewer_bits_and_those_that_do_stay() -> None:
+    random = np.random.default_rng(5)
+    values = random.normal(scale=6, size=(4000, 2)).astype(np.float32)
+    change = np.full(values.shape, 0.01, np.float32)
+    change[2000:] = 10.0
+    chosen, nearest = cheapest(values, change, 1e-3), np.rint(values).astype(np.int32)
+    # Half a step there costs 25, far more than what any of the numbers takes in bits.
+    np.testing.assert_array_equal(chosen[2000:], nearest[2000:])
+    assert (chosen[:2000] != nearest[:2000]).any()
+    for channel in range(2):
+        (cost, bits), (nearest_cost, nearest_bits) = (
+            (((change * (points - values)) ** 2)[:, channel].sum(dtype=float), bits_of(points[:, channel]))
+            for points in (chosen, nearest)
+        )
+        assert bits < 0.9 * nearest_bits
+        assert cost + 1e-3 * bits < nearest_cost + 1e-3 * nearest_bits
+        assert set(chosen[:, channel]) <= set(nearest[:, channel])
+
+
+def test_bits_that_are_worth_nothing_change_no_number_and_no_gaussians_are_none() -> None:
+    values = np.random.default_rng(6).normal(scale=6, size=(100, 3)).astype(np.float32)
+    np.testing.assert_array_equal(cheapest(values, np.zeros_like(values), 0.0), np.rint(values))
+    assert cheapest(values[:0], values[:0], 1.0).shape == (0, 3)
+
+
+def test_numbers_that_do_nothing_become_their_channels_commonest() -> None:
+    values = np.array([[3.0, -1.0], [3.2, 8.0], [9.0, -1.4], [-7.0, -1.0]], np.float32)
+    np.testing.assert_array_equal(cheapest(values, np.zeros_like(values), 1e-9), [[3, -1]] * 4)

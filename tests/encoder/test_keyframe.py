@@ -204,16 +204,35 @@ def test_steps_are_reported(case: Case) -> None:
     assert all(np.isfinite(loss) and loss > 0 for _, _, loss in told)
 
 
-def test_rotations_and_colours_end_on_the_lattice_and_the_rest_goes_on(case: Case) -> None:
-    result, before = trained(case), trained(case, replace(SHORT, settle_iterations=0))
+def test_all_but_opacities_end_on_the_lattice_one_after_the_other(case: Case) -> None:
+    nearest = replace(SHORT, bit_worth=0.0)
+    result, before = trained(case, nearest), trained(case, replace(nearest, settle_iterations=0))
     on_lattice = dequantise(quantise(result.splats, result.lattice), result.lattice)
     rounded = dequantise(quantise(before.splats, before.lattice), before.lattice)
-    for name in ("quaternions", "sh"):
+    for name in ("quaternions", "sh", "log_scales", "means"):
         held = getattr(result.splats, name)
         np.testing.assert_array_equal(held, getattr(on_lattice, name))
-        np.testing.assert_array_equal(held, getattr(rounded, name))
         assert (held != getattr(before.splats, name)).any()
-    assert (result.splats.means != before.splats.means).any()
+    for name in ("quaternions", "sh"):
+        np.testing.assert_array_equal(getattr(result.splats, name), getattr(rounded, name))
+    for name in ("log_scales", "means", "opacity_logits"):
+        made_up_for_others = getattr(result.splats, name) != getattr(rounded, name)
+        assert made_up_for_others.any()
+
+
+def test_bits_of_rotations_and_view_dependent_colours_must_be_worth_it(case: Case) -> None:
+    points, shiny = {}, replace(SHORT, rates=replace(SHORT.rates, sh_rest=0.02))
+    for bit_worth in (0.0, 1e-4, 1e4):
+        result = trained(case, replace(shiny, bit_worth=bit_worth))
+        points[bit_worth] = quantise(result.splats, result.lattice)
+        for name in ("quaternions", "sh"):
+            on_lattice = dequantise(points[bit_worth], result.lattice)
+            np.testing.assert_array_equal(getattr(result.splats, name), getattr(on_lattice, name))
+    nearest, judged = points[0.0], points[1e-4]
+    np.testing.assert_array_equal(judged.sh[:, 0], nearest.sh[:, 0], "base colours show everywhere")
+    for columns in ([p.quaternions for p in points.values()], [p.sh[:, 1:].reshape(-1, 9) for p in points.values()]):
+        kinds = [len(np.unique(rows, axis=0)) for rows in columns]
+        assert kinds[0] > kinds[1] > kinds[2] == 1, "where no bit is worth it, each channel's commonest is left"
 
 
 def test_the_lattice_is_as_coarse_as_asked_for(case: Case) -> None:
