@@ -140,8 +140,9 @@ def _encode(options: argparse.Namespace) -> int:
         terminal=sys.stderr,
     )
     print("\n".join(_summary(report)), file=sys.stderr if piped else sys.stdout)
-    for missed in filter(None, (_missed_budget(report), _missed_time(report))):
-        print(f"decogs-encode: warning: {missed}", file=sys.stderr)
+    warnings = [*_left_out(report), _given_up(report), _missed_budget(report), _missed_time(report)]
+    for warning in filter(None, warnings):
+        print(f"decogs-encode: warning: {warning}", file=sys.stderr)
     return 130 if report.interrupted else 0
 
 
@@ -166,6 +167,32 @@ def _summary(report: EncodeReport) -> list[str]:
             f"{_mean(cpu_seconds):.2f} CPU-s, {_mean(selected):.1%} selected (means)"
         )
     return lines
+
+
+def _left_out(report: EncodeReport) -> list[str]:
+    """A line for every camera and reason, with the frames that it had no part in."""
+    frames: dict[tuple[str, str], list[int]] = {}
+    for frame in report.frames:
+        for left_out in frame.left_out.items():
+            frames.setdefault(left_out, []).append(frame.frame)
+    return [f"camera {name} shows {why}: left out of {_frames(at)}" for (name, why), at in frames.items()]
+
+
+def _given_up(report: EncodeReport) -> str:
+    at = [frame.frame for frame in report.frames if frame.given_up]
+    return f"training ran away, and the scene stayed as it was in {_frames(at)}; lower the learning rates" if at else ""
+
+
+def _frames(numbers: Sequence[int]) -> str:
+    """ "frames 3 to 5, 9" for ascending numbers."""
+    runs: list[list[int]] = []
+    for number in numbers:
+        if runs and number == runs[-1][1] + 1:
+            runs[-1][1] = number
+        else:
+            runs.append([number, number])
+    said = ", ".join(f"{first} to {last}" if last > first else str(first) for first, last in runs)
+    return f"frame{'s'[: len(numbers) > 1]} {said}"
 
 
 def _missed_budget(report: EncodeReport) -> str:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.codec.lattice import LOG_SCALE_BOUND
 from decogs.decoder.rasterise.reference import rotation_matrices
 from decogs.formats.splats import Splats, take_splats
 
@@ -59,7 +60,7 @@ def grow(splats: Splats, parents: NDArray[np.int64], large: float, random: np.ra
     Both halves of a split lie at opposite points drawn from the Gaussian itself and are 1.6 times smaller (Kerbl 2023).
     """
     taken = take_splats(splats, parents)
-    scales = np.exp(taken.log_scales.astype(np.float64))
+    scales = np.exp(np.clip(taken.log_scales.astype(np.float64), -LOG_SCALE_BOUND, LOG_SCALE_BOUND))
     rotations = rotation_matrices(np, taken.quaternions.astype(np.float64))
     offsets = np.einsum("nij,nj->ni", rotations, random.normal(size=scales.shape) * scales)
     split = (scales.max(axis=1, initial=0) > large)[:, None]

@@ -19,6 +19,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.codec.state import MAX_GAUSSIANS
 from decogs.formats.cameras import turned
 from decogs.formats.splats import FloatArray, Splats, empty_splats, join_splats, take_splats
 
@@ -28,7 +29,7 @@ from .effort import WHOLE, Effort, Pace, SearchTime, TargetWatch
 from .emergence import EmergenceSettings, Look, missed, seeds, worth_a_search
 from .ingest import View
 from .losses import FocusWeights, PhotometricLoss, focus_loss, require_finite, whole_picture_loss
-from .masks import FrameMask, MaskSettings
+from .masks import FrameMask, MaskSettings, showing
 from .motion import shared_displacements
 from .optimiser import LearningRates, SplatOptimiser
 from .rasterise import FixedView, SplatGradients, TrainingKernel, gradients_like
@@ -75,18 +76,27 @@ class FrameSettings:
 
 @dataclass(frozen=True)
 class TrainedFrame:
-    """What a frame changed: new values (M rows) for the rows ``kept``, rows ``removed``, Gaussians ``added``."""
+    """What a frame changed: new values (M rows) for the rows ``kept``, rows ``removed``, Gaussians ``added``.
+
+    ``given_up``: training made the pictures worse, and nothing has changed.
+    """
 
     kept: NDArray[np.int64]
     values: Splats
     removed: NDArray[np.int64]
     added: Splats
+    given_up: bool = False
+
+
+_RUN_AWAY = 1.5
+"""Training that raises the squared error in focus by this factor (1.8 dB) has run away; one that works lowers it."""
 
 
 class FrameTrainer:
     """Trains later frames of one stream; ``extent`` is the rig's, the box bounds what the cache may move.
 
-    ``watch``: the training views as fixed views of the stream's scene, all of it at rest between frames.
+    ``watch``: the training views as fixed views of the stream's scene, all of it at rest between frames. ``most``: no
+    clone or split makes the scene larger than that; what newly appears may.
     """
 
     def __init__(
@@ -100,10 +110,11 @@ class FrameTrainer:
         box: tuple[NDArray[np.float64], NDArray[np.float64]],
         seed: int,
         threads: int = 1,
+        most: int = MAX_GAUSSIANS,
     ) -> None:
         self._kernel, self._views, self._watch = kernel, views, watch
         self._whole_settings = self._settings = settings
-        self._seed, self._threads, self._box = seed, threads, box
+        self._seed, self._threads, self._box, self._most = seed, threads, box, most
         self._extent = extent
         self._ungated: SplatOptimiser | None = None
         self._values: list[float] = []
@@ -128,10 +139,14 @@ class FrameTrainer:
         ``motion`` (N, 3) is every Gaussian's last displacement, for the warm start. ``frame``: its index, which with
         the seed makes all that is random, so that a frame can be trained again alone. ``settings``: of this frame,
         where they differ. ``effort``: what ends training before the settings' iterations, in either stage a deadline,
-        in stage 2 a target in the regions of interest. The watching views are left with the trained Gaussians lifted.
+        in stage 2 a target in the regions of interest. The watching views, whose pictures must be those of ``scene``,
+        are left with the trained Gaussians lifted. Views whose masks are ``lost`` have no part in it. Where training
+        has run away, nothing changes.
         """
         self._settings, self._effort = self._whole_settings if settings is None else settings, effort
         self._cache = self._cache_of_frame()
+        self._used = showing(masks)
+        before = self._misses(pictures, masks)
         self._random = np.random.default_rng((self._seed, frame))
         losses = [
             self._loss(picture, mask, view) for picture, mask, view in zip(pictures, masks, self._views, strict=True)
@@ -149,6 +164,10 @@ class FrameTrainer:
         if "gate" in self._settings.ablated:
             self._open_gate(work, scene)
         self._stage2(work, scene, losses, masks)
+        for index in self._probes():
+            self._watch[index].draw(work.shown, work.rows)
+        if self._misses(pictures, masks) > _RUN_AWAY * before:
+            return replace(work.unchanged(scene), given_up=True)
         return self._result(work)
 
     def _cache_of_frame(self) -> TransformationCache | None:
@@ -159,6 +178,18 @@ class FrameTrainer:
         if self._kept_cache is None:
             self._kept_cache = TransformationCache(*self._box, settings.cache, self._seed, threads=self._threads)
         return self._kept_cache
+
+    def _probes(self) -> list[int]:
+        """A few of the used views, enough to see what goes wrong everywhere."""
+        return self._used[::3]
+
+    def _misses(self, pictures: Sequence[FloatArray], masks: Sequence[FrameMask]) -> float:
+        """Squared error in focus of what some views show."""
+        total = 0.0
+        for index in self._probes():
+            square = (np.clip(self._watch[index].rgb, 0, 1) - pictures[index]) ** 2
+            total += float((square * masks[index].dilated).sum(dtype=np.float64))
+        return total
 
     def _start_warm(self, work: _Working, motion: FloatArray) -> None:
         share = np.float32(self._settings.warm_start)
@@ -222,7 +253,7 @@ class FrameTrainer:
                 gradients = self._through_cache(work, gradients, self._cache)
             if pace.reaches(hold_at) and not judged:
                 before, old, judged = work.before(scene), work.rows < len(scene), True
-                take_back(work.optimiser, before, old, worth * picture_share(losses))
+                take_back(work.optimiser, before, old, worth * picture_share([losses[i] for i in self._used]))
                 if target is not None:
                     target.restart()
             elif target is not None and target.saw(index, self._watch[index].rgb):
@@ -248,7 +279,7 @@ class FrameTrainer:
 
     def _has_fallen_flat(self, step: int) -> bool:
         """Whether the round through all views that ends here lowered the loss by too little to go on."""
-        count = len(self._views)
+        count = len(self._used)
         if not self._settings.flat or (step + 1) % count or len(self._values) < 2 * count:
             return False
         before, now = sum(self._values[-2 * count : -count]), sum(self._values[-count:])
@@ -293,14 +324,14 @@ class FrameTrainer:
         """Views at random, each once before any comes again."""
         order: list[int] = []
         while len(order) < steps:
-            order += [int(i) for i in self._random.permutation(len(self._views))]
+            order += [self._used[i] for i in self._random.permutation(len(self._used))]
         return order[:steps]
 
     def _densify(self, work: _Working, view_gradients: ViewGradients, masks: Sequence[FrameMask]) -> None:
         """Adds Gaussians to ``work`` where the gradient asks for them, and takes those away that have become faint."""
         settings = self._settings
         faint = work.selected & (opacities_of(work.base) < settings.prune_opacity)
-        room = int(settings.grow_share * work.selected.sum())
+        room = min(int(settings.grow_share * work.selected.sum()), self._most - work.population + int(faint.sum()))
         parents = strongest(view_gradients.mean(), work.selected & ~faint, settings.grow_gradient, room)
         if len(parents):
             growth = grow(work.base, parents, 0.01 * self._extent, self._random)
@@ -347,13 +378,13 @@ class FrameTrainer:
         if settings.most <= 0:
             return empty_splats(work.base.sh_degree)
         looks: dict[int, Look] = {}
-        for probe in (range(0, len(self._views), 3), range(len(self._views))):
+        for probe in (self._probes(), self._used):
             for index in probe:
                 if index not in looks:
                     looks[index] = self._look(work, index, losses[index].target, masks[index])
             if not worth_a_search([missed(look, settings) for look in looks.values()], settings):
                 return empty_splats(work.base.sh_degree)
-        return seeds([looks[i] for i in range(len(looks))], settings, work.base.sh_degree)
+        return seeds([looks[i] for i in self._used], settings, work.base.sh_degree)
 
     def _look(self, work: _Working, index: int, target: FloatArray, mask: FrameMask) -> Look:
         view, watching = self._views[index], self._watch[index]
@@ -415,6 +446,11 @@ class _Working:
     def base(self) -> Splats:
         return self.optimiser.splats
 
+    @property
+    def population(self) -> int:
+        """How many Gaussians the scene has as it is now."""
+        return self._population - len(self.lifted) + len(self.rows)
+
     def show(self, means: FloatArray, quaternions: FloatArray) -> None:
         self.shown = replace(self.base, means=means, quaternions=quaternions)
 
@@ -466,6 +502,11 @@ class _Working:
             np.setdiff1d(self.lifted, self.rows),
             take_splats(self.shown, ~old & self.lasting()),
         )
+
+    def unchanged(self, scene: Splats) -> TrainedFrame:
+        """All as it was in the ``scene``."""
+        nothing = empty_splats(scene.sh_degree)
+        return TrainedFrame(self.lifted, take_splats(scene, self.lifted), np.zeros(0, np.int64), nothing)
 
     def _resized(self) -> None:
         self.shown, self.gradients = self.base, gradients_like(self.base)

@@ -14,13 +14,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.decoder.lens import Undistortion, with_k1
-from decogs.formats.cameras import Camera, scale_camera, turned
-from decogs.formats.errors import UsageError
+from decogs.formats.cameras import Camera, camera_centre, scale_camera, turned
+from decogs.formats.errors import RigError, UsageError
 from decogs.formats.rigs import Rig, read_frames
 from decogs.formats.splats import FloatArray
 
 NEAR_SHARE = 0.1
 """Near plane of a rig camera as a share of the median depth it sees: beyond any housing, before any subject."""
+
+
+_ROUNDING = 2.0**-24
+"""Of a float32 position, relative to its distance from the world's origin."""
+_SHOWS = 0.5
+"""Pixels."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +55,8 @@ class Ingest:
     """A rig seen through its training and held-out views at one scale.
 
     ``lens``: by camera, a k1 (OpenCV) that its calibration does not know. Raises UsageError when a held-out name, or
-    one in ``lens``, is no camera, when no camera is left to train on, or for an impossible scale.
+    one in ``lens``, is no camera, when no camera is left to train on, or for an impossible scale; RigError for cameras
+    so far from the world's origin that 32-bit positions blur what they see.
     """
 
     def __init__(
@@ -69,6 +76,7 @@ class Ingest:
         if not self._names:
             raise UsageError(f"{rig.path}: every camera is held out; leave some to train on")
         cameras = {camera.name: scale_camera(camera, scale) for camera in rig.cameras}
+        _check_near_origin(rig, [cameras[name] for name in names])
         self._plans = {name: Undistortion(cameras[name]) for name in names}
         self._near = dict.fromkeys(names, 0.0)
         self._fillings = {name: _filling(plan.valid) for name, plan in self._plans.items()}
@@ -130,6 +138,18 @@ def _with_lenses(rig: Rig, lens: Mapping[str, float]) -> Rig:
         raise UsageError(f"{rig.path}: there is no camera {unknown[0]} whose lens could be corrected")
     cameras = (with_k1(camera, lens[camera.name]) if camera.name in lens else camera for camera in rig.cameras)
     return replace(rig, cameras=tuple(cameras))
+
+
+def _check_near_origin(rig: Rig, cameras: Sequence[Camera]) -> None:
+    """Raises RigError when a rounding of a position would show, seen from as far as the cameras are apart."""
+    centres = np.array([camera_centre(camera) for camera in cameras])
+    far, apart = np.linalg.norm(centres, axis=1).max(), np.linalg.norm(np.ptp(centres, axis=0))
+    pixels = far * _ROUNDING * max(max(camera.fx, camera.fy) for camera in cameras)
+    if apart > 0 and pixels > _SHOWS * apart:
+        raise RigError(
+            f"{rig.path}: the cameras are {far:.3g} units from the world's origin and {apart:.3g} apart, so positions "
+            f"in 32 bits would be off by {pixels / apart:.1f} pixels; move the calibration's origin to the rig"
+        )
 
 
 def _filling(valid: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -167,6 +167,7 @@ class _KeyframeTraining:
         self._gradients = gradients_like(self._optimiser.splats)
         self._view_gradients = ViewGradients(len(self._optimiser.splats))
         self._order = view_order(len(views), random)
+        self._values: list[float] = []
 
     def run(self, on_step: OnStep | None) -> TrainedKeyframe:
         steps, stopped = self._train(on_step)
@@ -175,7 +176,20 @@ class _KeyframeTraining:
         seen = self._seen(splats)
         if not seen.all():
             splats = take_splats(splats, seen)
+        self._check_learnt(splats)
         return TrainedKeyframe(splats, lattice, steps, stopped, self._training_psnr(splats))
+
+    def _check_learnt(self, splats: Splats) -> None:
+        """Raises TrainingError when training has run away: no view draws anything, or the loss is what it was."""
+        count = len(self._views)
+        rounds = [sum(self._values[i : i + count]) for i in range(0, len(self._values) - count + 1, count)]
+        if not len(splats):
+            raise TrainingError("training has left no Gaussian that a camera sees; lower the learning rates")
+        if len(rounds) > 1 and rounds[-1] >= rounds[0]:
+            raise TrainingError(
+                f"the keyframe's loss went from {rounds[0] / count:.3f} to {rounds[-1] / count:.3f}, so training has "
+                "run away; lower the learning rates"
+            )
 
     def _train(self, on_step: OnStep | None) -> tuple[int, bool]:
         """Trains until schedule, target or stop, which goes back to the best; steps, and whether it stopped."""
@@ -260,6 +274,7 @@ class _KeyframeTraining:
             raise TrainingError(
                 f"the keyframe's loss is {value.total} at step {step}; the pictures or poses are unusable"
             )
+        self._values.append(value.total)
         self._kernel.backward(splats, cotangent, out=self._gradients)
         self._view_gradients.add(self._gradients.view, camera.width, camera.height)
         self._optimiser.step(self._gradients, self._rates(step / self._settings.iterations))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import cv2
@@ -16,6 +17,8 @@ from numpy.typing import NDArray
 
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import FloatArray
+
+from .dropouts import FROZEN, blankness, repeats
 
 BoolArray = NDArray[np.bool_]
 
@@ -59,10 +62,19 @@ class MaskSettings:
 
 @dataclass(frozen=True)
 class FrameMask:
-    """One view's masks, bool (H, W): ``raw`` is where the picture changed, ``dilated`` the region of interest."""
+    """One view's masks, bool (H, W): ``raw`` is where the picture changed, ``dilated`` the region of interest.
+
+    ``lost``: why the picture says nothing of its frame (`dropouts`), and both are empty; "" when it does.
+    """
 
     raw: BoolArray
     dilated: BoolArray
+    lost: str = ""
+
+
+def showing(masks: Sequence[FrameMask]) -> list[int]:
+    """The views whose pictures show their frame."""
+    return [index for index, mask in enumerate(masks) if not mask.lost]
 
 
 def difference_mask(current: FloatArray, previous: FloatArray, threshold: float) -> BoolArray:
@@ -136,7 +148,9 @@ class MaskMemory:
 
     def __init__(self, pictures: Sequence[FloatArray], settings: MaskSettings) -> None:
         self._settings = settings
-        self._references = list(pictures)
+        self._references = self._before = list(pictures)
+        self._blank = [bool(blankness(picture)) for picture in pictures]
+        self._lost = [""] * len(pictures)
         self._changed = [np.zeros(picture.shape[1:], bool) for picture in pictures]
 
     @property
@@ -150,7 +164,31 @@ class MaskMemory:
         Raises ValueError when they are not the same views. Source: DecoGS, difference mask.
         """
         views = zip(current, self._references, shown, self._changed, strict=True)
-        return [self._mask(*view) for view in views]
+        masks = [self._mask(*view) for view in views]
+        self._lost = self._lost_pictures(current, masks)
+        return [_left_out(mask, why) if why else mask for mask, why in zip(masks, self._lost, strict=True)]
+
+    def share_changed(self, current: Sequence[FloatArray]) -> float:
+        """Share of the pixels, median over the views, that differ from what they were compared with or trained on."""
+        threshold, pairs = self._settings.threshold, zip(current, self._references, strict=True)
+        return float(np.median([difference_mask(now, reference, threshold).mean() for now, reference in pairs]))
+
+    def copy(self) -> MaskMemory:
+        """The same memory, whatever this one goes on to see."""
+        copied = copy(self)
+        copied._references = list(self._references)
+        copied._changed = [changed.copy() for changed in self._changed]
+        return copied
+
+    def _lost_pictures(self, current: Sequence[FloatArray], masks: Sequence[FrameMask]) -> list[str]:
+        """Why each view's picture says nothing of its frame, or ""."""
+        lost = ["" if never else blankness(now) for now, never in zip(current, self._blank, strict=True)]
+        again = [repeats(now, before) for now, before in zip(current, self._before, strict=True)]
+        flags = zip(masks, lost, again, strict=True)
+        changed = sum(bool(mask.raw.any()) for mask, why, repeat in flags if not (why or repeat))
+        if 2 * changed <= lost.count(""):
+            return lost
+        return [why or (FROZEN if repeat else "") for why, repeat in zip(lost, again, strict=True)]
 
     def _mask(self, now: FloatArray, reference: FloatArray, shown: FloatArray, changed: BoolArray) -> FrameMask:
         settings, threshold = self._settings, self._settings.threshold
@@ -163,11 +201,19 @@ class MaskMemory:
 
     def trained(self, current: Sequence[FloatArray], masks: Sequence[FrameMask]) -> None:
         """Tells that the regions of interest were trained on ``current``."""
-        for index, (now, mask) in enumerate(zip(current, masks, strict=True)):
+        for index in showing(masks):
+            now, mask = current[index], masks[index]
             self._references[index] = np.where(mask.dilated, now, self._references[index])
             self._changed[index] |= mask.dilated
 
     def passed(self, current: Sequence[FloatArray]) -> None:
         """Tells that the frame is over, trained or not."""
+        self._before = list(current)
         if not self._settings.since_trained:
-            self._references = list(current)
+            pairs = zip(current, self._references, self._lost, strict=True)
+            self._references = [was if why else now for now, was, why in pairs]
+
+
+def _left_out(mask: FrameMask, why: str) -> FrameMask:
+    nowhere = np.zeros_like(mask.raw)
+    return FrameMask(nowhere, nowhere, why)

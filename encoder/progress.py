@@ -91,6 +91,8 @@ def frame_line(report: FrameReport) -> str:
     stages = "  ".join(f"{name} {seconds:.2f} s" for name, seconds in report.seconds.items() if name != "measure")
     if report.replayed:
         stages = "was there already"
+    stages += "".join(f"  without {name}: {why}" for name, why in report.left_out.items())
+    stages += "  given up" if report.given_up else ""
     return (
         f"frame {report.frame:4d} {report.kind:5}  train {report.training_psnr:6.2f} dB{held_out}  "
         f"selected {report.selected:6.1%}  {report.bytes:8d} bytes  {stages}"

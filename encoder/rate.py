@@ -126,7 +126,7 @@ class RateControl:
         """
         self._frames += 1
         self._spent += size
-        if kind == PacketKind.KEY:
+        if kind == PacketKind.KEY and self._segment:
             self._key = size
         elif kind == PacketKind.DELTA:
             content = math.log2(size / self._budget) + _RESPONSE * self._octaves

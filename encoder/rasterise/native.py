@@ -324,7 +324,7 @@ class TrainingKernel:
 
         ``rate`` is one number, or one per column of ``value`` seen as (N, columns).
         """
-        count, columns = len(value), value.size // max(1, len(value))
+        count, columns = len(value), int(np.prod(value.shape[1:], dtype=np.int64))
         rates = np.ascontiguousarray(np.broadcast_to(np.asarray(rate, np.float32), (columns,)))
         if any(a.shape != value.shape for a in (gradient, first, second)):
             raise ValueError(f"gradient and moments must have the shape of the value, {value.shape}")

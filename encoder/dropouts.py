@@ -1,0 +1,38 @@
+"""Pictures that say nothing of their frame: a camera that dropped it, died, or was blinded by a flash.
+
+Such a picture must not pull the scene: its view is left out of masks, selection and loss until it shows something
+again, and a frame in which no view is left repeats the one before. What a flash or a blackout of the whole rig looks
+like is not kept; what the scene looks like is.
+
+Chosen: two signs that need no setting. A picture is *blank* when it is one colour all over up to noise, whereas the
+camera has shown something before; it is *frozen* when it repeats the camera's picture before it bit for bit while most
+cameras show a change: no sensor does that, but recorders fill a gap so. Rejected: a bound on the share of pixels that
+change (a lamp that is switched on changes them all, and is to be seen).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from decogs.formats.splats import FloatArray
+
+BLACK, BLANK, FROZEN = "black", "one colour all over", "the picture before it again"
+"""Why a picture is left out."""
+
+_SPREAD = 10 / 255
+"""Noise of three levels, more than any sensor's in the dark, keeps 98 % of a blank picture's pixels inside this."""
+_STRIDE = 4
+"""Every fourth pixel each way tells as much, at a sixteenth of the time."""
+
+
+def blankness(picture: FloatArray) -> str:
+    """BLACK or BLANK when the picture (3, H, W) shows nothing, empty when it shows something."""
+    low, high = np.percentile(picture[:, ::_STRIDE, ::_STRIDE].reshape(3, -1), [1, 99], axis=1)
+    if (high - low).max() > _SPREAD:
+        return ""
+    return BLACK if high.max() <= _SPREAD else BLANK
+
+
+def repeats(picture: FloatArray, before: FloatArray) -> bool:
+    """Whether the picture is the one before it, bit for bit."""
+    return np.array_equal(picture[:, ::16], before[:, ::16]) and np.array_equal(picture, before)

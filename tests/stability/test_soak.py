@@ -1,0 +1,155 @@
+"""A thousand frames of a small moving scene: what a long stream must keep, and what must not grow."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import decogs.encoder.loop as loop
+from decogs.codec.digest import digest
+from decogs.codec.state import ARRAYS, State
+from decogs.decoder.pictures import to_8bit
+from decogs.decoder.rasterise import render
+from decogs.decoder.session import open_stream
+from decogs.encoder.ingest import Ingest
+from decogs.encoder.loop import encode_stream
+from decogs.formats.cameras import scale_camera
+from decogs.formats.rigs import open_rig
+from decogs.formats.splats import join_splats
+
+FRAMES, PERIOD = 1000, 40
+
+
+def resident_bytes() -> int:
+    """What the process holds in memory, as the kernel counts it (Linux: /proc/self/statm, second field, in pages)."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+@dataclass
+class Observed:
+    """What the encoder had after every frame, in a few bytes a frame; ``moved``: ids that ever were in S_t."""
+
+    digests: list[int] = field(default_factory=list)
+    memory: list[int] = field(default_factory=list)
+    population: list[int] = field(default_factory=list)
+    psnr: list[float] = field(default_factory=list)
+    moved: set[int] = field(default_factory=set)
+    first: State | None = None
+    last: State | None = None
+
+
+@pytest.fixture(scope="module")
+def long_rig(tiny_rig: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A wall, and a square before it that goes round and round in PERIOD frames; sensor noise of 1.2 levels."""
+    folder, random = tmp_path_factory.mktemp("long") / "rig", np.random.default_rng(5)
+    views = [scale_camera(tiny_rig.camera(index), 0.5) for index in range(5)]
+    wall = tiny_rig.patch((0, 0, 0.5), 28, 17, 0.22, 1)
+    for view in views:
+        (folder / view.name).mkdir(parents=True)
+    for frame in range(FRAMES):
+        turn = 2 * np.pi * frame / PERIOD
+        square = tiny_rig.patch((0.25 * np.cos(turn), 0.2 * np.sin(turn), -0.2), 4, 4, 0.1, 2)
+        for view in views:
+            clean = to_8bit(render(join_splats(wall, square), view, threads=1).image)
+            noisy = np.clip(np.rint(clean + random.normal(0, 1.2, clean.shape)), 0, 255).astype(np.uint8)
+            tiny_rig.write_png(folder / view.name / f"{frame:04d}.png", noisy)
+    (folder / "rig.json").write_text(json.dumps(tiny_rig.values(views)))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def long_encode(long_rig: Path, settings: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Observed]:
+    seen, path = Observed(), tmp_path_factory.mktemp("encoded") / "long.dgs"
+    reconstruct, select = loop.reconstruct, loop.select
+
+    def observed_reconstruct(*arguments: Any, **options: Any) -> State:
+        seen.last = reconstruct(*arguments, **options)
+        seen.first = seen.first or seen.last
+        seen.digests.append(digest(seen.last))
+        seen.population.append(len(seen.last))
+        return seen.last
+
+    def observed_select(*arguments: Any) -> np.ndarray:
+        chosen = select(*arguments)
+        assert seen.last is not None
+        seen.moved.update(seen.last.ids[chosen].tolist())
+        return chosen
+
+    def observed_frame(report: Any) -> None:
+        seen.memory.append(resident_bytes())
+        seen.psnr.append(report.held_out_psnr)
+
+    quick = replace(settings, frame=replace(settings.frame, joint_iterations=24))
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(loop, "reconstruct", observed_reconstruct)
+        patched.setattr(loop, "select", observed_select)
+        ingest = Ingest(open_rig(long_rig), holdout=["cam02"])
+        encode_stream(ingest, path, range(FRAMES), quick, seed=0, threads=1, on_frame=observed_frame)
+    return path, seen
+
+
+def decoded(path: Path) -> Iterator[Any]:
+    with open_stream(path) as stream:
+        yield from stream.frames()
+
+
+def growth(memory: list[int]) -> float:
+    """Bytes a frame, by medians of the second hundred frames and of the last."""
+    return float(np.median(memory[-100:]) - np.median(memory[100:200])) / (len(memory) - 200)
+
+
+@pytest.mark.soak
+def test_the_decoder_is_the_encoder_at_every_frame_and_its_memory_is_flat(long_encode: tuple[Path, Observed]) -> None:
+    path, seen = long_encode
+    memory = []
+    for frame, expected in zip(decoded(path), seen.digests, strict=True):
+        assert digest(frame.state) == expected, frame.index
+        memory.append(resident_bytes())
+    print(f"decoder: {growth(memory):.0f} bytes a frame")
+    assert growth(memory) < 1000
+
+
+@pytest.mark.soak
+def test_the_encoders_memory_is_flat(long_encode: tuple[Path, Observed]) -> None:
+    """Resident memory grows by less than the figures that are kept of every frame (a report, some 2 kB)."""
+    _, seen = long_encode
+    populations = [seen.population[i] for i in (0, 100, 500, 999)]
+    print(f"encoder: {growth(seen.memory):.0f} bytes a frame of {seen.memory[-1] / 2**20:.0f} MiB; N {populations}")
+    assert growth(seen.memory) < 4000
+    assert max(seen.population) <= round(loop.MOST_GROWTH * seen.population[0]) + 50, "and neither does the scene"
+
+
+@pytest.mark.soak
+def test_static_gaussians_are_bit_identical_from_first_to_last(long_encode: tuple[Path, Observed]) -> None:
+    _, seen = long_encode
+    first, last = seen.first, seen.last
+    assert first is not None
+    assert last is not None
+    static = [id_ for id_ in first.ids.tolist() if id_ not in seen.moved]
+    print(f"{len(static)} of {len(first)} never selected")
+    assert len(static) > len(first) / 4
+    before, after = (np.searchsorted(state.ids, static) for state in (first, last))
+    np.testing.assert_array_equal(last.ids[after], static)
+    for name in ARRAYS:
+        np.testing.assert_array_equal(getattr(last, name)[after], getattr(first, name)[before])
+
+
+@pytest.mark.soak
+def test_quality_has_no_slope(long_encode: tuple[Path, Observed]) -> None:
+    """Held-out PSNR, mean over each round of the square, once the scene has grown as far as it may (the first five): a
+    line through it is flat within twice its standard error, or rises.
+    """
+    psnr = np.array(long_encode[1].psnr[5 * PERIOD :]).reshape(-1, PERIOD).mean(axis=1)
+    rounds = np.arange(len(psnr))
+    (slope, level), ((variance, _), _) = np.polyfit(rounds, psnr, 1, cov=True)
+    print(
+        f"{level:.2f} dB, {slope * len(psnr):+.3f} dB over {len(psnr)} rounds, +- {np.sqrt(variance) * len(psnr):.3f}"
+    )
+    assert slope > -2 * np.sqrt(variance)
