@@ -26,7 +26,7 @@ OnLoss = Callable[[str, int, float], None]
 LEAST_STEPS = 12
 """Steps that a stage runs however late it is: fewer follow nothing, and cost hardly less than these."""
 
-_SEARCH_SHARE = 0.25
+_SEARCH_SHARE = 0.1
 """Of the time for training, what the search for emerging things may take on average when time is short."""
 
 

@@ -105,7 +105,8 @@ class TimeControl:
         """Learns from a frame that is over."""
         self._saved += self._budget - counted_seconds(seconds)
         if "training" in seconds:
-            beyond = counted_seconds(seconds) - self._planned
+            after = sum(seconds.get(stage, 0.0) for stage in _AFTER_TRAINING)
+            past = after if self._beyond is None else self._beyond
             # Training that ended before its deadline says only what comes after it.
-            beyond = max(beyond, sum(seconds.get(stage, 0.0) for stage in _AFTER_TRAINING))
-            self._beyond = beyond if self._beyond is None else _MEMORY * self._beyond + (1 - _MEMORY) * beyond
+            beyond = max(after, counted_seconds(seconds) - self._planned)
+            self._beyond = _MEMORY * past + (1 - _MEMORY) * beyond

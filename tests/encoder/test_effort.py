@@ -135,7 +135,7 @@ def test_searching_takes_its_share_on_average_and_begins_at_once(seconds: float)
             spent += seconds
             when.append(frame)
     assert when[0] == 0
-    assert spent / 200 == pytest.approx(min(seconds, 0.25), abs=seconds / 100)
+    assert spent / 200 == pytest.approx(min(seconds, 0.1), abs=seconds / 100)
     assert np.ptp(np.diff(when)) <= 1, "evenly"
 
 
