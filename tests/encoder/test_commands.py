@@ -147,7 +147,7 @@ def test_switches_reach_the_encoder(moving: Any, dense: Any, moving_rig: Path, t
         (["--scale", "half"], "--scale: invalid float value: 'half'"),
         (["--holdout", "cam9"], "--holdout cam9: "),
         ([o for i in range(5) for o in ("--holdout", f"cam0{i}")], "every camera is held out; leave some"),
-        (["--preset", "nope"], "--preset nope: there is no such preset; choose from draft, standard"),
+        (["--preset", "nope"], "--preset nope: there is no such preset; choose from live, draft, standard"),
         (["--method", "nope"], "--method nope: there is no such method; choose from decogs, 3dgstream"),
         (["--ablate", "select,x"], "--ablate x: there is no such part; choose from select, focus, gate"),
         (["--selection", "x"], "--selection x: there is no such rule; choose from paper, weight"),
