@@ -159,6 +159,13 @@ def test_a_camera_that_sees_nothing_in_common_gets_no_shift(tiny_rig: Any) -> No
     assert np.abs(agreeing_shifts(views, dark, look)[0].shift).max() < 1e-3
 
 
+def test_a_scene_that_is_still_transparent_tells_nothing(tiny_rig: Any) -> None:
+    views, look = looks(tiny_rig)
+    faint = [replace(look(i), alpha=np.float32(0.5) * look(i).alpha) for i in range(len(views))]
+    shifts = agreeing_shifts(views, [picture.rgb for picture in faint], faint.__getitem__)
+    assert not any(shift.shift.any() for shift in shifts)
+
+
 def named(**names: tuple[str, ...]) -> CorrectionSettings:
     return CorrectionSettings(**names)  # type: ignore[arg-type]
 
