@@ -36,6 +36,9 @@ _CORRECT_EVERY, _CORRECT_FROM, _CORRECT_TO = 20, 0.05, 0.6
 """Cameras' faults are found anew every so many steps, within these shares of the schedule: what the scene took for its
 own in the steps between is taken out the next time."""
 
+_SCOUTING = 100
+"""Steps after which a turned camera's pose is known to a twentieth of a pixel."""
+
 OnStep = Callable[[int, int, float], None]
 """Told the step (from 1), the number of steps planned and the training loss."""
 
@@ -136,6 +139,27 @@ def train_keyframe(
     random = np.random.default_rng(seed)
     training = _KeyframeTraining(kernel, views, pictures, points, settings, lattice_scale, random, corrector, effort)
     return training.run(on_step)
+
+
+def scouted_pictures(
+    kernel: TrainingKernel,
+    views: Sequence[View],
+    pictures: Sequence[FloatArray],
+    points: FirstPoints,
+    settings: KeyframeSettings,
+    corrector: Corrector,
+    *,
+    seed: int,
+) -> list[FloatArray]:
+    """The pictures without their cameras' faults, as far as a short training tells them.
+
+    For a second search for first points: what a turned camera sees agrees with no other one to the pixel.
+    """
+    short = replace(settings, iterations=_SCOUTING, validation_share=0.0, settle_iterations=0)
+    random = np.random.default_rng(seed)
+    training = _KeyframeTraining(kernel, views, pictures, points, short, 1.0, random, corrector, WHOLE)
+    training.run(None)
+    return training.canonical(corrector, _SCOUTING)
 
 
 class _KeyframeTraining:
@@ -290,14 +314,18 @@ class _KeyframeTraining:
 
     def _correct(self, corrector: Corrector, step: int) -> None:
         """Trains on from here on the pictures without the cameras' faults, as far as the scene tells them by now."""
+        pictures = self.canonical(corrector, step)
+        self._losses = [replace(loss, target=target) for loss, target in zip(self._losses, pictures, strict=True)]
+        self._target = self._target_watch()
+
+    def canonical(self, corrector: Corrector, step: int) -> list[FloatArray]:
+        """The recorded pictures without the faults that they have against the scene as it is."""
 
         def look(number: int) -> Picture:
             camera = self._views[number].pinhole
             return self._kernel.forward(self._optimiser.splats, camera, sh_degree=self._degree(step), depth=True)
 
-        pictures = corrector.undo(self._recorded, corrector.find_jointly(self._recorded, look))
-        self._losses = [replace(loss, target=target) for loss, target in zip(self._losses, pictures, strict=True)]
-        self._target = self._target_watch()
+        return corrector.undo(self._recorded, corrector.find_jointly(self._recorded, look))
 
     def _target_watch(self) -> TargetWatch | None:
         if self._effort.target_psnr is None:

@@ -40,11 +40,11 @@ from .dropouts import BLACK, blankness
 from .economy import EconomySettings, coarse_changes
 from .effects import FRAME_EFFECTS, frame_effects, leave_out
 from .effort import Effort
-from .first_points import first_points
+from .first_points import FirstPoints, first_points
 from .flashes import BeforeFlash, may_be_flash
 from .frame_training import FrameSettings, FrameTrainer, TrainedFrame
 from .ingest import Ingest, RigFrame, View
-from .keyframe import mean_picture_psnr, mean_psnr, scene_extent, train_keyframe
+from .keyframe import mean_picture_psnr, mean_psnr, scene_extent, scouted_pictures, train_keyframe
 from .keyframe_source import KeyframeSource
 from .masks import FrameMask, MaskMemory, showing
 from .presets import EncodeSettings
@@ -221,18 +221,24 @@ class StreamEncoder:
         self, frame: RigFrame, watch: _Stopwatch, on_step: OnKeyframeStep | None
     ) -> tuple[State, Lattice]:
         """The keyframe's Gaussians on the lattice that suits them."""
-        settings, views = self._settings, self._ingest.views
-        _check_shows(frame, views)
+        settings, corrector = self._settings, self._corrector
+        _check_shows(frame, self._ingest.views)
         with watch.stage("first_points"):
-            points = first_points(
-                [view.pinhole for view in views],
-                [picture.transpose(1, 2, 0) for picture in frame.training],
-                known=self._ingest.rig.points,
-                cap=settings.keyframe.cap,
-                seed=self._seed,
-                threads=self._threads,
-            )
+            points = self._first_points(frame.training)
         self._ingest.place_near_planes(points.xyz)
+        if corrector is not None and corrector.cameras.camera_shake:
+            with watch.stage("scouting"):
+                scouted = scouted_pictures(
+                    self._kernel,
+                    self._ingest.views,
+                    frame.training,
+                    points,
+                    settings.keyframe,
+                    corrector,
+                    seed=self._seed,
+                )
+                points = self._first_points(scouted)
+            self._ingest.place_near_planes(points.xyz)
         views = self._ingest.views
         with watch.stage("keyframe"):
             trained = train_keyframe(
@@ -243,12 +249,22 @@ class StreamEncoder:
                 settings.keyframe,
                 seed=self._seed,
                 lattice_scale=settings.lattice_scale,
-                corrector=self._corrector,
+                corrector=corrector,
                 on_step=on_step,
                 effort=self._effort(),
             )
         state, _ = keyframe_state(quantise(trained.splats, trained.lattice))
         return state, trained.lattice
+
+    def _first_points(self, pictures: Sequence[FloatArray]) -> FirstPoints:
+        return first_points(
+            [view.pinhole for view in self._ingest.views],
+            [picture.transpose(1, 2, 0) for picture in pictures],
+            known=self._ingest.rig.points,
+            cap=self._settings.keyframe.cap,
+            seed=self._seed,
+            threads=self._threads,
+        )
 
     def encode_next(self, frame: RigFrame) -> FrameReport:
         """Trains and writes the next frame from the reconstructed state of the one before."""

@@ -44,6 +44,8 @@ def agreeing_shifts(views: Sequence[View], pictures: Sequence[FloatArray], look:
     """
     depths = [_depth(look(number)) for number in range(len(views))]
     points = np.concatenate([_surface(view, depth) for view, depth in zip(views, depths, strict=True)])
+    if not len(points):
+        return [OddsShift(np.zeros(3), np.zeros(3))] * len(views)
     seen = [
         _colours(view, cv2.blur(picture.transpose(1, 2, 0), (3, 3)), depth, points)
         for view, picture, depth in zip(views, pictures, depths, strict=True)
@@ -112,6 +114,8 @@ def _channel_shifts(values: FloatArray, told: NDArray[np.bool_]) -> list[tuple[f
     Robust least squares on the logarithms of the odds; what a point's own are is eliminated.
     """
     told = told & (told.sum(axis=0) > 1)
+    if not told.any():
+        return [(0.0, 0.0)] * len(values)
     inside = np.where(told, values, np.float32(0.5))
     logs, slope = np.log(inside / (1 - inside)), inside * (1 - inside)
     weights = np.square(slope) * told

@@ -59,7 +59,7 @@ def turn_of(recorded: FloatArray, shown: FloatArray, camera: Camera, valid: Floa
         small = scale_camera(camera, level * finest)
         if level < 1 and min(small.width, small.height) < _SMALLEST_SIDE:
             continue
-        target, source = _resized(shown, small), _resized(recorded, small)
+        target, source = resized(shown, small), resized(recorded, small)
         told = None if valid is None else cv2.resize(valid, (small.width, small.height)) > 0.99
         columns = _flow_gradients(target, small)
         for _ in range(_ROUNDS):
@@ -90,8 +90,7 @@ def _step(error: FloatArray, columns: list[FloatArray], told: NDArray[np.bool_] 
 
 def _flow_gradients(picture: FloatArray, camera: Camera) -> list[FloatArray]:
     """How the colours change with a turn about x, y and z, each (3, H, W) per radian."""
-    x = ((np.arange(camera.width) + 0.5 - camera.cx) / camera.fx).astype(np.float32)[None, :]
-    y = ((np.arange(camera.height) + 0.5 - camera.cy) / camera.fy).astype(np.float32)[:, None]
+    x, y = pixel_grid(camera)
     down, across = np.gradient(picture, axis=(1, 2))
     across, down = across * np.float32(camera.fx), down * np.float32(camera.fy)
     return [
@@ -101,7 +100,15 @@ def _flow_gradients(picture: FloatArray, camera: Camera) -> list[FloatArray]:
     ]
 
 
-def _resized(picture: FloatArray, camera: Camera) -> FloatArray:
+def pixel_grid(camera: Camera) -> tuple[FloatArray, FloatArray]:
+    """Normalised coordinates x (1, W) and y (H, 1) of the camera's pixel centres."""
+    x = ((np.arange(camera.width) + 0.5 - camera.cx) / camera.fx).astype(np.float32)
+    y = ((np.arange(camera.height) + 0.5 - camera.cy) / camera.fy).astype(np.float32)
+    return x[None, :], y[:, None]
+
+
+def resized(picture: FloatArray, camera: Camera) -> FloatArray:
+    """The picture (3, H, W) at the camera's size."""
     if picture.shape[1:] == (camera.height, camera.width):
         return picture
     return np.stack(
