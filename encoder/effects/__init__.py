@@ -19,6 +19,7 @@ from .lens_distortion import LensDistortion
 from .look import Look, look_at
 from .motion import Motion
 from .sensor_noise import SensorNoise
+from .view_dependence import ViewDependence
 from .white_balance_drift import WhiteBalanceDrift
 
 __all__ = ["EFFECTS", "Decision", "Effect", "Evidence", "Look", "look_at"]
@@ -32,6 +33,7 @@ EFFECTS: tuple[Effect, ...] = (
     WhiteBalanceDrift(),
     CameraShake(),
     LensDistortion(),
+    ViewDependence(),
     SensorNoise(),
     HighDynamicRange(),
 )
