@@ -24,6 +24,7 @@ from .look import Look, look_at
 from .motion import Motion
 from .names import EFFECT_NAMES, FRAME_EFFECTS, PRESET_EFFECTS
 from .sensor_noise import SensorNoise
+from .view_dependence import ViewDependence
 from .white_balance_drift import WhiteBalanceDrift
 
 __all__ = [
@@ -53,6 +54,7 @@ EFFECTS: tuple[Effect, ...] = (
     WhiteBalanceDrift(),
     CameraShake(),
     LensDistortion(),
+    ViewDependence(),
     SensorNoise(),
     HighDynamicRange(),
 )

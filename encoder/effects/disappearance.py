@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .effect import Decision, Evidence
-from .emergence import IMBALANCE, decide_by_vote
+from .emergence import IMBALANCE, decide_by_vote, none_without_motion
 from .look import Look
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ class Disappearance:
 
     def evidence(self, look: Look) -> Evidence:
         values = np.stack([arrivals.left for arrivals in look.arrivals])
-        return Evidence(values, "% left only", IMBALANCE)
+        return Evidence(none_without_motion(look, values), "% left only", IMBALANCE)
 
     def decide(self, look: Look, evidence: Evidence) -> Decision:
         return decide_by_vote(

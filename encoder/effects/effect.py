@@ -137,6 +137,11 @@ def seen_together(evidence: Evidence, cameras: int = 2) -> BoolArray:
     return np.asarray(evidence.reached.sum(axis=0) >= min(cameras, len(evidence.values)))
 
 
+def in_doubt(look: Look, evidence: Evidence) -> bool:
+    """Whether there were frames to compare and nothing could be told of them: every camera shakes."""
+    return len(look.frames) > 1 and not np.isfinite(evidence.peak)
+
+
 def decided(
     look: Look,
     effect: Effect,

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .effect import Decision, Effect, Evidence, confidence, decided, seen_together, spans
+from .effect import F64, Decision, Effect, Evidence, confidence, decided, seen_together, spans
 from .look import Look
+from .motion import Motion
 
 if TYPE_CHECKING:
     from ..presets import EncodeSettings
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 IMBALANCE = 60.0
 """Per cent by which arrivals and departures must differ: what moves towards a camera grows, and arrives larger than it
 left; by 60 % it would be four times as large."""
+_MOTION = Motion()
 _LEAST_SHARE = 0.25
 """Share of the cameras that must see it: what merely enters or leaves the picture of one is motion to the others."""
 
@@ -26,7 +28,7 @@ class Emergence:
 
     def evidence(self, look: Look) -> Evidence:
         values = np.stack([arrivals.arrived for arrivals in look.arrivals])
-        return Evidence(values, "% arrived only", IMBALANCE)
+        return Evidence(none_without_motion(look, values), "% arrived only", IMBALANCE)
 
     def decide(self, look: Look, evidence: Evidence) -> Decision:
         return decide_by_vote(
@@ -46,6 +48,13 @@ class Emergence:
         frame = settings.frame
         frame = replace(frame, grow_share=0.0, emergence=replace(frame.emergence, most=0))
         return replace(settings, frame=frame)
+
+
+def none_without_motion(look: Look, values: F64) -> F64:
+    """The values (cameras, F) with 0 in cameras in which nothing moves: what came or went there is light."""
+    moving = _MOTION.evidence(look)
+    still = np.isfinite(moving.values) & ~moving.reached.any(axis=1, keepdims=True)
+    return np.asarray(np.where(still, 0.0, values))
 
 
 def decide_by_vote(look: Look, effect: Effect, evidence: Evidence, *, what: str, cost: str) -> Decision:

@@ -3,8 +3,7 @@
 A point seen by two cameras lies on its epipolar line in each, unless a lens bends. One coefficient k1 a camera
 (OpenCV's: distorted = undistorted (1 + k1 r^2)) and a small rotation a camera (so that a pose that is a little off is
 not taken for a lens) are fitted to all matches at once: Gauss-Newton on Sampson distances, with Tukey weights whose
-reach shrinks to four deviations, since a third of the matches may be wrong. Source of the distance: Hartley and
-Zisserman, Multiple View Geometry, 11.4.3.
+reach shrinks to four deviations, since a third of the matches may be wrong.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from decogs.formats.cameras import Camera, camera_centre
 
 from .effect import F64, Decision, Evidence, cameras_beyond, decided, spans
 from .look import Look
-from .matches import PairMatches
+from .matches import PairMatches, sampson_distances
 
 if TYPE_CHECKING:
     from ..presets import EncodeSettings
@@ -186,18 +185,11 @@ class _Fit:
         return normal, gradient
 
     def _missed(self, pair: PairMatches, unknowns: F64) -> F64:
-        """Sampson distances of a pair's matches, in pixels of the first camera."""
         turned = [cv2.Rodrigues(unknowns[k, 1:])[0] @ self._rotations[k] for k in (pair.first, pair.second)]
-        relative = turned[1] @ turned[0].T
-        baseline = turned[1] @ (self._centres[pair.first] - self._centres[pair.second])
-        x, y, z = baseline / max(float(np.linalg.norm(baseline)), 1e-12)
-        essential = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ relative
         first = _straightened(pair.first_rays, unknowns[pair.first, 0])
         second = _straightened(pair.second_rays, unknowns[pair.second, 0])
-        lines, back = first @ essential.T, second @ essential
-        slope = (lines[:, :2] ** 2).sum(axis=1) + (back[:, :2] ** 2).sum(axis=1)
-        distance = (second * lines).sum(axis=1) / np.sqrt(slope / 2 + 1e-12)
-        return np.asarray(distance * self.cameras[pair.first].fx)
+        baseline = self._centres[pair.first] - self._centres[pair.second]
+        return sampson_distances(first, second, turned, baseline) * self.cameras[pair.first].fx
 
 
 def _tukey(missed: F64, reach: float) -> F64:
@@ -205,8 +197,8 @@ def _tukey(missed: F64, reach: float) -> F64:
 
 
 def _straightened(rays: F64, k1: float) -> F64:
-    """Homogeneous undistorted rays (N, 3) by fixed-point iteration, which converges for k1 r^2 well below 1."""
+    """Undistorted rays (N, 2) by fixed-point iteration, which converges for k1 r^2 well below 1."""
     straight = rays
     for _ in range(5):
         straight = rays / np.maximum(1 + k1 * (straight**2).sum(axis=1, keepdims=True), 0.2)
-    return np.concatenate([straight, np.ones((len(rays), 1))], axis=1)
+    return straight

@@ -60,6 +60,21 @@ def find_matches(cameras: Sequence[Camera], pictures: Sequence[U8], each: Callab
     return Matches(tuple(each(lambda pair: _matched(pair[0], pair[1], features[pair[0]], features[pair[1]]), pairs)))
 
 
+def sampson_distances(first: F64, second: F64, rotations: Sequence[F64], baseline: F64) -> F64:
+    """How far matches (N, 2) of rays x/z, y/z lie from each other's epipolar lines, signed, in focal lengths (N,).
+
+    ``rotations``: world to camera, of both; ``baseline``: centre of the first minus that of the second, world units.
+    Source: Hartley and Zisserman, Multiple View Geometry, 11.4.3 (Sampson distance).
+    """
+    relative = rotations[1] @ rotations[0].T
+    x, y, z = rotations[1] @ baseline / max(float(np.linalg.norm(baseline)), 1e-12)
+    essential = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ relative
+    here, there = (np.concatenate([rays, np.ones((len(rays), 1))], axis=1) for rays in (first, second))
+    lines, back = here @ essential.T, there @ essential
+    slope = (lines[:, :2] ** 2).sum(axis=1) + (back[:, :2] ** 2).sum(axis=1)
+    return np.asarray((there * lines).sum(axis=1) / np.sqrt(slope / 2 + 1e-12))
+
+
 def _features(camera: Camera, picture: U8) -> _Features:
     keypoints, descriptors = cv2.SIFT_create(_FEATURES).detectAndCompute(  # type: ignore[attr-defined]
         cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), None

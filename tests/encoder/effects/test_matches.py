@@ -1,0 +1,106 @@
+"""What neighbouring cameras share: lenses that bend beyond the calibration, and colours that depend on the view."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from decogs.decoder.lens import distort_pixels
+from decogs.encoder.effects.effect import Evidence
+from decogs.encoder.effects.lens_distortion import LensDistortion
+from decogs.encoder.effects.light import camera_light, steady_light
+from decogs.encoder.effects.look import Look
+from decogs.encoder.effects.matches import find_matches
+from decogs.encoder.effects.view_dependence import ViewDependence
+from decogs.formats.cameras import Camera
+
+Views = tuple[list[Camera], list[np.ndarray]]
+
+
+def look_of(cameras: list[Camera], pictures: list[np.ndarray]) -> Look:
+    """A look at one frame, with what is measured on a single one."""
+    untold = np.full((len(cameras), 1), np.nan)
+    light = steady_light([camera_light(picture[None]) for picture in pictures])
+    return Look(
+        cameras=tuple(cameras),
+        scales=(1.0,) * len(cameras),
+        frames=(0,),
+        step=1,
+        pictures=tuple(picture[None] for picture in pictures),
+        noise=untold,
+        above_white=untold,
+        brightest=untold,
+        light=light,
+        paths=(),
+        changes=(),
+        arrivals=(),
+        matches=find_matches(cameras, pictures, map),
+    )
+
+
+def decision(effect: Any, views: Views) -> Any:
+    look = look_of(*views)
+    return effect.decide(look, effect.evidence(look))
+
+
+def test_straight_lenses_are_told_straight(plane_views: Callable[..., Views]) -> None:
+    found = decision(LensDistortion(), plane_views())
+    assert not found.called_for
+    assert found.confidence > 0.9
+
+
+def test_a_lens_beyond_the_calibration_is_found_and_measured(plane_views: Callable[..., Views]) -> None:
+    """k1 to a tenth: the wall is flat, which tells less than a scene with depth."""
+    found = decision(LensDistortion(), plane_views(cam03=0.1))
+    assert found.cameras == ("cam03",)
+    assert found.figures["k1"]["cam03"] == pytest.approx(0.1, rel=0.1)
+
+
+def test_a_calibrated_lens_is_called_for_and_not_found_again(plane_views: Callable[..., Views]) -> None:
+    """The corner's displacement is the calibration's own; what it explains is not beyond it."""
+    cameras, pictures = plane_views(cam03=0.1)
+    cameras[3] = replace(cameras[3], distortion_model="opencv", distortion=(0.1, 0.0, 0.0, 0.0))
+    look = look_of(cameras, pictures)
+    evidence = LensDistortion().evidence(look)
+    found = LensDistortion().decide(look, evidence)
+    assert found.cameras == ("cam03",)
+    assert found.figures["k1"] == {}
+    corner = np.array([[0.0, 0.0]])
+    assert evidence.peak == pytest.approx(float(np.linalg.norm(distort_pixels(cameras[3], corner) - corner)))
+
+
+def test_cameras_that_share_nothing_tell_nothing() -> None:
+    plain = np.full((264, 352, 3), 90, np.uint8)
+    cameras = [Camera(f"cam{k}", 352, 264, 300.0, 300.0, 176.0, 132.0, np.eye(4)) for k in range(3)]
+    lens = decision(LensDistortion(), (cameras, [plain] * 3))
+    assert (lens.called_for, lens.confidence) == (False, 0.0)
+    gloss = decision(ViewDependence(), (cameras, [plain] * 3))
+    assert (gloss.called_for, gloss.confidence) == (True, 0.0)
+
+
+@pytest.mark.xfail(strict=True, reason="slant resamples a strong texture by as many levels as gloss changes it")
+def test_a_matte_wall_of_strong_texture_does_not_depend_on_the_view(plane_views: Callable[..., Views]) -> None:
+    assert not decision(ViewDependence(), plane_views()).called_for
+
+
+def test_views_that_agree_rule_it_out(plane_views: Callable[..., Views]) -> None:
+    look = look_of(*plane_views())
+    agreeing = Evidence(np.full((5, 1), 1.5), "levels", 4.0)
+    found = ViewDependence().decide(look, agreeing)
+    assert (found.called_for, found.cost) == (False, "nothing")
+    assert found.confidence > 0.8
+
+
+def test_sheen_depends_on_the_view(plane_views: Callable[..., Views]) -> None:
+    """A highlight that stays where it is in every picture, wherever the wall goes."""
+    cameras, pictures = plane_views()
+    across, down = np.meshgrid(np.linspace(-1, 1, 352), np.linspace(-1, 1, 264))
+    sheen = 70 * np.exp(-((across / 0.5) ** 2) - (down / 0.5) ** 2)[..., None]
+    glossy = [np.clip(picture + sheen, 0, 255).astype(np.uint8) for picture in pictures]
+    matte, shiny = (ViewDependence().evidence(look_of(cameras, seen)).peak for seen in (pictures, glossy))
+    assert decision(ViewDependence(), (cameras, glossy)).called_for
+    assert shiny > 1.5 * matte
