@@ -59,7 +59,7 @@ layers: $(READY) ## import contracts: formats <- codec <- decoder <- encoder
 unit: $(READY) ## pytest
 	$(BIN)/pytest
 
-soak: $(READY) ## the tests that take minutes: an encode killed again and again
+soak: $(READY) ## the tests that take minutes: a thousand frames, an encode killed again and again
 	$(BIN)/pytest -m soak
 
 wheel: $(READY) ## build the sdist, and from it the wheel, into build/dist

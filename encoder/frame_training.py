@@ -187,8 +187,9 @@ class FrameTrainer:
         """Squared error in focus of what some views show."""
         total = 0.0
         for index in self._probes():
-            square = (np.clip(self._watch[index].rgb, 0, 1) - pictures[index]) ** 2
-            total += float((square * masks[index].dilated).sum(dtype=np.float64))
+            focus = masks[index].dilated
+            off = np.clip(self._watch[index].rgb[:, focus], 0, 1) - pictures[index][:, focus]
+            total += float((off * off).sum(dtype=np.float64))
         return total
 
     def _start_warm(self, work: _Working, motion: FloatArray) -> None:

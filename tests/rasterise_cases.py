@@ -136,6 +136,22 @@ def _clones() -> Case:
     return Case(join_splats(splats, edited(copies, means=splats.means)), pinhole(31, 23, 30.0))
 
 
+def _far() -> Case:
+    """Seen from 1.7e6 units off the world's origin: positions are whole sixteenths there."""
+    splats, camera = scene(63, 40, 1), pinhole(45, 37, 40.0, turn=0.3)
+    shift = np.array([1e6, -1e6, 1e6])
+    pose = camera.world_to_camera.copy()
+    pose[:3, 3] -= pose[:3, :3] @ shift
+    return Case(edited(splats, means=splats.means + shift), replace(camera, world_to_camera=pose))
+
+
+def _stretched() -> Case:
+    """Quaternions of any length that a float32 can tell."""
+    splats = scene(64, 60, 1)
+    unit = splats.quaternions / np.linalg.norm(splats.quaternions.astype(float), axis=1, keepdims=True)
+    return Case(edited(splats, quaternions=unit * np.geomspace(1e-15, 1e37, 60)[:, None]), pinhole(45, 37, 40.0))
+
+
 CASES: dict[str, Callable[[], Case]] = {
     "degree-0": lambda: Case(scene(1, 60, 0), pinhole(45, 37, 40.0, turn=0.3)),
     "degree-1": lambda: Case(scene(2, 60, 1), pinhole(45, 37, 40.0, turn=-0.8, nod=0.2)),
@@ -153,6 +169,8 @@ CASES: dict[str, Callable[[], Case]] = {
     "crowd": _crowd,
     "edges": _edges,
     "clones": _clones,
+    "far": _far,
+    "stretched": _stretched,
 }
 
 
