@@ -10,6 +10,9 @@ granted.
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
 import cv2
 import numpy as np
 
@@ -18,6 +21,9 @@ from decogs.formats.cameras import camera_centre
 from .effect import F64, Decision, Evidence, cameras_beyond, confidence, decided, spans
 from .look import Look
 from .matches import U8, PairMatches, sampson_distances
+
+if TYPE_CHECKING:
+    from ..presets import EncodeSettings
 
 _LIMIT = 4.0
 """Levels of 255: the smallest change that counts from frame to frame, too."""
@@ -65,6 +71,15 @@ class ViewDependence:
             cost="9 more numbers a Gaussian at SH degree 1: a quarter of the keyframe's bytes (estimated)",
             sure=min(_AT_MOST, confidence(evidence)) if beyond.any() or not told else confidence(evidence),
         )
+
+    def built(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
+        return settings
+
+    def left_out(self, settings: EncodeSettings) -> EncodeSettings:
+        """One colour for all directions."""
+        rates = replace(settings.frame.rates, sh_rest=0.0)
+        keyframe = replace(settings.keyframe, sh_degree=0)
+        return replace(settings, keyframe=keyframe, frame=replace(settings.frame, rates=rates))
 
 
 def _differences(look: Look, pair: PairMatches, first: U8 | F64, second: U8 | F64) -> F64:
