@@ -173,9 +173,9 @@ class FrameTrainer:
     def _cache_of_frame(self) -> TransformationCache | None:
         """The cache that this frame's settings ask for; built when the first frame does."""
         settings = self._settings
-        if settings.cache is None or settings.cache_iterations + settings.joint_iterations == 0:
+        if settings.cache is None:
             return None
-        if self._kept_cache is None:
+        if self._kept_cache is None and settings.cache_iterations + settings.joint_iterations > 0:
             self._kept_cache = TransformationCache(*self._box, settings.cache, self._seed, threads=self._threads)
         return self._kept_cache
 

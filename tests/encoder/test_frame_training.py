@@ -199,8 +199,7 @@ def test_the_cache_may_be_carried_from_frame_to_frame(case: Case) -> None:
         trainer.train(case.scene, *given, frame=1)
         for view in trainer._watch:
             view.settle(case.scene, np.flatnonzero(case.selected))
-        trainer._settings = replace(settings, cache_iterations=0)
-        frame = trainer.train(case.scene, *given, frame=2)
+        frame = trainer.train(case.scene, *given, frame=2, settings=replace(settings, cache_iterations=0))
         assert (frame.values.means != case.scene.means[frame.kept]).any() == moved
 
 
