@@ -90,8 +90,11 @@ class SplatOptimiser:
         self._held |= {name: (mask, getattr(self.splats, name).copy()) for name, mask in held.items()}
 
     def gradient_size(self, name: str) -> FloatArray:
-        """Root mean square of an attribute's gradients so far, shaped like it, the recent ones weighing most."""
-        seen = 1 - float(np.float32(self._beta2)) ** self._steps
+        """Root mean square of an attribute's gradients so far, shaped like it, the recent ones weighing most.
+
+        Before the first step, 0.
+        """
+        seen = 1 - float(np.float32(self._beta2)) ** max(1, self._steps)
         second: FloatArray = getattr(self._second, name)
         return np.asarray(np.sqrt(second * np.float32(1 / seen)))
 

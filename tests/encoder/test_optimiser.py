@@ -153,6 +153,30 @@ def test_what_is_held_stays_and_the_rest_goes_as_without() -> None:
         np.testing.assert_array_equal(getattr(holding.splats, name), expected)
 
 
+def test_attributes_are_held_one_after_the_other() -> None:
+    start, gradients = some_splats(1), gradients_of(some_splats(2))
+    optimiser = SplatOptimiser(start, TrainingKernel(1))
+    optimiser.hold({"means": np.ones((COUNT, 3), bool)})
+    optimiser.step(gradients, RATES)
+    later = optimiser.splats.log_scales.copy()
+    optimiser.hold({"log_scales": np.ones((COUNT, 3), bool)})
+    optimiser.step(gradients, RATES)
+    np.testing.assert_array_equal(optimiser.splats.means, start.means)
+    np.testing.assert_array_equal(optimiser.splats.log_scales, later)
+    assert (later != start.log_scales).all()
+
+
+def test_a_copy_goes_on_as_the_original_would_and_apart_from_it() -> None:
+    gradients = gradients_of(some_splats(2))
+    original = SplatOptimiser(some_splats(1), TrainingKernel(1), beta1=0.7, beta2=0.99)
+    original.step(gradients, RATES)
+    copy, there = original.copied(), original.splats.sh.copy()
+    copy.step(gradients, RATES)
+    np.testing.assert_array_equal(original.splats.sh, there)
+    original.step(gradients, RATES)
+    assert equal_bits(copy.splats, original.splats)
+
+
 def test_nothing_is_held_any_more_once_rows_come_or_go() -> None:
     start, gradients = some_splats(1), gradients_of(some_splats(2))
     for change in (lambda o: o.keep(np.arange(COUNT)), lambda o: o.append(take_splats(start, np.arange(0)))):
@@ -166,6 +190,7 @@ def test_nothing_is_held_any_more_once_rows_come_or_go() -> None:
 def test_gradient_size_is_the_root_mean_square_of_what_came() -> None:
     start, gradients = some_splats(1), [some_splats(seed) for seed in (2, 3, 4)]
     optimiser = SplatOptimiser(start, TrainingKernel(1), beta2=0.9)
+    assert not optimiser.gradient_size("means").any(), "nothing has come yet"
     for gradient in gradients:
         optimiser.step(gradients_of(gradient), RATES)
     weights = np.array([0.81, 0.9, 1.0])
