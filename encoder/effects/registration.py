@@ -22,7 +22,8 @@ SHAKE_LIMIT = 0.1
 """Displacement in pixels looked at that counts: ten times what noise leaves of a picture that stands still; an edge of
 100 levels, two pixels wide, changes by 5 levels."""
 
-_CORNERS, _CORNER_QUALITY, _CORNER_DISTANCE = 200, 0.02, 7
+_MOST_CORNERS, _CORNER_QUALITY, _CORNER_DISTANCE = 1000, 0.02, 7
+_PARTS, _CORNERS_PER_PART = (5, 4), 10
 _FEWEST = 12
 _WINDOW, _LEVELS = (15, 15), 2
 _STILL_SHARE = 0.3
@@ -53,8 +54,8 @@ def camera_path(pictures: U8) -> CameraPath:
     displacement = np.full(count, np.nan)
     transforms = np.tile(np.eye(2, 3), (count, 1, 1))
     first = _normalised(pictures[0])
-    corners = cv2.goodFeaturesToTrack(first, _CORNERS, _CORNER_QUALITY, _CORNER_DISTANCE)
-    if corners is None or len(corners) < _FEWEST:
+    corners = _corners(first)
+    if len(corners) < _FEWEST:
         return CameraPath(displacement, transforms)
     displacement[0] = 0.0
     centre = np.array([(pictures.shape[2] - 1) / 2, (pictures.shape[1] - 1) / 2])
@@ -68,6 +69,18 @@ def camera_path(pictures: U8) -> CameraPath:
             transforms[index], displacement[index] = _similarity(at, (found - corners)[kept, 0].astype(np.float64))
             transforms[index, :, 2] += centre - transforms[index, :, :2] @ centre
     return CameraPath(displacement, transforms)
+
+
+def _corners(picture: U8) -> F32:
+    """The strongest corners (N, 1, 2) of every part of the picture: one strong texture must not speak for all."""
+    found = cv2.goodFeaturesToTrack(picture, _MOST_CORNERS, _CORNER_QUALITY, _CORNER_DISTANCE)
+    if found is None:
+        return np.empty((0, 1, 2), np.float32)
+    height, width = picture.shape
+    columns, rows = _PARTS
+    part = (found[:, 0, 0] * columns // width) + columns * (found[:, 0, 1] * rows // height)
+    kept = [np.flatnonzero(part == each)[:_CORNERS_PER_PART] for each in range(columns * rows)]
+    return np.asarray(found[np.sort(np.concatenate(kept))], np.float32)
 
 
 def _normalised(picture: U8) -> U8:
