@@ -122,7 +122,7 @@ def write_corrections(corrections: Corrections, corrected: CorrectedCameras) -> 
 
 
 def split_corrections(packet: Packet, corrected: CorrectedCameras) -> tuple[Corrections, Packet]:
-    """A frame packet's corrections, and the packet without the block, its offset moved on so that errors stay placed.
+    """A frame packet's corrections, and the packet as it is read from behind the block on.
 
     Raises StreamError "bad-payload" when the payload is shorter than the block.
     """
@@ -135,4 +135,4 @@ def split_corrections(packet: Packet, corrected: CorrectedCameras) -> tuple[Corr
         for name in getattr(corrected, effect):
             told = {field: next(numbers) for field in fields}
             found[name] = replace(found.get(name, Correction()), **told)
-    return found, replace(packet, payload=packet.payload[size:], offset=packet.offset + size)
+    return found, replace(packet, start=size)

@@ -69,7 +69,7 @@ def write_key(state: State, *, first: State | None = None, level: int = DEFAULT_
 
 def refers_to_first(packet: Packet) -> bool:
     """Whether a packet is a keyframe that can only be read with the stream's first one."""
-    head = packet.payload[: _REFERENCE_OFFSET + 1]
+    head = packet.payload[packet.start : packet.start + _REFERENCE_OFFSET + 1]
     return packet.kind == PacketKind.KEY and len(head) > _REFERENCE_OFFSET and head[-1] == _FIRST_KEYFRAME
 
 
@@ -148,8 +148,13 @@ def read_skip(packet: Packet) -> int:
 
 
 def payload_costs(packet: Packet, coefficients: int) -> dict[str, int]:
-    """A frame packet's payload bytes by purpose, from its declared lengths, without decoding it; raises StreamError."""
+    """A frame packet's payload bytes by purpose, from its declared lengths, without decoding it; raises StreamError.
+
+    What lies before the packet's ``start`` are its corrections.
+    """
     cursor, costs = packet.cursor(), {"header": 0}
+    if packet.start:
+        costs["corrections"] = packet.start
     if packet.kind == PacketKind.KEY:
         mode = _KEY.unpack(cursor.take(_KEY.size))[4]
         if refers_to_first(packet):

@@ -133,7 +133,7 @@ class DecodedFrame:
         self.concealed: Damage | None = None
         self._packet: Packet | None
         self.corrections, self._packet = split_corrections(packet, header.corrected)
-        self._coefficients, self._corrected = header.coefficients, header.corrected
+        self._coefficients = header.coefficients
         self._state_before = None if before is None else before.state
         self._first = first
         unchanged = before is not None and self.kind == PacketKind.SKIP
@@ -162,10 +162,7 @@ class DecodedFrame:
     @property
     def costs(self) -> dict[str, int]:
         """The payload's bytes by purpose: header, index set, each attribute group (see SPEC.md, "Payloads")."""
-        if self._packet is None:
-            return {}
-        told = {"corrections": self._corrected.block_bytes} if self._corrected.effects else {}
-        return payload_costs(self._packet, self._coefficients) | told
+        return {} if self._packet is None else payload_costs(self._packet, self._coefficients)
 
     def delta_from(self, state: State) -> Delta | None:
         """What this frame changed of ``state``, read from its packet again; None unless it is a delta to that scene."""

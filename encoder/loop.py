@@ -214,7 +214,7 @@ class StreamEncoder:
             self._advance(packet)
             self._go_on(frame, before, masks, trained, watch)
             share = _share(selected)
-        costs = payload_costs(body, self._header.coefficients) | self._cost_of_corrections()
+        costs = payload_costs(body, self._header.coefficients)
         return replace(self._report(frame, packet, costs, share, watch, masks), replayed=True)
 
     def _trained_keyframe(
@@ -343,11 +343,7 @@ class StreamEncoder:
         if self._corrector is None:
             return coded
         block = write_corrections(corrections, self._header.corrected)
-        return Coded(block + coded.payload, coded.costs | self._cost_of_corrections())
-
-    def _cost_of_corrections(self) -> dict[str, int]:
-        size = self._header.corrected.block_bytes
-        return {"corrections": size} if size else {}
+        return Coded(block + coded.payload, {**coded.costs, "corrections": len(block)})
 
     def _changes(
         self, frame: RigFrame, population: int, watch: _Stopwatch

@@ -67,7 +67,8 @@ class Packet:
     """One complete packet whose checksums were right.
 
     ``kind`` is a PacketKind or an unknown ancillary number; ``ordinal`` counts the packets of the stream from 0 (None
-    when read at an offset); ``offset`` is the stream offset of the packet's first byte.
+    when read at an offset); ``offset`` is the stream offset of the packet's first byte; ``start`` is where in the
+    payload reading begins, behind what was read of it already.
     """
 
     kind: int
@@ -76,6 +77,7 @@ class Packet:
     critical: bool = True
     ordinal: int | None = None
     offset: int = 0
+    start: int = 0
 
     @property
     def size(self) -> int:
@@ -84,7 +86,9 @@ class Packet:
 
     def cursor(self) -> Cursor:
         """A bounded reader of the payload that knows where the packet lies."""
-        return Cursor(self.payload, packet=self.ordinal, offset=self.offset + PACKET_HEADER_SIZE)
+        cursor = Cursor(self.payload, packet=self.ordinal, offset=self.offset + PACKET_HEADER_SIZE)
+        cursor.take(self.start)
+        return cursor
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,7 +39,9 @@ def test_the_block_comes_back_and_leaves_the_rest(numbers: list[int], rest: byte
     block = write_corrections(told, ALL)
     found, body = split_corrections(Packet(PacketKind.SKIP, 3, block + rest, offset=50), ALL)
     assert found == told
-    assert (body.payload, body.offset, body.frame) == (rest, 50 + len(block), 3)
+    assert (body.payload, body.offset, body.frame) == (block + rest, 50, 3)
+    cursor = body.cursor()
+    assert (cursor.remaining, bytes(cursor.take(len(rest)))) == (len(rest), rest)
 
 
 def test_the_block_lies_as_specified() -> None:
