@@ -19,6 +19,7 @@ from random import Random
 import numpy as np
 import zstandard
 
+from decogs.codec.corrections import CorrectedCameras, Correction, split_corrections, write_corrections
 from decogs.codec.deltas import apply_delta, difference
 from decogs.codec.digest import digest
 from decogs.codec.entropy import BLOCK_HEADER_SIZE, coded_block
@@ -72,19 +73,30 @@ def seed_streams() -> list[bytes]:
         _stream(count=12, sh_degree=0, finished=False),
         _stream(count=400, sh_degree=0, finished=True),
         _stream(count=0, sh_degree=0, finished=True),
+        _stream(count=12, sh_degree=0, finished=True, corrected=_CORRECTED),
     ]
 
 
-def header(sh_degree: int) -> StreamHeader:
-    camera = Camera("a", 16, 12, 15.0, 15.0, 8.0, 6.0, np.eye(4))
-    return StreamHeader(cameras=(camera,), lattice=default_lattice(4.0), sh_degree=sh_degree)
+_CORRECTED = CorrectedCameras(exposure_drift=("a",), camera_shake=("a",))
 
 
-def _stream(*, count: int, sh_degree: int, finished: bool) -> bytes:
-    file = io.BytesIO()
-    writer = StreamWriter(file, header(sh_degree).to_bytes())
+def header(sh_degree: int, corrected: CorrectedCameras | None = None) -> StreamHeader:
+    camera, corrected = Camera("a", 16, 12, 15.0, 15.0, 8.0, 6.0, np.eye(4)), corrected or CorrectedCameras()
+    return StreamHeader(
+        cameras=(camera,),
+        lattice=default_lattice(4.0),
+        sh_degree=sh_degree,
+        effects=corrected.effects,
+        corrected=corrected,
+    )
+
+
+def _stream(*, count: int, sh_degree: int, finished: bool, corrected: CorrectedCameras | None = None) -> bytes:
+    file, described = io.BytesIO(), header(sh_degree, corrected)
+    writer = StreamWriter(file, described.to_bytes())
     for packet in frame_packets(count, sh_degree):
-        writer.write(packet.kind, packet.frame, packet.payload)
+        told = {"a": Correction(exposure=packet.frame - 3, yaw=900, roll=-packet.frame)}
+        writer.write(packet.kind, packet.frame, write_corrections(told, described.corrected) + packet.payload)
         if packet.frame == 1:
             writer.write(PacketKind.METRICS, 1, b'{"psnr":30}')
             writer.write(99, 0, b"of a later version")
@@ -264,13 +276,15 @@ def repaired_frame(
     except StreamError as error:
         if error.reason != Reason.DIGEST_MISMATCH:
             return packet, state
+    _, packet = split_corrections(packet, described.corrected)
     if packet.kind == PacketKind.KEY:
         after = read_key(packet, described.coefficients, first=first, **options)[0]
     elif packet.kind == PacketKind.DELTA:
         after = apply_delta(state, read_delta(packet, state, **options)[0])
     else:
         after = state
-    mended = replace(packet, payload=_DIGEST.pack(digest(after)) + packet.payload[_DIGEST.size :])
+    before, behind = packet.payload[: packet.start], packet.payload[packet.start + _DIGEST.size :]
+    mended = replace(packet, payload=before + _DIGEST.pack(digest(after)) + behind, start=0)
     return mended, reconstruct(state, mended, described, first=first, **options)
 
 
@@ -363,7 +377,7 @@ def parsers() -> dict[str, tuple[Callable[[bytes], None], list[bytes]]]:
     ]
     return {
         "container": (try_container, seed_streams()),
-        "header": (try_header, [header(0).to_bytes(), header(1).to_bytes()]),
+        "header": (try_header, [header(0).to_bytes(), header(1, _CORRECTED).to_bytes()]),
         "payload": (try_payload, payloads),
     }
 
