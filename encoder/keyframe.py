@@ -32,9 +32,9 @@ from .optimiser import LearningRates, SplatOptimiser
 from .rasterise import Picture, TrainingKernel, gradients_like
 from .view_order import view_order
 
-_CORRECT_EVERY, _CORRECT_FROM, _CORRECT_TO = 20, 0.05, 0.6
-"""Cameras' faults are found anew every so many steps, within these shares of the schedule: what the scene took for its
-own in the steps between is taken out the next time."""
+_CORRECT_EVERY, _CORRECT_FROM, _CORRECT_TO = 0.04, 0.05, 0.6
+"""Shares of the schedule: cameras' faults are found anew so often, from here on, until there; by then the scene's depth
+and the poses of turned cameras are known."""
 
 _SCOUTING = 100
 """Steps after which a turned camera's pose is known to a twentieth of a pixel."""
@@ -310,7 +310,9 @@ class _KeyframeTraining:
             self._effort.on_loss(stage, step, loss)
 
     def _corrects_at(self, step: int) -> bool:
-        return step % _CORRECT_EVERY == 0 and _CORRECT_FROM <= step / self._settings.iterations <= _CORRECT_TO
+        iterations = self._settings.iterations
+        every = max(1, round(_CORRECT_EVERY * iterations))
+        return step % every == 0 and _CORRECT_FROM <= step / iterations <= _CORRECT_TO
 
     def _correct(self, corrector: Corrector, step: int) -> None:
         """Trains on from here on the pictures without the cameras' faults, as far as the scene tells them by now."""
