@@ -16,9 +16,10 @@ from decogs.formats.splats import Splats
 from .machine import code_version
 from .measuring import FrameQuality
 from .rivals.sequences import Frames, Rival, SceneFrame, Sizes
-from .runs import RigBench, Run, digest, document, rounded, write_whole
+from .runs import RigBench, Run, digest, document
 from .tables import mean
 from .variants import Variant
+from .whole_files import rounded, write_whole
 
 FORMAT = 1
 """Of the JSON files, and of what the rivals write: raise it when either changes."""

@@ -13,6 +13,7 @@ import json
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, fields
 from datetime import datetime, timezone
 from functools import cached_property
@@ -30,12 +31,14 @@ from decogs.formats.errors import UsageError
 from decogs.formats.rigs import Rig, open_rig
 from decogs.formats.splats import Splats
 
+from ..anytime import AnytimeLog
 from ..effects import PRESET_EFFECTS, Decision, wanted_effects, with_effects
 from ..effects.analysis import analyse
 from ..ingest import Ingest
 from ..keyframe_source import read_keyframe
 from ..loop import EncodeReport, FrameReport, OnKeyframeStep, encode_stream, frame_span
 from ..presets import EncodeSettings
+from .courses import Course, course, read_course, recorded_course, write_course
 from .machine import code_version, load, machine_facts
 from .measuring import FrameQuality, StreamQuality, measure_scenes
 from .metrics import BytePicture
@@ -43,6 +46,7 @@ from .perceptual import installed_network, perceptual_distance
 from .regions import Regions, find_regions, held_out_pictures, static_column
 from .timing import TIMINGS, retimed
 from .variants import Variant, settings_of
+from .whole_files import rounded, write_whole
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -208,6 +212,13 @@ class RigBench:
             raise UsageError(f"{path}: is missing or damaged; remove {self.file_of(run).name} to make it again")
         return np.asarray(picture[..., ::-1], np.uint8)
 
+    def course_of(self, run: Run) -> Course | None:
+        """How the loss fell inside the run's later frames; None when it was not followed."""
+        return read_course(self._course_file(run))
+
+    def _course_file(self, run: Run) -> Path:
+        return self.file_of(run).with_suffix(".course.json")
+
     def run(
         self,
         variant: Variant,
@@ -215,23 +226,30 @@ class RigBench:
         on_frame: Callable[[], None] | None = None,
         on_keyframe_step: OnKeyframeStep | None = None,
         keep_stream: bool = False,
+        follow: bool = False,
     ) -> Run:
         """Encodes and measures a variant and keeps the result; Ctrl-C and errors leave no half result.
 
         ``on_frame`` is called after each of the variant's own frames, ``on_keyframe_step`` while a keyframe is trained.
-        ``keep_stream``: leave the .dgs file for ``stream``, whatever the options say; ``tidy`` removes it.
+        ``keep_stream``: leave the .dgs file for ``stream``, whatever the options say; ``tidy`` removes it. ``follow``:
+        keep how the loss fell inside its later frames for ``course_of``.
         """
         self.runs_folder.mkdir(parents=True, exist_ok=True)
         self._streams.mkdir(parents=True, exist_ok=True)
         keyframe = None if self._trains_keyframe(variant) else self.stream(KEYFRAME, on_keyframe_step)
         loads = [load()]
-        report = self._encode(variant, keyframe, on_frame, on_keyframe_step)
+        with recorded_course() if follow else nullcontext() as recording:
+            log = None if recording is None else recording.log
+            report = self._encode(variant, keyframe, on_frame, on_keyframe_step, log)
         loads.append(load())
         with open_stream(report.output, strict=True) as stream:
             scenes = (frame.splats for frame in stream.frames())
             quality = self.measured(stream.header, scenes, self.frames_of(variant))
         run = self._result(variant, report, quality, loads)
         write_whole(self.file_of(run).with_suffix(".png"), _png(quality.column))
+        followed = None if recording is None else course(recording.lines, len(self.rig.cameras) - 1)
+        if followed is not None:
+            write_course(self._course_file(run), followed)
         write_whole(self.file_of(run), document(run).encode())
         if not (keep_stream or self.options.keep_streams):
             report.output.unlink()
@@ -275,10 +293,11 @@ class RigBench:
         keyframe: Path | None,
         on_frame: Callable[[], None] | None,
         on_keyframe_step: OnKeyframeStep | None,
+        anytime: AnytimeLog | None = None,
     ) -> EncodeReport:
         frames = self.frames_of(variant)
         first = frames[0]
-        ingest = Ingest(retimed(self.rig, frames), holdout=[self.camera], scale=self.options.scale)
+        ingest = Ingest(retimed(self.rig, frames), holdout=[self.camera], scale=self._training_scale(variant))
         report = encode_stream(
             ingest,
             self._stream(variant),
@@ -289,11 +308,15 @@ class RigBench:
             keyframe=None if keyframe is None else read_keyframe(keyframe).refined(variant.refined),
             on_frame=None if on_frame is None else lambda _: on_frame(),
             on_keyframe_step=on_keyframe_step,
+            anytime=anytime,
         )
         if report.interrupted:
             report.output.unlink(missing_ok=True)
             raise KeyboardInterrupt
         return report
+
+    def _training_scale(self, variant: Variant) -> float:
+        return self.options.scale * variant.scale
 
     def _recorded(self, frames: Sequence[int]) -> Iterator[BytePicture]:
         return held_out_pictures(self.rig, self.camera, frames, self.options.scale)
@@ -304,8 +327,10 @@ class RigBench:
         Variants of the same key are the same run, whatever they are called.
         """
         options, rig, frames = self.options, self.rig, self.frames_of(variant)
+        facts: dict[str, Any] = {} if variant.scale == 1 else {"training_scale": variant.scale}
         return digest(
-            {
+            facts
+            | {
                 "format": FORMAT,
                 "settings": self.settings(variant).as_document(),
                 "own_keyframe": self._trains_keyframe(variant),
@@ -352,7 +377,8 @@ class RigBench:
         words = ["decogs-encode", self.name, "-o", f"{variant.name}.dgs", "--holdout", self.camera]
         words += ["--frames", f"{min(frames)}:{max(frames) + 1}", "--preset", variant.preset or options.preset]
         words += ["--seed", str(options.seed), "--threads", str(self._threads)]
-        words += [] if options.scale == 1 else ["--scale", f"{options.scale:g}"]
+        scale = self._training_scale(variant)
+        words += [] if scale == 1 else ["--scale", f"{scale:g}"]
         words += [] if variant.method == "decogs" else ["--method", variant.method]
         words += ["--ablate", ",".join(variant.ablate)] if variant.ablate else []
         words += ["--selection", variant.selection] if variant.selection else []
@@ -390,13 +416,6 @@ def _frame(index: int, cost: FrameReport, looks: FrameQuality) -> RunFrame:
     return RunFrame(**rounded(values))
 
 
-def rounded(value: Any) -> Any:
-    """Floats to seven significant digits: files of many numbers are read by people, too."""
-    if isinstance(value, dict):
-        return {name: rounded(entry) for name, entry in value.items()}
-    return float(f"{value:.7g}") if isinstance(value, float) else value
-
-
 def _held_out(rig: Rig, chosen: str | None) -> str:
     """The camera to measure on: the one asked for, the rig's own, or cam00."""
     names = [camera.name for camera in rig.cameras]
@@ -425,9 +444,3 @@ def digest(facts: Mapping[str, Any]) -> str:
 
 def _png(picture: NDArray[np.uint8]) -> bytes:
     return bytes(cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))[1].tobytes())
-
-
-def write_whole(path: Path, data: bytes) -> None:
-    growing = path.with_name(path.name + ".part")
-    growing.write_bytes(data)
-    os.replace(growing, path)

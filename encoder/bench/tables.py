@@ -57,6 +57,11 @@ def cpu_seconds(run: Run) -> float | None:
     return mean(frame.cpu_seconds for frame in later(run))
 
 
+def decode_fps(run: Run) -> float:
+    """Frames a second from packet to picture, of the held-out view."""
+    return 1 / (run.read_seconds + run.render_seconds)
+
+
 def later(run: Run) -> list[RunFrame]:
     """All frames but the keyframe."""
     return run.frames[1:]
@@ -155,6 +160,12 @@ COLUMNS: dict[str, Column] = {
         "render FPS",
         "1 / the median time to render the held-out view of a decoded frame",
         lambda run, _: 1 / run.render_seconds,
+        number(".1f"),
+    ),
+    "decode_fps": Column(
+        "decode FPS",
+        "1 / the median time to read a frame's packet, reconstruct its Gaussians and render the held-out view",
+        lambda run, _: decode_fps(run),
         number(".1f"),
     ),
     "megabytes": Column(

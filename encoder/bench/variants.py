@@ -30,7 +30,8 @@ class Variant:
     ``name``: letters, digits, '.', '_' and '-'; part of file names. ``settings``: what differs from the preset, by
     dotted path ("frame.masks.threshold"); values replace the setting, or are Times. ``preset`` None: the report's.
     ``method``, ``ablate``, ``selection``, ``quality``, ``effects``: as ``encode``'s; ``effects`` None is all that the
-    preset has. ``stride``: every so many frames.
+    preset has. ``stride``: every so many frames. ``scale``: of the pictures it trains on, times the report's; it is
+    measured at the report's all the same.
     ``timing``: one of `timing.TIMINGS`. ``frames``: only the first so many, or the last so many when negative.
     ``own_keyframe``: trains its own instead of starting from the one that all variants of a rig share. ``refined``:
     starts from the shared one on a lattice so many times as fine.
@@ -46,6 +47,7 @@ class Variant:
     quality: float | None = None
     effects: str | None = None
     stride: int = 1
+    scale: float = 1.0
     timing: str | None = None
     frames: int | None = None
     own_keyframe: bool = False
