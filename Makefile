@@ -84,10 +84,11 @@ bench: $(READY) ## time the rasteriser, sparse training steps against dense ones
 	$(BIN)/python tests/bench/decode.py
 
 # Hours: what is already in report/runs, made by the same code, is not made again.
-report: $(READY) ## the paper's tables, our choices, and rate against distortion, measured on RIGS, into report/
+report: $(READY) ## the paper's tables, our choices, rate against distortion, accuracy against time, into report/
 	$(BIN)/decogs-bench paper $(RIGS) -o report $(BENCH_ARGS)
 	$(BIN)/decogs-bench choices $(CHOICE_RIGS) -o report --frames :16 $(BENCH_ARGS)
 	$(BIN)/decogs-bench rates $(RATE_RIGS) -o report $(BENCH_ARGS)
+	$(BIN)/decogs-bench curve $(RATE_RIGS) -o report --frames :8 $(BENCH_ARGS)
 
 clean: ## remove what was built and every cache; .venv and demo/ stay
 	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache $(READY)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +10,15 @@ from . import paper, rates
 from .machine import code_version
 from .perceptual import installed_network
 from .plans import Contest, Plan, RigResults
-from .plots import plot_effort, plot_quality, plot_rates, plot_scanlines
+from .plots import plot_courses, plot_effort, plot_quality, plot_rates, plot_scanlines, plot_trade
 from .rival_runs import RatePoint, point_of, point_of_rival, rival_file
 from .runs import KEYFRAME, RigBench, Run
 from .tables import COLUMNS, NOT_RUN, NOTHING, markdown, number
+from .trade import COSTS, QUALITIES, Axis, Point, front, gain_heading, points_of
 from .variants import Question, Variant
+
+_SHOWN_QUALITIES, _SHOWN_COSTS = ("psnr_dynamic", "ssim"), ("cpu", "kilobytes", "decode_fps")
+"""Of all pairs of axes, those with a picture or a table; the page to explore has them all."""
 
 
 def report_page(plan: Plan, results: Sequence[RigResults], folder: Path, command: str) -> list[str]:
@@ -38,6 +42,8 @@ def _rig_section(plan: Plan, result: RigResults, folder: Path) -> list[str]:
         lines += [f"{name} failed: {error}" for name, error in _failed(result, question)]
     if plan.contest is not None:
         lines += _contest_section(plan.contest, result)
+    if plan.trade is not None:
+        lines += _trade_section(plan, result, folder)
     return lines + (_figures(plan, result, folder) if plan.figures else [])
 
 
@@ -107,6 +113,73 @@ def _contest_section(contest: Contest, result: RigResults) -> list[str]:
         *markdown(headings, rows),
         "",
         *(f"- {', '.join(names)}: {about}" for about, names in notes.items()),
+        "",
+    ]
+
+
+def _trade_section(plan: Plan, result: RigResults, folder: Path) -> list[str]:
+    """Pictures, what is best for its price, how the loss falls inside a frame, and the kernel's precision."""
+    bench, points = result.bench, points_of(plan, result)
+    lines: list[str] = []
+    if points:
+        (folder / "pictures").mkdir(exist_ok=True)
+        families = {question.key: question.title for question in plan.questions}
+        for quality in (quality for quality in QUALITIES if quality.key in _SHOWN_QUALITIES):
+            name = f"{bench.name}-curve-{quality.key.replace('_', '-')}.png"
+            plot_trade(folder / "pictures" / name, points, families, quality)
+            lines += [f"![{quality.label}, over cost](pictures/{name})", ""]
+        for cost in (cost for cost in COSTS if cost.key in _SHOWN_COSTS):
+            lines += _front_table(points, families, cost, QUALITIES[0])
+    if result.courses:
+        name = f"{bench.name}-inside.png"
+        plot_courses(folder / "pictures" / name, result.courses)
+        frames = max(course.frames for course in result.courses.values())
+        lines += [
+            "### Inside a frame",
+            "",
+            f"The loss of a later frame against the time it has been trained for; the median over up to {frames} "
+            "frames, each loss the mean over the last steps of all views. A dot marks the end of the schedule.",
+            "",
+            f"![loss against seconds inside a frame](pictures/{name})",
+            "",
+        ]
+    return ["### What is best for its price", "", *lines, *_precision_section(result)] if lines else lines
+
+
+def _front_table(points: Sequence[Point], families: Mapping[str, str], cost: Axis, quality: Axis) -> list[str]:
+    rows = []
+    for step in front(points, cost, quality):
+        point = points[step.point]
+        gain = NOTHING if step.gain is None else f"{step.gain:+.3g}"
+        amounts = [number(f".{axis.digits}f")(point.figures[axis.key]) for axis in (cost, quality)]
+        rows.append([f"{families[point.family]}: {point.label}", *amounts, gain])
+    return [
+        f"The Pareto front of {quality.label} over {cost.label}: no other row is both cheaper and better. Gains are "
+        "over the row above.",
+        "",
+        *markdown(["", cost.label, quality.label, gain_heading(cost, quality)], rows),
+        "",
+    ]
+
+
+def _precision_section(result: RigResults) -> list[str]:
+    found = result.precision
+    if found is None:
+        return []
+    headings = ["", "PSNR, dB", "seconds to render"]
+    rows = [
+        ["float32 kernel", f"{found.single:.5f}", f"{found.single_seconds:.4f}"],
+        ["float64 twin", f"{found.double:.5f}", f"{found.double_seconds:.1f}"],
+    ]
+    return [
+        "### Kernel precision",
+        "",
+        f"The decoded frame {found.frame} ({found.gaussians} Gaussians) at {found.width}x{found.height}, by the "
+        f"float32 kernel and by its float64 twin, on one thread. Against what was recorded they differ by "
+        f"{found.single - found.double:+.1e} dB; one picture against the other has {found.between:.1f} dB, and "
+        f"{found.changed:.1e} of the 8-bit values differ.",
+        "",
+        *markdown(headings, rows),
         "",
     ]
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
+from .courses import Course
+from .precision import Precision
 from .rival_runs import RivalRun
 from .rivals.sequences import Rival
 from .runs import KEYFRAME, RigBench, Run
@@ -25,6 +27,19 @@ class Contest:
 
 
 @dataclass(frozen=True)
+class Trade:
+    """That the rows are points between cost and quality: fronts, plots and a page to explore them.
+
+    ``followed``: variants of which the loss inside frames is kept. ``source``: whose last frame the kernel and its
+    float64 twin are compared on; ``key`` for ``--only``.
+    """
+
+    key: str
+    source: Variant
+    followed: tuple[Variant, ...]
+
+
+@dataclass(frozen=True)
 class Plan:
     """A kind of report: its name (of the files, too), heading, questions, and figures with the variants they show.
 
@@ -36,22 +51,34 @@ class Plan:
     questions: tuple[Question, ...]
     figures: Mapping[str, tuple[Variant, ...]] = field(default_factory=dict)
     contest: Contest | None = None
+    trade: Trade | None = None
     summary: Callable[[Sequence[RigResults]], list[str]] | None = None
 
     @property
     def lent(self) -> tuple[Variant, ...]:
         """Variants whose streams are needed after their own run."""
-        return (KEYFRAME,) if self.contest is None else (KEYFRAME, self.contest.source)
+        sources = [part.source for part in (self.contest, self.trade) if part is not None]
+        return (KEYFRAME, *sources)
+
+    @property
+    def followed(self) -> tuple[Variant, ...]:
+        """Variants of which the loss inside frames is kept."""
+        return () if self.trade is None else self.trade.followed
 
 
 @dataclass
 class RigResults:
-    """A rig's runs by key, what went wrong by the variant's or rival's name, and rivals by theirs."""
+    """A rig's runs by key, what went wrong by the variant's or rival's name, and rivals by theirs.
+
+    ``courses``: how the loss fell inside frames, by the variant's description. ``precision``: of the kernel.
+    """
 
     bench: RigBench
     runs: dict[str, Run] = field(default_factory=dict)
     failures: dict[str, str] = field(default_factory=dict)
     rivals: dict[str, RivalRun] = field(default_factory=dict)
+    courses: dict[str, Course] = field(default_factory=dict)
+    precision: Precision | None = None
 
     def run_of(self, variant: Variant) -> Run | None:
         return self.runs.get(self.bench.key(variant))

@@ -1,4 +1,7 @@
-"""The report's pictures: PSNR and effort over time, and a column of pixels over time. Needs the extra ``bench``."""
+"""The report's pictures: PSNR and effort over time, quality over cost, and a column of pixels over time.
+
+Needs the extra ``bench``.
+"""
 
 from __future__ import annotations
 
@@ -12,15 +15,19 @@ from numpy.typing import NDArray
 
 from decogs.formats.errors import UsageError
 
+from .courses import Course
 from .rival_runs import RatePoint
 from .runs import Run
+from .trade import COSTS, Axis, Point, front
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_COLOURS = ("#0072b2", "#e69f00", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#000000")
+COLOURS = ("#0072b2", "#e69f00", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#000000")
 """Told apart by colour-blind eyes, too (Okabe and Ito)."""
+_MARKERS = "os^Dv*P"
+_TRADED = tuple(cost for cost in COSTS if cost.key in ("cpu", "kilobytes", "decode_fps"))
 _DEVIATION = 12
 """8-bit levels from a pixel's own mean that are drawn as black or white."""
 
@@ -36,7 +43,7 @@ def plot_quality(path: Path, runs: Mapping[str, Run]) -> None:
     figure = _figure(10, 4)
     for place, (name, title) in enumerate((("psnr", "whole picture"), ("psnr_dynamic", "dynamic region")), 1):
         axes = _panel(figure, 1, 2, place, title, "held-out PSNR, dB")
-        for (label, run), colour in zip(runs.items(), _COLOURS, strict=False):
+        for (label, run), colour in zip(runs.items(), COLOURS, strict=False):
             values = [getattr(frame, name) for frame in run.frames]
             axes.plot(_frames(run), [np.nan if v is None else v for v in values], color=colour, label=label)
     _save(figure, path)
@@ -47,7 +54,7 @@ def plot_effort(path: Path, runs: Mapping[str, Run]) -> None:
     figure = _figure(10, 4)
     selected = _panel(figure, 1, 2, 1, "Gaussians trained", "% of all")
     effort = _panel(figure, 1, 2, 2, "time per frame", "processor seconds")
-    for (label, run), colour in zip(runs.items(), _COLOURS, strict=False):
+    for (label, run), colour in zip(runs.items(), COLOURS, strict=False):
         later = run.frames[1:]
         selected.plot(_frames(run)[1:], [100 * frame.selected for frame in later], color=colour, label=label)
         effort.plot(_frames(run)[1:], [frame.cpu_seconds for frame in later], color=colour, label=label)
@@ -67,7 +74,7 @@ def plot_rates(path: Path, points: Sequence[RatePoint]) -> None:
         axes.set_ylabel("held-out PSNR, dB")
         axes.set_xscale("log")
         axes.grid(alpha=0.3)
-        for family, colour in zip(families, _COLOURS, strict=False):
+        for family, colour in zip(families, COLOURS, strict=False):
             mine = sorted((p for p in points if p.family == family), key=lambda point: point.later_bytes)
             values = [getattr(point, name) for point in mine]
             axes.plot(
@@ -78,6 +85,61 @@ def plot_rates(path: Path, points: Sequence[RatePoint]) -> None:
                 marker="o",
                 markersize=4,
             )
+    _save(figure, path)
+
+
+def plot_trade(path: Path, points: Sequence[Point], families: Mapping[str, str], quality: Axis) -> None:
+    """``quality`` over what a frame takes to encode, to keep and to decode, each with its Pareto front.
+
+    ``families``: their titles by key. Members of the first one are named.
+    """
+    figure = _figure(15, 5.2)
+    for place, (cost, title) in enumerate(
+        zip(_TRADED, ("time to encode", "size", "speed of decoding"), strict=True), 1
+    ):
+        axes = figure.add_subplot(1, len(_TRADED), place)
+        axes.set_title(title)
+        axes.set_xlabel(cost.label + (" (dearer →)" if not cost.more_is_better else " (dearer →, axis reversed)"))
+        axes.set_ylabel(f"held-out {quality.label}")
+        axes.set_xscale("log")
+        axes.grid(alpha=0.3, which="both")
+        axes.margins(0.09)
+        _plain_ticks(axes)
+        steps = [points[step.point].figures for step in front(points, cost, quality)]
+        best: list[Any] = [[figures[axis.key] for figures in steps] for axis in (cost, quality)]
+        axes.plot(*best, color="#999999", linewidth=7, alpha=0.45, solid_capstyle="round", label="Pareto front")
+        for (family, label), colour, marker in zip(families.items(), COLOURS, _MARKERS, strict=False):
+            mine = [p for p in points if p.family == family and p.figures[quality.key] is not None]
+            where: list[Any] = [[p.figures[axis.key] for p in mine] for axis in (cost, quality)]
+            first = family == next(iter(families))
+            axes.plot(
+                *where,
+                color=colour,
+                label=label,
+                marker=marker,
+                markersize=9 if first else 6,
+                linewidth=1.1,
+                zorder=4 if first else 2,
+            )
+            for point, x, y in zip(mine, *where, strict=True) if first else ():
+                _name(axes, point.label, x, y)
+        if cost.more_is_better:
+            axes.invert_xaxis()
+    _save(figure, path)
+
+
+def plot_courses(path: Path, courses: Mapping[str, Course]) -> None:
+    """The loss against seconds inside a later frame, a line for each label."""
+    figure = _figure(7.5, 4.2)
+    axes = figure.add_subplot()
+    axes.set_xlabel("seconds since the frame's pictures were there")
+    axes.set_ylabel("training loss")
+    axes.set_xscale("log")
+    axes.grid(alpha=0.3, which="both")
+    _plain_ticks(axes)
+    for (label, course), colour in zip(courses.items(), COLOURS, strict=False):
+        axes.plot(course.seconds, course.loss, color=colour, label=label)
+        axes.plot(course.seconds[-1], course.loss[-1], color=colour, marker="o", markersize=5)
     _save(figure, path)
 
 
@@ -123,6 +185,33 @@ def _picture(figure: Figure, columns: int, place: int, title: str, what: str) ->
     else:
         axes.set_yticks([])
     return axes
+
+
+def _name(axes: Axes, label: str, x: float, y: float) -> None:
+    """Writes a point's name below it, legible over lines."""
+    from matplotlib.patheffects import withStroke
+
+    halo = [withStroke(linewidth=3, foreground="white")]
+    axes.annotate(
+        label,
+        (x, y),
+        (0, -9),
+        textcoords="offset points",
+        ha="center",
+        va="top",
+        fontweight="bold",
+        zorder=5,
+        path_effects=halo,
+    )
+
+
+def _plain_ticks(axes: Axes) -> None:
+    """Numbers such as 0.5 and 20 along a logarithmic axis instead of powers of ten."""
+    from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
+
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.xaxis.set_major_formatter(ScalarFormatter())
+    axes.xaxis.set_minor_formatter(NullFormatter())
 
 
 def _number_frames(axes: Axes) -> None:

@@ -1,6 +1,7 @@
 """Runs what a report asks of its rigs, and writes it: Markdown with pictures, and the same figures as JSON.
 
-Everything lies in one folder and refers to itself by relative links: NAME.md, NAME.json, pictures/, runs/.
+Everything lies in one folder and refers to itself by relative links: NAME.md, NAME.json, pictures/, runs/; where rows
+trade cost for quality there is NAME.html, too.
 Runs are made rig by rig and kept as they come; writing takes a second, so that it is always done from what is there.
 """
 
@@ -16,16 +17,19 @@ from typing import Any, TextIO
 
 from decogs.formats.errors import TrainingError, UsageError
 
-from . import choices, effects, paper, rates, summaries
+from . import choices, curve, effects, paper, rates, summaries
 from .machine import code_version, machine_facts
 from .page import report_page
-from .plans import Contest, Plan, RigResults
+from .plans import Contest, Plan, RigResults, Trade
 from .plots import require_plots
+from .precision import find_precision, measure_precision
 from .progress import BenchProgress
 from .rival_runs import find_rival, point_of_rival, rival_file, run_rival
 from .rivals.sequences import Rival
 from .runs import KEYFRAME, BenchOptions, RigBench
 from .tables import NOT_RUN, figures
+from .trade import trade_document
+from .trade_page import trade_page
 from .variants import Variant
 
 OnWarning = Callable[[str], None]
@@ -49,7 +53,13 @@ RATES = Plan(
     Contest(rates.RIVALS_PART, rates.RATE_POINTS, rates.RIVALS),
 )
 EFFECTS = Plan("effects", "Effects, measured", effects.QUESTIONS, summary=effects.matrix)
-PLANS = {plan.name: plan for plan in (PAPER, CHOICES, RATES, EFFECTS)}
+CURVE = Plan(
+    "curve",
+    "What accuracy costs in time, measured",
+    curve.QUESTIONS,
+    trade=Trade(curve.PRECISION, curve.PRECISION_SOURCE, curve.FOLLOWED),
+)
+PLANS = {plan.name: plan for plan in (PAPER, CHOICES, RATES, EFFECTS, CURVE)}
 
 
 def make_report(
@@ -70,25 +80,30 @@ def make_report(
     """
     folder, options = Path(output), options or BenchOptions()
     wanted = _wanted(plan, only)
-    if plan.figures:
+    if plan.figures or plan.trade:
         require_plots()
     if folder.exists() and not folder.is_dir():
         raise UsageError(f"{folder}: is a file; name a folder for the report")
     results = [RigResults(RigBench(rig_dir, folder, options)) for rig_dir in rig_dirs]
     _check_names([result.bench for result in results])
     folder.mkdir(parents=True, exist_ok=True)
-    _run_missing(results, wanted, plan.lent, terminal, on_warning)
+    _run_missing(results, wanted, plan, terminal, on_warning)
     if plan.contest is not None:
         if not only or plan.contest.key in only:
             _run_rivals(results, plan.contest, terminal, on_warning)
         for result in results:
             _gather_rivals(result, plan.contest)
+    if plan.trade is not None:
+        for result in results:
+            _gather_trade(result, plan.trade, measure=not only or plan.trade.key in only)
     for result in results:
         _gather(result, [*(v for question in plan.questions for v in question.variants), KEYFRAME])
         result.bench.tidy(plan.lent)
     lines = report_page(plan, results, folder, command)
     path = folder / f"{plan.name}.md"
     (folder / f"{plan.name}.json").write_text(json.dumps(_document(plan, results, command), indent=1) + "\n", "utf-8")
+    if plan.trade is not None:
+        (folder / f"{plan.name}.html").write_text(trade_page(plan, results, command), "utf-8")
     path.write_text("\n".join(lines) + "\n", "utf-8")
     return path
 
@@ -98,6 +113,8 @@ def _wanted(plan: Plan, only: Sequence[str]) -> list[Variant]:
     sets = {question.key: question.variants for question in plan.questions} | dict(plan.figures)
     if plan.contest is not None:
         sets[plan.contest.key] = (plan.contest.source,)
+    if plan.trade is not None:
+        sets[plan.trade.key] = (plan.trade.source,)
     for key in only:
         if key != NONE and key not in sets:
             raise UsageError(f"--only {key}: there is no such part; choose from {', '.join(sets)}, {NONE}")
@@ -119,7 +136,7 @@ def _check_names(benches: Sequence[RigBench]) -> None:
 def _run_missing(
     results: Sequence[RigResults],
     wanted: Sequence[Variant],
-    lent: Sequence[Variant],
+    plan: Plan,
     terminal: TextIO | None,
     on_warning: OnWarning | None,
 ) -> None:
@@ -134,7 +151,8 @@ def _run_missing(
                         variant,
                         on_frame=progress.frame,
                         on_keyframe_step=progress.keyframe_step,
-                        keep_stream=variant in lent,
+                        keep_stream=variant in plan.lent,
+                        follow=variant in plan.followed,
                     )
                 except TrainingError as error:
                     result.failures[variant.name] = str(error)
@@ -174,6 +192,19 @@ def _gather_rivals(result: RigResults, contest: Contest) -> None:
         run = find_rival(result.bench, contest.source, rival)
         if run is not None:
             result.rivals[rival.name] = run
+
+
+def _gather_trade(result: RigResults, trade: Trade, *, measure: bool) -> None:
+    """``measure``: the kernel's precision where it is not there; a source that cannot be trained has none."""
+    bench = result.bench
+    result.precision = find_precision(bench, trade.source)
+    if result.precision is None and measure and trade.source.name not in result.failures:
+        result.precision = measure_precision(bench, trade.source)
+    for variant in trade.followed:
+        run = bench.find(variant)
+        course = None if run is None else bench.course_of(run)
+        if course is not None:
+            result.courses[variant.description] = course
 
 
 def _missing(bench: RigBench, wanted: Sequence[Variant]) -> list[Variant]:
@@ -219,6 +250,8 @@ def _rig_document(plan: Plan, result: RigResults) -> dict[str, Any]:
     }
     if plan.contest is not None:
         document[plan.contest.key] = [_rival_document(result, plan.contest, rival) for rival in plan.contest.rivals]
+    if plan.trade is not None:
+        document |= trade_document(plan, result)
     return document
 
 

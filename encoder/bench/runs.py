@@ -297,12 +297,18 @@ class RigBench:
     ) -> EncodeReport:
         frames = self.frames_of(variant)
         first = frames[0]
-        ingest = Ingest(retimed(self.rig, frames), holdout=[self.camera], scale=self._training_scale(variant))
+        settings = self.settings(variant)
+        ingest = Ingest(
+            retimed(self.rig, frames),
+            holdout=[self.camera],
+            scale=self._training_scale(variant),
+            lens=settings.corrections.lens,
+        )
         report = encode_stream(
             ingest,
             self._stream(variant),
             range(first, first + len(frames)),
-            self.settings(variant),
+            settings,
             seed=self.options.seed,
             threads=self._threads,
             keyframe=None if keyframe is None else read_keyframe(keyframe).refined(variant.refined),
