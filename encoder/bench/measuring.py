@@ -42,11 +42,15 @@ class FrameQuality:
 
 @dataclass(frozen=True)
 class StreamQuality:
-    """All frames, the median seconds to render one and to read one, and one column of every frame, (H, T, 3)."""
+    """All frames, the median seconds to render one and to read one, and one column of every frame, (H, T, 3).
+
+    ``decode_cpu_seconds``: the median of reading and rendering one, in processor seconds, all cores added.
+    """
 
     frames: list[FrameQuality]
     render_seconds: float
     read_seconds: float
+    decode_cpu_seconds: float
     column: NDArray[np.uint8]
 
 
@@ -70,22 +74,25 @@ def measure_scenes(
     frames: list[FrameQuality] = []
     rendering: list[float] = []
     reading: list[float] = []
+    decoding: list[float] = []
     columns: list[NDArray[np.uint8]] = []
     before: BytePicture | None = None
     for target in recorded:
-        began = time.perf_counter()
+        began, began_cpu = time.perf_counter(), time.process_time()
         splats = next(scenes)
         reading.append(time.perf_counter() - began)
+        read_cpu = time.process_time() - began_cpu
         if not rendering:  # the first rendering loads the kernel
             render_view(header, splats, camera, scale=scale, threads=threads)
-        began = time.perf_counter()
+        began, began_cpu = time.perf_counter(), time.process_time()
         image = render_view(header, splats, camera, scale=scale, threads=threads).image
         rendering.append(time.perf_counter() - began)
+        decoding.append(read_cpu + time.process_time() - began_cpu)
         seen = to_8bit(image)
         frames.append(_quality(before, seen, target, regions, distance))
         columns.append(seen[:, column])
         before = seen
-    return StreamQuality(frames, median(rendering), median(reading), np.stack(columns, axis=1))
+    return StreamQuality(frames, median(rendering), median(reading), median(decoding), np.stack(columns, axis=1))
 
 
 def _quality(

@@ -138,7 +138,8 @@ def _trade_section(plan: Plan, result: RigResults, folder: Path) -> list[str]:
             "### Inside a frame",
             "",
             f"The loss of a later frame against the time it has been trained for; the median over up to {frames} "
-            "frames, each loss the mean over the last steps of all views. A dot marks the end of the schedule.",
+            "frames, each loss the mean over the last steps of all views. A level stretch is the "
+            "search for what emerges; a dot marks the end of the schedule.",
             "",
             f"![loss against seconds inside a frame](pictures/{name})",
             "",

@@ -134,12 +134,11 @@ def plot_courses(path: Path, courses: Mapping[str, Course]) -> None:
     axes = figure.add_subplot()
     axes.set_xlabel("seconds since the frame's pictures were there")
     axes.set_ylabel("training loss")
-    axes.set_xscale("log")
-    axes.grid(alpha=0.3, which="both")
-    _plain_ticks(axes)
+    axes.grid(alpha=0.3)
     for (label, course), colour in zip(courses.items(), COLOURS, strict=False):
         axes.plot(course.seconds, course.loss, color=colour, label=label)
         axes.plot(course.seconds[-1], course.loss[-1], color=colour, marker="o", markersize=5)
+    axes.set_xlim(left=0)
     _save(figure, path)
 
 

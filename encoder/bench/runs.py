@@ -102,8 +102,9 @@ class Run:
 
     ``key``: digest of what decides the run. ``span``: the rig's frames, start, stop and step. ``load``: of the machine
     before and after. ``changed``: settings that differ from the preset's. ``render_seconds``, ``read_seconds``: medians
-    per frame. ``stream_bytes``: the file's. ``column``: image column of the held-out camera that is kept in the picture
-    beside the JSON file.
+    per frame. ``decode_cpu_seconds``: of both together, in processor seconds, all cores added; None in a file from
+    before it was measured. ``stream_bytes``: the file's. ``column``: image column of the held-out camera that is kept
+    in the picture beside the JSON file.
     """
 
     rig: str
@@ -130,6 +131,7 @@ class Run:
     stream_bytes: int
     column: int
     frames: list[RunFrame]
+    decode_cpu_seconds: float | None = None
 
 
 class RigBench:
@@ -372,6 +374,7 @@ class RigBench:
             lpips_network=installed_network(),
             render_seconds=quality.render_seconds,
             read_seconds=quality.read_seconds,
+            decode_cpu_seconds=quality.decode_cpu_seconds,
             stream_bytes=report.total_bytes,
             column=self.column,
             frames=[_frame(index, cost, looks) for index, cost, looks in pairs],

@@ -76,7 +76,7 @@ COSTS = (
     ),
     Axis(
         "decode_fps",
-        "decode FPS: read, reconstruct, render",
+        "decode FPS of one core",
         "frame a second less",
         True,
         1,

@@ -72,7 +72,13 @@ def test_a_run_holds_what_the_stream_shows(three_frames: Path, tmp_path: Path) -
     assert str(tmp_path) not in bench.file_of(run).read_text(), "reports are handed on"
     assert [frame.frame for frame in run.frames] == [0, 1, 2]
     assert all("measure" not in frame.seconds and frame.cpu_seconds > 0 for frame in run.frames)
+    assert run.decode_cpu_seconds is not None
+    assert run.decode_cpu_seconds > 0
     assert read_run(bench.file_of(run)) == run
+    older = json.loads(bench.file_of(run).read_text())
+    del older["decode_cpu_seconds"]
+    (tmp_path / "older.json").write_text(json.dumps(older))
+    assert read_run(tmp_path / "older.json") == replace(run, decode_cpu_seconds=None)
 
 
 def test_variants_share_the_keyframe_and_streams_are_removed(bench: RigBench, tmp_path: Path) -> None:
