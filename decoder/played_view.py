@@ -74,7 +74,11 @@ class PlayedView:
         return None if self._canonical else correction_of(self._wanted, frame.corrections)
 
     def _coloured(self, seen: Rendering) -> Rendering:
-        return seen if self._correction is None else with_recorded_colours(seen, self._correction)
+        if self._correction is None:
+            return seen
+        recorded = with_recorded_colours(seen, self._correction)
+        recorded.image.flags.writeable = False
+        return recorded
 
     def _stand(self) -> None:
         """Begins anew with the camera as it stands in this frame."""

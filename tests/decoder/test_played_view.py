@@ -223,7 +223,9 @@ def test_other_cameras_show_the_scene_as_it_is(tmp_path: Path) -> None:
 def test_pictures_cannot_be_written(tmp_path: Path) -> None:
     with open_stream(random_stream(tmp_path / "random.dgs", np.random.default_rng(2), 10)) as stream:
         picture = PlayedView(stream.header, "pinhole").show(next(stream.frames()))
-    for array in (picture.image, picture.alpha, picture.depth):
+    with open_stream(corrected_stream(tmp_path / "faults.dgs", np.random.default_rng(3))) as stream:
+        recorded = PlayedView(stream.header, "pinhole").show(list(stream.frames())[1])
+    for array in (picture.image, picture.alpha, picture.depth, recorded.image):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 0
 
