@@ -128,6 +128,7 @@ def _trade_section(plan: Plan, result: RigResults, folder: Path) -> list[str]:
             name = f"{bench.name}-curve-{quality.key.replace('_', '-')}.png"
             plot_trade(folder / "pictures" / name, points, families, quality)
             lines += [f"![{quality.label}, over cost](pictures/{name})", ""]
+        lines += ["Rows far below the worst preset leave these pictures; the tables above have them.", ""]
         for cost in (cost for cost in COSTS if cost.key in _SHOWN_COSTS):
             lines += _front_table(points, families, cost, QUALITIES[0])
     if result.courses:

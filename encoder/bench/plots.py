@@ -18,7 +18,7 @@ from decogs.formats.errors import UsageError
 from .courses import Course
 from .rival_runs import RatePoint
 from .runs import Run
-from .trade import COSTS, Axis, Point, front
+from .trade import COSTS, Axis, Point, front, shown_range
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -91,9 +91,10 @@ def plot_rates(path: Path, points: Sequence[RatePoint]) -> None:
 def plot_trade(path: Path, points: Sequence[Point], families: Mapping[str, str], quality: Axis) -> None:
     """``quality`` over what a frame takes to encode, to keep and to decode, each with its Pareto front.
 
-    ``families``: their titles by key. Members of the first one are named.
+    ``families``: their titles by key. Members of the first one are named; what is far below all of them is left out.
     """
     figure = _figure(15, 5.2)
+    lowest, highest = shown_range(points, quality)
     for place, (cost, title) in enumerate(
         zip(_TRADED, ("time to encode", "size", "speed of decoding"), strict=True), 1
     ):
@@ -111,6 +112,8 @@ def plot_trade(path: Path, points: Sequence[Point], families: Mapping[str, str],
         for (family, label), colour, marker in zip(families.items(), COLOURS, _MARKERS, strict=False):
             mine = [p for p in points if p.family == family and p.figures[quality.key] is not None]
             where: list[Any] = [[p.figures[axis.key] for p in mine] for axis in (cost, quality)]
+            if not mine:
+                continue
             first = family == next(iter(families))
             axes.plot(
                 *where,
@@ -125,6 +128,7 @@ def plot_trade(path: Path, points: Sequence[Point], families: Mapping[str, str],
                 _name(axes, point.label, x, y)
         if cost.more_is_better:
             axes.invert_xaxis()
+        axes.set_ylim(lowest, highest)
     _save(figure, path)
 
 

@@ -133,6 +133,20 @@ def front(points: Sequence[Point], cost: Axis, quality: Axis) -> list[Step]:
     return steps
 
 
+def shown_range(points: Sequence[Point], quality: Axis) -> tuple[float, float]:
+    """What a plot needs to show of a quality: the first family and all that is better, with some room around.
+
+    What is far below would press the rest together. 0 to 1 when nothing has that quality.
+    """
+    known = [(value, point) for point in points if (value := point.figures[quality.key]) is not None]
+    if not known:
+        return 0.0, 1.0
+    worst = min(value for value, point in known if point.family == known[0][1].family)
+    best = max(value for value, _ in known)
+    span = max(best - worst, 1e-6)
+    return worst - 0.2 * span, best + 0.1 * span
+
+
 def trade_document(plan: Plan, result: RigResults) -> dict[str, Any]:
     """A rig's points, its fronts by "cost quality", and how the loss fell inside frames, as plain data."""
     points = points_of(plan, result)
@@ -140,6 +154,7 @@ def trade_document(plan: Plan, result: RigResults) -> dict[str, Any]:
     return {
         "points": [vars(point) for point in points],
         "fronts": {pair: [vars(step) for step in steps] for pair, steps in fronts.items()},
+        "ranges": {quality.key: shown_range(points, quality) for quality in QUALITIES},
         "courses": {label: vars(course) for label, course in result.courses.items()},
         "precision": None if result.precision is None else vars(result.precision),
     }

@@ -11,7 +11,7 @@ from decogs.encoder.bench.curve import PRESET_ROWS, QUESTIONS
 from decogs.encoder.bench.plans import Plan, RigResults
 from decogs.encoder.bench.report import CURVE
 from decogs.encoder.bench.runs import KEYFRAME, BenchOptions, RigBench
-from decogs.encoder.bench.trade import COSTS, QUALITIES, Point, Step, front, points_of
+from decogs.encoder.bench.trade import COSTS, QUALITIES, Point, Step, front, points_of, shown_range
 from decogs.encoder.bench.variants import Question, Variant, settings_of
 from decogs.encoder.presets import LADDER
 
@@ -36,6 +36,13 @@ def test_of_the_same_price_the_better_and_of_the_same_point_the_first() -> None:
 def test_more_frames_a_second_are_cheaper() -> None:
     points = [at(10.0, 31.0, "decode_fps"), at(40.0, 28.0, "decode_fps"), at(5.0, 30.0, "decode_fps")]
     assert front(points, FPS, PSNR) == [Step(1, None), Step(0, pytest.approx(0.1))], "dB per frame a second given up"
+
+
+def test_a_plot_is_not_pressed_together_by_what_is_far_below() -> None:
+    other = Point("other", "label", "variant", "run", "command", {"psnr": 17.0})
+    points = [at(1.0, 26.0), at(2.0, 28.0), other]
+    assert shown_range(points, PSNR) == pytest.approx((25.6, 28.2))
+    assert shown_range([at(1.0, None)], PSNR) == (0.0, 1.0)
 
 
 @pytest.mark.usefixtures("short_presets")
