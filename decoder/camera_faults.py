@@ -35,7 +35,9 @@ def with_odds(colours: FloatArray, odds: tuple[float, float, float]) -> FloatArr
     """
     factors = np.asarray(odds, colours.dtype)
     inside = np.clip(colours, 0, 1)
-    return np.where(colours == inside, factors * inside / (1 + (factors - 1) * inside), colours)
+    # Rounding may take white a little beyond itself.
+    multiplied = np.minimum(factors * inside / (1 + (factors - 1) * inside), 1)
+    return np.where(colours == inside, multiplied, colours)
 
 
 def with_recorded_colours(seen: Rendering, correction: Correction) -> Rendering:

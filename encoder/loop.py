@@ -88,7 +88,7 @@ class FrameReport:
     costs: dict[str, int]
     cpu_seconds: float
     replayed: bool = False
-    effects: tuple[str, ...] = ()
+    effects: list[str] = field(default_factory=list)
     left_out: dict[str, str] = field(default_factory=dict)
     given_up: bool = False
 
@@ -297,7 +297,7 @@ class StreamEncoder:
         if self._time is not None:
             self._time.took(watch.seconds)
         report = self._report(frame, packet, coded.costs, _share(selected), watch, masks)
-        return replace(report, effects=effects, given_up=trained is not None and trained.given_up)
+        return replace(report, effects=list(effects), given_up=trained is not None and trained.given_up)
 
     def _called_for(
         self, frame: RigFrame, masks: Sequence[FrameMask], selected: NDArray[np.bool_], watch: _Stopwatch

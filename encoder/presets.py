@@ -120,7 +120,7 @@ _ARCHIVE = _better(
         "economy": EconomySettings(
             worth=0.005,
             hold_at=0.5,
-            coarseness=Coarseness(means=2, log_scales=2, quaternions=1, opacity_logits=2, sh_dc=1, sh_rest=1),
+            coarseness=Coarseness(means=1, log_scales=1, quaternions=1, opacity_logits=2, sh_dc=1, sh_rest=1),
         ),
     },
     lattice_scale=0.7,

@@ -22,6 +22,10 @@ import pytest
 from decogs.decoder.session import open_stream
 from decogs.encoder import PRESETS
 from decogs.encoder.commands import encode_main
+from decogs.encoder.effects import PRESET_EFFECTS
+
+AS_PRESET = ["--effects", ",".join(PRESET_EFFECTS)]
+"""What the preset does by itself, whatever the scene calls for."""
 
 
 @pytest.fixture(autouse=True)
@@ -57,6 +61,7 @@ def test_a_rig_becomes_a_stream_and_a_summary(
 ) -> None:
     output = tmp_path / "scene.dgs"
     arguments = [str(moving_rig), "-o", str(output), "--preset", "tiny", "--holdout", "cam02", "--threads", "2"]
+    arguments += AS_PRESET
     assert encode_main([*arguments, "--seed", "0", "--device", "auto", "--log", str(tmp_path / "log.jsonl")]) == 0
     assert output.read_bytes() == moving.data
     printed = capfd.readouterr()
@@ -80,7 +85,7 @@ def test_a_rig_becomes_a_stream_and_a_summary(
 def test_a_stream_goes_to_stdout_and_all_else_to_stderr(
     moving: Any, moving_rig: Path, capfdbinary: pytest.CaptureFixture[bytes]
 ) -> None:
-    given = ["--preset", "tiny", "--holdout", "cam02", "--keyframe", str(moving.path)]
+    given = ["--preset", "tiny", "--holdout", "cam02", "--keyframe", str(moving.path), *AS_PRESET]
     assert encode_main([str(moving_rig), "-o", "-", *given]) == 0
     printed = capfdbinary.readouterr()
     assert printed.out == moving.data
@@ -96,7 +101,7 @@ def test_resuming_says_what_was_there(
     moving: Any, moving_rig: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     output = tmp_path / "scene.dgs"
-    arguments = [str(moving_rig), "-o", str(output), "--preset", "tiny", "--holdout", "cam02", "--resume"]
+    arguments = [str(moving_rig), "-o", str(output), "--preset", "tiny", "--holdout", "cam02", "--resume", *AS_PRESET]
     said = []
     for left in (b"", moving.data[:-100], None):
         if left is not None:

@@ -59,7 +59,6 @@ SLOWER = {
     "frame.emergence.most_rays": +1,
     "frame.economy.worth": -1,
     "frame.economy.coarseness.means": -1,
-    "frame.economy.coarseness.log_scales": -1,
     "frame.economy.coarseness.quaternions": -1,
     "frame.economy.coarseness.opacity_logits": -1,
     "frame.economy.coarseness.sh_dc": -1,

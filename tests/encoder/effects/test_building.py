@@ -129,6 +129,6 @@ def test_a_change_of_light_builds_no_cache_and_seeks_nothing_new(
     deltas = [frame for frame in encoded.report.frames if frame.kind == "delta"]
     assert deltas
     for frame in deltas:
-        assert frame.effects == ("appearance_change",)
+        assert frame.effects == ["appearance_change"]
         spent = {name for name, size in frame.costs.items() if size > 1 and name not in ("header", "index")}
         assert spent <= {"opacity_logits", "sh_dc", "sh_rest"}, "no byte for what does not move, but one that says none"
