@@ -5,7 +5,7 @@
 
 from .corrections import CorrectionSettings
 from .encoding import encode
-from .loop import EncodeReport, FrameReport
 from .presets import PRESETS, EncodeSettings
+from .reports import EncodeReport, FrameReport
 
 __all__ = ["PRESETS", "CorrectionSettings", "EncodeReport", "EncodeSettings", "FrameReport", "encode"]

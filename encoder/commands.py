@@ -11,7 +11,7 @@ from decogs.decoder.commands import Parser, frames_joined, number_of_threads, ru
 from decogs.formats.errors import UsageError
 
 if TYPE_CHECKING:
-    from .loop import EncodeReport
+    from .reports import EncodeReport
 
 
 def encode_main(arguments: Sequence[str] | None = None) -> int:

@@ -18,15 +18,16 @@ from .anytime import AnytimeLog
 from .corrections.settings import CorrectionSettings
 from .effects import AUTO, Decision, wanted_effects, with_effects
 from .effects.analysis import analyse
-from .ingest import Ingest
+from .ingest import Ingest, frame_span
 from .keyframe_source import read_keyframe
-from .loop import EncodeReport, encode_stream, frame_span
+from .loop import encode_stream
 from .methods import with_method, with_selection, without
 from .presets import EncodeSettings
 from .presets import preset as named_preset
 from .progress import EncodeProgress
 from .rasterise import check_device
 from .rate import with_budget, with_lossless, with_quality
+from .reports import EncodeReport
 from .time_budget import seconds_per_frame, with_target_psnr, with_time_budget
 
 

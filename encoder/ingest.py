@@ -131,6 +131,16 @@ class Ingest:
         return planes
 
 
+def frame_span(rig: Rig, frames: slice | None) -> range:
+    """The rig's frames that ``frames`` names, as Python would; raises UsageError when there are none or they skip."""
+    chosen = range(rig.frame_count)[slice(None) if frames is None else frames]
+    if not len(chosen):
+        raise UsageError(f"--frames: {rig.path} has frames 0 to {rig.frame_count - 1}; the range holds none of them")
+    if chosen.step != 1:
+        raise UsageError("--frames: give consecutive frames, A:B")
+    return chosen
+
+
 def _with_lenses(rig: Rig, lens: Mapping[str, float]) -> Rig:
     """The rig with what was found of its lenses in their distortion models."""
     unknown = sorted(set(lens) - {camera.name for camera in rig.cameras})

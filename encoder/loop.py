@@ -8,10 +8,8 @@ afterwards (drifts: the error of frame t is never seen again).
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
 
@@ -22,34 +20,33 @@ from decogs.codec.corrections import CorrectedCameras, Corrections, split_correc
 from decogs.codec.deltas import Delta, apply_delta, difference
 from decogs.codec.digest import digest
 from decogs.codec.header import StreamHeader
-from decogs.codec.keyframes import keyframe_state
 from decogs.codec.lattice import Lattice, dequantise, quantise
 from decogs.codec.reconstruct import reconstruct
 from decogs.codec.state import State, take_rows
 from decogs.codec.syntax import Coded, payload_costs, write_delta, write_key, write_skip
 from decogs.decoder.lens import is_distorted
 from decogs.formats.container import Packet, PacketKind
-from decogs.formats.errors import DecogsError, RigError, UsageError
+from decogs.formats.errors import DecogsError, UsageError
 from decogs.formats.rigs import Rig
 from decogs.formats.splats import FloatArray, Splats, sh_degree_of
 
 from .anytime import AnytimeLog
 from .baseline import BaselineTrainer
 from .corrections import corrector_of
-from .dropouts import BLACK, blankness
 from .economy import EconomySettings, coarse_changes
 from .effects import FRAME_EFFECTS, frame_effects, leave_out
 from .effort import Effort
-from .first_points import FirstPoints, first_points
+from .first_frame import train_first_frame
 from .flashes import BeforeFlash, may_be_flash
 from .frame_training import FrameSettings, FrameTrainer, TrainedFrame
-from .ingest import Ingest, RigFrame, View
-from .keyframe import mean_picture_psnr, mean_psnr, scene_extent, scouted_pictures, train_keyframe
+from .ingest import Ingest, RigFrame
+from .keyframe import mean_picture_psnr, mean_psnr, scene_extent
 from .keyframe_source import KeyframeSource
 from .masks import FrameMask, MaskMemory, showing
 from .presets import EncodeSettings
 from .rasterise import FixedView, fixed_view, training_kernel
 from .rate import RateControl
+from .reports import EncodeReport, FrameReport, OnFrame, OnKeyframeStep, Stopwatch
 from .resuming import Interrupted, check_resumable, find_interrupted
 from .selection import select, view_evidence
 from .stream_output import FileOutput, PipeOutput, StreamOutput, part_of
@@ -58,76 +55,6 @@ from .time_budget import TimeControl
 MOST_GROWTH = 1.25
 """How much larger than the keyframe's the scene may become by clones and splits. Long streams would grow without end:
 thousand frames of the tests' scene from 2 500 Gaussians to 18 000, and lose 2 dB by it."""
-
-OnFrame = Callable[["FrameReport"], None]
-OnKeyframeStep = Callable[[int, int, float], None]
-
-
-@dataclass(frozen=True)
-class FrameReport:
-    """One encoded frame: the rig's index, how it was coded, what it cost and how it looks.
-
-    ``bytes``: the packet's on disk. ``selected``: share of Gaussians in S_t. PSNRs in dB from the reconstructed state,
-    means over the views: ``training_psnr`` against what was trained on, cameras' own faults taken out;
-    ``held_out_psnr`` None without held-out cameras. ``seconds`` by stage, wall clock.
-    ``cpu_seconds``: processor time of all threads together, from decoded pictures to the written packet; measuring
-    (the stage "measure") is left out. ``replayed``: an earlier encode had written it. ``effects``: what it was trained
-    for; none for a first frame, a replayed one and one that is only held. ``left_out``: cameras whose pictures said
-    nothing of the frame, and why (`dropouts`). ``given_up``: training made the pictures worse, so the scene stayed as
-    it was.
-    """
-
-    frame: int
-    kind: str
-    bytes: int
-    gaussians: int
-    selected: float
-    training_psnr: float
-    held_out_psnr: float | None
-    seconds: dict[str, float]
-    costs: dict[str, int]
-    cpu_seconds: float
-    replayed: bool = False
-    effects: list[str] = field(default_factory=list)
-    left_out: dict[str, str] = field(default_factory=dict)
-    given_up: bool = False
-
-
-@dataclass(frozen=True)
-class EncodeReport:
-    """What an encode made: the stream's path (``-`` for a pipe) and its frames.
-
-    ``interrupted``: Ctrl-C ended it early. ``resumed``: how many frames an earlier encode had left, None when it was
-    not looked for; ``frames`` is empty when that was the whole stream. ``frame_budget`` and
-    ``time_budget``: the settings'.
-    """
-
-    output: Path
-    frames: list[FrameReport]
-    total_bytes: int
-    interrupted: bool
-    resumed: int | None = None
-    frame_budget: float | None = None
-    time_budget: float | None = None
-
-
-@dataclass
-class _Stopwatch:
-    """Wall-clock seconds by stage, and processor seconds since it was made."""
-
-    seconds: dict[str, float] = field(default_factory=dict)
-    began: float = field(default_factory=time.process_time)
-
-    def cpu_seconds(self) -> float:
-        return time.process_time() - self.began
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        begin = time.perf_counter()
-        try:
-            yield
-        finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - begin
 
 
 class StreamEncoder:
@@ -165,7 +92,18 @@ class StreamEncoder:
         """Trains or takes over the first frame and writes header and keyframe; the output begins only then."""
         watch = self._begin(frame)
         if self._source is None:
-            state, lattice = self._trained_keyframe(frame, watch, on_step)
+            state, lattice = train_first_frame(
+                self._kernel,
+                self._ingest,
+                frame,
+                self._settings,
+                watch,
+                seed=self._seed,
+                threads=self._threads,
+                corrector=self._corrector,
+                effort=self._effort(),
+                on_step=on_step,
+            )
         else:
             self._source.check(self._ingest, frame.index)
             self._ingest.set_near_planes(self._source.header.near_planes)
@@ -195,7 +133,7 @@ class StreamEncoder:
 
     def replay(self, frame: RigFrame, packet: Packet) -> FrameReport:
         """Does all that encoding the frame did but for the training: the result is in the packet."""
-        watch, share = _Stopwatch(), 1.0
+        watch, share = Stopwatch(), 1.0
         masks: Sequence[FrameMask] = []
         corrections, body = split_corrections(packet, self._header.corrected)
         if self._corrector is not None:
@@ -216,55 +154,6 @@ class StreamEncoder:
             share = _share(selected)
         costs = payload_costs(body, self._header.coefficients)
         return replace(self._report(frame, packet, costs, share, watch, masks), replayed=True)
-
-    def _trained_keyframe(
-        self, frame: RigFrame, watch: _Stopwatch, on_step: OnKeyframeStep | None
-    ) -> tuple[State, Lattice]:
-        """The keyframe's Gaussians on the lattice that suits them."""
-        settings, corrector = self._settings, self._corrector
-        _check_shows(frame, self._ingest.views)
-        with watch.stage("first_points"):
-            points = self._first_points(frame.training)
-        self._ingest.place_near_planes(points.xyz)
-        if corrector is not None and corrector.cameras.camera_shake:
-            with watch.stage("scouting"):
-                scouted = scouted_pictures(
-                    self._kernel,
-                    self._ingest.views,
-                    frame.training,
-                    points,
-                    settings.keyframe,
-                    corrector,
-                    seed=self._seed,
-                )
-                points = self._first_points(scouted)
-            self._ingest.place_near_planes(points.xyz)
-        views = self._ingest.views
-        with watch.stage("keyframe"):
-            trained = train_keyframe(
-                self._kernel,
-                views,
-                frame.training,
-                points,
-                settings.keyframe,
-                seed=self._seed,
-                lattice_scale=settings.lattice_scale,
-                corrector=corrector,
-                on_step=on_step,
-                effort=self._effort(),
-            )
-        state, _ = keyframe_state(quantise(trained.splats, trained.lattice))
-        return state, trained.lattice
-
-    def _first_points(self, pictures: Sequence[FloatArray]) -> FirstPoints:
-        return first_points(
-            [view.pinhole for view in self._ingest.views],
-            [picture.transpose(1, 2, 0) for picture in pictures],
-            known=self._ingest.rig.points,
-            cap=self._settings.keyframe.cap,
-            seed=self._seed,
-            threads=self._threads,
-        )
 
     def encode_next(self, frame: RigFrame) -> FrameReport:
         """Trains and writes the next frame from the reconstructed state of the one before."""
@@ -300,7 +189,7 @@ class StreamEncoder:
         return replace(report, effects=list(effects), given_up=trained is not None and trained.given_up)
 
     def _called_for(
-        self, frame: RigFrame, masks: Sequence[FrameMask], selected: NDArray[np.bool_], watch: _Stopwatch
+        self, frame: RigFrame, masks: Sequence[FrameMask], selected: NDArray[np.bool_], watch: Stopwatch
     ) -> tuple[tuple[str, ...], FrameSettings]:
         """The effects that a frame calls for, none where nothing is selected, and how it is trained for them."""
         settings = self._settings
@@ -315,16 +204,16 @@ class StreamEncoder:
             economy = self._rate.economy(economy)
         return effects, replace(settings.frame, economy=economy)
 
-    def _begin(self, frame: RigFrame) -> _Stopwatch:
+    def _begin(self, frame: RigFrame) -> Stopwatch:
         if self._anytime is not None:
             self._anytime.begin(frame.index)
-        return _Stopwatch()
+        return Stopwatch()
 
     def _effort(self, deadline: float | None = None) -> Effort:
         on_loss = None if self._anytime is None else self._anytime.step
         return Effort(deadline, self._settings.target_psnr, on_loss)
 
-    def _corrected(self, frame: RigFrame, scene: Splats, watch: _Stopwatch) -> tuple[RigFrame, Corrections]:
+    def _corrected(self, frame: RigFrame, scene: Splats, watch: Stopwatch) -> tuple[RigFrame, Corrections]:
         """The frame without its cameras' faults, against the ``scene`` before it, and what was taken out."""
         if self._corrector is None:
             return frame, {}
@@ -346,7 +235,7 @@ class StreamEncoder:
         return Coded(block + coded.payload, {**coded.costs, "corrections": len(block)})
 
     def _changes(
-        self, frame: RigFrame, population: int, watch: _Stopwatch
+        self, frame: RigFrame, population: int, watch: Stopwatch
     ) -> tuple[Sequence[FrameMask], NDArray[np.bool_]]:
         """The frame's masks and S_t; the dense baseline looks at no mask and takes every Gaussian."""
         if self._settings.method == "3dgstream":
@@ -363,7 +252,7 @@ class StreamEncoder:
         with watch.stage("selection"):
             return masks, self._select(masks)
 
-    def _return_from_flash(self, frame: RigFrame, watch: _Stopwatch) -> bool:
+    def _return_from_flash(self, frame: RigFrame, watch: Stopwatch) -> bool:
         """Goes back to the scene before a flash if the pictures do; the decoder then needs to be told all of it."""
         kept, now = self._before_flash, self._state
         if kept is None or now is None:
@@ -405,7 +294,7 @@ class StreamEncoder:
         before: State,
         masks: Sequence[FrameMask],
         trained: NDArray[np.int64] | None,
-        watch: _Stopwatch,
+        watch: Stopwatch,
     ) -> None:
         """All that later frames need to know of this one, whose state stands; ``trained``: rows that were, or None."""
         if trained is not None:
@@ -424,7 +313,7 @@ class StreamEncoder:
         seen = [view_evidence(self._watch[i], masks[i].dilated, settings.rule) for i in showing(masks)]
         return select(seen, settings)
 
-    def _settle_key(self, frame: RigFrame, watch: _Stopwatch) -> None:
+    def _settle_key(self, frame: RigFrame, watch: Stopwatch) -> None:
         """All that later frames need to know of the first one."""
         with watch.stage("settle"):
             self._trainer = self._frame_trainer(self._scene)
@@ -487,7 +376,7 @@ class StreamEncoder:
         packet: Packet,
         costs: dict[str, int],
         selected: float,
-        watch: _Stopwatch,
+        watch: Stopwatch,
         masks: Sequence[FrameMask],
     ) -> FrameReport:
         assert self._state is not None
@@ -570,17 +459,6 @@ class StreamEncoder:
         )
 
 
-def _check_shows(frame: RigFrame, views: Sequence[View]) -> None:
-    """Raises RigError when a picture that the keyframe is to be trained on is black: it would become fog."""
-    for view, picture in zip(views, frame.training, strict=True):
-        if blankness(picture) == BLACK:
-            name = view.camera.name
-            raise RigError(
-                f"camera {name} is black in frame {frame.index}, and a keyframe cannot be trained on that; begin at a "
-                f"later frame (--frames) or keep the camera out (--holdout {name})"
-            )
-
-
 def _carried(built: tuple[str, ...], rig: Rig, sh_degree: int) -> tuple[str, ...]:
     """The effects that a stream of this encode may carry and a decoder must know (SPEC.md, "Header packet")."""
     carried = [name for name in FRAME_EFFECTS if name in built]
@@ -589,16 +467,6 @@ def _carried(built: tuple[str, ...], rig: Rig, sh_degree: int) -> tuple[str, ...
     if any(is_distorted(camera) for camera in rig.cameras):
         carried.append("lens_distortion")
     return tuple(carried)
-
-
-def frame_span(rig: Rig, frames: slice | None) -> range:
-    """The rig's frames that ``frames`` names, as Python would; raises UsageError when there are none or they skip."""
-    chosen = range(rig.frame_count)[slice(None) if frames is None else frames]
-    if not len(chosen):
-        raise UsageError(f"--frames: {rig.path} has frames 0 to {rig.frame_count - 1}; the range holds none of them")
-    if chosen.step != 1:
-        raise UsageError("--frames: give consecutive frames, A:B")
-    return chosen
 
 
 def encode_stream(

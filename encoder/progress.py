@@ -10,7 +10,7 @@ from typing import Any, TextIO
 
 from decogs.formats.errors import UsageError
 
-from .loop import FrameReport
+from .reports import FrameReport
 
 
 class EncodeProgress:

@@ -34,10 +34,11 @@ from decogs.formats.splats import Splats
 from ..anytime import AnytimeLog
 from ..effects import PRESET_EFFECTS, Decision, wanted_effects, with_effects
 from ..effects.analysis import analyse
-from ..ingest import Ingest
+from ..ingest import Ingest, frame_span
 from ..keyframe_source import read_keyframe
-from ..loop import EncodeReport, FrameReport, OnKeyframeStep, encode_stream, frame_span
+from ..loop import encode_stream
 from ..presets import EncodeSettings
+from ..reports import EncodeReport, FrameReport, OnKeyframeStep
 from .courses import Course, course, read_course, recorded_course, write_course
 from .machine import code_version, load, machine_facts
 from .measuring import FrameQuality, StreamQuality, measure_scenes

@@ -15,7 +15,7 @@ from decogs.decoder.rasterise.native import thread_count
 from decogs.decoder.session import frame_range
 from decogs.formats.rigs import open_rig
 
-from ..loop import frame_span
+from ..ingest import frame_span
 from . import EFFECTS
 from .effect import Decision, Evidence, Span
 from .look import Look, OnStep, look_at

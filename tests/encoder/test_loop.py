@@ -26,7 +26,7 @@ from decogs.decoder.pictures import to_8bit
 from decogs.decoder.rasterise.native import INSTRUCTION_SETS, best_instruction_set
 from decogs.decoder.session import DecodedFrame, open_stream, render_view
 from decogs.encoder import PRESETS
-from decogs.encoder.loop import frame_span
+from decogs.encoder.ingest import frame_span
 from decogs.encoder.selection import SelectionSettings
 from decogs.formats.container import PacketKind, StreamWriter
 from decogs.formats.errors import RigError, UsageError

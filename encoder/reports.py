@@ -1,0 +1,79 @@
+"""What an encode tells of itself: of every frame, and of the whole stream; and the watch its seconds come from."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+OnFrame = Callable[["FrameReport"], None]
+OnKeyframeStep = Callable[[int, int, float], None]
+
+
+@dataclass(frozen=True)
+class FrameReport:
+    """One encoded frame: the rig's index, how it was coded, what it cost and how it looks.
+
+    ``bytes``: the packet's on disk. ``selected``: share of Gaussians in S_t. PSNRs in dB from the reconstructed state,
+    means over the views: ``training_psnr`` against what was trained on, cameras' own faults taken out;
+    ``held_out_psnr`` None without held-out cameras. ``seconds`` by stage, wall clock.
+    ``cpu_seconds``: processor time of all threads together, from decoded pictures to the written packet; measuring
+    (the stage "measure") is left out. ``replayed``: an earlier encode had written it. ``effects``: what it was trained
+    for; none for a first frame, a replayed one and one that is only held. ``left_out``: cameras whose pictures said
+    nothing of the frame, and why (`dropouts`). ``given_up``: training made the pictures worse, so the scene stayed as
+    it was.
+    """
+
+    frame: int
+    kind: str
+    bytes: int
+    gaussians: int
+    selected: float
+    training_psnr: float
+    held_out_psnr: float | None
+    seconds: dict[str, float]
+    costs: dict[str, int]
+    cpu_seconds: float
+    replayed: bool = False
+    effects: list[str] = field(default_factory=list)
+    left_out: dict[str, str] = field(default_factory=dict)
+    given_up: bool = False
+
+
+@dataclass(frozen=True)
+class EncodeReport:
+    """What an encode made: the stream's path (``-`` for a pipe) and its frames.
+
+    ``interrupted``: Ctrl-C ended it early. ``resumed``: how many frames an earlier encode had left, None when it was
+    not looked for; ``frames`` is empty when that was the whole stream. ``frame_budget`` and
+    ``time_budget``: the settings'.
+    """
+
+    output: Path
+    frames: list[FrameReport]
+    total_bytes: int
+    interrupted: bool
+    resumed: int | None = None
+    frame_budget: float | None = None
+    time_budget: float | None = None
+
+
+@dataclass
+class Stopwatch:
+    """Wall-clock seconds by stage, and processor seconds since it was made."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+    began: float = field(default_factory=time.process_time)
+
+    def cpu_seconds(self) -> float:
+        return time.process_time() - self.began
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        begin = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - begin
