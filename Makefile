@@ -10,6 +10,7 @@ PIP_ARGS ?=
 RIGS ?= $(addprefix ../shared/data/rigs/,workbench candle popup)
 CHOICE_RIGS ?= $(addprefix ../shared/data/rigs/,workbench popup)
 RATE_RIGS ?= ../shared/data/rigs/workbench
+EFFECT_RIGS ?= $(addprefix ../shared/data/rigs/,still candle popup workbench workbench_drift)
 BENCH_ARGS ?=
 
 VENV := .venv
@@ -88,6 +89,7 @@ report: $(READY) ## the paper's tables, our choices, rate against distortion, ac
 	$(BIN)/decogs-bench paper $(RIGS) -o report $(BENCH_ARGS)
 	$(BIN)/decogs-bench choices $(CHOICE_RIGS) -o report --frames :16 $(BENCH_ARGS)
 	$(BIN)/decogs-bench rates $(RATE_RIGS) -o report $(BENCH_ARGS)
+	$(BIN)/decogs-bench effects $(EFFECT_RIGS) -o report --frames :20 $(BENCH_ARGS)
 	$(BIN)/decogs-bench curve $(RATE_RIGS) -o report --frames :8 $(BENCH_ARGS)
 
 clean: ## remove what was built and every cache; .venv and demo/ stay
