@@ -102,15 +102,16 @@ def encode(
     span = frame_span(rig, frame_range(frames) if isinstance(frames, str) else frames)
     if effects is None and not isinstance(preset, EncodeSettings) and settings.method == "decogs":
         effects = AUTO
-    if effects is not None:
-        settings = _with_effects(settings, effects, rig, held, span, threads)
-    if corrections is not None:
-        settings = replace(settings, corrections=corrections)
-    ingest = Ingest(rig, holdout=held, scale=scale, lens=settings.corrections.lens)
+    Ingest(rig, holdout=held, scale=scale)  # refuses what cannot be, before the rig is looked at
     with (
         EncodeProgress(len(span), None if log is None else Path(log), terminal=terminal) as progress,
         nullcontext() if anytime is None else AnytimeLog(Path(anytime)) as curve,
     ):
+        if effects is not None:
+            settings = _with_effects(settings, effects, rig, held, span, threads, progress)
+        if corrections is not None:
+            settings = replace(settings, corrections=corrections)
+        ingest = Ingest(rig, holdout=held, scale=scale, lens=settings.corrections.lens)
         progress.started(
             {
                 "rig": str(rig.path),
@@ -169,14 +170,23 @@ def _with_effort(
 
 
 def _with_effects(
-    settings: EncodeSettings, effects: str, rig: Rig, held: Sequence[str], span: range, threads: int
+    settings: EncodeSettings,
+    effects: str,
+    rig: Rig,
+    held: Sequence[str],
+    span: range,
+    threads: int,
+    progress: EncodeProgress,
 ) -> EncodeSettings:
     """The settings with the effects that are wanted, of which the rig may have to be looked at."""
     if settings.method != "decogs":
         raise UsageError(f"--effects {effects}: --method {settings.method} has none of them; drop one of the two")
 
     def decisions() -> Sequence[Decision]:
-        return analyse(rig.path, frames=slice(span.start, span.stop), holdout=held, threads=threads).decisions
+        look = slice(span.start, span.stop)
+        found = analyse(rig.path, frames=look, holdout=held, threads=threads, on_step=progress.look_step)
+        progress.looked({decision.effect: decision.cameras for decision in found.decisions if decision.called_for})
+        return found.decisions
 
     cameras = [camera.name for camera in rig.cameras if camera.name not in held]
     return with_effects(settings, wanted_effects(effects), cameras, decisions)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TextIO
@@ -16,9 +17,10 @@ from .reports import FrameReport
 class EncodeProgress:
     """Follows an encode of ``frame_count`` frames.
 
-    ``terminal``: a bar over the keyframe's steps, one over the frames, and a line of figures per frame; nothing when
-    it is None or a pipe. ``log``: one JSON object per line, written as things happen: "start", one "frame" per frame
-    (the fields of FrameReport, and ``elapsed`` seconds), "end". Raises UsageError when it cannot be written.
+    ``terminal``: a bar over the look at the rig, one over the keyframe's steps, one over the frames, and a line of
+    figures per frame; nothing when it is None or a pipe. ``log``: one JSON object per line, written as things happen:
+    "look" (what the rig calls for, where it was looked at), "start", one "frame" per frame (the fields of FrameReport,
+    and ``elapsed`` seconds), "end". Raises UsageError when it cannot be written.
     """
 
     def __init__(self, frame_count: int, log: Path | None, *, terminal: TextIO | None = None) -> None:
@@ -46,6 +48,18 @@ class EncodeProgress:
 
     def started(self, facts: dict[str, Any]) -> None:
         self._write({"event": "start", **facts})
+
+    def look_step(self, step: int, steps: int) -> None:
+        if self._terminal:
+            bar = self._bar or self._open_bar("looking", steps, "step")
+            bar.update(step - bar.n)
+
+    def looked(self, called_for: Mapping[str, Sequence[str]]) -> None:
+        """Tells what the rig calls for: the cameras of each effect."""
+        self._write({"event": "look", "called_for": {effect: list(names) for effect, names in called_for.items()}})
+        self._close_bar()
+        if self._terminal:
+            print("calls for " + (", ".join(called_for) or "nothing"), file=self._terminal)
 
     def keyframe_step(self, step: int, steps: int, loss: float) -> None:
         if self._terminal:
@@ -91,6 +105,7 @@ def frame_line(report: FrameReport) -> str:
     stages = "  ".join(f"{name} {seconds:.2f} s" for name, seconds in report.seconds.items() if name != "measure")
     if report.replayed:
         stages = "was there already"
+    stages += "  light alone" if report.effects == ["appearance_change"] else ""
     stages += "".join(f"  without {name}: {why}" for name, why in report.left_out.items())
     stages += "  given up" if report.given_up else ""
     return (

@@ -38,6 +38,35 @@ def test_same_bytes_as_the_loop_whatever_is_logged(
     assert (end["output"], end["bytes"], end["interrupted"]) == (str(output), len(moving.data), False)
 
 
+def test_auto_looks_at_the_rig_first_and_builds_what_it_calls_for(
+    still_rig: Path, tiny_rig: Any, tiny_settings: Any, tmp_path: Path
+) -> None:
+    output, log, screen = tmp_path / "scene.dgs", tmp_path / "log.jsonl", Screen()
+    encode_rig(
+        still_rig,
+        output,
+        holdout=tiny_rig.held_out,
+        preset=tiny_settings,
+        effects="auto",
+        log=log,
+        terminal=screen,
+    )
+    look, start, *_ = (json.loads(line) for line in log.read_text().splitlines())
+    assert look["event"] == "look"
+    assert not {"motion", "appearance_change", "emergence", "disappearance"} & look["called_for"].keys()
+    assert tiny_rig.held_out not in {name for names in look["called_for"].values() for name in names}
+    assert start["settings"]["ask_frames"] is True, "a frame may still bring what the clip did not show"
+    assert "looking" in screen.getvalue()
+    assert "calls for " in screen.getvalue()
+    with pytest.raises(UsageError, match="3dgstream has none of them"):
+        encode_rig(still_rig, output, preset=tiny_settings, method="3dgstream", effects="auto")
+
+
+class Screen(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
 def test_an_open_file_gets_the_same_bytes(moving: Any, moving_rig: Path, tiny_rig: Any, tiny_settings: Any) -> None:
     pipe = io.BytesIO()
     report = encode_rig(moving_rig, pipe, holdout=tiny_rig.held_out, preset=tiny_settings, keyframe=moving.path)
