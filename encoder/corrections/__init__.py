@@ -20,11 +20,10 @@ from decogs.formats.splats import FloatArray
 from ..ingest import View
 from .agreement import Look, agreeing_shifts
 from .colour import OddsShift, odds_shift, without_odds
-from .lens import estimate_k1
 from .settings import CorrectionSettings
 from .shake import angles_of, turn_of, unturned
 
-__all__ = ["CorrectionSettings", "Corrector", "corrector_of", "estimate_k1"]
+__all__ = ["CorrectionSettings", "Corrector", "corrector_of"]
 
 F64 = NDArray[np.float64]
 

@@ -15,17 +15,16 @@ import decogs.encoder.loop as loop
 from decogs.codec.corrections import ANGLE_STEP, COLOUR_STEP, Correction
 from decogs.codec.digest import digest
 from decogs.decoder.camera_faults import as_it_stood, with_odds
-from decogs.decoder.lens import Redistortion, with_k1
 from decogs.decoder.output import decode
 from decogs.decoder.rasterise import Rendering, render
 from decogs.decoder.session import open_stream, render_view
-from decogs.encoder.corrections import CorrectionSettings, Corrector, corrector_of, estimate_k1
+from decogs.encoder.corrections import CorrectionSettings, Corrector, corrector_of
 from decogs.encoder.corrections.agreement import agreeing_shifts
 from decogs.encoder.corrections.colour import odds_shift, without_odds
 from decogs.encoder.corrections.shake import angles_of, turn_of, unturned
 from decogs.encoder.ingest import Ingest, View
 from decogs.encoder.rasterise import Picture
-from decogs.formats.cameras import Camera, as_pinhole, scale_camera
+from decogs.formats.cameras import Camera, scale_camera
 from decogs.formats.errors import UsageError
 from decogs.formats.pictures import read_picture
 from decogs.formats.rigs import open_rig, read_frames
@@ -217,21 +216,6 @@ def test_a_k1_joins_the_lens(moving_rig: Path, lens_rig: Path) -> None:
         assert ingest.views[1].camera.distortion == camera.distortion
 
 
-@pytest.mark.parametrize("k1", [-0.1, 0.0, 0.05])
-@pytest.mark.parametrize("known", [(), LENS], ids=["pinhole", "lens"])
-def test_a_k1_is_found_from_one_picture(tiny_rig: Any, k1: float, known: tuple[float, ...]) -> None:
-    """To 0.004, which moves a pixel in the corner of 256 x 192 by 0.3; with noise, other colours and something new."""
-    camera = scale_camera(tiny_rig.camera(1), 4)
-    if known:
-        camera = replace(camera, distortion_model="opencv", distortion=known)
-    shown = planar(render(tiny_rig.scene_at(0), as_pinhole(camera)).image)
-    bent = with_k1(camera, k1)
-    seen = Redistortion(bent)
-    recorded = recorded_of(planar(seen.apply(render(tiny_rig.scene_at(0), seen.render_camera).image)), SHIFT)
-    recorded[:, 60:110, 80:130] = some_picture(9)[:, :50, :50]
-    assert abs(estimate_k1(recorded, shown, camera) - k1) < 0.004
-
-
 def test_a_k1_needs_its_camera_and_no_fisheye(moving_rig: Path) -> None:
     rig = open_rig(moving_rig)
     with pytest.raises(UsageError, match="cam99"):
@@ -407,10 +391,6 @@ def test_gains_and_shake_of_the_shared_rig_are_found(shared_data: Any) -> None:
     clean, drift = (open_rig(shared_data(f"rigs/{name}")) for name in ("workbench", "workbench_drift"))
     truth = json.loads((shared_data("rigs/workbench_drift") / "truth" / "camera_faults.json").read_text())
     names = tuple(camera.name for camera in drift.cameras if camera.name not in ("cam00", "cam05"))
-    bent, straight = (
-        planar(next(read_frames(rig, 0, 1, names=["cam05"]))[1][0] / np.float32(255)) for rig in (drift, clean)
-    )
-    assert abs(estimate_k1(bent, straight, drift.cameras[5]) - truth["cam05"]["k1"]) < 0.002
     views = [View(camera, camera, None) for camera in drift.cameras if camera.name in names]
     corrector = Corrector(views, CorrectionSettings(exposure=names, white_balance=names, shake=("cam03",)))
     found, gains = [], []
