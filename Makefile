@@ -89,7 +89,7 @@ report: $(READY) ## the paper's tables, our choices, rate against distortion, ac
 	$(BIN)/decogs-bench paper $(RIGS) -o report $(BENCH_ARGS)
 	$(BIN)/decogs-bench choices $(CHOICE_RIGS) -o report --frames :16 $(BENCH_ARGS)
 	$(BIN)/decogs-bench rates $(RATE_RIGS) -o report $(BENCH_ARGS)
-	$(BIN)/decogs-bench effects $(EFFECT_RIGS) -o report --frames :20 $(BENCH_ARGS)
+	$(BIN)/decogs-bench effects $(EFFECT_RIGS) -o report --frames :20 --preset draft $(BENCH_ARGS)
 	$(BIN)/decogs-bench curve $(RATE_RIGS) -o report --frames :8 $(BENCH_ARGS)
 
 clean: ## remove what was built and every cache; .venv and demo/ stay

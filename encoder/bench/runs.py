@@ -14,7 +14,7 @@ import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from datetime import datetime, timezone
 from functools import cached_property
 from pathlib import Path
@@ -32,7 +32,7 @@ from decogs.formats.rigs import Rig, open_rig
 from decogs.formats.splats import Splats
 
 from ..anytime import AnytimeLog
-from ..effects import PRESET_EFFECTS, Decision, wanted_effects, with_effects
+from ..effects import AUTO, PRESET_EFFECTS, Decision, wanted_effects, with_effects
 from ..effects.analysis import analyse
 from ..ingest import Ingest, frame_span
 from ..keyframe_source import read_keyframe
@@ -179,8 +179,13 @@ class RigBench:
         settings = settings_of(variant, self.options.preset)
         if variant.effects is None:
             return settings
+        wanted = wanted_effects(variant.effects)
+        if wanted.base == AUTO:
+            # What the scene does not call for cannot wrongly be left out.
+            called_for = {decision.effect for decision in self._decisions if decision.called_for}
+            wanted = replace(wanted, dropped=wanted.dropped & called_for)
         cameras = [camera.name for camera in self.rig.cameras if camera.name != self.camera]
-        return with_effects(settings, wanted_effects(variant.effects), cameras, lambda: self._decisions)
+        return with_effects(settings, wanted, cameras, lambda: self._decisions)
 
     def _trains_keyframe(self, variant: Variant) -> bool:
         """Effects may ask for another keyframe than the shared one."""

@@ -55,7 +55,7 @@ def wanted_effects(text: str) -> Wanted:
 def with_effects(
     settings: EncodeSettings, wanted: Wanted, cameras: Sequence[str], decisions: Callable[[], Sequence[Decision]]
 ) -> EncodeSettings:
-    """``settings`` that build what is wanted and nothing else.
+    """``settings`` that build what is wanted and nothing else; their ``effects`` are those that make a difference.
 
     ``cameras``: names of all that train, for an effect that is wanted where the scene does not call for it.
     ``decisions``: of the rig (`analysis.analyse`), asked for only where what is wanted depends on them.
@@ -65,15 +65,18 @@ def with_effects(
     fixed = wanted.base != AUTO and not set(wanted.names(())) - {*FRAME_EFFECTS, "view_dependence"}
     found = {} if fixed else {decision.effect: decision for decision in decisions()}
     names = wanted.names([name for name, decision in found.items() if decision.called_for])
+    built = []
     for effect in EFFECTS:
-        if effect.name not in names:
-            settings = effect.left_out(settings)
-        elif effect.name in found:
-            decision = found[effect.name]
-            if not decision.called_for:
+        chosen = without = effect.left_out(settings)
+        if effect.name in names:
+            decision = found.get(effect.name)
+            if decision is not None and not decision.called_for:
                 decision = replace(decision, cameras=tuple(cameras))
-            settings = effect.built(settings, decision)
-    return replace(settings, effects=names, ask_frames=wanted.base == AUTO)
+            chosen = settings if decision is None else effect.built(settings, decision)
+        if chosen != without:
+            built.append(effect.name)
+        settings = chosen
+    return replace(settings, effects=tuple(built), ask_frames=wanted.base == AUTO)
 
 
 def leave_out(settings: EncodeSettings, names: Collection[str]) -> EncodeSettings:
