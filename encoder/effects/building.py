@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from decogs.formats.errors import UsageError
 
 from .effect import Decision
-from .names import EFFECT_NAMES, FRAME_EFFECTS
+from .names import CAMERA_EFFECTS, EFFECT_NAMES, FRAME_EFFECTS
 
 if TYPE_CHECKING:
     from ..presets import EncodeSettings
@@ -70,13 +70,18 @@ def with_effects(
         chosen = without = effect.left_out(settings)
         if effect.name in names:
             decision = found.get(effect.name)
-            if decision is not None and not decision.called_for:
+            if decision is not None and (not decision.called_for or _is_common(decision, cameras)):
                 decision = replace(decision, cameras=tuple(cameras))
             chosen = settings if decision is None else effect.built(settings, decision)
         if chosen != without:
             built.append(effect.name)
         settings = chosen
     return replace(settings, effects=tuple(built), ask_frames=wanted.base == AUTO)
+
+
+def _is_common(decision: Decision, cameras: Sequence[str]) -> bool:
+    """Whether most cameras have a fault: then the others have it, too, though less than can be told."""
+    return decision.effect in CAMERA_EFFECTS and 2 * len(decision.cameras) > len(cameras)
 
 
 def leave_out(settings: EncodeSettings, names: Collection[str]) -> EncodeSettings:

@@ -71,6 +71,17 @@ def test_auto_asks_every_frame_and_takes_what_the_scene_calls_for() -> None:
     assert built("auto,-exposure_drift", decisions("exposure_drift")).corrections == STANDARD.corrections
 
 
+def test_where_most_cameras_drift_all_are_corrected() -> None:
+    both = decisions("exposure_drift", "camera_shake", cameras=("cam01", "cam02"))
+    assert with_effects(STANDARD, Wanted("auto"), ["cam01", "cam02", "cam03"], lambda: both).corrections.exposure == (
+        "cam01",
+        "cam02",
+        "cam03",
+    )
+    few = with_effects(STANDARD, Wanted("auto"), [f"cam{i:02}" for i in range(1, 5)], lambda: both).corrections
+    assert few.exposure == few.shake == ("cam01", "cam02")
+
+
 def test_what_the_scene_calls_for_changes_nothing_that_the_preset_has() -> None:
     settings = built("auto", decisions(*FRAME_EFFECTS, "view_dependence"))
     assert replace(settings, effects=STANDARD.effects, ask_frames=False) == STANDARD
