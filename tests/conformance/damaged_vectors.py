@@ -19,7 +19,9 @@ from good_vectors import (
     moving,
     worked_example,
 )
-from plain_decoder import DELTA, END, HEADER, INDEX, KEY, METRICS, SKIP, Header, digest
+from plain_container import DELTA, END, HEADER, INDEX, KEY, METRICS, SKIP
+from plain_header import Header
+from plain_state import digest
 from stream_writer import (
     MISSING,
     Coding,

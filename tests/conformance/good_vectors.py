@@ -9,7 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from plain_decoder import DELTA, INDEX, KEY, MEANS, METRICS, digest
+from plain_container import DELTA, INDEX, KEY, MEANS, METRICS
+from plain_state import digest
 from stream_writer import (
     Coding,
     Stream,

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from damaged_vectors import with_header
-from plain_decoder import DELTA, KEY, METRICS, Limits
+from plain_container import DELTA, KEY, METRICS, Limits
 from stream_writer import (
     Stream,
     Vector,

@@ -19,7 +19,8 @@ from typing import Any
 from damaged_vectors import damaged_blocks, damaged_containers, damaged_corrections, damaged_headers, damaged_payloads
 from good_vectors import good_containers, good_corrections, good_payloads, good_states
 from limit_vectors import limits_of_headers, limits_of_streams
-from plain_decoder import Header, State, digest, floats
+from plain_header import Header
+from plain_state import State, digest, floats
 from stream_writer import Vector
 
 FOLDER = Path(__file__).parent / "1.0"

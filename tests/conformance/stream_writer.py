@@ -13,23 +13,9 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
-from plain_decoder import (
-    CORRECTIONS,
-    DELTA,
-    END,
-    FRAME_KINDS,
-    HEADER,
-    INDEX,
-    KEY,
-    SIGNATURE,
-    SKIP,
-    Header,
-    Limits,
-    State,
-    digest,
-    mix,
-    wrapped,
-)
+from plain_container import CORRECTIONS, DELTA, END, FRAME_KINDS, HEADER, INDEX, KEY, SIGNATURE, SKIP, Limits
+from plain_header import Header
+from plain_state import State, digest, mix, wrapped
 
 MISSING = object()
 

@@ -43,6 +43,7 @@ from decogs.formats.reasons import ALL_REASONS
 sys.path.insert(0, str(Path(__file__).parent))
 import limit_vectors
 import make_vectors
+import plain_container
 import plain_decoder
 import stream_writer
 
@@ -68,7 +69,7 @@ class Outcome:
 
 
 def by_the_plain_decoder(data: bytes, limits: dict[str, int]) -> Outcome:
-    decoded = plain_decoder.decode(data, plain_decoder.Limits(**limits))
+    decoded = plain_decoder.decode(data, plain_container.Limits(**limits))
     frames = [make_vectors.hashes(state, decoded.header) for state in decoded.states]
     indexes = tuple(decoded.indexes)
     failure = decoded.failure

@@ -1,0 +1,187 @@
+"""Section 4 of the plain decoder: the header packet."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+from plain_container import COEFFICIENTS, CORRECTIONS, EFFECTS, refuse
+
+# Section 4: the header packet
+
+
+@dataclass(frozen=True)
+class Header:
+    """What decoding needs of the header packet: the number of SH coefficients, the lattice, corrected cameras."""
+
+    coefficients: int
+    lattice: dict[str, Any]
+    corrected: dict[str, list[str]] = field(default_factory=dict)
+
+    @property
+    def channels(self) -> list[int]:
+        return [3, 3, 4, 1, 3, 3 * (self.coefficients - 1)]
+
+
+def read_header(payload: bytes) -> Header:
+    if len(payload) > 1 << 20:
+        refuse("too-large")
+    header = read_json(payload)
+    expect(isinstance(header, dict))
+    check_header(header)
+    if any(name not in EFFECTS for name in header["effects"]):
+        refuse("unsupported-effect")
+    return Header((header["sh_degree"] + 1) ** 2, header["lattice"], header.get("corrected", {}))
+
+
+def expect(condition: bool) -> None:
+    if not condition:
+        refuse("bad-header")
+
+
+def read_json(payload: bytes) -> Any:
+    try:
+        text = payload.decode("utf-8")
+        check_nesting(text)
+        return json.loads(
+            text,
+            object_pairs_hook=json_object,
+            parse_float=json_number,
+            parse_int=json_integer,
+            parse_constant=lambda _: refuse("bad-header"),
+        )
+    except ValueError:
+        refuse("bad-header")
+
+
+def check_nesting(text: str) -> None:
+    depth, in_text, escaped = 0, False, False
+    for character in text:
+        if escaped:
+            escaped = False
+        elif in_text:
+            escaped = character == "\\"
+            in_text = character != '"'
+        elif character == '"':
+            in_text = True
+        elif character in "[{":
+            depth += 1
+            expect(depth <= 16)
+        elif character in "]}":
+            depth -= 1
+
+
+def json_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    members = dict(pairs)
+    expect(len(members) == len(pairs))
+    for name, value in pairs:
+        expect_unicode(name)
+        expect_unicode(value)
+    return members
+
+
+def expect_unicode(value: Any) -> None:
+    if isinstance(value, str):
+        expect(not any(0xD800 <= ord(character) < 0xE000 for character in value))
+    elif isinstance(value, list):
+        for item in value:
+            expect_unicode(item)
+
+
+def json_number(text: str) -> float:
+    expect(math.isfinite(float(text)))
+    return float(text)
+
+
+def json_integer(text: str) -> int:
+    json_number(text)
+    return int(text)
+
+
+def is_number(value: Any, least: float, most: float) -> bool:
+    return type(value) in (int, float) and least <= value <= most
+
+
+def is_integer(value: Any, least: int, most: int) -> bool:
+    return type(value) is int and least <= value <= most
+
+
+def is_vector(value: Any, length: int, least: float, most: float) -> bool:
+    return isinstance(value, list) and len(value) == length and all(is_number(item, least, most) for item in value)
+
+
+def is_name(value: Any) -> bool:
+    if not isinstance(value, str) or not 1 <= len(value) <= 255 or value in (".", ".."):
+        return False
+    return not any(ord(c) < 32 or 127 <= ord(c) < 160 or c in "/\\" for c in value)
+
+
+def is_names(value: Any) -> bool:
+    return isinstance(value, list) and len(value) <= 1024 and all(map(is_name, value))
+
+
+def check_header(header: dict[str, Any]) -> None:
+    needed = "cameras lattice sh_degree fps first_frame background effects held_out axes units source_text licence"
+    expect(all(name in header for name in [*needed.split(), "writer", "settings"]))
+    cameras = header["cameras"]
+    expect(isinstance(cameras, list) and 1 <= len(cameras) <= 1024)
+    for camera in cameras:
+        check_camera(camera)
+    names = [camera["name"] for camera in cameras]
+    expect(len(set(names)) == len(names))
+    check_lattice(header["lattice"])
+    expect(is_integer(header["sh_degree"], 0, 3))
+    expect(header["fps"] is None or is_number(header["fps"], 1e-6, 1e6))
+    expect(is_integer(header["first_frame"], 0, 2**31 - 1))
+    expect(is_vector(header["background"], 3, -1000, 1000))
+    expect(is_names(header["effects"]))
+    expect(is_names(header["held_out"]) and set(header["held_out"]) <= set(names))
+    check_corrected(header, set(names) - set(header["held_out"]))
+    for text in ("axes", "units", "source_text", "licence", "writer"):
+        expect(isinstance(header[text], str) and len(header[text]) <= 65_536)
+    expect(isinstance(header["settings"], dict))
+
+
+def check_corrected(header: dict[str, Any], seen: set[str]) -> None:
+    corrected = header.get("corrected", {})
+    expect(isinstance(corrected, dict))
+    for effect in CORRECTIONS:
+        names = corrected.get(effect, [])
+        expect(is_names(names) and len(set(names)) == len(names) and set(names) <= seen)
+        expect(bool(names) == (effect in header["effects"]))
+
+
+def check_camera(camera: Any) -> None:
+    expect(isinstance(camera, dict))
+    needed = "name width height fx fy cx cy distortion_model distortion world_to_camera"
+    expect(all(name in camera for name in needed.split()))
+    expect(is_name(camera["name"]))
+    expect(is_integer(camera["width"], 1, 32_768) and is_integer(camera["height"], 1, 32_768))
+    expect(is_number(camera["fx"], 1e-3, 1e9) and is_number(camera["fy"], 1e-3, 1e9))
+    expect(is_number(camera["cx"], -1e9, 1e9) and is_number(camera["cy"], -1e9, 1e9))
+    model, distortion = camera["distortion_model"], camera["distortion"]
+    expect(isinstance(model, str) and model in COEFFICIENTS and isinstance(distortion, list))
+    expect(len(distortion) in COEFFICIENTS[model] and is_vector(distortion, len(distortion), -1e6, 1e6))
+    rows = camera["world_to_camera"]
+    expect(isinstance(rows, list) and len(rows) == 3 and all(is_vector(row, 4, -1e12, 1e12) for row in rows))
+    check_rotation([row[:3] for row in rows])
+    expect(is_number(camera.get("near", 0), 0, 1e12))
+
+
+def check_rotation(r: list[list[float]]) -> None:
+    for i in range(3):
+        for j in range(3):
+            product = sum(r[i][axis] * r[j][axis] for axis in range(3))
+            expect(abs(product - (i == j)) <= 0.01)
+    minors = [r[1][(a + 1) % 3] * r[2][(a + 2) % 3] - r[1][(a + 2) % 3] * r[2][(a + 1) % 3] for a in range(3)]
+    expect(sum(r[0][axis] * minors[axis] for axis in range(3)) > 0)
+
+
+def check_lattice(lattice: Any) -> None:
+    expect(isinstance(lattice, dict))
+    scalars = ("log_scales", "quaternions", "opacity_logits", "sh_dc", "sh_rest")
+    expect(all(name in lattice for name in ("origin", "means", *scalars)))
+    expect(is_vector(lattice["origin"], 3, -1e12, 1e12) and is_vector(lattice["means"], 3, 1e-12, 1e6))
+    expect(all(is_number(lattice[name], 1e-12, 1e6) for name in scalars) and lattice["quaternions"] <= 0.5)
