@@ -102,7 +102,7 @@ def encode(
     span = frame_span(rig, frame_range(frames) if isinstance(frames, str) else frames)
     if effects is None and not isinstance(preset, EncodeSettings) and settings.method == "decogs":
         effects = AUTO
-    Ingest(rig, holdout=held, scale=scale)  # refuses what cannot be, before the rig is looked at
+    ingest = Ingest(rig, holdout=held, scale=scale)
     with (
         EncodeProgress(len(span), None if log is None else Path(log), terminal=terminal) as progress,
         nullcontext() if anytime is None else AnytimeLog(Path(anytime)) as curve,
@@ -111,7 +111,8 @@ def encode(
             settings = _with_effects(settings, effects, rig, held, span, threads, progress)
         if corrections is not None:
             settings = replace(settings, corrections=corrections)
-        ingest = Ingest(rig, holdout=held, scale=scale, lens=settings.corrections.lens)
+        if settings.corrections.lens:
+            ingest = Ingest(rig, holdout=held, scale=scale, lens=settings.corrections.lens)
         progress.started(
             {
                 "rig": str(rig.path),

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .changes import WINDOW_PIXELS
-from .effect import Decision, Evidence, decided, in_doubt, seen_together, spans
+from .effect import Decision, Effect, Evidence, decided, in_doubt, seen_together, spans
 from .look import Look
 
 if TYPE_CHECKING:
@@ -45,18 +46,12 @@ class Motion:
         return Evidence(share * 100, "% restructured", LIMIT * 100, details)
 
     def decide(self, look: Look, evidence: Evidence) -> Decision:
-        doubt = in_doubt(look, evidence)
-        frames = np.full(len(look.frames), doubt) | seen_together(evidence)
         area = float(np.nan_to_num(evidence.details["restructured"]).max())
-        return decided(
+        return decide_by_change(
             look,
             self,
             evidence,
-            counts=np.any((evidence.reached & frames) | doubt, axis=1),
-            frames=spans(look, frames, gap=PAUSE),
-            reason="every camera shakes: not told, taken for granted"
-            if doubt
-            else f"up to {area:.2g} % of a picture holds content in one frame that light does not make of the last's",
+            reason=f"up to {area:.2g} % of a picture holds content in one frame that light does not make of the last's",
             cost="positions and rotations of what moves: 10 kB and 1.1 CPU-s a frame (measured on workbench)",
             figures={"restructured_percent": area},
         )
@@ -70,3 +65,21 @@ class Motion:
         rates = replace(frame.rates, means=0.0, log_scales=0.0, quaternions=0.0)
         economy = replace(frame.economy, worth=_WORTH_OF_LIGHT * frame.economy.worth)
         return replace(settings, frame=replace(frame, cache=None, warm_start=0.0, rates=rates, economy=economy))
+
+
+def decide_by_change(
+    look: Look, effect: Effect, evidence: Evidence, *, reason: str, cost: str, figures: Mapping[str, Any]
+) -> Decision:
+    """Called for in the frames in which two cameras see it; taken for granted where every camera shakes."""
+    doubt = in_doubt(look, evidence)
+    frames = np.full(len(look.frames), doubt) | seen_together(evidence)
+    return decided(
+        look,
+        effect,
+        evidence,
+        counts=np.any((evidence.reached & frames) | doubt, axis=1),
+        frames=spans(look, frames, gap=PAUSE),
+        reason="every camera shakes: not told, taken for granted" if doubt else reason,
+        cost=cost,
+        figures=figures,
+    )
