@@ -161,7 +161,8 @@ class _Search:
         offsets = np.array([-1, 0, 1]) / 3 * gap / max(1, len(self._inverse) - 1)
         depth = 1 / (self._inverse[place][:, None] + offsets).ravel()
         reference = self._smooth[index].reshape(-1, 3)[pixels]
-        cost, front = self._disagreement(self._smooth, index, origin + directions[ray] * depth[:, None], reference[ray])
+        points = origin + directions[ray] * depth[:, None]
+        (cost,), front = self._disagreements([self._smooth], index, points, [reference[ray]])
         tolerance = np.float32(settings.spread / 255)
         best = np.full(len(pixels), np.inf, np.float32)
         np.minimum.at(best, ray, np.where(front, cost, np.inf).astype(np.float32))
@@ -187,10 +188,10 @@ class _Search:
         """
         least = np.full(len(pixels), np.inf, np.float32)
         for nearer in (0.985, 1.0, 1.015):
-            for pictures in (self._smooth, self._change):
-                own = pictures[index].reshape(-1, 3)[pixels]
-                there, _ = self._disagreement(pictures, index, origin + nearer * reach, own)
-                least = np.minimum(least, there)
+            pictures = (self._smooth, self._change)
+            own = [each[index].reshape(-1, 3)[pixels] for each in pictures]
+            there, _ = self._disagreements(pictures, index, origin + nearer * reach, own)
+            least = np.minimum(least, np.minimum(*there))
         return least
 
     def _inside_hull(
@@ -213,15 +214,19 @@ class _Search:
         keep = (misses <= settings.missing_share * seen) & (seen - misses >= settings.least_views)
         return ray[keep], place[keep]
 
-    def _disagreement(
-        self, pictures: Sequence[FloatArray], index: int, points: NDArray[np.float64], reference: FloatArray
-    ) -> tuple[FloatArray, BoolArray]:
-        """How much ``pictures`` differ from the ``reference`` colours (P, 3) at points, 0..1; the points in front.
+    def _disagreements(
+        self,
+        pictures: Sequence[Sequence[FloatArray]],
+        index: int,
+        points: NDArray[np.float64],
+        references: Sequence[FloatArray],
+    ) -> tuple[list[FloatArray], BoolArray]:
+        """How much each kind of ``pictures`` differs from its reference colours (P, 3) at points, 0..1; those in front.
 
         The mean over the best of the views that see a point; a point must lie before what most of them render.
         """
         count = len(points)
-        differences = np.full((len(self._looks), count), np.inf, np.float32)
+        differences = np.full((len(pictures), len(self._looks), count), np.inf, np.float32)
         before, seen = np.zeros(count, np.int64), np.zeros(count, np.int64)
         for other, look in enumerate(self._looks):
             if other == index:
@@ -229,23 +234,28 @@ class _Search:
             flat, u, v, depth = _project(look.camera, points)
             inside = np.flatnonzero(flat >= 0)
             at = flat[inside]
-            colours = _sample(pictures[other], u[inside], v[inside])
-            differences[other, inside] = np.abs(colours - reference[inside]).max(axis=1)
+            for kind, (each, reference) in enumerate(zip(pictures, references, strict=True)):
+                colours = _sample(each[other], u[inside], v[inside])
+                differences[kind, other, inside] = np.abs(colours - reference[inside]).max(axis=1)
             rendered = look.depth.ravel()[at]
             before[inside] += (rendered <= 0) | (depth[inside] < (1 - self._settings.in_front / 2) * rendered)
             seen[inside] += 1
-        differences.sort(axis=0)
-        wanted = np.ceil(_AGREEING * seen).astype(np.int64)
-        counted = np.arange(len(self._looks))[:, None] < wanted
-        total = np.where(counted, differences, 0).sum(axis=0, dtype=np.float32)
         enough = seen >= self._settings.least_views - 1
-        cost = np.where(enough, total / np.maximum(wanted, 1), np.inf).astype(np.float32)
-        return cost, enough & (before >= 0.7 * seen)
+        return [_mean_of_best(each, seen, enough) for each in differences], enough & (before >= 0.7 * seen)
+
+
+def _mean_of_best(differences: FloatArray, seen: IntArray, enough: BoolArray) -> FloatArray:
+    """The mean (P,) of the smallest of each point's differences (V, P), infinite where not ``enough`` see it."""
+    ordered = np.sort(differences, axis=0)
+    wanted = np.ceil(_AGREEING * seen).astype(np.int64)
+    counted = np.arange(len(ordered))[:, None] < wanted
+    total = np.where(counted, ordered, 0).sum(axis=0, dtype=np.float32)
+    return np.where(enough, total / np.maximum(wanted, 1), np.inf).astype(np.float32)
 
 
 def _smoothed(planes: FloatArray) -> FloatArray:
     """(3, H, W) as (H, W, 3), averaged over 3 x 3 pixels."""
-    return np.ascontiguousarray(cv2.blur(planes.transpose(1, 2, 0), (3, 3)), np.float32)
+    return np.asarray(cv2.blur(cv2.merge(list(planes)), (3, 3)), np.float32)
 
 
 def _sample(picture: FloatArray, u: NDArray[np.float64], v: NDArray[np.float64]) -> FloatArray:
