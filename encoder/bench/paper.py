@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from .variants import Question, Times, Variant
 
-DECOGS = Variant("decogs", "DecoGS")
+DECOGS = Variant("decogs", "DecoGS, all effects in every frame")
+DECOGS_AUTO = Variant("decogs-auto", "DecoGS, effects as called for (the default)", effects="auto")
 DECOGS_PAPER = Variant("decogs-paper", "DecoGS, the paper's recipe (preset paper)", preset="paper")
 BASELINE = Variant("3dgstream", "3DGStream baseline, dense", method="3dgstream")
-METHODS = (DECOGS, DECOGS_PAPER, BASELINE)
+METHODS = (DECOGS_AUTO, DECOGS, DECOGS_PAPER, BASELINE)
 HELD = Variant(
     "keyframe-held", "the keyframe alone, nothing sent after it", {"frame.masks.threshold": 255.0, "frame.cache": None}
 )
@@ -97,5 +98,5 @@ QUESTIONS = (
 )
 
 TIME, SCANLINES = "time", "scanlines"
-FIGURES = {TIME: METHODS, SCANLINES: (DECOGS, BASELINE)}
+FIGURES = {TIME: METHODS, SCANLINES: (DECOGS_AUTO, BASELINE)}
 """Keys of the figures, for ``--only``, and the variants they show."""

@@ -15,7 +15,7 @@ def against_baseline(results: Sequence[RigResults]) -> list[str]:
     rows = []
     for result in results:
         baseline = result.run_of(paper.BASELINE)
-        for variant in (paper.DECOGS, paper.DECOGS_PAPER):
+        for variant in (paper.DECOGS_AUTO, paper.DECOGS, paper.DECOGS_PAPER):
             run = result.run_of(variant)
             if run is not None and baseline is not None:
                 rows.append([result.bench.name, variant.description, *_comparison(run, baseline)])

@@ -117,6 +117,7 @@ def test_the_papers_report(
         [
             "keyframe",
             "decogs",
+            "decogs-auto",
             "decogs-paper",
             "3dgstream",
             "keyframe-held",
