@@ -12,6 +12,7 @@ from decogs.formats.splats import FloatArray
 
 from .corrections import Corrector
 from .dropouts import BLACK, blankness
+from .effects.view_dependence import as_far_as_shown
 from .effort import Effort
 from .first_points import FirstPoints, first_points
 from .ingest import Ingest, RigFrame, View
@@ -36,8 +37,9 @@ def train_first_frame(
 ) -> tuple[State, Lattice]:
     """The keyframe's Gaussians on the lattice that suits them; gives the ingest its near planes.
 
-    Where a camera shakes, first points are sought again once a short training has told how it stood. Raises RigError
-    for a black picture and TrainingError where training fails.
+    Where a camera shakes, first points are sought again once a short training has told how it stood. Where frames are
+    asked for their effects, so is this one, for view dependence. Raises RigError for a black picture and TrainingError
+    where training fails.
     """
     _check_shows(frame, ingest.views)
 
@@ -74,7 +76,8 @@ def train_first_frame(
             on_step=on_step,
             effort=effort,
         )
-    state, _ = keyframe_state(quantise(trained.splats, trained.lattice))
+    values = quantise(trained.splats, trained.lattice)
+    state, _ = keyframe_state(as_far_as_shown(values) if settings.ask_frames else values)
     return state, trained.lattice
 
 
