@@ -16,7 +16,7 @@ from typing import BinaryIO
 
 from decogs.codec.reconstruct import reconstruct
 from decogs.codec.state import DEFAULT_MAX_GAUSSIANS, State
-from decogs.formats.container import FRAME_KINDS, Packet, PacketReader, check_frame
+from decogs.formats.container import FRAME_KINDS, Packet, PacketKind, PacketReader, check_count, check_frame
 from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.reasons import Reason
 
@@ -57,6 +57,8 @@ class GrowingStream:
                 packet = self._next()
                 if packet is None:
                     return
+                if packet.kind == PacketKind.END:
+                    check_count(packet, 0 if frame is None else frame.index + 1)
                 if packet.kind not in FRAME_KINDS:
                     continue
                 before = None if frame is None else frame.state

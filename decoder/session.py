@@ -35,6 +35,7 @@ from decogs.formats.container import (
     Packet,
     PacketKind,
     PacketReader,
+    check_count,
     end_fields,
     read_index,
     scan_index,
@@ -347,13 +348,15 @@ class Stream:
             if index is not None:
                 return survey(index, complete=True)
             entries = scan_index(self._file, max_frames=max_frames)
-            reader = self._reader(entries[-1].offset if entries else 0)
+            reader, frames_told = self._reader(entries[-1].offset if entries else 0), 0
             while (packet := reader.next()) is not None:
-                if self._strict and packet.kind == PacketKind.END:
-                    _check_count(packet, len(entries))
+                if packet.kind == PacketKind.END:
+                    frames_told, _ = end_fields(packet)
+                    if self._strict:
+                        check_count(packet, len(entries))
             unfinished = reader.pending
             if not unfinished or self._strict or reader.resynchronise() is None:
-                return survey(entries, complete=reader.ended, unfinished_bytes=unfinished)
+                return survey(entries, complete=reader.ended, unfinished_bytes=unfinished, frames_told=frames_told)
         except StreamError as error:
             if not self._conceals(error):
                 raise
@@ -402,13 +405,6 @@ class _FramePackets:
             packet = _next_frame(reader, entry)
         self._reader, self._last = reader, frame
         return packet
-
-
-def _check_count(end: Packet, frames: int) -> None:
-    told, _ = end_fields(end)
-    if told != frames:
-        message = f"the end packet counts {told} frames, {frames} came"
-        raise StreamError(Reason.INDEX_MISMATCH, message, offset=end.offset)
 
 
 def _next_frame(reader: PacketReader, entry: IndexEntry) -> Packet:

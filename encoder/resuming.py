@@ -16,7 +16,15 @@ from pathlib import Path
 from typing import Any
 
 from decogs.codec.header import StreamHeader
-from decogs.formats.container import FRAME_KINDS, IndexEntry, Packet, PacketKind, PacketReader, read_packet_at
+from decogs.formats.container import (
+    FRAME_KINDS,
+    IndexEntry,
+    Packet,
+    PacketKind,
+    PacketReader,
+    check_count,
+    read_packet_at,
+)
 from decogs.formats.errors import StreamError, UsageError
 
 from .presets import EncodeSettings
@@ -91,9 +99,11 @@ def _read(path: Path) -> Interrupted | None:
                 elif packet.kind in FRAME_KINDS:
                     entries.append(IndexEntry(packet.offset, packet.frame, packet.kind))
                     size = packet.offset + packet.size
+                elif packet.kind == PacketKind.END:
+                    check_count(packet, len(entries))
+                    ended = True
         except StreamError:
             pass  # A power cut can leave more than a short packet; it is encoded again from there.
-        ended = reader.ended
     if not entries:
         return None
     return Interrupted(path, StreamHeader.from_bytes(header), header, tuple(entries), size, ended)

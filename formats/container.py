@@ -163,6 +163,7 @@ class PacketReader:
     ``next`` returns None when the bytes at hand hold no further complete packet, and may be called again once the file
     has grown. ``pending`` is the number of bytes of the incomplete packet at the tail, ``ended`` whether the end packet
     was seen. A damaged packet raises StreamError; ``resynchronise`` then moves on to the next intact packet header.
+    What the packets say of each other is not checked here: ``check_frame`` and ``check_count`` do that.
     """
 
     def __init__(self, file: BinaryIO, *, max_payload: int = MAX_PAYLOAD, offset: int = 0) -> None:
@@ -173,8 +174,7 @@ class PacketReader:
         self._offset = offset
         self._ordinal: int | None = 0 if offset == 0 else None
         self._at_prologue = offset == 0
-        self._frames = 0
-        self._damaged = False
+        self._searched_from: int | None = None
         self._checked_in_vain = 0
         self.version = VERSION
         self.ended = False
@@ -191,10 +191,17 @@ class PacketReader:
 
     @property
     def pending(self) -> int:
-        return len(self._buffer)
+        return 0 if self._searched_from is not None else len(self._buffer)
+
+    @property
+    def bytes_read(self) -> int:
+        """Stream offset of the first byte that was not read yet."""
+        return self._offset + len(self._buffer)
 
     def next(self) -> Packet | None:
         """The next complete packet, ancillary ones of unknown kind included, or None when there is none yet."""
+        if self._searched_from is not None and self.resynchronise() is None:
+            return None
         if self._at_prologue and not self._read_prologue():
             return None
         if self.ended:
@@ -215,12 +222,15 @@ class PacketReader:
         return packet
 
     def resynchronise(self) -> int | None:
-        """Moves past the damage to the next intact packet header; the bytes skipped, None when there is none yet."""
-        start = self._offset
-        self._damaged = True
-        self._at_prologue = False
-        self._ordinal = None
-        self._consume(min(1, len(self._buffer)))
+        """Moves past the damage to the next intact packet header; the bytes skipped.
+
+        None when there is none yet; ``next`` then goes on with the search once the file has grown.
+        """
+        if self._searched_from is None:
+            self._searched_from = self._offset
+            self._at_prologue = False
+            self._ordinal = None
+            self._consume(min(1, len(self._buffer)))
         while True:
             found = self._buffer.find(SYNC)
             self._consume(found if found >= 0 else max(0, len(self._buffer) - len(SYNC) + 1))
@@ -228,7 +238,8 @@ class PacketReader:
                 if not self._read_on():
                     return None
             elif self._header_crc_is_right():
-                return self._offset - start
+                skipped, self._searched_from = self._offset - self._searched_from, None
+                return skipped
             else:
                 self._consume(1)
 
@@ -286,15 +297,11 @@ class PacketReader:
         return bool(crc == zlib.crc32(bytes(self._buffer[: _PACKET_HEADER.size])))
 
     def _check_place(self, packet: Packet) -> None:
-        """The header comes first and once; the end packet counts the frames."""
+        """The header comes first and once; the end packet is well-formed."""
         if (packet.kind == PacketKind.HEADER) != (packet.offset == PROLOGUE_SIZE):
             self._fail(Reason.MISPLACED_PACKET, "a stream has one header packet, which comes first")
-        if packet.kind in FRAME_KINDS:
-            self._frames += 1
-        elif packet.kind == PacketKind.END:
-            frames, _ = end_fields(packet)
-            if self._ordinal is not None and not self._damaged and frames != self._frames:
-                self._fail(Reason.INDEX_MISMATCH, f"the end packet counts {frames} frames, {self._frames} came")
+        if packet.kind == PacketKind.END:
+            end_fields(packet)
             self.ended = True
 
     def _check_partial_sync(self) -> None:
@@ -337,6 +344,8 @@ def iterate_packets(file: BinaryIO, *, strict: bool = True, max_payload: int = M
         if packet.kind in FRAME_KINDS:
             check_frame(packet, frame)
             frame += 1
+        elif packet.kind == PacketKind.END:
+            check_count(packet, frame)
         if packet.kind in _KNOWN_KINDS:
             yield packet
     if strict and (reader.pending or not reader.ordinal):
@@ -349,6 +358,14 @@ def check_frame(packet: Packet, expected: int) -> None:
     if packet.frame != expected:
         message = f"frame {packet.frame} where frame {expected} must come"
         raise StreamError(Reason.FRAME_ORDER, message, packet=packet.ordinal, offset=packet.offset)
+
+
+def check_count(end: Packet, frames: int) -> None:
+    """The end packet counts the frames before it; raises StreamError("index-mismatch") when it does not."""
+    told, _ = end_fields(end)
+    if told != frames:
+        message = f"the end packet counts {told} frames, {frames} came"
+        raise StreamError(Reason.INDEX_MISMATCH, message, packet=end.ordinal, offset=end.offset)
 
 
 def read_packet_at(file: BinaryIO, entry: IndexEntry, *, max_payload: int = MAX_PAYLOAD) -> Packet:

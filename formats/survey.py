@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -89,10 +89,54 @@ def survey(
             message = f"frame {after.frame} comes after frame {before.frame}"
             raise StreamError(Reason.FRAME_ORDER, message, offset=after.offset)
     frame_count = max(entries[-1].frame + 1 if entries else 0, frames_told)
-    if frame_count - len(entries) > MAX_LOST_FRAMES:
-        message = f"{frame_count - len(entries)} frames are missing, above the limit of {MAX_LOST_FRAMES}"
-        raise StreamError(Reason.TOO_LARGE, message)
+    check_lost(frame_count - len(entries))
     return Survey(entries, frame_count, complete, unfinished_bytes, tuple(damage))
+
+
+def check_lost(frames: int) -> None:
+    """Raises StreamError "too-large" when so many frames are missing that the stream is refused."""
+    if frames > MAX_LOST_FRAMES:
+        message = f"{frames} frames are missing, above the limit of {MAX_LOST_FRAMES}"
+        raise StreamError(Reason.TOO_LARGE, message)
+
+
+def check_places(places: int, error: StreamError) -> None:
+    """Raises StreamError "too-large" when, with this one, so many places are damaged that the stream is refused."""
+    if places > MAX_DAMAGED_PLACES:
+        raise StreamError(Reason.TOO_LARGE, "the stream is damaged in too many places", offset=error.offset)
+
+
+def is_damage(error: StreamError) -> bool:
+    """Whether bytes changed or went missing; otherwise the stream is foreign to this reader or above a limit."""
+    return error.reason in DAMAGE
+
+
+def next_past_damage(
+    reader: PacketReader, conceals: Callable[[StreamError], bool] = is_damage
+) -> Packet | StreamError | None:
+    """The next packet, or what is wrong where it should be, which is then searched past; None: nothing there yet.
+
+    Raises the StreamErrors that ``conceals`` says no to.
+    """
+    try:
+        return reader.next()
+    except StreamError as error:
+        if not conceals(error):
+            raise
+        if not reader.ended:
+            reader.resynchronise()
+        return error
+
+
+def past_unfinished(reader: PacketReader) -> StreamError | None:
+    """Moves into a packet that will not become whole, to an intact packet header inside it.
+
+    That means that bytes are missing, which the result says; None when the stream just stops.
+    """
+    offset = reader.offset
+    if not reader.pending or reader.resynchronise() is None:
+        return None
+    return StreamError(Reason.TRUNCATED, "a packet is not there in full", offset=offset)
 
 
 def search(reader: PacketReader, *, max_frames: int) -> Survey:
@@ -102,24 +146,17 @@ def search(reader: PacketReader, *, max_frames: int) -> Survey:
     """
     found = _Search(max_frames)
     while True:
-        packet, damage = None, None
-        try:
-            packet = reader.next()
-        except StreamError as error:
-            if error.reason not in DAMAGE:
-                raise
-            damage = error
-        if packet is not None:
-            found.packet(packet)
-            continue
-        tail, offset = reader.pending, reader.offset
-        resumed = bool(tail) and not reader.ended and reader.resynchronise() is not None
-        if resumed and damage is None:
-            damage = StreamError(Reason.TRUNCATED, "a packet is not there in full", offset=offset)
-        if damage is not None:
-            found.damage(damage)
-        if not resumed:
-            return found.survey(reader.ended, 0 if damage else tail)
+        here, unfinished = next_past_damage(reader), reader.pending
+        if here is None:
+            here = past_unfinished(reader)
+        if here is None:
+            return found.survey(reader.ended, unfinished)
+        if isinstance(here, Packet):
+            found.packet(here)
+        else:
+            found.damage(here)
+            if reader.ended:
+                return found.survey(complete=True, unfinished_bytes=0)
 
 
 class _Search:
@@ -146,9 +183,8 @@ class _Search:
             self._entries.append(IndexEntry(packet.offset, packet.frame, packet.kind))
 
     def damage(self, error: StreamError) -> None:
-        if len(self._damage) == MAX_DAMAGED_PLACES:
-            raise StreamError(Reason.TOO_LARGE, "the stream is damaged in too many places", offset=error.offset)
         self._damage.append(error)
+        check_places(len(self._damage), error)
 
     def survey(self, complete: bool, unfinished_bytes: int) -> Survey:
         return survey(

@@ -178,6 +178,20 @@ def test_a_digest_that_does_not_fit_is_damage_too(small_stream, packets) -> None
     assert [list(d.frames) for d in damage] == [[1, 2, 3], [4, 5, 6, 7]]
 
 
+@pytest.mark.parametrize("also_damaged", [False, True])
+def test_the_end_packet_tells_of_a_missing_last_frame(small_stream, packets, also_damaged: bool) -> None:
+    last = frame_packet(packets, 7)
+    data = small_stream.path.read_bytes()
+    small_stream.path.write_bytes(data[: last.offset] + data[last.offset + last.size :])
+    if also_damaged:
+        flipped(small_stream.path, frame_packet(packets, 2).offset + WHERE["sync"])
+    frames, damage = read(small_stream.path)
+    assert shown(frames, small_stream) == ([0, 1, 1, 1] if also_damaged else [0, 1, 2, 3]) + [4, 5, 6, 6]
+    assert [(list(d.frames), d.held) for d in damage][-1] == ([7], 6)
+    with pytest.raises(StreamError), open_stream(small_stream.path, strict=True):
+        pass
+
+
 @pytest.mark.parametrize(
     ("first", "last", "scenes"), [(1, 1, [0, 0, 0, 0]), (2, 3, [0, 1, 1, 1]), (1, 3, [0, 0, 0, 0])]
 )

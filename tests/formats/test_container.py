@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from decogs.formats.container import (
+    PACKET_HEADER_SIZE,
     PACKET_OVERHEAD,
     PROLOGUE_SIZE,
     SIGNATURE,
@@ -182,16 +183,21 @@ def test_a_lying_length_allocates_nothing() -> None:
     assert reason_of(file.getvalue(), max_payload=1000) == "too-large"
 
 
+def append(file: io.BytesIO, data: bytes) -> None:
+    """The file grows while a reader stands somewhere in it."""
+    here = file.tell()
+    file.seek(0, os.SEEK_END)
+    file.write(data)
+    file.seek(here)
+
+
 def test_a_growing_file_gives_each_packet_as_it_completes() -> None:
     data, whole = stream(), packets(stream())
     file = io.BytesIO()
     reader = PacketReader(file)
     found = []
     for position in range(len(data)):
-        here = file.tell()
-        file.seek(0, os.SEEK_END)
-        file.write(data[position : position + 1])
-        file.seek(here)
+        append(file, data[position : position + 1])
         if (packet := reader.next()) is not None:
             assert packet.offset + packet.size == position + 1
             found.append(packet)
@@ -248,6 +254,28 @@ def test_resynchronising_at_the_tail_finds_nothing() -> None:
     with pytest.raises(StreamError):
         reader.next()
     assert reader.resynchronise() is None
+
+
+def test_a_search_goes_on_where_it_stopped_when_the_file_grows() -> None:
+    """Byte by byte: what stands at the end may be part of a packet header, and must not be lost to the search."""
+    data, whole = bytearray(stream()), packets(stream())
+    data[whole[2].offset + 25] ^= 4
+    file = io.BytesIO(data[: whole[3].offset])
+    reader = PacketReader(file)
+    assert [reader.next(), reader.next()] == whole[:2]
+    with pytest.raises(StreamError):
+        reader.next()
+    assert reader.resynchronise() is None
+    found = []
+    for position in range(whole[3].offset, len(data)):
+        append(file, bytes(data[position : position + 1]))
+        if (packet := reader.next()) is not None:
+            found.append((packet.kind, packet.frame, packet.offset, position + 1))
+        assert reader.bytes_read <= position + 1
+        if position + 1 < whole[3].offset + PACKET_HEADER_SIZE:
+            assert reader.pending == 0, "what is searched is no packet under way"
+    assert found == [(p.kind, p.frame, p.offset, p.offset + p.size) for p in whole[3:]]
+    assert reader.ended
 
 
 def test_index_and_scan_agree_and_lead_to_the_frames() -> None:
