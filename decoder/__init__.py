@@ -5,9 +5,10 @@
 loaded when it is used.
 """
 
+from .damage import Damage, DamageWarning
 from .inspection import StreamInfo, info
 from .output import DecodeReport, decode, export
-from .session import Damage, DamageWarning, DecodedFrame, Stream, open_stream, render_view
+from .session import DecodedFrame, Stream, open_stream, render_view
 
 __all__ = [
     "Damage",

@@ -2,30 +2,46 @@
 
 The encoder writes ``NAME.part`` and renames it to ``NAME`` when it is whole; whoever follows names ``NAME`` and may
 come before either is there. An encode that is killed and resumed is followed across that: the bytes it writes again are
-the same ones.
+the same ones. Damage is concealed as in a file that is opened, but told of without knowing where the next keyframe is.
 """
 
 from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, TypeVar
 
 from decogs.codec.reconstruct import reconstruct
 from decogs.codec.state import DEFAULT_MAX_GAUSSIANS, State
-from decogs.formats.container import FRAME_KINDS, Packet, PacketKind, PacketReader, check_count, check_frame
+from decogs.formats.container import (
+    FRAME_KINDS,
+    Packet,
+    PacketKind,
+    PacketReader,
+    check_count,
+    check_frame,
+    end_fields,
+    stops_inside,
+)
 from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.reasons import Reason
+from decogs.formats.survey import check_lost, check_places, next_past_damage, past_unfinished
 
-from .session import DEFAULT_MAX_MEMORY, DecodedFrame, errors_name, gaussians_within, payload_within, read_header
+from .damage import Concealment, Damage, OnDamage, errors_name
+from .session import DEFAULT_MAX_MEMORY, DecodedFrame, gaussians_within, payload_within, read_header
 
 DEFAULT_IDLE = 600.0
 """Seconds without anything new after which nothing more is expected; training a keyframe takes minutes."""
 
 _POLL = 0.05
+
+_BUILDING_ON = frozenset({PacketKind.DELTA, PacketKind.SKIP})
+"""What only says how a frame differs from the one before."""
+
+_Found = TypeVar("_Found")
 
 
 class GrowingStream:
@@ -34,12 +50,24 @@ class GrowingStream:
     ``header`` is there from the beginning; ``ended`` tells whether the end packet has come.
     """
 
-    def __init__(self, file: BinaryIO, name: str, *, idle: float | None, max_memory: int) -> None:
+    def __init__(
+        self,
+        file: BinaryIO,
+        name: str,
+        *,
+        idle: float | None,
+        strict: bool,
+        on_damage: OnDamage | None,
+        max_memory: int,
+    ) -> None:
         self._file, self.name, self._idle = file, name, idle
+        self._concealment = Concealment(name, strict=strict, on_damage=on_damage)
+        self._damaged_places = self._lost_frames = 0
         self._reader = PacketReader(file, max_payload=payload_within(max_memory))
         with errors_name(name):
-            self.header = read_header(self._next(), self._reader.offset)
+            self.header = read_header(self._awaited(self._reader.next), self._reader.offset)
         self._max_gaussians = gaussians_within(max_memory, self.header.coefficients, DEFAULT_MAX_GAUSSIANS)
+        self._first: State | None = None
 
     @property
     def ended(self) -> bool:
@@ -48,45 +76,139 @@ class GrowingStream:
     def frames(self) -> Iterator[DecodedFrame]:
         """The frames from the first on, each when it has come; ends with the stream, or when nothing more comes.
 
-        Every frame's checksums and state digest are verified. Raises StreamError at damage.
+        Every frame's checksums and state digest are verified. A frame that is damaged, and those after it up to the
+        next keyframe, are the last good frame once more, ``concealed``; when there is none, or the stream is followed
+        strictly, damage raises StreamError. How many frames a damaged place has cost only the next intact packet of a
+        frame tells, or the end packet: these frames come, and the place is told of, together with that.
         """
-        frame: DecodedFrame | None = None
-        first: State | None = None
-        while True:
-            with errors_name(self.name):
-                packet = self._next()
+        shown: DecodedFrame | None = None
+        with errors_name(self.name):
+            while True:
+                packet, errors = self._next_intact(0 if shown is None else shown.index + 1)
+                for held in self._lost_before(packet, shown, errors):
+                    shown = held
+                    yield held
                 if packet is None:
                     return
-                if packet.kind == PacketKind.END:
-                    check_count(packet, 0 if frame is None else frame.index + 1)
-                if packet.kind not in FRAME_KINDS:
-                    continue
-                before = None if frame is None else frame.state
-                check_frame(packet, 0 if before is None else before.frame + 1)
-                state = reconstruct(before, packet, self.header, first=first, max_gaussians=self._max_gaussians)
-                first = state if first is None else first
-                frame = DecodedFrame(packet, state, self.header, frame, first)
-            yield frame
+                if packet.kind in FRAME_KINDS:
+                    shown = self._shown(packet, shown)
+                    yield shown
 
-    def _next(self) -> Packet | None:
-        """The next packet, waited for; None after the end packet, at a pipe's end and when nothing more comes."""
-        seen, since = self._reader.pending, time.monotonic()
-        while (packet := self._reader.next()) is None:
+    def _next_intact(self, expected: int) -> tuple[Packet | None, list[StreamError]]:
+        """The next packet of a frame not before ``expected``, or the end packet, and the damage on the way there.
+
+        None when nothing more comes.
+        """
+        errors: list[StreamError] = []
+        while (found := self._next()) is not None:
+            if isinstance(found, StreamError):
+                errors.append(self._accepted(found))
+                if self.ended:
+                    break
+            elif found.kind in FRAME_KINDS or found.kind == PacketKind.END:
+                repeated = found.kind in FRAME_KINDS and found.frame < expected
+                disorder = _disorder(found, expected)
+                # Frames that are missing where there is damage are no second fault.
+                if disorder is not None and (repeated or not errors):
+                    errors.append(self._accepted(disorder))
+                if not repeated:
+                    return found, errors
+        return None, errors
+
+    def _lost_before(
+        self, packet: Packet | None, before: DecodedFrame | None, errors: list[StreamError]
+    ) -> Iterator[DecodedFrame]:
+        """The frames between the last one shown and the one ``packet`` tells of, held; says what was damaged there."""
+        expected = 0 if before is None else before.index + 1
+        lost = range(expected, expected if packet is None else _frames_told(packet))
+        if before is None and errors and (lost or packet is None):
+            raise errors[0]
+        self._lost_frames += len(lost)
+        check_lost(self._lost_frames)
+        if before is None or not lost:
+            for error in errors:
+                self._concealment.tell(Damage(error))
+            return
+        onward = packet is not None and packet.kind in _BUILDING_ON
+        found = [Damage(error, lost, before.shows, onward) for error in errors]
+        for damage in found:
+            self._concealment.tell(damage)
+        for index in lost:
+            yield before.held(index, found[0])
+
+    def _shown(self, packet: Packet, before: DecodedFrame | None) -> DecodedFrame:
+        """A packet's frame, or the last good one when it is damaged or builds on what is lost."""
+        if before is not None and before.concealed is not None and packet.kind != PacketKind.KEY:
+            return before.held(packet.frame, before.concealed)
+        try:
+            return self._decoded(packet, before)
+        except StreamError as error:
+            if before is None:
+                raise
+            lost = range(packet.frame, packet.frame + 1)
+            damage = Damage(self._accepted(error), lost, before.shows, onward=True)
+            self._concealment.tell(damage)
+            return before.held(packet.frame, damage)
+
+    def _decoded(self, packet: Packet, before: DecodedFrame | None) -> DecodedFrame:
+        state_before = None if before is None else before.state
+        state = reconstruct(state_before, packet, self.header, first=self._first, max_gaussians=self._max_gaussians)
+        self._first = state if self._first is None else self._first
+        return DecodedFrame(packet, state, self.header, before, self._first)
+
+    def _accepted(self, error: StreamError) -> StreamError:
+        """Damage that is concealed; raises it, or that there is too much of it, when it is not."""
+        if not self._concealment.allows(error):
+            raise error
+        self._damaged_places += 1
+        check_places(self._damaged_places, error)
+        return error
+
+    def _next(self) -> Packet | StreamError | None:
+        """The next packet or damage, waited for; None after the end packet, and when nothing more comes."""
+        found = self._awaited(self._look)
+        if found is not None:
+            return found
+        if self._concealment.strict and self._reader.pending:
+            raise stops_inside(self._reader.pending, self._reader.offset, self._reader.ordinal)
+        return past_unfinished(self._reader)
+
+    def _look(self) -> Packet | StreamError | None:
+        return next_past_damage(self._reader, self._concealment.allows)
+
+    def _awaited(self, look: Callable[[], _Found]) -> _Found:
+        """What ``look`` finds, waited for; None after the end packet, at a pipe's end and when nothing more comes."""
+        read, since = self._reader.bytes_read, time.monotonic()
+        while (found := look()) is None:
             if self.ended or self._idle is None:
-                return None
+                return found
             self._check_not_cut()
-            if self._reader.pending != seen:
-                seen, since = self._reader.pending, time.monotonic()
+            if self._reader.bytes_read != read:
+                read, since = self._reader.bytes_read, time.monotonic()
             if time.monotonic() - since >= self._idle:
-                return None
+                return found
             time.sleep(_POLL)
-        return packet
+        return found
 
     def _check_not_cut(self) -> None:
         """A file that was begun anew has lost what was read of it."""
-        place = self._reader.offset + self._reader.pending
+        place = self._reader.bytes_read
         if os.fstat(self._file.fileno()).st_size < place:
             raise StreamError(Reason.TRUNCATED, "the file was cut back meanwhile; follow it again", offset=place)
+
+
+def _frames_told(packet: Packet) -> int:
+    """How many frames there were before this packet of a frame, or the end packet, by its own account."""
+    return packet.frame if packet.kind in FRAME_KINDS else end_fields(packet)[0]
+
+
+def _disorder(packet: Packet, expected: int) -> StreamError | None:
+    """What is wrong when the packet of a frame, or the end packet, comes where ``expected`` frames came before it."""
+    try:
+        (check_frame if packet.kind in FRAME_KINDS else check_count)(packet, expected)
+    except StreamError as error:
+        return error
+    return None
 
 
 @contextmanager
@@ -94,11 +216,14 @@ def follow_stream(
     stream: str | os.PathLike[str] | BinaryIO,
     *,
     idle: float = DEFAULT_IDLE,
+    strict: bool = False,
+    on_damage: OnDamage | None = None,
     max_memory: int = DEFAULT_MAX_MEMORY,
 ) -> Iterator[GrowingStream]:
     """Follows the stream that the encoder writes as ``stream``, or reads one from a pipe until that ends.
 
-    ``max_memory``: as in ``open_stream``. Damage is an error.
+    ``strict``, ``on_damage`` and ``max_memory`` are those of ``open_stream``. A damaged header or first keyframe is an
+    error in any case, and so is a file that is cut back meanwhile.
 
     Waits up to ``idle`` seconds for the file, for its header, and for each further packet. A file is looked for as
     ``stream`` + ".part" first. Raises UsageError when there is none, StreamError for what is no readable stream.
@@ -106,10 +231,10 @@ def follow_stream(
     if not idle > 0:
         raise UsageError(f"{idle:g} s are no time to wait; give a number of seconds above 0")
     if not isinstance(stream, (str, os.PathLike)):
-        yield GrowingStream(stream, "-", idle=None, max_memory=max_memory)
+        yield GrowingStream(stream, "-", idle=None, strict=strict, on_damage=on_damage, max_memory=max_memory)
         return
     with _opened(Path(stream), idle) as file:
-        yield GrowingStream(file, str(stream), idle=idle, max_memory=max_memory)
+        yield GrowingStream(file, str(stream), idle=idle, strict=strict, on_damage=on_damage, max_memory=max_memory)
 
 
 def _opened(path: Path, idle: float) -> BinaryIO:

@@ -11,7 +11,8 @@ from typing import Any
 from decogs.codec.header import StreamHeader
 from decogs.codec.state import GROUPS
 
-from .session import DEFAULT_MAX_MEMORY, Damage, DecodedFrame, open_stream
+from .damage import Damage
+from .session import DEFAULT_MAX_MEMORY, DecodedFrame, open_stream
 
 
 @dataclass(frozen=True)

@@ -13,13 +13,13 @@ from decogs.codec.header import StreamHeader
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 
+from .damage import OnDamage
 from .following import DEFAULT_IDLE, GrowingStream, follow_stream
 from .free_camera import read_free_cameras
 from .pictures import DEFAULT_FPS, open_sink
 from .session import (
     DEFAULT_MAX_MEMORY,
     DecodedFrame,
-    OnDamage,
     Stream,
     camera_of,
     frame_range,
@@ -90,7 +90,8 @@ def decode(
     _check_colour(background)
     show = _Show(scale, background, undistorted, threads, canonical)
     if follow or not isinstance(stream, (str, os.PathLike)):
-        with follow_stream(stream, idle=idle, max_memory=max_memory) as growing:
+        on_damage = _damage_to(on_warning)
+        with follow_stream(stream, idle=idle, strict=strict, on_damage=on_damage, max_memory=max_memory) as growing:
             views = _views(growing.header, view, camera)
             return _decode_growing(growing, output, views, _coming_frames(frames), show, on_frame, on_warning)
     with open_stream(stream, strict=strict, max_memory=max_memory, on_damage=_damage_to(on_warning)) as opened:

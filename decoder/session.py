@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import io
 import os
-import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from copy import copy
@@ -39,13 +38,15 @@ from decogs.formats.container import (
     end_fields,
     read_index,
     scan_index,
+    stops_inside,
 )
 from decogs.formats.errors import StreamError, UsageError
-from decogs.formats.reasons import DAMAGE, Reason
+from decogs.formats.reasons import Reason
 from decogs.formats.splats import Splats
 from decogs.formats.survey import Survey, search, survey
 
 from .camera_faults import as_it_stood, with_recorded_colours
+from .damage import Concealment, Damage, OnDamage, errors_name
 from .lens import Redistortion
 
 if TYPE_CHECKING:
@@ -68,33 +69,6 @@ The largest files that pass take up to 80 % of the limit (``tests/decoder/test_d
 
 _FRAME_SHARE, _FRAME_BYTES = 16, 256
 """The fraction of the memory for knowing where frames lie, and what one costs: 240 bytes, the index packet included."""
-
-
-class DamageWarning(UserWarning):
-    """Part of a stream is damaged and was concealed."""
-
-
-@dataclass(frozen=True)
-class Damage:
-    """A damaged place of a stream: what is wrong, and what a reader that goes on shows instead.
-
-    ``frames``: those that cannot be reconstructed, up to the next keyframe; none when only an accelerator or a packet
-    for people is hit. They show the frame ``held``. ``error`` names packet, offset and reason.
-    """
-
-    error: StreamError
-    frames: range = range(0)
-    held: int | None = None
-
-    def __str__(self) -> str:
-        if not self.frames:
-            return f"{self.error}; the frames around it are whole"
-        first, last = self.frames[0], self.frames[-1]
-        lost = f"frame {first} shows" if first == last else f"frames {first} to {last} show"
-        return f"{self.error}; {lost} frame {self.held}"
-
-
-OnDamage = Callable[[Damage], None]
 
 
 class _Activation:
@@ -149,6 +123,11 @@ class DecodedFrame:
         frame.kind, frame.packet_bytes, frame._packet = None, 0, None
         frame.state = replace(self.state, frame=index)
         return frame
+
+    @property
+    def shows(self) -> int | None:
+        """The index of the frame whose scene this is: its own, unless it is held."""
+        return self.index if self.concealed is None else self.concealed.held
 
     @property
     def splats(self) -> Splats:
@@ -209,13 +188,12 @@ class Stream:
         path: Path,
         *,
         strict: bool,
-        on_damage: OnDamage,
+        on_damage: OnDamage | None,
         max_gaussians: int,
         max_memory: int,
     ) -> None:
         self.path = path
-        self._strict, self._on_damage = strict, on_damage
-        self._told: set[tuple[int | None, str, range]] = set()
+        self._concealment = Concealment(path, strict=strict, on_damage=on_damage)
         self._file = open(path, "rb")  # noqa: SIM115 (closed by __exit__)
         with self._closed_on_error(), errors_name(path):
             self._max_payload = payload_within(max_memory)
@@ -225,12 +203,11 @@ class Stream:
             self._survey = self._surveyed(max_memory // _FRAME_SHARE // _FRAME_BYTES)
             self.complete, self.unfinished_bytes = self._survey.complete, self._survey.unfinished_bytes
             if strict and self.unfinished_bytes:
-                message = f"the stream stops {self.unfinished_bytes} bytes into a packet"
-                raise StreamError(Reason.TRUNCATED, message, offset=self.file_bytes - self.unfinished_bytes)
+                raise stops_inside(self.unfinished_bytes, self.file_bytes - self.unfinished_bytes)
             self._max_gaussians = gaussians_within(max_memory, self.header.coefficients, max_gaussians)
             self._first: State | None = None
         for error in self._survey.harmless():
-            self._tell(Damage(_named(error, path)))
+            self._concealment.tell(Damage(error))
 
     def __enter__(self) -> Stream:
         return self
@@ -284,7 +261,7 @@ class Stream:
                 return self._decoded(packets.of(key), None)
             except StreamError as error:  # noqa: PERF203 (one turn, unless keyframes are damaged)
                 earlier = self._survey.keyframe_before(key)
-                if not self._conceals(error) or earlier is None:
+                if not self._concealment.allows(error) or earlier is None:
                     raise
                 key = earlier
 
@@ -295,13 +272,12 @@ class Stream:
             try:
                 return self._decoded(packets.of(index), before)
             except StreamError as error:
-                if not self._conceals(error):
+                if not self._concealment.allows(error):
                     raise
                 resumes = self._survey.keyframe_after(index)
                 lost = range(index, self.frame_count if resumes is None else resumes)
-                held = before.index if damage is None else damage.held
-                damage = Damage(_named(error, self.path), lost, held)
-                self._tell(damage)
+                damage = Damage(error, lost, before.shows)
+                self._concealment.tell(damage)
         return before.held(index, damage)
 
     def _decoded(self, packet: Packet, before: DecodedFrame | None) -> DecodedFrame:
@@ -318,21 +294,11 @@ class Stream:
             self._first = reconstruct(None, packet, self.header, max_gaussians=self._max_gaussians)
         return self._first
 
-    def _conceals(self, error: StreamError) -> bool:
-        return not self._strict and error.reason in DAMAGE
-
     def _pass_over(self, error: StreamError) -> None:
         """Damage before a frame's packet, in one that holds no frame."""
-        if not self._conceals(error):
+        if not self._concealment.allows(error):
             raise error
-        self._tell(Damage(_named(error, self.path)))
-
-    def _tell(self, damage: Damage) -> None:
-        """Each damaged place is told of once, however often it is read."""
-        place = damage.error.offset, damage.error.reason, damage.frames
-        if place not in self._told:
-            self._told.add(place)
-            self._on_damage(damage)
+        self._concealment.tell(Damage(error))
 
     def _nothing_to_hold(self, frame: int) -> StreamError:
         key = self._survey.keyframe_after(frame)
@@ -352,13 +318,13 @@ class Stream:
             while (packet := reader.next()) is not None:
                 if packet.kind == PacketKind.END:
                     frames_told, _ = end_fields(packet)
-                    if self._strict:
+                    if self._concealment.strict:
                         check_count(packet, len(entries))
             unfinished = reader.pending
-            if not unfinished or self._strict or reader.resynchronise() is None:
+            if not unfinished or self._concealment.strict or reader.resynchronise() is None:
                 return survey(entries, complete=reader.ended, unfinished_bytes=unfinished, frames_told=frames_told)
         except StreamError as error:
-            if not self._conceals(error):
+            if not self._concealment.allows(error):
                 raise
         return search(self._reader(0), max_frames=max_frames)
 
@@ -441,7 +407,7 @@ def open_stream(
     return Stream(
         Path(path),
         strict=strict,
-        on_damage=_warn if on_damage is None else on_damage,
+        on_damage=on_damage,
         max_gaussians=max_gaussians,
         max_memory=max_memory,
     )
@@ -544,27 +510,6 @@ def frame_range(text: str) -> slice:
             f"frames {text!r} are no range; write A:B, half-open as in Python, such as 0:10 or -5:"
         ) from None
     return slice(first, last)
-
-
-def _warn(damage: Damage) -> None:
-    warnings.warn(str(damage), DamageWarning, stacklevel=4)
-
-
-def _named(error: StreamError, path: Path | str) -> StreamError:
-    """The same error with the file's name before what the container and the codec, which know bytes only, say."""
-    if not str(error).startswith(f"{path}: "):
-        error.args = (f"{path}: {error}",)
-    return error
-
-
-@contextmanager
-def errors_name(path: Path | str) -> Iterator[None]:
-    """Puts the file's name before what the container and the codec, which know bytes only, have to say."""
-    try:
-        yield
-    except StreamError as error:
-        _named(error, path)
-        raise
 
 
 class _At(io.RawIOBase):

@@ -349,8 +349,13 @@ def iterate_packets(file: BinaryIO, *, strict: bool = True, max_payload: int = M
         if packet.kind in _KNOWN_KINDS:
             yield packet
     if strict and (reader.pending or not reader.ordinal):
-        message = f"the stream stops {reader.pending} bytes into a packet"
-        raise StreamError(Reason.TRUNCATED, message, packet=reader.ordinal, offset=reader.offset)
+        raise stops_inside(reader.pending, reader.offset, reader.ordinal)
+
+
+def stops_inside(size: int, offset: int, packet: int | None = None) -> StreamError:
+    """What is wrong with a stream that ends ``size`` bytes into the packet at ``offset``."""
+    message = f"the stream stops {size} bytes into a packet"
+    return StreamError(Reason.TRUNCATED, message, packet=packet, offset=offset)
 
 
 def check_frame(packet: Packet, expected: int) -> None:

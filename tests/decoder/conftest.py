@@ -15,7 +15,7 @@ from decogs.codec.lattice import default_lattice, quantise
 from decogs.codec.state import Attributes, State, take_rows
 from decogs.codec.syntax import write_delta, write_key, write_skip
 from decogs.formats.cameras import Camera
-from decogs.formats.container import PacketKind, StreamWriter
+from decogs.formats.container import Packet, PacketKind, StreamWriter, iterate_packets
 from decogs.formats.splats import Splats
 
 KINDS = ("key", "delta", "skip", "delta", "key", "delta", "skip", "skip")
@@ -148,14 +148,25 @@ def small_stream(tmp_path: Path) -> SmallStream:
 
 
 @pytest.fixture
+def packets(small_stream: SmallStream) -> list[Packet]:
+    """The small stream's: header, KEY 0, DELTA 1, SKIP 2, DELTA 3, KEY 4, DELTA 5, SKIP 6, SKIP 7, index, end."""
+    with small_stream.path.open("rb") as file:
+        return list(iterate_packets(file))
+
+
+@pytest.fixture
 def tiny_stream(tmp_path: Path) -> SmallStream:
-    """Five frames of three Gaussians, the fourth a keyframe, in little more than a kilobyte: for trying every byte."""
+    """Seven frames of three Gaussians in little more than a kilobyte, for trying every byte.
+
+    The fourth and the sixth are keyframes; the sixth refers to the first.
+    """
     lattice = default_lattice(2.0)
     header = StreamHeader(cameras=some_cameras()[:1], lattice=lattice)
     scene = quantise(some_splats(3), lattice)
     state, _ = keyframe_state(replace(scene, sh=scene.sh[:, :1].copy()))
+    first = state
     states: list[State] = []
-    kinds = ("key", "delta", "skip", "key", "delta")
+    kinds = ("key", "delta", "skip", "key", "delta", "key", "skip")
     path = tmp_path / "tiny.dgs"
     with path.open("wb") as file:
         writer = StreamWriter(file, header.to_bytes())
@@ -165,7 +176,8 @@ def tiny_stream(tmp_path: Path) -> SmallStream:
                 payload, state = write_delta(state, delta).payload, apply_delta(state, delta)
             else:
                 state = replace(state, frame=frame)
-                payload = (write_key(state) if kind == "key" else write_skip(state)).payload
+                coded = write_key(state, first=first if frame == 5 else None) if kind == "key" else write_skip(state)
+                payload = coded.payload
             writer.write(PacketKind[kind.upper()], frame, payload)
             states.append(state)
         writer.finish()

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 import pytest
 
+from damaged_streams import WHERE, flipped, frame_packet, shown
 from decogs.codec.deltas import Delta, apply_delta
 from decogs.codec.header import StreamHeader
 from decogs.codec.keyframes import keyframe_state
@@ -22,7 +23,8 @@ from decogs.codec.state import GROUPS, Attributes, group_columns
 from decogs.codec.syntax import write_delta, write_key
 from decogs.decoder import DamageWarning, info
 from decogs.decoder.commands import decode_main, export_main, info_main
-from decogs.decoder.session import Damage, open_stream
+from decogs.decoder.damage import Damage
+from decogs.decoder.session import open_stream
 from decogs.formats.cameras import Camera
 from decogs.formats.container import (
     PACKET_HEADER_SIZE,
@@ -37,45 +39,11 @@ from decogs.formats.errors import StreamError
 from decogs.formats.reasons import DAMAGE
 from decogs.formats.survey import MAX_LOST_FRAMES
 
-WHERE = {"sync": 0, "kind": 4, "frame": 8, "length": 12, "header crc": 16, "payload": 25}
-"""Offsets in a packet, one in each thing that can be hit."""
-
-
-@pytest.fixture
-def packets(small_stream) -> list:
-    """The small stream's: header, KEY 0, DELTA 1, SKIP 2, DELTA 3, KEY 4, DELTA 5, SKIP 6, SKIP 7, index, end."""
-    with small_stream.path.open("rb") as file:
-        return list(iterate_packets(file))
-
-
-def frame_packet(packets: list, frame: int):
-    return next(p for p in packets if p.kind in (2, 3, 4) and p.frame == frame)
-
-
-def flipped(path: Path, offset: int) -> None:
-    data = bytearray(path.read_bytes())
-    data[offset] ^= 4
-    path.write_bytes(data)
-
 
 def read(path: Path, start: int = 0, stop: int | None = None, **options) -> tuple[list, list[Damage]]:
     damage: list[Damage] = []
     with open_stream(path, on_damage=damage.append, **options) as stream:
         return list(stream.frames(start, stop)), damage
-
-
-def shown(frames: list, stream) -> list[int]:
-    """Which frame of the writer's each frame shows; its own index and place must be right in any case."""
-    scenes = []
-    for frame in frames:
-        source = frame.index if frame.concealed is None else frame.concealed.held
-        assert frame.state.row_sum == stream.states[source].row_sum
-        assert np.array_equal(frame.state.means, stream.states[source].means)
-        assert frame.state.frame == frame.index
-        assert (frame.kind is None) == (frame.concealed is not None)
-        scenes.append(source)
-    assert [frame.index for frame in frames] == list(range(frames[0].index, frames[-1].index + 1))
-    return scenes
 
 
 @pytest.mark.parametrize("where", WHERE)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import threading
 import time
 from collections.abc import Callable
@@ -184,13 +185,105 @@ def test_a_range_ends_without_waiting_for_more(small_stream: Any, whole: Path, t
             decode(tmp_path / "new.dgs", tmp_path / "live", frames=frames, **options)
 
 
-def test_damage_is_an_error_that_names_the_file(small_stream: Any, tmp_path: Path) -> None:
-    data = bytearray(small_stream.path.read_bytes())
-    data[ends(bytes(data))[3] + 30] ^= 1
+def damaged_in_frame(frame: int, data: bytes) -> bytes:
+    at = ends(data)[frame] + 30
+    return data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :]
+
+
+DAMAGED = r"the payload's checksum is wrong in packet 3 at byte \d+ \[bad-payload-crc\]"
+
+
+def test_damage_is_concealed_while_the_stream_grows(small_stream: Any, whole: Path, tmp_path: Path) -> None:
+    """The search waits for the next packet, byte by byte, and the frames lost appear with it."""
+    data, output = small_stream.path.read_bytes(), tmp_path / "live"
+    data, at = damaged_in_frame(2, data), ends(data)
+    warnings: list[str] = []
+    part = tmp_path / "new.dgs.part"
+    part.write_bytes(data[: at[3]])
+    follower = Follower(tmp_path / "new.dgs", output, on_warning=warnings.append)
+    wait_for((output / "cam00_000001.png").exists)
+    time.sleep(0.12)
+    assert (len(os.listdir(output)), warnings) == (2, []), "whether a frame is lost is not known yet"
+    with part.open("ab", buffering=0) as file:
+        for position in range(at[3], at[4]):
+            file.write(data[position : position + 1])
+            if position < at[3] + 24:
+                time.sleep(0.06)  # more than a poll: the search stops and goes on inside the packet header
+        wait_for((output / "cam00_000003.png").exists)
+        assert len(warnings) == 1
+        assert re.fullmatch(
+            rf".*new\.dgs: {DAMAGED}; frames from 2 on show frame 1 until the next keyframe", warnings[0]
+        )
+        file.write(data[at[4] :])
+    follower.end()
+    held = (whole / "cam00_000001.png").read_bytes()
+    for frame in range(8):
+        name = f"cam00_{frame:06d}.png"
+        assert (output / name).read_bytes() == (held if frame in (2, 3) else (whole / name).read_bytes())
+    assert len(warnings) == 1
+
+
+def test_a_search_ends_when_nothing_more_comes(small_stream: Any, tmp_path: Path, capsys: Any) -> None:
+    data = small_stream.path.read_bytes()
+    (tmp_path / "new.dgs.part").write_bytes(damaged_in_frame(2, data)[: ends(data)[3]])
+    arguments = [
+        str(tmp_path / "new.dgs"),
+        "--view",
+        "cam00",
+        "--follow",
+        "--idle",
+        "0.3",
+        "-o",
+        str(tmp_path / "live"),
+    ]
+    assert decode_main(arguments) == 0
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 2
+    assert re.search(rf"{DAMAGED}; no frame is known to be lost by it", said[0])
+    assert "nothing more came, and no end packet; 2 pictures were written" in said[1]
+
+
+def test_a_file_that_is_cut_back_while_damage_is_searched_past_is_an_error(small_stream: Any, tmp_path: Path) -> None:
+    data, part = small_stream.path.read_bytes(), tmp_path / "new.dgs.part"
+    part.write_bytes(damaged_in_frame(2, data)[: ends(data)[3]])
+    follower = Follower(tmp_path / "new.dgs", tmp_path / "live")
+    wait_for((tmp_path / "live" / "cam00_000001.png").exists)
+    os.truncate(part, ends(data)[3] - 1)
+    with pytest.raises(StreamError, match=r"new\.dgs: the file was cut back meanwhile; follow it again .*truncated"):
+        follower.end()
+
+
+def test_followed_strictly_damage_is_an_error_that_names_the_file(
+    small_stream: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    data = small_stream.path.read_bytes()
+    cut, data = data[: ends(data)[1] - 3], damaged_in_frame(2, data)
     (tmp_path / "new.dgs").write_bytes(data)
-    with pytest.raises(StreamError, match=r"new\.dgs: the payload's checksum is wrong in packet 4 at byte \d+ \[bad-"):
-        decode(tmp_path / "new.dgs", tmp_path / "live", view="cam00", follow=True)
-    assert len(os.listdir(tmp_path / "live")) == 3, "what came before it has appeared"
+    arguments = ["--view", "cam00", "--strict", "-o", str(tmp_path / "live")]
+    assert decode_main([str(tmp_path / "new.dgs"), "--follow", *arguments]) == 2
+    assert re.fullmatch(rf".*new\.dgs: {DAMAGED}\n", capsys.readouterr().err)
+    assert len(os.listdir(tmp_path / "live")) == 2, "what came before it has appeared"
+    for damaged, said in ((data, DAMAGED), (cut, r"stops \d+ bytes into a packet .*truncated")):
+        monkeypatch.setattr("sys.stdin", type("Input", (), {"buffer": io.BytesIO(damaged)}))
+        assert decode_main(["-", *arguments]) == 2
+        assert re.search(rf"-: .*{said}", capsys.readouterr().err)
+
+
+def test_a_damaged_pipe_is_concealed(
+    small_stream: Any, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    data = damaged_in_frame(3, small_stream.path.read_bytes())
+    read_end, write_end = os.pipe()
+    with os.fdopen(read_end, "rb") as source, os.fdopen(write_end, "wb") as sink:
+        sink.write(data)
+        sink.close()
+        monkeypatch.setattr("sys.stdin", type("Input", (), {"buffer": source}))
+        assert decode_main(["-", "--view", "cam00", "-o", str(tmp_path / "live")]) == 0
+    said = capsys.readouterr().err
+    assert re.search(r"-: .* in packet 4 at byte \d+ \[bad-payload-crc\]; frame 3 shows frame 2\n", said)
+    assert said.count("\n") == 1
+    (whole / "cam00_000003.png").write_bytes((whole / "cam00_000002.png").read_bytes())
+    assert same_pictures(tmp_path / "live", whole)
 
 
 def test_a_pipe_is_decoded_as_it_comes(

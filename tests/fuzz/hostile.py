@@ -29,7 +29,9 @@ from decogs.codec.lattice import default_lattice
 from decogs.codec.reconstruct import reconstruct
 from decogs.codec.state import Attributes, State, take_rows
 from decogs.codec.syntax import payload_costs, read_delta, read_key, write_delta, write_key, write_skip
-from decogs.decoder.session import Damage, open_stream
+from decogs.decoder.damage import Damage
+from decogs.decoder.following import follow_stream
+from decogs.decoder.session import DecodedFrame, open_stream
 from decogs.formats.cameras import Camera
 from decogs.formats.container import (
     FRAME_KINDS,
@@ -346,26 +348,37 @@ def try_payload(data: bytes) -> None:
 
 @dataclass
 class FileTarget:
-    """Whole streams: opened, damage concealed and not, every frame reconstructed, activated and accounted for."""
+    """Whole streams: opened and followed, damage concealed and not, every frame reconstructed and accounted for."""
 
     path: Path
 
     def __call__(self, data: bytes) -> None:
         self.path.write_bytes(data)
         for strict in (False, True):
-            _refusable(lambda strict=strict: self._read(strict))
+            _refusable(lambda strict=strict: self._open(strict))
+            _refusable(lambda strict=strict: self._follow(data, strict))
 
-    def _read(self, strict: bool) -> None:
+    def _open(self, strict: bool) -> None:
         found: list[Damage] = []
         with open_stream(self.path, strict=strict, on_damage=found.append, max_memory=MAX_MEMORY) as stream:
-            index = -1
-            for index, frame in enumerate(stream.frames()):
-                if frame.index != index or (frame.concealed is not None and (strict or frame.concealed not in found)):
-                    raise Misbehaved(f"frame {index} is not what it says")
-                if frame.concealed is None:
-                    _ = frame.splats, frame.costs, frame.changes
-            if index + 1 != stream.frame_count:
+            if _frames_read(stream.frames(), strict, found) != stream.frame_count:
                 raise Misbehaved("frames are left out")
+
+    def _follow(self, data: bytes, strict: bool) -> None:
+        found: list[Damage] = []
+        with follow_stream(io.BytesIO(data), strict=strict, on_damage=found.append, max_memory=MAX_MEMORY) as stream:
+            _frames_read(stream.frames(), strict, found)
+
+
+def _frames_read(frames: Iterator[DecodedFrame], strict: bool, found: list[Damage]) -> int:
+    """How many there are; each has its place, and is what it says or told to be held."""
+    index = -1
+    for index, frame in enumerate(frames):
+        if frame.index != index or (frame.concealed is not None and (strict or frame.concealed not in found)):
+            raise Misbehaved(f"frame {index} is not what it says")
+        if frame.concealed is None:
+            _ = frame.splats, frame.costs, frame.changes
+    return index + 1
 
 
 def parsers() -> dict[str, tuple[Callable[[bytes], None], list[bytes]]]:
