@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import threading
 
 import zstandard
 
@@ -18,6 +19,16 @@ MAX_WINDOW = 1 << WINDOW_LOG
 
 _BLOCK_HEADER = struct.Struct("<BI")
 BLOCK_HEADER_SIZE = _BLOCK_HEADER.size
+
+
+class _PerThread(threading.local):
+    """Threads must not share a decompressor, and making one takes longer than reading a small block."""
+
+    def __init__(self) -> None:
+        self.decompressor = zstandard.ZstdDecompressor()
+
+
+_PER_THREAD = _PerThread()
 
 
 def coded_block(raw: bytes, level: int = DEFAULT_LEVEL) -> bytes:
@@ -71,7 +82,8 @@ def _decompress(cursor: Cursor, data: memoryview, low: int, high: int) -> bytes:
     if frame.window_size > MAX_WINDOW or frame.dict_id:
         cursor.fail(Reason.BAD_COMPRESSION, "a zstd frame needs a window above 8 MiB or a dictionary")
     try:
-        raw = zstandard.ZstdDecompressor().decompress(data, max_output_size=frame.content_size, allow_extra_data=False)
+        size = frame.content_size
+        raw = _PER_THREAD.decompressor.decompress(data, max_output_size=size, allow_extra_data=False)
     except zstandard.ZstdError:
         cursor.fail(Reason.BAD_COMPRESSION, "a zstd frame is damaged")
     if len(raw) != frame.content_size:
