@@ -6,6 +6,7 @@ these are bit-identical before and after.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -13,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .digest import MASK, array_form, hash_sum, id_form, row_sum
+from .digest import row_hashes
 from .morton import morton_order
 from .state import (
     ARRAYS,
@@ -23,7 +24,6 @@ from .state import (
     IntArray,
     Rows,
     State,
-    array_columns,
     array_of,
     check_shapes,
     empty_attributes,
@@ -33,7 +33,7 @@ from .state import (
     take_rows,
 )
 
-_ARRAYS = (*ARRAYS, "ids")
+_ARRAYS = (*ARRAYS, "ids", "hashes")
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,21 +96,15 @@ def apply_delta(previous: State, delta: Delta) -> State:
     stays = np.ones(len(previous), bool)
     stays[delta.removed] = False
     rows, residuals = _rows_that_stay(delta, stays)
-    change, moved = _moved_rows(previous, rows, residuals)
+    moved = _moved_rows(previous, rows, residuals)
     arrays = _resized(previous, delta, stays)
     places = rows_after(delta.removed, rows)
     for name, values in moved.items():
         if arrays[name] is getattr(previous, name):
             arrays[name] = arrays[name].copy()
-        arrays[name][places] = values
-    next_id = previous.next_id + len(delta.added)
-    total = previous.row_sum + change
-    if len(delta.removed):
-        total -= row_sum(take_rows(previous, delta.removed), previous.ids.take(delta.removed))
-    if len(delta.added):
-        total += row_sum(delta.added, np.arange(previous.next_id, next_id, dtype=np.int64))
+        _as_items(arrays[name])[places] = _as_items(values)
     frozen = {name: read_only(array) for name, array in arrays.items()}
-    return State(**frozen, next_id=next_id, frame=previous.frame + 1, row_sum=total & MASK)
+    return State(**frozen, next_id=previous.next_id + len(delta.added), frame=previous.frame + 1)
 
 
 def rows_after(removed: Rows, rows: Rows) -> Rows:
@@ -132,25 +126,21 @@ def _rows_that_stay(delta: Delta, stays: NDArray[np.bool_]) -> tuple[Rows, Mappi
     return delta.rows[kept], {group: residual[kept] for group, residual in delta.residuals.items()}
 
 
-def _moved_rows(previous: State, rows: Rows, residuals: Mapping[str, IntArray]) -> tuple[int, dict[str, IntArray]]:
-    """The change of the sum of row hashes, and of the arrays that change the touched rows as they are afterwards."""
+def _moved_rows(previous: State, rows: Rows, residuals: Mapping[str, IntArray]) -> dict[str, NDArray[Any]]:
+    """The touched rows as they are afterwards, of the arrays that change."""
     if not len(rows) or not residuals:
-        return 0, {}
-    before = id_form(previous.ids.take(rows))
-    after, moved = before.copy(), {}
-    changing = {array_of(group) for group in residuals}
-    for name in ARRAYS:
-        values: IntArray = getattr(previous, name).take(rows, axis=0)
-        form = array_form(values, name)
-        before += form
-        if name in changing:
-            for group, residual in residuals.items():
-                if array_of(group) == name:
-                    columns = array_columns(values, group)
-                    columns += residual
-            form, moved[name] = array_form(values, name), values
-        after += form
-    return hash_sum(after) - hash_sum(before), moved
+        return {}
+    moved = take_rows(previous, rows)
+    for group, residual in residuals.items():
+        columns = group_columns(moved, group)
+        columns += residual
+    changed: dict[str, NDArray[Any]] = {name: getattr(moved, name) for name in {array_of(group) for group in residuals}}
+    return {**changed, "hashes": row_hashes(moved, previous.ids.take(rows))}
+
+
+def _as_items(array: NDArray[Any]) -> NDArray[Any]:
+    """A C-contiguous array's rows as one item each, (n,), which numpy moves in one go."""
+    return array.reshape(-1).view(np.dtype((np.void, array.itemsize * math.prod(array.shape[1:]))))
 
 
 def _resized(previous: State, delta: Delta, stays: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
@@ -159,14 +149,14 @@ def _resized(previous: State, delta: Delta, stays: NDArray[np.bool_]) -> dict[st
     if not len(delta.removed) and not len(delta.added):
         return arrays
     keep = np.flatnonzero(stays)
-    size = len(keep) + len(delta.added)
+    ids = previous.next_id + np.arange(len(delta.added))
+    coming = {name: getattr(delta.added, name) for name in ARRAYS}
+    coming |= {"ids": ids, "hashes": row_hashes(delta.added, ids)}
     for name, array in arrays.items():
         # One new array, filled in one pass: memory traffic is what this function costs.
-        resized = np.empty((size, *array.shape[1:]), array.dtype)
+        resized = np.empty((len(keep) + len(ids), *array.shape[1:]), array.dtype)
         array.take(keep, axis=0, out=resized[: len(keep)], mode="clip")
-        resized[len(keep) :] = (
-            previous.next_id + np.arange(len(delta.added)) if name == "ids" else getattr(delta.added, name)
-        )
+        resized[len(keep) :] = coming[name]
         arrays[name] = resized
     return arrays
 

@@ -1,7 +1,7 @@
 """The state digest: a 64-bit fingerprint that costs what changed, not what there is (SPEC.md, "Digest").
 
-A row hash is a multilinear form of the id and the integers of one Gaussian, scrambled; the state's sum of row hashes is
-brought up to date by subtracting the hashes of the rows that go and adding those that come.
+A row hash is a multilinear form of the id and the integers of one Gaussian, scrambled. A state keeps its row hashes, so
+that only rows that change or come are hashed.
 """
 
 from __future__ import annotations
@@ -11,9 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from .state import ARRAYS, Attributes, IntArray, Rows, State
-
-Hashes = NDArray[np.uint64]
+from .state import ARRAYS, Attributes, Hashes, IntArray, Rows, State
 
 MASK = (1 << 64) - 1
 GOLDEN = 0x9E3779B97F4A7C15
@@ -45,14 +43,16 @@ _KEYS = _column_keys()
 _FIRST_KEY = dict(zip(ARRAYS, (1, 4, 7, 11, 12), strict=True))
 
 
-def id_form(ids: Rows) -> Hashes:
-    """The ids' share of the rows' linear forms, (n,)."""
-    form: Hashes = ids.astype(np.uint64) * _KEYS[0]
-    return form
+def row_hashes(attributes: Attributes, ids: Rows) -> Hashes:
+    """The hash of each row, (n,), computed from nothing."""
+    forms = ids.astype(np.uint64) * _KEYS[0]
+    for name in ARRAYS:
+        forms += _array_form(getattr(attributes, name), name)
+    return _mix_array(forms)
 
 
-def array_form(values: IntArray, name: str) -> Hashes:
-    """The share of one of ``ARRAYS`` in the rows' linear forms, (n,); ``values`` is its rows, (n, ...)."""
+def _array_form(values: IntArray, name: str) -> Hashes:
+    """The share of one of ``ARRAYS`` in the rows' linear forms before scrambling, (n,)."""
     columns = values.reshape(len(values), math.prod(values.shape[1:]))
     start = _FIRST_KEY[name]
     # Signed integers: their sums and products modulo 2**64 have the same bits as the unsigned ones.
@@ -61,29 +61,11 @@ def array_form(values: IntArray, name: str) -> Hashes:
     return form.view(np.uint64)
 
 
-def linear_forms(attributes: Attributes, ids: Rows) -> Hashes:
-    """The rows' linear forms before scrambling, (n,)."""
-    forms = id_form(ids)
-    for name in ARRAYS:
-        forms += array_form(getattr(attributes, name), name)
-    return forms
-
-
-def hash_sum(forms: Hashes) -> int:
-    """Sum of the scrambled linear forms modulo 2**64."""
-    return int(_mix_array(forms).sum(dtype=np.uint64))
-
-
-def row_sum(attributes: Attributes, ids: Rows) -> int:
-    """The sum of all row hashes, computed from nothing."""
-    return hash_sum(linear_forms(attributes, ids))
-
-
 def combine(total: int, count: int, next_id: int) -> int:
     """Digest from the sum of the row hashes, the number of Gaussians and the next id."""
     return mix(mix(mix(total) + count) + next_id)
 
 
 def digest(state: State) -> int:
-    """The state's digest, from its running sum."""
+    """The state's digest, from the hashes it keeps."""
     return combine(state.row_sum, len(state), state.next_id)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .digest import row_sum
+from .digest import row_hashes
 from .morton import morton_order
 from .state import MAX_ID, Attributes, Rows, State, check_shapes, read_only, take_rows
 
@@ -29,9 +29,9 @@ def new_state(attributes: Attributes, frame: int = 0, *, ids: Rows | None = None
         read_only(attributes.opacity_logits),
         read_only(attributes.sh),
         read_only(ids),
+        read_only(row_hashes(attributes, ids)),
         next_id,
         frame,
-        row_sum(attributes, ids),
     )
 
 

@@ -17,6 +17,7 @@ from decogs.formats.splats import sh_degree_of
 
 IntArray = NDArray[np.int32]
 Rows = NDArray[np.int64]
+Hashes = NDArray[np.uint64]
 
 GROUPS = ("means", "log_scales", "quaternions", "opacity_logits", "sh_dc", "sh_rest")
 """The attribute groups in wire order; bit g of a presence byte stands for GROUPS[g]."""
@@ -58,14 +59,19 @@ class Attributes:
 class State(Attributes):
     """The scene after a frame. Rows are ordered by strictly increasing ``ids`` (int64), which no later Gaussian reuses.
 
-    ``next_id`` is the id of the next Gaussian to appear, ``frame`` the frame's index, ``row_sum`` the sum of the row
-    hashes modulo 2**64 from which the digest comes. Build one with ``new_state``: ``row_sum`` must fit the arrays.
+    ``hashes`` (uint64) has the rows' hashes, from which the digest comes; ``next_id`` is the id of the next Gaussian to
+    appear, ``frame`` the frame's index. Build one with ``new_state``: ``hashes`` must fit the other arrays.
     """
 
     ids: Rows
+    hashes: Hashes
     next_id: int
     frame: int
-    row_sum: int
+
+    @property
+    def row_sum(self) -> int:
+        """The sum of the row hashes modulo 2**64."""
+        return int(self.hashes.sum(dtype=np.uint64))
 
 
 def group_channels(coefficients: int) -> dict[str, int]:
@@ -75,11 +81,7 @@ def group_channels(coefficients: int) -> dict[str, int]:
 
 def group_columns(attributes: Attributes, group: str) -> IntArray:
     """One attribute group as a view (N, channels); sh_rest runs over coefficients, then colours."""
-    return array_columns(getattr(attributes, array_of(group)), group)
-
-
-def array_columns(values: IntArray, group: str) -> IntArray:
-    """One attribute group as a view (n, channels) of rows (n, ...) of the array that holds it, C-contiguous."""
+    values: IntArray = getattr(attributes, array_of(group))
     columns = values.reshape(len(values), math.prod(values.shape[1:]))
     if group == "sh_dc":
         return columns[:, :3]

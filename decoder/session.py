@@ -541,5 +541,5 @@ def payload_within(max_memory: int) -> int:
 
 
 def gaussians_within(max_memory: int, coefficients: int, max_gaussians: int) -> int:
-    """The Gaussians that fit: each has 11 + 3 K numbers of 4 bytes and an id of 8."""
-    return min(max_gaussians, max_memory // (_COPIES * (4 * (11 + 3 * coefficients) + 8)))
+    """The Gaussians that fit: each has 11 + 3 K numbers of up to 4 bytes, an id and a hash of 8."""
+    return min(max_gaussians, max_memory // (_COPIES * (4 * (11 + 3 * coefficients) + 16)))

@@ -373,7 +373,7 @@ def test_a_flipped_bit_in_every_byte_never_shows_a_wrong_scene(tiny_stream) -> N
 
 def test_the_memory_limit_holds_for_the_largest_scene_it_lets_in(tmp_path: Path) -> None:
     """In a process of its own: the greatest growth of its memory while every frame is decoded, activated, accounted."""
-    limit, cost = 64 << 20, 15 * (4 * 14 + 8)
+    limit, cost = 64 << 20, 15 * (4 * 14 + 16)
     count = limit // cost
     program = f"""
 import re
