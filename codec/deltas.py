@@ -1,6 +1,6 @@
 """Deltas: what changes from one frame's state to the next (SPEC.md, "Applying a delta").
 
-Residuals go to existing rows first, then rows are removed, then new Gaussians are appended. Rows that are in none of
+Integers go to existing rows first, then rows are removed, then new Gaussians are appended. Rows that are in none of
 these are bit-identical before and after.
 """
 
@@ -22,13 +22,16 @@ from .state import (
     MAX_ID,
     Attributes,
     IntArray,
+    Integers,
     Rows,
     State,
+    array_columns,
     array_of,
     check_shapes,
     empty_attributes,
     group_channels,
     group_columns,
+    narrowed,
     read_only,
     take_rows,
 )
@@ -41,12 +44,12 @@ class Delta:
     """The change of one frame.
 
     ``rows`` (n,) int64, strictly increasing: the touched rows of the previous state; ``residuals`` maps an attribute
-    group to what is added modulo 2**32, (n, channels) int32, groups that do not change being absent; ``removed`` (r,)
+    group to what is added modulo 2**32, (n, channels), groups that do not change being absent; ``removed`` (r,)
     int64, strictly increasing: rows of the previous state that go; ``added``: the Gaussians that come, in stream order.
     """
 
     rows: Rows
-    residuals: Mapping[str, IntArray]
+    residuals: Mapping[str, Integers]
     removed: Rows
     added: Attributes
 
@@ -100,9 +103,10 @@ def apply_delta(previous: State, delta: Delta) -> State:
     arrays = _resized(previous, delta, stays)
     places = rows_after(delta.removed, rows)
     for name, values in moved.items():
-        if arrays[name] is getattr(previous, name):
-            arrays[name] = arrays[name].copy()
-        _as_items(arrays[name])[places] = _as_items(values)
+        dtype = np.promote_types(arrays[name].dtype, values.dtype)
+        if arrays[name] is getattr(previous, name) or arrays[name].dtype != dtype:
+            arrays[name] = arrays[name].astype(dtype)
+        _as_items(arrays[name])[places] = _as_items(values.astype(dtype, copy=False))
     frozen = {name: read_only(array) for name, array in arrays.items()}
     return State(**frozen, next_id=previous.next_id + len(delta.added), frame=previous.frame + 1)
 
@@ -118,7 +122,7 @@ def ids_left(previous: State) -> int:
     return MAX_ID - previous.next_id
 
 
-def _rows_that_stay(delta: Delta, stays: NDArray[np.bool_]) -> tuple[Rows, Mapping[str, IntArray]]:
+def _rows_that_stay(delta: Delta, stays: NDArray[np.bool_]) -> tuple[Rows, Mapping[str, Integers]]:
     """Touched rows and their residuals without those of rows that are removed anyway."""
     kept = stays.take(delta.rows)
     if kept.all():
@@ -126,16 +130,21 @@ def _rows_that_stay(delta: Delta, stays: NDArray[np.bool_]) -> tuple[Rows, Mappi
     return delta.rows[kept], {group: residual[kept] for group, residual in delta.residuals.items()}
 
 
-def _moved_rows(previous: State, rows: Rows, residuals: Mapping[str, IntArray]) -> dict[str, NDArray[Any]]:
+def _moved_rows(previous: State, rows: Rows, residuals: Mapping[str, Integers]) -> dict[str, NDArray[Any]]:
     """The touched rows as they are afterwards, of the arrays that change."""
     if not len(rows) or not residuals:
         return {}
-    moved = take_rows(previous, rows)
+    moved = {name: getattr(previous, name).take(rows, axis=0) for name in ARRAYS}
     for group, residual in residuals.items():
-        columns = group_columns(moved, group)
+        name = array_of(group)
+        # What one byte can add, int16 has room for (NARROW).
+        if residual.dtype != np.int8:
+            moved[name] = moved[name].astype(np.int32, copy=False)
+        columns = array_columns(moved[name], group)
         columns += residual
-    changed: dict[str, NDArray[Any]] = {name: getattr(moved, name) for name in {array_of(group) for group in residuals}}
-    return {**changed, "hashes": row_hashes(moved, previous.ids.take(rows))}
+    hashes = row_hashes(Attributes(**moved), previous.ids.take(rows))
+    changed = {array_of(group) for group in residuals}
+    return {**{name: narrowed(moved[name]) for name in changed}, "hashes": hashes}
 
 
 def _as_items(array: NDArray[Any]) -> NDArray[Any]:
@@ -150,12 +159,13 @@ def _resized(previous: State, delta: Delta, stays: NDArray[np.bool_]) -> dict[st
         return arrays
     keep = np.flatnonzero(stays)
     ids = previous.next_id + np.arange(len(delta.added))
-    coming = {name: getattr(delta.added, name) for name in ARRAYS}
+    coming: dict[str, NDArray[Any]] = {name: narrowed(getattr(delta.added, name)) for name in ARRAYS}
     coming |= {"ids": ids, "hashes": row_hashes(delta.added, ids)}
     for name, array in arrays.items():
         # One new array, filled in one pass: memory traffic is what this function costs.
-        resized = np.empty((len(keep) + len(ids), *array.shape[1:]), array.dtype)
-        array.take(keep, axis=0, out=resized[: len(keep)], mode="clip")
+        dtype = np.promote_types(array.dtype, coming[name].dtype)
+        resized = np.empty((len(keep) + len(ids), *array.shape[1:]), dtype)
+        array.astype(dtype, copy=False).take(keep, axis=0, out=resized[: len(keep)], mode="clip")
         resized[len(keep) :] = coming[name]
         arrays[name] = resized
     return arrays

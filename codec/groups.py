@@ -14,7 +14,7 @@ from decogs.formats.reasons import Reason
 from .entropy import coded_block, read_block, skip_block
 from .morton import AXIS_BITS, morton_codes, morton_positions
 from .planes import PlaneCounts, join_planes, split_planes, unzigzag, zigzag
-from .state import GROUPS, IntArray, group_channels
+from .state import GROUPS, IntArray, Integers, group_channels
 
 ZERO, PREVIOUS_ROW, OFFSET, MORTON, CHANNELS = 0, 1, 2, 3, 4
 """Prediction modes: nothing, the row before, a constant per channel, gaps between Morton codes (means only), the same
@@ -35,7 +35,7 @@ class GroupHeader:
     counts: PlaneCounts
 
 
-def write_residuals(residuals: IntArray, level: int) -> bytes:
+def write_residuals(residuals: Integers, level: int) -> bytes:
     """The residuals (n, channels) of existing rows, prediction mode 0."""
     return _write_plain(ZERO, residuals, level)
 
@@ -51,7 +51,7 @@ def write_values(values: IntArray, group: str, level: int) -> bytes:
     return min(candidates, key=len)
 
 
-def read_group(cursor: Cursor, group: str, n: int, channels: int, *, values: bool) -> IntArray:
+def read_group(cursor: Cursor, group: str, n: int, channels: int, *, values: bool) -> Integers:
     """The integers (n, channels) of one group; ``values`` tells new rows from residuals of existing ones.
 
     Raises StreamError "unsupported-mode", "bad-payload" or "bad-compression".
@@ -64,12 +64,12 @@ def read_group(cursor: Cursor, group: str, n: int, channels: int, *, values: boo
     data = read_block(cursor, size, size)
     if header.mode == MORTON:
         return _morton_values(cursor, header, data, n)
-    residuals = unzigzag(join_planes(header.counts, data, n)).astype(np.int32, order="C")
+    integers = np.ascontiguousarray(unzigzag(join_planes(header.counts, data, n)))
     if header.mode == PREVIOUS_ROW:
-        return np.cumsum(residuals, axis=0, dtype=np.int32)
+        return np.cumsum(integers, axis=0, dtype=np.int32)
     if header.mode in (OFFSET, CHANNELS):
-        residuals += header.offsets
-    return np.cumsum(residuals, axis=1, dtype=np.int32) if header.mode == CHANNELS else residuals
+        integers = integers + header.offsets
+    return np.cumsum(integers, axis=1, dtype=np.int32) if header.mode == CHANNELS else integers
 
 
 def read_group_header(cursor: Cursor, channels: int) -> GroupHeader:
@@ -97,7 +97,7 @@ def write_groups(columns: dict[str, IntArray], write: Callable[[IntArray, str], 
     return [("header", bytes([mask])), *((group, write(columns[group], group)) for group in present)]
 
 
-def read_groups(cursor: Cursor, n: int, coefficients: int, *, values: bool) -> dict[str, IntArray]:
+def read_groups(cursor: Cursor, n: int, coefficients: int, *, values: bool) -> dict[str, Integers]:
     """The groups that the presence byte announces, (n, channels) each."""
     widths = group_channels(coefficients)
     return {
@@ -122,7 +122,7 @@ def _channel_differences(values: IntArray) -> IntArray:
     return np.diff(values, axis=1, prepend=np.zeros((len(values), 1), np.int32))
 
 
-def _write_plain(mode: int, residuals: IntArray, level: int) -> bytes:
+def _write_plain(mode: int, residuals: Integers, level: int) -> bytes:
     counts, data = split_planes(zigzag(residuals))
     return bytes([mode]) + counts.tobytes() + coded_block(data, level)
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from .digest import row_hashes
 from .morton import morton_order
-from .state import MAX_ID, Attributes, Rows, State, check_shapes, read_only, take_rows
+from .state import ARRAYS, MAX_ID, Attributes, Rows, State, check_shapes, narrowed, read_only, take_rows
 
 
 def new_state(attributes: Attributes, frame: int = 0, *, ids: Rows | None = None, next_id: int | None = None) -> State:
@@ -22,17 +22,9 @@ def new_state(attributes: Attributes, frame: int = 0, *, ids: Rows | None = None
         raise ValueError("ids must be one per Gaussian, strictly increasing from 0 or above")
     if not last < next_id <= MAX_ID:
         raise ValueError(f"next id {next_id} is not above the last id {last}")
-    return State(
-        read_only(attributes.means),
-        read_only(attributes.log_scales),
-        read_only(attributes.quaternions),
-        read_only(attributes.opacity_logits),
-        read_only(attributes.sh),
-        read_only(ids),
-        read_only(row_hashes(attributes, ids)),
-        next_id,
-        frame,
-    )
+    arrays = {name: narrowed(getattr(attributes, name)) for name in ARRAYS}
+    frozen = {name: read_only(array) for name, array in {**arrays, "ids": ids}.items()}
+    return State(**frozen, hashes=read_only(row_hashes(Attributes(**arrays), ids)), next_id=next_id, frame=frame)
 
 
 def keyframe_state(attributes: Attributes, frame: int = 0, *, first_id: int = 0) -> tuple[State, Rows]:

@@ -7,22 +7,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .state import IntArray
+from .state import Integers
 
 PlaneCounts = NDArray[np.uint8]
 
 
-def zigzag(values: IntArray) -> NDArray[np.uint32]:
+def zigzag(values: Integers) -> NDArray[np.uint32]:
     """0, -1, 1, -2, ... to 0, 1, 2, 3, ...: small magnitudes become small unsigned numbers."""
+    values = values.astype(np.int32, copy=False)
     return np.asarray((values << np.int32(1)) ^ (values >> np.int32(31))).view(np.uint32)
 
 
-def unzigzag(codes: NDArray[np.unsignedinteger[Any]]) -> NDArray[np.signedinteger[Any]]:
+def unzigzag(codes: NDArray[np.unsignedinteger[Any]]) -> Integers:
     """The inverse of ``zigzag``, for every code of an unsigned type, in the signed type of its width."""
     one = codes.dtype.type(1)
     signs = codes & one
     np.negative(signs, out=signs)
-    return np.asarray((codes >> one) ^ signs).view(f"i{codes.itemsize}")
+    signs ^= codes >> one
+    return np.asarray(signs.view(f"i{codes.itemsize}"))
 
 
 def split_planes(codes: NDArray[Any]) -> tuple[PlaneCounts, bytes]:
@@ -50,12 +52,12 @@ def join_planes(counts: PlaneCounts, data: bytes, n: int) -> NDArray[np.unsigned
     longest = int(counts.max(initial=0))
     if longest == 1 and counts.all():
         return np.asarray(planes.T)
-    dtype = next(t for t in (np.uint8, np.uint16, np.uint32, np.uint64) if t().itemsize >= longest)
-    codes = np.zeros((len(counts), n), dtype)
+    width = next(w for w in (1, 2, 4, 8) if w >= longest)
+    places = np.zeros((len(counts), n, width), np.uint8)
     start = 0
     for p in range(longest):
         wanted = counts > p
         stop = start + int(wanted.sum())
-        codes[wanted] |= planes[start:stop].astype(dtype) << dtype(8 * p)
+        places[wanted, :, p] = planes[start:stop]
         start = stop
-    return np.asarray(codes.T)
+    return np.asarray(places.view(f"<u{width}")[:, :, 0].T)

@@ -18,6 +18,8 @@ from decogs.formats.splats import sh_degree_of
 IntArray = NDArray[np.int32]
 Rows = NDArray[np.int64]
 Hashes = NDArray[np.uint64]
+Integers = NDArray[np.signedinteger[Any]]
+"""int32 or, where they are small, narrower."""
 
 GROUPS = ("means", "log_scales", "quaternions", "opacity_logits", "sh_dc", "sh_rest")
 """The attribute groups in wire order; bit g of a presence byte stands for GROUPS[g]."""
@@ -33,12 +35,15 @@ MAX_GAUSSIANS = 1 << 27
 
 MAX_ID = (1 << 63) - 1
 
+NARROW = 1 << 14
+"""Magnitude up to which a state's integers are int16; a residual of one byte may be added to them as they are."""
+
 _Attributes = TypeVar("_Attributes", bound="Attributes")
 
 
 @dataclass(frozen=True, eq=False)
 class Attributes:
-    """N Gaussians as lattice integers, int32, C-contiguous; shapes as in Splats."""
+    """N Gaussians as lattice integers, int32 (less perhaps in a State), C-contiguous; shapes as in Splats."""
 
     means: IntArray
     log_scales: IntArray
@@ -58,6 +63,9 @@ class Attributes:
 @dataclass(frozen=True, eq=False)
 class State(Attributes):
     """The scene after a frame. Rows are ordered by strictly increasing ``ids`` (int64), which no later Gaussian reuses.
+
+    An array whose integers are small (NARROW) may be int16, which halves what a delta has to copy: compute with what
+    ``all_rows`` and ``take_rows`` give, which is int32.
 
     ``hashes`` (uint64) has the rows' hashes, from which the digest comes; ``next_id`` is the id of the next Gaussian to
     appear, ``frame`` the frame's index. Build one with ``new_state``: ``hashes`` must fit the other arrays.
@@ -81,7 +89,11 @@ def group_channels(coefficients: int) -> dict[str, int]:
 
 def group_columns(attributes: Attributes, group: str) -> IntArray:
     """One attribute group as a view (N, channels); sh_rest runs over coefficients, then colours."""
-    values: IntArray = getattr(attributes, array_of(group))
+    return array_columns(getattr(attributes, array_of(group)), group)
+
+
+def array_columns(values: IntArray, group: str) -> IntArray:
+    """One attribute group as a view (n, channels) of rows (n, ...) of the array that holds it, C-contiguous."""
     columns = values.reshape(len(values), math.prod(values.shape[1:]))
     if group == "sh_dc":
         return columns[:, :3]
@@ -93,7 +105,7 @@ def array_of(group: str) -> str:
     return "sh" if group.startswith("sh_") else group
 
 
-def attributes_from_columns(columns: Mapping[str, IntArray], count: int, coefficients: int) -> Attributes:
+def attributes_from_columns(columns: Mapping[str, Integers], count: int, coefficients: int) -> Attributes:
     """Attributes from (count, channels) arrays per group; a group that is absent is zero."""
     widths = group_channels(coefficients)
     full = {g: columns[g] if g in columns else np.zeros((count, widths[g]), np.int32) for g in GROUPS}
@@ -101,10 +113,10 @@ def attributes_from_columns(columns: Mapping[str, IntArray], count: int, coeffic
     sh[:, 0] = full["sh_dc"]
     sh[:, 1:] = full["sh_rest"].reshape(count, coefficients - 1, 3)
     return Attributes(
-        np.ascontiguousarray(full["means"]),
-        np.ascontiguousarray(full["log_scales"]),
-        np.ascontiguousarray(full["quaternions"]),
-        np.ascontiguousarray(full["opacity_logits"][:, 0]),
+        np.ascontiguousarray(full["means"], np.int32),
+        np.ascontiguousarray(full["log_scales"], np.int32),
+        np.ascontiguousarray(full["quaternions"], np.int32),
+        np.ascontiguousarray(full["opacity_logits"][:, 0], np.int32),
         sh,
     )
 
@@ -115,15 +127,21 @@ def empty_attributes(coefficients: int) -> Attributes:
 
 
 def take_rows(attributes: Attributes, rows: NDArray[Any]) -> Attributes:
-    """The Gaussians at the indices ``rows``, in that order, without their ids."""
+    """The Gaussians at the indices ``rows``, in that order, int32, without their ids."""
     # ndarray.take is several times faster than indexing here.
-    return Attributes(
-        attributes.means.take(rows, axis=0),
-        attributes.log_scales.take(rows, axis=0),
-        attributes.quaternions.take(rows, axis=0),
-        attributes.opacity_logits.take(rows, axis=0),
-        attributes.sh.take(rows, axis=0),
-    )
+    return Attributes(*(getattr(attributes, name).take(rows, axis=0).astype(np.int32, copy=False) for name in ARRAYS))
+
+
+def all_rows(attributes: Attributes) -> Attributes:
+    """All the Gaussians, int32, without their ids."""
+    return Attributes(*(getattr(attributes, name).astype(np.int32, copy=False) for name in ARRAYS))
+
+
+def narrowed(values: Integers) -> Integers:
+    """The same integers as a state holds them: int16 if all are within NARROW, else int32."""
+    if values.min(initial=0) < -NARROW or values.max(initial=0) > NARROW:
+        return values.astype(np.int32, copy=False)
+    return values.astype(np.int16, copy=False)
 
 
 def join_rows(first: Attributes, second: Attributes) -> Attributes:

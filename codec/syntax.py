@@ -28,9 +28,10 @@ from .state import (
     MAX_GAUSSIANS,
     MAX_ID,
     Attributes,
-    IntArray,
+    Integers,
     Rows,
     State,
+    all_rows,
     attributes_from_columns,
     empty_attributes,
     group_channels,
@@ -61,7 +62,7 @@ def write_key(state: State, *, first: State | None = None, level: int = DEFAULT_
     ``first`` is the state of the stream's first keyframe, None in that keyframe itself.
     """
     _check_count(len(state))
-    alone = _coded([*_key_head(state, _INTRA, state.ids, level), *_write_new(state, level)])
+    alone = _coded([*_key_head(state, _INTRA, state.ids, level), *_write_new(all_rows(state), level)])
     if first is None or not _descends(state, first):
         return alone
     return min(alone, _write_referring_key(state, first, level), key=lambda coded: len(coded.payload))
@@ -245,7 +246,7 @@ def _read_referring_key(
     old = apply_delta(first, Delta(rows, residuals, removed, empty_attributes(first.coefficients)))
     if not young:
         _check_first_id(cursor, first_id)
-        return old.ids, old
+        return old.ids, all_rows(old)
     if first_id < first.next_id:
         cursor.fail(Reason.BAD_PAYLOAD, "an added Gaussian's id is not above the first keyframe's")
     ids = _read_new_ids(cursor, mode, first_id, young)
@@ -260,7 +261,7 @@ def _write_changes(population: int, delta: Delta, level: int) -> list[tuple[str,
     return [*parts, ("removed", write_index_set(delta.removed, population, level))]
 
 
-def _read_changes(cursor: Cursor, previous: State) -> tuple[Rows, dict[str, IntArray], Rows]:
+def _read_changes(cursor: Cursor, previous: State) -> tuple[Rows, dict[str, Integers], Rows]:
     population = len(previous)
     rows = read_index_set(cursor, population)
     residuals = read_groups(cursor, len(rows), previous.coefficients, values=False) if len(rows) else {}

@@ -17,7 +17,7 @@ import numpy as np
 from decogs.codec.header import StreamHeader
 from decogs.codec.keyframes import new_state
 from decogs.codec.lattice import Lattice
-from decogs.codec.state import ARRAYS, Attributes, State
+from decogs.codec.state import ARRAYS, Attributes, State, all_rows
 from decogs.decoder.session import open_stream
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
@@ -58,7 +58,7 @@ class KeyframeSource:
             *(getattr(lattice, field.name) / factor for field in fields(Lattice)[2:]),
         )
         state = new_state(
-            Attributes(*(getattr(scene, name) * np.int32(factor) for name in ARRAYS)),
+            Attributes(*(getattr(all_rows(scene), name) * np.int32(factor) for name in ARRAYS)),
             ids=scene.ids,
             next_id=scene.next_id,
         )

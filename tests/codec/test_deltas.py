@@ -12,10 +12,12 @@ from hypothesis import strategies as st
 from decogs.codec.deltas import Delta, apply_delta, difference
 from decogs.codec.digest import combine, digest, mix, row_hashes
 from decogs.codec.keyframes import keyframe_state, new_state
-from decogs.codec.state import Attributes, empty_attributes, take_rows
+from decogs.codec.state import NARROW, Attributes, all_rows, empty_attributes, take_rows
 
 INT32 = np.iinfo(np.int32)
 ARRAYS = ("means", "log_scales", "quaternions", "opacity_logits", "sh")
+SHAPES = ((3, 3), (3, 3), (3, 4), (3,), (3, 4, 3))
+NONE = np.zeros(0, np.int64)
 cases = given(
     seed=st.integers(0, 2**32 - 1),
     n=st.integers(0, 60),
@@ -65,10 +67,10 @@ def test_difference_leads_to_the_values_it_was_made_from(samples, seed, n, touch
     after = apply_delta(state, difference(state, rows, current, removed=gone, added=new))
     stays = np.setdiff1d(np.arange(n), gone)
     assert after.ids.tolist() == [*state.ids[stays], *range(state.next_id, state.next_id + added)]
-    expected = {name: getattr(state, name).copy() for name in ARRAYS}
-    for name, array in expected.items():
-        array[rows] = getattr(current, name)
-    assert samples.same(take_rows(after, np.arange(len(stays))), take_rows(Attributes(**expected), stays))
+    expected = take_rows(state, np.arange(n))
+    for name in ARRAYS:
+        getattr(expected, name)[rows] = getattr(current, name)
+    assert samples.same(take_rows(after, np.arange(len(stays))), take_rows(expected, stays))
     appended = take_rows(after, np.arange(len(stays), len(after)))
     assert sorted(appended.means.tolist()) == sorted(new.means.tolist())
 
@@ -103,13 +105,41 @@ def test_rows_that_do_not_change_or_are_removed_are_left_out(samples) -> None:
 
 def test_residuals_wrap_at_32_bits(samples) -> None:
     state = samples.state(np.random.default_rng(2), 1)
-    low = type(take_rows(state, np.array([0])))(*(np.full_like(getattr(state, name), INT32.min) for name in ARRAYS))
+    low = Attributes(*(np.full_like(getattr(all_rows(state), name), INT32.min) for name in ARRAYS))
     bottom = new_state(low)
     high = replace(low, means=np.full((1, 3), INT32.max, np.int32))
     delta = difference(bottom, np.array([0]), high)
     assert delta.residuals["means"].tolist() == [[-1, -1, -1]]
     after = apply_delta(bottom, delta)
     assert after.means.tolist() == [[INT32.max] * 3]
+    assert np.array_equal(after.hashes, row_hashes(after, after.ids))
+
+
+@pytest.mark.parametrize("dtype", [np.int8, np.int16, np.int32])
+@pytest.mark.parametrize("edge", [NARROW, -NARROW])
+def test_an_array_is_wide_from_when_an_integer_leaves_the_narrow_ones(dtype, edge: int) -> None:
+    """The largest step of each type of residual, away from zero, at either end of the narrow integers."""
+    state, none = new_state(Attributes(*(np.full(shape, edge, np.int32) for shape in SHAPES))), empty_attributes(4)
+    assert {getattr(state, name).dtype for name in ARRAYS} == {np.dtype(np.int16)}
+    step = np.iinfo(dtype).max if edge > 0 else np.iinfo(dtype).min
+    after = apply_delta(state, Delta(np.array([1]), {"sh_rest": np.full((1, 9), step, dtype)}, NONE, none))
+    assert (after.sh.dtype, after.means.dtype) == (np.int32, np.int16)
+    wide = all_rows(state)
+    wide.sh[1, 1:] += np.int32(step)
+    assert np.array_equal(after.sh, wide.sh)
+    back = apply_delta(after, Delta(np.array([0]), {"sh_dc": np.ones((1, 3), dtype)}, NONE, none))
+    wide.sh[0, 0] += np.int32(1)
+    assert np.array_equal(back.sh, wide.sh)
+    assert np.array_equal(back.hashes, row_hashes(wide, back.ids))
+
+
+def test_a_gaussian_of_large_integers_widens_the_arrays_it_joins(samples) -> None:
+    rng = np.random.default_rng(8)
+    state = samples.state(rng, 12)
+    large = replace(samples.attributes(rng, 1), means=np.full((1, 3), INT32.max, np.int32))
+    after = apply_delta(state, difference(state, NONE, empty_attributes(1), removed=np.array([3]), added=large))
+    assert (after.means.dtype, after.sh.dtype) == (np.int32, np.int16)
+    assert after.means.tolist() == [*np.delete(state.means, 3, axis=0).tolist(), [INT32.max] * 3]
     assert np.array_equal(after.hashes, row_hashes(after, after.ids))
 
 
@@ -172,7 +202,7 @@ def test_digest_tells_swapped_rows_channels_and_counters_apart(samples) -> None:
     state = samples.state(np.random.default_rng(5), 20)
     base = digest(state)
     swapped = new_state(take_rows(state, np.array([1, 0, *range(2, 20)])))
-    turned = new_state(replace(take_rows(state, np.arange(20)), means=state.means[:, ::-1].copy()))
+    turned = new_state(replace(take_rows(state, np.arange(20)), means=all_rows(state).means[:, ::-1].copy()))
     assert len({base, digest(swapped), digest(turned), digest(replace(state, next_id=99))}) == 4
 
 

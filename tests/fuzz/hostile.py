@@ -27,7 +27,7 @@ from decogs.codec.header import StreamHeader
 from decogs.codec.keyframes import keyframe_state, new_state
 from decogs.codec.lattice import default_lattice
 from decogs.codec.reconstruct import reconstruct
-from decogs.codec.state import Attributes, State, take_rows
+from decogs.codec.state import Attributes, State, all_rows, take_rows
 from decogs.codec.syntax import payload_costs, read_delta, read_key, write_delta, write_key, write_skip
 from decogs.decoder.damage import Damage
 from decogs.decoder.following import follow_stream
@@ -119,7 +119,7 @@ def frame_packets(count: int, sh_degree: int) -> Iterator[Packet]:
             state = replace(state, frame=2)
             yield Packet(PacketKind.SKIP, 2, write_skip(state).payload)
         elif frame == 4:
-            state = new_state(state, 4, ids=state.ids, next_id=state.next_id + 9)
+            state = new_state(all_rows(state), 4, ids=state.ids, next_id=state.next_id + 9)
             yield Packet(PacketKind.KEY, 4, write_key(state).payload)
         elif frame == 6:
             state = replace(state, frame=6)
