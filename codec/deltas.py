@@ -1,6 +1,6 @@
 """Deltas: what changes from one frame's state to the next (SPEC.md, "Applying a delta").
 
-Integers go to existing rows first, then rows are removed, then new Gaussians are appended. Rows that are in none of
+Residuals go to existing rows first, then rows are removed, then new Gaussians are appended. Rows that are in none of
 these are bit-identical before and after.
 """
 
