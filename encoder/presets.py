@@ -39,8 +39,8 @@ class EncodeSettings:
     ``time_budget``: seconds that frames after the first may take on average (`time_budget`); higher is slower, None is
     the whole schedule. ``target_psnr``: dB at which a frame's training ends (`effort.TargetWatch`); higher is slower,
     None is the whole schedule. ``effects``: those that are built (`effects`); fewer is faster and smaller.
-    ``ask_frames``: of these, a frame builds those that its own pictures call for; that is faster. ``corrections``:
-    cameras whose own faults are taken out of their pictures.
+    ``ask_frames``: of these, a frame builds those that its own pictures call for, and the keyframe says how far colours
+    depend on the view; that is faster. ``corrections``: cameras whose own faults are taken out of their pictures.
     """
 
     keyframe: KeyframeSettings = field(default_factory=KeyframeSettings)

@@ -30,6 +30,8 @@ _MARKERS = "os^Dv*P"
 _TRADED = tuple(cost for cost in COSTS if cost.key in ("cpu", "kilobytes", "decode_fps"))
 _DEVIATION = 12
 """8-bit levels from a pixel's own mean that are drawn as black or white."""
+_CHARACTERS_PER_INCH, _HANDLE_CHARACTERS = 13, 8
+"""Of a legend in matplotlib's own size, and what its line and gap take besides a label."""
 
 
 def require_plots() -> None:
@@ -230,5 +232,13 @@ def _frames(run: Run) -> Sequence[int]:
 def _save(figure: Figure, path: Path, *, legend: bool = True) -> None:
     if legend:
         handles, labels = figure.axes[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+        columns = legend_columns(labels, figure.get_figwidth())
+        figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False)
     figure.savefig(path, dpi=110, metadata={"Software": None})
+
+
+def legend_columns(labels: Sequence[str], inches: float) -> int:
+    """How many labels stand side by side in a figure so wide: all of them if they fit, else columns of the longest."""
+    room = int(_CHARACTERS_PER_INCH * inches)
+    widths = [len(label) + _HANDLE_CHARACTERS for label in labels]
+    return len(labels) if sum(widths) <= room else max(1, room // max(widths))
