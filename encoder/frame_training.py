@@ -44,6 +44,8 @@ class FrameSettings:
     ``cache_iterations`` and ``joint_iterations``: stage 1 and stage 2; more is slower and follows faster motion.
     ``carry_cache``: keep the cache's weights from frame to frame instead of restarting it. ``warm_start``: share of
     the last displacement to begin with, 0 to 1, the median over the ``warm_neighbours`` nearest selected Gaussians.
+    ``shared_motion``: share of a displacement, 0 to 1, that becomes its neighbourhood's median when changes are judged,
+    without a cache; higher is smaller and stiffer.
     ``grow_gradient``: the paper's tau_d; lower adds more Gaussians. ``grow_share``: most Gaussians a frame may add, as
     a share of the selected; more is slower and larger. ``rates``: stage 2, ``means`` in units of the rig's extent; over
     its second half they fall to ``late_decay`` of that. ``economy``: what changes must be worth, without a cache.
@@ -60,6 +62,7 @@ class FrameSettings:
     joint_iterations: int = 100
     warm_start: float = 0.0
     warm_neighbours: int = 24
+    shared_motion: float = 0.0
     grow_gradient: float = 1e-4
     grow_share: float = 0.05
     prune_opacity: float = 0.01
@@ -197,6 +200,15 @@ class FrameTrainer:
         if share and motion.any():
             work.base.means[:] += share * shared_displacements(work.base.means, motion, self._settings.warm_neighbours)
 
+    def _share_motion(self, work: _Working, before: Splats, old: NDArray[np.bool_]) -> None:
+        """A share of how far each of the ``old`` has come since ``before`` becomes what its neighbourhood has come."""
+        share = np.float32(self._settings.shared_motion)
+        if not share:
+            return
+        own = np.where(old[:, None], work.base.means - before.means, np.float32(0))
+        shared = shared_displacements(before.means, own, self._settings.warm_neighbours)
+        work.base.means[old] = (before.means + (1 - share) * own + share * shared)[old]
+
     def _loss(self, picture: FloatArray, mask: FrameMask, view: View) -> PhotometricLoss:
         weights = self._settings.focus
         if "focus" in self._settings.ablated:
@@ -235,7 +247,8 @@ class FrameTrainer:
         gathered, self._values = ViewGradients(len(work.rows)), []
         grow_from, grow_at = settings.joint_iterations // 4, settings.joint_iterations // 2
         hold_at = max(grow_at + 1, round(settings.economy.hold_at * settings.joint_iterations))
-        pace, judged = Pace(settings.joint_iterations, self._effort.deadline), not worth or self._cache is not None
+        judging = self._cache is None and (worth > 0 or settings.shared_motion > 0)
+        pace, judged = Pace(settings.joint_iterations, self._effort.deadline), not judging
         target = self._target(losses, masks)
         for step, index in enumerate(self._view_order(settings.joint_iterations)):
             if pace.is_over:
@@ -254,6 +267,7 @@ class FrameTrainer:
                 gradients = self._through_cache(work, gradients, self._cache)
             if pace.reaches(hold_at) and not judged:
                 before, old, judged = work.before(scene), work.rows < len(scene), True
+                self._share_motion(work, before, old)
                 take_back(work.optimiser, before, old, worth * picture_share([losses[i] for i in self._used]))
                 if target is not None:
                     target.restart()

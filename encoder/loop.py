@@ -48,7 +48,7 @@ from .rasterise import FixedView, fixed_view, training_kernel
 from .rate import RateControl
 from .reports import EncodeReport, FrameReport, OnFrame, OnKeyframeStep, Stopwatch
 from .resuming import Interrupted, check_resumable, find_interrupted
-from .selection import select, view_evidence
+from .selection import SelectionSettings, select, view_evidence
 from .stream_output import FileOutput, PipeOutput, StreamOutput, part_of
 from .time_budget import TimeControl
 
@@ -145,12 +145,13 @@ class StreamEncoder:
             self._return_from_flash(frame, watch)
             before = self._state
             masks, selected = self._changes(frame, len(before), watch)
-            trained = np.flatnonzero(selected) if selected.any() else None
+            effects, _ = self._called_for(frame, masks, selected, watch)
+            trained = np.flatnonzero(selected) if effects else None
             if trained is not None:
                 for view in self._watch:
                     view.lift(trained)
             self._advance(packet)
-            self._go_on(frame, before, masks, trained, watch)
+            self._go_on(frame, before, masks, trained, effects, watch)
             share = _share(selected)
         costs = payload_costs(body, self._header.coefficients)
         return replace(self._report(frame, packet, costs, share, watch, masks), replayed=True)
@@ -182,7 +183,7 @@ class StreamEncoder:
             kind, coded = self._coded(before, delta, index, whole=returned)
             coded = self._with_corrections(coded, corrections)
             packet = self._commit(kind, index, coded)
-        self._go_on(frame, before, masks, None if trained is None else trained.kept, watch)
+        self._go_on(frame, before, masks, None if trained is None else trained.kept, effects, watch)
         if self._time is not None:
             self._time.took(watch.seconds)
         report = self._report(frame, packet, coded.costs, _share(selected), watch, masks)
@@ -246,7 +247,7 @@ class StreamEncoder:
             return [], np.zeros(population, bool)
         with watch.stage("masks"):
             masks = self._masks.masks(frame.training, [view.rgb for view in self._watch])
-        if not any(mask.raw.any() for mask in masks):
+        if not any(mask.dilated.any() for mask in masks):
             return masks, np.zeros(population, bool)
         if self._before_flash is None and may_be_flash(masks):
             assert self._state is not None
@@ -296,12 +297,16 @@ class StreamEncoder:
         before: State,
         masks: Sequence[FrameMask],
         trained: NDArray[np.int64] | None,
+        effects: Sequence[str],
         watch: Stopwatch,
     ) -> None:
-        """All that later frames need to know of this one, whose state stands; ``trained``: rows that were, or None."""
+        """All that later frames need to know of this one, whose state stands.
+
+        ``trained``: rows that were, or None. ``effects``: those that it called for.
+        """
         if trained is not None:
             if masks:
-                self._masks.trained(frame.training, masks)
+                self._masks.trained(frame.training, masks, moved="motion" in effects)
             with watch.stage("settle"):
                 self._settle(before, trained)
         self._masks.passed(frame.training)
@@ -311,9 +316,21 @@ class StreamEncoder:
         if "select" in self._settings.frame.ablated:
             assert self._state is not None
             return np.ones(len(self._state), bool)
-        settings = self._settings.frame.selection
-        seen = [view_evidence(self._watch[i], masks[i].dilated, settings.rule) for i in showing(masks)]
-        return select(seen, settings)
+        used, settings = showing(masks), self._settings.frame.selection
+        selected = self._inside(used, [masks[i].changing for i in used], settings)
+        if any(masks[i].mends for i in used):
+            stricter = replace(settings, least_share=settings.mend_share)
+            selected |= self._inside(used, [masks[i].dilated for i in used], stricter)
+        return selected
+
+    def _inside(
+        self, used: Sequence[int], regions: Sequence[NDArray[np.bool_]], settings: SelectionSettings
+    ) -> NDArray[np.bool_]:
+        """The Gaussians that the rule takes for these regions (H, W) of the ``used`` views."""
+        evidence = [
+            view_evidence(self._watch[i], region, settings.rule) for i, region in zip(used, regions, strict=True)
+        ]
+        return select(evidence, settings)
 
     def _settle_key(self, frame: RigFrame, watch: Stopwatch) -> None:
         """All that later frames need to know of the first one."""

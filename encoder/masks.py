@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import cv2
 import numpy as np
@@ -21,10 +21,14 @@ from decogs.formats.splats import FloatArray
 from .dropouts import FROZEN, blankness, repeats
 
 BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int32]
 
 _LEVEL_SLACK = 1e-3
 """Pictures that came from 8-bit files differ by whole levels, up to float32 rounding of about 3e-5 of a level; this
 slack keeps a difference of exactly tau on the unchanged side, as in integer arithmetic."""
+
+_LIGHT_WINDOW = 7
+"""Pixels across over which faint light is averaged: noise shrinks by as much, the difference that light makes stays."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +43,10 @@ class MaskSettings:
     seen. ``noise_multiple``: a camera's threshold is at least that many standard deviations of its own frame-to-frame
     noise; 0 leaves it as it is. ``residual``: where a picture has changed before, pixels count as changed as long as
     the rendering misses them by more than so many 8-bit levels, so that what one frame got wrong the next ones mend; 0
-    turns it off, lower selects more.
+    turns it off, lower selects more. ``mend_frames``: what changed by more than ``mend_threshold`` levels as something
+    moved stays in the region of interest for so many more frames, since what was covered is only seen from then on;
+    more is slower. ``light_threshold``: after a frame in which only light changed, levels by which the mean over a
+    small window must change to count as well; 0 turns it off, lower selects more.
     """
 
     threshold: float = 25.0
@@ -48,10 +55,13 @@ class MaskSettings:
     since_trained: bool = False
     noise_multiple: float = 0.0
     residual: float = 0.0
+    mend_frames: int = 0
+    mend_threshold: float = 25.0
+    light_threshold: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("threshold", "radius_share", "speck_area", "noise_multiple", "residual"):
-            value = getattr(self, name)
+        for field in fields(self):
+            name, value = field.name, getattr(self, field.name)
             if not (math.isfinite(value) and value >= 0):
                 raise UsageError(f"mask setting {name} is {value}; it must be a finite number of at least 0")
 
@@ -64,12 +74,25 @@ class MaskSettings:
 class FrameMask:
     """One view's masks, bool (H, W): ``raw`` is where the picture changed, ``dilated`` the region of interest.
 
+    The second covers the first, what is around it and, ``mended`` (None: nothing), what changed some frames ago.
+
     ``lost``: why the picture says nothing of its frame (`dropouts`), and both are empty; "" when it does.
     """
 
     raw: BoolArray
     dilated: BoolArray
+    mended: BoolArray | None = None
     lost: str = ""
+
+    @property
+    def mends(self) -> bool:
+        """Whether anything is in the region of interest only to be mended."""
+        return self.mended is not None and bool(self.mended.any())
+
+    @property
+    def changing(self) -> BoolArray:
+        """The region of interest without what is only being mended."""
+        return self.dilated if self.mended is None else self.dilated & ~self.mended
 
 
 def showing(masks: Sequence[FrameMask]) -> list[int]:
@@ -88,6 +111,17 @@ def difference_mask(current: FloatArray, previous: FloatArray, threshold: float)
     limit = np.float32((threshold + _LEVEL_SLACK) / 255.0)
     changed = np.abs(current - previous) > limit
     mask: BoolArray = changed[0] | changed[1] | changed[2]
+    return mask
+
+
+def faint_light_mask(current: FloatArray, previous: FloatArray, threshold: float) -> BoolArray:
+    """Pixels around which some colour channel changed by more than ``threshold`` 8-bit levels in the mean; bool (H, W).
+
+    Pictures are planar float32 (3, H, W), 0..1 for black to white.
+    """
+    window = (_LIGHT_WINDOW, _LIGHT_WINDOW)
+    means = [cv2.blur(plane, window) for plane in current - previous]
+    mask: BoolArray = np.abs(means).max(axis=0) > np.float32(threshold / 255.0)
     return mask
 
 
@@ -152,6 +186,8 @@ class MaskMemory:
         self._blank = [bool(blankness(picture)) for picture in pictures]
         self._lost = [""] * len(pictures)
         self._changed = [np.zeros(picture.shape[1:], bool) for picture in pictures]
+        self._frame, self._only_light = 0, False
+        self._mend_until = [np.zeros(picture.shape[1:], np.int32) for picture in pictures]
 
     @property
     def references(self) -> Sequence[FloatArray]:
@@ -163,7 +199,7 @@ class MaskMemory:
 
         Raises ValueError when they are not the same views. Source: DecoGS, difference mask.
         """
-        views = zip(current, self._references, shown, self._changed, strict=True)
+        views = zip(current, self._references, shown, self._changed, self._mend_until, strict=True)
         masks = [self._mask(*view) for view in views]
         self._lost = self._lost_pictures(current, masks)
         return [_left_out(mask, why) if why else mask for mask, why in zip(masks, self._lost, strict=True)]
@@ -178,6 +214,7 @@ class MaskMemory:
         copied = copy(self)
         copied._references = list(self._references)
         copied._changed = [changed.copy() for changed in self._changed]
+        copied._mend_until = [until.copy() for until in self._mend_until]
         return copied
 
     def _lost_pictures(self, current: Sequence[FloatArray], masks: Sequence[FrameMask]) -> list[str]:
@@ -190,25 +227,44 @@ class MaskMemory:
             return lost
         return [why or (FROZEN if repeat else "") for why, repeat in zip(lost, again, strict=True)]
 
-    def _mask(self, now: FloatArray, reference: FloatArray, shown: FloatArray, changed: BoolArray) -> FrameMask:
-        settings, threshold = self._settings, self._settings.threshold
-        if settings.noise_multiple:
-            threshold = max(threshold, settings.noise_multiple * frame_noise(now, reference))
-        raw = without_specks(difference_mask(now, reference, threshold), settings.speck_area)
+    def _mask(
+        self, now: FloatArray, reference: FloatArray, shown: FloatArray, changed: BoolArray, mend_until: IntArray
+    ) -> FrameMask:
+        settings = self._settings
+        noise = settings.noise_multiple * frame_noise(now, reference) if settings.noise_multiple else 0.0
+        raw = difference_mask(now, reference, max(settings.threshold, noise))
+        if settings.light_threshold and self._only_light:
+            raw |= faint_light_mask(now, reference, max(settings.light_threshold, noise / _LIGHT_WINDOW))
+        raw = without_specks(raw, settings.speck_area)
         if settings.residual and changed.any():
             raw |= _without_lines(difference_mask(now, shown, settings.residual) & changed)
-        return FrameMask(raw, dilate(raw, settings.radius(raw.shape[1])))
+        around, mending = self._grown(raw), mend_until > self._frame
+        return FrameMask(raw, around | mending, mending & ~around)
 
-    def trained(self, current: Sequence[FloatArray], masks: Sequence[FrameMask]) -> None:
-        """Tells that the regions of interest were trained on ``current``."""
+    def _grown(self, mask: BoolArray) -> BoolArray:
+        return dilate(mask, self._settings.radius(mask.shape[1]))
+
+    def trained(self, current: Sequence[FloatArray], masks: Sequence[FrameMask], *, moved: bool) -> None:
+        """Tells that the regions of interest were trained on ``current``, positions among the rest if it ``moved``."""
+        self._only_light = not moved
         for index in showing(masks):
             now, mask = current[index], masks[index]
+            if moved and self._settings.mend_frames:
+                self._mend(index, now)
             self._references[index] = np.where(mask.dilated, now, self._references[index])
             self._changed[index] |= mask.dilated
+
+    def _mend(self, index: int, now: FloatArray) -> None:
+        """What has clearly changed in a view stays in its region of interest for some frames."""
+        settings = self._settings
+        clearly = difference_mask(now, self._references[index], settings.mend_threshold)
+        clearly = self._grown(without_specks(clearly, settings.speck_area))
+        self._mend_until[index][clearly] = self._frame + 1 + settings.mend_frames
 
     def passed(self, current: Sequence[FloatArray]) -> None:
         """Tells that the frame is over, trained or not."""
         self._before = list(current)
+        self._frame += 1
         if not self._settings.since_trained:
             pairs = zip(current, self._references, self._lost, strict=True)
             self._references = [was if why else now for now, was, why in pairs]
@@ -216,4 +272,4 @@ class MaskMemory:
 
 def _left_out(mask: FrameMask, why: str) -> FrameMask:
     nowhere = np.zeros_like(mask.raw)
-    return FrameMask(nowhere, nowhere, why)
+    return FrameMask(nowhere, nowhere, lost=why)

@@ -87,15 +87,24 @@ def _better(
 _LIVE = EncodeSettings(
     keyframe=KeyframeSettings(iterations=250, cap=30_000, sh_degree=1),
     frame=FrameSettings(
-        masks=MaskSettings(threshold=10.0, radius_share=0.018, speck_area=8, since_trained=True, residual=25.0),
+        masks=MaskSettings(
+            threshold=10.0,
+            radius_share=0.018,
+            speck_area=8,
+            since_trained=True,
+            residual=25.0,
+            mend_frames=8,
+            light_threshold=4.0,
+        ),
         cache=None,
         joint_iterations=30,
         warm_start=0.9,
+        shared_motion=0.5,
         grow_share=0.01,
         beta1=0.7,
         beta2=0.99,
         economy=EconomySettings(
-            worth=0.02,
+            worth=0.013,
             hold_at=0.5,
             coarseness=Coarseness(means=2, log_scales=1, quaternions=2, opacity_logits=3, sh_dc=2, sh_rest=1),
         ),
@@ -107,7 +116,7 @@ _DRAFT = _better(
     keyframe={"iterations": 500, "cap": 40_000},
     frame={"joint_iterations": 60, "emergence": EmergenceSettings(most_rays=2000)},
 )
-_STANDARD = _better(_DRAFT, keyframe={"iterations": 1500, "cap": 52_000}, frame={"joint_iterations": 150})
+_STANDARD = _better(_DRAFT, keyframe={"iterations": 1500, "cap": 52_000}, frame={"joint_iterations": 120})
 _HIGH = _better(
     _STANDARD, keyframe={"iterations": 3000, "cap": 80_000, "sh_degree": 2}, frame={"joint_iterations": 250}
 )

@@ -27,13 +27,16 @@ SelectionRule = Literal["paper", "weight"]
 class SelectionSettings:
     """``least_views`` is the paper's kappa; higher selects fewer and is faster, and so does ``least_share``, 0 to 1.
 
-    A Gaussian is visible in a view when its weight there is at least ``visible_weight`` pixels.
+    A Gaussian is visible in a view when its weight there is at least ``visible_weight`` pixels. ``mend_share``: what
+    ``least_share`` is where nothing changes any more and the masks only mend (`masks.MaskSettings.mend_frames`): what
+    enough views have seen all along needs none.
     """
 
     rule: SelectionRule = "weight"
     least_views: int = 2
     least_share: float = 0.5
     visible_weight: float = 0.02
+    mend_share: float = 0.8
 
 
 @dataclass(frozen=True)

@@ -114,7 +114,7 @@ QUESTIONS = (
         "iterations",
         "Iterations of stage 2",
         "",
-        tuple(Variant(f"iterations{n}", f"{n}", {"frame.joint_iterations": n}) for n in (60, 100, 150, 200)),
+        tuple(Variant(f"iterations{n}", f"{n}", {"frame.joint_iterations": n}) for n in (60, 90, 120, 200)),
         _BOTH,
     ),
     Question(
@@ -188,6 +188,46 @@ QUESTIONS = (
         _BOTH,
     ),
     Question(
+        "mending",
+        "How long what has clearly changed is mended",
+        "For so many frames it stays in the region of interest, for Gaussians with at least such a share of their weight "
+        "there.",
+        (
+            Variant("mend0", "never", {"frame.masks.mend_frames": 0}),
+            *(
+                Variant(
+                    f"mend{n}-{share:g}",
+                    f"{n} frames, a share of {share:g}",
+                    {"frame.masks.mend_frames": n, "frame.selection.mend_share": share},
+                )
+                for n, share in ((4, 0.8), (8, 0.5), (8, 0.8), (16, 0.8))
+            ),
+        ),
+        _BOTH,
+    ),
+    Question(
+        "faint-light",
+        "From what change on light counts, after a frame in which only light changed",
+        "In 8-bit levels of the mean over 7 x 7 pixels; with the effects that are called for.",
+        tuple(
+            Variant(
+                f"light{t:g}",
+                f"{t:g}" if t else "as everything else",
+                {"frame.masks.light_threshold": t},
+                effects="auto",
+            )
+            for t in (0.0, 2.5, 4.0, 6.0)
+        ),
+        _BOTH,
+    ),
+    Question(
+        "shared-motion",
+        "Motion shared with the neighbourhood",
+        "The share of a displacement that becomes the median of its neighbourhood's when changes are judged.",
+        tuple(Variant(f"shared{s:g}", f"{s:g}", {"frame.shared_motion": s}) for s in (0.0, 0.25, 0.5, 0.75, 1.0)),
+        _BOTH,
+    ),
+    Question(
         "noise",
         "Threshold by the camera's own noise",
         "τ 4 without and with a floor of so many standard deviations of the camera's frame-to-frame noise; no specks "
@@ -243,7 +283,7 @@ QUESTIONS = (
         "everything on a lattice 128 times as fine, which is as good as floats: what economy and rounding cost.",
         (
             Variant("exact", "everything, unrounded", {"frame.economy": EconomySettings()}, refined=128),
-            *(Variant(f"worth{w:g}", f"{w:g}", {"frame.economy.worth": w}) for w in (0.0, 0.01, 0.02, 0.04)),
+            *(Variant(f"worth{w:g}", f"{w:g}", {"frame.economy.worth": w}) for w in (0.0, 0.0065, 0.013, 0.026)),
         ),
         _BOTH,
     ),

@@ -29,7 +29,7 @@ QUESTIONS = (
         "Steps of stage 2 that a later frame is trained for, from the shared keyframe.",
         tuple(
             Variant(f"steps-{steps}", f"{steps} steps", {"frame.joint_iterations": steps})
-            for steps in (15, 30, 60, 100, 150, 300, 600)
+            for steps in (15, 30, 60, 90, 120, 300, 600)
         ),
         _COLUMNS,
     ),

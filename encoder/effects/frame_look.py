@@ -65,7 +65,7 @@ def frame_effects(
 
     Raises ValueError when they are not the same views.
     """
-    views = [_pixels(*view) for view in zip(current, previous, masks, strict=True) if view[2].raw.any()]
+    views = [_pixels(*view) for view in zip(current, previous, masks, strict=True) if view[2].dilated.any()]
     if not views:
         return FrameEffects(motion=False, appearance_change=False)
     # Many little doubts are one: all views together count as one more.

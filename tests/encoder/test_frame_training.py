@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+import decogs.encoder.frame_training as frame_training
+from decogs.encoder.economy import EconomySettings
 from decogs.encoder.effort import LEAST_STEPS, Effort
 from decogs.encoder.emergence import EmergenceSettings
 from decogs.encoder.frame_training import FrameSettings, FrameTrainer, TrainedFrame
@@ -142,6 +144,35 @@ def grown(case: Case, *, everywhere: bool, **settings: Any) -> TrainedFrame:
     scene.log_scales[case.selected] = np.log(0.05)  # above 1 % of the extent: split, not cloned
     chosen = replace(NOTHING, grow_share=1.0, grow_gradient=0.0, prune_opacity=0.0, **settings)
     return replace(case, scene=scene).train(chosen, everywhere=everywhere)
+
+
+@pytest.mark.parametrize("worth", [0.0, 0.01])
+def test_a_share_of_every_displacement_becomes_its_neighbourhoods(
+    case: Case, monkeypatch: pytest.MonkeyPatch, worth: float
+) -> None:
+    settings = replace(DIRECT, economy=EconomySettings(worth=worth), warm_neighbours=8)
+    asked, judged = [], []
+    find, judge = frame_training.shared_displacements, frame_training.take_back
+
+    def shared(means: np.ndarray, displacements: np.ndarray, neighbours: int) -> np.ndarray:
+        asked.append((means.copy(), displacements.copy(), neighbours))
+        return find(means, displacements, neighbours)
+
+    def take_back(optimiser: Any, *others: Any) -> None:
+        judged.append(optimiser.splats.means.copy())
+        judge(optimiser, *others)
+
+    monkeypatch.setattr(frame_training, "shared_displacements", shared)
+    monkeypatch.setattr(frame_training, "take_back", take_back)
+    case.train(settings)
+    assert not asked, "0, the default: no displacement is shared"
+    judged.clear()
+    case.train(replace(settings, shared_motion=0.25))
+    ((before, own, neighbours),) = asked
+    assert neighbours == 8
+    assert own.any(axis=1).all()
+    expected = before + np.float32(0.75) * own + np.float32(0.25) * find(before, own, 8)
+    np.testing.assert_array_equal(judged, [expected])
 
 
 def test_halves_born_in_the_focus_lie_about_their_parents_old_place(case: Case) -> None:

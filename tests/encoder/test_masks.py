@@ -14,6 +14,7 @@ from decogs.encoder.masks import (
     MaskSettings,
     difference_mask,
     dilate,
+    faint_light_mask,
     frame_noise,
     without_specks,
 )
@@ -111,7 +112,7 @@ def test_a_change_too_slow_for_the_threshold_adds_up_until_it_is_seen() -> None:
             masks = memory.masks([now], [now])
             seen.append(int(masks[0].raw.sum()))
             if masks[0].raw.any():
-                memory.trained([now], masks)
+                memory.trained([now], masks, moved=True)
             memory.passed([now])
         assert seen == expected
 
@@ -121,7 +122,7 @@ def test_only_the_region_of_interest_takes_over_the_new_picture() -> None:
     raw, dilated = np.zeros((4, 4), bool), np.zeros((4, 4), bool)
     dilated[1:3] = True
     memory = MaskMemory([before], MaskSettings(since_trained=True, radius_share=0))
-    memory.trained([now], [FrameMask(raw, dilated)])
+    memory.trained([now], [FrameMask(raw, dilated)], moved=True)
     memory.passed([now])
     np.testing.assert_array_equal(memory.masks([now], [now])[0].raw, ~dilated)
 
@@ -136,8 +137,73 @@ def test_what_was_got_wrong_is_mended_where_the_picture_has_changed_before() -> 
     for residual, found in ((0.0, np.zeros((12, 12), bool)), (25.0, expected), (26.0, np.zeros((12, 12), bool))):
         memory = MaskMemory([picture], MaskSettings(residual=residual, radius_share=0))
         assert not memory.masks([picture], [wrong])[0].raw.any()
-        memory.trained([picture], [FrameMask(changed, changed)])
+        memory.trained([picture], [FrameMask(changed, changed)], moved=True)
         np.testing.assert_array_equal(memory.masks([picture], [wrong])[0].raw, found)
+
+
+@pytest.mark.parametrize("moved", [True, False])
+def test_where_something_moved_what_clearly_changed_stays_in_focus_for_some_frames(moved: bool) -> None:
+    still = np.zeros((3, 8, 8), np.float32)
+    now = still.copy()
+    now[:, 2, 2], now[:, 5, 5] = 40 / 255, 15 / 255  # clearly, and just seen
+    settings = MaskSettings(threshold=10.0, radius_share=0.0, since_trained=True, mend_frames=2, mend_threshold=25.0)
+    memory, focus = MaskMemory([still], settings), []
+    for _ in range(4):
+        mask = memory.masks([now], [now])[0]
+        focus.append([tuple(place) for place in np.argwhere(mask.dilated)])
+        if mask.dilated.any():
+            memory.trained([now], [mask], moved=moved)
+        memory.passed([now])
+    mended = [(2, 2)] if moved else []
+    assert focus == [[(2, 2), (5, 5)], mended, mended, []]
+
+
+def test_what_is_being_mended_has_not_changed() -> None:
+    still, now = np.zeros((3, 8, 8), np.float32), np.ones((3, 8, 8), np.float32)
+    memory = MaskMemory([still], MaskSettings(since_trained=True, mend_frames=1))
+    memory.trained([now], memory.masks([now], [now]), moved=True)
+    memory.passed([now])
+    mask = memory.masks([now], [now])[0]
+    assert mask.dilated.all()
+    assert mask.mends
+    assert not mask.raw.any()
+    assert not mask.changing.any()
+
+
+def test_a_copy_of_the_memory_keeps_what_it_was_mending() -> None:
+    still, now = np.zeros((3, 8, 8), np.float32), np.ones((3, 8, 8), np.float32)
+    memory = MaskMemory([still], MaskSettings(since_trained=True, mend_frames=1))
+    before = memory.copy()
+    memory.trained([now], memory.masks([now], [now]), moved=True)
+    assert not before.masks([still], [still])[0].dilated.any()
+
+
+@pytest.mark.parametrize("moved", [True, False])
+def test_faint_light_counts_after_a_frame_in_which_only_light_changed(moved: bool) -> None:
+    before = np.full((3, 40, 40), 0.5, np.float32)
+    lit = before.copy()
+    lit[:, 10:30, 10:30] += 6 / 255
+    memory = MaskMemory([before], MaskSettings(threshold=10.0, radius_share=0.0, light_threshold=4.0))
+    assert not memory.masks([lit], [lit])[0].raw.any(), "nothing is known of the light yet"
+    memory.trained([before], memory.masks([before], [before]), moved=moved)
+    expected = np.zeros((40, 40), bool)
+    expected[10:30, 10:30] = not moved
+    differs = memory.masks([lit], [lit])[0].raw != expected
+    differs[9:31, 9:31] &= False  # the mean reaches two thirds of 6 levels a pixel inside the border, or at it
+    assert not differs.any()
+    assert memory.masks([lit], [lit])[0].raw[12:28, 12:28].all() != moved
+
+
+def test_the_mean_that_tells_faint_light_is_blind_to_noise() -> None:
+    deviation, faint = 6 / 255, 6 / 255
+    before = RNG.normal(0.5, deviation, (3, 120, 160)).astype(np.float32)
+    now = RNG.normal(0.5, deviation, (3, 120, 160)).astype(np.float32)
+    # Noise of the mean over 49 pixels of a difference: 6 * sqrt(2) / 7 = 1.2 levels; 6 levels are five times that. At
+    # the border the mean takes pixels twice.
+    assert not faint_light_mask(now, before, 6.0)[3:-3, 3:-3].any()
+    assert difference_mask(now, before, 6.0).mean() > 0.5
+    now[:, 30:60, 40:80] += 2 * faint
+    assert faint_light_mask(now, before, 6.0)[33:57, 43:77].all()
 
 
 @pytest.mark.parametrize("deviation", [0.7, 2.0, 6.0])

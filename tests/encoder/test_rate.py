@@ -36,9 +36,10 @@ def test_a_quality_of_50_is_the_preset(name: str) -> None:
 def test_16_less_is_worth_twice_as_much_and_coarser_by_a_fourth_root_of_two() -> None:
     standard = PRESETS["standard"]
     bit = standard.keyframe.bit_worth
-    for quality, worth, lattice in ((34, 0.04, 1.18921), (66, 0.01, 0.840896), (82, 0.005, 0.707107)):
+    for quality, factor, lattice in ((34, 2, 1.18921), (66, 0.5, 0.840896), (82, 0.25, 0.707107)):
         settings = with_quality(standard, quality)
-        assert (settings.frame.economy.worth, settings.lattice_scale) == (worth, lattice)
+        assert settings.frame.economy.worth == pytest.approx(factor * standard.frame.economy.worth, rel=1e-5)
+        assert settings.lattice_scale == lattice
         economy = replace(settings.frame.economy, worth=standard.frame.economy.worth)
         assert settings.keyframe.bit_worth == pytest.approx(bit * lattice**2, rel=1e-5)  # six digits
         keyframe, frame = replace(settings.keyframe, bit_worth=bit), replace(settings.frame, economy=economy)
