@@ -190,8 +190,7 @@ QUESTIONS = (
     Question(
         "mending",
         "How long what has clearly changed is mended",
-        "For so many frames it stays in the region of interest, for Gaussians with at least such a share of their weight "
-        "there.",
+        "For so many frames it stays in the region of interest, for Gaussians with that share of their weight there.",
         (
             Variant("mend0", "never", {"frame.masks.mend_frames": 0}),
             *(
