@@ -229,8 +229,9 @@ def _encode(output: Path, rig: Path, **options: Any) -> Encoded:
         return states[-1]
 
     def observed_select(*arguments: Any) -> np.ndarray:
-        selected[len(states)] = select(*arguments)
-        return selected[len(states)].copy()
+        chosen = select(*arguments)
+        selected[len(states)] = selected.get(len(states), False) | chosen
+        return chosen
 
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(loop, "reconstruct", observed_reconstruct)

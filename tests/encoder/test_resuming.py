@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 
+from decogs.codec.corrections import Correction
 from decogs.encoder import encode as encode_rig
 from decogs.encoder.frame_training import FrameTrainer
 from decogs.formats.container import FRAME_KINDS, iterate_packets
@@ -101,7 +102,7 @@ def test_what_masks_remember_is_replayed(
 ) -> None:
     frame = replace(
         tiny_settings.frame,
-        masks=replace(tiny_settings.frame.masks, since_trained=True, residual=15.0),
+        masks=replace(tiny_settings.frame.masks, since_trained=True, residual=15.0, mend_frames=2),
         cache=None,
         joint_iterations=20,
     )
@@ -110,6 +111,27 @@ def test_what_masks_remember_is_replayed(
     for frames in (1, 2, 3):
         output = part(tmp_path, whole.data[: ends(whole.path)[frames] + 5])
         assert encode(moving_rig, output=output, resume=True, **given).data == whole.data
+
+
+def test_which_effects_a_frame_called_for_is_replayed(
+    encode: Any, moving: Any, tiny_rig: Any, tmp_path: Path, tiny_settings: Any
+) -> None:
+    """Light goes on in frame 1, and grows faintly: what masks take for a change then depends on it."""
+
+    def lit(name: str, frame: int) -> Correction:
+        return Correction(exposure=(0, 1200, 1700, 2200)[frame])
+
+    rig = tiny_rig.write(tmp_path / "rig", frames=[0] * 4, faults=lit)
+    masks = replace(tiny_settings.frame.masks, threshold=14.0, since_trained=True, mend_frames=2, light_threshold=4.0)
+    settings = replace(tiny_settings, ask_frames=True, frame=replace(tiny_settings.frame, masks=masks))
+    given = {"settings": settings, "keyframe": moving.path}
+    whole = encode(rig, **given)
+    assert [frame.effects for frame in whole.report.frames[1:]] == [["appearance_change"]] * 3
+    unaware = replace(settings, frame=replace(settings.frame, masks=replace(masks, light_threshold=0.0)))
+    assert encode(rig, settings=unaware, keyframe=moving.path).report.frames[2].kind == "skip"
+    for frames in (2, 3):
+        output = part(tmp_path, whole.data[: ends(whole.path)[frames] + 5])
+        assert encode(rig, output=output, resume=True, **given).data == whole.data
 
 
 # Under the stream's own name
