@@ -34,7 +34,7 @@ class SelectionSettings:
 
     rule: SelectionRule = "weight"
     least_views: int = 2
-    least_share: float = 0.5
+    least_share: float = 0.65
     visible_weight: float = 0.02
     mend_share: float = 0.8
 

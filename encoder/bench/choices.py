@@ -272,7 +272,7 @@ QUESTIONS = (
         "least-share",
         "Least share of the rendering weight inside the masks",
         "For the selection by weight.",
-        tuple(Variant(f"share{s:g}", f"{s:g}", {"frame.selection.least_share": s}) for s in (0.1, 0.3, 0.5, 0.7)),
+        tuple(Variant(f"share{s:g}", f"{s:g}", {"frame.selection.least_share": s}) for s in (0.1, 0.3, 0.5, 0.65, 0.8)),
         _BOTH,
     ),
     Question(
