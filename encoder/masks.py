@@ -74,7 +74,8 @@ class MaskSettings:
 class FrameMask:
     """One view's masks, bool (H, W): ``raw`` is where the picture changed, ``dilated`` the region of interest.
 
-    The second covers the first, what is around it and, ``mended`` (None: nothing), what changed some frames ago.
+    The second covers the first, faint light, what is around them and, ``mended`` (None: nothing), what changed some
+    frames ago.
 
     ``lost``: why the picture says nothing of its frame (`dropouts`), and both are empty; "" when it does.
     """
@@ -232,13 +233,14 @@ class MaskMemory:
     ) -> FrameMask:
         settings = self._settings
         noise = settings.noise_multiple * frame_noise(now, reference) if settings.noise_multiple else 0.0
-        raw = difference_mask(now, reference, max(settings.threshold, noise))
-        if settings.light_threshold and self._only_light:
-            raw |= faint_light_mask(now, reference, max(settings.light_threshold, noise / _LIGHT_WINDOW))
-        raw = without_specks(raw, settings.speck_area)
+        raw = without_specks(difference_mask(now, reference, max(settings.threshold, noise)), settings.speck_area)
         if settings.residual and changed.any():
             raw |= _without_lines(difference_mask(now, shown, settings.residual) & changed)
-        around, mending = self._grown(raw), mend_until > self._frame
+        lit = raw
+        if settings.light_threshold and self._only_light:
+            faint = faint_light_mask(now, reference, max(settings.light_threshold, noise / _LIGHT_WINDOW))
+            lit = raw | without_specks(faint, settings.speck_area)
+        around, mending = self._grown(lit), mend_until > self._frame
         return FrameMask(raw, around | mending, mending & ~around)
 
     def _grown(self, mask: BoolArray) -> BoolArray:
