@@ -6,7 +6,7 @@ which Adam keeps anyway). When stage 2 is well under way, numbers whose change m
 less than ``worth`` go back to what the decoder has and stay there; the remaining steps train the others around them.
 What is left is written in coarser steps than the lattice's, so that few and small integers remain.
 
-Measured on workbench (DESIGN.md): 10 kB a frame instead of 106 unrounded, for .16 dB where things move. Rejected: a
+Measured on workbench (DESIGN.md): 11 kB a frame instead of 102 unrounded, for .3 dB where things move. Rejected: a
 dead zone in lattice steps (at the same dynamic PSNR twice the bytes: it spares the sharp and the faint alike); a raised
 epsilon in Adam, the prototype's lever (75th percentile: 19 % fewer bytes for .6 dB); predicted motion (5 % of the
 positions' bytes: what is left of motion after training is noise, which no neighbour tells).
