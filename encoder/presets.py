@@ -99,7 +99,6 @@ _LIVE = EncodeSettings(
         cache=None,
         joint_iterations=30,
         warm_start=0.9,
-        shared_motion=0.5,
         grow_share=0.01,
         beta1=0.7,
         beta2=0.99,
