@@ -103,7 +103,7 @@ _LIVE = EncodeSettings(
         beta1=0.7,
         beta2=0.99,
         economy=EconomySettings(
-            worth=0.013,
+            worth=0.014,
             hold_at=0.5,
             coarseness=Coarseness(means=2, log_scales=1, quaternions=2, opacity_logits=3, sh_dc=2, sh_rest=1),
         ),
