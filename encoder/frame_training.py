@@ -45,7 +45,7 @@ class FrameSettings:
     ``carry_cache``: keep the cache's weights from frame to frame instead of restarting it. ``warm_start``: share of
     the last displacement to begin with, 0 to 1, the median over the ``warm_neighbours`` nearest selected Gaussians.
     ``shared_motion``: share of a displacement, 0 to 1, that becomes its neighbourhood's median when changes are judged,
-    without a cache; higher is smaller and stiffer.
+    without a cache; higher is smaller and stiffer, and over many frames drifts.
     ``grow_gradient``: the paper's tau_d; lower adds more Gaussians. ``grow_share``: most Gaussians a frame may add, as
     a share of the selected; more is slower and larger. ``rates``: stage 2, ``means`` in units of the rig's extent; over
     its second half they fall to ``late_decay`` of that. ``economy``: what changes must be worth, without a cache.

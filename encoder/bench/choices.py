@@ -282,7 +282,7 @@ QUESTIONS = (
         "everything on a lattice 128 times as fine, which is as good as floats: what economy and rounding cost.",
         (
             Variant("exact", "everything, unrounded", {"frame.economy": EconomySettings()}, refined=128),
-            *(Variant(f"worth{w:g}", f"{w:g}", {"frame.economy.worth": w}) for w in (0.0, 0.0065, 0.013, 0.026)),
+            *(Variant(f"worth{w:g}", f"{w:g}", {"frame.economy.worth": w}) for w in (0.0, 0.007, 0.014, 0.028)),
         ),
         _BOTH,
     ),
