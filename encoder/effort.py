@@ -6,6 +6,11 @@ changes and the fall of the rates come where they always do, only sooner. A fram
 and a machine that slows down in its middle is followed. Rejected: cutting the schedule off at the deadline, which
 leaves changes unjudged and rates high (DESIGN.md has both measured); a number of steps from the last frame's speed
 (frames differ by how much of the picture moves).
+
+Chosen for iterations: as many times the usual number as the scene misses more of the region of interest than usual,
+measured before the frame's first step. A thing that enters needs twice the steps of one that moves on. Rejected:
+deciding it when emerging things are sought (what was sown too early stays behind as a trail: DESIGN.md has both), or
+from the frame before (a frame could not be trained again alone).
 """
 
 from __future__ import annotations
@@ -25,6 +30,9 @@ OnLoss = Callable[[str, int, float], None]
 
 LEAST_STEPS = 12
 """Steps that a stage runs however late it is: fewer follow nothing, and cost hardly less than these."""
+
+_CLEARLY = np.float32(25 / 255)
+"""By how much a colour is off that is clearly missed: the paper's tau, here of the rendering."""
 
 _SEARCH_SHARE = 0.1
 """Of the time for training, what the search for emerging things may take on average when time is short."""
@@ -54,14 +62,37 @@ WHOLE = Effort()
 """The whole schedule, unwatched."""
 
 
-class Pace:
-    """Where a stage is in its schedule of ``iterations``: at every step one further, or more to meet a ``deadline``.
+@dataclass(frozen=True)
+class PaceSettings:
+    """How many of its iterations a frame runs, by how much the scene that it begins with misses its pictures.
 
-    Without a deadline ``position`` is the number of steps done.
+    ``usual_miss``: share of the region of interest, 0 to 1, that is clearly missed in a frame that runs them all; where
+    twice as much is missed, it runs twice as many. Lower is slower; 0: every frame runs them all. ``least``, ``most``:
+    bounds of that factor; higher is slower. With ``least`` below 1 what moves loses quality over hundreds of frames.
     """
 
-    def __init__(self, iterations: int, deadline: float | None = None) -> None:
-        self._iterations, self._deadline = iterations, deadline
+    usual_miss: float = 0.0
+    least: float = 1.0
+    most: float = 3.0
+
+    def factor(self, errors: Sequence[FloatArray]) -> float:
+        """From the ``errors`` (3, pixels) of some views in their regions of interest, colours 0 to 1."""
+        pixels = sum(each.shape[1] for each in errors)
+        if not (self.usual_miss and pixels):
+            return 1.0
+        missed = sum(int((np.abs(each).max(axis=0) > _CLEARLY).sum()) for each in errors)
+        return float(np.clip(missed / pixels / self.usual_miss, self.least, self.most))
+
+
+class Pace:
+    """Where a stage is in its schedule of ``iterations``, of which it runs ``factor`` times as many, fewer to meet a
+    ``deadline``.
+
+    Without a deadline ``position`` is the number of steps done, divided by the factor.
+    """
+
+    def __init__(self, iterations: int, deadline: float | None = None, *, factor: float = 1.0) -> None:
+        self._iterations, self._deadline, self._own_stride = iterations, deadline, 1 / factor
         self._before, self.position = -1.0, 0.0
         self._seconds: list[float] = []
         self._began = time.perf_counter()
@@ -77,7 +108,7 @@ class Pace:
     def step(self) -> None:
         """Tells that a step was done."""
         self._before = self.position
-        self.position += 1.0 if self._deadline is None else self._stride(self._deadline)
+        self.position += self._own_stride if self._deadline is None else self._stride(self._deadline)
 
     def put_off(self, seconds: float) -> None:
         """Gives the deadline back what something else than steps took; the frames after it pay for it."""
@@ -97,7 +128,8 @@ class Pace:
         # The median: a single step that searched for what emerges says nothing of the next ones.
         fitting = round((deadline - now) / max(median(self._seconds), 1e-9))
         more = max(fitting, LEAST_STEPS - len(self._seconds), 0)
-        return max(1.0, (self._iterations - self.position) / (1 + more))
+        left = self._iterations - self.position
+        return max(self._own_stride, left / (1 + more))
 
 
 class SearchTime:

@@ -13,7 +13,7 @@ stage 1 is left out and stage 2 moves the Gaussians directly.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -25,7 +25,7 @@ from decogs.formats.splats import FloatArray, Splats, empty_splats, join_splats,
 
 from .densification import ViewGradients, grow, opacities_of, strongest
 from .economy import EconomySettings, picture_share, take_back
-from .effort import WHOLE, Effort, Pace, SearchTime, TargetWatch
+from .effort import WHOLE, Effort, Pace, PaceSettings, SearchTime, TargetWatch
 from .emergence import EmergenceSettings, Look, missed, seeds, worth_a_search
 from .ingest import View
 from .losses import FocusWeights, PhotometricLoss, focus_loss, require_finite, whole_picture_loss
@@ -35,6 +35,7 @@ from .optimiser import LearningRates, SplatOptimiser
 from .rasterise import FixedView, SplatGradients, TrainingKernel, gradients_like
 from .selection import SelectionSettings
 from .transformation_cache import CacheSettings, TransformationCache
+from .view_order import view_order
 
 
 @dataclass(frozen=True)
@@ -44,14 +45,12 @@ class FrameSettings:
     ``cache_iterations`` and ``joint_iterations``: stage 1 and stage 2; more is slower and follows faster motion.
     ``carry_cache``: keep the cache's weights from frame to frame instead of restarting it. ``warm_start``: share of
     the last displacement to begin with, 0 to 1, the median over the ``warm_neighbours`` nearest selected Gaussians.
-    ``shared_motion``: share of a displacement, 0 to 1, that becomes its neighbourhood's median when changes are judged,
-    without a cache; higher is smaller and stiffer, and over many frames drifts.
     ``grow_gradient``: the paper's tau_d; lower adds more Gaussians. ``grow_share``: most Gaussians a frame may add, as
     a share of the selected; more is slower and larger. ``rates``: stage 2, ``means`` in units of the rig's extent; over
     its second half they fall to ``late_decay`` of that. ``economy``: what changes must be worth, without a cache.
-    ``beta1``, ``beta2``: stage 2's Adam. ``flat``: stage 2 ends, not before its half, once a round through all views
-    lowers their loss by less than this share; higher is faster. ``ablated``: parts of the method left out
-    (``methods.without``).
+    ``beta1``, ``beta2``: stage 2's Adam. ``pace``: how a frame's iterations follow from what it misses. ``flat``:
+    stage 2 ends, not before its half, once a round through all views lowers their loss by less than this share; higher
+    is faster. ``ablated``: parts of the method left out (``methods.without``).
     """
 
     masks: MaskSettings = field(default_factory=MaskSettings)
@@ -62,7 +61,6 @@ class FrameSettings:
     joint_iterations: int = 100
     warm_start: float = 0.0
     warm_neighbours: int = 24
-    shared_motion: float = 0.0
     grow_gradient: float = 1e-4
     grow_share: float = 0.05
     prune_opacity: float = 0.01
@@ -71,6 +69,7 @@ class FrameSettings:
     late_decay: float = 0.2
     beta1: float = 0.9
     beta2: float = 0.999
+    pace: PaceSettings = field(default_factory=PaceSettings)
     flat: float = 0.0
     economy: EconomySettings = field(default_factory=EconomySettings)
     emergence: EmergenceSettings = field(default_factory=EmergenceSettings)
@@ -149,7 +148,7 @@ class FrameTrainer:
         self._settings, self._effort = self._whole_settings if settings is None else settings, effort
         self._cache = self._cache_of_frame()
         self._used = showing(masks)
-        before = self._misses(pictures, masks)
+        before = self._squared_error(pictures, masks)
         self._random = np.random.default_rng((self._seed, frame))
         losses = [
             self._loss(picture, mask, view) for picture, mask, view in zip(pictures, masks, self._views, strict=True)
@@ -167,9 +166,8 @@ class FrameTrainer:
         if "gate" in self._settings.ablated:
             self._open_gate(work, scene)
         self._stage2(work, scene, losses, masks)
-        for index in self._probes():
-            self._watch[index].draw(work.shown, work.rows)
-        if self._misses(pictures, masks) > _RUN_AWAY * before:
+        self._draw_probes(work)
+        if self._squared_error(pictures, masks) > _RUN_AWAY * before:
             return replace(work.unchanged(scene), given_up=True)
         return self._result(work)
 
@@ -186,28 +184,29 @@ class FrameTrainer:
         """A few of the used views, enough to see what goes wrong everywhere."""
         return self._used[::3]
 
-    def _misses(self, pictures: Sequence[FloatArray], masks: Sequence[FrameMask]) -> float:
-        """Squared error in focus of what some views show."""
-        total = 0.0
+    def _errors(self, pictures: Sequence[FloatArray], masks: Sequence[FrameMask]) -> list[FloatArray]:
+        """By how much what some views show misses their pictures in focus, (3, pixels) each, colours 0 to 1."""
+        regions = [(i, _focus(self._views[i], masks[i])) for i in self._probes()]
+        return [np.clip(self._watch[i].rgb[:, focus], 0, 1) - pictures[i][:, focus] for i, focus in regions]
+
+    def _squared_error(self, pictures: Sequence[FloatArray], masks: Sequence[FrameMask]) -> float:
+        return sum(float(np.square(errors).sum(dtype=np.float64)) for errors in self._errors(pictures, masks))
+
+    def _draw_probes(self, work: _Working) -> None:
         for index in self._probes():
-            focus = masks[index].dilated
-            off = np.clip(self._watch[index].rgb[:, focus], 0, 1) - pictures[index][:, focus]
-            total += float((off * off).sum(dtype=np.float64))
-        return total
+            self._watch[index].draw(work.shown, work.rows)
+
+    def _pace(self, work: _Working, losses: Sequence[PhotometricLoss], masks: Sequence[FrameMask]) -> float:
+        """How many times the iterations of stage 2 this frame gets."""
+        if not self._settings.pace.usual_miss:
+            return 1.0
+        self._draw_probes(work)
+        return self._settings.pace.factor(self._errors([loss.target for loss in losses], masks))
 
     def _start_warm(self, work: _Working, motion: FloatArray) -> None:
         share = np.float32(self._settings.warm_start)
         if share and motion.any():
             work.base.means[:] += share * shared_displacements(work.base.means, motion, self._settings.warm_neighbours)
-
-    def _share_motion(self, work: _Working, before: Splats, old: NDArray[np.bool_]) -> None:
-        """A share of how far each of the ``old`` has come since ``before`` becomes what its neighbourhood has come."""
-        share = np.float32(self._settings.shared_motion)
-        if not share:
-            return
-        own = np.where(old[:, None], work.base.means - before.means, np.float32(0))
-        shared = shared_displacements(before.means, own, self._settings.warm_neighbours)
-        work.base.means[old] = (before.means + (1 - share) * own + share * shared)[old]
 
     def _loss(self, picture: FloatArray, mask: FrameMask, view: View) -> PhotometricLoss:
         weights = self._settings.focus
@@ -220,7 +219,7 @@ class FrameTrainer:
         gathered = ViewGradients(len(work.rows))
         iterations = self._settings.cache_iterations
         pace = Pace(iterations, self._effort.deadline_before(iterations, self._settings.joint_iterations))
-        for step, index in enumerate(self._view_order(iterations)):
+        for step, index in self._views_at_random():
             if pace.is_over:
                 break
             work.show(*cache.moved())
@@ -247,10 +246,10 @@ class FrameTrainer:
         gathered, self._values = ViewGradients(len(work.rows)), []
         grow_from, grow_at = settings.joint_iterations // 4, settings.joint_iterations // 2
         hold_at = max(grow_at + 1, round(settings.economy.hold_at * settings.joint_iterations))
-        judging = self._cache is None and (worth > 0 or settings.shared_motion > 0)
-        pace, judged = Pace(settings.joint_iterations, self._effort.deadline), not judging
+        judged = self._cache is not None or worth == 0
+        pace = Pace(settings.joint_iterations, self._effort.deadline, factor=self._pace(work, losses, masks))
         target = self._target(losses, masks)
-        for step, index in enumerate(self._view_order(settings.joint_iterations)):
+        for step, index in self._views_at_random():
             if pace.is_over:
                 break
             if self._cache is None and pace.reaches(grow_at):
@@ -267,7 +266,6 @@ class FrameTrainer:
                 gradients = self._through_cache(work, gradients, self._cache)
             if pace.reaches(hold_at) and not judged:
                 before, old, judged = work.before(scene), work.rows < len(scene), True
-                self._share_motion(work, before, old)
                 take_back(work.optimiser, before, old, worth * picture_share([losses[i] for i in self._used]))
                 if target is not None:
                     target.restart()
@@ -335,12 +333,9 @@ class FrameTrainer:
         self._values.append(value.total)
         return view.backward(out=work.gradients)
 
-    def _view_order(self, steps: int) -> list[int]:
-        """Views at random, each once before any comes again."""
-        order: list[int] = []
-        while len(order) < steps:
-            order += [self._used[i] for i in self._random.permutation(len(self._used))]
-        return order[:steps]
+    def _views_at_random(self) -> Iterator[tuple[int, int]]:
+        """Steps without end and the view of each."""
+        return ((step, self._used[place]) for step, place in enumerate(view_order(len(self._used), self._random)))
 
     def _densify(self, work: _Working, view_gradients: ViewGradients, masks: Sequence[FrameMask]) -> None:
         """Adds Gaussians to ``work`` where the gradient asks for them, and takes those away that have become faint."""

@@ -17,6 +17,7 @@ from .baseline import BaselineSettings
 from .corrections.settings import CorrectionSettings
 from .economy import Coarseness, EconomySettings
 from .effects.names import PRESET_EFFECTS
+from .effort import PaceSettings
 from .emergence import EmergenceSettings
 from .frame_training import FrameSettings
 from .keyframe import KeyframeSettings
@@ -102,10 +103,11 @@ _LIVE = EncodeSettings(
         grow_share=0.01,
         beta1=0.7,
         beta2=0.99,
+        pace=PaceSettings(usual_miss=0.15),
         economy=EconomySettings(
-            worth=0.014,
+            worth=0.017,
             hold_at=0.5,
-            coarseness=Coarseness(means=2, log_scales=1, quaternions=2, opacity_logits=3, sh_dc=2, sh_rest=1),
+            coarseness=Coarseness(means=1, log_scales=1, quaternions=2, opacity_logits=3, sh_dc=2, sh_rest=1),
         ),
         emergence=EmergenceSettings(most_rays=500),
     ),

@@ -8,6 +8,7 @@ table.
 from __future__ import annotations
 
 from ..economy import Coarseness, EconomySettings
+from ..effort import PaceSettings
 from ..transformation_cache import CacheSettings
 from .timing import TIMINGS
 from .variants import Question, Times, Variant
@@ -118,6 +119,22 @@ QUESTIONS = (
         _BOTH,
     ),
     Question(
+        "pace",
+        "Iterations by what a frame misses",
+        "The share of the region of interest that a frame misses at its start for the iterations to be those of the "
+        "preset; one that misses more runs as many times more, at most 3, and one that misses less at least the share "
+        "in the row.",
+        tuple(
+            Variant(
+                f"pace{usual:g}-{least:g}",
+                f"{usual:g}, at least {least:g}" if usual else "the same for every frame",
+                {"frame.pace": PaceSettings(usual, least=least)},
+            )
+            for usual, least in ((0.0, 1.0), (0.1, 1.0), (0.15, 0.6), (0.15, 1.0), (0.25, 1.0))
+        ),
+        _BOTH,
+    ),
+    Question(
         "early-stop",
         "Stopping early",
         "Stage 2 ends once a round through all views lowers the loss by less than this share.",
@@ -220,13 +237,6 @@ QUESTIONS = (
         _BOTH,
     ),
     Question(
-        "shared-motion",
-        "Motion shared with the neighbourhood",
-        "The share of a displacement that becomes the median of its neighbourhood's when changes are judged.",
-        tuple(Variant(f"shared{s:g}", f"{s:g}", {"frame.shared_motion": s}) for s in (0.0, 0.25, 0.5, 0.75, 1.0)),
-        _BOTH,
-    ),
-    Question(
         "noise",
         "Threshold by the camera's own noise",
         "τ 4 without and with a floor of so many standard deviations of the camera's frame-to-frame noise; no specks "
@@ -282,7 +292,7 @@ QUESTIONS = (
         "everything on a lattice 128 times as fine, which is as good as floats: what economy and rounding cost.",
         (
             Variant("exact", "everything, unrounded", {"frame.economy": EconomySettings()}, refined=128),
-            *(Variant(f"worth{w:g}", f"{w:g}", {"frame.economy.worth": w}) for w in (0.0, 0.007, 0.014, 0.028)),
+            *(Variant(f"worth{w:g}", f"{w:g}", {"frame.economy.worth": w}) for w in (0.0, 0.008, 0.017, 0.034)),
         ),
         _BOTH,
     ),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -88,7 +88,14 @@ def test_changes_are_whole_multiples_as_near_as_can_be() -> None:
             was, wanted, is_now = (getattr(values, name)[part].astype(int) for values in (before, after, written))
             assert ((is_now - was) % multiple == 0).all()
             assert (np.abs(is_now - wanted) <= multiple // 2).all()
-            assert (np.abs(is_now - was) <= np.abs(wanted - was) + (multiple - 1) // 2).all(), "halves towards none"
+
+
+def test_halves_go_to_the_even_multiple_so_that_changes_do_not_shrink() -> None:
+    before = attributes(1, 0)
+    steps = np.arange(COUNT, dtype=np.int32)[:, None] * np.array([1, -1, 1], np.int32)
+    written = coarse_changes(before, replace(before, means=steps), Coarseness(means=2)).means
+    np.testing.assert_array_equal(written[:8, 0], [0, 0, 2, 4, 4, 4, 6, 8])
+    np.testing.assert_array_equal(written[:, 1], -written[:, 0])
 
 
 def test_a_coarseness_of_one_writes_what_was_trained() -> None:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from decogs.encoder.effort import LEAST_STEPS, Effort, Pace, SearchTime, TargetWatch
+from decogs.encoder.effort import LEAST_STEPS, Effort, Pace, PaceSettings, SearchTime, TargetWatch
 
 SCHEDULE, MARKS = 150, (37, 75, 76)
 
@@ -49,6 +49,33 @@ def test_without_a_deadline_every_step_is_made() -> None:
     positions, reached = run(Pace(SCHEDULE), lambda step: None)
     assert positions == list(range(SCHEDULE))
     assert reached == list(MARKS)
+
+
+@pytest.mark.parametrize(("factor", "steps"), [(0.5, 75), (2.0, 300)])
+def test_a_factor_makes_the_schedule_longer_or_shorter_with_every_mark_at_its_share(factor: float, steps: int) -> None:
+    positions, reached = run(Pace(SCHEDULE, factor=factor), lambda step: None)
+    assert len(positions) == steps
+    np.testing.assert_allclose(reached, np.multiply(MARKS, factor), atol=1)
+
+
+def test_a_deadline_ends_a_schedule_made_longer(clock: Clock) -> None:
+    def step(_: int) -> None:
+        clock.now += 0.01
+
+    deadline = clock.now + 0.01 * 200
+    positions, reached = run(Pace(SCHEDULE, deadline, factor=3.0), step)
+    assert len(positions) == pytest.approx(200, abs=2)
+    np.testing.assert_allclose(reached, np.multiply(MARKS, 200 / SCHEDULE), atol=2)
+
+
+@pytest.mark.parametrize(("missed", "factor"), [(0.0, 0.6), (0.15, 1.0), (0.3, 2.0), (0.9, 3.0)])
+def test_what_is_missed_more_than_usual_gets_as_much_longer(missed: float, factor: float) -> None:
+    views = [np.full((3, pixels), 0.09, np.float32) for pixels in (400, 600)]
+    for view in views:
+        view[1, : round(missed * view.shape[1])] = -0.11
+    assert PaceSettings(usual_miss=0.15, least=0.6).factor(views) == pytest.approx(factor)
+    assert PaceSettings().factor(views) == 1
+    assert PaceSettings(usual_miss=0.15).factor([np.zeros((3, 0), np.float32)]) == 1
 
 
 @pytest.mark.parametrize("fitting", [20, 50, 100])

@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-import decogs.encoder.frame_training as frame_training
-from decogs.encoder.economy import EconomySettings
-from decogs.encoder.effort import LEAST_STEPS, Effort
+from decogs.encoder.effort import LEAST_STEPS, Effort, PaceSettings
 from decogs.encoder.emergence import EmergenceSettings
 from decogs.encoder.frame_training import FrameSettings, FrameTrainer, TrainedFrame
 from decogs.encoder.ingest import Ingest
@@ -146,35 +144,6 @@ def grown(case: Case, *, everywhere: bool, **settings: Any) -> TrainedFrame:
     return replace(case, scene=scene).train(chosen, everywhere=everywhere)
 
 
-@pytest.mark.parametrize("worth", [0.0, 0.01])
-def test_a_share_of_every_displacement_becomes_its_neighbourhoods(
-    case: Case, monkeypatch: pytest.MonkeyPatch, worth: float
-) -> None:
-    settings = replace(DIRECT, economy=EconomySettings(worth=worth), warm_neighbours=8)
-    asked, judged = [], []
-    find, judge = frame_training.shared_displacements, frame_training.take_back
-
-    def shared(means: np.ndarray, displacements: np.ndarray, neighbours: int) -> np.ndarray:
-        asked.append((means.copy(), displacements.copy(), neighbours))
-        return find(means, displacements, neighbours)
-
-    def take_back(optimiser: Any, *others: Any) -> None:
-        judged.append(optimiser.splats.means.copy())
-        judge(optimiser, *others)
-
-    monkeypatch.setattr(frame_training, "shared_displacements", shared)
-    monkeypatch.setattr(frame_training, "take_back", take_back)
-    case.train(settings)
-    assert not asked, "0, the default: no displacement is shared"
-    judged.clear()
-    case.train(replace(settings, shared_motion=0.25))
-    ((before, own, neighbours),) = asked
-    assert neighbours == 8
-    assert own.any(axis=1).all()
-    expected = before + np.float32(0.75) * own + np.float32(0.25) * find(before, own, 8)
-    np.testing.assert_array_equal(judged, [expected])
-
-
 def test_halves_born_in_the_focus_lie_about_their_parents_old_place(case: Case) -> None:
     frame = grown(case, everywhere=True)
     assert len(frame.added) == len(frame.kept) == 25
@@ -307,6 +276,19 @@ def test_training_ends_when_the_loss_no_longer_falls(case: Case) -> None:
     assert 30 < ended <= 30 + 2 * count
     assert ended % count == 0
     assert steps(replace(DIRECT, joint_iterations=60, flat=-10.0)) == 60
+
+
+def test_what_the_scene_misses_at_its_start_makes_a_frame_longer_or_shorter(case: Case) -> None:
+    def steps(pictures: list[np.ndarray], usual_miss: float) -> int:
+        trainer = case.trainer(replace(DIRECT, pace=PaceSettings(usual_miss=usual_miss, least=0.5, most=2.0)))
+        motion = np.zeros_like(case.scene.means)
+        trainer.train(case.scene, case.selected, pictures, case.masks(everywhere=True), motion, frame=1)
+        return len(trainer._values)
+
+    shown = [TrainingKernel(2).forward(case.scene, view.pinhole).rgb for view in case.ingest.views]
+    assert steps(shown, 0.5) == 15
+    assert steps(case.pictures, 1e-6) == 60
+    assert steps([1 - picture for picture in shown], 0.0) == 30
 
 
 @pytest.mark.parametrize("settings", [MOVING, DIRECT], ids=["cache", "direct"])

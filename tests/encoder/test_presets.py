@@ -58,7 +58,6 @@ SLOWER = {
     "frame.grow_share": +1,
     "frame.emergence.most_rays": +1,
     "frame.economy.worth": -1,
-    "frame.economy.coarseness.means": -1,
     "frame.economy.coarseness.quaternions": -1,
     "frame.economy.coarseness.opacity_logits": -1,
     "frame.economy.coarseness.sh_dc": -1,
