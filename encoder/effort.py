@@ -118,7 +118,7 @@ class Pace:
 
     def skip_to(self, mark: int) -> None:
         """Leaves out what lies between this step and that position, which the next step reaches."""
-        self.position = max(self.position, mark - 1.0)
+        self.position = max(self.position, mark - self._own_stride)
 
     def _stride(self, deadline: float) -> float:
         """What is left of the schedule for each of the steps that still fit, this one included."""

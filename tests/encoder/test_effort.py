@@ -139,12 +139,13 @@ def test_what_is_put_off_costs_no_steps(clock: Clock) -> None:
     assert len(positions) == pytest.approx(50, abs=1)
 
 
-def test_skipping_leaves_out_what_lies_between() -> None:
-    pace = Pace(SCHEDULE)
-    positions, reached = run(pace, lambda step: pace.skip_to(75) if step == 20 else None)
-    assert reached == [21, 22], "all but the first mark"
-    assert positions[20:23] == [20, 75, 76]
-    assert len(positions) == SCHEDULE - (75 - 21)
+@pytest.mark.parametrize("factor", [0.5, 1.0, 2.0])
+def test_skipping_leaves_out_what_lies_between(factor: float) -> None:
+    pace = Pace(SCHEDULE, factor=factor)
+    positions, reached = run(pace, lambda step: pace.skip_to(75) if step == 10 else None)
+    assert reached == [11, 11 + np.ceil(factor)], "all but the first mark"
+    assert positions[10:12] == [10 / factor, 75]
+    assert len(positions) == 11 + (SCHEDULE - 75) * factor + (factor == 0.5) / 2
 
 
 def test_a_stage_gets_its_share_of_what_is_left(clock: Clock) -> None:
