@@ -8,7 +8,7 @@
 PYTHON ?= python3
 PIP_ARGS ?=
 RIGS ?= $(addprefix ../shared/data/rigs/,workbench candle popup)
-CHOICE_RIGS ?= $(addprefix ../shared/data/rigs/,workbench popup)
+CHOICE_RIGS ?= ../shared/data/rigs/workbench
 RATE_RIGS ?= ../shared/data/rigs/workbench
 EFFECT_RIGS ?= $(addprefix ../shared/data/rigs/,still candle popup workbench workbench_drift)
 BENCH_ARGS ?=
@@ -88,6 +88,8 @@ bench: $(READY) ## time the rasteriser, sparse training steps against dense ones
 report: $(READY) ## the paper's tables, our choices, rate against distortion, accuracy against time, into report/
 	$(BIN)/decogs-bench paper $(RIGS) -o report $(BENCH_ARGS)
 	$(BIN)/decogs-bench choices $(CHOICE_RIGS) -o report --frames :16 $(BENCH_ARGS)
+	$(BIN)/decogs-bench choices ../shared/data/rigs/popup -o report/popup --only pace $(BENCH_ARGS)
+	$(BIN)/decogs-bench choices ../shared/data/rigs/candle -o report/candle --only faint-light $(BENCH_ARGS)
 	$(BIN)/decogs-bench rates $(RATE_RIGS) -o report $(BENCH_ARGS)
 	$(BIN)/decogs-bench effects $(EFFECT_RIGS) -o report --frames :20 --preset draft $(BENCH_ARGS)
 	$(BIN)/decogs-bench curve $(RATE_RIGS) -o report --frames :8 $(BENCH_ARGS)
