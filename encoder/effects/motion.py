@@ -66,7 +66,7 @@ class Motion:
         return settings
 
     def left_out(self, settings: EncodeSettings) -> EncodeSettings:
-        """Nothing is carried along, turned or resized; what light alone does is judged more leniently, in fewer steps."""
+        """Nothing is carried along, turned or resized; light alone is judged more leniently, in fewer steps."""
         frame = settings.frame
         rates = replace(frame.rates, means=0.0, log_scales=0.0, quaternions=0.0)
         economy = replace(frame.economy, worth=_WORTH_OF_LIGHT * frame.economy.worth)
