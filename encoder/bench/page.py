@@ -35,16 +35,26 @@ def report_page(plan: Plan, results: Sequence[RigResults], folder: Path, command
 def _rig_section(plan: Plan, result: RigResults, folder: Path) -> list[str]:
     bench = result.bench
     lines = [f"## {bench.name}", "", _about_rig(result), ""]
-    for question in plan.questions:
+    untouched = [question for question in plan.questions if _is_untouched(result, question)]
+    for question in (question for question in plan.questions if question not in untouched):
         lines += [f"### {question.title}", ""] + ([question.about, ""] if question.about else [])
         for columns in question.columns:
             lines += [*_table(result, question, columns), ""]
         lines += [f"{name} failed: {error}" for name, error in _failed(result, question)]
+    if untouched:
+        lines += [f"Not run: {'; '.join(question.title for question in untouched)}.", ""]
     if plan.contest is not None:
         lines += _contest_section(plan.contest, result)
     if plan.trade is not None:
         lines += _trade_section(plan, result, folder)
     return lines + (_figures(plan, result, folder) if plan.figures else [])
+
+
+def _is_untouched(result: RigResults, question: Question) -> bool:
+    """Whether all that is there of a question is the preset's row, which other questions have, too."""
+    there = [variant for variant in question.variants if result.run_of(variant) is not None]
+    missing = len(there) < len(question.variants) and not _failed(result, question)
+    return bool(result.runs) and missing and all(result.is_preset(variant) for variant in there)
 
 
 def _about_rig(result: RigResults) -> str:
