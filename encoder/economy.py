@@ -129,7 +129,7 @@ def _cheaper(values: FloatArray, chosen: IntArray, change: FloatArray, bit: floa
 
 def _coarse(before: IntArray, after: IntArray, step: int | NDArray[np.int64]) -> IntArray:
     change = after.astype(np.int64) - before
-    # Halves towards none would make every change smaller on average, where a multiple is 2: .1 dB on candle.
+    # Halves towards none would make every change smaller on average, where a multiple is 2: .08 dB on candle.
     whole = np.rint(change / step).astype(np.int64)
     coarse = before + whole * step
     return np.where(np.abs(coarse) <= np.iinfo(np.int32).max, coarse, after).astype(np.int32)

@@ -26,7 +26,6 @@ _WORTH_OF_LIGHT = 0.4
 hardly shows, and only together they do. candle: .0033 / .0052 / .0104 (this is .0068 of standard's .017) give 12.1 /
 10.8 / 8.0 kB a frame and, where light changes, 31.91 / 31.94 / 31.89 dB."""
 
-
 _PACE_OF_LIGHT = 0.6
 """Least share of its iterations that a frame runs in which only light changes (`effort.PaceSettings`): candle takes 1.3
 CPU-s a frame instead of 1.7 and loses .02 dB where light changes."""
