@@ -40,7 +40,7 @@ class AppearanceChange:
             self,
             evidence,
             reason=f"up to {area:.2g} % of a picture changes from one frame to the next, in place and away from motion",
-            cost="colours and opacities of what changes: 9 kB and 1.8 CPU-s a frame (measured on candle)",
+            cost="colours and opacities of what changes: 9 kB and 1.3 CPU-s a frame (measured on candle)",
             figures={"alone_percent": area},
         )
 

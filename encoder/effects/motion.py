@@ -57,7 +57,7 @@ class Motion:
             self,
             evidence,
             reason=f"up to {area:.2g} % of a picture holds content in one frame that light does not make of the last's",
-            cost="positions and rotations of what moves: 11 kB and 0.9 CPU-s a frame (measured on workbench)",
+            cost="positions and rotations of what moves: 12 kB and 0.9 CPU-s a frame (measured on workbench)",
             figures={"restructured_percent": area},
         )
 
