@@ -85,10 +85,9 @@ class PaceSettings:
 
 
 class Pace:
-    """Where a stage is in its schedule of ``iterations``, of which it runs ``factor`` times as many, fewer to meet a
-    ``deadline``.
+    """Where a stage is in its schedule of ``iterations``: its steps are ``factor`` times as many, or fewer in time.
 
-    Without a deadline ``position`` is the number of steps done, divided by the factor.
+    Without a ``deadline`` ``position`` is the number of steps done, divided by the factor.
     """
 
     def __init__(self, iterations: int, deadline: float | None = None, *, factor: float = 1.0) -> None:
