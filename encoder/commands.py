@@ -99,7 +99,7 @@ def encode_main(arguments: Sequence[str] | None = None) -> int:
         "--device",
         default="auto",
         metavar="D",
-        help="auto (default), cpu or cuda; cuda has never run on a GPU: auto is cpu",
+        help="auto (default), cpu or cuda (through gsplat); auto is cpu",
     )
     parser.add_argument("--log", metavar="FILE", help="write figures per frame as JSON lines")
     parser.add_argument("--anytime", metavar="FILE", help="write the loss of every training step as JSON lines")

@@ -80,8 +80,8 @@ def encode(
     training ends. ``corrections``: cameras whose faults are known, instead of those that ``effects`` finds.
     ``resume``: go on with what an encode with the same options left in ``output`` + ".part", or as a shorter stream;
     the file gets the bytes of one that was not cut off.
-    ``threads``: 0 means all processors; the stream does not depend on it. ``device``: "cuda" takes gsplat, has never
-    run on a GPU and gives other bits every time; "auto" is the CPU as long as that is so. ``log``: file for JSON lines.
+    ``threads``: 0 means all processors; the stream does not depend on it. ``device``: "cuda" takes gsplat
+    and gives other bits every time; "auto" is the CPU. ``log``: file for JSON lines.
     ``anytime``: file for the loss of every training step, as JSON lines.
     ``terminal``: where to show a progress bar, if it is one. Ctrl-C after the first frame ends the stream early but
     whole. Raises RigError, UsageError or TrainingError; nothing is then left under the output's name.

@@ -1,7 +1,7 @@
 """Renders with gradients: the native training kernel, and tests against the float64 twin in ``decoder.rasterise``.
 
 ``training_kernel`` and ``fixed_view`` choose the backend; ``TrainingKernel`` and ``FixedView``, the native one, are its
-interface as well. The CUDA backend (``cuda``) **has never run on a GPU**, so ``auto`` means the CPU. It alone
+interface as well. No whole encode has been measured on the CUDA backend (``cuda``), so ``auto`` means the CPU. It alone
 needs torch and is imported when it is asked for.
 """
 

@@ -1,8 +1,7 @@
-"""The training kernel on a CUDA device, through gsplat: written and tested on the CPU, **has never run on a GPU**.
+"""The training kernel on a CUDA device, through gsplat.
 
-No GPU could be had. What is ours in this file runs in the tests on CPU tensors, with plain torch in place of gsplat's
-four functions; gsplat's own kernels, their speed and the transfers are untried, and ``--device auto`` takes the CPU.
-Signatures and conventions are gsplat 1.5.3's, the same in 1.5.0: ``fully_fused_projection`` (not packed),
+Run on an H100 with gsplat 1.5.3 and torch 2.11: every test passed, and steps were timed (report/gpu.md). Where there is
+no GPU, the tests run this file on CPU tensors with plain torch in place of gsplat's four functions. Signatures and conventions are gsplat 1.5.3's, the same in 1.5.0: ``fully_fused_projection`` (not packed),
 ``isect_tiles``, ``isect_offset_encode``, and ``rasterize_to_pixels`` with its tile ``masks``.
 
 Chosen: a view keeps on the device how what rests projects, and projects only what changes. Both together, in the
@@ -11,7 +10,9 @@ autograd goes back to the changing ones alone. A view's pictures, targets and pi
 from ``draw`` to ``backward``. Stored values and their gradients travel, so that cache, densification and Adam
 (inherited) are the native ones; so do the keyframe's pictures, whose loss is the native one too. Rejected: gsplat's
 ``rasterization`` (projects and draws everything) and ``SelectiveAdam`` (no bias correction); Adam on the device (values
-and moments would travel both ways). Open: tile lists of what rests are sorted anew for every draw.
+and moments would travel both ways). Open, largest first
+(measured): the loss, half of a sparse step, in some fifty passes of torch; the many small launches around gsplat's
+kernels; pictures that travel in the keyframe; tile lists of what rests, sorted anew for every draw.
 
 Differs from the native kernel: alpha ends at 0.999 instead of 0.99, so that a pixel in the core of a denser Gaussian is
 off by up to 0.009 of the contrast to what is behind it; the tiles met are those of a Gaussian's box, some more than its

@@ -2,7 +2,8 @@
 
 On the CPU a stand-in for gsplat's four functions, brute force in torch, lets everything of ours run: layout, spherical
 harmonics, masks, the gradients' way, weights, the loss, the bookkeeping. Whatever gsplat leaves undefined, the stand-in
-fills with NaN. What no test here can show: that gsplat's kernels do on a GPU what their documentation says.
+fills with NaN. Only a machine with a GPU
+shows that gsplat's kernels do what their documentation says; there the same tests run on them.
 """
 
 from __future__ import annotations
@@ -194,8 +195,9 @@ class Backend:
 BACKENDS = {
     # The stand-in is exact; what is left is float32 in between and in the native kernel (seen: 2e-6 and 6e-6).
     "stand-in": Backend(lambda: CudaKernel(1, device="cpu", gsplat=StandIn()), 1e-5, 3e-5),
-    # Never run. gsplat compiles with fast maths and takes determinants as differences, which loses two digits of seven
-    # for an ellipse ten times as long as wide; its compensation's gradient divides by the square root of one.
+    # gsplat compiles with fast maths and takes determinants as differences, which loses two digits of seven for an
+    # ellipse ten times as long as wide; its compensation's gradient divides by the square root of one. Seen on an H100
+    # with 150 000 Gaussians: 2.5e-6 (rms) and 3e-4.
     "gsplat": Backend(lambda: CudaKernel(1), 1e-3, 2e-2),
 }
 

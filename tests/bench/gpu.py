@@ -1,0 +1,162 @@
+"""Measures a training step on a CUDA device, part by part, and how far its pictures and gradients are from the CPU's.
+
+    python tests/bench/gpu.py [--rounds N] [--count N] [--size WxH]
+
+Wall time with the device waited for at both ends of a part; medians over rounds, in which all variants run in turn.
+Needs a GPU and decogs[cuda]; nothing else in the tests does.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from statistics import median
+
+import numpy as np
+import torch
+
+from decogs.encoder.optimiser import LearningRates, SplatOptimiser
+from decogs.encoder.rasterise import FixedView, TrainingKernel, fixed_view, gradients_like
+from decogs.encoder.rasterise.cuda import CudaKernel, missing_for_cuda
+from decogs.formats.cameras import Camera
+from decogs.formats.splats import Splats, take_splats
+from rasterise import front_camera, random_scene
+from sparse import nearest
+
+RATES = LearningRates(1e-9, 1e-9, 1e-9, 1e-9, 1e-9, 1e-9)
+"""So small that the scene stays the same from round to round."""
+
+
+def milliseconds(function: Callable[[], object]) -> float:
+    torch.cuda.synchronize()
+    began = time.perf_counter()
+    function()
+    torch.cuda.synchronize()
+    return 1000 * (time.perf_counter() - began)
+
+
+class DenseStep:
+    """A training step of a whole scene: its parts as functions without arguments."""
+
+    def __init__(self, kernel: TrainingKernel, splats: Splats, camera: Camera) -> None:
+        rng = np.random.default_rng(1)
+        self.kernel, self.camera = kernel, camera
+        self.optimiser = SplatOptimiser(splats, kernel)
+        self.target = rng.random((3, camera.height, camera.width), dtype=np.float32)
+        self.gradients = gradients_like(splats)
+        self.parts = (self.forward, self.loss, self.backward, self.adam)
+
+    def forward(self) -> None:
+        self.picture = self.kernel.forward(self.optimiser.splats, self.camera)
+
+    def loss(self) -> None:
+        size = 3.0 * self.target[0].size
+        scales = {"l1_scale": 0.8 / size, "ssim_scale": 0.2 / size}
+        _, self.cotangent = self.kernel.loss(self.picture.rgb, self.target, **scales)
+
+    def backward(self) -> None:
+        self.kernel.backward(self.optimiser.splats, self.cotangent, out=self.gradients)
+
+    def adam(self) -> None:
+        self.optimiser.step(self.gradients, RATES)
+
+
+class SparseStep:
+    """A training step of the Gaussians ``rows`` while the others rest."""
+
+    def __init__(self, kernel: TrainingKernel, splats: Splats, camera: Camera, rows: np.ndarray) -> None:
+        self.rows = rows
+        self.optimiser = SplatOptimiser(take_splats(splats, rows), kernel)
+        self.gradients = gradients_like(self.optimiser.splats)
+        self.target = np.random.default_rng(1).random((3, camera.height, camera.width), dtype=np.float32)
+        self.view: FixedView = fixed_view(kernel, camera)
+        self.view.place(splats)
+        self.view.refresh()
+        self.view.lift(rows)
+        self.parts = (self.draw, self.loss, self.backward, self.adam)
+
+    def draw(self) -> None:
+        self.view.draw(self.optimiser.splats, self.rows)
+
+    def loss(self) -> None:
+        size = 3.0 * self.target[0].size
+        self.view.loss(self.target, l1_scale=0.8 / size, ssim_scale=0.2 / size)
+
+    def backward(self) -> None:
+        self.view.backward(out=self.gradients)
+
+    def adam(self) -> None:
+        self.optimiser.step(self.gradients, RATES)
+
+
+def bench_steps(kernel: CudaKernel, splats: Splats, camera: Camera, rounds: int) -> None:
+    variants: dict[str, DenseStep | SparseStep] = {"dense": DenseStep(kernel, splats, camera)}
+    for share in (0.02, 0.1, 0.35):
+        variants[f"{share:.0%} move"] = SparseStep(kernel, splats, camera, nearest(splats, int(share * len(splats))))
+    rows: dict[str, list[list[float]]] = {name: [] for name in variants}
+    for round_ in range(rounds + 3):
+        for name, step in variants.items():
+            times = [milliseconds(part) for part in step.parts]
+            if round_ >= 3:
+                rows[name].append(times)
+    print(f"{'':12} {'draw':>8} {'loss':>8} {'backward':>9} {'Adam':>8} {'step':>8}  tiles met")
+    for name, step in variants.items():
+        parts = [median(row[i] for row in rows[name]) for i in range(4)]
+        met = f"{step.view.met.mean():.0%}" if isinstance(step, SparseStep) else "100%"
+        total = median(sum(row) for row in rows[name])
+        print(f"{name:12} {parts[0]:8.2f} {parts[1]:8.2f} {parts[2]:9.2f} {parts[3]:8.2f} {total:8.2f}  {met}")
+
+
+def bench_transfers(splats: Splats, camera: Camera, rounds: int) -> None:
+    """What copies between host and device cost at this size."""
+    picture = np.random.default_rng(0).random((3, camera.height, camera.width), dtype=np.float32)
+    on_device = torch.tensor(picture, device="cuda")
+    stored = [torch.tensor(a, device="cuda") for a in (splats.means, splats.log_scales, splats.quaternions, splats.sh)]
+    copies = {
+        "picture up": lambda: torch.tensor(picture, device="cuda"),
+        "picture down": lambda: on_device.cpu(),
+        "scene up": lambda: [torch.tensor(a, device="cuda") for a in (splats.means, splats.log_scales, splats.sh)],
+        "scene down": lambda: [a.cpu() for a in stored],
+    }
+    for name, copy in copies.items():
+        print(f"{name:14} {median(milliseconds(copy) for _ in range(rounds)):8.2f} ms")
+
+
+def compare(kernel: CudaKernel, splats: Splats, camera: Camera) -> None:
+    """Pictures and gradients on the device against the native kernel's."""
+    native = TrainingKernel(0)
+    cotangent = np.random.default_rng(2).normal(size=(3, camera.height, camera.width)).astype(np.float32)
+    pictures = [each.forward(splats, camera).rgb for each in (native, kernel)]
+    gradients = [each.backward(splats, cotangent) for each in (native, kernel)]
+    off = np.abs(pictures[1] - pictures[0])
+    print(f"picture: rms {np.sqrt(np.mean(off**2)):.2e}, largest {off.max():.2e}")
+    for name in ("means", "log_scales", "quaternions", "opacity_logits", "sh", "view"):
+        wanted, found = getattr(gradients[0], name), getattr(gradients[1], name)
+        print(
+            f"gradient of {name:15} off by {np.linalg.norm(found - wanted) / np.linalg.norm(wanted):.1e} of its length"
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rounds", type=int, default=21, help="measurements of each variant (default 21)")
+    parser.add_argument("--count", type=int, default=150_000, help="Gaussians (default 150000)")
+    parser.add_argument("--size", default="1352x1014", help="of the picture (default 1352x1014)")
+    args = parser.parse_args()
+    missing = missing_for_cuda()
+    if missing:
+        sys.exit(f"nothing to measure: {missing}")
+    width, height = (int(side) for side in args.size.split("x"))
+    kernel, splats, camera = CudaKernel(), random_scene(args.count, 1), front_camera(width, height)
+    print(f"{torch.cuda.get_device_name()}, torch {torch.__version__}; {args.count} Gaussians, degree 1, {args.size}\n")
+    compare(kernel, splats, camera)
+    print()
+    bench_steps(kernel, splats, camera, args.rounds)
+    print()
+    bench_transfers(splats, camera, args.rounds)
+
+
+if __name__ == "__main__":
+    main()
