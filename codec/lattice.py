@@ -109,6 +109,10 @@ def _nearest(values: NDArray[Any], step: float | Doubles, name: str) -> IntArray
     if not np.isfinite(points).all():
         bad = int((~np.isfinite(points)).reshape(len(points), -1).any(axis=1).sum())
         raise TrainingError(f"{name} of {bad} Gaussians are not finite; training has diverged")
+    return _in_32_bits(points, step, name)
+
+
+def _in_32_bits(points: Doubles, step: float | Doubles, name: str) -> IntArray:
     if np.abs(points).max(initial=0) > np.iinfo(np.int32).max:
         raise TrainingError(f"{name} do not fit 32 bits at a step of {step}; choose a coarser step or prune outliers")
     return points.astype(np.int32)
@@ -140,4 +144,4 @@ def _quantise_quaternions(quaternions: NDArray[Any], step: float, near: IntArray
         opposite = ~usable & (((values * scale[:, None]) * near).sum(axis=1) < 0)
         scale[opposite] *= -1
     points: Doubles = np.rint(values * scale[:, None])
-    return points.astype(np.int32)
+    return _in_32_bits(points, step, "quaternions")

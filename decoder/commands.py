@@ -7,6 +7,7 @@ Only arguments, terminal output and exit codes; the work is done by ``decode``, 
 from __future__ import annotations
 
 import argparse
+import errno
 import json
 import os
 import re
@@ -14,9 +15,9 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, BinaryIO, NoReturn
 
-from decogs.formats.errors import DecogsError
+from decogs.formats.errors import DecogsError, UsageError
 
 from .session import DEFAULT_MAX_MEMORY
 
@@ -48,7 +49,7 @@ def decode_main(arguments: Sequence[str] | None = None) -> int:
     view.add_argument("--camera", metavar="POSE.JSON", help="a free camera, or a path of one camera per frame")
     _add_frames(parser)
     _add_trust(parser)
-    parser.add_argument("--scale", type=float, default=1.0, metavar="S", help="size of the pictures (default 1)")
+    parser.add_argument("--scale", type=number, default=1.0, metavar="S", help="size of the pictures (default 1)")
     parser.add_argument("--background", type=_colour, metavar="R,G,B", help="0 to 1 each (default: the stream's)")
     parser.add_argument("--undistorted", action="store_true", help="leave out the rig camera's lens distortion")
     parser.add_argument(
@@ -62,7 +63,7 @@ def decode_main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument(
         "--idle",
-        type=float,
+        type=number,
         metavar="S",
         help="with --follow: stop when nothing came for S seconds (default 600)",
     )
@@ -110,22 +111,65 @@ def run(program: str, command: Callable[[], int | None]) -> int:
     The command returns an exit code of its own, or None for 0.
     """
     try:
+        _take_closed_streams()
         code = command()
-        sys.stdout.flush()
+        _flush_output()
     except BrokenPipeError:
-        # The reader of a pipe (head, less) has seen enough; keep the interpreter from flushing into it once more.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        # The reader of a pipe (head, less) has seen enough.
+        _drop_output()
         return _BROKEN_PIPE
     except KeyboardInterrupt:
         return _say(f"{program}: interrupted", INTERRUPTED)
     except DecogsError as error:
         return _say(f"{program}: error: {error}", USER_ERROR)
     except OSError as error:
-        what = f"{error.filename}: {error.strerror}" if error.filename else str(error)
+        what = f"{error.filename}: {error.strerror}" if error.filename else error.strerror or str(error)
+        if error.errno == errno.ENOSPC:
+            what += "; make room, or write elsewhere"
+            if not error.filename:
+                _drop_output()  # It was printing that failed: nothing else is without a name.
         return _say(f"{program}: error: {what}", USER_ERROR)
     except MemoryError:
         return _say(f"{program}: error: out of memory; choose a smaller scale or fewer frames", USER_ERROR)
     return code or 0
+
+
+def _take_closed_streams() -> None:
+    """Gives the numbers of standard streams that are closed to the null device: files would get them, and the text.
+
+    Raises UsageError where standard output is: what a command has to say would be lost without a word.
+    """
+    closed = sys.stdout is None
+    while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
+        pass
+    os.close(number)
+    if sys.stderr is None:
+        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 (open as long as the process is)
+    if closed:
+        raise UsageError("standard output is closed; send it to a file, or to /dev/null")
+
+
+def _flush_output() -> None:
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        error.filename = "standard output"
+        _drop_output()
+        raise
+
+
+def _drop_output() -> None:
+    """Keeps the interpreter from flushing once more, at its end, what standard output did not take."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def standard_input() -> BinaryIO:
+    """The bytes of standard input; UsageError when that is closed."""
+    if sys.stdin is None:
+        raise UsageError("-: standard input is closed; pipe a stream into it, or name a file")
+    return sys.stdin.buffer
 
 
 @contextmanager
@@ -152,7 +196,7 @@ def _decode(options: argparse.Namespace) -> None:
     started = time.perf_counter()
     with progress("decoding") as on_frame:
         report = decode(
-            sys.stdin.buffer if options.stream == "-" else options.stream,
+            standard_input() if options.stream == "-" else options.stream,
             options.output,
             view=options.view,
             camera=options.camera,
@@ -167,7 +211,7 @@ def _decode(options: argparse.Namespace) -> None:
             follow=options.follow,
             idle=DEFAULT_IDLE if options.idle is None else options.idle,
             on_frame=on_frame,
-            on_warning=_warn_as("decogs-decode"),
+            on_warning=warn_as("decogs-decode"),
         )
     print(
         f"{options.output}: {_count(report.frame_count, 'frame')} of {report.view}, "
@@ -187,7 +231,7 @@ def _export(options: argparse.Namespace) -> None:
             strict=options.strict,
             max_memory=options.max_memory,
             on_frame=on_frame,
-            on_warning=_warn_as("decogs-export"),
+            on_warning=warn_as("decogs-export"),
         )
     print(
         f"{options.output}: {_count(report.frame_count, 'frame')}, {report.static_count} static and "
@@ -332,14 +376,31 @@ def number_of_bytes(text: str) -> int:
     return int(match[1]) << {"": 0, "K": 10, "M": 20, "G": 30}[match[2].upper()]
 
 
+def number(text: str) -> float:
+    """A number in ASCII digits: Python would also take those of every other script, and underscores."""
+    try:
+        if text.isascii() and "_" not in text:
+            return float(text)
+    except ValueError:
+        pass
+    raise argparse.ArgumentTypeError(f"{text!r} is no number")
+
+
+def whole_number(text: str) -> int:
+    if not re.fullmatch(r"[+-]?[0-9]{1,18}", text, re.ASCII):
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number of at most 18 digits")
+    return int(text)
+
+
 def number_of_threads(text: str) -> int:
-    if not text.isdecimal():
+    if not re.fullmatch(r"[0-9]{1,9}", text, re.ASCII):
         raise argparse.ArgumentTypeError(f"{text!r} is no number of threads; 0 means all processors")
     return int(text)
 
 
-def _warn_as(program: str) -> Callable[[str], None]:
-    return lambda text: print(f"{program}: warning: {text}", file=sys.stderr)
+def warn_as(program: str) -> Callable[[str], None]:
+    """Prints each text it is given as one line on stderr."""
+    return lambda text: print(f"{program}: warning: {_printable(text)}", file=sys.stderr)
 
 
 def _say(line: str, code: int) -> int:

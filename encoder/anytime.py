@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 from types import TracebackType
 
-from decogs.formats.errors import UsageError
+from .json_lines import JsonLines
 
 
 class AnytimeLog:
@@ -16,17 +15,13 @@ class AnytimeLog:
     ``frame``: the rig's index; ``seconds``: since the frame's pictures were decoded; ``stage``: "keyframe", "settle"
     (the keyframe's, on its lattice), "cache" or "joint" (stages 1 and 2 of a later frame); ``iteration``: within the
     stage, from 0; ``loss``: of the one view that the step drew, before it. Views differ: a mean over as many
-    iterations as there are views is a steadier curve. Raises UsageError when the file cannot be written.
+    iterations as there are views is a steadier curve. ``append``: after what is there. Raises UsageError when the file
+    cannot be written.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, append: bool = False) -> None:
         self._frame, self._began = 0, 0.0
-        try:
-            self._file = path.open("w", encoding="utf-8")
-        except OSError as error:
-            raise UsageError(
-                f"--anytime {path}: {error.strerror}; name a file in a folder that can be written"
-            ) from error
+        self._lines = JsonLines(path, "--anytime", append=append)
 
     def __enter__(self) -> AnytimeLog:
         return self
@@ -34,11 +29,11 @@ class AnytimeLog:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._file.close()
+        self._lines.__exit__(kind, error, trace)
 
     def begin(self, frame: int) -> None:
         """Tells that a frame's pictures are there; what the frame before it wrote can be read from now on."""
-        self._file.flush()
+        self._lines.flush()
         self._frame, self._began = frame, time.perf_counter()
 
     def step(self, stage: str, iteration: int, loss: float) -> None:
@@ -49,4 +44,4 @@ class AnytimeLog:
             "seconds": round(time.perf_counter() - self._began, 6),
             "loss": loss,
         }
-        self._file.write(json.dumps(record) + "\n")
+        self._lines.write(record)

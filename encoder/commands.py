@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from decogs.decoder.commands import Parser, frames_joined, number_of_threads, run
+from decogs.decoder.commands import Parser, frames_joined, number, number_of_threads, run, warn_as, whole_number
 from decogs.formats.errors import UsageError
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ def encode_main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("rig_dir", help="the rig's folder, or one calibration file or folder inside it")
     parser.add_argument("-o", "--output", required=True, metavar="SCENE.DGS", help="the stream to write; - for stdout")
     parser.add_argument("--frames", metavar="A:B", help="half-open, as in Python: 0:10, 5:, -3: (default: all)")
-    parser.add_argument("--scale", type=float, default=1.0, metavar="S", help="size of the pictures trained on")
+    parser.add_argument("--scale", type=number, default=1.0, metavar="S", help="size of the pictures trained on")
     parser.add_argument(
         "--holdout", action="append", default=[], metavar="CAM", help="keep a camera out of training (repeatable)"
     )
@@ -47,24 +47,27 @@ def encode_main(arguments: Sequence[str] | None = None) -> int:
         "--keyframe", metavar="OTHER.DGS", help="begin with the keyframe of an earlier encode of this rig"
     )
     parser.add_argument(
-        "--segment", type=int, metavar="N", help="a keyframe every N frames, to seek to (default: only the first frame)"
+        "--segment",
+        type=whole_number,
+        metavar="N",
+        help="a keyframe every N frames, to seek to (default: only the first frame)",
     )
     parser.add_argument(
         "--quality",
-        type=float,
+        type=number,
         metavar="Q",
         help="0 (smallest) to 100 (most exact); 50 (default) is the preset as it is; 16 less: a change must show twice "
         "as much to be sent, a lattice 1.19 times as coarse (with --keyframe: that one's)",
     )
     parser.add_argument(
         "--bitrate",
-        type=float,
+        type=number,
         metavar="KBIT",
         help="most kbit/s of the frames after the first, at the rig's fps",
     )
     parser.add_argument(
         "--max-mb-per-frame",
-        type=float,
+        type=number,
         metavar="MB",
         help="the same as a mean per frame, 1 MB = 1e6 bytes; the first keyframe is not counted, later ones are",
     )
@@ -79,7 +82,7 @@ def encode_main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument(
         "--target-psnr",
-        type=float,
+        type=number,
         metavar="DB",
         help="end a frame's training once the training views have so many dB in its regions of interest (the first "
         "frame's: everywhere)",
@@ -89,7 +92,7 @@ def encode_main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument(
         "--seed",
-        type=int,
+        type=whole_number,
         default=0,
         metavar="N",
         help="same seed, same bytes (default 0), but for --time-budget",
@@ -138,11 +141,12 @@ def _encode(options: argparse.Namespace) -> int:
         log=options.log,
         anytime=options.anytime,
         terminal=sys.stderr,
+        on_warning=warn_as("decogs-encode"),
     )
     print("\n".join(_summary(report)), file=sys.stderr if piped else sys.stdout)
     warnings = [*_left_out(report), _given_up(report), _missed_budget(report), _missed_time(report)]
     for warning in filter(None, warnings):
-        print(f"decogs-encode: warning: {warning}", file=sys.stderr)
+        warn_as("decogs-encode")(warning)
     return 130 if report.interrupted else 0
 
 
@@ -186,11 +190,11 @@ def _given_up(report: EncodeReport) -> str:
 def _frames(numbers: Sequence[int]) -> str:
     """ "frames 3 to 5, 9" for ascending numbers."""
     runs: list[list[int]] = []
-    for number in numbers:
-        if runs and number == runs[-1][1] + 1:
-            runs[-1][1] = number
+    for frame in numbers:
+        if runs and frame == runs[-1][1] + 1:
+            runs[-1][1] = frame
         else:
-            runs.append([number, number])
+            runs.append([frame, frame])
     said = ", ".join(f"{first} to {last}" if last > first else str(first) for first, last in runs)
     return f"frame{'s'[: len(numbers) > 1]} {said}"
 

@@ -11,15 +11,17 @@ from typing import BinaryIO, TextIO
 
 from decogs.decoder.rasterise.native import thread_count
 from decogs.decoder.session import frame_range
+from decogs.formats.container import MAX_FRAME
 from decogs.formats.errors import UsageError
-from decogs.formats.rigs import Rig, open_rig
+from decogs.formats.outputs import Output, check_outputs
+from decogs.formats.rigs import Rig, files_of, open_rig
 
 from .anytime import AnytimeLog
 from .corrections.settings import CorrectionSettings
 from .effects import AUTO, Decision, wanted_effects, with_effects
 from .effects.analysis import analyse
 from .ingest import Ingest, frame_span
-from .keyframe_source import read_keyframe
+from .keyframe_source import KeyframeSource, read_keyframe
 from .loop import encode_stream
 from .methods import with_method, with_selection, without
 from .presets import EncodeSettings
@@ -27,8 +29,12 @@ from .presets import preset as named_preset
 from .progress import EncodeProgress
 from .rasterise import check_device
 from .rate import with_budget, with_lossless, with_quality
-from .reports import EncodeReport
+from .reports import EncodeReport, OnWarning
+from .stream_output import open_output
 from .time_budget import seconds_per_frame, with_target_psnr, with_time_budget
+
+_LEAST_SECONDS, _MOST_SECONDS = 1e-4, 1e6
+"""Of a frame's time: what a clock tells apart, and twelve days."""
 
 
 def encode(
@@ -59,10 +65,12 @@ def encode(
     log: str | os.PathLike[str] | None = None,
     anytime: str | os.PathLike[str] | None = None,
     terminal: TextIO | None = None,
+    on_warning: OnWarning | None = None,
 ) -> EncodeReport:
     """Encodes a rig of synchronised, calibrated cameras as a .dgs stream.
 
-    ``output``: the file to write, or an open one that takes bytes, such as a pipe.
+    ``output``: the file to write, or an open one that takes bytes, such as a pipe. No file of the rig, nor the one of
+    ``keyframe``, is ever written over; an output that another encode writes, or has left unfinished, is refused.
     ``frames``: "A:B" half-open, as in Python, or a slice; all when None. ``scale``: of the pictures trained on.
     ``holdout``: cameras kept out of training and measured on. ``preset``: a name in PRESETS, or settings.
     ``method``: "decogs" or "3dgstream"; ``ablate``: parts of DecoGS to leave out, a list or text with commas;
@@ -82,30 +90,39 @@ def encode(
     the file gets the bytes of one that was not cut off.
     ``threads``: 0 means all processors; the stream does not depend on it. ``device``: "cuda" takes gsplat
     and gives other bits every time; "auto" is the CPU. ``log``: file for JSON lines.
-    ``anytime``: file for the loss of every training step, as JSON lines.
-    ``terminal``: where to show a progress bar, if it is one. Ctrl-C after the first frame ends the stream early but
-    whole. Raises RigError, UsageError or TrainingError; nothing is then left under the output's name.
+    ``anytime``: file for the loss of every training step, as JSON lines; with ``resume``, both are gone on with.
+    ``terminal``: where to show a progress bar, if it is one. ``on_warning`` is told, as soon as it is found, what the
+    user should know of the rig, and of a stream or keyframe that does not show its pictures. Ctrl-C after the first
+    frame ends the stream early but whole. Raises RigError, UsageError or TrainingError; nothing is then left under the
+    output's name.
     """
     check_device(device)
     if seed < 0:
         raise UsageError(f"--seed {seed}: give a number of at least 0")
     settings = _settings(preset, method, [ablate] if isinstance(ablate, str) else ablate, selection)
     if segment is not None:
-        if segment < 1:
-            raise UsageError(f"--segment {segment}: give a number of frames, at least 1")
+        if not 1 <= segment <= MAX_FRAME:
+            raise UsageError(f"--segment {segment}: give a number of frames, at least 1 and at most {MAX_FRAME}")
         settings = replace(settings, segment=segment)
     source = None if keyframe is None else read_keyframe(keyframe)
     held = [holdout] if isinstance(holdout, str) else list(holdout)
     rig = open_rig(rig_dir)
+    tell = on_warning or (lambda text: None)
+    for warning in rig.warnings:
+        tell(warning)
     settings = _with_rate(settings, rig, quality, bitrate, max_mb_per_frame, lossless=lossless)
     settings = _with_effort(settings, time_budget, target_psnr)
     span = frame_span(rig, frame_range(frames) if isinstance(frames, str) else frames)
     if effects is None and not isinstance(preset, EncodeSettings) and settings.method == "decogs":
         effects = AUTO
     ingest = Ingest(rig, holdout=held, scale=scale)
+    stream = Path(output) if isinstance(output, (str, os.PathLike)) else output
+    log, anytime = (None if path is None else Path(path) for path in (log, anytime))
+    _check_outputs(stream, log, anytime, rig, source)
     with (
-        EncodeProgress(len(span), None if log is None else Path(log), terminal=terminal) as progress,
-        nullcontext() if anytime is None else AnytimeLog(Path(anytime)) as curve,
+        open_output(stream, resume=resume) as target,
+        EncodeProgress(len(span), log, append=resume, terminal=terminal) as progress,
+        nullcontext() if anytime is None else AnytimeLog(anytime, append=resume) as curve,
     ):
         if effects is not None:
             settings = _with_effects(settings, effects, rig, held, span, threads, progress)
@@ -128,7 +145,7 @@ def encode(
         )
         report = encode_stream(
             ingest,
-            Path(output) if isinstance(output, (str, os.PathLike)) else output,
+            target,
             span,
             settings,
             seed=seed,
@@ -139,6 +156,7 @@ def encode(
             on_frame=progress.frame,
             on_keyframe_step=progress.keyframe_step,
             anytime=curve,
+            on_warning=tell,
         )
         progress.finished(
             {
@@ -149,6 +167,16 @@ def encode(
             }
         )
     return report
+
+
+def _check_outputs(
+    stream: Path | BinaryIO, log: Path | None, anytime: Path | None, rig: Rig, source: KeyframeSource | None
+) -> None:
+    """Raises UsageError when the encode would write over something it reads, or twice into one file."""
+    outputs = [Output("-o", stream, grows=True)]
+    outputs += [Output(name, path) for name, path in (("--log", log), ("--anytime", anytime)) if path is not None]
+    read = [] if source is None else [(source.path, "is read, as --keyframe")]
+    check_outputs(outputs, [*files_of(rig), *read])
 
 
 def _settings(
@@ -166,7 +194,12 @@ def _with_effort(
     settings: EncodeSettings, time_budget: float | str | None, target_psnr: float | None
 ) -> EncodeSettings:
     if time_budget is not None:
-        settings = with_time_budget(settings, seconds_per_frame(time_budget))
+        seconds = seconds_per_frame(time_budget)
+        if not _LEAST_SECONDS <= seconds <= _MOST_SECONDS:
+            raise UsageError(
+                f"--time-budget {time_budget}: give from {_LEAST_SECONDS:g} to {_MOST_SECONDS:g} seconds a frame"
+            )
+        settings = with_time_budget(settings, seconds)
     return settings if target_psnr is None else with_target_psnr(settings, target_psnr)
 
 
@@ -185,7 +218,7 @@ def _with_effects(
 
     def decisions() -> Sequence[Decision]:
         look = slice(span.start, span.stop)
-        found = analyse(rig.path, frames=look, holdout=held, threads=threads, on_step=progress.look_step)
+        found = analyse(rig, frames=look, holdout=held, threads=threads, on_step=progress.look_step)
         progress.looked({decision.effect: decision.cameras for decision in found.decisions if decision.called_for})
         return found.decisions
 

@@ -20,13 +20,13 @@ from decogs.codec.corrections import CorrectedCameras, Corrections, split_correc
 from decogs.codec.deltas import Delta, apply_delta, difference
 from decogs.codec.digest import digest
 from decogs.codec.header import StreamHeader
-from decogs.codec.lattice import Lattice, dequantise, quantise
+from decogs.codec.lattice import Lattice, default_lattice, dequantise, quantise
 from decogs.codec.reconstruct import reconstruct
-from decogs.codec.state import State, take_rows
+from decogs.codec.state import ARRAYS, State, take_rows
 from decogs.codec.syntax import Coded, payload_costs, write_delta, write_key, write_skip
 from decogs.decoder.lens import is_distorted
 from decogs.formats.container import Packet, PacketKind
-from decogs.formats.errors import DecogsError, UsageError
+from decogs.formats.errors import DecogsError, RigError, StreamError
 from decogs.formats.rigs import Rig
 from decogs.formats.splats import FloatArray, Splats, sh_degree_of
 
@@ -38,6 +38,7 @@ from .effects import FRAME_EFFECTS, frame_effects, leave_out
 from .effort import Effort
 from .first_frame import train_first_frame
 from .flashes import BeforeFlash, may_be_flash
+from .footage import strange_cameras, warning_of
 from .frame_training import FrameSettings, FrameTrainer, TrainedFrame
 from .ingest import Ingest, RigFrame
 from .keyframe import mean_picture_psnr, mean_psnr, scene_extent
@@ -46,10 +47,10 @@ from .masks import FrameMask, MaskMemory, showing
 from .presets import EncodeSettings
 from .rasterise import FixedView, fixed_view, training_kernel
 from .rate import RateControl
-from .reports import EncodeReport, FrameReport, OnFrame, OnKeyframeStep, Stopwatch
-from .resuming import Interrupted, check_resumable, find_interrupted
+from .reports import EncodeReport, FrameReport, OnFrame, OnKeyframeStep, OnWarning, Stopwatch
+from .resuming import Interrupted, check_resumable
 from .selection import SelectionSettings, select, view_evidence
-from .stream_output import FileOutput, PipeOutput, StreamOutput, part_of
+from .stream_output import FileOutput, StreamOutput, open_output
 from .time_budget import TimeControl
 
 MOST_GROWTH = 1.25
@@ -60,7 +61,7 @@ thousand frames of the tests' scene from 2 500 Gaussians to 18 000, and lose 2 d
 class StreamEncoder:
     """Encodes frames one after the other into an open stream; ``keyframe`` is one to begin with, untrained.
 
-    ``anytime`` takes the loss of every step of training.
+    ``anytime`` takes the loss of every step of training, ``on_warning`` what the user should know at once.
     """
 
     def __init__(
@@ -74,7 +75,9 @@ class StreamEncoder:
         keyframe: KeyframeSource | None = None,
         device: str = "auto",
         anytime: AnytimeLog | None = None,
+        on_warning: OnWarning | None = None,
     ) -> None:
+        self._on_warning = on_warning or (lambda text: None)
         self._ingest, self._settings, self._seed, self._threads = ingest, settings, seed, threads
         self._output, self._source, self._anytime = output, keyframe, anytime
         self._kernel = training_kernel(device, threads)
@@ -115,7 +118,19 @@ class StreamEncoder:
             coded = self._with_corrections(write_key(state, level=self._settings.zstd_level), corrections)
             packet = self._commit(PacketKind.KEY, 0, coded)
         self._settle_key(frame, watch)
+        if self._source is not None:
+            self._check_footage(frame, f"--keyframe {self._source.path}", [])
         return self._report(frame, packet, coded.costs, 1.0, watch, [])
+
+    def check_header(self, first: int) -> None:
+        """Raises RigError, before anything is trained, for a rig that no stream's header can hold."""
+        try:
+            self._stream_header(first, default_lattice(1.0), self._settings.keyframe.sh_degree).to_bytes()
+        except StreamError as error:
+            problem = str(error).partition(" in packet ")[0].removeprefix("header: ")
+            raise RigError(
+                f"{self._ingest.rig.path}: a stream cannot hold this rig ({problem}); change its calibration"
+            ) from None
 
     def take_over(self, left: Interrupted, span: range) -> None:
         """Goes on from what an earlier encode left; raises UsageError unless it is the beginning of this one."""
@@ -131,8 +146,11 @@ class StreamEncoder:
             key = reconstruct(None, next(left.packets()), self._header)
             left.check_keyframe(same=digest(key) == digest(self._source.state))
 
-    def replay(self, frame: RigFrame, packet: Packet) -> FrameReport:
-        """Does all that encoding the frame did but for the training: the result is in the packet."""
+    def replay(self, frame: RigFrame, packet: Packet, origin: str = "") -> FrameReport:
+        """Does all that encoding the frame did but for the training: the result is in the packet.
+
+        ``origin``: where the packet comes from, for a frame that is compared with its pictures; "" for none.
+        """
         watch, share = Stopwatch(), 1.0
         masks: Sequence[FrameMask] = []
         corrections, body = split_corrections(packet, self._header.corrected)
@@ -153,6 +171,8 @@ class StreamEncoder:
             self._advance(packet)
             self._go_on(frame, before, masks, trained, effects, watch)
             share = _share(selected)
+        if origin:
+            self._check_footage(frame, origin, masks)
         costs = payload_costs(body, self._header.coefficients)
         return replace(self._report(frame, packet, costs, share, watch, masks), replayed=True)
 
@@ -305,7 +325,8 @@ class StreamEncoder:
         ``trained``: rows that were, or None. ``effects``: those that it called for.
         """
         if trained is not None:
-            if masks:
+            # Training that was given up, or whose changes were all taken back, has made up for nothing.
+            if masks and not _same_scene(before, self._state):
                 self._masks.trained(frame.training, masks, moved="motion" in effects)
             with watch.stage("settle"):
                 self._settle(before, trained)
@@ -420,13 +441,24 @@ class StreamEncoder:
         )
 
     def _training_psnr(self, frame: RigFrame, seen: Sequence[int]) -> float:
-        """Of the views in ``seen``, of all if there are none, which DecoGS has drawn already."""
+        """Of the views in ``seen``, of all if there are none."""
         views, pictures = self._ingest.views, frame.training
-        if not self._watch:
-            return mean_psnr(self._kernel, self._scene, views, pictures)
         used = seen or range(len(views))
-        shown = [self._watch[i].rgb for i in used]
-        return mean_picture_psnr([views[i] for i in used], shown, [pictures[i] for i in used])
+        return mean_picture_psnr([views[i] for i in used], self._shown(used), [pictures[i] for i in used])
+
+    def _shown(self, used: Sequence[int]) -> list[FloatArray]:
+        """What these views show of the scene, which DecoGS has drawn already; (3, H, W) each."""
+        if self._watch:
+            return [self._watch[i].rgb for i in used]
+        return [self._kernel.forward(self._scene, self._ingest.views[i].pinhole).rgb for i in used]
+
+    def _check_footage(self, frame: RigFrame, origin: str, masks: Sequence[FrameMask]) -> None:
+        """Warns where the scene of an earlier encode is not what the rig's pictures show."""
+        used = showing(masks) or range(len(self._ingest.views))
+        views, pictures = [self._ingest.views[i] for i in used], [frame.training[i] for i in used]
+        cameras = strange_cameras(views, pictures, self._shown(used))
+        if cameras:
+            self._on_warning(warning_of(origin, frame.index, cameras))
 
     def _stream_header(self, first: int, lattice: Lattice, sh_degree: int) -> StreamHeader:
         rig, document = self._ingest.rig, self._settings.as_document()
@@ -490,7 +522,7 @@ def _carried(built: tuple[str, ...], rig: Rig, sh_degree: int) -> tuple[str, ...
 
 def encode_stream(
     ingest: Ingest,
-    output: Path | BinaryIO,
+    output: Path | BinaryIO | StreamOutput,
     span: range,
     settings: EncodeSettings,
     *,
@@ -502,62 +534,80 @@ def encode_stream(
     on_frame: OnFrame | None = None,
     on_keyframe_step: OnKeyframeStep | None = None,
     anytime: AnytimeLog | None = None,
+    on_warning: OnWarning | None = None,
 ) -> EncodeReport:
     """Encodes frames ``span`` of the rig to ``output``; Ctrl-C after the keyframe ends the stream early but whole.
 
-    ``output``: a path, or an open file that takes bytes, such as a pipe. ``keyframe``: an earlier stream's, to begin
-    with instead of training one; UsageError when it does not fit the rig. ``resume``: go on with what an earlier encode
-    left, in ``output`` + ".part" or as a shorter stream; the result has the bytes of one that was not cut off,
-    but for a time budget, with which no two encodes have the same. ``anytime`` takes the loss of every step.
+    ``output``: a path, an open file that takes bytes, such as a pipe, or one that was taken already, for ``resume`` if
+    that is asked for. ``keyframe``: an earlier stream's, to begin with instead of training one; UsageError when it
+    does not fit the rig. ``resume``: go on with what an earlier encode left, in ``output`` + ".part" or as a shorter
+    stream; the result has the bytes of one that was not cut off, but for a time budget, with which no two encodes have
+    the same. ``anytime`` takes the loss of every step.
     Raises DecogsError for unusable input; complete frames then remain in ``output`` + ".part", and the message says so.
     """
-    left = _left(output, settings) if resume else None
-    target = FileOutput(output, left) if isinstance(output, Path) else PipeOutput(output)
-    encoder = StreamEncoder(
-        ingest, settings, target, seed=seed, threads=threads, keyframe=keyframe, device=device, anytime=anytime
-    )
-    resumed = (0 if left is None else len(left.entries)) if resume else None
-    packets: Iterator[Packet] = iter(())
-    if left is not None:
-        encoder.take_over(left, span)
-        packets = left.packets()
-        if left.path == output and left.ended and resumed == len(span):
-            return EncodeReport(target.name, [], output.stat().st_size, False, resumed)
-    reports: list[FrameReport] = []
-    interrupted = False
-    try:
-        for frame in ingest.frames(span.start, span.stop):
-            packet = next(packets, None)
-            if packet is not None:
-                report = encoder.replay(frame, packet)
-            elif not reports:
-                report = encoder.encode_key(frame, on_keyframe_step)
-            else:
-                report = encoder.encode_next(frame)
-            reports.append(report)
-            if on_frame:
-                on_frame(report)
-        target.open()
-    except KeyboardInterrupt:
-        if not reports or not target.is_open:
+    with output if isinstance(output, StreamOutput) else open_output(output, resume=resume) as target:
+        left = _left(target, settings) if resume else None
+        encoder = StreamEncoder(
+            ingest,
+            settings,
+            target,
+            seed=seed,
+            threads=threads,
+            keyframe=keyframe,
+            device=device,
+            anytime=anytime,
+            on_warning=on_warning,
+        )
+        encoder.check_header(span.start)
+        resumed = (0 if left is None else len(left.entries)) if resume else None
+        packets: Iterator[Packet] = iter(())
+        origin, last = "", 0
+        if left is not None:
+            encoder.take_over(left, span)
+            packets, origin, last = left.packets(), f"--resume: {left.path}", len(left.entries) - 1
+            if left.path != target.growing and left.ended and resumed == len(span):
+                return EncodeReport(target.name, [], left.path.stat().st_size, False, resumed)
+        reports: list[FrameReport] = []
+        interrupted = False
+        try:
+            for frame in ingest.frames(span.start, span.stop):
+                packet = next(packets, None)
+                if packet is not None:
+                    # The first and the last tell whether the pictures are those that it was made from.
+                    report = encoder.replay(frame, packet, origin if len(reports) in (0, last) else "")
+                elif not reports:
+                    report = encoder.encode_key(frame, on_keyframe_step)
+                else:
+                    report = encoder.encode_next(frame)
+                reports.append(report)
+                if on_frame:
+                    on_frame(report)
+            target.open()
+        except KeyboardInterrupt:
+            if not reports or not target.is_open:
+                raise
+            interrupted = True
+        except DecogsError as error:
+            if reports and target.is_open and target.growing is not None:
+                error.args = (f"{error}; the {len(reports)} frames before it are in {target.growing}",)
             raise
-        interrupted = True
-    except DecogsError as error:
-        if reports and target.is_open and isinstance(target, FileOutput):
-            error.args = (f"{error}; the {len(reports)} frames before it are in {target.growing}",)
-        raise
-    finally:
-        target.close(len(reports))
-    return EncodeReport(
-        target.name, reports, target.publish(), interrupted, resumed, settings.frame_budget, settings.time_budget
-    )
+        finally:
+            target.close(len(reports))
+        return EncodeReport(
+            target.name, reports, target.publish(), interrupted, resumed, settings.frame_budget, settings.time_budget
+        )
 
 
-def _left(output: Path | BinaryIO, settings: EncodeSettings) -> Interrupted | None:
-    if not isinstance(output, Path):
-        raise UsageError("--resume: a pipe cannot be gone on with; name a file with -o")
+def _left(output: StreamOutput, settings: EncodeSettings) -> Interrupted | None:
     check_resumable(settings)
-    return find_interrupted(output, part_of(output))
+    return output.take_left() if isinstance(output, FileOutput) else None
+
+
+def _same_scene(before: State, after: State | None) -> bool:
+    """Whether nothing but the frame tells two states apart."""
+    return after is not None and all(
+        np.array_equal(getattr(before, name), getattr(after, name)) for name in ("ids", *ARRAYS)
+    )
 
 
 def _share(selected: NDArray[np.bool_]) -> float:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from types import TracebackType
 from typing import Any, TextIO
 
-from decogs.formats.errors import UsageError
-
+from .json_lines import JsonLines
 from .reports import FrameReport
 
 
@@ -20,31 +19,28 @@ class EncodeProgress:
     ``terminal``: a bar over the look at the rig, one over the keyframe's steps, one over the frames, and a line of
     figures per frame; nothing when it is None or a pipe. ``log``: one JSON object per line, written as things happen:
     "look" (what the rig calls for, where it was looked at), "start", one "frame" per frame (the fields of FrameReport,
-    and ``elapsed`` seconds), "end". Raises UsageError when it cannot be written.
+    and ``elapsed`` seconds), "end"; ``append``: after what is there. Raises UsageError when it cannot be written.
     """
 
-    def __init__(self, frame_count: int, log: Path | None, *, terminal: TextIO | None = None) -> None:
+    def __init__(
+        self, frame_count: int, log: Path | None, *, append: bool = False, terminal: TextIO | None = None
+    ) -> None:
         self._terminal = terminal if terminal is not None and terminal.isatty() else None
         self._frame_count = frame_count
         self._began = time.perf_counter()
         self._bar: Any = None
         self._keyframe_done = False
-        self._log: TextIO | None = None
-        if log is not None:
-            try:
-                self._log = log.open("w", encoding="utf-8")
-            except OSError as error:
-                raise UsageError(
-                    f"--log {log}: {error.strerror}; name a file in a folder that can be written"
-                ) from error
+        self._log = None if log is None else JsonLines(log, "--log", append=append)
 
     def __enter__(self) -> EncodeProgress:
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         self._close_bar()
         if self._log:
-            self._log.close()
+            self._log.__exit__(kind, error, trace)
 
     def started(self, facts: dict[str, Any]) -> None:
         self._write({"event": "start", **facts})
@@ -95,7 +91,7 @@ class EncodeProgress:
 
     def _write(self, record: dict[str, Any]) -> None:
         if self._log:
-            self._log.write(json.dumps(record) + "\n")
+            self._log.write(record)
             self._log.flush()
 
 

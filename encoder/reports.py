@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 OnFrame = Callable[["FrameReport"], None]
+OnWarning = Callable[[str], None]
 OnKeyframeStep = Callable[[int, int, float], None]
 
 

@@ -29,6 +29,26 @@ from decogs.formats.errors import StreamError, UsageError
 
 from .presets import EncodeSettings
 
+_OPTIONS = {
+    "frame.economy": "--quality or --lossless",
+    "keyframe.bit_worth": "--quality",
+    "lattice": "--quality",
+    "frame_budget": "--max-mb-per-frame or --bitrate",
+    "time_budget": "--time-budget",
+    "target_psnr": "--target-psnr",
+    "segment": "--segment",
+    "held_out": "--holdout",
+    "first_frame": "--frames",
+    "frame.selection": "--selection or --preset",
+    "effects": "--effects",
+    "ask_frames": "--effects",
+    "corrections": "--effects",
+    "corrected": "--effects",
+    "frame": "--preset",
+    "keyframe": "--preset",
+}
+"""What asked for a setting that differs, by the beginning of its name in the header; the first that fits."""
+
 
 @dataclass(frozen=True)
 class Interrupted:
@@ -52,7 +72,8 @@ class Interrupted:
         payload = wanted.to_bytes()
         if payload != self.header_payload:
             name, was, now = _difference(json.loads(self.header_payload), json.loads(payload))
-            self._refuse(f"was begun with {name} {_short(was)}, this encode has {_short(now)}")
+            option = next((f" ({option})" for start, option in _OPTIONS.items() if name.startswith(start)), "")
+            self._refuse(f"was begun with {name} {_short(was)}, this encode has {_short(now)}{option}")
         if len(self.entries) > frames:
             self._refuse(f"holds {len(self.entries)} frames already, this encode has {frames}")
 
@@ -66,12 +87,14 @@ class Interrupted:
 
 
 def find_interrupted(output: Path, growing: Path) -> Interrupted | None:
-    """What is there of the stream ``output``: in ``growing``, else under its own name; None without a whole keyframe.
+    """What is there of the stream ``output``: in ``growing`` unless that is empty, else under its own name.
+
+    None without a whole keyframe.
 
     What follows the last whole frame, an index or a packet cut short, is not kept.
     """
     for path in (growing, output):
-        if path.is_file():
+        if path.is_file() and path.stat().st_size:
             return _read(path)
     return None
 

@@ -1,28 +1,43 @@
 """Where a stream is written while it grows: beside its final name, or straight into a pipe.
 
-A file grows as ``NAME.part`` and gets its name when it is whole; what was complete when something went wrong stays in
-``NAME.part``, a valid, shorter stream that ``--resume`` goes on with (`resuming`).
+A file grows as ``NAME.part``, which no other encode can write meanwhile, and gets its name when it is whole
+(`decogs.formats.outputs`); what was complete when something went wrong stays in ``NAME.part``, a valid, shorter stream
+that ``--resume`` goes on with (`resuming`).
 """
 
 from __future__ import annotations
 
-import os
 import shutil
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from types import TracebackType
 from typing import BinaryIO
 
 from decogs.formats.container import StreamWriter
 from decogs.formats.errors import UsageError
+from decogs.formats.outputs import GrowingFile, is_device
 
-from .resuming import Interrupted
+from .resuming import Interrupted, find_interrupted
 
 
 class StreamOutput(ABC):
-    """Takes a stream's packets: ``begin``, ``write`` for each, then ``close``, and ``publish`` when all went well."""
+    """Takes a stream's packets: ``begin``, ``write`` for each, then ``close``, and ``publish`` when all went well.
+
+    A context manager: leaving it lets go of the file.
+    """
 
     def __init__(self) -> None:
         self.writer: StreamWriter | None = None
+
+    def __enter__(self) -> StreamOutput:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.release()
 
     @property
     @abstractmethod
@@ -33,6 +48,11 @@ class StreamOutput(ABC):
     def is_open(self) -> bool:
         """Whether anything was changed yet."""
         return self.writer is not None
+
+    @property
+    def growing(self) -> Path | None:
+        """Where the frames that are there stay when an encode ends early; None for a pipe."""
+        return None
 
     @abstractmethod
     def begin(self, header: bytes) -> None:
@@ -55,61 +75,98 @@ class StreamOutput(ABC):
         """Gives the stream its name; its size in bytes."""
         return self.open().bytes_written
 
+    @abstractmethod
+    def release(self) -> None:
+        """Lets go of the file, published or not."""
+
 
 class FileOutput(StreamOutput):
-    """A file. ``left``: what an earlier encode left of it, gone on with at the first packet after it."""
+    """A file, taken from now on: it must be said before the training, which takes minutes, that it cannot be written.
 
-    def __init__(self, output: Path, left: Interrupted | None = None) -> None:
-        """Raises UsageError for what cannot be written: training takes minutes, it must be said before."""
+    ``resume``: a ``NAME.part`` that is there is gone on with. Raises UsageError when it is there without, when it
+    cannot be written, or is being written by another encode; so does every method when the disk is full.
+    """
+
+    def __init__(self, output: Path, *, resume: bool = False) -> None:
         super().__init__()
-        _check(output)
-        self._output, self._left = output, left
-        self.growing = part_of(output)
-        self._file: BinaryIO | None = None
+        self._output, self._growing = output, GrowingFile(output, leftover="kept" if resume else "refused")
+        self._left: Interrupted | None = None
+        self._failed = False
 
     @property
     def name(self) -> Path:
         return self._output
 
+    @property
+    def growing(self) -> Path:
+        return self._growing.path
+
+    def take_left(self) -> Interrupted | None:
+        """What an earlier encode left of it, gone on with at the first packet after it."""
+        self._left = find_interrupted(self._growing.output, self.growing)
+        return self._left
+
     def begin(self, header: bytes) -> None:
-        self._file = self.growing.open("wb")
-        self.writer = StreamWriter(self._file, header)
+        with self._told():
+            file = self._growing.file
+            file.seek(0)
+            file.truncate()
+            self.writer = StreamWriter(file, header)
+
+    def write(self, kind: int, frame: int, payload: bytes) -> int:
+        with self._told():
+            return super().write(kind, frame, payload)
 
     def open(self) -> StreamWriter:
-        if self.writer is None and self._left is not None:
-            if self._left.path != self.growing:
-                shutil.copyfile(self._left.path, self.growing)
-            self._file = self.growing.open("r+b")
-            self._file.truncate(self._left.size)
-            self._file.seek(self._left.size)
-            self.writer = StreamWriter.continuing(self._file, self._left.entries, self._left.size)
+        left, file = self._left, self._growing.file
+        if self.writer is None and left is not None:
+            with self._told():
+                if left.path != self.growing:
+                    with left.path.open("rb") as published:
+                        shutil.copyfileobj(published, file)
+                file.truncate(left.size)
+                file.seek(left.size)
+                self.writer = StreamWriter.continuing(file, left.entries, left.size)
         return super().open()
 
     def close(self, frames: int) -> None:
-        if self._file is None:
+        if self.writer is None:
             return
-        if frames and self.writer is not None:
-            _cut_after(frames, self._file, self.writer)
-            self.writer.finish()
-        self._file.close()
         if not frames:
-            self.growing.unlink(missing_ok=True)
+            self._growing.discard()
+        elif not self._failed:
+            with self._told():
+                _cut_after(frames, self._growing.file, self.writer)
+                self.writer.finish()
 
     def publish(self) -> int:
-        os.replace(self.growing, self._output)
+        with self._told():
+            self._growing.publish()
         return super().publish()
+
+    def release(self) -> None:
+        self._growing.release()
+
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        """What the disk does not take becomes one line that says where, and what to do."""
+        try:
+            yield
+        except OSError as error:
+            self._failed = True
+            raise UsageError(f"{self.growing}: {error.strerror}; make room, then go on with --resume") from error
 
 
 class PipeOutput(StreamOutput):
     """A pipe, or any other file that only takes bytes; what was interrupted inside a packet cannot be mended."""
 
-    def __init__(self, file: BinaryIO) -> None:
+    def __init__(self, file: BinaryIO, name: Path = Path("-")) -> None:
         super().__init__()
-        self._file = file
+        self._file, self._name = file, name
 
     @property
     def name(self) -> Path:
-        return Path("-")
+        return self._name
 
     def begin(self, header: bytes) -> None:
         self.writer = StreamWriter(self._file, header)
@@ -118,19 +175,21 @@ class PipeOutput(StreamOutput):
         if self.writer is not None and len(self.writer.entries) == frames > 0:
             self.writer.finish()
 
+    def release(self) -> None:
+        if self._name != Path("-"):
+            self._file.close()
 
-def part_of(output: Path) -> Path:
-    """The file that a stream grows in."""
-    return output.with_name(output.name + ".part")
 
+def open_output(output: Path | BinaryIO, *, resume: bool = False) -> StreamOutput:
+    """Takes the output of an encode, before anything long is done; a named pipe is written into as it is.
 
-def _check(output: Path) -> None:
-    if output.is_dir():
-        raise UsageError(f"{output}: is a folder; name a file in it, such as {output / 'scene.dgs'}")
-    if not output.parent.is_dir():
-        raise UsageError(f"{output.parent}: no such folder; create it first")
-    if not os.access(output.parent, os.W_OK):
-        raise UsageError(f"{output.parent}: cannot be written to; choose another folder")
+    Raises UsageError as `FileOutput` does, and when ``resume`` asks for what no pipe can.
+    """
+    if isinstance(output, Path) and not is_device(output):
+        return FileOutput(output, resume=resume)
+    if resume:
+        raise UsageError("--resume: a pipe cannot be gone on with; name a file with -o")
+    return PipeOutput(output.open("wb"), output) if isinstance(output, Path) else PipeOutput(output)
 
 
 def _cut_after(frames: int, file: BinaryIO, writer: StreamWriter) -> None:

@@ -7,6 +7,7 @@ training starts, and a frame the decoder drops silently is found when it is read
 
 from __future__ import annotations
 
+import errno
 import os
 import struct
 from collections.abc import Generator
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 
 from .errors import RigError
 from .pictures import MAX_PIXELS, Picture
+from .video_tags import read_tags
 
 # The user gets our one line, not the decoder's. FFmpeg's level (-8: quiet) is read once, when the process first opens
 # any video, so it has to be set on import.
@@ -27,6 +29,9 @@ _set_log_level = cv2.setLogLevel if hasattr(cv2, "setLogLevel") else cv2.utils.l
 _set_log_level(0)
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".m4v", ".mov", ".mkv", ".avi", ".webm"})
+
+_FILES_PER_VIDEO = 2
+"""Open at the same time while one is opened."""
 
 _BOXED_SUFFIXES = frozenset({".mp4", ".m4v", ".mov"})
 _FIRST_BOXES = frozenset({b"ftyp", b"styp", b"moov", b"mdat", b"free", b"skip", b"wide", b"pnot"})
@@ -41,7 +46,8 @@ class VideoSource:
     """The frames of one camera in a video file.
 
     Width and height in pixels; fps None if the file does not say. ``times``: presentation time of every frame in
-    milliseconds, (frame_count,), or None if the container has no usable times.
+    milliseconds, (frame_count,), or None if the container has no usable times. ``colours``: how they are coded if not
+    as sRGB or BT.709 are, whose values they are taken for; "" otherwise.
     """
 
     path: Path
@@ -50,6 +56,7 @@ class VideoSource:
     frame_count: int
     fps: float | None
     times: NDArray[np.float64] | None = field(default=None, repr=False, compare=False)
+    colours: str = ""
 
     def read(self, start: int, stop: int) -> Generator[Picture, None, None]:
         """Frames start (inclusive) to stop (exclusive), RGB uint8; earlier ones are passed over, never seeked.
@@ -96,7 +103,7 @@ class VideoSource:
 
 
 def open_video(path: Path) -> VideoSource:
-    """Size, frame count and rate of a video; no frame is decoded.
+    """Size, frame count and rate of a video; no frame is decoded, unless an edit list hides some.
 
     Raises RigError if the file is missing, is no video, has no frames or a variable frame rate.
     """
@@ -115,10 +122,13 @@ def open_video(path: Path) -> VideoSource:
         raise RigError(f"{path}: frames of {width} x {height} pixels cannot be read; re-encode the video")
     if stamps.size == 0:
         raise RigError(f"{path}: the video holds no frames; record or export it again")
+    tags = read_tags(path)
+    if tags.shown is not None and _hides(tags.shown, stamps):
+        stamps = _shown_times(path)
     times = stamps if stamps.size == 1 or np.diff(stamps).min() > 0 else None
     if times is not None:
         _check_constant_rate(path, times)
-    return VideoSource(path, width, height, int(stamps.size), _rate(stated_fps, times), times)
+    return VideoSource(path, width, height, int(stamps.size), _rate(stated_fps, times), times, tags.colours)
 
 
 def _check_whole(path: Path) -> None:
@@ -138,21 +148,45 @@ def _check_whole(path: Path) -> None:
                     raise RigError(f"{path}: the video file is truncated; copy it again from its source")
                 at += size
     except OSError as error:
-        raise RigError(f"{path}: cannot be read ({error.strerror}); fix its rights") from None
+        raise _not_opened(path, error) from None
 
 
 def _capture(path: Path) -> cv2.VideoCapture:
     # FFmpeg is named, and the path is absolute: otherwise "cam%02d" would be a sequence and "http:" an address.
     # One decoding thread each: a rig has tens of videos, which are read side by side, and every further thread would
     # hold another frame.
+    name = _utf8_name(path.absolute())
     try:
-        capture = cv2.VideoCapture(str(path.absolute()), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
+        capture = cv2.VideoCapture(name, cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
         opened = capture.isOpened()
     except cv2.error:
         opened = False
     if not opened:
+        _check_can_open(path)
         raise RigError(f"{path}: the file is no video that can be read, or is damaged; re-encode it (H.264 in mp4)")
     return capture
+
+
+def _utf8_name(path: Path) -> str:
+    """The path as OpenCV takes it: in UTF-8, whatever the locale. It crashes on bytes that are not."""
+    try:
+        return os.fsencode(path).decode("utf-8")
+    except UnicodeDecodeError:
+        raise RigError(f"{path}: its path is not UTF-8, so no video in it can be opened; rename it") from None
+
+
+def _check_can_open(path: Path) -> None:
+    """Says why a file cannot even be opened, which OpenCV does not tell."""
+    try:
+        for file in [path.open("rb") for _ in range(_FILES_PER_VIDEO)]:
+            file.close()
+    except OSError as error:
+        raise _not_opened(path, error) from None
+
+
+def _not_opened(path: Path, error: OSError) -> RigError:
+    remedy = "allow more, by ulimit -n" if error.errno == errno.EMFILE else "fix its rights"
+    return RigError(f"{path}: cannot be read ({error.strerror}); {remedy}")
 
 
 def _packet_times(path: Path, capture: cv2.VideoCapture) -> NDArray[np.float64]:
@@ -163,6 +197,23 @@ def _packet_times(path: Path, capture: cv2.VideoCapture) -> NDArray[np.float64]:
     while capture.grab():
         stamps.append(capture.get(cv2.CAP_PROP_POS_MSEC))
     return np.sort(np.asarray(stamps, np.float64))
+
+
+def _hides(shown: float, stamps: NDArray[np.float64]) -> bool:
+    """Whether an edit list that shows so many seconds leaves out some of the frames with these times (ms)."""
+    return stamps.size > 1 and shown * 1000 < (stamps.size - 0.5) * float(np.median(np.diff(stamps)))
+
+
+def _shown_times(path: Path) -> NDArray[np.float64]:
+    """Presentation times in milliseconds of the frames that the decoder hands out; it alone knows which are cut off."""
+    capture = _capture(path)
+    try:
+        stamps = []
+        while capture.grab():
+            stamps.append(capture.get(cv2.CAP_PROP_POS_MSEC))
+    finally:
+        capture.release()
+    return np.asarray(stamps, np.float64)
 
 
 def _check_constant_rate(path: Path, times: NDArray[np.float64]) -> None:

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from decogs.decoder.commands import Parser, frames_joined, number_of_threads, run
+from decogs.decoder.commands import Parser, frames_joined, number, number_of_threads, run, warn_as, whole_number
 
 
 def bench_main(arguments: Sequence[str] | None = None) -> int:
@@ -39,13 +39,13 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", required=True, metavar="OUTPUT", help="folder of the report")
     parser.add_argument("--holdout", metavar="CAM", help="camera to measure on (default: the rig's own, or cam00)")
     parser.add_argument("--frames", metavar="A:B", help="half-open, as in Python: 0:10, 5:, -3: (default: all)")
-    parser.add_argument("--scale", type=float, default=1.0, metavar="S", help="size of the pictures")
+    parser.add_argument("--scale", type=number, default=1.0, metavar="S", help="size of the pictures")
     parser.add_argument("--preset", default="standard", metavar="P", help="what variants start from (default standard)")
     parser.add_argument(
         "--only", default="", metavar="PARTS", help="run for these tables only (with commas); none: no run"
     )
     parser.add_argument("--threads", type=number_of_threads, default=0, metavar="N", help="default: all processors")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of all runs (default 0)")
+    parser.add_argument("--seed", type=whole_number, default=0, metavar="N", help="of all runs (default 0)")
     parser.add_argument("--any-code", action="store_true", help="take results that other code made")
     parser.add_argument("--keep-streams", action="store_true", help="leave the .dgs files in OUTPUT/streams")
 
@@ -71,7 +71,7 @@ def _bench(options: argparse.Namespace, given: Sequence[str]) -> None:
         only=[part for part in options.only.split(",") if part],
         command=_command(given, [*options.rigs, options.output]),
         terminal=sys.stderr,
-        on_warning=lambda text: print(f"decogs-bench: warning: {text}", file=sys.stderr),
+        on_warning=warn_as("decogs-bench"),
     )
     print(path)
 

@@ -12,8 +12,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.formats.outputs import write_whole
+
 from ..anytime import AnytimeLog
-from .whole_files import rounded, write_whole
+from .rounding import rounded
 
 _LATER = ("cache", "joint")
 """Stages of a later frame's training, as the log calls them."""

@@ -14,15 +14,16 @@ from decogs.decoder.pictures import to_8bit
 from decogs.decoder.rasterise import Rendering, render
 from decogs.decoder.rasterise.reference import render_reference
 from decogs.decoder.session import open_stream, through_lens, view_plan
+from decogs.formats.outputs import write_whole
 from decogs.formats.splats import FloatArray, Splats
 
 from ..keyframe import psnr_of
 from .machine import code_version
 from .metrics import BytePicture
 from .regions import held_out_pictures
+from .rounding import rounded
 from .runs import RigBench
 from .variants import Variant
-from .whole_files import rounded, write_whole
 
 SCALE = 0.5
 """Of the pictures compared, times the report's: the twin lets every pixel see every Gaussian."""

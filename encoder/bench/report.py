@@ -16,6 +16,8 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from decogs.formats.errors import TrainingError, UsageError
+from decogs.formats.outputs import Output, check_outputs, write_whole
+from decogs.formats.rigs import files_of
 
 from . import choices, curve, effects, paper, rates, summaries
 from .machine import code_version, machine_facts
@@ -86,6 +88,8 @@ def make_report(
         raise UsageError(f"{folder}: is a file; name a folder for the report")
     results = [RigResults(RigBench(rig_dir, folder, options)) for rig_dir in rig_dirs]
     _check_names([result.bench for result in results])
+    written = [Output("-o", folder / f"{plan.name}{suffix}", grows=True) for suffix in (".md", ".json", ".html")]
+    check_outputs(written, [file for result in results for file in files_of(result.bench.rig)])
     folder.mkdir(parents=True, exist_ok=True)
     _run_missing(results, wanted, plan, terminal, on_warning)
     if plan.contest is not None:
@@ -101,10 +105,11 @@ def make_report(
         result.bench.tidy(plan.lent)
     lines = report_page(plan, results, folder, command)
     path = folder / f"{plan.name}.md"
-    (folder / f"{plan.name}.json").write_text(json.dumps(_document(plan, results, command), indent=1) + "\n", "utf-8")
+    document = json.dumps(_document(plan, results, command), indent=1) + "\n"
+    write_whole(folder / f"{plan.name}.json", document.encode())
     if plan.trade is not None:
-        (folder / f"{plan.name}.html").write_text(trade_page(plan, results, command), "utf-8")
-    path.write_text("\n".join(lines) + "\n", "utf-8")
+        write_whole(folder / f"{plan.name}.html", trade_page(plan, results, command).encode())
+    write_whole(path, ("\n".join(lines) + "\n").encode())
     return path
 
 

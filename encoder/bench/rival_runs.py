@@ -11,15 +11,16 @@ from datetime import datetime, timezone
 from pathlib import Path
 
 from decogs.decoder.session import Stream, open_stream
+from decogs.formats.outputs import write_whole
 from decogs.formats.splats import Splats
 
 from .machine import code_version
 from .measuring import FrameQuality
 from .rivals.sequences import Frames, Rival, SceneFrame, Sizes
+from .rounding import rounded
 from .runs import RigBench, Run, digest, document
 from .tables import mean
 from .variants import Variant
-from .whole_files import rounded, write_whole
 
 FORMAT = 1
 """Of the JSON files, and of what the rivals write: raise it when either changes."""

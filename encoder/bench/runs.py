@@ -28,6 +28,7 @@ from decogs.codec.header import StreamHeader
 from decogs.decoder.rasterise.native import thread_count
 from decogs.decoder.session import frame_range, open_stream
 from decogs.formats.errors import UsageError
+from decogs.formats.outputs import GrowingFile, write_whole
 from decogs.formats.rigs import Rig, open_rig
 from decogs.formats.splats import Splats
 
@@ -45,9 +46,9 @@ from .measuring import FrameQuality, StreamQuality, measure_scenes
 from .metrics import BytePicture
 from .perceptual import installed_network, perceptual_distance
 from .regions import Regions, find_regions, held_out_pictures, static_column
+from .rounding import rounded
 from .timing import TIMINGS, retimed
 from .variants import Variant, settings_of
-from .whole_files import rounded, write_whole
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -312,6 +313,8 @@ class RigBench:
             scale=self._training_scale(variant),
             lens=settings.corrections.lens,
         )
+        # What an interrupted report left of it is worth nothing: runs are timed as a whole.
+        GrowingFile(self._stream(variant), leftover="dropped").release()
         report = encode_stream(
             ingest,
             self._stream(variant),

@@ -13,7 +13,7 @@ import numpy as np
 
 from decogs.decoder.rasterise.native import thread_count
 from decogs.decoder.session import frame_range
-from decogs.formats.rigs import open_rig
+from decogs.formats.rigs import Rig, open_rig
 
 from ..ingest import frame_span
 from . import EFFECTS
@@ -76,7 +76,7 @@ class Analysis:
 
 
 def analyse(
-    rig_dir: str | os.PathLike[str],
+    rig_dir: str | os.PathLike[str] | Rig,
     *,
     frames: str | slice | None = None,
     holdout: str | Sequence[str] = (),
@@ -85,12 +85,13 @@ def analyse(
 ) -> Analysis:
     """Looks at a rig before anything is trained, and decides which effects it calls for.
 
-    ``frames``: "A:B" half-open, as in Python, or a slice; all when None. ``holdout``: cameras that are not looked at.
+    ``rig_dir``: its folder or calibration file, or the rig itself. ``frames``: "A:B" half-open, as in Python, or a
+    slice; all when None. ``holdout``: cameras that are not looked at.
     ``threads``: 0 means all processors; what is found does not depend on it. Raises RigError or UsageError.
     """
     began = time.perf_counter()
     held = [holdout] if isinstance(holdout, str) else list(holdout)
-    rig = open_rig(rig_dir)
+    rig = rig_dir if isinstance(rig_dir, Rig) else open_rig(rig_dir)
     span = frame_span(rig, frame_range(frames) if isinstance(frames, str) else frames)
     look = look_at(rig, holdout=held, frames=span, threads=thread_count(threads), on_step=on_step)
     findings = []

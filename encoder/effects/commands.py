@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from decogs.decoder.commands import Parser, frames_joined, number_of_threads, progress, run
+from decogs.decoder.commands import Parser, frames_joined, number_of_threads, progress, run, warn_as
 from decogs.formats.errors import UsageError
+from decogs.formats.outputs import Output, check_outputs, is_device, write_whole
+from decogs.formats.rigs import files_of, open_rig
 
 
 def analyze_main(arguments: Sequence[str] | None = None) -> int:
@@ -35,9 +36,15 @@ def analyze_main(arguments: Sequence[str] | None = None) -> int:
 def _analyze(options: argparse.Namespace) -> None:
     from .analysis import analyse
 
+    rig = open_rig(options.rig_dir)
+    for warning in rig.warnings:
+        warn_as("decogs-analyze")(warning)
+    to_file = options.json is not None and options.json != "-"
+    if to_file:
+        check_outputs([Output("--json", Path(options.json), grows=True)], files_of(rig))
     with progress("looking", "step") as on_step:
         analysis = analyse(
-            options.rig_dir,
+            rig,
             frames=options.frames,
             holdout=options.holdout,
             threads=options.threads,
@@ -47,16 +54,15 @@ def _analyze(options: argparse.Namespace) -> None:
     print("\n".join(analysis.table()), file=sys.stderr if options.json == "-" else sys.stdout)
     if options.json == "-":
         sys.stdout.write(document)
-    elif options.json:
+    elif to_file:
         _write(Path(options.json), document)
 
 
 def _write(path: Path, document: str) -> None:
-    """Under a name of its own first, so that nothing half-written ever has the name asked for."""
-    part = path.with_name(path.name + ".part")
     try:
-        part.write_text(document, encoding="utf-8")
-        os.replace(part, path)
+        if is_device(path):
+            path.write_text(document, encoding="utf-8")
+        else:
+            write_whole(path, document.encode())
     except OSError as error:
-        part.unlink(missing_ok=True)
         raise UsageError(f"--json {path}: {error.strerror}; name a file in a folder that can be written") from error

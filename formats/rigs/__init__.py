@@ -23,12 +23,13 @@ from pathlib import Path
 
 from ..cameras import Camera
 from ..errors import RigError, UsageError
-from ..pictures import Picture
+from ..pictures import PICTURE_SUFFIXES, Picture
+from ..videos import VIDEO_SUFFIXES
 from . import colmap, meetroom, n3dv, nerfstudio, rig_json
 from .rig import Points, Rig
-from .sources import FrameSource, holds_frames, list_folder
+from .sources import FrameSource, PictureSource, holds_frames, list_folder
 
-__all__ = ["FrameSource", "Points", "Rig", "open_rig", "read_frames"]
+__all__ = ["FrameSource", "Points", "Rig", "files_of", "open_rig", "read_frames"]
 
 _Reader = Callable[[], Rig]
 
@@ -56,6 +57,21 @@ def open_rig(path: str | os.PathLike[str]) -> Rig:
         )
     (read,) = found.values()
     return read()
+
+
+def files_of(rig: Rig) -> Iterator[tuple[Path, str]]:
+    """Every file that nothing may be written over, and what it is: frames, calibration, and those that lie beside."""
+    for source in rig.sources:
+        for file in source.files if isinstance(source, PictureSource) else (source.path,):
+            yield file, "holds frames of the rig"
+    model = colmap.find_model(rig.path)
+    # Another calibration or camera that lies there was not read, but is the user's all the same.
+    beside = [rig.path / name for name in (rig_json.CALIBRATION, nerfstudio.CALIBRATION, n3dv.CALIBRATION)]
+    for file in (*rig.calibration, *beside, *(() if model is None else colmap.model_files(model))):
+        yield file, "is the rig's calibration"
+    for entry in list_folder(rig.path):
+        if entry.suffix.lower() in VIDEO_SUFFIXES | PICTURE_SUFFIXES:
+            yield entry, "is in the rig's folder, as its frames are"
 
 
 def _calibrations_at(path: Path) -> dict[str, _Reader]:

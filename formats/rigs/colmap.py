@@ -66,6 +66,11 @@ def has_model(folder: Path) -> bool:
     return (folder / "cameras.bin").is_file() or (folder / "cameras.txt").is_file()
 
 
+def model_files(folder: Path) -> list[Path]:
+    """The files of the COLMAP model in ``folder``, if there is one."""
+    return [file for file in list_folder(folder) if file.suffix in (".bin", ".txt")] if has_model(folder) else []
+
+
 def find_model(folder: Path) -> Path | None:
     """The first of sparse/0, sparse and the folder itself that holds a model."""
     return next((model for model in (folder / "sparse" / "0", folder / "sparse", folder) if has_model(model)), None)
@@ -96,7 +101,7 @@ def read_colmap_rig(folder: Path, model: Path, layout: str = LAYOUT) -> Rig:
     if stray:
         raise RigError(f"{frames[stray[0]]}: no camera of this name in {model}; calibrate it too or move it away")
     pairs = [(camera, open_source(frames[name])) for name, camera in calibrated.items()]
-    return assemble_rig(folder, layout, pairs, resizable=True, points=read_points(model))
+    return assemble_rig(folder, layout, pairs, model_files(model), resizable=True, points=read_points(model))
 
 
 def _frames_by_name(folder: Path) -> dict[str, Path]:

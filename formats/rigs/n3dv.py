@@ -48,7 +48,7 @@ def read_poses_bounds_rig(folder: Path, layout: str, camera_name: re.Pattern[str
         _camera(row, name, f"{path}, row {i} ({name})") for i, (row, name) in enumerate(zip(rows, names, strict=True))
     ]
     sources = [open_source(entry) for entry in entries]
-    return assemble_rig(folder, layout, list(zip(cameras, sources, strict=True)), resizable=True)
+    return assemble_rig(folder, layout, list(zip(cameras, sources, strict=True)), [path], resizable=True)
 
 
 def camera_entries(folder: Path, camera_name: re.Pattern[str]) -> list[Path]:

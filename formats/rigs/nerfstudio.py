@@ -55,7 +55,7 @@ def read_nerfstudio(folder: Path) -> Rig:
     for name, group in zip(names, groups, strict=True):
         source = _source(group)
         pairs.append((_camera(name, group[0].fields, source), source))
-    return assemble_rig(folder, LAYOUT, pairs, resizable=True)
+    return assemble_rig(folder, LAYOUT, pairs, [folder / CALIBRATION], resizable=True)
 
 
 def _entry(folder: Path, fields: Fields) -> _Entry:

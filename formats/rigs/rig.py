@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,7 +12,11 @@ from numpy.typing import NDArray
 
 from ..cameras import Camera, scale_camera
 from ..errors import RigError
+from ..videos import VideoSource
 from .sources import FrameSource, PictureSource, natural_key
+
+_SAME_RATE = 5e-4
+"""Relative; 29.97 and 30 frames per second are 1e-3 apart, and out of step by a frame after 33 seconds."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +35,8 @@ class Rig:
     """Synchronised, calibrated, fixed cameras; frame k of every source is the same instant.
 
     ``cameras`` and ``sources`` are parallel, in natural order of the camera names; each camera has the size of its
-    source. ``fps`` is None for single pictures and picture folders without a stated rate.
+    source. ``fps`` is None for single pictures and picture folders without a stated rate. ``calibration``: the files
+    that the cameras and points were read from. ``warnings``: what the user should know, one line each.
     """
 
     path: Path
@@ -43,12 +48,15 @@ class Rig:
     points: Points | None = None
     source_text: str = ""
     licence: str = ""
+    calibration: tuple[Path, ...] = ()
+    warnings: tuple[str, ...] = ()
 
 
 def assemble_rig(
     path: Path,
     layout: str,
     pairs: Sequence[tuple[Camera, FrameSource]],
+    calibration: Sequence[Path],
     *,
     resizable: bool,
     fps: float | None = None,
@@ -72,7 +80,42 @@ def assemble_rig(
     cameras = tuple(_fit_to_source(camera, source, resizable) for camera, source in ordered)
     _check_one_scale([camera for camera, _ in ordered], sources)
     rate = fps if fps is not None else _common_rate(sources)
-    return Rig(path, layout, cameras, sources, rate, sources[0].frame_count, points, source_text, licence)
+    return Rig(
+        path,
+        layout,
+        cameras,
+        sources,
+        rate,
+        sources[0].frame_count,
+        points,
+        source_text,
+        licence,
+        tuple(calibration),
+        tuple(_warnings(sources)),
+    )
+
+
+def _warnings(sources: Sequence[FrameSource]) -> Iterator[str]:
+    """What the videos say of themselves that is not an error, but shows in what becomes of them."""
+    timed = [(source, source.fps) for source in sources if source.fps is not None and source.frame_count > 1]
+    if timed:
+        usual_source, usual = timed[_usual([round(fps, 2) for _, fps in timed])]
+        others = [(source, fps) for source, fps in timed if abs(fps - usual) > _SAME_RATE * usual]
+        if others:
+            yield (
+                f"{others[0][0].path}{_more(others)}: {others[0][1]:.3f} frames per second, but "
+                f"{usual_source.path.name} has {usual:.3f}; frames of one number are taken as one instant"
+            )
+    coded = [source for source in sources if isinstance(source, VideoSource) and source.colours]
+    if coded:
+        yield (
+            f"{coded[0].path}{_more(coded)}: its colours are tagged {coded[0].colours} and are taken for sRGB's; "
+            "convert the videos to BT.709 for right ones"
+        )
+
+
+def _more(found: Sequence[object]) -> str:
+    return f" and {len(found) - 1} more" if len(found) > 1 else ""
 
 
 def _check_names(path: Path, names: list[str]) -> None:

@@ -15,7 +15,7 @@ from typing import cast
 from ..cameras import Camera, DistortionModel
 from ..errors import RigError
 from .calibration import calibrated_camera, rigid_pose
-from .colmap import has_model, read_points
+from .colmap import has_model, model_files, read_points
 from .json_fields import Fields, read_json
 from .rig import Rig, assemble_rig
 from .sources import open_source
@@ -41,6 +41,7 @@ def read_rig_json(folder: Path) -> Rig:
         folder,
         LAYOUT,
         pairs,
+        [path, *model_files(model)],
         resizable=False,
         fps=_rate(fields),
         points=read_points(model) if has_model(model) else None,

@@ -178,3 +178,21 @@ def test_robust_extent_ignores_floaters() -> None:
     extent, centre = robust_extent(means)
     assert 1.8 < extent < 2.0
     assert np.abs(centre).max() < 0.05
+
+
+def test_a_quaternion_that_starts_afresh_takes_the_sign_nearer_to_the_previous_one() -> None:
+    """The previous one's largest component is small now, so that its scale cannot be kept: fewest integers change."""
+    one = round(1 / LATTICE.quaternions)
+    before = quantise(with_quaternion([1, 0, 0, 0]), LATTICE)
+    near = quantise(with_quaternion([0.25, -1, 0, 0]), LATTICE, near=before)
+    np.testing.assert_array_equal(near.quaternions, [[one // 4, -one, 0, 0]])
+    np.testing.assert_array_equal(quantise(with_quaternion([0.25, -1, 0, 0]), LATTICE).quaternions[:, 1], [one])
+
+
+def test_quaternions_beyond_32_bits_are_refused_as_other_values_are() -> None:
+    with pytest.raises(TrainingError, match="quaternions do not fit 32 bits at a step of 1e-11"):
+        quantise(with_quaternion([1, 0.5, 0, 0]), replace(LATTICE, quaternions=1e-11))
+
+
+def with_quaternion(quaternion: list[float]) -> Splats:
+    return replace(random_splats(0, 1), quaternions=np.array([quaternion], np.float32))

@@ -149,7 +149,7 @@ def test_switches_reach_the_encoder(moving: Any, dense: Any, moving_rig: Path, t
     [
         (["--scale", "0"], "--scale 0: give a number above 0"),
         (["--scale", "nan"], "--scale nan"),
-        (["--scale", "half"], "--scale: invalid float value: 'half'"),
+        (["--scale", "half"], "--scale: 'half' is no number"),
         (["--holdout", "cam9"], "--holdout cam9: "),
         ([o for i in range(5) for o in ("--holdout", f"cam0{i}")], "every camera is held out; leave some"),
         (["--preset", "nope"], "--preset nope: there is no such preset; choose from live, draft, standard"),
@@ -169,6 +169,14 @@ def test_switches_reach_the_encoder(moving: Any, dense: Any, moving_rig: Path, t
         (["--quality", "-9"], "--quality -9: give a number from 0"),
         (["--quality", "9", "--lossless"], "--lossless: --quality asks for less than everything"),
         (["--bitrate", "9", "--max-mb-per-frame", "9"], "are one budget in two units"),
+        (["--segment", "99999999999999999999"], "--segment: '99999999999999999999' is no whole number of at most 18"),
+        (
+            ["--segment", "2147483648"],
+            "--segment 2147483648: give a number of frames, at least 1 and at most 2147483647",
+        ),
+        (["--threads", "١"], "--threads: '١' is no number of threads"),
+        (["--time-budget", "1e308"], "--time-budget 1e308: give from 0.0001 to 1e+06 seconds a frame"),
+        (["--time-budget", "1e-308"], "--time-budget 1e-308: give from 0.0001 to 1e+06 seconds a frame"),
         (["--crf", "9"], "unrecognized arguments: --crf 9"),
     ],
 )

@@ -154,6 +154,15 @@ def test_views_that_contradict_each_other_give_no_seeds(kernel: TrainingKernel, 
     assert len(seeds(blotted, SETTINGS, 0)) == 0
 
 
+def test_seeds_lie_before_what_the_other_views_show(appeared: list[Look]) -> None:
+    """A surface just before most cameras hides what would be there: agreeing colours behind it are chance."""
+    hidden = [
+        one if index in (0, 4) else replace(one, depth=np.full_like(one.depth, 0.5))
+        for index, one in enumerate(appeared)
+    ]
+    assert len(seeds(hidden, SETTINGS, 0)) == 0
+
+
 def test_only_pixels_in_the_focus_count(appeared: list[Look]) -> None:
     outside = [replace(view, focus=np.zeros_like(view.focus)) for view in appeared]
     assert len(seeds(outside, SETTINGS, 0)) == 0

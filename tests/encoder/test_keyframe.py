@@ -14,6 +14,7 @@ from decogs.encoder.first_points import FirstPoints
 from decogs.encoder.ingest import Ingest, View
 from decogs.encoder.keyframe import (
     KeyframeSettings,
+    _KeyframeTraining,
     mean_psnr,
     psnr_of,
     scene_extent,
@@ -134,6 +135,23 @@ def test_three_noisy_views_overfit_and_the_kept_back_tiles_say_when_to_stop(tmp_
         mean_psnr(kernel, result.splats, case.held_out_views, case.held_out) for result in (stopped, to_the_end)
     ]
     assert held_out[0] > held_out[1], "and the views not trained on worse"
+
+
+def test_an_early_stop_goes_back_to_the_best_state(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The tiles kept back are shown best at the first check; what was trained after it is undone."""
+    states: list[np.ndarray] = []
+
+    def scored(self: _KeyframeTraining, step: int) -> float:
+        states.append(self._optimiser.splats.means.copy())
+        return -float(len(states))
+
+    monkeypatch.setattr(_KeyframeTraining, "validation_psnr", scored)
+    result = trained(case, replace(SHORT, validation_every=10, patience=1, settle_iterations=0))
+    assert (result.stopped_early, len(states)) == (True, 2)
+    best, later = ({row.tobytes() for row in state} for state in states)
+    kept = {row.tobytes() for row in result.splats.means}
+    assert kept <= best
+    assert len(kept & later) < len(kept) / 2, "what no camera sees stays where it is"
 
 
 def test_without_kept_back_tiles_there_is_no_stop(case: Case) -> None:

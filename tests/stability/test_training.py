@@ -458,7 +458,7 @@ def scaled_rig(rig: Path, tmp_path: Path, scale: float, offset: float) -> Path:
     return copy
 
 
-@pytest.mark.parametrize("scale", [1e-3, 1e6])
+@pytest.mark.parametrize("scale", [1e-6, 1e-3, 1e6])
 def test_the_unit_of_the_world_does_not_matter(
     moving: Any, encode: Any, settings: Any, tmp_path: Path, scale: float
 ) -> None:
@@ -467,6 +467,12 @@ def test_the_unit_of_the_world_does_not_matter(
     encoded = encode(scaled_rig(moving[0], tmp_path, scale, 0.0), settings=settings)
     check_stream(encoded)
     np.testing.assert_allclose(held_out(encoded), held_out(moving[1]), atol=1.5)
+
+
+def test_a_rig_too_small_for_the_lattices_steps_is_refused(moving: Any, tmp_path: Path) -> None:
+    with pytest.raises(RigError, match=r"the cameras are only 2e-09 units apart, .*; scale the ca") as raised:
+        Ingest(open_rig(scaled_rig(moving[0], tmp_path, 1e-9, 0.0)))
+    assert "\n" not in str(raised.value)
 
 
 def test_a_rig_too_far_from_its_origin_for_32_bits_is_refused(moving: Any, tmp_path: Path) -> None:

@@ -1,9 +1,7 @@
-"""Files of a report: numbers that people read, too, written whole or not at all."""
+"""Numbers in the files of a report: people read them, too."""
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
 from typing import Any
 
 
@@ -14,10 +12,3 @@ def rounded(value: Any) -> Any:
     if isinstance(value, list):
         return [rounded(entry) for entry in value]
     return float(f"{value:.7g}") if isinstance(value, float) else value
-
-
-def write_whole(path: Path, data: bytes) -> None:
-    """Writes the file so that an interruption leaves the one that was there, or none."""
-    growing = path.with_name(path.name + ".part")
-    growing.write_bytes(data)
-    os.replace(growing, path)

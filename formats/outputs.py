@@ -1,0 +1,248 @@
+"""Files that a command writes: none that it reads, no two in one place, each whole under its name or not there.
+
+Chosen: a file grows beside its name, as ``NAME.part``, locked (flock) by the process that writes it, is flushed to the
+disk and then renamed; every place that writes a file for good goes through `GrowingFile`. What is asked for is compared
+before anything is opened (`check_outputs`): by device and inode where a file is there, by its resolved path where not,
+so that links and other spellings of a name are seen through. Rejected: a lock file of its own (a kill leaves it).
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import stat
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import BinaryIO, Literal
+
+from .errors import UsageError
+
+Leftover = Literal["refused", "kept", "dropped"]
+"""What becomes of the ``NAME.part`` that an interrupted process left: an error, gone on with, or begun anew."""
+
+_Place = tuple[int, int] | str
+
+
+@dataclass(frozen=True)
+class Output:
+    """Something to be written: the option that asks for it and the file; ``grows``: beside its name first."""
+
+    option: str
+    file: Path | BinaryIO
+    grows: bool = False
+
+    @property
+    def places(self) -> list[tuple[str, _Place]]:
+        """Every file that is written on the way, as it is called and as it is compared."""
+        if not isinstance(self.file, Path):
+            place = _place_of_open(self.file)
+            return [] if place is None else [("-", place)]
+        if is_device(self.file):
+            return []
+        paths = [self.file, part_of(self.file)] if self.grows else [self.file]
+        return [(str(path), _place(path)) for path in paths]
+
+
+def check_outputs(outputs: Sequence[Output], inputs: Iterable[tuple[Path, str]]) -> None:
+    """Raises UsageError when an output would be written over an input, or two outputs in one place.
+
+    ``inputs``: each file that is read, and what it is called. Nothing is opened.
+    """
+    taken: dict[_Place, str] = {}
+    there = {place for output in outputs for _, place in output.places if isinstance(place, tuple)}
+    # A rig can have a hundred thousand pictures: they are looked at only where an output is an existing file.
+    for path, called in inputs if there else ():
+        if (read := _place(path)) in there:
+            taken.setdefault(read, called)
+    for output in outputs:
+        places = output.places
+        for name, place in places:
+            if place in taken:
+                raise UsageError(f"{output.option} {name}: {taken[place]}; name another file")
+        taken |= {place: f"{output.option} is written there, too" for _, place in places}
+
+
+def part_of(output: Path) -> Path:
+    """The file that an output grows in: beside the file that ``output`` names, through symbolic links."""
+    target = resolved(output)
+    return target.with_name(target.name + ".part")
+
+
+def resolved(output: Path) -> Path:
+    """The path as it is given, unless it is a symbolic link: then what that points to, be it there or not."""
+    return Path(os.path.realpath(output)) if output.is_symlink() else output
+
+
+def is_device(path: Path) -> bool:
+    """Whether it is there and takes bytes but is no file that could be replaced: a named pipe, /dev/null, a socket."""
+    try:
+        mode = path.stat().st_mode
+    except OSError:
+        return False
+    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
+
+
+class GrowingFile:
+    """A file that nobody else writes, which gets its name when it is whole; a context manager.
+
+    ``file``: ``NAME.part``, locked and open for reading and writing, at its beginning. Leaving the block without
+    ``publish`` closes it; what it holds by then stays, an empty one is removed.
+    """
+
+    def __init__(self, output: Path, *, leftover: Leftover = "refused", option: str = "") -> None:
+        """Raises UsageError, which begins with ``option``, for what cannot be written or is being written."""
+        self._said = f"{option} " if option else ""
+        self.output, self.path = resolved(output), part_of(output)
+        self._check()
+        self.file = self._locked()
+        if leftover == "dropped":
+            self.file.truncate(0)
+        elif leftover == "refused" and self.size:
+            self.file.close()
+            self._refuse(
+                self.path,
+                "an encode that was cut off left it; --resume goes on with it, or delete it to start over",
+            )
+
+    @property
+    def size(self) -> int:
+        """Bytes that it holds, those that were flushed."""
+        return os.fstat(self.file.fileno()).st_size
+
+    def publish(self) -> None:
+        """Gives it its name, once it is on the disk; a power cut leaves the old file or the whole new one."""
+        self.file.flush()
+        os.fsync(self.file.fileno())
+        os.replace(self.path, self.output)
+        _sync_folder(self.output.parent)
+        self.file.close()
+
+    def discard(self) -> None:
+        """Removes what there is of it, while it is still locked."""
+        self.path.unlink(missing_ok=True)
+        self.release()
+
+    def release(self) -> None:
+        """Closes it; what it holds stays, as ``NAME.part``."""
+        if self.file.closed:
+            return
+        # What the disk did not take was told of when it was written.
+        with suppress(OSError):
+            self.file.flush()
+        if not self.size:
+            self.path.unlink(missing_ok=True)
+        with suppress(OSError):
+            self.file.close()
+
+    def __enter__(self) -> GrowingFile:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.release()
+
+    def _check(self) -> None:
+        if self.output.is_dir():
+            self._refuse(self.output, f"is a folder; name a file in it, such as {self.output / 'scene.dgs'}")
+        if not self.output.parent.is_dir():
+            self._refuse(self.output.parent, "no such folder; create it first")
+        if not os.access(self.output.parent, os.W_OK):
+            self._refuse(self.output.parent, "cannot be written to; choose another folder")
+
+    def _locked(self) -> BinaryIO:
+        while True:
+            try:
+                # No link is followed and no named pipe waited for: neither is the file that this one grows in.
+                number = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
+            except OSError as error:
+                self._refuse(self.path, f"{error.strerror}, and the file grows there; choose another name, or clear it")
+            if not stat.S_ISREG(os.fstat(number).st_mode):
+                os.close(number)
+                self._refuse(self.path, "is no regular file, and the file grows there; choose another name")
+            file = os.fdopen(number, "r+b")
+            try:
+                _lock(number)
+            except BlockingIOError:
+                file.close()
+                self._refuse(self.path, "another process is writing it; wait for its end, or choose another name")
+            if _place(self.path) == _place_of_open(file):
+                return file
+            file.close()  # The other one was done and gave it its name between the two steps.
+
+    def _refuse(self, path: Path, problem: str) -> None:
+        raise UsageError(f"{self._said}{path}: {problem}")
+
+
+def write_whole(path: Path, data: bytes) -> None:
+    """Writes the file so that an interruption leaves the one that was there, or none. Raises UsageError, OSError."""
+    with GrowingFile(path, leftover="dropped") as growing:
+        try:
+            growing.file.write(data)
+            growing.publish()
+        except OSError:
+            growing.discard()
+            raise
+
+
+def open_in_place(path: Path, *, append: bool = False) -> BinaryIO:
+    """A text that others read while its lines are written: locked, and emptied or, by ``append``, gone on with.
+
+    Raises UsageError when another process is writing it, OSError when it cannot be written.
+    """
+    if is_device(path):
+        return path.open("wb")
+    number = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+    file = os.fdopen(number, "r+b")
+    try:
+        _lock(number)
+    except BlockingIOError:
+        file.close()
+        raise UsageError(f"{path}: another process is writing it; name another file") from None
+    if not append:
+        file.truncate()
+    elif file.seek(0, os.SEEK_END):
+        file.seek(-1, os.SEEK_END)
+        if file.read(1) != b"\n":
+            file.write(b"\n")  # What was cut off stays a line of its own.
+    return file
+
+
+def _lock(number: int) -> None:
+    """Takes the lock of an open file; BlockingIOError when another process has it."""
+    try:
+        fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise
+    except OSError:
+        pass  # Some network file systems have no locks.
+
+
+def _sync_folder(folder: Path) -> None:
+    """Brings a new name to the disk, where the file system can."""
+    with suppress(OSError):
+        number = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(number)
+        finally:
+            os.close(number)
+
+
+def _place(path: Path) -> _Place:
+    """Which file it is: equal for all its names."""
+    try:
+        found = path.stat()
+    except OSError:
+        return os.path.realpath(path)
+    return found.st_dev, found.st_ino
+
+
+def _place_of_open(file: BinaryIO) -> _Place | None:
+    try:
+        found = os.fstat(file.fileno())
+    except (OSError, AttributeError):  # io.UnsupportedOperation is an OSError: it lies in memory.
+        return None
+    return (found.st_dev, found.st_ino) if stat.S_ISREG(found.st_mode) else None

@@ -1,0 +1,178 @@
+"""What the encoder's documents promise and no other test would miss: one short test for each."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import decogs.encoder.frame_training as frame_training
+import decogs.encoder.keyframe as keyframe
+import decogs.encoder.loop as loop
+from decogs.codec.header import StreamHeader
+from decogs.codec.lattice import default_lattice, dequantise
+from decogs.codec.state import take_rows
+from decogs.decoder.session import open_stream
+from decogs.encoder.economy import EconomySettings
+from decogs.encoder.emergence import EmergenceSettings, _confirmed, _Found
+from decogs.encoder.frame_training import FrameTrainer, TrainedFrame
+from decogs.encoder.loop import StreamEncoder
+from decogs.encoder.reports import Stopwatch
+from decogs.formats.container import iterate_packets
+from decogs.formats.splats import Splats, empty_splats
+
+
+def header_of(path: Path) -> StreamHeader:
+    with open_stream(path) as stream:
+        return stream.header
+
+
+# Growth
+
+
+def test_a_scene_grows_no_further_than_the_stream_allows(
+    encode: Any, moving: Any, moving_rig: Path, tiny_settings: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """STABILITY.md: clones and splits of later frames stop at 1.25 times the keyframe's Gaussians."""
+    assert loop.MOST_GROWTH == 1.25
+    frame = replace(tiny_settings.frame, emergence=EmergenceSettings(most=0), grow_gradient=0.0, grow_share=1.0)
+    given = {"settings": replace(tiny_settings, frame=frame), "keyframe": moving.path}
+    first = len(moving.states[0])
+    assert max(map(len, encode(moving_rig, **given).states)) > 1.02 * first
+    monkeypatch.setattr(loop, "MOST_GROWTH", 1.02)
+    assert max(map(len, encode(moving_rig, **given).states)) <= round(1.02 * first)
+
+
+# The header
+
+
+def test_a_distorted_rig_says_so_in_its_header(encode: Any, lens_rig: Path, moving: Any) -> None:
+    """SPEC.md, "Header packet": a decoder that does not know the effect must not show the stream."""
+    assert "lens_distortion" in header_of(encode(lens_rig, stop=1).path).effects
+    assert "lens_distortion" not in header_of(moving.path).effects
+
+
+# Rotations
+
+
+def test_the_largest_component_of_a_keyframes_rotations_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However little a rotation shows: without it, nothing would say which way the Gaussian is turned."""
+    monkeypatch.setattr(keyframe, "picture_share", lambda _: 1.0)
+    splats = Splats(*(np.zeros((10, *shape), np.float32) for shape in ((3,), (3,), (4,), (), (1, 3))))
+    splats.quaternions[:, 0] = 1
+    splats.quaternions[9] = [0.1, -0.9, 0.2, 0.3]
+    optimiser = SimpleNamespace(splats=splats, gradient_size=lambda name: np.zeros_like(getattr(splats, name)))
+    stub: Any = SimpleNamespace(_optimiser=optimiser, _settings=SimpleNamespace(bit_worth=1.0), _losses=[])
+    lattice = default_lattice(1.0)
+    one, judged = round(1 / lattice.quaternions), keyframe._KeyframeTraining._judged(stub, lattice).quaternions
+    np.testing.assert_array_equal(judged[:9], [[one, 0, 0, 0]] * 9)
+    np.testing.assert_array_equal(judged[9, 1:], [one, 0, 0], "not the commonest, 0")
+
+
+def test_a_delta_keeps_the_quaternions_that_turn_alike(moving: Any) -> None:
+    """The same rotation has quaternions of any length and both signs: a delta tells none of them."""
+    state, lattice = moving.states[0], header_of(moving.path).lattice
+    state = replace(state, quaternions=-state.quaternions)  # as a frame in between may have left them
+    rows = np.arange(len(state))
+    values = dequantise(take_rows(state, rows), lattice)
+    scale = np.where(rows % 2, -3.0, 0.5).astype(np.float32)[:, None]
+    trained = TrainedFrame(
+        rows,
+        replace(values, quaternions=values.quaternions * scale),
+        np.zeros(0, np.int64),
+        empty_splats(values.sh_degree),
+    )
+    stub: Any = SimpleNamespace(_header=SimpleNamespace(lattice=lattice), _settings=SimpleNamespace(method="3dgstream"))
+    assert len(StreamEncoder._delta(stub, state, trained, EconomySettings()).rows) == 0
+
+
+# Rates
+
+
+def test_rates_fall_over_the_second_half_of_a_frame(
+    encode: Any, moving: Any, moving_rig: Path, tiny_settings: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rates: list[float] = []
+    step = frame_training.SplatOptimiser.step
+
+    def noted(self: Any, gradients: Any, given: Any) -> None:
+        rates.append(given.log_scales)
+        step(self, gradients, given)
+
+    monkeypatch.setattr(frame_training.SplatOptimiser, "step", noted)
+    steps = 20
+    frame = replace(tiny_settings.frame, late_decay=0.1, joint_iterations=steps)
+    encode(moving_rig, settings=replace(tiny_settings, frame=frame), keyframe=moving.path, stop=2)
+    expected = [0.1 ** max(0.0, 2 * done / steps - 1) for done in range(steps)]
+    np.testing.assert_allclose(np.array(rates) / rates[0], expected, rtol=1e-6)
+
+
+# What a frame leaves behind
+
+
+@pytest.mark.parametrize("effects", [("appearance_change",), ("motion", "appearance_change")])
+@pytest.mark.parametrize("changed", [True, False])
+def test_the_masks_remember_what_was_trained_and_whether_it_moved(
+    moving: Any, effects: tuple[str, ...], changed: bool
+) -> None:
+    """Light alone is not remembered as motion: the faint light around it counts in the next frame."""
+    told: list[bool] = []
+    before = moving.states[0]
+    after = replace(before, frame=1, sh=before.sh + 1) if changed else replace(before, frame=1)
+    memory = SimpleNamespace(trained=lambda *_, moved: told.append(moved), passed=lambda *_: None)
+    stub: Any = SimpleNamespace(_masks=memory, _state=after, _settle=lambda *_: None, _displacements=lambda *_: None)
+    frame: Any = SimpleNamespace(training=[])
+    StreamEncoder._go_on(stub, frame, before, [None], np.arange(3), effects, Stopwatch())  # type: ignore[list-item]
+    assert told == (["motion" in effects] if changed else [])
+
+
+def test_a_frame_that_was_given_up_is_tried_again_also_after_a_resume(
+    encode: Any,
+    moving: Any,
+    moving_rig: Path,
+    tiny_settings: Any,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Frame 2 shows what frame 1 did: had frame 1 counted as trained, the miss would be there for good."""
+    train = FrameTrainer.train
+
+    def runs_away(self: FrameTrainer, scene: Any, selected: Any, *arguments: Any, **options: Any) -> TrainedFrame:
+        trained = train(self, scene, selected, *arguments, **options)
+        if options["frame"] > 1:
+            return trained
+        rows = np.flatnonzero(selected)
+        values = type(scene)(*(getattr(scene, name)[rows] for name in vars(scene)))
+        return TrainedFrame(rows, values, np.zeros(0, np.int64), empty_splats(scene.sh_degree), given_up=True)
+
+    monkeypatch.setattr(FrameTrainer, "train", runs_away)
+    masks = replace(tiny_settings.frame.masks, since_trained=True)
+    given = {"settings": replace(tiny_settings, frame=replace(tiny_settings.frame, masks=masks))}
+    given["keyframe"] = moving.path
+    encoded = encode(moving_rig, **given)
+    assert [frame.kind for frame in encoded.report.frames] == ["key", "skip", "delta", "delta"]
+    assert [frame.given_up for frame in encoded.report.frames] == [False, True, False, False]
+    with encoded.path.open("rb") as file:
+        whole = [packet.offset + packet.size for packet in iterate_packets(file)]
+    (tmp_path / "x.dgs.part").write_bytes(encoded.data[: whole[2]])
+    resumed = encode(moving_rig, output=tmp_path / "x.dgs", resume=True, **given)
+    assert (resumed.data, resumed.report.resumed) == (encoded.data, 2)
+
+
+# New objects
+
+
+def test_a_seed_needs_a_second_view_that_ends_there_as_well() -> None:
+    random = np.random.default_rng(2)
+    both, alone = random.uniform(0, 0.001, (20, 3)), random.uniform(5, 5.001, (20, 3))
+
+    def found(points: np.ndarray) -> _Found:
+        count = len(points)
+        return _Found(points, np.zeros((count, 3), np.float32), np.full(count, 0.01), np.zeros(count, np.float32))
+
+    kept = _confirmed([found(np.concatenate([both[:10], alone])), found(both[10:]), found(alone[:0])], 1)
+    assert sorted(map(tuple, kept.points)) == sorted(map(tuple, both))
