@@ -46,13 +46,22 @@ def read_index_set(cursor: Cursor, population: int) -> Rows:
     return cursor.fail(Reason.UNSUPPORTED_MODE, f"index set tag {tag} is unknown")
 
 
-def skip_index_set(cursor: Cursor) -> None:
-    """Passes over an index set without decoding it."""
+def skip_index_set(cursor: Cursor, population: int | None = None) -> bool:
+    """Passes over an index set; whether it holds a row of the ``population``.
+
+    Without that only "empty" is taken to hold none, as in all that ``write_index_set`` writes; with it a bitmap is
+    decoded.
+    """
     tag = cursor.u8()
+    if tag == ALL:
+        return population != 0
+    if tag == BITMAP and population is not None:
+        return len(_read_bitmap(cursor, population)) > 0
     if tag == GAPS:
         cursor.u32()
     if tag in (BITMAP, GAPS):
         skip_block(cursor)
+    return tag != EMPTY
 
 
 def write_varints(values: NDArray[np.uint64]) -> bytes:

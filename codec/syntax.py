@@ -20,7 +20,7 @@ from .deltas import Delta, apply_delta, difference, ids_left
 from .digest import digest
 from .entropy import DEFAULT_LEVEL, coded_block, read_block, skip_block
 from .groups import read_groups, read_presence, skip_group, write_groups, write_residuals, write_values
-from .index_sets import EMPTY, read_index_set, read_varints, skip_index_set, write_index_set, write_varints
+from .index_sets import read_index_set, read_varints, skip_index_set, write_index_set, write_varints
 from .keyframes import new_state
 from .state import (
     DEFAULT_MAX_GAUSSIANS,
@@ -148,10 +148,12 @@ def read_skip(packet: Packet) -> int:
     return declared
 
 
-def payload_costs(packet: Packet, coefficients: int) -> dict[str, int]:
-    """A frame packet's payload bytes by purpose, from its declared lengths, without decoding it; raises StreamError.
+def payload_costs(packet: Packet, coefficients: int, population: int | None = None) -> dict[str, int]:
+    """A frame packet's payload bytes by purpose, from its declared lengths; raises StreamError.
 
-    What lies before the packet's ``start`` are its corrections.
+    What lies before the packet's ``start`` are its corrections. ``population``: how many Gaussians the state has that
+    the packet changes. It may be left out for what this module has written, where an index set with a tag other than
+    "empty" holds a row; elsewhere one may not.
     """
     cursor, costs = packet.cursor(), {"header": 0}
     if packet.start:
@@ -159,13 +161,13 @@ def payload_costs(packet: Packet, coefficients: int) -> dict[str, int]:
     if packet.kind == PacketKind.KEY:
         mode = _KEY.unpack(cursor.take(_KEY.size))[4]
         if refers_to_first(packet):
-            _change_costs(cursor, coefficients, mode, costs)
+            _change_costs(cursor, coefficients, mode, costs, population)
         else:
             _id_cost(cursor, mode, costs)
             _group_costs(cursor, coefficients, "", costs)
     elif packet.kind == PacketKind.DELTA:
         cursor.u64()
-        _change_costs(cursor, coefficients, _CONSECUTIVE_IDS, costs)
+        _change_costs(cursor, coefficients, _CONSECUTIVE_IDS, costs, population)
     else:
         cursor.u64()
     cursor.finish()
@@ -173,12 +175,17 @@ def payload_costs(packet: Packet, coefficients: int) -> dict[str, int]:
     return costs
 
 
-def _change_costs(cursor: Cursor, coefficients: int, id_mode: int, costs: dict[str, int]) -> None:
-    touched = cursor.peek() != EMPTY
-    costs["index"] = _set_cost(cursor)
+def _change_costs(
+    cursor: Cursor, coefficients: int, id_mode: int, costs: dict[str, int], population: int | None
+) -> None:
+    start = cursor.position
+    touched = skip_index_set(cursor, population)
+    costs["index"] = cursor.position - start
     if touched:
         _group_costs(cursor, coefficients, "", costs)
-    costs["removed"] = _set_cost(cursor)
+    start = cursor.position
+    skip_index_set(cursor)
+    costs["removed"] = cursor.position - start
     if cursor.u32():
         _id_cost(cursor, id_mode, costs)
         _group_costs(cursor, coefficients, "added.", costs)
@@ -197,12 +204,6 @@ def _group_costs(cursor: Cursor, coefficients: int, prefix: str, costs: dict[str
         start = cursor.position
         skip_group(cursor, widths[group])
         costs[prefix + group] = cursor.position - start
-
-
-def _set_cost(cursor: Cursor) -> int:
-    start = cursor.position
-    skip_index_set(cursor)
-    return cursor.position - start
 
 
 def _key_head(state: State, reference: int, listed: Rows, level: int) -> list[tuple[str, bytes]]:

@@ -1,25 +1,29 @@
 """The decoder's commands: decogs-decode, decogs-export and decogs-info.
 
 Only arguments, terminal output and exit codes; the work is done by ``decode``, ``export`` and ``info`` of
-``decogs.decoder``. Exit code 0 when all went well, 2 after an error (one line on stderr), 130 after Ctrl-C.
+``decogs.decoder``. Exit code 0 when all went well, 2 after an error (one line on stderr), 130 after Ctrl-C. SIGTERM and
+SIGHUP end a command that writes pictures or USD as soon as it has removed what is not whole.
 """
 
 from __future__ import annotations
 
 import argparse
 import errno
+import io
 import json
 import os
 import re
+import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import TYPE_CHECKING, Any, BinaryIO, NoReturn
 
 from decogs.formats.errors import DecogsError, UsageError
 
-from .session import DEFAULT_MAX_MEMORY
+from .memory import DEFAULT_MAX_MEMORY
 
 if TYPE_CHECKING:
     from decogs.codec.header import StreamHeader
@@ -67,7 +71,7 @@ def decode_main(arguments: Sequence[str] | None = None) -> int:
         metavar="S",
         help="with --follow: stop when nothing came for S seconds (default 600)",
     )
-    return run(parser.prog, lambda: _decode(parser.parse_args(frames_joined(arguments))))
+    return run(parser.prog, lambda: _decode(parser.parse_args(frames_joined(arguments))), cleans_up=True)
 
 
 def export_main(arguments: Sequence[str] | None = None) -> int:
@@ -80,7 +84,7 @@ def export_main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--up-axis", choices=("Y", "Z"), default="Y", help="which world axis is up; nothing is rotated (default Y)"
     )
-    return run(parser.prog, lambda: _export(parser.parse_args(frames_joined(arguments))))
+    return run(parser.prog, lambda: _export(parser.parse_args(frames_joined(arguments))), cleans_up=True)
 
 
 def info_main(arguments: Sequence[str] | None = None) -> int:
@@ -100,69 +104,123 @@ def info_main(arguments: Sequence[str] | None = None) -> int:
 class Parser(argparse.ArgumentParser):
     """Says what is wrong with the arguments in one line, as for every other error."""
 
+    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Refuses "--" as the value of an option, which argparse takes away and then hands on an empty list."""
+        parsed = super().parse_args(args, namespace)
+        for name, value in vars(parsed).items():
+            if value == []:
+                self.error(f"argument --{name.replace('_', '-')}: expected one argument")
+        return parsed
+
     def error(self, message: str) -> NoReturn:
         sys.stderr.write(f"{self.prog}: error: {message} (see {self.prog} --help)\n")
         raise SystemExit(USER_ERROR)
 
 
-def run(program: str, command: Callable[[], int | None]) -> int:
+def run(program: str, command: Callable[[], int | None], *, cleans_up: bool = False) -> int:
     """Runs a command and returns its exit code; an error the user can act on becomes one line on stderr.
 
-    The command returns an exit code of its own, or None for 0.
+    The command returns an exit code of its own, or None for 0. ``cleans_up``: SIGTERM and SIGHUP let it remove what it
+    has written by halves before they end the process; without, they do so at once.
     """
+    _open_standard_streams()
+    if sys.stdout is None:
+        return _say(f"{program}: error: standard output is closed; send it to a file, or to /dev/null", USER_ERROR)
     try:
-        _take_closed_streams()
-        code = command()
-        _flush_output()
+        with _unwinding_signals() if cleans_up else nullcontext():
+            code = command()
+            sys.stdout.flush()
     except BrokenPipeError:
         # The reader of a pipe (head, less) has seen enough.
-        _drop_output()
+        _forget_stdout()
         return _BROKEN_PIPE
     except KeyboardInterrupt:
         return _say(f"{program}: interrupted", INTERRUPTED)
     except DecogsError as error:
         return _say(f"{program}: error: {error}", USER_ERROR)
     except OSError as error:
-        what = f"{error.filename}: {error.strerror}" if error.filename else error.strerror or str(error)
+        where = error.filename or (None if _stdout_takes_it() else "standard output")
+        what = f"{where}: {error.strerror}" if where else error.strerror or str(error)
         if error.errno == errno.ENOSPC:
             what += "; make room, or write elsewhere"
-            if not error.filename:
-                _drop_output()  # It was printing that failed: nothing else is without a name.
         return _say(f"{program}: error: {what}", USER_ERROR)
-    except MemoryError:
+    except Exception as error:
+        if not _memory_is_out(error):
+            raise
         return _say(f"{program}: error: out of memory; choose a smaller scale or fewer frames", USER_ERROR)
     return code or 0
 
 
-def _take_closed_streams() -> None:
-    """Gives the numbers of standard streams that are closed to the null device: files would get them, and the text.
+def _open_standard_streams() -> None:
+    """Gives standard streams that are closed an end that swallows.
 
-    Raises UsageError where standard output is: what a command has to say would be lost without a word.
+    The next file that is opened would otherwise get their number, and with it what libraries have to say on stderr.
     """
-    closed = sys.stdout is None
-    while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
-        pass
-    os.close(number)
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:  # noqa: PERF203 (three turns)
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free
     if sys.stderr is None:
-        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 (open as long as the process is)
-    if closed:
-        raise UsageError("standard output is closed; send it to a file, or to /dev/null")
+        sys.stderr = open(os.devnull, "w")  # noqa: SIM115 (as long as the process)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # Names come from strangers: what this terminal's encoding cannot show is escaped.
+        sys.stdout.reconfigure(errors="backslashreplace")
 
 
-def _flush_output() -> None:
+def _stdout_takes_it() -> bool:
+    """Whether standard output takes what waits for it; a full disk does not, whoever first came upon that."""
     try:
         sys.stdout.flush()
-    except BrokenPipeError:
-        raise
-    except OSError as error:
-        error.filename = "standard output"
-        _drop_output()
-        raise
+    except OSError:
+        _forget_stdout()
+        return False
+    return True
 
 
-def _drop_output() -> None:
-    """Keeps the interpreter from flushing once more, at its end, what standard output did not take."""
+def _forget_stdout() -> None:
+    """Keeps the interpreter from flushing once more what cannot be written."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _memory_is_out(error: Exception) -> bool:
+    """Whether an exception means that memory is short, as the libraries beneath have several words for it."""
+    words = {
+        RuntimeError: "can't start new thread",
+        ImportError: "allocate memory|failed to map segment",
+    }
+    said = next((words[kind] for kind in words if isinstance(error, kind)), None)
+    from_opencv = type(error).__module__ == "cv2" and "Insufficient memory" in str(error)
+    return isinstance(error, MemoryError) or from_opencv or (said is not None and bool(re.search(said, str(error))))
+
+
+class _Ended(BaseException):
+    """A signal asks the process to end."""
+
+
+@contextmanager
+def _unwinding_signals() -> Iterator[None]:
+    """SIGTERM and SIGHUP leave what is inside as Ctrl-C does, then end the process; a second one ends it at once."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def unwind(number: int, _: object) -> None:
+        signal.signal(number, signal.SIG_DFL)
+        raise _Ended(number)
+
+    # What is ignored, as SIGHUP under nohup, or is handled by whoever runs this in their program, stays so.
+    ours = [n for n in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(n) is signal.SIG_DFL]
+    for number in ours:
+        signal.signal(number, unwind)
+    try:
+        yield
+    except _Ended as ended:
+        os.kill(os.getpid(), ended.args[0])
+        raise
+    finally:
+        for number in ours:
+            signal.signal(number, signal.SIG_DFL)
 
 
 def standard_input() -> BinaryIO:
@@ -189,6 +247,17 @@ def progress(what: str, unit: str = "frame") -> Iterator[OnFrame]:
         yield show
 
 
+def _tell(text: str) -> None:
+    """Prints; what keeps standard output from being written is said with its name."""
+    try:
+        print(text)
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        error.filename = "standard output"
+        raise
+
+
 def _decode(options: argparse.Namespace) -> None:
     from .following import DEFAULT_IDLE
     from .output import decode
@@ -213,7 +282,7 @@ def _decode(options: argparse.Namespace) -> None:
             on_frame=on_frame,
             on_warning=warn_as("decogs-decode"),
         )
-    print(
+    _tell(
         f"{options.output}: {_count(report.frame_count, 'frame')} of {report.view}, "
         f"{report.width}x{report.height}, in {time.perf_counter() - started:.1f} s"
     )
@@ -233,7 +302,7 @@ def _export(options: argparse.Namespace) -> None:
             on_frame=on_frame,
             on_warning=warn_as("decogs-export"),
         )
-    print(
+    _tell(
         f"{options.output}: {_count(report.frame_count, 'frame')}, {report.static_count} static and "
         f"{report.dynamic_count} dynamic Gaussians, {_size(report.file_bytes)}"
     )
@@ -245,9 +314,9 @@ def _info(options: argparse.Namespace) -> None:
     with progress("reading") as on_frame:
         facts = info(options.stream, strict=options.strict, max_memory=options.max_memory, on_frame=on_frame)
     if options.json:
-        print(json.dumps(facts.to_json(), indent=2))
+        _tell(json.dumps(facts.to_json(), indent=2))
     else:
-        print("\n".join(_bytes(facts) if options.bytes else _table(facts)))
+        _tell("\n".join(_bytes(facts) if options.bytes else _table(facts)))
 
 
 def _table(facts: StreamInfo) -> Iterator[str]:

@@ -18,6 +18,7 @@ from decogs.codec.reconstruct import reconstruct
 from decogs.codec.state import DEFAULT_MAX_GAUSSIANS, State
 from decogs.formats.container import (
     FRAME_KINDS,
+    MAX_PAYLOAD,
     Packet,
     PacketKind,
     PacketReader,
@@ -31,7 +32,8 @@ from decogs.formats.reasons import Reason
 from decogs.formats.survey import check_lost, check_places, next_past_damage, past_unfinished
 
 from .damage import Concealment, Damage, OnDamage, errors_name
-from .session import DEFAULT_MAX_MEMORY, DecodedFrame, gaussians_within, payload_within, read_header
+from .memory import DEFAULT_MAX_MEMORY, gaussians_within, limits_explained, payload_within
+from .session import DecodedFrame, read_header
 
 DEFAULT_IDLE = 600.0
 """Seconds without anything new after which nothing more is expected; training a keyframe takes minutes."""
@@ -47,7 +49,9 @@ _Found = TypeVar("_Found")
 class GrowingStream:
     """A stream that may still grow. Build one with ``follow_stream``.
 
-    ``header`` is there from the beginning; ``ended`` tells whether the end packet has come.
+    ``header`` is there from the beginning; ``ended`` tells whether the end packet has come, ``frame_count`` how many
+    frames have, those included that are lost, and ``unfinished_bytes`` how much of a packet at the tail when no more
+    comes.
     """
 
     def __init__(
@@ -62,11 +66,14 @@ class GrowingStream:
     ) -> None:
         self._file, self.name, self._idle = file, name, idle
         self._concealment = Concealment(name, strict=strict, on_damage=on_damage)
-        self._damaged_places = self._lost_frames = 0
-        self._reader = PacketReader(file, max_payload=payload_within(max_memory))
-        with errors_name(name):
+        self._damaged_places = self._lost_frames = self.frame_count = self.unfinished_bytes = 0
+        max_payload = payload_within(max_memory)
+        self._reader = PacketReader(file, max_payload=max_payload)
+        self._max_memory, self._limits = max_memory, {max_payload} - {MAX_PAYLOAD}
+        with self._errors_named():
             self.header = read_header(self._awaited(self._reader.next), self._reader.offset)
         self._max_gaussians = gaussians_within(max_memory, self.header.coefficients, DEFAULT_MAX_GAUSSIANS)
+        self._limits |= {self._max_gaussians} - {DEFAULT_MAX_GAUSSIANS}
         self._first: State | None = None
 
     @property
@@ -82,16 +89,18 @@ class GrowingStream:
         frame tells, or the end packet: these frames come, and the place is told of, together with that.
         """
         shown: DecodedFrame | None = None
-        with errors_name(self.name):
+        with self._errors_named():
             while True:
+                self._check_open()
                 packet, errors = self._next_intact(0 if shown is None else shown.index + 1)
                 for held in self._lost_before(packet, shown, errors):
-                    shown = held
+                    shown, self.frame_count = held, held.index + 1
                     yield held
                 if packet is None:
                     return
                 if packet.kind in FRAME_KINDS:
                     shown = self._shown(packet, shown)
+                    self.frame_count = shown.index + 1
                     yield shown
 
     def _next_intact(self, expected: int) -> tuple[Packet | None, list[StreamError]]:
@@ -124,7 +133,7 @@ class GrowingStream:
         if before is None and errors and (lost or packet is None):
             raise errors[0]
         self._lost_frames += len(lost)
-        check_lost(self._lost_frames)
+        check_lost(self._lost_frames, lost.stop - self._lost_frames)
         if before is None or not lost:
             for error in errors:
                 self._concealment.tell(Damage(error))
@@ -164,6 +173,15 @@ class GrowingStream:
         check_places(self._damaged_places, error)
         return error
 
+    @contextmanager
+    def _errors_named(self) -> Iterator[None]:
+        with errors_name(self.name), limits_explained(self._max_memory, self._limits):
+            yield
+
+    def _check_open(self) -> None:
+        if self._file.closed:
+            raise UsageError(f"{self.name}: the stream is closed; read its frames while it is open")
+
     def _next(self) -> Packet | StreamError | None:
         """The next packet or damage, waited for; None after the end packet, and when nothing more comes."""
         found = self._awaited(self._look)
@@ -171,6 +189,7 @@ class GrowingStream:
             return found
         if self._concealment.strict and self._reader.pending:
             raise stops_inside(self._reader.pending, self._reader.offset, self._reader.ordinal)
+        self.unfinished_bytes = self._reader.pending
         return past_unfinished(self._reader)
 
     def _look(self) -> Packet | StreamError | None:

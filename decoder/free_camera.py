@@ -75,9 +75,11 @@ def _named_camera(entry: Any, where: str) -> Camera:
 
 def _parsed(path: Path) -> Any:
     try:
-        if path.stat().st_size > MAX_FILE_BYTES:
+        with path.open("rb") as file:
+            data = file.read(MAX_FILE_BYTES + 1)  # what a device or a pipe holds, its size does not tell
+        if len(data) > MAX_FILE_BYTES:
             raise UsageError(f"{path}: is larger than {MAX_FILE_BYTES >> 20} MB; that is no camera file")
-        return json.loads(path.read_text(encoding="utf-8"))
+        return json.loads(data.decode("utf-8"))
     except OSError as error:
         raise UsageError(f"{path}: cannot be read ({error.strerror}); name a camera file (JSON)") from None
     except (ValueError, RecursionError) as error:

@@ -12,7 +12,8 @@ from decogs.codec.header import StreamHeader
 from decogs.codec.state import GROUPS
 
 from .damage import Damage
-from .session import DEFAULT_MAX_MEMORY, DecodedFrame, open_stream
+from .memory import DEFAULT_MAX_MEMORY
+from .session import DecodedFrame, open_stream
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -16,9 +17,9 @@ from decogs.formats.errors import UsageError
 from .damage import OnDamage
 from .following import DEFAULT_IDLE, GrowingStream, follow_stream
 from .free_camera import read_free_cameras
+from .memory import DEFAULT_MAX_MEMORY
 from .pictures import DEFAULT_FPS, open_sink
 from .session import (
-    DEFAULT_MAX_MEMORY,
     DecodedFrame,
     Stream,
     camera_of,
@@ -35,9 +36,6 @@ if TYPE_CHECKING:
 Colour = tuple[float, float, float]
 OnFrame = Callable[[int, int], None]
 OnWarning = Callable[[str], None]
-
-_PIXEL_BYTES = 64
-"""What a pixel takes while its picture is rendered and written, counted for ``max_memory``."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +86,7 @@ def decode(
     appeared one by one.
     """
     _check_colour(background)
-    show = _Show(scale, background, undistorted, threads, canonical)
+    show = _Show(scale, background, undistorted, threads, canonical, max_memory)
     if follow or not isinstance(stream, (str, os.PathLike)):
         on_damage = _damage_to(on_warning)
         with follow_stream(stream, idle=idle, strict=strict, on_damage=on_damage, max_memory=max_memory) as growing:
@@ -99,7 +97,6 @@ def decode(
         chosen = _chosen_frames(opened, frames)
         views = _views(opened.header, view, camera)
         first = scaled_view(camera_of(opened.header, views[0]), scale)
-        _check_picture(first, max_memory)
         with open_sink(output, view=first.name, frames=len(chosen), fps=opened.header.fps) as sink:
             coming = opened.frames(chosen.start, chosen.stop)
             for done, (frame, picture) in enumerate(_pictures(opened.header, coming, views, show), start=1):
@@ -159,6 +156,7 @@ class _Show:
     undistorted: bool
     threads: int
     canonical: bool
+    max_memory: int
 
 
 def _decode_growing(
@@ -179,7 +177,9 @@ def _decode_growing(
             if on_frame is not None:
                 on_frame(done, 0)
         if not done:
-            raise UsageError(f"{stream.name}: nothing to decode, no such frame came")
+            where = "its first keyframe" if not stream.frame_count else f"frame {stream.frame_count}"
+            cut = f"; the stream stops {stream.unfinished_bytes} bytes into {where}" if stream.unfinished_bytes else ""
+            raise UsageError(f"{stream.name}: nothing to decode, no such frame came{cut}")
     if on_warning is not None and not stream.ended and (chosen.stop is None or chosen.start + done < chosen.stop):
         on_warning(f"{stream.name}: nothing more came, and no end packet; {done} pictures were written")
     return DecodeReport(Path(output), first.name, done, first.width, first.height)
@@ -245,20 +245,13 @@ def _coming_frames(frames: str | slice | None) -> slice:
     start, stop = wanted.start or 0, wanted.stop
     if wanted.step not in (None, 1) or start < 0 or (stop is not None and stop <= start):
         raise UsageError("frames of a stream that still grows are A:B with 0 <= A < B, or A:, one after the other")
-    return slice(start, stop)
+    most = sys.maxsize  # what islice takes; no stream has so many
+    return slice(min(start, most), None if stop is None else min(stop, most))
 
 
 def _check_colour(colour: Colour | None) -> None:
     if colour is not None and not (len(colour) == 3 and all(0 <= channel <= 1 for channel in colour)):
         raise UsageError(f"the background {colour} is no colour; give red, green and blue from 0 to 1, such as 1,1,1")
-
-
-def _check_picture(camera: Camera, max_memory: int) -> None:
-    if camera.width * camera.height * _PIXEL_BYTES > max_memory:
-        raise UsageError(
-            f"camera {camera.name!r}: a picture of {camera.width}x{camera.height} needs more than the memory allowed; "
-            "choose a smaller scale or more memory (--max-memory)"
-        )
 
 
 def _damage_to(on_warning: OnWarning | None) -> OnDamage:

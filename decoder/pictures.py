@@ -33,7 +33,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.errors import UsageError
+from decogs.formats.errors import UsageError, check_utf8
+from decogs.formats.quiet import quiet_opencv
 
 if TYPE_CHECKING:
     from .rasterise import Rendering
@@ -48,6 +49,12 @@ _OTHER_PICTURES = frozenset(
     {".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".gif", ".webp", ".hdr", ".avi", ".mov", ".mkv", ".webm", ".m4v"}
 )
 _PATTERN = re.compile(r"%(0[1-9])?d")
+_LONGEST_VIEW = 200
+"""Bytes of a view's name in a file name, which may have 255 in all."""
+
+_SLOWEST, _FASTEST = 0.01, 1000.0
+"""Frames per second that every MP4 coder takes; its time stamps have 16 bits of fraction."""
+
 _PNG_EFFORT = 3
 """zlib level of PNG files: a little larger than the default's, three times as fast."""
 
@@ -144,7 +151,8 @@ class _Video(PictureSink):
         picture = np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
         if self._writer is None:
             self._writer = self._open(picture.shape[1], picture.shape[0])
-        self._writer.write(np.ascontiguousarray(picture[..., ::-1]))
+        with quiet_opencv():
+            self._writer.write(np.ascontiguousarray(picture[..., ::-1]))
         self._frames += 1
 
     def finish(self) -> None:
@@ -153,10 +161,11 @@ class _Video(PictureSink):
 
         if self._writer is None:
             raise UsageError(f"{self._path.name}: a video needs at least one frame")
-        self._writer.release()
-        video = cv2.VideoCapture(str(self._path))
-        written = int(video.get(cv2.CAP_PROP_FRAME_COUNT))
-        video.release()
+        with quiet_opencv():
+            self._writer.release()
+            video = cv2.VideoCapture(str(self._path))
+            written = int(video.get(cv2.CAP_PROP_FRAME_COUNT))
+            video.release()
         if written != self._frames:
             raise UsageError(
                 f"{self._path.name}: the video holds {written} of {self._frames} frames; is the disk full? "
@@ -166,8 +175,14 @@ class _Video(PictureSink):
     def _open(self, width: int, height: int) -> Any:
         import cv2
 
-        fourcc = cv2.VideoWriter.fourcc(*"mp4v")
-        writer = cv2.VideoWriter(str(self._path), fourcc, self._fps, (width, height))
+        if not _SLOWEST <= self._fps <= _FASTEST:
+            raise UsageError(
+                f"{self._path.name}: an MP4 cannot have the stream's {self._fps:g} frames per second; "
+                "write PNG to a folder"
+            )
+        with quiet_opencv():
+            fourcc = cv2.VideoWriter.fourcc(*"mp4v")
+            writer = cv2.VideoWriter(str(self._path), fourcc, self._fps, (width, height))
         if not writer.isOpened():
             raise UsageError(
                 f"{self._path.name}: OpenCV cannot write an MP4 of {width}x{height} pixels here; write PNG to a folder"
@@ -180,7 +195,12 @@ def _save_png(path: Path, rendering: Rendering) -> None:
 
     picture = np.ascontiguousarray(to_8bit(rendering.image)[..., ::-1])
     _, data = cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, _PNG_EFFORT])
-    path.write_bytes(data.tobytes())
+    try:
+        path.write_bytes(data.tobytes())
+    except OSError as error:
+        raise UsageError(
+            f"{path.name}: cannot be written ({error.strerror}); free some space or choose another output"
+        ) from None
 
 
 def _save_exr(path: Path, rendering: Rendering, *, fps: float) -> None:
@@ -215,12 +235,14 @@ def _plan(
     suffix = "" if str(output).endswith(("/", os.sep)) or target.is_dir() else target.suffix.lower()
     if suffix in _OTHER_PICTURES:
         raise UsageError(f"{target}: {suffix} is not written; name a folder (PNG), or a .png, .exr or .mp4 file")
+    if suffix in (".mp4", ".exr"):
+        check_utf8(target)
     if suffix == ".mp4":
         return lambda folder: _Video(folder / target.name, fps), target.parent
     if suffix not in (".png", ".exr"):
         if target.exists() and not target.is_dir():
             raise UsageError(f"{target}: is a file, not a folder; name a folder (PNG), or a .png, .exr or .mp4 file")
-        safe = re.sub(r"[^\w.-]+", "_", view).lstrip(".") or "view"
+        safe = _safe(view)
         return lambda folder: _Files(lambda frame: f"{safe}_{frame:06d}.png", _save_png, folder), target
 
     def save(path: Path, rendering: Rendering) -> None:
@@ -233,10 +255,23 @@ def _plan(
     return lambda folder: _Files(name_of, save, folder), target.parent
 
 
+def _safe(view: str) -> str:
+    """The view's name as the beginning of a file name, cut where that would be too long."""
+    safe = re.sub(r"[^\w.-]+", "_", view).lstrip(".")
+    try:
+        os.fsencode(safe)
+    except UnicodeEncodeError:  # names of files are ASCII here
+        safe = re.sub(r"[^\w.-]+", "_", safe, flags=re.ASCII)
+    return safe.encode()[:_LONGEST_VIEW].decode(errors="ignore") or "view"
+
+
 def _numbered(target: Path, frames: int | None) -> Callable[[int], str]:
     """The file name of each frame, from a pattern, a plain name for one frame, or a plain name to be numbered."""
-    if _PATTERN.search(target.name):
-        return lambda frame: _PATTERN.sub(lambda found: f"{frame:{found[1] or ''}d}", target.name, count=1)
+    patterns = len(_PATTERN.findall(target.name))
+    if patterns > 1:
+        raise UsageError(f"{target}: has {patterns} places for the frame's number; give one, such as x_%06d.png")
+    if patterns:
+        return lambda frame: _PATTERN.sub(lambda found: f"{frame:{found[1] or ''}d}", target.name)
     if frames == 1:
         return lambda _: target.name
     return lambda frame: f"{target.stem}_{frame:06d}{target.suffix}"

@@ -18,7 +18,7 @@ from decogs.formats.cameras import Camera
 from .camera_faults import with_recorded_colours
 from .rasterise import Rendering
 from .rasterise.resting_view import RestingView
-from .session import DecodedFrame, correction_of, through_lens, view_plan
+from .session import DecodedFrame, correction_of, max_pairs, through_lens, view_plan
 
 
 class PlayedView:
@@ -39,8 +39,9 @@ class PlayedView:
         undistorted: bool = False,
         threads: int = 0,
         canonical: bool = False,
+        max_memory: int | None = None,
     ) -> None:
-        self._header, self._wanted, self._canonical = header, view, canonical
+        self._header, self._wanted, self._canonical, self._max_memory = header, view, canonical, max_memory
         self._scale, self._undistorted, self._threads = scale, undistorted, threads
         self._background = header.background if background is None else background
         self._shown: State | None = None
@@ -88,6 +89,7 @@ class PlayedView:
             scale=self._scale,
             undistorted=self._undistorted,
             correction=self._correction,
+            max_memory=self._max_memory,
         )
         self._view = RestingView(self._plan.render_camera, self._background, threads=self._threads)
         self._shown = self._seen = self._rendering = None
@@ -96,6 +98,7 @@ class PlayedView:
         """Brings the view's scene from what it has shown to that of the frame."""
         if shown is not None and same_scene(shown, frame.state):
             return
+        self._view.allow(max_pairs(self._header, len(frame.state), self._plan, self._max_memory))
         delta = None if shown is None else frame.delta_from(shown)
         if shown is None or delta is None:
             self._view.place(frame.splats)

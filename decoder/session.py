@@ -47,28 +47,27 @@ from decogs.formats.survey import Survey, search, survey
 
 from .camera_faults import as_it_stood, with_recorded_colours
 from .damage import Concealment, Damage, OnDamage, errors_name
-from .lens import Redistortion
+from .lens import Redistortion, is_distorted
+from .memory import (
+    DEFAULT_MAX_MEMORY,
+    check_picture,
+    frames_within,
+    gaussians_within,
+    limits_explained,
+    pairs_within,
+    payload_within,
+)
 
 if TYPE_CHECKING:
     from .rasterise import Rendering
 
+_ASTRAY = frozenset(
+    {Reason.INDEX_MISMATCH, Reason.BAD_SYNC, Reason.BAD_HEADER_CRC, Reason.TRUNCATED, Reason.MISPLACED_PACKET}
+)
+"""What is found where an index that is wrong says that a frame lies."""
+
 MAX_PICTURE_PIXELS = 1 << 26
 """No larger picture is rendered (8192 x 8192): a few header bytes must not be able to claim all memory."""
-
-DEFAULT_MAX_MEMORY = 4 << 30
-"""What decoding may take unless told otherwise, in bytes, beyond the program itself."""
-
-_PAYLOAD_SHARE = 6
-"""A payload may take this fraction of the memory: all that a delta can say of the scene that fits, uncompressed."""
-
-_COPIES = 15
-"""A Gaussian may take this many times its bytes in a state: two states and the first keyframe's, their floats,
-and what is there in passing.
-
-The largest files that pass take up to 80 % of the limit (``tests/decoder/test_damage.py``)."""
-
-_FRAME_SHARE, _FRAME_BYTES = 16, 256
-"""The fraction of the memory for knowing where frames lie, and what one costs: 240 bytes, the index packet included."""
 
 
 class _Activation:
@@ -142,7 +141,10 @@ class DecodedFrame:
     @property
     def costs(self) -> dict[str, int]:
         """The payload's bytes by purpose: header, index set, each attribute group (see SPEC.md, "Payloads")."""
-        return {} if self._packet is None else payload_costs(self._packet, self._coefficients)
+        if self._packet is None:
+            return {}
+        base = self._first if self.kind == PacketKind.KEY else self._state_before
+        return payload_costs(self._packet, self._coefficients, None if base is None else len(base))
 
     def delta_from(self, state: State) -> Delta | None:
         """What this frame changed of ``state``, read from its packet again; None unless it is a delta to that scene."""
@@ -195,16 +197,24 @@ class Stream:
         self.path = path
         self._concealment = Concealment(path, strict=strict, on_damage=on_damage)
         self._file = open(path, "rb")  # noqa: SIM115 (closed by __exit__)
-        with self._closed_on_error(), errors_name(path):
-            self._max_payload = payload_within(max_memory)
+        self._max_memory, self._max_payload = max_memory, payload_within(max_memory)
+        self._max_frames = frames_within(max_memory)
+        self._limits = {self._max_payload, self._max_frames} - {MAX_PAYLOAD}
+        with self._closed_on_error(), self._errors_named():
+            if not self._file.seekable():
+                raise UsageError(
+                    f"{path}: cannot be seeked, as a pipe; decode it with - for stdin, or write it to a file first"
+                )
             reader = self._reader(0)
             self.header = read_header(reader.next(), reader.offset)
             self.version = reader.version
-            self._survey = self._surveyed(max_memory // _FRAME_SHARE // _FRAME_BYTES)
+            self._survey = self._surveyed()
+            self._scanned: Survey | None = None
             self.complete, self.unfinished_bytes = self._survey.complete, self._survey.unfinished_bytes
             if strict and self.unfinished_bytes:
                 raise stops_inside(self.unfinished_bytes, self.file_bytes - self.unfinished_bytes)
             self._max_gaussians = gaussians_within(max_memory, self.header.coefficients, max_gaussians)
+            self._limits |= {self._max_gaussians} - {max_gaussians}
             self._first: State | None = None
         for error in self._survey.harmless():
             self._concealment.tell(Damage(error))
@@ -233,32 +243,39 @@ class Stream:
         Reading begins at the last keyframe at or before ``start``; the stream's first one is read, too, where that one
         refers to it. Every frame's checksums and state digest are verified. A frame that is damaged, and those after it
         up to the next keyframe, are the last good frame once more, ``concealed``; when there is none, or the stream was
-        opened strictly, damage raises StreamError. Raises UsageError when the range is not one of this stream.
+        opened strictly, damage raises StreamError. Raises UsageError when the range is not one of this stream, and once
+        the stream is closed.
         """
+        self._check_open()
         stop = self.frame_count if stop is None else stop
         if not 0 <= start <= stop <= self.frame_count:
             raise UsageError(f"{self.path}: frames {start}:{stop} are not in this stream of {self.frame_count} frames")
         if start == stop:
             return
-        with errors_name(self.path):
-            packets = _FramePackets(self._survey, self._reader, self._pass_over)
+        with self._errors_named():
+            packets = self._packets()
             frame = self._opening(start, packets)
         while True:
             if frame.index >= start:
                 yield frame
             if frame.index + 1 == stop:
                 return
-            with errors_name(self.path):
+            self._check_open()
+            with self._errors_named():
                 frame = self._following(frame, packets)
 
     def _opening(self, start: int, packets: _FramePackets) -> DecodedFrame:
         """The last keyframe at or before ``start`` that can be reconstructed."""
         key = self._survey.keyframe_before(start + 1)
+        if key is None and not self._concealment.strict:
+            key = self._without_index().keyframe_before(start + 1)
+            if key is not None:
+                self._pass_over_index(StreamError(Reason.INDEX_MISMATCH, "the index leaves out a keyframe"))
         if key is None:
             raise self._nothing_to_hold(start)
         while True:
             try:
-                return self._decoded(packets.of(key), None)
+                return self._decoded(self._packet(key, packets), None)
             except StreamError as error:  # noqa: PERF203 (one turn, unless keyframes are damaged)
                 earlier = self._survey.keyframe_before(key)
                 if not self._concealment.allows(error) or earlier is None:
@@ -270,7 +287,7 @@ class Stream:
         index, damage = before.index + 1, before.concealed
         if damage is None or index not in damage.frames:
             try:
-                return self._decoded(packets.of(index), before)
+                return self._decoded(self._packet(index, packets), before)
             except StreamError as error:
                 if not self._concealment.allows(error):
                     raise
@@ -290,9 +307,38 @@ class Stream:
     def _first_keyframe(self) -> State:
         """The state that later keyframes refer to; kept from the first time it is asked for."""
         if self._first is None:
-            packet = _FramePackets(self._survey, self._reader, self._pass_over).of(0)
+            packet = self._packet(0, self._packets())
             self._first = reconstruct(None, packet, self.header, max_gaussians=self._max_gaussians)
         return self._first
+
+    def _packets(self) -> _FramePackets:
+        return _FramePackets(lambda: self._survey, self._reader, self._pass_over)
+
+    def _packet(self, frame: int, packets: _FramePackets) -> Packet:
+        """The packet of a frame; where the index led astray, it is passed over and the packet headers are scanned."""
+        try:
+            return packets.of(frame)
+        except StreamError as error:
+            if error.reason not in _ASTRAY or not self._concealment.allows(error):
+                raise
+            place = self._without_index().entry(frame)
+            if place is None or place == self._survey.entry(frame):
+                raise
+            self._pass_over_index(error)
+            return packets.of(frame)
+
+    def _without_index(self) -> Survey:
+        """Where the frames lie by the packet headers; found once."""
+        if self._scanned is None:
+            self._scanned = self._surveyed(by_index=False)
+        return self._scanned
+
+    def _pass_over_index(self, error: StreamError) -> None:
+        """From now on frames lie where the packet headers are; ``error``: what is wrong with the index."""
+        self._survey = self._without_index()
+        self._concealment.tell(Damage(error))
+        for found in self._survey.harmless():
+            self._concealment.tell(Damage(found))
 
     def _pass_over(self, error: StreamError) -> None:
         """Damage before a frame's packet, in one that holds no frame."""
@@ -307,10 +353,11 @@ class Stream:
             message += f", and the first intact one is frame {key}; choose frames from there on"
         return StreamError(Reason.MISSING_KEY, message, offset=self._survey.cause(frame).offset)
 
-    def _surveyed(self, max_frames: int) -> Survey:
+    def _surveyed(self, *, by_index: bool = True) -> Survey:
         """Where the frames lie: from the index, else from the packet headers, else from a search past the damage."""
+        max_frames = self._max_frames
         try:
-            index = read_index(self._file, max_payload=self._max_payload, max_frames=max_frames)
+            index = read_index(self._file, max_payload=self._max_payload, max_frames=max_frames) if by_index else None
             if index is not None:
                 return survey(index, complete=True)
             entries = scan_index(self._file, max_frames=max_frames)
@@ -336,9 +383,18 @@ class Stream:
             self._file.close()
             raise
 
+    @contextmanager
+    def _errors_named(self) -> Iterator[None]:
+        with errors_name(self.path), limits_explained(self._max_memory, self._limits):
+            yield
+
+    def _check_open(self) -> None:
+        if self._file.closed:
+            raise UsageError(f"{self.path}: the stream is closed; read its frames while it is open")
+
     def _reader(self, offset: int) -> PacketReader:
         """A reader of the packets from ``offset`` on, where one must start."""
-        file = io.BufferedReader(_At(self._file.fileno(), offset))
+        file = io.BufferedReader(_At(self._file, offset))
         return PacketReader(file, max_payload=self._max_payload, offset=offset)
 
 
@@ -346,7 +402,10 @@ class _FramePackets:
     """The packets of frames in rising order, read one after the other as long as none is damaged or passed over."""
 
     def __init__(
-        self, places: Survey, reader_at: Callable[[int], PacketReader], pass_over: Callable[[StreamError], None]
+        self,
+        places: Callable[[], Survey],
+        reader_at: Callable[[int], PacketReader],
+        pass_over: Callable[[StreamError], None],
     ) -> None:
         self._places, self._reader_at, self._pass_over = places, reader_at, pass_over
         self._reader: PacketReader | None = None
@@ -354,13 +413,14 @@ class _FramePackets:
 
     def of(self, frame: int) -> Packet:
         """The packet of a frame; raises StreamError when it is lost or damaged."""
-        entry = self._places.entry(frame)
+        places = self._places()
+        entry = places.entry(frame)
         reader, self._reader = self._reader, None
         if entry is None:
-            raise self._places.cause(frame)
+            raise places.cause(frame)
         if reader is None or self._last != frame - 1:
             # From the very start when no frame is passed over: errors can then count packets.
-            reader = self._reader_at(0 if entry == self._places.entries[0] else entry.offset)
+            reader = self._reader_at(0 if entry == places.entries[0] else entry.offset)
         try:
             packet = _next_frame(reader, entry)
         except StreamError as error:
@@ -433,6 +493,7 @@ def render_view(
     undistorted: bool = False,
     threads: int = 0,
     corrections: Corrections | None = None,
+    max_memory: int | None = None,
 ) -> Rendering:
     """What a camera of the rig (by name), or any other camera, sees of a frame: image, alpha and depth.
 
@@ -440,14 +501,17 @@ def render_view(
     ``corrections``: the frame's; a camera of the rig then shows what it recorded, from where it stood in that frame and
     with its exposure and white balance. Without them, and from any other camera, it is the scene's own colours.
     ``background``: display-referred RGB, the header's when None; it also fills what a lens sees past the rendered
-    pinhole. ``threads`` 0 means all processors. Raises UsageError for an unknown camera or an impossible size.
+    pinhole. ``threads`` 0 means all processors. Raises UsageError for an unknown camera, an impossible size, and what
+    needs more than ``max_memory`` bytes, the scene included.
     """
     from .rasterise import render
 
     correction = correction_of(view, corrections)
-    plan = view_plan(header, view, scale=scale, undistorted=undistorted, correction=correction)
+    plan = view_plan(header, view, scale=scale, undistorted=undistorted, correction=correction, max_memory=max_memory)
     background = header.background if background is None else background
-    seen = through_lens(plan, render(splats, plan.render_camera, background, threads=threads), background)
+    pairs = max_pairs(header, len(splats), plan, max_memory)
+    drawn = render(splats, plan.render_camera, background, threads=threads, max_pairs=pairs)
+    seen = through_lens(plan, drawn, background)
     return seen if correction is None else with_recorded_colours(seen, correction)
 
 
@@ -462,13 +526,39 @@ def correction_of(view: str | Camera, corrections: Corrections | None) -> Correc
 
 
 def view_plan(
-    header: StreamHeader, view: str | Camera, *, scale: float, undistorted: bool, correction: Correction | None = None
+    header: StreamHeader,
+    view: str | Camera,
+    *,
+    scale: float,
+    undistorted: bool,
+    correction: Correction | None = None,
+    max_memory: int | None = None,
 ) -> Redistortion:
     """What to render for the view that ``render_view`` takes, and the way from there to its own pixels."""
     camera = scaled_view(camera_of(header, view), scale)
     if correction is not None:
         camera = as_it_stood(camera, correction)
-    return Redistortion(as_pinhole(camera) if undistorted else camera)
+    camera = as_pinhole(camera) if undistorted else camera
+    lens = is_distorted(camera)
+    if max_memory is not None:
+        check_picture(camera, max_memory, lens=lens)  # before its tables are made
+    plan = Redistortion(camera)
+    if max_memory is not None:
+        check_picture(camera, max_memory, lens=lens, rendered=plan.render_camera)
+    return plan
+
+
+def max_pairs(header: StreamHeader, gaussians: int, plan: Redistortion, max_memory: int | None) -> int:
+    """How many pairs of a 16x16 tile and a Gaussian a picture of so many Gaussians may list."""
+    from .rasterise.native import MAX_PAIRS
+
+    if max_memory is None:
+        return MAX_PAIRS
+    lens = not plan.is_identity
+    return min(
+        MAX_PAIRS,
+        pairs_within(max_memory, gaussians, header.coefficients, plan.camera, plan.render_camera, lens=lens),
+    )
 
 
 def through_lens(plan: Redistortion, seen: Rendering, background: tuple[float, float, float]) -> Rendering:
@@ -488,13 +578,14 @@ def scaled_view(camera: Camera, scale: float) -> Camera:
     """The camera at ``scale`` times its size; raises UsageError when that is no size a picture can have."""
     if not (np.isfinite(scale) and scale > 0):
         raise UsageError(f"a scale of {scale:g} is not possible; give one above 0, such as 0.5")
-    scaled = scale_camera(camera, scale)
-    if scaled.width * scaled.height > MAX_PICTURE_PIXELS:
-        raise UsageError(
-            f"camera {camera.name!r}: a picture of {scaled.width}x{scaled.height} is above the limit of "
-            f"{MAX_PICTURE_PIXELS} pixels; choose a smaller scale"
-        )
-    return scaled
+    if scale * camera.width * scale * camera.height <= 2 * MAX_PICTURE_PIXELS:  # a far larger one is no camera at all
+        scaled = scale_camera(camera, scale)
+        if scaled.width * scaled.height <= MAX_PICTURE_PIXELS:
+            return scaled
+    raise UsageError(
+        f"camera {camera.name!r}: {scale:g} times its {camera.width}x{camera.height} is above the limit of "
+        f"{MAX_PICTURE_PIXELS} pixels; choose a smaller scale"
+    )
 
 
 def frame_range(text: str) -> slice:
@@ -515,14 +606,15 @@ def frame_range(text: str) -> slice:
 class _At(io.RawIOBase):
     """A file read from a place of its own, so that several readers can share one open file."""
 
-    def __init__(self, descriptor: int, offset: int) -> None:
-        self._descriptor, self._offset = descriptor, offset
+    def __init__(self, file: io.BufferedReader, offset: int) -> None:
+        self._file, self._offset = file, offset
 
     def readable(self) -> bool:
         return True
 
     def readinto(self, buffer: Any) -> int:
-        data = os.pread(self._descriptor, len(buffer), self._offset)
+        # The file is asked for its descriptor each time: once closed it has none, and the number is another file's.
+        data = os.pread(self._file.fileno(), len(buffer), self._offset)
         buffer[: len(data)] = data
         self._offset += len(data)
         return len(data)
@@ -533,13 +625,3 @@ def read_header(packet: Packet | None, offset: int) -> StreamHeader:
     if packet is None:
         raise StreamError(Reason.TRUNCATED, "the stream stops before its header is complete", offset=offset)
     return StreamHeader.from_bytes(packet.payload)
-
-
-def payload_within(max_memory: int) -> int:
-    """The largest payload that is read, in bytes."""
-    return min(MAX_PAYLOAD, max_memory // _PAYLOAD_SHARE)
-
-
-def gaussians_within(max_memory: int, coefficients: int, max_gaussians: int) -> int:
-    """The Gaussians that fit: each has 11 + 3 K numbers of up to 4 bytes, an id and a hash of 8."""
-    return min(max_gaussians, max_memory // (_COPIES * (4 * (11 + 3 * coefficients) + 16)))

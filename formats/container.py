@@ -429,7 +429,8 @@ def read_index(
         if error.reason == Reason.TOO_LARGE:
             raise
         return None
-    return entries if len(entries) == frames else None
+    in_order = [entry.frame for entry in entries] == list(range(frames)) if frames == len(entries) else False
+    return entries if in_order else None
 
 
 def scan_index(file: BinaryIO, *, max_frames: int = MAX_FRAME) -> list[IndexEntry]:

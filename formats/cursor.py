@@ -37,12 +37,6 @@ class Cursor:
         self.position += size
         return self._data[start : self.position]
 
-    def peek(self) -> int:
-        """The next byte, which stays to be read."""
-        value = self.take(1)[0]
-        self.position -= 1
-        return value
-
     def u8(self) -> int:
         return self.take(1)[0]
 

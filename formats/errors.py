@@ -5,6 +5,8 @@ A command prints such an error as one line and exits with code 2; anything else 
 
 from __future__ import annotations
 
+import os
+
 
 class DecogsError(Exception):
     """A problem the user can act on; the message names the file, what is wrong and what to do."""
@@ -20,6 +22,16 @@ class UsageError(DecogsError):
 
 class TrainingError(DecogsError):
     """Training that cannot go on (no points, non-finite values)."""
+
+
+def check_utf8(path: str | os.PathLike[str]) -> None:
+    """Raises UsageError for a name that is no UTF-8, for libraries that know no other and crash or fail on it."""
+    try:
+        os.fspath(path).encode("utf-8")
+    except UnicodeEncodeError:
+        raise UsageError(
+            f"{os.fspath(path)!a}: the name is not UTF-8, which this kind of file needs; rename it"
+        ) from None
 
 
 class StreamError(DecogsError):

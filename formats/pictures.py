@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import RigError
+from .quiet import quiet_opencv
 
 Picture: TypeAlias = NDArray[np.uint8] | NDArray[np.float32]
 """(H, W, 3) RGB, C-contiguous: uint8 display-referred (sRGB-coded), or float32 scene-linear."""
@@ -162,7 +163,8 @@ def _read_coded(path: Path, data: bytes, width: int, height: int) -> NDArray[np.
         _check_jpeg(path, data)
     flags = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
     try:
-        bgr = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+        with quiet_opencv():
+            bgr = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error:
         bgr = None
     if bgr is None or bgr.shape != (height, width, 3):

@@ -14,6 +14,10 @@ from .reasons import DAMAGE, Reason
 MAX_LOST_FRAMES = 1 << 16
 """How many frames may be missing from a stream in all: a few bytes must not be able to claim millions."""
 
+_LOST_AT_LEAST, _LOST_FOR_EACH = 1 << 10, 1 << 6
+"""What a stream may miss whatever is found of it, and besides for each frame that is: a file of a few frames must not
+be able to claim hours of pictures that all show the same."""
+
 MAX_DAMAGED_PLACES = 1 << 12
 """How many damaged places are searched past before a file counts as no stream at all."""
 
@@ -89,14 +93,20 @@ def survey(
             message = f"frame {after.frame} comes after frame {before.frame}"
             raise StreamError(Reason.FRAME_ORDER, message, offset=after.offset)
     frame_count = max(entries[-1].frame + 1 if entries else 0, frames_told)
-    check_lost(frame_count - len(entries))
+    check_lost(frame_count - len(entries), len(entries))
     return Survey(entries, frame_count, complete, unfinished_bytes, tuple(damage))
 
 
-def check_lost(frames: int) -> None:
-    """Raises StreamError "too-large" when so many frames are missing that the stream is refused."""
-    if frames > MAX_LOST_FRAMES:
-        message = f"{frames} frames are missing, above the limit of {MAX_LOST_FRAMES}"
+def lost_frames_within(found: int) -> int:
+    """How many frames may be missing from a stream of which ``found`` are there."""
+    return min(MAX_LOST_FRAMES, _LOST_AT_LEAST + _LOST_FOR_EACH * found)
+
+
+def check_lost(frames: int, found: int) -> None:
+    """Raises StreamError "too-large" when so many frames are missing beside those found that a stream is refused."""
+    limit = lost_frames_within(found)
+    if frames > limit:
+        message = f"{frames} frames are missing, above the limit of {limit} for the {found} that are there"
         raise StreamError(Reason.TOO_LARGE, message)
 
 

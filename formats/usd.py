@@ -33,7 +33,9 @@ Source of the facts: OpenUSD 26.11 schemas, and imports into Blender 4.5 and 5.0
 
 from __future__ import annotations
 
+import glob
 import os
+import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -44,7 +46,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.formats.cameras import Camera
-from decogs.formats.errors import UsageError
+from decogs.formats.errors import UsageError, check_utf8
 from decogs.formats.splats import FloatArray
 
 UpAxis = Literal["Y", "Z"]
@@ -61,6 +63,7 @@ _APERTURE = 0.36
 _NEAR, _FAR = 0.01, 10_000.0
 _FLUSH_BYTES = 64 << 20
 _INT32_MAX = 2**31 - 1
+_PROBE_BYTES = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -235,7 +238,7 @@ class UsdWriter:
         try:
             stage = Usd.Stage.CreateNew(str(self._partial))
         except Tf.ErrorException as error:
-            raise UsageError(f"{self.path}: cannot be written ({_reason(error)})") from error
+            raise self._unwritable(error) from error
         UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y if up_axis == "Y" else UsdGeom.Tokens.z)
         UsdGeom.SetStageMetersPerUnit(stage, 1.0)
         stage.SetTimeCodesPerSecond(fps)
@@ -291,8 +294,13 @@ class UsdWriter:
         try:
             self._stage.GetRootLayer().Save()
         except Tf.ErrorException as error:
-            raise UsageError(f"{self.path}: cannot be written ({_reason(error)})") from error
+            raise self._unwritable(error) from error
         self._unsaved = 0
+
+    def _unwritable(self, error: Exception) -> UsageError:
+        return UsageError(
+            f"{self.path}: cannot be written ({_refusal(self._partial) or _reason(error)}); choose another place"
+        )
 
     def __enter__(self) -> UsdWriter:
         return self
@@ -309,7 +317,9 @@ class UsdWriter:
             raise UsageError(f"{self.path}: cannot be written ({failure.strerror})") from failure
         finally:
             self._close()
-            self._partial.unlink(missing_ok=True)
+            # What OpenUSD itself was writing when it failed bears the same name with another ending.
+            for left in self.path.parent.glob(f"{glob.escape(self._partial.stem)}.*"):
+                left.unlink(missing_ok=True)
 
     def _close(self) -> None:
         self._groups.clear()
@@ -318,6 +328,7 @@ class UsdWriter:
 
 def check_usd_request(path: Path, *, fps: float, up_axis: str, prototype_radius: float) -> None:
     """Raises UsageError for a USD file that could not be written as asked; cheap, for use before long work."""
+    check_utf8(path)
     if path.suffix.lower() not in USD_SUFFIXES:
         raise UsageError(f"{path}: USD is written as {', '.join(USD_SUFFIXES)}; choose one of these endings")
     if not path.parent.is_dir():
@@ -330,6 +341,19 @@ def check_usd_request(path: Path, *, fps: float, up_axis: str, prototype_radius:
         raise UsageError(f"{path}: up axis {up_axis!r}; USD knows Y and Z")
     if not (np.isfinite(prototype_radius) and prototype_radius > 0):
         raise UsageError(f"{path}: prototype radius {prototype_radius}; give a positive number of standard deviations")
+
+
+def _refusal(path: Path) -> str | None:
+    """What the system says to more bytes in this file, which OpenUSD does not pass on; None if it takes them."""
+    try:
+        with path.open("ab") as file, tempfile.TemporaryFile(dir=path.parent) as other:
+            for probe in (file, other):
+                probe.write(bytes(_PROBE_BYTES))
+                probe.flush()
+                os.fsync(probe.fileno())
+    except OSError as error:
+        return error.strerror
+    return None
 
 
 def _reason(error: Exception) -> str:

@@ -20,13 +20,8 @@ from numpy.typing import NDArray
 
 from .errors import RigError
 from .pictures import MAX_PIXELS, Picture
+from .quiet import quiet_opencv
 from .video_tags import read_tags
-
-# The user gets our one line, not the decoder's. FFmpeg's level (-8: quiet) is read once, when the process first opens
-# any video, so it has to be set on import.
-os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-_set_log_level = cv2.setLogLevel if hasattr(cv2, "setLogLevel") else cv2.utils.logging.setLogLevel  # OpenCV 4, 5
-_set_log_level(0)
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".m4v", ".mov", ".mkv", ".avi", ".webm"})
 
@@ -66,7 +61,9 @@ class VideoSource:
         capture = _capture(self.path)
         try:
             for index in range(stop):
-                if not capture.grab():
+                with quiet_opencv():
+                    grabbed = capture.grab()
+                if not grabbed:
                     raise RigError(
                         f"{self.path}: the video ends or is damaged at frame {index} although it announces "
                         f"{self.frame_count} frames; re-encode it, or stop before frame {index}"
@@ -89,7 +86,8 @@ class VideoSource:
 
     def _retrieve(self, capture: cv2.VideoCapture, index: int) -> NDArray[np.uint8]:
         try:
-            ok, bgr = capture.retrieve()
+            with quiet_opencv():
+                ok, bgr = capture.retrieve()
         except cv2.error:
             ok = False
         if not ok or bgr.dtype != np.uint8 or bgr.ndim != 3 or bgr.shape[2] != 3:
@@ -157,8 +155,9 @@ def _capture(path: Path) -> cv2.VideoCapture:
     # hold another frame.
     name = _utf8_name(path.absolute())
     try:
-        capture = cv2.VideoCapture(name, cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
-        opened = capture.isOpened()
+        with quiet_opencv():
+            capture = cv2.VideoCapture(name, cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
+            opened = capture.isOpened()
     except cv2.error:
         opened = False
     if not opened:
@@ -194,8 +193,9 @@ def _packet_times(path: Path, capture: cv2.VideoCapture) -> NDArray[np.float64]:
     if not capture.set(cv2.CAP_PROP_FORMAT, -1):
         raise RigError(f"{path}: the packets of this video cannot be listed; re-encode it (H.264 in mp4)")
     stamps = []
-    while capture.grab():
-        stamps.append(capture.get(cv2.CAP_PROP_POS_MSEC))
+    with quiet_opencv():
+        while capture.grab():
+            stamps.append(capture.get(cv2.CAP_PROP_POS_MSEC))
     return np.sort(np.asarray(stamps, np.float64))
 
 

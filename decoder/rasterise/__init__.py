@@ -18,7 +18,7 @@ from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import FloatArray, Splats
 
-from .native import render_planes
+from .native import MAX_PAIRS, render_planes
 
 
 @dataclass(frozen=True)
@@ -34,12 +34,18 @@ class Rendering:
 
 
 def render(
-    splats: Splats, camera: Camera, background: tuple[float, float, float] = (0.0, 0.0, 0.0), *, threads: int = 0
+    splats: Splats,
+    camera: Camera,
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    *,
+    threads: int = 0,
+    max_pairs: int = MAX_PAIRS,
 ) -> Rendering:
     """The picture of ``splats`` through ``camera``, whose lens distortion must have been taken out (``as_pinhole``).
 
-    ``threads`` 0 means all processors; the result does not depend on it. Raises UsageError for a camera with a lens and
-    for Gaussians that are not finite, which would be left out. Source: Kerbl 2023, equation 3.
+    ``threads`` 0 means all processors; the result does not depend on it. Raises UsageError for a camera with a lens,
+    for Gaussians that are not finite, which would be left out, and above ``max_pairs`` of a 16x16 tile and a Gaussian,
+    which is what bounds the memory taken; MemoryError when there is none. Source: Kerbl 2023, equation 3.
     """
     for field in fields(splats):
         finite = np.isfinite(getattr(splats, field.name))
@@ -50,6 +56,6 @@ def render(
         raise UsageError(
             f"camera {camera.name}: render through its pinhole and re-apply the lens distortion afterwards"
         )
-    rgb, alpha, depth_sum = render_planes(splats, camera, background, threads)
+    rgb, alpha, depth_sum = render_planes(splats, camera, background, threads, max_pairs)
     depth = np.divide(depth_sum, alpha, out=np.zeros_like(depth_sum), where=alpha > 0)
     return Rendering(np.ascontiguousarray(rgb.transpose(1, 2, 0)), alpha, depth)

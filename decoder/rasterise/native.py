@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import weakref
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
@@ -21,6 +22,12 @@ RowArray = NDArray[np.int64]
 
 INSTRUCTION_SETS = ("base", "avx2", "avx512")
 """Slowest first; the kernel gives the same bits on all of them."""
+
+MAX_PAIRS = 1 << 27
+"""Pairs of a 16x16 tile and a Gaussian in one picture that the kernel lists at most, whatever is allowed."""
+
+_COVERED, _NO_MEMORY = 1, 2
+"""What the kernels say of their work beside 0, all is well (kernel/pool.h)."""
 
 FAR_OUT = 256.0
 """Cameras further from the world's origin than this, in world units, see positions from where they are: rotating about
@@ -132,6 +139,26 @@ def checked_rows(rows: RowArray, population: int | None) -> RowArray:
     return np.ascontiguousarray(rows)
 
 
+def check_renumbered(renumbered: RowArray | None, lifted: NDArray[np.bool_], population: int) -> RowArray | None:
+    """Every former row's new one for the kernel, -1 for lifted ones that are gone; ValueError for anything else.
+
+    ``lifted`` (N,): which of the former rows are. Rows keep their order and move down only, which the kernel relies on.
+    """
+    if renumbered is None:
+        if population < len(lifted):
+            raise ValueError(f"{len(lifted)} Gaussians in a scene of {population} need new numbers")
+        return None
+    if renumbered.shape != lifted.shape or renumbered.dtype != np.int64:
+        raise ValueError(f"{renumbered.dtype} {renumbered.shape} new numbers for {len(lifted)} Gaussians, not int64")
+    stays = renumbered >= 0
+    kept = renumbered[stays]
+    if (renumbered < -1).any() or not lifted[~stays].all():
+        raise ValueError("only lifted Gaussians can go, as -1")
+    if len(kept) and ((np.diff(kept) <= 0).any() or kept[-1] >= population or (kept > np.flatnonzero(stays)).any()):
+        raise ValueError(f"new numbers must ascend, lie below {population} and be at most the former ones")
+    return np.ascontiguousarray(renumbered)
+
+
 def thread_count(threads: int) -> int:
     """Number of threads to use: ``threads``, or all processors this process may use when it is 0."""
     if threads < 0 or threads > 1024:
@@ -146,7 +173,7 @@ def kernel_path(package: Path, stem: str, instruction_set: str) -> Path:
 @lru_cache(maxsize=1)
 def best_instruction_set() -> str:
     """The widest instruction set this machine runs; DECOGS_INSTRUCTION_SET (base, avx2, avx512) narrows it."""
-    base = ctypes.CDLL(str(kernel_path(Path(__file__).parent, "_forward", "base")))
+    base = _loaded(kernel_path(Path(__file__).parent, "_forward", "base"))
     widest = INSTRUCTION_SETS[base.decogs_instruction_set()]
     wanted = os.environ.get("DECOGS_INSTRUCTION_SET", widest)
     if wanted not in INSTRUCTION_SETS or INSTRUCTION_SETS.index(wanted) > INSTRUCTION_SETS.index(widest):
@@ -156,10 +183,26 @@ def best_instruction_set() -> str:
 
 def load_kernel(package: Path, stem: str) -> ctypes.CDLL:
     """The kernel library ``stem`` in folder ``package`` for this machine; UsageError when it was never built."""
-    path = kernel_path(package, stem, best_instruction_set())
+    return _loaded(kernel_path(package, stem, best_instruction_set()))
+
+
+def _loaded(path: Path) -> ctypes.CDLL:
     if not path.exists():
         raise UsageError(f"{path}: the compiled kernel is missing; install decogs with a C++ compiler at hand")
     return ctypes.CDLL(str(path))
+
+
+def check_memory(status: int) -> None:
+    """Raises MemoryError when a kernel found no memory; the ``restype`` of kernel functions that nothing else stops."""
+    if status:
+        raise MemoryError("the kernel found no memory")
+
+
+def checked_handle(handle: int | None) -> int:
+    """What a kernel created; raises MemoryError when it found no memory for it."""
+    if handle is None:
+        raise MemoryError("the kernel found no memory")
+    return handle
 
 
 @lru_cache(maxsize=1)
@@ -170,11 +213,13 @@ def _library() -> ctypes.CDLL:
     library.decogs_renderer_destroy.argtypes = [ctypes.c_void_p]
     pointers = [ctypes.POINTER(t) for t in (NativeScene, NativeCamera, NativePlanes)]
     library.decogs_render.restype = ctypes.c_int
-    library.decogs_render.argtypes = [ctypes.c_void_p, *pointers]
+    library.decogs_render.argtypes = [ctypes.c_void_p, *pointers, ctypes.c_uint64]
     handle, scene, camera, planes = ctypes.c_void_p, *pointers
     library.decogs_resting_create.restype = handle
     library.decogs_resting_create.argtypes = [camera]
     library.decogs_resting_destroy.argtypes = [handle]
+    library.decogs_resting_allow.restype = None
+    library.decogs_resting_allow.argtypes = [handle, ctypes.c_uint64]
     library.decogs_resting_place.restype = ctypes.c_int
     library.decogs_resting_place.argtypes = [handle, handle, scene]
     library.decogs_resting_change.restype = ctypes.c_int
@@ -189,26 +234,54 @@ def _library() -> ctypes.CDLL:
         handle,
         ctypes.c_int64,
     ]
-    library.decogs_resting_refresh.restype = ctypes.c_int64
-    library.decogs_resting_refresh.argtypes = [handle, handle, planes, ctypes.POINTER(NativePicture)]
+    library.decogs_resting_refresh.restype = check_memory
+    library.decogs_resting_refresh.argtypes = [
+        handle,
+        handle,
+        planes,
+        ctypes.POINTER(NativePicture),
+        ctypes.POINTER(ctypes.c_int64),
+    ]
     return library
 
 
 class Renderer:
-    """Owns a thread pool and the kernel's buffers; one picture at a time, whoever asks for it."""
+    """Owns a thread pool and the kernel's buffers; one picture at a time, whoever asks for it.
+
+    In a forked child it works on: the pool starts threads of its own there.
+    """
 
     def __init__(self, threads: int) -> None:
-        self.kernel = _library()
+        self.kernel, self._threads = _library(), threads
         self._lock = Lock()
-        self._handle = self.kernel.decogs_renderer_create(threads)
+        self._handle = checked_handle(self.kernel.decogs_renderer_create(threads))
+        _renderers.add(self)
 
     def __del__(self) -> None:
-        self.kernel.decogs_renderer_destroy(self._handle)
+        if hasattr(self, "_handle"):
+            self.kernel.decogs_renderer_destroy(self._handle)
+
+    def after_fork(self) -> None:
+        """In the child: a picture that another thread of the parent was at is nobody's now, and its buffers with it."""
+        if self._lock.locked():
+            self._lock = Lock()
+            self._handle = checked_handle(self.kernel.decogs_renderer_create(self._threads))
 
     def run(self, function: Callable[..., Any], *arguments: object) -> Any:
         """Calls a function of ``kernel`` that works on this renderer."""
         with self._lock:  # ctypes lets other Python threads in while the kernel runs
             return function(self._handle, *arguments)
+
+
+_renderers: weakref.WeakSet[Renderer] = weakref.WeakSet()
+
+
+def _after_fork() -> None:
+    for each in list(_renderers):
+        each.after_fork()
+
+
+os.register_at_fork(after_in_child=_after_fork)
 
 
 @lru_cache(maxsize=2)
@@ -221,24 +294,38 @@ def renderer(threads: int) -> Renderer:
     return _renderer(thread_count(threads))
 
 
-def check_drawn(refused: int, width: int, height: int) -> None:
-    """Raises UsageError when the kernel refused a scene."""
-    if refused:
+def check_drawn(status: int, width: int, height: int, max_pairs: int = MAX_PAIRS) -> None:
+    """Raises UsageError when the kernel refused a scene, MemoryError when it found no memory for the picture."""
+    if status == _COVERED:
+        more = " or more memory (--max-memory)" if max_pairs < MAX_PAIRS else ""
         raise UsageError(
-            f"a picture of {width}x{height} is covered too many times by the scene's Gaussians; choose a smaller scale"
+            f"a picture of {width}x{height} is covered too many times by the scene's Gaussians; "
+            f"choose a smaller scale{more}"
         )
+    check_memory(status)
 
 
 def render_planes(
-    splats: Splats, camera: Camera, background: tuple[float, float, float], threads: int
+    splats: Splats,
+    camera: Camera,
+    background: tuple[float, float, float],
+    threads: int,
+    max_pairs: int = MAX_PAIRS,
 ) -> tuple[FloatArray, FloatArray, NDArray[np.float32]]:
-    """Colour (3, H, W), alpha (H, W) and alpha-weighted summed depth (H, W) of the scene through a pinhole camera."""
+    """Colour (3, H, W), alpha (H, W) and alpha-weighted summed depth (H, W) of the scene through a pinhole camera.
+
+    UsageError above ``max_pairs`` of a tile and a Gaussian, which bounds the memory taken.
+    """
     size = (camera.height, camera.width)
     rgb, alpha, depth = np.empty((3, *size), np.float32), np.empty(size, np.float32), np.empty(size, np.float32)
     planes = NativePlanes(rgb.ctypes.data, alpha.ctypes.data, depth.ctypes.data, (ctypes.c_float * 3)(*background))
     shared, scene = renderer(threads), native_scene(splats)
-    refused = shared.run(
-        shared.kernel.decogs_render, ctypes.byref(scene), ctypes.byref(native_camera(camera)), ctypes.byref(planes)
+    status = shared.run(
+        shared.kernel.decogs_render,
+        ctypes.byref(scene),
+        ctypes.byref(native_camera(camera)),
+        ctypes.byref(planes),
+        max_pairs,
     )
-    check_drawn(refused, camera.width, camera.height)
+    check_drawn(status, camera.width, camera.height, max_pairs)
     return rgb, alpha, depth

@@ -17,10 +17,13 @@ from decogs.formats.cameras import Camera
 from decogs.formats.splats import FloatArray, Splats
 
 from .native import (
+    MAX_PAIRS,
     NativePicture,
     NativePlanes,
     RowArray,
     check_drawn,
+    check_renumbered,
+    checked_handle,
     checked_rows,
     native_camera,
     native_scene,
@@ -30,6 +33,8 @@ from .native import (
 
 class RestingView:
     """The picture of a pinhole ``camera``: ``place`` a scene, then ``change`` it frame by frame; ``refresh`` draws.
+
+    After a scene that was refused (UsageError, MemoryError) the next call must be ``place``.
 
     ``image`` (H, W, 3), ``alpha`` and ``depth`` (H, W) are those of a Rendering, as of the last ``refresh``: the same
     read-only arrays all the time, whose pixels change. ``threads`` 0 means all processors.
@@ -51,17 +56,24 @@ class RestingView:
         )
         self._picture = NativePicture(image.ctypes.data, depth.ctypes.data)
         self.image, self.alpha, self.depth = _seen(image), _seen(alpha), _seen(depth)
-        self._population = 0
-        self._handle = self._library.decogs_resting_create(ctypes.byref(native_camera(camera)))
+        self._population: int | None = 0
+        self._max_pairs = MAX_PAIRS
+        self._handle = checked_handle(self._library.decogs_resting_create(ctypes.byref(native_camera(camera))))
 
     def __del__(self) -> None:
         if hasattr(self, "_handle"):
             self._library.decogs_resting_destroy(self._handle)
 
+    def allow(self, max_pairs: int) -> None:
+        """From now on, scenes with more than ``max_pairs`` of a 16x16 tile and a Gaussian that meet are refused."""
+        self._max_pairs = min(max_pairs, MAX_PAIRS)
+        self._library.decogs_resting_allow(self._handle, self._max_pairs)
+
     def place(self, scene: Splats) -> None:
         """Starts anew with a whole scene (N Gaussians)."""
-        refused = self._run(self._library.decogs_resting_place, ctypes.byref(native_scene(scene)))
-        check_drawn(refused, *self.alpha.shape[::-1])
+        placed = native_scene(scene)
+        self._population = None
+        self._check(self._run(self._library.decogs_resting_place, ctypes.byref(placed)))
         self._population = len(scene)
 
     def change(
@@ -76,34 +88,50 @@ class RestingView:
         """Takes the rows ``lifted`` out of the scene and puts ``changed`` (M Gaussians) in at ``rows`` (M,).
 
         Both ascend; ``rows`` are those of the scene of ``population`` Gaussians that it is then. ``renumbered`` (N,)
-        gives every former row's new one, -1 for lifted ones that are gone; None when all kept theirs.
+        gives every former row's new one, in the same order and none above the former, -1 for lifted ones that are gone;
+        None when all kept theirs.
         """
-        lifted, rows = checked_rows(lifted, self._population), checked_rows(rows, population)
+        before = self._placed()
+        lifted, rows = checked_rows(lifted, before), checked_rows(rows, population)
         if len(changed) != len(rows):
             raise ValueError(f"{len(changed)} Gaussians for {len(rows)} rows")
-        if renumbered is not None:
-            renumbered = np.ascontiguousarray(renumbered, np.int64)
-            if renumbered.shape != (self._population,) or renumbered.max(initial=-1) >= population:
-                raise ValueError(f"{renumbered.shape} new numbers below {population} for {self._population} Gaussians")
-        refused = self._run(
+        gone = np.zeros(before, np.bool_)
+        gone[lifted] = True
+        renumbered = check_renumbered(renumbered, gone, population)
+        settled = native_scene(changed)
+        self._population = None
+        status = self._run(
             self._library.decogs_resting_change,
             lifted.ctypes.data,
             len(lifted),
-            ctypes.byref(native_scene(changed)),
+            ctypes.byref(settled),
             rows.ctypes.data,
             population,
             None if renumbered is None else renumbered.ctypes.data,
-            self._population,
+            before,
         )
-        check_drawn(refused, *self.alpha.shape[::-1])
+        self._check(status)
         self._population = population
 
     def refresh(self) -> int:
         """Redraws the 16x16 tiles that do not show the scene; returns how many there were."""
-        drawn: int = self._run(
-            self._library.decogs_resting_refresh, ctypes.byref(self._planes), ctypes.byref(self._picture)
+        self._placed()
+        drawn = ctypes.c_int64()
+        self._run(
+            self._library.decogs_resting_refresh,
+            ctypes.byref(self._planes),
+            ctypes.byref(self._picture),
+            ctypes.byref(drawn),
         )
-        return drawn
+        return drawn.value
+
+    def _placed(self) -> int:
+        if self._population is None:
+            raise ValueError("the last scene was refused; place one first")
+        return self._population
+
+    def _check(self, status: int) -> None:
+        check_drawn(status, *self.alpha.shape[::-1], self._max_pairs)
 
     def _run(self, function: Callable[..., Any], *arguments: object) -> Any:
         return self._renderer.run(function, self._handle, *arguments)

@@ -32,7 +32,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from decogs.decoder.rasterise.native import RowArray, checked_rows
+from decogs.decoder.rasterise.native import RowArray, check_renumbered, checked_rows
 from decogs.decoder.rasterise.reference import BLUR, CLOSEST, sh_basis
 from decogs.formats.cameras import Camera, camera_centre
 from decogs.formats.splats import FloatArray, Splats, take_splats
@@ -277,7 +277,7 @@ class CudaFixedView(FixedView):
         self._shown = torch.zeros((5, camera.height, camera.width), device=kernel.device)
         self._tiles_met = torch.zeros((self._lens.rows, self._lens.columns), dtype=torch.bool, device=kernel.device)
         self._stale = ~self._tiles_met  # tiles that do not show what rests, and nothing else
-        self._population = 0
+        self._lifted = np.zeros(0, np.bool_)
         self._resting = _Projected.blank(0, kernel.device)
         self._forget()
 
@@ -298,7 +298,7 @@ class CudaFixedView(FixedView):
         return np.asarray(self._tiles_met.cpu().numpy().ravel(), np.uint8)
 
     def place(self, scene: Splats) -> None:
-        self._resting, self._population = self._projected(scene), len(scene)
+        self._resting, self._lifted = self._projected(scene), np.zeros(len(scene), np.bool_)
         self._forget()
 
     def refresh(self, marks: NDArray[np.bool_] | None = None) -> FloatArray:
@@ -319,9 +319,11 @@ class CudaFixedView(FixedView):
         return _host(weights[:, :2].T)
 
     def lift(self, rows: RowArray) -> None:
-        lifted = self._device_kernel.upload(checked_rows(rows, self._population))
+        rows = checked_rows(rows, len(self._placed()))
+        lifted = self._device_kernel.upload(rows)
         self._stale = self._stale | self._tiles(self._lists(self._resting.take(lifted)).tiles)
         self._resting = self._resting._replace(radii=self._resting.radii.index_fill(0, lifted, 0))
+        self._placed()[rows] = True
         self._forget()
 
     def draw(self, moving: Splats, rows: RowArray, *, depth: bool = False) -> None:
@@ -377,13 +379,13 @@ class CudaFixedView(FixedView):
 
     def settle(self, scene: Splats, rows: RowArray, renumbered: RowArray | None = None) -> None:
         rows = checked_rows(rows, len(scene))
-        self._check_renumbered(renumbered)
+        renumbered = check_renumbered(renumbered, self._placed(), len(scene))
         if renumbered is not None:
             kept = self._resting.take(self._device_kernel.upload(np.flatnonzero(renumbered >= 0)))
             blank = _Projected.blank(len(scene), self._device_kernel.device)
             self._resting = blank.put(self._device_kernel.upload(renumbered[renumbered >= 0]), kept)
         self._resting = self._resting.put(self._device_kernel.upload(rows), self._projected(take_splats(scene, rows)))
-        self._population = len(scene)
+        self._lifted = np.zeros(len(scene), np.bool_)
         self._forget()
 
     def centres(self) -> FloatArray:

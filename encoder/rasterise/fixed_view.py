@@ -15,6 +15,8 @@ from decogs.decoder.rasterise.native import (
     NativePlanes,
     RowArray,
     check_drawn,
+    check_renumbered,
+    checked_handle,
     checked_rows,
     native_camera,
     native_scene,
@@ -34,6 +36,9 @@ from .native import (
     training_library,
 )
 
+_MOST_NEW = 1 << 22
+"""How far behind the scene's last Gaussian new ones are numbered at most; the kernel holds a place for each number."""
+
 
 class FixedView:
     """The picture of a pinhole ``camera``, kept up to date while Gaussians change a few at a time.
@@ -43,6 +48,8 @@ class FixedView:
 
     ``rgb`` (3, H, W), ``alpha`` and ``depth`` (H, W; the depth summed by weight) are the picture as last drawn or
     refreshed; ``alpha`` and ``depth`` are those of the last refresh or of the last draw with ``depth``.
+
+    After a scene that was refused (UsageError, MemoryError) the next call must be ``place``.
     """
 
     def __init__(self, kernel: TrainingKernel, camera: Camera) -> None:
@@ -53,11 +60,11 @@ class FixedView:
         self._alpha: FloatArray = np.zeros(size, np.float32)
         self._depth: FloatArray = np.zeros(size, np.float32)
         self._met: NDArray[np.uint8] = np.zeros(tile_count(camera.width, camera.height), np.uint8)
-        self._population = 0
+        self._lifted: NDArray[np.bool_] | None = np.zeros(0, np.bool_)
         self._drawn: tuple[Splats, RowArray] | None = None
         self._cotangent: FloatArray | None = None
         self._evaluated = False
-        self._handle = self._library.decogs_view_create(ctypes.byref(self._native))
+        self._handle = checked_handle(self._library.decogs_view_create(ctypes.byref(self._native)))
 
     def __del__(self) -> None:
         if hasattr(self, "_handle"):
@@ -82,9 +89,10 @@ class FixedView:
 
     def place(self, scene: Splats) -> None:
         """Starts with a whole scene (N Gaussians), all of it at rest; the picture is there after ``refresh``."""
-        placed = ctypes.byref(native_scene(scene))
-        self._check(self._library.decogs_view_place(self._kernel.handle, self._handle, placed))
-        self._population = len(scene)
+        placed = native_scene(scene)
+        self._lifted = self._drawn = None
+        self._check(self._library.decogs_view_place(self._kernel.handle, self._handle, ctypes.byref(placed)))
+        self._lifted = np.zeros(len(scene), np.bool_)
 
     def refresh(self, marks: NDArray[np.bool_] | None = None) -> FloatArray:
         """Brings the picture up to date with the scene at rest; every Gaussian's rendering weight, (2, N).
@@ -92,7 +100,7 @@ class FixedView:
         The weight is the sum of alpha times transmittance: in row 0 over all pixels, in row 1 over ``marks`` (H, W).
         """
         self._check_marks(marks)
-        weights = np.empty((2, self._population), np.float32)
+        weights = np.empty((2, len(self._placed())), np.float32)
         planes = self._planes(depth=True)
         self._library.decogs_view_refresh(
             self._kernel.handle,
@@ -100,14 +108,16 @@ class FixedView:
             address(marks),
             ctypes.byref(planes),
             address(weights),
-            self._population,
+            weights.shape[1],
         )
         return weights
 
     def lift(self, rows: RowArray) -> None:
         """Takes the Gaussians ``rows`` out of the scene at rest: they are what changes until ``settle``."""
-        rows = checked_rows(rows, self._population)
+        lifted = self._placed()
+        rows = checked_rows(rows, len(lifted))
         self._library.decogs_view_lift(self._handle, address(rows), len(rows))
+        lifted[rows] = True
 
     def draw(self, moving: Splats, rows: RowArray, *, depth: bool = False) -> None:
         """Brings the picture up to date with ``moving`` (M Gaussians) in it, which are the scene's ``rows``, ascending.
@@ -116,9 +126,9 @@ class FixedView:
         """
         rows = self._checked_of(moving, rows)
         planes = self._planes(depth=depth)
-        self._drawn, self._evaluated = (moving, rows), False  # the arrays are read again on the way back
+        self._drawn, self._evaluated = None, False
         self._scene = native_scene(moving)
-        refused = self._library.decogs_view_draw(
+        status = self._library.decogs_view_draw(
             self._kernel.handle,
             self._handle,
             ctypes.byref(self._scene),
@@ -126,7 +136,8 @@ class FixedView:
             ctypes.byref(planes),
             address(self._met),
         )
-        self._check(refused)
+        self._check(status)
+        self._drawn = moving, rows  # the arrays are read again on the way back
 
     def loss(
         self,
@@ -179,31 +190,38 @@ class FixedView:
     def settle(self, scene: Splats, rows: RowArray, renumbered: RowArray | None = None) -> None:
         """All is at rest again: ``scene`` is the scene from now on, ``rows`` (ascending) were lifted or are new.
 
-        ``renumbered`` (N,) gives every old Gaussian's row in ``scene``, -1 for one that is gone, which must have been
-        lifted; None when all kept theirs.
+        ``renumbered`` (N,) gives every old Gaussian's row in ``scene``, in the same order and none above the old one,
+        -1 for one that is gone, which must have been lifted; None when all kept theirs.
         """
-        rows = checked_rows(rows, len(scene))
-        self._check_renumbered(renumbered)
-        refused = self._library.decogs_view_settle(
+        lifted, rows, settled = self._placed(), checked_rows(rows, len(scene)), native_scene(scene)
+        renumbered = check_renumbered(renumbered, lifted, len(scene))
+        self._lifted = self._drawn = None
+        status = self._library.decogs_view_settle(
             self._kernel.handle,
             self._handle,
-            ctypes.byref(native_scene(scene)),
+            ctypes.byref(settled),
             address(rows),
             len(rows),
             address(renumbered),
-            self._population,
+            len(lifted),
         )
-        self._check(refused)
-        self._population, self._drawn = len(scene), None
+        self._check(status)
+        self._lifted = np.zeros(len(scene), np.bool_)
 
     def centres(self) -> FloatArray:
         """Projected centres (N, 2) of the scene at rest, in pixels; NaN where a Gaussian is not drawn."""
-        centres = np.empty((self._population, 2), np.float32)
-        self._library.decogs_view_centres(self._handle, self._population, address(centres))
+        centres = np.empty((len(self._placed()), 2), np.float32)
+        self._library.decogs_view_centres(self._handle, len(centres), address(centres))
         return centres
 
-    def _check(self, refused: int) -> None:
-        check_drawn(refused, self.camera.width, self.camera.height)
+    def _placed(self) -> NDArray[np.bool_]:
+        """Which Gaussians of the scene are lifted."""
+        if self._lifted is None:
+            raise ValueError("the last scene was refused; place one first")
+        return self._lifted
+
+    def _check(self, status: int) -> None:
+        check_drawn(status, self.camera.width, self.camera.height)
 
     def _planes(self, *, depth: bool) -> NativePlanes:
         more = (address(self._alpha), address(self._depth)) if depth else (None, None)
@@ -212,11 +230,7 @@ class FixedView:
     def _checked_of(self, moving: Splats, rows: RowArray) -> RowArray:
         if len(moving) != len(rows):
             raise ValueError(f"{len(moving)} Gaussians for {len(rows)} rows")
-        return checked_rows(rows, None)
-
-    def _check_renumbered(self, renumbered: RowArray | None) -> None:
-        if renumbered is not None and renumbered.shape != (self._population,):
-            raise ValueError(f"{renumbered.shape} new numbers for {self._population} Gaussians")
+        return checked_rows(rows, len(self._placed()) + _MOST_NEW)
 
     def _check_marks(self, marks: NDArray[np.bool_] | None) -> None:
         size = (self.camera.height, self.camera.width)

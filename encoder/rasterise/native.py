@@ -15,6 +15,8 @@ from decogs.decoder.rasterise.native import (
     NativePlanes,
     NativeScene,
     check_drawn,
+    check_memory,
+    checked_handle,
     load_kernel,
     native_camera,
     native_scene,
@@ -81,6 +83,7 @@ def training_library() -> ctypes.CDLL:
     library.decogs_trainer_create.argtypes = [ctypes.c_int]
     library.decogs_trainer_destroy.argtypes = [handle]
     library.decogs_forward.argtypes = [handle, pointer(NativeScene), pointer(NativeCamera), pointer(NativePlanes)]
+    library.decogs_backward.restype = check_memory
     library.decogs_backward.argtypes = [
         handle,
         pointer(NativeScene),
@@ -92,8 +95,10 @@ def training_library() -> ctypes.CDLL:
     library.decogs_view_create.argtypes = [pointer(NativeCamera)]
     library.decogs_view_destroy.argtypes = [handle]
     library.decogs_view_place.argtypes = [handle, handle, pointer(NativeScene)]
+    library.decogs_view_lift.restype = check_memory
     library.decogs_view_lift.argtypes = [handle, handle, ctypes.c_int64]
     library.decogs_view_draw.argtypes = [handle, handle, pointer(NativeScene), handle, pointer(NativePlanes), handle]
+    library.decogs_view_backward.restype = check_memory
     library.decogs_view_backward.argtypes = [
         handle,
         handle,
@@ -110,9 +115,12 @@ def training_library() -> ctypes.CDLL:
         handle,
         ctypes.c_int64,
     ]
+    library.decogs_view_refresh.restype = check_memory
     library.decogs_view_refresh.argtypes = [handle, handle, handle, pointer(NativePlanes), handle, ctypes.c_int64]
     library.decogs_view_centres.argtypes = [handle, ctypes.c_int64, handle]
+    library.decogs_loss.restype = check_memory
     library.decogs_loss.argtypes = [handle, pointer(_LossInput), ctypes.c_void_p, pointer(_LossSums)]
+    library.decogs_adam.restype = check_memory
     library.decogs_adam.argtypes = [
         handle,
         pointer(AdamStep),
@@ -201,7 +209,7 @@ class TrainingKernel:
 
     def __init__(self, threads: int = 0) -> None:
         self._library = training_library()
-        self.handle = self._library.decogs_trainer_create(thread_count(threads))
+        self.handle = checked_handle(self._library.decogs_trainer_create(thread_count(threads)))
 
     def __del__(self) -> None:
         if hasattr(self, "handle"):
@@ -224,13 +232,14 @@ class TrainingKernel:
         planes = NativePlanes(
             address(picture.rgb), address(picture.alpha), address(picture.depth), (ctypes.c_float * 3)(*background)
         )
-        self._splats = splats  # the kernel reads these arrays again on the way back
+        self._splats: Splats | None = None  # a refused scene has no way back
         self._scene, self._camera = native_scene(splats, sh_degree), native_camera(camera)
         self._shape, self._background = size, background
-        refused = self._library.decogs_forward(
+        status = self._library.decogs_forward(
             self.handle, ctypes.byref(self._scene), ctypes.byref(self._camera), ctypes.byref(planes)
         )
-        check_drawn(refused, camera.width, camera.height)
+        check_drawn(status, camera.width, camera.height)
+        self._splats = splats  # the kernel reads these arrays again on the way back
         return picture
 
     def backward(
@@ -243,8 +252,7 @@ class TrainingKernel:
         out: SplatGradients | None = None,
     ) -> SplatGradients:
         """Gradients of every Gaussian for the cotangents of the last picture."""
-        if not hasattr(self, "_splats") or len(splats) != len(self._splats):
-            raise ValueError("backward needs the scene of the last forward")
+        self._check_last(len(splats))
         out = out or gradients_like(splats)
         for cotangent, shape in ((v_rgb, (3, *self._shape)), (v_alpha, self._shape), (v_depth, self._shape)):
             if cotangent is not None and cotangent.shape != shape:
@@ -266,6 +274,7 @@ class TrainingKernel:
 
     def centres(self, count: int) -> tuple[FloatArray, FloatArray]:
         """Projected centres (N, 2) in pixels and depths (N,) of the last picture; NaN where nothing was drawn."""
+        self._check_last(count)
         centres, depths = np.empty((count, 2), np.float32), np.empty(count, np.float32)
         self._library.decogs_centres(self.handle, count, address(centres), address(depths))
         return centres, depths
@@ -328,8 +337,11 @@ class TrainingKernel:
         rates = np.ascontiguousarray(np.broadcast_to(np.asarray(rate, np.float32), (columns,)))
         if any(a.shape != value.shape for a in (gradient, first, second)):
             raise ValueError(f"gradient and moments must have the shape of the value, {value.shape}")
-        if rows is not None and rows.dtype != np.int64:
-            raise ValueError(f"rows must be int64, not {rows.dtype}")
+        if rows is not None:
+            if rows.dtype != np.int64:
+                raise ValueError(f"rows must be int64, not {rows.dtype}")
+            if rows.min(initial=0) < 0 or rows.max(initial=-1) >= count:
+                raise ValueError(f"rows must lie below {count}")
         setting = adam_step(step, beta1, beta2, epsilon)
         self._library.decogs_adam(
             self.handle,
@@ -339,3 +351,8 @@ class TrainingKernel:
             columns,
             *(float_address(a) for a in (rates, value, gradient, first, second)),
         )
+
+    def _check_last(self, count: int) -> None:
+        last: Splats | None = getattr(self, "_splats", None)
+        if last is None or len(last) != count:
+            raise ValueError("the scene must be that of the last forward")

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.decoder.rasterise.native import load_kernel
+from decogs.decoder.rasterise.native import check_memory, checked_handle, load_kernel
 from decogs.encoder.rasterise.native import AdamStep
 from decogs.formats.splats import FloatArray
 
@@ -38,8 +38,9 @@ def _library() -> ctypes.CDLL:
     library.decogs_cache_create.restype = array
     library.decogs_cache_create.argtypes = [pointer(_Shape), ctypes.c_int]
     library.decogs_cache_destroy.argtypes = [array]
-    library.decogs_cache_place.restype = count
-    library.decogs_cache_place.argtypes = [array, count, array]
+    for name in ("place", "base", "read", "moved", "backward", "gradients", "step"):
+        library[f"decogs_cache_{name}"].restype = check_memory
+    library.decogs_cache_place.argtypes = [array, count, array, pointer(count)]
     library.decogs_cache_entries.argtypes = [array, array]
     library.decogs_cache_base.argtypes = [array, count, array, array]
     library.decogs_cache_read.argtypes = [array, array]
@@ -86,7 +87,7 @@ class CacheKernel:
             settings.translation_scale,
             settings.gradient_limit,
         )
-        self._handle = self._library.decogs_cache_create(ctypes.byref(shape), threads)
+        self._handle = checked_handle(self._library.decogs_cache_create(ctypes.byref(shape), threads))
         self._count = 0
 
     def __del__(self) -> None:
@@ -95,7 +96,9 @@ class CacheKernel:
 
     def place(self, means: FloatArray) -> NDArray[np.int64]:
         """Fixes where the grid is read; returns the table entries (R,) read there, ascending over all levels."""
-        entries = np.empty(self._library.decogs_cache_place(self._handle, len(means), means.ctypes.data), np.int64)
+        found = ctypes.c_int64()
+        self._library.decogs_cache_place(self._handle, len(means), means.ctypes.data, ctypes.byref(found))
+        entries = np.empty(found.value, np.int64)
         self._library.decogs_cache_entries(self._handle, entries.ctypes.data)
         return entries
 

@@ -24,6 +24,8 @@ from decogs.codec.lattice import default_lattice, dequantise
 from decogs.codec.reconstruct import reconstruct
 from decogs.codec.state import ARRAYS, Attributes, State
 from decogs.codec.syntax import write_delta, write_key, write_skip
+from decogs.decoder import info
+from decogs.decoder.commands import decode_main, export_main, info_main
 from decogs.decoder.following import follow_stream
 from decogs.decoder.session import open_stream
 from decogs.encoder import encode
@@ -226,6 +228,25 @@ def test_a_followed_stream_has_those_states_and_that_reason(name: str) -> None:
         reason = error.reason
     assert states == expected["frames"]
     assert reason == (expected["failure"] and expected["failure"]["reason"])
+
+
+@pytest.mark.parametrize("name", [name for name in GOOD if "limits" not in EXPECTED[name]])
+def test_every_command_reads_a_good_vector(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """decogs-info, decogs-decode and decogs-export, strictly."""
+    stream, frames = str(FOLDER / f"{name}.dgs"), len(EXPECTED[name]["frames"])
+    for shown in ([], ["--json"], ["--bytes"]):
+        assert info_main([stream, "--strict", *shown]) == 0, capsys.readouterr().err
+    facts = info(stream, strict=True)
+    assert [frame.gaussians for frame in facts.frames] == [frame["gaussians"] for frame in EXPECTED[name]["frames"]]
+    assert all(sum(frame.bytes_by_purpose.values()) == frame.bytes - 24 for frame in facts.frames)
+    if not frames:
+        return
+    view = facts.header.cameras[0]
+    scale = str(min(1.0, 64 / max(view.width, view.height)))
+    asked = ["--view", view.name, "--scale", scale, "--frames", "-3:", "--threads", "1"]
+    assert decode_main([stream, "--strict", *asked, "-o", str(tmp_path / "o")]) == 0, capsys.readouterr().err
+    assert len(list((tmp_path / "o").iterdir())) == min(3, frames)
+    assert export_main([stream, "--strict", "-o", str(tmp_path / "o.usda")]) == 0, capsys.readouterr().err
 
 
 @pytest.mark.parametrize("seed", range(8))

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import warnings
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -31,13 +32,14 @@ from decogs.formats.container import (
     PROLOGUE_SIZE,
     PacketKind,
     StreamWriter,
+    index_payload,
     iterate_packets,
     packet_bytes,
     read_index,
 )
 from decogs.formats.errors import StreamError
 from decogs.formats.reasons import DAMAGE
-from decogs.formats.survey import MAX_LOST_FRAMES
+from decogs.formats.survey import MAX_LOST_FRAMES, lost_frames_within
 
 
 def read(path: Path, start: int = 0, stop: int | None = None, **options) -> tuple[list, list[Damage]]:
@@ -245,7 +247,9 @@ def test_what_a_reader_cannot_show_is_never_concealed(small_stream, packets) -> 
 
 def test_a_stream_cannot_claim_endless_lost_frames(small_stream, packets) -> None:
     data = small_stream.path.read_bytes()[: packets[-2].offset]
-    for frame, fits in ((8 + MAX_LOST_FRAMES, True), (9 + MAX_LOST_FRAMES, False)):
+    most = lost_frames_within(9)
+    assert most == 1024 + 9 * 64 < lost_frames_within(1 << 20) == MAX_LOST_FRAMES
+    for frame, fits in ((8 + most, True), (9 + most, False)):
         late = packet_bytes(PacketKind.SKIP, frame, struct.pack("<Q", 0))
         small_stream.path.write_bytes(data + late)
         if fits:
@@ -254,6 +258,45 @@ def test_a_stream_cannot_claim_endless_lost_frames(small_stream, packets) -> Non
         else:
             with pytest.raises(StreamError, match="frames are missing, above the limit"):
                 open_stream(small_stream.path)
+
+
+def test_an_index_that_leads_astray_is_passed_over(small_stream, packets) -> None:
+    """Its checksum is right, what it says is not; strictly read it is an error, else the packet headers are scanned."""
+    data = small_stream.path.read_bytes()
+    with small_stream.path.open("rb") as file:
+        entries = read_index(file)
+    end = packets[-1].payload
+    wrong = {
+        "all": [replace(entry, offset=entry.offset + 1) for entry in entries],
+        "one": [replace(entry, offset=entry.offset + 7 * (entry.frame == 5)) for entry in entries],
+        "kinds": [replace(entry, kind={2: 3, 3: 2}.get(entry.kind, entry.kind)) for entry in entries],
+        "numbers": [replace(entry, frame=entry.frame + 4 * (entry.frame == 7)) for entry in entries],
+    }
+    for name, listed in wrong.items():
+        index = packet_bytes(PacketKind.INDEX, 0, index_payload(listed))
+        small_stream.path.write_bytes(data[: packets[-2].offset] + index + packet_bytes(PacketKind.END, 0, end))
+        for start in range(8):
+            frames, damage = read(small_stream.path, start)
+            assert shown(frames, small_stream) == list(range(start, 8)), name
+            assert [list(d.frames) for d in damage] in ([], [[]]), "no frame is lost by it"
+        told = [d.error.reason for d in read(small_stream.path)[1]]
+        assert told == ([] if name == "numbers" else ["index-mismatch"])
+        if name != "numbers":
+            with pytest.raises(StreamError), open_stream(small_stream.path, strict=True) as stream:
+                list(stream.frames())
+
+
+def test_a_wrong_index_hides_no_damage(small_stream, packets) -> None:
+    data, delta = small_stream.path.read_bytes(), frame_packet(packets, 5)
+    with small_stream.path.open("rb") as file:
+        listed = [replace(entry, offset=entry.offset + 1) for entry in read_index(file)]
+    index = packet_bytes(PacketKind.INDEX, 0, index_payload(listed))
+    end = packet_bytes(PacketKind.END, 0, packets[-1].payload)
+    small_stream.path.write_bytes(data[: packets[-2].offset] + index + end)
+    flipped(small_stream.path, delta.offset + WHERE["payload"])
+    frames, damage = read(small_stream.path)
+    assert shown(frames, small_stream) == [0, 1, 2, 3, 4, 4, 4, 4]
+    assert [list(d.frames) for d in damage] == [[], [5, 6, 7]]
 
 
 def test_forged_headers_inside_each_other_do_not_make_the_search_quadratic(small_stream) -> None:

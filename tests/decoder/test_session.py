@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -12,6 +14,7 @@ import pytest
 
 from decogs.codec.lattice import dequantise
 from decogs.codec.state import State
+from decogs.decoder.following import follow_stream
 from decogs.decoder.lens import Redistortion
 from decogs.decoder.rasterise import render
 from decogs.decoder.session import frame_range, open_stream, render_view
@@ -249,3 +252,28 @@ def test_frame_ranges_are_read_as_in_python() -> None:
     for text in ("", "5", "a:b", "1:2:3", "1.5:2", "0-10"):
         with pytest.raises(UsageError, match="no range; write A:B"):
             frame_range(text)
+
+
+def test_a_closed_stream_raises_and_reads_no_other_file(small_stream, segmented_stream) -> None:
+    """The number of a closed file's descriptor is the next file's."""
+    with open_stream(small_stream.path, on_damage=pytest.fail) as stream:
+        frames = stream.frames()
+        next(frames)
+    with segmented_stream.path.open("rb"), pytest.raises(UsageError, match=r"scene\.dgs: the stream is closed"):
+        next(frames)
+    with pytest.raises(UsageError, match="the stream is closed"):
+        next(stream.frames(2, 3))
+    with follow_stream(small_stream.path, idle=0.1, on_damage=pytest.fail) as growing:
+        coming = growing.frames()
+        next(coming)
+    with segmented_stream.path.open("rb"), pytest.raises(UsageError, match=r"scene\.dgs: the stream is closed"):
+        next(coming)
+
+
+def test_a_pipe_cannot_be_opened_and_says_what_can_be_done(small_stream, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    writing = threading.Thread(target=lambda: (tmp_path / "pipe").open("wb").close())
+    writing.start()
+    with pytest.raises(UsageError, match="pipe: cannot be seeked, as a pipe; decode it with - for stdin"):
+        open_stream(tmp_path / "pipe")
+    writing.join()

@@ -338,10 +338,11 @@ def try_payload(data: bytes) -> None:
     limit = gaussians(described.coefficients)
     _refusable(lambda: reconstruct(state, packet, described, first=first, max_gaussians=limit))
     mended, after = repaired_frame(packet, state, described, first)
+    base = first if kind == PacketKind.KEY else state
     if (
         after is not None
         and after is not state
-        and sum(payload_costs(mended, described.coefficients).values()) != len(mended.payload)
+        and sum(payload_costs(mended, described.coefficients, len(base)).values()) != len(mended.payload)
     ):
         raise Misbehaved("a payload's costs do not add up")
 

@@ -29,34 +29,43 @@ int decogs_instruction_set() {
     return 0;
 }
 
-void* decogs_renderer_create(int threads) { return new Renderer(threads); }
+void* decogs_renderer_create(int threads) {
+    return created([&] { return new Renderer(threads); });
+}
 
 void decogs_renderer_destroy(void* renderer) { delete static_cast<Renderer*>(renderer); }
 
-int decogs_render(void* handle, const Scene* scene, const Camera* camera, const Planes* out) {
+int decogs_render(void* handle, const Scene* scene, const Camera* camera, const Planes* out, uint64_t max_pairs) {
     Renderer& renderer = renderer_of(handle);
-    return refused([&] { render_picture(renderer.pool, renderer.binner, *scene, *camera, *out, renderer.lists, nullptr); });
+    return status_of([&] {
+        render_picture(renderer.pool, renderer.binner, *scene, *camera, *out, renderer.lists, nullptr, max_pairs);
+    });
 }
 
-void* decogs_resting_create(const Camera* camera) { return new RestingView(*camera); }
+void* decogs_resting_create(const Camera* camera) {
+    return created([&] { return new RestingView(*camera); });
+}
+
+void decogs_resting_allow(void* view, uint64_t max_pairs) { view_of(view).allow(max_pairs); }
 
 void decogs_resting_destroy(void* view) { delete static_cast<RestingView*>(view); }
 
 int decogs_resting_place(void* handle, void* view, const Scene* scene) {
     Renderer& renderer = renderer_of(handle);
-    return refused([&] { view_of(view).place(renderer.pool, renderer.binner, *scene); });
+    return status_of([&] { view_of(view).place(renderer.pool, renderer.binner, *scene); });
 }
 
 // Lifts `gone_count` Gaussians, `gone`, and settles `rows` as the Gaussians of `changed`.
 int decogs_resting_change(void* handle, void* view, const int64_t* gone, int64_t gone_count, const Scene* changed, const int64_t* rows,
                            int64_t population, const int64_t* renumbered, int64_t before) {
-    return refused([&] {
+    return status_of([&] {
         view_of(view).lift(gone, gone_count);
         view_of(view).settle(renderer_of(handle).pool, *changed, nullptr, rows, changed->count, population, renumbered, before);
     });
 }
 
-int64_t decogs_resting_refresh(void* handle, void* view, const Planes* planes, const Picture* to) {
-    return view_of(view).refresh(renderer_of(handle).pool, *planes, *to);
+// `redrawn` receives how many tiles were.
+int decogs_resting_refresh(void* handle, void* view, const Planes* planes, const Picture* to, int64_t* redrawn) {
+    return status_of([&] { *redrawn = view_of(view).refresh(renderer_of(handle).pool, *planes, *to); });
 }
 }

@@ -39,11 +39,15 @@ class RestingView {
         tiles_.resize(lists_.tiles());
     }
 
+    // The most pairs of a tile and a Gaussian from now on; TooManyPairs is thrown above.
+    void allow(uint64_t max_pairs) { max_pairs_ = max_pairs; }
+
     // Starts anew with a whole scene, all of it at rest.
     void place(Pool& pool, Binner& binner, const Scene& scene) {
-        binner.run(pool, scene, camera_, lists_);
+        for (Tile& tile : tiles_) tile = Tile();
+        binner.run(pool, scene, camera_, lists_, max_pairs_);
         for (int t = 0; t < lists_.tiles(); ++t) {
-            tiles_[t] = Tile();
+            tiles_[t].resting.reserve(lists_.first_entry[t + 1] - lists_.first_entry[t]);
             for (uint32_t e = lists_.first_entry[t]; e < lists_.first_entry[t + 1]; ++e) {
                 const uint32_t g = lists_.entries[e].gaussian;
                 tiles_[t].resting.push_back({depth_key(lists_.projected[g].depth), g, 0.0f, -1});
@@ -77,11 +81,11 @@ class RestingView {
         if (renumbered) renumber(renumbered, before);
         lists_.projected.resize(population);
         bring(pool, scene, from, rows, count);
-        std::vector<Resting> merged;
         for (int t = 0; t < lists_.tiles(); ++t) {
             Tile& tile = tiles_[t];
             if (first_arrival_[t + 1] == first_arrival_[t]) continue;
-            merged.clear();
+            std::vector<Resting> merged;
+            merged.reserve(tile.resting.size() + first_arrival_[t + 1] - first_arrival_[t]);
             each_in_order(
                 t, rows, [&](const Resting& r) { merged.push_back(r); },
                 [&](const Arrival& a) { merged.push_back({a.depth, static_cast<uint32_t>(rows[a.index]), 0.0f, -1}); });
@@ -124,7 +128,7 @@ class RestingView {
         chunk_tiles_.resize(std::max<size_t>(chunk_tiles_.size(), chunks));
         uint64_t resting = 0;
         for (const Tile& tile : tiles_) resting += tile.resting.size();
-        count_.restart(resting);
+        count_.restart(resting, max_pairs_);
         pool.run(chunks, [&](int chunk) {
             const int64_t begin = static_cast<int64_t>(chunk) * kChunk, end = std::min<int64_t>(count, begin + kChunk);
             chunk_tiles_[chunk].clear();
@@ -237,6 +241,7 @@ class RestingView {
     }
 
     Camera camera_;
+    uint64_t max_pairs_ = kMaxPairs;
     TileLists lists_;  // `projected` of the whole scene; entries of the active tiles only
     std::vector<Tile> tiles_;
     std::vector<int> active_;

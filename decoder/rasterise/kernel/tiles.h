@@ -6,7 +6,6 @@
 #pragma once
 
 #include <algorithm>
-#include <stdexcept>
 #include <vector>
 
 #include "pool.h"
@@ -15,7 +14,7 @@
 namespace decogs {
 
 constexpr uint32_t kNoPair = UINT32_MAX;
-constexpr uint64_t kMaxPairs = 1u << 27;  // of a tile and a Gaussian in one picture: 20 bytes each, 2.7 GB
+constexpr uint64_t kMaxPairs = 1u << 27;  // of a tile and a Gaussian in one picture, whatever memory is allowed
 
 struct Entry {
     uint32_t gaussian;
@@ -113,30 +112,24 @@ inline uint32_t touch(const Projected& g, int columns, int rows, std::vector<uin
 // picture, and counting must stop before memory does.
 class PairCount {
  public:
-    void restart(uint64_t pairs) { pairs_.store(pairs); }
-    bool fits_with(uint64_t more) { return pairs_.fetch_add(more) + more <= kMaxPairs; }
+    void restart(uint64_t pairs, uint64_t limit) {
+        pairs_.store(pairs);
+        limit_ = std::min(limit, kMaxPairs);
+    }
+    bool fits_with(uint64_t more) { return pairs_.fetch_add(more) + more <= limit_; }
     void check() const {
-        if (pairs_.load() > kMaxPairs) throw std::length_error("decogs: too many pairs of a tile and a Gaussian");
+        if (pairs_.load() > limit_) throw TooManyPairs();
     }
 
  private:
     std::atomic<uint64_t> pairs_{0};
+    uint64_t limit_ = kMaxPairs;
 };
-
-// 0, or 1 when the scene covers the picture so many times that its tile lists would not fit; nothing is drawn then.
-template <class Work>
-int refused(const Work& work) {
-    try {
-        work();
-    } catch (const std::exception&) {
-        return 1;
-    }
-    return 0;
-}
 
 class Binner {
    public:
-    void run(Pool& pool, const Scene& scene, const Camera& cam, TileLists& lists) {
+    // Throws TooManyPairs above `max_pairs`.
+    void run(Pool& pool, const Scene& scene, const Camera& cam, TileLists& lists, uint64_t max_pairs = kMaxPairs) {
         const int64_t n = scene.count;
         lists.columns = (cam.width + kTile - 1) / kTile;
         lists.rows = (cam.height + kTile - 1) / kTile;
@@ -145,7 +138,7 @@ class Binner {
         const int chunks = static_cast<int>((n + kChunk - 1) / kChunk);
         chunk_tiles_.resize(std::max<size_t>(chunk_tiles_.size(), chunks));
         count_.resize(n);
-        pairs_.restart(0);
+        pairs_.restart(0, max_pairs);
         pool.run(chunks, [&](int chunk) { project_chunk(scene, cam, lists, chunk); });
         pairs_.check();
 

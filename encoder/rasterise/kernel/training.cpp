@@ -22,64 +22,74 @@ FixedView& view_of(void* handle) { return *static_cast<FixedView*>(handle); }
 
 extern "C" {
 
-void* decogs_trainer_create(int threads) { return new Trainer(threads); }
+void* decogs_trainer_create(int threads) {
+    return created([&] { return new Trainer(threads); });
+}
 
 void decogs_trainer_destroy(void* handle) { delete static_cast<Trainer*>(handle); }
 
 int decogs_forward(void* handle, const Scene* scene, const Camera* camera, const Planes* out) {
     Trainer& t = trainer_of(handle);
-    return refused([&] { render_picture(t.pool, t.binner, *scene, *camera, *out, t.lists, &t.trace); });
+    return status_of([&] { render_picture(t.pool, t.binner, *scene, *camera, *out, t.lists, &t.trace); });
 }
 
 // Gradients of the last decogs_forward.
-void decogs_backward(void* handle, const Scene* scene, const Camera* camera, const Cotangents* cotangents, const Gradients* out) {
+int decogs_backward(void* handle, const Scene* scene, const Camera* camera, const Cotangents* cotangents, const Gradients* out) {
     Trainer& t = trainer_of(handle);
-    t.moments.resize(t.lists.entries.size() * kMoments);
-    t.pool.run(t.lists.rows, [&](int row) {
-        for (int column = 0; column < t.lists.columns; ++column)
-            backward_tile(t.lists, t.trace, *camera, row * t.lists.columns + column, *cotangents, t.moments.data());
+    return status_of([&] {
+        t.moments.resize(t.lists.entries.size() * kMoments);
+        t.pool.run(t.lists.rows, [&](int row) {
+            for (int column = 0; column < t.lists.columns; ++column)
+                backward_tile(t.lists, t.trace, *camera, row * t.lists.columns + column, *cotangents, t.moments.data());
+        });
+        backward_scene(t.pool, *scene, *camera, {t.lists.projected.data(), t.lists.first_pair.data()}, t.moments.data(), *out);
     });
-    backward_scene(t.pool, *scene, *camera, {t.lists.projected.data(), t.lists.first_pair.data()}, t.moments.data(), *out);
 }
 
-void* decogs_view_create(const Camera* camera) { return new FixedView(*camera); }
+void* decogs_view_create(const Camera* camera) {
+    return created([&] { return new FixedView(*camera); });
+}
 
 void decogs_view_destroy(void* view) { delete static_cast<FixedView*>(view); }
 
 int decogs_view_place(void* handle, void* view, const Scene* scene) {
     Trainer& t = trainer_of(handle);
-    return refused([&] { view_of(view).place(t.pool, t.binner, *scene); });
+    return status_of([&] { view_of(view).place(t.pool, t.binner, *scene); });
 }
 
-void decogs_view_lift(void* view, const int64_t* rows, int64_t count) { view_of(view).lift(rows, count); }
+int decogs_view_lift(void* view, const int64_t* rows, int64_t count) {
+    return status_of([&] { view_of(view).lift(rows, count); });
+}
 
 int decogs_view_draw(void* handle, void* view, const Scene* moving, const int64_t* rows, const Planes* out, uint8_t* met) {
-    return refused([&] { view_of(view).draw(trainer_of(handle).pool, *moving, rows, *out, met); });
+    return status_of([&] { view_of(view).draw(trainer_of(handle).pool, *moving, rows, *out, met); });
 }
 
-void decogs_view_backward(void* handle, void* view, const Scene* moving, const Cotangents* cotangents, const Gradients* out) {
-    view_of(view).backward(trainer_of(handle).pool, *moving, *cotangents, *out);
+int decogs_view_backward(void* handle, void* view, const Scene* moving, const Cotangents* cotangents, const Gradients* out) {
+    return status_of([&] { view_of(view).backward(trainer_of(handle).pool, *moving, *cotangents, *out); });
 }
 
 int decogs_view_settle(void* handle, void* view, const Scene* scene, const int64_t* rows, int64_t count, const int64_t* renumbered,
                        int64_t before) {
-    return refused([&] { view_of(view).settle(trainer_of(handle).pool, *scene, rows, count, renumbered, before); });
+    return status_of([&] { view_of(view).settle(trainer_of(handle).pool, *scene, rows, count, renumbered, before); });
 }
 
-void decogs_view_refresh(void* handle, void* view, const uint8_t* marks, const Planes* out, float* weights, int64_t count) {
-    view_of(view).refresh(trainer_of(handle).pool, marks, *out, weights, count);
+int decogs_view_refresh(void* handle, void* view, const uint8_t* marks, const Planes* out, float* weights, int64_t count) {
+    return status_of([&] { view_of(view).refresh(trainer_of(handle).pool, marks, *out, weights, count); });
 }
 
 void decogs_view_centres(void* view, int64_t count, float* to) { view_of(view).centres(count, to); }
 
-void decogs_loss(void* handle, const LossInput* in, float* gradient, LossSums* sums) {
+int decogs_loss(void* handle, const LossInput* in, float* gradient, LossSums* sums) {
     Trainer& t = trainer_of(handle);
-    *sums = t.loss.run(t.pool, *in, gradient);
+    return status_of([&] { *sums = t.loss.run(t.pool, *in, gradient); });
 }
 
-void decogs_adam(void* handle, const AdamStep* step, int64_t row_count, const int64_t* rows, int columns, const float* rates,
-                 float* value, const float* gradient, float* first, float* second) {
-    adam_rows(trainer_of(handle).pool, *step, row_count, rows, columns, rates, value, gradient, first, second);
+int decogs_adam(void* handle, const AdamStep* step, int64_t row_count, const int64_t* rows, int columns, const float* rates,
+                float* value, const float* gradient, float* first, float* second) {
+    return status_of([&] {
+        adam_rows(trainer_of(handle).pool, *step, row_count, rows, columns, rates, value, gradient, first, second);
+    });
 }
 
 // The projected centres, (count, 2) pixels, and depths, (count,), of the last decogs_forward; not-a-number where not drawn.

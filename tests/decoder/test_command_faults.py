@@ -1,0 +1,244 @@
+"""What a terminal, a disk, a signal or a stranger's stream does to a command: one line, exit code 2, nothing left."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import pytest
+
+from decogs.codec.header import StreamHeader
+from decogs.decoder import decode
+from decogs.decoder.commands import decode_main, export_main, run
+from decogs.decoder.free_camera import MAX_FILE_BYTES, read_free_cameras
+from decogs.formats.container import StreamWriter, iterate_packets
+from decogs.formats.errors import UsageError
+from decogs.formats.quiet import quiet_opencv
+
+RUN = "import sys; from decogs.decoder import commands; sys.exit(getattr(commands, sys.argv.pop(1))())"
+
+
+def command(*arguments: object, **options: Any) -> subprocess.CompletedProcess[bytes]:
+    """A command in a process of its own, its name without "_main" first."""
+    name, *others = (str(argument) for argument in arguments)
+    given = [sys.executable, "-c", RUN, f"{name}_main", *others]
+    return subprocess.run(given, stdin=options.pop("stdin", subprocess.DEVNULL), capture_output=True, **options)
+
+
+def one_line(run: subprocess.CompletedProcess[bytes], code: int = 2) -> str:
+    said = run.stderr.decode()
+    assert (run.returncode, said.count("\n")) == (code, 1), said
+    return said
+
+
+def rewritten(stream: Path, **changes: Any) -> Path:
+    """The stream with another header, without its index."""
+    data = stream.read_bytes()
+    packets = list(iterate_packets(io.BytesIO(data)))
+    header = StreamHeader.from_bytes(packets[0].payload)
+    if "camera" in changes:
+        header = replace(header, cameras=(replace(header.cameras[0], name=changes.pop("camera")),), held_out=())
+    with stream.open("wb") as file:
+        writer = StreamWriter(file, replace(header, **changes).to_bytes())
+        for packet in packets[1:-2]:
+            writer.write(packet.kind, packet.frame, packet.payload)
+        writer.finish()
+    return stream
+
+
+@pytest.mark.parametrize("name", ["\udcff.mp4", "\udcff.exr", "\udcff.usdc"])
+def test_names_that_are_no_utf8_are_refused_where_a_library_would_fail_on_them(
+    small_stream, tmp_path: Path, name: str
+) -> None:
+    kind, more = ("export", []) if name.endswith("usdc") else ("decode", ["--view", "cam00", "--frames", ":1"])
+    assert r"\udcff" in one_line(command(kind, small_stream.path, *more, "-o", f"{tmp_path}/{name}"))
+    assert os.listdir(tmp_path) == ["scene.dgs"]
+
+
+def test_such_a_name_is_fine_for_a_folder_of_png(small_stream, tmp_path: Path) -> None:
+    decode(small_stream.path, f"{tmp_path}/\udcff", view="cam00", frames=":1")
+    assert os.listdir(f"{tmp_path}/\udcff") == ["cam00_000000.png"]
+
+
+def test_what_the_terminal_cannot_show_is_escaped(small_stream, tmp_path: Path) -> None:
+    stream = rewritten(small_stream.path, camera="日本")
+    ended = command("info", stream, env={**os.environ, "PYTHONIOENCODING": "latin-1"})
+    assert (ended.returncode, ended.stderr) == (0, b"")
+    assert rb"\u65e5\u672c" in ended.stdout
+
+
+def test_closed_standard_streams_are_one_line(small_stream, tmp_path: Path) -> None:
+    for number, arguments in (
+        (1, ["info", small_stream.path]),
+        (1, ["decode", small_stream.path, "--view", "cam00", "-o", tmp_path / "o"]),
+        (0, ["decode", "-", "--view", "cam00", "-o", tmp_path / "o"]),
+    ):
+        ended = command(*arguments, preexec_fn=lambda number=number: os.close(number))
+        assert f"standard {('input', 'output')[number]} is closed" in one_line(ended)
+    ended = command("info", "none.dgs", preexec_fn=lambda: os.close(2))
+    assert (ended.returncode, ended.stdout) == (2, b""), "errors do not go to stdout, nor into a file that is open"
+
+
+def test_a_full_disk_behind_standard_output_is_named(small_stream) -> None:
+    program = [sys.executable, "-c", RUN, "info_main", str(small_stream.path)]
+    with open("/dev/full", "wb") as full:
+        ended = subprocess.run(program, stdout=full, stderr=subprocess.PIPE, check=False)
+    assert "standard output: No space left on device" in one_line(ended)
+
+
+def fails(main: Callable[[list[str]], int], arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    try:
+        code = main(arguments)
+    except SystemExit as error:
+        code = error.code
+    printed = capsys.readouterr()
+    assert (code, printed.out, printed.err.count("\n")) == (2, "", 1)
+    return printed.err
+
+
+def test_numbers_beyond_all_bounds_are_one_line(small_stream, tmp_path: Path, capsys) -> None:
+    asked = [str(small_stream.path), "--view", "cam00", "-o", str(tmp_path / "o")]
+    for scale in ("1e308", "1e154", "1e9", "200"):
+        assert "above the limit of 67108864 pixels" in fails(decode_main, [*asked, "--scale", scale], capsys)
+    huge = "9" * 20
+    assert "nothing to decode, no such frame" in fails(
+        decode_main, [*asked, "--follow", "--idle", "0.1", "--frames", f"{huge}:"], capsys
+    )
+    assert decode_main([*asked, "--follow", "--idle", "0.1", "--frames", f"6:{huge}"]) == 0
+    assert len(os.listdir(tmp_path / "o")) == 2
+
+
+def test_two_dashes_are_no_value(small_stream, tmp_path: Path, capsys) -> None:
+    asked = [str(small_stream.path), "--view", "cam00", "-o", str(tmp_path / "o")]
+    for given in (["--frames", "--"], ["--frames=--"], ["--scale=--"]):
+        assert "expected one argument" in fails(decode_main, [*asked, *given], capsys)
+    assert "expected one argument" in fails(export_main, [str(small_stream.path), "--output=--"], capsys)
+
+
+def test_a_pattern_has_one_place_for_the_number(small_stream, tmp_path: Path, capsys) -> None:
+    asked = [str(small_stream.path), "--view", "cam00", "-o", str(tmp_path / "a%d%02d.png")]
+    assert "has 2 places for the frame's number" in fails(decode_main, asked, capsys)
+
+
+def test_a_pipe_that_is_cut_says_where(small_stream, tmp_path: Path) -> None:
+    packets = list(iterate_packets(io.BytesIO(small_stream.path.read_bytes())))
+    data = small_stream.path.read_bytes()
+    for frame, where, frames in ((0, "its first keyframe", None), (3, "frame 3", "5:")):
+        cut = io.BytesIO(data[: packets[1 + frame].offset + 30])
+        with pytest.raises(UsageError, match=f"no such frame came; the stream stops 30 bytes into {where}"):
+            decode(cut, tmp_path / "o", view="cam00", frames=frames)
+
+
+@pytest.mark.parametrize("name", ["a" * 255, "日" * 85, "日" * 255])
+def test_long_names_of_cameras_are_cut(small_stream, tmp_path: Path, name: str) -> None:
+    decode(rewritten(small_stream.path, camera=name), tmp_path / "o", view=name, frames=":2")
+    found = sorted(os.listdir(tmp_path / "o"))
+    assert [file[-11:] for file in found] == ["_000000.png", "_000001.png"]
+    assert all(file.startswith(name[:60]) and len(os.fsencode(file)) <= 211 for file in found)
+
+
+def test_a_rate_that_no_video_has_is_to_blame_in_one_line(small_stream, tmp_path: Path) -> None:
+    for fps in (1e-6, 0.001, 65536.0, 1e6):
+        ended = command("decode", rewritten(small_stream.path, fps=fps), "--view", "cam00", "-o", tmp_path / "x.mp4")
+        assert f"cannot have the stream's {fps:g} frames per second" in one_line(ended)
+    for fps in (0.01, 23.976, 1000.0):
+        decode(rewritten(small_stream.path, fps=fps), tmp_path / "x.mp4", view="cam00")
+        video = cv2.VideoCapture(str(tmp_path / "x.mp4"))
+        assert video.get(cv2.CAP_PROP_FPS) == pytest.approx(fps, rel=1e-3)
+        video.release()
+
+
+@pytest.mark.parametrize("ended_by", [signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("kind", ["decode", "export"])
+def test_a_signal_leaves_nothing_behind(small_stream, tmp_path: Path, kind: str, ended_by: signal.Signals) -> None:
+    """The command waits in the midst of its work; the signal then ends it as signals do."""
+    where = {"decode": "decogs.decoder.played_view.PlayedView.show", "export": "decogs.formats.usd.UsdWriter.add_group"}
+    module, kept, method = where[kind].rsplit(".", 2)
+    program = f"""
+import sys, time, {module} as patched
+def wait(*arguments):
+    print("waiting", flush=True)
+    time.sleep(60)
+patched.{kept}.{method} = wait
+{RUN}
+"""
+    given = ["--view", "cam00", "-o", str(tmp_path / "o")] if kind == "decode" else ["-o", str(tmp_path / "o.usda")]
+    arguments = [sys.executable, "-c", program, f"{kind}_main", str(small_stream.path), *given]
+    with subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"waiting\n"
+        assert len(os.listdir(tmp_path)) >= 1 + (kind == "decode")
+        process.send_signal(ended_by)
+        _, said = process.communicate(timeout=60)
+    assert (process.returncode, said) == (-ended_by, b"")
+    assert os.listdir(tmp_path) == ["scene.dgs"]
+
+
+def test_a_full_disk_under_an_export_is_named(segmented_stream, tmp_path: Path) -> None:
+    """A limit on the size of files stands for the disk's."""
+
+    def short() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+
+    for name in ("o.usdc", "o.usda"):
+        said = one_line(command("export", segmented_stream.path, "-o", tmp_path / name, preexec_fn=short))
+        assert f"{name}: cannot be written (File too large); choose another place" in said
+        assert os.listdir(tmp_path) == ["segments.dgs"]
+
+
+def raises(error: Exception) -> Callable[[], int]:
+    def command() -> int:
+        raise error
+
+    return command
+
+
+def test_whatever_word_a_library_has_for_it_memory_is_out_in_one_line(capsys) -> None:
+    for error in (
+        MemoryError(),
+        RuntimeError("can't start new thread"),
+        ImportError("libx.so: failed to map segment from shared object"),
+        ImportError("libx.so: cannot allocate memory in static TLS block"),
+    ):
+        assert run("decogs-x", raises(error)) == 2
+        assert "decogs-x: error: out of memory" in capsys.readouterr().err
+    with pytest.raises(RuntimeError, match="a bug"):
+        run("decogs-x", raises(RuntimeError("a bug")))
+
+
+def test_a_pose_file_may_be_a_pipe_and_is_read_to_its_bound(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=f"zero: is larger than {MAX_FILE_BYTES >> 20} MB"):
+        read_free_cameras("/dev/zero")
+    pose = {"width": 4, "height": 3, "fx": 4, "world_to_camera": [[float(i == j) for j in range(4)] for i in range(4)]}
+    read, write = os.pipe()
+    os.write(write, json.dumps(pose).encode())
+    os.close(write)
+    assert read_free_cameras(f"/dev/fd/{read}")[0].width == 4
+    os.close(read)
+
+
+def test_importing_this_library_leaves_opencvs_log_alone(tmp_path: Path) -> None:
+    logging = cv2 if hasattr(cv2, "getLogLevel") else cv2.utils.logging  # OpenCV 4, 5
+    program = (
+        "import os, cv2; logging = cv2 if hasattr(cv2, 'getLogLevel') else cv2.utils.logging; "
+        "before = logging.getLogLevel(); import decogs.formats.rigs, decogs.decoder.pictures; "
+        "assert logging.getLogLevel() == before > 0; assert 'OPENCV_FFMPEG_LOGLEVEL' not in os.environ"
+    )
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("OPENCV")}
+    subprocess.run([sys.executable, "-c", program], check=True, env=environment)
+    before = logging.getLogLevel()
+    with quiet_opencv():
+        with quiet_opencv():
+            assert logging.getLogLevel() == 0
+        assert logging.getLogLevel() == 0
+    assert logging.getLogLevel() == before
