@@ -244,7 +244,7 @@ def test_a_held_frame_is_taken_up_by_the_next_one(
     assert {frame.kind for frame in held} == {"skip"}
     assert {frame.kind for frame in trained} == {"delta"}
     assert np.mean([counted_seconds(frame.seconds) for frame in later]) < 0.13
-    assert np.mean([frame.training_psnr for frame in trained]) > np.mean([frame.training_psnr for frame in held]) + 1
+    assert min(frame.training_psnr for frame in trained) > max(frame.training_psnr for frame in held) + 0.2
 
 
 def test_few_steps_still_get_as_far_as_things_move(
