@@ -2,7 +2,8 @@
 
 Chosen for a deadline: the schedule is run through in strides. After every step the frame's own median time per step
 says how many more fit, and what is left of the schedule is spread over them, so that densification, the judging of
-changes and the fall of the rates come where they always do, only sooner. A frame needs no knowledge of others for it,
+changes and the fall of the rates come where they always do, only sooner. Rates grow with the root of the strides, at
+most threefold: few steps must still get as far as things move. A frame needs no knowledge of others for it,
 and a machine that slows down in its middle is followed. Rejected: cutting the schedule off at the deadline, which
 leaves changes unjudged and rates high (DESIGN.md has both measured); a number of steps from the last frame's speed
 (frames differ by how much of the picture moves).
@@ -15,6 +16,7 @@ from the frame before (a frame could not be trained again alone).
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -36,6 +38,10 @@ _CLEARLY = np.float32(25 / 255)
 
 _SEARCH_SHARE = 0.1
 """Of the time for training, what the search for emerging things may take on average when time is short."""
+LEAST_SEARCH = 1 / 16
+"""Share of a whole search below which nothing is found."""
+_LEAST_SEARCHED = 8
+"""Views in which a search is of use: a point must be missed in four of them."""
 
 
 @dataclass(frozen=True)
@@ -93,12 +99,23 @@ class Pace:
     def __init__(self, iterations: int, deadline: float | None = None, *, factor: float = 1.0) -> None:
         self._iterations, self._deadline, self._own_stride = iterations, deadline, 1 / factor
         self._before, self.position = -1.0, 0.0
+        self._last_stride = self._own_stride
         self._seconds: list[float] = []
         self._began = time.perf_counter()
 
     @property
     def is_over(self) -> bool:
         return self.position >= self._iterations
+
+    @property
+    def hurry(self) -> float:
+        """How many times as far the last step went as one without a deadline; 1 at the beginning."""
+        return self._last_stride / self._own_stride
+
+    @property
+    def steps_seconds(self) -> tuple[float, float]:
+        """What a step takes, the median, and what all steps took; 0 without a deadline."""
+        return (median(self._seconds), sum(self._seconds)) if self._seconds else (0.0, 0.0)
 
     def reaches(self, mark: int) -> bool:
         """Whether this step is the first one at or beyond that position."""
@@ -107,7 +124,9 @@ class Pace:
     def step(self) -> None:
         """Tells that a step was done."""
         self._before = self.position
-        self.position += self._own_stride if self._deadline is None else self._stride(self._deadline)
+        if self._deadline is not None:
+            self._last_stride = self._stride(self._deadline)
+        self.position += self._last_stride
 
     def put_off(self, seconds: float) -> None:
         """Gives the deadline back what something else than steps took; the frames after it pay for it."""
@@ -132,23 +151,47 @@ class Pace:
 
 
 class SearchTime:
-    """When frames under a deadline can afford the search for what emerges, which may take as long as all their steps.
+    """When frames under a deadline search for what emerges, and how much of it.
 
-    A frame whose time allows few steps misses more when it is searched, so that every search is a long one.
+    A whole search may take as long as all steps of several frames, which would then be short of them. So it takes no
+    more than its share of training's time on average, with fewer rays in fewer views where that is too little.
     """
 
     def __init__(self) -> None:
         self._credit = 0.0
+        self._whole: float | None = None
 
-    def affords(self, left: float) -> bool:
-        """Whether a frame that has ``left`` seconds of training should search."""
+    def affords(self, left: float, guess: float) -> float:
+        """The share, 0 to 1, of a whole search that a frame which has ``left`` seconds of training should make.
+
+        ``guess``: what a whole one may take, in seconds, for as long as none was made.
+        """
+        whole = guess if self._whole is None else self._whole
+        smallest = LEAST_SEARCH * whole
         if left > 0:
-            self._credit = min(self._credit + _SEARCH_SHARE * left, left)
-        return self._credit > 0
+            self._credit = min(self._credit + _SEARCH_SHARE * left, max(left, smallest))
+        if self._credit <= 0 or (self._whole is not None and self._credit < smallest):
+            return 0.0
+        return min(1.0, max(LEAST_SEARCH, self._credit / max(whole, 1e-9)))
 
-    def took(self, seconds: float) -> None:
-        """Tells how long a search took."""
+    def took(self, seconds: float, share: float) -> None:
+        """Tells how long such a share of a search took."""
         self._credit -= seconds
+        self._whole = seconds / share if self._whole is None else (self._whole + seconds / share) / 2
+
+
+def search_seconds(rays: int, views: int) -> float:
+    """About what a whole search takes: every ray is held against every view, 20 microseconds each on a busy core."""
+    return 2e-5 * rays * views
+
+
+def search_of(share: float, views: int) -> tuple[int, float]:
+    """In how many of ``views`` a share of a search is made, and with which share of its rays.
+
+    Every ray is held against every view.
+    """
+    looked = max(min(_LEAST_SEARCHED, views), min(views, round(views * math.sqrt(share))))
+    return looked, min(1.0, share * views / max(1, looked))
 
 
 class TargetWatch:

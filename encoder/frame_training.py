@@ -25,7 +25,7 @@ from decogs.formats.splats import FloatArray, Splats, empty_splats, join_splats,
 
 from .densification import ViewGradients, grow, opacities_of, strongest
 from .economy import EconomySettings, picture_share, take_back
-from .effort import WHOLE, Effort, Pace, PaceSettings, SearchTime, TargetWatch
+from .effort import LEAST_STEPS, WHOLE, Effort, Pace, PaceSettings, SearchTime, TargetWatch, search_of, search_seconds
 from .emergence import EmergenceSettings, Look, missed, seeds, worth_a_search
 from .ingest import View
 from .losses import FocusWeights, PhotometricLoss, focus_loss, require_finite, whole_picture_loss
@@ -80,7 +80,8 @@ class FrameSettings:
 class TrainedFrame:
     """What a frame changed: new values (M rows) for the rows ``kept``, rows ``removed``, Gaussians ``added``.
 
-    ``given_up``: training made the pictures worse, and nothing has changed.
+    ``given_up``: training made the pictures worse, and nothing has changed. ``hurried``: a deadline left fewer steps
+    than the schedule has.
     """
 
     kept: NDArray[np.int64]
@@ -88,10 +89,19 @@ class TrainedFrame:
     removed: NDArray[np.int64]
     added: Splats
     given_up: bool = False
+    hurried: bool = False
 
 
 _RUN_AWAY = 1.5
 """Training that raises the squared error in focus by this factor (1.8 dB) has run away; one that works lowers it."""
+
+
+_MOST_PROBES = 4
+"""Views that tell what goes wrong when time is short: each of them is drawn twice, which takes as long as a step."""
+
+
+_MOST_HASTE = 3.0
+"""Factor of the rates where a deadline leaves few steps: they must still get as far as things move."""
 
 
 class FrameTrainer:
@@ -120,9 +130,15 @@ class FrameTrainer:
         self._extent = extent
         self._ungated: SplatOptimiser | None = None
         self._values: list[float] = []
-        self._search = SearchTime()
+        self._search, self._searching = SearchTime(), 0.0
+        self._least_seconds = self._step_seconds = 0.0
         self._cache: TransformationCache | None = None
         self._kept_cache: TransformationCache | None = None
+
+    @property
+    def least_seconds(self) -> float:
+        """What the last frame under a deadline would have taken with the fewest steps and no search; 0 before it."""
+        return self._least_seconds
 
     def train(
         self,
@@ -145,7 +161,11 @@ class FrameTrainer:
         are left with the trained Gaussians lifted. Views whose masks are ``lost`` have no part in it. Where training
         has run away, nothing changes.
         """
-        self._settings, self._effort = self._whole_settings if settings is None else settings, effort
+        began, self._searching = time.perf_counter(), 0.0
+        self._settings, self._effort, self._frame = settings or self._whole_settings, effort, frame
+        self._short = effort.deadline is not None and (
+            self._step_seconds * self._settings.joint_iterations > effort.deadline - began
+        )
         self._cache = self._cache_of_frame()
         self._used = showing(masks)
         before = self._squared_error(pictures, masks)
@@ -162,14 +182,19 @@ class FrameTrainer:
                 self._cache.restart()
             self._cache.place(work.base.means, work.base.quaternions)
             self._densify(work, self._stage1(work, losses, self._cache), masks)
-            self._add_emerging(work, losses, masks)
+            self._add_emerging(work, losses, masks, self._used)
         if "gate" in self._settings.ablated:
             self._open_gate(work, scene)
-        self._stage2(work, scene, losses, masks)
+        pace = self._stage2(work, scene, losses, masks)
         self._draw_probes(work)
-        if self._squared_error(pictures, masks) > _RUN_AWAY * before:
+        runs_away = self._squared_error(pictures, masks) > _RUN_AWAY * before
+        if effort.deadline is not None:
+            self._step_seconds, steps = pace.steps_seconds
+            step = self._step_seconds
+            self._least_seconds = time.perf_counter() - began - self._searching - steps + LEAST_STEPS * step
+        if runs_away:
             return replace(work.unchanged(scene), given_up=True)
-        return self._result(work)
+        return replace(self._result(work), hurried=pace.hurry > 1)
 
     def _cache_of_frame(self) -> TransformationCache | None:
         """The cache that this frame's settings ask for; built when the first frame does."""
@@ -181,8 +206,8 @@ class FrameTrainer:
         return self._kept_cache
 
     def _probes(self) -> list[int]:
-        """A few of the used views, enough to see what goes wrong everywhere."""
-        return self._used[::3]
+        """A few of the used views, enough to see what goes wrong everywhere; a handful of them when time is short."""
+        return self._used[:: max(3, -(-len(self._used) // _MOST_PROBES)) if self._short else 3]
 
     def _errors(self, pictures: Sequence[FloatArray], masks: Sequence[FrameMask]) -> list[FloatArray]:
         """By how much what some views show misses their pictures in focus, (3, pixels) each, colours 0 to 1."""
@@ -239,7 +264,7 @@ class FrameTrainer:
         scene: Splats,
         losses: Sequence[PhotometricLoss],
         masks: Sequence[FrameMask],
-    ) -> None:
+    ) -> Pace:
         """The Gaussians' own values, with the cache if there is one; without it, densification falls in here."""
         settings, worth = self._settings, self._settings.economy.worth
         rates = replace(settings.rates, means=settings.rates.means * self._extent)
@@ -276,9 +301,10 @@ class FrameTrainer:
             if pace.position > grow_at and self._has_fallen_flat(step):
                 break
             late = settings.late_decay ** max(0.0, 2 * pace.position / settings.joint_iterations - 1)
-            work.optimiser.step(gradients, rates.scaled(late))
+            work.optimiser.step(gradients, rates.scaled(late * min(pace.hurry**0.5, _MOST_HASTE)))
             pace.step()
         self._show(work)
+        return pace
 
     def _tell(self, stage: str, step: int) -> None:
         if self._effort.on_loss is not None:
@@ -364,37 +390,56 @@ class FrameTrainer:
     def _search_emerging(
         self, work: _Working, losses: Sequence[PhotometricLoss], masks: Sequence[FrameMask], pace: Pace
     ) -> None:
-        """Adds what newly appears; not in every frame when time is short."""
+        """Adds what newly appears; when time is short not in every frame, and by some of the views."""
         if self._effort.deadline is None:
-            self._add_emerging(work, losses, masks)
+            self._add_emerging(work, losses, masks, self._used)
             return
         began = time.perf_counter()
-        if self._search.affords(self._effort.deadline - began):
-            self._add_emerging(work, losses, masks)
-            seconds = time.perf_counter() - began
-            self._search.took(seconds)
-            pace.put_off(seconds)
+        guess = search_seconds(self._settings.emergence.most_rays, len(self._used))
+        share = self._search.affords(self._effort.deadline - began, guess)
+        if share:
+            looked, rays = search_of(share, len(self._used))
+            apart = -(-len(self._used) // looked)
+            self._add_emerging(work, losses, masks, self._used[self._frame % apart :: apart], rays)
+            self._searching = time.perf_counter() - began
+            self._search.took(self._searching, share)
+            pace.put_off(self._searching)
 
-    def _add_emerging(self, work: _Working, losses: Sequence[PhotometricLoss], masks: Sequence[FrameMask]) -> None:
-        """Adds what newly appears in this frame to ``work``."""
-        new = self._emerging(work, losses, masks)
+    def _add_emerging(
+        self,
+        work: _Working,
+        losses: Sequence[PhotometricLoss],
+        masks: Sequence[FrameMask],
+        views: Sequence[int],
+        rays: float = 1.0,
+    ) -> None:
+        """Adds what newly appears in this frame to ``work``: seen by these ``views``, with such a share of the rays."""
+        new = self._emerging(work, losses, masks, views, rays)
         if len(new):
             work.append(new)
             self._replace(work)
 
-    def _emerging(self, work: _Working, losses: Sequence[PhotometricLoss], masks: Sequence[FrameMask]) -> Splats:
+    def _emerging(
+        self,
+        work: _Working,
+        losses: Sequence[PhotometricLoss],
+        masks: Sequence[FrameMask],
+        views: Sequence[int],
+        rays: float,
+    ) -> Splats:
         """Seeds of it; a few views tell whether to look at all of them."""
         settings = self._settings.emergence
         if settings.most <= 0:
             return empty_splats(work.base.sh_degree)
         looks: dict[int, Look] = {}
-        for probe in (self._probes(), self._used):
+        for probe in (views[::3], views):
             for index in probe:
                 if index not in looks:
                     looks[index] = self._look(work, index, losses[index].target, masks[index])
             if not worth_a_search([missed(look, settings) for look in looks.values()], settings):
                 return empty_splats(work.base.sh_degree)
-        return seeds([looks[i] for i in self._used], settings, work.base.sh_degree)
+        fewer = replace(settings, most_rays=max(1, round(rays * settings.most_rays)))
+        return seeds([looks[i] for i in views], fewer, work.base.sh_degree)
 
     def _look(self, work: _Working, index: int, target: FloatArray, mask: FrameMask) -> Look:
         view, watching = self._views[index], self._watch[index]

@@ -86,6 +86,7 @@ class StreamEncoder:
         self._state: State | None = None
         self._first_state: State | None = None
         self._motion: FloatArray = np.zeros((0, 3), np.float32)
+        self._held = 0
         self._before_flash: BeforeFlash | None = None
         budget = settings.frame_budget
         self._rate = None if budget is None else RateControl(budget, settings.segment)
@@ -165,11 +166,15 @@ class StreamEncoder:
             masks, selected = self._changes(frame, len(before), watch)
             effects, _ = self._called_for(frame, masks, selected, watch)
             trained = np.flatnonzero(selected) if effects else None
+            # What was held is still to be done. With a time budget, a packet of nothing is all that tells.
+            held = trained is not None and self._time is not None and packet.kind == PacketKind.SKIP
+            if held:
+                trained, effects = None, ()
             if trained is not None:
                 for view in self._watch:
                     view.lift(trained)
             self._advance(packet)
-            self._go_on(frame, before, masks, trained, effects, watch)
+            self._go_on(frame, before, masks, trained, effects, watch, held=held)
             share = _share(selected)
         if origin:
             self._check_footage(frame, origin, masks)
@@ -186,14 +191,15 @@ class StreamEncoder:
         masks, selected = self._changes(frame, len(before), watch)
         trained: TrainedFrame | None = None
         effects, settings = self._called_for(frame, masks, selected, watch)
-        if effects:
+        held = bool(effects) and self._is_held(watch)
+        if effects and not held:
             with watch.stage("training"):
                 trained = self._trainer.train(
                     self._scene,
                     selected,
                     frame.training,
                     masks,
-                    self._motion,
+                    self._motion * np.float32(1 + self._held),
                     frame=index,
                     settings=settings,
                     effort=self._effort(None if self._time is None else self._time.deadline(watch.seconds)),
@@ -203,11 +209,21 @@ class StreamEncoder:
             kind, coded = self._coded(before, delta, index, whole=returned)
             coded = self._with_corrections(coded, corrections)
             packet = self._commit(kind, index, coded)
-        self._go_on(frame, before, masks, None if trained is None else trained.kept, effects, watch)
+        if held:
+            effects = ()
+        hurried = trained is not None and trained.hurried
+        kept = None if trained is None else trained.kept
+        self._go_on(frame, before, masks, kept, effects, watch, held=held, hurried=hurried)
         if self._time is not None:
-            self._time.took(watch.seconds)
+            self._time.took(watch.seconds, held=held)
         report = self._report(frame, packet, coded.costs, _share(selected), watch, masks)
         return replace(report, effects=list(effects), given_up=trained is not None and trained.given_up)
+
+    def _is_held(self, watch: Stopwatch) -> bool:
+        """Whether a frame that calls for training gets none, so that a later one has time enough."""
+        if self._time is None or not isinstance(self._trainer, FrameTrainer):
+            return False
+        return self._time.holds(watch.seconds, self._trainer.least_seconds)
 
     def _called_for(
         self, frame: RigFrame, masks: Sequence[FrameMask], selected: NDArray[np.bool_], watch: Stopwatch
@@ -319,19 +335,29 @@ class StreamEncoder:
         trained: NDArray[np.int64] | None,
         effects: Sequence[str],
         watch: Stopwatch,
+        *,
+        held: bool = False,
+        hurried: bool = False,
     ) -> None:
         """All that later frames need to know of this one, whose state stands.
 
-        ``trained``: rows that were, or None. ``effects``: those that it called for.
+        ``trained``: rows that were, or None. ``effects``: those that it called for. ``held``: it waits for time; what
+        moves is taken to move on. ``hurried``: what the scene now clearly misses is still to be done.
         """
         if trained is not None:
-            # Training that was given up, or whose changes were all taken back, has made up for nothing.
-            if masks and not _same_scene(before, self._state):
-                self._masks.trained(frame.training, masks, moved="motion" in effects)
             with watch.stage("settle"):
                 self._settle(before, trained)
-        self._masks.passed(frame.training)
-        self._motion = self._displacements(before, self._state)
+            # Training that was given up, or whose changes were all taken back, has made up for nothing.
+            if masks and not _same_scene(before, self._state):
+                self._masks.trained(
+                    frame.training, masks, moved="motion" in effects, shown=self._shown() if hurried else None
+                )
+        self._masks.passed(frame.training, held=held)
+        if held:
+            self._held += 1
+            return
+        self._motion = self._displacements(before, self._state) / np.float32(1 + self._held)
+        self._held = 0
 
     def _select(self, masks: Sequence[FrameMask]) -> NDArray[np.bool_]:
         if "select" in self._settings.frame.ablated:
@@ -357,8 +383,14 @@ class StreamEncoder:
         """All that later frames need to know of the first one."""
         with watch.stage("settle"):
             self._trainer = self._frame_trainer(self._scene)
-        self._masks = MaskMemory(frame.training, self._settings.frame.masks)
+        self._masks = MaskMemory(frame.training, self._settings.frame.masks, self._shown())
         self._motion = np.zeros((len(self._scene), 3), np.float32)
+
+    def _shown(self) -> list[FloatArray] | None:
+        """What the views show, where a time budget may leave something of a frame undone."""
+        if self._time is None or not self._watch:
+            return None
+        return [view.rgb for view in self._watch]
 
     def _settle(self, before: State, trained: NDArray[np.int64]) -> None:
         """The watching views go on from the frame's reconstructed state; only what was trained can differ."""

@@ -27,6 +27,8 @@ _LEVEL_SLACK = 1e-3
 """Pictures that came from 8-bit files differ by whole levels, up to float32 rounding of about 3e-5 of a level; this
 slack keeps a difference of exactly tau on the unchanged side, as in integer arithmetic."""
 
+_MOST = 0.9
+"""Share of the first frame's pixels that tells what a rendering misses usually: the rest are edges and glare."""
 _LIGHT_WINDOW = 7
 """Pixels across over which faint light is averaged: noise shrinks by as much, the difference that light makes stays."""
 
@@ -178,11 +180,15 @@ def _without_lines(mask: BoolArray) -> BoolArray:
 class MaskMemory:
     """The masks of a stream's frames, and what they need to know of the frames before.
 
-    ``pictures``: the first frame's, one planar float32 (3, H, W) per view; views may differ in size.
+    ``pictures``: the first frame's, one planar float32 (3, H, W) per view; views may differ in size. ``shown``: what
+    the scene shows of them, where frames may be left undone for want of time (`trained`).
     """
 
-    def __init__(self, pictures: Sequence[FloatArray], settings: MaskSettings) -> None:
+    def __init__(
+        self, pictures: Sequence[FloatArray], settings: MaskSettings, shown: Sequence[FloatArray] | None = None
+    ) -> None:
         self._settings = settings
+        self._usual = None if shown is None else [_usual_miss(*pair) for pair in zip(pictures, shown, strict=True)]
         self._references = self._before = list(pictures)
         self._blank = [bool(blankness(picture)) for picture in pictures]
         self._lost = [""] * len(pictures)
@@ -246,14 +252,28 @@ class MaskMemory:
     def _grown(self, mask: BoolArray) -> BoolArray:
         return dilate(mask, self._settings.radius(mask.shape[1]))
 
-    def trained(self, current: Sequence[FloatArray], masks: Sequence[FrameMask], *, moved: bool) -> None:
-        """Tells that the regions of interest were trained on ``current``, positions among the rest if it ``moved``."""
+    def trained(
+        self,
+        current: Sequence[FloatArray],
+        masks: Sequence[FrameMask],
+        *,
+        moved: bool,
+        shown: Sequence[FloatArray] | None = None,
+    ) -> None:
+        """Tells that the regions of interest were trained on ``current``, positions among the rest if it ``moved``.
+
+        ``shown``: what the scene now shows. What it misses by more than is usual in the first frame was left undone,
+        and stays what it was for the frames to come.
+        """
         self._only_light = not moved
         for index in showing(masks):
             now, mask = current[index], masks[index]
             if moved and self._settings.mend_frames:
                 self._mend(index, now)
-            self._references[index] = np.where(mask.dilated, now, self._references[index])
+            done = mask.dilated
+            if shown is not None and self._usual is not None:
+                done = done & ~difference_mask(shown[index], now, self._usual[index])
+            self._references[index] = np.where(done, now, self._references[index])
             self._changed[index] |= mask.dilated
 
     def _mend(self, index: int, now: FloatArray) -> None:
@@ -263,13 +283,19 @@ class MaskMemory:
         clearly = self._grown(without_specks(clearly, settings.speck_area))
         self._mend_until[index][clearly] = self._frame + 1 + settings.mend_frames
 
-    def passed(self, current: Sequence[FloatArray]) -> None:
-        """Tells that the frame is over, trained or not."""
+    def passed(self, current: Sequence[FloatArray], *, held: bool = False) -> None:
+        """Tells that the frame is over, trained or not; ``held``: what changed in it is still to be trained."""
         self._before = list(current)
         self._frame += 1
-        if not self._settings.since_trained:
+        if not (held or self._settings.since_trained):
             pairs = zip(current, self._references, self._lost, strict=True)
             self._references = [was if why else now for now, was, why in pairs]
+
+
+def _usual_miss(picture: FloatArray, shown: FloatArray) -> float:
+    """By how many 8-bit levels a rendering misses a picture (3, H, W) that was trained in full: its worst tenth."""
+    miss = np.abs(np.clip(shown, 0, 1) - picture).max(axis=0)
+    return 255 * float(np.quantile(miss, _MOST))
 
 
 def _left_out(mask: FrameMask, why: str) -> FrameMask:

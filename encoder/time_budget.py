@@ -2,7 +2,9 @@
 
 Chosen: wall-clock seconds of everything that an encode does for a frame, from its decoded pictures until it is ready
 for the next one's; what masks, selection and writing leave is for training, which meets a deadline (`effort`). What
-frames take beyond their deadlines, writing above all, is learned; what was saved and overspent is carried over. As for
+frames take beyond their deadlines, writing above all, is learned; what was saved and overspent is carried over. A frame
+whose time would not do for the least training is held, and the next one has its time as well: few steps in every frame
+lose what moves, and each frame begins with the errors of the last. As for
 bytes (`rate`), the clip's length is not known to it. Rejected: processor seconds (a rig that records waits for no
 processor); the keyframe in the budget (nothing tells how many frames are to pay for it).
 """
@@ -26,6 +28,10 @@ _HORIZON = 6
 """Frames over which what was saved or overspent is made up for."""
 _ALLOWANCE_RANGE = (0.5, 2.0)
 """A single frame's time, in budgets: what was saved in a still scene is not thrown at the first frame that moves."""
+_MOST_HELD = 7
+"""Frames held in a row, a quarter of a second: a longer freeze shows nothing of what happens; a miss is told."""
+_MOST_OWED = 2.0
+"""Budgets that frames may have overspent before one is held for that alone."""
 _MEMORY = 0.7
 """Share of the estimate of what a frame takes beyond its deadline that a new frame does not change."""
 _AFTER_TRAINING = ("write", "settle")
@@ -87,26 +93,55 @@ class TimeControl:
 
     def __init__(self, budget: float) -> None:
         self._budget = budget
-        self._saved = 0.0
+        self._saved = self._kept = 0.0
+        self._held = 0
         self._planned = 0.0
         self._beyond: float | None = None
+        self._after: float | None = None
+
+    def holds(self, seconds: Mapping[str, float], least: float) -> bool:
+        """Whether the next frame is better held, its time kept for the frame after it.
+
+        ``seconds``: what the frame has taken so far, by stage; ``least``: what training takes at least, in seconds.
+        """
+        if self._held >= _MOST_HELD:
+            return False
+        there = max(self._budget + self._kept, self._allowance())
+        return self._owes_much() or there < counted_seconds(seconds) + least + (self._after or 0.0)
 
     def deadline(self, seconds: Mapping[str, float]) -> float:
         """When the next frame's training is to be over, in seconds of ``time.perf_counter``.
 
         ``seconds``: what the frame has taken so far, by stage.
         """
-        low, high = _ALLOWANCE_RANGE
-        allowance = min(max(self._budget + self._saved / _HORIZON, low * self._budget), high * self._budget)
-        self._planned = allowance - (self._beyond or 0.0)
+        self._planned = self._allowance() - (self._beyond or 0.0)
         return time.perf_counter() + self._planned - counted_seconds(seconds)
 
-    def took(self, seconds: Mapping[str, float]) -> None:
-        """Learns from a frame that is over."""
-        self._saved += self._budget - counted_seconds(seconds)
+    def took(self, seconds: Mapping[str, float], *, held: bool = False) -> None:
+        """Learns from a frame that is over; ``held``: that was held for the sake of the next one."""
+        spared = self._budget - counted_seconds(seconds)
+        if held:
+            self._held += 1
+            if self._owes_much():
+                self._saved += spared
+            else:
+                self._kept += spared
+            return
+        self._saved += self._kept + spared
+        self._held, self._kept = 0, 0.0
         if "training" in seconds:
             after = sum(seconds.get(stage, 0.0) for stage in _AFTER_TRAINING)
             past = after if self._beyond is None else self._beyond
+            self._after = after
             # Training that ended before its deadline says only what comes after it.
             beyond = max(after, counted_seconds(seconds) - self._planned)
             self._beyond = _MEMORY * past + (1 - _MEMORY) * beyond
+
+    def _owes_much(self) -> bool:
+        return self._saved < -_MOST_OWED * self._budget
+
+    def _allowance(self) -> float:
+        """Seconds for the next frame: its own budget, what held frames kept for it, and a share of what was saved."""
+        low, high = _ALLOWANCE_RANGE
+        own = min(max(self._budget + self._saved / _HORIZON, low * self._budget), high * self._budget)
+        return own + self._kept

@@ -82,9 +82,9 @@ def _is_video(track: bytes) -> bool:
 
 def _shown(moov: bytes, track: bytes) -> float | None:
     lists = [edits for holder in _inside(track, b"edts") for edits in _inside(holder, b"elst")]
-    if not lists:
+    movie = next(_inside(moov, b"mvhd"), None)
+    if not lists or movie is None:
         return None
-    (movie,) = list(_inside(moov, b"mvhd"))[:1]
     (timescale,) = struct.unpack_from(">I", movie, 20 if movie[0] else 12)
     edit = struct.Struct(">QqI" if lists[0][0] else ">IiI")
     (count,) = struct.unpack_from(">I", lists[0], 4)

@@ -131,7 +131,8 @@ class RestingView:
         return self._population
 
     def _check(self, status: int) -> None:
-        check_drawn(status, *self.alpha.shape[::-1], self._max_pairs)
+        height, width = self.alpha.shape
+        check_drawn(status, width, height, self._max_pairs)
 
     def _run(self, function: Callable[..., Any], *arguments: object) -> Any:
         return self._renderer.run(function, self._handle, *arguments)

@@ -8,7 +8,16 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from decogs.encoder.effort import LEAST_STEPS, Effort, Pace, PaceSettings, SearchTime, TargetWatch
+from decogs.encoder.effort import (
+    LEAST_SEARCH,
+    LEAST_STEPS,
+    Effort,
+    Pace,
+    PaceSettings,
+    SearchTime,
+    TargetWatch,
+    search_of,
+)
 
 SCHEDULE, MARKS = 150, (37, 75, 76)
 
@@ -112,6 +121,21 @@ def test_one_slow_step_does_not_make_the_others_look_slow(clock: Clock) -> None:
     assert len(positions) == pytest.approx(71, abs=1)
 
 
+def test_strides_tell_how_great_the_hurry_is(clock: Clock) -> None:
+    """What the rates go by: exactly 1 unless the deadline makes strides longer."""
+    for factor in (1.0, 3.0, 0.7):
+        for deadline in (None, clock.now + 1e3):
+            pace = Pace(SCHEDULE, deadline, factor=factor)
+            for _ in range(20):
+                assert pace.hurry == 1.0
+                pace.step()
+    pace = Pace(SCHEDULE, clock.now + 0.01 * 15)
+    for _ in range(8):
+        clock.now += 0.01
+        pace.step()
+    assert pace.hurry == pytest.approx(10, rel=0.05)
+
+
 def test_time_enough_changes_nothing(clock: Clock) -> None:
     positions, _ = run(Pace(SCHEDULE, clock.now + 1e3), lambda step: None)
     assert positions == list(range(SCHEDULE))
@@ -158,17 +182,45 @@ def test_a_stage_gets_its_share_of_what_is_left(clock: Clock) -> None:
 def test_searching_takes_its_share_on_average_and_begins_at_once(seconds: float) -> None:
     search, spent, when = SearchTime(), 0.0, []
     for frame in range(200):
-        if search.affords(1.0):
-            search.took(seconds)
+        if search.affords(1.0, LEAST_SEARCH):
+            search.took(seconds, LEAST_SEARCH)
             spent += seconds
             when.append(frame)
     assert when[0] == 0
     assert spent / 200 == pytest.approx(min(seconds, 0.1), abs=seconds / 100)
-    assert np.ptp(np.diff(when)) <= 1, "evenly"
+    assert np.ptp(np.diff(when[1:])) <= 1, "evenly"
+
+
+@pytest.mark.parametrize("left", [0.5, 1.0, 2.0, 8.0])
+def test_a_search_is_as_large_as_there_is_time_for(left: float) -> None:
+    """A whole one takes ten seconds: none may take what many frames have for their steps, the first included."""
+    search, taken = SearchTime(), []
+    for _ in range(100):
+        share = search.affords(left, 10.0)
+        taken.append(10 * share)
+        if share:
+            search.took(10 * share, share)
+    assert sum(taken) / (100 * left) == pytest.approx(0.1, rel=0.2)
+    assert max(taken) <= max(left, 10 * LEAST_SEARCH) * 1.001
+    assert taken[0] == 10 * LEAST_SEARCH
+
+
+def test_a_share_of_a_search_has_fewer_views_and_fewer_rays() -> None:
+    for views in (4, 12, 31):
+        assert search_of(1.0, views) == (views, 1.0)
+        for share in (LEAST_SEARCH, 0.25, 0.5):
+            looked, rays = search_of(share, views)
+            assert min(views, 8) <= looked <= views
+            assert looked * rays == pytest.approx(share * views), "the pairs of a ray and a view"
+    assert search_of(0.25, 32) == (16, 0.5)
+
+
+def test_with_time_for_it_the_first_search_is_a_whole_one() -> None:
+    assert SearchTime().affords(100.0, 10.0) == 1.0
 
 
 def test_without_time_there_is_no_search() -> None:
-    assert not SearchTime().affords(-1.0)
+    assert not SearchTime().affords(-1.0, 1.0)
 
 
 # The target

@@ -118,6 +118,41 @@ def test_what_takes_longer_again_and_again_is_learned() -> None:
     assert over_time(spent, BUDGET) < TIME_TOLERANCE
 
 
+def held_clip(frames: int, masks: float, least: float) -> tuple[list[float], list[bool], list[float]]:
+    """Of frames that train to their deadline but ``least`` seconds at least: seconds, which were held, training's."""
+    control, spent, held, trained = TimeControl(BUDGET), [], [], []
+    for frame in range(frames):
+        seconds = {"masks": masks}
+        held.append(control.holds(seconds, least if frame else 0.0))
+        if not held[-1]:
+            seconds["training"] = max(control.deadline(seconds) - time.perf_counter(), least)
+            trained.append(seconds["training"])
+            seconds |= {"write": 0.08, "settle": 0.04}
+        control.took(seconds, held=held[-1])
+        spent.append(counted_seconds(seconds))
+    return spent, held, trained
+
+
+@pytest.mark.parametrize(("least", "share"), [(0.9, 0.5), (1.8, 2 / 3), (3.0, 0.8)])
+def test_frames_are_held_where_the_least_training_takes_longer_than_there_is(least: float, share: float) -> None:
+    spent, held, trained = held_clip(60, 0.1, least)
+    assert np.mean(held[10:]) == pytest.approx(share, abs=0.1)
+    assert np.mean(spent) == pytest.approx(BUDGET, rel=2 * TIME_TOLERANCE)
+    assert min(trained[1:]) >= least
+    if least < 1:
+        assert np.mean(trained[5:]) > 1.3 * least, "a frame has the time of the one held before it as well"
+
+
+@pytest.mark.parametrize("least", [0.0, 0.3, 0.7])
+def test_no_frame_is_held_while_the_least_training_fits(least: float) -> None:
+    assert not any(held_clip(40, 0.1, least)[1])
+
+
+def test_a_freeze_is_bounded_however_little_time_there_is() -> None:
+    _, held, _ = held_clip(64, 0.1, 1e3)
+    assert "".join("h" if each else "t" for each in held) == "t" + "hhhhhhht" * 7 + "hhhhhhh"
+
+
 def test_a_miss_is_told_by_its_share() -> None:
     seconds = {"masks": 1.0, "training": 0.5, "measure": 9.0}
     assert over_time([seconds, seconds], 1.2) == pytest.approx(0.25)
@@ -184,6 +219,62 @@ def test_a_clip_keeps_its_time_and_its_changes_are_still_judged(
         assert stream.header.settings["time_budget"] == 0.3
         assert len(list(stream.frames())) == 13
     assert output.stat().st_size < 1.3 * (tmp_path / "free.dgs").stat().st_size, "unjudged, frames take much more"
+
+
+def test_a_held_frame_is_taken_up_by_the_next_one(
+    moving: Any, patient: EncodeSettings, tiny_rig: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a clock that only drawing moves: the square stands until there is time, then it is where it should be."""
+    now = [0.0]
+    draw = frame_training.FixedView.draw
+
+    def slow(view: Any, *arguments: Any, **options: Any) -> None:
+        now[0] += 0.01
+        draw(view, *arguments, **options)
+
+    monkeypatch.setattr(time, "perf_counter", lambda: now[0])
+    monkeypatch.setattr(frame_training.FixedView, "draw", slow)
+    rig = tiny_rig.write(tmp_path / "rig", frames=[0, *[1, 3, 0] * 4])
+    given = {"holdout": tiny_rig.held_out, "keyframe": moving.path, "preset": patient}
+    report = encode_rig(rig, tmp_path / "x.dgs", **given, time_budget="110ms/frame")
+    later = report.frames[1:]
+    held = [frame for frame in later if not frame.effects]
+    trained = [frame for frame in later if frame.effects]
+    assert 4 <= len(held) <= 8
+    assert {frame.kind for frame in held} == {"skip"}
+    assert {frame.kind for frame in trained} == {"delta"}
+    assert np.mean([counted_seconds(frame.seconds) for frame in later]) < 0.13
+    assert min(frame.training_psnr for frame in trained) > max(frame.training_psnr for frame in held) + 0.2
+
+
+def test_few_steps_still_get_as_far_as_things_move(
+    moving: Any,
+    restless_rig: Path,
+    patient: EncodeSettings,
+    tiny_rig: Any,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """On a clock that only drawing moves: rates grow where only a few of the steps fit."""
+    now = [0.0]
+    draw = frame_training.FixedView.draw
+
+    def slow(view: Any, *arguments: Any, **options: Any) -> None:
+        now[0] += 0.01
+        draw(view, *arguments, **options)
+
+    monkeypatch.setattr(time, "perf_counter", lambda: now[0])
+    monkeypatch.setattr(frame_training.FixedView, "draw", slow)
+    factors: list[float] = []
+    scaled = frame_training.LearningRates.scaled
+    monkeypatch.setattr(frame_training.LearningRates, "scaled", lambda r, f: (factors.append(f), scaled(r, f))[1])
+    given = {"holdout": tiny_rig.held_out, "keyframe": moving.path, "preset": patient, "frames": ":2"}
+    encode_rig(restless_rig, tmp_path / "x.dgs", **given)
+    assert max(factors[-60:]) == 1.0
+    factors.clear()
+    encode_rig(restless_rig, tmp_path / "x.dgs", **given, time_budget="220ms/frame")
+    # 12 to 20 steps instead of 60: strides of 3 to 5.
+    assert 1.5 < max(factors) <= frame_training._MOST_HASTE
 
 
 def test_time_enough_gives_the_states_of_no_budget(
