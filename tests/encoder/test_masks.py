@@ -15,9 +15,9 @@ from decogs.encoder.masks import (
     difference_mask,
     dilate,
     faint_light_mask,
-    frame_noise,
     without_specks,
 )
+from decogs.encoder.noise import frame_noise
 from decogs.formats.errors import UsageError
 
 RNG = np.random.default_rng(7)
