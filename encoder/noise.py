@@ -46,10 +46,15 @@ def frame_noise(current: FloatArray, previous: FloatArray, least: float = 0.0) -
 def picture_noise(before: FloatArray, now: FloatArray) -> float:
     """Deviation of one picture by noise, in 8-bit levels, from two, (H, W) or (C, H, W), 0..1."""
     planes = [side if side.ndim == 3 else side[None] for side in (before, now)]
-    detail = np.stack([cv2.filter2D(plane, -1, _DETAIL) for plane in planes[1] - planes[0]])
+    detail: FloatArray = np.stack([_detail(plane) for plane in planes[1] - planes[0]])
     from_neighbours = _spread(detail.ravel()[::7]) / math.sqrt(2 * float((_DETAIL**2).sum()))
     across = _across_light(*planes)
     return from_neighbours if from_neighbours <= _UNEVEN * across else across
+
+
+def _detail(plane: FloatArray) -> FloatArray:
+    """What a plane (H, W) differs by from its neighbours."""
+    return np.asarray(cv2.filter2D(plane, -1, _DETAIL), np.float32)
 
 
 def _spread(difference: FloatArray) -> float:
