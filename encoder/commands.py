@@ -144,7 +144,8 @@ def _encode(options: argparse.Namespace) -> int:
         on_warning=warn_as("decogs-encode"),
     )
     print("\n".join(_summary(report)), file=sys.stderr if piped else sys.stdout)
-    warnings = [*_left_out(report), _given_up(report), _missed_budget(report), _missed_time(report)]
+    warnings = [*_left_out(report), _given_up(report), *_uncorrected(report), _overlooked(report)]
+    warnings += [_missed_budget(report), _missed_time(report)]
     for warning in filter(None, warnings):
         warn_as("decogs-encode")(warning)
     return 130 if report.interrupted else 0
@@ -185,6 +186,19 @@ def _left_out(report: EncodeReport) -> list[str]:
 def _given_up(report: EncodeReport) -> str:
     at = [frame.frame for frame in report.frames if frame.given_up]
     return f"training ran away, and the scene stayed as it was in {_frames(at)}; lower the learning rates" if at else ""
+
+
+def _uncorrected(report: EncodeReport) -> list[str]:
+    return [
+        f"camera {fault} are as in the first frame from frame {frame.frame + 1} on: to correct them did not pay"
+        for frame in report.frames
+        for fault in frame.uncorrected
+    ]
+
+
+def _overlooked(report: EncodeReport) -> str:
+    at = [frame.frame for frame in report.frames if frame.overlooked]
+    return f"masks overlooked a change of most of the pictures, and all was trained in {_frames(at)}" if at else ""
 
 
 def _frames(numbers: Sequence[int]) -> str:

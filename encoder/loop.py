@@ -87,6 +87,7 @@ class StreamEncoder:
         self._first_state: State | None = None
         self._motion: FloatArray = np.zeros((0, 3), np.float32)
         self._held = 0
+        self._overlooked = False
         self._before_flash: BeforeFlash | None = None
         budget = settings.frame_budget
         self._rate = None if budget is None else RateControl(budget, settings.segment)
@@ -113,7 +114,9 @@ class StreamEncoder:
             self._ingest.set_near_planes(self._source.header.near_planes)
             state, lattice = self._source.state, self._source.header.lattice
         self._header = self._stream_header(frame.index, lattice, sh_degree_of(state.coefficients))
+        self._see_surface(dequantise(state, lattice))
         frame, corrections = self._corrected(frame, dequantise(state, lattice), watch)
+        self._begin_corrections(corrections)
         with watch.stage("write"):
             self._output.begin(self._header.to_bytes())
             coded = self._with_corrections(write_key(state, level=self._settings.zstd_level), corrections)
@@ -155,10 +158,13 @@ class StreamEncoder:
         watch, share = Stopwatch(), 1.0
         masks: Sequence[FrameMask] = []
         corrections, body = split_corrections(packet, self._header.corrected)
+        recorded, uncorrected = frame.training, list[str]()
         if self._corrector is not None:
-            frame = replace(frame, training=self._corrector.undo(frame.training, corrections))
+            frame = replace(frame, training=self._corrector.undo(recorded, corrections))
         if self._state is None:
             self._advance(packet)
+            self._see_surface(self._scene)
+            self._begin_corrections(corrections)
             self._settle_key(frame, watch)
         else:
             self._return_from_flash(frame, watch)
@@ -175,16 +181,19 @@ class StreamEncoder:
                     view.lift(trained)
             self._advance(packet)
             self._go_on(frame, before, masks, trained, effects, watch, held=held)
+            uncorrected = self._judge(recorded, corrections, masks, watch)
             share = _share(selected)
         if origin:
             self._check_footage(frame, origin, masks)
         costs = payload_costs(body, self._header.coefficients)
-        return replace(self._report(frame, packet, costs, share, watch, masks), replayed=True)
+        report = self._report(frame, packet, costs, share, watch, masks)
+        return replace(report, replayed=True, uncorrected=uncorrected)
 
     def encode_next(self, frame: RigFrame) -> FrameReport:
         """Trains and writes the next frame from the reconstructed state of the one before."""
         assert self._state is not None
         watch, index = self._begin(frame), frame.index - self._header.first_frame
+        recorded = frame.training
         frame, corrections = self._corrected(frame, self._scene, watch)
         returned = self._return_from_flash(frame, watch)
         before = self._state
@@ -214,10 +223,17 @@ class StreamEncoder:
         hurried = trained is not None and trained.hurried
         kept = None if trained is None else trained.kept
         self._go_on(frame, before, masks, kept, effects, watch, held=held, hurried=hurried)
+        uncorrected = self._judge(recorded, corrections, masks, watch)
         if self._time is not None:
             self._time.took(watch.seconds, held=held)
         report = self._report(frame, packet, coded.costs, _share(selected), watch, masks)
-        return replace(report, effects=list(effects), given_up=trained is not None and trained.given_up)
+        return replace(
+            report,
+            effects=list(effects),
+            given_up=trained is not None and trained.given_up,
+            uncorrected=uncorrected,
+            overlooked=self._overlooked,
+        )
 
     def _is_held(self, watch: Stopwatch) -> bool:
         """Whether a frame that calls for training gets none, so that a later one has time enough."""
@@ -252,6 +268,16 @@ class StreamEncoder:
         on_loss = None if self._anytime is None else self._anytime.step
         return Effort(deadline, self._settings.target_psnr, on_loss)
 
+    def _see_surface(self, scene: Splats) -> None:
+        """Shows the corrector the keyframe's scene, on which it compares cameras from then on."""
+        if self._corrector is not None:
+            views = self._ingest.views
+            self._corrector.see(lambda number: self._kernel.forward(scene, views[number].pinhole, depth=True))
+
+    def _begin_corrections(self, corrections: Corrections) -> None:
+        if self._corrector is not None:
+            self._corrector.begin(corrections)
+
     def _corrected(self, frame: RigFrame, scene: Splats, watch: Stopwatch) -> tuple[RigFrame, Corrections]:
         """The frame without its cameras' faults, against the ``scene`` before it, and what was taken out."""
         if self._corrector is None:
@@ -281,15 +307,31 @@ class StreamEncoder:
             return [], np.ones(population, bool)
         if not set(FRAME_EFFECTS) & set(self._settings.effects):
             return [], np.zeros(population, bool)
+        shown = [view.rgb for view in self._watch]
         with watch.stage("masks"):
-            masks = self._masks.masks(frame.training, [view.rgb for view in self._watch])
-        if not any(mask.dilated.any() for mask in masks):
-            return masks, np.zeros(population, bool)
-        if self._before_flash is None and may_be_flash(masks):
-            assert self._state is not None
-            self._before_flash = BeforeFlash(frame.index, self._state, self._motion, self._masks.copy())
-        with watch.stage("selection"):
-            return masks, self._select(masks)
+            masks = self._masks.masks(frame.training, shown)
+        selected = np.zeros(population, bool)
+        if any(mask.dilated.any() for mask in masks):
+            if self._before_flash is None and may_be_flash(masks):
+                assert self._state is not None
+                self._before_flash = BeforeFlash(frame.index, self._state, self._motion, self._masks.copy())
+            with watch.stage("selection"):
+                selected = self._select(masks)
+        self._overlooked = False
+        if not selected.any() and (everything := self._masks.whole(frame.training, shown)):
+            self._overlooked = True
+            return everything, np.ones(population, bool)
+        return masks, selected
+
+    def _judge(
+        self, recorded: Sequence[FloatArray], corrections: Corrections, masks: Sequence[FrameMask], watch: Stopwatch
+    ) -> list[str]:
+        """What the corrector will not correct any more, by what the frame's corrections gained."""
+        if self._corrector is None or not masks:
+            return []
+        with watch.stage("corrections"):
+            changed = [mask.dilated for mask in masks]
+            return self._corrector.judge(recorded, corrections, lambda number: self._watch[number].rgb, changed)
 
     def _return_from_flash(self, frame: RigFrame, watch: Stopwatch) -> bool:
         """Goes back to the scene before a flash if the pictures do; the decoder then needs to be told all of it."""

@@ -19,6 +19,7 @@ from decogs.formats.errors import UsageError
 from decogs.formats.splats import FloatArray
 
 from .dropouts import FROZEN, blankness, repeats
+from .noise import frame_noise
 
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int32]
@@ -27,8 +28,13 @@ _LEVEL_SLACK = 1e-3
 """Pictures that came from 8-bit files differ by whole levels, up to float32 rounding of about 3e-5 of a level; this
 slack keeps a difference of exactly tau on the unchanged side, as in integer arithmetic."""
 
-_MOST = 0.9
+_USUALLY = 0.9
 """Share of the first frame's pixels that tells what a rendering misses usually: the rest are edges and glare."""
+CLEARLY = 25.0
+"""Levels (the paper's threshold) of which half of a picture's pixels would differ by noise if its deviation were 14."""
+MOST = 0.5
+"""Share of a picture whose change is no noise."""
+
 _LIGHT_WINDOW = 7
 """Pixels across over which faint light is averaged: noise shrinks by as much, the difference that light makes stays."""
 
@@ -43,12 +49,12 @@ class MaskSettings:
     default; a few pixels help with noisy sensors. ``since_trained``: compare with the picture on which a pixel was last
     in a region of interest, not with the frame before: changes too slow for the threshold then add up until they are
     seen. ``noise_multiple``: a camera's threshold is at least that many standard deviations of its own frame-to-frame
-    noise; 0 leaves it as it is. ``residual``: where a picture has changed before, pixels count as changed as long as
-    the rendering misses them by more than so many 8-bit levels, so that what one frame got wrong the next ones mend; 0
-    turns it off, lower selects more. ``mend_frames``: what changed by more than ``mend_threshold`` levels as something
-    moved stays in the region of interest for so many more frames, since what was covered is only seen from then on;
-    more is slower. ``light_threshold``: after a frame in which only light changed, levels by which the mean over a
-    small window must change to count as well; 0 turns it off, lower selects more.
+    noise, unless most of the picture changed; 0 leaves it as it is. ``residual``: where a picture has changed before,
+    pixels count as changed as long as the rendering misses them by more than so many 8-bit levels, so that what one
+    frame got wrong the next ones mend; 0 turns it off, lower selects more. ``mend_frames``: what changed by more than
+    ``mend_threshold`` levels as something moved stays in the region of interest for so many more frames, since what was
+    covered is only seen from then on; more is slower. ``light_threshold``: after a frame in which only light changed,
+    levels by which the mean over a small window must change to count as well; 0 turns it off, lower selects more.
     """
 
     threshold: float = 25.0
@@ -152,23 +158,6 @@ def without_specks(mask: BoolArray, area: int) -> BoolArray:
     return kept
 
 
-def frame_noise(current: FloatArray, previous: FloatArray) -> float:
-    """Standard deviation of a camera's frame-to-frame noise, in 8-bit levels, whatever moves in the pictures.
-
-    Both (3, H, W). Differences beyond three standard deviations are left out until that changes nothing more.
-    """
-    difference = (current - previous).ravel()[::7].astype(np.float64) * 255
-    # From the median, which what moves hardly shifts; it is a whole level, often 0, in pictures of 8 bits.
-    deviation = 1.5 * float(np.median(np.abs(difference))) + 1
-    for _ in range(20):
-        kept = difference[np.abs(difference) <= 3 * deviation]
-        smaller = float(np.sqrt(np.mean(kept**2))) if len(kept) else 0.0
-        if smaller >= 0.999 * deviation:
-            break
-        deviation = smaller
-    return deviation
-
-
 def _without_lines(mask: BoolArray) -> BoolArray:
     """The mask where it is two pixels wide both ways: a rendering misses edges one pixel wide everywhere."""
     square = np.ones((2, 2), np.uint8)
@@ -211,6 +200,23 @@ class MaskMemory:
         self._lost = self._lost_pictures(current, masks)
         return [_left_out(mask, why) if why else mask for mask, why in zip(masks, self._lost, strict=True)]
 
+    def whole(self, current: Sequence[FloatArray], shown: Sequence[FloatArray]) -> list[FrameMask]:
+        """Masks of all of every view that shows its frame, for one in which most pixels clearly changed and are missed.
+
+        An empty list for other frames. After ``masks`` of the same pictures.
+        """
+        used = [index for index, why in enumerate(self._lost) if not why]
+        pairs = [(current[i], self._references[i], shown[i]) for i in used]
+        missed = [
+            (difference_mask(now, was, CLEARLY) & difference_mask(now, seen, CLEARLY)).mean()
+            for now, was, seen in pairs
+        ]
+        if not used or float(np.median(missed)) <= MOST:
+            return []
+        everywhere = [np.ones(now.shape[1:], bool) for now in current]
+        masks = [FrameMask(each, each) for each in everywhere]
+        return [_left_out(mask, why) if why else mask for mask, why in zip(masks, self._lost, strict=True)]
+
     def share_changed(self, current: Sequence[FloatArray]) -> float:
         """Share of the pixels, median over the views, that differ from what they were compared with or trained on."""
         threshold, pairs = self._settings.threshold, zip(current, self._references, strict=True)
@@ -238,7 +244,7 @@ class MaskMemory:
         self, now: FloatArray, reference: FloatArray, shown: FloatArray, changed: BoolArray, mend_until: IntArray
     ) -> FrameMask:
         settings = self._settings
-        noise = settings.noise_multiple * frame_noise(now, reference) if settings.noise_multiple else 0.0
+        noise = self._noise(now, reference)
         raw = without_specks(difference_mask(now, reference, max(settings.threshold, noise)), settings.speck_area)
         if settings.residual and changed.any():
             raw |= _without_lines(difference_mask(now, shown, settings.residual) & changed)
@@ -248,6 +254,15 @@ class MaskMemory:
             lit = raw | without_specks(faint, settings.speck_area)
         around, mending = self._grown(lit), mend_until > self._frame
         return FrameMask(raw, around | mending, mending & ~around)
+
+    def _noise(self, now: FloatArray, reference: FloatArray) -> float:
+        """Levels below which a difference may be noise; none where nearly all of the picture clearly changed."""
+        settings = self._settings
+        if not settings.noise_multiple:
+            return 0.0
+        noise = settings.noise_multiple * frame_noise(now, reference, settings.threshold / settings.noise_multiple)
+        changed = noise > settings.threshold and difference_mask(now, reference, CLEARLY).mean() > MOST
+        return 0.0 if changed else noise
 
     def _grown(self, mask: BoolArray) -> BoolArray:
         return dilate(mask, self._settings.radius(mask.shape[1]))
@@ -295,7 +310,7 @@ class MaskMemory:
 def _usual_miss(picture: FloatArray, shown: FloatArray) -> float:
     """By how many 8-bit levels a rendering misses a picture (3, H, W) that was trained in full: its worst tenth."""
     miss = np.abs(np.clip(shown, 0, 1) - picture).max(axis=0)
-    return 255 * float(np.quantile(miss, _MOST))
+    return 255 * float(np.quantile(miss, _USUALLY))
 
 
 def _left_out(mask: FrameMask, why: str) -> FrameMask:

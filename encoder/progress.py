@@ -104,6 +104,8 @@ def frame_line(report: FrameReport) -> str:
     stages += "  light alone" if report.effects == ["appearance_change"] else ""
     stages += "".join(f"  without {name}: {why}" for name, why in report.left_out.items())
     stages += "  given up" if report.given_up else ""
+    stages += "".join(f"  corrects no more {fault}" for fault in report.uncorrected)
+    stages += "  overlooked by its masks" if report.overlooked else ""
     return (
         f"frame {report.frame:4d} {report.kind:5}  train {report.training_psnr:6.2f} dB{held_out}  "
         f"selected {report.selected:6.1%}  {report.bytes:8d} bytes  {stages}"

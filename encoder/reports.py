@@ -24,7 +24,8 @@ class FrameReport:
     (the stage "measure") is left out. ``replayed``: an earlier encode had written it. ``effects``: what it was trained
     for; none for a first frame, a replayed one and one that is only held. ``left_out``: cameras whose pictures said
     nothing of the frame, and why (`dropouts`). ``given_up``: training made the pictures worse, so the scene stayed as
-    it was.
+    it was. ``uncorrected``: faults of cameras ("cam04: colours") not corrected any more after this frame, since that
+    did not pay. ``overlooked``: masks found no change although most of the pictures had; everything was trained.
     """
 
     frame: int
@@ -41,6 +42,8 @@ class FrameReport:
     effects: list[str] = field(default_factory=list)
     left_out: dict[str, str] = field(default_factory=dict)
     given_up: bool = False
+    uncorrected: list[str] = field(default_factory=list)
+    overlooked: bool = False
 
 
 @dataclass(frozen=True)

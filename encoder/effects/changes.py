@@ -7,7 +7,6 @@ the new, and where more than half of what changed is left over, the content is a
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
@@ -15,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.encoder.masks import BoolArray, dilate, frame_noise
+from decogs.encoder.masks import BoolArray, dilate
 
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
@@ -26,7 +25,6 @@ CHANGE_NOISE = 4.0
 _RESTRUCTURED_LEVELS = 6.0
 """What an affine fit must leave over at least, in levels: coding leaves 2 to 3 of sharp texture."""
 _UNEXPLAINED = 0.5
-_DETAIL = np.array([[0, -0.25, 0], [-0.25, 1, -0.25], [0, -0.25, 0]], np.float32)
 _WINDOW = (7, 7)
 WINDOW_PIXELS = 49
 NEAR_SHARE = 0.0355
@@ -71,15 +69,6 @@ class ChangeShares:
         maps["near"] = [m.near() for m in frames]
         shares = {name: [np.nan, *(float(each.mean()) for each in found)] for name, found in maps.items()}
         return ChangeShares(**{field.name: np.array(shares[field.name]) for field in fields(ChangeShares)})
-
-
-def picture_noise(before: NDArray[np.float32], now: NDArray[np.float32]) -> float:
-    """Deviation of one picture by noise, in 8-bit levels, from two (H, W) or (H, W, 3), 0..1; whatever moves.
-
-    Of what the difference differs by from its neighbours: light that changes slowly over the picture is no noise.
-    """
-    detail = np.asarray(cv2.filter2D(now - before, -1, _DETAIL), np.float32)
-    return frame_noise(detail, np.zeros_like(detail)) / math.sqrt(2 * float((_DETAIL**2).sum()))
 
 
 def change_maps(before: U8, now: U8, noise: float) -> ChangeMaps:

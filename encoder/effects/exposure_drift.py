@@ -7,15 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .effect import Decision, Evidence, cameras_beyond, confidence, decided, one_span
+from .effect import Decision, Evidence, cameras_beyond, decided, one_span
 from .light import EXPOSURE_LIMIT, FRAME_LIMIT
 from .look import Look
 
 if TYPE_CHECKING:
     from ..presets import EncodeSettings
-
-ALONE = 0.6
-"""Most confidence with fewer than three cameras: a lamp that dims cannot be told from a camera that does."""
 
 
 class ExposureDrift:
@@ -37,7 +34,6 @@ class ExposureDrift:
             reason=f"nearly all of a picture shares a gain of up to {evidence.peak:.1f} % of its own",
             cost=f"1 number per camera and frame, about {2 * drifting.sum()} bytes a frame (estimated); "
             "one multiplication per pixel",
-            sure=confidence(evidence) if look.light.compared else min(ALONE, confidence(evidence)),
             figures={"gain": {look.names[k]: np.exp(gains[k]).tolist() for k in np.flatnonzero(drifting)}},
         )
 

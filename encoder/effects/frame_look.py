@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.encoder.masks import FrameMask
+from decogs.encoder.noise import picture_noise
 from decogs.formats.splats import FloatArray
 
 from . import appearance_change, motion
-from .changes import WINDOW_PIXELS, change_maps, picture_noise
+from .changes import WINDOW_PIXELS, change_maps
 from .look import MOST_PIXELS
 
 _LEAST_CHANGED = 4 * WINDOW_PIXELS

@@ -1,14 +1,19 @@
-"""What nearly all pixels of a camera share when its exposure or white balance drifts, and no change of light does.
+"""A camera's own gain, told from the scene's light by points of the scene that several cameras see.
 
-A gain of the camera multiplies every pixel's linear light; a lamp, a shadow or a screen changes some pixels more than
-others, and leaves some as they are. So the gain of a frame against the first one is what at least 80 % of the picture
-changed by, in one direction: between the 20th and the 80th percentile of the log ratios of small blocks, zero when
-these differ in sign. And cameras drift apart, while the scene's light changes alike for all: only what a camera
-differs by from what 80 % of the cameras share counts, as long as there are three to compare.
+At a point and frame, the change since the first frame is the sum of two: what the light there did, the same for all
+cameras that see the point, and what a camera's exposure or white balance did, the same for all its points. The
+difference between two cameras at one point is free of the light, wherever and however it changed; from many of them
+the cameras' gains are solved for, frame by frame, by least absolute deviations. That leaves one gain common to all
+cameras, which nothing can tell from light: it is light. So the median of the cameras' gains is the scene's, and a
+camera's own gain is what it differs by from that.
+
+It counts as far as at least 80 % of the camera's points share it, in one direction: gloss, a shadow on one side, what
+moves, or a wrong match differ from place to place. A camera that shares too few points with others is not told.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -16,70 +21,87 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.formats.cameras import Camera, camera_centre
+
+from .matches import Matches, PairMatches, sampson_distances
+
 F64 = NDArray[np.float64]
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
+I64 = NDArray[np.int64]
 
-EXPOSURE_LIMIT = 0.04
-"""Gain on linear light from which exposure counts as drifting: 4 levels of 255 in a bright picture (a power of 1/2.2),
-what the smallest change that is looked for in a scene amounts to."""
+EXPOSURE_LIMIT = 0.03
+"""Gain on linear light from which exposure counts as drifting: 3 levels of 255 in a bright picture, coded by a
+power of 1/2.2."""
 
 WHITE_BALANCE_LIMIT = 0.02
 """Gain of red or blue against green that counts: one level of 255 at mid-grey."""
 
 FRAME_LIMIT = 0.01
-"""Gain from which a frame of a drifting camera counts: half a level at mid-grey; a median over hundreds of blocks."""
+"""Gain from which a frame of a drifting camera counts: half a level at mid-grey; a median over many points."""
 
-_BLOCK = 8
-_SHARED = 0.2
-"""Share of the picture at either end that may do something else: what moves, a light of its own."""
+_AROUND = np.mgrid[-4:5:2, -4:5:2].reshape(2, 1, -1)
+"""Pixels around a point over which light is averaged: noise shrinks, and half a pixel of misplacement hardly shows."""
+_MOST_CLIPPED = 0.1
+"""Share of these that may be clipped."""
+_MOST_SHARED = 100
+"""Points that a pair of cameras contributes: a median of so many is an eighth as noisy as one."""
+_NEAR_LINE = 3.0
+"""Pixels from the epipolar line within which a match is believed; a lens may be bent by more than its calibration."""
+_DIFFERENT = 0.2
+"""Share of a camera's points at either end that may do something else."""
 _FEW = 20
-"""Blocks below which nothing is said of a picture."""
+"""Points shared with other cameras below which nothing is said of a camera."""
+_COMPARABLE = 3
+"""Cameras that a median needs: of two that differ, either may be the one that drifts."""
 _LINEAR: F32 = np.array(
     [v / 12.92 if v <= 0.04045 else ((v + 0.055) / 1.055) ** 2.4 for v in np.arange(256) / 255], np.float32
 )
 _CLIPPED = 5
 """Levels from either end of the scale within which a value tells nothing of the light."""
-_CURVE_BINS = 16
+_ROUNDS = 12
+_SMALLEST = 0.002
+"""Deviation of a log ratio below which all weigh alike: a fifth of what noise does to the mean of a window."""
+_LIGHT, _ODDS = slice(0, 3), slice(3, 6)
 
 
 @dataclass(frozen=True)
-class CameraLight:
-    """One camera's log gains against its first frame, (F, 3): over all channels, red over green, blue over green.
+class SharedPoints:
+    """Points (N,) that two cameras see: positions ``first`` and ``second`` of the cameras, pixels (N, 2) in each."""
 
-    ``shared``: what 80 % of the picture changed by at least; ``median``: by how much half of it did. NaN where a
-    picture is too dark or too bright to tell. ``curves`` (F, 3, 256) float32: level to the level of the same light in
-    frame 0.
-    """
+    first: I64
+    second: I64
+    first_pixels: F64
+    second_pixels: F64
 
-    shared: F64
-    median: F64
-    curves: F32
+    def pixels_of(self, camera: int) -> F64:
+        """Where a camera sees its points (M, 2): first those in which it comes first."""
+        return np.concatenate([self.first_pixels[self.first == camera], self.second_pixels[self.second == camera]])
 
 
 @dataclass(frozen=True)
 class Light:
-    """All cameras' gains, as log ratios, after what they have in common; arrays (cameras, F) unless said otherwise.
+    """The cameras' own gains against their first frames, after what belongs to the scene; arrays (cameras, F).
 
-    ``exposure``, ``white_balance``: sizes of the gain that is the camera's own; ``gains`` (cameras, F, 3): medians over
-    all channels, of red over green and of blue over green. ``compared``: whether there were cameras to compare with.
+    ``exposure``, ``white_balance``: sizes of the gain that 80 % of a camera's points share, as logarithms, NaN where
+    nothing can be told. ``gains`` (cameras, F, 3): log gains over all channels, of red over green and of blue over
+    green; ``odds`` (cameras, F, 3): shifts of the log odds of red, green and blue.
     """
 
     exposure: F64
     white_balance: F64
     gains: F64
-    compared: bool
-    _curves: tuple[F32, ...]
+    odds: F64
 
     def curves(self) -> list[F32 | None]:
-        """Per camera, the curves that undo its drift; None for a camera that does not drift."""
+        """Per camera, the curves (F, 3, 256) that undo its own drift; None for a camera that does not drift."""
         drifts = (_peaks(self.exposure) >= EXPOSURE_LIMIT) | (_peaks(self.white_balance) >= WHITE_BALANCE_LIMIT)
-        return [curve if drift else None for curve, drift in zip(self._curves, drifts, strict=True)]
+        return [_curves(odds) if drift else None for odds, drift in zip(self.odds, drifts, strict=True)]
 
 
 def without_drift(pictures: U8, curves: F32 | None) -> U8:
-    """The pictures (F, H, W, 3) in the light of the first; the very same array when there are no ``curves`` (F, 3,
-    256)."""
+    """The pictures (F, H, W, 3) as a steady camera records them; the very same array when there are no ``curves`` (F,
+    3, 256)."""
     if curves is None:
         return pictures
     steady = np.empty_like(pictures)
@@ -88,68 +110,149 @@ def without_drift(pictures: U8, curves: F32 | None) -> U8:
     return steady
 
 
-def camera_light(pictures: U8) -> CameraLight:
-    """The gains of one camera's pictures (F, H, W, 3) against the first."""
-    first_light, first_levels = _blocks(pictures[0])
-    shared, median = (np.full((len(pictures), 3), np.nan) for _ in range(2))
-    curves = np.empty((len(pictures), 3, 256), np.float32)
+def shared_points(cameras: Sequence[Camera], matches: Matches) -> SharedPoints:
+    """The matches that lie on each other's epipolar lines."""
+    pairs = [_believed(cameras, pair) for pair in matches.pairs]
+    if not pairs:
+        return SharedPoints(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2)))
+    joined = [np.concatenate(parts) for parts in zip(*pairs, strict=True)]
+    return SharedPoints(joined[0].astype(np.int64), joined[1].astype(np.int64), joined[2], joined[3])
+
+
+def light_at(pictures: U8, pixels: F64) -> F64:
+    """The colours of a camera's pictures (F, H, W, 3) at pixels (N, 2), as (F, N, 6) logarithms.
+
+    Of linear light over all channels, of red over green, of blue over green; of the odds v / (1 - v) of red, green and
+    blue. NaN next to black or white.
+    """
+    found = np.full((len(pictures), len(pixels), 6), np.nan)
+    height, width = pictures.shape[1:3]
+    row, column = (
+        np.clip(np.floor(pixels[:, axis, None]).astype(np.int64) + shift, 0, size - 1)
+        for axis, size, shift in ((1, height, _AROUND[0]), (0, width, _AROUND[1]))
+    )
     for index, picture in enumerate(pictures):
-        light, levels = _blocks(picture)
-        curves[index] = [_curve(levels[:, c], first_levels[:, c]) for c in range(3)]
-        told = np.isfinite(light).all(axis=1) & np.isfinite(first_light).all(axis=1)
-        if told.sum() < _FEW:
-            continue
-        ratio = np.log(light[told].astype(np.float64) / first_light[told])
-        ratios = np.stack([ratio.mean(axis=1), ratio[:, 0] - ratio[:, 1], ratio[:, 2] - ratio[:, 1]], axis=1)
-        shared[index], median[index] = _shared(ratios), np.median(ratios, axis=0)
-    return CameraLight(shared, median, curves)
+        around = picture[row, column]
+        clipped = ((around < _CLIPPED) | (around > 255 - _CLIPPED)).any(axis=2).mean(axis=1)
+        told = clipped <= _MOST_CLIPPED
+        red, green, blue = np.log(_LINEAR[around[told]].mean(axis=1, dtype=np.float64)).T
+        value = around[told].mean(axis=1, dtype=np.float64) / 255
+        light = np.stack([(red + green + blue) / 3, red - green, blue - green], axis=1)
+        found[index, told] = np.concatenate([light, np.log(value / (1 - value))], axis=1)
+    return found
 
 
-def steady_light(cameras: Sequence[CameraLight]) -> Light:
-    """What of the cameras' gains is their own."""
-    shared, median = (np.stack([getattr(camera, name) for camera in cameras]) for name in ("shared", "median"))
-    compared = len(cameras) >= 3
-    own = np.abs(shared)
-    if compared:
-        own = np.minimum(own, np.abs(shared - _common(shared)))
-        gains = median - _common(median)
-    else:
-        gains = median
-    return Light(own[..., 0], own[..., 1:].max(axis=2), gains, compared, tuple(camera.curves for camera in cameras))
+def own_light(points: SharedPoints, lights: Sequence[F64]) -> Light:
+    """What of every camera's changes is its own; ``lights``: of each, `light_at` its `SharedPoints.pixels_of`."""
+    changes = _change_differences(points, lights)
+    shape = len(lights), changes.shape[0], 6
+    gains, shares = np.zeros(shape), np.full(shape, np.nan)
+    shares[:, :1] = 0
+    for frame in range(1, shape[1]):
+        told = np.isfinite(changes[frame]).all(axis=1)
+        gains[:, frame], shares[:, frame] = _solved(
+            points.first[told], points.second[told], changes[frame, told], len(lights)
+        )
+    exposure, balance = np.abs(shares[..., 0]), np.abs(shares[..., 1:3]).max(axis=2)
+    nothing = np.isnan(shares[:, 1:, 0]).all(axis=1) if shape[1] > 1 else np.zeros(len(lights), bool)
+    exposure[nothing], balance[nothing] = np.nan, np.nan
+    return Light(exposure, balance, gains[..., _LIGHT], gains[..., _ODDS])
 
 
-def _blocks(picture: U8) -> tuple[F32, F32]:
-    """Mean linear light and mean level of small blocks, both (blocks, 3); light is NaN where pixels are clipped."""
-    height, width = (max(n // _BLOCK, 1) for n in picture.shape[:2])
-    whole = np.ascontiguousarray(picture[: height * _BLOCK, : width * _BLOCK])
-    size = (width, height)
-    clipped = cv2.inRange(whole, (_CLIPPED,) * 3, (255 - _CLIPPED,) * 3) == 0
-    light = cv2.resize(_LINEAR[whole], size, interpolation=cv2.INTER_AREA).reshape(-1, 3)
-    levels = cv2.resize(whole.astype(np.float32), size, interpolation=cv2.INTER_AREA).reshape(-1, 3)
-    share = cv2.resize(clipped.astype(np.float32), size, interpolation=cv2.INTER_AREA).reshape(-1)
-    return np.where(share[:, None] > 0.1, np.float32(np.nan), light), np.asarray(levels)
+def _believed(cameras: Sequence[Camera], pair: PairMatches) -> tuple[I64, I64, F64, F64]:
+    both = cameras[pair.first], cameras[pair.second]
+    rotations = [camera.world_to_camera[:3, :3] for camera in both]
+    baseline = camera_centre(both[0]) - camera_centre(both[1])
+    distances = sampson_distances(pair.first_rays, pair.second_rays, rotations, baseline) * both[0].fx
+    near = np.flatnonzero(np.abs(distances) < _NEAR_LINE)
+    near = near[:: math.ceil(len(near) / _MOST_SHARED) or 1]
+    numbers = [np.full(len(near), number, np.int64) for number in (pair.first, pair.second)]
+    return numbers[0], numbers[1], pair.first_pixels[near], pair.second_pixels[near]
 
 
-def _shared(ratios: F64) -> F64:
-    low, high = np.quantile(ratios, [_SHARED, 1 - _SHARED], axis=0)
+def _change_differences(points: SharedPoints, lights: Sequence[F64]) -> F64:
+    """By how much more the first camera's value of a point changed than the second's, (F, N, 6)."""
+    frames = lights[0].shape[0]
+    sides = np.full((2, frames, len(points.first), 6), np.nan)
+    for camera, light in enumerate(lights):
+        changes, firsts = light - light[:1], int((points.first == camera).sum())
+        sides[0][:, points.first == camera], sides[1][:, points.second == camera] = (
+            changes[:, :firsts],
+            changes[:, firsts:],
+        )
+    return np.asarray(sides[0] - sides[1])
+
+
+def _solved(first: I64, second: I64, differences: F64, cameras: int) -> tuple[F64, F64]:
+    """Gains (cameras, 6) whose differences fit those (N, 6) of the points best, and what 80 % of the points share.
+
+    Of cameras that can be compared; of others the gain is 0 and the share NaN.
+    """
+    gains, shares = np.zeros((cameras, 6)), np.full((cameras, 6), np.nan)
+    for group in _comparable(first, second, cameras):
+        inside = np.isin(first, group) & np.isin(second, group)
+        a, b, told = first[inside], second[inside], differences[inside]
+        for column in range(6):
+            solved = _least_deviations(
+                np.searchsorted(group, a), np.searchsorted(group, b), told[:, column], len(group)
+            )
+            gains[group, column] = solved - np.median(solved)
+        for camera in group:
+            here, there = a == camera, b == camera
+            own = np.concatenate([told[here] + gains[b[here]], gains[a[there]] - told[there]])
+            shares[camera] = _shared(own)
+    return gains, shares
+
+
+def _comparable(first: I64, second: I64, cameras: int) -> list[I64]:
+    """Groups of cameras, ascending, that are joined by enough points."""
+    kept = np.ones(cameras, bool)
+    while True:
+        both = kept[first] & kept[second]
+        counts = np.bincount(first[both], minlength=cameras) + np.bincount(second[both], minlength=cameras)
+        enough = kept & (counts >= _FEW)
+        if (enough == kept).all():
+            break
+        kept = enough
+    group = np.arange(cameras)
+    for _ in range(cameras):
+        lower = group.copy()
+        np.minimum.at(lower, first[both], group[second[both]])
+        np.minimum.at(lower, second[both], group[first[both]])
+        if (lower == group).all():
+            break
+        group = lower
+    found = [np.flatnonzero(kept & (group == number)) for number in np.unique(group[kept])]
+    return [members for members in found if len(members) >= _COMPARABLE]
+
+
+def _least_deviations(first: I64, second: I64, differences: F64, cameras: int) -> F64:
+    """Gains (cameras,) under which ``differences`` (N,), of first minus second, leave the least absolute errors."""
+    weights = np.ones(len(differences))
+    gains = np.zeros(cameras)
+    for _ in range(_ROUNDS):
+        coupling = np.bincount(first * cameras + second, weights, cameras**2).reshape(cameras, cameras)
+        coupling += coupling.T
+        normal = np.diag(coupling.sum(axis=1)) - coupling
+        pulled = weights * differences
+        right = np.bincount(first, pulled, cameras) - np.bincount(second, pulled, cameras)
+        # Any common gain fits as well; this picks the one with mean 0.
+        gains = np.linalg.solve(normal + np.trace(normal) / cameras**2, right)
+        weights = 1 / np.maximum(np.abs(differences - gains[first] + gains[second]), _SMALLEST)
+    return gains
+
+
+def _shared(values: F64) -> F64:
+    """What at least 80 % of the points (N, ...) share, in one direction; 0 where they differ in sign."""
+    low, high = np.quantile(values, [_DIFFERENT, 1 - _DIFFERENT], axis=0)
     nearer = np.where(np.abs(low) < np.abs(high), low, high)
     return np.asarray(np.where(low * high > 0, nearer, 0.0))
 
 
-def _curve(now: F32, first: F32) -> F32:
-    """Level now to level in the first frame (256,): medians of blocks by brightness, joined by straight lines."""
-    order = np.argsort(now, kind="stable")
-    groups = [group for group in np.array_split(order, _CURVE_BINS) if len(group)]
-    at = [float(np.median(now[group])) for group in groups]
-    offset = [float(np.median(first[group] - now[group])) for group in groups]
-    levels = np.arange(256, dtype=np.float64)
-    return np.clip(levels + np.interp(levels, at, offset), 0, 255).astype(np.float32)
-
-
-def _common(values: F64) -> F64:
-    """What 80 % of the cameras that tell something share at least, as blocks do; 0 where they differ in sign."""
-    told = np.isfinite(values)
-    return _shared(np.where(told, values, 0.0))
+def _curves(odds: F64) -> F32:
+    """Level to the level without a shift of the odds (F, 3), (F, 3, 256)."""
+    value, factor = np.arange(256) / 255, np.exp(-odds)[..., None]
+    return np.asarray(255 * factor * value / (1 + (factor - 1) * value), np.float32)
 
 
 def _peaks(values: F64) -> F64:

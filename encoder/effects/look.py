@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.encoder.ingest import display_referred
+from decogs.encoder.noise import picture_noise
 from decogs.formats.cameras import Camera, scale_camera
 from decogs.formats.errors import UsageError
 from decogs.formats.pictures import Picture
@@ -27,8 +28,8 @@ from decogs.formats.rigs import Rig, read_frames
 
 from .arrivals import Arrivals, camera_arrivals
 from .arrivals import untold as untold_arrivals
-from .changes import ChangeShares, change_maps, picture_noise
-from .light import Light, camera_light, steady_light, without_drift
+from .changes import ChangeShares, change_maps
+from .light import Light, light_at, own_light, shared_points, without_drift
 from .matches import Matches, find_matches
 from .registration import CameraPath, camera_path
 
@@ -95,12 +96,14 @@ def look_at(
     steps = _Steps(len(chosen) + 3 * len(cameras), on_step)
     with _side_by_side(threads) as each:
         seen = _read(rig, cameras, chosen, each, steps)
-        light = steady_light([steps.over(found) for found in each(camera_light, seen.pictures)])
+        matches = find_matches(cameras, [pictures[0] for pictures in seen.pictures], each)
+        points = shared_points(cameras, matches)
+        pixels = [points.pixels_of(row) for row in range(len(cameras))]
+        light = own_light(points, [steps.over(found) for found in each(light_at, seen.pictures, pixels)])
         paths = [steps.over(path) for path in each(camera_path, seen.pictures)]
         steady = each(without_drift, seen.pictures, light.curves())
         noise = _of_resting(seen.noise, paths)
         changes = [steps.over(found) for found in each(_changes, steady, _typical(noise), paths)]
-        matches = find_matches(cameras, [pictures[0] for pictures in seen.pictures], each)
     return Look(
         cameras, scales, tuple(chosen), chosen.step, tuple(seen.pictures), noise, seen.above_white, seen.brightest,
         light, tuple(paths), tuple(shares for shares, _ in changes), tuple(came for _, came in changes), matches,
@@ -192,7 +195,7 @@ def _small(picture: Picture, camera: Camera) -> U8:
 def _sparse(picture: Picture) -> F32:
     """Pixels on a grid, as they are: averaging them would hide the camera's noise."""
     stride = max(1, round(math.sqrt(picture.shape[0] * picture.shape[1] / MOST_PIXELS)))
-    return display_referred(picture[::stride, ::stride])
+    return np.ascontiguousarray(display_referred(picture[::stride, ::stride]).transpose(2, 0, 1))
 
 
 def _of_resting(noise: F64, paths: Sequence[CameraPath]) -> F64:

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .effect import Decision, Evidence, cameras_beyond, confidence, decided, one_span
-from .exposure_drift import ALONE
+from .effect import Decision, Evidence, cameras_beyond, decided, one_span
 from .light import FRAME_LIMIT, WHITE_BALANCE_LIMIT
 from .look import Look
 
@@ -35,7 +34,6 @@ class WhiteBalanceDrift:
             reason=f"nearly all of a picture shares a gain of up to {evidence.peak:.1f} % of red or blue against green",
             cost=f"2 numbers per camera and frame, about {4 * drifting.sum()} bytes a frame (estimated); "
             "two multiplications per pixel",
-            sure=confidence(evidence) if look.light.compared else min(ALONE, confidence(evidence)),
             figures={"red_blue": {look.names[k]: np.exp(gains[k]).tolist() for k in np.flatnonzero(drifting)}},
         )
 

@@ -22,6 +22,7 @@ from decogs.encoder.corrections import CorrectionSettings, Corrector, corrector_
 from decogs.encoder.corrections.agreement import agreeing_shifts
 from decogs.encoder.corrections.colour import odds_shift, without_odds
 from decogs.encoder.corrections.shake import angles_of, turn_of, unturned
+from decogs.encoder.corrections.worth import Worth
 from decogs.encoder.ingest import Ingest, View
 from decogs.encoder.rasterise import Picture
 from decogs.formats.cameras import Camera, scale_camera
@@ -188,6 +189,7 @@ def test_a_camera_is_corrected_for_what_it_is_named(
     pictures = [look(i).rgb for i in range(len(views))]
     pictures[1] = recorded_of(pictures[1], shift)
     corrector = Corrector(views, settings)
+    corrector.see(look)
     told = [corrector.find(pictures, lambda number: look(number).rgb), corrector.find_jointly(pictures, look)]
     for found in told:
         assert set(found) == {"cam01"}
@@ -195,6 +197,71 @@ def test_a_camera_is_corrected_for_what_it_is_named(
         np.testing.assert_allclose(numbers * COLOUR_STEP, expected, atol=0.02)
         canonical = corrector.undo(pictures, found)
         assert all(canonical[i] is pictures[i] for i in range(len(views)) if i != 1)
+
+
+LIGHT = np.array([-0.5, -0.6, -0.75])
+
+
+def lights() -> dict[str, Any]:
+    """Shifts of the log odds, (3, 1, 1) or (3, H, W), that a change of the scene's light makes in all views alike."""
+    return {"dims": LIGHT[:, None, None], "is as it was": np.zeros((3, 1, 1))}
+
+
+@pytest.mark.parametrize("light", lights().values(), ids=lights())
+@pytest.mark.parametrize("all_named", [False, True])
+def test_light_stays_in_a_cameras_picture(tiny_rig: Any, light: np.ndarray, all_named: bool) -> None:
+    """One camera drifts and is named, or all are and do not: what they share is not taken out."""
+    views, look = looks(tiny_rig)
+    own = np.array(SHIFT) * (not all_named)
+    pictures = []
+    for number in range(len(views)):
+        shifts = light + (own if number == 1 else np.zeros(3))[:, None, None]
+        odds = np.exp(shifts) * look(number).rgb / np.maximum(1 - look(number).rgb, 1e-6)
+        pictures.append(np.asarray(odds / (1 + odds), np.float32))
+    cameras = tiny_rig.names if all_named else ("cam01",)
+    corrector = Corrector(views, CorrectionSettings(exposure=cameras, white_balance=cameras))
+    corrector.see(look)
+    found = corrector.find(pictures, lambda number: look(number).rgb)
+    for name in cameras:
+        odds = np.log(found[name].odds)
+        np.testing.assert_allclose(odds, own if name == "cam01" else 0, atol=0.02)
+
+
+def test_light_that_only_some_points_see_stays_too(tiny_rig: Any) -> None:
+    """A lamp over most of the wall, which the cameras have at different places of their pictures."""
+    views, look = looks(tiny_rig)
+    pictures = []
+    for number, view in enumerate(views):
+        seen = render(tiny_rig.scene_at(0), view.pinhole)
+        camera, pose = view.pinhole, view.pinhole.world_to_camera
+        x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
+        rays = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones_like(x)])
+        where = np.einsum("ji,jhw->ihw", pose[:3, :3], rays * seen.depth - pose[:3, 3, None, None])
+        pictures.append(recorded_of(look(number).rgb, (0, 0, 0), seed=number))
+        pictures[-1] = np.where(where[0] < 0.6, 1 - 0.5 * (1 - pictures[-1]), pictures[-1]).astype(np.float32)
+    corrector = Corrector(views, CorrectionSettings(exposure=("cam01",), white_balance=("cam01",)))
+    corrector.see(look)
+    found = corrector.find(pictures, lambda number: look(number).rgb)
+    np.testing.assert_allclose(np.log(found["cam01"].odds), 0, atol=0.02)
+    assert np.abs(odds_shift(pictures[1], look(1).rgb).shift).max() > 0.1, "alone it looks like a drift"
+
+
+def test_a_correction_pays_where_the_scene_agrees_with_it() -> None:
+    shown, changed = some_picture(1), np.zeros((90, 120), bool)
+    changed[:40] = True
+    recorded = recorded_of(shown, SHIFT)
+    odds: Any = tuple(np.exp(SHIFT))
+    right = without_odds(recorded, odds)
+    for corrected, left, pays in ((right, recorded, True), (recorded, right, False), (recorded, recorded, True)):
+        worth = Worth()
+        for _ in range(3):
+            worth.saw(corrected, left, shown, changed)
+        assert worth.pays is pays
+    mixed = Worth()
+    half = np.where(changed, recorded, right)
+    for _ in range(3):
+        mixed.saw(half, np.where(changed, right, recorded), shown, changed)
+    assert not mixed.pays, "it gains on what does not change and loses on what does"
 
 
 def test_held_out_and_unknown_cameras_cannot_be_corrected(moving_rig: Path) -> None:
@@ -268,7 +335,10 @@ def test_a_drifting_scene_is_selected_as_a_steady_one_is(
 
 
 def test_the_drift_is_found(corrected: Any) -> None:
-    """Of each camera since its first frame: what is common to all cannot be told from the scene."""
+    """Of each camera since its first frame: what is common to all cannot be told from the scene.
+
+    To .06: views share some 550 opaque points of a scene trained in 80 steps; .055 is the largest of 36.
+    """
     with open_stream(corrected.path) as stream:
         told = [frame.corrections for frame in stream.frames()]
     for name in OTHERS:
@@ -277,7 +347,7 @@ def test_the_drift_is_found(corrected: Any) -> None:
             truth, start = faults(name, frame), faults(name, 0)
             for field in ("exposure", "red", "blue"):
                 drift = getattr(found, field) - getattr(first, field)
-                assert abs(drift - (getattr(truth, field) - getattr(start, field))) * COLOUR_STEP < 0.05, (name, frame)
+                assert abs(drift - (getattr(truth, field) - getattr(start, field))) * COLOUR_STEP < 0.06, (name, frame)
             for field in ("yaw", "pitch", "roll"):
                 turn = getattr(found, field) - getattr(first, field)
                 # A twentieth of a pixel of a picture of 64 x 48 (a roll moves its corners, 40 pixels out, and a turn of
@@ -298,7 +368,8 @@ def test_a_decoder_shows_what_a_camera_recorded(corrected: Any, faulty_rig: Path
                 video = read_picture(faulty_rig / name / f"{frame:04d}.png")
                 left = odds_shift(*(planar(picture / np.float32(255)) for picture in (video, read_picture(path))))
                 expected = np.log(told[frame][name].odds) if canonical else 0
-                np.testing.assert_allclose(left.shift, expected, atol=0.04)  # the scene is a crude one
+                # The scene is a crude one: whole pictures of it are up to .11 off what the shared points tell.
+                np.testing.assert_allclose(left.shift, expected, atol=0.12)
 
 
 def test_the_decoder_has_the_encoders_states(corrected: Any) -> None:
@@ -355,6 +426,33 @@ def test_the_dense_baseline_sees_canonical_pictures(
     assert dense.report.frames[1].training_psnr > blind.report.frames[1].training_psnr
 
 
+def test_a_correction_that_does_not_pay_is_dropped(
+    encode: Any, moving_rig: Path, moving: Any, tiny_settings: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """A camera is said to darken that does not; after two frames it is left alone, in a resumed encode, too."""
+    find = Corrector.find
+
+    def wrong(self: Corrector, recorded: Any, show: Any) -> Any:
+        found = find(self, recorded, show)
+        if ("cam01", "colours") not in self._dropped and self._first:
+            found["cam01"] = replace(found["cam01"], exposure=found["cam01"].exposure - 2000)
+        return found
+
+    monkeypatch.setattr(Corrector, "find", wrong)
+    settings = replace(tiny_settings, corrections=CorrectionSettings(exposure=("cam01",)))
+    encoded = encode(moving_rig, settings=settings, keyframe=moving.path)
+    assert [frame.uncorrected for frame in encoded.report.frames] == [[], [], ["cam01: colours"], []]
+    with open_stream(encoded.path) as stream:
+        told = [frame.corrections["cam01"].exposure for frame in stream.frames()]
+        sizes = [frame.packet_bytes for frame in stream.frames()]
+    assert told[1] < -1000
+    assert told[3] == told[0]
+    start = encoded.data.index(b"DGSP\x02")
+    (tmp_path / "scene.dgs.part").write_bytes(encoded.data[: start + sum(sizes[:3])])
+    resumed = encode(moving_rig, settings=settings, keyframe=moving.path, output=tmp_path / "scene.dgs", resume=True)
+    assert resumed.data == encoded.data
+
+
 # Nothing named, nothing done
 
 
@@ -365,7 +463,7 @@ def never(*_: Any, **__: Any) -> None:
 def test_nothing_runs_when_no_camera_is_named(
     moving: Any, encode: Any, moving_rig: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name in ("find", "find_jointly", "undo", "__init__"):
+    for name in ("see", "find", "find_jointly", "undo", "judge", "__init__"):
         monkeypatch.setattr(Corrector, name, never)
     monkeypatch.setattr(loop, "write_corrections", never)
     plain = encode(moving_rig, stop=3)
@@ -393,6 +491,7 @@ def test_gains_and_shake_of_the_shared_rig_are_found(shared_data: Any) -> None:
     names = tuple(camera.name for camera in drift.cameras if camera.name not in ("cam00", "cam05"))
     views = [View(camera, camera, None) for camera in drift.cameras if camera.name in names]
     corrector = Corrector(views, CorrectionSettings(exposure=names, white_balance=names, shake=("cam03",)))
+    # Whole pictures against each other: no surface is shown, so that no camera is told by what it shares.
     found, gains = [], []
     for frame in (0, 4, 8):
         (_, shown), (_, recorded) = (next(read_frames(rig, frame, frame + 1, names=names)) for rig in (clean, drift))

@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 
 import decogs.encoder.loop as loop
+from decogs.codec.corrections import Correction
 from decogs.codec.digest import digest
 from decogs.codec.lattice import dequantise
 from decogs.decoder.commands import decode_main
@@ -27,6 +28,7 @@ from decogs.decoder.rasterise.native import INSTRUCTION_SETS, best_instruction_s
 from decogs.decoder.session import DecodedFrame, open_stream, render_view
 from decogs.encoder import PRESETS
 from decogs.encoder.ingest import frame_span
+from decogs.encoder.masks import MaskSettings
 from decogs.encoder.selection import SelectionSettings
 from decogs.formats.container import PacketKind, StreamWriter
 from decogs.formats.errors import RigError, UsageError
@@ -483,3 +485,14 @@ def test_frame_ranges_are_pythons(moving_rig: Path) -> None:
     for frames in (slice(None, None, 2), slice(None, None, -1)):
         with pytest.raises(UsageError, match="give consecutive frames"):
             frame_span(rig, frames)
+
+
+def test_a_frame_that_masks_overlook_is_trained_and_told(
+    encode: Any, tiny_rig: Any, moving: Any, tiny_settings: Any, tmp_path: Path
+) -> None:
+    """The light dims for all cameras alike, under a threshold that no change reaches."""
+    rig = tiny_rig.write(tmp_path / "rig", frames=[0, 0], faults=lambda name, frame: Correction(exposure=-6000 * frame))
+    deaf = replace(tiny_settings, frame=replace(tiny_settings.frame, masks=MaskSettings(threshold=254.0)))
+    dim = encode(rig, settings=deaf, keyframe=moving.path).report.frames[1]
+    assert (dim.overlooked, dim.selected, dim.kind) == (True, 1.0, "delta")
+    assert not any(frame.overlooked for frame in moving.report.frames)

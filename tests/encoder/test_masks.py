@@ -15,9 +15,9 @@ from decogs.encoder.masks import (
     difference_mask,
     dilate,
     faint_light_mask,
-    frame_noise,
     without_specks,
 )
+from decogs.encoder.noise import frame_noise
 from decogs.formats.errors import UsageError
 
 RNG = np.random.default_rng(7)
@@ -228,6 +228,21 @@ def test_a_noisy_camera_gets_a_threshold_of_its_own() -> None:
     assert shares[1] > 0.5
     aware = MaskSettings(threshold=10.0, radius_share=0, noise_multiple=5.0)
     assert all(m.raw.mean() < 0.001 for m in frame_masks(now, before, aware))
+
+
+def test_a_change_of_most_pixels_that_no_mask_has_is_taken_whole() -> None:
+    """Half of the pixels, clearly, against what they were trained on and against what is shown; no lost view."""
+    before = np.tile(np.linspace(0.1, 0.6, 8, dtype=np.float32), (3, 8, 1))
+    now = before.copy()
+    memory = MaskMemory([before, before, before], MaskSettings(threshold=200.0))
+    for rows, shown, found in ((8, before, True), (4, before, False), (8, now, False)):
+        now[:] = before
+        now[:, :rows] += 0.3
+        black = np.zeros((3, 8, 8), np.float32)
+        masks = memory.masks([now, now, black], [shown] * 3)
+        assert not any(mask.dilated.any() for mask in masks)
+        whole = memory.whole([now, now, black], [shown] * 3)
+        assert [bool(mask.dilated.all()) for mask in whole] == ([True, True, False] if found else [])
 
 
 def frame_masks(current: list[np.ndarray], references: list[np.ndarray], settings: MaskSettings) -> list[FrameMask]:

@@ -11,7 +11,7 @@ import pytest
 from decogs.encoder.effects.appearance_change import AppearanceChange
 from decogs.encoder.effects.effect import Evidence, confidence, one_span, seen_together, spans
 from decogs.encoder.effects.emergence import Emergence
-from decogs.encoder.effects.exposure_drift import ALONE, ExposureDrift
+from decogs.encoder.effects.exposure_drift import ExposureDrift
 from decogs.encoder.effects.motion import Motion
 
 
@@ -73,12 +73,14 @@ def test_two_of_twelve_cameras_are_no_emergence_and_cameras_that_do_not_tell_mak
     assert decision.confidence == pytest.approx(3 / 12 * confidence(Evidence(values, "%", 60.0)))
 
 
-def test_drift_of_a_lone_camera_is_a_guess() -> None:
+def test_drift_is_as_sure_as_its_evidence_and_untold_where_there_is_none() -> None:
     gains = np.zeros((1, 2, 3))
     gains[0, 1, 0] = 0.3
-    for compared, sure in ((False, ALONE), (True, 0.98)):
-        light = SimpleNamespace(exposure=np.abs(gains[..., 0]), gains=gains, compared=compared)
-        look = look_of((0, 1), cameras=1, light=light)
+    for told, sure in ((np.abs(gains[..., 0]), 0.99), (np.full((1, 2), np.nan), 0.0)):
+        look = look_of((0, 1), cameras=1, light=SimpleNamespace(exposure=told, gains=gains))
         decision = ExposureDrift().decide(look, ExposureDrift().evidence(look))
         assert decision.confidence == pytest.approx(sure, abs=0.01)
-        assert decision.figures["gain"]["cam00"] == pytest.approx([1.0, np.exp(0.3)])
+        assert decision.called_for == (sure > 0)
+    look = look_of((0, 1), cameras=1, light=SimpleNamespace(exposure=np.abs(gains[..., 0]), gains=gains))
+    decision = ExposureDrift().decide(look, ExposureDrift().evidence(look))
+    assert decision.figures["gain"]["cam00"] == pytest.approx([1.0, np.exp(0.3)])

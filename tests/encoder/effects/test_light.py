@@ -1,9 +1,10 @@
-"""A camera's gain is told from a change of the scene's light."""
+"""A camera's gain is told from a change of the scene's light, by points that several cameras see."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
+import cv2
 import numpy as np
 import pytest
 
@@ -12,13 +13,16 @@ from decogs.encoder.effects.light import (
     FRAME_LIMIT,
     WHITE_BALANCE_LIMIT,
     Light,
-    camera_light,
-    steady_light,
+    SharedPoints,
+    light_at,
+    own_light,
     without_drift,
 )
 
+Gain = float | np.ndarray
 
-def lit(picture: np.ndarray, gain: float | np.ndarray) -> np.ndarray:
+
+def lit(picture: np.ndarray, gain: Gain) -> np.ndarray:
     """The picture with its linear light (sRGB) times ``gain``."""
     coded = picture / 255
     linear = np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4) * gain
@@ -26,68 +30,157 @@ def lit(picture: np.ndarray, gain: float | np.ndarray) -> np.ndarray:
     return np.rint(255 * np.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear ** (1 / 2.4) - 0.055))
 
 
-@pytest.fixture
-def seen(texture: np.ndarray, with_noise: Callable[..., np.ndarray]) -> Callable[..., Light]:
-    """The light of cameras that see the texture first as it is, then under each one's gain."""
+def points_of(cameras: int) -> tuple[SharedPoints, list[tuple[int, int]]]:
+    """Points of the texture that cameras side by side have in common, and where in the texture each one's picture
+    begins."""
+    begins = [(3 * (camera % 5), 2 * (camera % 3)) for camera in range(cameras)]
+    column, row = (grid.ravel() for grid in np.meshgrid(np.arange(25, 110, 8.0), np.arange(20, 90, 8.0)))
+    first, second, here, there = [], [], [], []
+    for a in range(cameras):
+        for b in range(a + 1, min(a + 3, cameras)):
+            for camera, numbers, pixels in ((a, first, here), (b, second, there)):
+                numbers.append(np.full(len(column), camera))
+                pixels.append(np.stack([column - begins[camera][0], row - begins[camera][1]], axis=1) + 0.5)
+    joined = [np.concatenate(side or [np.empty(0, int)]) for side in (first, second)]
+    places = [np.concatenate(side or [np.empty((0, 2))]) for side in (here, there)]
+    return SharedPoints(joined[0], joined[1], places[0], places[1]), begins
 
-    def look(*gains: float | np.ndarray) -> Light:
-        frames = [[with_noise(texture, 2 * k), with_noise(lit(texture, g), 2 * k + 1)] for k, g in enumerate(gains)]
-        return steady_light([camera_light(np.stack(pictures)) for pictures in frames])
+
+Look = Callable[..., Light]
+
+
+@pytest.fixture
+def seen(texture: np.ndarray, with_noise: Callable[..., np.ndarray]) -> Look:
+    """The light of cameras that see the texture as it is, then under each frame's ``light`` and each camera's gain.
+
+    ``gains``: of a camera, one for every later frame, or a single one. ``light``: over the texture, likewise.
+    """
+
+    def look(*gains: Gain | Sequence[Gain], light: Sequence[Gain] = (1.0,)) -> Light:
+        points, begins = points_of(len(gains))
+        lights = []
+        for camera, (own, (left, top)) in enumerate(zip(gains, begins, strict=True)):
+            every = own if isinstance(own, (list, tuple)) else [own] * len(light)
+            scenes = [texture, *(lit(texture, there) for there in light)]
+            pictures = [
+                lit(scene[top : top + 100, left : left + 130], gain)
+                for scene, gain in zip(scenes, [1.0, *every], strict=True)
+            ]
+            noisy = [with_noise(picture, 100 * camera + k) for k, picture in enumerate(pictures)]
+            lights.append(light_at(np.stack(noisy), points.pixels_of(camera)))
+        return own_light(points, lights)
 
     return look
 
 
-def test_a_gain_of_one_camera_is_its_own(seen: Callable[..., Light]) -> None:
-    """The block medians hold it to a twentieth of itself."""
+def drifting(light: Light) -> set[int]:
+    """The cameras of which exposure or white balance are called for."""
+    beyond = (light.exposure.max(axis=1) >= EXPOSURE_LIMIT) | (light.white_balance.max(axis=1) >= WHITE_BALANCE_LIMIT)
+    return set(np.flatnonzero(beyond).tolist())
+
+
+def wave(period: float, phase: float, size: float = 0.5) -> np.ndarray:
+    return 1 + size * np.sin(2 * np.pi * np.arange(120) / period + phase)[:, None, None]
+
+
+def test_a_gain_of_one_camera_is_its_own(seen: Look) -> None:
+    """The medians of points hold it to a twentieth of itself."""
     light = seen(1.0, 1.12, 1.0, 1.0)
     assert light.gains[1, 1, 0] == pytest.approx(np.log(1.12), rel=0.05)
-    assert light.exposure[1, 1] > EXPOSURE_LIMIT
+    assert drifting(light) == {1}
     assert light.exposure[[0, 2, 3], 1].max() < EXPOSURE_LIMIT / 4
     assert light.white_balance.max() < WHITE_BALANCE_LIMIT / 4
 
 
-def test_a_gain_of_red_is_white_balance(seen: Callable[..., Light]) -> None:
+def test_a_gain_of_red_is_white_balance(seen: Look) -> None:
     light = seen(1.0, np.array([1.06, 1.0, 1.0]), 1.0)
-    assert light.gains[1, 1, 1] == pytest.approx(np.log(1.06), rel=0.05)
+    assert light.gains[1, 1, 1] == pytest.approx(np.log(1.06), rel=0.1)
     assert light.white_balance[1, 1] > WHITE_BALANCE_LIMIT
     assert light.exposure[1, 1] < EXPOSURE_LIMIT
 
 
-def test_what_all_cameras_share_is_the_scenes(seen: Callable[..., Light]) -> None:
+WARMER = 0.55 * np.array([1.05, 1.0, 0.91])
+LAMP = np.where(np.arange(160) < 70, 1.0, 1.6)[None, :, None]
+
+
+@pytest.mark.parametrize(
+    "light",
+    [
+        [0.9, 0.75, WARMER, WARMER],
+        [1.0, 0.4, 1.0],
+        [0.8, 1.1, 0.7, 1.2],
+        [LAMP, LAMP * 0.8],
+        [wave(60, 0.0), wave(60, 2.0), wave(60, 4.0)],
+        [wave(20, 0.0), wave(20, 2.0)],
+    ],
+    ids=["dims and turns warmer", "jumps", "flickers", "a lamp", "a wide wave", "a narrow wave"],
+)
+def test_light_is_no_cameras(seen: Look, light: list[Gain]) -> None:
+    """Neither alone nor beside two cameras that drift, whose gains are found all the same."""
+    assert drifting(seen(*[1.0] * 6, light=light)) == set()
+    first, second = ([gain] * len(light) for gain in (1.1, 0.88))
+    mixed = seen(1.0, first, 1.0, 1.0, second, 1.0, light=light)
+    assert drifting(mixed) == {1, 4}
+    np.testing.assert_allclose(mixed.gains[[1, 4], -1, 0], np.log([1.1, 0.88]), atol=0.015)
+
+
+def test_one_of_four_cameras_drifts(seen: Look) -> None:
+    assert drifting(seen(1.0, 1.0, 1.08, 1.0, light=[0.7])) == {2}
+
+
+def test_what_all_cameras_share_is_the_scenes(seen: Look) -> None:
     light = seen(1.1, 1.1, 1.1, 1.1)
-    assert light.exposure.max() < EXPOSURE_LIMIT / 4
+    assert drifting(light) == set()
     assert np.abs(light.gains).max() < FRAME_LIMIT
 
 
-def test_a_lamp_on_half_of_the_picture_is_no_gain(seen: Callable[..., Light]) -> None:
-    lamp = np.ones((1, 160, 1))
-    lamp[:, 70:] = 1.4
-    assert seen(lamp, 1.0, 1.0).exposure.max() < EXPOSURE_LIMIT / 4
+def test_all_cameras_that_drift_each_by_itself_are_found(seen: Look) -> None:
+    assert drifting(seen([1.1, 0.9], [0.92, 1.12], [1.15, 0.94], [0.88, 1.0], light=[1.0, 1.0])) == {0, 1, 2, 3}
 
 
-def test_a_single_camera_has_nothing_to_be_compared_with(seen: Callable[..., Light]) -> None:
-    alone = seen(1.12)
-    assert not alone.compared
-    assert alone.exposure[0, 1] > EXPOSURE_LIMIT
+def test_what_differs_from_place_to_place_in_one_camera_is_no_gain(seen: Look) -> None:
+    """Gloss, or a lamp that only this camera sees mirrored, on half of its picture."""
+    mirrored = np.ones((1, 130, 1))
+    mirrored[:, 60:] = 1.4
+    assert drifting(seen(mirrored, 1.0, 1.0)) == set()
 
 
-def test_drift_is_undone(texture: np.ndarray) -> None:
-    """Curves through 16 points, rounding of both pictures: within two levels for nine pixels of ten."""
-    pictures = np.stack([texture, lit(texture, 1.15).astype(np.uint8)])
-    steady = without_drift(pictures, camera_light(pictures).curves)
-    missed = np.abs(steady[1].astype(int) - texture)
-    assert np.quantile(np.abs(pictures[1].astype(int) - texture), 0.1) > 4
+def test_two_cameras_cannot_be_told_apart(seen: Look) -> None:
+    for gains in ((1.12,), (1.0, 1.12)):
+        light = seen(*gains)
+        assert np.isnan(light.exposure).all()
+        assert light.curves() == [None] * len(gains)
+
+
+def test_a_camera_that_shares_nothing_is_not_told(texture: np.ndarray) -> None:
+    points, _ = points_of(3)
+    lights = [light_at(np.stack([texture, texture]), points.pixels_of(camera)) for camera in range(4)]
+    told = np.isfinite(own_light(points, lights).exposure).all(axis=1)
+    assert told.tolist() == [True, True, True, False]
+
+
+def test_drift_is_undone_and_light_is_left(seen: Look, texture: np.ndarray) -> None:
+    """The odds follow a gain on light within two levels for nine pixels of ten."""
+    curves = seen(1.0, 1.15, 1.0, 1.0, light=[0.6]).curves()
+    assert [curve is not None for curve in curves] == [False, True, False, False]
+    dim = lit(texture, 0.6).astype(np.uint8)
+    pictures = np.stack([texture, lit(dim, 1.15).astype(np.uint8)])
+    steady = without_drift(pictures, curves[1])
+    missed = np.abs(steady[1].astype(int) - dim)
+    assert np.quantile(np.abs(pictures[1].astype(int) - dim), 0.1) > 2
     assert np.quantile(missed, 0.9) <= 2
+    assert np.array_equal(steady[0], texture)
 
 
-def test_what_does_not_drift_is_left_alone(texture: np.ndarray) -> None:
-    pictures = np.stack([texture, texture])
-    light = steady_light([camera_light(pictures)])
-    assert light.curves() == [None]
+def test_what_does_not_drift_is_left_alone(seen: Look, texture: np.ndarray) -> None:
+    assert seen(1.0, 1.0, 1.0).curves() == [None] * 3
+    pictures = np.stack([texture, cv2.flip(texture, 1)])
     assert without_drift(pictures, None) is pictures
 
 
 def test_a_black_picture_tells_nothing() -> None:
-    light = steady_light([camera_light(np.zeros((3, 48, 64, 3), np.uint8))] * 3)
+    points, _ = points_of(3)
+    black = np.zeros((3, 100, 130, 3), np.uint8)
+    light = own_light(points, [light_at(black, points.pixels_of(camera)) for camera in range(3)])
     assert np.isnan(light.exposure).all()
     assert light.curves() == [None] * 3

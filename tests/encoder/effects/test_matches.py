@@ -12,7 +12,7 @@ import pytest
 from decogs.decoder.lens import distort_pixels
 from decogs.encoder.effects.effect import Evidence
 from decogs.encoder.effects.lens_distortion import LensDistortion
-from decogs.encoder.effects.light import camera_light, steady_light
+from decogs.encoder.effects.light import light_at, own_light, shared_points
 from decogs.encoder.effects.look import Look
 from decogs.encoder.effects.matches import find_matches
 from decogs.encoder.effects.view_dependence import ViewDependence
@@ -24,7 +24,9 @@ Views = tuple[list[Camera], list[np.ndarray]]
 def look_of(cameras: list[Camera], pictures: list[np.ndarray]) -> Look:
     """A look at one frame, with what is measured on a single one."""
     untold = np.full((len(cameras), 1), np.nan)
-    light = steady_light([camera_light(picture[None]) for picture in pictures])
+    matches = find_matches(cameras, pictures, map)
+    points = shared_points(cameras, matches)
+    lights = [light_at(picture[None], points.pixels_of(number)) for number, picture in enumerate(pictures)]
     return Look(
         cameras=tuple(cameras),
         scales=(1.0,) * len(cameras),
@@ -34,11 +36,11 @@ def look_of(cameras: list[Camera], pictures: list[np.ndarray]) -> Look:
         noise=untold,
         above_white=untold,
         brightest=untold,
-        light=light,
+        light=own_light(points, lights),
         paths=(),
         changes=(),
         arrivals=(),
-        matches=find_matches(cameras, pictures, map),
+        matches=matches,
     )
 
 

@@ -1,0 +1,103 @@
+"""A camera's noise from two of its pictures, whatever moves in them and however their light changes.
+
+Noise differs from frame to frame *and* from pixel to pixel. What moves is mostly smooth, and vanishes in what a
+difference of two pictures differs by from its neighbours. Light that changes leaves a pattern an affine function of
+itself in every small window: values before and now lie along a line, and noise is the spread across it, the smaller
+eigenvalue of their covariance, whatever the light did and however fine the pattern. Both only err upwards.
+"""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.formats.splats import FloatArray
+
+F64 = NDArray[np.float64]
+
+_DETAIL = np.array([[0, -0.25, 0], [-0.25, 1, -0.25], [0, -0.25, 0]], np.float32)
+_TILE = 16
+_MOST_TILES = 300
+_QUIETEST = 0.25
+"""Share of the tiles that hold nothing but noise and light: what moves covers the others at most."""
+_CLIPPED = 3
+_MOST_CLIPPED = 0.1
+_UNEVEN = 1.5
+"""By how much the picture's noise may be above that of its quietest tiles: coding smooths flat ones."""
+_OF_CHANGE = 2.0
+"""Deviation of a difference over that of its noise from which most of the picture has changed."""
+
+
+def frame_noise(current: FloatArray, previous: FloatArray, least: float = 0.0) -> float:
+    """Standard deviation of a camera's frame-to-frame noise, in 8-bit levels, whatever moves in the pictures.
+
+    Both (3, H, W). 0 where most of the picture has changed: then there is nothing that noise could be told from.
+    ``least``: a deviation below which it need not be exact.
+    """
+    deviation = _spread((current - previous).ravel()[::7])
+    if deviation <= least:
+        return deviation
+    return deviation if deviation <= _OF_CHANGE * math.sqrt(2) * picture_noise(previous, current) else 0.0
+
+
+def picture_noise(before: FloatArray, now: FloatArray) -> float:
+    """Deviation of one picture by noise, in 8-bit levels, from two, (H, W) or (C, H, W), 0..1."""
+    planes = [side if side.ndim == 3 else side[None] for side in (before, now)]
+    detail: FloatArray = np.stack([_detail(plane) for plane in planes[1] - planes[0]])
+    from_neighbours = _spread(detail.ravel()[::7]) / math.sqrt(2 * float((_DETAIL**2).sum()))
+    across = _across_light(*planes)
+    return from_neighbours if from_neighbours <= _UNEVEN * across else across
+
+
+def _detail(plane: FloatArray) -> FloatArray:
+    """What a plane (H, W) differs by from its neighbours."""
+    return np.asarray(cv2.filter2D(plane, -1, _DETAIL), np.float32)
+
+
+def _spread(difference: FloatArray) -> float:
+    """Standard deviation of differences 0..1 in levels, without those beyond three of it."""
+    levels = difference.astype(np.float64) * 255
+    # From the median, which what moves hardly shifts; it is a whole level, often 0, in pictures of 8 bits.
+    deviation = 1.5 * float(np.median(np.abs(levels))) + 1
+    for _ in range(20):
+        kept = levels[np.abs(levels) <= 3 * deviation]
+        smaller = float(np.sqrt(np.mean(kept**2))) if len(kept) else 0.0
+        if smaller >= 0.999 * deviation:
+            break
+        deviation = smaller
+    return deviation
+
+
+def _across_light(before: FloatArray, now: FloatArray) -> float:
+    """Deviation, in levels, across the lines that light moves values along, in the quietest tiles; inf if none tells.
+
+    Along rows and columns, too: a wave of brightness may be finer than a tile.
+    """
+    a, b = _tiles(before), _tiles(now)
+    clipped = ((np.minimum(a, b) < _CLIPPED) | (np.maximum(a, b) > 255 - _CLIPPED)).mean(axis=(1, 2, 3))
+    a, b = a[clipped < _MOST_CLIPPED], b[clipped < _MOST_CLIPPED]
+    if not len(a):
+        return math.inf
+    least = np.minimum(_smaller_eigenvalue(a, b, (2, 3)), _smaller_eigenvalue(a, b, (3,)).mean(axis=2))
+    least = np.minimum(least, _smaller_eigenvalue(a, b, (2,)).mean(axis=2))
+    return math.sqrt(max(float(np.quantile(least.mean(axis=1), _QUIETEST)), 0.0))
+
+
+def _tiles(picture: FloatArray) -> FloatArray:
+    """Square tiles (N, C, side, side) of the picture (C, H, W), spread over it, in levels."""
+    channels, height, width = picture.shape
+    rows, columns = height // _TILE, width // _TILE
+    step = max(1, math.isqrt(rows * columns // _MOST_TILES))
+    whole = picture[:, : rows * _TILE, : columns * _TILE].reshape(channels, rows, _TILE, columns, _TILE)
+    some = whole[:, ::step, :, ::step].transpose(1, 3, 0, 2, 4)
+    return np.asarray(some.reshape(-1, channels, _TILE, _TILE) * np.float32(255), np.float32)
+
+
+def _smaller_eigenvalue(a: FloatArray, b: FloatArray, axes: tuple[int, ...]) -> F64:
+    """Of the covariance of ``a`` and ``b`` over ``axes``."""
+    a, b = (side - side.mean(axis=axes, keepdims=True) for side in (a, b))
+    of_a, of_b, both = ((x * y).mean(axis=axes, dtype=np.float64) for x, y in ((a, a), (b, b), (a, b)))
+    return np.asarray((of_a + of_b) / 2 - np.hypot((of_a - of_b) / 2, both))
