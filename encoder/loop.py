@@ -392,7 +392,7 @@ class StreamEncoder:
             # Training that was given up, or whose changes were all taken back, has made up for nothing.
             if masks and not _same_scene(before, self._state):
                 self._masks.trained(
-                    frame.training, masks, moved="motion" in effects, shown=self._shown() if hurried else None
+                    frame.training, masks, moved="motion" in effects, shown=self._shown_on_budget() if hurried else None
                 )
         self._masks.passed(frame.training, held=held)
         if held:
@@ -425,10 +425,10 @@ class StreamEncoder:
         """All that later frames need to know of the first one."""
         with watch.stage("settle"):
             self._trainer = self._frame_trainer(self._scene)
-        self._masks = MaskMemory(frame.training, self._settings.frame.masks, self._shown())
+        self._masks = MaskMemory(frame.training, self._settings.frame.masks, self._shown_on_budget())
         self._motion = np.zeros((len(self._scene), 3), np.float32)
 
-    def _shown(self) -> list[FloatArray] | None:
+    def _shown_on_budget(self) -> list[FloatArray] | None:
         """What the views show, where a time budget may leave something of a frame undone."""
         if self._time is None or not self._watch:
             return None
