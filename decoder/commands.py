@@ -108,7 +108,8 @@ class Parser(argparse.ArgumentParser):
         """Refuses "--" as the value of an option, which argparse takes away and then hands on an empty list."""
         parsed = super().parse_args(args, namespace)
         for name, value in vars(parsed).items():
-            if value == []:
+            is_empty = value == [] and self.get_default(name) != []
+            if is_empty or (isinstance(value, list) and [] in value):
                 self.error(f"argument --{name.replace('_', '-')}: expected one argument")
         return parsed
 

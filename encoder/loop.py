@@ -123,7 +123,8 @@ class StreamEncoder:
             packet = self._commit(PacketKind.KEY, 0, coded)
         self._settle_key(frame, watch)
         if self._source is not None:
-            self._check_footage(frame, f"--keyframe {self._source.path}", [])
+            with watch.stage("measure"):
+                self._check_footage(frame, f"--keyframe {self._source.path}", [])
         return self._report(frame, packet, coded.costs, 1.0, watch, [])
 
     def check_header(self, first: int) -> None:
@@ -184,7 +185,8 @@ class StreamEncoder:
             uncorrected = self._judge(recorded, corrections, masks, watch)
             share = _share(selected)
         if origin:
-            self._check_footage(frame, origin, masks)
+            with watch.stage("measure"):
+                self._check_footage(frame, origin, masks)
         costs = payload_costs(body, self._header.coefficients)
         report = self._report(frame, packet, costs, share, watch, masks)
         return replace(report, replayed=True, uncorrected=uncorrected)

@@ -19,7 +19,7 @@ import pytest
 
 from decogs.codec.header import StreamHeader
 from decogs.decoder import decode
-from decogs.decoder.commands import decode_main, export_main, run
+from decogs.decoder.commands import Parser, decode_main, export_main, run
 from decogs.decoder.free_camera import MAX_FILE_BYTES, read_free_cameras
 from decogs.formats.container import StreamWriter, iterate_packets
 from decogs.formats.errors import UsageError
@@ -242,3 +242,14 @@ def test_importing_this_library_leaves_opencvs_log_alone(tmp_path: Path) -> None
             assert logging.getLogLevel() == 0
         assert logging.getLogLevel() == 0
     assert logging.getLogLevel() == before
+
+
+def test_an_option_that_may_be_repeated_may_be_left_out() -> None:
+    parser = Parser(prog="x")
+    parser.add_argument("--holdout", action="append", default=[])
+    parser.add_argument("--frames")
+    assert parser.parse_args([]).holdout == []
+    assert parser.parse_args(["--holdout", "a"]).holdout == ["a"]
+    for option in ("--holdout", "--frames"):
+        with pytest.raises(SystemExit):
+            parser.parse_args([option, "--"])

@@ -123,8 +123,9 @@ def test_the_masks_remember_what_was_trained_and_whether_it_moved(
     told: list[bool] = []
     before = moving.states[0]
     after = replace(before, frame=1, sh=before.sh + 1) if changed else replace(before, frame=1)
-    memory = SimpleNamespace(trained=lambda *_, moved: told.append(moved), passed=lambda *_: None)
-    stub: Any = SimpleNamespace(_masks=memory, _state=after, _settle=lambda *_: None, _displacements=lambda *_: None)
+    memory = SimpleNamespace(trained=lambda *_, moved, **__: told.append(moved), passed=lambda *_, **__: None)
+    nothing: Any = {"_settle": lambda *_: None, "_displacements": lambda *_: np.zeros((0, 3), np.float32)}
+    stub: Any = SimpleNamespace(_masks=memory, _state=after, _held=0, **nothing)
     frame: Any = SimpleNamespace(training=[])
     StreamEncoder._go_on(stub, frame, before, [None], np.arange(3), effects, Stopwatch())  # type: ignore[list-item]
     assert told == (["motion" in effects] if changed else [])
