@@ -314,8 +314,9 @@ def test_an_index_that_lies_is_not_believed() -> None:
     assert read_index(io.BytesIO(with_index([IndexEntry(true[0].offset, 0, 1)]))) is None
     shifted = [IndexEntry(true[0].offset, 5, 2)]
     data = io.BytesIO(with_index(shifted))
+    assert read_index(data) is None
     with pytest.raises(StreamError, match="index-mismatch"):
-        read_packet_at(data, read_index(data)[0])
+        read_packet_at(data, shifted[0])
     with pytest.raises(StreamError, match="bad-sync"):
         read_packet_at(data, IndexEntry(PROLOGUE_SIZE + 1, 0, 2))
 
