@@ -251,7 +251,7 @@ def test_errors_are_one_line_and_exit_code_2(small_stream, tmp_path: Path, capsy
         ([scene, "--view", "cam00", "-o", out, "--frames", "8:9"], "nothing to decode, it has frames 0:8"),
         ([scene, "--view", "cam00", "-o", out, "--frames", "all"], "no range; write A:B"),
         ([scene, "--view", "cam00", "-o", out, "--scale", "0"], "scale of 0"),
-        ([scene, "--view", "cam00", "-o", out, "--scale", "big"], "--scale: invalid float value: 'big'"),
+        ([scene, "--view", "cam00", "-o", out, "--scale", "big"], "--scale: 'big' is no number"),
         ([scene, "--view", "cam00", "-o", out, "--background", "red"], "'red' is no colour"),
         ([scene, "--view", "cam00", "-o", out, "--background", "0,0,255"], "is no colour"),
         ([scene, "--view", "cam00", "-o", out, "--threads", "-1"], "no number of threads"),

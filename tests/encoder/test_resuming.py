@@ -177,7 +177,7 @@ def test_more_frames_can_be_added(encode: Any, moving: Any, moving_rig: Path, tm
         ({"segment": 2}, "was begun with segment 0, this encode has 2"),
         ({"method": "3dgstream"}, 'was begun with method "decogs", this encode has "3dgstream"'),
         ({"selection": "paper"}, 'was begun with frame.selection.rule "weight", this encode has "paper"'),
-        ({"quality": 51}, r"was begun with frame.economy.worth .*\(--quality or --lossless\); give the same options"),
+        ({"quality": 51}, r"was begun with lattice_scale .*\(--quality\); give the same options"),
         ({"ablate": "gate"}, "--resume: --ablate gate keeps something of training that no stream has"),
     ],
 )

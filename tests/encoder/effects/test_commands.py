@@ -88,7 +88,7 @@ def test_a_clip_beyond_the_memory_is_thinned(moving_rig: Path, monkeypatch: pyte
         (["RIG", "--holdout", "cam99"], "--holdout cam99"),
         (["RIG", "--frames", "9:"], "--frames"),
         (["RIG", "--frames", "x"], "no range"),
-        (["RIG", "--json", "nowhere/analysis.json"], "--json nowhere/analysis.json"),
+        (["RIG", "--json", "nowhere/analysis.json"], "nowhere: no such folder; create it first"),
     ],
 )
 def test_an_error_is_one_line(
