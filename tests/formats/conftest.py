@@ -13,9 +13,6 @@ import cv2
 import numpy as np
 import pytest
 
-# The videos are made with OpenCV here, whose FFmpeg looks its level up once, when a process first opens one.
-os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-
 WIDTH, HEIGHT, FRAMES = 64, 48, 5
 FOCAL = 60.0
 
