@@ -1,9 +1,10 @@
 """The training kernel on a CUDA device, through gsplat.
 
-Run on an H100 with gsplat 1.5.3 and torch 2.11: every test passed, and steps were timed (report/gpu.md). Where there is
-no GPU, the tests run this file on CPU tensors with plain torch in place of gsplat's four functions. Signatures and
-conventions are gsplat 1.5.3's, the same in 1.5.0: ``fully_fused_projection`` (not packed), ``isect_tiles``,
-``isect_offset_encode``, and ``rasterize_to_pixels`` with its tile ``masks``.
+Run on an H100 with gsplat 1.5.3 and torch 2.11: every test passed, and steps were timed (report/gpu.md); the checks of
+its arguments came after that run. Where there is no GPU, the tests run this file on CPU tensors with plain torch in
+place of gsplat's four functions. Signatures and conventions are gsplat 1.5.3's, the same in 1.5.0:
+``fully_fused_projection`` (not packed), ``isect_tiles``, ``isect_offset_encode``, and ``rasterize_to_pixels`` with its
+tile ``masks``.
 
 Chosen: a view keeps on the device how what rests projects, and projects only what changes. Both together, in the
 scene's order, are listed by tile and composited in the tiles that a changing Gaussian meets or met at the last draw;
