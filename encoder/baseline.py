@@ -188,12 +188,12 @@ class BaselineTrainer:
     ) -> int:
         """Puts the gradients of the next view's loss into ``out``; returns which view; ``place`` is stage and step."""
         index = next(self._order)
-        picture = self._kernel.forward(scene, self._views[index].pinhole)
-        value, cotangent = losses[index].evaluate(self._kernel, picture.rgb)
+        self._kernel.forward(scene, self._views[index].pinhole)
+        value = losses[index].evaluate(self._kernel)
         require_finite(value, self._views[index].camera)
         if self._on_loss is not None:
             self._on_loss(*place, value.total)
-        self._kernel.backward(scene, cotangent, out=out)
+        self._kernel.backward(scene, out=out)
         return index
 
 

@@ -21,6 +21,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.encoder.side_by_side import Each, side_by_side
 from decogs.formats.cameras import Camera, camera_centre, turned
 from decogs.formats.splats import SH_C0, FloatArray, Splats, empty_splats
 
@@ -92,17 +93,19 @@ def worth_a_search(masks: Sequence[BoolArray], settings: EmergenceSettings) -> b
     return missing > settings.least_share * sum(mask.size for mask in masks)
 
 
-def seeds(looks: Sequence[Look], settings: EmergenceSettings, sh_degree: int) -> Splats:
+def seeds(looks: Sequence[Look], settings: EmergenceSettings, sh_degree: int, *, threads: int = 1) -> Splats:
     """New Gaussians where the views agree that something stands before what is rendered; often none.
 
     ``looks``: all training views; ``sh_degree``: the scene's. Deterministic.
     """
-    cores = [missed(look, settings) for look in looks]
-    if settings.most <= 0 or not worth_a_search(cores, settings):
-        return empty_splats(sh_degree)
-    search = _Search(looks, cores, settings)
-    step = max(1, -(-sum(int(core.sum()) for core in cores) // settings.most_rays))
-    found = [search.along_rays(index, np.flatnonzero(core)[index % step :: step]) for index, core in enumerate(cores)]
+    with side_by_side(threads) as each:
+        cores = list(each(lambda look: missed(look, settings), looks))
+        if settings.most <= 0 or not worth_a_search(cores, settings):
+            return empty_splats(sh_degree)
+        search = _Search(looks, cores, settings, each)
+        step = max(1, -(-sum(int(core.sum()) for core in cores) // settings.most_rays))
+        rays = [np.flatnonzero(core)[index % step :: step] for index, core in enumerate(cores)]
+        found = list(each(search.along_rays, range(len(cores)), rays))
     return _splats(_thinned(_confirmed(found, step), settings.most), cores, settings, sh_degree)
 
 
@@ -132,16 +135,13 @@ def _take(found: _Found, rows: IntArray) -> _Found:
 class _Search:
     """What all rays are held against: every view's wide mask, smoothed picture and rendered depth."""
 
-    def __init__(self, looks: Sequence[Look], cores: Sequence[BoolArray], settings: EmergenceSettings) -> None:
+    def __init__(
+        self, looks: Sequence[Look], cores: Sequence[BoolArray], settings: EmergenceSettings, each: Each
+    ) -> None:
         self._looks, self._settings = looks, settings
-        window = np.ones((3, 3), np.uint8)
-        # A new object may look like what it hides, in places; half the threshold and a pixel around bridge that.
-        self._wide = [
-            cv2.dilate((_missed(look, settings.residual / 2) | core).view(np.uint8), window).view(np.bool_).ravel()
-            for look, core in zip(looks, cores, strict=True)
-        ]
-        self._smooth = [_smoothed(look.picture) for look in looks]
-        self._change = [_smoothed(look.picture - look.rendered) for look in looks]
+        self._wide = list(each(lambda look, core: _wide(look, core, settings.residual / 2), looks, cores))
+        self._smooth = list(each(lambda look: _smoothed(look.picture), looks))
+        self._change = list(each(lambda look: _smoothed(look.picture - look.rendered), looks))
         depths = np.concatenate([look.depth.ravel()[::17] for look in looks])
         near, far = np.percentile(depths[depths > 0], [1, 99]) if (depths > 0).any() else (1.0, 1.0)
         self._inverse = np.linspace(1 / (_NEAREST * near), 1 / far, settings.depths)
@@ -251,6 +251,12 @@ def _mean_of_best(differences: FloatArray, seen: IntArray, enough: BoolArray) ->
     counted = np.arange(len(ordered))[:, None] < wanted
     total = np.where(counted, ordered, 0).sum(axis=0, dtype=np.float32)
     return np.where(enough, total / np.maximum(wanted, 1), np.inf).astype(np.float32)
+
+
+def _wide(look: Look, core: BoolArray, levels: float) -> BoolArray:
+    """``core`` and what is missed by ``levels``, a pixel wider, flat: a new object may look like what it hides."""
+    missing = (_missed(look, levels) | core).view(np.uint8)
+    return cv2.dilate(missing, np.ones((3, 3), np.uint8)).view(np.bool_).ravel()
 
 
 def _smoothed(planes: FloatArray) -> FloatArray:

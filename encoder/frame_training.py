@@ -211,8 +211,8 @@ class FrameTrainer:
 
     def _errors(self, pictures: Sequence[FloatArray], masks: Sequence[FrameMask]) -> list[FloatArray]:
         """By how much what some views show misses their pictures in focus, (3, pixels) each, colours 0 to 1."""
-        regions = [(i, _focus(self._views[i], masks[i])) for i in self._probes()]
-        return [np.clip(self._watch[i].rgb[:, focus], 0, 1) - pictures[i][:, focus] for i, focus in regions]
+        regions = [(i, np.flatnonzero(_focus(self._views[i], masks[i]))) for i in self._probes()]
+        return [np.clip(_pixels(self._watch[i].rgb, focus), 0, 1) - _pixels(pictures[i], focus) for i, focus in regions]
 
     def _squared_error(self, pictures: Sequence[FloatArray], masks: Sequence[FrameMask]) -> float:
         return sum(float(np.square(errors).sum(dtype=np.float64)) for errors in self._errors(pictures, masks))
@@ -432,14 +432,16 @@ class FrameTrainer:
         if settings.most <= 0:
             return empty_splats(work.base.sh_degree)
         looks: dict[int, Look] = {}
+        misses: list[NDArray[np.bool_]] = []
         for probe in (views[::3], views):
             for index in probe:
                 if index not in looks:
                     looks[index] = self._look(work, index, losses[index].target, masks[index])
-            if not worth_a_search([missed(look, settings) for look in looks.values()], settings):
+                    misses.append(missed(looks[index], settings))
+            if not worth_a_search(misses, settings):
                 return empty_splats(work.base.sh_degree)
         fewer = replace(settings, most_rays=max(1, round(rays * settings.most_rays)))
-        return seeds([looks[i] for i in views], fewer, work.base.sh_degree)
+        return seeds([looks[i] for i in views], fewer, work.base.sh_degree, threads=self._threads)
 
     def _look(self, work: _Working, index: int, target: FloatArray, mask: FrameMask) -> Look:
         view, watching = self._views[index], self._watch[index]
@@ -475,6 +477,11 @@ class FrameTrainer:
             rows = np.flatnonzero(seen)
             inside[rows] |= mask.dilated[v[rows].astype(np.int64), u[rows].astype(np.int64)]
         return inside
+
+
+def _pixels(picture: FloatArray, places: NDArray[np.int64]) -> FloatArray:
+    """Colours (3, P) at flat pixels of a picture (3, H, W)."""
+    return np.take(picture.reshape(3, -1), places, axis=1)
 
 
 def _focus(view: View, mask: FrameMask) -> NDArray[np.bool_]:

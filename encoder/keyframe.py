@@ -291,7 +291,7 @@ class _KeyframeTraining:
         camera, loss = self._views[index].pinhole, self._losses[index]
         splats = self._optimiser.splats
         picture = self._kernel.forward(splats, camera, sh_degree=self._degree(step))
-        value, cotangent = loss.evaluate(self._kernel, picture.rgb)
+        value = loss.evaluate(self._kernel)
         if self._target is not None:
             self._is_good_enough = self._target.saw(index, picture.rgb)
         if not np.isfinite(value.total):
@@ -299,7 +299,7 @@ class _KeyframeTraining:
                 f"the keyframe's loss is {value.total} at step {step}; the pictures or poses are unusable"
             )
         self._values.append(value.total)
-        self._kernel.backward(splats, cotangent, out=self._gradients)
+        self._kernel.backward(splats, out=self._gradients)
         self._view_gradients.add(self._gradients.view, camera.width, camera.height)
         self._optimiser.step(self._gradients, self._rates(step / self._settings.iterations))
         self._densify(step)

@@ -427,7 +427,9 @@ class StreamEncoder:
         """All that later frames need to know of the first one."""
         with watch.stage("settle"):
             self._trainer = self._frame_trainer(self._scene)
-        self._masks = MaskMemory(frame.training, self._settings.frame.masks, self._shown_on_budget())
+        self._masks = MaskMemory(
+            frame.training, self._settings.frame.masks, self._shown_on_budget(), threads=self._threads
+        )
         self._motion = np.zeros((len(self._scene), 3), np.float32)
 
     def _shown_on_budget(self) -> list[FloatArray] | None:

@@ -43,10 +43,9 @@ class PhotometricLoss:
     focus: FloatArray | None = None
     emphasis: float = 1.0
 
-    def evaluate(self, kernel: TrainingKernel, image: FloatArray) -> tuple[LossValue, FloatArray]:
-        """The loss of ``image`` (3, H, W) and its gradient."""
-        return kernel.loss(
-            image,
+    def evaluate(self, kernel: TrainingKernel) -> LossValue:
+        """The loss of the picture that ``kernel`` has just drawn; the kernel keeps its gradient."""
+        return kernel.picture_loss(
             self.target,
             l1_scale=self.l1_scale,
             ssim_scale=self.ssim_scale,

@@ -20,6 +20,7 @@ from decogs.formats.splats import FloatArray
 
 from .dropouts import FROZEN, blankness, repeats
 from .noise import frame_noise
+from .side_by_side import side_by_side
 
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int32]
@@ -174,9 +175,14 @@ class MaskMemory:
     """
 
     def __init__(
-        self, pictures: Sequence[FloatArray], settings: MaskSettings, shown: Sequence[FloatArray] | None = None
+        self,
+        pictures: Sequence[FloatArray],
+        settings: MaskSettings,
+        shown: Sequence[FloatArray] | None = None,
+        *,
+        threads: int = 1,
     ) -> None:
-        self._settings = settings
+        self._settings, self._threads = settings, threads
         self._usual = None if shown is None else [_usual_miss(*pair) for pair in zip(pictures, shown, strict=True)]
         self._references = self._before = list(pictures)
         self._blank = [bool(blankness(picture)) for picture in pictures]
@@ -195,8 +201,9 @@ class MaskMemory:
 
         Raises ValueError when they are not the same views. Source: DecoGS, difference mask.
         """
-        views = zip(current, self._references, shown, self._changed, self._mend_until, strict=True)
-        masks = [self._mask(*view) for view in views]
+        views = list(zip(current, self._references, shown, self._changed, self._mend_until, strict=True))
+        with side_by_side(self._threads) as each:
+            masks = list(each(lambda view: self._mask(*view), views))
         self._lost = self._lost_pictures(current, masks)
         return [_left_out(mask, why) if why else mask for mask, why in zip(masks, self._lost, strict=True)]
 
@@ -281,7 +288,8 @@ class MaskMemory:
         and stays what it was for the frames to come.
         """
         self._only_light = not moved
-        for index in showing(masks):
+
+        def note(index: int) -> None:
             now, mask = current[index], masks[index]
             if moved and self._settings.mend_frames:
                 self._mend(index, now)
@@ -290,6 +298,9 @@ class MaskMemory:
                 done = done & ~difference_mask(shown[index], now, self._usual[index])
             self._references[index] = np.where(done, now, self._references[index])
             self._changed[index] |= mask.dilated
+
+        with side_by_side(self._threads) as each:
+            list(each(note, showing(masks)))
 
     def _mend(self, index: int, now: FloatArray) -> None:
         """What has clearly changed in a view stays in its region of interest for some frames."""

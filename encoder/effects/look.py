@@ -7,13 +7,10 @@ memory it is given; of a longer clip every n-th frame is looked at, and all othe
 from __future__ import annotations
 
 import math
-import os
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -21,6 +18,7 @@ from numpy.typing import NDArray
 
 from decogs.encoder.ingest import display_referred
 from decogs.encoder.noise import picture_noise
+from decogs.encoder.side_by_side import Each, side_by_side
 from decogs.formats.cameras import Camera, scale_camera
 from decogs.formats.errors import UsageError
 from decogs.formats.pictures import Picture
@@ -37,7 +35,6 @@ F64 = NDArray[np.float64]
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
 T = TypeVar("T")
-Each = Callable[..., Iterator[Any]]
 OnStep = Callable[[int, int], None]
 
 MOST_PIXELS = 352 * 264
@@ -94,7 +91,7 @@ def look_at(
     span = range(rig.frame_count) if frames is None else frames
     chosen = _thinned(span, cameras)
     steps = _Steps(len(chosen) + 3 * len(cameras), on_step)
-    with _side_by_side(threads) as each:
+    with side_by_side(threads) as each:
         seen = _read(rig, cameras, chosen, each, steps)
         matches = find_matches(cameras, [pictures[0] for pictures in seen.pictures], each)
         points = shared_points(cameras, matches)
@@ -128,18 +125,6 @@ class _Steps:
         self._done += 1
         self._on_step(self._done, self._total)
         return result
-
-
-@contextmanager
-def _side_by_side(threads: int) -> Iterator[Each]:
-    """A ``map`` that works on cameras side by side, each on one thread: OpenCV's flow depends on how many it uses."""
-    own_threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        with ThreadPoolExecutor(threads or len(os.sched_getaffinity(0))) as pool:
-            yield pool.map
-    finally:
-        cv2.setNumThreads(own_threads)
 
 
 def _small_cameras(rig: Rig, holdout: Sequence[str]) -> tuple[tuple[Camera, ...], tuple[float, ...]]:

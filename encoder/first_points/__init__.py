@@ -7,16 +7,15 @@ the surfaces, agreement between views decides what to believe, and gaps are fill
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol, TypeVar
+from typing import Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.encoder.side_by_side import Each, side_by_side
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import TrainingError
 
@@ -64,8 +63,6 @@ _FEW = 100
 """Confirmed points below which a view does not tell how near things are."""
 _CLEAR = 0.5
 """Share of a view's nearest confirmed depth within which other views' points are taken for the camera itself."""
-
-R = TypeVar("R")
 
 
 class KnownPoints(Protocol):
@@ -117,13 +114,8 @@ def first_points(
             raise TrainingError(f"{camera.name}: a picture of shape {picture.shape} for a camera of {size} pixels")
         if camera.distortion_model != "none":
             raise TrainingError(f"{camera.name}: first points need undistorted pictures and a pinhole camera")
-    own_threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)  # views are worked on side by side; OpenCV's own threads would only get in the way
-    try:
-        with ThreadPoolExecutor(threads or len(os.sched_getaffinity(0))) as pool:
-            return _first_points(cameras, pictures, known, cap, np.random.default_rng(seed), pool)
-    finally:
-        cv2.setNumThreads(own_threads)
+    with side_by_side(threads) as each:
+        return _first_points(cameras, pictures, known, cap, np.random.default_rng(seed), each)
 
 
 def _first_points(
@@ -132,10 +124,10 @@ def _first_points(
     known: KnownPoints | None,
     cap: int,
     random: np.random.Generator,
-    pool: ThreadPoolExecutor,
+    each: Each,
 ) -> FirstPoints:
-    coarse = _run(pool, make_view, cameras, pictures, _scales(cameras, _COARSE_PIXELS, np.inf))
-    fine = _run(pool, make_view, cameras, pictures, _scales(cameras, _FINE_PIXELS, _ALL_FINE_PIXELS))
+    coarse = list(each(make_view, cameras, pictures, _scales(cameras, _COARSE_PIXELS, np.inf)))
+    fine = list(each(make_view, cameras, pictures, _scales(cameras, _FINE_PIXELS, _ALL_FINE_PIXELS)))
     given = _known_cloud(known, fine)
     if rig_size(fine) <= 0 and not len(given):
         raise TrainingError(
@@ -144,11 +136,11 @@ def _first_points(
 
     shared = shared_depths(coarse)
     samples = [points_within(view, depths) for view, depths in zip(coarse, shared, strict=True)]
-    rough, _ = _sweep_all(pool, coarse, shared, samples)
+    rough, _ = _sweep_all(each, coarse, shared, samples)
     everything = np.concatenate([*(c.xyz for c in rough), given.xyz])
     ranges = [depths_of(view, c.xyz, everything, at) for view, c, at in zip(fine, rough, shared, strict=True)]
     samples = [likely_points(view, everything, depths) for view, depths in zip(fine, ranges, strict=True)]
-    candidates, maps = _sweep_all(pool, fine, ranges, samples)
+    candidates, maps = _sweep_all(each, fine, ranges, samples)
     surveys = [_survey(*all_of_view) for all_of_view in zip(fine, ranges, candidates, maps, strict=True)]
 
     stride = max(1, int((sum(len(c) for c in candidates) / (_SURPLUS * cap)) ** 0.5))
@@ -168,11 +160,6 @@ def _first_points(
     return _finish(join([cloud, filling]), pixels, surveys)
 
 
-def _run(pool: ThreadPoolExecutor, work: Callable[..., R], *arguments: Sequence[object]) -> list[R]:
-    """Results of ``work`` over all views, in order."""
-    return list(pool.map(work, *arguments))
-
-
 def _scales(cameras: Sequence[Camera], each: float, together: float) -> list[float]:
     """Resolutions at which no picture has more than ``each`` pixels and all of them not more than ``together``."""
     total = sum(camera.width * camera.height for camera in cameras)
@@ -180,7 +167,7 @@ def _scales(cameras: Sequence[Camera], each: float, together: float) -> list[flo
 
 
 def _sweep_all(
-    pool: ThreadPoolExecutor,
+    each: Each,
     views: Sequence[View],
     ranges: Sequence[DepthRange | None],
     samples: Sequence[NDArray[np.float64]],
@@ -198,8 +185,8 @@ def _sweep_all(
         own = maps[i]
         return no_candidates() if own is None else agree(views, i, neighbours[i], neighbours[i][:_MATCHED], own, maps)
 
-    maps = _run(pool, depth_map, range(len(views)))
-    return _run(pool, candidates, range(len(views))), maps
+    maps = list(each(depth_map, range(len(views))))
+    return list(each(candidates, range(len(views)))), maps
 
 
 def _survey(view: View, depths: DepthRange | None, candidates: Candidates, depth_map: DepthMap | None) -> Survey:

@@ -1,7 +1,7 @@
 """Renders with gradients: the native training kernel, and tests against the float64 twin in ``decoder.rasterise``.
 
 ``training_kernel`` and ``fixed_view`` choose the backend; ``TrainingKernel`` and ``FixedView``, the native one, are its
-interface as well. No whole encode has been measured on the CUDA backend (``cuda``), so ``auto`` means the CPU. It alone
+interface as well. ``auto`` means the CPU, where the same seed gives the same bytes. The CUDA backend (``cuda``) alone
 needs torch and is imported when it is asked for.
 """
 
@@ -11,7 +11,7 @@ from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 
 from .fixed_view import FixedView
-from .native import LossValue, Picture, SplatGradients, TrainingKernel, gradients_like
+from .native import HostPicture, LossValue, Picture, SplatGradients, TrainingKernel, gradients_like
 
 DEVICES = ("auto", "cpu", "cuda")
 
@@ -55,6 +55,7 @@ def fixed_view(kernel: TrainingKernel, camera: Camera) -> FixedView:
 __all__ = [
     "DEVICES",
     "FixedView",
+    "HostPicture",
     "LossValue",
     "Picture",
     "SplatGradients",

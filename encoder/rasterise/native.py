@@ -6,6 +6,7 @@ import ctypes
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -133,9 +134,22 @@ def training_library() -> ctypes.CDLL:
     return library
 
 
+class Picture(Protocol):
+    """A rendering, planar: rgb (3, H, W), alpha (H, W), summed depth (H, W) or None."""
+
+    @property
+    def rgb(self) -> FloatArray: ...
+
+    @property
+    def alpha(self) -> FloatArray: ...
+
+    @property
+    def depth(self) -> FloatArray | None: ...
+
+
 @dataclass(frozen=True)
-class Picture:
-    """A rendering on its way to the loss, planar: rgb (3, H, W), alpha (H, W), summed depth (H, W) or None."""
+class HostPicture:
+    """A rendering in the host's memory."""
 
     rgb: FloatArray
     alpha: FloatArray
@@ -207,6 +221,8 @@ class TrainingKernel:
     ``forward`` must come before ``backward`` and ``centres``, with the same scene and camera.
     """
 
+    _cotangent: FloatArray | None
+
     def __init__(self, threads: int = 0) -> None:
         self._library = training_library()
         self.handle = checked_handle(self._library.decogs_trainer_create(thread_count(threads)))
@@ -226,7 +242,7 @@ class TrainingKernel:
     ) -> Picture:
         """Renders and remembers what the way back needs; UsageError when the scene covers the picture too often."""
         size = (camera.height, camera.width)
-        picture = Picture(
+        picture = HostPicture(
             np.empty((3, *size), np.float32), np.empty(size, np.float32), np.empty(size, np.float32) if depth else None
         )
         planes = NativePlanes(
@@ -235,6 +251,7 @@ class TrainingKernel:
         self._splats: Splats | None = None  # a refused scene has no way back
         self._scene, self._camera = native_scene(splats, sh_degree), native_camera(camera)
         self._shape, self._background = size, background
+        self._picture, self._cotangent = picture, None
         status = self._library.decogs_forward(
             self.handle, ctypes.byref(self._scene), ctypes.byref(self._camera), ctypes.byref(planes)
         )
@@ -245,14 +262,17 @@ class TrainingKernel:
     def backward(
         self,
         splats: Splats,
-        v_rgb: FloatArray,
+        v_rgb: FloatArray | None = None,
         *,
         v_alpha: FloatArray | None = None,
         v_depth: FloatArray | None = None,
         out: SplatGradients | None = None,
     ) -> SplatGradients:
-        """Gradients of every Gaussian for the cotangents of the last picture."""
+        """Gradients of every Gaussian for the cotangents of the last picture; without ``v_rgb``, for its loss."""
         self._check_last(len(splats))
+        v_rgb = self._cotangent if v_rgb is None else v_rgb
+        if v_rgb is None:
+            raise ValueError("backward needs a cotangent, or the loss of the last picture")
         out = out or gradients_like(splats)
         for cotangent, shape in ((v_rgb, (3, *self._shape)), (v_alpha, self._shape), (v_depth, self._shape)):
             if cotangent is not None and cotangent.shape != shape:
@@ -278,6 +298,26 @@ class TrainingKernel:
         centres, depths = np.empty((count, 2), np.float32), np.empty(count, np.float32)
         self._library.decogs_centres(self.handle, count, address(centres), address(depths))
         return centres, depths
+
+    def picture_loss(
+        self,
+        target: FloatArray,
+        *,
+        l1_scale: float,
+        ssim_scale: float,
+        l1_weight: FloatArray | None = None,
+        focus: FloatArray | None = None,
+    ) -> LossValue:
+        """``loss`` of the last picture of ``forward``; its gradient waits for ``backward``.
+
+        The arrays must not change as long as they live: a device keeps its copy of them.
+        """
+        if not hasattr(self, "_picture"):
+            raise ValueError("picture_loss needs a forward before it")
+        value, self._cotangent = self.loss(
+            self._picture.rgb, target, l1_scale=l1_scale, ssim_scale=ssim_scale, l1_weight=l1_weight, focus=focus
+        )
+        return value
 
     def loss(
         self,

@@ -6,15 +6,22 @@ to TF32 by default, which SSIM's small differences of large sums do not bear). N
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import torch
 import torch.nn.functional as functional
 from torch import Tensor
 
-from .native import LossValue
-
-_TAPS = np.exp(-(np.arange(-5, 6) ** 2) / 4.5)
+TAPS = np.exp(-(np.arange(-5, 6) ** 2) / 4.5)
 """Wang 2004: 11 x 11 Gaussian window of sigma 1.5, not yet of sum 1."""
+
+
+class LossSums(NamedTuple):
+    """L1 and 1 - SSIM, weighted and summed over the pixels wanted."""
+
+    l1: float
+    dissimilarity: float
 
 
 def photometric_loss(
@@ -26,7 +33,7 @@ def photometric_loss(
     wanted: Tensor,
     l1_scale: float,
     ssim_scale: float,
-) -> tuple[LossValue, Tensor]:
+) -> tuple[LossSums, Tensor]:
     """``TrainingKernel.loss``, summed over the pixels ``wanted`` (H, W); the gradient (3, H, W) is the whole loss's."""
     image = image.detach().requires_grad_()
     l1, dissimilarity = (image - target).abs(), torch.zeros_like(image)
@@ -38,7 +45,7 @@ def photometric_loss(
         dissimilarity = focus * _dissimilarity(focus * image, focus * target)
     (gradient,) = torch.autograd.grad(l1_scale * l1.sum() + ssim_scale * dissimilarity.sum(), image)
     sums = [float((part.detach() * wanted).sum(dtype=torch.float64)) for part in (l1, dissimilarity)]
-    return LossValue(l1_scale * sums[0] + ssim_scale * sums[1], sums[0], sums[1]), gradient
+    return LossSums(*sums), gradient
 
 
 def _dissimilarity(a: Tensor, b: Tensor) -> Tensor:
@@ -55,6 +62,34 @@ def _blur(planes: Tensor) -> Tensor:
     for axis, padding in ((-1, (5, 5)), (-2, (0, 0, 5, 5))):
         padded, size = functional.pad(planes, padding), planes.shape[axis]
         planes = torch.zeros_like(planes)
-        for k, tap in enumerate(_TAPS / _TAPS.sum()):
+        for k, tap in enumerate(TAPS / TAPS.sum()):
             planes = planes + float(tap) * padded.narrow(axis, k, size)
     return planes
+
+
+class TiledLoss:
+    """The loss of pictures of one size, called as the fused one (``photometric_fused.FusedLoss``) is."""
+
+    def __init__(self, width: int, height: int, device: torch.device) -> None:
+        self._height, self._width = height, width
+
+    def __call__(
+        self,
+        image: Tensor,
+        target: Tensor,
+        l1_weight: Tensor | None,
+        focus: Tensor | None,
+        *,
+        wanted: Tensor | None,
+        l1_scale: float,
+        ssim_scale: float,
+    ) -> tuple[LossSums, Tensor]:
+        pixels = torch.ones((self._height, self._width), dtype=torch.bool, device=image.device)
+        if wanted is not None:
+            grown = wanted.repeat_interleave(16, 0).repeat_interleave(16, 1)
+            pixels = grown[: self._height, : self._width]
+        planar = image[..., :3].permute(2, 0, 1)
+        sums, gradient = photometric_loss(
+            planar, target, l1_weight, focus, wanted=pixels, l1_scale=l1_scale, ssim_scale=ssim_scale
+        )
+        return sums, functional.pad(gradient.permute(1, 2, 0), (0, 1))

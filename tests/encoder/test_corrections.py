@@ -24,7 +24,7 @@ from decogs.encoder.corrections.colour import odds_shift, without_odds
 from decogs.encoder.corrections.shake import angles_of, turn_of, unturned
 from decogs.encoder.corrections.worth import Worth
 from decogs.encoder.ingest import Ingest, View
-from decogs.encoder.rasterise import Picture
+from decogs.encoder.rasterise import HostPicture, Picture
 from decogs.formats.cameras import Camera, scale_camera
 from decogs.formats.errors import UsageError
 from decogs.formats.pictures import read_picture
@@ -140,7 +140,7 @@ def looks(tiny_rig: Any) -> tuple[list[View], Callable[[int], Picture]]:
 
     def look(number: int) -> Picture:
         picture: Rendering = seen[number]
-        return Picture(planar(picture.image), picture.alpha, picture.depth * picture.alpha)
+        return HostPicture(planar(picture.image), picture.alpha, picture.depth * picture.alpha)
 
     return views, look
 

@@ -23,10 +23,10 @@ from torch import Tensor
 
 import decogs.encoder.loop as loop
 import rasterise_cases as cases
-from decogs.decoder.rasterise.reference import rotation_matrices
+from decogs.decoder.rasterise.reference import rotation_matrices, sh_basis
 from decogs.encoder.rasterise import FixedView, SplatGradients, TrainingKernel, fixed_view, training_kernel
 from decogs.encoder.rasterise.cuda import CudaKernel, missing_for_cuda
-from decogs.encoder.rasterise.photometric import photometric_loss
+from decogs.encoder.rasterise.photometric import TiledLoss, photometric_loss
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import Splats, empty_splats, join_splats, take_splats
 
@@ -97,6 +97,14 @@ class StandIn:
         radii = torch.where(drawn[:, None], radii, 0).int()[None]
         compensations = torch.where(drawn, compensations, 0.0).float()[None]
         return radii, left_open(means2d), left_open(z), left_open(conics), compensations
+
+    def spherical_harmonics(self, degrees_to_use: int, dirs: Tensor, coeffs: Tensor) -> Tensor:
+        count = len(dirs)
+        assert dirs.shape == (count, 3)
+        assert coeffs.shape[::2] == (count, 3)
+        assert coeffs.shape[1] >= (degrees_to_use + 1) ** 2
+        basis = sh_basis(torch, degrees_to_use, dirs / dirs.norm(dim=1, keepdim=True))
+        return (basis[:, :, None] * coeffs[:, : basis.shape[1]]).sum(1)
 
     @torch.no_grad()
     def isect_tiles(
@@ -467,11 +475,40 @@ def test_the_loss_is_the_native_kernels(size: tuple[int, int], ssim_scale: float
     value, found = photometric_loss(
         tensors[0], tensors[1], tensors[2], tensors[3], wanted=torch.from_numpy(wanted), **given
     )
-    for part in ("total", "l1", "ssim"):
-        assert getattr(value, part) == pytest.approx(getattr(expected, part), rel=1e-5, abs=1e-9)
+    assert tuple(value) == pytest.approx((expected.l1, expected.ssim), rel=1e-5, abs=1e-9)
     # Both in float32, some sixty operations on sums up to 1 (`test_loss`).
     ours, theirs = found.numpy()[:, wanted], gradient[:, wanted]
     assert np.abs(ours - theirs).max(initial=0) <= 120 * 2.0**-24 * np.abs(theirs).max(initial=0)
+
+
+@pytest.mark.skipif(missing_for_cuda() is not None, reason=f"the fused loss needs a GPU: {missing_for_cuda()}")
+@pytest.mark.parametrize("size", [(1, 2), (5, 11), (61, 50), (127, 65)])
+@pytest.mark.parametrize("ssim_scale", [0.0, 0.2])
+@pytest.mark.parametrize("weighted", [False, True])
+def test_the_fused_loss_is_its_twin(size: tuple[int, int], ssim_scale: float, weighted: bool) -> None:
+    from decogs.encoder.rasterise.photometric_fused import FusedLoss
+
+    rng, (width, height) = np.random.default_rng(6), size
+    on_gpu = lambda values: torch.tensor(np.asarray(values, np.float32), device="cuda")  # noqa: E731
+    image, target = on_gpu(rng.random((height, width, 4))), on_gpu(rng.random((3, height, width)))
+    weight = on_gpu(rng.random((height, width))) if weighted else None
+    focus = on_gpu(rng.random((height, width)) < 0.5) if weighted else None
+    tiles = torch.tensor(rng.random((-(-height // 16), -(-width // 16))) < 0.6, device="cuda")
+    makers, given = (TiledLoss, FusedLoss), {"l1_scale": 0.8, "ssim_scale": ssim_scale}
+    for wanted in (None, tiles):
+        losses = [make(width, height, torch.device("cuda")) for make in makers]
+        (twin, expected), (value, found) = (
+            each(image, target, weight, focus, wanted=wanted, **given) for each in losses
+        )
+        np.testing.assert_allclose(value, twin, rtol=1e-5, atol=1e-6)
+        pixels = torch.ones((height, width), dtype=torch.bool, device="cuda")
+        if wanted is not None:
+            pixels = wanted.repeat_interleave(16, 0).repeat_interleave(16, 1)[:height, :width]
+        # Both in float32, some sixty operations on sums up to 1 (`test_loss`).
+        off, largest = (found - expected).abs()[pixels], expected.abs()[pixels]
+        if pixels.any():
+            assert float(off.max()) <= 120 * 2.0**-24 * float(largest.max())
+        assert not found[~pixels].any()
 
 
 def test_misuse_is_refused_as_by_the_native_view() -> None:
@@ -524,7 +561,8 @@ def test_a_whole_encode_runs_on_it(
 def test_signatures() -> None:
     """The stand-in takes nothing that the installed gsplat does not take in the same place or by the same name."""
     gsplat = pytest.importorskip("gsplat", reason="gsplat is not installed")
-    for name in ("fully_fused_projection", "isect_tiles", "isect_offset_encode", "rasterize_to_pixels"):
+    names = "fully_fused_projection", "spherical_harmonics", "isect_tiles", "isect_offset_encode", "rasterize_to_pixels"
+    for name in names:
         theirs = [p.replace("n_cameras", "n_images") for p in inspect.signature(getattr(gsplat, name)).parameters]
         for index, (ours, about) in enumerate(inspect.signature(getattr(StandIn(), name)).parameters.items()):
             assert ours in theirs if about.default is not about.empty else theirs[index] == ours, f"{name}: {ours}"

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from decogs.encoder.losses import FocusWeights, PhotometricLoss, focus_loss, whole_picture_loss
-from decogs.encoder.rasterise import TrainingKernel
+from decogs.encoder.rasterise import LossValue, TrainingKernel
 
 HEIGHT, WIDTH = 36, 64
 RANDOM = np.random.default_rng(5)
@@ -44,9 +44,15 @@ def mean_over(values: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
     return (values * weights).sum() / (3 * weights.sum())
 
 
+def evaluated(loss: PhotometricLoss) -> tuple[LossValue, np.ndarray]:
+    """The loss of IMAGE and its gradient."""
+    scales = {"l1_scale": loss.l1_scale, "ssim_scale": loss.ssim_scale}
+    return TrainingKernel(1).loss(IMAGE, loss.target, **scales, l1_weight=loss.l1_weight, focus=loss.focus)
+
+
 def check(loss: PhotometricLoss, expected: torch.Tensor, image: torch.Tensor) -> None:
     (gradient,) = torch.autograd.grad(expected, image)
-    value, cotangent = loss.evaluate(TrainingKernel(1), IMAGE)
+    value, cotangent = evaluated(loss)
     assert value.total == pytest.approx(float(expected.detach()), rel=1e-5)
     np.testing.assert_allclose(cotangent, gradient.numpy(), rtol=1e-3, atol=1e-8)
     assert np.abs(cotangent).max() > 1e-5
@@ -83,8 +89,8 @@ def test_pixels_that_were_not_recorded_count_for_nothing() -> None:
         (focus_loss(TARGET, MASK, VALID, FocusWeights()), focus_loss(poisoned, MASK, VALID, FocusWeights())),
         (whole_picture_loss(TARGET, VALID, 0.2), whole_picture_loss(poisoned, VALID, 0.2)),
     ):
-        value, gradient = first.evaluate(TrainingKernel(1), IMAGE)
-        value_poisoned, gradient_poisoned = second.evaluate(TrainingKernel(1), IMAGE)
+        value, gradient = evaluated(first)
+        value_poisoned, gradient_poisoned = evaluated(second)
         assert value.total == value_poisoned.total
         np.testing.assert_array_equal(gradient, gradient_poisoned)
         assert not gradient[:, VALID == 0].any()
@@ -93,7 +99,7 @@ def test_pixels_that_were_not_recorded_count_for_nothing() -> None:
 def test_without_a_focus_the_l1_of_the_whole_remains() -> None:
     weights = FocusWeights(dissimilarity=0.2, whole=0.3, focus=0.9)
     loss = focus_loss(TARGET, np.zeros_like(MASK), None, weights)
-    value, gradient = loss.evaluate(TrainingKernel(1), IMAGE)
+    value, gradient = evaluated(loss)
     difference = IMAGE.astype(np.float64) - TARGET
     assert value.total == pytest.approx(0.8 * 0.3 * np.abs(difference).mean(), rel=1e-5)
     np.testing.assert_allclose(gradient, 0.8 * 0.3 * np.sign(difference) / IMAGE.size, rtol=1e-5)
@@ -101,7 +107,7 @@ def test_without_a_focus_the_l1_of_the_whole_remains() -> None:
 
 def test_a_pixel_in_focus_outweighs_one_outside() -> None:
     weights = FocusWeights(dissimilarity=0.0, whole=0.2, focus=0.8)
-    _, gradient = focus_loss(TARGET, MASK, None, weights).evaluate(TrainingKernel(1), IMAGE)
+    _, gradient = evaluated(focus_loss(TARGET, MASK, None, weights))
     inside, outside = np.abs(gradient[:, MASK]), np.abs(gradient[:, ~MASK])
     np.testing.assert_allclose(outside, 0.2 / IMAGE.size, rtol=1e-5)
     np.testing.assert_allclose(inside, 0.2 / IMAGE.size + 0.8 / (3 * MASK.sum()), rtol=1e-5)

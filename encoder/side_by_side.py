@@ -1,0 +1,34 @@
+"""Work on all views side by side, one thread for each, in the views' order; results do not depend on their number."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import Protocol, TypeVar
+
+import cv2
+
+R = TypeVar("R")
+
+
+class Each(Protocol):
+    """``map`` over the views; the iterator gives results in their order and raises what the work raises."""
+
+    def __call__(self, work: Callable[..., R], /, *views: Iterable[object]) -> Iterator[R]: ...
+
+
+@contextmanager
+def side_by_side(threads: int) -> Iterator[Each]:
+    """A ``map`` on ``threads`` threads, 0 for one per processor.
+
+    OpenCV's own threads are off meanwhile: they would only get in the way, and its flow depends on how many there are.
+    """
+    own_threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        with ThreadPoolExecutor(threads or len(os.sched_getaffinity(0))) as pool:
+            yield pool.map
+    finally:
+        cv2.setNumThreads(own_threads)
