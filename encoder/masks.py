@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, fields
+from functools import partial
 
 import cv2
 import numpy as np
@@ -36,6 +37,9 @@ CLEARLY = 25.0
 MOST = 0.5
 """Share of a picture whose change is no noise."""
 
+_SPREADS = 0.3
+"""Share of what is away from other changes, itself at least such a share of the picture, that faint light must reach: a
+moving thing's shading stays near it."""
 _LIGHT_WINDOW = 7
 """Pixels across over which faint light is averaged: noise shrinks by as much, the difference that light makes stays."""
 
@@ -55,7 +59,8 @@ class MaskSettings:
     frame got wrong the next ones mend; 0 turns it off, lower selects more. ``mend_frames``: what changed by more than
     ``mend_threshold`` levels as something moved stays in the region of interest for so many more frames, since what was
     covered is only seen from then on; more is slower. ``light_threshold``: after a frame in which only light changed,
-    levels by which the mean over a small window must change to count as well; 0 turns it off, lower selects more.
+    and where light changes much of the picture, levels by which the mean over a small window must change to count as
+    well; 0 turns it off, lower selects more.
     """
 
     threshold: float = 25.0
@@ -256,11 +261,19 @@ class MaskMemory:
         if settings.residual and changed.any():
             raw |= _without_lines(difference_mask(now, shown, settings.residual) & changed)
         lit = raw
-        if settings.light_threshold and self._only_light:
-            faint = faint_light_mask(now, reference, max(settings.light_threshold, noise / _LIGHT_WINDOW))
-            lit = raw | without_specks(faint, settings.speck_area)
+        threshold = max(settings.light_threshold, noise / _LIGHT_WINDOW)
+        if settings.light_threshold and (self._only_light or self._light_spreads(now, reference, raw, threshold)):
+            lit = raw | without_specks(faint_light_mask(now, reference, threshold), settings.speck_area)
         around, mending = self._grown(lit), mend_until > self._frame
         return FrameMask(raw, around | mending, mending & ~around)
+
+    def _light_spreads(self, now: FloatArray, reference: FloatArray, raw: BoolArray, threshold: float) -> bool:
+        """Whether faint light, too slow to be a change itself, reached much of what is away from ``raw`` changes."""
+        height, width = (max(1, size // _LIGHT_WINDOW) for size in raw.shape)
+        shrink = partial(cv2.resize, dsize=(width, height), interpolation=cv2.INTER_AREA)
+        away = shrink((~self._grown(raw)).astype(np.float32)) > 0.99
+        changes = np.abs([shrink(plane) for plane in now - reference]).max(axis=0)
+        return bool((changes[away] > threshold / 255).sum() > _SPREADS * max(away.sum(), _SPREADS * away.size))
 
     def _noise(self, now: FloatArray, reference: FloatArray) -> float:
         """Levels below which a difference may be noise; none where nearly all of the picture clearly changed."""

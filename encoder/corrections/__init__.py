@@ -12,7 +12,7 @@ itself have in common by chance.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -110,9 +110,11 @@ class Corrector:
     ) -> list[str]:
         """What is not corrected any more after this frame, such as "cam04: colours"; ``show``: the scene as trained.
 
-        ``changed``: where every view's picture changed, (H, W).
+        ``changed``: where every view's picture changed, (H, W). A scene that has not followed its light yet misses
+        every camera by it; what the other cameras miss in common is therefore no camera's loss.
         """
         before = set(self._dropped)
+        left_behind = self._left_behind(recorded, corrections, show) if self._has_colours else {}
         for name, correction in corrections.items():
             number, _ = self._views[name]
             for kind in _KINDS:
@@ -122,11 +124,23 @@ class Corrector:
                 corrected, left = (
                     on_grid(self._canonical(name, recorded[number], each)) for each in (correction, left_out)
                 )
+                shown = on_grid(show(number))
+                if left_behind:
+                    shown = without_odds(shown, _odds_of(-_of_the_others(left_behind, name)))
                 worth = self._worths.setdefault((name, kind), Worth())
-                worth.saw(corrected, left, on_grid(show(number)), on_grid(changed[number]))
+                worth.saw(corrected, left, shown, on_grid(changed[number]))
                 if not worth.pays:
                     self._dropped.add((name, kind))
         return [f"{name}: {kind}" for name, kind in sorted(self._dropped - before)]
+
+    def _left_behind(self, recorded: Sequence[FloatArray], corrections: Corrections, show: Show) -> dict[str, F64]:
+        """How far every camera's picture, corrected, is from the scene, as shifts (3,) of the odds."""
+        return {
+            name: odds_shift(
+                self._canonical(name, recorded[number], corrections.get(name, Correction())), show(number), view.valid
+            ).shift
+            for name, (number, view) in self._views.items()
+        }
 
     def find_jointly(self, recorded: Sequence[FloatArray], look: Look) -> Corrections:
         """The same while the scene is in the making, and has taken some of the faults for its own.
@@ -182,8 +196,7 @@ class Corrector:
             return _Fault(colour, np.eye(3))
         rotation = np.eye(3)
         for _ in range(_ALTERNATIONS if self._has_colours else 1):
-            red, green, blue = np.exp(colour.shift).tolist()
-            rotation = turn_of(without_odds(picture, (red, green, blue)), shown, view.pinhole, view.valid)
+            rotation = turn_of(without_odds(picture, _odds_of(colour.shift)), shown, view.pinhole, view.valid)
             if self._has_colours:
                 colour = odds_shift(unturned(picture, view.pinhole, rotation), shown, view.valid)
         return _Fault(colour, rotation)
@@ -268,3 +281,14 @@ def _light_of(shifts: F64) -> F64:
 
 def _steps(value: float, step: float) -> int:
     return max(-LARGEST, min(LARGEST, round(value / step)))
+
+
+def _of_the_others(shifts: Mapping[str, F64], name: str) -> F64:
+    """The median shift (3,) of the cameras but ``name``; none where one other camera cannot tell."""
+    others = [shift for other, shift in shifts.items() if other != name]
+    return np.median(others, axis=0) if len(others) > 1 else np.zeros(3)
+
+
+def _odds_of(shift: F64) -> tuple[float, float, float]:
+    red, green, blue = np.exp(shift).tolist()
+    return red, green, blue

@@ -1,18 +1,22 @@
-"""What is there in the last picture and was not in the first, or the other way round, and did not just move.
+"""What came to be where it was not before, or went from where it was, and did not just move.
 
-An object has an outline. Where first and last picture differ, the one that shows the object has stronger edges along
-the border of the difference: the object *arrived* there or it *left* there. What merely moved left one place and
-arrived at another, and restructured pixels join the two: its swept area. So a swept area with arrivals and departures
-that balance is motion; one with arrivals alone is an emergence, one with departures alone a disappearance. Nothing is
-said of a swept area in which a difference has no clear side, or a place was already (for an arrival) or is still (for
-a departure) in motion; nor of one that only left, from a place already in motion. The edge test is that of video
-surveillance for bags that were left behind or taken away.
+An object has an outline. Where the pictures before and after a change differ, the one that shows the object has
+stronger edges along the border of the difference: the object *arrived* there or it *left* there. What merely moved left
+one place and arrived at another, and restructured pixels join the two, in the picture and from one to the next: its
+*path*. So a path with arrivals and departures that balance is motion; one with arrivals alone is an emergence, one with
+departures alone a disappearance. Every path is judged by itself, by the pictures before its first and after its last
+step: what else moves, earlier, later or elsewhere, has no part in it. Nothing is said of a path in which a difference
+has no clear side, or a place was already (for an arrival) or is still (for a departure) in motion as the clip began (or
+ended); nor of one that only left, from a place already in motion. The edge test is that of video surveillance for bags
+that were left behind or taken away.
 
-First and last picture only: what comes and goes in between is motion.
+What comes and goes in between is motion. What touches something that moves, in the picture, is one path with it: other
+cameras see the two apart.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -22,7 +26,7 @@ from numpy.typing import NDArray
 
 from decogs.encoder.masks import BoolArray
 
-from .changes import WINDOW_PIXELS, ChangeMaps, change_maps
+from .changes import NEAR_SHARE, WINDOW_PIXELS, ChangeMaps, change_maps
 
 F64 = NDArray[np.float64]
 F32 = NDArray[np.float32]
@@ -56,8 +60,20 @@ class Arrivals:
 
 
 @dataclass(frozen=True)
+class _Path:
+    """What restructured pixels join over time: ``swept`` (H, W), and its ``first`` and ``last`` step.
+
+    Step t leads from picture t to picture t + 1.
+    """
+
+    swept: BoolArray
+    first: int
+    last: int
+
+
+@dataclass(frozen=True)
 class _Difference:
-    """A connected difference of last and first picture: its pixels, and its side: arrived 1, left -1, unclear 0."""
+    """A connected difference of two pictures: its pixels, and its side: arrived 1, left -1, unclear 0."""
 
     place: BoolArray
     side: int
@@ -72,60 +88,118 @@ def camera_arrivals(pictures: U8, maps: Sequence[ChangeMaps], noise: float) -> A
     """What arrived and what left over a camera's pictures (F, H, W, 3); ``maps``: of each against the one before."""
     arrived, left = (np.zeros(len(pictures)) for _ in range(2))
     arrived[0] = left[0] = np.nan
-    found = Arrivals(arrived, left)
     unclear = False
-    restructured = np.array([each.restructured for each in maps])
-    if not restructured.any():
-        return found
-    swept = cv2.dilate(np.any(restructured, axis=0).view(np.uint8), _SQUARE)
-    areas, labels = cv2.connectedComponents(swept, connectivity=8)
-    differences = _differences(pictures[0], pictures[-1], maps, noise)
-    for area in range(1, areas):
-        path = labels == area
-        inside = [each for each in differences if (each.place & path).sum() >= WINDOW_PIXELS]
-        if not inside:
-            continue
+    for path in _paths(maps) if len(maps) else []:
+        before, after = path.first, path.last + 1
+        inside = _differences(pictures, maps, path, noise)
         if any(each.side == 0 for each in inside):
             unclear = True
             continue
-        moving = np.flatnonzero((restructured & path).any(axis=(1, 2))) + 1
-        came, went = (np.any([d.place for d in inside if d.side == side] or [~path], axis=0) & path for side in (1, -1))
-        balance = (int(came.sum()) - int(went.sum())) / (int(came.sum()) + int(went.sum()))
+        came, went = (sum(int(d.place.sum()) for d in inside if d.side == side) for side in (1, -1))
+        if not came + went:
+            continue
+        balance = (came - went) / (came + went)
         if balance > 0:
-            last = _settled(pictures, came)
-            _raise(arrived, slice(moving[0], last + 1), balance)
+            place = np.any([d.place for d in inside if d.side == 1], axis=0)
+            settled = _settled(pictures[before : after + 1], place)
+            _raise(arrived, slice(before + 1, before + settled + 1), balance)
         elif any(each.busy_at_first for each in inside):
             unclear = True
         else:
-            _raise(left, slice(moving[0], moving[-1] + 1), -balance)
-    return untold(len(pictures)) if unclear and not np.nansum(arrived + left) else found
+            _raise(left, slice(before + 1, after + 1), -balance)
+    return untold(len(pictures)) if unclear and not np.nansum(arrived + left) else Arrivals(arrived, left)
+
+
+def _paths(maps: Sequence[ChangeMaps]) -> list[_Path]:
+    """The paths that are large enough to tell, in the order of their first steps."""
+    shape = maps[0].restructured.shape
+    parents = [0]  # of every step's areas, of all steps: the path each was found to belong to; 0 is none
+    pixels, numbers, steps = ([np.zeros(0, np.int64)] for _ in range(3))
+    before = np.zeros(shape, np.int64)
+    for step, each in enumerate(maps):
+        grown = cv2.dilate(each.restructured.view(np.uint8), _SQUARE)
+        count, labels = cv2.connectedComponents(grown, connectivity=8)
+        now = np.where(labels > 0, labels + len(parents) - 1, 0)
+        parents.extend(range(len(parents), len(parents) + count - 1))
+        here = np.flatnonzero(now)
+        both = np.unique(np.stack([before.ravel()[here], now.ravel()[here]]), axis=1)
+        for old, new in both[:, both[0] > 0].T:
+            parents[_root(parents, int(new))] = _root(parents, int(old))
+        pixels.append(here)
+        numbers.append(now.ravel()[here])
+        steps.append(np.full(len(here), step))
+        before = now
+    roots = np.array([_root(parents, number) for number in range(len(parents))])[np.concatenate(numbers)]
+    order = np.argsort(roots, kind="stable")
+    starts = np.flatnonzero(np.diff(roots[order], prepend=-1))
+    paths = []
+    for place, step in zip(
+        np.split(np.concatenate(pixels)[order], starts)[1:],
+        np.split(np.concatenate(steps)[order], starts)[1:],
+        strict=True,
+    ):
+        swept = np.zeros(shape, bool)
+        swept.ravel()[place] = True
+        if swept.sum() >= WINDOW_PIXELS:
+            paths.append(_Path(swept, int(step[0]), int(step[-1])))
+    return sorted(paths, key=lambda path: path.first)
+
+
+def _root(parents: list[int], number: int) -> int:
+    while parents[number] != number:
+        parents[number] = parents[parents[number]]
+        number = parents[number]
+    return number
 
 
 def _raise(values: F64, frames: slice, balance: float) -> None:
     values[frames] = np.maximum(values[frames], 100 * balance)
 
 
-def _differences(first: U8, last: U8, maps: Sequence[ChangeMaps], noise: float) -> list[_Difference]:
+def _differences(pictures: U8, maps: Sequence[ChangeMaps], path: _Path, noise: float) -> list[_Difference]:
+    """Where a path's pictures before and after it differ as far as objects do."""
+    window = _around(path.swept)
+    first, last = pictures[path.first][window], pictures[path.last + 1][window]
+    swept, width = path.swept[window], pictures.shape[2]
     whole = change_maps(first, last, noise)
-    objects = (cv2.absdiff(cv2.blur(last, (3, 3)), cv2.blur(first, (3, 3))).max(axis=2) > _OBJECT_LEVELS) & whole.near()
+    objects = cv2.absdiff(cv2.blur(last, (3, 3)), cv2.blur(first, (3, 3))).max(axis=2) > _OBJECT_LEVELS
+    objects &= whole.near(width)
     closed = cv2.morphologyEx(objects.view(np.uint8), cv2.MORPH_CLOSE, _SQUARE)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(closed, connectivity=8)
     edges = _edges(first), _edges(last)
-    early, late = (np.any([each.near() for each in some], axis=0) for some in (maps[:2], maps[-2:]))
+    # Motion of the clip's first and last two steps may have begun before it, or go on after.
+    early, late = maps[path.first : 2], maps[max(len(maps) - 2, 0) : path.last + 1]
     found = []
     for label in range(1, count):
-        if stats[label, cv2.CC_STAT_AREA] < WINDOW_PIXELS:
+        place = (labels == label) & swept
+        if stats[label, cv2.CC_STAT_AREA] < WINDOW_PIXELS or place.sum() < WINDOW_PIXELS:
             continue
-        place = labels == label
-        shape = place.view(np.uint8)
+        shape = (labels == label).view(np.uint8)
         border = cv2.dilate(shape, _SQUARE) != cv2.erode(shape, _SQUARE)
         outlined = whole.restructured[border].mean() >= _OUTLINED
         side = _side(edges[0][border], edges[1][border]) if outlined else 0
-        busy_at_first, busy_at_last = (bool(moves[place].mean() >= _RESTING) for moves in (early, late))
+        busy_at_first, busy_at_last = (_is_busy(some, window, place, width) for some in (early, late))
         if (side > 0 and busy_at_first) or (side < 0 and busy_at_last):
             side = 0
-        found.append(_Difference(place, side, busy_at_first))
+        everywhere = np.zeros(path.swept.shape, bool)
+        everywhere[window] = place
+        found.append(_Difference(everywhere, side, busy_at_first))
     return found
+
+
+def _around(area: BoolArray) -> tuple[slice, slice]:
+    """The rows and columns of an area, and as many around it as a change near it may reach."""
+    margin = round(2 * NEAR_SHARE * area.shape[1]) + math.isqrt(WINDOW_PIXELS)
+    spans = [np.flatnonzero(area.any(axis=axis)) for axis in (1, 0)]
+    rows, columns = (slice(max(0, int(span[0]) - margin), int(span[-1]) + 1 + margin) for span in spans)
+    return rows, columns
+
+
+def _is_busy(maps: Sequence[ChangeMaps], window: tuple[slice, slice], place: BoolArray, width: int) -> bool:
+    if not maps:
+        return False
+    parts = [ChangeMaps(each.changed[window], each.restructured[window]).near(width) for each in maps]
+    return bool(np.any(parts, axis=0)[place].mean() >= _RESTING)
 
 
 def _side(first: F32, last: F32) -> int:

@@ -264,6 +264,24 @@ def test_a_correction_pays_where_the_scene_agrees_with_it() -> None:
     assert not mixed.pays, "it gains on what does not change and loses on what does"
 
 
+def test_light_that_the_scene_has_not_followed_yet_is_no_cameras_loss(tiny_rig: Any) -> None:
+    """All cameras got darker by as much as cam01's own drift makes it brighter: left alone, it would look right."""
+    views, look = looks(tiny_rig)
+    dimmer = np.full(3, -0.3)
+    recorded = [
+        recorded_of(look(n).rgb, dimmer * (view.camera.name != "cam01"), seed=n) for n, view in enumerate(views)
+    ]
+    corrector = Corrector(views, CorrectionSettings(exposure=("cam01",), white_balance=("cam01",)))
+    corrector.see(look)
+    corrector.begin({"cam01": Correction()})
+    unchanged = [np.zeros(picture.shape[1:], bool) for picture in recorded]
+    show = lambda number: look(number).rgb  # noqa: E731
+    for _ in range(4):
+        found = corrector.find(recorded, show)
+        np.testing.assert_allclose(np.log(found["cam01"].odds), 0.3, atol=0.02)
+        assert corrector.judge(recorded, found, show, unchanged) == []
+
+
 def test_held_out_and_unknown_cameras_cannot_be_corrected(moving_rig: Path) -> None:
     views = Ingest(open_rig(moving_rig), holdout=["cam02"]).views
     for name in ("cam02", "cam99"):

@@ -196,6 +196,22 @@ def test_faint_light_counts_after_a_frame_in_which_only_light_changed(moved: boo
     assert not mask.raw.any(), "too faint for a flash, or a sign that a camera has not frozen"
 
 
+@pytest.mark.parametrize("share", [0.15, 0.6])
+def test_light_that_falls_slowly_over_much_of_the_picture_counts_while_something_moves(share: float) -> None:
+    before = RNG.normal(0.5, 1.5 / 255, (3, 120, 160)).astype(np.float32)
+    now = RNG.normal(0.5, 1.5 / 255, (3, 120, 160)).astype(np.float32)
+    now[:, :, : round(share * 160)] -= 6 / 255
+    now[:, 40:70, 100:130] += 0.3
+    settings = MaskSettings(threshold=10.0, radius_share=0.018, speck_area=8, since_trained=True, light_threshold=4.0)
+    memory = MaskMemory([before], settings)
+    memory.trained([before], memory.masks([before], [before]), moved=True)
+    mask = memory.masks([now], [now])[0]
+    lit = mask.dilated[:, : round(share * 160) - 8]
+    assert lit.all() if share > 0.2 else not lit.any()
+    assert mask.raw[40:70, 100:130].all()
+    assert mask.raw.mean() < 0.06, "the moving thing alone is a change that a flash or a frozen camera is told by"
+
+
 def test_the_mean_that_tells_faint_light_is_blind_to_noise() -> None:
     deviation, faint = 6 / 255, 6 / 255
     before = RNG.normal(0.5, deviation, (3, 120, 160)).astype(np.float32)

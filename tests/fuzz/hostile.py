@@ -443,20 +443,27 @@ class Judge:
         return {"inputs": self.tried, "slowest": self.slowest, "memory": self.memory}
 
     def try_one(self, data: bytes) -> None:
-        before, began = _restart_peak(), time.process_time()
-        try:
-            self._target(data)
-        except Misbehaved:
-            raise
-        except Exception as error:
-            raise Misbehaved(f"{type(error).__name__}: {error}") from error
-        seconds, memory = time.process_time() - began, _peak() - before
+        before = _restart_peak()
+        seconds = self._seconds(data)
+        memory = _peak() - before
+        if seconds > MAX_SECONDS:  # what an input takes, it takes every time; what the machine adds, it does not
+            seconds = min(seconds, self._seconds(data), self._seconds(data))
         self.tried += 1
         self.slowest, self.memory = max(self.slowest, seconds), max(self.memory, memory)
         if seconds > MAX_SECONDS:
             raise Misbehaved(f"it took {seconds:.2f} s")
         if memory > MAX_MEMORY:
             raise Misbehaved(f"it took {memory >> 20} MiB")
+
+    def _seconds(self, data: bytes) -> float:
+        began = time.process_time()
+        try:
+            self._target(data)
+        except Misbehaved:
+            raise
+        except Exception as error:
+            raise Misbehaved(f"{type(error).__name__}: {error}") from error
+        return time.process_time() - began
 
 
 def _restart_peak() -> int:
