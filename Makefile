@@ -31,6 +31,9 @@ help: ## list what can be made
 
 setup: $(READY) ## create .venv with decogs (editable), training and the development tools
 
+# The kernels of the editable install serve the wheel, too: compiling them takes minutes.
+export DECOGS_KERNEL_CACHE := $(CURDIR)/build/kernels
+
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit("Python 3.10 or later is needed: make PYTHON=python3.12" if sys.version_info < (3, 10) else 0)'
 	$(PYTHON) -m venv $(VENV)
@@ -57,8 +60,8 @@ type: $(READY) ## mypy --strict over the four layers
 layers: $(READY) ## import contracts: formats <- codec <- decoder <- encoder
 	$(BIN)/lint-imports --no-logo
 
-unit: $(READY) ## pytest
-	$(BIN)/pytest
+unit: $(READY) ## pytest, a process for each processor
+	$(BIN)/pytest -n auto --dist worksteal
 
 soak: $(READY) ## the tests that take minutes: a thousand frames, an encode killed again and again
 	$(BIN)/pytest -m soak

@@ -7,7 +7,13 @@ C++ namespace of its own: the loader shares thread-local variables of one name b
 several, as tests do.
 """
 
+from __future__ import annotations
+
+import copy
+import hashlib
+import os
 import platform
+import shutil
 from pathlib import Path
 
 from setuptools import Extension, setup
@@ -29,14 +35,34 @@ KERNELS = {
 
 
 class BuildKernels(build_ext):
-    """Gives every library an object folder of its own: several are built from one source."""
+    """Gives every library an object folder of its own: several are built from one source, side by side.
+
+    With DECOGS_KERNEL_CACHE, a folder, what was built of the same sources with the same flags is not built again: the
+    checks install the project twice, from the tree and as the wheel that users get.
+    """
 
     def build_extension(self, ext: Extension) -> None:
-        shared, self.build_temp = self.build_temp, str(Path(self.build_temp) / ext.name)
-        try:
-            super().build_extension(ext)
-        finally:
-            self.build_temp = shared
+        mine, library = copy.copy(self), Path(self.get_ext_fullpath(ext.name))
+        mine.build_temp = str(Path(self.build_temp) / ext.name)
+        kept = self._kept(ext)
+        if kept is None or not kept.exists():
+            build_ext.build_extension(mine, ext)
+        if kept is not None and kept.exists():
+            library.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(kept, library)
+        elif kept is not None:
+            kept.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(library, kept)
+
+    def _kept(self, ext: Extension) -> Path | None:
+        """Where the cache has this library, or will have it."""
+        if "DECOGS_KERNEL_CACHE" not in os.environ:
+            return None
+        said = [ext.name, *self.compiler.compiler_so, *ext.extra_compile_args, *ext.extra_link_args]
+        made = hashlib.sha256("\n".join(said).encode())
+        for path in [*ext.sources, *sorted(ext.depends)]:
+            made.update(Path(path).read_bytes())
+        return Path(os.environ["DECOGS_KERNEL_CACHE"], made.hexdigest()[:16])
 
 
 def kernels() -> list[Extension]:
@@ -60,5 +86,5 @@ def kernels() -> list[Extension]:
 setup(
     ext_modules=kernels(),
     cmdclass={"build_ext": BuildKernels},
-    options={"bdist_wheel": {"py_limited_api": "cp310"}},
+    options={"bdist_wheel": {"py_limited_api": "cp310"}, "build_ext": {"parallel": os.cpu_count() or 1}},
 )

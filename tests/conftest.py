@@ -1,7 +1,8 @@
-"""What holds for all tests: FFmpeg is quiet, and Hypothesis has no deadlines.
+"""What holds for all tests: FFmpeg is quiet, torch has one thread, and Hypothesis has no deadlines.
 
 FFmpeg's level is looked up once, by whoever opens or makes the first video: in a test, that may be the test. Deadlines
-would measure the machine and what else it does, not the code.
+would measure the machine and what else it does, not the code. Torch, a reference for small arrays, waits for its threads
+by spinning: on two busy processors a test of 13 seconds took 207.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import contextlib
 import os
 
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 with contextlib.suppress(ImportError):  # the wheel is checked in an environment without it
     import hypothesis

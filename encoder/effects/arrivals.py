@@ -5,10 +5,12 @@ stronger edges along the border of the difference: the object *arrived* there or
 one place and arrived at another, and restructured pixels join the two, in the picture and from one to the next: its
 *path*. So a path with arrivals and departures that balance is motion; one with arrivals alone is an emergence, one with
 departures alone a disappearance. Every path is judged by itself, by the pictures before its first and after its last
-step: what else moves, earlier, later or elsewhere, has no part in it. Nothing is said of a path in which a difference
-has no clear side, or a place was already (for an arrival) or is still (for a departure) in motion as the clip began (or
-ended); nor of one that only left, from a place already in motion. The edge test is that of video surveillance for bags
-that were left behind or taken away.
+step: what else moves, earlier, later or elsewhere, has no part in it. The edge test is that of video surveillance for
+bags that were left behind or taken away.
+
+Nothing is said of a path in which a difference has no clear side, or a place was already (for an arrival) or is still
+(for a departure) in motion as the clip began (or ended); nor of one that only left, from a place already in motion, or
+that still arrives as the clip ends.
 
 What comes and goes in between is motion. What touches something that moves, in the picture, is one path with it: other
 cameras see the two apart.
@@ -101,8 +103,11 @@ def camera_arrivals(pictures: U8, maps: Sequence[ChangeMaps], noise: float) -> A
         balance = (came - went) / (came + went)
         if balance > 0:
             place = np.any([d.place for d in inside if d.side == 1], axis=0)
-            settled = _settled(pictures[before : after + 1], place)
-            _raise(arrived, slice(before + 1, before + settled + 1), balance)
+            settled = before + _settled(pictures[before : after + 1], place)
+            if settled == len(pictures) - 1:
+                unclear = True  # still on its way as the clip ends
+            else:
+                _raise(arrived, slice(before + 1, settled + 1), balance)
         elif any(each.busy_at_first for each in inside):
             unclear = True
         else:

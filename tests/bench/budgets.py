@@ -65,7 +65,7 @@ class WorkClock:
                 "backward",
                 lambda _, view, *rest, **more: 200 + 20 * view.met.sum() + 0.2 * len(view._drawn[1]),
             ),
-            (FixedView, "refresh", lambda _, view, *rest: 300 + 15 * view.met.size + 0.05 * view._population),
+            (FixedView, "refresh", lambda _, view, *rest: 300 + 15 * view.met.size + 0.05 * len(view._placed())),
             (FixedView, "settle", lambda _, view, scene, rows, *rest: 100 + 0.2 * len(rows) + 0.02 * len(scene)),
             (FixedView, "lift", lambda _, view, rows: 50 + 0.1 * len(rows)),
             (frame_training, "shared_displacements", lambda _, means, *rest: 2 * len(means)),

@@ -165,7 +165,8 @@ def test_a_signal_leaves_nothing_behind(small_stream, tmp_path: Path, kind: str,
     where = {"decode": "decogs.decoder.played_view.PlayedView.show", "export": "decogs.formats.usd.UsdWriter.add_group"}
     module, kept, method = where[kind].rsplit(".", 2)
     program = f"""
-import sys, time, {module} as patched
+import signal, sys, time, {module} as patched
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # ignored by what runs under nohup
 def wait(*arguments):
     print("waiting", flush=True)
     time.sleep(60)
