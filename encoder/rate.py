@@ -33,12 +33,13 @@ does what changes are rounded to."""
 
 _RESPONSE = 0.4
 """Bytes fall with this power of the worth. Up to four times as steep, or however flat, the control still settles."""
-_HORIZON = 6
+_HORIZON = 12
 """Frames over which what was saved or overspent is made up for: fewer follow the budget closer, more are steadier."""
 _MEMORY = 0.5
 """Share of the estimate that a new packet does not change: a frame's bytes are noisy."""
-_TARGET_RANGE = (0.5, 2.0)
-"""A single frame's aim, in budgets: what was saved in a still scene is not thrown at the first frame that moves."""
+_TARGET_RANGE = (0.8, 2.0)
+"""A single frame's aim, in budgets: what was saved in a still scene is not thrown at the first frame that moves, and
+what a frame overspent, the first one above all, is paid back gently: what later frames leave out they must tell again."""
 _OCTAVES = 8.0
 """The worth stays between 1/256 (next to nothing is taken back) and 256 times the preset's."""
 _OCTAVE_STEPS = 32
@@ -145,7 +146,7 @@ class RateControl:
             share -= payment
             saved += payment * (self._segment - 1 - self._frames % self._segment)
         low, high = _TARGET_RANGE
-        return min(max((share + saved / _HORIZON) / self._budget, low), high)
+        return min(max((share + saved / _HORIZON) / self._budget, low * share / self._budget), high)
 
 
 def _rounded(value: float) -> float:
