@@ -1,8 +1,8 @@
 """What holds for all tests: FFmpeg is quiet, torch has one thread, and Hypothesis has no deadlines.
 
-FFmpeg's level is looked up once, by whoever opens or makes the first video: in a test, that may be the test. Deadlines
-would measure the machine and what else it does, not the code. Torch, a reference for small arrays, waits for its threads
-by spinning: on two busy processors a test of 13 seconds took 207.
+FFmpeg's level is looked up once, by whoever opens or makes the first video: in a test, that may be the test. Torch, a
+reference for small arrays, waits for its threads by spinning: on two busy processors a test of 13 seconds took 207.
+Deadlines would measure the machine and what else it does, not the code.
 """
 
 from __future__ import annotations

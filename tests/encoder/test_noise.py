@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from canary.figures import keyframe_of
+from canary.rigs import HELD_OUT, write_rig
+from decogs.encoder import encode
 from decogs.encoder.masks import MaskMemory, MaskSettings
 from decogs.encoder.noise import frame_noise, picture_noise
 
@@ -82,3 +86,29 @@ def test_a_noisy_camera_still_gets_its_threshold_beside_what_moves() -> None:
 def test_pictures_that_tell_nothing_have_no_noise() -> None:
     for picture in (np.zeros((3, 8, 8), np.float32), np.ones((3, 40, 40), np.float32)):
         assert picture_noise(picture, picture) == frame_noise(picture, picture) == 0
+
+
+WHOLE_SCENE = {
+    "a wave": lambda p, frame: p * (1 + 0.3 * np.sin(np.arange(p.shape[0])[:, None, None] / 6 + frame)),
+    "dimmed to a third": lambda p, frame: p / 3,
+    "inverted": lambda p, frame: 255.0 - p,
+    "a pan": lambda p, frame: np.roll(p, 2 * frame, axis=1),
+}
+
+
+@pytest.mark.parametrize("name", WHOLE_SCENE)
+def test_an_encode_loses_nothing_of_it_to_the_noise_threshold(name: str, tmp_path: Path) -> None:
+    """Training views within 1 dB of the same encode without the threshold."""
+    rig = write_rig("arc", tmp_path / "rig")
+    for path in sorted(rig.glob("cam*/*.png")):
+        if int(path.stem):
+            changed = WHOLE_SCENE[name](cv2.imread(str(path)).astype(np.float64), int(path.stem))
+            cv2.imwrite(str(path), np.clip(np.rint(changed), 0, 255).astype(np.uint8))
+    changes = "motion,appearance_change,emergence,disappearance"
+    psnr = []
+    for effects in (changes, f"{changes},sensor_noise"):
+        output = tmp_path / "scene.dgs"
+        report = encode(rig, output, preset="live", keyframe=keyframe_of("arc"), holdout=HELD_OUT, effects=effects)
+        psnr.append(min(frame.training_psnr for frame in report.frames[1:]))
+        assert all(frame.kind != "skip" for frame in report.frames[1:2])
+    assert psnr[1] > psnr[0] - 1
