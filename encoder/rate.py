@@ -39,7 +39,7 @@ _MEMORY = 0.5
 """Share of the estimate that a new packet does not change: a frame's bytes are noisy."""
 _TARGET_RANGE = (0.8, 2.0)
 """A single frame's aim, in budgets: what was saved in a still scene is not thrown at the first frame that moves, and
-what a frame overspent, the first one above all, is paid back gently: what later frames leave out they must tell again."""
+what one overspent is paid back gently: what later frames leave out, the next ones must tell again."""
 _OCTAVES = 8.0
 """The worth stays between 1/256 (next to nothing is taken back) and 256 times the preset's."""
 _OCTAVE_STEPS = 32
