@@ -33,6 +33,7 @@ from .changes import NEAR_SHARE, WINDOW_PIXELS, ChangeMaps, change_maps
 F64 = NDArray[np.float64]
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
+IntArray = NDArray[np.int64]
 
 _OBJECT_LEVELS = 12
 """Difference of an object from what it covers, in levels; soft shadows differ by less."""
@@ -134,20 +135,21 @@ def _paths(maps: Sequence[ChangeMaps]) -> list[_Path]:
         numbers.append(now.ravel()[here])
         steps.append(np.full(len(here), step))
         before = now
-    roots = np.array([_root(parents, number) for number in range(len(parents))])[np.concatenate(numbers)]
-    order = np.argsort(roots, kind="stable")
-    starts = np.flatnonzero(np.diff(roots[order], prepend=-1))
-    paths = []
-    for place, step in zip(
-        np.split(np.concatenate(pixels)[order], starts)[1:],
-        np.split(np.concatenate(steps)[order], starts)[1:],
-        strict=True,
-    ):
+    roots = np.array([_root(parents, number) for number in range(len(parents))])
+    return _grouped(shape, np.concatenate(pixels), np.concatenate(steps), roots[np.concatenate(numbers)])
+
+
+def _grouped(shape: tuple[int, ...], pixels: IntArray, steps: IntArray, paths: IntArray) -> list[_Path]:
+    """The paths of pixels (P,), flat, each of a step, in the steps' order, and of a path's number."""
+    order = np.argsort(paths, kind="stable")
+    starts = np.flatnonzero(np.diff(paths[order]) > 0) + 1
+    found = []
+    for rows in np.split(order, starts):
         swept = np.zeros(shape, bool)
-        swept.ravel()[place] = True
+        swept.ravel()[pixels[rows]] = True
         if swept.sum() >= WINDOW_PIXELS:
-            paths.append(_Path(swept, int(step[0]), int(step[-1])))
-    return sorted(paths, key=lambda path: path.first)
+            found.append(_Path(swept, int(steps[rows[0]]), int(steps[rows[-1]])))
+    return sorted(found, key=lambda path: path.first)
 
 
 def _root(parents: list[int], number: int) -> int:
