@@ -229,6 +229,7 @@ def test_processor_seconds_are_those_of_the_frame_without_the_measuring(
 
         return run
 
+    monkeypatch.setattr(loop, "Stopwatch", lambda: reports.Stopwatch(began=spent[0]))
     monkeypatch.setattr(reports.time, "process_time", lambda: spent[0])
     monkeypatch.setattr(loop, "mean_psnr", costly(loop.mean_psnr, 1.0))  # twice a frame
     monkeypatch.setattr(loop.MaskMemory, "masks", costly(loop.MaskMemory.masks, 0.125))
