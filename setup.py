@@ -45,14 +45,16 @@ class BuildKernels(build_ext):
         mine, library = copy.copy(self), Path(self.get_ext_fullpath(ext.name))
         mine.build_temp = str(Path(self.build_temp) / ext.name)
         kept = self._kept(ext)
-        if kept is None or not kept.exists():
-            build_ext.build_extension(mine, ext)
         if kept is not None and kept.exists():
             library.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(kept, library)
-        elif kept is not None:
+            return
+        build_ext.build_extension(mine, ext)
+        if kept is not None:
             kept.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(library, kept)
+            growing = kept.with_suffix(".part")
+            shutil.copyfile(library, growing)
+            growing.replace(kept)
 
     def _kept(self, ext: Extension) -> Path | None:
         """Where the cache has this library, or will have it."""

@@ -172,6 +172,15 @@ def _without_lines(mask: BoolArray) -> BoolArray:
     return opened
 
 
+def _light_spreads(now: FloatArray, reference: FloatArray, around: BoolArray, threshold: float) -> bool:
+    """Whether faint light, too slow to be a change itself, reached much of what is not ``around`` other changes."""
+    height, width = (max(1, size // _LIGHT_WINDOW) for size in around.shape)
+    shrink = partial(cv2.resize, dsize=(width, height), interpolation=cv2.INTER_AREA)
+    away = shrink((~around).astype(np.float32)) > 0.99
+    changes = np.abs([shrink(plane) for plane in now - reference]).max(axis=0)
+    return bool((changes[away] > threshold / 255).sum() > _SPREADS * max(away.sum(), _SPREADS * away.size))
+
+
 class MaskMemory:
     """The masks of a stream's frames, and what they need to know of the frames before.
 
@@ -260,20 +269,12 @@ class MaskMemory:
         raw = without_specks(difference_mask(now, reference, max(settings.threshold, noise)), settings.speck_area)
         if settings.residual and changed.any():
             raw |= _without_lines(difference_mask(now, shown, settings.residual) & changed)
-        lit = raw
+        around, mending = self._grown(raw), mend_until > self._frame
         threshold = max(settings.light_threshold, noise / _LIGHT_WINDOW)
-        if settings.light_threshold and (self._only_light or self._light_spreads(now, reference, raw, threshold)):
-            lit = raw | without_specks(faint_light_mask(now, reference, threshold), settings.speck_area)
-        around, mending = self._grown(lit), mend_until > self._frame
+        if settings.light_threshold and (self._only_light or _light_spreads(now, reference, around, threshold)):
+            faint = faint_light_mask(now, reference, threshold)
+            around = self._grown(raw | without_specks(faint, settings.speck_area))
         return FrameMask(raw, around | mending, mending & ~around)
-
-    def _light_spreads(self, now: FloatArray, reference: FloatArray, raw: BoolArray, threshold: float) -> bool:
-        """Whether faint light, too slow to be a change itself, reached much of what is away from ``raw`` changes."""
-        height, width = (max(1, size // _LIGHT_WINDOW) for size in raw.shape)
-        shrink = partial(cv2.resize, dsize=(width, height), interpolation=cv2.INTER_AREA)
-        away = shrink((~self._grown(raw)).astype(np.float32)) > 0.99
-        changes = np.abs([shrink(plane) for plane in now - reference]).max(axis=0)
-        return bool((changes[away] > threshold / 255).sum() > _SPREADS * max(away.sum(), _SPREADS * away.size))
 
     def _noise(self, now: FloatArray, reference: FloatArray) -> float:
         """Levels below which a difference may be noise; none where nearly all of the picture clearly changed."""

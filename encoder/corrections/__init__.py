@@ -114,7 +114,7 @@ class Corrector:
         every camera by it; what the other cameras miss in common is therefore no camera's loss.
         """
         before = set(self._dropped)
-        left_behind = self._left_behind(recorded, corrections, show) if self._has_colours else {}
+        left_behind: dict[str, F64] = {}
         for name, correction in corrections.items():
             number, _ = self._views[name]
             for kind in _KINDS:
@@ -125,7 +125,8 @@ class Corrector:
                     on_grid(self._canonical(name, recorded[number], each)) for each in (correction, left_out)
                 )
                 shown = on_grid(show(number))
-                if left_behind:
+                if self._has_colours:
+                    left_behind = left_behind or self._left_behind(recorded, corrections, show)
                     shown = without_odds(shown, _odds_of(-_of_the_others(left_behind, name)))
                 worth = self._worths.setdefault((name, kind), Worth())
                 worth.saw(corrected, left, shown, on_grid(changed[number]))

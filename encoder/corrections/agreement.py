@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -25,25 +25,13 @@ from decogs.formats.cameras import Camera, turned
 from decogs.formats.splats import FloatArray
 
 from ..ingest import View
+from ..rasterise import Picture
 from .colour import OddsShift, tells, tukey_weights
 
 F64 = NDArray[np.float64]
 
 
-class Shown(Protocol):
-    """The scene as a view sees it: ``rgb`` (3, H, W), ``alpha`` and ``depth`` (H, W), the depth summed by weight."""
-
-    @property
-    def rgb(self) -> FloatArray: ...
-
-    @property
-    def alpha(self) -> FloatArray: ...
-
-    @property
-    def depth(self) -> FloatArray | None: ...
-
-
-Look = Callable[[int], Shown]
+Look = Callable[[int], Picture]
 """The scene through the training view of that number, with its depth."""
 
 _SAMPLES = 2000
@@ -149,7 +137,7 @@ def agreeing_shifts(views: Sequence[View], pictures: Sequence[FloatArray], look:
     return [OddsShift(*map(np.array, zip(*of_view, strict=True))) for of_view in zip(*solved, strict=True)]
 
 
-def _depth(picture: Shown) -> FloatArray:
+def _depth(picture: Picture) -> FloatArray:
     """Depth (H, W) of what the view sees, NaN where that is not opaque."""
     assert picture.depth is not None
     with np.errstate(divide="ignore", invalid="ignore"):

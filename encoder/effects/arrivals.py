@@ -145,6 +145,8 @@ def _grouped(shape: tuple[int, ...], pixels: IntArray, steps: IntArray, paths: I
     starts = np.flatnonzero(np.diff(paths[order]) > 0) + 1
     found = []
     for rows in np.split(order, starts):
+        if len(rows) < WINDOW_PIXELS:
+            continue
         swept = np.zeros(shape, bool)
         swept.ravel()[pixels[rows]] = True
         if swept.sum() >= WINDOW_PIXELS:
@@ -175,7 +177,8 @@ def _differences(pictures: U8, maps: Sequence[ChangeMaps], path: _Path, noise: f
     count, labels, stats, _ = cv2.connectedComponentsWithStats(closed, connectivity=8)
     edges = _edges(first), _edges(last)
     # Motion of the clip's first and last two steps may have begun before it, or go on after.
-    early, late = maps[path.first : 2], maps[max(len(maps) - 2, 0) : path.last + 1]
+    ends = maps[path.first : 2], maps[max(len(maps) - 2, 0) : path.last + 1]
+    early, late = (_moving(some, window, path.swept.shape) for some in ends)
     found = []
     for label in range(1, count):
         place = (labels == label) & swept
@@ -185,7 +188,7 @@ def _differences(pictures: U8, maps: Sequence[ChangeMaps], path: _Path, noise: f
         border = cv2.dilate(shape, _SQUARE) != cv2.erode(shape, _SQUARE)
         outlined = whole.restructured[border].mean() >= _OUTLINED
         side = _side(edges[0][border], edges[1][border]) if outlined else 0
-        busy_at_first, busy_at_last = (_is_busy(some, window, place, width) for some in (early, late))
+        busy_at_first, busy_at_last = (bool(moves[place].mean() >= _RESTING) for moves in (early, late))
         if (side > 0 and busy_at_first) or (side < 0 and busy_at_last):
             side = 0
         everywhere = np.zeros(path.swept.shape, bool)
@@ -202,11 +205,12 @@ def _around(area: BoolArray) -> tuple[slice, slice]:
     return rows, columns
 
 
-def _is_busy(maps: Sequence[ChangeMaps], window: tuple[slice, slice], place: BoolArray, width: int) -> bool:
-    if not maps:
-        return False
-    parts = [ChangeMaps(each.changed[window], each.restructured[window]).near(width) for each in maps]
-    return bool(np.any(parts, axis=0)[place].mean() >= _RESTING)
+def _moving(maps: Sequence[ChangeMaps], window: tuple[slice, slice], shape: tuple[int, ...]) -> BoolArray:
+    """Where in the ``window`` of a picture of that ``shape`` something moves in any of the steps."""
+    moves = np.zeros(shape, bool)[window]
+    for each in maps:
+        moves |= ChangeMaps(each.changed[window], each.restructured[window]).near(shape[1])
+    return moves
 
 
 def _side(first: F32, last: F32) -> int:

@@ -552,4 +552,4 @@ def _turned_somehow(quaternions: Tensor) -> Tensor:
 
 def _host(values: Tensor) -> FloatArray:
     """A copy in the host's memory, C-contiguous."""
-    return np.asarray(values.detach().contiguous().cpu().clone().numpy(), np.float32)
+    return np.asarray(values.detach().contiguous().to("cpu", copy=True).numpy(), np.float32)
