@@ -77,27 +77,36 @@ def _across_light(before: FloatArray, now: FloatArray) -> float:
     Along rows and columns, too: a wave of brightness may be finer than a tile.
     """
     a, b = _tiles(before), _tiles(now)
-    clipped = ((np.minimum(a, b) < _CLIPPED) | (np.maximum(a, b) > 255 - _CLIPPED)).mean(axis=(1, 2, 3))
-    a, b = a[clipped < _MOST_CLIPPED], b[clipped < _MOST_CLIPPED]
-    if not len(a):
+    channels = len(before)
+    clipped = ((np.minimum(a, b) < _CLIPPED) | (np.maximum(a, b) > 255 - _CLIPPED)).mean(axis=(0, 1))
+    usable = np.tile(clipped.reshape(channels, -1).mean(axis=0) < _MOST_CLIPPED, channels)
+    if not usable.any():
         return math.inf
-    least = np.minimum(_smaller_eigenvalue(a, b, (2, 3)), _smaller_eigenvalue(a, b, (3,)).mean(axis=2))
-    least = np.minimum(least, _smaller_eigenvalue(a, b, (2,)).mean(axis=2))
-    return math.sqrt(max(float(np.quantile(least.mean(axis=1), _QUIETEST)), 0.0))
+    a, b = (np.compress(usable, side, axis=2) for side in (a, b))
+    a, b = (side - side.mean(axis=(0, 1)) for side in (a, b))
+    # Of rows and of columns; a tile's means are those of its rows' means.
+    of_rows, of_columns = (
+        np.stack([x.mean(axis=axis, dtype=np.float32) for x in (a, b, a * a, b * b, a * b)]).astype(np.float64)
+        for axis in (1, 0)
+    )
+    least = np.minimum(_smaller_eigenvalue(of_rows).mean(axis=0), _smaller_eigenvalue(of_columns).mean(axis=0))
+    least = np.minimum(least, _smaller_eigenvalue(of_rows.mean(axis=1))).reshape(channels, -1)
+    return math.sqrt(max(float(np.quantile(least.mean(axis=0), _QUIETEST)), 0.0))
 
 
 def _tiles(picture: FloatArray) -> FloatArray:
-    """Square tiles (N, C, side, side) of the picture (C, H, W), spread over it, in levels."""
+    """Square tiles (side, side, C * N) of the picture (C, H, W), spread over it, in levels."""
     channels, height, width = picture.shape
     rows, columns = height // _TILE, width // _TILE
     step = max(1, math.isqrt(rows * columns // _MOST_TILES))
     whole = picture[:, : rows * _TILE, : columns * _TILE].reshape(channels, rows, _TILE, columns, _TILE)
-    some = whole[:, ::step, :, ::step].transpose(1, 3, 0, 2, 4)
-    return np.asarray(some.reshape(-1, channels, _TILE, _TILE) * np.float32(255), np.float32)
+    some = whole[:, ::step, :, ::step].transpose(2, 4, 0, 1, 3)
+    # Tiles last: sums over a tile's pixels are then sums of long rows.
+    return np.asarray(some.reshape(_TILE, _TILE, -1) * np.float32(255), np.float32)
 
 
-def _smaller_eigenvalue(a: FloatArray, b: FloatArray, axes: tuple[int, ...]) -> F64:
-    """Of the covariance of ``a`` and ``b`` over ``axes``."""
-    a, b = (side - side.mean(axis=axes, keepdims=True) for side in (a, b))
-    of_a, of_b, both = ((x * y).mean(axis=axes, dtype=np.float64) for x, y in ((a, a), (b, b), (a, b)))
+def _smaller_eigenvalue(moments: F64) -> F64:
+    """Of the covariance of two values whose means, mean squares and mean product are given (5, ...)."""
+    mean_a, mean_b, square_a, square_b, product = moments
+    of_a, of_b, both = square_a - mean_a * mean_a, square_b - mean_b * mean_b, product - mean_a * mean_b
     return np.asarray((of_a + of_b) / 2 - np.hypot((of_a - of_b) / 2, both))
