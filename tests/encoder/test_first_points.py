@@ -10,10 +10,11 @@ import pytest
 from numpy.typing import NDArray
 
 from decogs.encoder.first_points import FirstPoints, first_points
+from decogs.encoder.first_points.agreement import agree
 from decogs.encoder.first_points.cloud import Cloud, Survey, neighbour_distances, spread_to_count, too_near
 from decogs.encoder.first_points.frusta import DepthRange, shared_depths
 from decogs.encoder.first_points.guesses import fill_depths
-from decogs.encoder.first_points.plane_sweep import choose_planes, sweep
+from decogs.encoder.first_points.plane_sweep import DepthMap, choose_planes, sweep
 from decogs.encoder.first_points.views import make_view
 from decogs.formats.cameras import Camera, camera_centre
 from decogs.formats.errors import TrainingError
@@ -243,6 +244,17 @@ def test_sweep_finds_the_depth_of_the_whole_picture() -> None:
     ratio = sweep(views[2], neighbours, planes).inverse_depth * truth
     assert np.median(np.abs(ratio - 1)) < 0.01  # half a plane: planes are 1.25 px apart, about 2 % at these angles
     assert np.mean(np.abs(ratio - 1) > 0.05) < 0.25
+
+
+def test_what_more_views_see_through_than_see_is_no_surface() -> None:
+    """Of five neighbours two or three have the same depths; to the others the surface lies three times as far away."""
+    photographs = [photograph(camera) for camera in ARC[1:7]]
+    views = [make_view(camera, picture, 1.0) for camera, (picture, _) in zip(ARC[1:7], photographs, strict=True)]
+    own, *others = (DepthMap(1 / depth.astype(np.float32)) for _, depth in photographs)
+    far = [DepthMap(depths.inverse_depth / 3) for depths in others]
+    kept = [len(agree(views, 0, [1, 2, 3, 4, 5], [1, 2], own, [own, *others[:same], *far[same:]])) for same in (2, 3)]
+    assert kept[1] > 0.7 * WIDTH * HEIGHT
+    assert kept[0] < 0.25 * kept[1], "what is left lies where the three do not look"
 
 
 def test_chosen_points_are_spread_evenly() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -179,6 +180,47 @@ def test_sh_degree_rises_by_one_each_quarter(case: Case, degree: int, expected: 
     assert kernel.degrees[:40] == expected
     assert result.splats.sh.shape[1] == (degree + 1) ** 2
     assert all(result.splats.sh[:, k].any() for k in range((degree + 1) ** 2))
+
+
+class Watching(TrainingKernel):
+    """A kernel that notes positions and sizes at every picture drawn."""
+
+    def __init__(self) -> None:
+        super().__init__(2)
+        self.means: list[np.ndarray] = []
+        self.log_scales: list[np.ndarray] = []
+
+    def forward(self, splats: Splats, *arguments: Any, **options: Any) -> Any:
+        self.means.append(splats.means.copy())
+        self.log_scales.append(splats.log_scales.copy())
+        return super().forward(splats, *arguments, **options)
+
+
+def moves(drawn: list[np.ndarray]) -> np.ndarray:
+    """Mean distance that values go from each picture to the next."""
+    return np.array([np.abs(after - before).mean() for before, after in pairwise(drawn)])
+
+
+STEADY = replace(SHORT, validation_share=0.0, grow_gradient=1e9, prune_opacity=0.0)
+
+
+def test_positions_go_ever_shorter_ways(case: Case) -> None:
+    ways = {}
+    for decay in (0.05, 1.0):
+        kernel, settings = Watching(), replace(STEADY, settle_iterations=0, means_decay=decay)
+        train_keyframe(kernel, case.views, case.pictures, points(), settings, seed=0)
+        way = moves(kernel.means[:60])
+        ways[decay] = way[-10:].mean() / way[:10].mean()
+    # Over the last ten of 60 steps the rate is .05 to the power of 10 / 12 of the first ones', .08 of it.
+    assert ways[0.05] < 0.2 * ways[1.0], "and by much more than what is nearly learned moves less anyway"
+
+
+def test_sizes_are_learned_for_a_third_of_the_settling_and_positions_for_two(case: Case) -> None:
+    kernel, settings = Watching(), replace(STEADY, iterations=20, settle_iterations=30)
+    train_keyframe(kernel, case.views, case.pictures, points(), settings, seed=0)
+    settling = slice(20, 50)
+    last = [np.flatnonzero(moves(drawn[settling]))[-1] + 1 for drawn in (kernel.log_scales, kernel.means)]
+    assert last == [10, 20], "the last change is the one to the nearest point of the lattice"
 
 
 def test_pixels_that_were_not_recorded_never_matter(case: Case) -> None:

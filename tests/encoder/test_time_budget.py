@@ -20,6 +20,7 @@ from decogs.encoder import encode as encode_rig
 from decogs.encoder.commands import encode_main
 from decogs.encoder.economy import EconomySettings
 from decogs.encoder.effort import LEAST_STEPS
+from decogs.encoder.loop import StreamEncoder
 from decogs.encoder.methods import with_method
 from decogs.encoder.time_budget import (
     TIME_TOLERANCE,
@@ -245,6 +246,35 @@ def test_a_held_frame_is_taken_up_by_the_next_one(
     assert {frame.kind for frame in trained} == {"delta"}
     assert np.mean([counted_seconds(frame.seconds) for frame in later]) < 0.13
     assert min(frame.training_psnr for frame in trained) > max(frame.training_psnr for frame in held) + 0.2
+
+
+def test_what_moves_is_begun_as_far_on_as_frames_have_passed(
+    moving: Any, patient: EncodeSettings, tiny_rig: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Frames 1, 3 and 4 are trained and 2 is held: what moved on the way to 3 took two frames, on the way to 4 one."""
+    begun: list[Any] = []
+    reached: list[Any] = []
+    train, displacements = frame_training.FrameTrainer.train, StreamEncoder._displacements
+
+    def noted(trainer: Any, scene: Any, selected: Any, pictures: Any, masks: Any, motion: Any, **options: Any) -> Any:
+        begun.append(motion)
+        return train(trainer, scene, selected, pictures, masks, motion, **options)
+
+    def measured(encoder: Any, before: Any, after: Any) -> Any:
+        reached.append(displacements(encoder, before, after))
+        return reached[-1]
+
+    held = iter([False, True, False, False])
+    monkeypatch.setattr(TimeControl, "holds", lambda *_: next(held))
+    monkeypatch.setattr(frame_training.FrameTrainer, "train", noted)
+    monkeypatch.setattr(StreamEncoder, "_displacements", measured)
+    rig = tiny_rig.write(tmp_path / "rig", frames=[0, 1, 3, 0, 1])
+    given = {"holdout": tiny_rig.held_out, "keyframe": moving.path, "preset": patient}
+    report = encode_rig(rig, tmp_path / "x.dgs", **given, time_budget="10s/frame")
+    assert [frame.kind for frame in report.frames] == ["key", "delta", "skip", "delta", "delta"]
+    assert all(way.any() for way in reached)
+    np.testing.assert_array_equal(begun[1], 2 * reached[0])
+    np.testing.assert_allclose(begun[2], reached[1] / 2, rtol=1e-6)
 
 
 def test_few_steps_still_get_as_far_as_things_move(

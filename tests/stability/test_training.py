@@ -16,6 +16,7 @@ import numpy as np
 import OpenEXR
 import pytest
 
+import decogs.encoder.flashes as flashes
 import decogs.encoder.masks as masks_module
 from decogs.codec.digest import digest
 from decogs.decoder.session import open_stream, render_view
@@ -23,6 +24,7 @@ from decogs.encoder import PRESETS
 from decogs.encoder import encode as encode_rig
 from decogs.encoder.commands import encode_main
 from decogs.encoder.dropouts import BLACK, BLANK, FROZEN, blankness
+from decogs.encoder.flashes import BeforeFlash
 from decogs.encoder.ingest import Ingest
 from decogs.encoder.keyframe import psnr_of
 from decogs.encoder.loop import encode_stream
@@ -171,6 +173,21 @@ def test_a_flash_that_shows_something_is_followed_and_leaves_no_mark(
         assert kinds(resumed) == kinds(encoded)
         if budget is None:
             assert resumed.data == encoded.data
+
+
+def test_a_light_that_stays_on_is_no_flash(
+    still: Any, encode: Any, settings: Any, edit_picture: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    known = BeforeFlash(since=1, state=still[1].states[0], motion=np.zeros((0, 3), np.float32), masks=None)  # type: ignore[arg-type]
+    assert [known.stays(frame) for frame in (9, 10)] == [False, True], "eight frames after the one it came in, and nine"
+    monkeypatch.setattr(flashes, "_LONGEST", 1)
+    rig = copied(still[0], tmp_path)
+    for name in (*TRAINING, "cam02"):
+        for frame in range(1, 4):
+            edit_picture(rig, name, frame, lambda picture: picture * 4)
+    encoded = encode(rig, settings=settings, keyframe=still[1].path)
+    check_stream(encoded)
+    assert kinds(encoded)[4] == "delta", "the scene is trained to the dark again"
 
 
 def test_a_frame_dropped_by_one_camera_does_not_pull_the_scene_back(
