@@ -28,6 +28,7 @@ from decogs.formats.container import (
     stops_inside,
 )
 from decogs.formats.errors import StreamError, UsageError
+from decogs.formats.outputs import is_left_over, part_of
 from decogs.formats.reasons import Reason
 from decogs.formats.survey import check_lost, check_places, next_past_damage, past_unfinished
 
@@ -245,7 +246,8 @@ def follow_stream(
     error in any case, and so is a file that is cut back meanwhile.
 
     Waits up to ``idle`` seconds for the file, for its header, and for each further packet. A file is looked for as
-    ``stream`` + ".part" first. Raises UsageError when there is none, StreamError for what is no readable stream.
+    ``stream`` + ".part" first, unless that is what an encode killed in its first frame left beside a whole file.
+    Raises UsageError when there is none, StreamError for what is no readable stream.
     """
     if not idle > 0:
         raise UsageError(f"{idle:g} s are no time to wait; give a number of seconds above 0")
@@ -259,13 +261,14 @@ def follow_stream(
 def _opened(path: Path, idle: float) -> BinaryIO:
     """The file when it is there, unbuffered, so that what was its end is looked at again."""
     since = time.monotonic()
-    candidates = (path.with_name(path.name + ".part"), path)
+    growing = part_of(path)
     while True:
         # One that is renamed between the two looks is found the next time.
         with suppress(FileNotFoundError):
-            return open(next((c for c in candidates if c.exists()), path), "rb", buffering=0)
+            left_over = path.exists() and is_left_over(growing)
+            return open(growing if growing.exists() and not left_over else path, "rb", buffering=0)
         if time.monotonic() - since >= idle:
             raise UsageError(
-                f"{path}: neither it nor {path.name}.part is there after {idle:g} s; is the encoder running?"
+                f"{path}: neither it nor {growing.name} is there after {idle:g} s; is the encoder running?"
             )
         time.sleep(_POLL)

@@ -36,7 +36,7 @@ _MEMORY = 0.7
 """Share of the estimate of what a frame takes beyond its deadline that a new frame does not change."""
 _AFTER_TRAINING = ("write", "settle")
 _UNCOUNTED = "measure"
-_WRITTEN = re.compile(r"(\S+?)\s*(ms|s)?\s*(?:/\s*frame)?")
+_WRITTEN = re.compile(r"([0-9.eE+-]+?)\s*(ms|s)?\s*(?:/\s*frame)?")
 
 
 def seconds_per_frame(text: str | float) -> float:

@@ -1,9 +1,11 @@
 """Files that a command writes: none that it reads, no two in one place, each whole under its name or not there.
 
 Chosen: a file grows beside its name, as ``NAME.part``, locked (flock) by the process that writes it, is flushed to the
-disk and then renamed; every place that writes a file for good goes through `GrowingFile`. What is asked for is compared
-before anything is opened (`check_outputs`): by device and inode where a file is there, by its resolved path where not,
-so that links and other spellings of a name are seen through. Rejected: a lock file of its own (a kill leaves it).
+disk and then renamed. Every file that our own code writes goes through `GrowingFile`; pictures, videos and USD are
+written by libraries, which want a name: in a folder, or under a name, of their own, and are moved. What is asked for is
+compared before anything is opened (`check_outputs`): by device and inode where a file is there, by its resolved path
+where not, so that links and other spellings of a name are seen through. Rejected: a lock file of its own (a kill leaves
+it).
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ from __future__ import annotations
 import fcntl
 import os
 import stat
+import time
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -24,6 +27,9 @@ Leftover = Literal["refused", "kept", "dropped"]
 """What becomes of the ``NAME.part`` that an interrupted process left: an error, gone on with, or begun anew."""
 
 _Place = tuple[int, int] | str
+
+_ABOUT_TO_BE_LOCKED = 2.0
+"""Seconds after a file was made in which its maker may not have locked it yet."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +89,18 @@ def is_device(path: Path) -> bool:
     except OSError:
         return False
     return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
+
+
+def is_left_over(part: Path) -> bool:
+    """Whether a file that grows is empty and nobody writes it: its process was killed before its first byte."""
+    with suppress(OSError), part.open("rb") as file:
+        found = os.fstat(file.fileno())
+        # One that was made just now may be about to be locked by its maker, whom a lock of ours would turn away.
+        if found.st_size or time.time() - found.st_mtime < _ABOUT_TO_BE_LOCKED:
+            return False
+        fcntl.flock(file.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)
+        return True
+    return False
 
 
 class GrowingFile:

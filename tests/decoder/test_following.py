@@ -18,6 +18,7 @@ from decogs.decoder.commands import decode_main
 from decogs.decoder.following import follow_stream
 from decogs.formats.container import iterate_packets
 from decogs.formats.errors import StreamError, UsageError
+from decogs.formats.outputs import GrowingFile
 
 PATIENCE = 20.0
 """Seconds that a test waits for what must come; a shared machine may be slow."""
@@ -135,6 +136,30 @@ def test_a_file_that_is_begun_anew_is_an_error(small_stream: Any, tmp_path: Path
 
 def test_a_finished_stream_is_read_to_its_end(small_stream: Any, whole: Path, tmp_path: Path) -> None:
     decode(small_stream.path, tmp_path / "live", view="cam00", follow=True)
+    assert same_pictures(tmp_path / "live", whole)
+
+
+def test_an_empty_part_that_a_killed_encode_left_is_not_waited_for(
+    small_stream: Any, whole: Path, tmp_path: Path
+) -> None:
+    stream, part = tmp_path / "x.dgs", tmp_path / "x.dgs.part"
+    stream.write_bytes(small_stream.path.read_bytes())
+    part.touch()
+    os.utime(part, (time.time() - 60, time.time() - 60))
+    decode(stream, tmp_path / "live", view="cam00", follow=True, idle=5)
+    assert same_pictures(tmp_path / "live", whole)
+    with GrowingFile(stream, leftover="dropped") as growing:
+        os.utime(part, (time.time() - 60, time.time() - 60))
+        with pytest.raises(StreamError, match="before its header is complete"):
+            decode(stream, tmp_path / "other", view="cam00", follow=True, idle=0.2)
+        assert not growing.size
+
+
+def test_what_grows_behind_a_link_is_followed(small_stream: Any, whole: Path, tmp_path: Path) -> None:
+    (tmp_path / "disk").mkdir()
+    (tmp_path / "disk" / "x.dgs.part").write_bytes(small_stream.path.read_bytes())
+    (tmp_path / "link.dgs").symlink_to(tmp_path / "disk" / "x.dgs")
+    decode(tmp_path / "link.dgs", tmp_path / "live", view="cam00", follow=True, idle=5)
     assert same_pictures(tmp_path / "live", whole)
 
 

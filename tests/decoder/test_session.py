@@ -249,7 +249,7 @@ def test_frame_ranges_are_read_as_in_python() -> None:
     ranges = {"0:10": (0, 10), ":": (None, None), "5:": (5, None), "-3:": (-3, None), ":-1": (None, -1)}
     for text, ends in ranges.items():
         assert frame_range(text) == slice(*ends)
-    for text in ("", "5", "a:b", "1:2:3", "1.5:2", "0-10"):
+    for text in ("", "5", "a:b", "1:2:3", "1.5:2", "0-10", "\u0661:\u0663", "1_0:", "9" * 5000 + ":"):
         with pytest.raises(UsageError, match="no range; write A:B"):
             frame_range(text)
 

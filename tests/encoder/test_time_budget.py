@@ -56,7 +56,9 @@ def test_times_are_read(text: str | float, seconds: float) -> None:
     assert seconds_per_frame(text) == seconds
 
 
-@pytest.mark.parametrize("text", ["", "s", "0", "-1s", "1h", "1s/second", "inf", "nan", "1,5", "1s 2", "1.5/framed"])
+@pytest.mark.parametrize(
+    "text", ["", "s", "0", "-1s", "1h", "1s/second", "inf", "nan", "1,5", "1s 2", "1.5/framed", "\u0663s", "1_0"]
+)
 def test_what_is_no_time_is_refused(text: str) -> None:
     with pytest.raises(UsageError, match=r"that is no time; write 1\.5s/frame or 500ms/frame"):
         seconds_per_frame(text)
