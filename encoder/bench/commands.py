@@ -37,7 +37,12 @@ def bench_main(arguments: Sequence[str] | None = None) -> int:
 def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("rigs", nargs="+", metavar="RIG", help="the rigs' folders")
     parser.add_argument("-o", "--output", required=True, metavar="OUTPUT", help="folder of the report")
-    parser.add_argument("--holdout", metavar="CAM", help="camera to measure on (default: the rig's own, or cam00)")
+    parser.add_argument(
+        "--holdout",
+        action="append",
+        metavar="CAM",
+        help="camera to measure on (repeatable: means over all; default: the rig's own, or cam00)",
+    )
     parser.add_argument("--frames", metavar="A:B", help="half-open, as in Python: 0:10, 5:, -3: (default: all)")
     parser.add_argument("--scale", type=number, default=1.0, metavar="S", help="size of the pictures")
     parser.add_argument("--preset", default="standard", metavar="P", help="what variants start from (default standard)")

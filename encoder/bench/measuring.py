@@ -1,11 +1,11 @@
-"""Decoded frames against what the held-out camera recorded: quality by region, flicker, and the time to render."""
+"""Decoded frames against what held-out cameras recorded: quality by region, flicker, and the time to render."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
-from statistics import median
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, fields
+from statistics import fmean, median
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from .regions import Regions
 
 @dataclass(frozen=True)
 class FrameQuality:
-    """One frame of the held-out camera. PSNR in dB; None for a region without pixels.
+    """One frame of a held-out camera, or the means over several. PSNR in dB; None for a region without pixels.
 
     ``variation``: mean change of the static pixels since the frame before, 0..1; None in the first. ``psnr_aligned``:
     of the whole picture once its colours are brought to the recording's.
@@ -38,6 +38,15 @@ class FrameQuality:
     lpips: float | None
     variation: float | None
     psnr_aligned: float | None = field(default=None, kw_only=True)
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """A camera that training never saw: what it recorded, a picture for each frame measured, and its regions."""
+
+    camera: str
+    recorded: Iterable[BytePicture]
+    regions: Regions
 
 
 @dataclass(frozen=True)
@@ -57,42 +66,51 @@ class StreamQuality:
 def measure_scenes(
     header: StreamHeader,
     scenes: Iterator[Splats],
-    recorded: Iterable[BytePicture],
-    regions: Regions,
+    views: Sequence[HeldOut],
     *,
-    camera: str,
     scale: float,
     threads: int,
     column: int,
     distance: Distance | None = None,
 ) -> StreamQuality:
-    """Compares ``camera``'s view of every frame, as any viewer would show it, with the one recorded.
+    """Compares the ``views`` of every frame, as any viewer would show them, with what was recorded.
 
-    ``header`` has the camera; ``scenes``, a frame each, are read as they are needed. Every frame is rendered, also one
-    in which nothing changed. ``column``: which one to keep.
+    ``header`` has the cameras; ``scenes``, a frame each, are read as they are needed. Every frame is rendered, also one
+    in which nothing changed. ``column``: which one of the first camera to keep; rendering is timed on that camera.
     """
     frames: list[FrameQuality] = []
     rendering: list[float] = []
     reading: list[float] = []
     decoding: list[float] = []
     columns: list[NDArray[np.uint8]] = []
-    before: BytePicture | None = None
-    for target in recorded:
+    before: list[BytePicture | None] = [None] * len(views)
+    for targets in zip(*(view.recorded for view in views), strict=True):
         began, began_cpu = time.perf_counter(), time.process_time()
         splats = next(scenes)
         reading.append(time.perf_counter() - began)
         read_cpu = time.process_time() - began_cpu
         if not rendering:  # the first rendering loads the kernel
-            render_view(header, splats, camera, scale=scale, threads=threads)
-        began, began_cpu = time.perf_counter(), time.process_time()
-        image = render_view(header, splats, camera, scale=scale, threads=threads).image
-        rendering.append(time.perf_counter() - began)
-        decoding.append(read_cpu + time.process_time() - began_cpu)
-        seen = to_8bit(image)
-        frames.append(_quality(before, seen, target, regions, distance))
-        columns.append(seen[:, column])
-        before = seen
+            render_view(header, splats, views[0].camera, scale=scale, threads=threads)
+        found: list[FrameQuality] = []
+        for number, (view, target) in enumerate(zip(views, targets, strict=True)):
+            began, began_cpu = time.perf_counter(), time.process_time()
+            image = render_view(header, splats, view.camera, scale=scale, threads=threads).image
+            seconds, cpu_seconds = time.perf_counter() - began, time.process_time() - began_cpu
+            seen = to_8bit(image)
+            found.append(_quality(before[number], seen, target, view.regions, distance))
+            before[number] = seen
+            if number == 0:
+                rendering.append(seconds)
+                decoding.append(read_cpu + cpu_seconds)
+                columns.append(seen[:, column])
+        frames.append(_mean(found))
     return StreamQuality(frames, median(rendering), median(reading), median(decoding), np.stack(columns, axis=1))
+
+
+def _mean(found: Sequence[FrameQuality]) -> FrameQuality:
+    """The means over cameras, of those that have a value."""
+    values = {f.name: [v for each in found if (v := getattr(each, f.name)) is not None] for f in fields(FrameQuality)}
+    return FrameQuality(**{name: fmean(told) if told else None for name, told in values.items()})  # type: ignore[arg-type]
 
 
 def _quality(

@@ -61,11 +61,12 @@ def _about_rig(result: RigResults) -> str:
     bench = result.bench
     camera = next(camera for camera in bench.rig.cameras if camera.name == bench.camera)
     regions, frames = bench.regions, bench.frames
+    training = len(bench.rig.cameras) - len(bench.cameras)
     text = (
-        f"{len(bench.rig.cameras) - 1} training views, {bench.camera} held out ({camera.width}x{camera.height}"
+        f"{training} training views, {', '.join(bench.cameras)} held out ({camera.width}x{camera.height}"
         f"{'' if bench.options.scale == 1 else f', scale {bench.options.scale:g}'}), frames {frames.start} to "
-        f"{frames[-1]}. Static {regions.static.mean():.1%} of its pixels, dynamic {regions.dynamic.mean():.1%}: "
-        f"{regions.about}."
+        f"{frames[-1]}. Static {regions.static.mean():.1%} of {bench.camera}'s pixels, dynamic "
+        f"{regions.dynamic.mean():.1%}: {regions.about}."
     )
     keyframe = result.run_of(KEYFRAME)
     if keyframe is not None:

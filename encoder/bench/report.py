@@ -242,7 +242,7 @@ def _document(plan: Plan, results: Sequence[RigResults], command: str) -> dict[s
 def _rig_document(plan: Plan, result: RigResults) -> dict[str, Any]:
     bench, regions = result.bench, result.bench.regions
     document: dict[str, Any] = {
-        "held_out": bench.camera,
+        "held_out": ",".join(bench.cameras),
         "frames": [bench.frames.start, bench.frames.stop],
         "masks": regions.about,
         "static_share": float(regions.static.mean()),

@@ -42,7 +42,7 @@ from ..presets import EncodeSettings
 from ..reports import EncodeReport, FrameReport, OnKeyframeStep
 from .courses import Course, course, read_course, recorded_course, write_course
 from .machine import code_version, load, machine_facts
-from .measuring import FrameQuality, StreamQuality, measure_scenes
+from .measuring import FrameQuality, HeldOut, StreamQuality, measure_scenes
 from .metrics import BytePicture
 from .perceptual import installed_network, perceptual_distance
 from .regions import Regions, find_regions, held_out_pictures, static_column
@@ -66,7 +66,7 @@ class BenchOptions:
     ``any_code``: take results that other code made. ``keep_streams``: leave the .dgs files.
     """
 
-    holdout: str | None = None
+    holdout: str | Sequence[str] | None = None
     frames: str | None = None
     scale: float = 1.0
     preset: str = "standard"
@@ -137,7 +137,10 @@ class Run:
 
 
 class RigBench:
-    """One rig of a report: its held-out camera, frames and masks, and the runs over it."""
+    """One rig of a report: its held-out cameras, frames and masks, and the runs over it.
+
+    Figures are means over all ``cameras`` held out; ``camera``, the first of them, is the one that pictures show.
+    """
 
     def __init__(self, rig_dir: str | os.PathLike[str], output: Path, options: BenchOptions) -> None:
         """Raises RigError and UsageError for a rig or options that cannot be measured; nothing is trained yet."""
@@ -147,18 +150,26 @@ class RigBench:
         self.rig = open_rig(rig_dir)
         self.name = re.sub(r"[^\w.-]+", "_", self.rig.path.resolve().name) or "rig"
         self.options = options
-        self.camera = _held_out(self.rig, options.holdout)
+        self.cameras = _held_out(self.rig, options.holdout)
         self.frames = frame_span(self.rig, None if options.frames is None else frame_range(options.frames))
         if len(self.frames) < 2:
             raise UsageError(f"{self.rig.path}: a report compares frames; give at least 2 with --frames A:B")
-        Ingest(self.rig, holdout=[self.camera], scale=options.scale)
+        Ingest(self.rig, holdout=self.cameras, scale=options.scale)
         self._threads = thread_count(options.threads)
         self.runs_folder, self._streams = output / "runs", output / "streams"
 
+    @property
+    def camera(self) -> str:
+        return self.cameras[0]
+
     @cached_property
+    def _regions(self) -> dict[str, Regions]:
+        return {name: find_regions(self.rig, name, self.frames, self.options.scale) for name in self.cameras}
+
+    @property
     def regions(self) -> Regions:
-        """Static and dynamic pixels, told from all frames of the report, whatever a variant's stride."""
-        return find_regions(self.rig, self.camera, self.frames, self.options.scale)
+        """Static and dynamic pixels of ``camera``, from all frames of the report, whatever a variant's stride."""
+        return self._regions[self.camera]
 
     @cached_property
     def column(self) -> int:
@@ -173,7 +184,7 @@ class RigBench:
     def _decisions(self) -> tuple[Decision, ...]:
         """What the report's frames call for."""
         span = slice(self.frames.start, self.frames.stop)
-        return analyse(self.rig.path, holdout=[self.camera], frames=span, threads=self._threads).decisions
+        return analyse(self.rig.path, holdout=self.cameras, frames=span, threads=self._threads).decisions
 
     def settings(self, variant: Variant) -> EncodeSettings:
         """Everything that a variant's encode of this rig does."""
@@ -185,7 +196,7 @@ class RigBench:
             # What the scene does not call for cannot wrongly be left out.
             called_for = {decision.effect for decision in self._decisions if decision.called_for}
             wanted = replace(wanted, dropped=wanted.dropped & called_for)
-        cameras = [camera.name for camera in self.rig.cameras if camera.name != self.camera]
+        cameras = [camera.name for camera in self.rig.cameras if camera.name not in self.cameras]
         return with_effects(settings, wanted, cameras, lambda: self._decisions)
 
     def _trains_keyframe(self, variant: Variant) -> bool:
@@ -256,7 +267,7 @@ class RigBench:
             quality = self.measured(stream.header, scenes, self.frames_of(variant))
         run = self._result(variant, report, quality, loads)
         write_whole(self.file_of(run).with_suffix(".png"), _png(quality.column))
-        followed = None if recording is None else course(recording.lines, len(self.rig.cameras) - 1)
+        followed = None if recording is None else course(recording.lines, len(self.rig.cameras) - len(self.cameras))
         if followed is not None:
             write_course(self._course_file(run), followed)
         write_whole(self.file_of(run), document(run).encode())
@@ -265,13 +276,12 @@ class RigBench:
         return run
 
     def measured(self, header: StreamHeader, scenes: Iterator[Splats], frames: Sequence[int]) -> StreamQuality:
-        """What the held-out camera sees of decoded scenes, one for each of the rig's ``frames``."""
+        """What the held-out cameras see of decoded scenes, one for each of the rig's ``frames``."""
+        views = [HeldOut(name, self._recorded(frames, name), self._regions[name]) for name in self.cameras]
         return measure_scenes(
             header,
             scenes,
-            self._recorded(frames),
-            self.regions,
-            camera=self.camera,
+            views,
             scale=self.options.scale,
             threads=self._threads,
             column=self.column,
@@ -309,7 +319,7 @@ class RigBench:
         settings = self.settings(variant)
         ingest = Ingest(
             retimed(self.rig, frames),
-            holdout=[self.camera],
+            holdout=self.cameras,
             scale=self._training_scale(variant),
             lens=settings.corrections.lens,
         )
@@ -335,8 +345,8 @@ class RigBench:
     def _training_scale(self, variant: Variant) -> float:
         return self.options.scale * variant.scale
 
-    def _recorded(self, frames: Sequence[int]) -> Iterator[BytePicture]:
-        return held_out_pictures(self.rig, self.camera, frames, self.options.scale)
+    def _recorded(self, frames: Sequence[int], camera: str | None = None) -> Iterator[BytePicture]:
+        return held_out_pictures(self.rig, camera or self.camera, frames, self.options.scale)
 
     def key(self, variant: Variant) -> str:
         """Digest of everything that decides the stream, and of the number of threads, which decides how long it takes.
@@ -354,7 +364,7 @@ class RigBench:
                 "refined": variant.refined,
                 "rig": [self.name, rig.layout, rig.frame_count, [camera.name for camera in rig.cameras]],
                 "frames": [frames.start, frames.stop, frames.step] if isinstance(frames, range) else frames,
-                "options": [self.camera, options.scale, options.seed, self._threads],
+                "options": [",".join(self.cameras), options.scale, options.seed, self._threads],
             }
         )
 
@@ -370,7 +380,7 @@ class RigBench:
             date=datetime.now(timezone.utc).isoformat(timespec="seconds"),
             machine=machine_facts(),
             load=loads,
-            camera=self.camera,
+            camera=",".join(self.cameras),
             span=[min(frames), max(frames) + 1, variant.stride],
             scale=options.scale,
             seed=options.seed,
@@ -392,7 +402,8 @@ class RigBench:
     def _command(self, variant: Variant, frames: Sequence[int]) -> str:
         """The encode as a command; stride, timing and changed settings have no option of their own: words follow."""
         options = self.options
-        words = ["decogs-encode", self.name, "-o", f"{variant.name}.dgs", "--holdout", self.camera]
+        words = ["decogs-encode", self.name, "-o", f"{variant.name}.dgs"]
+        words += [word for camera in self.cameras for word in ("--holdout", camera)]
         words += ["--frames", f"{min(frames)}:{max(frames) + 1}", "--preset", variant.preset or options.preset]
         words += ["--seed", str(options.seed), "--threads", str(self._threads)]
         scale = self._training_scale(variant)
@@ -434,16 +445,18 @@ def _frame(index: int, cost: FrameReport, looks: FrameQuality) -> RunFrame:
     return RunFrame(**rounded(values))
 
 
-def _held_out(rig: Rig, chosen: str | None) -> str:
-    """The camera to measure on: the one asked for, the rig's own, or cam00."""
+def _held_out(rig: Rig, chosen: str | Sequence[str] | None) -> tuple[str, ...]:
+    """The cameras to measure on: those asked for, or the rig's own, or cam00."""
     names = [camera.name for camera in rig.cameras]
-    if chosen is not None:
-        if chosen not in names:
-            raise UsageError(f"--holdout {chosen}: {rig.path} has no such camera; it has {', '.join(names)}")
-        return chosen
+    if chosen:
+        wanted = tuple(dict.fromkeys([chosen] if isinstance(chosen, str) else chosen))
+        for each in wanted:
+            if each not in names:
+                raise UsageError(f"--holdout {each}: {rig.path} has no such camera; it has {', '.join(names)}")
+        return wanted
     for name in (_own_held_out(rig.path / "rig.json"), "cam00"):
         if name in names:
-            return str(name)
+            return (str(name),)
     raise UsageError(f"{rig.path}: names no camera to hold out and has no cam00; choose one with --holdout CAM")
 
 

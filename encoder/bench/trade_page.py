@@ -36,7 +36,7 @@ def trade_page(plan: Plan, results: Sequence[RigResults], command: str) -> str:
 def _rig(plan: Plan, result: RigResults) -> dict[str, Any]:
     bench, runs = result.bench, result.runs.values()
     return {
-        "held_out": bench.camera,
+        "held_out": ", ".join(bench.cameras),
         "frames": [bench.frames.start, bench.frames.stop],
         "machines": sorted({f"{r.machine['cpu']}, {r.machine['cores']} cores, {r.threads} used" for r in runs}),
         **trade_document(plan, result),

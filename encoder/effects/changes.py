@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -27,6 +28,10 @@ _RESTRUCTURED_LEVELS = 6.0
 _UNEXPLAINED = 0.5
 _WINDOW = (7, 7)
 WINDOW_PIXELS = 49
+SLOW_FRAMES = 4
+"""Frames over which light is looked for that changes by less from one to the next than CHANGE_LEVELS."""
+_LEAST_PART = 0.5
+"""Of a frame's even part in such a change, what it must have for the change to be its own, too."""
 NEAR_SHARE = 0.0355
 """How far around restructured pixels a change counts as theirs, as a share of the picture's width: the reach of the
 encoder's masks."""
@@ -51,24 +56,31 @@ class ChangeMaps:
 class ChangeShares:
     """Shares of one camera's picture per frame (F,), against the frame before; NaN for the first.
 
-    ``changed`` at all, ``restructured``, and ``near``: changed close to what is restructured.
+    ``changed`` at all, ``restructured``, and ``near``: changed close to what is restructured. ``slow_changed``,
+    ``slow_near``: the same over the SLOW_FRAMES frames around it, where it has its part in what changed there; else 0.
     """
 
     changed: F64
     restructured: F64
     near: F64
+    slow_changed: F64
+    slow_near: F64
 
     @staticmethod
     def untold(frames: int) -> ChangeShares:
         return ChangeShares(*(np.full(frames, np.nan) for _ in fields(ChangeShares)))
 
     @staticmethod
-    def of(frames: Sequence[ChangeMaps]) -> ChangeShares:
-        """The shares of a camera's frames but the first."""
+    def of(frames: Sequence[ChangeMaps], pictures: U8, noise: float, *, slow: bool = True) -> ChangeShares:
+        """The shares of a camera's frames, ``frames`` being the maps of all but the first of its ``pictures``.
+
+        ``slow``: whether slow light can be told at all.
+        """
         maps = {"changed": [m.changed for m in frames], "restructured": [m.restructured for m in frames]}
         maps["near"] = [m.near() for m in frames]
-        shares = {name: [np.nan, *(float(each.mean()) for each in found)] for name, found in maps.items()}
-        return ChangeShares(**{field.name: np.array(shares[field.name]) for field in fields(ChangeShares)})
+        shares = {name: np.array([np.nan, *(float(m.mean()) for m in found)]) for name, found in maps.items()}
+        slow_changed, slow_near = _slow_shares(pictures, noise) if slow else np.zeros((2, len(pictures)))
+        return ChangeShares(**shares, slow_changed=slow_changed, slow_near=slow_near)
 
 
 def change_maps(before: U8, now: U8, noise: float) -> ChangeMaps:
@@ -81,6 +93,25 @@ def change_maps(before: U8, now: U8, noise: float) -> ChangeMaps:
     left_over, energy = _left_over(before, now)
     least = max(_RESTRUCTURED_LEVELS, CHANGE_NOISE * noise) ** 2
     return ChangeMaps(changed, changed & (left_over > least) & (left_over > _UNEXPLAINED * energy))
+
+
+def _slow_shares(pictures: U8, noise: float) -> F64:
+    """``slow_changed`` and ``slow_near`` (2, F) of pictures (F, H, W, 3): light that no two of them tell from noise."""
+    shares = np.zeros((2, len(pictures)))
+    last = len(pictures) - 1
+    for end in sorted({*range(SLOW_FRAMES, last + 1, SLOW_FRAMES), last}) if last >= SLOW_FRAMES else ():
+        span = pictures[end - SLOW_FRAMES : end + 1]
+        maps = change_maps(span[0], span[-1], noise)
+        near = maps.near()
+        alone = maps.changed & ~near
+        if not alone.any():
+            continue
+        values = span[:, alone].astype(np.float32)
+        whole = values[-1] - values[0]
+        parts = np.array([float(((after - before) * whole).sum()) for before, after in pairwise(values)])
+        takes_part = parts >= _LEAST_PART / SLOW_FRAMES * float((whole * whole).sum())
+        shares[:, 1 + end - SLOW_FRAMES + np.flatnonzero(takes_part)] = [[maps.changed.mean()], [near.mean()]]
+    return shares
 
 
 def _left_over(before: U8, now: U8) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -8,12 +8,15 @@ cameras, which nothing can tell from light: it is light. So the median of the ca
 camera's own gain is what it differs by from that.
 
 It counts as far as at least 80 % of the camera's points share it, in one direction: gloss, a shadow on one side, what
-moves, or a wrong match differ from place to place. A camera that shares too few points with others is not told.
+moves, or a wrong match differ from place to place. And the camera's whole picture must show it: where most cameras'
+pictures change alike, the median of its pixels changes by half of the gain more, in the same direction. It does not
+where the points lie on what moves. A camera that shares too few points with others is not told.
 """
 
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -52,6 +55,10 @@ _DIFFERENT = 0.2
 """Share of a camera's points at either end that may do something else."""
 _FEW = 20
 """Points shared with other cameras below which nothing is said of a camera."""
+_GRID = 24
+"""Rows and columns of pixels by which a whole picture is judged."""
+_OVERALL = 0.5
+"""Of a gain, what the median of the camera's pixels must show: a quarter of them may do something else."""
 _COMPARABLE = 3
 """Cameras that a median needs: of two that differ, either may be the one that drifts."""
 _LINEAR: F32 = np.array(
@@ -142,8 +149,28 @@ def light_at(pictures: U8, pixels: F64) -> F64:
     return found
 
 
-def own_light(points: SharedPoints, lights: Sequence[F64]) -> Light:
-    """What of every camera's changes is its own; ``lights``: of each, `light_at` its `SharedPoints.pixels_of`."""
+def light_overall(pictures: U8) -> F64:
+    """The change of a camera's pictures (F, H, W, 3) against the first, medians (F, 6) of `light_at` a grid of pixels.
+
+    NaN where hardly any of them can be told.
+    """
+    height, width = pictures.shape[1:3]
+    row, column = (np.linspace(0, size, _GRID, endpoint=False) + size / (2 * _GRID) for size in (height, width))
+    lights = light_at(pictures, np.stack(np.meshgrid(column, row), axis=-1).reshape(-1, 2))
+    changes = lights - lights[:1]
+    medians = np.full((len(changes), 6), np.nan)
+    for frame, change in enumerate(changes):
+        told = change[np.isfinite(change).all(axis=1)]
+        if len(told) >= _FEW:
+            medians[frame] = np.median(told, axis=0)
+    return medians
+
+
+def own_light(points: SharedPoints, lights: Sequence[F64], overall: Sequence[F64]) -> Light:
+    """What of every camera's changes is its own.
+
+    ``lights``: of each, `light_at` its `SharedPoints.pixels_of`; ``overall``: of each, `light_overall`.
+    """
     changes = _change_differences(points, lights)
     shape = len(lights), changes.shape[0], 6
     gains, shares = np.zeros(shape), np.full(shape, np.nan)
@@ -153,10 +180,25 @@ def own_light(points: SharedPoints, lights: Sequence[F64]) -> Light:
         gains[:, frame], shares[:, frame] = _solved(
             points.first[told], points.second[told], changes[frame, told], len(lights)
         )
+    shares = _seen_overall(shares, np.stack(overall))
     exposure, balance = np.abs(shares[..., 0]), np.abs(shares[..., 1:3]).max(axis=2)
     nothing = np.isnan(shares[:, 1:, 0]).all(axis=1) if shape[1] > 1 else np.zeros(len(lights), bool)
     exposure[nothing], balance[nothing] = np.nan, np.nan
     return Light(exposure, balance, gains[..., _LIGHT], gains[..., _ODDS])
+
+
+def _seen_overall(shares: F64, overall: F64) -> F64:
+    """The ``shares`` (cameras, F, 6) of gains, 0 where the cameras' ``overall`` changes do not show them.
+
+    Where these differ among most cameras anyway, as under light that differs from place to place, nothing is said.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # No camera is told in a frame.
+        own = overall - np.nanmedian(overall, axis=0)
+        usual = np.nanmedian(np.abs(own), axis=0)
+    needed = _OVERALL * np.abs(shares)
+    absent = (usual <= needed) & (own * np.sign(shares) < needed)
+    return np.asarray(np.where(absent, 0.0, shares))
 
 
 def _believed(cameras: Sequence[Camera], pair: PairMatches) -> tuple[I64, I64, F64, F64]:

@@ -27,7 +27,7 @@ from decogs.formats.rigs import Rig, read_frames
 from .arrivals import Arrivals, camera_arrivals
 from .arrivals import untold as untold_arrivals
 from .changes import ChangeShares, change_maps
-from .light import Light, light_at, own_light, shared_points, without_drift
+from .light import Light, light_at, light_overall, own_light, shared_points, without_drift
 from .matches import Matches, find_matches
 from .registration import CameraPath, camera_path
 
@@ -96,11 +96,12 @@ def look_at(
         matches = find_matches(cameras, [pictures[0] for pictures in seen.pictures], each)
         points = shared_points(cameras, matches)
         pixels = [points.pixels_of(row) for row in range(len(cameras))]
-        light = own_light(points, [steps.over(found) for found in each(light_at, seen.pictures, pixels)])
+        lights = [steps.over(found) for found in each(light_at, seen.pictures, pixels)]
+        light = own_light(points, lights, list(each(light_overall, seen.pictures)))
         paths = [steps.over(path) for path in each(camera_path, seen.pictures)]
         steady = each(without_drift, seen.pictures, light.curves())
         noise = _of_resting(seen.noise, paths)
-        changes = [steps.over(found) for found in each(_changes, steady, _typical(noise), paths)]
+        changes = [steps.over(found) for found in each(_changes, steady, seen.pictures, _typical(noise), paths)]
     return Look(
         cameras, scales, tuple(chosen), chosen.step, tuple(seen.pictures), noise, seen.above_white, seen.brightest,
         light, tuple(paths), tuple(shares for shares, _ in changes), tuple(came for _, came in changes), matches,
@@ -197,9 +198,12 @@ def _typical(noise: F64) -> F64:
     return np.array([float(np.median(row)) if row.size else overall for row in rows])
 
 
-def _changes(pictures: U8, noise: float, path: CameraPath) -> tuple[ChangeShares, Arrivals]:
-    """What changed from each frame to the next, and over all; nothing is told of a camera that itself moves."""
+def _changes(pictures: U8, recorded: U8, noise: float, path: CameraPath) -> tuple[ChangeShares, Arrivals]:
+    """What changed from each frame to the next, and over all; nothing is told of a camera that itself moves.
+
+    ``pictures``: ``recorded`` without the camera's drift. What is left of that grows over frames as slow light does.
+    """
     if path.shakes:
         return ChangeShares.untold(len(pictures)), untold_arrivals(len(pictures))
     maps = [change_maps(before, now, noise) for before, now in pairwise(pictures)]
-    return ChangeShares.of(maps), camera_arrivals(pictures, maps, noise)
+    return ChangeShares.of(maps, pictures, noise, slow=pictures is recorded), camera_arrivals(pictures, maps, noise)

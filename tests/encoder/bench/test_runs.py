@@ -156,6 +156,23 @@ def test_an_interruption_leaves_no_result(bench: RigBench, tmp_path: Path) -> No
     assert [path.name.split("-")[1] for path in (tmp_path / "streams").iterdir()] == ["keyframe"], "it can go on"
 
 
+def test_figures_are_means_over_the_cameras_held_out(three_frames: Path, tmp_path: Path) -> None:
+    cameras = ("cam02", "cam04")
+    bench = RigBench(three_frames, tmp_path, replace(OPTIONS, holdout=cameras, keep_streams=True))
+    run = bench.run(PRESET)
+    assert "--holdout cam02 --holdout cam04" in run.command
+    (stream,) = (tmp_path / "streams").glob("three-preset-*.dgs")
+    with open_stream(stream) as decoded:
+        assert decoded.header.held_out == cameras
+        *_, last = decoded.frames()
+        each = []
+        for name in cameras:
+            recorded = cv2.imread(str(three_frames / name / "0002.png"))[..., ::-1]
+            each.append(psnr(square_error_map(to_8bit(render_view(decoded.header, last.splats, name).image), recorded)))
+    assert abs(each[0] - each[1]) > 0.01, "the cameras differ"
+    assert run.frames[2].psnr == pytest.approx(np.mean(each), rel=1e-6)
+
+
 def test_the_rigs_own_camera_is_held_out(three_frames: Path, tmp_path: Path) -> None:
     assert RigBench(three_frames, tmp_path, replace(OPTIONS, holdout=None)).camera == "cam00"
     copy = tmp_path / "copy"

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from itertools import pairwise
 
 import numpy as np
+import pytest
 
 from decogs.encoder.effects.changes import ChangeShares, change_maps
 
 
 def shares(before: np.ndarray, now: np.ndarray, noise: float = 1.0) -> tuple[float, float, float]:
-    found = ChangeShares.of([change_maps(before, now, noise)])
+    found = ChangeShares.of([change_maps(before, now, noise)], np.stack([before, now]), noise)
     return float(found.changed[1]), float(found.restructured[1]), float(found.near[1])
 
 
@@ -62,6 +64,25 @@ def test_a_light_elsewhere_is_not_near_what_moves(texture: np.ndarray, with_nois
 
 
 def test_the_first_frame_is_not_told(texture: np.ndarray) -> None:
-    found = ChangeShares.of([change_maps(texture, texture, 1.0)])
+    found = ChangeShares.of([change_maps(texture, texture, 1.0)], np.stack([texture, texture]), 1.0)
     assert np.isnan([found.changed[0], found.restructured[0], found.near[0]]).all()
     assert (found.changed[1], found.restructured[1], found.near[1]) == (0, 0, 0)
+
+
+@pytest.mark.parametrize(("begins", "expected"), [(0, range(1, 9)), (4, range(5, 9)), (9, ())])
+def test_light_that_no_two_frames_tell_is_found_over_several(
+    texture: np.ndarray, with_noise: Callable[..., np.ndarray], begins: int, expected: Sequence[int]
+) -> None:
+    """1.5 % a frame on most of the picture, beside a square that moves; ``begins``: the last frame without."""
+    pictures = []
+    for frame in range(9):
+        light = np.ones(texture.shape, np.float32)
+        light[:, 40:] += 0.015 * max(0, frame - begins)
+        lit = np.clip(with_square(texture, 2 + frame) * light, 0, 255)
+        pictures.append(with_noise(lit, frame))
+    maps = [change_maps(before, now, 1.0) for before, now in pairwise(pictures)]
+    found = ChangeShares.of(maps, np.stack(pictures), 1.0)
+    alone = found.changed - found.near
+    assert np.nanmax(alone) < 0.02, "from one frame to the next it is hardly seen"
+    slow = found.slow_changed - found.slow_near
+    assert np.flatnonzero(slow > 0.1).tolist() == list(expected)

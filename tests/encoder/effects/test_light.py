@@ -15,6 +15,7 @@ from decogs.encoder.effects.light import (
     Light,
     SharedPoints,
     light_at,
+    light_overall,
     own_light,
     without_drift,
 )
@@ -58,7 +59,7 @@ def seen(texture: np.ndarray, with_noise: Callable[..., np.ndarray]) -> Look:
 
     def look(*gains: Gain | Sequence[Gain], light: Sequence[Gain] = (1.0,)) -> Light:
         points, begins = points_of(len(gains))
-        lights = []
+        lights, overall = [], []
         for camera, (own, (left, top)) in enumerate(zip(gains, begins, strict=True)):
             every = own if isinstance(own, (list, tuple)) else [own] * len(light)
             scenes = [texture, *(lit(texture, there) for there in light)]
@@ -68,7 +69,8 @@ def seen(texture: np.ndarray, with_noise: Callable[..., np.ndarray]) -> Look:
             ]
             noisy = [with_noise(picture, 100 * camera + k) for k, picture in enumerate(pictures)]
             lights.append(light_at(np.stack(noisy), points.pixels_of(camera)))
-        return own_light(points, lights)
+            overall.append(light_overall(np.stack(noisy)))
+        return own_light(points, lights, overall)
 
     return look
 
@@ -145,6 +147,21 @@ def test_what_differs_from_place_to_place_in_one_camera_is_no_gain(seen: Look) -
     assert drifting(seen(mirrored, 1.0, 1.0)) == set()
 
 
+def test_a_gain_of_points_that_the_picture_does_not_show_is_none(texture: np.ndarray) -> None:
+    """The points of one camera lie on what moves, a fifth of its picture, and all change alike; nothing else does."""
+    points, _ = points_of(4)
+    still = np.stack([texture, texture])
+    lights = [light_at(still, points.pixels_of(camera)) for camera in range(4)]
+    lights[1][1, :, :3] += 0.2
+    moving = still.copy()
+    moving[1, : len(texture) // 5] = lit(texture, 1.3)[: len(texture) // 5]
+    overall = [light_overall(pictures) for pictures in (still, moving, still, still)]
+    assert drifting(own_light(points, lights, overall)) == set()
+    moving[1] = lit(texture, np.exp(0.2))
+    overall[1] = light_overall(moving)
+    assert drifting(own_light(points, lights, overall)) == {1}
+
+
 def test_two_cameras_cannot_be_told_apart(seen: Look) -> None:
     for gains in ((1.12,), (1.0, 1.12)):
         light = seen(*gains)
@@ -155,7 +172,8 @@ def test_two_cameras_cannot_be_told_apart(seen: Look) -> None:
 def test_a_camera_that_shares_nothing_is_not_told(texture: np.ndarray) -> None:
     points, _ = points_of(3)
     lights = [light_at(np.stack([texture, texture]), points.pixels_of(camera)) for camera in range(4)]
-    told = np.isfinite(own_light(points, lights).exposure).all(axis=1)
+    overall = [light_overall(np.stack([texture, texture]))] * 4
+    told = np.isfinite(own_light(points, lights, overall).exposure).all(axis=1)
     assert told.tolist() == [True, True, True, False]
 
 
@@ -181,6 +199,7 @@ def test_what_does_not_drift_is_left_alone(seen: Look, texture: np.ndarray) -> N
 def test_a_black_picture_tells_nothing() -> None:
     points, _ = points_of(3)
     black = np.zeros((3, 100, 130, 3), np.uint8)
-    light = own_light(points, [light_at(black, points.pixels_of(camera)) for camera in range(3)])
+    lights = [light_at(black, points.pixels_of(camera)) for camera in range(3)]
+    light = own_light(points, lights, [light_overall(black)] * 3)
     assert np.isnan(light.exposure).all()
     assert light.curves() == [None] * 3

@@ -12,7 +12,7 @@ import pytest
 from decogs.decoder.lens import distort_pixels
 from decogs.encoder.effects.effect import Evidence
 from decogs.encoder.effects.lens_distortion import LensDistortion
-from decogs.encoder.effects.light import light_at, own_light, shared_points
+from decogs.encoder.effects.light import light_at, light_overall, own_light, shared_points
 from decogs.encoder.effects.look import Look
 from decogs.encoder.effects.matches import find_matches
 from decogs.encoder.effects.view_dependence import ViewDependence
@@ -36,7 +36,7 @@ def look_of(cameras: list[Camera], pictures: list[np.ndarray]) -> Look:
         noise=untold,
         above_white=untold,
         brightest=untold,
-        light=own_light(points, lights),
+        light=own_light(points, lights, [light_overall(picture[None]) for picture in pictures]),
         paths=(),
         changes=(),
         arrivals=(),
