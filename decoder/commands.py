@@ -248,10 +248,10 @@ def progress(what: str, unit: str = "frame") -> Iterator[OnFrame]:
         yield show
 
 
-def _tell(text: str) -> None:
+def tell(text: str, *, to_stderr: bool = False) -> None:
     """Prints; what keeps standard output from being written is said with its name."""
     try:
-        print(text)
+        print(text, file=sys.stderr if to_stderr else sys.stdout, flush=True)
     except BrokenPipeError:
         raise
     except OSError as error:
@@ -283,7 +283,7 @@ def _decode(options: argparse.Namespace) -> None:
             on_frame=on_frame,
             on_warning=warn_as("decogs-decode"),
         )
-    _tell(
+    tell(
         f"{options.output}: {_count(report.frame_count, 'frame')} of {report.view}, "
         f"{report.width}x{report.height}, in {time.perf_counter() - started:.1f} s"
     )
@@ -303,7 +303,7 @@ def _export(options: argparse.Namespace) -> None:
             on_frame=on_frame,
             on_warning=warn_as("decogs-export"),
         )
-    _tell(
+    tell(
         f"{options.output}: {_count(report.frame_count, 'frame')}, {report.static_count} static and "
         f"{report.dynamic_count} dynamic Gaussians, {_size(report.file_bytes)}"
     )
@@ -315,9 +315,9 @@ def _info(options: argparse.Namespace) -> None:
     with progress("reading") as on_frame:
         facts = info(options.stream, strict=options.strict, max_memory=options.max_memory, on_frame=on_frame)
     if options.json:
-        _tell(json.dumps(facts.to_json(), indent=2))
+        tell(json.dumps(facts.to_json(), indent=2))
     else:
-        _tell("\n".join(_bytes(facts) if options.bytes else _table(facts)))
+        tell("\n".join(_bytes(facts) if options.bytes else _table(facts)))
 
 
 def _table(facts: StreamInfo) -> Iterator[str]:

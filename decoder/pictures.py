@@ -164,7 +164,7 @@ class _Video(PictureSink):
         with quiet_opencv():
             self._writer.release()
             video = cv2.VideoCapture(str(self._path))
-            written = int(video.get(cv2.CAP_PROP_FRAME_COUNT))
+            written = max(0, int(video.get(cv2.CAP_PROP_FRAME_COUNT)))
             video.release()
         if written != self._frames:
             raise UsageError(

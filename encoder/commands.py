@@ -7,7 +7,16 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from decogs.decoder.commands import Parser, frames_joined, number, number_of_threads, run, warn_as, whole_number
+from decogs.decoder.commands import (
+    Parser,
+    frames_joined,
+    number,
+    number_of_threads,
+    run,
+    tell,
+    warn_as,
+    whole_number,
+)
 from decogs.formats.errors import UsageError
 
 if TYPE_CHECKING:
@@ -143,7 +152,7 @@ def _encode(options: argparse.Namespace) -> int:
         terminal=sys.stderr,
         on_warning=warn_as("decogs-encode"),
     )
-    print("\n".join(_summary(report)), file=sys.stderr if piped else sys.stdout)
+    tell("\n".join(_summary(report)), to_stderr=piped)
     warnings = [*_left_out(report), _given_up(report), *_uncorrected(report), _overlooked(report)]
     warnings += [_missed_budget(report), _missed_time(report)]
     for warning in filter(None, warnings):

@@ -667,7 +667,8 @@ def encode_stream(
             interrupted = True
         except DecogsError as error:
             if reports and target.is_open and target.growing is not None:
-                error.args = (f"{error}; the {len(reports)} frames before it are in {target.growing}",)
+                before = "the frame before it is" if len(reports) == 1 else f"the {len(reports)} frames before it are"
+                error.args = (f"{error}; {before} in {target.growing}",)
             raise
         finally:
             target.close(len(reports))

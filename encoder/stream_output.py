@@ -169,15 +169,31 @@ class PipeOutput(StreamOutput):
         return self._name
 
     def begin(self, header: bytes) -> None:
-        self.writer = StreamWriter(self._file, header)
+        with self._named():
+            self.writer = StreamWriter(self._file, header)
+
+    def write(self, kind: int, frame: int, payload: bytes) -> int:
+        with self._named():
+            return super().write(kind, frame, payload)
 
     def close(self, frames: int) -> None:
         if self.writer is not None and len(self.writer.entries) == frames > 0:
-            self.writer.finish()
+            with self._named():
+                self.writer.finish()
 
     def release(self) -> None:
         if self._name != Path("-"):
-            self._file.close()
+            with self._named():
+                self._file.close()
+
+    @contextmanager
+    def _named(self) -> Iterator[None]:
+        """What the pipe or device does not take is said with its name."""
+        try:
+            yield
+        except OSError as error:
+            error.filename = "standard output" if self._name == Path("-") else str(self._name)
+            raise
 
 
 def open_output(output: Path | BinaryIO, *, resume: bool = False) -> StreamOutput:

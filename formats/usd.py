@@ -35,6 +35,7 @@ from __future__ import annotations
 
 import glob
 import os
+import resource
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -64,6 +65,8 @@ _NEAR, _FAR = 0.01, 10_000.0
 _FLUSH_BYTES = 64 << 20
 _INT32_MAX = 2**31 - 1
 _PROBE_BYTES = 1 << 20
+_OF_USD = 2 * 10**9
+"""Bytes of address space in which a stream of 84 kB is exported; in 1.2e9 OpenUSD ends the process."""
 
 
 @dataclass(frozen=True)
@@ -329,6 +332,7 @@ class UsdWriter:
 def check_usd_request(path: Path, *, fps: float, up_axis: str, prototype_radius: float) -> None:
     """Raises UsageError for a USD file that could not be written as asked; cheap, for use before long work."""
     check_utf8(path)
+    _check_memory(path)
     if path.suffix.lower() not in USD_SUFFIXES:
         raise UsageError(f"{path}: USD is written as {', '.join(USD_SUFFIXES)}; choose one of these endings")
     if not path.parent.is_dir():
@@ -341,6 +345,16 @@ def check_usd_request(path: Path, *, fps: float, up_axis: str, prototype_radius:
         raise UsageError(f"{path}: up axis {up_axis!r}; USD knows Y and Z")
     if not (np.isfinite(prototype_radius) and prototype_radius > 0):
         raise UsageError(f"{path}: prototype radius {prototype_radius}; give a positive number of standard deviations")
+
+
+def _check_memory(path: Path) -> None:
+    """Raises UsageError where OpenUSD would end the process: it cannot tell that the system gives it no memory."""
+    allowed, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if allowed != resource.RLIM_INFINITY and allowed < _OF_USD:
+        raise UsageError(
+            f"{path}: this process may take {allowed / 1e9:.1f} GB of address space (ulimit -v), and OpenUSD needs "
+            f"{_OF_USD / 1e9:.0f} GB; raise the limit"
+        )
 
 
 def _refusal(path: Path) -> str | None:

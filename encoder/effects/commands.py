@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from decogs.decoder.commands import Parser, frames_joined, number_of_threads, progress, run, warn_as
+from decogs.decoder.commands import Parser, frames_joined, number_of_threads, progress, run, tell, warn_as
 from decogs.formats.errors import UsageError
 from decogs.formats.outputs import Output, check_outputs, is_device, write_whole
 from decogs.formats.rigs import files_of, open_rig
@@ -51,9 +50,9 @@ def _analyze(options: argparse.Namespace) -> None:
             on_step=on_step,
         )
     document = json.dumps(analysis.to_json(), indent=1) + "\n"
-    print("\n".join(analysis.table()), file=sys.stderr if options.json == "-" else sys.stdout)
+    tell("\n".join(analysis.table()), to_stderr=options.json == "-")
     if options.json == "-":
-        sys.stdout.write(document)
+        tell(document.rstrip("\n"))
     elif to_file:
         _write(Path(options.json), document)
 

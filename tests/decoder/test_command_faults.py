@@ -96,6 +96,17 @@ def test_a_full_disk_behind_standard_output_is_named(small_stream) -> None:
     assert "standard output: No space left on device" in one_line(ended)
 
 
+def test_openusd_is_not_begun_where_it_would_end_the_process(small_stream, tmp_path: Path) -> None:
+    def short_of_memory() -> None:
+        resource.setrlimit(resource.RLIMIT_AS, (800 << 20, resource.RLIM_INFINITY))
+
+    output = tmp_path / "o" / "x.usdc"
+    output.parent.mkdir()
+    ended = command("export", small_stream.path, "-o", output, preexec_fn=short_of_memory)
+    assert "0.8 GB of address space (ulimit -v), and OpenUSD needs 2 GB" in one_line(ended)
+    assert os.listdir(output.parent) == []
+
+
 def fails(main: Callable[[list[str]], int], arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
     try:
         code = main(arguments)

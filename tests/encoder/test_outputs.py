@@ -205,6 +205,18 @@ def test_a_log_that_cannot_be_written_is_named(
         encode_rig(moving_rig, tmp_path / "x.dgs", **given)
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_a_pipe_or_device_that_is_full_is_named(
+    moving: Any, moving_rig: Path, tiny_rig: Any, tiny_settings: Any
+) -> None:
+    given = {"holdout": tiny_rig.held_out, "preset": tiny_settings, "keyframe": moving.path}
+    with pytest.raises(OSError, match="No space left on device: '/dev/full'"):
+        encode_rig(moving_rig, "/dev/full", **given)
+    full = open("/dev/full", "wb", buffering=0)  # noqa: SIM115 (two contexts of different ends)
+    with full, pytest.raises(OSError, match="No space left on device: 'standard output'"):
+        encode_rig(moving_rig, full, **given)
+
+
 @pytest.mark.parametrize(
     ("change", "problem"),
     [
