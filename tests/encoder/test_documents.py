@@ -1,0 +1,115 @@
+"""README and docs/: links lead somewhere, commands run as they are shown, and the README stays short."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import shlex
+import shutil
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from decogs.decoder.commands import decode_main, export_main, info_main
+from decogs.encoder import PRESETS, EncodeSettings
+from decogs.encoder.commands import encode_main
+from decogs.encoder.economy import EconomySettings
+from decogs.encoder.effects.commands import analyze_main
+
+ROOT = Path(__file__).parents[2]
+DOCS = sorted((ROOT / "docs").glob("*.md"))
+DOCUMENTS = [ROOT / "README.md", ROOT / "report" / "README.md", *DOCS]
+MAINS: dict[str, Callable[[list[str]], int]] = {
+    "decogs-analyze": analyze_main,
+    "decogs-encode": encode_main,
+    "decogs-decode": decode_main,
+    "decogs-export": export_main,
+    "decogs-info": info_main,
+}
+LONGEST_README = 110
+
+
+def commands_of(document: Path) -> list[str]:
+    """The command lines of indented blocks, without their comments."""
+    lines = [line.split(" # ")[0].strip() for line in document.read_text().splitlines() if line.startswith("    ")]
+    return [line for line in lines if line.split(" ")[0] in MAINS]
+
+
+def python_of(document: Path) -> list[str]:
+    return re.findall(r"```python\n(.*?)```", document.read_text(), re.DOTALL)
+
+
+@pytest.fixture
+def at_the_rig(
+    tiny_rig: Any, tiny_settings: EncodeSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Path:
+    """A folder with a rig, a stream of it and a free camera, under the names of the documents; presets are short."""
+    tiny_rig.write(tmp_path / "rig_dir", frames=[0, 1, 3])
+    calibration = json.loads(Path(tmp_path / "rig_dir" / "rig.json").read_text())
+    (tmp_path / "rig_dir" / "rig.json").write_text(json.dumps(calibration | {"fps": 30}))
+    short = replace(
+        tiny_settings,
+        keyframe=replace(tiny_settings.keyframe, iterations=20, cap=300, settle_iterations=4),
+        frame=replace(tiny_settings.frame, cache=None, economy=EconomySettings(worth=0.02, hold_at=0.5)),
+    )
+    for name in PRESETS:
+        monkeypatch.setitem(PRESETS, name, short)
+    monkeypatch.chdir(tmp_path)
+    assert encode_main(["rig_dir", "-o", "scene.dgs", "--effects", "motion"]) == 0
+    pose = re.search(r"```json\n(.*?)```", (ROOT / "docs" / "free-cameras.md").read_text(), re.DOTALL)
+    assert pose is not None
+    json.loads(pose[1])
+    Path("pose.json").write_text(pose[1])
+    return tmp_path
+
+
+def run_line(line: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs a command as it is shown; what one writes into a pipe, the next one reads."""
+    piped = b""
+    for part in line.split(" | "):
+        program, *arguments = shlex.split(part)
+        output, given = io.TextIOWrapper(io.BytesIO()), io.TextIOWrapper(io.BytesIO(piped))
+        with monkeypatch.context() as streams:
+            streams.setattr(sys, "stdout", output)
+            streams.setattr(sys, "stdin", given)
+            assert MAINS[program](arguments) == 0, part
+            output.flush()
+            piped = output.buffer.getvalue()  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("document", [ROOT / "README.md", *DOCS], ids=lambda path: path.name)
+def test_what_is_shown_runs(document: Path, at_the_rig: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = Path("scene.dgs").read_bytes()
+    for line in commands_of(document):
+        if " -o scene.dgs" not in line or "encode" not in line:
+            Path("scene.dgs").write_bytes(first)
+        run_line(line, monkeypatch)
+        for folder in Path().glob("*/"):
+            if folder.name != "rig_dir":
+                shutil.rmtree(folder)
+    for code in python_of(document):
+        Path("scene.dgs").write_bytes(first)
+        exec(compile(code, str(document), "exec"), {})
+
+
+def test_commands_are_found() -> None:
+    """The reader above would pass with none."""
+    assert len(commands_of(ROOT / "README.md")) == 5
+    assert sum(len(commands_of(document)) for document in DOCS) > 25
+    assert sum(len(python_of(document)) for document in DOCS) >= 3
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
+def test_links_lead_somewhere(document: Path) -> None:
+    for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", document.read_text()):
+        if not target.startswith("http"):
+            assert (document.parent / target).exists(), target
+
+
+def test_the_readme_is_short() -> None:
+    assert len((ROOT / "README.md").read_text().splitlines()) <= LONGEST_README
