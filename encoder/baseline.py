@@ -5,11 +5,12 @@ Gaussians are what lasts. Stage 2 spawns Gaussians where the gradient was high a
 this frame only and are removed before the next one. Nothing is selected, nothing masked: every pixel and every
 Gaussian takes part in every step, which is the cost and the flicker that DecoGS is measured against.
 
-Numbers: the released configuration (field.md, section 1.3). Two things follow the released code and not the paper's
-text: gradients for spawning are gathered in the last 20 steps of stage 1 only, and stage 2 takes away but adds nothing
-more (the code's second round of spawning reads gradient sums that stage 2 never fills). Differences that remain: the
-cache's box is the loop's, as for DecoGS, not 3DGStream's quantile box; frames pass through the lattice, so that the
-stream is an ordinary one.
+Numbers: the released configuration (SJoJoK/3DGStream: configs/cache/cache_F_4.json and
+test/flame_steak_suite/cfg_args.json). Two things follow the released code and not the paper's text: gradients for
+spawning are gathered in the last 20 steps of stage 1 only, and stage 2 takes away but adds nothing more (the code's
+second round of spawning reads gradient sums that stage 2 never fills). Differences that remain: the cache's box is the
+loop's, as for DecoGS, not 3DGStream's quantile box; frames pass through the lattice, so that the stream is an ordinary
+one.
 """
 
 from __future__ import annotations

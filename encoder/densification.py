@@ -1,8 +1,9 @@
 """Where Gaussians are added and taken away: all over the keyframe, and only inside the focus of a later frame.
 
 Source: Kerbl 2023, section 5.2 (clone what is small, split what is large, where the projected centre's gradient is
-high); method.md, step 4, for later frames. Rejected for the keyframe: growth without a limit (on `workbench` 80 000
-Gaussians fit the training views 1.2 dB better than 52 000 and the held-out one no better). Opacity resets: not tried.
+high); DecoGS for later frames (docs/METHOD.md, "Selective densification"). Rejected for the keyframe: growth without a
+limit (on `workbench` 80 000 Gaussians fit the training views 1.2 dB better than 52 000 and the held-out one no better).
+Opacity resets: not tried.
 """
 
 from __future__ import annotations

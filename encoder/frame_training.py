@@ -1,9 +1,10 @@
-"""One later frame: the selected Gaussians follow the pictures, everything else stays (method.md, steps 3 to 6).
+"""One later frame: the selected Gaussians follow the pictures, everything else stays.
 
 Stage 1 trains the transformation cache alone. Then Gaussians are added and taken away inside the region of
 interest. Stage 2 trains the selected Gaussians' own values together with the cache. Values of other Gaussians are
 never written: gradients are computed for the selected only, and Adam's moments exist for the selected only, so that
-the paper's gradient gate and its reset of stale moments hold by construction.
+the paper's gradient gate and its reset of stale moments hold by construction. Equations: docs/METHOD.md, "Focus-aware
+loss" to "Optimiser-state reset".
 
 Beyond the paper: what newly appears gets Gaussians of its own (``emergence``), and ``warm_start`` lets a Gaussian
 begin where the last displacement of its neighbourhood would take it (``motion``). Without a cache (``cache`` None)
@@ -517,7 +518,7 @@ class _Working:
         self.shown = replace(self.base, means=means, quaternions=quaternions)
 
     def append(self, children: Splats) -> None:
-        """Every per-Gaussian buffer follows the new count (method.md, step 4)."""
+        """Every per-Gaussian buffer follows the new count (docs/METHOD.md, "Selective densification")."""
         self.optimiser.append(children)
         self.rows = np.concatenate([self.rows, np.arange(self._next_row, self._next_row + len(children))])
         self.selected = np.concatenate([self.selected, np.ones(len(children), bool)])
@@ -556,7 +557,7 @@ class _Working:
         return (self.rows < self._population) | (opacities_of(self.base) >= self._prune_opacity)
 
     def result(self) -> TrainedFrame:
-        """Bakes the cache's motion in (method.md, step 7)."""
+        """Bakes the cache's motion in (docs/METHOD.md, "Commit")."""
         old = self.rows < self._population
         return TrainedFrame(
             self.rows[old],

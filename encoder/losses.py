@@ -22,7 +22,10 @@ from .rasterise import FixedView, LossValue, TrainingKernel
 
 @dataclass(frozen=True)
 class FocusWeights:
-    """method.md, step 6: ``(1 - lambda) (beta1 L1 + beta2 L1_focus) + lambda (1 - SSIM_focus)``."""
+    """The weights of ``(1 - lambda) (beta1 L1 + beta2 L1_focus) + lambda (1 - SSIM_focus)``.
+
+    Source: DecoGS, focus-aware loss (docs/METHOD.md, "Focus-aware loss").
+    """
 
     dissimilarity: float = 0.2
     whole: float = 0.2
@@ -81,7 +84,8 @@ def focus_loss(
 ) -> PhotometricLoss:
     """The focus-aware loss of a later frame; ``mask`` (H, W) is the dilated difference mask of the view.
 
-    SSIM compares the masked pictures (method.md: the paper's formula read sensibly). Without a focus, L1 alone remains.
+    SSIM compares the masked pictures (docs/METHOD.md, "Focus-aware loss": how the paper's formula is read). Without a
+    focus, L1 alone remains.
     """
     counted = np.ones(mask.shape, np.float32) if valid is None else valid
     focus = np.ascontiguousarray(mask * counted, np.float32)

@@ -1,7 +1,8 @@
 """Exposure and white balance of a camera: how the odds of its colours differ from the scene's, per channel.
 
 A gain on light before a display's curve, which nobody knows, is within 0.02 dB of a factor on the odds v / (1 - v) of
-the coded value (DESIGN.md): black and white stay, nothing is clipped, and the inverse is the same with 1 / factor.
+the coded value (encoder/DESIGN.md): black and white stay, nothing is clipped, and the inverse is the same with
+1 / factor.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 // A fixed camera's picture of a scene of which few Gaussians change: everything that stays is kept from draw to draw and from
-// frame to frame (method.md, "cost follows motion").
+// frame to frame (docs/METHOD.md, "Incremental views").
 //
 // Chosen: a resting view (resting_view.h) whose lifted Gaussians are drawn as they change; a draw projects them alone, merges
 // them with the lists of the tiles they meet, and composites those tiles and the ones they met at the last draw. Order,
