@@ -72,7 +72,7 @@ def error(case: Case, splats: Splats) -> float:
 
 
 def test_the_released_numbers() -> None:
-    """method.md, "NTC facts", and 3DGStream's released configuration."""
+    """docs/METHOD.md, "Gated neural transformation cache", and 3DGStream's released configuration."""
     settings = BaselineSettings()
     assert (settings.cache_iterations, settings.spawn_iterations) == (150, 100)
     assert (settings.cache.learning_rate, settings.cache.levels, settings.cache.table) == (2e-3, 16, 1 << 15)

@@ -1,4 +1,6 @@
-"""The losses against the formulas written out in float64 with torch (method.md, step 6; Kerbl 2023, equation 7).
+"""The losses against the formulas written out in float64 with torch.
+
+Sources: docs/METHOD.md, "Focus-aware loss"; Kerbl 2023, equation 7.
 
 Tolerances: the kernel works in float32 and sums 6912 terms; values agree to 1e-5 relatively, and gradients, whose
 largest is about 1e-4, to 1e-8 absolutely.

@@ -103,7 +103,7 @@ def test_a_stream_that_another_encode_writes_is_refused_at_once(
 def test_two_encodes_of_one_output_at_once_give_one_whole_stream(
     encode: Any, moving: Any, moving_rig: Path, tmp_path: Path
 ) -> None:
-    """The second comes while the first is between its frames, as in faults.md."""
+    """The second comes while the first is between its frames."""
     output, refusals = tmp_path / "x.dgs", []
 
     def second(_: Any) -> None:

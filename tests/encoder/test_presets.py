@@ -95,7 +95,7 @@ def test_the_ladder_sets_nothing_that_is_not_named_here() -> None:
 
 
 def test_paper_holds_the_papers_numbers() -> None:
-    """method.md: the DecoGS paper's defaults, and 3DGStream's released cache where the paper is silent."""
+    """docs/METHOD.md: the DecoGS paper's defaults, and 3DGStream's released cache where the paper is silent."""
     paper = PRESETS["paper"].frame
     assert (paper.masks.threshold, paper.masks.radius(1352), paper.masks.speck_area) == (25.0, 48, 0)
     assert (paper.selection.rule, paper.selection.least_views) == ("paper", 2)
