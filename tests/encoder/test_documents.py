@@ -45,9 +45,7 @@ def python_of(document: Path) -> list[str]:
 
 
 @pytest.fixture
-def at_the_rig(
-    tiny_rig: Any, tiny_settings: EncodeSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> Path:
+def at_the_rig(tiny_rig: Any, tiny_settings: EncodeSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder with a rig, a stream of it and a free camera, under the names of the documents; presets are short."""
     tiny_rig.write(tmp_path / "rig_dir", frames=[0, 1, 3])
     calibration = json.loads(Path(tmp_path / "rig_dir" / "rig.json").read_text())
