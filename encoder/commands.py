@@ -45,7 +45,9 @@ def encode_main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--ablate", default="", metavar="PARTS", help="leave out select, focus, gate (any, with commas)"
     )
-    parser.add_argument("--selection", metavar="RULE", help="paper or weight (default: the preset's)")
+    parser.add_argument(
+        "--selection", metavar="RULE", help="paper, weight, or one of an installed package (default: the preset's)"
+    )
     parser.add_argument(
         "--effects",
         metavar="E",

@@ -418,10 +418,8 @@ class StreamEncoder:
         self, used: Sequence[int], regions: Sequence[NDArray[np.bool_]], settings: SelectionSettings
     ) -> NDArray[np.bool_]:
         """The Gaussians that the rule takes for these regions (H, W) of the ``used`` views."""
-        evidence = [
-            view_evidence(self._watch[i], region, settings.rule) for i, region in zip(used, regions, strict=True)
-        ]
-        return select(evidence, settings)
+        views = [view_evidence(self._watch[i], region) for i, region in zip(used, regions, strict=True)]
+        return select(views, settings)
 
     def _settle_key(self, frame: RigFrame, watch: Stopwatch) -> None:
         """All that later frames need to know of the first one."""

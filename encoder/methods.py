@@ -14,13 +14,10 @@ from typing import get_args
 from decogs.formats.errors import UsageError
 
 from .presets import EncodeSettings, Method
-from .selection import SelectionRule
+from .selection import SELECTION_RULES
 
 METHODS: tuple[Method, ...] = get_args(Method)
 """``decogs``, and ``3dgstream``: the dense baseline it is measured against (`baseline`)."""
-
-SELECTION_RULES: tuple[SelectionRule, ...] = get_args(SelectionRule)
-"""``paper``: the projected centre; ``weight``: the share of the rendering weight (`selection`)."""
 
 ABLATIONS = ("select", "focus", "gate")
 """The parts of DecoGS that can be left out; `without` says what then happens."""
@@ -43,8 +40,10 @@ def with_selection(settings: EncodeSettings, rule: str) -> EncodeSettings:
 
     A rule without effect is refused: ``3dgstream`` selects nothing, nor does DecoGS without ``select``.
     """
-    if rule not in SELECTION_RULES:
-        raise UsageError(f"--selection {rule}: there is no such rule; choose from {', '.join(SELECTION_RULES)}")
+    try:
+        SELECTION_RULES.get(rule)
+    except UsageError as error:
+        raise UsageError(f"--selection {error}") from error
     if settings.method != "decogs":
         raise UsageError(f"--selection {rule}: --method {settings.method} trains every Gaussian; drop one of the two")
     if "select" in settings.frame.ablated:

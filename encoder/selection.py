@@ -1,4 +1,4 @@
-"""Which Gaussians a frame may change: one protocol, two rules, visibility part of either.
+"""Which Gaussians a frame may change: a protocol, two rules of ours, and those of installed packages.
 
 Equations: docs/METHOD.md, "Selection".
 
@@ -13,28 +13,28 @@ transmittance, in all and inside the mask. A view weighs only the tiles that cha
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .rasterise import FixedView
-
-SelectionRule = Literal["paper", "weight"]
+from .registry import Registry
 
 
 @dataclass(frozen=True)
 class SelectionSettings:
-    """``least_views`` is the paper's kappa; higher selects fewer and is faster, and so does ``least_share``, 0 to 1.
+    """``rule``: a name in SELECTION_RULES.
 
+    ``least_views`` is the paper's kappa; higher selects fewer and is faster, and so does ``least_share``, 0 to 1.
     A Gaussian is visible in a view when its weight there is at least ``visible_weight`` pixels. ``mend_share``: what
     ``least_share`` is where nothing changes any more and the masks only mend (`masks.MaskSettings.mend_frames`): what
     enough views have seen all along needs none.
     """
 
-    rule: SelectionRule = "weight"
+    rule: str = "weight"
     least_views: int = 2
     least_share: float = 0.65
     visible_weight: float = 0.02
@@ -43,30 +43,69 @@ class SelectionSettings:
 
 @dataclass(frozen=True)
 class ViewEvidence:
-    """What one view says of every Gaussian: weight in all and in its mask; centre inside it, if the rule asks."""
+    """What one view shows of every Gaussian, against its dilated mask.
+
+    ``weight``, ``masked_weight`` (N,): the rendering weight in pixels, in all and inside the mask. ``centre_inside``:
+    computes, for a rule that asks, whether the projected centre lies inside (N,), False where nothing is drawn.
+    """
 
     weight: NDArray[np.float32]
     masked_weight: NDArray[np.float32]
-    centre_inside: NDArray[np.bool_] | None = None
+    centre_inside: Callable[[], NDArray[np.bool_]]
 
 
-def view_evidence(view: FixedView, mask: NDArray[np.bool_], rule: SelectionRule) -> ViewEvidence:
+class SelectionRule(Protocol):
+    """Chooses S_t, (N,) bool, from what every view shows; called once or twice a frame, from one thread.
+
+    The same evidence must give the same choice, whatever came before: encodes are resumed and repeated to the bit.
+    """
+
+    def __call__(self, views: Sequence[ViewEvidence], settings: SelectionSettings, /) -> NDArray[np.bool_]: ...
+
+
+def by_centres(views: Sequence[ViewEvidence], settings: SelectionSettings, /) -> NDArray[np.bool_]:
+    """The paper's rule: the centre is in the mask in enough of the views in which the Gaussian is visible."""
+    return _in_enough_views(views, [view.centre_inside() for view in views], settings)
+
+
+def by_weight(views: Sequence[ViewEvidence], settings: SelectionSettings, /) -> NDArray[np.bool_]:
+    """Part of the weight is in the mask in enough views, and enough of it over all views that see the Gaussian."""
+    chosen = _in_enough_views(views, [view.masked_weight > 0 for view in views], settings)
+    visible = [view.weight >= settings.visible_weight for view in views]
+    masked = sum(np.where(seen, view.masked_weight, 0) for seen, view in zip(visible, views, strict=True))
+    total = sum(np.where(seen, view.weight, 0) for seen, view in zip(visible, views, strict=True))
+    return np.asarray(chosen & (masked > settings.least_share * total))
+
+
+SELECTION_RULES: Registry[SelectionRule] = Registry(
+    "selection rule", "decogs.selection_rules", {"paper": by_centres, "weight": by_weight}
+)
+
+
+def view_evidence(view: FixedView, mask: NDArray[np.bool_]) -> ViewEvidence:
     """Weighs every Gaussian of the scene at rest against the view's dilated mask (H, W)."""
     weight, masked_weight = view.refresh(mask)
-    return ViewEvidence(weight, masked_weight, _centres_inside(view.centres(), mask) if rule == "paper" else None)
+    return ViewEvidence(weight, masked_weight, lambda: _centres_inside(view.centres(), mask))
 
 
-def select(evidence: Sequence[ViewEvidence], settings: SelectionSettings) -> NDArray[np.bool_]:
-    """S_t as a mask over the Gaussians, (N,)."""
-    visible = [e.weight >= settings.visible_weight for e in evidence]
-    inside = [e.masked_weight > 0 if e.centre_inside is None else e.centre_inside for e in evidence]
-    votes = sum((seen & met).astype(np.int32) for seen, met in zip(visible, inside, strict=True))
-    chosen = np.asarray(votes >= min(settings.least_views, len(evidence)))
-    if settings.rule == "weight":
-        masked = sum(np.where(seen, e.masked_weight, 0) for seen, e in zip(visible, evidence, strict=True))
-        total = sum(np.where(seen, e.weight, 0) for seen, e in zip(visible, evidence, strict=True))
-        chosen &= masked > settings.least_share * total
+def select(views: Sequence[ViewEvidence], settings: SelectionSettings) -> NDArray[np.bool_]:
+    """S_t as a mask over the Gaussians, (N,). Raises UsageError when the settings' rule is not installed."""
+    chosen = np.asarray(SELECTION_RULES.get(settings.rule)(views, settings))
+    if chosen.shape != views[0].weight.shape or chosen.dtype != np.bool_:
+        raise TypeError(
+            f"selection rule {settings.rule}: returned {chosen.dtype} {chosen.shape}, not a bool per Gaussian"
+        )
     return chosen
+
+
+def _in_enough_views(
+    views: Sequence[ViewEvidence], inside: Sequence[NDArray[np.bool_]], settings: SelectionSettings
+) -> NDArray[np.bool_]:
+    votes = sum(
+        ((view.weight >= settings.visible_weight) & met).astype(np.int32)
+        for view, met in zip(views, inside, strict=True)
+    )
+    return np.asarray(votes >= min(settings.least_views, len(views)))
 
 
 def _centres_inside(centres: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.bool_]:

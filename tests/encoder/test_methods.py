@@ -11,14 +11,15 @@ import pytest
 
 from decogs.decoder.session import open_stream
 from decogs.encoder import PRESETS, EncodeSettings
-from decogs.encoder.methods import ABLATIONS, METHODS, SELECTION_RULES, with_method, with_selection, without
+from decogs.encoder.methods import ABLATIONS, METHODS, with_method, with_selection, without
+from decogs.encoder.selection import SELECTION_RULES
 from decogs.formats.errors import UsageError
 
 
 def test_the_names_users_know() -> None:
     assert METHODS == ("decogs", "3dgstream")
     assert ABLATIONS == ("select", "focus", "gate")
-    assert SELECTION_RULES == ("paper", "weight")
+    assert SELECTION_RULES.names() == ("paper", "weight")
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -26,7 +27,7 @@ def test_a_switch_changes_its_own_setting_only(name: str) -> None:
     settings = PRESETS[name]
     assert with_method(settings, "3dgstream") == replace(settings, method="3dgstream")
     assert with_method(with_method(settings, "3dgstream"), "decogs") == settings
-    for rule in SELECTION_RULES:
+    for rule in SELECTION_RULES.names():
         selection = replace(settings.frame.selection, rule=rule)
         assert with_selection(settings, rule) == replace(settings, frame=replace(settings.frame, selection=selection))
     assert without(settings, []) == settings
@@ -48,7 +49,7 @@ DENSE = EncodeSettings(method="3dgstream")
         (lambda: with_method(EncodeSettings(), "4dgs"), "--method 4dgs: there is no such method; choose from decogs, "),
         (
             lambda: with_selection(EncodeSettings(), "all"),
-            "--selection all: there is no such rule; choose from paper, ",
+            "--selection all: there is no such selection rule; choose from paper, ",
         ),
         (lambda: without(EncodeSettings(), ["gate", "loss"]), "--ablate loss: there is no such part; choose from sele"),
         (lambda: without(DENSE, ["focus"]), "--ablate focus: --method 3dgstream has no such part; drop one of the two"),

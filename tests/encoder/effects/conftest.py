@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
-import os
-import pickle
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -40,28 +37,19 @@ class KnownRig:
 
 
 @cache
-def _known(name: str, folder: Path) -> KnownRig:
-    """Analyses the rig, or takes what another of the processes that pytest runs has found and left in ``folder``."""
+def _known(name: str) -> KnownRig:
     truth = json.loads((RIGS / name / "scene.json").read_text())
-    found = folder / f"analysis-{name}.pickle"
-    with (folder / f"analysis-{name}.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if not found.exists():
-            found.write_bytes(pickle.dumps(analyse(RIGS / name, holdout=truth["held_out"])))
-    return KnownRig(pickle.loads(found.read_bytes()), truth)
+    return KnownRig(analyse(RIGS / name, holdout=truth["held_out"]), truth)
 
 
 @pytest.fixture(scope="session")
-def known_rig(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], KnownRig]:
+def known_rig() -> Callable[[str], KnownRig]:
     """Analyses a shared rig, once; skips where the rigs are not beside the checkout."""
-    folder = tmp_path_factory.getbasetemp()
-    if "PYTEST_XDIST_WORKER" in os.environ:
-        folder = folder.parent
 
     def known(name: str) -> KnownRig:
         if not (RIGS / name).is_dir():
             pytest.skip(f"the synthetic rig {name} is not at {RIGS}")
-        return _known(name, folder)
+        return _known(name)
 
     return known
 

@@ -1,0 +1,97 @@
+"""Extension points: the example of docs/extending.md, installed as a package, encodes; what is missing is named."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from decogs.decoder.session import open_stream
+from decogs.encoder import encode
+from decogs.encoder.methods import with_selection
+from decogs.encoder.registry import Registry
+from decogs.encoder.selection import SELECTION_RULES, SelectionSettings, ViewEvidence, select
+from decogs.formats.errors import UsageError
+
+DOCUMENT = Path(__file__).parents[2] / "docs" / "extending.md"
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where pip has put the package that the document shows."""
+    project, target = (tmp_path_factory.mktemp(name) for name in ("decogs-majority", "installed"))
+    for name, language in (("decogs_majority.py", "python"), ("pyproject.toml", "toml")):
+        shown = re.search(rf"```{language}\n(.*?)```", DOCUMENT.read_text(), re.DOTALL)
+        assert shown is not None
+        (project / name).write_text(shown[1])
+    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation", "--no-index"]
+    subprocess.run([*pip, "--target", str(target), str(project)], check=True)
+    return target
+
+
+def test_the_documents_rule_encodes_when_it_is_installed(
+    installed: Path, moving: Any, moving_rig: Path, tiny_rig: Any, tiny_settings: Any, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    given = {"preset": tiny_settings, "holdout": tiny_rig.held_out, "keyframe": moving.path, "selection": "majority"}
+    with pytest.raises(
+        UsageError, match=r"^--selection majority: there is no such selection rule; choose from paper, w"
+    ):
+        encode(moving_rig, tmp_path / "x.dgs", **given)
+    monkeypatch.syspath_prepend(installed)
+    report = encode(moving_rig, tmp_path / "x.dgs", **given)
+    with open_stream(tmp_path / "x.dgs") as stream:
+        assert stream.header.settings["frame"]["selection"]["rule"] == "majority"
+        assert len(list(stream.frames())) == len(report.frames)
+    assert 0 < report.frames[1].selected < 0.5
+    assert (tmp_path / "x.dgs").read_bytes() != moving.data, "it chooses otherwise than the default"
+
+
+class _Point:
+    """An entry point whose module cannot be imported."""
+
+    name, value = "broken", "broken_module:rule"
+
+    def load(self) -> Any:
+        raise ImportError("no module named torch")
+
+
+def test_what_cannot_be_used_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("decogs.encoder.registry.entry_points", lambda group: [_Point()])
+    registry = Registry("selection rule", "decogs.selection_rules", {"own": 1})
+    assert registry.names() == ("own", "broken")
+    assert registry.get("own") == 1
+    with pytest.raises(UsageError, match="broken: the selection rule broken_module:rule cannot be imported: no module"):
+        registry.get("broken")
+    with pytest.raises(UsageError, match="other: there is no such selection rule; choose from own, broken"):
+        registry.get("other")
+
+
+def test_ours_cannot_be_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
+    point = _Point()
+    point.name = "weight"
+    monkeypatch.setattr("decogs.encoder.registry.entry_points", lambda group: [point])
+    assert SELECTION_RULES.names() == ("paper", "weight")
+    assert SELECTION_RULES.get("weight").__name__ == "by_weight"  # type: ignore[attr-defined]
+
+
+def test_a_rule_that_returns_something_else_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    point = _Point()
+    monkeypatch.setattr(point, "load", lambda: lambda views, settings: np.zeros(2), raising=False)
+    monkeypatch.setattr("decogs.encoder.registry.entry_points", lambda group: [point])
+    weight = np.ones(3, np.float32)
+    view = ViewEvidence(weight, weight, lambda: np.ones(3, bool))
+    with pytest.raises(TypeError, match=r"selection rule broken: returned float64 \(2,\), not a bool per Gaussian"):
+        select([view], SelectionSettings(rule="broken"))
+
+
+def test_a_rule_of_a_package_is_a_setting_as_ours_are(
+    installed: Path, tiny_settings: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(installed)
+    assert with_selection(tiny_settings, "majority").frame.selection.rule == "majority"
