@@ -90,3 +90,16 @@ def test_the_lens_that_bends_is_measured(known_rig: Callable[[str], Any]) -> Non
 @pytest.mark.parametrize("scene", SCENES)
 def test_view_dependence_is_never_claimed_for_sure(known_rig: Callable[[str], Any], scene: str) -> None:
     assert decision_of(known_rig(scene), "view_dependence").confidence <= 0.5
+
+
+@pytest.mark.parametrize("effect", ["motion", "appearance_change"])
+def test_light_and_motion_at_once_are_both_found_in_all_their_frames(
+    known_rig: Callable[[str], Any], effect: str
+) -> None:
+    """The spotlights of `stage` change by less than a change from one frame to the next in most of them."""
+    rig = known_rig("stage")
+    decision, true_frames = decision_of(rig, effect), rig.true_frames(effect)
+    assert set(decision.cameras) == rig.true_cameras(effect)
+    assert len(decision.frames) == 1
+    assert abs(decision.frames[0][0] - true_frames[0]) <= 1
+    assert abs(decision.frames[0][1] - true_frames[1]) <= 1
