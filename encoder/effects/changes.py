@@ -57,7 +57,8 @@ class ChangeShares:
     """Shares of one camera's picture per frame (F,), against the frame before; NaN for the first.
 
     ``changed`` at all, ``restructured``, and ``near``: changed close to what is restructured. ``slow_changed``,
-    ``slow_near``: the same over the SLOW_FRAMES frames around it, where it has its part in what changed there; else 0.
+    ``slow_near``: the same over the SLOW_FRAMES frames around it, where it has its part in what changed there, else 0;
+    NaN in a camera whose drift was taken out.
     """
 
     changed: F64
@@ -74,12 +75,12 @@ class ChangeShares:
     def of(frames: Sequence[ChangeMaps], pictures: U8, noise: float, *, slow: bool = True) -> ChangeShares:
         """The shares of a camera's frames, ``frames`` being the maps of all but the first of its ``pictures``.
 
-        ``slow``: whether slow light can be told at all.
+        ``slow``: whether slow light can be detected at all.
         """
         maps = {"changed": [m.changed for m in frames], "restructured": [m.restructured for m in frames]}
         maps["near"] = [m.near() for m in frames]
         shares = {name: np.array([np.nan, *(float(m.mean()) for m in found)]) for name, found in maps.items()}
-        slow_changed, slow_near = _slow_shares(pictures, noise) if slow else np.zeros((2, len(pictures)))
+        slow_changed, slow_near = _slow_shares(pictures, noise) if slow else np.full((2, len(pictures)), np.nan)
         return ChangeShares(**shares, slow_changed=slow_changed, slow_near=slow_near)
 
 
@@ -98,6 +99,7 @@ def change_maps(before: U8, now: U8, noise: float) -> ChangeMaps:
 def _slow_shares(pictures: U8, noise: float) -> F64:
     """``slow_changed`` and ``slow_near`` (2, F) of pictures (F, H, W, 3): light that no two of them tell from noise."""
     shares = np.zeros((2, len(pictures)))
+    shares[:, 0] = np.nan
     last = len(pictures) - 1
     for end in sorted({*range(SLOW_FRAMES, last + 1, SLOW_FRAMES), last}) if last >= SLOW_FRAMES else ():
         span = pictures[end - SLOW_FRAMES : end + 1]
