@@ -249,13 +249,13 @@ def progress(what: str, unit: str = "frame") -> Iterator[OnFrame]:
 
 
 def tell(text: str, *, to_stderr: bool = False) -> None:
-    """Prints; what keeps standard output from being written is said with its name."""
+    """Prints; what keeps the standard stream from being written is said with its name."""
     try:
         print(text, file=sys.stderr if to_stderr else sys.stdout, flush=True)
     except BrokenPipeError:
         raise
     except OSError as error:
-        error.filename = "standard output"
+        error.filename = "standard error" if to_stderr else "standard output"
         raise
 
 

@@ -25,6 +25,7 @@ class Registry(Generic[T]):
 
     def __init__(self, kind: str, group: str, own: Mapping[str, T]) -> None:
         self._kind, self._group, self._own = kind, group, dict(own)
+        self._loaded: dict[str, T] = {}
 
     def names(self) -> tuple[str, ...]:
         """Ours first, then those of packages in alphabetical order."""
@@ -34,6 +35,9 @@ class Registry(Generic[T]):
         """The implementation of that name. Raises UsageError for an unknown one, or one that cannot be imported."""
         if name in self._own:
             return self._own[name]
+        # Asked for in every frame, and it takes milliseconds to look through all installed packages.
+        if name in self._loaded:
+            return self._loaded[name]
         offered = self._offered().get(name)
         if offered is None:
             raise UsageError(f"{name}: there is no such {self._kind}; choose from {', '.join(self.names())}")
@@ -41,6 +45,7 @@ class Registry(Generic[T]):
             loaded: T = offered.load()
         except Exception as error:  # whatever a stranger's module does when it is imported
             raise UsageError(f"{name}: the {self._kind} {offered.value} cannot be imported: {error}") from error
+        self._loaded[name] = loaded
         return loaded
 
     def _offered(self) -> dict[str, EntryPoint]:

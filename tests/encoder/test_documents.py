@@ -6,7 +6,6 @@ import io
 import json
 import re
 import shlex
-import shutil
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -82,16 +81,9 @@ def run_line(line: str, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("document", [ROOT / "README.md", *DOCS], ids=lambda path: path.name)
 def test_what_is_shown_runs(document: Path, at_the_rig: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    first = Path("scene.dgs").read_bytes()
     for line in commands_of(document):
-        if " -o scene.dgs" not in line or "encode" not in line:
-            Path("scene.dgs").write_bytes(first)
         run_line(line, monkeypatch)
-        for folder in Path().glob("*/"):
-            if folder.name != "rig_dir":
-                shutil.rmtree(folder)
     for code in python_of(document):
-        Path("scene.dgs").write_bytes(first)
         exec(compile(code, str(document), "exec"), {})
 
 

@@ -52,6 +52,12 @@ def test_the_documents_rule_encodes_when_it_is_installed(
     assert (tmp_path / "x.dgs").read_bytes() != moving.data, "it chooses otherwise than the default"
 
 
+@pytest.fixture(autouse=True)
+def nothing_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each test finds packages anew."""
+    monkeypatch.setattr(SELECTION_RULES, "_loaded", {})
+
+
 class _Point:
     """An entry point whose module cannot be imported."""
 
