@@ -155,7 +155,7 @@ def test_switches_reach_the_encoder(moving: Any, dense: Any, moving_rig: Path, t
         (["--preset", "nope"], "--preset nope: there is no such preset; choose from live, draft, standard"),
         (["--method", "nope"], "--method nope: there is no such method; choose from decogs, 3dgstream"),
         (["--ablate", "select,x"], "--ablate x: there is no such part; choose from select, focus, gate"),
-        (["--selection", "x"], "--selection x: there is no such rule; choose from paper, weight"),
+        (["--selection", "x"], "--selection x: there is no such selection rule; choose from paper, weight"),
         (["--method", "3dgstream", "--selection", "paper"], "--method 3dgstream trains every Gaussian; drop one"),
         (["--keyframe", "/no/such.dgs"], "--keyframe /no/such.dgs: No such file or directory"),
         (["--frames", "5:5"], "--frames: "),
