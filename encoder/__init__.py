@@ -3,9 +3,10 @@
 ``encode`` does what ``decogs-encode`` does, with the same options.
 """
 
-from .corrections import CorrectionSettings
 from .encoding import encode
-from .presets import PRESETS, EncodeSettings
-from .reports import EncodeReport, FrameReport
+from .output.reports import EncodeReport, FrameReport
+from .settings.compensation import CorrectionSettings
+from .settings.encode import EncodeSettings
+from .settings.presets import PRESETS
 
 __all__ = ["PRESETS", "CorrectionSettings", "EncodeReport", "EncodeSettings", "FrameReport", "encode"]

@@ -20,7 +20,7 @@ from decogs.decoder.commands import (
 from decogs.formats.errors import UsageError
 
 if TYPE_CHECKING:
-    from .reports import EncodeReport
+    from .output.reports import EncodeReport
 
 
 def encode_main(arguments: Sequence[str] | None = None) -> int:
@@ -226,7 +226,7 @@ def _frames(numbers: Sequence[int]) -> str:
 
 def _missed_budget(report: EncodeReport) -> str:
     """What to say of a stream that takes more than it should; empty when it does not."""
-    from .rate import TOLERANCE, over_budget
+    from .coding.rate_control import TOLERANCE, over_budget
 
     sizes, budget = [frame.bytes for frame in report.frames[1:]], report.frame_budget
     if budget is None or (over := over_budget(sizes, budget)) <= TOLERANCE:
@@ -239,7 +239,7 @@ def _missed_budget(report: EncodeReport) -> str:
 
 def _missed_time(report: EncodeReport) -> str:
     """What to say of frames that take longer than they should; empty when they do not."""
-    from .time_budget import TIME_TOLERANCE, counted_seconds, over_time
+    from .coding.time_control import TIME_TOLERANCE, counted_seconds, over_time
 
     frames, budget = [frame.seconds for frame in report.frames[1:] if not frame.replayed], report.time_budget
     if budget is None or (over := over_time(frames, budget)) <= TIME_TOLERANCE:

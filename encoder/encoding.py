@@ -16,22 +16,22 @@ from decogs.formats.errors import UsageError
 from decogs.formats.outputs import Output, check_outputs
 from decogs.formats.rigs import Rig, files_of, open_rig
 
-from .anytime import AnytimeLog
-from .corrections.settings import CorrectionSettings
-from .effects import AUTO, Decision, wanted_effects, with_effects
-from .effects.analysis import analyse
-from .ingest import Ingest, frame_span
-from .keyframe_source import KeyframeSource, read_keyframe
+from .analysis import AUTO, Decision, wanted_effects, with_effects
+from .analysis.analyse import analyse
+from .coding.rate_control import with_budget, with_lossless, with_quality
+from .coding.time_control import seconds_per_frame, with_target_psnr, with_time_budget
+from .input.imported_keyframe import KeyframeSource, read_keyframe
+from .input.ingest import Ingest, frame_span
 from .loop import encode_stream
 from .methods import with_method, with_selection, without
-from .presets import EncodeSettings
-from .presets import preset as named_preset
-from .progress import EncodeProgress
+from .output.convergence_log import AnytimeLog
+from .output.progress import EncodeProgress
+from .output.reports import EncodeReport, OnWarning
+from .output.stream_output import open_output
 from .rasterise import check_device
-from .rate import with_budget, with_lossless, with_quality
-from .reports import EncodeReport, OnWarning
-from .stream_output import open_output
-from .time_budget import seconds_per_frame, with_target_psnr, with_time_budget
+from .settings.compensation import CorrectionSettings
+from .settings.encode import EncodeSettings
+from .settings.presets import preset as named_preset
 
 _LEAST_SECONDS, _MOST_SECONDS = 1e-4, 1e6
 """Of a frame's time: what a clock tells apart, and twelve days."""

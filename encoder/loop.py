@@ -30,28 +30,30 @@ from decogs.formats.errors import DecogsError, RigError, StreamError
 from decogs.formats.rigs import Rig
 from decogs.formats.splats import FloatArray, Splats, sh_degree_of
 
-from .anytime import AnytimeLog
-from .baseline import BaselineTrainer
-from .corrections import corrector_of
-from .economy import EconomySettings, coarse_changes
-from .effects import FRAME_EFFECTS, frame_effects, leave_out
-from .effort import Effort
-from .first_frame import train_first_frame
-from .flashes import BeforeFlash, may_be_flash
-from .footage import strange_cameras, warning_of
-from .frame_training import FrameSettings, FrameTrainer, TrainedFrame
-from .ingest import Ingest, RigFrame
-from .keyframe import mean_picture_psnr, mean_psnr, scene_extent
-from .keyframe_source import KeyframeSource
-from .masks import FrameMask, MaskMemory, showing
-from .presets import EncodeSettings
+from .analysis import frame_effects, leave_out
+from .change.flashes import BeforeFlash, may_be_flash
+from .change.masks import FrameMask, MaskMemory, showing
+from .change.selection import select, view_evidence
+from .coding.rate_control import RateControl
+from .coding.requantise import coarse_changes
+from .coding.time_control import TimeControl
+from .input.compensation import corrector_of
+from .input.imported_keyframe import KeyframeSource
+from .input.ingest import Ingest, RigFrame
+from .output.convergence_log import AnytimeLog
+from .output.footage import strange_cameras, warning_of
+from .output.reports import EncodeReport, FrameReport, OnFrame, OnKeyframeStep, OnWarning, Stopwatch
+from .output.resume import Interrupted, check_resumable
+from .output.stream_output import FileOutput, StreamOutput, open_output
 from .rasterise import FixedView, fixed_view, training_kernel
-from .rate import RateControl
-from .reports import EncodeReport, FrameReport, OnFrame, OnKeyframeStep, OnWarning, Stopwatch
-from .resuming import Interrupted, check_resumable
-from .selection import SelectionSettings, select, view_evidence
-from .stream_output import FileOutput, StreamOutput, open_output
-from .time_budget import TimeControl
+from .settings.effects import FRAME_EFFECTS
+from .settings.encode import EncodeSettings
+from .settings.frame import EconomySettings, FrameSettings, SelectionSettings
+from .training.delta import FrameTrainer, TrainedFrame
+from .training.first_frame import train_first_frame
+from .training.keyframe import mean_picture_psnr, mean_psnr, scene_extent
+from .training.schedule import Effort
+from .training.threedgstream import BaselineTrainer
 
 MOST_GROWTH = 1.25
 """How much larger than the keyframe's the scene may become by clones and splits. Long streams would grow without end:

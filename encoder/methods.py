@@ -13,8 +13,8 @@ from typing import get_args
 
 from decogs.formats.errors import UsageError
 
-from .presets import EncodeSettings, Method
-from .selection import SELECTION_RULES
+from .change.selection import SELECTION_RULES
+from .settings.encode import EncodeSettings, Method
 
 METHODS: tuple[Method, ...] = get_args(Method)
 """``decogs``, and ``3dgstream``: the dense baseline it is measured against (`baseline`)."""

@@ -7,9 +7,8 @@ table.
 
 from __future__ import annotations
 
-from ..economy import Coarseness, EconomySettings
-from ..effort import PaceSettings
-from ..transformation_cache import CacheSettings
+from ..settings.cache import CacheSettings
+from ..settings.frame import Coarseness, EconomySettings, PaceSettings
 from .timing import TIMINGS
 from .variants import Question, Times, Variant
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from decogs.formats.outputs import write_whole
 
-from ..anytime import AnytimeLog
+from ..output.convergence_log import AnytimeLog
 from .rounding import rounded
 
 _LATER = ("cache", "joint")

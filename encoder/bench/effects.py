@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ..effects import EFFECT_NAMES
+from ..settings.effects import EFFECT_NAMES
 from .plans import RigResults
 from .tables import NOTHING, markdown, mean_of, number
 from .variants import Question, Variant

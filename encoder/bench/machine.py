@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 LAYERS = ("formats", "codec", "decoder", "encoder")
-_NOT_IN_A_STREAM = ("encoder/bench/", "encoder/commands.py", "decoder/commands.py", "encoder/progress.py")
+_NOT_IN_A_STREAM = ("encoder/bench/", "encoder/commands.py", "decoder/commands.py", "encoder/output/progress.py")
 _CODE = (".py", ".cpp", ".h")
 
 

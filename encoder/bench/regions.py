@@ -22,7 +22,7 @@ from decogs.formats.errors import RigError
 from decogs.formats.pictures import read_picture
 from decogs.formats.rigs import Rig, read_frames
 
-from ..ingest import display_referred
+from ..input.ingest import display_referred
 from .metrics import BytePicture, Mask
 from .timing import retimed
 

@@ -32,14 +32,15 @@ from decogs.formats.outputs import GrowingFile, write_whole
 from decogs.formats.rigs import Rig, open_rig
 from decogs.formats.splats import Splats
 
-from ..anytime import AnytimeLog
-from ..effects import AUTO, PRESET_EFFECTS, Decision, wanted_effects, with_effects
-from ..effects.analysis import analyse
-from ..ingest import Ingest, frame_span
-from ..keyframe_source import read_keyframe
+from ..analysis import AUTO, Decision, wanted_effects, with_effects
+from ..analysis.analyse import analyse
+from ..input.imported_keyframe import read_keyframe
+from ..input.ingest import Ingest, frame_span
 from ..loop import encode_stream
-from ..presets import EncodeSettings
-from ..reports import EncodeReport, FrameReport, OnKeyframeStep
+from ..output.convergence_log import AnytimeLog
+from ..output.reports import EncodeReport, FrameReport, OnKeyframeStep
+from ..settings.effects import PRESET_EFFECTS
+from ..settings.encode import EncodeSettings
 from .courses import Course, course, read_course, recorded_course, write_course
 from .machine import code_version, load, machine_facts
 from .measuring import FrameQuality, HeldOut, StreamQuality, measure_scenes

@@ -9,12 +9,13 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
-from decogs.encoder.rasterise.native import adam_step
 from decogs.formats.errors import TrainingError, UsageError
 from decogs.formats.splats import FloatArray
 
+from ..rasterise.native import adam_step
+from ..settings.cache import CacheSettings
 from .native import CacheKernel, Parameters
-from .settings import CacheSettings, CacheWeights
+from .weights import CacheWeights
 
 _OUTPUTS = 7
 """Translation 3, rotation 4. 3DGStream's eighth output is unused and left out."""

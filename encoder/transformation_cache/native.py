@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.decoder.rasterise.native import check_memory, checked_handle, load_kernel
-from decogs.encoder.rasterise.native import AdamStep
 from decogs.formats.splats import FloatArray
 
-from .settings import CacheSettings
+from ..rasterise.native import AdamStep
+from ..settings.cache import CacheSettings
 
 
 class _Shape(ctypes.Structure):

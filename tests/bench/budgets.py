@@ -25,15 +25,15 @@ from unittest.mock import patch
 import cv2
 import numpy as np
 
-import decogs.encoder.emergence as emergence
-import decogs.encoder.frame_training as frame_training
 import decogs.encoder.loop as loop
+import decogs.encoder.training.delta as frame_training
+import decogs.encoder.training.seeding as emergence
 from decogs.decoder.pictures import to_8bit
 from decogs.decoder.session import render_view
 from decogs.encoder import PRESETS, EncodeReport, EncodeSettings, encode
-from decogs.encoder.masks import MaskMemory
+from decogs.encoder.change.masks import MaskMemory
+from decogs.encoder.coding.time_control import counted_seconds
 from decogs.encoder.rasterise import FixedView
-from decogs.encoder.time_budget import counted_seconds
 from decogs.formats.cameras import Camera, scale_camera
 from decogs.formats.rigs import open_rig, read_frames
 from decogs.formats.splats import SH_C0, Splats, join_splats

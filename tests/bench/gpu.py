@@ -17,9 +17,10 @@ from statistics import median
 import numpy as np
 import torch
 
-from decogs.encoder.optimiser import LearningRates, SplatOptimiser
 from decogs.encoder.rasterise import FixedView, TrainingKernel, fixed_view, gradients_like
 from decogs.encoder.rasterise.cuda import CudaKernel, missing_for_cuda
+from decogs.encoder.settings.optimiser import LearningRates
+from decogs.encoder.training.optimiser import SplatOptimiser
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import Splats, take_splats
 from rasterise import front_camera, random_scene

@@ -25,8 +25,8 @@ sys.path[:0] = [str(HERE.parent)] * (str(HERE.parent) not in sys.path)
 
 from canary.rigs import HELD_OUT, RIGS, write_rig  # noqa: E402
 from decogs.encoder import encode  # noqa: E402
-from decogs.encoder.effects.analysis import analyse  # noqa: E402
-from decogs.encoder.presets import LADDER, preset  # noqa: E402
+from decogs.encoder.analysis.analyse import analyse  # noqa: E402
+from decogs.encoder.settings.presets import LADDER, preset  # noqa: E402
 from decogs.formats.container import PacketKind, iterate_packets  # noqa: E402
 
 EXPECTED = HERE / "expected.json"

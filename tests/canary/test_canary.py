@@ -13,7 +13,7 @@ import pytest
 
 from canary.figures import EXPECTED, TOLERANCE, effects_of, measure
 from canary.rigs import RIGS, write_rig
-from decogs.encoder.presets import LADDER
+from decogs.encoder.settings.presets import LADDER
 
 EXPECTATION: dict[str, Any] = json.loads(EXPECTED.read_text())
 

@@ -20,14 +20,13 @@ from decogs.codec.state import State
 from decogs.decoder.pictures import to_8bit
 from decogs.decoder.session import render_view
 from decogs.encoder import EncodeReport, EncodeSettings, FrameReport
-from decogs.encoder.baseline import BaselineSettings
-from decogs.encoder.frame_training import FrameSettings
-from decogs.encoder.ingest import Ingest
-from decogs.encoder.keyframe import KeyframeSettings
-from decogs.encoder.keyframe_source import read_keyframe
+from decogs.encoder.input.imported_keyframe import read_keyframe
+from decogs.encoder.input.ingest import Ingest
 from decogs.encoder.loop import encode_stream
-from decogs.encoder.masks import MaskSettings
-from decogs.encoder.transformation_cache import CacheSettings
+from decogs.encoder.settings.cache import CacheSettings
+from decogs.encoder.settings.frame import FrameSettings, MaskSettings
+from decogs.encoder.settings.keyframe import KeyframeSettings
+from decogs.encoder.settings.threedgstream import BaselineSettings
 from decogs.formats.cameras import Camera
 from decogs.formats.rigs import open_rig
 from decogs.formats.splats import SH_C0, Splats, join_splats

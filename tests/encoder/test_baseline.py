@@ -14,10 +14,11 @@ import pytest
 import decogs.encoder.loop as loop
 from decogs.codec.digest import digest
 from decogs.decoder.session import open_stream
-from decogs.encoder.baseline import BaselineSettings, BaselineTrainer
-from decogs.encoder.frame_training import TrainedFrame
-from decogs.encoder.ingest import Ingest
+from decogs.encoder.input.ingest import Ingest
 from decogs.encoder.rasterise import TrainingKernel
+from decogs.encoder.settings.threedgstream import BaselineSettings
+from decogs.encoder.training.delta import TrainedFrame
+from decogs.encoder.training.threedgstream import BaselineTrainer
 from decogs.formats.container import PacketKind
 from decogs.formats.errors import TrainingError
 from decogs.formats.rigs import open_rig

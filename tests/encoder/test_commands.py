@@ -22,7 +22,7 @@ import pytest
 from decogs.decoder.session import open_stream
 from decogs.encoder import PRESETS
 from decogs.encoder.commands import encode_main
-from decogs.encoder.effects import PRESET_EFFECTS
+from decogs.encoder.settings.effects import PRESET_EFFECTS
 
 AS_PRESET = ["--effects", ",".join(PRESET_EFFECTS)]
 """What the preset does by itself, whatever the scene calls for."""

@@ -18,13 +18,14 @@ from decogs.decoder.camera_faults import as_it_stood, with_odds
 from decogs.decoder.output import decode
 from decogs.decoder.rasterise import Rendering, render
 from decogs.decoder.session import open_stream, render_view
-from decogs.encoder.corrections import CorrectionSettings, Corrector, corrector_of
-from decogs.encoder.corrections.agreement import agreeing_shifts
-from decogs.encoder.corrections.colour import odds_shift, without_odds
-from decogs.encoder.corrections.shake import angles_of, turn_of, unturned
-from decogs.encoder.corrections.worth import Worth
-from decogs.encoder.ingest import Ingest, View
+from decogs.encoder.input.compensation import Corrector, corrector_of
+from decogs.encoder.input.compensation.agreement import agreeing_shifts
+from decogs.encoder.input.compensation.colour import odds_shift, without_odds
+from decogs.encoder.input.compensation.shake import angles_of, turn_of, unturned
+from decogs.encoder.input.compensation.worth import Worth
+from decogs.encoder.input.ingest import Ingest, View
 from decogs.encoder.rasterise import HostPicture, Picture
+from decogs.encoder.settings.compensation import CorrectionSettings
 from decogs.formats.cameras import Camera, scale_camera
 from decogs.formats.errors import UsageError
 from decogs.formats.pictures import read_picture

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from decogs.decoder.rasterise.reference import rotation_matrices
-from decogs.encoder.densification import ViewGradients, grow, opacities_of, strongest
+from decogs.encoder.training.densification import ViewGradients, grow, opacities_of, strongest
 from decogs.formats.splats import Splats
 
 ATTRIBUTES = ("means", "log_scales", "quaternions", "opacity_logits", "sh")

@@ -16,9 +16,9 @@ import pytest
 
 from decogs.decoder.commands import decode_main, export_main, info_main
 from decogs.encoder import PRESETS, EncodeSettings
+from decogs.encoder.analysis.commands import analyze_main
 from decogs.encoder.commands import encode_main
-from decogs.encoder.economy import EconomySettings
-from decogs.encoder.effects.commands import analyze_main
+from decogs.encoder.settings.frame import EconomySettings
 
 ROOT = Path(__file__).parents[2]
 DOCS = sorted((ROOT / "docs").glob("*.md"))

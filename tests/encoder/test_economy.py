@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 
 from decogs.codec.state import ARRAYS, Attributes
-from decogs.encoder.economy import Coarseness, cheapest, coarse_changes, picture_share, take_back
-from decogs.encoder.losses import FocusWeights, focus_loss, whole_picture_loss
-from decogs.encoder.optimiser import LearningRates, SplatOptimiser
+from decogs.encoder.coding.requantise import coarse_changes
 from decogs.encoder.rasterise import SplatGradients, TrainingKernel
+from decogs.encoder.settings.frame import Coarseness, FocusWeights
+from decogs.encoder.settings.optimiser import LearningRates
+from decogs.encoder.training.losses import focus_loss, whole_picture_loss
+from decogs.encoder.training.optimiser import SplatOptimiser
+from decogs.encoder.training.significance import cheapest, picture_share, take_back
 from decogs.formats.splats import Splats
 
 RATES = LearningRates(*[0.01] * 6)

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from decogs.encoder.emergence import EmergenceSettings, Look, missed, seeds, worth_a_search
-from decogs.encoder.frame_training import FrameSettings, FrameTrainer
-from decogs.encoder.ingest import View
-from decogs.encoder.masks import FrameMask
+from decogs.encoder.change.masks import FrameMask
+from decogs.encoder.input.ingest import View
 from decogs.encoder.rasterise import FixedView, TrainingKernel
+from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings
+from decogs.encoder.training.delta import FrameTrainer
+from decogs.encoder.training.seeding import Look, missed, seeds, worth_a_search
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import SH_C0, Splats, join_splats, take_splats
 

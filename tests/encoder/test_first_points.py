@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from decogs.encoder.first_points import FirstPoints, first_points
-from decogs.encoder.first_points.agreement import agree
-from decogs.encoder.first_points.cloud import Cloud, Survey, neighbour_distances, spread_to_count, too_near
-from decogs.encoder.first_points.frusta import DepthRange, shared_depths
-from decogs.encoder.first_points.guesses import fill_depths
-from decogs.encoder.first_points.plane_sweep import DepthMap, choose_planes, sweep
-from decogs.encoder.first_points.views import make_view
+from decogs.encoder.point_init import FirstPoints, first_points
+from decogs.encoder.point_init.agreement import agree
+from decogs.encoder.point_init.cloud import Cloud, Survey, neighbour_distances, spread_to_count, too_near
+from decogs.encoder.point_init.frusta import DepthRange, shared_depths
+from decogs.encoder.point_init.guesses import fill_depths
+from decogs.encoder.point_init.plane_sweep import DepthMap, choose_planes, sweep
+from decogs.encoder.point_init.views import make_view
 from decogs.formats.cameras import Camera, camera_centre
 from decogs.formats.errors import TrainingError
 

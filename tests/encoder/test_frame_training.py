@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from decogs.encoder.effort import LEAST_STEPS, Effort, PaceSettings
-from decogs.encoder.emergence import EmergenceSettings
-from decogs.encoder.frame_training import FrameSettings, FrameTrainer, TrainedFrame
-from decogs.encoder.ingest import Ingest
-from decogs.encoder.masks import FrameMask
+from decogs.encoder.change.masks import FrameMask
+from decogs.encoder.input.ingest import Ingest
 from decogs.encoder.rasterise import FixedView, TrainingKernel
-from decogs.encoder.transformation_cache import CacheSettings
+from decogs.encoder.settings.cache import CacheSettings
+from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings, PaceSettings
+from decogs.encoder.training.delta import FrameTrainer, TrainedFrame
+from decogs.encoder.training.schedule import LEAST_STEPS, Effort
 from decogs.formats.errors import TrainingError
 from decogs.formats.rigs import open_rig
 from decogs.formats.splats import Splats, take_splats

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from decogs.decoder.lens import Undistortion
-from decogs.encoder.ingest import Ingest, display_referred
+from decogs.encoder.input.ingest import Ingest, display_referred
 from decogs.formats.errors import UsageError
 from decogs.formats.rigs import open_rig
 

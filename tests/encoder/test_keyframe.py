@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 from decogs.codec.lattice import dequantise, quantise
-from decogs.encoder.first_points import FirstPoints
-from decogs.encoder.ingest import Ingest, View
-from decogs.encoder.keyframe import (
-    KeyframeSettings,
+from decogs.encoder.input.ingest import Ingest, View
+from decogs.encoder.point_init import FirstPoints
+from decogs.encoder.rasterise import TrainingKernel
+from decogs.encoder.settings.keyframe import KeyframeSettings
+from decogs.encoder.training.keyframe import (
     _KeyframeTraining,
     mean_psnr,
     psnr_of,
@@ -22,7 +23,6 @@ from decogs.encoder.keyframe import (
     splats_from_points,
     train_keyframe,
 )
-from decogs.encoder.rasterise import TrainingKernel
 from decogs.formats.errors import TrainingError
 from decogs.formats.rigs import open_rig
 from decogs.formats.splats import Splats

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from decogs.codec.lattice import dequantise
-from decogs.encoder.keyframe_source import read_keyframe
+from decogs.encoder.input.imported_keyframe import read_keyframe
 from decogs.formats.container import Packet, PacketKind, PacketReader
 from decogs.formats.errors import DecogsError, StreamError, UsageError
 

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 import decogs.encoder.loop as loop
-import decogs.encoder.reports as reports
+import decogs.encoder.output.reports as reports
 from decogs.codec.corrections import Correction
 from decogs.codec.digest import digest
 from decogs.codec.lattice import dequantise
@@ -27,9 +27,8 @@ from decogs.decoder.pictures import to_8bit
 from decogs.decoder.rasterise.native import INSTRUCTION_SETS, best_instruction_set
 from decogs.decoder.session import DecodedFrame, open_stream, render_view
 from decogs.encoder import PRESETS
-from decogs.encoder.ingest import frame_span
-from decogs.encoder.masks import MaskSettings
-from decogs.encoder.selection import SelectionSettings
+from decogs.encoder.input.ingest import frame_span
+from decogs.encoder.settings.frame import MaskSettings, SelectionSettings
 from decogs.formats.container import PacketKind, StreamWriter
 from decogs.formats.errors import RigError, UsageError
 from decogs.formats.rigs import open_rig

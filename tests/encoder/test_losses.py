@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 import torch
 
-from decogs.encoder.losses import FocusWeights, PhotometricLoss, focus_loss, whole_picture_loss
 from decogs.encoder.rasterise import LossValue, TrainingKernel
+from decogs.encoder.settings.frame import FocusWeights
+from decogs.encoder.training.losses import PhotometricLoss, focus_loss, whole_picture_loss
 
 HEIGHT, WIDTH = 36, 64
 RANDOM = np.random.default_rng(5)

@@ -8,16 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from decogs.encoder.masks import (
-    FrameMask,
-    MaskMemory,
-    MaskSettings,
-    difference_mask,
-    dilate,
-    faint_light_mask,
-    without_specks,
-)
-from decogs.encoder.noise import frame_noise
+from decogs.encoder.change.masks import FrameMask, MaskMemory, difference_mask, dilate, faint_light_mask, without_specks
+from decogs.encoder.change.noise import frame_noise
+from decogs.encoder.settings.frame import MaskSettings
 from decogs.formats.errors import UsageError
 
 RNG = np.random.default_rng(7)

@@ -11,8 +11,8 @@ import pytest
 
 from decogs.decoder.session import open_stream
 from decogs.encoder import PRESETS, EncodeSettings
+from decogs.encoder.change.selection import SELECTION_RULES
 from decogs.encoder.methods import ABLATIONS, METHODS, with_method, with_selection, without
-from decogs.encoder.selection import SELECTION_RULES
 from decogs.formats.errors import UsageError
 
 

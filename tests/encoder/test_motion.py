@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from decogs.encoder.motion import shared_displacements
+from decogs.encoder.training.warm_start import shared_displacements
 
 
 def written_out(means: np.ndarray, displacements: np.ndarray, neighbours: int) -> np.ndarray:

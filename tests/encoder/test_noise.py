@@ -13,10 +13,11 @@ import pytest
 from canary.figures import keyframe_of
 from canary.rigs import HELD_OUT, write_rig
 from decogs.encoder import encode
-from decogs.encoder.effects.sensor_noise import SensorNoise
-from decogs.encoder.masks import MaskMemory, MaskSettings
-from decogs.encoder.noise import frame_noise, picture_noise
-from decogs.encoder.presets import preset
+from decogs.encoder.analysis.sensor_noise import SensorNoise
+from decogs.encoder.change.masks import MaskMemory
+from decogs.encoder.change.noise import frame_noise, picture_noise
+from decogs.encoder.settings.frame import MaskSettings
+from decogs.encoder.settings.presets import preset
 
 RNG = np.random.default_rng(5)
 SIZE = (96, 128)

@@ -15,10 +15,10 @@ import cv2
 import numpy as np
 import pytest
 
-import decogs.encoder.stream_output as stream_output
+import decogs.encoder.output.stream_output as stream_output
 from decogs.encoder import encode as encode_rig
-from decogs.encoder.effects.commands import analyze_main
-from decogs.encoder.keyframe import train_keyframe
+from decogs.encoder.analysis.commands import analyze_main
+from decogs.encoder.training.keyframe import train_keyframe
 from decogs.formats.container import StreamWriter
 from decogs.formats.errors import RigError, UsageError
 from decogs.formats.outputs import GrowingFile
@@ -31,7 +31,7 @@ def untrained(monkeypatch: pytest.MonkeyPatch) -> None:
     def never(*_: Any, **__: Any) -> None:
         raise AssertionError("a keyframe is trained")
 
-    monkeypatch.setattr("decogs.encoder.first_frame.train_keyframe", never)
+    monkeypatch.setattr("decogs.encoder.training.first_frame.train_keyframe", never)
     assert train_keyframe is not never
 
 

@@ -13,10 +13,10 @@ from typing import Any
 import pytest
 
 from decogs.encoder import PRESETS, EncodeSettings
-from decogs.encoder.economy import Coarseness
 from decogs.encoder.methods import METHODS
-from decogs.encoder.presets import LADDER, preset
-from decogs.encoder.transformation_cache import CacheSettings
+from decogs.encoder.settings.cache import CacheSettings
+from decogs.encoder.settings.frame import Coarseness
+from decogs.encoder.settings.presets import LADDER, preset
 from decogs.formats.errors import UsageError
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from decogs.encoder import FrameReport
-from decogs.encoder.progress import EncodeProgress, frame_line
+from decogs.encoder.output.progress import EncodeProgress, frame_line
 from decogs.formats.errors import UsageError
 
 

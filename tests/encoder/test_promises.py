@@ -10,18 +10,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-import decogs.encoder.frame_training as frame_training
-import decogs.encoder.keyframe as keyframe
 import decogs.encoder.loop as loop
+import decogs.encoder.training.delta as frame_training
+import decogs.encoder.training.keyframe as keyframe
 from decogs.codec.header import StreamHeader
 from decogs.codec.lattice import default_lattice, dequantise
 from decogs.codec.state import take_rows
 from decogs.decoder.session import open_stream
-from decogs.encoder.economy import EconomySettings
-from decogs.encoder.emergence import EmergenceSettings, _confirmed, _Found
-from decogs.encoder.frame_training import FrameTrainer, TrainedFrame
 from decogs.encoder.loop import StreamEncoder
-from decogs.encoder.reports import Stopwatch
+from decogs.encoder.output.reports import Stopwatch
+from decogs.encoder.settings.frame import EconomySettings, EmergenceSettings
+from decogs.encoder.training.delta import FrameTrainer, TrainedFrame
+from decogs.encoder.training.seeding import _confirmed, _Found
 from decogs.formats.container import iterate_packets
 from decogs.formats.splats import Splats, empty_splats
 

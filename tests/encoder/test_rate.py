@@ -14,10 +14,17 @@ import pytest
 
 from decogs.encoder import PRESETS, EncodeSettings
 from decogs.encoder import encode as encode_rig
+from decogs.encoder.coding.rate_control import (
+    TOLERANCE,
+    RateControl,
+    over_budget,
+    with_budget,
+    with_lossless,
+    with_quality,
+)
 from decogs.encoder.commands import encode_main
-from decogs.encoder.economy import Coarseness, EconomySettings
 from decogs.encoder.methods import with_method
-from decogs.encoder.rate import TOLERANCE, RateControl, over_budget, with_budget, with_lossless, with_quality
+from decogs.encoder.settings.frame import Coarseness, EconomySettings
 from decogs.formats.container import PacketKind, iterate_packets
 from decogs.formats.errors import UsageError
 

@@ -18,7 +18,7 @@ import pytest
 
 from decogs.codec.corrections import Correction
 from decogs.encoder import encode as encode_rig
-from decogs.encoder.frame_training import FrameTrainer
+from decogs.encoder.training.delta import FrameTrainer
 from decogs.formats.container import FRAME_KINDS, iterate_packets
 from decogs.formats.errors import DecogsError, UsageError
 

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from decogs.encoder.change.selection import ViewEvidence, select, view_evidence
 from decogs.encoder.rasterise import FixedView, TrainingKernel
-from decogs.encoder.selection import SelectionSettings, ViewEvidence, select, view_evidence
+from decogs.encoder.settings.frame import SelectionSettings
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import Splats, join_splats
 

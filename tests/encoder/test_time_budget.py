@@ -12,17 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-import decogs.encoder.frame_training as frame_training
+import decogs.encoder.training.delta as frame_training
 from decogs.codec.digest import digest
 from decogs.decoder.session import open_stream
 from decogs.encoder import PRESETS, EncodeSettings
 from decogs.encoder import encode as encode_rig
-from decogs.encoder.commands import encode_main
-from decogs.encoder.economy import EconomySettings
-from decogs.encoder.effort import LEAST_STEPS
-from decogs.encoder.loop import StreamEncoder
-from decogs.encoder.methods import with_method
-from decogs.encoder.time_budget import (
+from decogs.encoder.coding.time_control import (
     TIME_TOLERANCE,
     TimeControl,
     counted_seconds,
@@ -31,6 +26,11 @@ from decogs.encoder.time_budget import (
     with_target_psnr,
     with_time_budget,
 )
+from decogs.encoder.commands import encode_main
+from decogs.encoder.loop import StreamEncoder
+from decogs.encoder.methods import with_method
+from decogs.encoder.settings.frame import EconomySettings
+from decogs.encoder.training.schedule import LEAST_STEPS
 from decogs.formats.container import iterate_packets
 from decogs.formats.errors import UsageError
 

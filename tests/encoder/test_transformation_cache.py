@@ -11,7 +11,8 @@ import torch
 from numpy.typing import NDArray
 
 from decogs.decoder.rasterise.native import INSTRUCTION_SETS
-from decogs.encoder.transformation_cache import CacheSettings, CacheWeights, TransformationCache
+from decogs.encoder.settings.cache import CacheSettings
+from decogs.encoder.transformation_cache import CacheWeights, TransformationCache
 from decogs.formats.errors import TrainingError, UsageError
 from instruction_sets import printed_on
 

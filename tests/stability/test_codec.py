@@ -15,7 +15,8 @@ from decogs.codec.lattice import Lattice, default_lattice, dequantise, quantise
 from decogs.codec.reconstruct import reconstruct
 from decogs.codec.state import ARRAYS, Attributes, State, take_rows
 from decogs.codec.syntax import write_delta, write_key
-from decogs.encoder.economy import Coarseness, coarse_changes
+from decogs.encoder.coding.requantise import coarse_changes
+from decogs.encoder.settings.frame import Coarseness
 from decogs.formats.cameras import Camera
 from decogs.formats.container import Packet, PacketKind
 from decogs.formats.errors import TrainingError

@@ -18,7 +18,7 @@ from decogs.codec.state import ARRAYS, State
 from decogs.decoder.pictures import to_8bit
 from decogs.decoder.rasterise import render
 from decogs.decoder.session import open_stream
-from decogs.encoder.ingest import Ingest
+from decogs.encoder.input.ingest import Ingest
 from decogs.encoder.loop import encode_stream
 from decogs.formats.cameras import scale_camera
 from decogs.formats.rigs import open_rig

@@ -16,20 +16,20 @@ import numpy as np
 import OpenEXR
 import pytest
 
-import decogs.encoder.flashes as flashes
-import decogs.encoder.masks as masks_module
+import decogs.encoder.change.flashes as flashes
+import decogs.encoder.change.masks as masks_module
 from decogs.codec.digest import digest
 from decogs.decoder.session import open_stream, render_view
 from decogs.encoder import PRESETS
 from decogs.encoder import encode as encode_rig
+from decogs.encoder.change.flashes import BeforeFlash
 from decogs.encoder.commands import encode_main
-from decogs.encoder.dropouts import BLACK, BLANK, FROZEN, blankness
-from decogs.encoder.flashes import BeforeFlash
-from decogs.encoder.ingest import Ingest
-from decogs.encoder.keyframe import psnr_of
+from decogs.encoder.input.dropouts import BLACK, BLANK, FROZEN, blankness
+from decogs.encoder.input.ingest import Ingest
 from decogs.encoder.loop import encode_stream
 from decogs.encoder.rasterise import TrainingKernel
-from decogs.encoder.selection import SelectionSettings
+from decogs.encoder.settings.frame import SelectionSettings
+from decogs.encoder.training.keyframe import psnr_of
 from decogs.formats.errors import DecogsError, RigError, TrainingError
 from decogs.formats.rigs import open_rig
 from decogs.formats.rigs.rig import Points

@@ -10,10 +10,9 @@ from typing import Any
 import pytest
 
 from decogs.encoder import PRESETS, EncodeSettings
-from decogs.encoder.baseline import BaselineSettings
 from decogs.encoder.bench.runs import Run, RunFrame
-from decogs.encoder.masks import MaskSettings
-from decogs.encoder.selection import SelectionSettings
+from decogs.encoder.settings.frame import MaskSettings, SelectionSettings
+from decogs.encoder.settings.threedgstream import BaselineSettings
 
 
 @pytest.fixture

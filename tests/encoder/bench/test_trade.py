@@ -13,7 +13,7 @@ from decogs.encoder.bench.report import CURVE
 from decogs.encoder.bench.runs import KEYFRAME, BenchOptions, RigBench
 from decogs.encoder.bench.trade import COSTS, QUALITIES, Point, Step, front, points_of, shown_range
 from decogs.encoder.bench.variants import Question, Variant, settings_of
-from decogs.encoder.presets import LADDER
+from decogs.encoder.settings.presets import LADDER
 
 CPU, FPS = (next(axis for axis in COSTS if axis.key == key) for key in ("cpu", "decode_fps"))
 PSNR = next(axis for axis in QUALITIES if axis.key == "psnr")

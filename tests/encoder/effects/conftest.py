@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
-from decogs.encoder.effects.analysis import Analysis, analyse
+from decogs.encoder.analysis.analyse import Analysis, analyse
 from decogs.formats.cameras import Camera, camera_centre
 
 RIGS = Path(__file__).resolve().parents[4] / "shared" / "data" / "rigs"

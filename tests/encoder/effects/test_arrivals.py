@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from decogs.encoder.effects.arrivals import Arrivals, camera_arrivals
-from decogs.encoder.effects.changes import change_maps
-from decogs.encoder.effects.emergence import IMBALANCE
+from decogs.encoder.analysis.arrivals import Arrivals, camera_arrivals
+from decogs.encoder.analysis.changes import change_maps
+from decogs.encoder.analysis.emergence import IMBALANCE
 
 
 @pytest.fixture

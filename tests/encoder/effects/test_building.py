@@ -10,10 +10,11 @@ from typing import Any
 import pytest
 
 from decogs.decoder.session import open_stream
-from decogs.encoder import PRESETS, frame_training, loop
-from decogs.encoder.effects import EFFECT_NAMES, FRAME_EFFECTS, Decision, Wanted, wanted_effects, with_effects
-from decogs.encoder.effects.names import CAMERA_EFFECTS
-from decogs.encoder.presets import EncodeSettings
+from decogs.encoder import PRESETS, loop
+from decogs.encoder.analysis import Decision, Wanted, wanted_effects, with_effects
+from decogs.encoder.settings.effects import CAMERA_EFFECTS, EFFECT_NAMES, FRAME_EFFECTS
+from decogs.encoder.settings.encode import EncodeSettings
+from decogs.encoder.training import delta as frame_training
 from decogs.formats.container import PacketKind
 from decogs.formats.errors import UsageError
 

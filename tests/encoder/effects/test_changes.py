@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from decogs.encoder.effects.changes import ChangeShares, change_maps
+from decogs.encoder.analysis.changes import ChangeShares, change_maps
 
 
 def shares(before: np.ndarray, now: np.ndarray, noise: float = 1.0) -> tuple[float, float, float]:

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from decogs.encoder.effects import EFFECTS
-from decogs.encoder.effects.analysis import analyse
-from decogs.encoder.effects.commands import analyze_main
+from decogs.encoder.analysis import EFFECTS
+from decogs.encoder.analysis.analyse import analyse
+from decogs.encoder.analysis.commands import analyze_main
 
 
 def told(document: dict[str, Any]) -> dict[str, Any]:
@@ -73,7 +73,7 @@ def test_one_frame_tells_what_it_can(moving_rig: Path) -> None:
 
 def test_a_clip_beyond_the_memory_is_thinned(moving_rig: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Room for two frames of five 64x48 cameras: every second of four is looked at; a span begins after the last."""
-    monkeypatch.setattr("decogs.encoder.effects.look.MOST_BYTES", 2 * 5 * 64 * 48 * 3)
+    monkeypatch.setattr("decogs.encoder.analysis.look.MOST_BYTES", 2 * 5 * 64 * 48 * 3)
     analysis = analyse(moving_rig)
     assert (analysis.look.frames, analysis.look.step) == ((0, 2), 2)
     motion = next(f.decision for f in analysis.findings if f.decision.effect == "motion")

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from decogs.encoder.effects.appearance_change import AppearanceChange
-from decogs.encoder.effects.effect import Evidence, confidence, one_span, seen_together, spans
-from decogs.encoder.effects.emergence import Emergence
-from decogs.encoder.effects.exposure_drift import ExposureDrift
-from decogs.encoder.effects.motion import Motion
+from decogs.encoder.analysis.appearance_change import AppearanceChange
+from decogs.encoder.analysis.effect import Evidence, confidence, one_span, seen_together, spans
+from decogs.encoder.analysis.emergence import Emergence
+from decogs.encoder.analysis.exposure_drift import ExposureDrift
+from decogs.encoder.analysis.motion import Motion
 
 
 def look_of(frames: tuple[int, ...], cameras: int = 3, **measured: Any) -> Any:

@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from decogs.encoder.effects.frame_look import FrameEffects, frame_effects
-from decogs.encoder.masks import FrameMask, difference_mask, dilate
+from decogs.encoder.analysis.frame_look import FrameEffects, frame_effects
+from decogs.encoder.change.masks import FrameMask, difference_mask, dilate
 
 LIGHT_ONLY = FrameEffects(motion=False, appearance_change=True)
 MOTION_ONLY = FrameEffects(motion=True, appearance_change=False)

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from decogs.encoder.effects.light import (
+from decogs.encoder.analysis.light import (
     EXPOSURE_LIMIT,
     FRAME_LIMIT,
     WHITE_BALANCE_LIMIT,

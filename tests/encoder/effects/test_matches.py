@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from decogs.decoder.lens import distort_pixels
-from decogs.encoder.effects.effect import Evidence
-from decogs.encoder.effects.lens_distortion import LensDistortion
-from decogs.encoder.effects.light import light_at, light_overall, own_light, shared_points
-from decogs.encoder.effects.look import Look
-from decogs.encoder.effects.matches import find_matches
-from decogs.encoder.effects.view_dependence import ViewDependence
+from decogs.encoder.analysis.effect import Evidence
+from decogs.encoder.analysis.lens_distortion import LensDistortion
+from decogs.encoder.analysis.light import light_at, light_overall, own_light, shared_points
+from decogs.encoder.analysis.look import Look
+from decogs.encoder.analysis.matches import find_matches
+from decogs.encoder.analysis.view_dependence import ViewDependence
 from decogs.formats.cameras import Camera
 
 Views = tuple[list[Camera], list[np.ndarray]]

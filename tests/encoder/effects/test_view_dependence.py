@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-import decogs.encoder.effects.view_dependence as view_dependence
+import decogs.encoder.analysis.view_dependence as view_dependence
 from decogs.codec.state import Attributes
 from decogs.decoder import open_stream
 from decogs.encoder import encode
-from decogs.encoder.effects.view_dependence import LEAST_SHOWN, as_far_as_shown
+from decogs.encoder.analysis.view_dependence import LEAST_SHOWN, as_far_as_shown
 
 COUNT = 1000
 FEW, ENOUGH = round(LEAST_SHOWN * COUNT) - 1, round(LEAST_SHOWN * COUNT)

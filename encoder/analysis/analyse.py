@@ -1,0 +1,169 @@
+"""What a rig calls for, effect by effect: the look, the evidence, the decisions, as a table and as JSON."""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from decogs.decoder.rasterise.native import thread_count
+from decogs.decoder.session import frame_range
+from decogs.formats.rigs import Rig, open_rig
+
+from ..input.ingest import frame_span
+from . import EFFECTS
+from .effect import Decision, Evidence, Span
+from .look import Look, OnStep, look_at
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One effect's evidence and what was decided from it."""
+
+    evidence: Evidence
+    decision: Decision
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """What was found on a rig: a finding for every effect, in the order of EFFECTS; ``seconds`` it took."""
+
+    path: str
+    layout: str
+    held_out: tuple[str, ...]
+    frame_count: int
+    look: Look
+    findings: tuple[Finding, ...]
+    seconds: float
+
+    @property
+    def decisions(self) -> tuple[Decision, ...]:
+        return tuple(finding.decision for finding in self.findings)
+
+    def table(self) -> Iterator[str]:
+        """What the user reads: the rig, then one row per effect."""
+        look = self.look
+        thinned = f", 1 in {look.step} looked at" if look.step > 1 else ""
+        sizes = " and ".join(sorted({f"{camera.width}x{camera.height}" for camera in look.cameras}))
+        yield (
+            f"{self.path}: {len(look.cameras)} cameras, {self.frame_count} frames{thinned}, at {sizes}, "
+            f"in {self.seconds:.1f} s"
+        )
+        rows = [_HEADINGS, *(_row(look, finding) for finding in self.findings)]
+        widths = [max(len(row[column]) for row in rows) for column in range(len(_HEADINGS))]
+        for row in rows:
+            yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+
+    def to_json(self) -> dict[str, Any]:
+        """The same with every figure per camera and frame; None where nothing could be told."""
+        look = self.look
+        return {
+            "rig": self.path,
+            "layout": self.layout,
+            "cameras": list(look.names),
+            "held_out": list(self.held_out),
+            "frames": list(look.frames),
+            "step": look.step,
+            "sizes": {camera.name: [camera.width, camera.height] for camera in look.cameras},
+            "seconds": round(self.seconds, 3),
+            "effects": [_finding_json(look, finding) for finding in self.findings],
+        }
+
+
+def analyse(
+    rig_dir: str | os.PathLike[str] | Rig,
+    *,
+    frames: str | slice | None = None,
+    holdout: str | Sequence[str] = (),
+    threads: int = 0,
+    on_step: OnStep = lambda done, total: None,
+) -> Analysis:
+    """Looks at a rig before anything is trained, and decides which effects it calls for.
+
+    ``rig_dir``: its folder or calibration file, or the rig itself. ``frames``: "A:B" half-open, as in Python, or a
+    slice; all when None. ``holdout``: cameras that are not looked at.
+    ``threads``: 0 means all processors; what is found does not depend on it. Raises RigError or UsageError.
+    """
+    began = time.perf_counter()
+    held = [holdout] if isinstance(holdout, str) else list(holdout)
+    rig = rig_dir if isinstance(rig_dir, Rig) else open_rig(rig_dir)
+    span = frame_span(rig, frame_range(frames) if isinstance(frames, str) else frames)
+    look = look_at(rig, holdout=held, frames=span, threads=thread_count(threads), on_step=on_step)
+    findings = []
+    for effect in EFFECTS:
+        evidence = effect.evidence(look)
+        findings.append(Finding(evidence, effect.decide(look, evidence)))
+    seconds = time.perf_counter() - began
+    return Analysis(str(rig.path), rig.layout, tuple(held), len(span), look, tuple(findings), seconds)
+
+
+_HEADINGS = ("effect", "called for", "sure", "evidence", "counts from", "cameras", "frames", "cost")
+
+
+def _row(look: Look, finding: Finding) -> tuple[str, ...]:
+    evidence, decision = finding.evidence, finding.decision
+    told = math.isfinite(evidence.peak)
+    return (
+        decision.effect,
+        "yes" if decision.called_for else "no",
+        f"{decision.confidence:.0%}",
+        f"{evidence.peak:.3g} {evidence.unit}" if told else "not told",
+        f"{evidence.limit:g}",
+        _cameras(look, decision.cameras),
+        _frames(decision.frames),
+        decision.cost,
+    )
+
+
+def _cameras(look: Look, names: Sequence[str]) -> str:
+    if not names:
+        return "-"
+    if len(names) == len(look.names):
+        return f"all {len(names)}"
+    return " ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+
+
+def _frames(spans: Sequence[Span]) -> str:
+    shown = [f"{first}-{last}" if last > first else f"{first}" for first, last in spans[:3]]
+    return " ".join(shown) + (f" and {len(spans) - 3} more" if len(spans) > 3 else "") if shown else "-"
+
+
+def _finding_json(look: Look, finding: Finding) -> dict[str, Any]:
+    evidence, decision = finding.evidence, finding.decision
+    return {
+        "effect": decision.effect,
+        "called_for": decision.called_for,
+        "confidence": round(decision.confidence, 3),
+        "evidence": _number(evidence.peak),
+        "unit": evidence.unit,
+        "counts_from": evidence.limit,
+        "cameras": list(decision.cameras),
+        "frames": [list(span) for span in decision.frames],
+        "reason": decision.reason,
+        "cost": decision.cost,
+        "figures": _plain(decision.figures),
+        "values": _by_camera(look, evidence.values),
+        "details": {name: _by_camera(look, values) for name, values in evidence.details.items()},
+    }
+
+
+def _by_camera(look: Look, values: np.ndarray[Any, np.dtype[np.float64]]) -> dict[str, list[float | None]]:
+    return {name: [_number(v) for v in row.tolist()] for name, row in zip(look.names, values, strict=True)}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _plain(each) for key, each in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(each) for each in value]
+    return _number(value) if isinstance(value, float) else value
+
+
+def _number(value: float) -> float | None:
+    """JSON knows no NaN; six digits are more than any of these figures has."""
+    return float(f"{value:.6g}") if math.isfinite(value) else None

@@ -1,0 +1,61 @@
+"""Light or colour changes while the geometry stays: lamps, screens, shadows of what is outside the picture."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .effect import Decision, Evidence
+from .look import F64, Look
+from .motion import decide_by_change
+
+if TYPE_CHECKING:
+    from ..settings.encode import EncodeSettings
+LIMIT = 0.2
+"""Share of a change away from motion: the geometric middle of the shadows of what moves, and of light alone."""
+
+_LEAST_SHARE = 0.001
+"""Share of a picture below which a change is a speck: 93 pixels of 352 x 264."""
+
+
+class AppearanceChange:
+    """Evidence: of what changes, the share that is not near anything that moves; there the shadow belongs to the
+    motion. What changes too slowly to be seen from one frame to the next is looked for over several."""
+
+    name = "appearance_change"
+
+    def evidence(self, look: Look) -> Evidence:
+        changed, alone, share = _away_from_motion(look, "changed", "near")
+        _, _, slow = _away_from_motion(look, "slow_changed", "slow_near")
+        details = {"changed": changed * 100, "alone": alone * 100, "slow": slow * 100}
+        return Evidence(np.fmax(share, slow) * 100, "% of change", LIMIT * 100, details)
+
+    def decide(self, look: Look, evidence: Evidence) -> Decision:
+        area = float(np.nan_to_num(evidence.details["alone"]).max())
+        return decide_by_change(
+            look,
+            self,
+            evidence,
+            reason=f"up to {area:.2g} % of a picture changes from one frame to the next, in place and away from motion",
+            cost="colours and opacities of what changes: 9 kB and 1.3 CPU-s a frame (measured on candle)",
+            figures={"alone_percent": area},
+        )
+
+    def built(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
+        return settings
+
+    def left_out(self, settings: EncodeSettings) -> EncodeSettings:
+        """Colours and opacities stay as they are."""
+        rates = replace(settings.frame.rates, opacity_logits=0.0, sh_dc=0.0, sh_rest=0.0)
+        return replace(settings, frame=replace(settings.frame, rates=rates))
+
+
+def _away_from_motion(look: Look, *names: str) -> tuple[F64, F64, F64]:
+    """Shares (cameras, F): of pictures, what changes; what does so away from motion; of the first, the second."""
+    changed, near = (np.stack([getattr(shares, name) for shares in look.changes]) for name in names)
+    alone = changed - near
+    share = alone / np.maximum(changed, 1e-9)
+    share[alone < _LEAST_SHARE] = 0
+    return changed, alone, share

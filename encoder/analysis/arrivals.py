@@ -1,0 +1,233 @@
+"""What came to be where it was not before, or went from where it was, and did not just move.
+
+An object has an outline. Where the pictures before and after a change differ, the one that shows the object has
+stronger edges along the border of the difference: the object *arrived* there or it *left* there. What merely moved left
+one place and arrived at another, and restructured pixels join the two, in the picture and from one to the next: its
+*path*. So a path with arrivals and departures that balance is motion; one with arrivals alone is an emergence, one with
+departures alone a disappearance. Every path is judged by itself, by the pictures before its first and after its last
+step: what else moves, earlier, later or elsewhere, has no part in it. The edge test is that of video surveillance for
+bags that were left behind or taken away.
+
+Nothing is said of a path in which a difference has no clear side, or a place was already (for an arrival) or is still
+(for a departure) in motion as the clip began (or ended); nor of one that only left, from a place already in motion, or
+that still arrives as the clip ends.
+
+What comes and goes in between is motion. What touches something that moves, in the picture, is one path with it: other
+cameras see the two apart.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ..change.masks import BoolArray
+from .changes import NEAR_SHARE, WINDOW_PIXELS, ChangeMaps, change_maps
+
+F64 = NDArray[np.float64]
+F32 = NDArray[np.float32]
+U8 = NDArray[np.uint8]
+IntArray = NDArray[np.int64]
+
+_OBJECT_LEVELS = 12
+"""Difference of an object from what it covers, in levels; soft shadows differ by less."""
+_CLEAR_SIDE = 0.15
+"""Share of the border along which the one picture must have more of the stronger edges than the other."""
+_STRONGER = 1.5
+_EDGE = 40.0
+"""Scharr response that is an edge: a step of 2 to 3 levels after smoothing."""
+_OUTLINED = 0.3
+"""Share of a difference's border that must be restructured: light has soft borders that are not."""
+_RESTING = 0.3
+"""Share of a place that may change in the first (or last) two steps and still count as resting."""
+_SETTLED = 0.9
+_SQUARE = np.ones((3, 3), np.uint8)
+
+
+@dataclass(frozen=True)
+class Arrivals:
+    """How far arrivals and departures of a camera's swept areas are from balance, per frame (F,), in per cent.
+
+    100 is an object that only arrived (or only left), 0 none, or one that moved. NaN for the first frame and where
+    nothing could be told.
+    """
+
+    arrived: F64
+    left: F64
+
+
+@dataclass(frozen=True)
+class _Path:
+    """What restructured pixels join over time: ``swept`` (H, W), and its ``first`` and ``last`` step.
+
+    Step t leads from picture t to picture t + 1.
+    """
+
+    swept: BoolArray
+    first: int
+    last: int
+
+
+@dataclass(frozen=True)
+class _Difference:
+    """A connected difference of two pictures: its pixels, and its side: arrived 1, left -1, unclear 0."""
+
+    place: BoolArray
+    side: int
+    busy_at_first: bool
+
+
+def untold(frames: int) -> Arrivals:
+    return Arrivals(np.full(frames, np.nan), np.full(frames, np.nan))
+
+
+def camera_arrivals(pictures: U8, maps: Sequence[ChangeMaps], noise: float) -> Arrivals:
+    """What arrived and what left over a camera's pictures (F, H, W, 3); ``maps``: of each against the one before."""
+    arrived, left = (np.zeros(len(pictures)) for _ in range(2))
+    arrived[0] = left[0] = np.nan
+    unclear = False
+    for path in _paths(maps) if len(maps) else []:
+        before, after = path.first, path.last + 1
+        inside = _differences(pictures, maps, path, noise)
+        if any(each.side == 0 for each in inside):
+            unclear = True
+            continue
+        came, went = (sum(int(d.place.sum()) for d in inside if d.side == side) for side in (1, -1))
+        if not came + went:
+            continue
+        balance = (came - went) / (came + went)
+        if balance > 0:
+            place = np.any([d.place for d in inside if d.side == 1], axis=0)
+            settled = before + _settled(pictures[before : after + 1], place)
+            if settled == len(pictures) - 1:
+                unclear = True  # still on its way as the clip ends
+            else:
+                _raise(arrived, slice(before + 1, settled + 1), balance)
+        elif any(each.busy_at_first for each in inside):
+            unclear = True
+        else:
+            _raise(left, slice(before + 1, after + 1), -balance)
+    return untold(len(pictures)) if unclear and not np.nansum(arrived + left) else Arrivals(arrived, left)
+
+
+def _paths(maps: Sequence[ChangeMaps]) -> list[_Path]:
+    """The paths that are large enough to tell, in the order of their first steps."""
+    shape = maps[0].restructured.shape
+    parents = [0]  # of every step's areas, of all steps: the path each was found to belong to; 0 is none
+    pixels, numbers, steps = ([np.zeros(0, np.int64)] for _ in range(3))
+    before = np.zeros(shape, np.int64)
+    for step, each in enumerate(maps):
+        grown = cv2.dilate(each.restructured.view(np.uint8), _SQUARE)
+        count, labels = cv2.connectedComponents(grown, connectivity=8)
+        now = np.where(labels > 0, labels + len(parents) - 1, 0)
+        parents.extend(range(len(parents), len(parents) + count - 1))
+        here = np.flatnonzero(now)
+        both = np.unique(np.stack([before.ravel()[here], now.ravel()[here]]), axis=1)
+        for old, new in both[:, both[0] > 0].T:
+            parents[_root(parents, int(new))] = _root(parents, int(old))
+        pixels.append(here)
+        numbers.append(now.ravel()[here])
+        steps.append(np.full(len(here), step))
+        before = now
+    roots = np.array([_root(parents, number) for number in range(len(parents))])
+    return _grouped(shape, np.concatenate(pixels), np.concatenate(steps), roots[np.concatenate(numbers)])
+
+
+def _grouped(shape: tuple[int, ...], pixels: IntArray, steps: IntArray, paths: IntArray) -> list[_Path]:
+    """The paths of pixels (P,), flat, each of a step, in the steps' order, and of a path's number."""
+    order = np.argsort(paths, kind="stable")
+    starts = np.flatnonzero(np.diff(paths[order]) > 0) + 1
+    found = []
+    for rows in np.split(order, starts):
+        if len(rows) < WINDOW_PIXELS:
+            continue
+        swept = np.zeros(shape, bool)
+        swept.ravel()[pixels[rows]] = True
+        if swept.sum() >= WINDOW_PIXELS:
+            found.append(_Path(swept, int(steps[rows[0]]), int(steps[rows[-1]])))
+    return sorted(found, key=lambda path: path.first)
+
+
+def _root(parents: list[int], number: int) -> int:
+    while parents[number] != number:
+        parents[number] = parents[parents[number]]
+        number = parents[number]
+    return number
+
+
+def _raise(values: F64, frames: slice, balance: float) -> None:
+    values[frames] = np.maximum(values[frames], 100 * balance)
+
+
+def _differences(pictures: U8, maps: Sequence[ChangeMaps], path: _Path, noise: float) -> list[_Difference]:
+    """Where a path's pictures before and after it differ as far as objects do."""
+    window = _around(path.swept)
+    first, last = pictures[path.first][window], pictures[path.last + 1][window]
+    swept, width = path.swept[window], pictures.shape[2]
+    whole = change_maps(first, last, noise)
+    objects = cv2.absdiff(cv2.blur(last, (3, 3)), cv2.blur(first, (3, 3))).max(axis=2) > _OBJECT_LEVELS
+    objects &= whole.near(width)
+    closed = cv2.morphologyEx(objects.view(np.uint8), cv2.MORPH_CLOSE, _SQUARE)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(closed, connectivity=8)
+    edges = _edges(first), _edges(last)
+    # Motion of the clip's first and last two steps may have begun before it, or go on after.
+    ends = maps[path.first : 2], maps[max(len(maps) - 2, 0) : path.last + 1]
+    early, late = (_moving(some, window, path.swept.shape) for some in ends)
+    found = []
+    for label in range(1, count):
+        place = (labels == label) & swept
+        if stats[label, cv2.CC_STAT_AREA] < WINDOW_PIXELS or place.sum() < WINDOW_PIXELS:
+            continue
+        shape = (labels == label).view(np.uint8)
+        border = cv2.dilate(shape, _SQUARE) != cv2.erode(shape, _SQUARE)
+        outlined = whole.restructured[border].mean() >= _OUTLINED
+        side = _side(edges[0][border], edges[1][border]) if outlined else 0
+        busy_at_first, busy_at_last = (bool(moves[place].mean() >= _RESTING) for moves in (early, late))
+        if (side > 0 and busy_at_first) or (side < 0 and busy_at_last):
+            side = 0
+        everywhere = np.zeros(path.swept.shape, bool)
+        everywhere[window] = place
+        found.append(_Difference(everywhere, side, busy_at_first))
+    return found
+
+
+def _around(area: BoolArray) -> tuple[slice, slice]:
+    """The rows and columns of an area, and as many around it as a change near it may reach."""
+    margin = round(2 * NEAR_SHARE * area.shape[1]) + math.isqrt(WINDOW_PIXELS)
+    spans = [np.flatnonzero(area.any(axis=axis)) for axis in (1, 0)]
+    rows, columns = (slice(max(0, int(span[0]) - margin), int(span[-1]) + 1 + margin) for span in spans)
+    return rows, columns
+
+
+def _moving(maps: Sequence[ChangeMaps], window: tuple[slice, slice], shape: tuple[int, ...]) -> BoolArray:
+    """Where in the ``window`` of a picture of that ``shape`` something moves in any of the steps."""
+    moves = np.zeros(shape, bool)[window]
+    for each in maps:
+        moves |= ChangeMaps(each.changed[window], each.restructured[window]).near(shape[1])
+    return moves
+
+
+def _side(first: F32, last: F32) -> int:
+    """Which picture has the object, by its edges along the border: 1 the last, -1 the first, 0 not clear."""
+    strong = np.maximum(first, last) > _EDGE
+    lead = float((strong & (last > _STRONGER * first)).mean() - (strong & (first > _STRONGER * last)).mean())
+    return 0 if abs(lead) < _CLEAR_SIDE else 1 if lead > 0 else -1
+
+
+def _edges(picture: U8) -> F32:
+    smooth = cv2.GaussianBlur(picture, (0, 0), 1.0).astype(np.float32)
+    across, down = cv2.Scharr(smooth, cv2.CV_32F, 1, 0), cv2.Scharr(smooth, cv2.CV_32F, 0, 1)
+    return np.asarray(cv2.sqrt(across * across + down * down).max(axis=2))
+
+
+def _settled(pictures: U8, place: BoolArray) -> int:
+    """The first frame by which nine tenths of what differs in the end have begun to differ from the first picture."""
+    here = pictures[:, place].astype(np.int16)
+    differs = np.abs(here - here[0]).max(axis=2) > _OBJECT_LEVELS
+    begun = np.logical_or.accumulate(differs[:, differs[-1]], axis=0).sum(axis=1)
+    return int(np.argmax(begun >= _SETTLED * begun[-1]))

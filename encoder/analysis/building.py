@@ -1,0 +1,94 @@
+"""What an encode builds of the effects: those that a scene calls for, or those that it is told to.
+
+Chosen: building an effect, or leaving it out, changes settings and nothing else, in the effect's own file; training
+looks at settings only. So what is not called for is not there to cost anything, a stream's header says what was built,
+and a frame's own choice is the same change made for one frame. Rejected: flags that training asks at every turn (an
+effect would be spread over many files, and a new one would touch them all).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from decogs.formats.errors import UsageError
+
+from ..settings.effects import CAMERA_EFFECTS, EFFECT_NAMES, FRAME_EFFECTS
+from .effect import Decision
+
+if TYPE_CHECKING:
+    from ..settings.encode import EncodeSettings
+
+AUTO, ALL, NONE = "auto", "all", "none"
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """Which effects an encode is to build: a ``base`` (AUTO, ALL or NONE), and names added to it and taken from it."""
+
+    base: str
+    added: frozenset[str] = frozenset()
+    dropped: frozenset[str] = frozenset()
+
+    def names(self, called_for: Collection[str]) -> tuple[str, ...]:
+        """In order, given those that the scene calls for; what every frame is asked for itself counts as such."""
+        bases = {AUTO: {*FRAME_EFFECTS, *called_for}, ALL: set(EFFECT_NAMES), NONE: set[str]()}
+        names = (bases[self.base] | self.added) - self.dropped
+        return tuple(name for name in EFFECT_NAMES if name in names)
+
+
+def wanted_effects(text: str) -> Wanted:
+    """Reads ``--effects``: auto, all or none, or names with commas; ``-name`` takes one away. Raises UsageError."""
+    words = [word.strip() for word in text.split(",") if word.strip()]
+    base = words.pop(0) if words and words[0] in (AUTO, ALL, NONE) else ALL if text.startswith("-") else NONE
+    added = frozenset(word for word in words if not word.startswith("-"))
+    dropped = frozenset(word[1:] for word in words if word.startswith("-"))
+    if unknown := sorted((added | dropped) - set(EFFECT_NAMES)):
+        raise UsageError(
+            f"--effects {text}: there is no effect {unknown[0]!r}; choose auto, all, none or from "
+            f"{', '.join(EFFECT_NAMES)}"
+        )
+    return Wanted(base, added, dropped)
+
+
+def with_effects(
+    settings: EncodeSettings, wanted: Wanted, cameras: Sequence[str], decisions: Callable[[], Sequence[Decision]]
+) -> EncodeSettings:
+    """``settings`` that build what is wanted and nothing else; their ``effects`` are those that make a difference.
+
+    ``cameras``: names of all that train, for an effect that is wanted where the scene does not call for it.
+    ``decisions``: of the rig (`analysis.analyse`), asked for only where what is wanted depends on them.
+    """
+    from . import EFFECTS
+
+    fixed = wanted.base != AUTO and not set(wanted.names(())) - {*FRAME_EFFECTS, "view_dependence"}
+    found = {} if fixed else {decision.effect: decision for decision in decisions()}
+    names = wanted.names([name for name, decision in found.items() if decision.called_for])
+    built = []
+    for effect in EFFECTS:
+        chosen = without = effect.left_out(settings)
+        if effect.name in names:
+            decision = found.get(effect.name)
+            if decision is not None and (not decision.called_for or _is_common(decision, cameras)):
+                decision = replace(decision, cameras=tuple(cameras))
+            chosen = settings if decision is None else effect.built(settings, decision)
+        if chosen != without:
+            built.append(effect.name)
+        settings = chosen
+    return replace(settings, effects=tuple(built), ask_frames=wanted.base == AUTO)
+
+
+def _is_common(decision: Decision, cameras: Sequence[str]) -> bool:
+    """Whether most cameras have a fault: then the others have it, too, though less than can be told."""
+    return decision.effect in CAMERA_EFFECTS and 2 * len(decision.cameras) > len(cameras)
+
+
+def leave_out(settings: EncodeSettings, names: Collection[str]) -> EncodeSettings:
+    """``settings`` without the effects of these names: what a frame does that does not call for them."""
+    from . import EFFECTS
+
+    for effect in EFFECTS:
+        if effect.name in names:
+            settings = effect.left_out(settings)
+    return settings

@@ -1,0 +1,128 @@
+"""What changed between two pictures of a camera: where, and whether the pattern there moved or only its light.
+
+A pattern whose light changes stays an affine function of itself in every small window: brighter, darker, of more or
+less contrast. What moves is not. So in windows of 7 x 7 pixels the new picture is fitted to the old one and the old to
+the new, and where more than half of what changed is left over, the content is another: *restructured*.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from itertools import pairwise
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ..change.masks import BoolArray, dilate
+
+F64 = NDArray[np.float64]
+U8 = NDArray[np.uint8]
+
+CHANGE_LEVELS = 4.0
+"""Smallest change of a 3 x 3 mean that counts, in 8-bit levels; at least CHANGE_NOISE times the camera's noise."""
+CHANGE_NOISE = 4.0
+_RESTRUCTURED_LEVELS = 6.0
+"""What an affine fit must leave over at least, in levels: coding leaves 2 to 3 of sharp texture."""
+_UNEXPLAINED = 0.5
+_WINDOW = (7, 7)
+WINDOW_PIXELS = 49
+SLOW_FRAMES = 4
+"""Frames over which light is looked for that changes by less from one to the next than CHANGE_LEVELS."""
+_LEAST_PART = 0.5
+"""Of a frame's even part in such a change, what it must have for the change to be its own, too."""
+NEAR_SHARE = 0.0355
+"""How far around restructured pixels a change counts as theirs, as a share of the picture's width: the reach of the
+encoder's masks."""
+
+
+@dataclass(frozen=True)
+class ChangeMaps:
+    """Bool (H, W): ``changed`` at all; ``restructured``, content that an affine change of light does not explain."""
+
+    changed: BoolArray
+    restructured: BoolArray
+
+    def near(self, width: int | None = None) -> BoolArray:
+        """Changed pixels around restructured ones: objects, their shadows, what they uncover.
+
+        ``width`` of the whole picture, where the maps are of a part.
+        """
+        return self.changed & dilate(self.restructured, round(NEAR_SHARE * (width or self.changed.shape[1])))
+
+
+@dataclass(frozen=True)
+class ChangeShares:
+    """Shares of one camera's picture per frame (F,), against the frame before; NaN for the first.
+
+    ``changed`` at all, ``restructured``, and ``near``: changed close to what is restructured. ``slow_changed``,
+    ``slow_near``: the same over the SLOW_FRAMES frames around it, where it has its part in what changed there, else 0;
+    NaN in a camera whose drift was taken out.
+    """
+
+    changed: F64
+    restructured: F64
+    near: F64
+    slow_changed: F64
+    slow_near: F64
+
+    @staticmethod
+    def untold(frames: int) -> ChangeShares:
+        return ChangeShares(*(np.full(frames, np.nan) for _ in fields(ChangeShares)))
+
+    @staticmethod
+    def of(frames: Sequence[ChangeMaps], pictures: U8, noise: float, *, slow: bool = True) -> ChangeShares:
+        """The shares of a camera's frames, ``frames`` being the maps of all but the first of its ``pictures``.
+
+        ``slow``: whether slow light can be detected at all.
+        """
+        maps = {"changed": [m.changed for m in frames], "restructured": [m.restructured for m in frames]}
+        maps["near"] = [m.near() for m in frames]
+        shares = {name: np.array([np.nan, *(float(m.mean()) for m in found)]) for name, found in maps.items()}
+        slow_changed, slow_near = _slow_shares(pictures, noise) if slow else np.full((2, len(pictures)), np.nan)
+        return ChangeShares(**shares, slow_changed=slow_changed, slow_near=slow_near)
+
+
+def change_maps(before: U8, now: U8, noise: float) -> ChangeMaps:
+    """What changed from one picture (H, W, 3) to the next; ``noise``: deviation of one picture in 8-bit levels."""
+    limit = max(CHANGE_LEVELS, CHANGE_NOISE * noise)
+    differences = cv2.absdiff(cv2.blur(now, (3, 3)), cv2.blur(before, (3, 3)))
+    changed = np.asarray(differences.max(axis=2) > limit)
+    if not changed.any():
+        return ChangeMaps(changed, changed)
+    left_over, energy = _left_over(before, now)
+    least = max(_RESTRUCTURED_LEVELS, CHANGE_NOISE * noise) ** 2
+    return ChangeMaps(changed, changed & (left_over > least) & (left_over > _UNEXPLAINED * energy))
+
+
+def _slow_shares(pictures: U8, noise: float) -> F64:
+    """``slow_changed`` and ``slow_near`` (2, F) of pictures (F, H, W, 3): light that no two of them tell from noise."""
+    shares = np.zeros((2, len(pictures)))
+    shares[:, 0] = np.nan
+    last = len(pictures) - 1
+    for end in sorted({*range(SLOW_FRAMES, last + 1, SLOW_FRAMES), last}) if last >= SLOW_FRAMES else ():
+        span = pictures[end - SLOW_FRAMES : end + 1]
+        maps = change_maps(span[0], span[-1], noise)
+        near = maps.near()
+        alone = maps.changed & ~near
+        if not alone.any():
+            continue
+        values = span[:, alone].astype(np.float32)
+        whole = values[-1] - values[0]
+        parts = np.array([float(((after - before) * whole).sum()) for before, after in pairwise(values)])
+        takes_part = parts >= _LEAST_PART / SLOW_FRAMES * float((whole * whole).sum())
+        shares[:, 1 + end - SLOW_FRAMES + np.flatnonzero(takes_part)] = [[maps.changed.mean()], [near.mean()]]
+    return shares
+
+
+def _left_over(before: U8, now: U8) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Mean square of what affine fits leave over in the window around each pixel, and of the whole change."""
+    a, b = (cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY).astype(np.float32) for picture in (before, now))
+    mean_a, mean_b = cv2.blur(a, _WINDOW), cv2.blur(b, _WINDOW)
+    square_a, square_b, product = cv2.blur(a * a, _WINDOW), cv2.blur(b * b, _WINDOW), cv2.blur(a * b, _WINDOW)
+    var_a, var_b = square_a - mean_a * mean_a, square_b - mean_b * mean_b
+    # A pattern that turns into its negative is another pattern.
+    common = np.maximum(product - mean_a * mean_b, 0) ** 2
+    left_over = np.maximum(var_b - common / (var_a + 1), var_a - common / (var_b + 1))
+    return left_over, square_a + square_b - 2 * product

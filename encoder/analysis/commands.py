@@ -1,0 +1,67 @@
+"""The analysis's command: decogs-analyze. Only arguments, terminal output and exit codes."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from decogs.decoder.commands import Parser, frames_joined, number_of_threads, progress, run, tell, warn_as
+from decogs.formats.errors import UsageError
+from decogs.formats.outputs import Output, check_outputs, is_device, write_whole
+from decogs.formats.rigs import files_of, open_rig
+
+
+def analyze_main(arguments: Sequence[str] | None = None) -> int:
+    """``decogs-analyze``: which effects a rig calls for."""
+    parser = Parser(
+        prog="decogs-analyze",
+        description="Look at a rig before encoding it: which effects it calls for, where, when, and what they cost.",
+        epilog="Looks at small pictures of all cameras but the held-out ones; a long clip is thinned to fit 256 MiB.",
+    )
+    parser.add_argument("rig_dir", help="the rig's folder, or one calibration file or folder inside it")
+    parser.add_argument(
+        "--holdout", action="append", default=[], metavar="CAM", help="a camera not to look at (repeatable)"
+    )
+    parser.add_argument("--frames", metavar="A:B", help="half-open, as in Python: 0:10, 5:, -3: (default: all)")
+    parser.add_argument(
+        "--json", metavar="FILE", help="write every figure, per camera and frame; - for stdout (the table: stderr)"
+    )
+    parser.add_argument("--threads", type=number_of_threads, default=0, metavar="N", help="default: all processors")
+    return run(parser.prog, lambda: _analyze(parser.parse_args(frames_joined(arguments))))
+
+
+def _analyze(options: argparse.Namespace) -> None:
+    from .analyse import analyse
+
+    rig = open_rig(options.rig_dir)
+    for warning in rig.warnings:
+        warn_as("decogs-analyze")(warning)
+    to_file = options.json is not None and options.json != "-"
+    if to_file:
+        check_outputs([Output("--json", Path(options.json), grows=True)], files_of(rig))
+    with progress("looking", "step") as on_step:
+        analysis = analyse(
+            rig,
+            frames=options.frames,
+            holdout=options.holdout,
+            threads=options.threads,
+            on_step=on_step,
+        )
+    document = json.dumps(analysis.to_json(), indent=1) + "\n"
+    tell("\n".join(analysis.table()), to_stderr=options.json == "-")
+    if options.json == "-":
+        tell(document.rstrip("\n"))
+    elif to_file:
+        _write(Path(options.json), document)
+
+
+def _write(path: Path, document: str) -> None:
+    try:
+        if is_device(path):
+            path.write_text(document, encoding="utf-8")
+        else:
+            write_whole(path, document.encode())
+    except OSError as error:
+        raise UsageError(f"--json {path}: {error.strerror}; name a file in a folder that can be written") from error

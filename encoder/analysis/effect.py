@@ -1,0 +1,172 @@
+"""What every effect says of a rig: the evidence it found, and what it decides from it. One protocol, plain data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .look import Look
+
+if TYPE_CHECKING:
+    from ..settings.encode import EncodeSettings
+
+F64 = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+Span = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """How strong an effect shows, per camera and looked-at frame.
+
+    ``values`` (cameras, frames) float64 in ``unit``, in the order of the look's cameras and frames; NaN where nothing
+    could be told. A value counts from ``limit`` on. ``details``: further arrays of the same shape, by name, that the
+    decision draws on and the JSON shows.
+    """
+
+    values: F64
+    unit: str
+    limit: float
+    details: Mapping[str, F64] = field(default_factory=dict)
+
+    @property
+    def peak(self) -> float:
+        """The largest value; NaN when nothing could be told."""
+        told = self.values[np.isfinite(self.values)]
+        return float(told.max()) if told.size else float("nan")
+
+    @property
+    def reached(self) -> BoolArray:
+        """Where the values reach the limit, (cameras, frames)."""
+        return np.asarray(np.nan_to_num(self.values, nan=-np.inf) >= self.limit)
+
+    @property
+    def camera_peaks(self) -> F64:
+        """Each camera's largest value (cameras,); NaN for a camera of which nothing could be told."""
+        with_floor = np.where(np.isfinite(self.values), self.values, -np.inf).max(axis=1)
+        return np.asarray(np.where(np.isfinite(with_floor), with_floor, np.nan))
+
+
+@dataclass(frozen=True)
+class Decision:
+    """Whether a scene calls for an effect, how sure that is, where and when, why, and what it costs.
+
+    ``confidence``: 0.5 when the evidence lies at its limit, 0.9 at three times or a third of it; 0 when nothing could
+    be told. ``cameras``: names. ``frames``: inclusive spans in the rig's own numbers; the first frame of a span is
+    the first whose picture differs. ``reason`` and ``cost`` are one line each. ``figures``: what an encoder needs.
+    """
+
+    effect: str
+    called_for: bool
+    confidence: float
+    cameras: tuple[str, ...]
+    frames: tuple[Span, ...]
+    reason: str
+    cost: str
+    figures: Mapping[str, Any] = field(default_factory=dict)
+
+
+class Effect(Protocol):
+    """One effect a scene may call for; every effect is one module."""
+
+    @property
+    def name(self) -> str: ...
+
+    def evidence(self, look: Look) -> Evidence:
+        """How strong the effect shows in the pictures."""
+        ...
+
+    def decide(self, look: Look, evidence: Evidence) -> Decision:
+        """What follows from the evidence."""
+        ...
+
+    def built(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
+        """Settings of an encode that has the effect, for the cameras of the decision."""
+        ...
+
+    def left_out(self, settings: EncodeSettings) -> EncodeSettings:
+        """Settings of an encode, or of a frame, that does nothing for the effect."""
+        ...
+
+
+def confidence(evidence: Evidence) -> float:
+    """How sure the decision is, by how far the peak lies from its limit: 1/2 there, 9/10 three times away; 0 untold."""
+    peak = evidence.peak
+    if not np.isfinite(peak):
+        return 0.0
+    square = min((max(peak, 0.0) / evidence.limit) ** 2, 1e6)
+    return max(square, 1.0) / (1.0 + square)
+
+
+def cameras_beyond(evidence: Evidence) -> BoolArray:
+    """Cameras (C,) whose evidence reaches the limit in any frame."""
+    return np.asarray(evidence.reached.any(axis=1))
+
+
+def spans(look: Look, counts: BoolArray, *, gap: int = 0) -> tuple[Span, ...]:
+    """Inclusive spans of rig frames for the looked-at frames that count; pauses of up to ``gap`` of them are closed.
+
+    Where frames were left out, what shows in a looked-at frame may have begun right after the one before it.
+    """
+    found: list[Span] = []
+    last = -1
+    for index in np.flatnonzero(counts).tolist():
+        start = look.frames[index - 1] + 1 if index else look.frames[0]
+        if found and index - last <= gap + 1:
+            found[-1] = (found[-1][0], look.frames[index])
+        else:
+            found.append((start, look.frames[index]))
+        last = index
+    return tuple(found)
+
+
+def one_span(look: Look, counts: BoolArray) -> tuple[Span, ...]:
+    """The span from the first to the last frame that counts: for what drifts and passes through zero."""
+    return spans(look, counts, gap=len(look.frames))
+
+
+def seen_together(evidence: Evidence, cameras: int = 2) -> BoolArray:
+    """Frames (F,) in which the evidence reaches its limit in at least that many cameras, or in all if there are fewer.
+
+    What happens in the scene shows in more than one view; what a single one shows is left to chance.
+    """
+    return np.asarray(evidence.reached.sum(axis=0) >= min(cameras, len(evidence.values)))
+
+
+def in_doubt(look: Look, evidence: Evidence) -> bool:
+    """Whether there were frames to compare and nothing could be told of them: every camera shakes."""
+    return len(look.frames) > 1 and not np.isfinite(evidence.peak)
+
+
+def decided(
+    look: Look,
+    effect: Effect,
+    evidence: Evidence,
+    *,
+    counts: BoolArray,
+    frames: tuple[Span, ...],
+    reason: str,
+    cost: str,
+    sure: float | None = None,
+    figures: Mapping[str, Any] | None = None,
+) -> Decision:
+    """The decision for an effect that is called for when any camera ``counts`` (cameras,).
+
+    Cameras, frames and cost are left out of one that is not. ``sure``: the confidence, where it is not that of the
+    evidence alone.
+    """
+    called_for = bool(counts.any())
+    return Decision(
+        effect=effect.name,
+        called_for=called_for,
+        confidence=confidence(evidence) if sure is None else sure,
+        cameras=tuple(name for name, count in zip(look.names, counts, strict=True) if count),
+        frames=frames if called_for else (),
+        reason=reason,
+        cost=cost if called_for else "nothing",
+        figures=figures or {},
+    )

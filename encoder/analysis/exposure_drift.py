@@ -1,0 +1,44 @@
+"""A camera whose exposure drifts: its whole picture grows brighter or darker, and other cameras' pictures do not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .effect import Decision, Evidence, cameras_beyond, decided, one_span
+from .light import EXPOSURE_LIMIT, FRAME_LIMIT
+from .look import Look
+
+if TYPE_CHECKING:
+    from ..settings.encode import EncodeSettings
+
+
+class ExposureDrift:
+    name = "exposure_drift"
+
+    def evidence(self, look: Look) -> Evidence:
+        gains = {"gain": np.expm1(look.light.gains[..., 0]) * 100}
+        return Evidence(look.light.exposure * 100, "% gain", EXPOSURE_LIMIT * 100, gains)
+
+    def decide(self, look: Look, evidence: Evidence) -> Decision:
+        drifting = cameras_beyond(evidence)
+        gains = np.nan_to_num(look.light.gains[..., 0])
+        return decided(
+            look,
+            self,
+            evidence,
+            counts=drifting,
+            frames=one_span(look, np.any(np.abs(gains[drifting]) >= FRAME_LIMIT, axis=0)),
+            reason=f"nearly all of a picture shares a gain of up to {evidence.peak:.1f} % of its own",
+            cost=f"1 number per camera and frame, about {2 * drifting.sum()} bytes a frame (estimated); "
+            "one multiplication per pixel",
+            figures={"gain": {look.names[k]: np.exp(gains[k]).tolist() for k in np.flatnonzero(drifting)}},
+        )
+
+    def built(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
+        return replace(settings, corrections=replace(settings.corrections, exposure=decision.cameras))
+
+    def left_out(self, settings: EncodeSettings) -> EncodeSettings:
+        return replace(settings, corrections=replace(settings.corrections, exposure=()))

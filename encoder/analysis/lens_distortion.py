@@ -1,0 +1,204 @@
+"""Lenses that bend: by the rig's calibration, or, beyond it, by what neighbouring cameras see.
+
+A point seen by two cameras lies on its epipolar line in each, unless a lens bends. One coefficient k1 a camera
+(OpenCV's: distorted = undistorted (1 + k1 r^2)) and a small rotation a camera (so that a pose that is a little off is
+not taken for a lens) are fitted to all matches at once: Gauss-Newton on Sampson distances, with Tukey weights whose
+reach shrinks to four deviations, since a third of the matches may be wrong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.decoder.lens import distort_pixels, is_distorted
+from decogs.formats.cameras import Camera, camera_centre
+
+from ..change.masks import BoolArray
+from .effect import F64, Decision, Evidence, cameras_beyond, decided, spans
+from .look import Look
+from .matches import PairMatches, sampson_distances
+
+if TYPE_CHECKING:
+    from ..settings.encode import EncodeSettings
+
+_LIMIT = 1.0
+"""Displacement that counts, in pixels looked at: three times what SIFT tells apart. Beyond the calibration it is taken
+at the radius within which nine of ten matches lie: the fit has seen nothing of what is farther out."""
+_RADIUS_QUANTILE = 0.9
+_SURE = 3.0
+"""Deviations of the fit taken off what it finds: the rest is what the lens bends by at least."""
+_LEAST_MATCHES = 30
+_LEAST_SHARE = 0.5
+"""Share of a camera's matches that must lie near their lines in the end: wrong matches lie there by chance, one in
+ten."""
+_UNKNOWNS = 4
+_ROUNDS = 12
+_FIRST_REACH, _SHRINKS = 20.0, 0.7
+_LEAST_DEVIATION = 0.3
+"""Pixels: SIFT does not find a point more exactly."""
+_ROTATION_PRIOR = np.radians(0.15)
+_K1_PRIOR = 0.3
+_STEP = 1e-5
+
+
+class LensDistortion:
+    name = "lens_distortion"
+
+    def evidence(self, look: Look) -> Evidence:
+        beyond, error, k1 = _beyond_calibration(look)
+        calibrated = np.array([_calibrated(camera) for camera in look.cameras])
+        values = np.full((len(look.cameras), len(look.frames)), np.nan)
+        # Not told counts for a lens that is calibrated; a calibrated zero says nothing where the fit could not tell.
+        values[:, 0] = np.fmax(_surely(beyond, error), np.where(calibrated > 0, calibrated, np.nan))
+        details = {"k1": k1, "beyond_px": beyond, "deviation_px": error, "calibrated_px": calibrated}
+        return Evidence(values, "px", _LIMIT, {name: column[:, None] for name, column in details.items()})
+
+    def decide(self, look: Look, evidence: Evidence) -> Decision:
+        details = {name: column[:, 0] for name, column in evidence.details.items()}
+        uncalibrated = np.nan_to_num(_surely(details["beyond_px"], details["deviation_px"])) >= evidence.limit
+        return decided(
+            look,
+            self,
+            evidence,
+            counts=cameras_beyond(evidence),
+            frames=spans(look, np.ones(len(look.frames), bool)),
+            reason=_reason(look, evidence, uncalibrated),
+            cost="one resampling of every picture read, 2 ms at 352x264 (estimated); nothing to send but the lens",
+            figures={"k1": {look.names[k]: float(details["k1"][k]) for k in np.flatnonzero(uncalibrated)}},
+        )
+
+    def built(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
+        """What a calibration says is undone in any case; here what it does not know."""
+        return replace(settings, corrections=replace(settings.corrections, lens=dict(decision.figures["k1"])))
+
+    def left_out(self, settings: EncodeSettings) -> EncodeSettings:
+        return replace(settings, corrections=replace(settings.corrections, lens={}))
+
+
+def _surely(pixels: F64, deviation: F64) -> F64:
+    return np.asarray(np.maximum(np.abs(pixels) - _SURE * deviation, 0.0))
+
+
+def _reason(look: Look, evidence: Evidence, uncalibrated: BoolArray) -> str:
+    if not np.isfinite(evidence.peak):
+        return "too few points are seen by two cameras to tell"
+    text = f"lenses bend by up to {evidence.peak:.1f} px"
+    if uncalibrated.any():
+        k1 = evidence.details["k1"][:, 0]
+        named = ", ".join(f"{look.names[k]} k1 {k1[k]:+.3f}" for k in np.flatnonzero(uncalibrated))
+        return f"{text}; beyond the calibration: {named}"
+    return f"{text}, by the calibration" if cameras_beyond(evidence).any() else text
+
+
+def _calibrated(camera: Camera) -> float:
+    """How far the calibrated lens moves the pixel nearest to a corner that it reaches, in pixels; 0 for none."""
+    if not is_distorted(camera):
+        return 0.0
+    share = np.linspace(0, 1, 33)[:, None]
+    corner = np.array([camera.width, camera.height], np.float64)
+    centre = np.array([camera.cx, camera.cy])
+    straight = np.concatenate([centre + share * (end - centre) for end in (0 * corner, corner)])
+    moved = np.linalg.norm(distort_pixels(camera, straight) - straight, axis=1)
+    return float(moved[np.isfinite(moved)].max())
+
+
+def _beyond_calibration(look: Look) -> tuple[F64, F64, F64]:
+    """Displacement by each camera's k1 beyond its calibration, its deviation (pixels), and k1; NaN where untold."""
+    count = len(look.cameras)
+    beyond, error, k1 = (np.full(count, np.nan) for _ in range(3))
+    fit = _Fit(look.cameras, look.matches.pairs)
+    met = fit.matches_of_cameras()
+    if met.max(initial=0) < _LEAST_MATCHES:
+        return beyond, error, k1
+    found, deviation = fit.solve()
+    kept = fit.matches_of_cameras()
+    told = (kept >= _LEAST_MATCHES) & (kept >= _LEAST_SHARE * met)
+    pixels = np.array([camera.fx for camera in look.cameras]) * fit.radii() ** 3
+    beyond[told], error[told], k1[told] = (found * pixels)[told], (deviation * pixels)[told], found[told]
+    return beyond, error, k1
+
+
+@dataclass
+class _Fit:
+    """k1 and a small rotation of every camera, (cameras, 4), fitted to all matches."""
+
+    cameras: Sequence[Camera]
+    pairs: Sequence[PairMatches]
+
+    def __post_init__(self) -> None:
+        self._rotations = [camera.world_to_camera[:3, :3] for camera in self.cameras]
+        self._centres = [camera_centre(camera) for camera in self.cameras]
+        self._weights = [np.ones(len(pair.first_rays)) for pair in self.pairs]
+
+    def matches_of_cameras(self) -> NDArray[np.int64]:
+        """Matches of each camera that still have weight."""
+        met = np.zeros(len(self.cameras), np.int64)
+        for pair, weights in zip(self.pairs, self._weights, strict=True):
+            met[[pair.first, pair.second]] += int((weights > 0).sum())
+        return met
+
+    def radii(self) -> F64:
+        """The radius of each camera, in its focal lengths, within which nearly all of its matches lie."""
+        found: list[list[F64]] = [[np.zeros(1)] for _ in self.cameras]
+        for pair in self.pairs:
+            found[pair.first].append(np.linalg.norm(pair.first_rays, axis=1))
+            found[pair.second].append(np.linalg.norm(pair.second_rays, axis=1))
+        return np.array([np.quantile(np.concatenate(each), _RADIUS_QUANTILE) for each in found])
+
+    def solve(self) -> tuple[F64, F64]:
+        """k1 of every camera and its standard deviation."""
+        unknowns = np.zeros((len(self.cameras), _UNKNOWNS))
+        scales = np.tile([_K1_PRIOR, *[_ROTATION_PRIOR] * 3], len(self.cameras))
+        for turn in range(_ROUNDS):
+            missed = [self._missed(pair, unknowns) for pair in self.pairs]
+            reach = _FIRST_REACH * _SHRINKS**turn
+            sizes = np.abs(np.concatenate(missed))
+            near = sizes[sizes < max(reach, 4.0)]
+            deviation = max(_LEAST_DEVIATION, 1.5 * float(np.median(near)) if len(near) else 0.0)
+            self._weights = [_tukey(each, max(reach, 4 * deviation)) for each in missed]
+            normal, gradient = self._normal_equations(unknowns, missed)
+            prior = (deviation / scales) ** 2
+            normal[np.diag_indices_from(normal)] += prior
+            unknowns -= np.linalg.solve(normal, gradient + prior * unknowns.ravel()).reshape(unknowns.shape)
+        spread = np.sqrt(np.diag(np.linalg.inv(normal))) * deviation
+        return unknowns[:, 0], spread.reshape(unknowns.shape)[:, 0]
+
+    def _normal_equations(self, unknowns: F64, missed: Sequence[F64]) -> tuple[F64, F64]:
+        size = unknowns.size
+        normal, gradient = np.zeros((size, size)), np.zeros(size)
+        for pair, residual, weights in zip(self.pairs, missed, self._weights, strict=True):
+            columns = [_UNKNOWNS * camera + k for camera in (pair.first, pair.second) for k in range(_UNKNOWNS)]
+            slopes = np.empty((len(residual), len(columns)))
+            for column, index in enumerate(columns):
+                moved = unknowns.copy()
+                moved.flat[index] += _STEP
+                slopes[:, column] = (self._missed(pair, moved) - residual) / _STEP
+            weighted = slopes * weights[:, None]
+            normal[np.ix_(columns, columns)] += np.einsum("ni,nj->ij", weighted, slopes)
+            gradient[columns] += np.einsum("ni,n->i", weighted, residual)
+        return normal, gradient
+
+    def _missed(self, pair: PairMatches, unknowns: F64) -> F64:
+        turned = [cv2.Rodrigues(unknowns[k, 1:])[0] @ self._rotations[k] for k in (pair.first, pair.second)]
+        first = _straightened(pair.first_rays, unknowns[pair.first, 0])
+        second = _straightened(pair.second_rays, unknowns[pair.second, 0])
+        baseline = self._centres[pair.first] - self._centres[pair.second]
+        return sampson_distances(first, second, turned, baseline) * self.cameras[pair.first].fx
+
+
+def _tukey(missed: F64, reach: float) -> F64:
+    return np.asarray(np.maximum(0.0, 1 - (missed / reach) ** 2) ** 2)
+
+
+def _straightened(rays: F64, k1: float) -> F64:
+    """Undistorted rays (N, 2) by fixed-point iteration, which converges for k1 r^2 well below 1."""
+    straight = rays
+    for _ in range(5):
+        straight = rays / np.maximum(1 + k1 * (straight**2).sum(axis=1, keepdims=True), 0.2)
+    return straight

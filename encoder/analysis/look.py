@@ -1,0 +1,209 @@
+"""One cheap look at a rig: small pictures of the training cameras, and what every effect measures on them.
+
+One pass over the frames; held-out cameras are never opened. Pictures are kept small and 8-bit, so that a clip fits the
+memory it is given; of a longer clip every n-th frame is looked at, and all other frames are decoded and dropped.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TypeVar
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.formats.cameras import Camera, scale_camera
+from decogs.formats.errors import UsageError
+from decogs.formats.pictures import Picture
+from decogs.formats.rigs import Rig, read_frames
+
+from ..change.noise import picture_noise
+from ..input.ingest import display_referred
+from ..parallel import Each, side_by_side
+from .arrivals import Arrivals, camera_arrivals
+from .arrivals import untold as untold_arrivals
+from .changes import ChangeShares, change_maps
+from .light import Light, light_at, light_overall, own_light, shared_points, without_drift
+from .matches import Matches, find_matches
+from .registration import CameraPath, camera_path
+
+F64 = NDArray[np.float64]
+F32 = NDArray[np.float32]
+U8 = NDArray[np.uint8]
+T = TypeVar("T")
+OnStep = Callable[[int, int], None]
+
+MOST_PIXELS = 352 * 264
+"""Size at which pictures are looked at, in pixels; smaller ones stay as they are."""
+
+MOST_BYTES = 256 << 20
+"""Memory for the pictures of all cameras; a clip that needs more is thinned to every n-th frame."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """What was seen of a rig's training cameras.
+
+    ``cameras`` at the size looked at (lens included), ``scales`` that size over the rig's. ``frames``: the rig's
+    numbers of the frames looked at, every ``step``-th. ``pictures``: per camera (F, H, W, 3) uint8, display-referred.
+    Arrays (cameras, F): ``noise``, deviation of one picture from the next over sqrt 2, in 8-bit levels of the full-
+    size pixels; ``above_white``, share of pixels beyond 1 in scene-linear pictures, NaN for 8-bit ones; ``brightest``,
+    the largest value of those.
+    """
+
+    cameras: tuple[Camera, ...]
+    scales: tuple[float, ...]
+    frames: tuple[int, ...]
+    step: int
+    pictures: tuple[U8, ...]
+    noise: F64
+    above_white: F64
+    brightest: F64
+    light: Light
+    paths: tuple[CameraPath, ...]
+    changes: tuple[ChangeShares, ...]
+    arrivals: tuple[Arrivals, ...]
+    matches: Matches
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(camera.name for camera in self.cameras)
+
+
+def look_at(
+    rig: Rig,
+    *,
+    holdout: Sequence[str] = (),
+    frames: range | None = None,
+    threads: int = 0,
+    on_step: OnStep = lambda done, total: None,
+) -> Look:
+    """Looks at the frames (default: all) of every camera but the held-out ones.
+
+    The result does not depend on ``threads`` (0: all processors). ``on_step`` is told steps done and in all. Raises
+    UsageError for cameras or frames the rig does not have, RigError while reading.
+    """
+    cameras, scales = _small_cameras(rig, holdout)
+    span = range(rig.frame_count) if frames is None else frames
+    chosen = _thinned(span, cameras)
+    steps = _Steps(len(chosen) + 3 * len(cameras), on_step)
+    with side_by_side(threads) as each:
+        seen = _read(rig, cameras, chosen, each, steps)
+        matches = find_matches(cameras, [pictures[0] for pictures in seen.pictures], each)
+        points = shared_points(cameras, matches)
+        pixels = [points.pixels_of(row) for row in range(len(cameras))]
+        lights = [steps.over(found) for found in each(light_at, seen.pictures, pixels)]
+        light = own_light(points, lights, list(each(light_overall, seen.pictures)))
+        paths = [steps.over(path) for path in each(camera_path, seen.pictures)]
+        steady = each(without_drift, seen.pictures, light.curves())
+        noise = _of_resting(seen.noise, paths)
+        changes = [steps.over(found) for found in each(_changes, steady, seen.pictures, _typical(noise), paths)]
+    return Look(
+        cameras, scales, tuple(chosen), chosen.step, tuple(seen.pictures), noise, seen.above_white, seen.brightest,
+        light, tuple(paths), tuple(shares for shares, _ in changes), tuple(came for _, came in changes), matches,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Seen:
+    pictures: list[U8]
+    noise: F64
+    above_white: F64
+    brightest: F64
+
+
+class _Steps:
+    """Counts steps done for whoever shows progress."""
+
+    def __init__(self, total: int, on_step: OnStep) -> None:
+        self._done, self._total, self._on_step = 0, total, on_step
+
+    def over(self, result: T) -> T:
+        self._done += 1
+        self._on_step(self._done, self._total)
+        return result
+
+
+def _small_cameras(rig: Rig, holdout: Sequence[str]) -> tuple[tuple[Camera, ...], tuple[float, ...]]:
+    names = [camera.name for camera in rig.cameras]
+    for name in holdout:
+        if name not in names:
+            raise UsageError(f"--holdout {name}: {rig.path} has no such camera; it has {', '.join(names)}")
+    kept = [camera for camera in rig.cameras if camera.name not in holdout]
+    if not kept:
+        raise UsageError(f"{rig.path}: every camera is held out; leave some to look at")
+    scales = tuple(min(1.0, math.sqrt(MOST_PIXELS / (camera.width * camera.height))) for camera in kept)
+    return tuple(scale_camera(camera, scale) for camera, scale in zip(kept, scales, strict=True)), scales
+
+
+def _thinned(span: range, cameras: Sequence[Camera]) -> range:
+    """Every n-th frame, so that the pictures of all cameras fit MOST_BYTES; two frames at least."""
+    frame_bytes = sum(camera.width * camera.height * 3 for camera in cameras)
+    most = max(2, MOST_BYTES // frame_bytes)
+    return span[:: math.ceil(len(span) / most)]
+
+
+def _read(rig: Rig, cameras: Sequence[Camera], chosen: range, each: Each, steps: _Steps) -> _Seen:
+    shape = len(cameras), len(chosen)
+    pictures = [np.empty((len(chosen), camera.height, camera.width, 3), np.uint8) for camera in cameras]
+    noise, above, brightest = (np.full(shape, np.nan) for _ in range(3))
+    before: list[F32] = []
+    wanted = {frame: column for column, frame in enumerate(chosen)}
+    for frame, now in read_frames(rig, chosen[0], chosen[-1] + 1, names=[camera.name for camera in cameras]):
+        if frame not in wanted:
+            continue
+        column = wanted[frame]
+        for row, camera in enumerate(cameras):
+            pictures[row][column] = _small(now[row], camera)
+            if now[row].dtype != np.uint8:
+                above[row, column] = float((now[row] > 1).any(axis=2).mean())
+                brightest[row, column] = float(now[row].max())
+        sparse = [_sparse(picture) for picture in now]
+        if before:
+            noise[:, column] = list(each(picture_noise, before, sparse))
+        before = sparse
+        steps.over(None)
+    return _Seen(pictures, noise, above, brightest)
+
+
+def _small(picture: Picture, camera: Camera) -> U8:
+    shown = picture if picture.dtype == np.uint8 else np.rint(display_referred(picture) * 255).astype(np.uint8)
+    if shown.shape[:2] != (camera.height, camera.width):
+        resized = cv2.resize(shown, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+        return np.asarray(resized, np.uint8)
+    return np.asarray(shown, np.uint8)
+
+
+def _sparse(picture: Picture) -> F32:
+    """Pixels on a grid, as they are: averaging them would hide the camera's noise."""
+    stride = max(1, round(math.sqrt(picture.shape[0] * picture.shape[1] / MOST_PIXELS)))
+    return np.ascontiguousarray(display_referred(picture[::stride, ::stride]).transpose(2, 0, 1))
+
+
+def _of_resting(noise: F64, paths: Sequence[CameraPath]) -> F64:
+    """The noise without that of shaking cameras, whose pictures differ by more than noise."""
+    shakes = np.array([path.shakes for path in paths])
+    return np.asarray(np.where(shakes[:, None], np.nan, noise))
+
+
+def _typical(noise: F64) -> F64:
+    """Each camera's median over the frames (cameras,); where it is not told, the median of all; 0 when none is."""
+    told = noise[np.isfinite(noise)]
+    overall = float(np.median(told)) if told.size else 0.0
+    rows = [row[np.isfinite(row)] for row in noise]
+    return np.array([float(np.median(row)) if row.size else overall for row in rows])
+
+
+def _changes(pictures: U8, recorded: U8, noise: float, path: CameraPath) -> tuple[ChangeShares, Arrivals]:
+    """What changed from each frame to the next, and over all; nothing is told of a camera that itself moves.
+
+    ``pictures``: ``recorded`` without the camera's drift. What is left of that grows over frames as slow light does.
+    """
+    if path.shakes:
+        return ChangeShares.untold(len(pictures)), untold_arrivals(len(pictures))
+    maps = [change_maps(before, now, noise) for before, now in pairwise(pictures)]
+    return ChangeShares.of(maps, pictures, noise, slow=pictures is recorded), camera_arrivals(pictures, maps, noise)

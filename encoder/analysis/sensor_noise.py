@@ -1,0 +1,51 @@
+"""What a camera's pictures differ by from frame to frame when nothing happens."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .effect import Decision, Evidence, cameras_beyond, decided, spans
+from .look import Look
+
+if TYPE_CHECKING:
+    from ..settings.encode import EncodeSettings
+
+_ROUNDING = 0.3
+"""Deviation in levels that rounding to 8 bits brings by itself: 1 / sqrt 12, rounded up."""
+_MULTIPLE = 6
+"""A change must be so many deviations of the difference of two pictures to be no noise."""
+
+
+class SensorNoise:
+    name = "sensor_noise"
+
+    def evidence(self, look: Look) -> Evidence:
+        return Evidence(look.noise, "levels", _ROUNDING)
+
+    def decide(self, look: Look, evidence: Evidence) -> Decision:
+        noisy = cameras_beyond(evidence)
+        thresholds = _MULTIPLE * np.sqrt(2) * np.nan_to_num(evidence.camera_peaks)
+        return decided(
+            look,
+            self,
+            evidence,
+            counts=noisy,
+            frames=spans(look, np.ones(len(look.frames), bool)),
+            reason=f"pictures of one camera deviate by up to {evidence.peak:.2f} levels of 255 where nothing changes",
+            cost=f"nothing to send; no mask threshold below {thresholds.max():.1f} levels",
+            figures={"least_threshold": {name: float(t) for name, t in zip(look.names, thresholds, strict=True)}},
+        )
+
+    def built(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
+        """No camera's threshold lies within its own noise; where none would, there is nothing to look for."""
+        if max(decision.figures["least_threshold"].values()) <= settings.frame.masks.threshold:
+            return self.left_out(settings)
+        masks = replace(settings.frame.masks, noise_multiple=float(_MULTIPLE))
+        return replace(settings, frame=replace(settings.frame, masks=masks))
+
+    def left_out(self, settings: EncodeSettings) -> EncodeSettings:
+        masks = replace(settings.frame.masks, noise_multiple=0.0)
+        return replace(settings, frame=replace(settings.frame, masks=masks))

@@ -1,0 +1,44 @@
+"""A camera whose white balance drifts: red or blue of its whole picture against green, unlike other cameras'."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .effect import Decision, Evidence, cameras_beyond, decided, one_span
+from .light import FRAME_LIMIT, WHITE_BALANCE_LIMIT
+from .look import Look
+
+if TYPE_CHECKING:
+    from ..settings.encode import EncodeSettings
+
+
+class WhiteBalanceDrift:
+    name = "white_balance_drift"
+
+    def evidence(self, look: Look) -> Evidence:
+        gains = {"red": np.expm1(look.light.gains[..., 1]) * 100, "blue": np.expm1(look.light.gains[..., 2]) * 100}
+        return Evidence(look.light.white_balance * 100, "% gain", WHITE_BALANCE_LIMIT * 100, gains)
+
+    def decide(self, look: Look, evidence: Evidence) -> Decision:
+        drifting = cameras_beyond(evidence)
+        gains = np.nan_to_num(look.light.gains[..., 1:])
+        return decided(
+            look,
+            self,
+            evidence,
+            counts=drifting,
+            frames=one_span(look, np.any(np.abs(gains[drifting]) >= FRAME_LIMIT, axis=(0, 2))),
+            reason=f"nearly all of a picture shares a gain of up to {evidence.peak:.1f} % of red or blue against green",
+            cost=f"2 numbers per camera and frame, about {4 * drifting.sum()} bytes a frame (estimated); "
+            "two multiplications per pixel",
+            figures={"red_blue": {look.names[k]: np.exp(gains[k]).tolist() for k in np.flatnonzero(drifting)}},
+        )
+
+    def built(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
+        return replace(settings, corrections=replace(settings.corrections, white_balance=decision.cameras))
+
+    def left_out(self, settings: EncodeSettings) -> EncodeSettings:
+        return replace(settings, corrections=replace(settings.corrections, white_balance=()))

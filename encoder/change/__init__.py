@@ -1,0 +1,1 @@
+"""What changed in a frame: masks, the Gaussians selected for them, flashes."""

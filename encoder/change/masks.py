@@ -1,0 +1,302 @@
+"""Where the picture changed: the difference mask of a view and the region of interest grown around it.
+
+Source: DecoGS, difference mask (method step 1): D = max over RGB of |I_t - I_{t-1}| on the 8-bit scale, M = D > tau,
+and the focus region is the max-pool of M with radius r.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass
+from functools import partial
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.formats.splats import FloatArray
+
+from ..input.dropouts import FROZEN, blankness, repeats
+from ..parallel import side_by_side
+from ..settings.frame import MaskSettings
+from .noise import frame_noise
+
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int32]
+
+_LEVEL_SLACK = 1e-3
+"""Pictures that came from 8-bit files differ by whole levels, up to float32 rounding of about 3e-5 of a level; this
+slack keeps a difference of exactly tau on the unchanged side, as in integer arithmetic."""
+
+_USUALLY = 0.9
+"""Share of the first frame's pixels that tells what a rendering misses usually: the rest are edges and glare."""
+CLEARLY = 25.0
+"""Levels (the paper's threshold) of which half of a picture's pixels would differ by noise if its deviation were 14."""
+MOST = 0.5
+"""Share of a picture whose change is no noise."""
+
+_SPREADS = 0.3
+"""Share of what is away from other changes, itself at least such a share of the picture, that faint light must reach: a
+moving thing's shading stays near it."""
+_LIGHT_WINDOW = 7
+"""Pixels across over which faint light is averaged: noise shrinks by as much, the difference that light makes stays."""
+
+
+@dataclass(frozen=True)
+class FrameMask:
+    """One view's masks, bool (H, W): ``raw`` is where the picture changed, ``dilated`` the region of interest.
+
+    The second covers the first, faint light, what is around them and, ``mended`` (None: nothing), what changed some
+    frames ago.
+
+    ``lost``: why the picture says nothing of its frame (`dropouts`), and both are empty; "" when it does.
+    """
+
+    raw: BoolArray
+    dilated: BoolArray
+    mended: BoolArray | None = None
+    lost: str = ""
+
+    @property
+    def mends(self) -> bool:
+        """Whether anything is in the region of interest only to be mended."""
+        return self.mended is not None and bool(self.mended.any())
+
+    @property
+    def changing(self) -> BoolArray:
+        """The region of interest without what is only being mended."""
+        return self.dilated if self.mended is None else self.dilated & ~self.mended
+
+
+def showing(masks: Sequence[FrameMask]) -> list[int]:
+    """The views whose pictures show their frame."""
+    return [index for index, mask in enumerate(masks) if not mask.lost]
+
+
+def difference_mask(current: FloatArray, previous: FloatArray, threshold: float) -> BoolArray:
+    """Pixels of which some colour channel changed by more than ``threshold`` 8-bit levels; bool (H, W).
+
+    Pictures are planar float32 (3, H, W), 0..1 for black to white (scene-linear pictures may exceed 1).
+    Raises ValueError when the pictures' shapes differ. Source: DecoGS, difference mask.
+    """
+    if current.shape != previous.shape or current.ndim != 3 or current.shape[0] != 3:
+        raise ValueError(f"pictures must be two (3, H, W) arrays, not {current.shape} and {previous.shape}")
+    limit = np.float32((threshold + _LEVEL_SLACK) / 255.0)
+    changed = np.abs(current - previous) > limit
+    mask: BoolArray = changed[0] | changed[1] | changed[2]
+    return mask
+
+
+def faint_light_mask(current: FloatArray, previous: FloatArray, threshold: float) -> BoolArray:
+    """Pixels around which some colour channel changed by more than ``threshold`` 8-bit levels in the mean; bool (H, W).
+
+    Pictures are planar float32 (3, H, W), 0..1 for black to white.
+    """
+    window = (_LIGHT_WINDOW, _LIGHT_WINDOW)
+    means = [cv2.blur(plane, window) for plane in current - previous]
+    mask: BoolArray = np.abs(means).max(axis=0) > np.float32(threshold / 255.0)
+    return mask
+
+
+def dilate(mask: BoolArray, radius: int) -> BoolArray:
+    """Max-pool of a mask with a square window of ``radius`` pixels each way; radius 0 gives the mask itself."""
+    if radius < 0:
+        raise ValueError(f"radius {radius} is negative")
+    if radius == 0 or not mask.any():
+        return np.array(mask)
+    # A window wider than twice the picture covers nothing more, and costs time.
+    across, down = (2 * min(radius, n) + 1 for n in (mask.shape[1], mask.shape[0]))
+    window = cv2.getStructuringElement(cv2.MORPH_RECT, (across, down))
+    grown: BoolArray = cv2.dilate(mask.view(np.uint8), window).view(np.bool_)
+    return grown
+
+
+def without_specks(mask: BoolArray, area: int) -> BoolArray:
+    """The mask without its connected parts (8 neighbours) of fewer than ``area`` pixels."""
+    if area <= 1 or not mask.any():
+        return np.array(mask)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.view(np.uint8), connectivity=8)
+    keep = stats[:, cv2.CC_STAT_AREA] >= area
+    keep[0] = False  # label 0 is the background
+    kept: BoolArray = keep[labels]
+    return kept
+
+
+def _without_lines(mask: BoolArray) -> BoolArray:
+    """The mask where it is two pixels wide both ways: a rendering misses edges one pixel wide everywhere."""
+    square = np.ones((2, 2), np.uint8)
+    cores = cv2.erode(mask.view(np.uint8), square, anchor=(0, 0))
+    opened: BoolArray = cv2.dilate(cores, square, anchor=(1, 1)).view(np.bool_)
+    return opened
+
+
+def _light_spreads(now: FloatArray, reference: FloatArray, around: BoolArray, threshold: float) -> bool:
+    """Whether faint light, too slow to be a change itself, reached much of what is not ``around`` other changes."""
+    height, width = (max(1, size // _LIGHT_WINDOW) for size in around.shape)
+    shrink = partial(cv2.resize, dsize=(width, height), interpolation=cv2.INTER_AREA)
+    away = shrink((~around).astype(np.float32)) > 0.99
+    changes = np.abs([shrink(plane) for plane in now - reference]).max(axis=0)
+    return bool((changes[away] > threshold / 255).sum() > _SPREADS * max(away.sum(), _SPREADS * away.size))
+
+
+class MaskMemory:
+    """The masks of a stream's frames, and what they need to know of the frames before.
+
+    ``pictures``: the first frame's, one planar float32 (3, H, W) per view; views may differ in size. ``shown``: what
+    the scene shows of them, where frames may be left undone for want of time (`trained`).
+    """
+
+    def __init__(
+        self,
+        pictures: Sequence[FloatArray],
+        settings: MaskSettings,
+        shown: Sequence[FloatArray] | None = None,
+        *,
+        threads: int = 1,
+    ) -> None:
+        self._settings, self._threads = settings, threads
+        self._usual = None if shown is None else [_usual_miss(*pair) for pair in zip(pictures, shown, strict=True)]
+        self._references = self._before = list(pictures)
+        self._blank = [bool(blankness(picture)) for picture in pictures]
+        self._lost = [""] * len(pictures)
+        self._changed = [np.zeros(picture.shape[1:], bool) for picture in pictures]
+        self._frame, self._only_light = 0, False
+        self._mend_until = [np.zeros(picture.shape[1:], np.int32) for picture in pictures]
+
+    @property
+    def references(self) -> Sequence[FloatArray]:
+        """What every view's next picture is compared with, pixel by pixel."""
+        return self._references
+
+    def masks(self, current: Sequence[FloatArray], shown: Sequence[FloatArray]) -> list[FrameMask]:
+        """The masks of every view's ``current`` picture, in the views' order; ``shown``: the scene before this frame.
+
+        Raises ValueError when they are not the same views. Source: DecoGS, difference mask.
+        """
+        views = list(zip(current, self._references, shown, self._changed, self._mend_until, strict=True))
+        with side_by_side(self._threads) as each:
+            masks = list(each(lambda view: self._mask(*view), views))
+        self._lost = self._lost_pictures(current, masks)
+        return [_left_out(mask, why) if why else mask for mask, why in zip(masks, self._lost, strict=True)]
+
+    def whole(self, current: Sequence[FloatArray], shown: Sequence[FloatArray]) -> list[FrameMask]:
+        """Masks of all of every view that shows its frame, for one in which most pixels clearly changed and are missed.
+
+        An empty list for other frames. After ``masks`` of the same pictures.
+        """
+        used = [index for index, why in enumerate(self._lost) if not why]
+        pairs = [(current[i], self._references[i], shown[i]) for i in used]
+        missed = [
+            (difference_mask(now, was, CLEARLY) & difference_mask(now, seen, CLEARLY)).mean()
+            for now, was, seen in pairs
+        ]
+        if not used or float(np.median(missed)) <= MOST:
+            return []
+        everywhere = [np.ones(now.shape[1:], bool) for now in current]
+        masks = [FrameMask(each, each) for each in everywhere]
+        return [_left_out(mask, why) if why else mask for mask, why in zip(masks, self._lost, strict=True)]
+
+    def share_changed(self, current: Sequence[FloatArray]) -> float:
+        """Share of the pixels, median over the views, that differ from what they were compared with or trained on."""
+        threshold, pairs = self._settings.threshold, zip(current, self._references, strict=True)
+        return float(np.median([difference_mask(now, reference, threshold).mean() for now, reference in pairs]))
+
+    def copy(self) -> MaskMemory:
+        """The same memory, whatever this one goes on to see."""
+        copied = copy(self)
+        copied._references = list(self._references)
+        copied._changed = [changed.copy() for changed in self._changed]
+        copied._mend_until = [until.copy() for until in self._mend_until]
+        return copied
+
+    def _lost_pictures(self, current: Sequence[FloatArray], masks: Sequence[FrameMask]) -> list[str]:
+        """Why each view's picture says nothing of its frame, or ""."""
+        lost = ["" if never else blankness(now) for now, never in zip(current, self._blank, strict=True)]
+        again = [repeats(now, before) for now, before in zip(current, self._before, strict=True)]
+        flags = zip(masks, lost, again, strict=True)
+        changed = sum(bool(mask.raw.any()) for mask, why, repeat in flags if not (why or repeat))
+        if 2 * changed <= lost.count(""):
+            return lost
+        return [why or (FROZEN if repeat else "") for why, repeat in zip(lost, again, strict=True)]
+
+    def _mask(
+        self, now: FloatArray, reference: FloatArray, shown: FloatArray, changed: BoolArray, mend_until: IntArray
+    ) -> FrameMask:
+        settings = self._settings
+        noise = self._noise(now, reference)
+        raw = without_specks(difference_mask(now, reference, max(settings.threshold, noise)), settings.speck_area)
+        if settings.residual and changed.any():
+            raw |= _without_lines(difference_mask(now, shown, settings.residual) & changed)
+        around, mending = self._grown(raw), mend_until > self._frame
+        threshold = max(settings.light_threshold, noise / _LIGHT_WINDOW)
+        if settings.light_threshold and (self._only_light or _light_spreads(now, reference, around, threshold)):
+            faint = faint_light_mask(now, reference, threshold)
+            around = self._grown(raw | without_specks(faint, settings.speck_area))
+        return FrameMask(raw, around | mending, mending & ~around)
+
+    def _noise(self, now: FloatArray, reference: FloatArray) -> float:
+        """Levels below which a difference may be noise; none where nearly all of the picture clearly changed."""
+        settings = self._settings
+        if not settings.noise_multiple:
+            return 0.0
+        noise = settings.noise_multiple * frame_noise(now, reference, settings.threshold / settings.noise_multiple)
+        changed = noise > settings.threshold and difference_mask(now, reference, CLEARLY).mean() > MOST
+        return 0.0 if changed else noise
+
+    def _grown(self, mask: BoolArray) -> BoolArray:
+        return dilate(mask, self._settings.radius(mask.shape[1]))
+
+    def trained(
+        self,
+        current: Sequence[FloatArray],
+        masks: Sequence[FrameMask],
+        *,
+        moved: bool,
+        shown: Sequence[FloatArray] | None = None,
+    ) -> None:
+        """Tells that the regions of interest were trained on ``current``, positions among the rest if it ``moved``.
+
+        ``shown``: what the scene now shows. What it misses by more than is usual in the first frame was left undone,
+        and stays what it was for the frames to come.
+        """
+        self._only_light = not moved
+
+        def note(index: int) -> None:
+            now, mask = current[index], masks[index]
+            if moved and self._settings.mend_frames:
+                self._mend(index, now)
+            done = mask.dilated
+            if shown is not None and self._usual is not None:
+                done = done & ~difference_mask(shown[index], now, self._usual[index])
+            self._references[index] = np.where(done, now, self._references[index])
+            self._changed[index] |= mask.dilated
+
+        with side_by_side(self._threads) as each:
+            list(each(note, showing(masks)))
+
+    def _mend(self, index: int, now: FloatArray) -> None:
+        """What has clearly changed in a view stays in its region of interest for some frames."""
+        settings = self._settings
+        clearly = difference_mask(now, self._references[index], settings.mend_threshold)
+        clearly = self._grown(without_specks(clearly, settings.speck_area))
+        self._mend_until[index][clearly] = self._frame + 1 + settings.mend_frames
+
+    def passed(self, current: Sequence[FloatArray], *, held: bool = False) -> None:
+        """Tells that the frame is over, trained or not; ``held``: what changed in it is still to be trained."""
+        self._before = list(current)
+        self._frame += 1
+        if not (held or self._settings.since_trained):
+            pairs = zip(current, self._references, self._lost, strict=True)
+            self._references = [was if why else now for now, was, why in pairs]
+
+
+def _usual_miss(picture: FloatArray, shown: FloatArray) -> float:
+    """By how many 8-bit levels a rendering misses a picture (3, H, W) that was trained in full: its worst tenth."""
+    miss = np.abs(np.clip(shown, 0, 1) - picture).max(axis=0)
+    return 255 * float(np.quantile(miss, _USUALLY))
+
+
+def _left_out(mask: FrameMask, why: str) -> FrameMask:
+    nowhere = np.zeros_like(mask.raw)
+    return FrameMask(nowhere, nowhere, lost=why)

@@ -1,0 +1,102 @@
+"""Which Gaussians a frame may change: a protocol, two rules of ours, and those of installed packages.
+
+Equations: docs/METHOD.md, "Selection".
+
+Both rules look at the rendering weight of each Gaussian in each view, the sum over pixels of alpha times
+transmittance, in all and inside the mask. A view weighs only the tiles that changed or that the mask meets.
+
+* ``paper``: the projected centre lies in the dilated mask in at least ``least_views`` views in which it is visible.
+* ``weight``: in the views where it is visible, more than ``least_share`` of its weight falls inside the masks. It
+  leaves out the background that merely stands behind moving things (encoder/DESIGN.md: 20 % selected instead of 77 %
+  on `panoptic_basketball`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..rasterise import FixedView
+from ..registry import Registry
+from ..settings.frame import SelectionSettings
+
+
+@dataclass(frozen=True)
+class ViewEvidence:
+    """What one view shows of every Gaussian, against its dilated mask.
+
+    ``weight``, ``masked_weight`` (N,): the rendering weight in pixels, in all and inside the mask. ``centre_inside``:
+    computes, for a rule that asks, whether the projected centre lies inside (N,), False where nothing is drawn.
+    """
+
+    weight: NDArray[np.float32]
+    masked_weight: NDArray[np.float32]
+    centre_inside: Callable[[], NDArray[np.bool_]]
+
+
+class SelectionRule(Protocol):
+    """Chooses S_t, (N,) bool, from what every view shows; called once or twice a frame, from one thread.
+
+    The same evidence must give the same choice, whatever came before: encodes are resumed and repeated to the bit.
+    """
+
+    def __call__(self, views: Sequence[ViewEvidence], settings: SelectionSettings, /) -> NDArray[np.bool_]: ...
+
+
+def by_centres(views: Sequence[ViewEvidence], settings: SelectionSettings, /) -> NDArray[np.bool_]:
+    """The paper's rule: the centre is in the mask in enough of the views in which the Gaussian is visible."""
+    return _in_enough_views(views, [view.centre_inside() for view in views], settings)
+
+
+def by_weight(views: Sequence[ViewEvidence], settings: SelectionSettings, /) -> NDArray[np.bool_]:
+    """Part of the weight is in the mask in enough views, and enough of it over all views that see the Gaussian."""
+    chosen = _in_enough_views(views, [view.masked_weight > 0 for view in views], settings)
+    visible = [view.weight >= settings.visible_weight for view in views]
+    masked = sum(np.where(seen, view.masked_weight, 0) for seen, view in zip(visible, views, strict=True))
+    total = sum(np.where(seen, view.weight, 0) for seen, view in zip(visible, views, strict=True))
+    return np.asarray(chosen & (masked > settings.least_share * total))
+
+
+SELECTION_RULES: Registry[SelectionRule] = Registry(
+    "selection rule", "decogs.selection_rules", {"paper": by_centres, "weight": by_weight}
+)
+
+
+def view_evidence(view: FixedView, mask: NDArray[np.bool_]) -> ViewEvidence:
+    """Weighs every Gaussian of the scene at rest against the view's dilated mask (H, W)."""
+    weight, masked_weight = view.refresh(mask)
+    return ViewEvidence(weight, masked_weight, lambda: _centres_inside(view.centres(), mask))
+
+
+def select(views: Sequence[ViewEvidence], settings: SelectionSettings) -> NDArray[np.bool_]:
+    """S_t as a mask over the Gaussians, (N,). Raises UsageError when the settings' rule is not installed."""
+    chosen = np.asarray(SELECTION_RULES.get(settings.rule)(views, settings))
+    if chosen.shape != views[0].weight.shape or chosen.dtype != np.bool_:
+        raise TypeError(
+            f"selection rule {settings.rule}: returned {chosen.dtype} {chosen.shape}, not a bool per Gaussian"
+        )
+    return chosen
+
+
+def _in_enough_views(
+    views: Sequence[ViewEvidence], inside: Sequence[NDArray[np.bool_]], settings: SelectionSettings
+) -> NDArray[np.bool_]:
+    votes = sum(
+        ((view.weight >= settings.visible_weight) & met).astype(np.int32)
+        for view, met in zip(views, inside, strict=True)
+    )
+    return np.asarray(votes >= min(settings.least_views, len(views)))
+
+
+def _centres_inside(centres: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    height, width = mask.shape
+    with np.errstate(invalid="ignore"):
+        inside = (centres[:, 0] >= 0) & (centres[:, 0] < width) & (centres[:, 1] >= 0) & (centres[:, 1] < height)
+    found = np.zeros(len(centres), bool)
+    pixels = centres[inside].astype(np.int64)
+    found[inside] = mask[pixels[:, 1], pixels[:, 0]]
+    return found

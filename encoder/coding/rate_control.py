@@ -1,0 +1,154 @@
+"""How many bytes a stream may take: a scale of qualities, and a budget that later frames keep on average.
+
+Chosen: one knob, what a change must be worth to be sent (`economy`), which the coarseness of changes goes along with.
+It is moved after every frame by a model of a single number: how much there is to tell, from the last packets' sizes.
+They are all it knows, and the stream holds them, so that an encode that was cut off goes on with the same bytes; the
+clip's length is not known to it, so that frames can be added. Rejected: two passes (twice the time, and none for a live
+rig); coding a frame again until it fits (training is what costs); the worth alone (a frame of workbench then takes at
+most 20 kB, whatever the budget).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+from decogs.formats.container import PacketKind
+from decogs.formats.errors import UsageError
+
+from ..settings.encode import EncodeSettings
+from ..settings.frame import Coarseness, EconomySettings
+
+NEUTRAL_QUALITY = 50.0
+"""The preset as it is."""
+
+TOLERANCE = 0.05
+"""By which share of the budget the mean of a clip may be off; a miss is told beyond it."""
+
+_QUALITIES_PER_OCTAVE = 16.0
+_STEP_SHARE = 0.25
+"""Lattice steps grow with this power of the worth: a keyframe's bytes and loss then go along with a later frame's. So
+does what changes are rounded to."""
+
+_RESPONSE = 0.4
+"""Bytes fall with this power of the worth. Up to four times as steep, or however flat, the control still settles."""
+_HORIZON = 12
+"""Frames over which what was saved or overspent is made up for: fewer follow the budget closer, more are steadier."""
+_MEMORY = 0.5
+"""Share of the estimate that a new packet does not change: a frame's bytes are noisy."""
+_TARGET_RANGE = (0.8, 2.0)
+"""A single frame's aim, in budgets: what was saved in a still scene is not thrown at the first frame that moves, and
+what one overspent is paid back gently: what later frames leave out, the next ones must tell again."""
+_OCTAVES = 8.0
+"""The worth stays between 1/256 (next to nothing is taken back) and 256 times the preset's."""
+_OCTAVE_STEPS = 32
+"""Worths lie on a grid that far apart, so that the last bit of a logarithm, which machines differ in, tells nothing."""
+
+
+def with_quality(settings: EncodeSettings, quality: float) -> EncodeSettings:
+    """The same settings at a quality of 0 to 100; raises UsageError beyond.
+
+    50 is the settings as they are. 16 less, and a change must be worth twice as much to be sent, the lattice's
+    steps are 2^(1/4) times as coarse, and a bit of the keyframe must be worth 2^(1/2) times as much (it is weighed
+    against squares). Settings that send every change (``paper``, ``3dgstream``) follow with the keyframe and the
+    lattice only.
+    """
+    if not 0 <= quality <= 100:
+        raise UsageError(f"--quality {quality:g}: give a number from 0 (smallest) to 100 (most exact)")
+    factor = 2.0 ** ((NEUTRAL_QUALITY - quality) / _QUALITIES_PER_OCTAVE)
+    economy = replace(settings.frame.economy, worth=_rounded(settings.frame.economy.worth * factor))
+    keyframe = replace(settings.keyframe, bit_worth=_rounded(settings.keyframe.bit_worth * factor ** (2 * _STEP_SHARE)))
+    return replace(
+        settings,
+        keyframe=keyframe,
+        lattice_scale=_rounded(settings.lattice_scale * factor**_STEP_SHARE),
+        frame=replace(settings.frame, economy=economy),
+    )
+
+
+def with_lossless(settings: EncodeSettings) -> EncodeSettings:
+    """The same settings with every change written as it was trained, exact to the lattice, however little it shows."""
+    economy = replace(settings.frame.economy, worth=0.0, coarseness=Coarseness())
+    return replace(settings, frame=replace(settings.frame, economy=economy))
+
+
+def with_budget(settings: EncodeSettings, frame_budget: float, option: str) -> EncodeSettings:
+    """The same settings held to ``frame_budget`` bytes, the mean of the frames after the first.
+
+    ``option``: how it was asked for. Raises UsageError for what is no budget, and where every change is sent.
+    """
+    if not (math.isfinite(frame_budget) and frame_budget >= 1):
+        raise UsageError(f"{option}: that is {frame_budget:g} bytes a frame; give at least 1")
+    if settings.method != "decogs":
+        raise UsageError(f"{option}: --method {settings.method} sends all it trains; drop one of the two")
+    if not settings.frame.economy.worth or settings.frame.cache is not None:
+        raise UsageError(f"{option}: these settings send every change; choose --preset draft, standard or high")
+    return replace(settings, frame_budget=frame_budget)
+
+
+def over_budget(sizes: Sequence[int], frame_budget: float) -> float:
+    """By which share the mean of these packets, in bytes, is above the budget; 0 when it is not, or there are none."""
+    return max(0.0, sum(sizes) / (len(sizes) * frame_budget) - 1) if sizes else 0.0
+
+
+class RateControl:
+    """What changes must be worth, in units of the settings', for later frames to keep to a mean of ``budget`` bytes.
+
+    ``segment``: frames from one keyframe to the next, or 0. Keyframes after the first count as frames, and what
+    they take beyond the budget is paid by the other frames of their segment, evenly: a clip of whole segments is even.
+    Rejected: saving up for them (nothing tells what they will take; on workbench it doubles from one to the next).
+    """
+
+    def __init__(self, budget: float, segment: int) -> None:
+        self._budget, self._segment = budget, segment
+        self._frames, self._spent = 0, 0
+        self._key: int | None = None
+        self._content: float | None = None
+        self._octaves = 0.0
+
+    @property
+    def worth(self) -> float:
+        """For the next frame; 1 is the settings'."""
+        return float(2.0**self._octaves)
+
+    def economy(self, settings: EconomySettings) -> EconomySettings:
+        """The settings for the next frame: its worth, and a coarseness to match."""
+        steps = {
+            name: max(1, round(_rounded(step * self.worth**_STEP_SHARE)))
+            for name, step in vars(settings.coarseness).items()
+        }
+        return replace(settings, worth=_rounded(settings.worth * self.worth), coarseness=Coarseness(**steps))
+
+    def wrote(self, kind: int, size: int) -> None:
+        """Learns from a packet after the first keyframe's: ``size`` in bytes on disk.
+
+        Keyframes and frames without a change say nothing of what a delta takes.
+        """
+        self._frames += 1
+        self._spent += size
+        if kind == PacketKind.KEY and self._segment:
+            self._key = size
+        elif kind == PacketKind.DELTA:
+            content = math.log2(size / self._budget) + _RESPONSE * self._octaves
+            past = content if self._content is None else self._content
+            self._content = _MEMORY * past + (1 - _MEMORY) * content
+        if self._content is not None:
+            octaves = (self._content - math.log2(self._target())) / _RESPONSE
+            self._octaves = round(min(max(octaves, -_OCTAVES), _OCTAVES) * _OCTAVE_STEPS) / _OCTAVE_STEPS
+
+    def _target(self) -> float:
+        """What the next frame is to take, in budgets."""
+        saved = self._budget * self._frames - self._spent
+        share = self._budget
+        if self._key is not None:
+            payment = (self._key - self._budget) / max(1, self._segment - 1)
+            share -= payment
+            saved += payment * (self._segment - 1 - self._frames % self._segment)
+        low, high = _TARGET_RANGE
+        return min(max((share + saved / _HORIZON) / self._budget, low * share / self._budget), high)
+
+
+def _rounded(value: float) -> float:
+    """To six digits: a power's last bit is not the same on every machine, and the stream's header tells the value."""
+    return float(f"{value:.6g}")

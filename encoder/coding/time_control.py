@@ -1,0 +1,147 @@
+"""Time per frame: how it is asked for, and the control that keeps later frames to it on average.
+
+Chosen: wall-clock seconds of everything that an encode does for a frame, from its decoded pictures until it is ready
+for the next one's; what masks, selection and writing leave is for training, which meets a deadline (`effort`). What
+frames take beyond their deadlines, writing above all, is learned; what was saved and overspent is carried over. A frame
+whose time would not do for the least training is held, and the next one has its time as well: few steps in every frame
+lose what moves, and each frame begins with the errors of the last. As for
+bytes (`rate`), the clip's length is not known to it. Rejected: processor seconds (a rig that records waits for no
+processor); the keyframe in the budget (nothing tells how many frames are to pay for it).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from decogs.formats.errors import UsageError
+
+from ..settings.encode import EncodeSettings
+
+TIME_TOLERANCE = 0.05
+"""By which share of the budget the mean of a clip may be above it; a miss is told beyond it."""
+
+_HORIZON = 6
+"""Frames over which what was saved or overspent is made up for."""
+_ALLOWANCE_RANGE = (0.5, 2.0)
+"""A single frame's time, in budgets: what was saved in a still scene is not thrown at the first frame that moves."""
+_MOST_HELD = 7
+"""Frames held in a row, a quarter of a second: a longer freeze shows nothing of what happens; a miss is told."""
+_MOST_OWED = 2.0
+"""Budgets that frames may have overspent before one is held for that alone."""
+_MEMORY = 0.7
+"""Share of the estimate of what a frame takes beyond its deadline that a new frame does not change."""
+_AFTER_TRAINING = ("write", "settle")
+_UNCOUNTED = "measure"
+_WRITTEN = re.compile(r"([0-9.eE+-]+?)\s*(ms|s)?\s*(?:/\s*frame)?")
+
+
+def seconds_per_frame(text: str | float) -> float:
+    """Seconds of ``1.5s/frame``, ``500ms/frame`` or plain ``1.5``; raises UsageError for what is no time."""
+    found = _WRITTEN.fullmatch(str(text).strip())
+    try:
+        seconds = float(found[1]) * (0.001 if found[2] == "ms" else 1) if found else math.nan
+    except ValueError:
+        seconds = math.nan
+    if not (math.isfinite(seconds) and seconds > 0):
+        raise UsageError(f"--time-budget {text}: that is no time; write 1.5s/frame or 500ms/frame")
+    return seconds
+
+
+def with_time_budget(settings: EncodeSettings, seconds: float) -> EncodeSettings:
+    """The same settings held to so many seconds, the mean of the frames after the first.
+
+    Raises UsageError for ``3dgstream``, whose schedule is fixed.
+    """
+    _require_own_schedule(settings, "--time-budget")
+    return replace(settings, time_budget=seconds)
+
+
+def with_target_psnr(settings: EncodeSettings, target: float) -> EncodeSettings:
+    """The same settings with the training of every frame ended once it has so many dB (`effort.TargetWatch`).
+
+    Raises UsageError for what is no PSNR, and for ``3dgstream``, whose schedule is fixed.
+    """
+    if not (math.isfinite(target) and 0 < target <= 100):
+        raise UsageError(f"--target-psnr {target:g}: give decibels above 0 and at most 100, such as 30")
+    _require_own_schedule(settings, "--target-psnr")
+    return replace(settings, target_psnr=target)
+
+
+def _require_own_schedule(settings: EncodeSettings, option: str) -> None:
+    if settings.method != "decogs":
+        raise UsageError(f"{option}: --method {settings.method} trains a fixed number of steps; drop one of the two")
+
+
+def counted_seconds(seconds: Mapping[str, float]) -> float:
+    """A frame's seconds by stage, added, without the measuring."""
+    return sum(value for stage, value in seconds.items() if stage != _UNCOUNTED)
+
+
+def over_time(frames: Sequence[Mapping[str, float]], budget: float) -> float:
+    """By which share the mean of these frames' seconds is above the budget; 0 when it is not, or there are none."""
+    if not frames:
+        return 0.0
+    return max(0.0, sum(map(counted_seconds, frames)) / (len(frames) * budget) - 1)
+
+
+class TimeControl:
+    """Deadlines for the training of later frames, so that a clip's frames take ``budget`` seconds on average."""
+
+    def __init__(self, budget: float) -> None:
+        self._budget = budget
+        self._saved = self._kept = 0.0
+        self._held = 0
+        self._planned = 0.0
+        self._beyond: float | None = None
+        self._after: float | None = None
+
+    def holds(self, seconds: Mapping[str, float], least: float) -> bool:
+        """Whether the next frame is better held, its time kept for the frame after it.
+
+        ``seconds``: what the frame has taken so far, by stage; ``least``: what training takes at least, in seconds.
+        """
+        if self._held >= _MOST_HELD:
+            return False
+        there = max(self._budget + self._kept, self._allowance())
+        return self._owes_much() or there < counted_seconds(seconds) + least + (self._after or 0.0)
+
+    def deadline(self, seconds: Mapping[str, float]) -> float:
+        """When the next frame's training is to be over, in seconds of ``time.perf_counter``.
+
+        ``seconds``: what the frame has taken so far, by stage.
+        """
+        self._planned = self._allowance() - (self._beyond or 0.0)
+        return time.perf_counter() + self._planned - counted_seconds(seconds)
+
+    def took(self, seconds: Mapping[str, float], *, held: bool = False) -> None:
+        """Learns from a frame that is over; ``held``: that was held for the sake of the next one."""
+        spared = self._budget - counted_seconds(seconds)
+        if held:
+            self._held += 1
+            if self._owes_much():
+                self._saved += spared
+            else:
+                self._kept += spared
+            return
+        self._saved += self._kept + spared
+        self._held, self._kept = 0, 0.0
+        if "training" in seconds:
+            after = sum(seconds.get(stage, 0.0) for stage in _AFTER_TRAINING)
+            past = after if self._beyond is None else self._beyond
+            self._after = after
+            # Training that ended before its deadline says only what comes after it.
+            beyond = max(after, counted_seconds(seconds) - self._planned)
+            self._beyond = _MEMORY * past + (1 - _MEMORY) * beyond
+
+    def _owes_much(self) -> bool:
+        return self._saved < -_MOST_OWED * self._budget
+
+    def _allowance(self) -> float:
+        """Seconds for the next frame: its own budget, what held frames kept for it, and a share of what was saved."""
+        low, high = _ALLOWANCE_RANGE
+        own = min(max(self._budget + self._saved / _HORIZON, low * self._budget), high * self._budget)
+        return own + self._kept

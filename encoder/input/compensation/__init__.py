@@ -1,0 +1,295 @@
+"""Cameras' own faults taken out of their pictures, right after ingest, so that the scene is kept without them.
+
+What masks, selection and training see is canonical: the scene's own colours, from the calibrated poses. A frame's
+packet says what was taken out of it, and a decoder puts it back to show what a camera recorded. Nothing here runs, and
+nothing is allocated, unless a camera is named.
+
+What cameras share is the scene's light and stays in their pictures (`effects/light.py` has the rule): a later frame's
+shifts are those that differ from camera to camera at the same points of the scene. The cameras that are not named tell
+what is neutral; where all are, their median does, as far as it is more than what so many cameras that drift each by
+itself have in common by chance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.codec.corrections import ANGLE_STEP, COLOUR_STEP, LARGEST, CorrectedCameras, Correction, Corrections
+from decogs.formats.errors import UsageError
+from decogs.formats.splats import FloatArray
+
+from ...settings.compensation import CorrectionSettings
+from ..ingest import View
+from .agreement import Look, SharedSurface, agreeing_shifts, shared_changes, shared_surface
+from .colour import OddsShift, odds_shift, without_odds
+from .shake import angles_of, turn_of, unturned
+from .worth import Worth, on_grid
+
+__all__ = ["CorrectionSettings", "Corrector", "corrector_of"]
+
+F64 = NDArray[np.float64]
+
+Show = Callable[[int], FloatArray]
+"""The scene through the training view of that number, (3, H, W)."""
+
+_KINDS = {"colours": ("exposure", "red", "blue"), "shake": ("yaw", "pitch", "roll")}
+"""What is judged apart of a correction, and its numbers."""
+
+_CHANCE = 2.6
+"""Deviations of the median of many cameras that drift each by itself within which it is chance, at 99 %."""
+_FEW = 3.5
+"""What that grows by over one less than the cameras' number: within a tenth of Student's t from 4 cameras on."""
+
+_ALTERNATIONS = 2
+"""Pose and colours are found in turn, each with the other taken out."""
+
+
+def corrector_of(views: Sequence[View], settings: CorrectionSettings) -> Corrector | None:
+    """The corrector of the cameras that are named; None when there are none.
+
+    Raises UsageError for a name that is no training view's.
+    """
+    if not (settings.exposure or settings.white_balance or settings.shake):
+        return None
+    return Corrector(views, settings)
+
+
+class Corrector:
+    """Finds and undoes the faults of the named cameras. ``cameras`` is what the stream's header says of it."""
+
+    def __init__(self, views: Sequence[View], settings: CorrectionSettings) -> None:
+        self._views = {view.camera.name: (number, view) for number, view in enumerate(views)}
+        lists = (settings.exposure, settings.white_balance, settings.shake)
+        self.cameras = CorrectedCameras(*(self._known(names) for names in lists))
+        self._named = [name for name in self._views if self.cameras.of(name)]
+        self._has_colours = bool(self.cameras.exposure_drift or self.cameras.white_balance_drift)
+        self._first: Corrections = {}
+        self._worths: dict[tuple[str, str], Worth] = {}
+        self._dropped: set[tuple[str, str]] = set()
+        nowhere = np.zeros((len(views), 0), np.int64)
+        self._surface = SharedSurface(nowhere, nowhere, nowhere > 0)
+
+    def see(self, look: Look) -> None:
+        """Takes the surface on which later frames compare cameras from the keyframe's scene."""
+        if self._has_colours:
+            self._surface = shared_surface([view for _, view in self._views.values()], look)
+
+    def find(self, recorded: Sequence[FloatArray], show: Show) -> Corrections:
+        """The faults of a frame's ``recorded`` pictures (3, H, W) against the scene as ``show`` gives it.
+
+        ``see`` comes first.
+        """
+        straight, rotations = list(recorded), dict.fromkeys(self._named, np.eye(3))
+        for name in self.cameras.camera_shake:
+            number, view = self._views[name]
+            rotations[name] = self._measured(name, recorded, show).rotation
+            straight[number] = unturned(recorded[number], view.pinhole, rotations[name])
+        shifts = self._own_shifts(straight, show) if self._has_colours else {}
+        found = {
+            name: self._correction(name, _Fault(shifts.get(name, _NO_SHIFT), rotations[name])) for name in self._named
+        }
+        for name, kind in self._dropped:
+            found[name] = self._as_at_first(name, kind, found[name])
+        return found
+
+    def begin(self, corrections: Corrections) -> None:
+        """Takes those of the first frame, which stay where later ones do not pay."""
+        self._first = corrections
+
+    def judge(
+        self,
+        recorded: Sequence[FloatArray],
+        corrections: Corrections,
+        show: Show,
+        changed: Sequence[NDArray[np.bool_]],
+    ) -> list[str]:
+        """What is not corrected any more after this frame, such as "cam04: colours"; ``show``: the scene as trained.
+
+        ``changed``: where every view's picture changed, (H, W). A scene that has not followed its light yet misses
+        every camera by it; what the other cameras miss in common is therefore no camera's loss.
+        """
+        before = set(self._dropped)
+        left_behind: dict[str, F64] = {}
+        for name, correction in corrections.items():
+            number, _ = self._views[name]
+            for kind in _KINDS:
+                left_out = self._as_at_first(name, kind, correction)
+                if (name, kind) in self._dropped or left_out == correction:
+                    continue
+                corrected, left = (
+                    on_grid(self._canonical(name, recorded[number], each)) for each in (correction, left_out)
+                )
+                shown = on_grid(show(number))
+                if self._has_colours:
+                    left_behind = left_behind or self._left_behind(recorded, corrections, show)
+                    shown = without_odds(shown, _odds_of(-_of_the_others(left_behind, name)))
+                worth = self._worths.setdefault((name, kind), Worth())
+                worth.saw(corrected, left, shown, on_grid(changed[number]))
+                if not worth.pays:
+                    self._dropped.add((name, kind))
+        return [f"{name}: {kind}" for name, kind in sorted(self._dropped - before)]
+
+    def _left_behind(self, recorded: Sequence[FloatArray], corrections: Corrections, show: Show) -> dict[str, F64]:
+        """How far every camera's picture, corrected, is from the scene, as shifts (3,) of the odds."""
+        return {
+            name: odds_shift(
+                self._canonical(name, recorded[number], corrections.get(name, Correction())), show(number), view.valid
+            ).shift
+            for name, (number, view) in self._views.items()
+        }
+
+    def find_jointly(self, recorded: Sequence[FloatArray], look: Look) -> Corrections:
+        """The same while the scene is in the making, and has taken some of the faults for its own.
+
+        What is neutral is told by the cameras that are not named, by their median; where none is left, it is
+        the mean of all.
+        """
+        straight, rotations = list(recorded), dict.fromkeys(self._named, np.eye(3))
+        for name in self.cameras.camera_shake:
+            number, view = self._views[name]
+            rotations[name] = self._measured(name, recorded, lambda number: look(number).rgb).rotation
+            straight[number] = unturned(recorded[number], view.pinhole, rotations[name])
+        if not self._has_colours:
+            return {name: self._correction(name, _Fault(_NO_SHIFT, rotations[name])) for name in self._named}
+        views = [view for _, view in self._views.values()]
+        colours = dict(zip(self._views, agreeing_shifts(views, straight, look), strict=True))
+        offset = self._neutral({name: colour.shift for name, colour in colours.items()}, _mean)
+        return {
+            name: self._correction(name, _Fault(colours[name].without(offset), rotations[name])) for name in self._named
+        }
+
+    def undo(self, recorded: Sequence[FloatArray], corrections: Corrections) -> list[FloatArray]:
+        """The pictures without the faults; those of other cameras are the very objects."""
+        canonical = list(recorded)
+        for name, correction in corrections.items():
+            number, _ = self._views[name]
+            canonical[number] = self._canonical(name, canonical[number], correction)
+        return canonical
+
+    def _canonical(self, name: str, picture: FloatArray, correction: Correction) -> FloatArray:
+        if correction.is_coloured:
+            picture = without_odds(picture, correction.odds)
+        if correction.is_turned:
+            picture = unturned(picture, self._views[name][1].pinhole, correction.rotation)
+        return picture
+
+    def _as_at_first(self, name: str, kind: str, correction: Correction) -> Correction:
+        """The correction with the first frame's numbers of that kind."""
+        first = self._first.get(name, Correction())
+        return replace(correction, **{number: getattr(first, number) for number in _KINDS[kind]})
+
+    def _known(self, names: Sequence[str]) -> tuple[str, ...]:
+        for name in names:
+            if name not in self._views:
+                raise UsageError(f"camera {name} cannot be corrected: it is none of those trained on")
+        return tuple(name for name in self._views if name in names)
+
+    def _measured(self, name: str, recorded: Sequence[FloatArray], show: Show) -> _Fault:
+        number, view = self._views[name]
+        picture, shown = recorded[number], show(number)
+        colour = odds_shift(picture, shown, view.valid) if self._has_colours else _NO_SHIFT
+        if name not in self.cameras.camera_shake:
+            return _Fault(colour, np.eye(3))
+        rotation = np.eye(3)
+        for _ in range(_ALTERNATIONS if self._has_colours else 1):
+            rotation = turn_of(without_odds(picture, _odds_of(colour.shift)), shown, view.pinhole, view.valid)
+            if self._has_colours:
+                colour = odds_shift(unturned(picture, view.pinhole, rotation), shown, view.valid)
+        return _Fault(colour, rotation)
+
+    def _own_shifts(self, pictures: Sequence[FloatArray], show: Show) -> dict[str, OddsShift]:
+        """How the pictures' colours differ from the scene's beyond what the scene's light does, by camera."""
+        shown = [show(number) for number in range(len(pictures))]
+        changes = shared_changes(self._surface, pictures, shown)
+        names, total = list(self._views), changes.shifts + changes.common
+        own = {name: shift for name, shift, told in zip(names, total, changes.told, strict=True) if told}
+        alone = {} if len(own) == len(names) else self._shifts_of_pictures(pictures, shown)
+        known = own or alone
+        light = self._neutral(known, _light_of)
+        rest = self._neutral(alone, _light_of) if alone else light
+        return {name: OddsShift(own[name] - light if name in own else alone[name] - rest, np.ones(3)) for name in names}
+
+    def _shifts_of_pictures(self, pictures: Sequence[FloatArray], shown: Sequence[FloatArray]) -> dict[str, F64]:
+        """How whole pictures differ from what is shown: for cameras that share too little with others."""
+        return {
+            name: odds_shift(pictures[number], shown[number], view.valid).shift
+            for name, (number, view) in self._views.items()
+        }
+
+    def _neutral(self, shifts: dict[str, F64], of_all: Callable[[F64], F64]) -> F64:
+        """The shift (3,) that is none; ``of_all``: of the shifts (cameras, 3) where every camera is named."""
+        exposure = _of_others(shifts, self.cameras.exposure_drift, of_all)
+        balance = _of_others(shifts, self.cameras.white_balance_drift, of_all)
+        return np.asarray(exposure[1] + balance - balance[1])
+
+    def _correction(self, name: str, fault: _Fault) -> Correction:
+        """The numbers of the effects for which the camera is named."""
+        shift, precision = fault.colour
+        drifts, unbalanced = name in self.cameras.exposure_drift, name in self.cameras.white_balance_drift
+        red, green, blue = shift.tolist()
+        if not unbalanced:
+            green = float((precision * shift).sum() / max(float(precision.sum()), 1e-12))
+        yaw, pitch, roll = angles_of(fault.rotation)
+        return Correction(
+            _steps(green, COLOUR_STEP) if drifts else 0,
+            _steps(red - green, COLOUR_STEP) if unbalanced else 0,
+            _steps(blue - green, COLOUR_STEP) if unbalanced else 0,
+            _steps(yaw, ANGLE_STEP),
+            _steps(pitch, ANGLE_STEP),
+            _steps(roll, ANGLE_STEP),
+        )
+
+
+class _Fault(NamedTuple):
+    """A camera's fault as measured: the shift of its colours' odds, and its turn (3, 3)."""
+
+    colour: OddsShift
+    rotation: F64
+
+
+_NO_SHIFT = OddsShift(np.zeros(3), np.zeros(3))
+
+
+def _of_others(shifts: dict[str, F64], named: Sequence[str], of_all: Callable[[F64], F64]) -> F64:
+    """Median shift (3,) of the cameras that are not named, or ``of_all`` when every one is."""
+    others = [shift for name, shift in shifts.items() if name not in named]
+    return np.asarray(np.median(others, axis=0) if others else of_all(np.array(list(shifts.values()))))
+
+
+def _mean(shifts: F64) -> F64:
+    return np.asarray(shifts.mean(axis=0))
+
+
+def _light_of(shifts: F64) -> F64:
+    """The light's part (3,) of shifts (cameras, 3): their median, less the more of it may be chance."""
+    if len(shifts) < 2:
+        return np.zeros(3)
+    # Exposure and white balance drift each by itself.
+    kinds = np.stack([shifts[:, 0] - shifts[:, 1], shifts[:, 1], shifts[:, 2] - shifts[:, 1]], axis=1)
+    median = np.median(kinds, axis=0)
+    # The median of n normal values has 1.2533 / sqrt n of their deviation.
+    chance = _CHANCE * (1 + _FEW / (len(shifts) - 1)) * 1.2533 * kinds.std(axis=0, ddof=1) / np.sqrt(len(shifts))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        left = np.where(median == 0, 0, 1 - np.square(chance / median))
+    red, green, blue = median * np.maximum(left, 0)
+    return np.array([red + green, green, blue + green])
+
+
+def _steps(value: float, step: float) -> int:
+    return max(-LARGEST, min(LARGEST, round(value / step)))
+
+
+def _of_the_others(shifts: Mapping[str, F64], name: str) -> F64:
+    """The median shift (3,) of the cameras but ``name``; none where one other camera cannot tell."""
+    others = [shift for other, shift in shifts.items() if other != name]
+    return np.median(others, axis=0) if len(others) > 1 else np.zeros(3)
+
+
+def _odds_of(shift: F64) -> tuple[float, float, float]:
+    red, green, blue = np.exp(shift).tolist()
+    return red, green, blue

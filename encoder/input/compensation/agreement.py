@@ -1,0 +1,234 @@
+"""Exposure and white balance of all cameras at once, from what they see in common: points of the scene's surface.
+
+A scene in training takes the faults of the very pictures it is trained on for its own, and more so where neighbouring
+cameras share them: measured against its renderings, an error that is smooth along the rig hardly shrinks from one
+measurement to the next. So while a keyframe is in the making only its depth is used. Points of its surface are looked
+up in every picture that sees them, and the shifts of all cameras under which the colours agree best are solved for
+directly.
+
+In later frames the same is done with what a picture differs by from the scene as it is shown before the frame: the
+light may have changed, at every point in its own way, but for all cameras alike. What a point's light did is eliminated
+with it, and what is left is the cameras' own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.formats.cameras import Camera, turned
+from decogs.formats.splats import FloatArray
+
+from ...rasterise import Picture
+from ..ingest import View
+from .colour import OddsShift, tells, tukey_weights
+
+F64 = NDArray[np.float64]
+
+
+Look = Callable[[int], Picture]
+"""The scene through the training view of that number, with its depth."""
+
+_SAMPLES = 2000
+"""Points of the surface taken from each view."""
+
+_OPAQUE = 0.9
+_SAME_DEPTH = 0.02
+"""A point is seen where the depth of the view there is its own, to this share."""
+
+_ROUNDS = 6
+
+_LATER_SAMPLES = 6000
+"""Points of later frames, from all views together: the light of a single one is known to a per cent."""
+
+_AROUND = np.mgrid[-1:2, -1:2].reshape(2, 1, -1)
+"""Pixels over which a point's colours are averaged."""
+
+_FEW = 100
+"""Points shared with other views below which a view is not told."""
+
+
+@dataclass(frozen=True)
+class SharedSurface:
+    """Points of the scene's surface (P,) as the views see them: pixels (V, P) ``row`` and ``column`` where ``seen``."""
+
+    row: NDArray[np.int64]
+    column: NDArray[np.int64]
+    seen: NDArray[np.bool_]
+
+    def colours(self, number: int, picture: FloatArray) -> FloatArray:
+        """The mean colours (P, 3) around the points in a view's picture (3, H, W); black where it sees none."""
+        height, width = picture.shape[1:]
+        found = np.zeros((self.seen.shape[1], 3), np.float32)
+        there = self.seen[number]
+        rows = np.clip(self.row[number, there, None] + _AROUND[0], 0, height - 1)
+        columns = np.clip(self.column[number, there, None] + _AROUND[1], 0, width - 1)
+        found[there] = picture[:, rows, columns].mean(axis=2).T
+        return found
+
+
+class SharedChanges(NamedTuple):
+    """How later pictures differ from what is shown: by the views' own ``shifts`` (V, 3), up to a common one; by
+    ``common`` (3,), the median of what is left at the points. ``told`` (V,): views that share enough with others."""
+
+    shifts: F64
+    common: F64
+    told: NDArray[np.bool_]
+
+
+def shared_surface(views: Sequence[View], look: Look) -> SharedSurface:
+    """Points of the scene's surface, found in every view that sees them."""
+    depths = [_depth(look(number)) for number in range(len(views))]
+    samples = _LATER_SAMPLES // len(views)
+    points = np.concatenate([_surface(view, depth, samples) for view, depth in zip(views, depths, strict=True)])
+    pixels = [_pixels(view, depth, points) for view, depth in zip(views, depths, strict=True)]
+    row, column = (np.stack([found[k] for found in pixels]).astype(np.int64) for k in range(2))
+    seen = np.stack([there for _, _, there in pixels])
+    several = seen.sum(axis=0) > 1
+    return SharedSurface(row[:, several], column[:, several], seen[:, several])
+
+
+def shared_changes(
+    surface: SharedSurface, pictures: Sequence[FloatArray], shown: Sequence[FloatArray]
+) -> SharedChanges:
+    """What of the difference of ``pictures`` from what is ``shown``, (3, H, W) of every view, is the views' own."""
+    views = len(pictures)
+    shifts, common, enough = np.zeros((views, 3)), np.zeros(3), np.zeros((views, 3), bool)
+    now, before = (
+        np.stack([surface.colours(number, picture) for number, picture in enumerate(side)])
+        for side in (pictures, shown)
+    )
+    for channel in range(3):
+        told = surface.seen & tells(now[..., channel]) & tells(before[..., channel])
+        told &= told.sum(axis=0) > 1
+        enough[:, channel] = told.sum(axis=1) >= _FEW
+        if not enough[:, channel].any():
+            continue
+        v, s = (np.where(told, side[..., channel], np.float32(0.5)) for side in (now, before))
+        logs, slope = np.log(v / (1 - v)) - np.log(s / (1 - s)), s * (1 - s)
+        solved, weights = _solved(logs, slope, told)
+        shifts[:, channel] = solved
+        total = weights.sum(axis=0)
+        left = (weights * (logs - solved[:, None].astype(np.float32))).sum(axis=0)[total > 0] / total[total > 0]
+        common[channel] = np.median(left) if len(left) else 0.0
+    return SharedChanges(shifts, common, np.asarray(enough.all(axis=1)))
+
+
+def agreeing_shifts(views: Sequence[View], pictures: Sequence[FloatArray], look: Look) -> list[OddsShift]:
+    """The shift of every view's odds, up to one common shift a channel, which is chosen so that their mean is 0.
+
+    ``pictures``: (3, H, W) of every view, turns taken out. A view that shares nothing with others gets 0.
+    """
+    depths = [_depth(look(number)) for number in range(len(views))]
+    points = np.concatenate([_surface(view, depth, _SAMPLES) for view, depth in zip(views, depths, strict=True)])
+    if not len(points):
+        return [OddsShift(np.zeros(3), np.zeros(3))] * len(views)
+    seen = [
+        _colours(view, cv2.blur(picture.transpose(1, 2, 0), (3, 3)), depth, points)
+        for view, picture, depth in zip(views, pictures, depths, strict=True)
+    ]
+    values, told = np.stack([colours for colours, _ in seen]), np.stack([there for _, there in seen])
+    solved = [_channel_shifts(values[..., channel], told & tells(values[..., channel])) for channel in range(3)]
+    return [OddsShift(*map(np.array, zip(*of_view, strict=True))) for of_view in zip(*solved, strict=True)]
+
+
+def _depth(picture: Picture) -> FloatArray:
+    """Depth (H, W) of what the view sees, NaN where that is not opaque."""
+    assert picture.depth is not None
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth: FloatArray = picture.depth / picture.alpha
+    return np.where(picture.alpha > _OPAQUE, depth, np.float32(np.nan))
+
+
+def _surface(view: View, depth: FloatArray, samples: int) -> F64:
+    """About so many points (P, 3) of the surface, on a regular grid of the view's pixels."""
+    camera, step = view.pinhole, max(1, round(np.sqrt(depth.size / samples)))
+    rows, columns = (
+        grid.ravel() for grid in np.mgrid[step // 2 : camera.height : step, step // 2 : camera.width : step]
+    )
+    z = depth[rows, columns].astype(np.float64)
+    there = np.isfinite(z)
+    z, rows, columns = z[there], rows[there], columns[there]
+    x, y = (columns + 0.5 - camera.cx) / camera.fx * z, (rows + 0.5 - camera.cy) / camera.fy * z
+    pose = camera.world_to_camera
+    return turned(pose[:3, :3].T, np.stack([x, y, z], axis=1) - pose[:3, 3])
+
+
+def _colours(view: View, picture: FloatArray, depth: FloatArray, points: F64) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """The picture's colours (P, 3) of the points, and which of them (P,) the view sees."""
+    v, u, inside = _pixels(view, depth, points)
+    at = [np.where(inside, pixel - 0.5, 0).astype(np.float32)[:, None] for pixel in (u, v)]
+    colours = [_sampled(np.ascontiguousarray(picture[..., channel]), at[0], at[1]) for channel in range(3)]
+    return np.stack(colours, axis=1), inside
+
+
+def _pixels(view: View, depth: FloatArray, points: F64) -> tuple[F64, F64, NDArray[np.bool_]]:
+    """Row and column of the points (P,) in the view, corner of the picture at 0, and which of them it sees; 0 of
+    others."""
+    u, v, z = _projected(view.pinhole, points)
+    inside = (z > 0) & (u >= 0) & (u < view.pinhole.width) & (v >= 0) & (v < view.pinhole.height)
+    column, row = (np.where(inside, pixel, 0).astype(np.int64) for pixel in (u, v))
+    with np.errstate(invalid="ignore"):
+        inside &= np.abs(depth[row, column] / np.where(inside, z, 1) - 1) < _SAME_DEPTH
+    if view.valid is not None:
+        inside &= view.valid[row, column] > 0
+    return np.where(inside, v, 0), np.where(inside, u, 0), inside
+
+
+def _sampled(plane: FloatArray, u: FloatArray, v: FloatArray) -> FloatArray:
+    """Bilinear samples; ``cv2.remap`` takes no more than 32 767 rows at once."""
+    most = 1 << 14
+    parts: list[Any] = [
+        cv2.remap(plane, u[i : i + most], v[i : i + most], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        for i in range(0, len(u), most)
+    ]
+    return np.asarray(np.concatenate(parts)[:, 0], np.float32)
+
+
+def _projected(camera: Camera, points: F64) -> tuple[F64, F64, F64]:
+    position = turned(camera.world_to_camera[:3, :3], points) + camera.world_to_camera[:3, 3]
+    z = position[:, 2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return camera.fx * position[:, 0] / z + camera.cx, camera.fy * position[:, 1] / z + camera.cy, z
+
+
+def _channel_shifts(values: FloatArray, told: NDArray[np.bool_]) -> list[tuple[float, float]]:
+    """Shift and precision of every view, from values (V, P) of points that it sees where ``told``."""
+    told = told & (told.sum(axis=0) > 1)
+    if not told.any():
+        return [(0.0, 0.0)] * len(values)
+    inside = np.where(told, values, np.float32(0.5))
+    shifts, weights = _solved(np.log(inside / (1 - inside)), inside * (1 - inside), told)
+    return list(zip(shifts.tolist(), weights.sum(axis=1, dtype=np.float64).tolist(), strict=True))
+
+
+def _solved(logs: FloatArray, slope: FloatArray, told: NDArray[np.bool_]) -> tuple[F64, FloatArray]:
+    """Every view's shift (V,) of the log odds (V, P) of points that it sees where ``told``, and their weights.
+
+    ``slope``: of the colour over its log odds. Robust least squares; what a point's own are is eliminated.
+    """
+    weights = np.square(slope) * told
+    shifts = np.zeros(len(logs))
+    for _ in range(_ROUNDS):
+        total = np.maximum(weights.sum(axis=0), np.float32(1e-9))
+        mean = (weights * logs).sum(axis=0) / total
+        normal = np.diag(weights.sum(axis=1, dtype=np.float64)) - _shared(weights, total)
+        right = (weights * (logs - mean)).sum(axis=1, dtype=np.float64)
+        # Any common shift fits as well; this picks the one with mean 0, and 0 for views that share nothing.
+        scale = max(float(np.trace(normal)) / len(logs), 1e-9)
+        shifts = np.linalg.solve(normal + scale * (1 / len(logs) + 1e-6 * np.eye(len(logs))), right)
+        corrected = logs - shifts[:, None].astype(np.float32)
+        errors = slope * (corrected - (weights * corrected).sum(axis=0) / total)
+        weights = np.square(slope) * told
+        weights[told] *= tukey_weights(errors[told])
+    return shifts, weights
+
+
+def _shared(weights: FloatArray, total: FloatArray) -> F64:
+    """What the elimination of the points couples two views by, (V, V)."""
+    return np.array([(weights * (row / total)).sum(axis=1, dtype=np.float64) for row in weights])

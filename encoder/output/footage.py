@@ -1,0 +1,44 @@
+"""Whether a scene that an earlier encode made is of these pictures: other footage would be gone on with unnoticed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.formats.splats import FloatArray
+
+from ..input.ingest import View
+
+_POOR = 10 ** (-20 / 10)
+"""Mean square error of 20 dB: what is better than that is no other footage, however plain the pictures are."""
+_RELATED = 0.25
+"""Correlation of a rendering with a picture: nothing in common has about none, a scene that is hardly trained most."""
+
+
+def strange_cameras(views: Sequence[View], pictures: Sequence[FloatArray], shown: Sequence[FloatArray]) -> list[str]:
+    """Cameras whose pictures (3, H, W) ``shown`` has nothing to do with, and misses by less than 20 dB."""
+    found = []
+    for view, picture, rendered in zip(views, pictures, shown, strict=True):
+        recorded = np.ones(picture.shape[1:], bool) if view.valid is None else view.valid > 0
+        target, drawn = (values[:, recorded].astype(np.float64) for values in (picture, np.clip(rendered, 0, 1)))
+        if recorded.any() and np.mean((drawn - target) ** 2) > _POOR and _correlation(drawn, target) < _RELATED:
+            found.append(view.camera.name)
+    return found
+
+
+def _correlation(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    """Of two pictures (3, P) without each channel's mean; 0 where one of them is plain."""
+    a, b = (values - values.mean(axis=1, keepdims=True) for values in (a, b))
+    size = float(np.sqrt((a * a).sum() * (b * b).sum()))
+    return float((a * b).sum()) / size if size else 0.0
+
+
+def warning_of(source: str, frame: int, cameras: Sequence[str]) -> str:
+    """One line for the user; ``source``: where the scene comes from."""
+    more = f" and {len(cameras) - 1} more cameras" if len(cameras) > 1 else ""
+    return (
+        f"{source}: its scene shows nothing of what {cameras[0]}{more} recorded in frame {frame}; "
+        "is it of other footage than the rig's?"
+    )

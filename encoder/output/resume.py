@@ -1,0 +1,153 @@
+"""An encode that was cut off, gone on with: what is there of its stream, and whether it fits.
+
+Chosen: no file beside the stream. Keyframe, lattice and near planes are the stream's own, and every whole frame is
+replayed by the loop: all that encoding it did but for the training, whose result is in the packet. Nothing random is
+carried from frame to frame, so that the finished file has the bytes of one that was never cut off; with a time budget,
+whose control begins anew, it has those of the frames that were there. Rejected: a snapshot of the encoder (another
+format to keep, and one more thing that a kill can tear).
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from decogs.codec.header import StreamHeader
+from decogs.formats.container import (
+    FRAME_KINDS,
+    IndexEntry,
+    Packet,
+    PacketKind,
+    PacketReader,
+    check_count,
+    read_packet_at,
+)
+from decogs.formats.errors import StreamError, UsageError
+
+from ..settings.encode import EncodeSettings
+
+_OPTIONS = {
+    "frame.economy": "--quality or --lossless",
+    "keyframe.bit_worth": "--quality",
+    "lattice": "--quality",
+    "frame_budget": "--max-mb-per-frame or --bitrate",
+    "time_budget": "--time-budget",
+    "target_psnr": "--target-psnr",
+    "segment": "--segment",
+    "held_out": "--holdout",
+    "first_frame": "--frames",
+    "frame.selection": "--selection or --preset",
+    "effects": "--effects",
+    "ask_frames": "--effects",
+    "corrections": "--effects",
+    "corrected": "--effects",
+    "frame": "--preset",
+    "keyframe": "--preset",
+}
+"""What asked for a setting that differs, by the beginning of its name in the header; the first that fits."""
+
+
+@dataclass(frozen=True)
+class Interrupted:
+    """The whole frames of a stream, of which ``size`` bytes are to be kept; ``ended``: the stream was finished."""
+
+    path: Path
+    header: StreamHeader
+    header_payload: bytes
+    entries: tuple[IndexEntry, ...]
+    size: int
+    ended: bool
+
+    def packets(self) -> Iterator[Packet]:
+        """The frames' packets, in order."""
+        with self.path.open("rb") as file:
+            for entry in self.entries:
+                yield read_packet_at(file, entry)
+
+    def check(self, wanted: StreamHeader, frames: int) -> None:
+        """Raises UsageError unless it is the beginning of an encode with this header and so many frames."""
+        payload = wanted.to_bytes()
+        if payload != self.header_payload:
+            name, was, now = _difference(json.loads(self.header_payload), json.loads(payload))
+            option = next((f" ({option})" for start, option in _OPTIONS.items() if name.startswith(start)), "")
+            self._refuse(f"was begun with {name} {_short(was)}, this encode has {_short(now)}{option}")
+        if len(self.entries) > frames:
+            self._refuse(f"holds {len(self.entries)} frames already, this encode has {frames}")
+
+    def check_keyframe(self, *, same: bool) -> None:
+        """Raises UsageError when the stream does not begin with the keyframe that was given."""
+        if not same:
+            self._refuse("begins with another keyframe than that of --keyframe")
+
+    def _refuse(self, problem: str) -> None:
+        raise UsageError(f"--resume: {self.path} {problem}; give the same options, or drop --resume to start over")
+
+
+def find_interrupted(output: Path, growing: Path) -> Interrupted | None:
+    """What is there of the stream ``output``: in ``growing`` unless that is empty, else under its own name.
+
+    None without a whole keyframe.
+
+    What follows the last whole frame, an index or a packet cut short, is not kept.
+    """
+    for path in (growing, output):
+        if path.is_file() and path.stat().st_size:
+            return _read(path)
+    return None
+
+
+def check_resumable(settings: EncodeSettings) -> None:
+    """Raises UsageError for settings that keep something from frame to frame that is not in the stream."""
+    kept = {
+        "the carried cache": settings.frame.carry_cache and settings.frame.cache is not None,
+        "--ablate gate": "gate" in settings.frame.ablated,
+    }
+    for name, is_kept in kept.items():
+        if is_kept and settings.method == "decogs":
+            raise UsageError(f"--resume: {name} keeps something of training that no stream has; drop one of the two")
+
+
+def _read(path: Path) -> Interrupted | None:
+    entries: list[IndexEntry] = []
+    header, size, ended = b"", 0, False
+    with path.open("rb") as file:
+        reader = PacketReader(file)
+        try:
+            while (packet := reader.next()) is not None:
+                if packet.kind == PacketKind.HEADER:
+                    header = packet.payload
+                elif packet.kind in FRAME_KINDS:
+                    entries.append(IndexEntry(packet.offset, packet.frame, packet.kind))
+                    size = packet.offset + packet.size
+                elif packet.kind == PacketKind.END:
+                    check_count(packet, len(entries))
+                    ended = True
+        except StreamError:
+            pass  # A power cut can leave more than a short packet; it is encoded again from there.
+    if not entries:
+        return None
+    return Interrupted(path, StreamHeader.from_bytes(header), header, tuple(entries), size, ended)
+
+
+def _difference(one: Any, other: Any, path: str = "") -> tuple[str, Any, Any]:
+    """Where two JSON values that are not equal differ first, and how."""
+    if isinstance(one, dict) and isinstance(other, dict):
+        # Single values first: they say more than what follows from them.
+        for name in sorted(
+            {*one, *other}, key=lambda name: (_is_single(one, name) + _is_single(other, name) < 2, name)
+        ):
+            if one.get(name) != other.get(name):
+                return _difference(one.get(name), other.get(name), f"{path}.{name}" if path else name)
+    return path.removeprefix("settings."), one, other
+
+
+def _is_single(document: dict[str, Any], name: str) -> bool:
+    return not isinstance(document.get(name), (dict, list))
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= 60 else text[:57] + "..."

@@ -1,0 +1,218 @@
+"""Where a stream is written while it grows: beside its final name, or straight into a pipe.
+
+A file grows as ``NAME.part``, which no other encode can write meanwhile, and gets its name when it is whole
+(`decogs.formats.outputs`); what was complete when something went wrong stays in ``NAME.part``, a valid, shorter stream
+that ``--resume`` goes on with (`resuming`).
+"""
+
+from __future__ import annotations
+
+import shutil
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import BinaryIO
+
+from decogs.formats.container import StreamWriter
+from decogs.formats.errors import UsageError
+from decogs.formats.outputs import GrowingFile, is_device
+
+from .resume import Interrupted, find_interrupted
+
+
+class StreamOutput(ABC):
+    """Takes a stream's packets: ``begin``, ``write`` for each, then ``close``, and ``publish`` when all went well.
+
+    A context manager: leaving it lets go of the file.
+    """
+
+    def __init__(self) -> None:
+        self.writer: StreamWriter | None = None
+
+    def __enter__(self) -> StreamOutput:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.release()
+
+    @property
+    @abstractmethod
+    def name(self) -> Path:
+        """What the user called it; ``-`` is a pipe."""
+
+    @property
+    def is_open(self) -> bool:
+        """Whether anything was changed yet."""
+        return self.writer is not None
+
+    @property
+    def growing(self) -> Path | None:
+        """Where the frames that are there stay when an encode ends early; None for a pipe."""
+        return None
+
+    @abstractmethod
+    def begin(self, header: bytes) -> None:
+        """Starts a new stream with this header payload."""
+
+    def write(self, kind: int, frame: int, payload: bytes) -> int:
+        """Appends one packet and returns its size in bytes."""
+        return self.open().write(kind, frame, payload)
+
+    def open(self) -> StreamWriter:
+        """The writer, which must have begun."""
+        assert self.writer is not None
+        return self.writer
+
+    @abstractmethod
+    def close(self, frames: int) -> None:
+        """Ends the stream after its first ``frames``, with its index; without any, nothing is left of it."""
+
+    def publish(self) -> int:
+        """Gives the stream its name; its size in bytes."""
+        return self.open().bytes_written
+
+    @abstractmethod
+    def release(self) -> None:
+        """Lets go of the file, published or not."""
+
+
+class FileOutput(StreamOutput):
+    """A file, taken from now on: it must be said before the training, which takes minutes, that it cannot be written.
+
+    ``resume``: a ``NAME.part`` that is there is gone on with. Raises UsageError when it is there without, when it
+    cannot be written, or is being written by another encode; so does every method when the disk is full.
+    """
+
+    def __init__(self, output: Path, *, resume: bool = False) -> None:
+        super().__init__()
+        self._output, self._growing = output, GrowingFile(output, leftover="kept" if resume else "refused")
+        self._left: Interrupted | None = None
+        self._failed = False
+
+    @property
+    def name(self) -> Path:
+        return self._output
+
+    @property
+    def growing(self) -> Path:
+        return self._growing.path
+
+    def take_left(self) -> Interrupted | None:
+        """What an earlier encode left of it, gone on with at the first packet after it."""
+        self._left = find_interrupted(self._growing.output, self.growing)
+        return self._left
+
+    def begin(self, header: bytes) -> None:
+        with self._told():
+            file = self._growing.file
+            file.seek(0)
+            file.truncate()
+            self.writer = StreamWriter(file, header)
+
+    def write(self, kind: int, frame: int, payload: bytes) -> int:
+        with self._told():
+            return super().write(kind, frame, payload)
+
+    def open(self) -> StreamWriter:
+        left, file = self._left, self._growing.file
+        if self.writer is None and left is not None:
+            with self._told():
+                if left.path != self.growing:
+                    with left.path.open("rb") as published:
+                        shutil.copyfileobj(published, file)
+                file.truncate(left.size)
+                file.seek(left.size)
+                self.writer = StreamWriter.continuing(file, left.entries, left.size)
+        return super().open()
+
+    def close(self, frames: int) -> None:
+        if self.writer is None:
+            return
+        if not frames:
+            self._growing.discard()
+        elif not self._failed:
+            with self._told():
+                _cut_after(frames, self._growing.file, self.writer)
+                self.writer.finish()
+
+    def publish(self) -> int:
+        with self._told():
+            self._growing.publish()
+        return super().publish()
+
+    def release(self) -> None:
+        self._growing.release()
+
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        """What the disk does not take becomes one line that says where, and what to do."""
+        try:
+            yield
+        except OSError as error:
+            self._failed = True
+            raise UsageError(f"{self.growing}: {error.strerror}; make room, then go on with --resume") from error
+
+
+class PipeOutput(StreamOutput):
+    """A pipe, or any other file that only takes bytes; what was interrupted inside a packet cannot be mended."""
+
+    def __init__(self, file: BinaryIO, name: Path = Path("-")) -> None:
+        super().__init__()
+        self._file, self._name = file, name
+
+    @property
+    def name(self) -> Path:
+        return self._name
+
+    def begin(self, header: bytes) -> None:
+        with self._named():
+            self.writer = StreamWriter(self._file, header)
+
+    def write(self, kind: int, frame: int, payload: bytes) -> int:
+        with self._named():
+            return super().write(kind, frame, payload)
+
+    def close(self, frames: int) -> None:
+        if self.writer is not None and len(self.writer.entries) == frames > 0:
+            with self._named():
+                self.writer.finish()
+
+    def release(self) -> None:
+        if self._name != Path("-"):
+            with self._named():
+                self._file.close()
+
+    @contextmanager
+    def _named(self) -> Iterator[None]:
+        """What the pipe or device does not take is said with its name."""
+        try:
+            yield
+        except OSError as error:
+            error.filename = "standard output" if self._name == Path("-") else str(self._name)
+            raise
+
+
+def open_output(output: Path | BinaryIO, *, resume: bool = False) -> StreamOutput:
+    """Takes the output of an encode, before anything long is done; a named pipe is written into as it is.
+
+    Raises UsageError as `FileOutput` does, and when ``resume`` asks for what no pipe can.
+    """
+    if isinstance(output, Path) and not is_device(output):
+        return FileOutput(output, resume=resume)
+    if resume:
+        raise UsageError("--resume: a pipe cannot be gone on with; name a file with -o")
+    return PipeOutput(output.open("wb"), output) if isinstance(output, Path) else PipeOutput(output)
+
+
+def _cut_after(frames: int, file: BinaryIO, writer: StreamWriter) -> None:
+    """Takes off what an interruption left, in whole or in part, of a packet after the first ``frames``."""
+    if len(writer.entries) > frames:
+        end = writer.entries[frames].offset
+        file.seek(end)
+        file.truncate()
+        del writer.entries[frames:]
+        writer.bytes_written = end

@@ -1,0 +1,239 @@
+"""First points from the rig itself: a coloured cloud for the keyframe, from poses and pictures of frame 0 alone.
+
+A coarse plane sweep over the depths the cameras share finds where things are, a fine one over just these depths finds
+the surfaces, agreement between views decides what to believe, and gaps are filled with guesses. Points from elsewhere
+(COLMAP) join.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.formats.cameras import Camera
+from decogs.formats.errors import TrainingError
+
+from ..parallel import Each, side_by_side
+from .agreement import Candidates, agree, no_candidates
+from .cloud import (
+    Cloud,
+    Survey,
+    empty_cloud,
+    join,
+    look_from_all,
+    neighbour_distances,
+    spread_to_count,
+    take,
+    thin_candidates,
+    too_near,
+)
+from .frusta import DepthRange, choose_neighbours, depths_of, likely_points, points_within, rig_size, shared_depths
+from .guesses import guess_points
+from .plane_sweep import DepthMap, choose_planes, sweep
+from .views import Array, View, floats, inside, make_view, project
+
+__all__ = ["FirstPoints", "KnownPoints", "first_points"]
+
+_FINE_PIXELS, _ALL_FINE_PIXELS = 250_000, 2_000_000
+_COARSE_PIXELS = 14_000
+"""Largest pictures of the sweeps, in pixels: one view's, all views' together, one view's in the coarse sweep."""
+_MOST_PLANES = 128
+_MATCHED, _COMPARED = 4, 8
+"""Neighbours a view is matched with, and those its depths are compared with."""
+_SURPLUS = 3.0
+"""Candidates per point of the cap that are looked at when choosing."""
+_CONFIRMED_SHARE = 0.85
+"""Share of the room that confirmed points may take at first; the rest is for guesses."""
+_COARSE_CONFIDENCE = 0.5
+"""Confidence in points only the coarse sweep finds, relative to the fine one's."""
+_FEW = 100
+"""Confirmed points below which a view does not tell how near things are."""
+_CLEAR = 0.5
+"""Share of a view's nearest confirmed depth within which other views' points are taken for the camera itself."""
+
+
+class KnownPoints(Protocol):
+    """Points from elsewhere: ``xyz`` (P, 3) world, ``rgb`` (P, 3) uint8."""
+
+    @property
+    def xyz(self) -> NDArray[np.float32]: ...
+    @property
+    def rgb(self) -> NDArray[np.uint8]: ...
+
+
+@dataclass(frozen=True)
+class FirstPoints:
+    """Where training starts.
+
+    ``xyz`` (P, 3) world; ``rgb`` (P, 3) 0..1; ``spacing`` (P,) world units, the size one point has to cover (mean
+    distance to its three nearest, within bounds); ``confidence`` (P,) 0..1, 0.05 for a guess; ``nearest`` is a depth
+    closer than which nothing but other cameras was found in front of any camera (0: unknown), fit for a near plane.
+    """
+
+    xyz: NDArray[np.float32]
+    rgb: NDArray[np.float32]
+    spacing: NDArray[np.float32]
+    confidence: NDArray[np.float32]
+    nearest: float = 0.0
+
+
+def first_points(
+    cameras: Sequence[Camera],
+    pictures: Sequence[NDArray[np.float32]],
+    *,
+    known: KnownPoints | None = None,
+    cap: int,
+    seed: int = 0,
+    threads: int = 0,
+) -> FirstPoints:
+    """At most ``cap`` coloured points on the surfaces the training views see, spread evenly over the pictures.
+
+    ``cameras``: pinhole; ``pictures``: (H, W, 3) RGB 0..1 of the same cameras; ``known``: points to use as well. The
+    result depends on ``seed`` (guesses where views stay empty), not on ``threads`` (0: all cores). Cameras whose views
+    share nothing give guesses only. Raises TrainingError if there are neither known points nor two cameras in two
+    places, or if arguments do not fit together.
+    """
+    if len(cameras) != len(pictures) or cap < 1:
+        raise TrainingError(f"first points: {len(pictures)} pictures for {len(cameras)} cameras, room for {cap} points")
+    for camera, picture in zip(cameras, pictures, strict=True):
+        if picture.shape != (camera.height, camera.width, 3):
+            size = f"{camera.width}x{camera.height}"
+            raise TrainingError(f"{camera.name}: a picture of shape {picture.shape} for a camera of {size} pixels")
+        if camera.distortion_model != "none":
+            raise TrainingError(f"{camera.name}: first points need undistorted pictures and a pinhole camera")
+    with side_by_side(threads) as each:
+        return _first_points(cameras, pictures, known, cap, np.random.default_rng(seed), each)
+
+
+def _first_points(
+    cameras: Sequence[Camera],
+    pictures: Sequence[Array],
+    known: KnownPoints | None,
+    cap: int,
+    random: np.random.Generator,
+    each: Each,
+) -> FirstPoints:
+    coarse = list(each(make_view, cameras, pictures, _scales(cameras, _COARSE_PIXELS, np.inf)))
+    fine = list(each(make_view, cameras, pictures, _scales(cameras, _FINE_PIXELS, _ALL_FINE_PIXELS)))
+    given = _known_cloud(known, fine)
+    if rig_size(fine) <= 0 and not len(given):
+        raise TrainingError(
+            "training cameras in one place tell nothing of depth: use cameras in two places, or a rig with known points"
+        )
+
+    shared = shared_depths(coarse)
+    samples = [points_within(view, depths) for view, depths in zip(coarse, shared, strict=True)]
+    rough, _ = _sweep_all(each, coarse, shared, samples)
+    everything = np.concatenate([*(c.xyz for c in rough), given.xyz])
+    ranges = [depths_of(view, c.xyz, everything, at) for view, c, at in zip(fine, rough, shared, strict=True)]
+    samples = [likely_points(view, everything, depths) for view, depths in zip(fine, ranges, strict=True)]
+    candidates, maps = _sweep_all(each, fine, ranges, samples)
+    surveys = [_survey(*all_of_view) for all_of_view in zip(fine, ranges, candidates, maps, strict=True)]
+
+    stride = max(1, int((sum(len(c) for c in candidates) / (_SURPLUS * cap)) ** 0.5))
+    clouds = [given, *(thin_candidates(c, stride) for c in candidates)]
+    clouds += [_where_unconfirmed(*three) for three in zip(coarse, rough, surveys, strict=True)]
+    proposed = join(clouds)
+    proposed = take(proposed, ~too_near(proposed, surveys, _CLEAR))
+
+    most = max(1, round(cap * _CONFIRMED_SHARE))
+    cloud, pixels = _choose(proposed, surveys, most)
+    filling = guess_points(cloud, surveys, pixels, random)
+    if cap - len(filling) > most and len(cloud) < len(proposed):
+        cloud, pixels = _choose(proposed, surveys, cap - len(filling))
+    room = cap - len(cloud)
+    if len(filling) > room:
+        filling = take(filling, np.sort(random.permutation(len(filling))[:room]))
+    return _finish(join([cloud, filling]), pixels, surveys)
+
+
+def _scales(cameras: Sequence[Camera], each: float, together: float) -> list[float]:
+    """Resolutions at which no picture has more than ``each`` pixels and all of them not more than ``together``."""
+    total = sum(camera.width * camera.height for camera in cameras)
+    return [min(1.0, (each / (c.width * c.height)) ** 0.5, (together / total) ** 0.5) for c in cameras]
+
+
+def _sweep_all(
+    each: Each,
+    views: Sequence[View],
+    ranges: Sequence[DepthRange | None],
+    samples: Sequence[NDArray[np.float64]],
+) -> tuple[list[Candidates], list[DepthMap | None]]:
+    """What every view proposes and its depth map; nothing and None for views that share nothing with others."""
+    neighbours = choose_neighbours(views, samples, _COMPARED)
+
+    def depth_map(i: int) -> DepthMap | None:
+        depths, matched = ranges[i], [views[j] for j in neighbours[i][:_MATCHED]]
+        if depths is None or not matched:
+            return None
+        return sweep(views[i], matched, choose_planes(views[i], matched, depths, _MOST_PLANES))
+
+    def candidates(i: int) -> Candidates:
+        own = maps[i]
+        return no_candidates() if own is None else agree(views, i, neighbours[i], neighbours[i][:_MATCHED], own, maps)
+
+    maps = list(each(depth_map, range(len(views))))
+    return list(each(candidates, range(len(views)))), maps
+
+
+def _survey(view: View, depths: DepthRange | None, candidates: Candidates, depth_map: DepthMap | None) -> Survey:
+    """What the fine sweep tells of one view."""
+    if depth_map is None:
+        return Survey(view, depths, None, None, 0.0)
+    confirmed = np.zeros((view.height, view.width), np.float32)
+    confirmed[candidates.row, candidates.column] = candidates.inverse_depth
+    nearest = 1 / float(np.percentile(candidates.inverse_depth, 99.9)) if len(candidates) >= _FEW else 0.0
+    return Survey(view, depths, depth_map.inverse_depth, confirmed, nearest)
+
+
+def _known_cloud(known: KnownPoints | None, views: Sequence[View]) -> Cloud:
+    """The given points as a cloud; their spacing is a pixel of the view nearest to them that sees them."""
+    if known is None or not len(known.xyz):
+        return empty_cloud()
+    xyz = np.asarray(known.xyz, np.float64)
+    spacing = np.full(len(xyz), np.inf)
+    for view in views:
+        u, v, depth = project(view, xyz)
+        seen = inside(view, u, v) & (depth > 0)
+        spacing[seen] = np.minimum(spacing[seen], depth[seen] / view.focal)
+    rgb = floats(known.rgb) / np.float32(255)
+    cloud = Cloud(xyz, rgb, floats(spacing), np.ones(len(xyz), np.float32))
+    return take(cloud, np.isfinite(spacing) & np.isfinite(xyz).all(axis=1))
+
+
+def _where_unconfirmed(coarse: View, candidates: Candidates, survey: Survey) -> Cloud:
+    """Points of the coarse sweep where the fine one confirms nothing: little texture, very different views."""
+    cloud = thin_candidates(candidates, 1)
+    cloud = replace(cloud, confidence=np.float32(_COARSE_CONFIDENCE) * cloud.confidence)
+    if survey.confirmed is None:
+        return cloud
+    view = survey.view
+    reach = 2 * round(view.width / coarse.width) + 1
+    covered = cv2.dilate((survey.confirmed > 0).astype(np.uint8), np.ones((reach, reach), np.uint8))
+    u, v, _ = project(view, cloud.xyz)
+    column = np.clip(np.round(u), 0, view.width - 1).astype(np.int64)
+    row = np.clip(np.round(v), 0, view.height - 1).astype(np.int64)
+    return take(cloud, covered[row, column] == 0)
+
+
+def _choose(proposed: Cloud, surveys: Sequence[Survey], most: int) -> tuple[Cloud, float]:
+    """At most ``most`` evenly spread points not seen through, coloured by all views, and how many pixels apart."""
+    cloud, pixels = spread_to_count(proposed, most)
+    sight = look_from_all(cloud, surveys)
+    return take(replace(cloud, rgb=sight.rgb), (sight.through <= 1) | (2 * sight.through <= sight.in_place)), pixels
+
+
+def _finish(cloud: Cloud, pixels: float, surveys: Sequence[Survey]) -> FirstPoints:
+    usual = cloud.spacing * np.float32(pixels)
+    return FirstPoints(
+        xyz=cloud.xyz.astype(np.float32),
+        rgb=np.clip(cloud.rgb, 0, 1).astype(np.float32),
+        spacing=np.clip(neighbour_distances(cloud.xyz), np.float32(0.5) * usual, 3 * usual),
+        confidence=cloud.confidence,
+        nearest=_CLEAR * min((survey.nearest for survey in surveys), default=0.0),
+    )

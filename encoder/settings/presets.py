@@ -1,0 +1,104 @@
+"""Everything that can be set, and the named sets of it.
+
+A preset is a starting point; every field says in its own docstring which way is slower.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from decogs.formats.errors import UsageError
+
+from .encode import EncodeSettings
+from .frame import (
+    Coarseness,
+    EconomySettings,
+    EmergenceSettings,
+    FrameSettings,
+    MaskSettings,
+    PaceSettings,
+    SelectionSettings,
+)
+from .keyframe import KeyframeSettings
+
+
+def _better(
+    settings: EncodeSettings, *, keyframe: Mapping[str, Any], frame: Mapping[str, Any], **own: Any
+) -> EncodeSettings:
+    """The same settings with some of the keyframe's, of later frames' and of its own replaced."""
+    return replace(
+        settings, keyframe=replace(settings.keyframe, **keyframe), frame=replace(settings.frame, **frame), **own
+    )
+
+
+_LIVE = EncodeSettings(
+    keyframe=KeyframeSettings(iterations=250, cap=30_000, sh_degree=1),
+    frame=FrameSettings(
+        masks=MaskSettings(
+            threshold=10.0,
+            radius_share=0.018,
+            speck_area=8,
+            since_trained=True,
+            residual=25.0,
+            mend_frames=8,
+            light_threshold=4.0,
+        ),
+        cache=None,
+        joint_iterations=30,
+        warm_start=0.9,
+        grow_share=0.01,
+        beta1=0.7,
+        beta2=0.99,
+        pace=PaceSettings(usual_miss=0.15),
+        economy=EconomySettings(
+            worth=0.017,
+            hold_at=0.5,
+            coarseness=Coarseness(means=1, log_scales=1, quaternions=2, opacity_logits=3, sh_dc=2, sh_rest=1),
+        ),
+        emergence=EmergenceSettings(most_rays=500),
+    ),
+)
+_DRAFT = _better(
+    _LIVE,
+    keyframe={"iterations": 500, "cap": 40_000},
+    frame={"joint_iterations": 60, "emergence": EmergenceSettings(most_rays=2000)},
+)
+_STANDARD = _better(_DRAFT, keyframe={"iterations": 1500, "cap": 52_000}, frame={"joint_iterations": 120})
+_HIGH = _better(
+    _STANDARD, keyframe={"iterations": 3000, "cap": 80_000, "sh_degree": 2}, frame={"joint_iterations": 250}
+)
+_ARCHIVE = _better(
+    _HIGH,
+    keyframe={"iterations": 5000},
+    frame={
+        "joint_iterations": 400,
+        "grow_share": 0.02,
+        "economy": EconomySettings(
+            worth=0.005,
+            hold_at=0.5,
+            coarseness=Coarseness(means=1, log_scales=1, quaternions=1, opacity_logits=2, sh_dc=1, sh_rest=1),
+        ),
+    },
+    lattice_scale=0.7,
+)
+
+LADDER = ("live", "draft", "standard", "high", "archive")
+"""Presets from fast to slow; each is the one before it with some settings made slower, larger and better."""
+
+PRESETS: dict[str, EncodeSettings] = {
+    **dict(zip(LADDER, (_LIVE, _DRAFT, _STANDARD, _HIGH, _ARCHIVE), strict=True)),
+    "paper": EncodeSettings(
+        keyframe=KeyframeSettings(iterations=3000, sh_degree=1),
+        frame=FrameSettings(selection=SelectionSettings(rule="paper"), emergence=EmergenceSettings(most=0)),
+    ),
+}
+"""The ladder (measured in DESIGN.md), and ``paper``: its numbers wherever it gives them, and nothing beyond it."""
+
+
+def preset(name: str) -> EncodeSettings:
+    """The settings of that name; raises UsageError for an unknown one."""
+    if name not in PRESETS:
+        raise UsageError(f"--preset {name}: there is no such preset; choose from {', '.join(PRESETS)}")
+    return PRESETS[name]

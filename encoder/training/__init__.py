@@ -1,0 +1,1 @@
+"""Training of the keyframe and of later frames."""

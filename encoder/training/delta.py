@@ -1,0 +1,547 @@
+"""One later frame: the selected Gaussians follow the pictures, everything else stays.
+
+Stage 1 trains the transformation cache alone. Then Gaussians are added and taken away inside the region of
+interest. Stage 2 trains the selected Gaussians' own values together with the cache. Values of other Gaussians are
+never written: gradients are computed for the selected only, and Adam's moments exist for the selected only, so that
+the paper's gradient gate and its reset of stale moments hold by construction. Equations: docs/METHOD.md, "Focus-aware
+loss" to "Optimiser-state reset".
+
+Beyond the paper: what newly appears gets Gaussians of its own (``emergence``), and ``warm_start`` lets a Gaussian
+begin where the last displacement of its neighbourhood would take it (``motion``). Without a cache (``cache`` None)
+stage 1 is left out and stage 2 moves the Gaussians directly.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.codec.state import MAX_GAUSSIANS
+from decogs.formats.cameras import turned
+from decogs.formats.splats import FloatArray, Splats, empty_splats, join_splats, take_splats
+
+from ..change.masks import FrameMask, showing
+from ..input.ingest import View
+from ..rasterise import FixedView, SplatGradients, TrainingKernel, gradients_like
+from ..settings.frame import FrameSettings
+from ..transformation_cache import TransformationCache
+from .densification import ViewGradients, grow, opacities_of, strongest
+from .losses import PhotometricLoss, focus_loss, require_finite, whole_picture_loss
+from .optimiser import SplatOptimiser
+from .schedule import (
+    LEAST_STEPS,
+    WHOLE,
+    Effort,
+    Pace,
+    SearchTime,
+    TargetWatch,
+    iteration_factor,
+    search_of,
+    search_seconds,
+)
+from .seeding import Look, missed, seeds, worth_a_search
+from .significance import picture_share, take_back
+from .view_order import view_order
+from .warm_start import shared_displacements
+
+
+@dataclass(frozen=True)
+class TrainedFrame:
+    """What a frame changed: new values (M rows) for the rows ``kept``, rows ``removed``, Gaussians ``added``.
+
+    ``given_up``: training made the pictures worse, and nothing has changed. ``hurried``: a deadline left fewer steps
+    than the schedule has.
+    """
+
+    kept: NDArray[np.int64]
+    values: Splats
+    removed: NDArray[np.int64]
+    added: Splats
+    given_up: bool = False
+    hurried: bool = False
+
+
+_RUN_AWAY = 1.5
+"""Training that raises the squared error in focus by this factor (1.8 dB) has run away; one that works lowers it."""
+
+
+_MOST_PROBES = 4
+"""Views that tell what goes wrong when time is short: each of them is drawn twice, which takes as long as a step."""
+
+
+_MOST_HASTE = 3.0
+"""Factor of the rates where a deadline leaves few steps: they must still get as far as things move."""
+
+
+class FrameTrainer:
+    """Trains later frames of one stream; ``extent`` is the rig's, the box bounds what the cache may move.
+
+    ``watch``: the training views as fixed views of the stream's scene, all of it at rest between frames. ``most``: no
+    clone or split makes the scene larger than that; what newly appears may.
+    """
+
+    def __init__(
+        self,
+        kernel: TrainingKernel,
+        views: Sequence[View],
+        watch: Sequence[FixedView],
+        settings: FrameSettings,
+        *,
+        extent: float,
+        box: tuple[NDArray[np.float64], NDArray[np.float64]],
+        seed: int,
+        threads: int = 1,
+        most: int = MAX_GAUSSIANS,
+    ) -> None:
+        self._kernel, self._views, self._watch = kernel, views, watch
+        self._whole_settings = self._settings = settings
+        self._seed, self._threads, self._box, self._most = seed, threads, box, most
+        self._extent = extent
+        self._ungated: SplatOptimiser | None = None
+        self._values: list[float] = []
+        self._search, self._searching = SearchTime(), 0.0
+        self._least_seconds = self._step_seconds = 0.0
+        self._cache: TransformationCache | None = None
+        self._kept_cache: TransformationCache | None = None
+
+    @property
+    def least_seconds(self) -> float:
+        """What the last frame under a deadline would have taken with the fewest steps and no search; 0 before it."""
+        return self._least_seconds
+
+    def train(
+        self,
+        scene: Splats,
+        selected: NDArray[np.bool_],
+        pictures: Sequence[FloatArray],
+        masks: Sequence[FrameMask],
+        motion: FloatArray,
+        *,
+        frame: int,
+        settings: FrameSettings | None = None,
+        effort: Effort = WHOLE,
+    ) -> TrainedFrame:
+        """Trains the ``selected`` Gaussians of ``scene`` on one frame's pictures (3, H, W).
+
+        ``motion`` (N, 3) is every Gaussian's last displacement, for the warm start. ``frame``: its index, which with
+        the seed makes all that is random, so that a frame can be trained again alone. ``settings``: of this frame,
+        where they differ. ``effort``: what ends training before the settings' iterations, in either stage a deadline,
+        in stage 2 a target in the regions of interest. The watching views, whose pictures must be those of ``scene``,
+        are left with the trained Gaussians lifted. Views whose masks are ``lost`` have no part in it. Where training
+        has run away, nothing changes.
+        """
+        began, self._searching = time.perf_counter(), 0.0
+        self._settings, self._effort, self._frame = settings or self._whole_settings, effort, frame
+        self._short = effort.deadline is not None and (
+            self._step_seconds * self._settings.joint_iterations > effort.deadline - began
+        )
+        self._cache = self._cache_of_frame()
+        self._used = showing(masks)
+        before = self._squared_error(pictures, masks)
+        self._random = np.random.default_rng((self._seed, frame))
+        losses = [
+            self._loss(picture, mask, view) for picture, mask, view in zip(pictures, masks, self._views, strict=True)
+        ]
+        work = _Working(scene, np.flatnonzero(selected), self._kernel, self._settings)
+        for view in self._watch:
+            view.lift(work.rows)
+        self._start_warm(work, motion[work.rows])
+        if self._cache is not None:
+            if not self._settings.carry_cache:
+                self._cache.restart()
+            self._cache.place(work.base.means, work.base.quaternions)
+            self._densify(work, self._stage1(work, losses, self._cache), masks)
+            self._add_emerging(work, losses, masks, self._used)
+        if "gate" in self._settings.ablated:
+            self._open_gate(work, scene)
+        pace = self._stage2(work, scene, losses, masks)
+        self._draw_probes(work)
+        runs_away = self._squared_error(pictures, masks) > _RUN_AWAY * before
+        if effort.deadline is not None:
+            self._step_seconds, steps = pace.steps_seconds
+            step = self._step_seconds
+            self._least_seconds = time.perf_counter() - began - self._searching - steps + LEAST_STEPS * step
+        if runs_away:
+            return replace(work.unchanged(scene), given_up=True)
+        return replace(self._result(work), hurried=pace.hurry > 1)
+
+    def _cache_of_frame(self) -> TransformationCache | None:
+        """The cache that this frame's settings ask for; built when the first frame does."""
+        settings = self._settings
+        if settings.cache is None:
+            return None
+        if self._kept_cache is None and settings.cache_iterations + settings.joint_iterations > 0:
+            self._kept_cache = TransformationCache(*self._box, settings.cache, self._seed, threads=self._threads)
+        return self._kept_cache
+
+    def _probes(self) -> list[int]:
+        """A few of the used views, enough to see what goes wrong everywhere; a handful of them when time is short."""
+        return self._used[:: max(3, -(-len(self._used) // _MOST_PROBES)) if self._short else 3]
+
+    def _errors(self, pictures: Sequence[FloatArray], masks: Sequence[FrameMask]) -> list[FloatArray]:
+        """By how much what some views show misses their pictures in focus, (3, pixels) each, colours 0 to 1."""
+        regions = [(i, np.flatnonzero(_focus(self._views[i], masks[i]))) for i in self._probes()]
+        return [np.clip(_pixels(self._watch[i].rgb, focus), 0, 1) - _pixels(pictures[i], focus) for i, focus in regions]
+
+    def _squared_error(self, pictures: Sequence[FloatArray], masks: Sequence[FrameMask]) -> float:
+        return sum(float(np.square(errors).sum(dtype=np.float64)) for errors in self._errors(pictures, masks))
+
+    def _draw_probes(self, work: _Working) -> None:
+        for index in self._probes():
+            self._watch[index].draw(work.shown, work.rows)
+
+    def _pace(self, work: _Working, losses: Sequence[PhotometricLoss], masks: Sequence[FrameMask]) -> float:
+        """How many times the iterations of stage 2 this frame gets."""
+        if not self._settings.pace.usual_miss:
+            return 1.0
+        self._draw_probes(work)
+        return iteration_factor(self._settings.pace, self._errors([loss.target for loss in losses], masks))
+
+    def _start_warm(self, work: _Working, motion: FloatArray) -> None:
+        share = np.float32(self._settings.warm_start)
+        if share and motion.any():
+            work.base.means[:] += share * shared_displacements(work.base.means, motion, self._settings.warm_neighbours)
+
+    def _loss(self, picture: FloatArray, mask: FrameMask, view: View) -> PhotometricLoss:
+        weights = self._settings.focus
+        if "focus" in self._settings.ablated:
+            return whole_picture_loss(picture, view.valid, weights.dissimilarity)
+        return focus_loss(picture, mask.dilated, view.valid, weights)
+
+    def _stage1(self, work: _Working, losses: Sequence[PhotometricLoss], cache: TransformationCache) -> ViewGradients:
+        """The cache alone; the last third gathers the gradients that densification goes by."""
+        gathered = ViewGradients(len(work.rows))
+        iterations = self._settings.cache_iterations
+        pace = Pace(iterations, self._effort.deadline_before(iterations, self._settings.joint_iterations))
+        for step, index in self._views_at_random():
+            if pace.is_over:
+                break
+            work.show(*cache.moved())
+            gradients = self._gradients(work, losses, index)
+            self._tell("cache", step)
+            cache.backward(gradients.means, gradients.quaternions)
+            cache.step()
+            if 3 * pace.position >= 2 * iterations:
+                self._gather(gathered, gradients, losses, index)
+            pace.step()
+        work.show(*cache.moved())
+        return gathered
+
+    def _stage2(
+        self,
+        work: _Working,
+        scene: Splats,
+        losses: Sequence[PhotometricLoss],
+        masks: Sequence[FrameMask],
+    ) -> Pace:
+        """The Gaussians' own values, with the cache if there is one; without it, densification falls in here."""
+        settings, worth = self._settings, self._settings.economy.worth
+        rates = replace(settings.rates, means=settings.rates.means * self._extent)
+        gathered, self._values = ViewGradients(len(work.rows)), []
+        grow_from, grow_at = settings.joint_iterations // 4, settings.joint_iterations // 2
+        hold_at = max(grow_at + 1, round(settings.economy.hold_at * settings.joint_iterations))
+        judged = self._cache is not None or worth == 0
+        pace = Pace(settings.joint_iterations, self._effort.deadline, factor=self._pace(work, losses, masks))
+        target = self._target(losses, masks)
+        for step, index in self._views_at_random():
+            if pace.is_over:
+                break
+            if self._cache is None and pace.reaches(grow_at):
+                self._densify(work, gathered, masks)
+            self._show(work)
+            if self._cache is None and pace.reaches(grow_from):
+                self._search_emerging(work, losses, masks, pace)
+                gathered = ViewGradients(len(work.rows))
+            gradients = self._gradients(work, losses, index)
+            self._tell("joint", step)
+            if grow_from <= pace.position < grow_at:
+                self._gather(gathered, gradients, losses, index)
+            if self._cache is not None:
+                gradients = self._through_cache(work, gradients, self._cache)
+            if pace.reaches(hold_at) and not judged:
+                before, old, judged = work.before(scene), work.rows < len(scene), True
+                take_back(work.optimiser, before, old, worth * picture_share([losses[i] for i in self._used]))
+                if target is not None:
+                    target.restart()
+            elif target is not None and target.saw(index, self._watch[index].rgb):
+                if judged:
+                    break
+                pace.skip_to(hold_at)
+            if pace.position > grow_at and self._has_fallen_flat(step):
+                break
+            late = settings.late_decay ** max(0.0, 2 * pace.position / settings.joint_iterations - 1)
+            work.optimiser.step(gradients, rates.scaled(late * min(pace.hurry**0.5, _MOST_HASTE)))
+            pace.step()
+        self._show(work)
+        return pace
+
+    def _tell(self, stage: str, step: int) -> None:
+        if self._effort.on_loss is not None:
+            self._effort.on_loss(stage, step, self._values[-1])
+
+    def _target(self, losses: Sequence[PhotometricLoss], masks: Sequence[FrameMask]) -> TargetWatch | None:
+        if self._effort.target_psnr is None:
+            return None
+        regions = [_focus(view, mask) for view, mask in zip(self._views, masks, strict=True)]
+        return TargetWatch(self._effort.target_psnr, [loss.target for loss in losses], regions)
+
+    def _has_fallen_flat(self, step: int) -> bool:
+        """Whether the round through all views that ends here lowered the loss by too little to go on."""
+        count = len(self._used)
+        if not self._settings.flat or (step + 1) % count or len(self._values) < 2 * count:
+            return False
+        before, now = sum(self._values[-2 * count : -count]), sum(self._values[-count:])
+        return now > (1 - self._settings.flat) * before
+
+    def _show(self, work: _Working) -> None:
+        """Shows the base values, moved by the cache if there is one."""
+        if self._cache is None:
+            work.show(work.base.means, work.base.quaternions)
+            return
+        means, quaternions, rows = work.base.means.copy(), work.base.quaternions.copy(), work.selected
+        self._cache.rebase(means[rows], quaternions[rows])
+        means[rows], quaternions[rows] = self._cache.moved()
+        work.show(means, quaternions)
+
+    def _through_cache(self, work: _Working, gradients: SplatGradients, cache: TransformationCache) -> SplatGradients:
+        """Steps the cache; the gradients of the base values."""
+        means, quaternions = gradients.means.copy(), gradients.quaternions.copy()
+        means[work.selected], quaternions[work.selected] = cache.backward(
+            means[work.selected], quaternions[work.selected]
+        )
+        cache.step()
+        return replace(gradients, means=means, quaternions=quaternions)
+
+    def _gather(
+        self, gathered: ViewGradients, gradients: SplatGradients, losses: Sequence[PhotometricLoss], index: int
+    ) -> None:
+        """Adds a view's gradients, brought back to the scale that the threshold is meant for: the plain loss's."""
+        camera = self._views[index].pinhole
+        gathered.add(gradients.view / np.float32(losses[index].emphasis), camera.width, camera.height)
+
+    def _gradients(self, work: _Working, losses: Sequence[PhotometricLoss], index: int) -> SplatGradients:
+        """Gradients of the shown values; pixels that nothing under training meets have no part in them."""
+        view = self._watch[index]
+        view.draw(work.shown, work.rows)
+        value = losses[index].evaluate_drawn(view)
+        require_finite(value, self._views[index].camera)
+        self._values.append(value.total)
+        return view.backward(out=work.gradients)
+
+    def _views_at_random(self) -> Iterator[tuple[int, int]]:
+        """Steps without end and the view of each."""
+        return ((step, self._used[place]) for step, place in enumerate(view_order(len(self._used), self._random)))
+
+    def _densify(self, work: _Working, view_gradients: ViewGradients, masks: Sequence[FrameMask]) -> None:
+        """Adds Gaussians to ``work`` where the gradient asks for them, and takes those away that have become faint."""
+        settings = self._settings
+        faint = work.selected & (opacities_of(work.base) < settings.prune_opacity)
+        room = min(int(settings.grow_share * work.selected.sum()), self._most - work.population + int(faint.sum()))
+        parents = strongest(view_gradients.mean(), work.selected & ~faint, settings.grow_gradient, room)
+        if len(parents):
+            growth = grow(work.base, parents, 0.01 * self._extent, self._random)
+            shift = work.shown.means[parents] - work.base.means[parents]
+            stray = ~self._inside_focus(growth.children.means + shift, masks)
+            growth.children.means[stray] = work.base.means[parents[stray]]
+            work.base.means[parents] = growth.parent_means
+            work.base.log_scales[parents] = growth.parent_log_scales
+            work.append(growth.children)
+        work.remove(np.flatnonzero(faint))
+        if len(parents) or faint.any():
+            self._replace(work)
+
+    def _replace(self, work: _Working) -> None:
+        """After Gaussians came or went: the cache follows, and the picture."""
+        if self._cache is not None:
+            self._cache.place(work.base.means, work.base.quaternions, same_frame=True)
+        self._show(work)
+
+    def _search_emerging(
+        self, work: _Working, losses: Sequence[PhotometricLoss], masks: Sequence[FrameMask], pace: Pace
+    ) -> None:
+        """Adds what newly appears; when time is short not in every frame, and by some of the views."""
+        if self._effort.deadline is None:
+            self._add_emerging(work, losses, masks, self._used)
+            return
+        began = time.perf_counter()
+        guess = search_seconds(self._settings.emergence.most_rays, len(self._used))
+        share = self._search.affords(self._effort.deadline - began, guess)
+        if share:
+            looked, rays = search_of(share, len(self._used))
+            apart = -(-len(self._used) // looked)
+            self._add_emerging(work, losses, masks, self._used[self._frame % apart :: apart], rays)
+            self._searching = time.perf_counter() - began
+            self._search.took(self._searching, share)
+            pace.put_off(self._searching)
+
+    def _add_emerging(
+        self,
+        work: _Working,
+        losses: Sequence[PhotometricLoss],
+        masks: Sequence[FrameMask],
+        views: Sequence[int],
+        rays: float = 1.0,
+    ) -> None:
+        """Adds what newly appears in this frame to ``work``: seen by these ``views``, with such a share of the rays."""
+        new = self._emerging(work, losses, masks, views, rays)
+        if len(new):
+            work.append(new)
+            self._replace(work)
+
+    def _emerging(
+        self,
+        work: _Working,
+        losses: Sequence[PhotometricLoss],
+        masks: Sequence[FrameMask],
+        views: Sequence[int],
+        rays: float,
+    ) -> Splats:
+        """Seeds of it; a few views tell whether to look at all of them."""
+        settings = self._settings.emergence
+        if settings.most <= 0:
+            return empty_splats(work.base.sh_degree)
+        looks: dict[int, Look] = {}
+        misses: list[NDArray[np.bool_]] = []
+        for probe in (views[::3], views):
+            for index in probe:
+                if index not in looks:
+                    looks[index] = self._look(work, index, losses[index].target, masks[index])
+                    misses.append(missed(looks[index], settings))
+            if not worth_a_search(misses, settings):
+                return empty_splats(work.base.sh_degree)
+        fewer = replace(settings, most_rays=max(1, round(rays * settings.most_rays)))
+        return seeds([looks[i] for i in views], fewer, work.base.sh_degree, threads=self._threads)
+
+    def _look(self, work: _Working, index: int, target: FloatArray, mask: FrameMask) -> Look:
+        view, watching = self._views[index], self._watch[index]
+        watching.draw(work.shown, work.rows, depth=True)
+        depth = watching.depth / np.maximum(watching.alpha, np.float32(1e-6))
+        return Look(view.pinhole, target, watching.rgb, depth, _focus(view, mask))
+
+    def _open_gate(self, work: _Working, scene: Splats) -> None:
+        """Ablation: from here on every Gaussian is stepped, with the momentum of the frames before."""
+        others = np.setdiff1d(np.arange(len(scene)), work.lifted)
+        for view in self._watch:
+            view.lift(others)
+        work.admit(others, take_splats(scene, others), self._ungated)
+
+    def _result(self, work: _Working) -> TrainedFrame:
+        result = work.result()
+        if "gate" in self._settings.ablated:
+            lasting = work.lasting()
+            self._ungated = work.optimiser
+            self._ungated.keep(lasting)
+        return result
+
+    def _inside_focus(self, means: FloatArray, masks: Sequence[FrameMask]) -> NDArray[np.bool_]:
+        """Points (P, 3) that project into the region of interest of at least one view."""
+        inside = np.zeros(len(means), bool)
+        for view, mask in zip(self._views, masks, strict=True):
+            camera = view.pinhole
+            position = turned(camera.world_to_camera[:3, :3], means.astype(np.float64)) + camera.world_to_camera[:3, 3]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                u = camera.fx * position[:, 0] / position[:, 2] + camera.cx
+                v = camera.fy * position[:, 1] / position[:, 2] + camera.cy
+            seen = (position[:, 2] > 0) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+            rows = np.flatnonzero(seen)
+            inside[rows] |= mask.dilated[v[rows].astype(np.int64), u[rows].astype(np.int64)]
+        return inside
+
+
+def _pixels(picture: FloatArray, places: NDArray[np.int64]) -> FloatArray:
+    """Colours (3, P) at flat pixels of a picture (3, H, W)."""
+    return np.take(picture.reshape(3, -1), places, axis=1)
+
+
+def _focus(view: View, mask: FrameMask) -> NDArray[np.bool_]:
+    """The recorded part of a view's region of interest, (H, W)."""
+    return mask.dilated if view.valid is None else mask.dilated & (view.valid > 0)
+
+
+class _Working:
+    """A frame in the making: the Gaussians under training, apart from the scene they belong to.
+
+    ``rows`` (M,), ascending, are their rows in the scene; Gaussians that are added get rows behind its last. ``base``
+    are their own values, ``shown`` the same as the cache moves them. ``selected`` (M,): all, but for an ablation.
+    """
+
+    def __init__(self, scene: Splats, rows: NDArray[np.int64], kernel: TrainingKernel, settings: FrameSettings) -> None:
+        self._population = self._next_row = len(scene)
+        self._prune_opacity = settings.prune_opacity
+        self.lifted = self.rows = rows
+        self.optimiser = SplatOptimiser(take_splats(scene, rows), kernel, beta1=settings.beta1, beta2=settings.beta2)
+        self.selected = np.ones(len(rows), bool)
+        self.shown, self.gradients = self.base, gradients_like(self.base)
+
+    @property
+    def base(self) -> Splats:
+        return self.optimiser.splats
+
+    @property
+    def population(self) -> int:
+        """How many Gaussians the scene has as it is now."""
+        return self._population - len(self.lifted) + len(self.rows)
+
+    def show(self, means: FloatArray, quaternions: FloatArray) -> None:
+        self.shown = replace(self.base, means=means, quaternions=quaternions)
+
+    def append(self, children: Splats) -> None:
+        """Every per-Gaussian buffer follows the new count (docs/METHOD.md, "Selective densification")."""
+        self.optimiser.append(children)
+        self.rows = np.concatenate([self.rows, np.arange(self._next_row, self._next_row + len(children))])
+        self.selected = np.concatenate([self.selected, np.ones(len(children), bool)])
+        self._next_row += len(children)
+        self._resized()
+
+    def remove(self, positions: NDArray[np.int64]) -> None:
+        """Takes the Gaussians at ``positions`` of ``rows`` out of training and out of the picture."""
+        stays = np.ones(len(self.rows), bool)
+        stays[positions] = False
+        self.rows, self.selected = self.rows[stays], self.selected[stays]
+        self.optimiser.keep(stays)
+        self._resized()
+
+    def admit(self, rows: NDArray[np.int64], splats: Splats, momentum: SplatOptimiser | None) -> None:
+        """Takes further ``rows`` of the scene under training that are not selected."""
+        joined = np.concatenate([self.rows, rows])
+        order = np.argsort(joined)
+        self.rows = joined[order]
+        self.selected = np.concatenate([self.selected, np.zeros(len(rows), bool)])[order]
+        self.lifted = np.sort(np.concatenate([self.lifted, rows]))
+        self.optimiser.append(splats)
+        self.optimiser.keep(order)
+        if momentum is not None:
+            old = self.rows[self.rows < self._population]
+            self.optimiser.remember(momentum, np.arange(len(old)), old)
+        self._resized()
+
+    def before(self, scene: Splats) -> Splats:
+        """What ``rows`` were in the ``scene``; those that were added are as they are."""
+        old = self.rows < self._population
+        return join_splats(take_splats(scene, self.rows[old]), take_splats(self.base, ~old))
+
+    def lasting(self) -> NDArray[np.bool_]:
+        """Which of ``rows`` outlive the frame: all but those that were added in vain."""
+        return (self.rows < self._population) | (opacities_of(self.base) >= self._prune_opacity)
+
+    def result(self) -> TrainedFrame:
+        """Bakes the cache's motion in (docs/METHOD.md, "Commit")."""
+        old = self.rows < self._population
+        return TrainedFrame(
+            self.rows[old],
+            take_splats(self.shown, old),
+            np.setdiff1d(self.lifted, self.rows),
+            take_splats(self.shown, ~old & self.lasting()),
+        )
+
+    def unchanged(self, scene: Splats) -> TrainedFrame:
+        """All as it was in the ``scene``."""
+        nothing = empty_splats(scene.sh_degree)
+        return TrainedFrame(self.lifted, take_splats(scene, self.lifted), np.zeros(0, np.int64), nothing)
+
+    def _resized(self) -> None:
+        self.shown, self.gradients = self.base, gradients_like(self.base)

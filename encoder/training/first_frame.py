@@ -1,0 +1,92 @@
+"""The first frame: from its pictures to the Gaussians that everything later starts from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from decogs.codec.keyframes import keyframe_state
+from decogs.codec.lattice import Lattice, quantise
+from decogs.codec.state import State
+from decogs.formats.errors import RigError
+from decogs.formats.splats import FloatArray
+
+from ..analysis.view_dependence import as_far_as_shown
+from ..input.compensation import Corrector
+from ..input.dropouts import BLACK, blankness
+from ..input.ingest import Ingest, RigFrame, View
+from ..output.reports import OnKeyframeStep, Stopwatch
+from ..point_init import FirstPoints, first_points
+from ..rasterise import TrainingKernel
+from ..settings.encode import EncodeSettings
+from .keyframe import scouted_pictures, train_keyframe
+from .schedule import Effort
+
+
+def train_first_frame(
+    kernel: TrainingKernel,
+    ingest: Ingest,
+    frame: RigFrame,
+    settings: EncodeSettings,
+    watch: Stopwatch,
+    *,
+    seed: int,
+    threads: int,
+    corrector: Corrector | None,
+    effort: Effort,
+    on_step: OnKeyframeStep | None,
+) -> tuple[State, Lattice]:
+    """The keyframe's Gaussians on the lattice that suits them; gives the ingest its near planes.
+
+    Where a camera shakes, first points are sought again once a short training has told how it stood. Where frames are
+    asked for their effects, so is this one, for view dependence. Raises RigError for a black picture and TrainingError
+    where training fails.
+    """
+    _check_shows(frame, ingest.views)
+
+    def points_of(pictures: Sequence[FloatArray]) -> FirstPoints:
+        points = first_points(
+            [view.pinhole for view in ingest.views],
+            [picture.transpose(1, 2, 0) for picture in pictures],
+            known=ingest.rig.points,
+            cap=settings.keyframe.cap,
+            seed=seed,
+            threads=threads,
+        )
+        ingest.place_near_planes(points.xyz)
+        return points
+
+    with watch.stage("first_points"):
+        points = points_of(frame.training)
+    if corrector is not None and corrector.cameras.camera_shake:
+        with watch.stage("scouting"):
+            scouted = scouted_pictures(
+                kernel, ingest.views, frame.training, points, settings.keyframe, corrector, seed=seed
+            )
+            points = points_of(scouted)
+    with watch.stage("keyframe"):
+        trained = train_keyframe(
+            kernel,
+            ingest.views,
+            frame.training,
+            points,
+            settings.keyframe,
+            seed=seed,
+            lattice_scale=settings.lattice_scale,
+            corrector=corrector,
+            on_step=on_step,
+            effort=effort,
+        )
+    values = quantise(trained.splats, trained.lattice)
+    state, _ = keyframe_state(as_far_as_shown(values) if settings.ask_frames else values)
+    return state, trained.lattice
+
+
+def _check_shows(frame: RigFrame, views: Sequence[View]) -> None:
+    """Raises RigError when a picture that the keyframe is to be trained on is black: it would become fog."""
+    for view, picture in zip(views, frame.training, strict=True):
+        if blankness(picture) == BLACK:
+            name = view.camera.name
+            raise RigError(
+                f"camera {name} is black in frame {frame.index}, and a keyframe cannot be trained on that; begin at a "
+                f"later frame (--frames) or keep the camera out (--holdout {name})"
+            )

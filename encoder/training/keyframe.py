@@ -1,0 +1,393 @@
+"""The keyframe: 3D Gaussian Splatting on the training views of one frame (Kerbl 2023).
+
+Chosen, measured on `workbench` with cam00 held out (figures in the README): a dense cloud from the
+rig itself, small first Gaussians of opacity 0.2, rates above 3DGS's that fall to a fifth by the end, SH raised step
+by step. A dozen views overfit, so a few 16x16 pixel tiles of every training view are left out of the loss and say
+when to stop: nothing outside the training views is needed. Rejected: dropping random Gaussians (-0.5 dB at 10 %),
+opacity or scale penalties (no gain), MCMC noise (no gain). Opacity resets were not tried.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.codec.lattice import Lattice, default_lattice, dequantise, quantise, robust_extent
+from decogs.codec.state import Attributes
+from decogs.formats.cameras import camera_centre
+from decogs.formats.errors import TrainingError
+from decogs.formats.splats import SH_C0, FloatArray, Splats, take_splats
+
+from ..input.compensation import Corrector
+from ..input.ingest import View
+from ..point_init import FirstPoints
+from ..rasterise import Picture, TrainingKernel, gradients_like
+from ..settings.keyframe import KeyframeSettings
+from ..settings.optimiser import LearningRates
+from .densification import ViewGradients, grow, opacities_of, strongest
+from .losses import whole_picture_loss
+from .optimiser import SplatOptimiser
+from .schedule import WHOLE, Effort, TargetWatch
+from .significance import cheapest, picture_share
+from .view_order import view_order
+
+_CORRECT_EVERY, _CORRECT_FROM, _CORRECT_TO = 0.04, 0.05, 0.6
+"""Shares of the schedule: cameras' faults are found anew so often, from here on, until there; by then the scene's depth
+and the poses of turned cameras are known."""
+
+_SCOUTING = 100
+"""Steps after which a turned camera's pose is known to a twentieth of a pixel."""
+
+OnStep = Callable[[int, int, float], None]
+"""Told the step (from 1), the number of steps planned and the training loss."""
+
+
+@dataclass(frozen=True)
+class TrainedKeyframe:
+    """The trained scene, its lattice and how training went: steps run, and whether the validation tiles stopped it."""
+
+    splats: Splats
+    lattice: Lattice
+    steps: int
+    stopped_early: bool
+    training_psnr: float
+
+
+def scene_extent(views: Sequence[View]) -> float:
+    """Size of the rig, 1.1 times the largest distance of a camera from their mean; 3DGS scales position rates by it."""
+    centres = np.array([camera_centre(view.pinhole) for view in views])
+    return float(1.1 * np.linalg.norm(centres - centres.mean(axis=0), axis=1).max())
+
+
+def splats_from_points(points: FirstPoints, settings: KeyframeSettings) -> Splats:
+    """One round Gaussian per first point, of its colour and of a size in proportion to the points' spacing."""
+    count, coefficients = len(points.xyz), (settings.sh_degree + 1) ** 2
+    sh = np.zeros((count, coefficients, 3), np.float32)
+    sh[:, 0] = (points.rgb - 0.5) / SH_C0
+    quaternions = np.zeros((count, 4), np.float32)
+    quaternions[:, 0] = 1.0
+    log_scales = np.log(np.maximum(points.spacing * settings.start_size, 1e-12), dtype=np.float32)
+    logit = np.log(settings.start_opacity / (1 - settings.start_opacity))
+    return Splats(
+        np.ascontiguousarray(points.xyz, np.float32),
+        np.repeat(log_scales[:, None], 3, axis=1),
+        quaternions,
+        np.full(count, logit, np.float32),
+        sh,
+    )
+
+
+def train_keyframe(
+    kernel: TrainingKernel,
+    views: Sequence[View],
+    pictures: Sequence[FloatArray],
+    points: FirstPoints,
+    settings: KeyframeSettings,
+    *,
+    seed: int,
+    lattice_scale: float = 1.0,
+    corrector: Corrector | None = None,
+    on_step: OnStep | None = None,
+    effort: Effort = WHOLE,
+) -> TrainedKeyframe:
+    """Trains the first frame's Gaussians on ``pictures`` (3, H, W) of ``views``; the same seed gives the same bits.
+
+    ``lattice_scale``: how coarse the lattice is to be, in units of the default one's steps. ``corrector``: of the
+    cameras whose faults are found, and taken out of their pictures, on the way. ``effort``: a target in the whole
+    pictures, but for the tiles kept out of the loss, ends training before the settings' iterations; deadlines are for
+    later frames. Raises TrainingError without points or when the loss stops being finite.
+    """
+    if not len(points.xyz):
+        raise TrainingError("there are no first points to train from; check the poses, or give the rig COLMAP points")
+    random = np.random.default_rng(seed)
+    training = _KeyframeTraining(kernel, views, pictures, points, settings, lattice_scale, random, corrector, effort)
+    return training.run(on_step)
+
+
+def scouted_pictures(
+    kernel: TrainingKernel,
+    views: Sequence[View],
+    pictures: Sequence[FloatArray],
+    points: FirstPoints,
+    settings: KeyframeSettings,
+    corrector: Corrector,
+    *,
+    seed: int,
+) -> list[FloatArray]:
+    """The pictures without their cameras' faults, as far as a short training tells them.
+
+    For a second search for first points: what a turned camera sees agrees with no other one to the pixel.
+    """
+    short = replace(settings, iterations=_SCOUTING, validation_share=0.0, settle_iterations=0)
+    random = np.random.default_rng(seed)
+    training = _KeyframeTraining(kernel, views, pictures, points, short, 1.0, random, corrector, WHOLE)
+    training.run(None)
+    return training.canonical(corrector, _SCOUTING)
+
+
+class _KeyframeTraining:
+    def __init__(
+        self,
+        kernel: TrainingKernel,
+        views: Sequence[View],
+        pictures: Sequence[FloatArray],
+        points: FirstPoints,
+        settings: KeyframeSettings,
+        lattice_scale: float,
+        random: np.random.Generator,
+        corrector: Corrector | None,
+        effort: Effort,
+    ) -> None:
+        self._kernel, self._views, self._settings, self._random = kernel, views, settings, random
+        self._recorded, self._corrector = pictures, corrector
+        self._lattice_scale = lattice_scale
+        self._extent = scene_extent(views) or 1.0
+        counted = [_counted(view, settings.validation_share, random) for view in views]
+        self._losses = [
+            whole_picture_loss(picture, c, settings.dissimilarity) for picture, c in zip(pictures, counted, strict=True)
+        ]
+        self._effort, self._is_good_enough = effort, False
+        self._regions = [None if c is None else c > 0 for c in counted]
+        self._target = self._target_watch()
+        self._kept_back = [_kept_back(view, c) for view, c in zip(views, counted, strict=True)]
+        self._optimiser = SplatOptimiser(splats_from_points(points, settings), kernel)
+        self._gradients = gradients_like(self._optimiser.splats)
+        self._view_gradients = ViewGradients(len(self._optimiser.splats))
+        self._order = view_order(len(views), random)
+        self._values: list[float] = []
+
+    def run(self, on_step: OnStep | None) -> TrainedKeyframe:
+        steps, stopped = self._train(on_step)
+        lattice = self._settle_on_lattice(steps, on_step)
+        splats = self._optimiser.splats
+        seen = self._seen(splats)
+        if not seen.all():
+            splats = take_splats(splats, seen)
+        self._check_learnt(splats)
+        return TrainedKeyframe(splats, lattice, steps, stopped, self._training_psnr(splats))
+
+    def _check_learnt(self, splats: Splats) -> None:
+        """Raises TrainingError when training has run away: no view draws anything, or the loss is what it was."""
+        count = len(self._views)
+        rounds = [sum(self._values[i : i + count]) for i in range(0, len(self._values) - count + 1, count)]
+        if not len(splats):
+            raise TrainingError("training has left no Gaussian that a camera sees; lower the learning rates")
+        if len(rounds) > 1 and rounds[-1] >= rounds[0]:
+            raise TrainingError(
+                f"the keyframe's loss went from {rounds[0] / count:.3f} to {rounds[-1] / count:.3f}, so training has "
+                "run away; lower the learning rates"
+            )
+
+    def _train(self, on_step: OnStep | None) -> tuple[int, bool]:
+        """Trains until schedule, target or stop, which goes back to the best; steps, and whether it stopped."""
+        settings = self._settings
+        best, best_optimiser, waited, step = -np.inf, self._optimiser, 0, 0
+        while step < settings.iterations and waited < settings.patience and not self._is_good_enough:
+            if self._corrector is not None and self._corrects_at(step):
+                self._correct(self._corrector, step)
+            loss = self._step(step)
+            self._tell("keyframe", step, loss)
+            step += 1
+            if on_step:
+                on_step(step, self._planned, loss)
+            if settings.validation_share and step % settings.validation_every == 0 and step > settings.iterations // 2:
+                score = self.validation_psnr(step)
+                if score > best:
+                    best, waited = score, 0
+                    best_optimiser = self._optimiser.copied()
+                else:
+                    waited += 1
+        stopped = step < settings.iterations and not self._is_good_enough
+        if stopped:
+            self._optimiser = best_optimiser
+            self._gradients = gradients_like(best_optimiser.splats)
+        return step, stopped
+
+    def _settle_on_lattice(self, steps: int, on_step: OnStep | None) -> Lattice:
+        """Puts one attribute after the other on the lattice, which is coarse, and trains the others around them."""
+        total = self._settings.settle_iterations
+        extent, centre = robust_extent(self._optimiser.splats.means)
+        lattice = default_lattice(extent, centre=centre, scale=self._lattice_scale)
+        for more in range(total):
+            if more == 0:
+                self._fix(("quaternions", "sh"), self._judged(lattice), lattice)
+            if more == total // 3:
+                self._fix(("log_scales",), quantise(self._optimiser.splats, lattice), lattice)
+            if more == 2 * total // 3:
+                self._fix(("means",), quantise(self._optimiser.splats, lattice), lattice)
+            loss = self._step(self._settings.iterations)
+            self._tell("settle", more, loss)
+            if on_step:
+                on_step(min(self._planned, steps + 1 + more), self._planned, loss)
+        return lattice
+
+    def _fix(self, names: Sequence[str], points: Attributes, lattice: Lattice) -> None:
+        """From now on these attributes are at ``points`` of the lattice."""
+        splats, there = self._optimiser.splats, dequantise(points, lattice)
+        for name in names:
+            getattr(splats, name)[:] = getattr(there, name)
+        self._optimiser.hold({name: np.ones(getattr(splats, name).shape, bool) for name in names})
+
+    def _judged(self, lattice: Lattice) -> Attributes:
+        """Lattice points: rotations and view-dependent colours as far as they show, the rest the nearest."""
+        splats, bit = self._optimiser.splats, self._settings.bit_worth
+        points, share = quantise(splats, lattice), np.float32(picture_share(self._losses))
+        quaternions, sh = (self._optimiser.gradient_size(name) / share for name in ("quaternions", "sh"))
+        row, largest = np.arange(len(splats)), np.abs(splats.quaternions).argmax(axis=1)
+        # In units of the lattice, which makes the largest component one.
+        one = splats.quaternions[row, largest][:, None] * np.float32(lattice.quaternions)
+        points.quaternions[:] = cheapest(splats.quaternions / one, quaternions * one, bit)
+        points.quaternions[row, largest] = np.rint(1 / lattice.quaternions)
+        step, rest = np.float32(lattice.sh_rest), points.sh[:, 1:]
+        flat = (len(splats), rest[0].size)
+        rest[:] = cheapest((splats.sh[:, 1:] / step).reshape(flat), (sh[:, 1:] * step).reshape(flat), bit).reshape(
+            rest.shape
+        )
+        return points
+
+    @property
+    def _planned(self) -> int:
+        return self._settings.iterations + self._settings.settle_iterations
+
+    def _step(self, step: int) -> float:
+        index = next(self._order)
+        camera, loss = self._views[index].pinhole, self._losses[index]
+        splats = self._optimiser.splats
+        picture = self._kernel.forward(splats, camera, sh_degree=self._degree(step))
+        value = loss.evaluate(self._kernel)
+        if self._target is not None:
+            self._is_good_enough = self._target.saw(index, picture.rgb)
+        if not np.isfinite(value.total):
+            raise TrainingError(
+                f"the keyframe's loss is {value.total} at step {step}; the pictures or poses are unusable"
+            )
+        self._values.append(value.total)
+        self._kernel.backward(splats, out=self._gradients)
+        self._view_gradients.add(self._gradients.view, camera.width, camera.height)
+        self._optimiser.step(self._gradients, self._rates(step / self._settings.iterations))
+        self._densify(step)
+        return value.total
+
+    def _tell(self, stage: str, step: int, loss: float) -> None:
+        if self._effort.on_loss is not None:
+            self._effort.on_loss(stage, step, loss)
+
+    def _corrects_at(self, step: int) -> bool:
+        iterations = self._settings.iterations
+        every = max(1, round(_CORRECT_EVERY * iterations))
+        return step % every == 0 and _CORRECT_FROM <= step / iterations <= _CORRECT_TO
+
+    def _correct(self, corrector: Corrector, step: int) -> None:
+        """Trains on from here on the pictures without the cameras' faults, as far as the scene tells them by now."""
+        pictures = self.canonical(corrector, step)
+        self._losses = [replace(loss, target=target) for loss, target in zip(self._losses, pictures, strict=True)]
+        self._target = self._target_watch()
+
+    def canonical(self, corrector: Corrector, step: int) -> list[FloatArray]:
+        """The recorded pictures without the faults that they have against the scene as it is."""
+
+        def look(number: int) -> Picture:
+            camera = self._views[number].pinhole
+            return self._kernel.forward(self._optimiser.splats, camera, sh_degree=self._degree(step), depth=True)
+
+        return corrector.undo(self._recorded, corrector.find_jointly(self._recorded, look))
+
+    def _target_watch(self) -> TargetWatch | None:
+        if self._effort.target_psnr is None:
+            return None
+        return TargetWatch(self._effort.target_psnr, [loss.target for loss in self._losses], self._regions)
+
+    def _degree(self, step: int) -> int:
+        """SH degree rises by one each quarter of the schedule."""
+        return min(self._settings.sh_degree, step * 4 // max(1, self._settings.iterations))
+
+    def _rates(self, progress: float) -> LearningRates:
+        rates = self._settings.rates.scaled(self._settings.late_decay ** max(0.0, 2 * progress - 1))
+        return replace(rates, means=self._settings.rates.means * self._extent * self._settings.means_decay**progress)
+
+    def _densify(self, step: int) -> None:
+        settings, progress = self._settings, step / self._settings.iterations
+        if (step + 1) % settings.grow_every or not settings.grow_from < progress < settings.grow_to:
+            return
+        splats = self._optimiser.splats
+        keep = opacities_of(splats) >= settings.prune_opacity
+        room = settings.cap - int(keep.sum())
+        parents = strongest(self._view_gradients.mean(), keep, settings.grow_gradient, room)
+        growth = grow(splats, parents, 0.01 * self._extent, self._random)
+        splats.means[parents] = growth.parent_means
+        splats.log_scales[parents] = growth.parent_log_scales
+        self._optimiser.append(growth.children)
+        self._optimiser.keep(np.concatenate([keep, np.ones(len(parents), bool)]))
+        if not len(self._optimiser.splats):
+            raise TrainingError("every Gaussian became transparent; the pictures and poses contradict each other")
+        self._gradients = gradients_like(self._optimiser.splats)
+        self._view_gradients = ViewGradients(len(self._optimiser.splats))
+
+    def validation_psnr(self, step: int) -> float:
+        """PSNR over the tiles that no loss has seen."""
+        square, pixels = 0.0, 0.0
+        for view, loss, kept in zip(self._views, self._losses, self._kept_back, strict=True):
+            if kept is None:
+                continue
+            picture = self._kernel.forward(self._optimiser.splats, view.pinhole, sh_degree=self._degree(step))
+            square += float((((np.clip(picture.rgb, 0, 1) - loss.target) ** 2) * kept).sum())
+            pixels += 3 * float(kept.sum())
+        return psnr_of(square / max(pixels, 1.0))
+
+    def _seen(self, splats: Splats) -> NDArray[np.bool_]:
+        """Gaussians that some training view draws: the others cost bytes and show only as floaters elsewhere."""
+        seen = np.zeros(len(splats), bool)
+        for view in self._views:
+            self._kernel.forward(splats, view.pinhole)
+            seen |= np.isfinite(self._kernel.centres(len(splats))[1])
+        return seen
+
+    def _training_psnr(self, splats: Splats) -> float:
+        return mean_psnr(self._kernel, splats, self._views, [loss.target for loss in self._losses])
+
+
+def psnr_of(mean_square: float) -> float:
+    """Peak signal-to-noise ratio in dB of pictures in 0..1."""
+    return float(-10 * np.log10(max(mean_square, 1e-12)))
+
+
+def mean_psnr(kernel: TrainingKernel, splats: Splats, views: Sequence[View], pictures: Sequence[FloatArray]) -> float:
+    """Mean PSNR of ``splats`` through the views against ``pictures`` (3, H, W); NaN without views."""
+    return mean_picture_psnr(views, [kernel.forward(splats, view.pinhole).rgb for view in views], pictures)
+
+
+def mean_picture_psnr(views: Sequence[View], shown: Sequence[FloatArray], pictures: Sequence[FloatArray]) -> float:
+    """Mean over the views of each one's PSNR, over recorded pixels, of ``shown`` clipped to 0..1; NaN without views."""
+    values = []
+    for view, picture, target in zip(views, shown, pictures, strict=True):
+        square = (np.clip(picture, 0, 1) - target) ** 2
+        if view.valid is not None:
+            square = square * view.valid
+        values.append(psnr_of(float(square.sum(dtype=np.float64)) / (3 * float(_size(view)))))
+    return float(np.mean(values)) if values else float("nan")
+
+
+def _size(view: View) -> float:
+    if view.valid is None:
+        return view.pinhole.width * view.pinhole.height
+    return max(1.0, float(view.valid.sum()))
+
+
+def _counted(view: View, share: float, random: np.random.Generator) -> FloatArray | None:
+    """1 where a pixel counts in the loss: recorded, and not in one of the tiles kept back."""
+    height, width = view.pinhole.height, view.pinhole.width
+    counted = np.ones((height, width), np.float32) if view.valid is None else view.valid.copy()
+    if share > 0:
+        tiles = random.random((-(-height // 16), -(-width // 16))) < share
+        counted[np.repeat(np.repeat(tiles, 16, 0), 16, 1)[:height, :width]] = 0
+    return None if counted.all() else counted
+
+
+def _kept_back(view: View, counted: FloatArray | None) -> FloatArray | None:
+    if counted is None:
+        return None
+    recorded = np.ones_like(counted) if view.valid is None else view.valid
+    return recorded - counted

@@ -1,0 +1,88 @@
+"""The losses of the keyframe and of later frames, as weights for the kernel's fused L1 + SSIM.
+
+Lambda 0.2 as 3DGS. The paper does not publish beta1 and beta2; they only set how much a pixel outside the focus counts
+against one inside, since Adam does not see the loss's scale. 0.2 and 0.8 are not the winners of a measurement: from
+1 and 0 to 0 and 1 it makes no difference (DESIGN.md).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.formats.cameras import Camera
+from decogs.formats.errors import TrainingError
+from decogs.formats.splats import FloatArray
+
+from ..rasterise import FixedView, LossValue, TrainingKernel
+from ..settings.frame import FocusWeights
+
+
+@dataclass(frozen=True)
+class PhotometricLoss:
+    """A loss against one target picture, ready for the kernel; weight maps are (H, W) float32, None meaning 1.
+
+    ``emphasis``: how much more a pixel in focus weighs here than in the mean over the whole picture.
+    """
+
+    target: FloatArray
+    l1_scale: float
+    ssim_scale: float
+    l1_weight: FloatArray | None = None
+    focus: FloatArray | None = None
+    emphasis: float = 1.0
+
+    def evaluate(self, kernel: TrainingKernel) -> LossValue:
+        """The loss of the picture that ``kernel`` has just drawn; the kernel keeps its gradient."""
+        return kernel.picture_loss(
+            self.target,
+            l1_scale=self.l1_scale,
+            ssim_scale=self.ssim_scale,
+            l1_weight=self.l1_weight,
+            focus=self.focus,
+        )
+
+    def evaluate_drawn(self, view: FixedView) -> LossValue:
+        """The loss of what ``view`` has just drawn, in the tiles that can change; the view keeps its gradient."""
+        return view.loss(
+            self.target,
+            l1_scale=self.l1_scale,
+            ssim_scale=self.ssim_scale,
+            l1_weight=self.l1_weight,
+            focus=self.focus,
+        )
+
+
+def require_finite(value: LossValue, camera: Camera) -> None:
+    """Raises TrainingError for the loss of a later frame that has run away."""
+    if not math.isfinite(value.total):
+        raise TrainingError(f"the loss of camera {camera.name} is {value.total}; lower the rates")
+
+
+def whole_picture_loss(target: FloatArray, counted: FloatArray | None, dissimilarity: float) -> PhotometricLoss:
+    """3DGS's loss over the pixels that count (Kerbl 2023, equation 7): (1 - lambda) L1 + lambda (1 - SSIM)."""
+    size = max(1.0, 3.0 * (target[0].size if counted is None else float(counted.sum())))
+    return PhotometricLoss(target, (1 - dissimilarity) / size, dissimilarity / size, counted, counted)
+
+
+def focus_loss(
+    target: FloatArray, mask: NDArray[np.bool_], valid: FloatArray | None, weights: FocusWeights
+) -> PhotometricLoss:
+    """The focus-aware loss of a later frame; ``mask`` (H, W) is the dilated difference mask of the view.
+
+    SSIM compares the masked pictures (docs/METHOD.md, "Focus-aware loss": how the paper's formula is read). Without a
+    focus, L1 alone remains.
+    """
+    counted = np.ones(mask.shape, np.float32) if valid is None else valid
+    focus = np.ascontiguousarray(mask * counted, np.float32)
+    whole_size, focus_size = max(1.0, 3.0 * float(counted.sum())), 3.0 * float(focus.sum())
+    l1 = counted * np.float32(weights.whole / whole_size)
+    if focus_size > 0:
+        l1 = l1 + focus * np.float32(weights.focus / focus_size)
+    ssim_scale = weights.dissimilarity / focus_size if focus_size > 0 else 0.0
+    emphasis = weights.whole + weights.focus * whole_size / focus_size if focus_size > 0 else 1.0
+    weight = np.ascontiguousarray(l1, np.float32)
+    return PhotometricLoss(target, 1 - weights.dissimilarity, ssim_scale, weight, focus, emphasis)

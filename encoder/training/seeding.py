@@ -1,0 +1,338 @@
+"""What newly appears in a later frame: seeds of new Gaussians, found in the pictures themselves.
+
+Moving and splitting the selected Gaussians cannot make an object that comes out of a box or into the scene. So, once
+the selected have had time to follow the pictures, what still differs clearly from the pictures is looked at: rays of
+such pixels are cut where the residual masks of the other views agree (a visual hull), and a ray's seed is the foremost
+of its depths at which the other views show the pixel's colour.
+
+A wrong seed is a floater, so a ray gets one only if what it explains lies in front of what is rendered there, and the
+rendered surface itself does not explain the pixel: a change of light leaves every view agreeing about the old surface.
+
+Source: visual hull (Laurentini 1994) and photo hull (Kutulakos and Seitz 2000, "A theory of shape by space carving").
+Rejected: a voxel grid (its resolution has to be that of the pixels to be of use, and most of it is empty).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.formats.cameras import Camera, camera_centre, turned
+from decogs.formats.splats import SH_C0, FloatArray, Splats, empty_splats
+
+from ..parallel import Each, side_by_side
+from ..settings.frame import EmergenceSettings
+
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
+
+_NEAREST = 0.6
+"""Nearest depth looked at, as a share of the first percentile of the rendered depths."""
+_AGREEING = 0.6
+"""Share of the views that see a point whose colours must agree; the others may be occluded."""
+_SAME = 0.1
+"""Share of the allowed spread within which two depths of a ray explain it equally well: the nearer one is seen."""
+_NEAR = 4.0
+"""Size of a neighbourhood, as a multiple of the distance between rays."""
+_SIGMA_PER_SPACING = 0.6
+
+
+@dataclass(frozen=True)
+class Look:
+    """One view at the moment of the search: its pinhole camera, picture and rendering (3, H, W), rendered depth (H, W).
+
+    ``focus`` (H, W): where the frame may change at all. The depth is the mean along the ray, in world units.
+    """
+
+    camera: Camera
+    picture: FloatArray
+    rendered: FloatArray
+    depth: FloatArray
+    focus: BoolArray
+
+
+def missed(look: Look, settings: EmergenceSettings) -> BoolArray:
+    """Pixels of the focus where the rendering clearly misses the picture; edges one pixel wide do not count. (H, W)."""
+    return _missed(look, settings.residual)
+
+
+def _missed(look: Look, levels: float) -> BoolArray:
+    wrong = (np.abs(look.rendered - look.picture).max(axis=0) > np.float32(levels / 255)) & look.focus
+    return cv2.morphologyEx(wrong.view(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)).view(np.bool_)
+
+
+def worth_a_search(masks: Sequence[BoolArray], settings: EmergenceSettings) -> bool:
+    """Whether ``masks`` of missed pixels hold more than a tiny share of their pictures."""
+    missing = sum(int(mask.sum()) for mask in masks)
+    return missing > settings.least_share * sum(mask.size for mask in masks)
+
+
+def seeds(looks: Sequence[Look], settings: EmergenceSettings, sh_degree: int, *, threads: int = 1) -> Splats:
+    """New Gaussians where the views agree that something stands before what is rendered; often none.
+
+    ``looks``: all training views; ``sh_degree``: the scene's. Deterministic.
+    """
+    with side_by_side(threads) as each:
+        cores = list(each(lambda look: missed(look, settings), looks))
+        if settings.most <= 0 or not worth_a_search(cores, settings):
+            return empty_splats(sh_degree)
+        search = _Search(looks, cores, settings, each)
+        step = max(1, -(-sum(int(core.sum()) for core in cores) // settings.most_rays))
+        rays = [np.flatnonzero(core)[index % step :: step] for index, core in enumerate(cores)]
+        found = list(each(search.along_rays, range(len(cores)), rays))
+    return _splats(_thinned(_confirmed(found, step), settings.most), cores, settings, sh_degree)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """Points (P, 3) float64, colours (P, 3), the size of a pixel there and how badly the views agree (P,)."""
+
+    points: NDArray[np.float64]
+    colours: FloatArray
+    pixel: NDArray[np.float64]
+    cost: FloatArray
+
+
+def _join(found: Sequence[_Found]) -> _Found:
+    return _Found(
+        np.concatenate([f.points for f in found]),
+        np.concatenate([f.colours for f in found]),
+        np.concatenate([f.pixel for f in found]),
+        np.concatenate([f.cost for f in found]),
+    )
+
+
+def _take(found: _Found, rows: IntArray) -> _Found:
+    return _Found(found.points[rows], found.colours[rows], found.pixel[rows], found.cost[rows])
+
+
+class _Search:
+    """What all rays are held against: every view's wide mask, smoothed picture and rendered depth."""
+
+    def __init__(
+        self, looks: Sequence[Look], cores: Sequence[BoolArray], settings: EmergenceSettings, each: Each
+    ) -> None:
+        self._looks, self._settings = looks, settings
+        self._wide = list(each(lambda look, core: _wide(look, core, settings.residual / 2), looks, cores))
+        self._smooth = list(each(lambda look: _smoothed(look.picture), looks))
+        self._change = list(each(lambda look: _smoothed(look.picture - look.rendered), looks))
+        depths = np.concatenate([look.depth.ravel()[::17] for look in looks])
+        near, far = np.percentile(depths[depths > 0], [1, 99]) if (depths > 0).any() else (1.0, 1.0)
+        self._inverse = np.linspace(1 / (_NEAREST * near), 1 / far, settings.depths)
+
+    def along_rays(self, index: int, pixels: IntArray) -> _Found:
+        """One seed at most for each of a view's ``pixels`` (flat indices)."""
+        look, settings = self._looks[index], self._settings
+        origin, directions = camera_centre(look.camera), _rays(look.camera, pixels)
+        surface = look.depth.ravel()[pixels]
+        inverse = np.broadcast_to(self._inverse, (len(pixels), len(self._inverse)))
+        limit = np.where(surface > 0, (1 - settings.in_front) * surface, np.inf)
+        ray, place = np.nonzero(inverse * limit[:, None] > 1)
+        ray, place = self._inside_hull(index, origin, directions, ray, place)
+        # Between the steps of the coarse search, which are a few pixels apart in the views farthest off.
+        ray = np.repeat(ray, 3)
+        gap = self._inverse[0] - self._inverse[-1]
+        offsets = np.array([-1, 0, 1]) / 3 * gap / max(1, len(self._inverse) - 1)
+        depth = 1 / (self._inverse[place][:, None] + offsets).ravel()
+        reference = self._smooth[index].reshape(-1, 3)[pixels]
+        points = origin + directions[ray] * depth[:, None]
+        (cost,), front = self._disagreements([self._smooth], index, points, [reference[ray]])
+        tolerance = np.float32(settings.spread / 255)
+        best = np.full(len(pixels), np.inf, np.float32)
+        np.minimum.at(best, ray, np.where(front, cost, np.inf).astype(np.float32))
+        explained = np.zeros(len(pixels), bool)
+        asking = np.flatnonzero((best <= tolerance) & (surface > 0))
+        there = self._disagreement_at_surface(index, pixels[asking], origin, (directions * surface[:, None])[asking])
+        explained[asking] = there <= 2 * best[asking] + tolerance / 4
+        fits = front & (cost <= np.minimum(best[ray] + _SAME * tolerance, tolerance)) & ~explained[ray]
+        rows = np.flatnonzero(fits)
+        rows = rows[np.lexsort((depth[rows], ray[rows]))]
+        rows = rows[np.unique(ray[rows], return_index=True)[1]]  # the foremost of each ray
+        points = origin + directions[ray[rows]] * depth[rows, None]
+        colours = look.picture.reshape(3, -1).T[pixels[ray[rows]]]
+        return _Found(points, colours, depth[rows] / look.camera.fx, cost[rows])
+
+    def _disagreement_at_surface(
+        self, index: int, pixels: IntArray, origin: NDArray[np.float64], reach: NDArray[np.float64]
+    ) -> FloatArray:
+        """How badly the rendered surface, at origin + reach, explains the pixels (P,).
+
+        It explains a pixel if the views agree there about its colour, or, where texture is too fine to tell, about how
+        much it has changed; rendered depths are a little off, so its neighbourhood counts as well.
+        """
+        least = np.full(len(pixels), np.inf, np.float32)
+        for nearer in (0.985, 1.0, 1.015):
+            pictures = (self._smooth, self._change)
+            own = [each[index].reshape(-1, 3)[pixels] for each in pictures]
+            there, _ = self._disagreements(pictures, index, origin + nearer * reach, own)
+            least = np.minimum(least, np.minimum(*there))
+        return least
+
+    def _inside_hull(
+        self, index: int, origin: NDArray[np.float64], directions: NDArray[np.float64], ray: IntArray, place: IntArray
+    ) -> tuple[IntArray, IntArray]:
+        """Those of the samples that the masks of nearly all other views which see them hold."""
+        settings = self._settings
+        allowed = settings.missing_share * len(self._looks)
+        seen = np.ones(len(ray), np.int64)
+        misses = np.zeros(len(ray), np.int64)
+        for other in _far_first(index, len(self._looks)):
+            points = origin + directions[ray] / self._inverse[place][:, None]
+            flat, *_ = _project(self._looks[other].camera, points)
+            inside = flat >= 0
+            hit = inside & self._wide[other][np.maximum(flat, 0)]
+            seen += inside
+            misses += inside & ~hit
+            keep = misses <= allowed
+            ray, place, seen, misses = ray[keep], place[keep], seen[keep], misses[keep]
+        keep = (misses <= settings.missing_share * seen) & (seen - misses >= settings.least_views)
+        return ray[keep], place[keep]
+
+    def _disagreements(
+        self,
+        pictures: Sequence[Sequence[FloatArray]],
+        index: int,
+        points: NDArray[np.float64],
+        references: Sequence[FloatArray],
+    ) -> tuple[list[FloatArray], BoolArray]:
+        """How much each kind of ``pictures`` differs from its reference colours (P, 3) at points, 0..1; those in front.
+
+        The mean over the best of the views that see a point; a point must lie before what most of them render.
+        """
+        count = len(points)
+        differences = np.full((len(pictures), len(self._looks), count), np.inf, np.float32)
+        before, seen = np.zeros(count, np.int64), np.zeros(count, np.int64)
+        for other, look in enumerate(self._looks):
+            if other == index:
+                continue
+            flat, u, v, depth = _project(look.camera, points)
+            inside = np.flatnonzero(flat >= 0)
+            at = flat[inside]
+            for kind, (each, reference) in enumerate(zip(pictures, references, strict=True)):
+                colours = _sample(each[other], u[inside], v[inside])
+                differences[kind, other, inside] = np.abs(colours - reference[inside]).max(axis=1)
+            rendered = look.depth.ravel()[at]
+            before[inside] += (rendered <= 0) | (depth[inside] < (1 - self._settings.in_front / 2) * rendered)
+            seen[inside] += 1
+        enough = seen >= self._settings.least_views - 1
+        return [_mean_of_best(each, seen, enough) for each in differences], enough & (before >= 0.7 * seen)
+
+
+def _mean_of_best(differences: FloatArray, seen: IntArray, enough: BoolArray) -> FloatArray:
+    """The mean (P,) of the smallest of each point's differences (V, P), infinite where not ``enough`` see it."""
+    ordered = np.sort(differences, axis=0)
+    wanted = np.ceil(_AGREEING * seen).astype(np.int64)
+    counted = np.arange(len(ordered))[:, None] < wanted
+    total = np.where(counted, ordered, 0).sum(axis=0, dtype=np.float32)
+    return np.where(enough, total / np.maximum(wanted, 1), np.inf).astype(np.float32)
+
+
+def _wide(look: Look, core: BoolArray, levels: float) -> BoolArray:
+    """``core`` and what is missed by ``levels``, a pixel wider, flat: a new object may look like what it hides."""
+    missing = (_missed(look, levels) | core).view(np.uint8)
+    return cv2.dilate(missing, np.ones((3, 3), np.uint8)).view(np.bool_).ravel()
+
+
+def _smoothed(planes: FloatArray) -> FloatArray:
+    """(3, H, W) as (H, W, 3), averaged over 3 x 3 pixels."""
+    return np.asarray(cv2.blur(cv2.merge(list(planes)), (3, 3)), np.float32)
+
+
+def _sample(picture: FloatArray, u: NDArray[np.float64], v: NDArray[np.float64]) -> FloatArray:
+    """Colours (P, 3) between pixels, bilinear."""
+    width = 1024  # remap takes no more than 32767 rows
+    places = np.zeros((2, -(-len(u) // width) * width), np.float32)
+    places[0, : len(u)], places[1, : len(u)] = u - 0.5, v - 0.5
+    columns, rows = places.reshape(2, -1, width)
+    if not len(u):
+        return np.zeros((0, 3), np.float32)
+    found = cv2.remap(picture, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(found.reshape(-1, 3)[: len(u)], np.float32)
+
+
+def _far_first(index: int, count: int) -> list[int]:
+    """The other views, in an order that soon meets different directions: neighbours carve little."""
+    return sorted((i for i in range(count) if i != index), key=lambda i: ((i - index) * 5 % count, i))
+
+
+def _rays(camera: Camera, pixels: IntArray) -> NDArray[np.float64]:
+    """Directions (P, 3) through the centres of pixels (flat indices), of depth 1."""
+    rows, columns = np.divmod(pixels, camera.width)
+    x = (columns + 0.5 - camera.cx) / camera.fx
+    y = (rows + 0.5 - camera.cy) / camera.fy
+    return turned(camera.world_to_camera[:3, :3].T, np.stack([x, y, np.ones_like(x)], axis=1))
+
+
+def _project(
+    camera: Camera, points: NDArray[np.float64]
+) -> tuple[IntArray, NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Flat pixel of every point, -1 outside the picture; column, row (pixel centres at .5) and depth."""
+    position = turned(camera.world_to_camera[:3, :3], points) + camera.world_to_camera[:3, 3]
+    depth = position[:, 2]
+    front = depth > 1e-9
+    reciprocal = 1 / np.where(front, depth, 1)
+    u = camera.fx * position[:, 0] * reciprocal + camera.cx
+    v = camera.fy * position[:, 1] * reciprocal + camera.cy
+    inside = front & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+    column, row = np.where(inside, u, 0).astype(np.int64), np.where(inside, v, 0).astype(np.int64)
+    return np.where(inside, row * camera.width + column, -1), u, v, depth
+
+
+def _confirmed(found: Sequence[_Found], step: int) -> _Found:
+    """Points of all views near which rays of another view ended as well; every ``step``-th pixel had a ray.
+
+    Colours that agree by chance do so at scattered depths. Near: in one cell of a grid
+    or of the same grid shifted by half.
+    """
+    joined = _join(found)
+    if not len(joined.points):
+        return joined
+    view = np.repeat(np.arange(len(found)), [len(f.points) for f in found])
+    size = _NEAR * max(1.5, step**0.5) * float(np.median(joined.pixel))
+    keep = np.zeros(len(view), bool)
+    for shift in (0.0, 0.5):
+        cells = np.floor((joined.points - joined.points.min(axis=0)) / size + shift).astype(np.int64)
+        _, cell = np.unique(cells, axis=0, return_inverse=True)
+        cell = cell.reshape(-1)
+        present = np.zeros((int(cell.max()) + 1, len(found)), bool)
+        present[cell, view] = True
+        keep |= present.sum(axis=1)[cell] >= 2
+    return _take(joined, np.flatnonzero(keep))
+
+
+def _thinned(found: _Found, most: int) -> _Found:
+    """One point, the best agreed on, per cell of a grid as wide as 1.5 pixels; cells grow until ``most`` suffice."""
+    if not len(found.points):
+        return found
+    cell = 1.5 * float(np.median(found.pixel))
+    order = np.argsort(found.cost, kind="stable")
+    while True:
+        cells = np.floor((found.points[order] - found.points.min(axis=0)) / cell).astype(np.int64)
+        _, first = np.unique(cells, axis=0, return_index=True)
+        if len(first) <= most:
+            return _take(found, np.sort(order[first]))
+        cell *= 1.2
+
+
+def _splats(found: _Found, cores: Sequence[BoolArray], settings: EmergenceSettings, sh_degree: int) -> Splats:
+    """Round Gaussians, half transparent, wide enough to close the gaps between them."""
+    count = len(found.points)
+    if not count:
+        return empty_splats(sh_degree)
+    # Half a body's surface shows in a view: so far apart, in pixels, are seeds that cover all of it.
+    area = 2 * sum(int(core.sum()) for core in cores) / len(cores)
+    spacing = float(np.clip(np.sqrt(area / count), 1.5, 6.0))
+    sigma = _SIGMA_PER_SPACING * spacing * found.pixel
+    sh = np.zeros((count, (sh_degree + 1) ** 2, 3), np.float32)
+    sh[:, 0] = (found.colours - np.float32(0.5)) / np.float32(SH_C0)
+    return Splats(
+        np.ascontiguousarray(found.points, np.float32),
+        np.repeat(np.log(sigma)[:, None], 3, axis=1).astype(np.float32),
+        np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
+        np.full(count, np.log(settings.opacity / (1 - settings.opacity)), np.float32),
+        sh,
+    )
