@@ -154,6 +154,11 @@ def same_scene(first: State, second: State) -> bool:
     return all(getattr(first, name) is getattr(second, name) for name in (*ARRAYS, "ids"))
 
 
+def same_values(first: State, second: State) -> bool:
+    """Whether two states have the same Gaussians: ids and values are equal, number for number."""
+    return all(np.array_equal(getattr(first, name), getattr(second, name)) for name in ("ids", *ARRAYS))
+
+
 def check_shapes(attributes: Attributes) -> None:
     """Raises ValueError unless the arrays are int32 of one length and of the shapes of Splats."""
     n, k = len(attributes), attributes.coefficients

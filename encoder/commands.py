@@ -155,7 +155,7 @@ def _encode(options: argparse.Namespace) -> int:
         on_warning=warn_as("decogs-encode"),
     )
     tell("\n".join(_summary(report)), to_stderr=piped)
-    warnings = [*_left_out(report), _given_up(report), *_uncorrected(report), _overlooked(report)]
+    warnings = [*_left_out(report), _rejected(report), *_uncorrected(report), _overlooked(report)]
     warnings += [_missed_budget(report), _missed_time(report)]
     for warning in filter(None, warnings):
         warn_as("decogs-encode")(warning)
@@ -194,8 +194,8 @@ def _left_out(report: EncodeReport) -> list[str]:
     return [f"camera {name} shows {why}: left out of {_frames(at)}" for (name, why), at in frames.items()]
 
 
-def _given_up(report: EncodeReport) -> str:
-    at = [frame.frame for frame in report.frames if frame.given_up]
+def _rejected(report: EncodeReport) -> str:
+    at = [frame.frame for frame in report.frames if frame.rejected]
     return f"training ran away, and the scene stayed as it was in {_frames(at)}; lower the learning rates" if at else ""
 
 

@@ -22,8 +22,6 @@ from .coding.rate_control import with_budget, with_lossless, with_quality
 from .coding.time_control import seconds_per_frame, with_target_psnr, with_time_budget
 from .input.imported_keyframe import KeyframeSource, read_keyframe
 from .input.ingest import Ingest, frame_span
-from .loop import encode_stream
-from .methods import with_method, with_selection, without
 from .output.convergence_log import AnytimeLog
 from .output.progress import EncodeProgress
 from .output.reports import EncodeReport, OnWarning
@@ -32,6 +30,9 @@ from .rasterise import check_device
 from .settings.compensation import CorrectionSettings
 from .settings.encode import EncodeSettings
 from .settings.presets import preset as named_preset
+from .stream import encode_stream
+from .switches import with_method, with_selection, without
+from .training.method import FRAME_METHODS, require_sparse
 
 _LEAST_SECONDS, _MOST_SECONDS = 1e-4, 1e6
 """Of a frame's time: what a clock tells apart, and twelve days."""
@@ -114,7 +115,7 @@ def encode(
     settings = _with_rate(settings, rig, quality, bitrate, max_mb_per_frame, lossless=lossless)
     settings = _with_effort(settings, time_budget, target_psnr)
     span = frame_span(rig, frame_range(frames) if isinstance(frames, str) else frames)
-    if effects is None and not isinstance(preset, EncodeSettings) and settings.method == "decogs":
+    if effects is None and not isinstance(preset, EncodeSettings) and not FRAME_METHODS.get(settings.method).dense:
         effects = AUTO
     ingest = Ingest(rig, holdout=held, scale=scale)
     stream = Path(output) if isinstance(output, (str, os.PathLike)) else output
@@ -156,7 +157,7 @@ def encode(
             resume=resume,
             on_frame=progress.frame,
             on_keyframe_step=progress.keyframe_step,
-            anytime=curve,
+            convergence=curve,
             on_warning=tell,
         )
         progress.finished(
@@ -214,8 +215,7 @@ def _with_effects(
     progress: EncodeProgress,
 ) -> EncodeSettings:
     """The settings with the effects that are wanted, of which the rig may have to be looked at."""
-    if settings.method != "decogs":
-        raise UsageError(f"--effects {effects}: --method {settings.method} has none of them; drop one of the two")
+    require_sparse(settings, f"--effects {effects}", "has none of them")
 
     def decisions() -> Sequence[Decision]:
         look = slice(span.start, span.stop)

@@ -15,7 +15,7 @@ from decogs.decoder.pictures import to_8bit
 from decogs.decoder.session import render_view
 from decogs.formats.splats import Splats
 
-from ..training.keyframe import psnr_of
+from ..psnr import psnr_of
 from .metrics import BytePicture, aligned, mean_over, psnr, square_error_map, ssim_map, total_variation
 from .perceptual import Distance
 from .regions import Regions

@@ -17,7 +17,7 @@ from decogs.decoder.session import open_stream, through_lens, view_plan
 from decogs.formats.outputs import write_whole
 from decogs.formats.splats import FloatArray, Splats
 
-from ..training.keyframe import psnr_of
+from ..psnr import psnr_of
 from .machine import code_version
 from .metrics import BytePicture
 from .regions import held_out_pictures

@@ -36,11 +36,11 @@ from ..analysis import AUTO, Decision, wanted_effects, with_effects
 from ..analysis.analyse import analyse
 from ..input.imported_keyframe import read_keyframe
 from ..input.ingest import Ingest, frame_span
-from ..loop import encode_stream
 from ..output.convergence_log import AnytimeLog
 from ..output.reports import EncodeReport, FrameReport, OnKeyframeStep
 from ..settings.effects import PRESET_EFFECTS
 from ..settings.encode import EncodeSettings
+from ..stream import encode_stream
 from .courses import Course, course, read_course, recorded_course, write_course
 from .machine import code_version, load, machine_facts
 from .measuring import FrameQuality, HeldOut, StreamQuality, measure_scenes
@@ -336,7 +336,7 @@ class RigBench:
             keyframe=None if keyframe is None else read_keyframe(keyframe).refined(variant.refined),
             on_frame=None if on_frame is None else lambda _: on_frame(),
             on_keyframe_step=on_keyframe_step,
-            anytime=anytime,
+            convergence=anytime,
         )
         if report.interrupted:
             report.output.unlink(missing_ok=True)

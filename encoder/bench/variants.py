@@ -9,9 +9,9 @@ from typing import Any
 from decogs.formats.errors import UsageError
 
 from ..coding.rate_control import with_quality
-from ..methods import with_method, with_selection, without
 from ..settings.encode import EncodeSettings
 from ..settings.presets import preset
+from ..switches import with_method, with_selection, without
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def settings_of(variant: Variant, report_preset: str) -> EncodeSettings:
         try:
             settings = _changed(settings, path.split("."), value)
         except AttributeError:
-            raise UsageError(f"variant {variant.name}: there is no setting {path!r}; see encoder/settings/presets.py") from None
+            raise UsageError(f"variant {variant.name}: there is no setting {path!r}; see encoder/settings/") from None
     settings = without(with_method(settings, variant.method), variant.ablate)
     if variant.selection is not None:
         settings = with_selection(settings, variant.selection)

@@ -11,14 +11,17 @@ most 20 kB, whatever the budget).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Protocol
 
 from decogs.formats.container import PacketKind
 from decogs.formats.errors import UsageError
 
+from ..registry import Registry
 from ..settings.encode import EncodeSettings
 from ..settings.frame import Coarseness, EconomySettings
+from ..training.method import require_sparse
 
 NEUTRAL_QUALITY = 50.0
 """The preset as it is."""
@@ -80,8 +83,7 @@ def with_budget(settings: EncodeSettings, frame_budget: float, option: str) -> E
     """
     if not (math.isfinite(frame_budget) and frame_budget >= 1):
         raise UsageError(f"{option}: that is {frame_budget:g} bytes a frame; give at least 1")
-    if settings.method != "decogs":
-        raise UsageError(f"{option}: --method {settings.method} sends all it trains; drop one of the two")
+    require_sparse(settings, option, "sends all it trains")
     if not settings.frame.economy.worth or settings.frame.cache is not None:
         raise UsageError(f"{option}: these settings send every change; choose --preset draft, standard or high")
     return replace(settings, frame_budget=frame_budget)
@@ -92,7 +94,23 @@ def over_budget(sizes: Sequence[int], frame_budget: float) -> float:
     return max(0.0, sum(sizes) / (len(sizes) * frame_budget) - 1) if sizes else 0.0
 
 
-class RateControl:
+class RateControl(Protocol):
+    """Keeps later frames to a mean of so many bytes, by what changes must be worth to be coded.
+
+    It learns from the packets alone, which a stream holds, so that an encode that was cut off goes on with the same
+    bytes.
+    """
+
+    def economy(self, settings: EconomySettings, /) -> EconomySettings:
+        """The settings for the next frame."""
+        ...
+
+    def wrote(self, kind: int, size: int, /) -> None:
+        """Learns from a packet after the first keyframe's: its PacketKind and its bytes on disk."""
+        ...
+
+
+class ContentRateControl:
     """What changes must be worth, in units of the settings', for later frames to keep to a mean of ``budget`` bytes.
 
     ``segment``: frames from one keyframe to the next, or 0. Keyframes after the first count as frames, and what
@@ -152,3 +170,9 @@ class RateControl:
 def _rounded(value: float) -> float:
     """To six digits: a power's last bit is not the same on every machine, and the stream's header tells the value."""
     return float(f"{value:.6g}")
+
+
+RATE_CONTROLS: Registry[Callable[[float, int], RateControl]] = Registry(
+    "rate control", "decogs.rate_controls", {"content": ContentRateControl}
+)
+"""Made for a budget in bytes a frame and the frames of a segment, 0 for none."""

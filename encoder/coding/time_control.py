@@ -20,6 +20,7 @@ from dataclasses import replace
 from decogs.formats.errors import UsageError
 
 from ..settings.encode import EncodeSettings
+from ..training.method import require_sparse
 
 TIME_TOLERANCE = 0.05
 """By which share of the budget the mean of a clip may be above it; a miss is told beyond it."""
@@ -36,6 +37,7 @@ _MEMORY = 0.7
 """Share of the estimate of what a frame takes beyond its deadline that a new frame does not change."""
 _AFTER_TRAINING = ("write", "settle")
 _UNCOUNTED = "measure"
+_FIXED = "trains a fixed number of steps"
 _WRITTEN = re.compile(r"([0-9.eE+-]+?)\s*(ms|s)?\s*(?:/\s*frame)?")
 
 
@@ -54,26 +56,21 @@ def seconds_per_frame(text: str | float) -> float:
 def with_time_budget(settings: EncodeSettings, seconds: float) -> EncodeSettings:
     """The same settings held to so many seconds, the mean of the frames after the first.
 
-    Raises UsageError for ``3dgstream``, whose schedule is fixed.
+    Raises UsageError for a dense method, whose schedule is fixed.
     """
-    _require_own_schedule(settings, "--time-budget")
+    require_sparse(settings, "--time-budget", _FIXED)
     return replace(settings, time_budget=seconds)
 
 
 def with_target_psnr(settings: EncodeSettings, target: float) -> EncodeSettings:
     """The same settings with the training of every frame ended once it has so many dB (`effort.TargetWatch`).
 
-    Raises UsageError for what is no PSNR, and for ``3dgstream``, whose schedule is fixed.
+    Raises UsageError for what is no PSNR, and for a dense method, whose schedule is fixed.
     """
     if not (math.isfinite(target) and 0 < target <= 100):
         raise UsageError(f"--target-psnr {target:g}: give decibels above 0 and at most 100, such as 30")
-    _require_own_schedule(settings, "--target-psnr")
+    require_sparse(settings, "--target-psnr", _FIXED)
     return replace(settings, target_psnr=target)
-
-
-def _require_own_schedule(settings: EncodeSettings, option: str) -> None:
-    if settings.method != "decogs":
-        raise UsageError(f"{option}: --method {settings.method} trains a fixed number of steps; drop one of the two")
 
 
 def counted_seconds(seconds: Mapping[str, float]) -> float:

@@ -103,7 +103,7 @@ def frame_line(report: FrameReport) -> str:
         stages = "was there already"
     stages += "  light alone" if report.effects == ["appearance_change"] else ""
     stages += "".join(f"  without {name}: {why}" for name, why in report.left_out.items())
-    stages += "  given up" if report.given_up else ""
+    stages += "  rejected" if report.rejected else ""
     stages += "".join(f"  corrects no more {fault}" for fault in report.uncorrected)
     stages += "  overlooked by its masks" if report.overlooked else ""
     return (

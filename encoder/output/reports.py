@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -23,7 +21,7 @@ class FrameReport:
     ``cpu_seconds``: processor time of all threads together, from decoded pictures to the written packet; measuring
     (the stage "measure") is left out. ``replayed``: an earlier encode had written it. ``effects``: what it was trained
     for; none for a first frame, a replayed one and one that is only held. ``left_out``: cameras whose pictures said
-    nothing of the frame, and why (`dropouts`). ``given_up``: training made the pictures worse, so the scene stayed as
+    nothing of the frame, and why (`dropouts`). ``rejected``: training made the pictures worse, so the scene stayed as
     it was. ``uncorrected``: faults of cameras ("cam04: colours") not corrected any more after this frame, since that
     did not pay. ``overlooked``: masks found no change although most of the pictures had; everything was trained.
     """
@@ -41,7 +39,7 @@ class FrameReport:
     replayed: bool = False
     effects: list[str] = field(default_factory=list)
     left_out: dict[str, str] = field(default_factory=dict)
-    given_up: bool = False
+    rejected: bool = False
     uncorrected: list[str] = field(default_factory=list)
     overlooked: bool = False
 
@@ -62,22 +60,3 @@ class EncodeReport:
     resumed: int | None = None
     frame_budget: float | None = None
     time_budget: float | None = None
-
-
-@dataclass
-class Stopwatch:
-    """Wall-clock seconds by stage, and processor seconds since it was made."""
-
-    seconds: dict[str, float] = field(default_factory=dict)
-    began: float = field(default_factory=time.process_time)
-
-    def cpu_seconds(self) -> float:
-        return time.process_time() - self.began
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        begin = time.perf_counter()
-        try:
-            yield
-        finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - begin

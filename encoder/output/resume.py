@@ -101,12 +101,14 @@ def find_interrupted(output: Path, growing: Path) -> Interrupted | None:
 
 def check_resumable(settings: EncodeSettings) -> None:
     """Raises UsageError for settings that keep something from frame to frame that is not in the stream."""
+    if "frame" not in settings.as_document():
+        return
     kept = {
         "the carried cache": settings.frame.carry_cache and settings.frame.cache is not None,
         "--ablate gate": "gate" in settings.frame.ablated,
     }
     for name, is_kept in kept.items():
-        if is_kept and settings.method == "decogs":
+        if is_kept:
             raise UsageError(f"--resume: {name} keeps something of training that no stream has; drop one of the two")
 
 

@@ -11,6 +11,7 @@ from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 
 from .fixed_view import FixedView
+from .incremental_views import IncrementalViews
 from .native import HostPicture, LossValue, Picture, SplatGradients, TrainingKernel, gradients_like
 
 DEVICES = ("auto", "cpu", "cuda")
@@ -56,6 +57,7 @@ __all__ = [
     "DEVICES",
     "FixedView",
     "HostPicture",
+    "IncrementalViews",
     "LossValue",
     "Picture",
     "SplatGradients",

@@ -4,18 +4,27 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 from decogs.codec.entropy import DEFAULT_LEVEL
 
 from .compensation import CorrectionSettings
-from .effects import PRESET_EFFECTS
+from .effects import FRAME_EFFECTS, PRESET_EFFECTS
 from .frame import FrameSettings
 from .keyframe import KeyframeSettings
 from .threedgstream import BaselineSettings
 
-Method = Literal["decogs", "3dgstream"]
-"""How later frames are trained (`methods`)."""
+_UNUSED = {"decogs": "baseline", "3dgstream": "frame"}
+"""Settings that a method does not look at; a method of another package has no use for the baseline's either."""
+
+_USUAL = (
+    ("", "rate_control", "content"),
+    ("keyframe", "optimiser", "adam"),
+    ("keyframe", "densification", "clone-split"),
+    ("frame", "optimiser", "adam"),
+    ("frame", "densification", "clone-split"),
+)
+"""Extension points that a header names only where a package's are taken."""
 
 
 @dataclass(frozen=True)
@@ -32,13 +41,14 @@ class EncodeSettings:
     None is the whole schedule. ``effects``: those that are built (`effects`); fewer is faster and smaller.
     ``ask_frames``: of these, a frame builds those that its own pictures call for, and the keyframe says how far colours
     depend on the view; that is faster. ``corrections``: cameras whose own faults are taken out of their pictures.
+    ``rate_control``: a name in RATE_CONTROLS, which keeps the frame budget.
     """
 
     keyframe: KeyframeSettings = field(default_factory=KeyframeSettings)
     frame: FrameSettings = field(default_factory=FrameSettings)
     lattice_scale: float = 1.0
     zstd_level: int = DEFAULT_LEVEL
-    method: Method = "decogs"
+    method: str = "decogs"
     baseline: BaselineSettings = field(default_factory=BaselineSettings)
     segment: int = 0
     frame_budget: float | None = None
@@ -47,6 +57,12 @@ class EncodeSettings:
     effects: tuple[str, ...] = PRESET_EFFECTS
     ask_frames: bool = False
     corrections: CorrectionSettings = field(default_factory=CorrectionSettings)
+    rate_control: str = "content"
+
+    @property
+    def frame_effects(self) -> tuple[str, ...]:
+        """Those of the enabled effects that a frame may call for."""
+        return tuple(name for name in FRAME_EFFECTS if name in self.effects)
 
     def as_document(self) -> dict[str, Any]:
         """The settings as plain JSON values, for the stream's header and the log; without the other method's.
@@ -55,7 +71,7 @@ class EncodeSettings:
         be gone on with.
         """
         document: dict[str, Any] = json.loads(json.dumps(asdict(self)))
-        del document["frame" if self.method == "3dgstream" else "baseline"]
+        del document[_UNUSED.get(self.method, "baseline")]
         for name in ("frame_budget", "time_budget", "target_psnr"):
             if document[name] is None:
                 del document[name]
@@ -63,4 +79,8 @@ class EncodeSettings:
             del document["effects"], document["ask_frames"]
         if self.corrections == CorrectionSettings():
             del document["corrections"]
+        for part, name, usual in _USUAL:
+            owner = document.get(part, {}) if part else document
+            if owner.get(name) == usual:
+                del owner[name]
         return document

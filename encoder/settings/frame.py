@@ -156,7 +156,8 @@ class FrameSettings:
     its second half they fall to ``late_decay`` of that. ``economy``: what changes must be worth, without a cache.
     ``beta1``, ``beta2``: stage 2's Adam. ``pace``: how a frame's iterations follow from what it misses. ``flat``:
     stage 2 ends, not before its half, once a round through all views lowers their loss by less than this share; higher
-    is faster. ``ablated``: parts of the method left out (``methods.without``).
+    is faster. ``ablated``: parts of the method left out (`switches.without`).
+    ``optimiser``, ``densification``: names in OPTIMISERS and DENSIFICATIONS.
     """
 
     masks: MaskSettings = field(default_factory=MaskSettings)
@@ -180,3 +181,5 @@ class FrameSettings:
     economy: EconomySettings = field(default_factory=EconomySettings)
     emergence: EmergenceSettings = field(default_factory=EmergenceSettings)
     ablated: tuple[str, ...] = ()
+    optimiser: str = "adam"
+    densification: str = "clone-split"

@@ -20,6 +20,7 @@ class KeyframeSettings:
     in ``settle_iterations`` more steps the rest makes up for it; more is slower. ``bit_worth``: what a bit of a
     rotation or of a view-dependent colour must do to be written, as the square of the change of a picture's loss summed
     over its pixels (1: one pixel from black to white); higher is smaller and less exact, 0 rounds to the nearest.
+    ``optimiser``, ``densification``: names in OPTIMISERS and DENSIFICATIONS.
     """
 
     iterations: int = 1000
@@ -41,3 +42,5 @@ class KeyframeSettings:
     late_decay: float = 0.2
     settle_iterations: int = 300
     bit_worth: float = 2e-5
+    optimiser: str = "adam"
+    densification: str = "clone-split"

@@ -15,27 +15,25 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.codec.state import MAX_GAUSSIANS
 from decogs.formats.cameras import turned
 from decogs.formats.splats import FloatArray, Splats, empty_splats, join_splats, take_splats
 
 from ..change.masks import FrameMask, showing
 from ..input.ingest import View
-from ..rasterise import FixedView, SplatGradients, TrainingKernel, gradients_like
+from ..rasterise import SplatGradients, TrainingKernel, gradients_like
 from ..settings.frame import FrameSettings
 from ..transformation_cache import TransformationCache
-from .densification import ViewGradients, grow, opacities_of, strongest
+from .densification import DENSIFICATIONS, ViewGradients, opacities_of
 from .losses import PhotometricLoss, focus_loss, require_finite, whole_picture_loss
-from .optimiser import SplatOptimiser
+from .method import FrameInput, TrainedFrame, TrainingContext
+from .optimiser import OPTIMISERS, Optimiser
 from .schedule import (
     LEAST_STEPS,
-    WHOLE,
-    Effort,
     Pace,
     SearchTime,
     TargetWatch,
@@ -47,23 +45,6 @@ from .seeding import Look, missed, seeds, worth_a_search
 from .significance import picture_share, take_back
 from .view_order import view_order
 from .warm_start import shared_displacements
-
-
-@dataclass(frozen=True)
-class TrainedFrame:
-    """What a frame changed: new values (M rows) for the rows ``kept``, rows ``removed``, Gaussians ``added``.
-
-    ``given_up``: training made the pictures worse, and nothing has changed. ``hurried``: a deadline left fewer steps
-    than the schedule has.
-    """
-
-    kept: NDArray[np.int64]
-    values: Splats
-    removed: NDArray[np.int64]
-    added: Splats
-    given_up: bool = False
-    hurried: bool = False
-
 
 _RUN_AWAY = 1.5
 """Training that raises the squared error in focus by this factor (1.8 dB) has run away; one that works lowers it."""
@@ -77,79 +58,71 @@ _MOST_HASTE = 3.0
 """Factor of the rates where a deadline leaves few steps: they must still get as far as things move."""
 
 
-class FrameTrainer:
-    """Trains later frames of one stream; ``extent`` is the rig's, the box bounds what the cache may move.
+class DeltaTrainer:
+    """Trains the later frames of one stream; what it keeps from frame to frame is here, the rest in `_DeltaTraining`.
 
-    ``watch``: the training views as fixed views of the stream's scene, all of it at rest between frames. ``most``: no
-    clone or split makes the scene larger than that; what newly appears may.
+    ``context.static_views`` show the stream's scene, all of it static between frames.
     """
 
-    def __init__(
-        self,
-        kernel: TrainingKernel,
-        views: Sequence[View],
-        watch: Sequence[FixedView],
-        settings: FrameSettings,
-        *,
-        extent: float,
-        box: tuple[NDArray[np.float64], NDArray[np.float64]],
-        seed: int,
-        threads: int = 1,
-        most: int = MAX_GAUSSIANS,
-    ) -> None:
-        self._kernel, self._views, self._watch = kernel, views, watch
-        self._whole_settings = self._settings = settings
-        self._seed, self._threads, self._box, self._most = seed, threads, box, most
-        self._extent = extent
-        self._ungated: SplatOptimiser | None = None
-        self._values: list[float] = []
-        self._search, self._searching = SearchTime(), 0.0
-        self._least_seconds = self._step_seconds = 0.0
+    def __init__(self, context: TrainingContext) -> None:
+        self.context = context
+        self.ungated: Optimiser | None = None
+        self.search, self.step_seconds = SearchTime(), 0.0
+        self.min_seconds = 0.0
         self._cache: TransformationCache | None = None
-        self._kept_cache: TransformationCache | None = None
 
-    @property
-    def least_seconds(self) -> float:
-        """What the last frame under a deadline would have taken with the fewest steps and no search; 0 before it."""
-        return self._least_seconds
+    def train(self, frame: FrameInput, /) -> TrainedFrame:
+        """Trains the selected Gaussians; where training has diverged, nothing changes.
 
-    def train(
-        self,
-        scene: Splats,
-        selected: NDArray[np.bool_],
-        pictures: Sequence[FloatArray],
-        masks: Sequence[FrameMask],
-        motion: FloatArray,
-        *,
-        frame: int,
-        settings: FrameSettings | None = None,
-        effort: Effort = WHOLE,
-    ) -> TrainedFrame:
-        """Trains the ``selected`` Gaussians of ``scene`` on one frame's pictures (3, H, W).
-
-        ``motion`` (N, 3) is every Gaussian's last displacement, for the warm start. ``frame``: its index, which with
-        the seed makes all that is random, so that a frame can be trained again alone. ``settings``: of this frame,
-        where they differ. ``effort``: what ends training before the settings' iterations, in either stage a deadline,
-        in stage 2 a target in the regions of interest. The watching views, whose pictures must be those of ``scene``,
-        are left with the trained Gaussians lifted. Views whose masks are ``lost`` have no part in it. Where training
-        has run away, nothing changes.
+        What ends training early is in either stage a deadline, in stage 2 a target in the regions of interest.
         """
-        began, self._searching = time.perf_counter(), 0.0
-        self._settings, self._effort, self._frame = settings or self._whole_settings, effort, frame
-        self._short = effort.deadline is not None and (
-            self._step_seconds * self._settings.joint_iterations > effort.deadline - began
+        began = time.perf_counter()
+        training = _DeltaTraining(self, frame, self._cache_of(frame.settings))
+        result, pace = training.run()
+        if frame.effort.deadline is not None:
+            self.step_seconds, steps = pace.steps_seconds
+            spent = time.perf_counter() - began
+            self.min_seconds = spent - training.searching - steps + LEAST_STEPS * self.step_seconds
+        return result
+
+    def _cache_of(self, settings: FrameSettings) -> TransformationCache | None:
+        """The cache that a frame's settings ask for; built when the first frame does."""
+        if settings.cache is None:
+            return None
+        if self._cache is None and settings.cache_iterations + settings.joint_iterations > 0:
+            context = self.context
+            self._cache = TransformationCache(*context.box, settings.cache, context.seed, threads=context.threads)
+        return self._cache
+
+
+class _DeltaTraining:
+    """The training of one frame. ``searching``: seconds that the search for emerging things took."""
+
+    def __init__(self, stream: DeltaTrainer, frame: FrameInput, cache: TransformationCache | None) -> None:
+        context = stream.context
+        self._stream, self._frame, self._cache = stream, frame, cache
+        self._kernel, self._views, self._watch = context.kernel, context.views, context.static_views
+        self._threads, self._extent, self._most = context.threads, context.extent, context.max_gaussians
+        self._settings, self._effort = frame.settings, frame.effort
+        self._short = frame.effort.deadline is not None and (
+            stream.step_seconds * frame.settings.joint_iterations > frame.effort.deadline - time.perf_counter()
         )
-        self._cache = self._cache_of_frame()
-        self._used = showing(masks)
+        self._used = showing(frame.masks)
+        self._random = np.random.default_rng((context.seed, frame.index))
+        self._values: list[float] = []
+        self.searching = 0.0
+
+    def run(self) -> tuple[TrainedFrame, Pace]:
+        """The trained frame, and how far its schedule went."""
+        scene, pictures, masks = self._frame.scene, self._frame.pictures, self._frame.masks
         before = self._squared_error(pictures, masks)
-        self._random = np.random.default_rng((self._seed, frame))
         losses = [
             self._loss(picture, mask, view) for picture, mask, view in zip(pictures, masks, self._views, strict=True)
         ]
-        work = _Working(scene, np.flatnonzero(selected), self._kernel, self._settings)
+        work = _Working(scene, np.flatnonzero(self._frame.selected), self._kernel, self._settings)
         for view in self._watch:
             view.lift(work.rows)
-        self._start_warm(work, motion[work.rows])
+        self._start_warm(work, self._frame.motion[work.rows])
         if self._cache is not None:
             if not self._settings.carry_cache:
                 self._cache.restart()
@@ -160,23 +133,9 @@ class FrameTrainer:
             self._open_gate(work, scene)
         pace = self._stage2(work, scene, losses, masks)
         self._draw_probes(work)
-        runs_away = self._squared_error(pictures, masks) > _RUN_AWAY * before
-        if effort.deadline is not None:
-            self._step_seconds, steps = pace.steps_seconds
-            step = self._step_seconds
-            self._least_seconds = time.perf_counter() - began - self._searching - steps + LEAST_STEPS * step
-        if runs_away:
-            return replace(work.unchanged(scene), given_up=True)
-        return replace(self._result(work), hurried=pace.hurry > 1)
-
-    def _cache_of_frame(self) -> TransformationCache | None:
-        """The cache that this frame's settings ask for; built when the first frame does."""
-        settings = self._settings
-        if settings.cache is None:
-            return None
-        if self._kept_cache is None and settings.cache_iterations + settings.joint_iterations > 0:
-            self._kept_cache = TransformationCache(*self._box, settings.cache, self._seed, threads=self._threads)
-        return self._kept_cache
+        if self._squared_error(pictures, masks) > _RUN_AWAY * before:
+            return replace(work.unchanged(scene), rejected=True), pace
+        return replace(self._result(work), hurried=pace.hurry > 1), pace
 
     def _probes(self) -> list[int]:
         """A few of the used views, enough to see what goes wrong everywhere; a handful of them when time is short."""
@@ -341,9 +300,17 @@ class FrameTrainer:
         settings = self._settings
         faint = work.selected & (opacities_of(work.base) < settings.prune_opacity)
         room = min(int(settings.grow_share * work.selected.sum()), self._most - work.population + int(faint.sum()))
-        parents = strongest(view_gradients.mean(), work.selected & ~faint, settings.grow_gradient, room)
+        growth = DENSIFICATIONS.get(settings.densification)(
+            work.base,
+            view_gradients.mean(),
+            work.selected & ~faint,
+            threshold=settings.grow_gradient,
+            room=room,
+            large=0.01 * self._extent,
+            random=self._random,
+        )
+        parents = growth.parents
         if len(parents):
-            growth = grow(work.base, parents, 0.01 * self._extent, self._random)
             shift = work.shown.means[parents] - work.base.means[parents]
             stray = ~self._inside_focus(growth.children.means + shift, masks)
             growth.children.means[stray] = work.base.means[parents[stray]]
@@ -369,14 +336,14 @@ class FrameTrainer:
             return
         began = time.perf_counter()
         guess = search_seconds(self._settings.emergence.most_rays, len(self._used))
-        share = self._search.affords(self._effort.deadline - began, guess)
+        share = self._stream.search.affords(self._effort.deadline - began, guess)
         if share:
             looked, rays = search_of(share, len(self._used))
             apart = -(-len(self._used) // looked)
-            self._add_emerging(work, losses, masks, self._used[self._frame % apart :: apart], rays)
-            self._searching = time.perf_counter() - began
-            self._search.took(self._searching, share)
-            pace.put_off(self._searching)
+            self._add_emerging(work, losses, masks, self._used[self._frame.index % apart :: apart], rays)
+            self.searching = time.perf_counter() - began
+            self._stream.search.took(self.searching, share)
+            pace.put_off(self.searching)
 
     def _add_emerging(
         self,
@@ -427,14 +394,14 @@ class FrameTrainer:
         others = np.setdiff1d(np.arange(len(scene)), work.lifted)
         for view in self._watch:
             view.lift(others)
-        work.admit(others, take_splats(scene, others), self._ungated)
+        work.admit(others, take_splats(scene, others), self._stream.ungated)
 
     def _result(self, work: _Working) -> TrainedFrame:
         result = work.result()
         if "gate" in self._settings.ablated:
             lasting = work.lasting()
-            self._ungated = work.optimiser
-            self._ungated.keep(lasting)
+            self._stream.ungated = work.optimiser
+            work.optimiser.keep(lasting)
         return result
 
     def _inside_focus(self, means: FloatArray, masks: Sequence[FrameMask]) -> NDArray[np.bool_]:
@@ -473,7 +440,8 @@ class _Working:
         self._population = self._next_row = len(scene)
         self._prune_opacity = settings.prune_opacity
         self.lifted = self.rows = rows
-        self.optimiser = SplatOptimiser(take_splats(scene, rows), kernel, beta1=settings.beta1, beta2=settings.beta2)
+        new = OPTIMISERS.get(settings.optimiser)
+        self.optimiser = new(take_splats(scene, rows), kernel, beta1=settings.beta1, beta2=settings.beta2)
         self.selected = np.ones(len(rows), bool)
         self.shown, self.gradients = self.base, gradients_like(self.base)
 
@@ -505,7 +473,7 @@ class _Working:
         self.optimiser.keep(stays)
         self._resized()
 
-    def admit(self, rows: NDArray[np.int64], splats: Splats, momentum: SplatOptimiser | None) -> None:
+    def admit(self, rows: NDArray[np.int64], splats: Splats, momentum: Optimiser | None) -> None:
         """Takes further ``rows`` of the scene under training that are not selected."""
         joined = np.concatenate([self.rows, rows])
         order = np.argsort(joined)

@@ -9,6 +9,7 @@ Opacity resets: not tried.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,8 @@ from numpy.typing import NDArray
 from decogs.codec.lattice import LOG_SCALE_BOUND
 from decogs.decoder.rasterise.reference import rotation_matrices
 from decogs.formats.splats import Splats, take_splats
+
+from ..registry import Registry
 
 _SPLIT_SHRINK = np.float32(np.log(1.6))
 
@@ -84,3 +87,47 @@ def strongest(
     candidates = np.flatnonzero((gradients >= threshold) & eligible)
     best = candidates[np.argsort(-gradients[candidates], kind="stable")[: max(0, room)]]
     return np.sort(best)
+
+
+class Densification(Protocol):
+    """Chooses where Gaussians are added, and which; called a few times in a keyframe, once in a later frame."""
+
+    def __call__(
+        self,
+        splats: Splats,
+        gradients: NDArray[np.float64],
+        eligible: NDArray[np.bool_],
+        /,
+        *,
+        threshold: float,
+        room: int,
+        large: float,
+        random: np.random.Generator,
+    ) -> Growth:
+        """Children of some of the ``eligible`` (N,) Gaussians, at most ``room`` of them.
+
+        ``gradients`` (N,): mean view gradients, in 3DGS's normalised units. ``threshold``: that from which the settings
+        ask for growth. ``large``: sigma, in world units, above which a Gaussian counts as large. ``random``: the only
+        source of chance, so that encodes repeat to the bit.
+        """
+        ...
+
+
+def clone_and_split(
+    splats: Splats,
+    gradients: NDArray[np.float64],
+    eligible: NDArray[np.bool_],
+    /,
+    *,
+    threshold: float,
+    room: int,
+    large: float,
+    random: np.random.Generator,
+) -> Growth:
+    """3DGS's: the strongest gradients from the threshold on; small Gaussians are cloned, large ones split."""
+    return grow(splats, strongest(gradients, eligible, threshold, room), large, random)
+
+
+DENSIFICATIONS: Registry[Densification] = Registry(
+    "densification", "decogs.densifications", {"clone-split": clone_and_split}
+)

@@ -14,10 +14,11 @@ from ..analysis.view_dependence import as_far_as_shown
 from ..input.compensation import Corrector
 from ..input.dropouts import BLACK, blankness
 from ..input.ingest import Ingest, RigFrame, View
-from ..output.reports import OnKeyframeStep, Stopwatch
+from ..output.reports import OnKeyframeStep
 from ..point_init import FirstPoints, first_points
 from ..rasterise import TrainingKernel
 from ..settings.encode import EncodeSettings
+from ..stopwatch import Stopwatch
 from .keyframe import scouted_pictures, train_keyframe
 from .schedule import Effort
 

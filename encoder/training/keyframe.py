@@ -24,12 +24,13 @@ from decogs.formats.splats import SH_C0, FloatArray, Splats, take_splats
 from ..input.compensation import Corrector
 from ..input.ingest import View
 from ..point_init import FirstPoints
+from ..psnr import mean_psnr, psnr_of
 from ..rasterise import Picture, TrainingKernel, gradients_like
 from ..settings.keyframe import KeyframeSettings
 from ..settings.optimiser import LearningRates
-from .densification import ViewGradients, grow, opacities_of, strongest
+from .densification import DENSIFICATIONS, ViewGradients, opacities_of
 from .losses import whole_picture_loss
-from .optimiser import SplatOptimiser
+from .optimiser import OPTIMISERS
 from .schedule import WHOLE, Effort, TargetWatch
 from .significance import cheapest, picture_share
 from .view_order import view_order
@@ -153,7 +154,7 @@ class _KeyframeTraining:
         self._regions = [None if c is None else c > 0 for c in counted]
         self._target = self._target_watch()
         self._kept_back = [_kept_back(view, c) for view, c in zip(views, counted, strict=True)]
-        self._optimiser = SplatOptimiser(splats_from_points(points, settings), kernel)
+        self._optimiser = OPTIMISERS.get(settings.optimiser)(splats_from_points(points, settings), kernel)
         self._gradients = gradients_like(self._optimiser.splats)
         self._view_gradients = ViewGradients(len(self._optimiser.splats))
         self._order = view_order(len(views), random)
@@ -315,8 +316,16 @@ class _KeyframeTraining:
         splats = self._optimiser.splats
         keep = opacities_of(splats) >= settings.prune_opacity
         room = settings.cap - int(keep.sum())
-        parents = strongest(self._view_gradients.mean(), keep, settings.grow_gradient, room)
-        growth = grow(splats, parents, 0.01 * self._extent, self._random)
+        growth = DENSIFICATIONS.get(settings.densification)(
+            splats,
+            self._view_gradients.mean(),
+            keep,
+            threshold=settings.grow_gradient,
+            room=room,
+            large=0.01 * self._extent,
+            random=self._random,
+        )
+        parents = growth.parents
         splats.means[parents] = growth.parent_means
         splats.log_scales[parents] = growth.parent_log_scales
         self._optimiser.append(growth.children)
@@ -347,33 +356,6 @@ class _KeyframeTraining:
 
     def _training_psnr(self, splats: Splats) -> float:
         return mean_psnr(self._kernel, splats, self._views, [loss.target for loss in self._losses])
-
-
-def psnr_of(mean_square: float) -> float:
-    """Peak signal-to-noise ratio in dB of pictures in 0..1."""
-    return float(-10 * np.log10(max(mean_square, 1e-12)))
-
-
-def mean_psnr(kernel: TrainingKernel, splats: Splats, views: Sequence[View], pictures: Sequence[FloatArray]) -> float:
-    """Mean PSNR of ``splats`` through the views against ``pictures`` (3, H, W); NaN without views."""
-    return mean_picture_psnr(views, [kernel.forward(splats, view.pinhole).rgb for view in views], pictures)
-
-
-def mean_picture_psnr(views: Sequence[View], shown: Sequence[FloatArray], pictures: Sequence[FloatArray]) -> float:
-    """Mean over the views of each one's PSNR, over recorded pixels, of ``shown`` clipped to 0..1; NaN without views."""
-    values = []
-    for view, picture, target in zip(views, shown, pictures, strict=True):
-        square = (np.clip(picture, 0, 1) - target) ** 2
-        if view.valid is not None:
-            square = square * view.valid
-        values.append(psnr_of(float(square.sum(dtype=np.float64)) / (3 * float(_size(view)))))
-    return float(np.mean(values)) if values else float("nan")
-
-
-def _size(view: View) -> float:
-    if view.valid is None:
-        return view.pinhole.width * view.pinhole.height
-    return max(1.0, float(view.valid.sum()))
 
 
 def _counted(view: View, share: float, random: np.random.Generator) -> FloatArray | None:

@@ -8,6 +8,7 @@ Rejected: torch.optim.Adam (steps every row, and its sparse variant has no row s
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +16,61 @@ from numpy.typing import NDArray
 from decogs.formats.splats import FloatArray, Splats, join_splats, take_splats
 
 from ..rasterise import SplatGradients, TrainingKernel
+from ..registry import Registry
 from ..settings.optimiser import LearningRates
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 ATTRIBUTES = ("means", "log_scales", "quaternions", "opacity_logits", "sh")
 
 
-class SplatOptimiser:
+class Optimiser(Protocol):
+    """The stored values under training, stepped in place. Attributes are those of ``Splats``, named in ATTRIBUTES."""
+
+    @property
+    def splats(self) -> Splats:
+        """The values, N rows."""
+        ...
+
+    def step(self, gradients: SplatGradients, rates: LearningRates, *, rows: NDArray[np.int64] | None = None) -> None:
+        """One step of every attribute whose rate is not 0, on ``rows`` or on all; other rows keep every bit."""
+        ...
+
+    def hold(self, held: Mapping[str, NDArray[np.bool_]]) -> None:
+        """From now on these numbers of each attribute keep their values, until rows come or go."""
+        ...
+
+    def gradient_size(self, name: str) -> FloatArray:
+        """Size of an attribute's gradients so far, shaped like it: what a change of it is worth to the loss."""
+        ...
+
+    def keep(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> None:
+        """Drops every other row, or puts rows into a new order."""
+        ...
+
+    def append(self, added: Splats) -> None:
+        """Adds rows without momentum."""
+        ...
+
+    def copied(self) -> Self:
+        """The same values and momentum, stepped apart from now on; nothing is held."""
+        ...
+
+    def remember(self, other: Any, rows: NDArray[np.int64], theirs: NDArray[np.int64]) -> None:
+        """Takes over the momentum of an ``other`` of its kind: of its rows ``theirs`` for ``rows``."""
+        ...
+
+
+class NewOptimiser(Protocol):
+    """Makes an optimiser of a copy of ``splats``; ``kernel`` steps natively."""
+
+    def __call__(
+        self, splats: Splats, kernel: TrainingKernel, /, *, beta1: float = 0.9, beta2: float = 0.999
+    ) -> Optimiser: ...
+
+
+class Adam:
     """The stored values under training and their Adam moments; ``splats`` is stepped in place."""
 
     def __init__(
@@ -40,9 +90,9 @@ class SplatOptimiser:
         self._steps = 0
         self._held: dict[str, tuple[NDArray[np.bool_], FloatArray]] = {}
 
-    def copied(self) -> SplatOptimiser:
+    def copied(self) -> Adam:
         """The same values and momentum, stepped apart from now on; nothing is held."""
-        other = SplatOptimiser(self.splats, self._kernel, beta1=self._beta1, beta2=self._beta2, epsilon=self._epsilon)
+        other = Adam(self.splats, self._kernel, beta1=self._beta1, beta2=self._beta2, epsilon=self._epsilon)
         other.remember(self, np.arange(len(self.splats)), np.arange(len(self.splats)))
         return other
 
@@ -91,7 +141,7 @@ class SplatOptimiser:
         self.splats, self._held = take_splats(self.splats, rows), {}
         self._first, self._second = take_splats(self._first, rows), take_splats(self._second, rows)
 
-    def remember(self, other: SplatOptimiser, rows: NDArray[np.int64], theirs: NDArray[np.int64]) -> None:
+    def remember(self, other: Adam, rows: NDArray[np.int64], theirs: NDArray[np.int64]) -> None:
         """Takes over the momentum of another optimiser's rows ``theirs`` for ``rows``, and its count of steps."""
         self._steps = other._steps
         for own, moments in ((self._first, other._first), (self._second, other._second)):
@@ -107,3 +157,6 @@ class SplatOptimiser:
 
 def _zeros_like(splats: Splats) -> Splats:
     return Splats(*(np.zeros_like(getattr(splats, name)) for name in ATTRIBUTES))
+
+
+OPTIMISERS: Registry[NewOptimiser] = Registry("optimiser", "decogs.optimisers", {"adam": Adam})

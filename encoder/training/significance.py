@@ -24,7 +24,7 @@ from decogs.codec.state import IntArray
 from decogs.formats.splats import FloatArray, Splats
 
 from .losses import PhotometricLoss
-from .optimiser import ATTRIBUTES, SplatOptimiser
+from .optimiser import ATTRIBUTES, Optimiser
 
 _ROUNDS = 4
 """Of choosing under the table that the choices before make; more change next to nothing."""
@@ -37,7 +37,7 @@ def picture_share(losses: Sequence[PhotometricLoss]) -> float:
     return float(np.mean([loss.emphasis / loss.target[0].size for loss in losses]))
 
 
-def take_back(optimiser: SplatOptimiser, before: Splats, old: NDArray[np.bool_], worth: float) -> None:
+def take_back(optimiser: Optimiser, before: Splats, old: NDArray[np.bool_], worth: float) -> None:
     """Changes since ``before`` that are worth too little go back, and their numbers are held from now on.
 
     ``before`` (M) has the optimiser's rows; those that are not ``old`` (M,) are new and keep what they have. ``worth``

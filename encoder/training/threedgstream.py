@@ -22,65 +22,37 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.decoder.rasterise.reference import rotation_matrices
-from decogs.formats.splats import FloatArray, Splats, join_splats, take_splats
+from decogs.formats.splats import Splats, join_splats, take_splats
 
-from ..change.masks import FrameMask
-from ..input.ingest import View
-from ..rasterise import SplatGradients, TrainingKernel, gradients_like
-from ..settings.frame import FrameSettings
-from ..settings.threedgstream import BaselineSettings
+from ..rasterise import SplatGradients, gradients_like
 from ..transformation_cache import TransformationCache
-from .delta import TrainedFrame
 from .densification import ViewGradients, opacities_of
 from .losses import PhotometricLoss, require_finite, whole_picture_loss
-from .optimiser import ATTRIBUTES, SplatOptimiser
-from .schedule import WHOLE, Effort
+from .method import FrameInput, TrainedFrame, TrainingContext
+from .optimiser import ATTRIBUTES, Adam
 from .view_order import view_order
 
 
 class BaselineTrainer:
     """Trains later frames of one stream as 3DGStream does.
 
-    ``population``: Gaussians of the keyframe; rows of a scene beyond them were spawned for the frame before.
-    ``extent`` is the rig's, the box bounds what the cache may move and where Gaussians may spawn.
+    Rows of a scene beyond the keyframe's were spawned for the frame before. ``context.box`` also bounds where Gaussians
+    may spawn. ``min_seconds`` is unknown: the schedule is fixed.
     """
 
-    def __init__(
-        self,
-        kernel: TrainingKernel,
-        views: Sequence[View],
-        settings: BaselineSettings,
-        *,
-        population: int,
-        extent: float,
-        box: tuple[NDArray[np.float64], NDArray[np.float64]],
-        seed: int,
-        threads: int = 1,
-    ) -> None:
-        self._kernel, self._views, self._settings = kernel, views, settings
-        self._population, self._extent, self._box = population, extent, box
-        self._seed = seed
-        self._cache = TransformationCache(*box, settings.cache, seed, threads=threads)
+    min_seconds = 0.0
 
-    def train(
-        self,
-        scene: Splats,
-        selected: NDArray[np.bool_],
-        pictures: Sequence[FloatArray],
-        masks: Sequence[FrameMask],
-        motion: FloatArray,
-        *,
-        frame: int,
-        settings: FrameSettings | None = None,
-        effort: Effort = WHOLE,
-    ) -> TrainedFrame:
-        """Trains all Gaussians of ``scene`` on one frame's pictures (3, H, W).
+    def __init__(self, context: TrainingContext) -> None:
+        self._kernel, self._views, self._settings = context.kernel, context.views, context.settings.baseline
+        self._population, self._extent, self._box = context.population, context.extent, context.box
+        self._seed = context.seed
+        self._cache = TransformationCache(*self._box, self._settings.cache, self._seed, threads=context.threads)
 
-        The call is `FrameTrainer.train`'s; ``selected``, ``masks``, ``motion`` and ``settings`` have no part in this
-        method, nor has anything of ``effort`` that ends training early.
-        """
-        self._on_loss = effort.on_loss
-        self._random = np.random.default_rng((self._seed, frame))
+    def train(self, frame: FrameInput, /) -> TrainedFrame:
+        """Trains all Gaussians; S_t, masks, motion, the frame's settings and an early end have no part in it."""
+        scene, pictures = frame.scene, frame.pictures
+        self._on_loss = frame.effort.on_loss
+        self._random = np.random.default_rng((self._seed, frame.index))
         self._order = view_order(len(self._views), self._random)
         losses = [
             whole_picture_loss(picture, view.valid, self._settings.dissimilarity)
@@ -132,7 +104,7 @@ class BaselineTrainer:
         """Trains the spawned Gaussians alone, in the whole scene, and takes away those that come to nothing."""
         settings = self._settings
         rates = replace(settings.rates, means=settings.rates.means * self._extent)
-        optimiser = SplatOptimiser(spawned, self._kernel)
+        optimiser = Adam(spawned, self._kernel)
         scene = join_splats(lasting, spawned)
         gradients = gradients_like(scene)
         for step in range(1, settings.spawn_iterations + 1):

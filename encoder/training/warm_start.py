@@ -28,3 +28,28 @@ def shared_displacements(means: FloatArray, displacements: FloatArray, neighbour
     tree = cv2.flann.Index(means, _EXACT_KD_TREE)
     nearest, _ = tree.knnSearch(means, count, params=_ALL_LEAVES)
     return np.asarray(np.median(displacements[nearest], axis=1), np.float32)
+
+
+class Motion:
+    """How far every Gaussian moved in the last frame; ``last`` (N, 3), world units."""
+
+    def __init__(self) -> None:
+        self.last: FloatArray = np.zeros((0, 3), np.float32)
+        self._held = 0
+
+    def begin(self, population: int) -> None:
+        """Of the keyframe's Gaussians nothing is known."""
+        self.last = np.zeros((population, 3), np.float32)
+
+    def expected(self) -> FloatArray:
+        """The displacement up to the next frame: what was held is taken to have moved on."""
+        return np.asarray(self.last * np.float32(1 + self._held), np.float32)
+
+    def hold(self) -> None:
+        """The frame waits for time; the scene stays as it is."""
+        self._held += 1
+
+    def moved(self, displacements: FloatArray) -> None:
+        """Takes those since the last frame that was not held."""
+        self.last = displacements / np.float32(1 + self._held)
+        self._held = 0

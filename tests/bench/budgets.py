@@ -25,13 +25,14 @@ from unittest.mock import patch
 import cv2
 import numpy as np
 
-import decogs.encoder.loop as loop
+import decogs.encoder.change.detection as detection
 import decogs.encoder.training.delta as frame_training
 import decogs.encoder.training.seeding as emergence
 from decogs.decoder.pictures import to_8bit
 from decogs.decoder.session import render_view
 from decogs.encoder import PRESETS, EncodeReport, EncodeSettings, encode
 from decogs.encoder.change.masks import MaskMemory
+from decogs.encoder.coding.coded_scene import CodedScene
 from decogs.encoder.coding.time_control import counted_seconds
 from decogs.encoder.rasterise import FixedView
 from decogs.formats.cameras import Camera, scale_camera
@@ -69,9 +70,9 @@ class WorkClock:
             (FixedView, "settle", lambda _, view, scene, rows, *rest: 100 + 0.2 * len(rows) + 0.02 * len(scene)),
             (FixedView, "lift", lambda _, view, rows: 50 + 0.1 * len(rows)),
             (frame_training, "shared_displacements", lambda _, means, *rest: 2 * len(means)),
-            (frame_training.FrameTrainer, "_errors", lambda out, *rest: 0.05 * sum(each.shape[1] for each in out)),
-            (frame_training.FrameTrainer, "_loss", lambda _, trainer, picture, *rest: 0.003 * picture[0].size),
-            (frame_training.FrameTrainer, "_densify", lambda _, trainer, work, *rest: 2000 + 1.0 * len(work.rows)),
+            (frame_training._DeltaTraining, "_errors", lambda out, *rest: 0.05 * sum(each.shape[1] for each in out)),
+            (frame_training._DeltaTraining, "_loss", lambda _, trainer, picture, *rest: 0.003 * picture[0].size),
+            (frame_training._DeltaTraining, "_densify", lambda _, trainer, work, *rest: 2000 + 1.0 * len(work.rows)),
             (frame_training, "take_back", lambda _, optimiser, *rest: 0.2 * len(optimiser.splats)),
             (frame_training, "missed", lambda _, look, *rest: 0.005 * look.depth.size),
             (emergence._Search, "__init__", lambda _, search, looks, *rest: 0.1 * sum(x.depth.size for x in looks)),
@@ -82,8 +83,8 @@ class WorkClock:
             ),
             (MaskMemory, "_mask", lambda _, memory, now, *rest: 0.02 * now[0].size),
             (MaskMemory, "trained", lambda _, memory, now, *rest, **more: 0.02 * sum(each[0].size for each in now)),
-            (loop, "select", lambda _, evidence, *rest: 0.01 * len(evidence) * len(evidence[0].weight)),
-            (loop.StreamEncoder, "_commit", lambda packet, *rest: 2000 + 0.3 * len(packet.payload)),
+            (detection, "select", lambda _, evidence, *rest: 0.01 * len(evidence) * len(evidence[0].weight)),
+            (CodedScene, "_write", lambda written, *rest: 2000 + 0.3 * len(written.packet.payload)),
         ):
             stack.enter_context(patch.object(owner, name, self._counted(getattr(owner, name), cost)))
         return stack

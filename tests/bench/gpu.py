@@ -20,7 +20,7 @@ import torch
 from decogs.encoder.rasterise import FixedView, TrainingKernel, fixed_view, gradients_like
 from decogs.encoder.rasterise.cuda import CudaKernel, missing_for_cuda
 from decogs.encoder.settings.optimiser import LearningRates
-from decogs.encoder.training.optimiser import SplatOptimiser
+from decogs.encoder.training.optimiser import Adam
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import Splats, take_splats
 from rasterise import front_camera, random_scene
@@ -44,7 +44,7 @@ class DenseStep:
     def __init__(self, kernel: TrainingKernel, splats: Splats, camera: Camera) -> None:
         rng = np.random.default_rng(1)
         self.kernel, self.camera = kernel, camera
-        self.optimiser = SplatOptimiser(splats, kernel)
+        self.optimiser = Adam(splats, kernel)
         self.target = rng.random((3, camera.height, camera.width), dtype=np.float32)
         self.gradients = gradients_like(splats)
         self.parts = (self.forward, self.loss, self.backward, self.adam)
@@ -69,7 +69,7 @@ class SparseStep:
 
     def __init__(self, kernel: TrainingKernel, splats: Splats, camera: Camera, rows: np.ndarray) -> None:
         self.rows = rows
-        self.optimiser = SplatOptimiser(take_splats(splats, rows), kernel)
+        self.optimiser = Adam(take_splats(splats, rows), kernel)
         self.gradients = gradients_like(self.optimiser.splats)
         self.target = np.random.default_rng(1).random((3, camera.height, camera.width), dtype=np.float32)
         self.view: FixedView = fixed_view(kernel, camera)

@@ -14,7 +14,8 @@ import cv2
 import numpy as np
 import pytest
 
-import decogs.encoder.loop as loop
+import decogs.encoder.change.detection as detection
+import decogs.encoder.coding.coded_scene as coded_scene
 from decogs.codec.corrections import Correction
 from decogs.codec.state import State
 from decogs.decoder.pictures import to_8bit
@@ -22,11 +23,11 @@ from decogs.decoder.session import render_view
 from decogs.encoder import EncodeReport, EncodeSettings, FrameReport
 from decogs.encoder.input.imported_keyframe import read_keyframe
 from decogs.encoder.input.ingest import Ingest
-from decogs.encoder.loop import encode_stream
 from decogs.encoder.settings.cache import CacheSettings
 from decogs.encoder.settings.frame import FrameSettings, MaskSettings
 from decogs.encoder.settings.keyframe import KeyframeSettings
 from decogs.encoder.settings.threedgstream import BaselineSettings
+from decogs.encoder.stream import encode_stream
 from decogs.formats.cameras import Camera
 from decogs.formats.rigs import open_rig
 from decogs.formats.splats import SH_C0, Splats, join_splats
@@ -221,7 +222,7 @@ def _encode(output: Path, rig: Path, **options: Any) -> Encoded:
     ingest = Ingest(opened, holdout=chosen["holdout"], scale=chosen["scale"], lens=lens)
     states: list[State] = []
     selected: dict[int, np.ndarray] = {}
-    reconstruct, select = loop.reconstruct, loop.select
+    reconstruct, select = coded_scene.reconstruct, detection.select
 
     def observed_reconstruct(*arguments: Any, **options: Any) -> State:
         states.append(reconstruct(*arguments, **options))
@@ -233,8 +234,8 @@ def _encode(output: Path, rig: Path, **options: Any) -> Encoded:
         return chosen
 
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(loop, "reconstruct", observed_reconstruct)
-        patched.setattr(loop, "select", observed_select)
+        patched.setattr(coded_scene, "reconstruct", observed_reconstruct)
+        patched.setattr(detection, "select", observed_select)
         report = encode_stream(
             ingest,
             output,

@@ -11,18 +11,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-import decogs.encoder.loop as loop
+import decogs.encoder.change.detection as detection
 from decogs.codec.digest import digest
 from decogs.decoder.session import open_stream
 from decogs.encoder.input.ingest import Ingest
 from decogs.encoder.rasterise import TrainingKernel
+from decogs.encoder.settings.encode import EncodeSettings
 from decogs.encoder.settings.threedgstream import BaselineSettings
-from decogs.encoder.training.delta import TrainedFrame
+from decogs.encoder.training.method import TrainedFrame
 from decogs.encoder.training.threedgstream import BaselineTrainer
 from decogs.formats.container import PacketKind
 from decogs.formats.errors import TrainingError
 from decogs.formats.rigs import open_rig
 from decogs.formats.splats import Splats, join_splats, take_splats
+from one_frame import train, training_context
 
 BOX = (np.array([-3.5, -3.0, -1.0]), np.array([3.5, 3.0, 1.0]))
 LEFT = (BOX[0], np.array([0.0, 3.0, 1.0]))
@@ -39,10 +41,19 @@ class Case:
     settings: BaselineSettings
 
     def trainer(self, *, threads: int = 2, seed: int = 0, box: Any = BOX, **changes: Any) -> BaselineTrainer:
+        settings = replace(EncodeSettings(), method="3dgstream", baseline=replace(self.settings, **changes))
         return BaselineTrainer(
-            TrainingKernel(threads), self.ingest.views, replace(self.settings, **changes),
-            population=len(self.scene), extent=1.2, box=box, seed=seed, threads=threads,
-        )  # fmt: skip
+            training_context(
+                TrainingKernel(threads),
+                self.ingest.views,
+                [],
+                settings=settings,
+                population=len(self.scene),
+                box=box,
+                seed=seed,
+                threads=threads,
+            )
+        )
 
     def train(
         self, trainer: BaselineTrainer, scene: Splats | None = None, pictures: Any = None, frame: int = 1
@@ -50,7 +61,7 @@ class Case:
         scene = scene or self.scene
         nothing = (np.zeros(len(scene), bool), pictures or self.pictures, [], np.full_like(scene.means, np.nan))
         # Nobody is selected, there are no masks, and motion is unusable.
-        return trainer.train(scene, *nothing, frame=frame)
+        return train(trainer, scene, *nothing, frame=frame)
 
 
 @pytest.fixture(scope="module")
@@ -213,8 +224,8 @@ def test_no_mask_is_made_and_nothing_selected(
     def never(*_: Any) -> None:
         raise AssertionError("a mask or a selection was asked for")
 
-    monkeypatch.setattr(loop.MaskMemory, "masks", never)
-    monkeypatch.setattr(loop, "view_evidence", never)
+    monkeypatch.setattr(detection.MaskMemory, "masks", never)
+    monkeypatch.setattr(detection, "view_evidence", never)
     again = encode(moving_rig, settings=replace(tiny_settings, method="3dgstream"), keyframe=moving.path)
     assert again.data == dense.data
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-import decogs.encoder.loop as loop
+import decogs.encoder.coding.coded_scene as coded_scene
 from decogs.codec.corrections import ANGLE_STEP, COLOUR_STEP, Correction
 from decogs.codec.digest import digest
 from decogs.decoder.camera_faults import as_it_stood, with_odds
@@ -484,7 +484,7 @@ def test_nothing_runs_when_no_camera_is_named(
 ) -> None:
     for name in ("see", "find", "find_jointly", "undo", "judge", "__init__"):
         monkeypatch.setattr(Corrector, name, never)
-    monkeypatch.setattr(loop, "write_corrections", never)
+    monkeypatch.setattr(coded_scene, "write_corrections", never)
     plain = encode(moving_rig, stop=3)
     assert all("corrections" not in frame.seconds and "corrections" not in frame.costs for frame in plain.report.frames)
     with open_stream(plain.path) as stream:

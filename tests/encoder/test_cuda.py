@@ -21,7 +21,7 @@ import pytest
 import torch
 from torch import Tensor
 
-import decogs.encoder.loop as loop
+import decogs.encoder.stream_state as stream_state
 import rasterise_cases as cases
 from decogs.decoder.rasterise.reference import rotation_matrices, sh_basis
 from decogs.encoder.rasterise import FixedView, SplatGradients, TrainingKernel, fixed_view, training_kernel
@@ -548,7 +548,7 @@ def test_a_whole_encode_runs_on_it(
     backend: Backend, encode: Any, moving_rig: Path, tiny_settings: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Keyframe and a later frame, cache included. Roundings grow as training goes on (seen: 0.01 dB)."""
-    monkeypatch.setattr(loop, "training_kernel", lambda device, threads: backend.make())
+    monkeypatch.setattr(stream_state, "training_kernel", lambda device, threads: backend.make())
     settings = replace(tiny_settings, keyframe=replace(tiny_settings.keyframe, iterations=30, cap=400))
     encoded = encode(moving_rig, settings=settings, stop=2)
     monkeypatch.undo()

@@ -13,7 +13,7 @@ from decogs.encoder.rasterise import SplatGradients, TrainingKernel
 from decogs.encoder.settings.frame import Coarseness, FocusWeights
 from decogs.encoder.settings.optimiser import LearningRates
 from decogs.encoder.training.losses import focus_loss, whole_picture_loss
-from decogs.encoder.training.optimiser import SplatOptimiser
+from decogs.encoder.training.optimiser import Adam
 from decogs.encoder.training.significance import cheapest, picture_share, take_back
 from decogs.formats.splats import Splats
 
@@ -27,10 +27,10 @@ def some_splats(seed: int) -> Splats:
     return Splats(*(random.normal(size=shape).astype(np.float32) for shape in shapes))
 
 
-def trained(start: Splats, sizes: Splats) -> tuple[SplatOptimiser, SplatGradients]:
+def trained(start: Splats, sizes: Splats) -> tuple[Adam, SplatGradients]:
     """Three Adam steps: every number moves by .03, whatever its gradient."""
     gradients = SplatGradients(*vars(sizes).values(), np.zeros(COUNT, np.float32))
-    optimiser = SplatOptimiser(start, TrainingKernel(1))
+    optimiser = Adam(start, TrainingKernel(1))
     for _ in range(3):
         optimiser.step(gradients, RATES)
     return optimiser, gradients

@@ -12,10 +12,10 @@ from decogs.encoder.change.masks import FrameMask
 from decogs.encoder.input.ingest import View
 from decogs.encoder.rasterise import FixedView, TrainingKernel
 from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings
-from decogs.encoder.training.delta import FrameTrainer
 from decogs.encoder.training.seeding import Look, missed, seeds, worth_a_search
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import SH_C0, Splats, join_splats, take_splats
+from one_frame import delta_trainer, train
 
 SETTINGS = EmergenceSettings()
 CENTRE, RADIUS = np.array([0.1, -0.05, -0.2]), 0.28
@@ -204,10 +204,16 @@ def trained(kernel: TrainingKernel, wall: Splats, shown: Splats, emergence: Emer
     for watching in watch:
         watching.place(wall)
         watching.refresh()
-    trainer = FrameTrainer(kernel, views, watch, settings, extent=1.2, box=box, seed=0)
+    trainer = delta_trainer(kernel, views, watch, settings, box=box)
     selected = np.abs(wall.means[:, 0]) < 0.1
-    frame = trainer.train(
-        wall, selected, pictures, [FrameMask(everywhere, everywhere)] * len(views), np.zeros_like(wall.means), frame=1
+    frame = train(
+        trainer,
+        wall,
+        selected,
+        pictures,
+        [FrameMask(everywhere, everywhere)] * len(views),
+        np.zeros_like(wall.means),
+        frame=1,
     )
     scene = take_splats(wall, np.arange(len(wall)))
     for name, array in vars(scene).items():

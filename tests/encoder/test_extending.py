@@ -14,9 +14,9 @@ import pytest
 from decogs.decoder.session import open_stream
 from decogs.encoder import encode
 from decogs.encoder.change.selection import SELECTION_RULES, ViewEvidence, select
-from decogs.encoder.methods import with_selection
 from decogs.encoder.registry import Registry
 from decogs.encoder.settings.frame import SelectionSettings
+from decogs.encoder.switches import with_selection
 from decogs.formats.errors import UsageError
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "extending.md"

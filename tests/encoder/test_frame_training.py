@@ -14,11 +14,13 @@ from decogs.encoder.input.ingest import Ingest
 from decogs.encoder.rasterise import FixedView, TrainingKernel
 from decogs.encoder.settings.cache import CacheSettings
 from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings, PaceSettings
-from decogs.encoder.training.delta import FrameTrainer, TrainedFrame
+from decogs.encoder.training.delta import DeltaTrainer
+from decogs.encoder.training.method import TrainedFrame
 from decogs.encoder.training.schedule import LEAST_STEPS, Effort
 from decogs.formats.errors import TrainingError
 from decogs.formats.rigs import open_rig
 from decogs.formats.splats import Splats, take_splats
+from one_frame import delta_trainer, train
 
 BOX = (np.array([-3.0, -3.0, -1.0]), np.array([3.0, 3.0, 1.0]))
 CACHE = CacheSettings(levels=4, features=2, table_log2=8, base_resolution=4, hidden_width=16, learning_rate=5e-3)
@@ -43,13 +45,13 @@ class Case:
         mask = np.full(self.pictures[0].shape[1:], everywhere)
         return [FrameMask(mask, mask) for _ in self.pictures]
 
-    def trainer(self, settings: FrameSettings, *, threads: int = 2, seed: int = 0) -> FrameTrainer:
+    def trainer(self, settings: FrameSettings, *, threads: int = 2, seed: int = 0) -> DeltaTrainer:
         kernel = TrainingKernel(threads)
         watch = [FixedView(kernel, view.pinhole) for view in self.ingest.views]
         for view in watch:
             view.place(self.scene)
             view.refresh()
-        return FrameTrainer(kernel, self.ingest.views, watch, settings, extent=1.2, box=BOX, seed=seed, threads=threads)
+        return delta_trainer(kernel, self.ingest.views, watch, settings, box=BOX, seed=seed, threads=threads)
 
     def train(
         self, settings: FrameSettings, *, everywhere: bool = True, threads: int = 2, **other: Any
@@ -63,7 +65,7 @@ class Case:
             "motion": np.zeros_like(self.scene.means),
             "frame": 1,
         }
-        return trainer.train(**(given | other))
+        return train(trainer, **(given | other))
 
 
 @pytest.fixture(scope="module")
@@ -196,10 +198,10 @@ def test_the_cache_may_be_carried_from_frame_to_frame(case: Case) -> None:
         settings = replace(MOVING, carry_cache=carry, joint_iterations=0)
         trainer = case.trainer(settings)
         given = (case.selected, case.pictures, case.masks(everywhere=True), np.zeros_like(case.scene.means))
-        trainer.train(case.scene, *given, frame=1)
-        for view in trainer._watch:
+        train(trainer, case.scene, *given, frame=1)
+        for view in trainer.context.static_views:
             view.settle(case.scene, np.flatnonzero(case.selected))
-        frame = trainer.train(case.scene, *given, frame=2, settings=replace(settings, cache_iterations=0))
+        frame = train(trainer, case.scene, *given, frame=2, settings=replace(settings, cache_iterations=0))
         assert (frame.values.means != case.scene.means[frame.kept]).any() == moved
 
 
@@ -209,9 +211,9 @@ def test_a_frame_is_trained_alike_whatever_was_trained_before(case: Case, settin
     trainer = case.trainer(settings)
     results = []
     for frame in (1, 2, 1):
-        trained = trainer.train(case.scene, *given, frame=frame)
+        trained = train(trainer, case.scene, *given, frame=frame)
         results.append(bits(trained.values) + bits(trained.added))
-        for view in trainer._watch:
+        for view in trainer.context.static_views:
             view.settle(case.scene, np.flatnonzero(case.selected))
             view.refresh()
     assert results[0] == results[2] != results[1]
@@ -227,9 +229,9 @@ def test_what_is_trained_is_what_a_whole_rendering_trains(case: Case) -> None:
     """The frame's loss falls as the pictures of the views say: no view keeps showing what has moved away."""
     trainer = case.trainer(DIRECT)
     motion = np.zeros_like(case.scene.means)
-    frame = trainer.train(case.scene, case.selected, case.pictures, case.masks(everywhere=True), motion, frame=1)
+    frame = train(trainer, case.scene, case.selected, case.pictures, case.masks(everywhere=True), motion, frame=1)
     now, kernel = applied(case.scene, frame), TrainingKernel(1)
-    for view, watching in zip(case.ingest.views, trainer._watch, strict=True):
+    for view, watching in zip(case.ingest.views, trainer.context.static_views, strict=True):
         watching.settle(now, np.flatnonzero(case.selected))
         watching.refresh()
         np.testing.assert_array_equal(watching.rgb, kernel.forward(now, view.pinhole).rgb)
@@ -241,15 +243,15 @@ def test_without_the_gate_everything_moves_and_momentum_lasts(case: Case) -> Non
     results = []
     for forget in (False, True):
         trainer = case.trainer(settings)
-        frame = trainer.train(case.scene, *given, frame=1)
+        frame = train(trainer, case.scene, *given, frame=1)
         np.testing.assert_array_equal(frame.kept, np.arange(len(case.scene)))
         moved = (frame.values.means != case.scene.means).any(axis=1)
         assert moved[~case.selected].mean() > 0.8  # the wall reaches a little beyond what the cameras see
-        for view in trainer._watch:
+        for view in trainer.context.static_views:
             view.place(case.scene)
         if forget:
-            trainer._ungated = None
-        results.append(bits(trainer.train(case.scene, *given, frame=2).values))
+            trainer.ungated = None
+        results.append(bits(train(trainer, case.scene, *given, frame=2).values))
     assert results[0] != results[1]
 
 
@@ -262,12 +264,20 @@ def test_without_the_focus_the_masks_are_not_in_the_loss(case: Case) -> None:
     assert with_masks(DIRECT, True) != with_masks(DIRECT, False)
 
 
+def steps_of(case: Case, trainer: DeltaTrainer, pictures: list[np.ndarray]) -> int:
+    """The steps of stage 2."""
+    steps: list[int] = []
+    effort = Effort(on_loss=lambda stage, step, loss: steps.append(step))
+    motion = np.zeros_like(case.scene.means)
+    masks = case.masks(everywhere=True)
+    train(trainer, case.scene, case.selected, pictures, masks, motion, frame=1, effort=effort)
+    return len(steps)
+
+
 def test_training_ends_when_the_loss_no_longer_falls(case: Case) -> None:
     def steps(settings: FrameSettings) -> int:
         trainer = case.trainer(settings)
-        motion = np.zeros_like(case.scene.means)
-        trainer.train(case.scene, case.selected, case.pictures, case.masks(everywhere=True), motion, frame=1)
-        return len(trainer._values)
+        return steps_of(case, trainer, case.pictures)
 
     still = replace(DIRECT, joint_iterations=60, rates=DIRECT.rates.scaled(1e-9))
     assert steps(still) == 60
@@ -281,9 +291,7 @@ def test_training_ends_when_the_loss_no_longer_falls(case: Case) -> None:
 def test_what_the_scene_misses_at_its_start_makes_a_frame_longer_or_shorter(case: Case) -> None:
     def steps(pictures: list[np.ndarray], usual_miss: float) -> int:
         trainer = case.trainer(replace(DIRECT, pace=PaceSettings(usual_miss=usual_miss, least=0.5, most=2.0)))
-        motion = np.zeros_like(case.scene.means)
-        trainer.train(case.scene, case.selected, pictures, case.masks(everywhere=True), motion, frame=1)
-        return len(trainer._values)
+        return steps_of(case, trainer, pictures)
 
     shown = [TrainingKernel(2).forward(case.scene, view.pinhole).rgb for view in case.ingest.views]
     assert steps(shown, 0.5) == 15

@@ -18,7 +18,8 @@ import numpy as np
 import pytest
 
 import decogs.encoder.loop as loop
-import decogs.encoder.output.reports as reports
+import decogs.encoder.output.frame_report as frame_report
+import decogs.encoder.stopwatch as stopwatch
 from decogs.codec.corrections import Correction
 from decogs.codec.digest import digest
 from decogs.codec.lattice import dequantise
@@ -27,7 +28,9 @@ from decogs.decoder.pictures import to_8bit
 from decogs.decoder.rasterise.native import INSTRUCTION_SETS, best_instruction_set
 from decogs.decoder.session import DecodedFrame, open_stream, render_view
 from decogs.encoder import PRESETS
+from decogs.encoder.change.masks import MaskMemory
 from decogs.encoder.input.ingest import frame_span
+from decogs.encoder.rasterise import FixedView
 from decogs.encoder.settings.frame import MaskSettings, SelectionSettings
 from decogs.formats.container import PacketKind, StreamWriter
 from decogs.formats.errors import RigError, UsageError
@@ -228,10 +231,10 @@ def test_processor_seconds_are_those_of_the_frame_without_the_measuring(
 
         return run
 
-    monkeypatch.setattr(loop, "Stopwatch", lambda: reports.Stopwatch(began=spent[0]))
-    monkeypatch.setattr(reports.time, "process_time", lambda: spent[0])
-    monkeypatch.setattr(loop, "mean_psnr", costly(loop.mean_psnr, 1.0))  # twice a frame
-    monkeypatch.setattr(loop.MaskMemory, "masks", costly(loop.MaskMemory.masks, 0.125))
+    monkeypatch.setattr(loop, "Stopwatch", lambda: stopwatch.Stopwatch(began=spent[0]))
+    monkeypatch.setattr(stopwatch.time, "process_time", lambda: spent[0])
+    monkeypatch.setattr(frame_report, "mean_psnr", costly(frame_report.mean_psnr, 1.0))  # twice a frame
+    monkeypatch.setattr(MaskMemory, "masks", costly(MaskMemory.masks, 0.125))
     key, _, skip, _ = encode(moving_rig, keyframe=moving.path).report.frames
     assert (key.kind, skip.kind) == ("key", "skip")
     assert (key.cpu_seconds, skip.cpu_seconds) == (0.0, 0.125)
@@ -334,10 +337,10 @@ def test_a_frame_without_changes_costs_its_masks_and_nothing_else(
         raise AssertionError("a still frame was drawn, weighed, trained or settled")
 
     for name in ("lift", "draw", "backward", "settle"):
-        monkeypatch.setattr(loop.FixedView, name, never)
+        monkeypatch.setattr(FixedView, name, never)
     refreshed: list[object] = []
-    refresh = loop.FixedView.refresh
-    monkeypatch.setattr(loop.FixedView, "refresh", lambda view, *a: (refreshed.append(view), refresh(view, *a))[1])
+    refresh = FixedView.refresh
+    monkeypatch.setattr(FixedView, "refresh", lambda view, *a: (refreshed.append(view), refresh(view, *a))[1])
     again = encode(still_rig, keyframe=still.path)
     assert [set(report.seconds) for report in again.report.frames[1:]] == [{"masks", "write", "measure"}] * 3
     assert len(refreshed) == len(set(map(id, refreshed))), "for the keyframe, and never again"

@@ -12,12 +12,13 @@ import pytest
 from decogs.decoder.session import open_stream
 from decogs.encoder import PRESETS, EncodeSettings
 from decogs.encoder.change.selection import SELECTION_RULES
-from decogs.encoder.methods import ABLATIONS, METHODS, with_method, with_selection, without
+from decogs.encoder.switches import ABLATIONS, with_method, with_selection, without
+from decogs.encoder.training.method import FRAME_METHODS
 from decogs.formats.errors import UsageError
 
 
 def test_the_names_users_know() -> None:
-    assert METHODS == ("decogs", "3dgstream")
+    assert FRAME_METHODS.names() == ("decogs", "3dgstream")
     assert ABLATIONS == ("select", "focus", "gate")
     assert SELECTION_RULES.names() == ("paper", "weight")
 

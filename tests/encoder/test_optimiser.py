@@ -6,7 +6,7 @@ import numpy as np
 
 from decogs.encoder.rasterise import SplatGradients, TrainingKernel
 from decogs.encoder.settings.optimiser import LearningRates
-from decogs.encoder.training.optimiser import ATTRIBUTES, SplatOptimiser
+from decogs.encoder.training.optimiser import ATTRIBUTES, Adam
 from decogs.formats.splats import Splats, take_splats
 
 RATES = LearningRates(1e-3, 2e-3, 3e-3, 4e-3, 5e-3, 6e-3)
@@ -53,7 +53,7 @@ def equal_bits(first: Splats, second: Splats) -> bool:
 
 def test_steps_are_those_of_adam() -> None:
     start, gradients = some_splats(1), [some_splats(seed) for seed in (2, 3, 4)]
-    optimiser = SplatOptimiser(start, TrainingKernel(2))
+    optimiser = Adam(start, TrainingKernel(2))
     for gradient in gradients:
         optimiser.step(gradients_of(gradient), RATES)
     for name, expected in adam(start, gradients).items():
@@ -64,7 +64,7 @@ def test_steps_are_those_of_adam() -> None:
 
 def test_rows_that_are_not_stepped_keep_value_and_moments_bit_for_bit() -> None:
     start = some_splats(1)
-    optimiser = SplatOptimiser(start, TrainingKernel(2))
+    optimiser = Adam(start, TrainingKernel(2))
     stepped = np.array([3, 17, 20], np.int64)
     others = np.setdiff1d(np.arange(COUNT), stepped)
     for seed in (2, 3):
@@ -80,14 +80,14 @@ def test_rows_that_are_not_stepped_keep_value_and_moments_bit_for_bit() -> None:
 
 def test_zero_gradients_with_zero_moments_move_nothing() -> None:
     start = some_splats(1)
-    optimiser = SplatOptimiser(start, TrainingKernel(1))
+    optimiser = Adam(start, TrainingKernel(1))
     optimiser.step(gradients_of(zeros_of(start)), RATES)
     assert equal_bits(optimiser.splats, start)
 
 
 def test_remembered_momentum_moves_its_rows_and_no_other() -> None:
     start = some_splats(1)
-    before, after = SplatOptimiser(start, TrainingKernel(1)), SplatOptimiser(start, TrainingKernel(1))
+    before, after = Adam(start, TrainingKernel(1)), Adam(start, TrainingKernel(1))
     before.step(gradients_of(some_splats(2)), RATES)
     rows = np.arange(10, 20)
     after.remember(before, rows, rows + 5)
@@ -100,7 +100,7 @@ def test_remembered_momentum_moves_its_rows_and_no_other() -> None:
 
 def test_an_attribute_with_rate_zero_stays() -> None:
     start = some_splats(1)
-    optimiser = SplatOptimiser(start, TrainingKernel(1))
+    optimiser = Adam(start, TrainingKernel(1))
     optimiser.step(gradients_of(some_splats(2)), LearningRates(0.0, 1e-3, 1e-3, 0.0, 1e-3, 0.0))
     np.testing.assert_array_equal(optimiser.splats.means, start.means)
     np.testing.assert_array_equal(optimiser.splats.opacity_logits, start.opacity_logits)
@@ -112,7 +112,7 @@ def test_an_attribute_with_rate_zero_stays() -> None:
 def test_added_rows_come_without_momentum_and_leave_the_others_theirs() -> None:
     start, added = some_splats(1), some_splats(9, 5)
     kernel = TrainingKernel(1)
-    grown, alone = SplatOptimiser(start, kernel), SplatOptimiser(start, kernel)
+    grown, alone = Adam(start, kernel), Adam(start, kernel)
     for optimiser in (grown, alone):
         optimiser.step(gradients_of(some_splats(2)), RATES)
     grown.append(added)
@@ -128,7 +128,7 @@ def test_added_rows_come_without_momentum_and_leave_the_others_theirs() -> None:
 
 def test_kept_rows_take_their_momentum_with_them() -> None:
     kernel, order = TrainingKernel(1), np.array([30, 2, 11])
-    thinned, whole = SplatOptimiser(some_splats(1), kernel), SplatOptimiser(some_splats(1), kernel)
+    thinned, whole = Adam(some_splats(1), kernel), Adam(some_splats(1), kernel)
     for optimiser in (thinned, whole):
         optimiser.step(gradients_of(some_splats(2)), RATES)
     thinned.keep(order)
@@ -144,7 +144,7 @@ def test_scaled_rates() -> None:
 
 def test_what_is_held_stays_and_the_rest_goes_as_without() -> None:
     start, gradients = some_splats(1), gradients_of(some_splats(2))
-    free, holding = (SplatOptimiser(start, TrainingKernel(1)) for _ in range(2))
+    free, holding = (Adam(start, TrainingKernel(1)) for _ in range(2))
     held = {name: np.random.default_rng(3).random(getattr(start, name).shape) < 0.5 for name in ATTRIBUTES}
     holding.hold(held)
     for optimiser in (free, holding, free, holding):
@@ -156,7 +156,7 @@ def test_what_is_held_stays_and_the_rest_goes_as_without() -> None:
 
 def test_attributes_are_held_one_after_the_other() -> None:
     start, gradients = some_splats(1), gradients_of(some_splats(2))
-    optimiser = SplatOptimiser(start, TrainingKernel(1))
+    optimiser = Adam(start, TrainingKernel(1))
     optimiser.hold({"means": np.ones((COUNT, 3), bool)})
     optimiser.step(gradients, RATES)
     later = optimiser.splats.log_scales.copy()
@@ -169,7 +169,7 @@ def test_attributes_are_held_one_after_the_other() -> None:
 
 def test_a_copy_goes_on_as_the_original_would_and_apart_from_it() -> None:
     gradients = gradients_of(some_splats(2))
-    original = SplatOptimiser(some_splats(1), TrainingKernel(1), beta1=0.7, beta2=0.99)
+    original = Adam(some_splats(1), TrainingKernel(1), beta1=0.7, beta2=0.99)
     original.step(gradients, RATES)
     copy, there = original.copied(), original.splats.sh.copy()
     copy.step(gradients, RATES)
@@ -181,7 +181,7 @@ def test_a_copy_goes_on_as_the_original_would_and_apart_from_it() -> None:
 def test_nothing_is_held_any_more_once_rows_come_or_go() -> None:
     start, gradients = some_splats(1), gradients_of(some_splats(2))
     for change in (lambda o: o.keep(np.arange(COUNT)), lambda o: o.append(take_splats(start, np.arange(0)))):
-        optimiser = SplatOptimiser(start, TrainingKernel(1))
+        optimiser = Adam(start, TrainingKernel(1))
         optimiser.hold({"means": np.ones((COUNT, 3), bool)})
         change(optimiser)
         optimiser.step(gradients, RATES)
@@ -190,7 +190,7 @@ def test_nothing_is_held_any_more_once_rows_come_or_go() -> None:
 
 def test_gradient_size_is_the_root_mean_square_of_what_came() -> None:
     start, gradients = some_splats(1), [some_splats(seed) for seed in (2, 3, 4)]
-    optimiser = SplatOptimiser(start, TrainingKernel(1), beta2=0.9)
+    optimiser = Adam(start, TrainingKernel(1), beta2=0.9)
     assert not optimiser.gradient_size("means").any(), "nothing has come yet"
     for gradient in gradients:
         optimiser.step(gradients_of(gradient), RATES)

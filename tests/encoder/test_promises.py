@@ -10,18 +10,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-import decogs.encoder.loop as loop
-import decogs.encoder.training.delta as frame_training
 import decogs.encoder.training.keyframe as keyframe
+import decogs.encoder.training.method as method
 from decogs.codec.header import StreamHeader
 from decogs.codec.lattice import default_lattice, dequantise
 from decogs.codec.state import take_rows
 from decogs.decoder.session import open_stream
-from decogs.encoder.loop import StreamEncoder
-from decogs.encoder.output.reports import Stopwatch
-from decogs.encoder.settings.frame import EconomySettings, EmergenceSettings
-from decogs.encoder.training.delta import FrameTrainer, TrainedFrame
+from decogs.encoder.change.detection import Change
+from decogs.encoder.coding.coded_scene import CodedScene
+from decogs.encoder.settings.frame import EmergenceSettings
+from decogs.encoder.stopwatch import Stopwatch
+from decogs.encoder.stream_state import FrameInWork, StreamState
+from decogs.encoder.training.delta import DeltaTrainer
+from decogs.encoder.training.method import FrameInput, TrainedFrame
+from decogs.encoder.training.optimiser import Adam
 from decogs.encoder.training.seeding import _confirmed, _Found
+from decogs.encoder.training.warm_start import Motion
 from decogs.formats.container import iterate_packets
 from decogs.formats.splats import Splats, empty_splats
 
@@ -38,12 +42,12 @@ def test_a_scene_grows_no_further_than_the_stream_allows(
     encode: Any, moving: Any, moving_rig: Path, tiny_settings: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """STABILITY.md: clones and splits of later frames stop at 1.25 times the keyframe's Gaussians."""
-    assert loop.MOST_GROWTH == 1.25
+    assert method.MAX_GROWTH == 1.25
     frame = replace(tiny_settings.frame, emergence=EmergenceSettings(most=0), grow_gradient=0.0, grow_share=1.0)
     given = {"settings": replace(tiny_settings, frame=frame), "keyframe": moving.path}
     first = len(moving.states[0])
     assert max(map(len, encode(moving_rig, **given).states)) > 1.02 * first
-    monkeypatch.setattr(loop, "MOST_GROWTH", 1.02)
+    monkeypatch.setattr(method, "MAX_GROWTH", 1.02)
     assert max(map(len, encode(moving_rig, **given).states)) <= round(1.02 * first)
 
 
@@ -86,8 +90,8 @@ def test_a_delta_keeps_the_quaternions_that_turn_alike(moving: Any) -> None:
         np.zeros(0, np.int64),
         empty_splats(values.sh_degree),
     )
-    stub: Any = SimpleNamespace(_header=SimpleNamespace(lattice=lattice), _settings=SimpleNamespace(method="3dgstream"))
-    assert len(StreamEncoder._delta(stub, state, trained, EconomySettings()).rows) == 0
+    stub: Any = SimpleNamespace(header=SimpleNamespace(lattice=lattice), state=state)
+    assert len(CodedScene._delta(stub, trained, None).rows) == 0
 
 
 # Rates
@@ -97,13 +101,13 @@ def test_rates_fall_over_the_second_half_of_a_frame(
     encode: Any, moving: Any, moving_rig: Path, tiny_settings: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rates: list[float] = []
-    step = frame_training.SplatOptimiser.step
+    step = Adam.step
 
     def noted(self: Any, gradients: Any, given: Any) -> None:
         rates.append(given.log_scales)
         step(self, gradients, given)
 
-    monkeypatch.setattr(frame_training.SplatOptimiser, "step", noted)
+    monkeypatch.setattr(Adam, "step", noted)
     steps = 20
     frame = replace(tiny_settings.frame, late_decay=0.1, joint_iterations=steps)
     encode(moving_rig, settings=replace(tiny_settings, frame=frame), keyframe=moving.path, stop=2)
@@ -124,10 +128,18 @@ def test_the_masks_remember_what_was_trained_and_whether_it_moved(
     before = moving.states[0]
     after = replace(before, frame=1, sh=before.sh + 1) if changed else replace(before, frame=1)
     memory = SimpleNamespace(trained=lambda *_, moved, **__: told.append(moved), passed=lambda *_, **__: None)
-    nothing: Any = {"_settle": lambda *_: None, "_displacements": lambda *_: np.zeros((0, 3), np.float32)}
-    stub: Any = SimpleNamespace(_masks=memory, _state=after, _held=0, **nothing)
+    scene = SimpleNamespace(state=after, splats=None, displacements=lambda _: np.zeros((0, 3), np.float32))
+    stub: Any = SimpleNamespace(
+        changes=memory,
+        scene=scene,
+        motion=Motion(),
+        views=SimpleNamespace(update=lambda *_: None),
+        compensation=SimpleNamespace(judge=lambda *_: []),
+    )
     frame: Any = SimpleNamespace(training=[])
-    StreamEncoder._go_on(stub, frame, before, [None], np.arange(3), effects, Stopwatch())  # type: ignore[list-item]
+    change = Change([SimpleNamespace(dilated=None)], np.ones(3, bool))  # type: ignore[list-item]
+    now = FrameInWork(frame, frame, {}, change, before, Stopwatch())
+    StreamState.settle(stub, now, np.arange(3), effects)
     assert told == (["motion" in effects] if changed else [])
 
 
@@ -140,23 +152,23 @@ def test_a_frame_that_was_given_up_is_tried_again_also_after_a_resume(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Frame 2 shows what frame 1 did: had frame 1 counted as trained, the miss would be there for good."""
-    train = FrameTrainer.train
+    train = DeltaTrainer.train
 
-    def runs_away(self: FrameTrainer, scene: Any, selected: Any, *arguments: Any, **options: Any) -> TrainedFrame:
-        trained = train(self, scene, selected, *arguments, **options)
-        if options["frame"] > 1:
+    def runs_away(self: DeltaTrainer, frame: FrameInput) -> TrainedFrame:
+        trained, scene, selected = train(self, frame), frame.scene, frame.selected
+        if frame.index > 1:
             return trained
         rows = np.flatnonzero(selected)
         values = type(scene)(*(getattr(scene, name)[rows] for name in vars(scene)))
-        return TrainedFrame(rows, values, np.zeros(0, np.int64), empty_splats(scene.sh_degree), given_up=True)
+        return TrainedFrame(rows, values, np.zeros(0, np.int64), empty_splats(scene.sh_degree), rejected=True)
 
-    monkeypatch.setattr(FrameTrainer, "train", runs_away)
+    monkeypatch.setattr(DeltaTrainer, "train", runs_away)
     masks = replace(tiny_settings.frame.masks, since_trained=True)
     given = {"settings": replace(tiny_settings, frame=replace(tiny_settings.frame, masks=masks))}
     given["keyframe"] = moving.path
     encoded = encode(moving_rig, **given)
     assert [frame.kind for frame in encoded.report.frames] == ["key", "skip", "delta", "delta"]
-    assert [frame.given_up for frame in encoded.report.frames] == [False, True, False, False]
+    assert [frame.rejected for frame in encoded.report.frames] == [False, True, False, False]
     with encoded.path.open("rb") as file:
         whole = [packet.offset + packet.size for packet in iterate_packets(file)]
     (tmp_path / "x.dgs.part").write_bytes(encoded.data[: whole[2]])

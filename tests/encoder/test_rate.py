@@ -16,15 +16,15 @@ from decogs.encoder import PRESETS, EncodeSettings
 from decogs.encoder import encode as encode_rig
 from decogs.encoder.coding.rate_control import (
     TOLERANCE,
-    RateControl,
+    ContentRateControl,
     over_budget,
     with_budget,
     with_lossless,
     with_quality,
 )
 from decogs.encoder.commands import encode_main
-from decogs.encoder.methods import with_method
 from decogs.encoder.settings.frame import Coarseness, EconomySettings
+from decogs.encoder.switches import with_method
 from decogs.formats.container import PacketKind, iterate_packets
 from decogs.formats.errors import UsageError
 
@@ -76,7 +76,7 @@ def response(exponent: float, content: Content, noise: float = 0.0) -> Callable[
 
 def controlled(frames: int, answer: Callable[[int, float], int]) -> tuple[list[int], list[float]]:
     """Sizes and worths of a clip's later frames."""
-    control, sizes, worths = RateControl(BUDGET, 0), [], []
+    control, sizes, worths = ContentRateControl(BUDGET, 0), [], []
     for frame in range(frames):
         worths.append(control.worth)
         sizes.append(answer(frame, control.worth))
@@ -113,7 +113,7 @@ def test_the_worth_is_bounded(content: float, worth: float) -> None:
 def test_changes_are_rounded_more_coarsely_the_more_they_must_be_worth() -> None:
     settings = PRESETS["standard"].frame.economy
     for size, worth in ((BUDGET, settings.worth), (BUDGET * 100, 256 * settings.worth), (1, settings.worth / 256)):
-        control = RateControl(BUDGET, 0)
+        control = ContentRateControl(BUDGET, 0)
         for _ in range(30):
             control.wrote(PacketKind.DELTA, size)
         economy = control.economy(settings)
@@ -124,7 +124,7 @@ def test_changes_are_rounded_more_coarsely_the_more_they_must_be_worth() -> None
 
 
 def test_what_a_still_scene_saves_is_not_thrown_at_its_first_motion() -> None:
-    control = RateControl(BUDGET, 0)
+    control = ContentRateControl(BUDGET, 0)
     answer, sizes = response(0.6, lambda frame: 1.0), []
     for frame in range(60):
         if 10 <= frame < 30:
@@ -138,7 +138,7 @@ def test_what_a_still_scene_saves_is_not_thrown_at_its_first_motion() -> None:
 
 @pytest.mark.parametrize("key", [1.5, 3.0, 5.0])
 def test_the_frames_of_a_segment_pay_for_its_keyframe_evenly(key: float) -> None:
-    control, sizes = RateControl(BUDGET, 10), []
+    control, sizes = ContentRateControl(BUDGET, 10), []
     answer = response(0.6, lambda frame: 1.0)
     for frame in range(1, 60):
         opens = frame % 10 == 0
@@ -154,7 +154,7 @@ def test_it_knows_nothing_but_sizes() -> None:
     """The same packets, the same worths: what an encode that goes on relies on."""
     answer = response(0.6, doubling, noise=0.3)
     sizes, worths = controlled(30, answer)
-    again = RateControl(BUDGET, 0)
+    again = ContentRateControl(BUDGET, 0)
     for size, worth in zip(sizes, worths, strict=True):
         assert again.worth == worth
         again.wrote(PacketKind.DELTA, size)
@@ -269,12 +269,12 @@ def test_lossless_writes_every_change_as_it_was_trained(
         trained.append((kept, current))
         return difference(state, kept, current, **rest)
 
-    import decogs.encoder.loop as loop
+    import decogs.encoder.coding.coded_scene as coded_scene
 
     trained: list[Any] = []
-    difference, quantise, quantised = loop.difference, loop.quantise, []
-    monkeypatch.setattr(loop, "difference", exactly)
-    monkeypatch.setattr(loop, "quantise", lambda *a, **o: quantised.append(quantise(*a, **o)) or quantised[-1])
+    difference, quantise, quantised = coded_scene.difference, coded_scene.quantise, []
+    monkeypatch.setattr(coded_scene, "difference", exactly)
+    monkeypatch.setattr(coded_scene, "quantise", lambda *a, **o: quantised.append(quantise(*a, **o)) or quantised[-1])
     given = {"keyframe": moving.path, "stop": 2}
     lossless = encode(moving_rig, settings=with_lossless(economical), **given)
     (_, written), (current, _) = trained[0], quantised

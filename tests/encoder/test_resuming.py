@@ -18,7 +18,7 @@ import pytest
 
 from decogs.codec.corrections import Correction
 from decogs.encoder import encode as encode_rig
-from decogs.encoder.training.delta import FrameTrainer
+from decogs.encoder.training.delta import DeltaTrainer
 from decogs.formats.container import FRAME_KINDS, iterate_packets
 from decogs.formats.errors import DecogsError, UsageError
 
@@ -61,7 +61,7 @@ def test_the_bytes_are_those_of_an_uninterrupted_encode(
 def test_frames_that_are_there_are_not_trained_again(
     encode: Any, moving: Any, moving_rig: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(FrameTrainer, "train", never)
+    monkeypatch.setattr(DeltaTrainer, "train", never)
     output = part(tmp_path, moving.data[: ends(moving.path)[4]])
     assert encode(moving_rig, output=output, resume=True, on_keyframe_step=never).data == moving.data
 

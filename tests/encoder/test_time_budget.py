@@ -17,6 +17,7 @@ from decogs.codec.digest import digest
 from decogs.decoder.session import open_stream
 from decogs.encoder import PRESETS, EncodeSettings
 from decogs.encoder import encode as encode_rig
+from decogs.encoder.coding.coded_scene import CodedScene
 from decogs.encoder.coding.time_control import (
     TIME_TOLERANCE,
     TimeControl,
@@ -27,9 +28,10 @@ from decogs.encoder.coding.time_control import (
     with_time_budget,
 )
 from decogs.encoder.commands import encode_main
-from decogs.encoder.loop import StreamEncoder
-from decogs.encoder.methods import with_method
 from decogs.encoder.settings.frame import EconomySettings
+from decogs.encoder.settings.optimiser import LearningRates
+from decogs.encoder.switches import with_method
+from decogs.encoder.training.delta import DeltaTrainer
 from decogs.encoder.training.schedule import LEAST_STEPS
 from decogs.formats.container import iterate_packets
 from decogs.formats.errors import UsageError
@@ -256,20 +258,20 @@ def test_what_moves_is_begun_as_far_on_as_frames_have_passed(
     """Frames 1, 3 and 4 are trained and 2 is held: what moved on the way to 3 took two frames, on the way to 4 one."""
     begun: list[Any] = []
     reached: list[Any] = []
-    train, displacements = frame_training.FrameTrainer.train, StreamEncoder._displacements
+    train, displacements = DeltaTrainer.train, CodedScene.displacements
 
-    def noted(trainer: Any, scene: Any, selected: Any, pictures: Any, masks: Any, motion: Any, **options: Any) -> Any:
-        begun.append(motion)
-        return train(trainer, scene, selected, pictures, masks, motion, **options)
+    def noted(trainer: Any, frame: Any) -> Any:
+        begun.append(frame.motion)
+        return train(trainer, frame)
 
-    def measured(encoder: Any, before: Any, after: Any) -> Any:
-        reached.append(displacements(encoder, before, after))
+    def measured(scene: Any, before: Any) -> Any:
+        reached.append(displacements(scene, before))
         return reached[-1]
 
     held = iter([False, True, False, False])
     monkeypatch.setattr(TimeControl, "holds", lambda *_: next(held))
-    monkeypatch.setattr(frame_training.FrameTrainer, "train", noted)
-    monkeypatch.setattr(StreamEncoder, "_displacements", measured)
+    monkeypatch.setattr(DeltaTrainer, "train", noted)
+    monkeypatch.setattr(CodedScene, "displacements", measured)
     rig = tiny_rig.write(tmp_path / "rig", frames=[0, 1, 3, 0, 1])
     given = {"holdout": tiny_rig.held_out, "keyframe": moving.path, "preset": patient}
     report = encode_rig(rig, tmp_path / "x.dgs", **given, time_budget="10s/frame")
@@ -298,8 +300,8 @@ def test_few_steps_still_get_as_far_as_things_move(
     monkeypatch.setattr(time, "perf_counter", lambda: now[0])
     monkeypatch.setattr(frame_training.FixedView, "draw", slow)
     factors: list[float] = []
-    scaled = frame_training.LearningRates.scaled
-    monkeypatch.setattr(frame_training.LearningRates, "scaled", lambda r, f: (factors.append(f), scaled(r, f))[1])
+    scaled = LearningRates.scaled
+    monkeypatch.setattr(LearningRates, "scaled", lambda r, f: (factors.append(f), scaled(r, f))[1])
     given = {"holdout": tiny_rig.held_out, "keyframe": moving.path, "preset": patient, "frames": ":2"}
     encode_rig(restless_rig, tmp_path / "x.dgs", **given)
     assert max(factors[-60:]) == 1.0

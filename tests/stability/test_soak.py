@@ -12,14 +12,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-import decogs.encoder.loop as loop
+import decogs.encoder.change.detection as detection
+import decogs.encoder.coding.coded_scene as coded_scene
 from decogs.codec.digest import digest
 from decogs.codec.state import ARRAYS, State
 from decogs.decoder.pictures import to_8bit
 from decogs.decoder.rasterise import render
 from decogs.decoder.session import open_stream
 from decogs.encoder.input.ingest import Ingest
-from decogs.encoder.loop import encode_stream
+from decogs.encoder.stream import encode_stream
+from decogs.encoder.training.method import MAX_GROWTH
 from decogs.formats.cameras import scale_camera
 from decogs.formats.rigs import open_rig
 from decogs.formats.splats import join_splats
@@ -67,7 +69,7 @@ def long_rig(tiny_rig: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def long_encode(long_rig: Path, settings: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Observed]:
     seen, path = Observed(), tmp_path_factory.mktemp("encoded") / "long.dgs"
-    reconstruct, select = loop.reconstruct, loop.select
+    reconstruct, select = coded_scene.reconstruct, detection.select
 
     def observed_reconstruct(*arguments: Any, **options: Any) -> State:
         seen.last = reconstruct(*arguments, **options)
@@ -88,8 +90,8 @@ def long_encode(long_rig: Path, settings: Any, tmp_path_factory: pytest.TempPath
 
     quick = replace(settings, frame=replace(settings.frame, joint_iterations=24))
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(loop, "reconstruct", observed_reconstruct)
-        patched.setattr(loop, "select", observed_select)
+        patched.setattr(coded_scene, "reconstruct", observed_reconstruct)
+        patched.setattr(detection, "select", observed_select)
         ingest = Ingest(open_rig(long_rig), holdout=["cam02"])
         encode_stream(ingest, path, range(FRAMES), quick, seed=0, threads=1, on_frame=observed_frame)
     return path, seen
@@ -125,7 +127,7 @@ def test_the_encoders_memory_is_flat(long_encode: tuple[Path, Observed]) -> None
     populations = [seen.population[i] for i in (0, 100, 500, 999)]
     print(f"encoder: {growth(seen.memory):.0f} bytes a frame of {seen.memory[-1] / 2**20:.0f} MiB; N {populations}")
     assert growth(seen.memory) < 6000
-    assert max(seen.population) <= round(loop.MOST_GROWTH * seen.population[0]) + 50, "and neither does the scene"
+    assert max(seen.population) <= round(MAX_GROWTH * seen.population[0]) + 50, "and neither does the scene"
 
 
 @pytest.mark.soak

@@ -26,10 +26,10 @@ from decogs.encoder.change.flashes import BeforeFlash
 from decogs.encoder.commands import encode_main
 from decogs.encoder.input.dropouts import BLACK, BLANK, FROZEN, blankness
 from decogs.encoder.input.ingest import Ingest
-from decogs.encoder.loop import encode_stream
+from decogs.encoder.psnr import psnr_of
 from decogs.encoder.rasterise import TrainingKernel
 from decogs.encoder.settings.frame import SelectionSettings
-from decogs.encoder.training.keyframe import psnr_of
+from decogs.encoder.stream import encode_stream
 from decogs.formats.errors import DecogsError, RigError, TrainingError
 from decogs.formats.rigs import open_rig
 from decogs.formats.rigs.rig import Points
@@ -374,7 +374,7 @@ def test_pruning_everything_in_a_later_frame_is_taken_back(
     frame = replace(settings.frame, ablated=ablated, prune_opacity=1.1)
     encoded = encode(moving[0], settings=replace(settings, frame=frame), keyframe=moving[1].path)
     check_stream(encoded)
-    assert encoded.report.frames[1].given_up
+    assert encoded.report.frames[1].rejected
     assert len({digest(state) for state in encoded.states}) == 1
 
 
@@ -435,7 +435,7 @@ def test_rates_a_hundredfold_are_recovered_from(
     encoded = encode(moving[0], settings=chosen, keyframe=moving[1].path)
     check_stream(encoded)
     tried = [report.frame for report in encoded.report.frames if report.selected and report.kind != "key"]
-    assert [report.frame for report in encoded.report.frames if report.given_up] == tried != []
+    assert [report.frame for report in encoded.report.frames if report.rejected] == tried != []
     assert len({digest(state) for state in encoded.states}) == 1
     encode_main_with(chosen, moving, tmp_path)
     assert "warning: training ran away, and the scene stayed as it was in frame" in capsys.readouterr().err

@@ -72,7 +72,7 @@ def test_the_whole_report(three_frames: Path, tmp_path: Path, monkeypatch: pytes
     encode = runs.encode_stream
 
     def observed(ingest: Any, output: Path, *arguments: Any, **options: Any) -> Any:
-        sizes[output.name.split("-")[1]] = (ingest.views[0].pinhole.width, options["anytime"] is not None)
+        sizes[output.name.split("-")[1]] = (ingest.views[0].pinhole.width, options["convergence"] is not None)
         return encode(ingest, output, *arguments, **options)
 
     monkeypatch.setattr(runs, "encode_stream", observed)

@@ -10,11 +10,13 @@ from typing import Any
 import pytest
 
 from decogs.decoder.session import open_stream
-from decogs.encoder import PRESETS, loop
+from decogs.encoder import PRESETS
 from decogs.encoder.analysis import Decision, Wanted, wanted_effects, with_effects
+from decogs.encoder.change.masks import MaskMemory
 from decogs.encoder.settings.effects import CAMERA_EFFECTS, EFFECT_NAMES, FRAME_EFFECTS
 from decogs.encoder.settings.encode import EncodeSettings
 from decogs.encoder.training import delta as frame_training
+from decogs.encoder.training.delta import DeltaTrainer
 from decogs.formats.container import PacketKind
 from decogs.formats.errors import UsageError
 
@@ -112,8 +114,8 @@ def test_none_trains_and_compares_nothing(
     def never(*_: Any, **__: Any) -> Any:
         raise AssertionError("built without being called for")
 
-    monkeypatch.setattr(loop.MaskMemory, "masks", never)
-    monkeypatch.setattr(frame_training.FrameTrainer, "train", never)
+    monkeypatch.setattr(MaskMemory, "masks", never)
+    monkeypatch.setattr(DeltaTrainer, "train", never)
     encoded = encode(moving_rig, settings=built("none", settings=tiny_settings))
     assert {frame.kind for frame in encoded.report.frames[1:]} == {"skip"}
     with open_stream(encoded.path) as stream:

@@ -1,0 +1,29 @@
+"""The effects that one frame enables, and its settings for them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from decogs.formats.splats import FloatArray
+
+from ..change.masks import FrameMask
+from ..settings.encode import EncodeSettings
+from .building import leave_out
+from .frame_look import frame_effects
+
+
+def enabled_effects(
+    settings: EncodeSettings,
+    pictures: Sequence[FloatArray],
+    references: Sequence[FloatArray],
+    masks: Sequence[FrameMask],
+) -> tuple[tuple[str, ...], EncodeSettings]:
+    """The names of ``settings``' effects that a frame calls for, and the settings without the others.
+
+    ``pictures``, ``references``: the frame's and what they are compared with, (3, H, W) each.
+    """
+    effects = settings.frame_effects
+    found = frame_effects(pictures, references, masks)
+    # What moves changes its shading, too: without colours workbench_drift loses half a dB where things move.
+    disabled = [] if found.motion else [name for name in effects if not getattr(found, name)]
+    return tuple(name for name in effects if name not in disabled), leave_out(settings, disabled)

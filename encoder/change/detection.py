@@ -1,0 +1,124 @@
+"""What changed in a frame and which Gaussians it selects, with the memory that this needs from frame to frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.codec.state import State
+from decogs.formats.splats import FloatArray
+
+from ..rasterise import FixedView
+from ..settings.encode import EncodeSettings
+from ..settings.frame import SelectionSettings
+from ..stopwatch import Stopwatch
+from .flashes import BeforeFlash, may_be_flash
+from .masks import FrameMask, MaskMemory, showing
+from .selection import select, view_evidence
+
+
+@dataclass(frozen=True)
+class Change:
+    """What changed in a frame: one mask for each view, none for a dense method, and S_t, (N,).
+
+    ``overlooked``: the masks found no change although most of the pictures had; everything is selected.
+    """
+
+    masks: Sequence[FrameMask]
+    selected: NDArray[np.bool_]
+    overlooked: bool = False
+
+    @property
+    def share(self) -> float:
+        """Share of the Gaussians that is selected, 0 to 1."""
+        return float(self.selected.mean()) if len(self.selected) else 0.0
+
+
+class ChangeDetector:
+    """Masks and selection of a stream's later frames; ``pictures`` are the first frame's, (3, H, W) each.
+
+    ``views``: the training views as they show the scene, none for a dense method, which selects every Gaussian.
+    """
+
+    def __init__(
+        self, pictures: Sequence[FloatArray], views: Sequence[FixedView], settings: EncodeSettings, *, threads: int
+    ) -> None:
+        self._views, self._settings = views, settings
+        self._before_flash: BeforeFlash | None = None
+        self._memory = MaskMemory(pictures, settings.frame.masks, self._shown_on_budget(), threads=threads)
+
+    @property
+    def references(self) -> Sequence[FloatArray]:
+        """The pictures that the next frame is compared with, (3, H, W) each."""
+        return self._memory.references
+
+    def detect(
+        self, frame: int, pictures: Sequence[FloatArray], state: State, motion: FloatArray, watch: Stopwatch
+    ) -> Change:
+        """What changed in ``frame`` (the rig's index) against the scene before it: ``state``, its last ``motion``."""
+        if not self._views:
+            return Change([], np.ones(len(state), bool))
+        nothing = np.zeros(len(state), bool)
+        if not self._settings.frame_effects:
+            return Change([], nothing)
+        shown = [view.rgb for view in self._views]
+        with watch.stage("masks"):
+            masks = self._memory.masks(pictures, shown)
+        selected = nothing
+        if any(mask.dilated.any() for mask in masks):
+            if self._before_flash is None and may_be_flash(masks):
+                self._before_flash = BeforeFlash(frame, state, motion, self._memory.copy())
+            with watch.stage("selection"):
+                selected = self._select(masks, len(state))
+        if not selected.any() and (everything := self._memory.whole(pictures, shown)):
+            return Change(everything, ~nothing, overlooked=True)
+        return Change(masks, selected)
+
+    def flash_is_over(self, frame: int, pictures: Sequence[FloatArray]) -> BeforeFlash | None:
+        """What was known before a flash, if the pictures are again as they were; the masks go back to it, too."""
+        kept = self._before_flash
+        if kept is None:
+            return None
+        over = kept.is_over(pictures)
+        if over or kept.stays(frame):
+            self._before_flash = None
+        if not over:
+            return None
+        self._memory = kept.masks
+        return kept
+
+    def trained(
+        self, pictures: Sequence[FloatArray], masks: Sequence[FrameMask], *, moved: bool, hurried: bool
+    ) -> None:
+        """Takes it that the scene follows the frame now. ``hurried``: but for what it still clearly misses."""
+        self._memory.trained(pictures, masks, moved=moved, shown=self._shown_on_budget() if hurried else None)
+
+    def passed(self, pictures: Sequence[FloatArray], *, held: bool) -> None:
+        """Goes on to the next frame; ``held``: this one waits to be trained."""
+        self._memory.passed(pictures, held=held)
+
+    def _shown_on_budget(self) -> list[FloatArray] | None:
+        """What the views show, where a time budget may leave something of a frame undone."""
+        if self._settings.time_budget is None or not self._views:
+            return None
+        return [view.rgb for view in self._views]
+
+    def _select(self, masks: Sequence[FrameMask], population: int) -> NDArray[np.bool_]:
+        used, settings = showing(masks), self._settings.frame.selection
+        if "select" in self._settings.frame.ablated:
+            return np.ones(population, bool)
+        selected = self._inside(used, [masks[i].changing for i in used], settings)
+        if any(masks[i].mends for i in used):
+            stricter = replace(settings, least_share=settings.mend_share)
+            selected |= self._inside(used, [masks[i].dilated for i in used], stricter)
+        return selected
+
+    def _inside(
+        self, used: Sequence[int], regions: Sequence[NDArray[np.bool_]], settings: SelectionSettings
+    ) -> NDArray[np.bool_]:
+        """The Gaussians that the rule selects for these regions (H, W) of the ``used`` views."""
+        views = [view_evidence(self._views[i], region) for i, region in zip(used, regions, strict=True)]
+        return select(views, settings)

@@ -1,0 +1,132 @@
+"""The scene as a decoder has it: frames become packets, and packets the state that the next frame begins with.
+
+Chosen: the encoder reconstructs the state from the very bytes that it writes, so that quantisation errors cannot add
+up. Rejected: training on the encoder's own floats and quantising afterwards (the error of a frame is never seen again).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from decogs.codec.corrections import Corrections, write_corrections
+from decogs.codec.deltas import Delta, apply_delta, difference
+from decogs.codec.header import StreamHeader
+from decogs.codec.lattice import dequantise, quantise
+from decogs.codec.reconstruct import reconstruct
+from decogs.codec.state import State, take_rows
+from decogs.codec.syntax import Coded, write_delta, write_key, write_skip
+from decogs.formats.container import Packet, PacketKind
+from decogs.formats.splats import FloatArray, Splats
+
+from ..output.stream_output import StreamOutput
+from ..settings.frame import Coarseness
+from ..training.method import TrainedFrame
+from .requantise import coarse_changes
+
+
+@dataclass(frozen=True)
+class Written:
+    """A packet that was written, and the bytes of its payload by purpose."""
+
+    packet: Packet
+    costs: dict[str, int]
+
+
+class CodedScene:
+    """The reconstructed state of a stream that grows.
+
+    ``level``: zstd's. ``segment``: frames from one keyframe to the next, 0 for a single one. ``state``: the scene after
+    the last packet, on the lattice; ``splats``: the same as stored values.
+    """
+
+    state: State
+    splats: Splats
+
+    def __init__(self, header: StreamHeader, output: StreamOutput, *, level: int, segment: int) -> None:
+        self.header, self._output = header, output
+        self._level, self._segment = level, segment
+        self._first: State | None = None
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the first keyframe is there."""
+        return self._first is not None
+
+    def begin(self, state: State, corrections: Corrections) -> Written:
+        """Writes the header and the first keyframe; the output begins only now."""
+        self._output.begin(self.header.to_bytes())
+        return self._write(PacketKind.KEY, 0, write_key(state, level=self._level), corrections)
+
+    def code(
+        self,
+        frame: int,
+        trained: TrainedFrame | None,
+        coarseness: Coarseness | None,
+        corrections: Corrections,
+        *,
+        whole: bool = False,
+    ) -> Written:
+        """Writes the frame, counted from the stream's first, as key, delta or skip, whichever is smallest.
+
+        ``trained``: what it changed of the state, None for nothing. ``coarseness``: of the coded changes, None for the
+        lattice's own. ``whole``: the decoder's state is not this one (`go_back`), so the frame is a keyframe.
+        """
+        delta = None if trained is None else self._delta(trained, coarseness)
+        if delta is not None and not (len(delta.rows) or len(delta.removed) or len(delta.added)):
+            delta = None
+        before = self.state
+        if whole or (self._segment and frame % self._segment == 0):
+            after = replace(before, frame=frame) if delta is None else apply_delta(before, delta)
+            return self._write(
+                PacketKind.KEY, frame, write_key(after, first=self._first, level=self._level), corrections
+            )
+        if delta is None:
+            return self._write(PacketKind.SKIP, frame, write_skip(before), corrections)
+        return self._write(PacketKind.DELTA, frame, write_delta(before, delta, level=self._level), corrections)
+
+    def take(self, packet: Packet) -> None:
+        """Reconstructs the next state from a packet, as a decoder does."""
+        before = self.state if self.is_open else None
+        self.state = reconstruct(before, packet, self.header, first=self._first)
+        if self._first is None:
+            self._first = self.state
+        self.splats = dequantise(self.state, self.header.lattice)
+
+    def go_back(self, state: State) -> None:
+        """Takes an earlier state for the next frame's; ids of Gaussians that came since are not given again."""
+        self.state = replace(state, frame=self.state.frame, next_id=self.state.next_id)
+        self.splats = dequantise(self.state, self.header.lattice)
+
+    def displacements(self, before: State) -> FloatArray:
+        """How far every Gaussian moved since ``before``, (N, 3) world units; 0 for new ones."""
+        motion = np.zeros((len(self.state), 3), np.float32)
+        _, was, now = np.intersect1d(before.ids, self.state.ids, assume_unique=True, return_indices=True)
+        steps = self.state.means[now].astype(np.float64) - before.means[was]
+        motion[now] = steps * np.asarray(self.header.lattice.means)
+        return motion
+
+    def _delta(self, trained: TrainedFrame, coarseness: Coarseness | None) -> Delta:
+        lattice, before = self.header.lattice, take_rows(self.state, trained.kept)
+        current = quantise(trained.values, lattice, near=before)
+        if coarseness is not None:
+            current = coarse_changes(before, current, coarseness)
+        added = quantise(trained.added, lattice)
+        return difference(self.state, trained.kept, current, removed=trained.removed, added=added)
+
+    def _write(self, kind: PacketKind, frame: int, coded: Coded, corrections: Corrections) -> Written:
+        """Reconstructs the next state from the packet's bytes and writes the packet."""
+        coded = self._with_corrections(coded, corrections)
+        packet = Packet(kind=kind, critical=True, frame=frame, payload=coded.payload, offset=0, ordinal=frame + 1)
+        self.take(packet)
+        self._output.write(kind, frame, coded.payload)
+        return Written(packet, coded.costs)
+
+    def _with_corrections(self, coded: Coded, corrections: Corrections) -> Coded:
+        """The payload as the packet has it: the block of corrections before it, if the stream has one."""
+        cameras = self.header.corrected
+        if not cameras.effects:
+            return coded
+        block = write_corrections(corrections, cameras)
+        return Coded(block + coded.payload, {**coded.costs, "corrections": len(block)})

@@ -1,0 +1,56 @@
+"""What a stream's header says of an encode."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from decogs.codec.corrections import CorrectedCameras
+from decogs.codec.header import StreamHeader
+from decogs.codec.lattice import Lattice
+from decogs.decoder.lens import is_distorted
+from decogs.formats.rigs import Rig
+
+from ..input.ingest import Ingest
+from ..settings.encode import EncodeSettings
+
+
+def stream_header(
+    ingest: Ingest,
+    settings: EncodeSettings,
+    *,
+    first: int,
+    lattice: Lattice,
+    sh_degree: int,
+    seed: int,
+    corrected: CorrectedCameras,
+    inherited: Mapping[str, Any] | None,
+) -> StreamHeader:
+    """The header of a stream whose first frame is the rig's ``first``.
+
+    ``corrected``: cameras whose faults are compensated. ``inherited``: settings of an imported keyframe, which made it.
+    """
+    rig, document = ingest.rig, settings.as_document() | dict(inherited or {})
+    return StreamHeader(
+        cameras=ingest.cameras,
+        lattice=lattice,
+        sh_degree=sh_degree,
+        fps=rig.fps,
+        first_frame=first,
+        effects=(*_carried(settings, rig, sh_degree), *corrected.effects),
+        held_out=tuple(view.camera.name for view in ingest.held_out_views),
+        source_text=rig.source_text,
+        licence=rig.licence,
+        settings={"seed": seed, "scale": ingest.scale, **document},
+        corrected=corrected,
+    )
+
+
+def _carried(settings: EncodeSettings, rig: Rig, sh_degree: int) -> tuple[str, ...]:
+    """The effects that the stream may carry and a decoder must know (SPEC.md, "Header packet")."""
+    carried = list(settings.frame_effects)
+    if sh_degree:
+        carried.append("view_dependence")
+    if any(is_distorted(camera) for camera in rig.cameras):
+        carried.append("lens_distortion")
+    return tuple(carried)

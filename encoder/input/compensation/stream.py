@@ -1,0 +1,92 @@
+"""Compensation along a stream: what is found in each frame, and whether it pays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.codec.corrections import CorrectedCameras, Corrections
+from decogs.formats.splats import FloatArray, Splats
+
+from ...rasterise import IncrementalViews, TrainingKernel
+from ...settings.compensation import CorrectionSettings
+from ...stopwatch import Stopwatch
+from ..ingest import Ingest, RigFrame
+from . import Corrector, corrector_of
+
+_STAGE = "corrections"
+
+
+class Compensation:
+    """Takes the faults of the named cameras out of every frame's pictures; without such cameras it does nothing."""
+
+    def __init__(self, ingest: Ingest, kernel: TrainingKernel, settings: CorrectionSettings) -> None:
+        self._ingest, self._kernel = ingest, kernel
+        self._corrector: Corrector | None = corrector_of(ingest.views, settings)
+
+    @property
+    def corrector(self) -> Corrector | None:
+        """Finds and undoes the faults; None where no camera is named."""
+        return self._corrector
+
+    @property
+    def cameras(self) -> CorrectedCameras:
+        """What the stream's header says of it."""
+        return CorrectedCameras() if self._corrector is None else self._corrector.cameras
+
+    def see(self, scene: Splats) -> None:
+        """Takes the keyframe's scene, on which cameras are compared from then on."""
+        if self._corrector is not None:
+            views = self._ingest.views
+            self._corrector.see(lambda number: self._kernel.forward(scene, views[number].pinhole, depth=True))
+
+    def begin(self, corrections: Corrections) -> None:
+        """Takes the first frame's, which stay where later ones do not pay."""
+        if self._corrector is not None:
+            self._corrector.begin(corrections)
+
+    def find(
+        self, frame: RigFrame, scene: Splats, views: IncrementalViews, watch: Stopwatch
+    ) -> tuple[RigFrame, Corrections]:
+        """The compensated frame, and its cameras' faults against the ``scene`` before it.
+
+        ``views`` show that scene; where there are none, it is rendered.
+        """
+        corrector = self._corrector
+        if corrector is None:
+            return frame, {}
+
+        def show(number: int) -> FloatArray:
+            if views.views:
+                return views.views[number].rgb
+            return self._kernel.forward(scene, self._ingest.views[number].pinhole).rgb
+
+        with watch.stage(_STAGE):
+            corrections = corrector.find(frame.training, show)
+            return self.undo(frame, corrections), corrections
+
+    def undo(self, frame: RigFrame, corrections: Corrections) -> RigFrame:
+        """The compensated frame, by ``corrections`` that are known."""
+        if self._corrector is None:
+            return frame
+        return replace(frame, training=self._corrector.undo(frame.training, corrections))
+
+    def judge(
+        self,
+        recorded: Sequence[FloatArray],
+        corrections: Corrections,
+        changed: Sequence[NDArray[np.bool_]],
+        views: IncrementalViews,
+        watch: Stopwatch,
+    ) -> list[str]:
+        """What is not compensated any more after this frame, such as "cam04: colours" (`Corrector.judge`).
+
+        ``recorded``: the frame's pictures (3, H, W); ``changed``: where each changed, (H, W), no view: judge nothing.
+        """
+        if self._corrector is None or not changed:
+            return []
+        with watch.stage(_STAGE):
+            return self._corrector.judge(recorded, corrections, lambda number: views.views[number].rgb, changed)

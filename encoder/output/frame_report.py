@@ -1,0 +1,78 @@
+"""Measures a frame against its pictures and reports it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from decogs.formats.container import Packet, PacketKind
+from decogs.formats.splats import FloatArray, Splats
+
+from ..change.detection import Change
+from ..change.masks import FrameMask, showing
+from ..input.ingest import Ingest, RigFrame
+from ..psnr import mean_picture_psnr, mean_psnr
+from ..rasterise import IncrementalViews, TrainingKernel
+from ..stopwatch import Stopwatch
+from .footage import strange_cameras, warning_of
+from .reports import FrameReport, OnWarning
+
+_STAGE = "measure"
+
+
+class FrameReporter:
+    """Reports the frames of a stream. ``views`` show its scene; where there are none, it is rendered."""
+
+    def __init__(
+        self, ingest: Ingest, kernel: TrainingKernel, views: IncrementalViews, on_warning: OnWarning | None
+    ) -> None:
+        self._ingest, self._kernel, self._views = ingest, kernel, views
+        self._on_warning = on_warning
+
+    def report(
+        self, frame: RigFrame, scene: Splats, packet: Packet, costs: dict[str, int], change: Change, watch: Stopwatch
+    ) -> FrameReport:
+        """The report of a frame whose ``scene`` stands, with PSNRs against its pictures."""
+        cpu_seconds = watch.cpu_seconds()
+        with watch.stage(_STAGE):
+            training = self._training_psnr(frame, scene, showing(change.masks))
+            held_out = mean_psnr(self._kernel, scene, self._ingest.held_out_views, frame.held_out)
+        views = self._ingest.views
+        return FrameReport(
+            frame.index,
+            PacketKind(packet.kind).name.lower(),
+            packet.size,
+            len(scene),
+            change.share,
+            training,
+            held_out if frame.held_out else None,
+            watch.seconds,
+            costs,
+            cpu_seconds,
+            left_out={
+                view.camera.name: mask.lost for view, mask in zip(views, change.masks, strict=False) if mask.lost
+            },
+            overlooked=change.overlooked,
+        )
+
+    def check_footage(
+        self, frame: RigFrame, scene: Splats, origin: str, masks: Sequence[FrameMask], watch: Stopwatch
+    ) -> None:
+        """Warns where the scene of an earlier encode, named by ``origin``, is not what the rig's pictures show."""
+        with watch.stage(_STAGE):
+            used = showing(masks) or range(len(self._ingest.views))
+            views, pictures = [self._ingest.views[i] for i in used], [frame.training[i] for i in used]
+            cameras = strange_cameras(views, pictures, self._shown(scene, used))
+            if cameras and self._on_warning is not None:
+                self._on_warning(warning_of(origin, frame.index, cameras))
+
+    def _training_psnr(self, frame: RigFrame, scene: Splats, seen: Sequence[int]) -> float:
+        """Of the views in ``seen``, of all if there are none."""
+        views, pictures = self._ingest.views, frame.training
+        used = seen or range(len(views))
+        return mean_picture_psnr([views[i] for i in used], self._shown(scene, used), [pictures[i] for i in used])
+
+    def _shown(self, scene: Splats, used: Sequence[int]) -> list[FloatArray]:
+        """What these views show of the scene, (3, H, W) each."""
+        if self._views.views:
+            return [self._views.views[i].rgb for i in used]
+        return [self._kernel.forward(scene, self._ingest.views[i].pinhole).rgb for i in used]

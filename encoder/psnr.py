@@ -1,0 +1,39 @@
+"""PSNR of a scene against the training or held-out pictures, over recorded pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from decogs.formats.splats import FloatArray, Splats
+
+from .input.ingest import View
+from .rasterise import TrainingKernel
+
+
+def psnr_of(mean_square: float) -> float:
+    """Peak signal-to-noise ratio in dB of pictures in 0..1."""
+    return float(-10 * np.log10(max(mean_square, 1e-12)))
+
+
+def mean_psnr(kernel: TrainingKernel, splats: Splats, views: Sequence[View], pictures: Sequence[FloatArray]) -> float:
+    """Mean PSNR of ``splats`` through the views against ``pictures`` (3, H, W); NaN without views."""
+    return mean_picture_psnr(views, [kernel.forward(splats, view.pinhole).rgb for view in views], pictures)
+
+
+def mean_picture_psnr(views: Sequence[View], shown: Sequence[FloatArray], pictures: Sequence[FloatArray]) -> float:
+    """Mean over the views of each one's PSNR, over recorded pixels, of ``shown`` clipped to 0..1; NaN without views."""
+    values = []
+    for view, picture, target in zip(views, shown, pictures, strict=True):
+        square = (np.clip(picture, 0, 1) - target) ** 2
+        if view.valid is not None:
+            square = square * view.valid
+        values.append(psnr_of(float(square.sum(dtype=np.float64)) / (3 * float(_size(view)))))
+    return float(np.mean(values)) if values else float("nan")
+
+
+def _size(view: View) -> float:
+    if view.valid is None:
+        return view.pinhole.width * view.pinhole.height
+    return max(1.0, float(view.valid.sum()))

@@ -1,0 +1,103 @@
+"""A range of a rig's frames encoded into one output: begun, gone on with, interrupted or finished."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+from decogs.formats.container import Packet
+from decogs.formats.errors import DecogsError
+
+from .input.imported_keyframe import KeyframeSource
+from .input.ingest import Ingest
+from .loop import StreamEncoder
+from .output.convergence_log import AnytimeLog
+from .output.reports import EncodeReport, FrameReport, OnFrame, OnKeyframeStep, OnWarning
+from .output.resume import Interrupted, check_resumable
+from .output.stream_output import FileOutput, StreamOutput, open_output
+from .settings.encode import EncodeSettings
+
+
+def encode_stream(
+    ingest: Ingest,
+    output: Path | BinaryIO | StreamOutput,
+    span: range,
+    settings: EncodeSettings,
+    *,
+    seed: int,
+    threads: int,
+    keyframe: KeyframeSource | None = None,
+    device: str = "auto",
+    resume: bool = False,
+    on_frame: OnFrame | None = None,
+    on_keyframe_step: OnKeyframeStep | None = None,
+    convergence: AnytimeLog | None = None,
+    on_warning: OnWarning | None = None,
+) -> EncodeReport:
+    """Encodes frames ``span`` of the rig to ``output``; Ctrl-C after the keyframe ends the stream early but whole.
+
+    ``output``: a path, an open file that takes bytes, such as a pipe, or one that was taken already, for ``resume`` if
+    that is asked for. ``keyframe``: an earlier stream's, to begin with instead of training one; UsageError when it
+    does not fit the rig. ``resume``: go on with what an earlier encode left, in ``output`` + ".part" or as a shorter
+    stream; the result has the bytes of one that was not cut off, but for a time budget, with which no two encodes have
+    the same. ``convergence`` takes the loss of every step.
+    Raises DecogsError for unusable input; complete frames then remain in ``output`` + ".part", and the message says so.
+    """
+    with output if isinstance(output, StreamOutput) else open_output(output, resume=resume) as target:
+        left = _left(target, settings) if resume else None
+        encoder = StreamEncoder(
+            ingest,
+            settings,
+            target,
+            seed=seed,
+            threads=threads,
+            keyframe=keyframe,
+            device=device,
+            convergence=convergence,
+            on_warning=on_warning,
+        )
+        encoder.check_header(span.start)
+        resumed = (0 if left is None else len(left.entries)) if resume else None
+        packets: Iterator[Packet] = iter(())
+        origin, last = "", 0
+        if left is not None:
+            encoder.take_over(left, span)
+            packets, origin, last = left.packets(), f"--resume: {left.path}", len(left.entries) - 1
+            if left.path != target.growing and left.ended and resumed == len(span):
+                return EncodeReport(target.name, [], left.path.stat().st_size, False, resumed)
+        reports: list[FrameReport] = []
+        interrupted = False
+        try:
+            for frame in ingest.frames(span.start, span.stop):
+                packet = next(packets, None)
+                if packet is not None:
+                    # The first and the last tell whether the pictures are those that it was made from.
+                    report = encoder.replay(frame, packet, origin if len(reports) in (0, last) else "")
+                elif not reports:
+                    report = encoder.encode_key(frame, on_keyframe_step)
+                else:
+                    report = encoder.encode_next(frame)
+                reports.append(report)
+                if on_frame:
+                    on_frame(report)
+            target.open()
+        except KeyboardInterrupt:
+            if not reports or not target.is_open:
+                raise
+            interrupted = True
+        except DecogsError as error:
+            if reports and target.is_open and target.growing is not None:
+                before = "the frame before it is" if len(reports) == 1 else f"the {len(reports)} frames before it are"
+                error.args = (f"{error}; {before} in {target.growing}",)
+            raise
+        finally:
+            target.close(len(reports))
+        return EncodeReport(
+            target.name, reports, target.publish(), interrupted, resumed, settings.frame_budget, settings.time_budget
+        )
+
+
+def _left(output: StreamOutput, settings: EncodeSettings) -> Interrupted | None:
+    check_resumable(settings)
+    return output.take_left() if isinstance(output, FileOutput) else None

@@ -1,0 +1,166 @@
+"""What an encode carries from frame to frame: the coded scene, the views of it, masks, motion and compensation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.codec.corrections import Corrections
+from decogs.codec.lattice import Lattice
+from decogs.codec.state import State, same_values
+
+from .analysis.enabled import enabled_effects
+from .change.detection import Change, ChangeDetector
+from .coding.coded_scene import CodedScene
+from .coding.rate_control import RATE_CONTROLS
+from .coding.stream_header import stream_header
+from .input.compensation.stream import Compensation
+from .input.imported_keyframe import KeyframeSource
+from .input.ingest import Ingest, RigFrame
+from .output.stream_output import StreamOutput
+from .rasterise import IncrementalViews, fixed_view, training_kernel
+from .settings.encode import EncodeSettings
+from .settings.frame import FrameSettings
+from .stopwatch import Stopwatch
+from .training.method import FRAME_METHODS, FrameTrainer, training_context
+from .training.warm_start import Motion
+
+
+@dataclass(frozen=True)
+class FrameInWork:
+    """A later frame: as recorded, compensated, and what changed in it since the state ``before``."""
+
+    recorded: RigFrame
+    compensated: RigFrame
+    corrections: Corrections
+    change: Change
+    before: State
+    watch: Stopwatch
+
+
+class StreamState:
+    """The state of one encode; ``scene``, ``changes`` and ``trainer`` are there once it has its first frame.
+
+    ``source``: an earlier stream's keyframe to begin with, or None. ``views`` show the scene, and are none for a dense
+    method. ``rate`` keeps to a budget of bytes, if there is one.
+    """
+
+    scene: CodedScene
+    changes: ChangeDetector
+    trainer: FrameTrainer
+
+    def __init__(
+        self,
+        ingest: Ingest,
+        settings: EncodeSettings,
+        output: StreamOutput,
+        source: KeyframeSource | None,
+        *,
+        seed: int,
+        threads: int,
+        device: str,
+    ) -> None:
+        self.ingest, self.settings, self.source, self._output = ingest, settings, source, output
+        self.seed, self.threads = seed, threads
+        self.method = FRAME_METHODS.get(settings.method)
+        self.kernel = training_kernel(device, threads)
+        self.compensation = Compensation(ingest, self.kernel, settings.corrections)
+        self.views = IncrementalViews([])
+        self.motion = Motion()
+        budget = settings.frame_budget
+        self.rate = None if budget is None else RATE_CONTROLS.get(settings.rate_control)(budget, settings.segment)
+
+    def new_scene(self, first: int, lattice: Lattice, sh_degree: int) -> CodedScene:
+        """The scene of a stream that begins with the rig's frame ``first``, before its keyframe."""
+        header = stream_header(
+            self.ingest,
+            self.settings,
+            first=first,
+            lattice=lattice,
+            sh_degree=sh_degree,
+            seed=self.seed,
+            corrected=self.compensation.cameras,
+            inherited=None if self.source is None else self.source.settings,
+        )
+        return CodedScene(header, self._output, level=self.settings.zstd_level, segment=self.settings.segment)
+
+    def begin(self, frame: RigFrame, watch: Stopwatch) -> None:
+        """Takes the first frame, compensated, whose state stands."""
+        scene, views = self.scene.splats, self.ingest.views
+        with watch.stage("settle"):
+            if not self.method.dense:
+                self.views.views = [fixed_view(self.kernel, view.pinhole) for view in views]
+                self.views.show(scene)
+            self.trainer = self.method.trainer(
+                training_context(
+                    self.kernel, views, self.views.views, self.settings, scene, seed=self.seed, threads=self.threads
+                )
+            )
+        self.changes = ChangeDetector(frame.training, self.views.views, self.settings, threads=self.threads)
+        self.motion.begin(len(scene))
+
+    def return_from_flash(self, frame: RigFrame, watch: Stopwatch) -> bool:
+        """Goes back to the scene before a flash if the pictures do; the decoder's state is then another."""
+        with watch.stage("masks"):
+            kept = self.changes.flash_is_over(frame.index, frame.training)
+        if kept is None:
+            return False
+        self.scene.go_back(kept.state)
+        self.motion.last = kept.motion
+        with watch.stage("settle"):
+            self.views.show(self.scene.splats)
+        return True
+
+    def detect(
+        self, recorded: RigFrame, compensated: RigFrame, corrections: Corrections, watch: Stopwatch
+    ) -> FrameInWork:
+        """What changed in a frame."""
+        before = self.scene.state
+        change = self.changes.detect(compensated.index, compensated.training, before, self.motion.last, watch)
+        return FrameInWork(recorded, compensated, corrections, change, before, watch)
+
+    def enabled(self, now: FrameInWork) -> tuple[tuple[str, ...], FrameSettings]:
+        """The effects of a frame, none where nothing is selected, and how it is trained for them."""
+        settings = self.settings
+        effects = settings.frame_effects if now.change.selected.any() else ()
+        if effects and settings.ask_frames:
+            with now.watch.stage("effects"):
+                effects, settings = enabled_effects(
+                    settings, now.compensated.training, self.changes.references, now.change.masks
+                )
+        economy = settings.frame.economy
+        if self.rate is not None:
+            economy = self.rate.economy(economy)
+        return effects, replace(settings.frame, economy=economy)
+
+    def settle(
+        self,
+        now: FrameInWork,
+        trained: NDArray[np.int64] | None,
+        effects: Sequence[str],
+        *,
+        held: bool = False,
+        hurried: bool = False,
+    ) -> list[str]:
+        """Takes what later frames need to know of this one, whose state stands; returns what compensation is ended.
+
+        ``trained``: rows that were, or None. ``effects``: those that it called for. ``held``: it waits for time; what
+        moves is taken to move on. ``hurried``: what the scene now clearly misses is still to be done.
+        """
+        scene, pictures, masks = self.scene, now.compensated.training, now.change.masks
+        if trained is not None:
+            with now.watch.stage("settle"):
+                self.views.update(scene.splats, trained, now.before.ids, scene.state.ids)
+            # Training that was rejected, or whose changes were all reverted, has made up for nothing.
+            if masks and not same_values(now.before, scene.state):
+                self.changes.trained(pictures, masks, moved="motion" in effects, hurried=hurried)
+        self.changes.passed(pictures, held=held)
+        if held:
+            self.motion.hold()
+        else:
+            self.motion.moved(scene.displacements(now.before))
+        changed = [mask.dilated for mask in masks]
+        return self.compensation.judge(now.recorded.training, now.corrections, changed, self.views, now.watch)

@@ -1,0 +1,172 @@
+"""Frame methods by name: how later frames are trained, ours and those of installed packages (docs/extending.md).
+
+A method makes one trainer for a stream; the loop calls the trainer once for each later frame that changed. All methods
+share the keyframe, the views, the rasteriser and the lattice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.formats.errors import UsageError
+from decogs.formats.splats import FloatArray, Splats
+
+from ..change.masks import FrameMask
+from ..input.ingest import View
+from ..rasterise import FixedView, TrainingKernel
+from ..registry import Registry
+from ..settings.encode import EncodeSettings
+from ..settings.frame import FrameSettings
+from .keyframe import scene_extent
+from .schedule import WHOLE, Effort
+
+MAX_GROWTH = 1.25
+"""How much larger than the keyframe's the scene may become by clones and splits. Long streams would grow without end:
+thousand frames of the tests' scene from 2 500 Gaussians to 18 000, and lose 2 dB by it."""
+
+
+@dataclass(frozen=True)
+class TrainingContext:
+    """What stays the same for all frames of a stream.
+
+    ``views``: the training views. ``static_views``: the same views as they show the scene, kept up to date by the loop;
+    empty for a dense method. ``population``: Gaussians of the keyframe. ``max_gaussians``: no clone or split makes the
+    scene larger. ``extent``: size of the rig, world units; position rates scale with it. ``box``: corners (3,) around
+    the scene, which bound what a transformation cache may move. ``threads``: at least 1; results do not depend on it.
+    """
+
+    kernel: TrainingKernel
+    views: Sequence[View]
+    static_views: Sequence[FixedView]
+    settings: EncodeSettings
+    population: int
+    max_gaussians: int
+    extent: float
+    box: tuple[NDArray[np.float64], NDArray[np.float64]]
+    seed: int
+    threads: int = 1
+
+
+@dataclass(frozen=True)
+class FrameInput:
+    """What one later frame is trained from.
+
+    ``index``: within the stream; with the seed it makes all that is random, so that a frame can be trained again alone.
+    ``scene``: the reconstructed Gaussians of the frame before, N of them. ``selected`` (N,): S_t. ``pictures``: one
+    (3, H, W) for each view, colours 0 to 1. ``masks``: one for each view, none for a dense method. ``motion`` (N, 3):
+    every Gaussian's last displacement, world units. ``settings``: of this frame. ``effort``: what ends training early.
+    """
+
+    index: int
+    scene: Splats
+    selected: NDArray[np.bool_]
+    pictures: Sequence[FloatArray]
+    masks: Sequence[FrameMask]
+    motion: FloatArray
+    settings: FrameSettings
+    effort: Effort = WHOLE
+
+
+@dataclass(frozen=True)
+class TrainedFrame:
+    """What a frame changed: new values (M rows) for the rows ``kept``, rows ``removed``, Gaussians ``added``.
+
+    Rows are of the frame's scene, ascending. ``rejected``: training made the pictures worse, and nothing has changed.
+    ``hurried``: a deadline left fewer steps than the schedule has.
+    """
+
+    kept: NDArray[np.int64]
+    values: Splats
+    removed: NDArray[np.int64]
+    added: Splats
+    rejected: bool = False
+    hurried: bool = False
+
+
+class FrameTrainer(Protocol):
+    """Trains the later frames of one stream, one after the other, from one thread.
+
+    Encodes are resumed and repeated to the bit: the result follows from the frame's input and the context alone.
+    """
+
+    @property
+    def min_seconds(self) -> float:
+        """What a frame takes at least, in seconds; 0 while unknown. A time budget holds frames that have less."""
+        ...
+
+    def train(self, frame: FrameInput, /) -> TrainedFrame:
+        """Trains one frame.
+
+        Static views, whose pictures are those of ``frame.scene``, are left with the trained Gaussians detached
+        (`rasterise.FixedView.lift`). Views whose masks are ``lost`` have no part in it.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class FrameMethod:
+    """One way to train later frames.
+
+    ``trainer``: makes a stream's trainer. ``dense``: it trains every Gaussian on every pixel by a schedule of its own,
+    so masks, selection, effects, budgets and requantisation have no part in it.
+    """
+
+    trainer: Callable[[TrainingContext], FrameTrainer]
+    dense: bool = False
+
+
+def _decogs(context: TrainingContext) -> FrameTrainer:
+    from .delta import DeltaTrainer
+
+    return DeltaTrainer(context)
+
+
+def _threedgstream(context: TrainingContext) -> FrameTrainer:
+    from .threedgstream import BaselineTrainer
+
+    return BaselineTrainer(context)
+
+
+FRAME_METHODS: Registry[FrameMethod] = Registry(
+    "method",
+    "decogs.frame_methods",
+    {"decogs": FrameMethod(_decogs), "3dgstream": FrameMethod(_threedgstream, dense=True)},
+)
+
+
+def require_sparse(settings: EncodeSettings, option: str, why: str) -> None:
+    """Raises UsageError where the settings' method is dense, which an option of sparse ones excludes."""
+    if FRAME_METHODS.get(settings.method).dense:
+        raise UsageError(f"{option}: --method {settings.method} {why}; drop one of the two")
+
+
+def training_context(
+    kernel: TrainingKernel,
+    views: Sequence[View],
+    static_views: Sequence[FixedView],
+    settings: EncodeSettings,
+    keyframe: Splats,
+    *,
+    seed: int,
+    threads: int,
+) -> TrainingContext:
+    """The context of a stream that begins with ``keyframe``. The box holds 98 % of its Gaussians and a tenth more."""
+    low, high = np.percentile(keyframe.means.astype(np.float64), [1, 99], axis=0)
+    margin = 0.1 * (high - low) + 1e-6
+    return TrainingContext(
+        kernel,
+        views,
+        static_views,
+        settings,
+        population=len(keyframe),
+        max_gaussians=round(MAX_GROWTH * len(keyframe)),
+        extent=scene_extent(views) or 1.0,
+        box=(low - margin, high + margin),
+        seed=seed,
+        threads=max(1, threads),
+    )
