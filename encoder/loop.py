@@ -170,6 +170,7 @@ class StreamEncoder:
             self._effort(deadline),
         )
         with now.watch.stage("training"):
+            self._state.views.detach(np.flatnonzero(given.selected))
             return self._state.trainer.train(given)
 
     def _report(self, frame: RigFrame, written: Written, change: Change, watch: Stopwatch) -> FrameReport:

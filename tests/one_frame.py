@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from decogs.codec.state import MAX_GAUSSIANS
 from decogs.encoder.settings.encode import EncodeSettings
 from decogs.encoder.settings.frame import FrameSettings
@@ -46,4 +48,6 @@ def train(
 ) -> TrainedFrame:
     if settings is None:
         settings = trainer.context.settings.frame if isinstance(trainer, DeltaTrainer) else FrameSettings()
+    for view in trainer.context.static_views if isinstance(trainer, DeltaTrainer) else ():
+        view.lift(np.flatnonzero(selected))
     return trainer.train(FrameInput(frame, scene, selected, pictures, masks, motion, settings, **effort))

@@ -120,8 +120,6 @@ class _DeltaTraining:
             self._loss(picture, mask, view) for picture, mask, view in zip(pictures, masks, self._views, strict=True)
         ]
         work = _Working(scene, np.flatnonzero(self._frame.selected), self._kernel, self._settings)
-        for view in self._watch:
-            view.lift(work.rows)
         self._start_warm(work, self._frame.motion[work.rows])
         if self._cache is not None:
             if not self._settings.carry_cache:

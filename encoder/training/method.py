@@ -102,8 +102,8 @@ class FrameTrainer(Protocol):
     def train(self, frame: FrameInput, /) -> TrainedFrame:
         """Trains one frame.
 
-        Static views, whose pictures are those of ``frame.scene``, are left with the trained Gaussians detached
-        (`rasterise.FixedView.lift`). Views whose masks are ``lost`` have no part in it.
+        The static views show ``frame.scene``, and its selected Gaussians are detached in them. Views whose masks are
+        ``lost`` have no part in it.
         """
         ...
 

@@ -17,6 +17,7 @@ from decogs.encoder.change.selection import SELECTION_RULES, ViewEvidence, selec
 from decogs.encoder.registry import Registry
 from decogs.encoder.settings.frame import SelectionSettings
 from decogs.encoder.switches import with_selection
+from decogs.encoder.training.method import FRAME_METHODS
 from decogs.formats.errors import UsageError
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "extending.md"
@@ -25,11 +26,10 @@ DOCUMENT = Path(__file__).parents[2] / "docs" / "extending.md"
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Where pip has put the package that the document shows."""
-    project, target = (tmp_path_factory.mktemp(name) for name in ("decogs-majority", "installed"))
-    for name, language in (("decogs_majority.py", "python"), ("pyproject.toml", "toml")):
-        shown = re.search(rf"```{language}\n(.*?)```", DOCUMENT.read_text(), re.DOTALL)
-        assert shown is not None
-        (project / name).write_text(shown[1])
+    project, target = (tmp_path_factory.mktemp(name) for name in ("decogs-example", "installed"))
+    shown = re.findall(r"```(?:python|toml)\n(.*?)```", DOCUMENT.read_text(), re.DOTALL)
+    for name, text in zip(("decogs_majority.py", "decogs_recolour.py", "pyproject.toml"), shown, strict=True):
+        (project / name).write_text(text)
     pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation", "--no-index"]
     subprocess.run([*pip, "--target", str(target), str(project)], check=True)
     return target
@@ -53,10 +53,31 @@ def test_the_documents_rule_encodes_when_it_is_installed(
     assert (tmp_path / "x.dgs").read_bytes() != moving.data, "it chooses otherwise than the default"
 
 
+def test_the_documents_method_encodes_when_it_is_installed(
+    installed: Path, moving: Any, moving_rig: Path, tiny_rig: Any, tiny_settings: Any, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    given = {"preset": tiny_settings, "holdout": tiny_rig.held_out, "keyframe": moving.path, "method": "recolour"}
+    with pytest.raises(UsageError, match=r"^--method recolour: there is no such method; choose from decogs, 3dgstream$"):
+        encode(moving_rig, tmp_path / "x.dgs", **given)
+    monkeypatch.syspath_prepend(installed)
+    report = encode(moving_rig, tmp_path / "x.dgs", **given)
+    assert [frame.kind for frame in report.frames] == [frame.kind for frame in moving.report.frames]
+    with open_stream(tmp_path / "x.dgs") as stream:
+        assert stream.header.settings["method"] == "recolour"
+        first, second, *_ = stream.frames()
+    rows = np.isin(first.state.ids, second.state.ids)
+    assert rows.all(), "it removes nothing"
+    np.testing.assert_array_equal(first.splats.means, second.splats.means[: len(first.splats)])
+    assert (first.splats.sh != second.splats.sh[: len(first.splats)]).any()
+    assert report.frames[1].training_psnr > moving.report.frames[1].training_psnr - 6
+
+
 @pytest.fixture(autouse=True)
 def nothing_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each test finds packages anew."""
-    monkeypatch.setattr(SELECTION_RULES, "_loaded", {})
+    for registry in (SELECTION_RULES, FRAME_METHODS):
+        monkeypatch.setattr(registry, "_loaded", {})
 
 
 class _Point:
