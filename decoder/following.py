@@ -33,8 +33,9 @@ from decogs.formats.reasons import Reason
 from decogs.formats.survey import check_lost, check_places, next_past_damage, past_unfinished
 
 from .damage import Concealment, Damage, OnDamage, errors_name
-from .memory import DEFAULT_MAX_MEMORY, gaussians_within, limits_explained, payload_within
-from .session import DecodedFrame, read_header
+from .frame import DecodedFrame
+from .limits import DEFAULT_MAX_MEMORY, gaussians_within, limits_explained, payload_within
+from .stream import read_header
 
 DEFAULT_IDLE = 600.0
 """Seconds without anything new after which nothing more is expected; training a keyframe takes minutes."""

@@ -27,7 +27,7 @@ from decogs.codec.syntax import write_delta, write_key, write_skip
 from decogs.decoder import info
 from decogs.decoder.commands import decode_main, export_main, info_main
 from decogs.decoder.following import follow_stream
-from decogs.decoder.session import open_stream
+from decogs.decoder.stream import open_stream
 from decogs.encoder import encode
 from decogs.formats.cameras import Camera
 from decogs.formats.container import (

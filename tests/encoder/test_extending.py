@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from decogs.decoder.session import open_stream
+from decogs.decoder.stream import open_stream
 from decogs.encoder import encode
 from decogs.encoder.change.selection import SELECTION_RULES, ViewEvidence, select
 from decogs.encoder.registry import Registry
@@ -58,7 +58,9 @@ def test_the_documents_method_encodes_when_it_is_installed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
     given = {"preset": tiny_settings, "holdout": tiny_rig.held_out, "keyframe": moving.path, "method": "recolour"}
-    with pytest.raises(UsageError, match=r"^--method recolour: there is no such method; choose from decogs, 3dgstream$"):
+    with pytest.raises(
+        UsageError, match=r"^--method recolour: there is no such method; choose from decogs, 3dgstream$"
+    ):
         encode(moving_rig, tmp_path / "x.dgs", **given)
     monkeypatch.syspath_prepend(installed)
     report = encode(moving_rig, tmp_path / "x.dgs", **given)

@@ -31,7 +31,8 @@ from decogs.codec.state import Attributes, State, all_rows, take_rows
 from decogs.codec.syntax import payload_costs, read_delta, read_key, write_delta, write_key, write_skip
 from decogs.decoder.damage import Damage
 from decogs.decoder.following import follow_stream
-from decogs.decoder.session import DecodedFrame, open_stream
+from decogs.decoder.frame import DecodedFrame
+from decogs.decoder.stream import open_stream
 from decogs.formats.cameras import Camera
 from decogs.formats.container import (
     FRAME_KINDS,
