@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
-from decogs.codec.corrections import split_corrections
-from decogs.codec.deltas import Delta
+from decogs.codec.deltas import Changes, Delta
+from decogs.codec.frame_payload import FramePayload
 from decogs.codec.header import StreamHeader
 from decogs.codec.lattice import Lattice, dequantise
-from decogs.codec.state import MAX_GAUSSIANS, State, same_scene
-from decogs.codec.syntax import key_changes, payload_costs, read_delta, refers_to_first
-from decogs.formats.container import Packet, PacketKind
+from decogs.codec.reconstruct import Reconstruction, reconstruct_frame
+from decogs.codec.state import State, same_scene
+from decogs.codec.syntax import payload_costs
+from decogs.formats.container import PacketKind
 from decogs.formats.splats import Splats
 
 from .damage import Damage
@@ -34,7 +35,9 @@ class DecodedFrame:
 
     ``index`` counts frames from 0; ``kind`` is KEY, DELTA or SKIP; ``packet_bytes`` are its bytes on disk, container
     overhead included; ``state`` is the scene as lattice integers with ids, checked against the encoder's digest;
-    ``corrections`` tell of the cameras that the header names how their pictures differ from the scene.
+    ``corrections`` tell of the cameras that the header names how their pictures differ from the scene; ``changes`` how
+    many Gaussians the frame touched, added and removed. A keyframe adds all of them, unless it refers to the first one,
+    against which it then counts.
 
     ``concealed`` is None, unless the frame could not be reconstructed: then it is what is wrong, ``kind`` is None,
     ``packet_bytes`` 0, and the scene that of the last good frame.
@@ -42,32 +45,35 @@ class DecodedFrame:
 
     def __init__(
         self,
-        packet: Packet,
-        state: State,
+        payload: FramePayload,
+        reconstruction: Reconstruction,
         header: StreamHeader,
         before: DecodedFrame | None,
         first: State | None = None,
     ) -> None:
+        packet = payload.body
         self.index = packet.frame
         self.kind: PacketKind | None = PacketKind(packet.kind)
         self.packet_bytes = packet.size
-        self.state = state
         self.concealed: Damage | None = None
-        self._packet: Packet | None
-        self.corrections, self._packet = split_corrections(packet, header.corrected)
+        self.corrections = payload.corrections
+        self._payload: FramePayload | None = payload
+        self.state, self.changes, self._delta = reconstruction
         self._coefficients = header.coefficients
         self._state_before = None if before is None else before.state
-        self._first = first
+        base = first if payload.refers_to_first else self._state_before
+        self._population_before = None if base is None else len(base)
         unchanged = before is not None and self.kind == PacketKind.SKIP
         self._activation: _Activation = (
-            before._activation if before and unchanged else _Activation(state, header.lattice)
+            before._activation if before and unchanged else _Activation(self.state, header.lattice)
         )
 
     def held(self, index: int, damage: Damage) -> DecodedFrame:
         """This frame shown once more in place of a damaged one."""
         frame = copy(self)
         frame.index, frame.concealed = index, damage
-        frame.kind, frame.packet_bytes, frame._packet = None, 0, None
+        frame.kind, frame.packet_bytes, frame._payload, frame._delta = None, 0, None, None
+        frame.changes = Changes(0, 0, 0)
         frame.state = replace(self.state, frame=index)
         return frame
 
@@ -83,43 +89,31 @@ class DecodedFrame:
 
     @property
     def refers_to_first(self) -> bool:
-        """Whether this is a keyframe told as the difference from the stream's first one."""
-        return self._packet is not None and refers_to_first(self._packet)
+        """Whether this is a keyframe coded as the difference from the stream's first one."""
+        return self._payload is not None and self._payload.refers_to_first
 
     @property
     def costs(self) -> dict[str, int]:
         """The payload's bytes by purpose: header, index set, each attribute group (see SPEC.md, "Payloads")."""
-        if self._packet is None:
+        if self._payload is None:
             return {}
-        base = self._first if self.kind == PacketKind.KEY else self._state_before
-        return payload_costs(self._packet, self._coefficients, None if base is None else len(base))
+        return payload_costs(self._payload.body, self._coefficients, self._population_before)
 
     def delta_from(self, state: State) -> Delta | None:
-        """What this frame changed of ``state``, read from its packet again; None unless it is a delta to that scene."""
+        """What this frame changed of ``state``; None unless it is a delta to that scene."""
         before = self._state_before
-        if self._packet is None or self.kind != PacketKind.DELTA or before is None or not same_scene(before, state):
-            return None
-        delta, _ = read_delta(self._packet, before, max_gaussians=MAX_GAUSSIANS)
-        return delta
-
-    @property
-    def changes(self) -> Changes:
-        """How many Gaussians this frame touched, added and removed; a keyframe brings all of them anew.
-
-        One that refers to the first keyframe counts against that.
-        """
-        delta = None if self._state_before is None else self.delta_from(self._state_before)
-        if delta is not None:
-            return Changes(len(delta.rows), len(delta.added), len(delta.removed))
-        if self._first is not None and self._packet is not None:
-            return Changes(*key_changes(self._packet, self._first))
-        return Changes(0, len(self.state) if self.kind == PacketKind.KEY else 0, 0)
+        return self._delta if before is not None and same_scene(before, state) else None
 
 
-@dataclass(frozen=True)
-class Changes:
-    """Numbers of Gaussians: existing ones whose values changed, new ones, and ones that went."""
-
-    touched: int
-    added: int
-    removed: int
+def decode_frame(
+    payload: FramePayload,
+    before: DecodedFrame | None,
+    header: StreamHeader,
+    *,
+    first: State | None,
+    max_gaussians: int,
+) -> DecodedFrame:
+    """The frame after ``before``, None where decoding begins, as ``reconstruct_frame`` has it. Raises StreamError."""
+    state = None if before is None else before.state
+    reconstruction = reconstruct_frame(state, payload, header, first=first, max_gaussians=max_gaussians)
+    return DecodedFrame(payload, reconstruction, header, before, first)

@@ -9,11 +9,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 
-from decogs.codec.corrections import split_corrections
+from decogs.codec.frame_payload import split_payload
 from decogs.codec.header import StreamHeader
 from decogs.codec.reconstruct import reconstruct
 from decogs.codec.state import DEFAULT_MAX_GAUSSIANS, State
-from decogs.codec.syntax import refers_to_first
 from decogs.formats.container import (
     MAX_PAYLOAD,
     Packet,
@@ -30,7 +29,7 @@ from decogs.formats.reasons import Reason
 from decogs.formats.survey import Survey, search, survey
 
 from .damage import Concealment, Damage, OnDamage, errors_name
-from .frame import DecodedFrame
+from .frame import DecodedFrame, decode_frame
 from .frame_packets import WRONG_INDEX, FileFrom, FramePackets
 from .limits import DEFAULT_MAX_MEMORY, frames_within, gaussians_within, limits_explained, payload_within
 
@@ -156,11 +155,9 @@ class Stream:
         return before.held(index, damage)
 
     def _decoded(self, packet: Packet, before: DecodedFrame | None) -> DecodedFrame:
-        state_before = None if before is None else before.state
-        refers = refers_to_first(split_corrections(packet, self.header.corrected)[1])
-        first = self._first_keyframe() if refers else None
-        state = reconstruct(state_before, packet, self.header, first=first, max_gaussians=self._max_gaussians)
-        return DecodedFrame(packet, state, self.header, before, first)
+        payload = split_payload(packet, self.header.corrected)
+        first = self._first_keyframe() if payload.refers_to_first else None
+        return decode_frame(payload, before, self.header, first=first, max_gaussians=self._max_gaussians)
 
     def _first_keyframe(self) -> State:
         """The state that later keyframes refer to; kept from the first time it is asked for."""

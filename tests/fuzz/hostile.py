@@ -19,10 +19,11 @@ from random import Random
 import numpy as np
 import zstandard
 
-from decogs.codec.corrections import CorrectedCameras, Correction, split_corrections, write_corrections
+from decogs.codec.corrections import CorrectedCameras, Correction, write_corrections
 from decogs.codec.deltas import apply_delta, difference
 from decogs.codec.digest import digest
 from decogs.codec.entropy import BLOCK_HEADER_SIZE, coded_block
+from decogs.codec.frame_payload import split_payload
 from decogs.codec.header import StreamHeader
 from decogs.codec.keyframes import keyframe_state, new_state
 from decogs.codec.lattice import default_lattice
@@ -279,7 +280,7 @@ def repaired_frame(
     except StreamError as error:
         if error.reason != Reason.DIGEST_MISMATCH:
             return packet, state
-    _, packet = split_corrections(packet, described.corrected)
+    _, packet = split_payload(packet, described.corrected)
     if packet.kind == PacketKind.KEY:
         after = read_key(packet, described.coefficients, first=first, **options)[0]
     elif packet.kind == PacketKind.DELTA:
