@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.container import Packet
+from decogs.formats.cursor import Cursor
 
 COLOUR_STEP = 2.0**-12
 """Natural logarithm of the odds v / (1 - v) of a colour value, per unit of ``exposure``, ``red`` and ``blue``."""
@@ -121,18 +121,13 @@ def write_corrections(corrections: Corrections, corrected: CorrectedCameras) -> 
     return struct.pack(f"<{len(numbers)}h", *numbers)
 
 
-def split_corrections(packet: Packet, corrected: CorrectedCameras) -> tuple[Corrections, Packet]:
-    """A frame packet's corrections, and the packet as it is read from behind the block on.
-
-    Raises StreamError "bad-payload" when the payload is shorter than the block.
-    """
+def read_corrections(cursor: Cursor, corrected: CorrectedCameras) -> Corrections:
+    """The block that a frame's payload begins with; raises StreamError "bad-payload" when the payload is shorter."""
     size = corrected.block_bytes
-    if not size:
-        return {}, packet
-    numbers = iter(struct.unpack(f"<{size // 2}h", packet.cursor().take(size)))
+    numbers = iter(struct.unpack(f"<{size // 2}h", cursor.take(size)))
     found: dict[str, Correction] = {}
     for effect, fields in EFFECT_FIELDS.items():
         for name in getattr(corrected, effect):
-            told = {field: next(numbers) for field in fields}
-            found[name] = replace(found.get(name, Correction()), **told)
-    return found, replace(packet, start=size)
+            coded = {field: next(numbers) for field in fields}
+            found[name] = replace(found.get(name, Correction()), **coded)
+    return found

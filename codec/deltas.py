@@ -39,6 +39,15 @@ from .state import (
 _ARRAYS = (*ARRAYS, "ids", "hashes")
 
 
+@dataclass(frozen=True)
+class Changes:
+    """Numbers of Gaussians: existing ones whose values changed, new ones, and ones that went."""
+
+    touched: int
+    added: int
+    removed: int
+
+
 @dataclass(frozen=True, eq=False)
 class Delta:
     """The change of one frame.
@@ -52,6 +61,10 @@ class Delta:
     residuals: Mapping[str, Integers]
     removed: Rows
     added: Attributes
+
+    @property
+    def changes(self) -> Changes:
+        return Changes(len(self.rows), len(self.added), len(self.removed))
 
 
 def difference(

@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NoReturn
+from typing import NamedTuple, NoReturn
 
 from decogs.formats.container import PACKET_HEADER_SIZE, Packet, PacketKind
 from decogs.formats.errors import StreamError
 from decogs.formats.reasons import Reason
 
-from .corrections import split_corrections
-from .deltas import apply_delta
+from .deltas import Changes, Delta, apply_delta
 from .digest import digest
+from .frame_payload import FramePayload, split_payload
 from .header import StreamHeader
 from .state import DEFAULT_MAX_GAUSSIANS, State
 from .syntax import read_delta, read_key, read_skip
+
+
+class Reconstruction(NamedTuple):
+    """The state after a frame and what its packet changed; ``delta``: that of a delta packet, None otherwise."""
+
+    state: State
+    changes: Changes
+    delta: Delta | None = None
 
 
 def reconstruct(
@@ -25,7 +33,20 @@ def reconstruct(
     first: State | None = None,
     max_gaussians: int = DEFAULT_MAX_GAUSSIANS,
 ) -> State:
-    """The state after a key, delta or skip packet; ``state`` is the one before it, None where decoding begins.
+    """The state after a key, delta or skip packet as it lies in the stream; see ``reconstruct_frame``."""
+    payload = split_payload(packet, header.corrected)
+    return reconstruct_frame(state, payload, header, first=first, max_gaussians=max_gaussians).state
+
+
+def reconstruct_frame(
+    state: State | None,
+    payload: FramePayload,
+    header: StreamHeader,
+    *,
+    first: State | None = None,
+    max_gaussians: int = DEFAULT_MAX_GAUSSIANS,
+) -> Reconstruction:
+    """What follows ``state``, which is None where decoding begins, by the payload of a key, delta or skip packet.
 
     ``first``: the state of the stream's first keyframe, to which later ones may refer (``refers_to_first``).
 
@@ -33,20 +54,20 @@ def reconstruct(
     result's. Corrections of cameras are passed over: the scene knows nothing of them. Raises StreamError, whatever the
     payload holds.
     """
-    _, packet = split_corrections(packet, header.corrected)
-    next_state, declared = _advance(state, packet, header, first, max_gaussians)
-    if digest(next_state) != declared:
-        _refuse(packet, Reason.DIGEST_MISMATCH, "the reconstructed state is not the encoder's")
-    return next_state
+    following, declared = _advance(state, payload.body, header, first, max_gaussians)
+    if digest(following.state) != declared:
+        _refuse(payload.body, Reason.DIGEST_MISMATCH, "the reconstructed state is not the encoder's")
+    return following
 
 
 def _advance(
     state: State | None, packet: Packet, header: StreamHeader, first: State | None, max_gaussians: int
-) -> tuple[State, int]:
+) -> tuple[Reconstruction, int]:
     if packet.kind == PacketKind.KEY:
         if state is not None and packet.frame <= state.frame:
             _refuse(packet, Reason.FRAME_ORDER, f"frame {packet.frame} comes after frame {state.frame}")
-        return read_key(packet, header.coefficients, max_gaussians, first=first)
+        key = read_key(packet, header.coefficients, max_gaussians, first=first)
+        return Reconstruction(key.state, key.changes), key.digest
     if packet.kind not in (PacketKind.DELTA, PacketKind.SKIP):
         _refuse(packet, Reason.MISPLACED_PACKET, f"a packet of kind {packet.kind} holds no frame")
     if state is None:
@@ -54,9 +75,9 @@ def _advance(
     if packet.frame != state.frame + 1:
         _refuse(packet, Reason.FRAME_ORDER, f"frame {packet.frame} follows frame {state.frame}")
     if packet.kind == PacketKind.SKIP:
-        return replace(state, frame=packet.frame), read_skip(packet)
+        return Reconstruction(replace(state, frame=packet.frame), Changes(0, 0, 0)), read_skip(packet)
     delta, declared = read_delta(packet, state, max_gaussians)
-    return apply_delta(state, delta), declared
+    return Reconstruction(apply_delta(state, delta), delta.changes, delta), declared
 
 
 def _refuse(packet: Packet, reason: str, message: str) -> NoReturn:

@@ -16,7 +16,7 @@ from decogs.formats.container import Packet, PacketKind
 from decogs.formats.cursor import Cursor
 from decogs.formats.reasons import Reason
 
-from .deltas import Delta, apply_delta, difference, ids_left
+from .deltas import Changes, Delta, apply_delta, difference, ids_left
 from .digest import digest
 from .entropy import DEFAULT_LEVEL, coded_block, read_block, skip_block
 from .groups import read_groups, read_presence, skip_group, write_groups, write_residuals, write_values
@@ -49,6 +49,17 @@ _CONSECUTIVE_IDS, _LISTED_IDS = 0, 1
 _MAX_ID_BYTES = 5
 
 
+class KeyContents(NamedTuple):
+    """What a key packet says: its state, the digest it declares, and its changes to the first keyframe.
+
+    One that does not refer to the first keyframe brings all its Gaussians anew.
+    """
+
+    state: State
+    digest: int
+    changes: Changes
+
+
 class Coded(NamedTuple):
     """A payload and its bytes by purpose."""
 
@@ -76,8 +87,8 @@ def refers_to_first(packet: Packet) -> bool:
 
 def read_key(
     packet: Packet, coefficients: int, max_gaussians: int = DEFAULT_MAX_GAUSSIANS, *, first: State | None = None
-) -> tuple[State, int]:
-    """The state of a key packet and the digest it declares; raises StreamError.
+) -> KeyContents:
+    """The contents of a key packet; raises StreamError.
 
     ``first``: the state of the stream's first keyframe, for packets that refer to it.
     """
@@ -90,21 +101,13 @@ def read_key(
         cursor.fail(Reason.BAD_PAYLOAD, "ids are out of range")
     if reference == _INTRA:
         ids = _read_new_ids(cursor, mode, first_id, count)
-        attributes = _read_new(cursor, count, coefficients)
+        attributes, changes = _read_new(cursor, count, coefficients), Changes(0, count, 0)
     else:
-        ids, attributes = _read_referring_key(cursor, count, mode, first_id, first)
+        ids, attributes, changes = _read_referring_key(cursor, count, mode, first_id, first)
     if not (int(ids[-1]) if count else -1) < next_id:
         cursor.fail(Reason.BAD_PAYLOAD, "the next id is not above all ids")
     cursor.finish()
-    return new_state(attributes, packet.frame, ids=ids, next_id=next_id), declared
-
-
-def key_changes(packet: Packet, first: State) -> tuple[int, int, int]:
-    """How many of ``first``'s Gaussians a keyframe that refers to it touches, how many come and how many of them go."""
-    cursor = packet.cursor()
-    cursor.take(_KEY.size)
-    rows, _, removed = _read_changes(cursor, first)
-    return len(rows), cursor.u32(), len(removed)
+    return KeyContents(new_state(attributes, packet.frame, ids=ids, next_id=next_id), declared, changes)
 
 
 def write_delta(previous: State, delta: Delta, *, level: int = DEFAULT_LEVEL) -> Coded:
@@ -237,7 +240,7 @@ def _write_referring_key(state: State, first: State, level: int) -> Coded:
 
 def _read_referring_key(
     cursor: Cursor, count: int, mode: int, first_id: int, first: State | None
-) -> tuple[Rows, Attributes]:
+) -> tuple[Rows, Attributes, Changes]:
     if first is None:
         cursor.fail(Reason.MISSING_KEY, "a keyframe refers to the stream's first one, which is not at hand")
     rows, residuals, removed = _read_changes(cursor, first)
@@ -245,13 +248,15 @@ def _read_referring_key(
     if len(first) - len(removed) + young != count:
         cursor.fail(Reason.BAD_PAYLOAD, f"{count} Gaussians are declared, others are there")
     old = apply_delta(first, Delta(rows, residuals, removed, empty_attributes(first.coefficients)))
+    changes = Changes(len(rows), young, len(removed))
     if not young:
         _check_first_id(cursor, first_id)
-        return old.ids, all_rows(old)
+        return old.ids, all_rows(old), changes
     if first_id < first.next_id:
         cursor.fail(Reason.BAD_PAYLOAD, "an added Gaussian's id is not above the first keyframe's")
     ids = _read_new_ids(cursor, mode, first_id, young)
-    return np.concatenate([old.ids, ids]), join_rows(old, _read_new(cursor, young, first.coefficients))
+    attributes = join_rows(old, _read_new(cursor, young, first.coefficients))
+    return np.concatenate([old.ids, ids]), attributes, changes
 
 
 def _write_changes(population: int, delta: Delta, level: int) -> list[tuple[str, bytes]]:

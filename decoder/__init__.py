@@ -6,9 +6,12 @@ loaded when it is used.
 """
 
 from .damage import Damage, DamageWarning
-from .inspection import StreamInfo, info
-from .output import DecodeReport, decode, export
-from .session import DecodedFrame, Stream, open_stream, render_view
+from .decoding import DecodeReport, decode
+from .frame import DecodedFrame
+from .stream import Stream, open_stream
+from .stream_info import StreamInfo, info
+from .usd_export import export
+from .views import render_view
 
 __all__ = [
     "Damage",

@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO, TypeVar
 
-from decogs.codec.reconstruct import reconstruct
+from decogs.codec.frame_payload import split_payload
 from decogs.codec.state import DEFAULT_MAX_GAUSSIANS, State
 from decogs.formats.container import (
     FRAME_KINDS,
@@ -33,8 +33,9 @@ from decogs.formats.reasons import Reason
 from decogs.formats.survey import check_lost, check_places, next_past_damage, past_unfinished
 
 from .damage import Concealment, Damage, OnDamage, errors_name
-from .memory import DEFAULT_MAX_MEMORY, gaussians_within, limits_explained, payload_within
-from .session import DecodedFrame, read_header
+from .frame import DecodedFrame, decode_frame
+from .limits import DEFAULT_MAX_MEMORY, gaussians_within, limits_explained, payload_within
+from .stream import read_header
 
 DEFAULT_IDLE = 600.0
 """Seconds without anything new after which nothing more is expected; training a keyframe takes minutes."""
@@ -161,10 +162,10 @@ class GrowingStream:
             return before.held(packet.frame, damage)
 
     def _decoded(self, packet: Packet, before: DecodedFrame | None) -> DecodedFrame:
-        state_before = None if before is None else before.state
-        state = reconstruct(state_before, packet, self.header, first=self._first, max_gaussians=self._max_gaussians)
-        self._first = state if self._first is None else self._first
-        return DecodedFrame(packet, state, self.header, before, self._first)
+        payload = split_payload(packet, self.header.corrected)
+        frame = decode_frame(payload, before, self.header, first=self._first, max_gaussians=self._max_gaussians)
+        self._first = frame.state if self._first is None else self._first
+        return frame
 
     def _accepted(self, error: StreamError) -> StreamError:
         """Damage that is concealed; raises it, or that there is too much of it, when it is not."""

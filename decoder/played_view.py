@@ -15,10 +15,11 @@ from decogs.codec.lattice import dequantise
 from decogs.codec.state import Rows, State, same_scene, take_rows
 from decogs.formats.cameras import Camera
 
-from .camera_faults import with_recorded_colours
+from .camera_corrections import with_recorded_colours
+from .frame import DecodedFrame
 from .rasterise import Rendering
 from .rasterise.resting_view import RestingView
-from .session import DecodedFrame, correction_of, max_pairs, through_lens, view_plan
+from .views import correction_of, max_pairs, through_lens, view_plan
 
 
 class PlayedView:

@@ -6,6 +6,7 @@ few copies of one frame (and, for a .usda, the whole file).
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +25,10 @@ from decogs.formats.usd import (
     check_usd_request,
     linear_from_srgb,
 )
+
+from .frame_choice import OnWarning, open_chosen
+from .limits import DEFAULT_MAX_MEMORY
+from .picture_output import DEFAULT_FPS
 
 Ids = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -68,6 +73,45 @@ class Census:
 def blender_script() -> Path:
     """The script to run in Blender that imports an export with the colour and opacity of every splat."""
     return Path(__file__).with_name("blender_attach_colours.py")
+
+
+def export(
+    stream: str | os.PathLike[str],
+    output: str | os.PathLike[str],
+    *,
+    frames: str | slice | None = None,
+    up_axis: UpAxis = "Y",
+    strict: bool = False,
+    max_memory: int = DEFAULT_MAX_MEMORY,
+    on_frame: Callable[[int, int], None] | None = None,
+    on_warning: OnWarning | None = None,
+) -> ExportReport:
+    """Writes a range of frames as one USD file (.usdc, .usda), described in ``decogs.formats.usd``.
+
+    ``frames``: "A:B" or a slice, None for all. ``up_axis`` states which axis of the world is up; nothing is rotated.
+    ``strict`` and ``max_memory`` (bytes) are those of ``open_stream``. The frames are read twice; ``on_frame(done,
+    all)`` counts both readings, ``on_warning(text)`` is told of damage. Raises UsageError, StreamError or OSError.
+    """
+    with open_chosen(stream, frames, strict=strict, max_memory=max_memory, on_warning=on_warning) as (opened, chosen):
+        header = opened.header
+        done = 0
+
+        def read_again() -> Iterator[ExportFrame]:
+            nonlocal done
+            for frame in opened.frames(chosen.start, chosen.stop):
+                yield ExportFrame(frame.index, frame.state.ids, frame.splats)
+                done += 1
+                if on_frame is not None:
+                    on_frame(done, 2 * len(chosen))
+
+        return export_usd(
+            read_again,
+            Path(output),
+            fps=header.fps or DEFAULT_FPS,
+            cameras=header.cameras,
+            up_axis=up_axis,
+            documentation=" ".join(text for text in (header.source_text, header.licence) if text),
+        )
 
 
 def export_usd(

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from decogs.decoder.commands import (
+from decogs.formats.command_line import (
     Parser,
     frames_joined,
     number,

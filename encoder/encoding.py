@@ -9,12 +9,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO, TextIO
 
-from decogs.decoder.rasterise.native import thread_count
-from decogs.decoder.session import frame_range
 from decogs.formats.container import MAX_FRAME
 from decogs.formats.errors import UsageError
+from decogs.formats.frame_ranges import frame_range
 from decogs.formats.outputs import Output, check_outputs
 from decogs.formats.rigs import Rig, files_of, open_rig
+from decogs.formats.threads import thread_count
 
 from .analysis import AUTO, Decision, wanted_effects, with_effects
 from .analysis.analyse import analyse

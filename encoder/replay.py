@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from decogs.codec.corrections import split_corrections
 from decogs.codec.digest import digest
+from decogs.codec.frame_payload import split_payload
 from decogs.codec.reconstruct import reconstruct
 from decogs.codec.syntax import payload_costs
 from decogs.formats.container import Packet, PacketKind
@@ -53,7 +53,7 @@ def take_over(state: StreamState, left: Interrupted, span: range) -> None:
 
 def replay(state: StreamState, frame: RigFrame, packet: Packet, watch: Stopwatch) -> Replayed:
     """Takes a packet for its frame as the encode that wrote it did."""
-    corrections, body = split_corrections(packet, state.scene.header.corrected)
+    corrections, body = split_payload(packet, state.scene.header.corrected)
     compensated = state.compensation.undo(frame, corrections)
     written = Written(packet, payload_costs(body, state.scene.header.coefficients))
     if not state.scene.is_open:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from decogs.formats.cameras import Camera, camera_centre, turned
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import FloatArray, Splats
+from decogs.formats.threads import thread_count
 
 RowArray = NDArray[np.int64]
 
@@ -157,13 +158,6 @@ def check_renumbered(renumbered: RowArray | None, lifted: NDArray[np.bool_], pop
     if len(kept) and ((np.diff(kept) <= 0).any() or kept[-1] >= population or (kept > np.flatnonzero(stays)).any()):
         raise ValueError(f"new numbers must ascend, lie below {population} and be at most the former ones")
     return np.ascontiguousarray(renumbered)
-
-
-def thread_count(threads: int) -> int:
-    """Number of threads to use: ``threads``, or all processors this process may use when it is 0."""
-    if threads < 0 or threads > 1024:
-        raise UsageError(f"--threads {threads}: give a number from 1 to 1024, or 0 for all processors")
-    return threads or len(os.sched_getaffinity(0))
 
 
 def kernel_path(package: Path, stem: str, instruction_set: str) -> Path:

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from decogs.decoder.rasterise.native import thread_count
-from decogs.decoder.session import frame_range
+from decogs.formats.frame_ranges import frame_range
 from decogs.formats.rigs import Rig, open_rig
+from decogs.formats.threads import thread_count
 
 from ..input.ingest import frame_span
 from . import EFFECTS

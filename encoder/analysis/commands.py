@@ -7,7 +7,7 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from decogs.decoder.commands import Parser, frames_joined, number_of_threads, progress, run, tell, warn_as
+from decogs.formats.command_line import Parser, frames_joined, number_of_threads, progress, run, tell, warn_as
 from decogs.formats.errors import UsageError
 from decogs.formats.outputs import Output, check_outputs, is_device, write_whole
 from decogs.formats.rigs import files_of, open_rig

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from decogs.decoder.commands import Parser, frames_joined, number, number_of_threads, run, warn_as, whole_number
+from decogs.formats.command_line import Parser, frames_joined, number, number_of_threads, run, warn_as, whole_number
 
 
 def bench_main(arguments: Sequence[str] | None = None) -> int:

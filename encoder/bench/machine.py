@@ -12,7 +12,14 @@ from pathlib import Path
 from typing import Any
 
 LAYERS = ("formats", "codec", "decoder", "encoder")
-_NOT_IN_A_STREAM = ("encoder/bench/", "encoder/commands.py", "decoder/commands.py", "encoder/output/progress.py")
+_NOT_IN_A_STREAM = (
+    "encoder/bench/",
+    "encoder/commands.py",
+    "encoder/output/progress.py",
+    "decoder/commands.py",
+    "decoder/stream_info_text.py",
+    "formats/command_line.py",
+)
 _CODE = (".py", ".cpp", ".h")
 
 

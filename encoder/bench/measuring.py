@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.codec.header import StreamHeader
-from decogs.decoder.pictures import to_8bit
-from decogs.decoder.session import render_view
+from decogs.decoder.picture_output import to_8bit
+from decogs.decoder.views import render_view
 from decogs.formats.splats import Splats
 
 from ..psnr import psnr_of

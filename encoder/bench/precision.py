@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from decogs.codec.header import StreamHeader
-from decogs.decoder.pictures import to_8bit
+from decogs.decoder.picture_output import to_8bit
 from decogs.decoder.rasterise import Rendering, render
 from decogs.decoder.rasterise.reference import render_reference
-from decogs.decoder.session import open_stream, through_lens, view_plan
+from decogs.decoder.stream import open_stream
+from decogs.decoder.views import through_lens, view_plan
 from decogs.formats.outputs import write_whole
 from decogs.formats.splats import FloatArray, Splats
 

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.decoder.pictures import to_8bit
+from decogs.decoder.picture_output import to_8bit
 from decogs.formats.cameras import Camera, scale_camera
 from decogs.formats.errors import RigError
 from decogs.formats.pictures import read_picture

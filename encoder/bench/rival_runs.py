@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 from datetime import datetime, timezone
 from pathlib import Path
 
-from decogs.decoder.session import Stream, open_stream
+from decogs.decoder.stream import Stream, open_stream
 from decogs.formats.outputs import write_whole
 from decogs.formats.splats import Splats
 

@@ -25,12 +25,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.codec.header import StreamHeader
-from decogs.decoder.rasterise.native import thread_count
-from decogs.decoder.session import frame_range, open_stream
+from decogs.decoder.stream import open_stream
 from decogs.formats.errors import UsageError
+from decogs.formats.frame_ranges import frame_range
 from decogs.formats.outputs import GrowingFile, write_whole
 from decogs.formats.rigs import Rig, open_rig
 from decogs.formats.splats import Splats
+from decogs.formats.threads import thread_count
 
 from ..analysis import AUTO, Decision, wanted_effects, with_effects
 from ..analysis.analyse import analyse

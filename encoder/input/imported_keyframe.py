@@ -18,7 +18,7 @@ from decogs.codec.header import StreamHeader
 from decogs.codec.keyframes import new_state
 from decogs.codec.lattice import Lattice
 from decogs.codec.state import ARRAYS, Attributes, State, all_rows
-from decogs.decoder.session import open_stream
+from decogs.decoder.stream import open_stream
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 

@@ -21,10 +21,10 @@ from decogs.decoder.rasterise.native import (
     load_kernel,
     native_camera,
     native_scene,
-    thread_count,
 )
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import FloatArray, Splats
+from decogs.formats.threads import thread_count
 
 _TILE = 16
 """Side of the kernel's tiles (kernel/project.h)."""

@@ -28,8 +28,8 @@ import numpy as np
 import decogs.encoder.change.detection as detection
 import decogs.encoder.training.delta as frame_training
 import decogs.encoder.training.seeding as emergence
-from decogs.decoder.pictures import to_8bit
-from decogs.decoder.session import render_view
+from decogs.decoder.picture_output import to_8bit
+from decogs.decoder.views import render_view
 from decogs.encoder import PRESETS, EncodeReport, EncodeSettings, encode
 from decogs.encoder.change.masks import MaskMemory
 from decogs.encoder.coding.coded_scene import CodedScene

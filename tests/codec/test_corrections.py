@@ -15,10 +15,10 @@ from decogs.codec.corrections import (
     LARGEST,
     CorrectedCameras,
     Correction,
-    split_corrections,
     turn,
     write_corrections,
 )
+from decogs.codec.frame_payload import split_payload
 from decogs.codec.header import StreamHeader
 from decogs.codec.reconstruct import reconstruct
 from decogs.codec.syntax import write_skip
@@ -37,7 +37,7 @@ def test_the_block_comes_back_and_leaves_the_rest(numbers: list[int], rest: byte
         "c": Correction(yaw=numbers[7], pitch=numbers[8], roll=numbers[9]),
     }
     block = write_corrections(told, ALL)
-    found, body = split_corrections(Packet(PacketKind.SKIP, 3, block + rest, offset=50), ALL)
+    found, body = split_payload(Packet(PacketKind.SKIP, 3, block + rest, offset=50), ALL)
     assert found == told
     assert (body.payload, body.offset, body.frame) == (block + rest, 50, 3)
     cursor = body.cursor()
@@ -57,7 +57,7 @@ def test_cameras_of_which_nothing_is_known_get_zeros() -> None:
 
 def test_streams_without_corrected_cameras_have_no_block() -> None:
     packet = Packet(PacketKind.SKIP, 0, b"12345678")
-    found, body = split_corrections(packet, CorrectedCameras())
+    found, body = split_payload(packet, CorrectedCameras())
     assert (found, write_corrections({}, CorrectedCameras())) == ({}, b"")
     assert body is packet
 
@@ -70,7 +70,7 @@ def test_numbers_too_large_are_not_written() -> None:
 @pytest.mark.parametrize("size", [0, 1, 19])
 def test_a_payload_shorter_than_the_block_is_refused_where_it_lies(size: int) -> None:
     with pytest.raises(StreamError) as caught:
-        split_corrections(Packet(PacketKind.KEY, 0, bytes(size), ordinal=1, offset=700), ALL)
+        split_payload(Packet(PacketKind.KEY, 0, bytes(size), ordinal=1, offset=700), ALL)
     assert (caught.value.reason, caught.value.packet) == ("bad-payload", 1)
     assert caught.value.offset == 700 + PACKET_HEADER_SIZE
 

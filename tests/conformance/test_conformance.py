@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from decogs.codec.corrections import EFFECT_FIELDS, Corrections, split_corrections
+from decogs.codec.corrections import EFFECT_FIELDS, Corrections
 from decogs.codec.deltas import apply_delta, difference
 from decogs.codec.digest import digest
+from decogs.codec.frame_payload import split_payload
 from decogs.codec.header import StreamHeader
 from decogs.codec.keyframes import keyframe_state
 from decogs.codec.lattice import default_lattice, dequantise
@@ -27,7 +28,7 @@ from decogs.codec.syntax import write_delta, write_key, write_skip
 from decogs.decoder import info
 from decogs.decoder.commands import decode_main, export_main, info_main
 from decogs.decoder.following import follow_stream
-from decogs.decoder.session import open_stream
+from decogs.decoder.stream import open_stream
 from decogs.encoder import encode
 from decogs.formats.cameras import Camera
 from decogs.formats.container import (
@@ -98,7 +99,7 @@ def by_the_product(data: bytes, limits: dict[str, int]) -> Outcome:
             elif packet.kind in FRAME_KINDS:
                 before, first = (states[-1], states[0]) if states else (None, None)
                 states.append(reconstruct(before, packet, header, first=first, **population))
-                told.append(split_corrections(packet, header.corrected)[0])
+                told.append(split_payload(packet, header.corrected)[0])
     except StreamError as error:
         failure = error
     frames = [product_hashes(state, header, found) for state, found in zip(states, told, strict=True)]

@@ -19,8 +19,9 @@ import pytest
 
 from decogs.codec.header import StreamHeader
 from decogs.decoder import decode
-from decogs.decoder.commands import Parser, decode_main, export_main, run
+from decogs.decoder.commands import decode_main, export_main
 from decogs.decoder.free_camera import MAX_FILE_BYTES, read_free_cameras
+from decogs.formats.command_line import Parser, run
 from decogs.formats.container import StreamWriter, iterate_packets
 from decogs.formats.errors import UsageError
 from decogs.formats.quiet import quiet_opencv
@@ -243,7 +244,7 @@ def test_importing_this_library_leaves_opencvs_log_alone(tmp_path: Path) -> None
     logging = cv2 if hasattr(cv2, "getLogLevel") else cv2.utils.logging  # OpenCV 4, 5
     program = (
         "import os, cv2; logging = cv2 if hasattr(cv2, 'getLogLevel') else cv2.utils.logging; "
-        "before = logging.getLogLevel(); import decogs.formats.rigs, decogs.decoder.pictures; "
+        "before = logging.getLogLevel(); import decogs.formats.rigs, decogs.decoder.picture_output; "
         "assert logging.getLogLevel() == before > 0; assert 'OPENCV_FFMPEG_LOGLEVEL' not in os.environ"
     )
     environment = {name: value for name, value in os.environ.items() if not name.startswith("OPENCV")}

@@ -15,7 +15,7 @@ import decogs.decoder
 from decogs.codec.lattice import dequantise
 from decogs.decoder import decode, export, info, render_view
 from decogs.decoder.commands import decode_main, export_main, info_main
-from decogs.decoder.pictures import linear_light, to_8bit
+from decogs.decoder.picture_output import linear_light, to_8bit
 from decogs.decoder.rasterise.resting_view import RestingView
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError

@@ -25,7 +25,7 @@ from decogs.codec.syntax import write_delta, write_key
 from decogs.decoder import DamageWarning, info
 from decogs.decoder.commands import decode_main, export_main, info_main
 from decogs.decoder.damage import Damage
-from decogs.decoder.session import open_stream
+from decogs.decoder.stream import open_stream
 from decogs.formats.cameras import Camera
 from decogs.formats.container import (
     PACKET_HEADER_SIZE,
@@ -421,7 +421,7 @@ def test_the_memory_limit_holds_for_the_largest_scene_it_lets_in(tmp_path: Path)
     program = f"""
 import re
 from pathlib import Path
-from decogs.decoder.session import open_stream
+from decogs.decoder.stream import open_stream
 
 def peak():
     return int(re.search("VmHWM: *\t* *([0-9]+) kB", Path("/proc/self/status").read_text())[1]) << 10

@@ -16,6 +16,7 @@ import pytest
 from decogs.decoder import decode
 from decogs.decoder.commands import decode_main
 from decogs.decoder.following import follow_stream
+from decogs.decoder.stream import open_stream
 from decogs.formats.container import iterate_packets
 from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.outputs import GrowingFile
@@ -168,8 +169,10 @@ def test_segments_are_followed(segmented_stream: Any) -> None:
         frames = list(stream.frames())
         assert stream.ended
     assert [frame.refers_to_first for frame in frames] == [index in (5, 10, 15) for index in range(20)]
-    for frame, state in zip(frames, segmented_stream.states, strict=True):
-        assert frame.state.row_sum == state.row_sum
+    with open_stream(segmented_stream.path) as opened:
+        for frame, same in zip(frames, opened.frames(), strict=True):
+            assert frame.state.row_sum == same.state.row_sum == segmented_stream.states[frame.index].row_sum
+            assert (frame.changes, frame.costs) == (same.changes, same.costs)
 
 
 def test_what_stops_is_given_up_after_a_while(unfinished_stream: Any, tmp_path: Path, capsys: Any) -> None:

@@ -15,7 +15,8 @@ from decogs.codec.keyframes import keyframe_state
 from decogs.codec.lattice import default_lattice, quantise
 from decogs.codec.syntax import write_key
 from decogs.decoder import decode, info
-from decogs.decoder.session import open_stream, render_view
+from decogs.decoder.stream import open_stream
+from decogs.decoder.views import render_view
 from decogs.formats.cameras import Camera
 from decogs.formats.container import PacketKind, StreamWriter
 from decogs.formats.errors import StreamError, UsageError
@@ -48,7 +49,7 @@ PROGRAM = """
 import re, sys
 from pathlib import Path
 import cv2, OpenEXR
-import decogs.decoder.output, decogs.decoder.played_view
+import decogs.decoder.decoding, decogs.decoder.played_view
 from decogs.decoder.rasterise.native import renderer
 
 def peak():
@@ -57,7 +58,7 @@ def peak():
 renderer(1)
 stream, output, limit = sys.argv[1:]
 before = peak()
-decogs.decoder.output.decode(stream, output, view="a", max_memory=int(limit), threads=1)
+decogs.decoder.decoding.decode(stream, output, view="a", max_memory=int(limit), threads=1)
 print(peak() - before)
 """
 

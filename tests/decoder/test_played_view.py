@@ -12,16 +12,18 @@ import pytest
 from decogs.codec.corrections import CorrectedCameras, Correction, Corrections, write_corrections
 from decogs.codec.deltas import apply_delta, difference
 from decogs.codec.header import StreamHeader
+from decogs.codec.index_sets import read_index_set
 from decogs.codec.keyframes import keyframe_state
 from decogs.codec.lattice import default_lattice, quantise
-from decogs.codec.state import Attributes, State, take_rows
+from decogs.codec.state import Attributes, Rows, State, take_rows
 from decogs.codec.syntax import Coded, write_delta, write_key, write_skip
 from decogs.decoder import open_stream, render_view
 from decogs.decoder.played_view import PlayedView
 from decogs.decoder.rasterise import Rendering
 from decogs.decoder.rasterise.resting_view import RestingView
 from decogs.formats.cameras import Camera
-from decogs.formats.container import PacketKind, StreamWriter
+from decogs.formats.container import PACKET_OVERHEAD, PacketKind, StreamWriter
+from decogs.formats.cursor import Cursor
 from decogs.formats.splats import Splats
 
 LATTICE = default_lattice(2.0)
@@ -135,6 +137,24 @@ def test_played_frames_are_whole_renderings_bit_for_bit(tmp_path: Path, seed: in
                 for frame in stream.frames():
                     whole = render_view(stream.header, frame.splats, camera.name, threads=1, **options)
                     assert_same(view.show(frame), whole)
+
+
+def test_a_delta_is_parsed_once_when_it_is_decoded_and_played(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    parsed: list[int] = []
+
+    def observed(cursor: Cursor, count: int) -> Rows:
+        parsed.append(count)
+        return read_index_set(cursor, count)
+
+    monkeypatch.setattr("decogs.codec.syntax.read_index_set", observed)
+    with open_stream(random_stream(tmp_path / "random.dgs", np.random.default_rng(8), 300)) as stream:
+        view, deltas = PlayedView(stream.header, "pinhole", scale=0.1), 0
+        for frame in stream.frames():
+            view.show(frame)
+            assert sum(frame.costs.values()) == frame.packet_bytes - PACKET_OVERHEAD
+            deltas += frame.kind == PacketKind.DELTA
+    assert deltas
+    assert len(parsed) == 2 * deltas  # the touched rows and the removed ones
 
 
 def test_frames_may_come_in_any_order(tmp_path: Path) -> None:

@@ -13,11 +13,12 @@ import pytest
 
 import rasterise_cases as cases
 from decogs.decoder.rasterise import render
-from decogs.decoder.rasterise.native import INSTRUCTION_SETS, render_planes, thread_count
+from decogs.decoder.rasterise.native import INSTRUCTION_SETS, render_planes
 from decogs.decoder.rasterise.resting_view import RestingView
 from decogs.formats.cameras import Camera, scale_camera
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import Splats, empty_splats, join_splats, take_splats
+from decogs.formats.threads import thread_count
 from instruction_sets import printed_on
 
 

@@ -18,8 +18,8 @@ import decogs.encoder.change.detection as detection
 import decogs.encoder.coding.coded_scene as coded_scene
 from decogs.codec.corrections import Correction
 from decogs.codec.state import State
-from decogs.decoder.pictures import to_8bit
-from decogs.decoder.session import render_view
+from decogs.decoder.picture_output import to_8bit
+from decogs.decoder.views import render_view
 from decogs.encoder import EncodeReport, EncodeSettings, FrameReport
 from decogs.encoder.input.imported_keyframe import read_keyframe
 from decogs.encoder.input.ingest import Ingest

@@ -13,7 +13,7 @@ import pytest
 
 import decogs.encoder.change.detection as detection
 from decogs.codec.digest import digest
-from decogs.decoder.session import open_stream
+from decogs.decoder.stream import open_stream
 from decogs.encoder.input.ingest import Ingest
 from decogs.encoder.rasterise import TrainingKernel
 from decogs.encoder.settings.encode import EncodeSettings

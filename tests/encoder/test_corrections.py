@@ -14,10 +14,11 @@ import pytest
 import decogs.encoder.coding.coded_scene as coded_scene
 from decogs.codec.corrections import ANGLE_STEP, COLOUR_STEP, Correction
 from decogs.codec.digest import digest
-from decogs.decoder.camera_faults import as_it_stood, with_odds
-from decogs.decoder.output import decode
+from decogs.decoder.camera_corrections import as_it_stood, with_odds
+from decogs.decoder.decoding import decode
 from decogs.decoder.rasterise import Rendering, render
-from decogs.decoder.session import open_stream, render_view
+from decogs.decoder.stream import open_stream
+from decogs.decoder.views import render_view
 from decogs.encoder.input.compensation import Corrector, corrector_of
 from decogs.encoder.input.compensation.agreement import agreeing_shifts
 from decogs.encoder.input.compensation.colour import odds_shift, without_odds

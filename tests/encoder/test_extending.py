@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from decogs.decoder.session import open_stream
+from decogs.decoder.stream import open_stream
 from decogs.encoder import encode
 from decogs.encoder.change.selection import SELECTION_RULES, ViewEvidence, select
 from decogs.encoder.registry import Registry

@@ -24,9 +24,11 @@ from decogs.codec.corrections import Correction
 from decogs.codec.digest import digest
 from decogs.codec.lattice import dequantise
 from decogs.decoder.commands import decode_main
-from decogs.decoder.pictures import to_8bit
+from decogs.decoder.frame import DecodedFrame
+from decogs.decoder.picture_output import to_8bit
 from decogs.decoder.rasterise.native import INSTRUCTION_SETS, best_instruction_set
-from decogs.decoder.session import DecodedFrame, open_stream, render_view
+from decogs.decoder.stream import open_stream
+from decogs.decoder.views import render_view
 from decogs.encoder import PRESETS
 from decogs.encoder.change.masks import MaskMemory
 from decogs.encoder.input.ingest import frame_span

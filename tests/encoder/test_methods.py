@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from decogs.decoder.session import open_stream
+from decogs.decoder.stream import open_stream
 from decogs.encoder import PRESETS, EncodeSettings
 from decogs.encoder.change.selection import SELECTION_RULES
 from decogs.encoder.switches import ABLATIONS, with_method, with_selection, without

@@ -15,7 +15,7 @@ import decogs.encoder.training.method as method
 from decogs.codec.header import StreamHeader
 from decogs.codec.lattice import default_lattice, dequantise
 from decogs.codec.state import take_rows
-from decogs.decoder.session import open_stream
+from decogs.decoder.stream import open_stream
 from decogs.encoder.change.detection import Change
 from decogs.encoder.coding.coded_scene import CodedScene
 from decogs.encoder.settings.frame import EmergenceSettings

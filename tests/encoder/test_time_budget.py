@@ -14,7 +14,7 @@ import pytest
 
 import decogs.encoder.training.delta as frame_training
 from decogs.codec.digest import digest
-from decogs.decoder.session import open_stream
+from decogs.decoder.stream import open_stream
 from decogs.encoder import PRESETS, EncodeSettings
 from decogs.encoder import encode as encode_rig
 from decogs.encoder.coding.coded_scene import CodedScene

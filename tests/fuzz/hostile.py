@@ -19,10 +19,11 @@ from random import Random
 import numpy as np
 import zstandard
 
-from decogs.codec.corrections import CorrectedCameras, Correction, split_corrections, write_corrections
+from decogs.codec.corrections import CorrectedCameras, Correction, write_corrections
 from decogs.codec.deltas import apply_delta, difference
 from decogs.codec.digest import digest
 from decogs.codec.entropy import BLOCK_HEADER_SIZE, coded_block
+from decogs.codec.frame_payload import split_payload
 from decogs.codec.header import StreamHeader
 from decogs.codec.keyframes import keyframe_state, new_state
 from decogs.codec.lattice import default_lattice
@@ -31,7 +32,8 @@ from decogs.codec.state import Attributes, State, all_rows, take_rows
 from decogs.codec.syntax import payload_costs, read_delta, read_key, write_delta, write_key, write_skip
 from decogs.decoder.damage import Damage
 from decogs.decoder.following import follow_stream
-from decogs.decoder.session import DecodedFrame, open_stream
+from decogs.decoder.frame import DecodedFrame
+from decogs.decoder.stream import open_stream
 from decogs.formats.cameras import Camera
 from decogs.formats.container import (
     FRAME_KINDS,
@@ -278,7 +280,7 @@ def repaired_frame(
     except StreamError as error:
         if error.reason != Reason.DIGEST_MISMATCH:
             return packet, state
-    _, packet = split_corrections(packet, described.corrected)
+    _, packet = split_payload(packet, described.corrected)
     if packet.kind == PacketKind.KEY:
         after = read_key(packet, described.coefficients, first=first, **options)[0]
     elif packet.kind == PacketKind.DELTA:

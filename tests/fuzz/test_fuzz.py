@@ -14,7 +14,7 @@ from random import Random
 import numpy as np
 import pytest
 
-from decogs.decoder.session import open_stream
+from decogs.decoder.stream import open_stream
 from decogs.formats.container import iterate_packets
 from decogs.formats.errors import StreamError
 

@@ -16,9 +16,9 @@ import decogs.encoder.change.detection as detection
 import decogs.encoder.coding.coded_scene as coded_scene
 from decogs.codec.digest import digest
 from decogs.codec.state import ARRAYS, State
-from decogs.decoder.pictures import to_8bit
+from decogs.decoder.picture_output import to_8bit
 from decogs.decoder.rasterise import render
-from decogs.decoder.session import open_stream
+from decogs.decoder.stream import open_stream
 from decogs.encoder.input.ingest import Ingest
 from decogs.encoder.stream import encode_stream
 from decogs.encoder.training.method import MAX_GROWTH

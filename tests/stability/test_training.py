@@ -19,7 +19,8 @@ import pytest
 import decogs.encoder.change.flashes as flashes
 import decogs.encoder.change.masks as masks_module
 from decogs.codec.digest import digest
-from decogs.decoder.session import open_stream, render_view
+from decogs.decoder.stream import open_stream
+from decogs.decoder.views import render_view
 from decogs.encoder import PRESETS
 from decogs.encoder import encode as encode_rig
 from decogs.encoder.change.flashes import BeforeFlash

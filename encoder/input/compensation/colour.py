@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.decoder.camera_faults import with_odds
+from decogs.decoder.camera_corrections import with_odds
 from decogs.formats.splats import FloatArray
 
 _DARKEST, _BRIGHTEST = 6 / 255, 249 / 255

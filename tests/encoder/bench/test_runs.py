@@ -11,8 +11,9 @@ import cv2
 import numpy as np
 import pytest
 
-from decogs.decoder.pictures import to_8bit
-from decogs.decoder.session import open_stream, render_view
+from decogs.decoder.picture_output import to_8bit
+from decogs.decoder.stream import open_stream
+from decogs.decoder.views import render_view
 from decogs.encoder.bench import machine, runs
 from decogs.encoder.bench.metrics import psnr, square_error_map, total_variation
 from decogs.encoder.bench.regions import find_regions

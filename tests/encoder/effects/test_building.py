@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from decogs.decoder.session import open_stream
+from decogs.decoder.stream import open_stream
 from decogs.encoder import PRESETS
 from decogs.encoder.analysis import Decision, Wanted, wanted_effects, with_effects
 from decogs.encoder.change.masks import MaskMemory

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from decogs.codec.corrections import ANGLE_STEP, Correction, turn
-from decogs.decoder.camera_faults import as_it_stood, with_odds
+from decogs.decoder.camera_corrections import as_it_stood, with_odds
 from decogs.formats.cameras import Camera, camera_centre
 
 POSE = np.eye(4)

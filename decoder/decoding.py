@@ -1,41 +1,31 @@
-"""Decodes a range of frames to pictures of a view, or exports it: the library behind the decoder's commands."""
+"""Decodes a range of frames to pictures of a view."""
 
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, Literal
+from typing import TYPE_CHECKING, BinaryIO
 
 from decogs.codec.header import StreamHeader
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 
-from .damage import OnDamage
 from .following import DEFAULT_IDLE, GrowingStream, follow_stream
+from .frame import DecodedFrame
+from .frame_choice import OnWarning, coming_frames, damage_to, open_chosen
 from .free_camera import read_free_cameras
-from .memory import DEFAULT_MAX_MEMORY
-from .pictures import DEFAULT_FPS, open_sink
-from .session import (
-    DecodedFrame,
-    Stream,
-    camera_of,
-    frame_range,
-    open_stream,
-    render_view,
-    scaled_view,
-)
-from .usd_export import ExportFrame, ExportReport, export_usd
+from .limits import DEFAULT_MAX_MEMORY
+from .picture_output import open_sink
+from .views import camera_of, render_view, scaled_view
 
 if TYPE_CHECKING:
     from .rasterise import Rendering
 
 Colour = tuple[float, float, float]
 OnFrame = Callable[[int, int], None]
-OnWarning = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -71,12 +61,12 @@ def decode(
     """Writes the pictures of one view of a stream, one per encoded frame.
 
     ``view`` names a camera of the rig; ``camera`` is a pose file, a Camera, or a list of them with one per frame of the
-    stream. ``output`` chooses the kind of file, see ``decogs.decoder.pictures``. ``frames``: "A:B" or a slice, None for
-    all. ``background``: display-referred RGB in 0..1, the stream's when None. ``undistorted``: without the rig camera's
-    lens distortion. ``canonical``: in the scene's own colours and through the calibrated pose, where the stream tells
-    exposure, white balance or shake of the camera; otherwise what it recorded. ``strict`` and ``max_memory`` (bytes)
-    are those of ``open_stream``: without ``strict``, damaged frames show the last good one. ``on_frame(done, all)`` is
-    told of progress, ``all`` being 0 while nobody knows, and ``on_warning(text)`` of damage.
+    stream. ``output`` chooses the kind of file, see ``decogs.decoder.picture_output``. ``frames``: "A:B" or a slice,
+    None for all. ``background``: display-referred RGB in 0..1, the stream's when None. ``undistorted``: without the
+    rig camera's lens distortion. ``canonical``: in the scene's own colours and through the calibrated pose, where the
+    stream signals exposure, white balance or shake of the camera; otherwise what it recorded. ``strict`` and
+    ``max_memory`` (bytes) are those of ``open_stream``: without ``strict``, damaged frames show the last good one.
+    ``on_frame(done, all)`` reports progress, ``all`` being 0 while nobody knows, and ``on_warning(text)`` damage.
 
     ``follow``: each picture as soon as its packet is complete in the file that an encoder is writing as ``stream``
     (``decogs.decoder.following``), until the stream ends or nothing came for ``idle`` seconds; files of single pictures
@@ -88,13 +78,11 @@ def decode(
     _check_colour(background)
     show = _Show(scale, background, undistorted, threads, canonical, max_memory)
     if follow or not isinstance(stream, (str, os.PathLike)):
-        on_damage = _damage_to(on_warning)
+        on_damage = damage_to(on_warning)
         with follow_stream(stream, idle=idle, strict=strict, on_damage=on_damage, max_memory=max_memory) as growing:
             views = _views(growing.header, view, camera)
-            return _decode_growing(growing, output, views, _coming_frames(frames), show, on_frame, on_warning)
-    with open_stream(stream, strict=strict, max_memory=max_memory, on_damage=_damage_to(on_warning)) as opened:
-        _warn_of_tail(opened, on_warning)
-        chosen = _chosen_frames(opened, frames)
+            return _decode_growing(growing, output, views, coming_frames(frames), show, on_frame, on_warning)
+    with open_chosen(stream, frames, strict=strict, max_memory=max_memory, on_warning=on_warning) as (opened, chosen):
         views = _views(opened.header, view, camera)
         first = scaled_view(camera_of(opened.header, views[0]), scale)
         with open_sink(output, view=first.name, frames=len(chosen), fps=opened.header.fps) as sink:
@@ -104,47 +92,6 @@ def decode(
                 if on_frame is not None:
                     on_frame(done, len(chosen))
     return DecodeReport(Path(output), first.name, len(chosen), first.width, first.height)
-
-
-def export(
-    stream: str | os.PathLike[str],
-    output: str | os.PathLike[str],
-    *,
-    frames: str | slice | None = None,
-    up_axis: Literal["Y", "Z"] = "Y",
-    strict: bool = False,
-    max_memory: int = DEFAULT_MAX_MEMORY,
-    on_frame: OnFrame | None = None,
-    on_warning: OnWarning | None = None,
-) -> ExportReport:
-    """Writes a range of frames as one USD file (.usdc, .usda), described in ``decogs.formats.usd``.
-
-    ``frames``: "A:B" or a slice, None for all. ``up_axis`` states which axis of the world is up; nothing is rotated.
-    ``strict`` and ``max_memory`` (bytes) are those of ``open_stream``. The frames are read twice; ``on_frame(done,
-    all)`` counts both readings, ``on_warning(text)`` is told of damage. Raises UsageError, StreamError or OSError.
-    """
-    with open_stream(stream, strict=strict, max_memory=max_memory, on_damage=_damage_to(on_warning)) as opened:
-        _warn_of_tail(opened, on_warning)
-        chosen = _chosen_frames(opened, frames)
-        header = opened.header
-        done = 0
-
-        def read_again() -> Iterator[ExportFrame]:
-            nonlocal done
-            for frame in opened.frames(chosen.start, chosen.stop):
-                yield ExportFrame(frame.index, frame.state.ids, frame.splats)
-                done += 1
-                if on_frame is not None:
-                    on_frame(done, 2 * len(chosen))
-
-        return export_usd(
-            read_again,
-            Path(output),
-            fps=header.fps or DEFAULT_FPS,
-            cameras=header.cameras,
-            up_axis=up_axis,
-            documentation=" ".join(text for text in (header.source_text, header.licence) if text),
-        )
 
 
 @dataclass(frozen=True)
@@ -227,40 +174,6 @@ def _views(
     return tuple(camera)
 
 
-def _chosen_frames(stream: Stream, frames: str | slice | None) -> range:
-    """The frames asked for as a range of this stream's, by Python's slicing rules; raises UsageError when none is."""
-    wanted = slice(None) if frames is None else frame_range(frames) if isinstance(frames, str) else frames
-    if wanted.step not in (None, 1):
-        raise UsageError("frames are decoded one after the other; a step is not possible")
-    start, stop, _ = wanted.indices(stream.frame_count)
-    if start >= stop:
-        what = "it has no frame" if not stream.frame_count else f"it has frames 0:{stream.frame_count}"
-        raise UsageError(f"{stream.path}: nothing to decode, {what}; choose others with frames A:B")
-    return range(start, stop)
-
-
-def _coming_frames(frames: str | slice | None) -> slice:
-    """The frames asked for of a stream whose end is not known; raises UsageError where they count from there."""
-    wanted = slice(None) if frames is None else frame_range(frames) if isinstance(frames, str) else frames
-    start, stop = wanted.start or 0, wanted.stop
-    if wanted.step not in (None, 1) or start < 0 or (stop is not None and stop <= start):
-        raise UsageError("frames of a stream that still grows are A:B with 0 <= A < B, or A:, one after the other")
-    most = sys.maxsize  # what islice takes; no stream has so many
-    return slice(min(start, most), None if stop is None else min(stop, most))
-
-
 def _check_colour(colour: Colour | None) -> None:
     if colour is not None and not (len(colour) == 3 and all(0 <= channel <= 1 for channel in colour)):
         raise UsageError(f"the background {colour} is no colour; give red, green and blue from 0 to 1, such as 1,1,1")
-
-
-def _damage_to(on_warning: OnWarning | None) -> OnDamage:
-    return lambda damage: None if on_warning is None else on_warning(str(damage))
-
-
-def _warn_of_tail(stream: Stream, on_warning: OnWarning | None) -> None:
-    if stream.unfinished_bytes and on_warning is not None:
-        on_warning(
-            f"{stream.path}: stops {stream.unfinished_bytes} bytes into a packet; "
-            f"its {stream.frame_count} complete frames are read"
-        )

@@ -17,11 +17,13 @@ from decogs.codec.state import State
 from decogs.decoder.following import follow_stream
 from decogs.decoder.lens import Redistortion
 from decogs.decoder.rasterise import render
-from decogs.decoder.session import frame_range, open_stream, render_view
+from decogs.decoder.stream import open_stream
+from decogs.decoder.views import render_view
 from decogs.formats import container
 from decogs.formats.cameras import as_pinhole, scale_camera
 from decogs.formats.container import PACKET_OVERHEAD, read_index, scan_index
 from decogs.formats.errors import StreamError, UsageError
+from decogs.formats.frame_ranges import frame_range
 
 ARRAYS = ("means", "log_scales", "quaternions", "opacity_logits", "sh", "ids")
 

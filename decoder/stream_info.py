@@ -12,8 +12,9 @@ from decogs.codec.header import StreamHeader
 from decogs.codec.state import GROUPS
 
 from .damage import Damage
-from .memory import DEFAULT_MAX_MEMORY
-from .session import DecodedFrame, open_stream
+from .frame import DecodedFrame
+from .limits import DEFAULT_MAX_MEMORY
+from .stream import open_stream
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,7 @@ class FrameInfo:
     """One frame's packet: bytes on disk, Gaussians after it, how many it touched, added and removed.
 
     ``kind``: "key", "delta", "skip", or "lost" when the frame is damaged and shows the last good one.
-    ``refers_to_first``: a keyframe told as the difference from the stream's first one, which its counts then refer to.
+    ``refers_to_first``: a keyframe coded as the difference from the stream's first one, which its counts then refer to.
     ``bytes_by_purpose`` splits the payload (header, index set, attribute groups); with the container's overhead it adds
     up to ``bytes``.
     """

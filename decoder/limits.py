@@ -13,6 +13,9 @@ from decogs.formats.errors import StreamError, UsageError
 DEFAULT_MAX_MEMORY = 4 << 30
 """What decoding may take unless told otherwise, in bytes, beyond the program itself."""
 
+MAX_PICTURE_PIXELS = 1 << 26
+"""No larger picture is rendered (8192 x 8192): a few header bytes must not be able to claim all memory."""
+
 _PAYLOAD_SHARE = 6
 """A payload may take this fraction of the memory: all that a delta can say of the scene that fits, uncompressed."""
 

@@ -10,7 +10,7 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from decogs.decoder.pictures import NOTHING_SEEN, linear_light, open_sink, to_8bit
+from decogs.decoder.picture_output import NOTHING_SEEN, linear_light, open_sink, to_8bit
 from decogs.decoder.rasterise import Rendering
 from decogs.formats.errors import UsageError
 

@@ -1,0 +1,252 @@
+"""What the commands of all layers share: arguments, terminal output and exit codes.
+
+Exit code 0 when all went well, 2 after an error (one line on stderr), 130 after Ctrl-C, 141 when the reader of a pipe
+is gone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import errno
+import io
+import os
+import re
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
+from typing import Any, BinaryIO, NoReturn
+
+from .errors import DecogsError, UsageError
+
+USER_ERROR = 2
+INTERRUPTED = 130
+_BROKEN_PIPE = 141
+_CONTROL = re.compile("[\x00-\x1f\x7f-\x9f]+")
+
+OnFrame = Callable[[int, int], None]
+"""Told of progress: units done and units in all, 0 while nobody knows."""
+
+
+class Parser(argparse.ArgumentParser):
+    """Says what is wrong with the arguments in one line, as for every other error."""
+
+    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Refuses "--" as the value of an option, which argparse takes away and then hands on an empty list."""
+        parsed = super().parse_args(args, namespace)
+        for name, value in vars(parsed).items():
+            is_empty = value == [] and self.get_default(name) != []
+            if is_empty or (isinstance(value, list) and [] in value):
+                self.error(f"argument --{name.replace('_', '-')}: expected one argument")
+        return parsed
+
+    def error(self, message: str) -> NoReturn:
+        sys.stderr.write(f"{self.prog}: error: {message} (see {self.prog} --help)\n")
+        raise SystemExit(USER_ERROR)
+
+
+def run(program: str, command: Callable[[], int | None], *, cleans_up: bool = False) -> int:
+    """Runs a command and returns its exit code; an error the user can act on becomes one line on stderr.
+
+    The command returns an exit code of its own, or None for 0. ``cleans_up``: SIGTERM and SIGHUP let it remove what it
+    has written by halves before they end the process; without, they do so at once.
+    """
+    _open_standard_streams()
+    if sys.stdout is None:
+        return _say(f"{program}: error: standard output is closed; send it to a file, or to /dev/null", USER_ERROR)
+    try:
+        with _unwinding_signals() if cleans_up else nullcontext():
+            code = command()
+            sys.stdout.flush()
+    except BrokenPipeError:
+        # The reader of a pipe (head, less) has seen enough.
+        _forget_stdout()
+        return _BROKEN_PIPE
+    except KeyboardInterrupt:
+        return _say(f"{program}: interrupted", INTERRUPTED)
+    except DecogsError as error:
+        return _say(f"{program}: error: {error}", USER_ERROR)
+    except OSError as error:
+        where = error.filename or (None if _stdout_takes_it() else "standard output")
+        what = f"{where}: {error.strerror}" if where else error.strerror or str(error)
+        if error.errno == errno.ENOSPC:
+            what += "; make room, or write elsewhere"
+        return _say(f"{program}: error: {what}", USER_ERROR)
+    except Exception as error:
+        if not _memory_is_out(error):
+            raise
+        return _say(f"{program}: error: out of memory; choose a smaller scale or fewer frames", USER_ERROR)
+    return code or 0
+
+
+def _open_standard_streams() -> None:
+    """Gives standard streams that are closed an end that swallows.
+
+    The next file that is opened would otherwise get their number, and with it what libraries have to say on stderr.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:  # noqa: PERF203 (three turns)
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free
+    if sys.stderr is None:
+        sys.stderr = open(os.devnull, "w")  # noqa: SIM115 (as long as the process)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # Names come from strangers: what this terminal's encoding cannot show is escaped.
+        sys.stdout.reconfigure(errors="backslashreplace")
+
+
+def _stdout_takes_it() -> bool:
+    """Whether standard output takes what waits for it; a full disk does not, whoever first came upon that."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        _forget_stdout()
+        return False
+    return True
+
+
+def _forget_stdout() -> None:
+    """Keeps the interpreter from flushing once more what cannot be written."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _memory_is_out(error: Exception) -> bool:
+    """Whether an exception means that memory is short, as the libraries beneath have several words for it."""
+    words = {
+        RuntimeError: "can't start new thread",
+        ImportError: "allocate memory|failed to map segment",
+    }
+    said = next((words[kind] for kind in words if isinstance(error, kind)), None)
+    from_opencv = type(error).__module__ == "cv2" and "Insufficient memory" in str(error)
+    return isinstance(error, MemoryError) or from_opencv or (said is not None and bool(re.search(said, str(error))))
+
+
+class _Ended(BaseException):
+    """A signal asks the process to end."""
+
+
+@contextmanager
+def _unwinding_signals() -> Iterator[None]:
+    """SIGTERM and SIGHUP leave what is inside as Ctrl-C does, then end the process; a second one ends it at once."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def unwind(number: int, _: object) -> None:
+        signal.signal(number, signal.SIG_DFL)
+        raise _Ended(number)
+
+    # What is ignored, as SIGHUP under nohup, or is handled by whoever runs this in their program, stays so.
+    ours = [n for n in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(n) is signal.SIG_DFL]
+    for number in ours:
+        signal.signal(number, unwind)
+    try:
+        yield
+    except _Ended as ended:
+        os.kill(os.getpid(), ended.args[0])
+        raise
+    finally:
+        for number in ours:
+            signal.signal(number, signal.SIG_DFL)
+
+
+def standard_input() -> BinaryIO:
+    """The bytes of standard input; UsageError when that is closed."""
+    if sys.stdin is None:
+        raise UsageError("-: standard input is closed; pipe a stream into it, or name a file")
+    return sys.stdin.buffer
+
+
+@contextmanager
+def progress(what: str, unit: str = "frame") -> Iterator[OnFrame]:
+    """A progress bar on stderr when that is a terminal; silent otherwise. Called with units done and units in all."""
+    if not sys.stderr.isatty():
+        yield lambda done, total: None
+        return
+    from tqdm import tqdm
+
+    with tqdm(desc=what, unit=unit, leave=False) as bar:
+
+        def show(done: int, total: int) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
+        yield show
+
+
+def tell(text: str, *, to_stderr: bool = False) -> None:
+    """Prints; what keeps the standard stream from being written is said with its name."""
+    try:
+        print(text, file=sys.stderr if to_stderr else sys.stdout, flush=True)
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        error.filename = "standard error" if to_stderr else "standard output"
+        raise
+
+
+def warn_as(program: str) -> Callable[[str], None]:
+    """Prints each text it is given as one line on stderr."""
+    return lambda text: print(f"{program}: warning: {printable(text)}", file=sys.stderr)
+
+
+def frames_joined(arguments: Sequence[str] | None) -> list[str]:
+    """Joins "--frames" with its value: argparse takes "-3:" for an option of its own."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    joined: list[str] = []
+    for argument in given:
+        if joined and joined[-1] == "--frames":
+            joined[-1] = f"--frames={argument}"
+        else:
+            joined.append(argument)
+    return joined
+
+
+def number_of_bytes(text: str) -> int:
+    """A size as the user writes it: digits, and K, M or G for powers of 1024."""
+    match = re.fullmatch(r"([0-9]{1,12})([KMG]?)", text, re.IGNORECASE | re.ASCII)
+    if match is None or not int(match[1]):
+        raise argparse.ArgumentTypeError(f"{text!r} is no size; write bytes, or a number with K, M or G, such as 512M")
+    return int(match[1]) << {"": 0, "K": 10, "M": 20, "G": 30}[match[2].upper()]
+
+
+def number(text: str) -> float:
+    """A number in ASCII digits: Python would also take those of every other script, and underscores."""
+    try:
+        if text.isascii() and "_" not in text:
+            return float(text)
+    except ValueError:
+        pass
+    raise argparse.ArgumentTypeError(f"{text!r} is no number")
+
+
+def whole_number(text: str) -> int:
+    if not re.fullmatch(r"[+-]?[0-9]{1,18}", text, re.ASCII):
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number of at most 18 digits")
+    return int(text)
+
+
+def number_of_threads(text: str) -> int:
+    if not re.fullmatch(r"[0-9]{1,9}", text, re.ASCII):
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of threads; 0 means all processors")
+    return int(text)
+
+
+def _say(line: str, code: int) -> int:
+    print(printable(line), file=sys.stderr)
+    return code
+
+
+def printable(text: str) -> str:
+    """Text of strangers on one line, without what a terminal would take for commands."""
+    return _CONTROL.sub(" ", text).strip()
+
+
+def counted(number: int, thing: str) -> str:
+    return f"{number} {thing}" + ("" if number == 1 else "s")
+
+
+def size_text(count: int) -> str:
+    return f"{count} bytes" if count < 10_000 else f"{count / 1e3:.1f} kB" if count < 1e7 else f"{count / 1e6:.1f} MB"

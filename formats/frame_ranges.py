@@ -1,0 +1,21 @@
+"""Ranges of frames as the user writes them: "A:B"."""
+
+from __future__ import annotations
+
+import re
+
+from .errors import UsageError
+
+_RANGE = re.compile(r"\s*([+-]?[0-9]{1,4000})?\s*:\s*([+-]?[0-9]{1,4000})?\s*", re.ASCII)
+
+
+def frame_range(text: str) -> slice:
+    """A range of frames as the user writes it: "A:B", half-open as in Python, each end may be missing or negative.
+
+    Raises UsageError for anything else.
+    """
+    ends = _RANGE.fullmatch(text)
+    if ends is None:
+        raise UsageError(f"frames {text!r} are no range; write A:B, half-open as in Python, such as 0:10 or -5:")
+    first, last = (int(end) if end else None for end in ends.groups())
+    return slice(first, last)
