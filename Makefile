@@ -88,7 +88,7 @@ bench: $(READY) ## time the rasteriser, sparse training steps against dense ones
 	$(BIN)/python tests/bench/decode.py
 
 # Hours: what is already in report/runs, made by the same code, is not made again.
-report: $(READY) ## the paper's tables, our choices, rate against distortion, accuracy against time, into report/
+report: $(READY) ## the paper's tables, our choices, rate against distortion, accuracy against time, into report/; runs.zip has every run
 	$(BIN)/decogs-bench paper $(RIGS) -o report $(BENCH_ARGS)
 	$(BIN)/decogs-bench choices $(CHOICE_RIGS) -o report --frames :16 $(BENCH_ARGS)
 	$(BIN)/decogs-bench choices ../shared/data/rigs/popup -o report/popup --only pace $(BENCH_ARGS)
@@ -96,6 +96,7 @@ report: $(READY) ## the paper's tables, our choices, rate against distortion, ac
 	$(BIN)/decogs-bench rates $(RATE_RIGS) -o report $(BENCH_ARGS)
 	$(BIN)/decogs-bench effects $(EFFECT_RIGS) -o report --frames :20 --preset draft $(BENCH_ARGS)
 	$(BIN)/decogs-bench curve $(RATE_RIGS) -o report --frames :8 $(BENCH_ARGS)
+	$(BIN)/python tests/bench/archive.py report
 
 clean: ## remove what was built and every cache; .venv and demo/ stay
 	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache $(READY)

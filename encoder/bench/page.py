@@ -24,7 +24,8 @@ _SHOWN_QUALITIES, _SHOWN_COSTS = ("psnr_dynamic", "ssim"), ("cpu", "kilobytes", 
 def report_page(plan: Plan, results: Sequence[RigResults], folder: Path, command: str) -> list[str]:
     """The page's lines; draws the pictures it shows into the ``folder``."""
     made = f"Made by `{command}`. " if command else ""
-    lines = [f"# {plan.title}", "", f"{made}Every row links to its run; the last section says how it was measured.", ""]
+    about = "Each row names its file in runs/; the last section says how it was measured."
+    lines = [f"# {plan.title}", "", f"{made}{about}", ""]
     if plan.summary is not None:
         lines += plan.summary(results)
     for result in results:
@@ -73,7 +74,7 @@ def _about_rig(result: RigResults) -> str:
         first = keyframe.frames[0]
         text += (
             f" Shared keyframe: preset {keyframe.preset}, {first.gaussians} Gaussians, {first.bytes} bytes, "
-            f"{sum(first.seconds.values()):.0f} s ({_link(bench, keyframe)})."
+            f"{sum(first.seconds.values()):.0f} s ({_file(bench, keyframe)})."
         )
     return text
 
@@ -88,7 +89,7 @@ def _table(result: RigResults, question: Question, columns: Sequence[str]) -> li
             missing = "failed" if variant.name in result.failures else NOT_RUN
             rows.append([label, *([NOTHING] * len(columns)), missing])
         else:
-            rows.append([label, *(COLUMNS[key].value(run, runs) for key in columns), _link(result.bench, run)])
+            rows.append([label, *(COLUMNS[key].value(run, runs) for key in columns), _file(result.bench, run)])
     return markdown(["", *(COLUMNS[key].heading for key in columns), "how"], rows)
 
 
@@ -96,7 +97,7 @@ def _contest_section(contest: Contest, result: RigResults) -> list[str]:
     """The encoder's rates and, kept in other ways, the frames of its source."""
     bench, source = result.bench, result.run_of(contest.source)
     rows = [
-        _rate_row(point_of(run, f"decogs, {variant.description}"), source, _link(bench, run))
+        _rate_row(point_of(run, f"decogs, {variant.description}"), source, _file(bench, run))
         for variant in contest.rates
         if (run := result.run_of(variant)) is not None
     ]
@@ -107,8 +108,8 @@ def _contest_section(contest: Contest, result: RigResults) -> list[str]:
             why = result.failures.get(rival.name, rival.coder.missing() or NOT_RUN)
             rows.append([rival.description, *[NOTHING] * 7, why])
         else:
-            link = f"[{rival.name}](runs/{rival_file(bench, contest.source, rival).name})"
-            rows.append(_rate_row(point_of_rival(kept), source, link))
+            name = f"`{rival_file(bench, contest.source, rival).stem}`"
+            rows.append(_rate_row(point_of_rival(kept), source, name))
         if rival.about:
             notes.setdefault(rival.about, []).append(rival.name)
     headings = [
@@ -197,12 +198,12 @@ def _precision_section(result: RigResults) -> list[str]:
     ]
 
 
-def _rate_row(point: RatePoint, source: Run | None, link: str) -> list[str]:
+def _rate_row(point: RatePoint, source: Run | None, name: str) -> list[str]:
     ours = None if source is None else point_of(source, "").later_bytes
     times = None if not ours else point.later_bytes / ours
     quality = [number(".2f")(value) for value in (point.psnr, point.psnr_dynamic, point.psnr_static)]
     sizes = [f"{value / 1e3:.2f}" for value in (point.first_bytes, point.later_bytes, point.frame_bytes)]
-    return [point.label, *quality, sizes[0], sizes[1], number(".2f")(times), sizes[2], link]
+    return [point.label, *quality, sizes[0], sizes[1], number(".2f")(times), sizes[2], name]
 
 
 def _failed(result: RigResults, question: Question) -> list[tuple[str, str]]:
@@ -210,8 +211,9 @@ def _failed(result: RigResults, question: Question) -> list[tuple[str, str]]:
     return [(name, error) for name, error in result.failures.items() if name in names]
 
 
-def _link(bench: RigBench, run: Run) -> str:
-    return f"[{run.variant}](runs/{bench.file_of(run).name})"
+def _file(bench: RigBench, run: Run) -> str:
+    """The name of the run's JSON in runs/; no link: runs are published as an archive, pages without them."""
+    return f"`{bench.file_of(run).stem}`"
 
 
 def _figures(plan: Plan, result: RigResults, folder: Path) -> list[str]:
