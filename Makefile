@@ -7,15 +7,22 @@
 
 PYTHON ?= python3
 PIP_ARGS ?=
+# Python compiles what it imports; pip would compile all, which takes longer than the download.
+INSTALL = -m pip install $(PIP_ARGS) --quiet --no-compile -c constraints.txt
 RIGS ?= $(addprefix ../shared/data/rigs/,workbench candle popup)
 CHOICE_RIGS ?= ../shared/data/rigs/workbench
 RATE_RIGS ?= ../shared/data/rigs/workbench
 EFFECT_RIGS ?= $(addprefix ../shared/data/rigs/,still candle popup workbench workbench_drift)
 BENCH_ARGS ?=
 
+# Developers and tests have .venv, users and the demo .venv-user: without torch, a tenth of the download.
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/ready
+USER_VENV := .venv-user
+USER_BIN := $(USER_VENV)/bin
+USER_READY := $(USER_VENV)/ready
+INSTALLS := pyproject.toml setup.py constraints.txt
 KERNEL_SOURCES := $(wildcard decoder/rasterise/kernel/* encoder/*/kernel/*)
 
 # A second environment that holds only the built wheel, without torch.
@@ -29,24 +36,33 @@ WHEEL_ENV := build/wheel-env
 help: ## list what can be made
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
-setup: $(READY) ## create .venv with decogs (editable), training and the development tools
+setup: $(READY) ## create .venv with decogs (editable) and the development tools
 
 # The kernels of the editable install serve the wheel, too: compiling them takes minutes.
 export DECOGS_KERNEL_CACHE := $(CURDIR)/build/kernels
 
-$(BIN)/python:
+$(BIN)/python $(USER_BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit("Python 3.10 or later is needed: make PYTHON=python3.12" if sys.version_info < (3, 10) else 0)'
-	$(PYTHON) -m venv $(VENV)
+	$(PYTHON) -m venv $(@:/bin/python=)
+
+# For the demo, kernels of this machine are enough: .venv has all, which tests compare.
+$(USER_READY): export DECOGS_KERNELS := native
 
 # Built without isolation, so that the pinned setuptools builds the kernels here too.
-$(READY): pyproject.toml setup.py constraints.txt $(KERNEL_SOURCES) | $(BIN)/python
+$(READY): $(INSTALLS) $(KERNEL_SOURCES) | $(BIN)/python
 	@echo 'Installing into $(VENV): a few minutes, torch, which the tests need, is large (CONTRIBUTING.md: which torch)'
-	$(BIN)/python -m pip install $(PIP_ARGS) --quiet -c constraints.txt setuptools
-	$(BIN)/python -m pip install $(PIP_ARGS) --quiet -c constraints.txt --no-build-isolation -e '.[dev]'
+	$(BIN)/python $(INSTALL) setuptools
+	$(BIN)/python $(INSTALL) --no-build-isolation -e '.[dev]'
 	@touch $@
 
-demo: $(READY) ## encode the sample rig, decode its held-out view, export USD
-	$(BIN)/python tests/demo/demo.py
+$(USER_READY): $(INSTALLS) $(KERNEL_SOURCES) | $(USER_BIN)/python
+	@echo 'Installing into $(USER_VENV): a minute, 124 MB to download, and the kernels to compile'
+	$(USER_BIN)/python $(INSTALL) setuptools
+	$(USER_BIN)/python $(INSTALL) --no-build-isolation -e .
+	@touch $@
+
+demo: $(USER_READY) ## encode the sample rig, decode its held-out view, export USD, in .venv-user
+	$(USER_BIN)/python tests/demo/demo.py
 
 test: lint type layers wheel-check unit ## every check; what continuous integration runs
 
@@ -75,7 +91,7 @@ wheel: $(READY) ## build the sdist, and from it the wheel, into build/dist
 wheel-check: wheel ## install that wheel without any extra and run it
 	rm -rf $(WHEEL_ENV)
 	$(BIN)/python -m venv $(WHEEL_ENV)
-	$(WHEEL_ENV)/bin/python -m pip install $(PIP_ARGS) --quiet -c constraints.txt $(DIST)/*.whl pytest
+	$(WHEEL_ENV)/bin/python $(INSTALL) $(DIST)/*.whl pytest
 	$(WHEEL_ENV)/bin/pytest -p no:cacheprovider tests/test_installed.py tests/decoder/test_standalone.py
 
 # Minutes; with `.venv/bin/pip install atheris` guided by coverage.
@@ -98,7 +114,7 @@ report: $(READY) ## the paper's tables, our choices, rate against distortion, ac
 	$(BIN)/decogs-bench curve $(RATE_RIGS) -o report --frames :8 $(BENCH_ARGS)
 	$(BIN)/python tests/bench/archive.py report
 
-clean: ## remove what was built and every cache; .venv and demo/ stay
-	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache $(READY)
+clean: ## remove what was built and every cache; environments and demo/ stay
+	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache $(READY) $(USER_READY)
 	find formats codec decoder encoder tests -name __pycache__ -prune -exec rm -rf {} +
 	find decoder encoder -name '*.abi3.so' -delete

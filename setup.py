@@ -13,13 +13,22 @@ import copy
 import hashlib
 import os
 import platform
+import re
 import shutil
 from pathlib import Path
 
 from setuptools import Extension, setup
 from setuptools.command.build_ext import build_ext
 
-COMMON_FLAGS = ["-std=c++17", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fvisibility-inlines-hidden", "-pthread"]
+COMMON_FLAGS = [
+    "-std=c++17",
+    "-O3",
+    "-g0",
+    "-ffp-contract=off",
+    "-fno-math-errno",
+    "-fvisibility-inlines-hidden",
+    "-pthread",
+]
 INSTRUCTION_SETS = {"base": []}
 if platform.machine() in ("x86_64", "AMD64"):
     INSTRUCTION_SETS = {
@@ -27,6 +36,11 @@ if platform.machine() in ("x86_64", "AMD64"):
         "avx2": ["-march=x86-64-v3"],
         "avx512": ["-march=x86-64-v4", "-mprefer-vector-width=512"],
     }
+# By Linux's names; the kernels ask the same of the processor (decogs_instruction_set).
+NEEDED_FLAGS = {
+    "avx2": {"avx2", "fma", "bmi2"},
+    "avx512": {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"},
+}
 KERNELS = {
     "decogs.decoder.rasterise._forward": ("decoder/rasterise/kernel", "forward.cpp"),
     "decogs.encoder.rasterise._training": ("encoder/rasterise/kernel", "training.cpp"),
@@ -40,6 +54,11 @@ class BuildKernels(build_ext):
     With DECOGS_KERNEL_CACHE, a folder, what was built of the same sources with the same flags is not built again: the
     checks install the project twice, from the tree and as the wheel that users get.
     """
+
+    def finalize_options(self) -> None:
+        """An option of ``setup`` would be lost in editable installs, which set this command up twice."""
+        build_ext.finalize_options(self)
+        self.parallel = self.parallel or os.cpu_count() or 1
 
     def build_extension(self, ext: Extension) -> None:
         mine, library = copy.copy(self), Path(self.get_ext_fullpath(ext.name))
@@ -67,6 +86,25 @@ class BuildKernels(build_ext):
         return Path(os.environ["DECOGS_KERNEL_CACHE"], made.hexdigest()[:16])
 
 
+def of_this_machine() -> str:
+    """The widest set that it runs, by the flags that Linux tells."""
+    told = re.search(r"^flags\s*:(.*)$", Path("/proc/cpuinfo").read_text(), re.MULTILINE)
+    flags = set(told[1].split()) if told else set()
+    runs = ["base", *(name for name, needed in NEEDED_FLAGS.items() if needed <= flags)]
+    return runs[-1]
+
+
+def chosen(name: str) -> dict[str, list[str]]:
+    """The sets to build a kernel for: all, or with DECOGS_KERNELS=native this machine's and what finds out which it is.
+
+    Compiling for all takes minutes, which who only wants to see the demo need not wait.
+    """
+    if os.environ.get("DECOGS_KERNELS") != "native" or len(INSTRUCTION_SETS) == 1:
+        return INSTRUCTION_SETS
+    wanted = {of_this_machine()} | ({"base"} if name.endswith("._forward") else set())
+    return {name: flags for name, flags in INSTRUCTION_SETS.items() if name in wanted}
+
+
 def kernels() -> list[Extension]:
     headers = [str(path) for folder, _ in KERNELS.values() for path in sorted(Path(folder).glob("*.h"))]
     return [
@@ -81,12 +119,12 @@ def kernels() -> list[Extension]:
             py_limited_api=True,
         )
         for name, (folder, source) in KERNELS.items()
-        for instruction_set, flags in INSTRUCTION_SETS.items()
+        for instruction_set, flags in chosen(name).items()
     ]
 
 
 setup(
     ext_modules=kernels(),
     cmdclass={"build_ext": BuildKernels},
-    options={"bdist_wheel": {"py_limited_api": "cp310"}, "build_ext": {"parallel": os.cpu_count() or 1}},
+    options={"bdist_wheel": {"py_limited_api": "cp310"}},
 )

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
 import sys
 from importlib import metadata
 from pathlib import Path
@@ -12,6 +14,7 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
+from decogs.decoder.rasterise.native import best_instruction_set
 from decogs.formats.rigs import open_rig, read_frames
 
 if sys.version_info >= (3, 11):
@@ -90,3 +93,33 @@ def test_the_sample_rig_is_whole() -> None:
     assert (rig.layout, rig.fps, rig.frame_count) == ("n3dv", 30.0, 9)
     assert [frame for frame, _ in read_frames(rig)] == list(range(9))
     assert sum(path.stat().st_size for path in rig.path.iterdir()) < 3_000_000
+
+
+def kernels_built(**environment: str) -> list[str]:
+    """The libraries that setup.py builds, and how many at a time, asked as an editable install asks it."""
+    program = """
+import sys
+import setuptools
+from distutils.core import run_setup
+sys.argv = ["setup.py"]
+project = run_setup("setup.py", stop_after="config")
+command = project.reinitialize_command("build_ext", reinit_subcommands=True)
+command.ensure_finalized()
+print(*(extension.name for extension in project.ext_modules), command.parallel)
+"""
+    given = {name: value for name, value in os.environ.items() if name != "DECOGS_KERNELS"} | environment
+    run = subprocess.run(
+        [sys.executable, "-c", program], cwd=ROOT, env=given, capture_output=True, text=True, check=True
+    )
+    return run.stdout.split()
+
+
+def test_kernels_are_built_side_by_side_and_for_the_demo_only_those_it_runs() -> None:
+    *all_of_them, at_a_time = kernels_built()
+    assert at_a_time == str(os.cpu_count())
+    kernels = {name.rpartition("_")[0] for name in all_of_them}
+    assert len(kernels) == 3
+    *native, _ = kernels_built(DECOGS_KERNELS="native")
+    widest = best_instruction_set()
+    assert set(native) == {f"{name}_{widest}" for name in kernels} | {"decogs.decoder.rasterise._forward_base"}
+    assert set(native) <= set(all_of_them)
