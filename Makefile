@@ -31,7 +31,7 @@ WHEEL_ENV := build/wheel-env
 
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
-.PHONY: help setup demo test lint type layers wheel wheel-check unit soak fuzz bench report clean
+.PHONY: help setup demo test lint type layers wheel wheel-check unit slow soak fuzz bench report clean
 
 help: ## list what can be made
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -78,6 +78,9 @@ layers: $(READY) ## import contracts: formats <- codec <- decoder <- encoder
 
 unit: $(READY) ## pytest, a process for each processor
 	$(BIN)/pytest -n auto --dist worksteal
+
+slow: $(READY) ## longer twins of tests that are in `make test`, and those that need larger rigs (CONTRIBUTING.md)
+	$(BIN)/pytest -m slow -n auto --dist worksteal
 
 soak: $(READY) ## the tests that take minutes: a thousand frames, an encode killed again and again
 	$(BIN)/pytest -m soak

@@ -7,11 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from decogs.formats.container import FRAME_KINDS, Packet
 
 WHERE = {"sync": 0, "kind": 4, "frame": 8, "length": 12, "header crc": 16, "payload": 25}
 """Offsets in a packet, one in each thing that can be hit."""
+
+EVERY = [pytest.param(1, id="every-byte", marks=pytest.mark.slow), pytest.param(5, id="every-fifth-byte")]
+"""Steps from byte to byte. `make test` takes five, with every bit in turn, and does not see what only the others do."""
 
 
 def frame_packet(packets: Sequence[Packet], frame: int) -> Packet:

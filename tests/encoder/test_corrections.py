@@ -500,6 +500,7 @@ def test_nothing_runs_when_no_camera_is_named(
 # The shared rig with known faults
 
 
+@pytest.mark.slow
 def test_gains_and_shake_of_the_shared_rig_are_found(shared_data: Any) -> None:
     """Against the same pictures without the faults, of three frames; the odds of a colour follow a gain on light.
 

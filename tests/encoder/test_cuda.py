@@ -210,7 +210,7 @@ BACKENDS = {
 }
 
 
-@pytest.fixture(params=BACKENDS)
+@pytest.fixture(params=BACKENDS, ids=lambda name: "gsplat-on-a-gpu" if name == "gsplat" else name)
 def backend(request: pytest.FixtureRequest) -> Backend:
     missing = missing_for_cuda() if request.param == "gsplat" else None
     if missing:
@@ -485,7 +485,7 @@ def test_the_loss_is_the_native_kernels(size: tuple[int, int], ssim_scale: float
 @pytest.mark.parametrize("size", [(1, 2), (5, 11), (61, 50), (127, 65)])
 @pytest.mark.parametrize("ssim_scale", [0.0, 0.2])
 @pytest.mark.parametrize("weighted", [False, True])
-def test_the_fused_loss_is_its_twin(size: tuple[int, int], ssim_scale: float, weighted: bool) -> None:
+def test_the_fused_loss_on_a_gpu_is_its_twin(size: tuple[int, int], ssim_scale: float, weighted: bool) -> None:
     from decogs.encoder.rasterise.photometric_fused import FusedLoss
 
     rng, (width, height) = np.random.default_rng(6), size
@@ -549,7 +549,11 @@ def test_a_whole_encode_runs_on_it(
 ) -> None:
     """Keyframe and a later frame, cache included. Roundings grow as training goes on (seen: 0.01 dB)."""
     monkeypatch.setattr(stream_state, "training_kernel", lambda device, threads: backend.make())
-    settings = replace(tiny_settings, keyframe=replace(tiny_settings.keyframe, iterations=30, cap=400))
+    settings = replace(
+        tiny_settings,
+        keyframe=replace(tiny_settings.keyframe, iterations=14, cap=400, grow_every=6, settle_iterations=4),
+        frame=replace(tiny_settings.frame, cache_iterations=4, joint_iterations=4),
+    )
     encoded = encode(moving_rig, settings=settings, stop=2)
     monkeypatch.undo()
     native = encode(moving_rig, settings=settings, stop=2)
@@ -558,7 +562,7 @@ def test_a_whole_encode_runs_on_it(
         assert ours.training_psnr == pytest.approx(theirs.training_psnr, abs=0.1)
 
 
-def test_signatures() -> None:
+def test_signatures_with_gsplat_installed() -> None:
     """The stand-in takes nothing that the installed gsplat does not take in the same place or by the same name."""
     gsplat = pytest.importorskip("gsplat", reason="gsplat is not installed")
     names = "fully_fused_projection", "spherical_harmonics", "isect_tiles", "isect_offset_encode", "rasterize_to_pixels"
@@ -569,7 +573,7 @@ def test_signatures() -> None:
 
 
 @pytest.mark.parametrize("name", ["degree-3", "near", "tiles", "around"])
-def test_projections_and_lists_of_gsplats_own_twin_serve_as_well(name: str) -> None:
+def test_projections_and_lists_of_the_installed_gsplats_own_twin_serve_as_well(name: str) -> None:
     """gsplat's readable twin of its kernels, in float32 on the CPU: its conventions, not our reading of them."""
     twin = pytest.importorskip("gsplat.cuda._torch_impl", reason="gsplat is not installed")
 

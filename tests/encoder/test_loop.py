@@ -348,6 +348,7 @@ def test_a_frame_without_changes_costs_its_masks_and_nothing_else(
     assert len(refreshed) == len(set(map(id, refreshed))), "for the keyframe, and never again"
 
 
+@pytest.mark.slow
 def test_the_shared_still_rig_is_skips_after_the_keyframe(encode: Any, shared_data: Any, tiny_settings: Any) -> None:
     """Real video coding noise against the standard preset's masks; the paper's threshold is higher still."""
     frame = replace(PRESETS["standard"].frame, cache=None, joint_iterations=1)

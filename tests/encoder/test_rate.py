@@ -185,19 +185,18 @@ def test_a_clip_keeps_its_budget_and_resumes_to_the_same_bytes(
     encode: Any, moving: Any, restless_rig: Path, economical: EncodeSettings, tmp_path: Path
 ) -> None:
     free = encode(restless_rig, settings=economical, keyframe=moving.path)
-    for share in (0.6, 1.3):
+    for share in (1.3, 0.6):
         budget = share * float(np.mean(later(free)))
         given = {"settings": replace(economical, frame_budget=budget), "keyframe": moving.path}
         held = encode(restless_rig, **given)
         assert np.mean(later(held)) == pytest.approx(budget, rel=TOLERANCE)
-        with held.path.open("rb") as file:
-            ends = [packet.offset + packet.size for packet in iterate_packets(file)]
-        (tmp_path / "scene.dgs.part").write_bytes(held.data[: ends[9] + 11])
-        assert encode(restless_rig, output=tmp_path / "scene.dgs", resume=True, **given).data == held.data
-        # Frames can be added to a shorter clip: its length plays no part.
-        short = encode(restless_rig, stop=12, **given)
-        shutil.copy(short.path, tmp_path / "longer.dgs")
-        assert encode(restless_rig, output=tmp_path / "longer.dgs", resume=True, **given).data == held.data
+    with held.path.open("rb") as file:
+        ends = [packet.offset + packet.size for packet in iterate_packets(file)]
+    (tmp_path / "scene.dgs.part").write_bytes(held.data[: ends[9] + 11])
+    assert encode(restless_rig, output=tmp_path / "scene.dgs", resume=True, **given).data == held.data
+    # Frames can be added to a shorter clip: its length plays no part.
+    shutil.copy(encode(restless_rig, stop=12, **given).path, tmp_path / "longer.dgs")
+    assert encode(restless_rig, output=tmp_path / "longer.dgs", resume=True, **given).data == held.data
 
 
 @pytest.mark.parametrize("frames", [1, 2, 3, 4])

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import OpenEXR
 import pytest
 
 from decogs.formats.errors import RigError, UsageError
@@ -142,10 +143,21 @@ def test_memory_does_not_grow_with_the_frames(tmp_path: Path, make: Any) -> None
     assert peak < 8 * one_frame + 200_000 < 60 * one_frame
 
 
-def test_exr_frames_keep_their_values(shared_data: Callable[[str], Path]) -> None:
-    rig = open_rig(shared_data("rigs/hdr"))
-    _, pictures = next(read_frames(rig, 4, 5, names=["cam03"]))
-    assert pictures[0].dtype == np.float32
-    from decogs.formats.pictures import read_picture
-
-    np.testing.assert_array_equal(pictures[0], read_picture(rig.path / "cam03" / "0004.exr"))
+def test_exr_frames_keep_their_values(tmp_path: Path, make: Any) -> None:
+    """Scene-linear light far beyond 1, in a rig of folders of pictures."""
+    random, written = np.random.default_rng(1), {}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    for camera in range(2):
+        (tmp_path / f"cam{camera:02d}").mkdir()
+        for frame in range(3):
+            pixels = random.exponential(60, (make.height, make.width, 3)).astype(np.float16)
+            OpenEXR.File(header, {"RGB": pixels}).write(str(tmp_path / f"cam{camera:02d}" / f"{frame:04d}.exr"))
+            written[camera, frame] = pixels.astype(np.float32)
+    np.save(tmp_path / "poses_bounds.npy", np.stack([make.poses_bounds_row(i) for i in range(2)]))
+    rig = open_rig(tmp_path)
+    assert (rig.layout, len(rig.cameras), rig.frame_count, rig.fps) == ("n3dv", 2, 3, None)
+    for frame, pictures in read_frames(rig):
+        for camera, picture in enumerate(pictures):
+            assert picture.dtype == np.float32
+            np.testing.assert_array_equal(picture, written[camera, frame])
+    assert max(map(np.max, written.values())) > 467

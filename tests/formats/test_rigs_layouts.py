@@ -322,22 +322,16 @@ def test_ground_truth_beside_the_frames_is_never_read(tmp_path: Path, make: Any,
     assert rig.points is None or len(rig.points) == len(make.points)
 
 
-def test_n3dv_rigs_of_the_shared_data(shared_data: Callable[[str], Path]) -> None:
-    rig = open_rig(shared_data("rigs/workbench"))
-    assert (rig.layout, len(rig.cameras), rig.frame_count, rig.fps) == ("n3dv", 13, 30, 30.0)
+def test_the_sample_rig_is_n3dv() -> None:
+    rig = open_rig(Path(__file__).parents[1] / "demo" / "workbench")
+    assert (rig.layout, len(rig.cameras), rig.frame_count, rig.fps) == ("n3dv", 13, 9, 30.0)
     # cam00's row: position and focal length as in the file's columns.
     row = np.load(rig.path / "poses_bounds.npy")[0, :15].reshape(3, 5)
     np.testing.assert_allclose(camera_centre(rig.cameras[0]), row[:, 3], atol=1e-9)
     assert (rig.cameras[0].fx, rig.cameras[0].cx, rig.cameras[0].cy) == (row[2, 4], 176, 132)
 
 
-def test_hdr_rig_of_the_shared_data(shared_data: Callable[[str], Path]) -> None:
-    rig = open_rig(shared_data("rigs/hdr"))
-    assert (rig.layout, len(rig.cameras), rig.frame_count, rig.fps) == ("n3dv", 5, 6, None)
-    brightest = max(float(picture.max()) for _, pictures in read_frames(rig) for picture in pictures)
-    assert brightest == pytest.approx(467, abs=1)  # the bulb, as the data's documentation states
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scene", "tolerance"),
     # rig.json and the COLMAP model state the same cameras twice, half a pixel apart by convention.

@@ -1,4 +1,7 @@
-"""The analysis against what each synthetic rig's scene.json says: no false alarm, all effects found, where and when."""
+"""The analysis against what each synthetic rig's scene.json says: no false alarm, all effects found, where and when.
+
+Minutes of analysis: `make slow` runs it, test_sample_rig.py is its twin in `make test`, without objects that appear,
+a lens that bends, EXR pictures and light too slow for two frames; tests of each detector have those."""
 
 from __future__ import annotations
 
@@ -6,6 +9,8 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+
+pytestmark = pytest.mark.slow
 
 SCENES = ("workbench", "workbench_drift", "candle", "popup", "still", "hdr")
 TOLD = (
