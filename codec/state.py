@@ -28,7 +28,7 @@ ARRAYS = ("means", "log_scales", "quaternions", "opacity_logits", "sh")
 """The arrays that hold the groups, in the same order; ``sh`` holds the last two."""
 
 DEFAULT_MAX_GAUSSIANS = 1 << 21
-"""What a reader accepts unless told otherwise; bounds the memory a hostile stream can claim (SPEC.md, "Limits")."""
+"""What a reader accepts by default; bounds the memory a hostile stream can claim (SPEC.md, "Limits")."""
 
 MAX_GAUSSIANS = 1 << 27
 """What the format allows."""

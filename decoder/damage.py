@@ -1,4 +1,4 @@
-"""What is done about damage in a stream: it is concealed and told of, or an error when the stream is read strictly."""
+"""What is done about damage in a stream: it is concealed and reported, or an error when the stream is read strictly."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Damage:
 
     ``frames``: those that cannot be reconstructed, up to the next keyframe; none when only an accelerator or a packet
     for people is hit. They show the frame ``held``. ``onward``: so do those after them, up to a keyframe that had not
-    come yet when this was told; only in a stream that is followed. ``error`` names packet, offset and reason.
+    come yet when this was reported; only in a stream that is followed. ``error`` names packet, offset and reason.
     """
 
     error: StreamError
@@ -44,7 +44,7 @@ OnDamage = Callable[[Damage], None]
 
 
 class Concealment:
-    """What may be concealed in a stream, and who is told of it."""
+    """What may be concealed in a stream, and who is informed."""
 
     def __init__(self, name: Path | str, *, strict: bool, on_damage: OnDamage | None) -> None:
         """``name``: the stream's, for messages. Without ``on_damage``, a DamageWarning is issued."""
@@ -57,7 +57,7 @@ class Concealment:
         return not self.strict and is_damage(error)
 
     def tell(self, damage: Damage) -> None:
-        """Each damaged place is told of once, however often it is read."""
+        """Each damaged place is reported once, however often it is read."""
         _name(damage.error, self._name)
         place = damage.error.offset, damage.error.reason, damage.frames
         if place not in self._told:

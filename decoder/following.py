@@ -2,7 +2,7 @@
 
 The encoder writes ``NAME.part`` and renames it to ``NAME`` when it is whole; whoever follows names ``NAME`` and may
 come before either is there. An encode that is killed and resumed is followed across that: the bytes it writes again are
-the same ones. Damage is concealed as in a file that is opened, but told of without knowing where the next keyframe is.
+the same ones. Damage is concealed as in a file that is opened, but reported without knowing where the next keyframe is.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class GrowingStream:
         Every frame's checksums and state digest are verified. A frame that is damaged, and those after it up to the
         next keyframe, are the last good frame once more, ``concealed``; when there is none, or the stream is followed
         strictly, damage raises StreamError. How many frames a damaged place has cost only the next intact packet of a
-        frame tells, or the end packet: these frames come, and the place is told of, together with that.
+        frame tells, or the end packet: these frames come, and the place is reported, together with that.
         """
         shown: DecodedFrame | None = None
         with self._errors_named():

@@ -25,7 +25,7 @@ def open_chosen(
     max_memory: int,
     on_warning: OnWarning | None,
 ) -> Iterator[tuple[Stream, range]]:
-    """A stream, opened, and which of its frames were asked for; ``on_warning`` is told of damage.
+    """A stream, opened, and which of its frames were asked for; ``on_warning`` is called for damage.
 
     ``frames``: "A:B" or a slice by Python's rules, None for all. Raises UsageError when the stream has none of them.
     """

@@ -11,7 +11,7 @@ from decogs.formats.container import MAX_PAYLOAD
 from decogs.formats.errors import StreamError, UsageError
 
 DEFAULT_MAX_MEMORY = 4 << 30
-"""What decoding may take unless told otherwise, in bytes, beyond the program itself."""
+"""What decoding may take by default, in bytes, beyond the program itself."""
 
 MAX_PICTURE_PIXELS = 1 << 26
 """No larger picture is rendered (8192 x 8192): a few header bytes must not be able to claim all memory."""

@@ -265,7 +265,7 @@ def open_stream(
 
     ``strict`` makes damage an error, wherever it is met, and a file that stops inside a packet too. Otherwise the
     complete frames of such a file can be decoded (``unfinished_bytes`` tells), damaged frames hold the last good one,
-    and ``on_damage`` is told of every damaged place; when it is None, a DamageWarning is issued. What no reader can
+    and ``on_damage`` is called for every damaged place; when it is None, a DamageWarning is issued. What no reader can
     conceal is an error all the same: a damaged header, another version, a limit.
 
     ``max_memory`` bounds in bytes what decoding a stream can take beyond the program itself and up to 60 MB for the

@@ -207,7 +207,7 @@ def info(
     """Facts about a stream, whose every complete frame is reconstructed and verified on the way.
 
     ``strict`` and ``max_memory`` (bytes) are those of ``open_stream``; without ``strict``, damage is among the facts.
-    ``on_frame(done, all)`` is told of progress. Raises StreamError, OSError when the file cannot be read.
+    ``on_frame(done, all)`` is called with progress. Raises StreamError, OSError when the file cannot be read.
     """
     found: list[Damage] = []
     with open_stream(stream, strict=strict, max_memory=max_memory, on_damage=found.append) as opened:

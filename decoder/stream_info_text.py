@@ -40,7 +40,7 @@ def summary_lines(facts: StreamInfo) -> Iterator[str]:
     yield " frame kind       bytes  Gaussians   touched   added removed   share"
     yield from (_row(frame) for frame in facts.frames)
     if any(frame.refers_to_first for frame in facts.frames):
-        yield "key*: told as the difference from the first keyframe, against which it counts"
+        yield "key*: coded as the difference from the first keyframe, against which it counts"
     yield ""
     yield f"bytes per frame           {_number(totals['bytes_per_frame'])} (the whole file over all frames)"
     yield f"  without the first key   {_number(totals['bytes_per_frame_without_first_key'])}"

@@ -90,7 +90,7 @@ def export(
 
     ``frames``: "A:B" or a slice, None for all. ``up_axis`` states which axis of the world is up; nothing is rotated.
     ``strict`` and ``max_memory`` (bytes) are those of ``open_stream``. The frames are read twice; ``on_frame(done,
-    all)`` counts both readings, ``on_warning(text)`` is told of damage. Raises UsageError, StreamError or OSError.
+    all)`` counts both readings, ``on_warning(text)`` is called for damage. Raises UsageError, StreamError or OSError.
     """
     with open_chosen(stream, frames, strict=strict, max_memory=max_memory, on_warning=on_warning) as (opened, chosen):
         header = opened.header

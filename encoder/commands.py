@@ -41,72 +41,77 @@ def encode_main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--preset", default="standard", metavar="P", help="live, draft, standard (default), high, archive; or paper"
     )
-    parser.add_argument("--method", metavar="M", help="decogs (default), or 3dgstream: the dense baseline, slower")
     parser.add_argument(
-        "--ablate", default="", metavar="PARTS", help="leave out select, focus, gate (any, with commas)"
+        "--method", metavar="M", help="decogs (default), 3dgstream (the dense baseline, slower), or one of a package"
     )
     parser.add_argument(
-        "--selection", metavar="RULE", help="paper, weight, or one of an installed package (default: the preset's)"
+        "--ablate",
+        default="",
+        metavar="PARTS",
+        help="parts of the method to leave out: select, focus, gate (with commas)",
+    )
+    parser.add_argument(
+        "--selection",
+        metavar="RULE",
+        help="selection rule: weight, paper, or one of an installed package (default: the preset's)",
     )
     parser.add_argument(
         "--effects",
         metavar="E",
-        help="auto (default): look at the rig first, as decogs-analyze does, and build what scene and frames call for; "
-        "all; none; or names with commas, -NAME takes one away: auto,-camera_shake",
+        help="auto (default): analyse the rig as decogs-analyze does and enable the effects that scene and frames call "
+        "for; all; none; or names with commas; -NAME disables one: auto,-camera_shake",
     )
     parser.add_argument(
-        "--keyframe", metavar="OTHER.DGS", help="begin with the keyframe of an earlier encode of this rig"
+        "--keyframe", metavar="OTHER.DGS", help="start from the keyframe of an earlier encode of this rig"
     )
     parser.add_argument(
         "--segment",
         type=whole_number,
         metavar="N",
-        help="a keyframe every N frames, to seek to (default: only the first frame)",
+        help="insert a keyframe every N frames, for seeking (default: the first frame only)",
     )
     parser.add_argument(
         "--quality",
         type=number,
         metavar="Q",
-        help="0 (smallest) to 100 (most exact); 50 (default) is the preset as it is; 16 less: a change must show twice "
-        "as much to be sent, a lattice 1.19 times as coarse (with --keyframe: that one's)",
+        help="0 (smallest) to 100 (most exact), default 50: the preset. Every 16 points lower double the significance "
+        "threshold and make lattice steps 1.19 times as coarse (with --keyframe, the lattice is the keyframe's)",
     )
     parser.add_argument(
         "--bitrate",
         type=number,
         metavar="KBIT",
-        help="most kbit/s of the frames after the first, at the rig's fps",
+        help="maximum mean bitrate of the frames after the first, at the rig's frame rate",
     )
     parser.add_argument(
         "--max-mb-per-frame",
         type=number,
         metavar="MB",
-        help="the same as a mean per frame, 1 MB = 1e6 bytes; the first keyframe is not counted, later ones are",
+        help="the same as a mean per frame, 1 MB = 1e6 bytes. Later keyframes count, the first does not",
     )
-    parser.add_argument(
-        "--lossless", action="store_true", help="send every change exactly as trained, to the lattice's steps"
-    )
+    parser.add_argument("--lossless", action="store_true", help="code every change, exact to the lattice")
     parser.add_argument(
         "--time-budget",
         metavar="T",
-        help="most wall-clock time a frame after the first may take on average (1.5s/frame, 500ms/frame or 1.5), from "
-        "decoded pictures to the written packet; training is shortened to fit, so that bytes depend on the machine",
+        help="maximum mean wall-clock time of the frames after the first (1.5s/frame, 500ms/frame or 1.5), from "
+        "decoded pictures to the written packet. Training is shortened to fit, so the bytes depend on the machine",
     )
     parser.add_argument(
         "--target-psnr",
         type=number,
         metavar="DB",
-        help="end a frame's training once the training views have so many dB in its regions of interest (the first "
-        "frame's: everywhere)",
+        help="early stopping: end a frame's training once the training views reach this PSNR in its regions of "
+        "interest (the first frame: in the whole picture)",
     )
     parser.add_argument(
-        "--resume", action="store_true", help="go on with SCENE.DGS.part, or SCENE.DGS, that an encode left unfinished"
+        "--resume", action="store_true", help="continue SCENE.DGS.part, or SCENE.DGS, of an interrupted encode"
     )
     parser.add_argument(
         "--seed",
         type=whole_number,
         default=0,
         metavar="N",
-        help="same seed, same bytes (default 0), but for --time-budget",
+        help="same seed, same bytes (default 0), except with --time-budget",
     )
     parser.add_argument("--threads", type=number_of_threads, default=0, metavar="N", help="default: all processors")
     parser.add_argument(
@@ -115,8 +120,8 @@ def encode_main(arguments: Sequence[str] | None = None) -> int:
         metavar="D",
         help="auto (default), cpu or cuda (through gsplat); auto is cpu",
     )
-    parser.add_argument("--log", metavar="FILE", help="write figures per frame as JSON lines")
-    parser.add_argument("--anytime", metavar="FILE", help="write the loss of every training step as JSON lines")
+    parser.add_argument("--log", metavar="FILE", help="write each frame's figures as JSON lines")
+    parser.add_argument("--convergence-log", metavar="FILE", help="write the loss of every training step as JSON lines")
     return run(parser.prog, lambda: _encode(parser.parse_args(frames_joined(arguments))))
 
 
@@ -150,7 +155,7 @@ def _encode(options: argparse.Namespace) -> int:
         threads=options.threads,
         device=options.device,
         log=options.log,
-        anytime=options.anytime,
+        convergence_log=options.convergence_log,
         terminal=sys.stderr,
         on_warning=warn_as("decogs-encode"),
     )
@@ -196,12 +201,12 @@ def _left_out(report: EncodeReport) -> list[str]:
 
 def _rejected(report: EncodeReport) -> str:
     at = [frame.frame for frame in report.frames if frame.rejected]
-    return f"training ran away, and the scene stayed as it was in {_frames(at)}; lower the learning rates" if at else ""
+    return f"training diverged in {_frames(at)}, so the scene was kept; lower the learning rates" if at else ""
 
 
 def _uncorrected(report: EncodeReport) -> list[str]:
     return [
-        f"camera {fault} are as in the first frame from frame {frame.frame + 1} on: to correct them did not pay"
+        f"camera {fault} keep the first frame's compensation from frame {frame.frame + 1} on; a new one gained nothing"
         for frame in report.frames
         for fault in frame.uncorrected
     ]
@@ -209,7 +214,9 @@ def _uncorrected(report: EncodeReport) -> list[str]:
 
 def _overlooked(report: EncodeReport) -> str:
     at = [frame.frame for frame in report.frames if frame.overlooked]
-    return f"masks overlooked a change of most of the pictures, and all was trained in {_frames(at)}" if at else ""
+    return (
+        f"the masks missed a change of most of the pictures; every Gaussian was trained in {_frames(at)}" if at else ""
+    )
 
 
 def _frames(numbers: Sequence[int]) -> str:
@@ -247,7 +254,7 @@ def _missed_time(report: EncodeReport) -> str:
     took, trained = _mean([counted_seconds(f) for f in frames]), _mean([f.get("training", 0.0) for f in frames])
     return (
         f"frames after the first take {took:.3g} s (mean), {over:.0%} more than the {budget:.3g} asked for; "
-        f"{took - trained:.3g} s of that are masks, selection and writing, which no budget shortens; ask for more, or "
+        f"{took - trained:.3g} s of that are masks, selection and coding, whose time is fixed; ask for more, or "
         "lower --scale or --preset"
     )
 

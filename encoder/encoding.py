@@ -22,7 +22,7 @@ from .coding.rate_control import with_budget, with_lossless, with_quality
 from .coding.time_control import seconds_per_frame, with_target_psnr, with_time_budget
 from .input.imported_keyframe import KeyframeSource, read_keyframe
 from .input.ingest import Ingest, frame_span
-from .output.convergence_log import AnytimeLog
+from .output.convergence_log import ConvergenceLog
 from .output.progress import EncodeProgress
 from .output.reports import EncodeReport, OnWarning
 from .output.stream_output import open_output
@@ -64,7 +64,7 @@ def encode(
     threads: int = 0,
     device: str = "auto",
     log: str | os.PathLike[str] | None = None,
-    anytime: str | os.PathLike[str] | None = None,
+    convergence_log: str | os.PathLike[str] | None = None,
     terminal: TextIO | None = None,
     on_warning: OnWarning | None = None,
 ) -> EncodeReport:
@@ -80,7 +80,7 @@ def encode(
     first, for seconds, and builds what scene and frames call for; "all", "none", or names with commas, "-name" takes
     one away (`effects`); None is "auto" for a named preset, and for settings what they say; the baseline has none.
     ``keyframe``: an earlier stream of the same rig, first frame and held-out cameras whose keyframe is taken as it is.
-    ``segment``: frames from one keyframe to the next; later ones are told as differences from the first.
+    ``segment``: frames from one keyframe to the next; later ones are coded as differences from the first.
     ``quality``: 0 (smallest) to 100 (most exact), 50 is the preset as it is; with ``keyframe``, that of later frames.
     ``max_mb_per_frame``, in units of 1e6 bytes, or ``bitrate``, in kbit/s at the rig's frame rate: most that the frames
     after the first may take on average, keyframes among them included. ``lossless``: every change is written exactly
@@ -92,11 +92,11 @@ def encode(
     the file gets the bytes of one that was not cut off.
     ``threads``: 0 means all processors; the stream does not depend on it. ``device``: "cuda" takes gsplat
     and gives other bits every time; "auto" is the CPU. ``log``: file for JSON lines.
-    ``anytime``: file for the loss of every training step, as JSON lines; with ``resume``, both are gone on with.
-    ``terminal``: where to show a progress bar, if it is one. ``on_warning`` is told, as soon as it is found, what the
-    user should know of the rig, and of a stream or keyframe that does not show its pictures. Ctrl-C after the first
-    frame ends the stream early but whole. Raises RigError, UsageError or TrainingError; nothing is then left under the
-    output's name.
+    ``convergence_log``: file for the loss of every training step, as JSON lines; with ``resume``, both are continued.
+    ``terminal``: where to show a progress bar, if it is one. ``on_warning`` is called as soon as something is found
+    that the user should know of the rig, and of a stream or keyframe that does not show its pictures. Ctrl-C after the
+    first frame ends the stream early but whole. Raises RigError, UsageError or TrainingError; nothing is then left
+    under the output's name.
     """
     check_device(device)
     if seed < 0:
@@ -119,12 +119,12 @@ def encode(
         effects = AUTO
     ingest = Ingest(rig, holdout=held, scale=scale)
     stream = Path(output) if isinstance(output, (str, os.PathLike)) else output
-    log, anytime = (None if path is None else Path(path) for path in (log, anytime))
-    _check_outputs(stream, log, anytime, rig, source)
+    log, convergence_log = (None if path is None else Path(path) for path in (log, convergence_log))
+    _check_outputs(stream, log, convergence_log, rig, source)
     with (
         open_output(stream, resume=resume) as target,
         EncodeProgress(len(span), log, append=resume, terminal=terminal) as progress,
-        nullcontext() if anytime is None else AnytimeLog(anytime, append=resume) as curve,
+        nullcontext() if convergence_log is None else ConvergenceLog(convergence_log, append=resume) as curve,
     ):
         if effects is not None:
             settings = _with_effects(settings, effects, rig, held, span, threads, progress)
@@ -172,11 +172,12 @@ def encode(
 
 
 def _check_outputs(
-    stream: Path | BinaryIO, log: Path | None, anytime: Path | None, rig: Rig, source: KeyframeSource | None
+    stream: Path | BinaryIO, log: Path | None, convergence_log: Path | None, rig: Rig, source: KeyframeSource | None
 ) -> None:
     """Raises UsageError when the encode would write over something it reads, or twice into one file."""
     outputs = [Output("-o", stream, grows=True)]
-    outputs += [Output(name, path) for name, path in (("--log", log), ("--anytime", anytime)) if path is not None]
+    logs = {"--log": log, "--convergence-log": convergence_log}
+    outputs += [Output(name, path) for name, path in logs.items() if path is not None]
     read = [] if source is None else [(source.path, "is read, as --keyframe")]
     check_outputs(outputs, [*files_of(rig), *read])
 
@@ -220,7 +221,7 @@ def _with_effects(
     def decisions() -> Sequence[Decision]:
         look = slice(span.start, span.stop)
         found = analyse(rig, frames=look, holdout=held, threads=threads, on_step=progress.look_step)
-        progress.looked({decision.effect: decision.cameras for decision in found.decisions if decision.called_for})
+        progress.looked({decision.effect: decision.cameras for decision in found.decisions if decision.detected})
         return found.decisions
 
     cameras = [camera.name for camera in rig.cameras if camera.name not in held]

@@ -20,7 +20,7 @@ from .coding.coded_scene import Written
 from .coding.time_control import TimeControl
 from .input.imported_keyframe import KeyframeSource
 from .input.ingest import Ingest, RigFrame
-from .output.convergence_log import AnytimeLog
+from .output.convergence_log import ConvergenceLog
 from .output.frame_report import FrameReporter
 from .output.reports import FrameReport, OnKeyframeStep, OnWarning
 from .output.resume import Interrupted
@@ -51,7 +51,7 @@ class StreamEncoder:
         threads: int,
         keyframe: KeyframeSource | None = None,
         device: str = "auto",
-        convergence: AnytimeLog | None = None,
+        convergence: ConvergenceLog | None = None,
         on_warning: OnWarning | None = None,
     ) -> None:
         self._settings, self._convergence = settings, convergence
@@ -95,8 +95,8 @@ class StreamEncoder:
         held = bool(effects) and self._is_held(watch)
         trained = self._trained(now, index, settings) if effects and not held else None
         with watch.stage("write"):
-            coarseness = None if state.method.dense else settings.economy.coarseness
-            written = state.scene.code(index, trained, coarseness, corrections, whole=returned)
+            requantisation = None if state.method.dense else settings.significance.requantisation
+            written = state.scene.code(index, trained, requantisation, corrections, whole=returned)
         if state.rate is not None:
             state.rate.wrote(written.packet.kind, written.packet.size)
         effects = () if held else effects

@@ -12,7 +12,7 @@ from decogs.formats.errors import DecogsError
 from .input.imported_keyframe import KeyframeSource
 from .input.ingest import Ingest
 from .loop import StreamEncoder
-from .output.convergence_log import AnytimeLog
+from .output.convergence_log import ConvergenceLog
 from .output.reports import EncodeReport, FrameReport, OnFrame, OnKeyframeStep, OnWarning
 from .output.resume import Interrupted, check_resumable
 from .output.stream_output import FileOutput, StreamOutput, open_output
@@ -32,7 +32,7 @@ def encode_stream(
     resume: bool = False,
     on_frame: OnFrame | None = None,
     on_keyframe_step: OnKeyframeStep | None = None,
-    convergence: AnytimeLog | None = None,
+    convergence: ConvergenceLog | None = None,
     on_warning: OnWarning | None = None,
 ) -> EncodeReport:
     """Encodes frames ``span`` of the rig to ``output``; Ctrl-C after the keyframe ends the stream early but whole.

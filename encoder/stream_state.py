@@ -126,15 +126,15 @@ class StreamState:
         """The effects of a frame, none where nothing is selected, and how it is trained for them."""
         settings = self.settings
         effects = settings.frame_effects if now.change.selected.any() else ()
-        if effects and settings.ask_frames:
+        if effects and settings.detect_per_frame:
             with now.watch.stage("effects"):
                 effects, settings = enabled_effects(
                     settings, now.compensated.training, self.changes.references, now.change.masks
                 )
-        economy = settings.frame.economy
+        significance = settings.frame.significance
         if self.rate is not None:
-            economy = self.rate.economy(economy)
-        return effects, replace(settings.frame, economy=economy)
+            significance = self.rate.significance(significance)
+        return effects, replace(settings.frame, significance=significance)
 
     def settle(
         self,

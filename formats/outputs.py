@@ -147,7 +147,7 @@ class GrowingFile:
         """Closes it; what it holds stays, as ``NAME.part``."""
         if self.file.closed:
             return
-        # What the disk did not take was told of when it was written.
+        # What the disk did not take was reported when it was written.
         with suppress(OSError):
             self.file.flush()
         if not self.size:

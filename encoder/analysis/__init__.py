@@ -1,8 +1,8 @@
 """The effects a scene may call for, and how a rig's pictures tell, before any 3D model exists.
 
 Every effect is one module with one class that keeps the protocol of ``effect.py``: ``evidence`` turns the look at the
-rig into figures per camera and frame, ``decide`` turns these into a decision with its reason and cost, ``built`` and
-``left_out`` turn that into what an encode does (`building`). A new effect is one new module and one entry in
+rig into figures per camera and frame, ``decide`` turns these into a decision with its reason and cost, ``enabled`` and
+``disabled`` turn that into what an encode does (`building`). A new effect is one new module and one entry in
 ``EFFECTS``; one that a decoder has to know has its coded form in `codec`. What effects measure alike is measured once,
 by the look (``look.py``): gains of light (``light.py``), the motion of the camera (``registration.py``), what changed
 from frame to frame (``changes.py``), points that neighbouring cameras share (``matches.py``). ``frame_look.py`` says
@@ -12,7 +12,7 @@ in ``DESIGN.md``.
 
 from ..settings.effects import EFFECT_NAMES, FRAME_EFFECTS, PRESET_EFFECTS
 from .appearance_change import AppearanceChange
-from .building import AUTO, Wanted, leave_out, wanted_effects, with_effects
+from .building import AUTO, Wanted, disable, wanted_effects, with_effects
 from .camera_shake import CameraShake
 from .disappearance import Disappearance
 from .effect import Decision, Effect, Evidence
@@ -38,8 +38,8 @@ __all__ = [
     "Evidence",
     "Look",
     "Wanted",
+    "disable",
     "frame_effects",
-    "leave_out",
     "look_at",
     "wanted_effects",
     "with_effects",

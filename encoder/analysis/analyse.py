@@ -60,7 +60,7 @@ class Analysis:
             yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
 
     def to_json(self) -> dict[str, Any]:
-        """The same with every figure per camera and frame; None where nothing could be told."""
+        """The same with every figure per camera and frame; None where nothing could be determined."""
         look = self.look
         return {
             "rig": self.path,
@@ -107,12 +107,12 @@ _HEADINGS = ("effect", "called for", "sure", "evidence", "counts from", "cameras
 
 def _row(look: Look, finding: Finding) -> tuple[str, ...]:
     evidence, decision = finding.evidence, finding.decision
-    told = math.isfinite(evidence.peak)
+    known = math.isfinite(evidence.peak)
     return (
         decision.effect,
-        "yes" if decision.called_for else "no",
+        "yes" if decision.detected else "no",
         f"{decision.confidence:.0%}",
-        f"{evidence.peak:.3g} {evidence.unit}" if told else "not told",
+        f"{evidence.peak:.3g} {evidence.unit}" if known else "undetermined",
         f"{evidence.limit:g}",
         _cameras(look, decision.cameras),
         _frames(decision.frames),
@@ -137,7 +137,7 @@ def _finding_json(look: Look, finding: Finding) -> dict[str, Any]:
     evidence, decision = finding.evidence, finding.decision
     return {
         "effect": decision.effect,
-        "called_for": decision.called_for,
+        "detected": decision.detected,
         "confidence": round(decision.confidence, 3),
         "evidence": _number(evidence.peak),
         "unit": evidence.unit,

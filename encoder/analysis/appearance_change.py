@@ -43,10 +43,10 @@ class AppearanceChange:
             figures={"alone_percent": area},
         )
 
-    def built(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
+    def enabled(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
         return settings
 
-    def left_out(self, settings: EncodeSettings) -> EncodeSettings:
+    def disabled(self, settings: EncodeSettings) -> EncodeSettings:
         """Colours and opacities stay as they are."""
         rates = replace(settings.frame.rates, opacity_logits=0.0, sh_dc=0.0, sh_rest=0.0)
         return replace(settings, frame=replace(settings.frame, rates=rates))

@@ -54,7 +54,7 @@ class Arrivals:
     """How far arrivals and departures of a camera's swept areas are from balance, per frame (F,), in per cent.
 
     100 is an object that only arrived (or only left), 0 none, or one that moved. NaN for the first frame and where
-    nothing could be told.
+    nothing could be determined.
     """
 
     arrived: F64

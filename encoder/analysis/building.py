@@ -1,4 +1,4 @@
-"""What an encode builds of the effects: those that a scene calls for, or those that it is told to.
+"""What an encode builds of the effects: those that a scene calls for, or those that it is asked for.
 
 Chosen: building an effect, or leaving it out, changes settings and nothing else, in the effect's own file; training
 looks at settings only. So what is not called for is not there to cost anything, a stream's header says what was built,
@@ -31,9 +31,9 @@ class Wanted:
     added: frozenset[str] = frozenset()
     dropped: frozenset[str] = frozenset()
 
-    def names(self, called_for: Collection[str]) -> tuple[str, ...]:
+    def names(self, detected: Collection[str]) -> tuple[str, ...]:
         """In order, given those that the scene calls for; what every frame is asked for itself counts as such."""
-        bases = {AUTO: {*FRAME_EFFECTS, *called_for}, ALL: set(EFFECT_NAMES), NONE: set[str]()}
+        bases = {AUTO: {*FRAME_EFFECTS, *detected}, ALL: set(EFFECT_NAMES), NONE: set[str]()}
         names = (bases[self.base] | self.added) - self.dropped
         return tuple(name for name in EFFECT_NAMES if name in names)
 
@@ -64,31 +64,31 @@ def with_effects(
 
     fixed = wanted.base != AUTO and not set(wanted.names(())) - {*FRAME_EFFECTS, "view_dependence"}
     found = {} if fixed else {decision.effect: decision for decision in decisions()}
-    names = wanted.names([name for name, decision in found.items() if decision.called_for])
+    names = wanted.names([name for name, decision in found.items() if decision.detected])
     built = []
     for effect in EFFECTS:
-        chosen = without = effect.left_out(settings)
+        chosen = without = effect.disabled(settings)
         if effect.name in names:
             decision = found.get(effect.name)
-            if decision is not None and (not decision.called_for or _is_common(decision, cameras)):
+            if decision is not None and (not decision.detected or _is_common(decision, cameras)):
                 decision = replace(decision, cameras=tuple(cameras))
-            chosen = settings if decision is None else effect.built(settings, decision)
+            chosen = settings if decision is None else effect.enabled(settings, decision)
         if chosen != without:
             built.append(effect.name)
         settings = chosen
-    return replace(settings, effects=tuple(built), ask_frames=wanted.base == AUTO)
+    return replace(settings, effects=tuple(built), detect_per_frame=wanted.base == AUTO)
 
 
 def _is_common(decision: Decision, cameras: Sequence[str]) -> bool:
-    """Whether most cameras have a fault: then the others have it, too, though less than can be told."""
+    """Whether most cameras have a fault: then the others have it, too, though less than can be determined."""
     return decision.effect in CAMERA_EFFECTS and 2 * len(decision.cameras) > len(cameras)
 
 
-def leave_out(settings: EncodeSettings, names: Collection[str]) -> EncodeSettings:
+def disable(settings: EncodeSettings, names: Collection[str]) -> EncodeSettings:
     """``settings`` without the effects of these names: what a frame does that does not call for them."""
     from . import EFFECTS
 
     for effect in EFFECTS:
         if effect.name in names:
-            settings = effect.left_out(settings)
+            settings = effect.disabled(settings)
     return settings

@@ -42,8 +42,8 @@ class CameraShake:
             },
         )
 
-    def built(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
+    def enabled(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
         return replace(settings, corrections=replace(settings.corrections, shake=decision.cameras))
 
-    def left_out(self, settings: EncodeSettings) -> EncodeSettings:
+    def disabled(self, settings: EncodeSettings) -> EncodeSettings:
         return replace(settings, corrections=replace(settings.corrections, shake=()))

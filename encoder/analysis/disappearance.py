@@ -31,9 +31,9 @@ class Disappearance:
             cost="pruning in these frames: nothing to train, 1 bit a Gaussian before coding (estimated)",
         )
 
-    def built(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
+    def enabled(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
         return settings
 
-    def left_out(self, settings: EncodeSettings) -> EncodeSettings:
+    def disabled(self, settings: EncodeSettings) -> EncodeSettings:
         """What has become faint stays."""
         return replace(settings, frame=replace(settings.frame, prune_opacity=0.0))

@@ -24,8 +24,8 @@ class Evidence:
     """How strong an effect shows, per camera and looked-at frame.
 
     ``values`` (cameras, frames) float64 in ``unit``, in the order of the look's cameras and frames; NaN where nothing
-    could be told. A value counts from ``limit`` on. ``details``: further arrays of the same shape, by name, that the
-    decision draws on and the JSON shows.
+    could be determined. A value counts from ``limit`` on. ``details``: further arrays of the same shape, by name, that
+    the decision draws on and the JSON shows.
     """
 
     values: F64
@@ -35,9 +35,9 @@ class Evidence:
 
     @property
     def peak(self) -> float:
-        """The largest value; NaN when nothing could be told."""
-        told = self.values[np.isfinite(self.values)]
-        return float(told.max()) if told.size else float("nan")
+        """The largest value; NaN when nothing could be determined."""
+        known = self.values[np.isfinite(self.values)]
+        return float(known.max()) if known.size else float("nan")
 
     @property
     def reached(self) -> BoolArray:
@@ -46,7 +46,7 @@ class Evidence:
 
     @property
     def camera_peaks(self) -> F64:
-        """Each camera's largest value (cameras,); NaN for a camera of which nothing could be told."""
+        """Each camera's largest value (cameras,); NaN for a camera of which nothing could be determined."""
         with_floor = np.where(np.isfinite(self.values), self.values, -np.inf).max(axis=1)
         return np.asarray(np.where(np.isfinite(with_floor), with_floor, np.nan))
 
@@ -56,12 +56,12 @@ class Decision:
     """Whether a scene calls for an effect, how sure that is, where and when, why, and what it costs.
 
     ``confidence``: 0.5 when the evidence lies at its limit, 0.9 at three times or a third of it; 0 when nothing could
-    be told. ``cameras``: names. ``frames``: inclusive spans in the rig's own numbers; the first frame of a span is
+    be known. ``cameras``: names. ``frames``: inclusive spans in the rig's own numbers; the first frame of a span is
     the first whose picture differs. ``reason`` and ``cost`` are one line each. ``figures``: what an encoder needs.
     """
 
     effect: str
-    called_for: bool
+    detected: bool
     confidence: float
     cameras: tuple[str, ...]
     frames: tuple[Span, ...]
@@ -84,11 +84,11 @@ class Effect(Protocol):
         """What follows from the evidence."""
         ...
 
-    def built(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
+    def enabled(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
         """Settings of an encode that has the effect, for the cameras of the decision."""
         ...
 
-    def left_out(self, settings: EncodeSettings) -> EncodeSettings:
+    def disabled(self, settings: EncodeSettings) -> EncodeSettings:
         """Settings of an encode, or of a frame, that does nothing for the effect."""
         ...
 
@@ -138,7 +138,7 @@ def seen_together(evidence: Evidence, cameras: int = 2) -> BoolArray:
 
 
 def in_doubt(look: Look, evidence: Evidence) -> bool:
-    """Whether there were frames to compare and nothing could be told of them: every camera shakes."""
+    """Whether there were frames to compare and nothing could be determined of them: every camera shakes."""
     return len(look.frames) > 1 and not np.isfinite(evidence.peak)
 
 
@@ -159,14 +159,14 @@ def decided(
     Cameras, frames and cost are left out of one that is not. ``sure``: the confidence, where it is not that of the
     evidence alone.
     """
-    called_for = bool(counts.any())
+    detected = bool(counts.any())
     return Decision(
         effect=effect.name,
-        called_for=called_for,
+        detected=detected,
         confidence=confidence(evidence) if sure is None else sure,
         cameras=tuple(name for name, count in zip(look.names, counts, strict=True) if count),
-        frames=frames if called_for else (),
+        frames=frames if detected else (),
         reason=reason,
-        cost=cost if called_for else "nothing",
+        cost=cost if detected else "nothing",
         figures=figures or {},
     )

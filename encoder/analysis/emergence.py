@@ -39,13 +39,13 @@ class Emergence:
             cost="seeding and densification in these frames: a few tenths of a CPU-s and kB a frame (estimated)",
         )
 
-    def built(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
+    def enabled(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
         return settings
 
-    def left_out(self, settings: EncodeSettings) -> EncodeSettings:
+    def disabled(self, settings: EncodeSettings) -> EncodeSettings:
         """No seeds are sought, and no Gaussian is split."""
         frame = settings.frame
-        frame = replace(frame, grow_share=0.0, emergence=replace(frame.emergence, most=0))
+        frame = replace(frame, grow_fraction=0.0, emergence=replace(frame.emergence, max_seeds=0))
         return replace(settings, frame=frame)
 
 
@@ -61,18 +61,18 @@ def decide_by_vote(look: Look, effect: Effect, evidence: Evidence, *, what: str,
     needed = max(2, math.ceil(_LEAST_SHARE * len(look.cameras)))
     frames = seen_together(evidence, needed)
     votes = int(np.any(evidence.reached, axis=1).sum())
-    told = int(np.isfinite(evidence.values).any(axis=1).sum())
-    figures: dict[str, Any] = {"cameras_that_tell": told, "cameras_that_see_it": votes}
-    called_for = bool(frames.any())
-    sure = (votes if called_for else told - votes) / len(look.cameras)
+    known = int(np.isfinite(evidence.values).any(axis=1).sum())
+    figures: dict[str, Any] = {"cameras_that_tell": known, "cameras_that_see_it": votes}
+    detected = bool(frames.any())
+    sure = (votes if detected else known - votes) / len(look.cameras)
     return decided(
         look,
         effect,
         evidence,
         counts=np.asarray((evidence.reached & frames).any(axis=1)),
         frames=spans(look, frames),
-        reason=f"{votes} of {len(look.cameras)} cameras {what}; {told} could tell",
+        reason=f"{votes} of {len(look.cameras)} cameras {what}; {known} could tell",
         cost=cost,
-        sure=max(confidence(evidence), 0.5) * sure if told else 0.0,
+        sure=max(confidence(evidence), 0.5) * sure if known else 0.0,
         figures=figures,
     )

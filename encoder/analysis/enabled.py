@@ -8,7 +8,7 @@ from decogs.formats.splats import FloatArray
 
 from ..change.masks import FrameMask
 from ..settings.encode import EncodeSettings
-from .building import leave_out
+from .building import disable
 from .frame_look import frame_effects
 
 
@@ -26,4 +26,4 @@ def enabled_effects(
     found = frame_effects(pictures, references, masks)
     # What moves changes its shading, too: without colours workbench_drift loses half a dB where things move.
     disabled = [] if found.motion else [name for name in effects if not getattr(found, name)]
-    return tuple(name for name in effects if name not in disabled), leave_out(settings, disabled)
+    return tuple(name for name in effects if name not in disabled), disable(settings, disabled)

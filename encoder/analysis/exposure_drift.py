@@ -37,8 +37,8 @@ class ExposureDrift:
             figures={"gain": {look.names[k]: np.exp(gains[k]).tolist() for k in np.flatnonzero(drifting)}},
         )
 
-    def built(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
+    def enabled(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
         return replace(settings, corrections=replace(settings.corrections, exposure=decision.cameras))
 
-    def left_out(self, settings: EncodeSettings) -> EncodeSettings:
+    def disabled(self, settings: EncodeSettings) -> EncodeSettings:
         return replace(settings, corrections=replace(settings.corrections, exposure=()))

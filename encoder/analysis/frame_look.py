@@ -1,4 +1,4 @@
-"""What one frame brings, told from the masks' own pictures in milliseconds a view: for the encoder's loop.
+"""What one frame brings, determined from the masks' own pictures in milliseconds a view: for the encoder's loop.
 
 The measure is that of the clip (``changes.py``), on the part of each view that its mask covers, at the size the clip is
 looked at. Whatever is in doubt is motion: training positions that did not change costs time, not training those that
@@ -31,7 +31,7 @@ _LEAST_CHANGED = 4 * WINDOW_PIXELS
 class FrameEffects:
     """What a frame may bring. Without ``motion`` only colours and opacities need training.
 
-    ``emergence`` and ``disappearance`` are told over a clip, not by two pictures: any motion may bring them.
+    ``emergence`` and ``disappearance`` are determined over a clip, not from two pictures: any motion may bring them.
     """
 
     motion: bool

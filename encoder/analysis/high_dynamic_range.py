@@ -26,7 +26,7 @@ class HighDynamicRange:
     def decide(self, look: Look, evidence: Evidence) -> Decision:
         beyond = cameras_beyond(evidence)
         brightest = float(np.nan_to_num(look.brightest, nan=1.0).max())
-        told = np.isfinite(look.brightest).any()
+        known = np.isfinite(look.brightest).any()
         return decided(
             look,
             self,
@@ -34,15 +34,15 @@ class HighDynamicRange:
             counts=beyond,
             frames=spans(look, np.any(evidence.reached, axis=0)),
             reason=f"{evidence.peak:.3g} % of a picture lies beyond white, up to {brightest:.4g} times it"
-            if told
+            if known
             else "8-bit pictures end at white",
             cost="clipped at white as long as the format keeps display-referred colours: nothing",
             figures={"brightest": brightest},
         )
 
-    def built(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
+    def enabled(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
         """Told of only: a stream keeps display-referred colours, and what is brighter than white is clipped."""
         return settings
 
-    def left_out(self, settings: EncodeSettings) -> EncodeSettings:
+    def disabled(self, settings: EncodeSettings) -> EncodeSettings:
         return settings

@@ -54,7 +54,8 @@ class LensDistortion:
         beyond, error, k1 = _beyond_calibration(look)
         calibrated = np.array([_calibrated(camera) for camera in look.cameras])
         values = np.full((len(look.cameras), len(look.frames)), np.nan)
-        # Not told counts for a lens that is calibrated; a calibrated zero says nothing where the fit could not tell.
+        # Undetermined counts for a lens that is calibrated; a calibrated zero says nothing where the fit could not
+        # tell.
         values[:, 0] = np.fmax(_surely(beyond, error), np.where(calibrated > 0, calibrated, np.nan))
         details = {"k1": k1, "beyond_px": beyond, "deviation_px": error, "calibrated_px": calibrated}
         return Evidence(values, "px", _LIMIT, {name: column[:, None] for name, column in details.items()})
@@ -73,11 +74,11 @@ class LensDistortion:
             figures={"k1": {look.names[k]: float(details["k1"][k]) for k in np.flatnonzero(uncalibrated)}},
         )
 
-    def built(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
+    def enabled(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
         """What a calibration says is undone in any case; here what it does not know."""
         return replace(settings, corrections=replace(settings.corrections, lens=dict(decision.figures["k1"])))
 
-    def left_out(self, settings: EncodeSettings) -> EncodeSettings:
+    def disabled(self, settings: EncodeSettings) -> EncodeSettings:
         return replace(settings, corrections=replace(settings.corrections, lens={}))
 
 
@@ -118,9 +119,9 @@ def _beyond_calibration(look: Look) -> tuple[F64, F64, F64]:
         return beyond, error, k1
     found, deviation = fit.solve()
     kept = fit.matches_of_cameras()
-    told = (kept >= _LEAST_MATCHES) & (kept >= _LEAST_SHARE * met)
+    known = (kept >= _LEAST_MATCHES) & (kept >= _LEAST_SHARE * met)
     pixels = np.array([camera.fx for camera in look.cameras]) * fit.radii() ** 3
-    beyond[told], error[told], k1[told] = (found * pixels)[told], (deviation * pixels)[told], found[told]
+    beyond[known], error[known], k1[known] = (found * pixels)[known], (deviation * pixels)[known], found[known]
     return beyond, error, k1
 
 

@@ -1,4 +1,4 @@
-"""A camera's own gain, told from the scene's light by points of the scene that several cameras see.
+"""A camera's own gain, separated from the scene's light by points of the scene that several cameras see.
 
 At a point and frame, the change since the first frame is the sum of two: what the light there did, the same for all
 cameras that see the point, and what a camera's exposure or white balance did, the same for all its points. The
@@ -10,7 +10,7 @@ camera's own gain is what it differs by from that.
 It counts as far as at least 80 % of the camera's points share it, in one direction: gloss, a shadow on one side, what
 moves, or a wrong match differ from place to place. And the camera's whole picture must show it: where most cameras'
 pictures change alike, the median of its pixels changes by half of the gain more, in the same direction. It does not
-where the points lie on what moves. A camera that shares too few points with others is not told.
+where the points lie on what moves. A camera that shares too few points with others is undetermined.
 """
 
 from __future__ import annotations
@@ -91,8 +91,8 @@ class Light:
     """The cameras' own gains against their first frames, after what belongs to the scene; arrays (cameras, F).
 
     ``exposure``, ``white_balance``: sizes of the gain that 80 % of a camera's points share, as logarithms, NaN where
-    nothing can be told. ``gains`` (cameras, F, 3): log gains over all channels, of red over green and of blue over
-    green; ``odds`` (cameras, F, 3): shifts of the log odds of red, green and blue.
+    nothing can be determined. ``gains`` (cameras, F, 3): log gains over all channels, of red over green and of blue
+    over green; ``odds`` (cameras, F, 3): shifts of the log odds of red, green and blue.
     """
 
     exposure: F64
@@ -141,18 +141,18 @@ def light_at(pictures: U8, pixels: F64) -> F64:
     for index, picture in enumerate(pictures):
         around = picture[row, column]
         clipped = ((around < _CLIPPED) | (around > 255 - _CLIPPED)).any(axis=2).mean(axis=1)
-        told = clipped <= _MOST_CLIPPED
-        red, green, blue = np.log(_LINEAR[around[told]].mean(axis=1, dtype=np.float64)).T
-        value = around[told].mean(axis=1, dtype=np.float64) / 255
+        known = clipped <= _MOST_CLIPPED
+        red, green, blue = np.log(_LINEAR[around[known]].mean(axis=1, dtype=np.float64)).T
+        value = around[known].mean(axis=1, dtype=np.float64) / 255
         light = np.stack([(red + green + blue) / 3, red - green, blue - green], axis=1)
-        found[index, told] = np.concatenate([light, np.log(value / (1 - value))], axis=1)
+        found[index, known] = np.concatenate([light, np.log(value / (1 - value))], axis=1)
     return found
 
 
 def light_overall(pictures: U8) -> F64:
     """The change of a camera's pictures (F, H, W, 3) against the first, medians (F, 6) of `light_at` a grid of pixels.
 
-    NaN where hardly any of them can be told.
+    NaN where hardly any of them can be determined.
     """
     height, width = pictures.shape[1:3]
     row, column = (np.linspace(0, size, _GRID, endpoint=False) + size / (2 * _GRID) for size in (height, width))
@@ -160,9 +160,9 @@ def light_overall(pictures: U8) -> F64:
     changes = lights - lights[:1]
     medians = np.full((len(changes), 6), np.nan)
     for frame, change in enumerate(changes):
-        told = change[np.isfinite(change).all(axis=1)]
-        if len(told) >= _FEW:
-            medians[frame] = np.median(told, axis=0)
+        known = change[np.isfinite(change).all(axis=1)]
+        if len(known) >= _FEW:
+            medians[frame] = np.median(known, axis=0)
     return medians
 
 
@@ -176,9 +176,9 @@ def own_light(points: SharedPoints, lights: Sequence[F64], overall: Sequence[F64
     gains, shares = np.zeros(shape), np.full(shape, np.nan)
     shares[:, :1] = 0
     for frame in range(1, shape[1]):
-        told = np.isfinite(changes[frame]).all(axis=1)
+        known = np.isfinite(changes[frame]).all(axis=1)
         gains[:, frame], shares[:, frame] = _solved(
-            points.first[told], points.second[told], changes[frame, told], len(lights)
+            points.first[known], points.second[known], changes[frame, known], len(lights)
         )
     shares = _seen_overall(shares, np.stack(overall))
     exposure, balance = np.abs(shares[..., 0]), np.abs(shares[..., 1:3]).max(axis=2)
@@ -193,7 +193,7 @@ def _seen_overall(shares: F64, overall: F64) -> F64:
     Where these differ among most cameras anyway, as under light that differs from place to place, nothing is said.
     """
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # No camera is told in a frame.
+        warnings.simplefilter("ignore", RuntimeWarning)  # No camera is determined in a frame.
         own = overall - np.nanmedian(overall, axis=0)
         usual = np.nanmedian(np.abs(own), axis=0)
     needed = _OVERALL * np.abs(shares)
@@ -233,15 +233,15 @@ def _solved(first: I64, second: I64, differences: F64, cameras: int) -> tuple[F6
     gains, shares = np.zeros((cameras, 6)), np.full((cameras, 6), np.nan)
     for group in _comparable(first, second, cameras):
         inside = np.isin(first, group) & np.isin(second, group)
-        a, b, told = first[inside], second[inside], differences[inside]
+        a, b, known = first[inside], second[inside], differences[inside]
         for column in range(6):
             solved = _least_deviations(
-                np.searchsorted(group, a), np.searchsorted(group, b), told[:, column], len(group)
+                np.searchsorted(group, a), np.searchsorted(group, b), known[:, column], len(group)
             )
             gains[group, column] = solved - np.median(solved)
         for camera in group:
             here, there = a == camera, b == camera
-            own = np.concatenate([told[here] + gains[b[here]], gains[a[there]] - told[there]])
+            own = np.concatenate([known[here] + gains[b[here]], gains[a[there]] - known[there]])
             shares[camera] = _shared(own)
     return gains, shares
 

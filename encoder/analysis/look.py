@@ -84,8 +84,8 @@ def look_at(
 ) -> Look:
     """Looks at the frames (default: all) of every camera but the held-out ones.
 
-    The result does not depend on ``threads`` (0: all processors). ``on_step`` is told steps done and in all. Raises
-    UsageError for cameras or frames the rig does not have, RigError while reading.
+    The result does not depend on ``threads`` (0: all processors). ``on_step`` is called with steps done and in all.
+    Raises UsageError for cameras or frames the rig does not have, RigError while reading.
     """
     cameras, scales = _small_cameras(rig, holdout)
     span = range(rig.frame_count) if frames is None else frames
@@ -191,15 +191,15 @@ def _of_resting(noise: F64, paths: Sequence[CameraPath]) -> F64:
 
 
 def _typical(noise: F64) -> F64:
-    """Each camera's median over the frames (cameras,); where it is not told, the median of all; 0 when none is."""
-    told = noise[np.isfinite(noise)]
-    overall = float(np.median(told)) if told.size else 0.0
+    """Each camera's median over the frames (cameras,); where it is undetermined, the median of all; 0 when none is."""
+    known = noise[np.isfinite(noise)]
+    overall = float(np.median(known)) if known.size else 0.0
     rows = [row[np.isfinite(row)] for row in noise]
     return np.array([float(np.median(row)) if row.size else overall for row in rows])
 
 
 def _changes(pictures: U8, recorded: U8, noise: float, path: CameraPath) -> tuple[ChangeShares, Arrivals]:
-    """What changed from each frame to the next, and over all; nothing is told of a camera that itself moves.
+    """What changed from each frame to the next, and over all; nothing is measured for a camera that itself moves.
 
     ``pictures``: ``recorded`` without the camera's drift. What is left of that grows over frames as slow light does.
     """

@@ -86,8 +86,8 @@ def _features(camera: Camera, picture: U8) -> _Features:
     rays = (straight - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
     # Square roots of shares compare better than the descriptors themselves (Arandjelovic and Zisserman, RootSIFT).
     roots = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-9))
-    told = np.isfinite(rays).all(axis=1)
-    return _Features(pixels[told], rays[told], roots[told].astype(np.float32))
+    known = np.isfinite(rays).all(axis=1)
+    return _Features(pixels[known], rays[known], roots[known].astype(np.float32))
 
 
 def _neighbouring(cameras: Sequence[Camera]) -> list[tuple[int, int]]:

@@ -21,13 +21,13 @@ LIMIT = 0.15
 PAUSE = 2
 """Frames without evidence that do not end a span: what turns round stands still for a moment."""
 
-_WORTH_OF_LIGHT = 0.4
-"""Of what a change must be worth (`economy`), where only light changes: it is spread over many Gaussians, each of which
-hardly shows, and only together they do. candle: .0033 / .0052 / .0104 (this is .0068 of standard's .017) give 12.1 /
+_LIGHT_THRESHOLD = 0.4
+"""Factor of the significance threshold where light alone changes: the change is spread over many Gaussians, each of
+which hardly shows. candle: .0033 / .0052 / .0104 (this is .0068 of standard's .017) give 12.1 /
 10.8 / 8.0 kB a frame and, where light changes, 31.91 / 31.94 / 31.89 dB."""
 
-_PACE_OF_LIGHT = 0.6
-"""Least share of its iterations that a frame runs in which only light changes (`effort.PaceSettings`): candle takes 1.3
+_LIGHT_ITERATIONS = 0.6
+"""Smallest factor of a frame's iterations where light alone changes (`IterationSettings.min_factor`): candle takes 1.3
 CPU-s a frame instead of 1.7 and loses .02 dB where light changes."""
 
 
@@ -61,17 +61,20 @@ class Motion:
             figures={"restructured_percent": area},
         )
 
-    def built(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
+    def enabled(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
         return settings
 
-    def left_out(self, settings: EncodeSettings) -> EncodeSettings:
+    def disabled(self, settings: EncodeSettings) -> EncodeSettings:
         """Nothing is carried along, turned or resized; light alone is judged more leniently, in fewer steps."""
         frame = settings.frame
         rates = replace(frame.rates, means=0.0, log_scales=0.0, quaternions=0.0)
-        economy = replace(frame.economy, worth=_WORTH_OF_LIGHT * frame.economy.worth)
-        pace = replace(frame.pace, least=_PACE_OF_LIGHT)
+        significance = replace(frame.significance, threshold=_LIGHT_THRESHOLD * frame.significance.threshold)
+        pace = replace(frame.adaptive_iterations, min_factor=_LIGHT_ITERATIONS)
         return replace(
-            settings, frame=replace(frame, cache=None, warm_start=0.0, rates=rates, economy=economy, pace=pace)
+            settings,
+            frame=replace(
+                frame, cache=None, warm_start=0.0, rates=rates, significance=significance, adaptive_iterations=pace
+            ),
         )
 
 
@@ -87,7 +90,7 @@ def decide_by_change(
         evidence,
         counts=np.any((evidence.reached & frames) | doubt, axis=1),
         frames=spans(look, frames, gap=PAUSE),
-        reason="every camera shakes: not told, taken for granted" if doubt else reason,
+        reason="every camera shakes: undetermined, assumed" if doubt else reason,
         cost=cost,
         figures=figures,
     )

@@ -30,12 +30,13 @@ _STILL_SHARE = 0.3
 _ALIKE = 0.5
 _ROUNDS = 8
 _SMALLEST_SPREAD = 0.02
-"""Spread of displacements, in pixels, below which corners are not told apart: what noise leaves."""
+"""Spread of displacements, in pixels, below which corners cannot be known apart: what noise leaves."""
 
 
 @dataclass(frozen=True)
 class CameraPath:
-    """One camera's motion: ``displacement`` (F,) root mean square over the picture, pixels; NaN where it is not told.
+    """One camera's motion: ``displacement`` (F,) root mean square over the picture, pixels; NaN where it is
+    undetermined.
 
     ``transforms`` (F, 2, 3): a pixel of the first picture to that of frame f, centre of the first pixel at (0, 0).
     """

@@ -39,13 +39,13 @@ class SensorNoise:
             figures={"least_threshold": {name: float(t) for name, t in zip(look.names, thresholds, strict=True)}},
         )
 
-    def built(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
+    def enabled(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
         """No camera's threshold lies within its own noise; where none would, there is nothing to look for."""
         if max(decision.figures["least_threshold"].values()) <= settings.frame.masks.threshold:
-            return self.left_out(settings)
+            return self.disabled(settings)
         masks = replace(settings.frame.masks, noise_multiple=float(_MULTIPLE))
         return replace(settings, frame=replace(settings.frame, masks=masks))
 
-    def left_out(self, settings: EncodeSettings) -> EncodeSettings:
+    def disabled(self, settings: EncodeSettings) -> EncodeSettings:
         masks = replace(settings.frame.masks, noise_multiple=0.0)
         return replace(settings, frame=replace(settings.frame, masks=masks))

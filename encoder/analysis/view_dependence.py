@@ -1,10 +1,10 @@
 """Colour that depends on where it is seen from: gloss, mirrors, sheen.
 
 Points that neighbouring cameras have in common are compared in colour, after what the two cameras differ by as a
-whole. **Only the absence of view dependence can be told this way**: where views agree to a few levels, there is none.
-Where they do not, it may be gloss, or a slanted surface that is resampled otherwise, and a texture strong enough to be
-matched makes that large enough: a matte wall (in the tests) disagrees by 11 levels, a matte rendering of `workbench`
-by 9.2, the same with its gloss by 9.4, `workbench` itself by 10.2. So a yes is never surer than even.
+whole. **Only the absence of view dependence can be determined this way**: where views agree to a few levels, there is
+none. Where they do not, it may be gloss, or a slanted surface that is resampled otherwise, and a texture strong enough
+to be matched makes that large enough: a matte wall (in the tests) disagrees by 11 levels, a matte rendering of
+`workbench` by 9.2, the same with its gloss by 9.4, `workbench` itself by 10.2. So a yes is never surer than even.
 
 **The keyframe decides then.** It is trained with the preset's harmonics, and rounding (`keyframe.py`) keeps of them
 what the pictures show: on three synthetic rigs 2 to 3 of a thousand Gaussians keep any, on a recorded dome 119. Below
@@ -65,25 +65,25 @@ class ViewDependence:
         return Evidence(values, "levels", _LIMIT)
 
     def decide(self, look: Look, evidence: Evidence) -> Decision:
-        told = np.isfinite(evidence.peak)
+        known = np.isfinite(evidence.peak)
         beyond = cameras_beyond(evidence)
         return decided(
             look,
             self,
             evidence,
-            counts=beyond if told else np.ones(len(look.cameras), bool),
+            counts=beyond if known else np.ones(len(look.cameras), bool),
             frames=spans(look, np.ones(len(look.frames), bool)),
             reason=f"a tenth of what two views share differs by {evidence.peak:.1f} levels or more: gloss, or slant"
-            if told
+            if known
             else "too few points are seen by two cameras to tell: taken for granted",
             cost="9 more numbers a Gaussian to train at SH degree 1; the stream has them where the keyframe keeps some",
-            sure=min(_AT_MOST, confidence(evidence)) if beyond.any() or not told else confidence(evidence),
+            sure=min(_AT_MOST, confidence(evidence)) if beyond.any() or not known else confidence(evidence),
         )
 
-    def built(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
+    def enabled(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
         return settings
 
-    def left_out(self, settings: EncodeSettings) -> EncodeSettings:
+    def disabled(self, settings: EncodeSettings) -> EncodeSettings:
         """One colour for all directions."""
         rates = replace(settings.frame.rates, sh_rest=0.0)
         keyframe = replace(settings.keyframe, sh_degree=0)

@@ -8,7 +8,7 @@ table.
 from __future__ import annotations
 
 from ..settings.cache import CacheSettings
-from ..settings.frame import Coarseness, EconomySettings, PaceSettings
+from ..settings.frame import IterationSettings, RequantisationSteps, SignificanceSettings
 from .timing import TIMINGS
 from .variants import Question, Times, Variant
 
@@ -127,7 +127,7 @@ QUESTIONS = (
             Variant(
                 f"pace{usual:g}-{least:g}",
                 f"{usual:g}, at least {least:g}" if usual else "the same for every frame",
-                {"frame.pace": PaceSettings(usual, least=least)},
+                {"frame.adaptive_iterations": IterationSettings(usual, min_factor=least)},
             )
             for usual, least in ((0.0, 1.0), (0.1, 1.0), (0.15, 0.6), (0.15, 1.0), (0.25, 1.0))
         ),
@@ -208,12 +208,12 @@ QUESTIONS = (
         "How long what has clearly changed is mended",
         "For so many frames it stays in the region of interest, for Gaussians with that share of their weight there.",
         (
-            Variant("mend0", "never", {"frame.masks.mend_frames": 0}),
+            Variant("mend0", "never", {"frame.masks.refine_frames": 0}),
             *(
                 Variant(
                     f"mend{n}-{share:g}",
                     f"{n} frames, a share of {share:g}",
-                    {"frame.masks.mend_frames": n, "frame.selection.mend_share": share},
+                    {"frame.masks.refine_frames": n, "frame.selection.refine_fraction": share},
                 )
                 for n, share in ((4, 0.8), (8, 0.5), (8, 0.8), (16, 0.8))
             ),
@@ -258,8 +258,8 @@ QUESTIONS = (
         "Seeds for what newly appears",
         "",
         (
-            Variant("emergence-off", "off", {"frame.emergence.most": 0}),
-            Variant("emergence-on", "on, at most 2000 a frame", {"frame.emergence.most": 2000}),
+            Variant("emergence-off", "off", {"frame.emergence.max_seeds": 0}),
+            Variant("emergence-on", "on, at most 2000 a frame", {"frame.emergence.max_seeds": 2000}),
         ),
         _BOTH,
     ),
@@ -281,17 +281,22 @@ QUESTIONS = (
         "least-share",
         "Least share of the rendering weight inside the masks",
         "For the selection by weight.",
-        tuple(Variant(f"share{s:g}", f"{s:g}", {"frame.selection.least_share": s}) for s in (0.1, 0.3, 0.5, 0.65, 0.8)),
+        tuple(
+            Variant(f"share{s:g}", f"{s:g}", {"frame.selection.min_fraction": s}) for s in (0.1, 0.3, 0.5, 0.65, 0.8)
+        ),
         _BOTH,
     ),
     Question(
         "worth",
         "What a change must be worth",
         "By how much it must move a picture's summed loss to be sent; 0 sends everything. The first row sends "
-        "everything on a lattice 128 times as fine, which is as good as floats: what economy and rounding cost.",
+        "everything on a lattice 128 times as fine, which is as good as floats: what significance and rounding cost.",
         (
-            Variant("exact", "everything, unrounded", {"frame.economy": EconomySettings()}, refined=128),
-            *(Variant(f"worth{w:g}", f"{w:g}", {"frame.economy.worth": w}) for w in (0.0, 0.008, 0.017, 0.034)),
+            Variant("exact", "everything, unrounded", {"frame.significance": SignificanceSettings()}, refined=128),
+            *(
+                Variant(f"worth{w:g}", f"{w:g}", {"frame.significance.threshold": w})
+                for w in (0.0, 0.008, 0.017, 0.034)
+            ),
         ),
         _BOTH,
     ),
@@ -299,17 +304,17 @@ QUESTIONS = (
         "hold-at",
         "When changes are judged",
         "The share of stage 2 after which those that are worth too little are taken back.",
-        tuple(Variant(f"hold{h:g}", f"{h:g}", {"frame.economy.hold_at": h}) for h in (0.5, 0.6, 0.75)),
+        tuple(Variant(f"hold{h:g}", f"{h:g}", {"frame.significance.decide_at": h}) for h in (0.5, 0.6, 0.75)),
         _BOTH,
     ),
     Question(
-        "coarseness",
+        "requantisation",
         "Steps in which changes are written",
         "In lattice steps.",
         (
-            Variant("coarseness-1", "1 for all", {"frame.economy.coarseness": Coarseness()}),
-            Variant("coarseness-preset", "the preset's"),
-            Variant("coarseness-double", "twice the preset's", {"frame.economy.coarseness": Times(2)}),
+            Variant("requantisation-1", "1 for all", {"frame.significance.requantisation": RequantisationSteps()}),
+            Variant("requantisation-preset", "the preset's"),
+            Variant("requantisation-double", "twice the preset's", {"frame.significance.requantisation": Times(2)}),
         ),
         _BOTH,
     ),
@@ -317,7 +322,7 @@ QUESTIONS = (
         "grow-share",
         "Most Gaussians that a frame may add",
         "As a share of the selected.",
-        tuple(Variant(f"grow{g:g}", f"{g:g}", {"frame.grow_share": g}) for g in (0.005, 0.01, 0.02, 0.05)),
+        tuple(Variant(f"grow{g:g}", f"{g:g}", {"frame.grow_fraction": g}) for g in (0.005, 0.01, 0.02, 0.05)),
         _BOTH,
     ),
     Question(

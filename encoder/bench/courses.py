@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from decogs.formats.outputs import write_whole
 
-from ..output.convergence_log import AnytimeLog
+from ..output.convergence_log import ConvergenceLog
 from .rounding import rounded
 
 _LATER = ("cache", "joint")
@@ -40,7 +40,7 @@ class Course:
 class Recording:
     """What an encode tells of its losses: the log to give it, and the log's lines once it is over."""
 
-    log: AnytimeLog
+    log: ConvergenceLog
     lines: list[str] = field(default_factory=list)
 
 
@@ -49,7 +49,7 @@ def recorded_course() -> Iterator[Recording]:
     """A log for one encode; on disk, and removed, as the encode's own is."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "losses.jsonl"
-        with AnytimeLog(path) as log:
+        with ConvergenceLog(path) as log:
             recording = Recording(log)
             yield recording
         recording.lines = path.read_text("utf-8").splitlines()

@@ -17,7 +17,7 @@ WITHOUT = {
     for name in EFFECT_NAMES
     if name != "high_dynamic_range"
 }
-"""High dynamic range is told of, and has no part to leave out."""
+"""High dynamic range is reported, and has no part to leave out."""
 
 QUESTIONS = (
     Question(

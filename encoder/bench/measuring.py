@@ -110,7 +110,7 @@ def measure_scenes(
 def _mean(found: Sequence[FrameQuality]) -> FrameQuality:
     """The means over cameras, of those that have a value."""
     values = {f.name: [v for each in found if (v := getattr(each, f.name)) is not None] for f in fields(FrameQuality)}
-    return FrameQuality(**{name: fmean(told) if told else None for name, told in values.items()})  # type: ignore[arg-type]
+    return FrameQuality(**{name: fmean(known) if known else None for name, known in values.items()})  # type: ignore[arg-type]
 
 
 def _quality(

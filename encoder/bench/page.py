@@ -275,7 +275,7 @@ def _how(plan: Plan, results: Sequence[RigResults]) -> list[str]:
         "of the whole picture is averaged over the region.",
         "- mTV ×100: |I(t+1) − I(t)| of the rendered 8-bit pictures, mean over static pixels and channels, mean over "
         "t, times 100 (Yun 2025, its code's definition). Its authors mark static pixels by hand; where a rig ships no "
-        "masks, ours are told from the recording, so that such figures compare within this report only.",
+        "masks, ours are determined from the recording, so that such figures compare within this report only.",
         f"- LPIPS: {_about_lpips(runs)}.",
         "- Static and dynamic regions: as said at each rig; the same for all its rows; pixels in between count in "
         "neither.",

@@ -30,7 +30,7 @@ def _sweep() -> tuple[Variant, ...]:
         Variant(
             f"tau{tau:g}-r{radius:g}",
             f"τ = {tau:g}, r × {radius:g}",
-            {"frame.masks.threshold": tau, "frame.masks.radius_share": Times(radius)},
+            {"frame.masks.threshold": tau, "frame.masks.radius_fraction": Times(radius)},
             frames=SWEEP_FRAMES,
         )
         for tau in TAUS

@@ -69,7 +69,7 @@ def find_regions(rig: Rig, camera: str, frames: range, scale: float) -> Regions:
 
 
 def recorded_regions(pictures: Iterator[BytePicture]) -> Regions:
-    """Static and dynamic pixels told from what was recorded, one picture per frame."""
+    """Static and dynamic pixels determined from what was recorded, one picture per frame."""
     lowest: NDArray[np.float32] | None = None
     highest: NDArray[np.float32] | None = None
     for picture in pictures:
@@ -82,7 +82,7 @@ def recorded_regions(pictures: Iterator[BytePicture]) -> Regions:
     window = np.ones((2 * STATIC_MARGIN + 1, 2 * STATIC_MARGIN + 1), np.uint8)
     touched = cv2.dilate((span > STATIC_RANGE).astype(np.uint8), window) > 0
     about = (
-        f"told from the recorded frames: static where the 3x3 mean spans at most {STATIC_RANGE:g} levels within "
+        f"determined from the recorded frames: static where the 3x3 mean spans at most {STATIC_RANGE:g} levels within "
         f"{STATIC_MARGIN} pixels, dynamic where it spans more than {DYNAMIC_RANGE:g}"
     )
     return Regions(~touched, span > DYNAMIC_RANGE, False, about)

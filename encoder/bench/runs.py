@@ -37,7 +37,7 @@ from ..analysis import AUTO, Decision, wanted_effects, with_effects
 from ..analysis.analyse import analyse
 from ..input.imported_keyframe import read_keyframe
 from ..input.ingest import Ingest, frame_span
-from ..output.convergence_log import AnytimeLog
+from ..output.convergence_log import ConvergenceLog
 from ..output.reports import EncodeReport, FrameReport, OnKeyframeStep
 from ..settings.effects import PRESET_EFFECTS
 from ..settings.encode import EncodeSettings
@@ -196,8 +196,8 @@ class RigBench:
         wanted = wanted_effects(variant.effects)
         if wanted.base == AUTO:
             # What the scene does not call for cannot wrongly be left out.
-            called_for = {decision.effect for decision in self._decisions if decision.called_for}
-            wanted = replace(wanted, dropped=wanted.dropped & called_for)
+            detected = {decision.effect for decision in self._decisions if decision.detected}
+            wanted = replace(wanted, dropped=wanted.dropped & detected)
         cameras = [camera.name for camera in self.rig.cameras if camera.name not in self.cameras]
         return with_effects(settings, wanted, cameras, lambda: self._decisions)
 
@@ -314,7 +314,7 @@ class RigBench:
         keyframe: Path | None,
         on_frame: Callable[[], None] | None,
         on_keyframe_step: OnKeyframeStep | None,
-        anytime: AnytimeLog | None = None,
+        convergence: ConvergenceLog | None = None,
     ) -> EncodeReport:
         frames = self.frames_of(variant)
         first = frames[0]
@@ -337,7 +337,7 @@ class RigBench:
             keyframe=None if keyframe is None else read_keyframe(keyframe).refined(variant.refined),
             on_frame=None if on_frame is None else lambda _: on_frame(),
             on_keyframe_step=on_keyframe_step,
-            convergence=anytime,
+            convergence=convergence,
         )
         if report.interrupted:
             report.output.unlink(missing_ok=True)

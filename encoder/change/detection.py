@@ -112,7 +112,7 @@ class ChangeDetector:
             return np.ones(population, bool)
         selected = self._inside(used, [masks[i].changing for i in used], settings)
         if any(masks[i].mends for i in used):
-            stricter = replace(settings, least_share=settings.mend_share)
+            stricter = replace(settings, min_fraction=settings.refine_fraction)
             selected |= self._inside(used, [masks[i].dilated for i in used], stricter)
         return selected
 

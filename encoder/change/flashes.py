@@ -5,7 +5,7 @@ what was known before it is kept for some frames: when the pictures are as they 
 alone takes many frames to undo what a flash did to every Gaussian at once: on the tests' rig 22.2 dB became 18.6 at the
 flash, then 15.7, 20.4 and 20.8; now 22.2 at once.
 
-The return is written as a keyframe, told as the difference from the stream's first one. Rejected: leaving such frames
+The return is written as a keyframe, coded as the difference from the stream's first one. Rejected: leaving such frames
 out (nothing tells a flash from a lamp before the next frame), and a delta (Gaussians that went do not come back under
 their ids).
 """

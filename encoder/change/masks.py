@@ -264,7 +264,7 @@ class MaskMemory:
 
         def note(index: int) -> None:
             now, mask = current[index], masks[index]
-            if moved and self._settings.mend_frames:
+            if moved and self._settings.refine_frames:
                 self._mend(index, now)
             done = mask.dilated
             if shown is not None and self._usual is not None:
@@ -278,9 +278,9 @@ class MaskMemory:
     def _mend(self, index: int, now: FloatArray) -> None:
         """What has clearly changed in a view stays in its region of interest for some frames."""
         settings = self._settings
-        clearly = difference_mask(now, self._references[index], settings.mend_threshold)
+        clearly = difference_mask(now, self._references[index], settings.refine_threshold)
         clearly = self._grown(without_specks(clearly, settings.speck_area))
-        self._mend_until[index][clearly] = self._frame + 1 + settings.mend_frames
+        self._mend_until[index][clearly] = self._frame + 1 + settings.refine_frames
 
     def passed(self, current: Sequence[FloatArray], *, held: bool = False) -> None:
         """Tells that the frame is over, trained or not; ``held``: what changed in it is still to be trained."""

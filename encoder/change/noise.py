@@ -34,7 +34,7 @@ _OF_CHANGE = 2.0
 def frame_noise(current: FloatArray, previous: FloatArray, least: float = 0.0) -> float:
     """Standard deviation of a camera's frame-to-frame noise, in 8-bit levels, whatever moves in the pictures.
 
-    Both (3, H, W). 0 where most of the picture has changed: then there is nothing that noise could be told from.
+    Both (3, H, W). 0 where most of the picture has changed: then there is nothing that noise could be determined from.
     ``least``: a deviation below which it need not be exact.
     """
     deviation = _spread((current - previous).ravel()[::7])

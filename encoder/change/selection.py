@@ -5,8 +5,8 @@ Equations: docs/METHOD.md, "Selection".
 Both rules look at the rendering weight of each Gaussian in each view, the sum over pixels of alpha times
 transmittance, in all and inside the mask. A view weighs only the tiles that changed or that the mask meets.
 
-* ``paper``: the projected centre lies in the dilated mask in at least ``least_views`` views in which it is visible.
-* ``weight``: in the views where it is visible, more than ``least_share`` of its weight falls inside the masks. It
+* ``paper``: the projected centre lies in the dilated mask in at least ``min_views`` views in which it is visible.
+* ``weight``: in the views where it is visible, more than ``min_fraction`` of its weight falls inside the masks. It
   leaves out the background that merely stands behind moving things (encoder/DESIGN.md: 20 % selected instead of 77 %
   on `panoptic_basketball`).
 """
@@ -58,7 +58,7 @@ def by_weight(views: Sequence[ViewEvidence], settings: SelectionSettings, /) -> 
     visible = [view.weight >= settings.visible_weight for view in views]
     masked = sum(np.where(seen, view.masked_weight, 0) for seen, view in zip(visible, views, strict=True))
     total = sum(np.where(seen, view.weight, 0) for seen, view in zip(visible, views, strict=True))
-    return np.asarray(chosen & (masked > settings.least_share * total))
+    return np.asarray(chosen & (masked > settings.min_fraction * total))
 
 
 SELECTION_RULES: Registry[SelectionRule] = Registry(
@@ -89,7 +89,7 @@ def _in_enough_views(
         ((view.weight >= settings.visible_weight) & met).astype(np.int32)
         for view, met in zip(views, inside, strict=True)
     )
-    return np.asarray(votes >= min(settings.least_views, len(views)))
+    return np.asarray(votes >= min(settings.min_views, len(views)))
 
 
 def _centres_inside(centres: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.bool_]:

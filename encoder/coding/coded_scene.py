@@ -21,9 +21,9 @@ from decogs.formats.container import Packet, PacketKind
 from decogs.formats.splats import FloatArray, Splats
 
 from ..output.stream_output import StreamOutput
-from ..settings.frame import Coarseness
+from ..settings.frame import RequantisationSteps
 from ..training.method import TrainedFrame
-from .requantise import coarse_changes
+from .requantise import requantised
 
 
 @dataclass(frozen=True)
@@ -63,17 +63,17 @@ class CodedScene:
         self,
         frame: int,
         trained: TrainedFrame | None,
-        coarseness: Coarseness | None,
+        requantisation: RequantisationSteps | None,
         corrections: Corrections,
         *,
         whole: bool = False,
     ) -> Written:
         """Writes the frame, counted from the stream's first, as key, delta or skip, whichever is smallest.
 
-        ``trained``: what it changed of the state, None for nothing. ``coarseness``: of the coded changes, None for the
-        lattice's own. ``whole``: the decoder's state is not this one (`go_back`), so the frame is a keyframe.
+        ``trained``: what it changed of the state, None for nothing. ``requantisation``: of the coded changes, None for
+        the lattice's steps. ``whole``: the decoder's state is not this one (`go_back`), so the frame is a keyframe.
         """
-        delta = None if trained is None else self._delta(trained, coarseness)
+        delta = None if trained is None else self._delta(trained, requantisation)
         if delta is not None and not (len(delta.rows) or len(delta.removed) or len(delta.added)):
             delta = None
         before = self.state
@@ -107,11 +107,11 @@ class CodedScene:
         motion[now] = steps * np.asarray(self.header.lattice.means)
         return motion
 
-    def _delta(self, trained: TrainedFrame, coarseness: Coarseness | None) -> Delta:
+    def _delta(self, trained: TrainedFrame, requantisation: RequantisationSteps | None) -> Delta:
         lattice, before = self.header.lattice, take_rows(self.state, trained.kept)
         current = quantise(trained.values, lattice, near=before)
-        if coarseness is not None:
-            current = coarse_changes(before, current, coarseness)
+        if requantisation is not None:
+            current = requantised(before, current, requantisation)
         added = quantise(trained.added, lattice)
         return difference(self.state, trained.kept, current, removed=trained.removed, added=added)
 

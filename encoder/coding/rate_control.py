@@ -1,6 +1,6 @@
 """How many bytes a stream may take: a scale of qualities, and a budget that later frames keep on average.
 
-Chosen: one knob, what a change must be worth to be sent (`economy`), which the coarseness of changes goes along with.
+Chosen: one knob, the significance threshold, which the requantisation steps go along with.
 It is moved after every frame by a model of a single number: how much there is to tell, from the last packets' sizes.
 They are all it knows, and the stream holds them, so that an encode that was cut off goes on with the same bytes; the
 clip's length is not known to it, so that frames can be added. Rejected: two passes (twice the time, and none for a live
@@ -20,14 +20,14 @@ from decogs.formats.errors import UsageError
 
 from ..registry import Registry
 from ..settings.encode import EncodeSettings
-from ..settings.frame import Coarseness, EconomySettings
+from ..settings.frame import RequantisationSteps, SignificanceSettings
 from ..training.method import require_sparse
 
 NEUTRAL_QUALITY = 50.0
 """The preset as it is."""
 
 TOLERANCE = 0.05
-"""By which share of the budget the mean of a clip may be off; a miss is told beyond it."""
+"""By which share of the budget the mean of a clip may be off; a miss is reported beyond it."""
 
 _QUALITIES_PER_OCTAVE = 16.0
 _STEP_SHARE = 0.25
@@ -54,26 +54,28 @@ def with_quality(settings: EncodeSettings, quality: float) -> EncodeSettings:
 
     50 is the settings as they are. 16 less, and a change must be worth twice as much to be sent, the lattice's
     steps are 2^(1/4) times as coarse, and a bit of the keyframe must be worth 2^(1/2) times as much (it is weighed
-    against squares). Settings that send every change (``paper``, ``3dgstream``) follow with the keyframe and the
+    against squares). Settings that code every change (``paper``, ``3dgstream``) follow with the keyframe and the
     lattice only.
     """
     if not 0 <= quality <= 100:
         raise UsageError(f"--quality {quality:g}: give a number from 0 (smallest) to 100 (most exact)")
     factor = 2.0 ** ((NEUTRAL_QUALITY - quality) / _QUALITIES_PER_OCTAVE)
-    economy = replace(settings.frame.economy, worth=_rounded(settings.frame.economy.worth * factor))
-    keyframe = replace(settings.keyframe, bit_worth=_rounded(settings.keyframe.bit_worth * factor ** (2 * _STEP_SHARE)))
+    significance = replace(
+        settings.frame.significance, threshold=_rounded(settings.frame.significance.threshold * factor)
+    )
+    keyframe = replace(settings.keyframe, rd_lambda=_rounded(settings.keyframe.rd_lambda * factor ** (2 * _STEP_SHARE)))
     return replace(
         settings,
         keyframe=keyframe,
         lattice_scale=_rounded(settings.lattice_scale * factor**_STEP_SHARE),
-        frame=replace(settings.frame, economy=economy),
+        frame=replace(settings.frame, significance=significance),
     )
 
 
 def with_lossless(settings: EncodeSettings) -> EncodeSettings:
     """The same settings with every change written as it was trained, exact to the lattice, however little it shows."""
-    economy = replace(settings.frame.economy, worth=0.0, coarseness=Coarseness())
-    return replace(settings, frame=replace(settings.frame, economy=economy))
+    significance = replace(settings.frame.significance, threshold=0.0, requantisation=RequantisationSteps())
+    return replace(settings, frame=replace(settings.frame, significance=significance))
 
 
 def with_budget(settings: EncodeSettings, frame_budget: float, option: str) -> EncodeSettings:
@@ -83,9 +85,9 @@ def with_budget(settings: EncodeSettings, frame_budget: float, option: str) -> E
     """
     if not (math.isfinite(frame_budget) and frame_budget >= 1):
         raise UsageError(f"{option}: that is {frame_budget:g} bytes a frame; give at least 1")
-    require_sparse(settings, option, "sends all it trains")
-    if not settings.frame.economy.worth or settings.frame.cache is not None:
-        raise UsageError(f"{option}: these settings send every change; choose --preset draft, standard or high")
+    require_sparse(settings, option, "codes every change")
+    if not settings.frame.significance.threshold or settings.frame.cache is not None:
+        raise UsageError(f"{option}: these settings code every change; choose --preset draft, standard or high")
     return replace(settings, frame_budget=frame_budget)
 
 
@@ -101,7 +103,7 @@ class RateControl(Protocol):
     bytes.
     """
 
-    def economy(self, settings: EconomySettings, /) -> EconomySettings:
+    def significance(self, settings: SignificanceSettings, /) -> SignificanceSettings:
         """The settings for the next frame."""
         ...
 
@@ -130,13 +132,15 @@ class ContentRateControl:
         """For the next frame; 1 is the settings'."""
         return float(2.0**self._octaves)
 
-    def economy(self, settings: EconomySettings) -> EconomySettings:
-        """The settings for the next frame: its worth, and a coarseness to match."""
+    def significance(self, settings: SignificanceSettings) -> SignificanceSettings:
+        """The settings for the next frame: its worth, and a requantisation to match."""
         steps = {
             name: max(1, round(_rounded(step * self.worth**_STEP_SHARE)))
-            for name, step in vars(settings.coarseness).items()
+            for name, step in vars(settings.requantisation).items()
         }
-        return replace(settings, worth=_rounded(settings.worth * self.worth), coarseness=Coarseness(**steps))
+        return replace(
+            settings, threshold=_rounded(settings.threshold * self.worth), requantisation=RequantisationSteps(**steps)
+        )
 
     def wrote(self, kind: int, size: int) -> None:
         """Learns from a packet after the first keyframe's: ``size`` in bytes on disk.

@@ -7,21 +7,21 @@ from numpy.typing import NDArray
 
 from decogs.codec.state import Attributes, IntArray
 
-from ..settings.frame import Coarseness
+from ..settings.frame import RequantisationSteps
 
 
-def coarse_changes(before: Attributes, after: Attributes, coarseness: Coarseness) -> Attributes:
+def requantised(before: Attributes, after: Attributes, requantisation: RequantisationSteps) -> Attributes:
     """``after`` with its differences from ``before`` rounded to whole multiples, halves to the even one.
 
     Where that would leave 32 bits, the difference stays as it is.
     """
-    sh_steps = np.full((after.coefficients, 1), coarseness.sh_rest)
-    sh_steps[0] = coarseness.sh_dc
+    sh_steps = np.full((after.coefficients, 1), requantisation.sh_rest)
+    sh_steps[0] = requantisation.sh_dc
     return Attributes(
-        _coarse(before.means, after.means, coarseness.means),
-        _coarse(before.log_scales, after.log_scales, coarseness.log_scales),
-        _coarse(before.quaternions, after.quaternions, coarseness.quaternions),
-        _coarse(before.opacity_logits, after.opacity_logits, coarseness.opacity_logits),
+        _coarse(before.means, after.means, requantisation.means),
+        _coarse(before.log_scales, after.log_scales, requantisation.log_scales),
+        _coarse(before.quaternions, after.quaternions, requantisation.quaternions),
+        _coarse(before.opacity_logits, after.opacity_logits, requantisation.opacity_logits),
         _coarse(before.sh, after.sh, sh_steps),
     )
 

@@ -23,14 +23,14 @@ from ..settings.encode import EncodeSettings
 from ..training.method import require_sparse
 
 TIME_TOLERANCE = 0.05
-"""By which share of the budget the mean of a clip may be above it; a miss is told beyond it."""
+"""By which share of the budget the mean of a clip may be above it; a miss is reported beyond it."""
 
 _HORIZON = 6
 """Frames over which what was saved or overspent is made up for."""
 _ALLOWANCE_RANGE = (0.5, 2.0)
 """A single frame's time, in budgets: what was saved in a still scene is not thrown at the first frame that moves."""
 _MOST_HELD = 7
-"""Frames held in a row, a quarter of a second: a longer freeze shows nothing of what happens; a miss is told."""
+"""Frames held in a row, a quarter of a second: a longer freeze shows nothing of what happens; a miss is reported."""
 _MOST_OWED = 2.0
 """Budgets that frames may have overspent before one is held for that alone."""
 _MEMORY = 0.7

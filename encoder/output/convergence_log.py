@@ -9,7 +9,7 @@ from types import TracebackType
 from .json_lines import JsonLines
 
 
-class AnytimeLog:
+class ConvergenceLog:
     """Writes one JSON object per training step to ``path``, those of a frame when it is over.
 
     ``frame``: the rig's index; ``seconds``: since the frame's pictures were decoded; ``stage``: "keyframe", "settle"
@@ -21,9 +21,9 @@ class AnytimeLog:
 
     def __init__(self, path: Path, *, append: bool = False) -> None:
         self._frame, self._began = 0, 0.0
-        self._lines = JsonLines(path, "--anytime", append=append)
+        self._lines = JsonLines(path, "--convergence-log", append=append)
 
-    def __enter__(self) -> AnytimeLog:
+    def __enter__(self) -> ConvergenceLog:
         return self
 
     def __exit__(

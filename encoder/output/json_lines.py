@@ -1,4 +1,4 @@
-"""Figures as JSON lines, written as things happen: what ``--log`` and ``--anytime`` name."""
+"""Figures as JSON lines, written as things happen: what ``--log`` and ``--convergence-log`` name."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class JsonLines:
             if kind is None:
                 self.flush()
         finally:
-            # What it does not take any more was told of before.
+            # What it does not take any more was reported before.
             with suppress(OSError):
                 self._file.close()
 

@@ -50,12 +50,12 @@ class EncodeProgress:
             bar = self._bar or self._open_bar("looking", steps, "step")
             bar.update(step - bar.n)
 
-    def looked(self, called_for: Mapping[str, Sequence[str]]) -> None:
+    def looked(self, detected: Mapping[str, Sequence[str]]) -> None:
         """Tells what the rig calls for: the cameras of each effect."""
-        self._write({"event": "look", "called_for": {effect: list(names) for effect, names in called_for.items()}})
+        self._write({"event": "look", "detected": {effect: list(names) for effect, names in detected.items()}})
         self._close_bar()
         if self._terminal:
-            print("calls for " + (", ".join(called_for) or "nothing"), file=self._terminal)
+            print("calls for " + (", ".join(detected) or "nothing"), file=self._terminal)
 
     def keyframe_step(self, step: int, steps: int, loss: float) -> None:
         if self._terminal:
@@ -100,12 +100,12 @@ def frame_line(report: FrameReport) -> str:
     held_out = "" if report.held_out_psnr is None else f"  held out {report.held_out_psnr:6.2f} dB"
     stages = "  ".join(f"{name} {seconds:.2f} s" for name, seconds in report.seconds.items() if name != "measure")
     if report.replayed:
-        stages = "was there already"
+        stages = "replayed"
     stages += "  light alone" if report.effects == ["appearance_change"] else ""
     stages += "".join(f"  without {name}: {why}" for name, why in report.left_out.items())
     stages += "  rejected" if report.rejected else ""
-    stages += "".join(f"  corrects no more {fault}" for fault in report.uncorrected)
-    stages += "  overlooked by its masks" if report.overlooked else ""
+    stages += "".join(f"  compensation ended: {fault}" for fault in report.uncorrected)
+    stages += "  change missed by the masks" if report.overlooked else ""
     return (
         f"frame {report.frame:4d} {report.kind:5}  train {report.training_psnr:6.2f} dB{held_out}  "
         f"selected {report.selected:6.1%}  {report.bytes:8d} bytes  {stages}"

@@ -15,15 +15,17 @@ OnKeyframeStep = Callable[[int, int, float], None]
 class FrameReport:
     """One encoded frame: the rig's index, how it was coded, what it cost and how it looks.
 
-    ``bytes``: the packet's on disk. ``selected``: share of Gaussians in S_t. PSNRs in dB from the reconstructed state,
-    means over the views: ``training_psnr`` against what was trained on, cameras' own faults taken out;
-    ``held_out_psnr`` None without held-out cameras. ``seconds`` by stage, wall clock.
-    ``cpu_seconds``: processor time of all threads together, from decoded pictures to the written packet; measuring
-    (the stage "measure") is left out. ``replayed``: an earlier encode had written it. ``effects``: what it was trained
-    for; none for a first frame, a replayed one and one that is only held. ``left_out``: cameras whose pictures said
-    nothing of the frame, and why (`dropouts`). ``rejected``: training made the pictures worse, so the scene stayed as
-    it was. ``uncorrected``: faults of cameras ("cam04: colours") not corrected any more after this frame, since that
-    did not pay. ``overlooked``: masks found no change although most of the pictures had; everything was trained.
+    ``bytes``: size of the packet on disk. ``selected``: share of the Gaussians in S_t.
+    ``training_psnr``, ``held_out_psnr``: dB, means over the views, of the reconstructed state; the first against the
+    compensated pictures, the second None without held-out cameras.
+    ``seconds``: wall clock by stage. ``cpu_seconds``: processor time of all threads, from decoded pictures to the
+    written packet, without measuring (the stage "measure").
+    ``replayed``: the frame was written by an earlier encode. ``effects``: those that it was trained for; none for a
+    first frame, a replayed one and one that is only held.
+    ``left_out``: cameras without a usable picture of the frame, and why (`input.dropouts`).
+    ``rejected``: training made the pictures worse, so the scene was kept.
+    ``uncorrected``: compensation that ends with this frame because it gained nothing, such as "cam04: colours".
+    ``overlooked``: the masks found no change although most of the pictures had changed; every Gaussian was trained.
     """
 
     frame: int

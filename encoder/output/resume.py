@@ -30,8 +30,8 @@ from decogs.formats.errors import StreamError, UsageError
 from ..settings.encode import EncodeSettings
 
 _OPTIONS = {
-    "frame.economy": "--quality or --lossless",
-    "keyframe.bit_worth": "--quality",
+    "frame.significance": "--quality or --lossless",
+    "keyframe.rd_lambda": "--quality",
     "lattice": "--quality",
     "frame_budget": "--max-mb-per-frame or --bitrate",
     "time_budget": "--time-budget",
@@ -41,7 +41,7 @@ _OPTIONS = {
     "first_frame": "--frames",
     "frame.selection": "--selection or --preset",
     "effects": "--effects",
-    "ask_frames": "--effects",
+    "detect_per_frame": "--effects",
     "corrections": "--effects",
     "corrected": "--effects",
     "frame": "--preset",

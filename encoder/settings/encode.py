@@ -29,19 +29,22 @@ _USUAL = (
 
 @dataclass(frozen=True)
 class EncodeSettings:
-    """What an encode does. ``lattice_scale``: of the lattice's steps, in units of the
-    default ones; higher is smaller and less exact. ``zstd_level``: higher is slower, smaller.
+    """Everything that an encode can be set to.
 
-    ``method``: later frames follow ``frame`` ("decogs") or ``baseline`` ("3dgstream", slower). ``segment``: frames from
-    one keyframe to the next, 0 for a single keyframe; fewer is larger, and quicker to seek. Only how a frame is told
-    depends on it, not what is in it. ``frame_budget``: bytes that frames after the first may take on average (`rate`);
-    lower is less exact, None leaves it to ``frame.economy``.
-    ``time_budget``: seconds that frames after the first may take on average (`time_budget`); higher is slower, None is
-    the whole schedule. ``target_psnr``: dB at which a frame's training ends (`effort.TargetWatch`); higher is slower,
-    None is the whole schedule. ``effects``: those that are built (`effects`); fewer is faster and smaller.
-    ``ask_frames``: of these, a frame builds those that its own pictures call for, and the keyframe says how far colours
-    depend on the view; that is faster. ``corrections``: cameras whose own faults are taken out of their pictures.
-    ``rate_control``: a name in RATE_CONTROLS, which keeps the frame budget.
+    ``keyframe``, ``frame``, ``baseline``: training of the first frame, of later frames, and of later frames by the
+    dense baseline. ``method``: a name in FRAME_METHODS; "3dgstream" is slower.
+    ``lattice_scale``: the lattice's steps in units of the default ones. Higher is smaller and less exact.
+    ``zstd_level``: higher is slower and smaller.
+    ``segment``: frames from one keyframe to the next; 0: a single keyframe. Fewer is larger, and seeks faster. The
+    scene does not depend on it, only how frames are coded.
+    ``frame_budget``: mean bytes of the frames after the first, kept by ``rate_control``, a name in RATE_CONTROLS. Lower
+    is less exact; None codes what ``frame.significance`` says.
+    ``time_budget``: mean seconds of the frames after the first. Higher is slower; None runs the whole schedule.
+    ``target_psnr``: dB at which a frame's training stops. Higher is slower; None runs the whole schedule.
+    ``effects``: those that are enabled. Fewer is faster and smaller. ``detect_per_frame``: each frame enables only
+    those that its own pictures call for, and the keyframe limits view dependence to what its pictures show. That is
+    faster.
+    ``corrections``: cameras whose drift is compensated.
     """
 
     keyframe: KeyframeSettings = field(default_factory=KeyframeSettings)
@@ -55,7 +58,7 @@ class EncodeSettings:
     time_budget: float | None = None
     target_psnr: float | None = None
     effects: tuple[str, ...] = PRESET_EFFECTS
-    ask_frames: bool = False
+    detect_per_frame: bool = False
     corrections: CorrectionSettings = field(default_factory=CorrectionSettings)
     rate_control: str = "content"
 
@@ -75,8 +78,8 @@ class EncodeSettings:
         for name in ("frame_budget", "time_budget", "target_psnr"):
             if document[name] is None:
                 del document[name]
-        if (self.effects, self.ask_frames) == (PRESET_EFFECTS, False):
-            del document["effects"], document["ask_frames"]
+        if (self.effects, self.detect_per_frame) == (PRESET_EFFECTS, False):
+            del document["effects"], document["detect_per_frame"]
         if self.corrections == CorrectionSettings():
             del document["corrections"]
         for part, name, usual in _USUAL:

@@ -11,15 +11,21 @@ from .optimiser import LearningRates
 class KeyframeSettings:
     """How the keyframe is trained.
 
-    ``iterations``: more is slower and, up to the stop, better. ``cap``: most Gaussians; more is slower and larger.
-    ``sh_degree``: higher is slower and larger, better where views disagree. ``start_size``: first sigma in units of
-    the point spacing. ``grow_from``/``grow_to``: shares of the schedule in which densification runs every
-    ``grow_every`` steps, where the mean view gradient reaches ``grow_gradient``; lower grows more and is slower, up to
-    the cap. ``validation_share``: share of the tiles kept for the stop (0: no stop); the stop comes after ``patience``
-    checks without a new best, more is slower. At the end, rotations and colours, then sizes are put on the lattice, and
-    in ``settle_iterations`` more steps the rest makes up for it; more is slower. ``bit_worth``: what a bit of a
-    rotation or of a view-dependent colour must do to be written, as the square of the change of a picture's loss summed
-    over its pixels (1: one pixel from black to white); higher is smaller and less exact, 0 rounds to the nearest.
+    ``iterations``: steps. More is slower and, up to early stopping, better. ``cap``: Gaussians at most. More is slower
+    and larger. ``sh_degree``: higher is slower and larger, better where views disagree.
+    ``dissimilarity``: lambda of 3DGS's loss. ``start_opacity``: of the first Gaussians. ``start_size``: their sigma in
+    units of the point spacing.
+    ``grow_from``, ``grow_to``: shares of the schedule between which Gaussians are added, every ``grow_every`` steps,
+    where the mean view gradient reaches ``grow_gradient``. Lower adds more, up to the cap, and is slower.
+    ``prune_opacity``: Gaussians below it are removed.
+    ``validation_fraction``: share of the 16x16 tiles that are kept out of the loss for early stopping; 0 turns it off.
+    They are checked every ``validation_every`` steps; training stops after ``patience`` checks without a new best.
+    ``rates``: step sizes, ``means`` in units of the rig's extent. Those of positions fall to ``means_decay`` over the
+    schedule, the others to ``late_decay`` over its second half.
+    ``settle_iterations``: steps in which rotations and colours, then sizes, then positions are fixed on the lattice
+    while the rest adapts. More is slower.
+    ``rd_lambda``: the rate-distortion trade-off of rotations and view-dependent colours: squared change of a picture's
+    summed loss (1: one pixel from black to white) per bit. Higher is smaller and less exact; 0 rounds to the nearest.
     ``optimiser``, ``densification``: names in OPTIMISERS and DENSIFICATIONS.
     """
 
@@ -34,13 +40,13 @@ class KeyframeSettings:
     grow_every: int = 100
     grow_gradient: float = 2e-4
     prune_opacity: float = 0.005
-    validation_share: float = 0.02
+    validation_fraction: float = 0.02
     validation_every: int = 100
     patience: int = 4
     rates: LearningRates = field(default_factory=lambda: LearningRates(4e-4, 1e-2, 3e-3, 0.05, 1e-2, 5e-4))
     means_decay: float = 0.05
     late_decay: float = 0.2
     settle_iterations: int = 300
-    bit_worth: float = 2e-5
+    rd_lambda: float = 2e-5
     optimiser: str = "adam"
     densification: str = "clone-split"

@@ -13,13 +13,13 @@ from decogs.formats.errors import UsageError
 
 from .encode import EncodeSettings
 from .frame import (
-    Coarseness,
-    EconomySettings,
     EmergenceSettings,
     FrameSettings,
+    IterationSettings,
     MaskSettings,
-    PaceSettings,
+    RequantisationSteps,
     SelectionSettings,
+    SignificanceSettings,
 )
 from .keyframe import KeyframeSettings
 
@@ -38,32 +38,34 @@ _LIVE = EncodeSettings(
     frame=FrameSettings(
         masks=MaskSettings(
             threshold=10.0,
-            radius_share=0.018,
+            radius_fraction=0.018,
             speck_area=8,
             since_trained=True,
             residual=25.0,
-            mend_frames=8,
+            refine_frames=8,
             light_threshold=4.0,
         ),
         cache=None,
         joint_iterations=30,
         warm_start=0.9,
-        grow_share=0.01,
+        grow_fraction=0.01,
         beta1=0.7,
         beta2=0.99,
-        pace=PaceSettings(usual_miss=0.15),
-        economy=EconomySettings(
-            worth=0.017,
-            hold_at=0.5,
-            coarseness=Coarseness(means=1, log_scales=1, quaternions=2, opacity_logits=3, sh_dc=2, sh_rest=1),
+        adaptive_iterations=IterationSettings(usual_miss=0.15),
+        significance=SignificanceSettings(
+            threshold=0.017,
+            decide_at=0.5,
+            requantisation=RequantisationSteps(
+                means=1, log_scales=1, quaternions=2, opacity_logits=3, sh_dc=2, sh_rest=1
+            ),
         ),
-        emergence=EmergenceSettings(most_rays=500),
+        emergence=EmergenceSettings(max_rays=500),
     ),
 )
 _DRAFT = _better(
     _LIVE,
     keyframe={"iterations": 500, "cap": 40_000},
-    frame={"joint_iterations": 60, "emergence": EmergenceSettings(most_rays=2000)},
+    frame={"joint_iterations": 60, "emergence": EmergenceSettings(max_rays=2000)},
 )
 _STANDARD = _better(_DRAFT, keyframe={"iterations": 1500, "cap": 52_000}, frame={"joint_iterations": 120})
 _HIGH = _better(
@@ -74,11 +76,13 @@ _ARCHIVE = _better(
     keyframe={"iterations": 5000},
     frame={
         "joint_iterations": 400,
-        "grow_share": 0.02,
-        "economy": EconomySettings(
-            worth=0.005,
-            hold_at=0.5,
-            coarseness=Coarseness(means=1, log_scales=1, quaternions=1, opacity_logits=2, sh_dc=1, sh_rest=1),
+        "grow_fraction": 0.02,
+        "significance": SignificanceSettings(
+            threshold=0.005,
+            decide_at=0.5,
+            requantisation=RequantisationSteps(
+                means=1, log_scales=1, quaternions=1, opacity_logits=2, sh_dc=1, sh_rest=1
+            ),
         ),
     },
     lattice_scale=0.7,
@@ -91,7 +95,7 @@ PRESETS: dict[str, EncodeSettings] = {
     **dict(zip(LADDER, (_LIVE, _DRAFT, _STANDARD, _HIGH, _ARCHIVE), strict=True)),
     "paper": EncodeSettings(
         keyframe=KeyframeSettings(iterations=3000, sh_degree=1),
-        frame=FrameSettings(selection=SelectionSettings(rule="paper"), emergence=EmergenceSettings(most=0)),
+        frame=FrameSettings(selection=SelectionSettings(rule="paper"), emergence=EmergenceSettings(max_seeds=0)),
     ),
 }
 """The ladder (measured in DESIGN.md), and ``paper``: its numbers wherever it gives them, and nothing beyond it."""

@@ -42,12 +42,12 @@ from .schedule import (
     search_seconds,
 )
 from .seeding import Look, missed, seeds, worth_a_search
-from .significance import picture_share, take_back
+from .significance import picture_weight, revert_insignificant
 from .view_order import view_order
 from .warm_start import shared_displacements
 
-_RUN_AWAY = 1.5
-"""Training that raises the squared error in focus by this factor (1.8 dB) has run away; one that works lowers it."""
+_DIVERGED = 1.5
+"""Training that raises the squared error in focus by this factor (1.8 dB) has diverged; one that works lowers it."""
 
 
 _MOST_PROBES = 4
@@ -131,7 +131,7 @@ class _DeltaTraining:
             self._open_gate(work, scene)
         pace = self._stage2(work, scene, losses, masks)
         self._draw_probes(work)
-        if self._squared_error(pictures, masks) > _RUN_AWAY * before:
+        if self._squared_error(pictures, masks) > _DIVERGED * before:
             return replace(work.unchanged(scene), rejected=True), pace
         return replace(self._result(work), hurried=pace.hurry > 1), pace
 
@@ -153,10 +153,12 @@ class _DeltaTraining:
 
     def _pace(self, work: _Working, losses: Sequence[PhotometricLoss], masks: Sequence[FrameMask]) -> float:
         """How many times the iterations of stage 2 this frame gets."""
-        if not self._settings.pace.usual_miss:
+        if not self._settings.adaptive_iterations.usual_miss:
             return 1.0
         self._draw_probes(work)
-        return iteration_factor(self._settings.pace, self._errors([loss.target for loss in losses], masks))
+        return iteration_factor(
+            self._settings.adaptive_iterations, self._errors([loss.target for loss in losses], masks)
+        )
 
     def _start_warm(self, work: _Working, motion: FloatArray) -> None:
         share = np.float32(self._settings.warm_start)
@@ -196,11 +198,11 @@ class _DeltaTraining:
         masks: Sequence[FrameMask],
     ) -> Pace:
         """The Gaussians' own values, with the cache if there is one; without it, densification falls in here."""
-        settings, worth = self._settings, self._settings.economy.worth
+        settings, worth = self._settings, self._settings.significance.threshold
         rates = replace(settings.rates, means=settings.rates.means * self._extent)
         gathered, self._values = ViewGradients(len(work.rows)), []
         grow_from, grow_at = settings.joint_iterations // 4, settings.joint_iterations // 2
-        hold_at = max(grow_at + 1, round(settings.economy.hold_at * settings.joint_iterations))
+        decide_at = max(grow_at + 1, round(settings.significance.decide_at * settings.joint_iterations))
         judged = self._cache is not None or worth == 0
         pace = Pace(settings.joint_iterations, self._effort.deadline, factor=self._pace(work, losses, masks))
         target = self._target(losses, masks)
@@ -219,15 +221,17 @@ class _DeltaTraining:
                 self._gather(gathered, gradients, losses, index)
             if self._cache is not None:
                 gradients = self._through_cache(work, gradients, self._cache)
-            if pace.reaches(hold_at) and not judged:
+            if pace.reaches(decide_at) and not judged:
                 before, old, judged = work.before(scene), work.rows < len(scene), True
-                take_back(work.optimiser, before, old, worth * picture_share([losses[i] for i in self._used]))
+                revert_insignificant(
+                    work.optimiser, before, old, worth * picture_weight([losses[i] for i in self._used])
+                )
                 if target is not None:
                     target.restart()
             elif target is not None and target.saw(index, self._watch[index].rgb):
                 if judged:
                     break
-                pace.skip_to(hold_at)
+                pace.skip_to(decide_at)
             if pace.position > grow_at and self._has_fallen_flat(step):
                 break
             late = settings.late_decay ** max(0.0, 2 * pace.position / settings.joint_iterations - 1)
@@ -297,7 +301,7 @@ class _DeltaTraining:
         """Adds Gaussians to ``work`` where the gradient asks for them, and takes those away that have become faint."""
         settings = self._settings
         faint = work.selected & (opacities_of(work.base) < settings.prune_opacity)
-        room = min(int(settings.grow_share * work.selected.sum()), self._most - work.population + int(faint.sum()))
+        room = min(int(settings.grow_fraction * work.selected.sum()), self._most - work.population + int(faint.sum()))
         growth = DENSIFICATIONS.get(settings.densification)(
             work.base,
             view_gradients.mean(),
@@ -333,7 +337,7 @@ class _DeltaTraining:
             self._add_emerging(work, losses, masks, self._used)
             return
         began = time.perf_counter()
-        guess = search_seconds(self._settings.emergence.most_rays, len(self._used))
+        guess = search_seconds(self._settings.emergence.max_rays, len(self._used))
         share = self._stream.search.affords(self._effort.deadline - began, guess)
         if share:
             looked, rays = search_of(share, len(self._used))
@@ -367,7 +371,7 @@ class _DeltaTraining:
     ) -> Splats:
         """Seeds of it; a few views tell whether to look at all of them."""
         settings = self._settings.emergence
-        if settings.most <= 0:
+        if settings.max_seeds <= 0:
             return empty_splats(work.base.sh_degree)
         looks: dict[int, Look] = {}
         misses: list[NDArray[np.bool_]] = []
@@ -378,7 +382,7 @@ class _DeltaTraining:
                     misses.append(missed(looks[index], settings))
             if not worth_a_search(misses, settings):
                 return empty_splats(work.base.sh_degree)
-        fewer = replace(settings, most_rays=max(1, round(rays * settings.most_rays)))
+        fewer = replace(settings, max_rays=max(1, round(rays * settings.max_rays)))
         return seeds([looks[i] for i in views], fewer, work.base.sh_degree, threads=self._threads)
 
     def _look(self, work: _Working, index: int, target: FloatArray, mask: FrameMask) -> Look:

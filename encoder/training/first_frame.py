@@ -38,7 +38,7 @@ def train_first_frame(
 ) -> tuple[State, Lattice]:
     """The keyframe's Gaussians on the lattice that suits them; gives the ingest its near planes.
 
-    Where a camera shakes, first points are sought again once a short training has told how it stood. Where frames are
+    Where a camera shakes, first points are sought again once a short training has shown how it stood. Where frames are
     asked for their effects, so is this one, for view dependence. Raises RigError for a black picture and TrainingError
     where training fails.
     """
@@ -78,7 +78,7 @@ def train_first_frame(
             effort=effort,
         )
     values = quantise(trained.splats, trained.lattice)
-    state, _ = keyframe_state(as_far_as_shown(values) if settings.ask_frames else values)
+    state, _ = keyframe_state(as_far_as_shown(values) if settings.detect_per_frame else values)
     return state, trained.lattice
 
 

@@ -32,7 +32,7 @@ from .densification import DENSIFICATIONS, ViewGradients, opacities_of
 from .losses import whole_picture_loss
 from .optimiser import OPTIMISERS
 from .schedule import WHOLE, Effort, TargetWatch
-from .significance import cheapest, picture_share
+from .significance import cheapest, picture_weight
 from .view_order import view_order
 
 _CORRECT_EVERY, _CORRECT_FROM, _CORRECT_TO = 0.04, 0.05, 0.6
@@ -43,7 +43,7 @@ _SCOUTING = 100
 """Steps after which a turned camera's pose is known to a twentieth of a pixel."""
 
 OnStep = Callable[[int, int, float], None]
-"""Told the step (from 1), the number of steps planned and the training loss."""
+"""Called with the step (from 1), the number of steps planned and the training loss."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ def scouted_pictures(
 
     For a second search for first points: what a turned camera sees agrees with no other one to the pixel.
     """
-    short = replace(settings, iterations=_SCOUTING, validation_share=0.0, settle_iterations=0)
+    short = replace(settings, iterations=_SCOUTING, validation_fraction=0.0, settle_iterations=0)
     random = np.random.default_rng(seed)
     training = _KeyframeTraining(kernel, views, pictures, points, short, 1.0, random, corrector, WHOLE)
     training.run(None)
@@ -146,7 +146,7 @@ class _KeyframeTraining:
         self._recorded, self._corrector = pictures, corrector
         self._lattice_scale = lattice_scale
         self._extent = scene_extent(views) or 1.0
-        counted = [_counted(view, settings.validation_share, random) for view in views]
+        counted = [_counted(view, settings.validation_fraction, random) for view in views]
         self._losses = [
             whole_picture_loss(picture, c, settings.dissimilarity) for picture, c in zip(pictures, counted, strict=True)
         ]
@@ -171,7 +171,7 @@ class _KeyframeTraining:
         return TrainedKeyframe(splats, lattice, steps, stopped, self._training_psnr(splats))
 
     def _check_learnt(self, splats: Splats) -> None:
-        """Raises TrainingError when training has run away: no view draws anything, or the loss is what it was."""
+        """Raises TrainingError when training has diverged: no view draws anything, or the loss is what it was."""
         count = len(self._views)
         rounds = [sum(self._values[i : i + count]) for i in range(0, len(self._values) - count + 1, count)]
         if not len(splats):
@@ -179,7 +179,7 @@ class _KeyframeTraining:
         if len(rounds) > 1 and rounds[-1] >= rounds[0]:
             raise TrainingError(
                 f"the keyframe's loss went from {rounds[0] / count:.3f} to {rounds[-1] / count:.3f}, so training has "
-                "run away; lower the learning rates"
+                "diverged; lower the learning rates"
             )
 
     def _train(self, on_step: OnStep | None) -> tuple[int, bool]:
@@ -194,7 +194,11 @@ class _KeyframeTraining:
             step += 1
             if on_step:
                 on_step(step, self._planned, loss)
-            if settings.validation_share and step % settings.validation_every == 0 and step > settings.iterations // 2:
+            if (
+                settings.validation_fraction
+                and step % settings.validation_every == 0
+                and step > settings.iterations // 2
+            ):
                 score = self.validation_psnr(step)
                 if score > best:
                     best, waited = score, 0
@@ -234,8 +238,8 @@ class _KeyframeTraining:
 
     def _judged(self, lattice: Lattice) -> Attributes:
         """Lattice points: rotations and view-dependent colours as far as they show, the rest the nearest."""
-        splats, bit = self._optimiser.splats, self._settings.bit_worth
-        points, share = quantise(splats, lattice), np.float32(picture_share(self._losses))
+        splats, bit = self._optimiser.splats, self._settings.rd_lambda
+        points, share = quantise(splats, lattice), np.float32(picture_weight(self._losses))
         quaternions, sh = (self._optimiser.gradient_size(name) / share for name in ("quaternions", "sh"))
         row, largest = np.arange(len(splats)), np.abs(splats.quaternions).argmax(axis=1)
         # In units of the lattice, which makes the largest component one.

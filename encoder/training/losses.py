@@ -57,7 +57,7 @@ class PhotometricLoss:
 
 
 def require_finite(value: LossValue, camera: Camera) -> None:
-    """Raises TrainingError for the loss of a later frame that has run away."""
+    """Raises TrainingError for the loss of a later frame that has diverged."""
     if not math.isfinite(value.total):
         raise TrainingError(f"the loss of camera {camera.name} is {value.total}; lower the rates")
 

@@ -27,10 +27,10 @@ from numpy.typing import NDArray
 
 from decogs.formats.splats import FloatArray
 
-from ..settings.frame import PaceSettings
+from ..settings.frame import IterationSettings
 
 OnLoss = Callable[[str, int, float], None]
-"""Told the stage, the iteration within it (from 0) and the loss of the view that it drew."""
+"""Called with the stage, the iteration within it (from 0) and the loss of the view that it drew."""
 
 LEAST_STEPS = 12
 """Steps that a stage runs however late it is: fewer follow nothing, and cost hardly less than these."""
@@ -51,7 +51,8 @@ class Effort:
     """What ends a frame's training early, and who watches it; all None is the whole schedule.
 
     ``deadline``: when training is to be over, in seconds of ``time.perf_counter``; the result then depends on the
-    machine. ``target_psnr``: what suffices (`TargetWatch`), in dB; higher is slower. ``on_loss``: told every step.
+    machine. ``target_psnr``: what suffices (`TargetWatch`), in dB; higher is slower. ``on_loss``: called for every
+    step.
     """
 
     deadline: float | None = None
@@ -70,7 +71,7 @@ WHOLE = Effort()
 """The whole schedule, unwatched."""
 
 
-def iteration_factor(settings: PaceSettings, errors: Sequence[FloatArray]) -> float:
+def iteration_factor(settings: IterationSettings, errors: Sequence[FloatArray]) -> float:
     """How many times the usual iterations a frame runs.
 
     ``errors``: of some views in their regions of interest, (3, pixels) each, colours 0 to 1.
@@ -79,7 +80,7 @@ def iteration_factor(settings: PaceSettings, errors: Sequence[FloatArray]) -> fl
     if not (settings.usual_miss and pixels):
         return 1.0
     missed = sum(int((np.abs(each).max(axis=0) > _CLEARLY).sum()) for each in errors)
-    return float(np.clip(missed / pixels / settings.usual_miss, settings.least, settings.most))
+    return float(np.clip(missed / pixels / settings.usual_miss, settings.min_factor, settings.max_factor))
 
 
 class Pace:

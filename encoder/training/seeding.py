@@ -68,7 +68,7 @@ def _missed(look: Look, levels: float) -> BoolArray:
 def worth_a_search(masks: Sequence[BoolArray], settings: EmergenceSettings) -> bool:
     """Whether ``masks`` of missed pixels hold more than a tiny share of their pictures."""
     missing = sum(int(mask.sum()) for mask in masks)
-    return missing > settings.least_share * sum(mask.size for mask in masks)
+    return missing > settings.min_fraction * sum(mask.size for mask in masks)
 
 
 def seeds(looks: Sequence[Look], settings: EmergenceSettings, sh_degree: int, *, threads: int = 1) -> Splats:
@@ -78,13 +78,13 @@ def seeds(looks: Sequence[Look], settings: EmergenceSettings, sh_degree: int, *,
     """
     with side_by_side(threads) as each:
         cores = list(each(lambda look: missed(look, settings), looks))
-        if settings.most <= 0 or not worth_a_search(cores, settings):
+        if settings.max_seeds <= 0 or not worth_a_search(cores, settings):
             return empty_splats(sh_degree)
         search = _Search(looks, cores, settings, each)
-        step = max(1, -(-sum(int(core.sum()) for core in cores) // settings.most_rays))
+        step = max(1, -(-sum(int(core.sum()) for core in cores) // settings.max_rays))
         rays = [np.flatnonzero(core)[index % step :: step] for index, core in enumerate(cores)]
         found = list(each(search.along_rays, range(len(cores)), rays))
-    return _splats(_thinned(_confirmed(found, step), settings.most), cores, settings, sh_degree)
+    return _splats(_thinned(_confirmed(found, step), settings.max_seeds), cores, settings, sh_degree)
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,7 @@ class _Search:
     ) -> tuple[IntArray, IntArray]:
         """Those of the samples that the masks of nearly all other views which see them hold."""
         settings = self._settings
-        allowed = settings.missing_share * len(self._looks)
+        allowed = settings.missing_fraction * len(self._looks)
         seen = np.ones(len(ray), np.int64)
         misses = np.zeros(len(ray), np.int64)
         for other in _far_first(index, len(self._looks)):
@@ -189,7 +189,7 @@ class _Search:
             misses += inside & ~hit
             keep = misses <= allowed
             ray, place, seen, misses = ray[keep], place[keep], seen[keep], misses[keep]
-        keep = (misses <= settings.missing_share * seen) & (seen - misses >= settings.least_views)
+        keep = (misses <= settings.missing_fraction * seen) & (seen - misses >= settings.min_views)
         return ray[keep], place[keep]
 
     def _disagreements(
@@ -218,7 +218,7 @@ class _Search:
             rendered = look.depth.ravel()[at]
             before[inside] += (rendered <= 0) | (depth[inside] < (1 - self._settings.in_front / 2) * rendered)
             seen[inside] += 1
-        enough = seen >= self._settings.least_views - 1
+        enough = seen >= self._settings.min_views - 1
         return [_mean_of_best(each, seen, enough) for each in differences], enough & (before >= 0.7 * seen)
 
 

@@ -32,12 +32,12 @@ _COMMONEST = 256
 """Candidates of a channel: every number that rotations and colours on a lattice have, a bound for any others."""
 
 
-def picture_share(losses: Sequence[PhotometricLoss]) -> float:
+def picture_weight(losses: Sequence[PhotometricLoss]) -> float:
     """What a loss summed over pixels is in units of these losses, which are means, most of them over a focus."""
     return float(np.mean([loss.emphasis / loss.target[0].size for loss in losses]))
 
 
-def take_back(optimiser: Optimiser, before: Splats, old: NDArray[np.bool_], worth: float) -> None:
+def revert_insignificant(optimiser: Optimiser, before: Splats, old: NDArray[np.bool_], worth: float) -> None:
     """Changes since ``before`` that are worth too little go back, and their numbers are held from now on.
 
     ``before`` (M) has the optimiser's rows; those that are not ``old`` (M,) are new and keep what they have. ``worth``

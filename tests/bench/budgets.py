@@ -73,7 +73,7 @@ class WorkClock:
             (frame_training._DeltaTraining, "_errors", lambda out, *rest: 0.05 * sum(each.shape[1] for each in out)),
             (frame_training._DeltaTraining, "_loss", lambda _, trainer, picture, *rest: 0.003 * picture[0].size),
             (frame_training._DeltaTraining, "_densify", lambda _, trainer, work, *rest: 2000 + 1.0 * len(work.rows)),
-            (frame_training, "take_back", lambda _, optimiser, *rest: 0.2 * len(optimiser.splats)),
+            (frame_training, "revert_insignificant", lambda _, optimiser, *rest: 0.2 * len(optimiser.splats)),
             (frame_training, "missed", lambda _, look, *rest: 0.005 * look.depth.size),
             (emergence._Search, "__init__", lambda _, search, looks, *rest: 0.1 * sum(x.depth.size for x in looks)),
             (

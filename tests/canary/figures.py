@@ -67,7 +67,7 @@ def measure(name: str, preset_name: str, rig: Path, folder: Path) -> dict[str, A
 def effects_of(rig: Path) -> list[str]:
     """What the rig as a whole is found to call for."""
     analysis = analyse(rig, holdout=[HELD_OUT], threads=2)
-    return [decision.effect for decision in analysis.decisions if decision.called_for]
+    return [decision.effect for decision in analysis.decisions if decision.detected]
 
 
 def all_figures(folder: Path, *, keyframes: bool = False) -> dict[str, Any]:

@@ -27,7 +27,7 @@ def key(state) -> Packet:
 
 
 def referring_key(state, first) -> Packet:
-    """A keyframe told as the difference from the first one, which must be the smaller way."""
+    """A keyframe coded as the difference from the first one, which must be the smaller way."""
     packet = Packet(PacketKind.KEY, state.frame, write_key(state, first=first, level=3).payload)
     assert refers_to_first(packet)
     return packet

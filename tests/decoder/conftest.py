@@ -112,7 +112,7 @@ SEGMENT = 5
 
 
 def write_segments(path: Path) -> SmallStream:
-    """Four segments of five frames, later keyframes told as differences from the first; things move, come and go."""
+    """Four segments of five frames, later keyframes coded as differences from the first; things move, come and go."""
     lattice = default_lattice(2.0)
     header = StreamHeader(cameras=some_cameras(), lattice=lattice, sh_degree=1, fps=25.0)
     first, _ = keyframe_state(quantise(some_splats(1600), lattice))

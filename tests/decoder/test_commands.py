@@ -232,7 +232,7 @@ def test_info_tells_keyframes_that_refer_to_the_first(segmented_stream, capsys) 
     assert info_main([str(segmented_stream.path)]) == 0
     printed = capsys.readouterr().out
     assert printed.count(" key* ") == 3
-    assert "key*: told as the difference from the first keyframe" in printed
+    assert "key*: coded as the difference from the first keyframe" in printed
 
 
 def test_errors_are_one_line_and_exit_code_2(small_stream, tmp_path: Path, capsys) -> None:

@@ -282,7 +282,7 @@ keyframe, frame = json.loads(sys.argv.pop(1))
 start = PRESETS["draft"]
 PRESETS["child"] = replace(
     start,
-    keyframe=replace(start.keyframe, iterations=keyframe, cap=500, validation_share=0.0),
+    keyframe=replace(start.keyframe, iterations=keyframe, cap=500, validation_fraction=0.0),
     frame=replace(start.frame, joint_iterations=frame),
 )
 sys.exit(encode_main())

@@ -18,7 +18,7 @@ from decogs.decoder.commands import decode_main, export_main, info_main
 from decogs.encoder import PRESETS, EncodeSettings
 from decogs.encoder.analysis.commands import analyze_main
 from decogs.encoder.commands import encode_main
-from decogs.encoder.settings.frame import EconomySettings
+from decogs.encoder.settings.frame import SignificanceSettings
 
 ROOT = Path(__file__).parents[2]
 DOCS = sorted((ROOT / "docs").glob("*.md"))
@@ -52,7 +52,9 @@ def at_the_rig(tiny_rig: Any, tiny_settings: EncodeSettings, tmp_path: Path, mon
     short = replace(
         tiny_settings,
         keyframe=replace(tiny_settings.keyframe, iterations=20, cap=300, settle_iterations=4),
-        frame=replace(tiny_settings.frame, cache=None, economy=EconomySettings(worth=0.02, hold_at=0.5)),
+        frame=replace(
+            tiny_settings.frame, cache=None, significance=SignificanceSettings(threshold=0.02, decide_at=0.5)
+        ),
     )
     for name in PRESETS:
         monkeypatch.setitem(PRESETS, name, short)

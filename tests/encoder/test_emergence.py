@@ -136,7 +136,7 @@ def test_a_change_of_light_on_old_surfaces_needs_no_seeds(kernel: TrainingKernel
     changed = looks(kernel, relit(whole), whole)
     assert worth_a_search([missed(look, SETTINGS) for look in changed], SETTINGS)
     # At the silhouette a pixel's mean depth is of neither surface: some rays are fooled (27), at most 2 %.
-    assert len(seeds(changed, SETTINGS, 0)) < 0.02 * SETTINGS.most_rays
+    assert len(seeds(changed, SETTINGS, 0)) < 0.02 * SETTINGS.max_rays
 
 
 def test_what_disappears_needs_no_seeds(kernel: TrainingKernel, wall: Splats) -> None:
@@ -178,7 +178,7 @@ def test_one_pixel_wide_edges_do_not_count(appeared: list[Look]) -> None:
 
 @pytest.mark.parametrize("most", [0, 1, 60])
 def test_there_are_never_more_than_asked_for(appeared: list[Look], most: int) -> None:
-    found = seeds(appeared, replace(SETTINGS, most=most), 0)
+    found = seeds(appeared, replace(SETTINGS, max_seeds=most), 0)
     assert len(found) <= most
     assert len(found) >= 0.3 * most
 
@@ -198,7 +198,7 @@ def trained(kernel: TrainingKernel, wall: Splats, shown: Splats, emergence: Emer
     views = [View(camera, camera, None) for camera in cameras()]
     pictures = [kernel.forward(shown, view.pinhole).rgb for view in views]
     everywhere = np.ones((HEIGHT, WIDTH), bool)
-    settings = FrameSettings(cache=None, joint_iterations=40, grow_share=0.0, emergence=emergence)
+    settings = FrameSettings(cache=None, joint_iterations=40, grow_fraction=0.0, emergence=emergence)
     box = (np.full(3, -3.0), np.full(3, 3.0))
     watch = [FixedView(kernel, view.pinhole) for view in views]
     for watching in watch:
@@ -228,7 +228,7 @@ def trained(kernel: TrainingKernel, wall: Splats, shown: Splats, emergence: Emer
 def test_a_trained_frame_shows_the_new_object(kernel: TrainingKernel, wall: Splats) -> None:
     shown = join_splats(wall, sphere())
     added, error = trained(kernel, wall, shown, SETTINGS)
-    none, without = trained(kernel, wall, shown, replace(SETTINGS, most=0))
+    none, without = trained(kernel, wall, shown, replace(SETTINGS, max_seeds=0))
     assert len(none) == 0
     assert len(added) > 100
     assert error < 0.25 * without  # 6 dB

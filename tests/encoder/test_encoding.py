@@ -53,9 +53,9 @@ def test_auto_looks_at_the_rig_first_and_builds_what_it_calls_for(
     )
     look, start, *_ = (json.loads(line) for line in log.read_text().splitlines())
     assert look["event"] == "look"
-    assert not {"motion", "appearance_change", "emergence", "disappearance"} & look["called_for"].keys()
-    assert tiny_rig.held_out not in {name for names in look["called_for"].values() for name in names}
-    assert start["settings"]["ask_frames"] is True, "a frame may still bring what the clip did not show"
+    assert not {"motion", "appearance_change", "emergence", "disappearance"} & look["detected"].keys()
+    assert tiny_rig.held_out not in {name for names in look["detected"].values() for name in names}
+    assert start["settings"]["detect_per_frame"] is True, "a frame may still bring what the clip did not show"
     assert "looking" in screen.getvalue()
     assert "calls for " in screen.getvalue()
     with pytest.raises(UsageError, match="3dgstream has none of them"):
@@ -121,7 +121,7 @@ def test_options_have_the_commands_names() -> None:
     assert {"frames", "scale", "holdout", "preset", "seed", "threads", "device", "log"} <= options
     assert {"method", "ablate", "selection", "keyframe", "segment", "resume"} <= options
     assert {"quality", "bitrate", "max_mb_per_frame", "lossless"} <= options
-    assert {"time_budget", "target_psnr", "anytime"} <= options
+    assert {"time_budget", "target_psnr", "convergence_log"} <= options
     assert inspect.signature(encode_rig).parameters["preset"].default in PRESETS
 
 
@@ -170,8 +170,8 @@ def test_the_method_of_the_settings_holds_unless_another_is_asked_for(
         ({"bitrate": 0}, "--bitrate 0: that is 0 bytes a frame; give at least 1"),
         ({"max_mb_per_frame": -1}, "--max-mb-per-frame -1: that is -1e[+]06 bytes a frame; give at least 1"),
         ({"max_mb_per_frame": float("inf")}, "--max-mb-per-frame inf: that is inf bytes a frame"),
-        ({"preset": "paper", "bitrate": 900}, "--bitrate 900: these settings send every change; choose --preset draft"),
-        ({"method": "3dgstream", "bitrate": 900}, "--bitrate 900: --method 3dgstream sends all it trains; drop one"),
+        ({"preset": "paper", "bitrate": 900}, "--bitrate 900: these settings code every change; choose --preset draft"),
+        ({"method": "3dgstream", "bitrate": 900}, "--bitrate 900: --method 3dgstream codes every change; drop one"),
         ({"time_budget": "soon"}, "--time-budget soon: that is no time; write 1.5s/frame"),
         ({"time_budget": 0}, "--time-budget 0: that is no time"),
         ({"target_psnr": 0}, "--target-psnr 0: give decibels above 0 and at most 100, such as 30"),

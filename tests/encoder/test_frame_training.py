@@ -13,7 +13,7 @@ from decogs.encoder.change.masks import FrameMask
 from decogs.encoder.input.ingest import Ingest
 from decogs.encoder.rasterise import FixedView, TrainingKernel
 from decogs.encoder.settings.cache import CacheSettings
-from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings, PaceSettings
+from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings, IterationSettings
 from decogs.encoder.training.delta import DeltaTrainer
 from decogs.encoder.training.method import TrainedFrame
 from decogs.encoder.training.schedule import LEAST_STEPS, Effort
@@ -25,7 +25,7 @@ from one_frame import delta_trainer, train
 BOX = (np.array([-3.0, -3.0, -1.0]), np.array([3.0, 3.0, 1.0]))
 CACHE = CacheSettings(levels=4, features=2, table_log2=8, base_resolution=4, hidden_width=16, learning_rate=5e-3)
 MOVING = FrameSettings(
-    cache=CACHE, cache_iterations=30, joint_iterations=30, grow_share=0.0, emergence=EmergenceSettings(most=0)
+    cache=CACHE, cache_iterations=30, joint_iterations=30, grow_fraction=0.0, emergence=EmergenceSettings(max_seeds=0)
 )
 DIRECT = replace(MOVING, cache=None)
 NOTHING = replace(MOVING, cache=replace(CACHE, learning_rate=0.0), cache_iterations=1, joint_iterations=0)
@@ -125,7 +125,7 @@ def test_the_cache_alone_moves_and_turns_and_touches_nothing_else(case: Case) ->
 
 
 def test_results_depend_on_the_seed_and_not_on_threads(case: Case) -> None:
-    settings = replace(MOVING, grow_share=0.5, grow_gradient=0.0)
+    settings = replace(MOVING, grow_fraction=0.5, grow_gradient=0.0)
     one, five, other = (case.train(settings, **o) for o in ({"threads": 1}, {"threads": 5}, {"seed": 1}))
     assert len(one.added) > 0
     assert bits(one.values) + bits(one.added) == bits(five.values) + bits(five.added)
@@ -142,7 +142,7 @@ def test_the_warm_start_carries_the_last_displacement_on(case: Case) -> None:
 def grown(case: Case, *, everywhere: bool, **settings: Any) -> TrainedFrame:
     scene = take_splats(case.scene, np.arange(len(case.scene)))
     scene.log_scales[case.selected] = np.log(0.05)  # above 1 % of the extent: split, not cloned
-    chosen = replace(NOTHING, grow_share=1.0, grow_gradient=0.0, prune_opacity=0.0, **settings)
+    chosen = replace(NOTHING, grow_fraction=1.0, grow_gradient=0.0, prune_opacity=0.0, **settings)
     return replace(case, scene=scene).train(chosen, everywhere=everywhere)
 
 
@@ -167,7 +167,7 @@ def test_one_view_with_the_place_in_its_focus_is_enough(case: Case) -> None:
     masks[3] = case.masks(everywhere=True)[3]
     scene = take_splats(case.scene, np.arange(len(case.scene)))
     scene.log_scales[case.selected] = np.log(0.05)
-    settings = replace(NOTHING, grow_share=1.0, grow_gradient=0.0, prune_opacity=0.0)
+    settings = replace(NOTHING, grow_fraction=1.0, grow_gradient=0.0, prune_opacity=0.0)
     frame = replace(case, scene=scene).train(settings, masks=masks)
     np.testing.assert_array_equal(frame.added.means, free.added.means)
     assert (frame.added.means != bound.added.means).any()
@@ -175,8 +175,8 @@ def test_one_view_with_the_place_in_its_focus_is_enough(case: Case) -> None:
 
 def test_growth_is_limited_by_gradient_and_share(case: Case) -> None:
     assert len(grown(case, everywhere=True).added) == 25
-    for limits, most in (({"grow_share": 0.2}, 5), ({"grow_gradient": 1e9}, 0)):
-        chosen = replace(NOTHING, **({"grow_share": 1.0, "grow_gradient": 0.0} | limits))
+    for limits, most in (({"grow_fraction": 0.2}, 5), ({"grow_gradient": 1e9}, 0)):
+        chosen = replace(NOTHING, **({"grow_fraction": 1.0, "grow_gradient": 0.0} | limits))
         assert len(case.train(chosen).added) == most
 
 
@@ -257,7 +257,7 @@ def test_without_the_gate_everything_moves_and_momentum_lasts(case: Case) -> Non
 
 def test_without_the_focus_the_masks_are_not_in_the_loss(case: Case) -> None:
     def with_masks(settings: FrameSettings, everywhere: bool) -> bytes:
-        return bits(case.train(replace(settings, grow_share=0.0), everywhere=everywhere).values)
+        return bits(case.train(replace(settings, grow_fraction=0.0), everywhere=everywhere).values)
 
     plain = replace(DIRECT, ablated=("focus",))
     assert with_masks(plain, True) == with_masks(plain, False)
@@ -290,7 +290,11 @@ def test_training_ends_when_the_loss_no_longer_falls(case: Case) -> None:
 
 def test_what_the_scene_misses_at_its_start_makes_a_frame_longer_or_shorter(case: Case) -> None:
     def steps(pictures: list[np.ndarray], usual_miss: float) -> int:
-        trainer = case.trainer(replace(DIRECT, pace=PaceSettings(usual_miss=usual_miss, least=0.5, most=2.0)))
+        trainer = case.trainer(
+            replace(
+                DIRECT, adaptive_iterations=IterationSettings(usual_miss=usual_miss, min_factor=0.5, max_factor=2.0)
+            )
+        )
         return steps_of(case, trainer, pictures)
 
     shown = [TrainingKernel(2).forward(case.scene, view.pinhole).rgb for view in case.ingest.views]

@@ -91,7 +91,7 @@ def test_first_gaussians_are_round_and_have_colour_opacity_and_size_of_their_poi
 
 def test_training_learns_the_pictures(case: Case) -> None:
     before = mean_psnr(TrainingKernel(2), splats_from_points(points(), SHORT), case.views, case.pictures)
-    result = trained(case, replace(SHORT, iterations=200, validation_share=0.0))
+    result = trained(case, replace(SHORT, iterations=200, validation_fraction=0.0))
     after = mean_psnr(TrainingKernel(2), result.splats, case.views, case.pictures)
     assert after > before + 3.0
     assert result.training_psnr == pytest.approx(after, abs=1e-9)
@@ -122,7 +122,7 @@ def test_transparent_gaussians_are_pruned(case: Case) -> None:
 def test_three_noisy_views_overfit_and_the_kept_back_tiles_say_when_to_stop(tmp_path: Path, tiny_rig: Any) -> None:
     case = case_of(tiny_rig.write(tmp_path / "noisy", frames=[0], noise=40.0), ["cam01", "cam03"])
     assert len(case.views) == 3
-    settings = replace(SHORT, iterations=500, cap=2000, validation_share=0.1, patience=3)
+    settings = replace(SHORT, iterations=500, cap=2000, validation_fraction=0.1, patience=3)
     stopped = trained(case, settings, first=points(2000))
     to_the_end = trained(case, replace(settings, patience=10**6), first=points(2000))
     assert stopped.stopped_early
@@ -156,7 +156,7 @@ def test_an_early_stop_goes_back_to_the_best_state(case: Case, monkeypatch: pyte
 
 
 def test_without_kept_back_tiles_there_is_no_stop(case: Case) -> None:
-    result = trained(case, replace(SHORT, validation_share=0.0, patience=1))
+    result = trained(case, replace(SHORT, validation_fraction=0.0, patience=1))
     assert (result.steps, result.stopped_early) == (60, False)
 
 
@@ -175,7 +175,7 @@ class Listening(TrainingKernel):
 @pytest.mark.parametrize(("degree", "expected"), [(0, [0] * 40), (3, [0] * 10 + [1] * 10 + [2] * 10 + [3] * 10)])
 def test_sh_degree_rises_by_one_each_quarter(case: Case, degree: int, expected: list[int]) -> None:
     kernel = Listening()
-    settings = replace(SHORT, iterations=40, sh_degree=degree, validation_share=0.0, settle_iterations=0)
+    settings = replace(SHORT, iterations=40, sh_degree=degree, validation_fraction=0.0, settle_iterations=0)
     result = train_keyframe(kernel, case.views, case.pictures, points(), settings, seed=0)
     assert kernel.degrees[:40] == expected
     assert result.splats.sh.shape[1] == (degree + 1) ** 2
@@ -201,7 +201,7 @@ def moves(drawn: list[np.ndarray]) -> np.ndarray:
     return np.array([np.abs(after - before).mean() for before, after in pairwise(drawn)])
 
 
-STEADY = replace(SHORT, validation_share=0.0, grow_gradient=1e9, prune_opacity=0.0)
+STEADY = replace(SHORT, validation_fraction=0.0, grow_gradient=1e9, prune_opacity=0.0)
 
 
 def test_positions_go_ever_shorter_ways(case: Case) -> None:
@@ -265,7 +265,7 @@ def test_steps_are_reported(case: Case) -> None:
 
 
 def test_all_but_opacities_end_on_the_lattice_one_after_the_other(case: Case) -> None:
-    nearest = replace(SHORT, bit_worth=0.0)
+    nearest = replace(SHORT, rd_lambda=0.0)
     result, before = trained(case, nearest), trained(case, replace(nearest, settle_iterations=0))
     on_lattice = dequantise(quantise(result.splats, result.lattice), result.lattice)
     rounded = dequantise(quantise(before.splats, before.lattice), before.lattice)
@@ -282,11 +282,11 @@ def test_all_but_opacities_end_on_the_lattice_one_after_the_other(case: Case) ->
 
 def test_bits_of_rotations_and_view_dependent_colours_must_be_worth_it(case: Case) -> None:
     points, shiny = {}, replace(SHORT, rates=replace(SHORT.rates, sh_rest=0.02))
-    for bit_worth in (0.0, 1e-4, 1e4):
-        result = trained(case, replace(shiny, bit_worth=bit_worth))
-        points[bit_worth] = quantise(result.splats, result.lattice)
+    for rd_lambda in (0.0, 1e-4, 1e4):
+        result = trained(case, replace(shiny, rd_lambda=rd_lambda))
+        points[rd_lambda] = quantise(result.splats, result.lattice)
         for name in ("quaternions", "sh"):
-            on_lattice = dequantise(points[bit_worth], result.lattice)
+            on_lattice = dequantise(points[rd_lambda], result.lattice)
             np.testing.assert_array_equal(getattr(result.splats, name), getattr(on_lattice, name))
     nearest, judged = points[0.0], points[1e-4]
     np.testing.assert_array_equal(judged.sh[:, 0], nearest.sh[:, 0], "base colours show everywhere")

@@ -118,8 +118,8 @@ def test_what_clearly_changed_is_trained_on_for_some_frames_where_no_other_view_
     for name, frames, share in (("never", 0, 0.8), ("two frames", 2, 0.8), ("for none's weight", 2, 1.0)):
         frame = replace(
             tiny_settings.frame,
-            masks=replace(masks, mend_frames=frames),
-            selection=replace(tiny_settings.frame.selection, mend_share=share),
+            masks=replace(masks, refine_frames=frames),
+            selection=replace(tiny_settings.frame.selection, refine_fraction=share),
         )
         encoded = encode(rig, settings=replace(tiny_settings, frame=frame), keyframe=moving.path)
         check_promise(decoded(encoded.path), encoded.selected)
@@ -137,7 +137,7 @@ def test_the_promise_holds_with_the_papers_selection_removals_and_no_cache(
         cache=None,
         joint_iterations=20,
         prune_opacity=0.12,
-        grow_share=0.3,
+        grow_fraction=0.3,
     )
     encoded = encode(moving_rig, settings=replace(tiny_settings, frame=frame), holdout=[])
     frames = decoded(encoded.path)
@@ -270,7 +270,7 @@ def test_segments_change_how_frames_are_told_and_not_what_is_in_them(
         for name in (*ATTRIBUTES, "ids"):
             np.testing.assert_array_equal(getattr(frame.state, name), getattr(state, name))
     assert frames[2].refers_to_first
-    assert frames[2].packet_bytes < frames[0].packet_bytes / 4, "what has not changed is not told again"
+    assert frames[2].packet_bytes < frames[0].packet_bytes / 4, "what has not changed is undetermined again"
     assert [report.kind for report in cut.report.frames][::2] == ["key", "key"]
     assert [report.costs for report in cut.report.frames] == [frame.costs for frame in frames]
     with open_stream(cut.path) as opened:

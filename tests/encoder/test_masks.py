@@ -64,7 +64,7 @@ def test_radius_zero_gives_the_mask_itself_as_a_copy() -> None:
 def test_radius_scales_with_the_width() -> None:
     assert MaskSettings().radius(1352) == 48  # the paper's
     assert MaskSettings().radius(352) == 12
-    assert MaskSettings(radius_share=0.0).radius(1352) == 0
+    assert MaskSettings(radius_fraction=0.0).radius(1352) == 0
 
 
 def test_frame_masks_of_a_moved_square() -> None:
@@ -87,15 +87,15 @@ def test_specks_are_kept_unless_asked_for() -> None:
     before = np.zeros((3, 40, 40), np.float32)
     now = before.copy()
     now[:, 3, 3] = now[:, 20, 20] = now[:, 21, 21] = now[:, 22, 22] = 1.0  # one pixel, and a diagonal of three
-    kept = frame_masks([now], [before], MaskSettings(radius_share=0.0))[0].raw
+    kept = frame_masks([now], [before], MaskSettings(radius_fraction=0.0))[0].raw
     assert kept.sum() == 4
-    cleaned = frame_masks([now], [before], MaskSettings(radius_share=0.0, speck_area=2))[0].raw
+    cleaned = frame_masks([now], [before], MaskSettings(radius_fraction=0.0, speck_area=2))[0].raw
     np.testing.assert_array_equal(np.argwhere(cleaned), [[20, 20], [21, 21], [22, 22]])
     assert not without_specks(kept, 4).any()
 
 
 def test_a_change_too_slow_for_the_threshold_adds_up_until_it_is_seen() -> None:
-    settings = MaskSettings(threshold=10.0, radius_share=0.0)
+    settings = MaskSettings(threshold=10.0, radius_fraction=0.0)
     for since_trained, expected in ((False, [0, 0, 0, 0]), (True, [0, 0, 1, 0])):
         chosen = replace(settings, since_trained=since_trained)
         memory, seen = MaskMemory([np.zeros((3, 8, 8), np.float32)], chosen), []
@@ -114,7 +114,7 @@ def test_only_the_region_of_interest_takes_over_the_new_picture() -> None:
     before, now = np.zeros((3, 4, 4), np.float32), np.ones((3, 4, 4), np.float32)
     raw, dilated = np.zeros((4, 4), bool), np.zeros((4, 4), bool)
     dilated[1:3] = True
-    memory = MaskMemory([before], MaskSettings(since_trained=True, radius_share=0))
+    memory = MaskMemory([before], MaskSettings(since_trained=True, radius_fraction=0))
     memory.trained([now], [FrameMask(raw, dilated)], moved=True)
     memory.passed([now])
     np.testing.assert_array_equal(memory.masks([now], [now])[0].raw, ~dilated)
@@ -128,7 +128,7 @@ def test_what_was_got_wrong_is_mended_where_the_picture_has_changed_before() -> 
     expected = np.zeros((12, 12), bool)
     expected[2:5, 2:5] = True
     for residual, found in ((0.0, np.zeros((12, 12), bool)), (25.0, expected), (26.0, np.zeros((12, 12), bool))):
-        memory = MaskMemory([picture], MaskSettings(residual=residual, radius_share=0))
+        memory = MaskMemory([picture], MaskSettings(residual=residual, radius_fraction=0))
         assert not memory.masks([picture], [wrong])[0].raw.any()
         memory.trained([picture], [FrameMask(changed, changed)], moved=True)
         np.testing.assert_array_equal(memory.masks([picture], [wrong])[0].raw, found)
@@ -139,7 +139,9 @@ def test_where_something_moved_what_clearly_changed_stays_in_focus_for_some_fram
     still = np.zeros((3, 8, 8), np.float32)
     now = still.copy()
     now[:, 2, 2], now[:, 5, 5] = 40 / 255, 15 / 255  # clearly, and just seen
-    settings = MaskSettings(threshold=10.0, radius_share=0.0, since_trained=True, mend_frames=2, mend_threshold=25.0)
+    settings = MaskSettings(
+        threshold=10.0, radius_fraction=0.0, since_trained=True, refine_frames=2, refine_threshold=25.0
+    )
     memory, focus = MaskMemory([still], settings), []
     for _ in range(4):
         mask = memory.masks([now], [now])[0]
@@ -153,7 +155,7 @@ def test_where_something_moved_what_clearly_changed_stays_in_focus_for_some_fram
 
 def test_what_is_being_mended_has_not_changed() -> None:
     still, now = np.zeros((3, 8, 8), np.float32), np.ones((3, 8, 8), np.float32)
-    memory = MaskMemory([still], MaskSettings(since_trained=True, mend_frames=1))
+    memory = MaskMemory([still], MaskSettings(since_trained=True, refine_frames=1))
     memory.trained([now], memory.masks([now], [now]), moved=True)
     memory.passed([now])
     mask = memory.masks([now], [now])[0]
@@ -165,7 +167,7 @@ def test_what_is_being_mended_has_not_changed() -> None:
 
 def test_a_copy_of_the_memory_keeps_what_it_was_mending() -> None:
     still, now = np.zeros((3, 8, 8), np.float32), np.ones((3, 8, 8), np.float32)
-    memory = MaskMemory([still], MaskSettings(since_trained=True, mend_frames=1))
+    memory = MaskMemory([still], MaskSettings(since_trained=True, refine_frames=1))
     before = memory.copy()
     memory.trained([now], memory.masks([now], [now]), moved=True)
     assert not before.masks([still], [still])[0].dilated.any()
@@ -176,7 +178,7 @@ def test_faint_light_counts_after_a_frame_in_which_only_light_changed(moved: boo
     before = np.full((3, 40, 40), 0.5, np.float32)
     lit = before.copy()
     lit[:, 10:30, 10:30] += 6 / 255
-    memory = MaskMemory([before], MaskSettings(threshold=10.0, radius_share=0.0, light_threshold=4.0))
+    memory = MaskMemory([before], MaskSettings(threshold=10.0, radius_fraction=0.0, light_threshold=4.0))
     assert not memory.masks([lit], [lit])[0].dilated.any(), "nothing is known of the light yet"
     memory.trained([before], memory.masks([before], [before]), moved=moved)
     expected = np.zeros((40, 40), bool)
@@ -195,7 +197,9 @@ def test_light_that_falls_slowly_over_much_of_the_picture_counts_while_something
     now = RNG.normal(0.5, 1.5 / 255, (3, 120, 160)).astype(np.float32)
     now[:, :, : round(share * 160)] -= 6 / 255
     now[:, 40:70, 100:130] += 0.3
-    settings = MaskSettings(threshold=10.0, radius_share=0.018, speck_area=8, since_trained=True, light_threshold=4.0)
+    settings = MaskSettings(
+        threshold=10.0, radius_fraction=0.018, speck_area=8, since_trained=True, light_threshold=4.0
+    )
     memory = MaskMemory([before], settings)
     memory.trained([before], memory.masks([before], [before]), moved=True)
     mask = memory.masks([now], [now])[0]
@@ -232,10 +236,10 @@ def test_noise_is_measured_beside_what_moves(deviation: float) -> None:
 def test_a_noisy_camera_gets_a_threshold_of_its_own() -> None:
     quiet, noisy = (RNG.normal(128, d, (2, 3, 60, 80)).astype(np.float32) / 255 for d in (1.0, 8.0))
     now, before = [quiet[0], noisy[0]], [quiet[1], noisy[1]]
-    shares = [m.raw.mean() for m in frame_masks(now, before, MaskSettings(threshold=10.0, radius_share=0))]
+    shares = [m.raw.mean() for m in frame_masks(now, before, MaskSettings(threshold=10.0, radius_fraction=0))]
     assert shares[0] < 0.001
     assert shares[1] > 0.5
-    aware = MaskSettings(threshold=10.0, radius_share=0, noise_multiple=5.0)
+    aware = MaskSettings(threshold=10.0, radius_fraction=0, noise_multiple=5.0)
     assert all(m.raw.mean() < 0.001 for m in frame_masks(now, before, aware))
 
 
@@ -265,7 +269,7 @@ def test_unfit_input_is_refused() -> None:
         difference_mask(picture, picture[:, :3], 25.0)
     with pytest.raises(ValueError, match=r"shorter|longer"):
         frame_masks([picture], [], MaskSettings())
-    for bad in ({"threshold": -1.0}, {"radius_share": float("nan")}, {"speck_area": -1}, {"noise_multiple": -1}):
+    for bad in ({"threshold": -1.0}, {"radius_fraction": float("nan")}, {"speck_area": -1}, {"noise_multiple": -1}):
         with pytest.raises(UsageError, match=next(iter(bad))):
             MaskSettings(**bad)  # type: ignore[arg-type]
 

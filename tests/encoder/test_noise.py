@@ -54,9 +54,9 @@ CHANGES = {
 def test_a_change_of_most_of_the_picture_is_no_noise(name: str, deviation: float) -> None:
     scene = texture()
     before, now = recorded(scene, deviation), recorded(CHANGES[name](scene), deviation)
-    settings = MaskSettings(threshold=10.0, radius_share=0.0)
+    settings = MaskSettings(threshold=10.0, radius_fraction=0.0)
     plain = MaskMemory([before], settings).masks([now], [before])[0].raw.mean()
-    aware = MaskSettings(threshold=10.0, radius_share=0.0, noise_multiple=6.0)
+    aware = MaskSettings(threshold=10.0, radius_fraction=0.0, noise_multiple=6.0)
     assert plain > 0.5
     assert MaskMemory([before], aware).masks([now], [before])[0].raw.mean() == plain
 
@@ -105,7 +105,7 @@ def test_an_encode_loses_nothing_of_it_to_the_noise_threshold(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Training views within 1 dB of the same encode without the threshold."""
-    monkeypatch.setattr(SensorNoise, "left_out", lambda self, settings: settings)
+    monkeypatch.setattr(SensorNoise, "disabled", lambda self, settings: settings)
     rig = write_rig("arc", tmp_path / "rig")
     for path in sorted(rig.glob("cam*/*.png")):
         if int(path.stem):

@@ -39,7 +39,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-@pytest.mark.parametrize("option", ["output", "log", "anytime"])
+@pytest.mark.parametrize("option", ["output", "log", "convergence_log"])
 @pytest.mark.parametrize("named", ["rig.json", "cam03/0001.png", "cam99.mp4", "link", "other"])
 def test_files_of_the_rig_are_never_written_over(
     moving_rig: Path, tiny_settings: Any, tmp_path: Path, option: str, named: str
@@ -50,7 +50,7 @@ def test_files_of_the_rig_are_never_written_over(
     (rig / "link").symlink_to(rig / "cam03" / "0002.png")
     (rig / "other").hardlink_to(rig / "rig.json")
     before = contents(tmp_path)
-    with pytest.raises(UsageError, match=f"(-o|--log|--anytime) .*{named}: .*; name another file"):
+    with pytest.raises(UsageError, match=f"(-o|--log|--convergence-log) .*{named}: .*; name another file"):
         encode_rig(rig, **({"output": tmp_path / "x.dgs"} | {option: rig / named}), preset=tiny_settings)
     assert contents(tmp_path) == before
 
@@ -72,7 +72,7 @@ def test_an_analysis_writes_over_no_file_of_the_rig(
     [
         ({"log": "x.dgs"}, "--log .*x.dgs: -o is written there, too"),
         ({"log": "x.dgs.part"}, "--log .*x.dgs.part: -o is written there, too"),
-        ({"log": "l", "anytime": "l"}, "--anytime .*l: --log is written there, too"),
+        ({"log": "l", "convergence_log": "l"}, "--convergence-log .*l: --log is written there, too"),
         ({"log": "key.dgs"}, "--log .*key.dgs: is read, as --keyframe; name another file"),
         ({"output": "key.dgs"}, "-o .*key.dgs: is read, as --keyframe; name another file"),
     ],
@@ -129,12 +129,12 @@ def test_logs_are_gone_on_with_by_resume_and_begun_anew_without(
     moving: Any, moving_rig: Path, tiny_rig: Any, tiny_settings: Any, tmp_path: Path
 ) -> None:
     given = {"holdout": tiny_rig.held_out, "preset": tiny_settings, "keyframe": moving.path, "frames": ":2"}
-    given |= {"log": tmp_path / "log", "anytime": tmp_path / "anytime"}
+    given |= {"log": tmp_path / "log", "convergence_log": tmp_path / "convergence_log"}
     events = []
     for resume in (False, True, False):
         encode_rig(moving_rig, tmp_path / "x.dgs", resume=resume, **given)
         events.append([json.loads(line)["event"] for line in (tmp_path / "log").read_text().splitlines()])
-        assert (tmp_path / "anytime").read_text().count("\n") == 20, "what resumed trained nothing"
+        assert (tmp_path / "convergence_log").read_text().count("\n") == 20, "what resumed trained nothing"
     assert events == [["start", "frame", "frame", "end"], [*events[0], "start", "end"], events[0]]
 
 
@@ -196,7 +196,7 @@ def test_a_full_disk_is_named_with_what_to_do_and_what_is_there_stays(
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
-@pytest.mark.parametrize("option", ["log", "anytime"])
+@pytest.mark.parametrize("option", ["log", "convergence_log"])
 def test_a_log_that_cannot_be_written_is_named(
     moving: Any, moving_rig: Path, tiny_rig: Any, tiny_settings: Any, tmp_path: Path, option: str
 ) -> None:

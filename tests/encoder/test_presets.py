@@ -14,7 +14,7 @@ import pytest
 
 from decogs.encoder import PRESETS, EncodeSettings
 from decogs.encoder.settings.cache import CacheSettings
-from decogs.encoder.settings.frame import Coarseness
+from decogs.encoder.settings.frame import RequantisationSteps
 from decogs.encoder.settings.presets import LADDER, preset
 from decogs.encoder.training.method import FRAME_METHODS
 from decogs.formats.errors import UsageError
@@ -55,12 +55,12 @@ SLOWER = {
     "keyframe.cap": +1,
     "keyframe.sh_degree": +1,
     "frame.joint_iterations": +1,
-    "frame.grow_share": +1,
-    "frame.emergence.most_rays": +1,
-    "frame.economy.worth": -1,
-    "frame.economy.coarseness.quaternions": -1,
-    "frame.economy.coarseness.opacity_logits": -1,
-    "frame.economy.coarseness.sh_dc": -1,
+    "frame.grow_fraction": +1,
+    "frame.emergence.max_rays": +1,
+    "frame.significance.threshold": -1,
+    "frame.significance.requantisation.quaternions": -1,
+    "frame.significance.requantisation.opacity_logits": -1,
+    "frame.significance.requantisation.sh_dc": -1,
     "lattice_scale": -1,
 }
 """Which way the settings' own docstrings call slower or larger, and better."""
@@ -84,7 +84,7 @@ def test_each_preset_is_the_one_before_with_some_settings_made_better(faster: st
     for path, value, holder in changed:
         assert (value - before[path]) * SLOWER[path] > 0, f"{path} goes the wrong way from {faster} to {slower}"
         said = inspect.getdoc(type(holder)) or ""
-        assert path.rsplit(".", 1)[-1] in said or type(holder) is Coarseness, f"{path} says nothing of itself"
+        assert path.rsplit(".", 1)[-1] in said or type(holder) is RequantisationSteps, f"{path} says nothing of itself"
         assert re.search(r"slower|larger|smaller", said), f"{type(holder).__name__} does not say which way is slower"
     assert {"keyframe.iterations", "frame.joint_iterations"} <= {path for path, _, _ in changed}
 
@@ -98,7 +98,7 @@ def test_paper_holds_the_papers_numbers() -> None:
     """docs/METHOD.md: the DecoGS paper's defaults, and 3DGStream's released cache where the paper is silent."""
     paper = PRESETS["paper"].frame
     assert (paper.masks.threshold, paper.masks.radius(1352), paper.masks.speck_area) == (25.0, 48, 0)
-    assert (paper.selection.rule, paper.selection.least_views) == ("paper", 2)
+    assert (paper.selection.rule, paper.selection.min_views) == ("paper", 2)
     assert (paper.cache_iterations, paper.joint_iterations) == (150, 100)
     assert (paper.grow_gradient, paper.focus.dissimilarity) == (1e-4, 0.2)
     assert not paper.carry_cache
@@ -111,6 +111,6 @@ def test_paper_holds_the_papers_numbers() -> None:
 
 def test_the_papers_preset_has_nothing_beyond_the_paper() -> None:
     frame = PRESETS["paper"].frame
-    assert (frame.emergence.most, frame.warm_start, frame.selection.rule) == (0, 0.0, "paper")
+    assert (frame.emergence.max_seeds, frame.warm_start, frame.selection.rule) == (0, 0.0, "paper")
     assert (frame.cache_iterations, frame.joint_iterations, frame.masks.threshold) == (150, 100, 25.0)
     assert frame.cache == CacheSettings()

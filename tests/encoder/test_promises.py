@@ -43,7 +43,7 @@ def test_a_scene_grows_no_further_than_the_stream_allows(
 ) -> None:
     """STABILITY.md: clones and splits of later frames stop at 1.25 times the keyframe's Gaussians."""
     assert method.MAX_GROWTH == 1.25
-    frame = replace(tiny_settings.frame, emergence=EmergenceSettings(most=0), grow_gradient=0.0, grow_share=1.0)
+    frame = replace(tiny_settings.frame, emergence=EmergenceSettings(max_seeds=0), grow_gradient=0.0, grow_fraction=1.0)
     given = {"settings": replace(tiny_settings, frame=frame), "keyframe": moving.path}
     first = len(moving.states[0])
     assert max(map(len, encode(moving_rig, **given).states)) > 1.02 * first
@@ -65,12 +65,12 @@ def test_a_distorted_rig_says_so_in_its_header(encode: Any, lens_rig: Path, movi
 
 def test_the_largest_component_of_a_keyframes_rotations_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """However little a rotation shows: without it, nothing would say which way the Gaussian is turned."""
-    monkeypatch.setattr(keyframe, "picture_share", lambda _: 1.0)
+    monkeypatch.setattr(keyframe, "picture_weight", lambda _: 1.0)
     splats = Splats(*(np.zeros((10, *shape), np.float32) for shape in ((3,), (3,), (4,), (), (1, 3))))
     splats.quaternions[:, 0] = 1
     splats.quaternions[9] = [0.1, -0.9, 0.2, 0.3]
     optimiser = SimpleNamespace(splats=splats, gradient_size=lambda name: np.zeros_like(getattr(splats, name)))
-    stub: Any = SimpleNamespace(_optimiser=optimiser, _settings=SimpleNamespace(bit_worth=1.0), _losses=[])
+    stub: Any = SimpleNamespace(_optimiser=optimiser, _settings=SimpleNamespace(rd_lambda=1.0), _losses=[])
     lattice = default_lattice(1.0)
     one, judged = round(1 / lattice.quaternions), keyframe._KeyframeTraining._judged(stub, lattice).quaternions
     np.testing.assert_array_equal(judged[:9], [[one, 0, 0, 0]] * 9)

@@ -23,7 +23,7 @@ from decogs.encoder.coding.rate_control import (
     with_quality,
 )
 from decogs.encoder.commands import encode_main
-from decogs.encoder.settings.frame import Coarseness, EconomySettings
+from decogs.encoder.settings.frame import RequantisationSteps, SignificanceSettings
 from decogs.encoder.switches import with_method
 from decogs.formats.container import PacketKind, iterate_packets
 from decogs.formats.errors import UsageError
@@ -42,16 +42,18 @@ def test_a_quality_of_50_is_the_preset(name: str) -> None:
 
 def test_16_less_is_worth_twice_as_much_and_coarser_by_a_fourth_root_of_two() -> None:
     standard = PRESETS["standard"]
-    bit = standard.keyframe.bit_worth
+    bit = standard.keyframe.rd_lambda
     for quality, factor, lattice in ((34, 2, 1.18921), (66, 0.5, 0.840896), (82, 0.25, 0.707107)):
         settings = with_quality(standard, quality)
-        assert settings.frame.economy.worth == pytest.approx(factor * standard.frame.economy.worth, rel=1e-5)
+        assert settings.frame.significance.threshold == pytest.approx(
+            factor * standard.frame.significance.threshold, rel=1e-5
+        )
         assert settings.lattice_scale == lattice
-        economy = replace(settings.frame.economy, worth=standard.frame.economy.worth)
-        assert settings.keyframe.bit_worth == pytest.approx(bit * lattice**2, rel=1e-5)  # six digits
-        keyframe, frame = replace(settings.keyframe, bit_worth=bit), replace(settings.frame, economy=economy)
+        significance = replace(settings.frame.significance, threshold=standard.frame.significance.threshold)
+        assert settings.keyframe.rd_lambda == pytest.approx(bit * lattice**2, rel=1e-5)  # six digits
+        keyframe, frame = replace(settings.keyframe, rd_lambda=bit), replace(settings.frame, significance=significance)
         assert replace(settings, lattice_scale=1.0, keyframe=keyframe, frame=frame) == standard
-    worths = [with_quality(standard, quality).frame.economy.worth for quality in range(101)]
+    worths = [with_quality(standard, quality).frame.significance.threshold for quality in range(101)]
     assert worths == sorted(worths, reverse=True)
     assert len(set(worths)) == 101
 
@@ -59,7 +61,7 @@ def test_16_less_is_worth_twice_as_much_and_coarser_by_a_fourth_root_of_two() ->
 @pytest.mark.parametrize("settings", [PRESETS["paper"], with_method(PRESETS["standard"], "3dgstream")])
 def test_where_every_change_is_sent_the_lattice_follows(settings: EncodeSettings) -> None:
     assert with_quality(settings, 34).lattice_scale == 1.18921
-    with pytest.raises(UsageError, match=r"drop one of the two|these settings send every change"):
+    with pytest.raises(UsageError, match=r"drop one of the two|these settings code every change"):
         with_budget(settings, BUDGET, "--bitrate 9")
 
 
@@ -111,16 +113,22 @@ def test_the_worth_is_bounded(content: float, worth: float) -> None:
 
 
 def test_changes_are_rounded_more_coarsely_the_more_they_must_be_worth() -> None:
-    settings = PRESETS["standard"].frame.economy
-    for size, worth in ((BUDGET, settings.worth), (BUDGET * 100, 256 * settings.worth), (1, settings.worth / 256)):
+    settings = PRESETS["standard"].frame.significance
+    for size, worth in (
+        (BUDGET, settings.threshold),
+        (BUDGET * 100, 256 * settings.threshold),
+        (1, settings.threshold / 256),
+    ):
         control = ContentRateControl(BUDGET, 0)
         for _ in range(30):
             control.wrote(PacketKind.DELTA, size)
-        economy = control.economy(settings)
-        assert economy == replace(settings, worth=pytest.approx(worth, rel=1e-5), coarseness=economy.coarseness)
-        factor = (worth / settings.worth) ** 0.25
-        for name, step in vars(settings.coarseness).items():
-            assert getattr(economy.coarseness, name) == max(1, round(factor * step))
+        significance = control.significance(settings)
+        assert significance == replace(
+            settings, worth=pytest.approx(worth, rel=1e-5), requantisation=significance.requantisation
+        )
+        factor = (worth / settings.threshold) ** 0.25
+        for name, step in vars(settings.requantisation).items():
+            assert getattr(significance.requantisation, name) == max(1, round(factor * step))
 
 
 def test_what_a_still_scene_saves_is_not_thrown_at_its_first_motion() -> None:
@@ -166,8 +174,10 @@ def test_it_knows_nothing_but_sizes() -> None:
 @pytest.fixture(scope="module")
 def economical(tiny_settings: EncodeSettings) -> EncodeSettings:
     """The tiny settings with changes judged, as the presets do."""
-    economy = EconomySettings(worth=0.02, hold_at=0.5, coarseness=Coarseness(means=3, log_scales=3, sh_dc=2))
-    frame = replace(tiny_settings.frame, cache=None, joint_iterations=20, grow_share=0.0, economy=economy)
+    significance = SignificanceSettings(
+        threshold=0.02, decide_at=0.5, requantisation=RequantisationSteps(means=3, log_scales=3, sh_dc=2)
+    )
+    frame = replace(tiny_settings.frame, cache=None, joint_iterations=20, grow_fraction=0.0, significance=significance)
     return replace(tiny_settings, frame=frame)
 
 
@@ -226,7 +236,7 @@ def test_options_become_settings(
     assert settings(max_mb_per_frame=0.002)["frame_budget"] == 2000
     both = settings(bitrate=400, quality=34)
     assert both["frame_budget"] == 2000, "400 kbit/s are 2000 bytes at the rig's 25 frames per second"
-    assert both["frame"]["economy"]["worth"] == 0.04
+    assert both["frame"]["significance"]["threshold"] == 0.04
     assert settings(lossless=True) == with_lossless(economical).as_document()
 
 

@@ -28,7 +28,7 @@ from decogs.encoder.coding.time_control import (
     with_time_budget,
 )
 from decogs.encoder.commands import encode_main
-from decogs.encoder.settings.frame import EconomySettings
+from decogs.encoder.settings.frame import SignificanceSettings
 from decogs.encoder.settings.optimiser import LearningRates
 from decogs.encoder.switches import with_method
 from decogs.encoder.training.delta import DeltaTrainer
@@ -171,7 +171,10 @@ def test_a_miss_is_told_by_its_share() -> None:
 def patient(tiny_settings: EncodeSettings) -> EncodeSettings:
     """The tiny settings with a long stage 2 and changes judged, as the presets have them."""
     frame = replace(
-        tiny_settings.frame, cache=None, joint_iterations=60, economy=EconomySettings(worth=0.02, hold_at=0.5)
+        tiny_settings.frame,
+        cache=None,
+        joint_iterations=60,
+        significance=SignificanceSettings(threshold=0.02, decide_at=0.5),
     )
     return replace(tiny_settings, frame=frame)
 
@@ -183,7 +186,7 @@ def restless_rig(tiny_rig: Any, tmp_path_factory: pytest.TempPathFactory) -> Pat
 
 
 def steps_of(path: Path) -> dict[int, int]:
-    """Training steps of each frame, from what --anytime wrote."""
+    """Training steps of each frame, from what --convergence-log wrote."""
     steps: dict[int, int] = {}
     for line in path.read_text().splitlines():
         frame = json.loads(line)["frame"]
@@ -201,7 +204,7 @@ def test_a_clip_keeps_its_time_and_its_changes_are_still_judged(
 ) -> None:
     """On a clock of the test's own that only drawing moves: 10 ms for every picture."""
     now, judged = [0.0], []
-    draw, take_back = frame_training.FixedView.draw, frame_training.take_back
+    draw, revert_insignificant = frame_training.FixedView.draw, frame_training.revert_insignificant
 
     def slow(view: Any, *arguments: Any, **options: Any) -> None:
         now[0] += 0.01
@@ -209,11 +212,11 @@ def test_a_clip_keeps_its_time_and_its_changes_are_still_judged(
 
     monkeypatch.setattr(time, "perf_counter", lambda: now[0])
     monkeypatch.setattr(frame_training.FixedView, "draw", slow)
-    monkeypatch.setattr(frame_training, "take_back", lambda *a: (judged.append(1), take_back(*a)))
+    monkeypatch.setattr(frame_training, "revert_insignificant", lambda *a: (judged.append(1), revert_insignificant(*a)))
     output, given = tmp_path / "x.dgs", {"holdout": tiny_rig.held_out, "keyframe": moving.path, "preset": patient}
     encode_rig(restless_rig, tmp_path / "free.dgs", **given)
     judged.clear()
-    report = encode_rig(restless_rig, output, **given, time_budget="300ms/frame", anytime=tmp_path / "any")
+    report = encode_rig(restless_rig, output, **given, time_budget="300ms/frame", convergence_log=tmp_path / "any")
     spent = [counted_seconds(frame.seconds) for frame in report.frames[1:]]
     assert np.mean(spent) == pytest.approx(0.3, rel=TIME_TOLERANCE)
     assert len(judged) == 12
@@ -338,7 +341,7 @@ def test_a_time_that_cannot_be_met_is_told(
     warning = capfd.readouterr().err
     assert warning.startswith("decogs-encode: warning: frames after the first take ")
     assert "% more than the 0.0001 asked for; " in warning
-    assert "are masks, selection and writing, which no budget shortens" in warning
+    assert "are masks, selection and coding, whose time is fixed" in warning
     assert warning.count("\n") == 1
     with open_stream(tmp_path / "x.dgs") as stream:
         assert len(list(stream.frames())) == 4
@@ -369,7 +372,7 @@ def test_a_target_ends_training_and_the_same_seed_still_gives_the_same_bytes(
     steps, data = {}, {}
     for target in (None, 20.0, 20.0, 21.5):
         path = tmp_path / "x.dgs"
-        encode_rig(moving_rig, path, **given, target_psnr=target, anytime=tmp_path / "any")
+        encode_rig(moving_rig, path, **given, target_psnr=target, convergence_log=tmp_path / "any")
         steps[target] = steps_of(tmp_path / "any")
         assert data.setdefault(target, path.read_bytes()) == path.read_bytes()
     whole, low, high = (steps[target] for target in (None, 20.0, 21.5))
@@ -383,9 +386,11 @@ def test_changes_are_judged_before_a_target_ends_training(
     encode: Any, moving: Any, moving_rig: Path, patient: EncodeSettings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     judged: list[int] = []
-    take_back, backward = frame_training.take_back, frame_training.FixedView.backward
+    revert_insignificant, backward = frame_training.revert_insignificant, frame_training.FixedView.backward
     steps: list[int] = []
-    monkeypatch.setattr(frame_training, "take_back", lambda *a: (judged.append(len(steps)), take_back(*a)))
+    monkeypatch.setattr(
+        frame_training, "revert_insignificant", lambda *a: (judged.append(len(steps)), revert_insignificant(*a))
+    )
     monkeypatch.setattr(frame_training.FixedView, "backward", lambda *a, **o: (steps.append(1), backward(*a, **o))[1])
     encode(moving_rig, settings=with_target_psnr(patient, 10.0), keyframe=moving.path, stop=2)
     views = 4
@@ -408,7 +413,7 @@ def test_anytime_tells_every_step_and_changes_no_byte(
     moving: Any, moving_rig: Path, tiny_rig: Any, tiny_settings: EncodeSettings, tmp_path: Path
 ) -> None:
     path = tmp_path / "any.jsonl"
-    encode_rig(moving_rig, tmp_path / "x.dgs", holdout=tiny_rig.held_out, preset=tiny_settings, anytime=path)
+    encode_rig(moving_rig, tmp_path / "x.dgs", holdout=tiny_rig.held_out, preset=tiny_settings, convergence_log=path)
     assert (tmp_path / "x.dgs").read_bytes() == moving.data
     records = [json.loads(line) for line in path.read_text().splitlines()]
     assert all(record.keys() == {"frame", "stage", "iteration", "seconds", "loss"} for record in records)
@@ -430,7 +435,7 @@ def test_anytime_tells_of_the_baseline(
     moving: Any, moving_rig: Path, tiny_rig: Any, tiny_settings: EncodeSettings, tmp_path: Path
 ) -> None:
     given = {"holdout": tiny_rig.held_out, "preset": tiny_settings, "method": "3dgstream", "keyframe": moving.path}
-    encode_rig(moving_rig, tmp_path / "x.dgs", frames=":2", **given, anytime=tmp_path / "any")
+    encode_rig(moving_rig, tmp_path / "x.dgs", frames=":2", **given, convergence_log=tmp_path / "any")
     records = [json.loads(line) for line in (tmp_path / "any").read_text().splitlines()]
     steps = [record["iteration"] for record in records if record["stage"] == "cache"]
     assert steps == list(range(tiny_settings.baseline.cache_iterations))
@@ -438,6 +443,6 @@ def test_anytime_tells_of_the_baseline(
 
 
 def test_a_file_that_cannot_be_written_is_refused(moving_rig: Path, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"--anytime .*x/any: No such file or directory; name a file"):
-        encode_rig(moving_rig, tmp_path / "x.dgs", anytime=tmp_path / "x" / "any")
+    with pytest.raises(UsageError, match=r"--convergence-log .*x/any: No such file or directory; name a file"):
+        encode_rig(moving_rig, tmp_path / "x.dgs", convergence_log=tmp_path / "x" / "any")
     assert list(tmp_path.iterdir()) == []

@@ -45,10 +45,10 @@ def test_two_outputs_in_one_place_are_refused_be_they_there_or_not(tmp_path: Pat
     stream, log = Output("-o", tmp_path / "a.dgs", grows=True), Output("--log", tmp_path / "log")
     check_outputs([stream, log], [])
     for name in ("a.dgs", "a.dgs.part"):
-        with pytest.raises(UsageError, match=rf"--anytime .*{name}: -o is written there, too"):
-            check_outputs([stream, log, Output("--anytime", tmp_path / name)], [])
-    with pytest.raises(UsageError, match=r"--anytime .*log: --log is written there, too"):
-        check_outputs([stream, log, Output("--anytime", tmp_path / "log")], [])
+        with pytest.raises(UsageError, match=rf"--convergence-log .*{name}: -o is written there, too"):
+            check_outputs([stream, log, Output("--convergence-log", tmp_path / name)], [])
+    with pytest.raises(UsageError, match=r"--convergence-log .*log: --log is written there, too"):
+        check_outputs([stream, log, Output("--convergence-log", tmp_path / "log")], [])
     (tmp_path / "a.dgs.part").write_bytes(b"film")
     with pytest.raises(UsageError, match=r"-o .*a\.dgs\.part: holds frames"):
         check_outputs([stream], [(tmp_path / "a.dgs.part", "holds frames")])
@@ -58,7 +58,7 @@ def test_an_open_file_counts_and_devices_may_be_named_twice(tmp_path: Path) -> N
     with (tmp_path / "out").open("wb") as piped, pytest.raises(UsageError, match=r"--log .*out: -o is written there"):
         check_outputs([Output("-o", piped), Output("--log", tmp_path / "out")], [])
     null = Path(os.devnull)
-    check_outputs([Output("--log", null), Output("--anytime", null)], [])
+    check_outputs([Output("--log", null), Output("--convergence-log", null)], [])
 
 
 def test_a_growing_file_has_one_writer_until_it_has_its_name(tmp_path: Path) -> None:

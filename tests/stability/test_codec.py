@@ -15,8 +15,8 @@ from decogs.codec.lattice import Lattice, default_lattice, dequantise, quantise
 from decogs.codec.reconstruct import reconstruct
 from decogs.codec.state import ARRAYS, Attributes, State, take_rows
 from decogs.codec.syntax import write_delta, write_key
-from decogs.encoder.coding.requantise import coarse_changes
-from decogs.encoder.settings.frame import Coarseness
+from decogs.encoder.coding.requantise import requantised
+from decogs.encoder.settings.frame import RequantisationSteps
 from decogs.formats.cameras import Camera
 from decogs.formats.container import Packet, PacketKind
 from decogs.formats.errors import TrainingError
@@ -110,15 +110,15 @@ def test_accumulated_deltas_that_overflow_stay_equal_on_both_sides() -> None:
 def test_coarse_changes_never_leave_32_bits() -> None:
     """Rounding a change to whole multiples may end beyond the last integer; there it is left as it is."""
     before, after = extreme(1, 200), extreme(2, 200)
-    coarseness = Coarseness(3, 5, 2, 7, 2, 3)
-    coarse = coarse_changes(before, after, coarseness)
+    requantisation = RequantisationSteps(3, 5, 2, 7, 2, 3)
+    coarse = requantised(before, after, requantisation)
     sh_steps = np.array([2, 3, 3, 3])[None, :, None]
     for name, step in zip(ARRAYS, (3, 5, 2, 7, sh_steps), strict=True):
         off = np.abs(getattr(coarse, name).astype(np.int64) - getattr(after, name))
         assert (2 * off <= step).all(), name
     ordinary = filled(3, lambda shape: np.full(shape, 100))
     moved = filled(3, lambda shape: np.full(shape, 104))
-    assert (coarse_changes(ordinary, moved, coarseness).means == 103).all(), "and elsewhere it does round"
+    assert (requantised(ordinary, moved, requantisation).means == 103).all(), "and elsewhere it does round"
 
 
 def test_all_equal_attributes_come_back_and_cost_next_to_nothing() -> None:

@@ -99,7 +99,7 @@ def copied(rig: Path, tmp_path: Path) -> Path:
 
 
 def test_nothing_selected(moving: Any, encode: Any, settings: Any) -> None:
-    none = replace(settings.frame, selection=SelectionSettings(least_share=1.0))
+    none = replace(settings.frame, selection=SelectionSettings(min_fraction=1.0))
     encoded = encode(moving[0], settings=replace(settings, frame=none), keyframe=moving[1].path)
     check_stream(encoded)
     assert [bool(chosen.any()) for chosen in encoded.selected.values()] == [False] * len(encoded.selected)
@@ -118,7 +118,7 @@ def test_everything_selected(moving: Any, encode: Any, settings: Any) -> None:
 
 def test_more_agreeing_views_asked_for_than_there_are(moving: Any, encode: Any, settings: Any) -> None:
     def with_least_views(count: int) -> bytes:
-        selection = SelectionSettings(rule="paper", least_views=count)
+        selection = SelectionSettings(rule="paper", min_views=count)
         chosen = replace(settings, frame=replace(settings.frame, selection=selection))
         encoded = encode(moving[0], settings=chosen, keyframe=moving[1].path, stop=2)
         check_stream(encoded)
@@ -392,8 +392,8 @@ def test_the_cap_is_reached_and_kept(moving: Any, encode: Any, settings: Any) ->
     check_stream(encoded)
     assert 270 < len(encoded.states[0]) <= 300
     grown = len(encoded.states[1]) - len(encoded.states[0])
-    share = settings.frame.grow_share * encoded.selected[1].sum()
-    assert grown <= share + settings.frame.emergence.most
+    share = settings.frame.grow_fraction * encoded.selected[1].sum()
+    assert grown <= share + settings.frame.emergence.max_seeds
 
 
 # Steps that are too small or too large
@@ -439,7 +439,7 @@ def test_rates_a_hundredfold_are_recovered_from(
     assert [report.frame for report in encoded.report.frames if report.rejected] == tried != []
     assert len({digest(state) for state in encoded.states}) == 1
     encode_main_with(chosen, moving, tmp_path)
-    assert "warning: training ran away, and the scene stayed as it was in frame" in capsys.readouterr().err
+    assert "warning: training diverged in frame" in capsys.readouterr().err
 
 
 def encode_main_with(chosen: Any, moving: Any, tmp_path: Path) -> None:

@@ -1,7 +1,7 @@
 """.spz version 3: fixed point and 8-bit values behind gzip.
 
 Source: nianticlabs/spz, README.md "File Format" and src/cc/load-spz.cc. Its library turns axes to right, up, back when
-it is told the input's; that flips signs only, so that the world's own axes are kept here. Its library, in
+it gets the input's; that flips signs only, so that the world's own axes are kept here. Its library, in
 splat-transform 2.7.1, reads what is written here with the values that ``decode`` gives.
 """
 

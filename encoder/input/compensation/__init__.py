@@ -146,7 +146,7 @@ class Corrector:
     def find_jointly(self, recorded: Sequence[FloatArray], look: Look) -> Corrections:
         """The same while the scene is in the making, and has taken some of the faults for its own.
 
-        What is neutral is told by the cameras that are not named, by their median; where none is left, it is
+        What is neutral is determined by the cameras that are not named, by their median; where none is left, it is
         the mean of all.
         """
         straight, rotations = list(recorded), dict.fromkeys(self._named, np.eye(3))
@@ -207,7 +207,7 @@ class Corrector:
         shown = [show(number) for number in range(len(pictures))]
         changes = shared_changes(self._surface, pictures, shown)
         names, total = list(self._views), changes.shifts + changes.common
-        own = {name: shift for name, shift, told in zip(names, total, changes.told, strict=True) if told}
+        own = {name: shift for name, shift, known in zip(names, total, changes.known, strict=True) if known}
         alone = {} if len(own) == len(names) else self._shifts_of_pictures(pictures, shown)
         known = own or alone
         light = self._neutral(known, _light_of)

@@ -50,7 +50,7 @@ _AROUND = np.mgrid[-1:2, -1:2].reshape(2, 1, -1)
 """Pixels over which a point's colours are averaged."""
 
 _FEW = 100
-"""Points shared with other views below which a view is not told."""
+"""Points shared with other views below which a view is undetermined."""
 
 
 @dataclass(frozen=True)
@@ -74,11 +74,11 @@ class SharedSurface:
 
 class SharedChanges(NamedTuple):
     """How later pictures differ from what is shown: by the views' own ``shifts`` (V, 3), up to a common one; by
-    ``common`` (3,), the median of what is left at the points. ``told`` (V,): views that share enough with others."""
+    ``common`` (3,), the median of what is left at the points. ``known`` (V,): views that share enough with others."""
 
     shifts: F64
     common: F64
-    told: NDArray[np.bool_]
+    known: NDArray[np.bool_]
 
 
 def shared_surface(views: Sequence[View], look: Look) -> SharedSurface:
@@ -104,14 +104,14 @@ def shared_changes(
         for side in (pictures, shown)
     )
     for channel in range(3):
-        told = surface.seen & tells(now[..., channel]) & tells(before[..., channel])
-        told &= told.sum(axis=0) > 1
-        enough[:, channel] = told.sum(axis=1) >= _FEW
+        known = surface.seen & tells(now[..., channel]) & tells(before[..., channel])
+        known &= known.sum(axis=0) > 1
+        enough[:, channel] = known.sum(axis=1) >= _FEW
         if not enough[:, channel].any():
             continue
-        v, s = (np.where(told, side[..., channel], np.float32(0.5)) for side in (now, before))
+        v, s = (np.where(known, side[..., channel], np.float32(0.5)) for side in (now, before))
         logs, slope = np.log(v / (1 - v)) - np.log(s / (1 - s)), s * (1 - s)
-        solved, weights = _solved(logs, slope, told)
+        solved, weights = _solved(logs, slope, known)
         shifts[:, channel] = solved
         total = weights.sum(axis=0)
         left = (weights * (logs - solved[:, None].astype(np.float32))).sum(axis=0)[total > 0] / total[total > 0]
@@ -132,8 +132,8 @@ def agreeing_shifts(views: Sequence[View], pictures: Sequence[FloatArray], look:
         _colours(view, cv2.blur(picture.transpose(1, 2, 0), (3, 3)), depth, points)
         for view, picture, depth in zip(views, pictures, depths, strict=True)
     ]
-    values, told = np.stack([colours for colours, _ in seen]), np.stack([there for _, there in seen])
-    solved = [_channel_shifts(values[..., channel], told & tells(values[..., channel])) for channel in range(3)]
+    values, known = np.stack([colours for colours, _ in seen]), np.stack([there for _, there in seen])
+    solved = [_channel_shifts(values[..., channel], known & tells(values[..., channel])) for channel in range(3)]
     return [OddsShift(*map(np.array, zip(*of_view, strict=True))) for of_view in zip(*solved, strict=True)]
 
 
@@ -197,22 +197,22 @@ def _projected(camera: Camera, points: F64) -> tuple[F64, F64, F64]:
         return camera.fx * position[:, 0] / z + camera.cx, camera.fy * position[:, 1] / z + camera.cy, z
 
 
-def _channel_shifts(values: FloatArray, told: NDArray[np.bool_]) -> list[tuple[float, float]]:
-    """Shift and precision of every view, from values (V, P) of points that it sees where ``told``."""
-    told = told & (told.sum(axis=0) > 1)
-    if not told.any():
+def _channel_shifts(values: FloatArray, known: NDArray[np.bool_]) -> list[tuple[float, float]]:
+    """Shift and precision of every view, from values (V, P) of points that it sees where ``known``."""
+    known = known & (known.sum(axis=0) > 1)
+    if not known.any():
         return [(0.0, 0.0)] * len(values)
-    inside = np.where(told, values, np.float32(0.5))
-    shifts, weights = _solved(np.log(inside / (1 - inside)), inside * (1 - inside), told)
+    inside = np.where(known, values, np.float32(0.5))
+    shifts, weights = _solved(np.log(inside / (1 - inside)), inside * (1 - inside), known)
     return list(zip(shifts.tolist(), weights.sum(axis=1, dtype=np.float64).tolist(), strict=True))
 
 
-def _solved(logs: FloatArray, slope: FloatArray, told: NDArray[np.bool_]) -> tuple[F64, FloatArray]:
-    """Every view's shift (V,) of the log odds (V, P) of points that it sees where ``told``, and their weights.
+def _solved(logs: FloatArray, slope: FloatArray, known: NDArray[np.bool_]) -> tuple[F64, FloatArray]:
+    """Every view's shift (V,) of the log odds (V, P) of points that it sees where ``known``, and their weights.
 
     ``slope``: of the colour over its log odds. Robust least squares; what a point's own are is eliminated.
     """
-    weights = np.square(slope) * told
+    weights = np.square(slope) * known
     shifts = np.zeros(len(logs))
     for _ in range(_ROUNDS):
         total = np.maximum(weights.sum(axis=0), np.float32(1e-9))
@@ -224,8 +224,8 @@ def _solved(logs: FloatArray, slope: FloatArray, told: NDArray[np.bool_]) -> tup
         shifts = np.linalg.solve(normal + scale * (1 / len(logs) + 1e-6 * np.eye(len(logs))), right)
         corrected = logs - shifts[:, None].astype(np.float32)
         errors = slope * (corrected - (weights * corrected).sum(axis=0) / total)
-        weights = np.square(slope) * told
-        weights[told] *= tukey_weights(errors[told])
+        weights = np.square(slope) * known
+        weights[known] *= tukey_weights(errors[known])
     return shifts, weights
 
 

@@ -47,8 +47,8 @@ def odds_shift(recorded: FloatArray, shown: FloatArray, valid: FloatArray | None
     """
     step = max(1, round(np.sqrt(shown[0].size / _MOST_PIXELS)))
     grid = np.s_[::step, ::step]
-    told = None if valid is None else valid[grid] > 0
-    pairs = [_channel_shift(recorded[channel][grid], shown[channel][grid], told) for channel in range(len(shown))]
+    known = None if valid is None else valid[grid] > 0
+    pairs = [_channel_shift(recorded[channel][grid], shown[channel][grid], known) for channel in range(len(shown))]
     return OddsShift(np.array([shift for shift, _ in pairs]), np.array([precision for _, precision in pairs]))
 
 
@@ -72,11 +72,11 @@ def without_odds(picture: FloatArray, odds: tuple[float, float, float]) -> Float
     return np.ascontiguousarray(planes.transpose(2, 0, 1))
 
 
-def _channel_shift(recorded: FloatArray, shown: FloatArray, told: NDArray[np.bool_] | None) -> tuple[float, float]:
+def _channel_shift(recorded: FloatArray, shown: FloatArray, known: NDArray[np.bool_] | None) -> tuple[float, float]:
     """Gauss-Newton on the corrected picture; weighed by the scene's value, so that recorded noise has no bias."""
     inside = tells(recorded) & tells(shown)
-    if told is not None:
-        inside &= told
+    if known is not None:
+        inside &= known
     if not inside.any():
         return 0.0, 0.0
     v, s = recorded[inside], shown[inside]

@@ -60,10 +60,10 @@ def turn_of(recorded: FloatArray, shown: FloatArray, camera: Camera, valid: Floa
         if level < 1 and min(small.width, small.height) < _SMALLEST_SIDE:
             continue
         target, source = resized(shown, small), resized(recorded, small)
-        told = None if valid is None else cv2.resize(valid, (small.width, small.height)) > 0.99
+        known = None if valid is None else cv2.resize(valid, (small.width, small.height)) > 0.99
         columns = _flow_gradients(target, small)
         for _ in range(_ROUNDS):
-            step = _step(unturned(source, small, rotation) - target, columns, told)
+            step = _step(unturned(source, small, rotation) - target, columns, known)
             rotation = _product(_exponential(step), rotation)
     return rotation
 
@@ -75,11 +75,11 @@ def angles_of(rotation: F64) -> tuple[float, float, float]:
     return float(yaw), float(pitch), float(np.arctan2(rotation[1, 0], rotation[1, 1]))
 
 
-def _step(error: FloatArray, columns: list[FloatArray], told: NDArray[np.bool_] | None) -> F64:
+def _step(error: FloatArray, columns: list[FloatArray], known: NDArray[np.bool_] | None) -> F64:
     """The turn, as a vector, that explains most of the error; sums in a fixed order, so that no BLAS decides bits."""
     weights = tukey_weights(error)
-    if told is not None:
-        weights = weights * told
+    if known is not None:
+        weights = weights * known
     normal = np.array([[(weights * a * b).sum(dtype=np.float64) for b in columns] for a in columns])
     right = np.array([(weights * a * error).sum(dtype=np.float64) for a in columns])
     # A view without texture says nothing about some turn: it then stays at none.

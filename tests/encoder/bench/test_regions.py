@@ -1,4 +1,4 @@
-"""Static and dynamic pixels: the rig's own masks, or told from what was recorded."""
+"""Static and dynamic pixels: the rig's own masks, or determined from what was recorded."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_the_rigs_own_masks_come_first(rig_with_truth: Path) -> None:
 def test_a_camera_without_masks_is_judged_by_its_pictures(rig_with_truth: Path) -> None:
     regions = find_regions(open_rig(rig_with_truth), "cam01", range(3), 1.0)
     assert not regions.shipped
-    assert "told from the recorded frames" in regions.about
+    assert "determined from the recorded frames" in regions.about
     assert regions.dynamic.any(), "the square moves"
     assert regions.static.any(), "the wall stays"
 

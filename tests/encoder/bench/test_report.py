@@ -101,7 +101,7 @@ def test_the_papers_report(
     for sentence in (
         "Made by `decogs-bench paper three -o report --holdout cam02 --preset tiny --threads 2`.",
         "4 training views, cam02 held out (64x48), frames 0 to 2.",
-        "told from the recorded frames",
+        "determined from the recorded frames",
         "## DecoGS against the baseline",
     ):
         assert sentence in text

@@ -18,11 +18,11 @@ def test_a_variant_without_anything_is_the_preset() -> None:
 
 
 def test_settings_are_replaced_or_multiplied_where_the_path_says() -> None:
-    changes = {"frame.masks.threshold": 50.0, "frame.masks.radius_share": Times(2), "frame.rates": Times(0.5)}
+    changes = {"frame.masks.threshold": 50.0, "frame.masks.radius_fraction": Times(2), "frame.rates": Times(0.5)}
     settings = settings_of(Variant("v", "", changes), "standard")
     before, after = PRESETS["standard"].frame, settings.frame
     assert after.masks.threshold == 50.0
-    assert after.masks.radius_share == 2 * before.masks.radius_share
+    assert after.masks.radius_fraction == 2 * before.masks.radius_fraction
     assert after.masks.speck_area == before.masks.speck_area
     assert (after.rates.means, after.rates.sh_rest) == (before.rates.means / 2, before.rates.sh_rest / 2)
     assert settings.keyframe == PRESETS["standard"].keyframe
@@ -39,7 +39,7 @@ def test_method_parts_and_rule_are_applied_on_top() -> None:
     assert settings_of(Variant("v", "", ablate=("gate", "focus")), "standard").frame.ablated == ("focus", "gate")
     assert settings_of(Variant("v", "", selection="paper"), "standard").frame.selection.rule == "paper"
     finer = settings_of(Variant("v", "", quality=66, own_keyframe=True), "standard")
-    assert finer.frame.economy.worth == PRESETS["standard"].frame.economy.worth / 2
+    assert finer.frame.significance.threshold == PRESETS["standard"].frame.significance.threshold / 2
 
 
 def test_another_preset_trains_its_frames_but_shares_the_keyframe() -> None:

@@ -23,13 +23,13 @@ from decogs.formats.errors import UsageError
 STANDARD = PRESETS["standard"]
 
 
-def decisions(*called_for: str, cameras: tuple[str, ...] = ("cam01",), **figures: Any) -> list[Decision]:
+def decisions(*detected: str, cameras: tuple[str, ...] = ("cam01",), **figures: Any) -> list[Decision]:
     return [
         Decision(
             effect=name,
-            called_for=name in called_for,
+            detected=name in detected,
             confidence=1.0,
-            cameras=cameras if name in called_for else (),
+            cameras=cameras if name in detected else (),
             frames=(),
             reason="",
             cost="",
@@ -67,7 +67,7 @@ def test_unknown_words_are_refused(text: str) -> None:
 
 def test_auto_asks_every_frame_and_takes_what_the_scene_calls_for() -> None:
     settings = built("auto", decisions("exposure_drift"))
-    assert settings.ask_frames
+    assert settings.detect_per_frame
     assert settings.effects == (*FRAME_EFFECTS, "exposure_drift")
     assert settings.corrections.exposure == ("cam01",)
     assert settings.keyframe.sh_degree == 0, "no views disagree"
@@ -87,7 +87,7 @@ def test_where_most_cameras_drift_all_are_corrected() -> None:
 
 def test_what_the_scene_calls_for_changes_nothing_that_the_preset_has() -> None:
     settings = built("auto", decisions(*FRAME_EFFECTS, "view_dependence"))
-    assert replace(settings, effects=STANDARD.effects, ask_frames=False) == STANDARD
+    assert replace(settings, effects=STANDARD.effects, detect_per_frame=False) == STANDARD
 
 
 def test_a_fixed_choice_does_not_look_at_the_rig() -> None:
@@ -96,7 +96,7 @@ def test_a_fixed_choice_does_not_look_at_the_rig() -> None:
 
     for text in ("none", "motion,view_dependence", ",".join(FRAME_EFFECTS)):
         settings = with_effects(STANDARD, wanted_effects(text), ["cam01"], looked)
-        assert not settings.ask_frames
+        assert not settings.detect_per_frame
         assert settings.corrections == STANDARD.corrections
 
 

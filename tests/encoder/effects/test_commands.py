@@ -33,7 +33,7 @@ def test_a_rig_becomes_a_table_and_a_document(
     assert document["cameras"] == ["cam00", "cam01", "cam03", "cam04"]
     assert document["held_out"] == ["cam02"]
     for row, line in zip(document["effects"], lines[2:], strict=True):
-        assert line.split()[1] == ("yes" if row["called_for"] else "no")
+        assert line.split()[1] == ("yes" if row["detected"] else "no")
         assert line.endswith(row["cost"])
         assert {len(values) for values in row["values"].values()} == {4}
     assert [path.name for path in tmp_path.iterdir()] == ["analysis.json"]
@@ -67,8 +67,8 @@ def test_progress_reaches_its_end(moving_rig: Path) -> None:
 def test_one_frame_tells_what_it_can(moving_rig: Path) -> None:
     analysis = analyse(moving_rig, frames="0:1")
     of = {finding.decision.effect: finding.decision for finding in analysis.findings}
-    assert (of["motion"].called_for, of["motion"].confidence) == (False, 0.0)
-    assert not of["exposure_drift"].called_for
+    assert (of["motion"].detected, of["motion"].confidence) == (False, 0.0)
+    assert not of["exposure_drift"].detected
 
 
 def test_a_clip_beyond_the_memory_is_thinned(moving_rig: Path, monkeypatch: pytest.MonkeyPatch) -> None:

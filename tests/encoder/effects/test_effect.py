@@ -54,7 +54,7 @@ def test_what_cannot_be_told_because_all_cameras_shake_is_taken_for_granted(effe
     untold = np.full((3, 4), np.nan)
     evidence = Evidence(untold, "%", 15.0, dict.fromkeys(details, untold))
     decision = effect.decide(look_of((0, 1, 2, 3)), evidence)
-    assert (decision.called_for, decision.confidence) == (True, 0.0)
+    assert (decision.detected, decision.confidence) == (True, 0.0)
     assert decision.cameras == ("cam00", "cam01", "cam02")
     assert decision.frames == ((0, 3),)
 
@@ -64,11 +64,11 @@ def test_two_of_twelve_cameras_are_no_emergence_and_cameras_that_do_not_tell_mak
     values[:2, 1] = 100
     values[6:] = np.nan
     decision = Emergence().decide(look_of((0, 1, 2), cameras=12), Evidence(values, "%", 60.0))
-    assert not decision.called_for
+    assert not decision.detected
     assert decision.confidence < 0.5
     values[2, 1] = 100
     decision = Emergence().decide(look_of((0, 1, 2), cameras=12), Evidence(values, "%", 60.0))
-    assert decision.called_for
+    assert decision.detected
     assert decision.frames == ((1, 1),)
     assert decision.confidence == pytest.approx(3 / 12 * confidence(Evidence(values, "%", 60.0)))
 
@@ -80,7 +80,7 @@ def test_drift_is_as_sure_as_its_evidence_and_untold_where_there_is_none() -> No
         look = look_of((0, 1), cameras=1, light=SimpleNamespace(exposure=told, gains=gains))
         decision = ExposureDrift().decide(look, ExposureDrift().evidence(look))
         assert decision.confidence == pytest.approx(sure, abs=0.01)
-        assert decision.called_for == (sure > 0)
+        assert decision.detected == (sure > 0)
     look = look_of((0, 1), cameras=1, light=SimpleNamespace(exposure=np.abs(gains[..., 0]), gains=gains))
     decision = ExposureDrift().decide(look, ExposureDrift().evidence(look))
     assert decision.figures["gain"]["cam00"] == pytest.approx([1.0, np.exp(0.3)])

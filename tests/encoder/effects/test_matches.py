@@ -51,7 +51,7 @@ def decision(effect: Any, views: Views) -> Any:
 
 def test_straight_lenses_are_told_straight(plane_views: Callable[..., Views]) -> None:
     found = decision(LensDistortion(), plane_views())
-    assert not found.called_for
+    assert not found.detected
     assert found.confidence > 0.9
 
 
@@ -79,21 +79,21 @@ def test_cameras_that_share_nothing_tell_nothing() -> None:
     plain = np.full((264, 352, 3), 90, np.uint8)
     cameras = [Camera(f"cam{k}", 352, 264, 300.0, 300.0, 176.0, 132.0, np.eye(4)) for k in range(3)]
     lens = decision(LensDistortion(), (cameras, [plain] * 3))
-    assert (lens.called_for, lens.confidence) == (False, 0.0)
+    assert (lens.detected, lens.confidence) == (False, 0.0)
     gloss = decision(ViewDependence(), (cameras, [plain] * 3))
-    assert (gloss.called_for, gloss.confidence) == (True, 0.0)
+    assert (gloss.detected, gloss.confidence) == (True, 0.0)
 
 
 @pytest.mark.xfail(strict=True, reason="slant resamples a strong texture by as many levels as gloss changes it")
 def test_a_matte_wall_of_strong_texture_does_not_depend_on_the_view(plane_views: Callable[..., Views]) -> None:
-    assert not decision(ViewDependence(), plane_views()).called_for
+    assert not decision(ViewDependence(), plane_views()).detected
 
 
 def test_views_that_agree_rule_it_out(plane_views: Callable[..., Views]) -> None:
     look = look_of(*plane_views())
     agreeing = Evidence(np.full((5, 1), 1.5), "levels", 4.0)
     found = ViewDependence().decide(look, agreeing)
-    assert (found.called_for, found.cost) == (False, "nothing")
+    assert (found.detected, found.cost) == (False, "nothing")
     assert found.confidence > 0.8
 
 
@@ -104,5 +104,5 @@ def test_sheen_depends_on_the_view(plane_views: Callable[..., Views]) -> None:
     sheen = 70 * np.exp(-((across / 0.5) ** 2) - (down / 0.5) ** 2)[..., None]
     glossy = [np.clip(picture + sheen, 0, 255).astype(np.uint8) for picture in pictures]
     matte, shiny = (ViewDependence().evidence(look_of(cameras, seen)).peak for seen in (pictures, glossy))
-    assert decision(ViewDependence(), (cameras, glossy)).called_for
+    assert decision(ViewDependence(), (cameras, glossy)).detected
     assert shiny > 1.5 * matte

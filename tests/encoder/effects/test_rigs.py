@@ -39,7 +39,7 @@ def test_an_effect_is_found_where_it_is_and_nowhere_else(
     """First and last frame within one of the truth's, as the issue asks."""
     rig = known_rig(scene)
     decision, true_frames = decision_of(rig, effect), rig.true_frames(effect)
-    assert decision.called_for == (true_frames is not None)
+    assert decision.detected == (true_frames is not None)
     if true_frames is not None:
         assert abs(decision.frames[0][0] - true_frames[0]) <= 1
         assert abs(decision.frames[-1][1] - true_frames[1]) <= 1
@@ -69,8 +69,8 @@ def test_noise_is_found_where_the_pictures_were_given_noise(known_rig: Callable[
     """The rigs were given 1.2 levels, their coding leaves about 1 (README). A camera that shakes tells nothing."""
     rig = known_rig(scene)
     decision = decision_of(rig, "sensor_noise")
-    assert decision.called_for == ("noise_sigma_8bit" in rig.truth["media"])
-    if decision.called_for:
+    assert decision.detected == ("noise_sigma_8bit" in rig.truth["media"])
+    if decision.detected:
         assert set(decision.cameras) == set(rig.analysis.look.names) - rig.true_cameras("camera_shake")
 
 
@@ -78,7 +78,7 @@ def test_noise_is_found_where_the_pictures_were_given_noise(known_rig: Callable[
 def test_high_dynamic_range_is_found_in_scene_linear_pictures_only(known_rig: Callable[[str], Any], scene: str) -> None:
     rig = known_rig(scene)
     decision = decision_of(rig, "high_dynamic_range")
-    assert decision.called_for == ("OpenEXR" in rig.truth["media"]["coding"])
+    assert decision.detected == ("OpenEXR" in rig.truth["media"]["coding"])
 
 
 @pytest.mark.parametrize("scene", SCENES)

@@ -101,7 +101,7 @@ def test_every_effect_is_found_where_it_is_and_nowhere_else(clip: tuple[str, Ana
         "sensor_noise": True,
         "high_dynamic_range": False,
     }
-    found = {effect: decisions[effect].called_for for effect in expected}
+    found = {effect: decisions[effect].detected for effect in expected}
     if name == "faulty":
         # Cameras whose light drifts by themselves are no light of the scene; what is left of it may be taken for some.
         del found["appearance_change"], expected["appearance_change"]
@@ -110,7 +110,7 @@ def test_every_effect_is_found_where_it_is_and_nowhere_else(clip: tuple[str, Ana
     to_blame = {"exposure_drift": {"cam01"}, "white_balance_drift": {"cam02"}, "camera_shake": {"cam03"}}
     assert blamed == {effect: to_blame.get(effect, set()) if name == "faulty" else set() for effect in OF_CAMERAS}
     for effect, decision in decisions.items():
-        if decision.called_for and effect in ("motion", "appearance_change", *to_blame):
+        if decision.detected and effect in ("motion", "appearance_change", *to_blame):
             assert abs(decision.frames[0][0] - LATER[0]) <= 1
             assert abs(decision.frames[-1][1] - LATER[1]) <= 1
         assert HELD_OUT not in decision.cameras

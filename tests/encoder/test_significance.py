@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from decogs.codec.state import ARRAYS, Attributes
-from decogs.encoder.coding.requantise import coarse_changes
+from decogs.encoder.coding.requantise import requantised
 from decogs.encoder.rasterise import SplatGradients, TrainingKernel
-from decogs.encoder.settings.frame import Coarseness, FocusWeights
+from decogs.encoder.settings.frame import FocusWeights, RequantisationSteps
 from decogs.encoder.settings.optimiser import LearningRates
 from decogs.encoder.training.losses import focus_loss, whole_picture_loss
 from decogs.encoder.training.optimiser import Adam
-from decogs.encoder.training.significance import cheapest, picture_share, take_back
+from decogs.encoder.training.significance import cheapest, picture_weight, revert_insignificant
 from decogs.formats.splats import Splats
 
 RATES = LearningRates(*[0.01] * 6)
@@ -42,7 +42,7 @@ def test_changes_are_judged_by_what_they_do_to_the_loss_and_not_by_their_size() 
     optimiser, gradients = trained(start, sizes)
     old = np.arange(COUNT) < 40
     moved = Splats(*(array.copy() for array in vars(optimiser.splats).values()))
-    take_back(optimiser, start, old, worth=0.01)  # between .1 * .03 and 1 * .03
+    revert_insignificant(optimiser, start, old, worth=0.01)  # between .1 * .03 and 1 * .03
     for _ in range(5):
         optimiser.step(gradients, RATES)
     for name in ("means", "log_scales", "opacity_logits", "sh"):
@@ -57,7 +57,7 @@ def test_no_change_is_taken_back_when_nothing_is_too_little() -> None:
     start = some_splats(1)
     optimiser, _ = trained(start, some_splats(2))
     moved = optimiser.splats.means.copy()
-    take_back(optimiser, start, np.ones(COUNT, bool), worth=0.0)
+    revert_insignificant(optimiser, start, np.ones(COUNT, bool), worth=0.0)
     np.testing.assert_array_equal(optimiser.splats.means, moved)
 
 
@@ -65,7 +65,7 @@ def test_quaternions_keep_the_rotation_they_were_trained_to() -> None:
     start = some_splats(1)
     optimiser, _ = trained(start, some_splats(2))
     moved = optimiser.splats.quaternions.copy()
-    take_back(optimiser, start, np.ones(COUNT, bool), worth=0.0)
+    revert_insignificant(optimiser, start, np.ones(COUNT, bool), worth=0.0)
     now = optimiser.splats.quaternions
     # The same up to scale, in float32: a rounding of 6e-8 in each component.
     cosines = (now * moved).sum(axis=1) / np.linalg.norm(now, axis=1) / np.linalg.norm(moved, axis=1)
@@ -82,12 +82,12 @@ def attributes(seed: int, span: int) -> Attributes:
 
 def test_changes_are_whole_multiples_as_near_as_can_be() -> None:
     before, after = attributes(1, 1000), attributes(2, 1000)
-    coarseness = Coarseness(means=3, log_scales=2, quaternions=1, opacity_logits=5, sh_dc=4, sh_rest=7)
-    written = coarse_changes(before, after, coarseness)
+    requantisation = RequantisationSteps(means=3, log_scales=2, quaternions=1, opacity_logits=5, sh_dc=4, sh_rest=7)
+    written = requantised(before, after, requantisation)
     for name in ARRAYS:
         groups = ((np.s_[:],),) if name != "sh" else ((np.s_[:, :1], 4), (np.s_[:, 1:], 7))
         for part, *step in groups:
-            multiple = step[0] if step else getattr(coarseness, name)
+            multiple = step[0] if step else getattr(requantisation, name)
             was, wanted, is_now = (getattr(values, name)[part].astype(int) for values in (before, after, written))
             assert ((is_now - was) % multiple == 0).all()
             assert (np.abs(is_now - wanted) <= multiple // 2).all()
@@ -96,26 +96,26 @@ def test_changes_are_whole_multiples_as_near_as_can_be() -> None:
 def test_halves_go_to_the_even_multiple_so_that_changes_do_not_shrink() -> None:
     before = attributes(1, 0)
     steps = np.arange(COUNT, dtype=np.int32)[:, None] * np.array([1, -1, 1], np.int32)
-    written = coarse_changes(before, replace(before, means=steps), Coarseness(means=2)).means
+    written = requantised(before, replace(before, means=steps), RequantisationSteps(means=2)).means
     np.testing.assert_array_equal(written[:8, 0], [0, 0, 2, 4, 4, 4, 6, 8])
     np.testing.assert_array_equal(written[:, 1], -written[:, 0])
 
 
 def test_a_coarseness_of_one_writes_what_was_trained() -> None:
     before, after = attributes(1, 1000), attributes(2, 2**30)
-    for name, array in vars(coarse_changes(before, after, Coarseness())).items():
+    for name, array in vars(requantised(before, after, RequantisationSteps())).items():
         np.testing.assert_array_equal(array, getattr(after, name))
-    assert {field.default for field in fields(Coarseness)} == {1}
+    assert {field.default for field in fields(RequantisationSteps)} == {1}
 
 
 def test_a_share_of_the_summed_loss_is_the_same_whatever_the_focus() -> None:
     target, mask = np.zeros((3, 40, 60), np.float32), np.zeros((40, 60), bool)
     whole = whole_picture_loss(target, None, 0.2)
-    assert picture_share([whole]) == pytest.approx(1 / 2400)
+    assert picture_weight([whole]) == pytest.approx(1 / 2400)
     mask[:10] = True
     focused = focus_loss(target, mask, None, FocusWeights(whole=0.0, focus=1.0))
-    assert picture_share([focused]) == pytest.approx(1 / 600)
-    assert picture_share([whole, focused]) == pytest.approx((1 / 2400 + 1 / 600) / 2)
+    assert picture_weight([focused]) == pytest.approx(1 / 600)
+    assert picture_weight([whole, focused]) == pytest.approx((1 / 2400 + 1 / 600) / 2)
 
 
 def bits_of(column: np.ndarray) -> float:
