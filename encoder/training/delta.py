@@ -302,26 +302,43 @@ class _DeltaTraining:
         settings = self._settings
         faint = work.selected & (opacities_of(work.base) < settings.prune_opacity)
         room = min(int(settings.grow_fraction * work.selected.sum()), self._most - work.population + int(faint.sum()))
+        grows = room > 0 and self._grow(work, view_gradients, masks, work.selected & ~faint, room)
+        work.remove(np.flatnonzero(faint))
+        if grows or faint.any():
+            self._replace(work)
+
+    def _grow(
+        self,
+        work: _Working,
+        view_gradients: ViewGradients,
+        masks: Sequence[FrameMask],
+        eligible: NDArray[np.bool_],
+        room: int,
+    ) -> bool:
+        """Adds at most ``room`` Gaussians to ``work``, and returns whether there were any.
+
+        A child outside every region of interest starts at its parent's position.
+        """
+        settings = self._settings
         growth = DENSIFICATIONS.get(settings.densification)(
             work.base,
             view_gradients.mean(),
-            work.selected & ~faint,
+            eligible,
             threshold=settings.grow_gradient,
             room=room,
             large=0.01 * self._extent,
             random=self._random,
         )
         parents = growth.parents
-        if len(parents):
-            shift = work.shown.means[parents] - work.base.means[parents]
-            stray = ~self._inside_focus(growth.children.means + shift, masks)
-            growth.children.means[stray] = work.base.means[parents[stray]]
-            work.base.means[parents] = growth.parent_means
-            work.base.log_scales[parents] = growth.parent_log_scales
-            work.append(growth.children)
-        work.remove(np.flatnonzero(faint))
-        if len(parents) or faint.any():
-            self._replace(work)
+        if not len(parents):
+            return False
+        shift = work.shown.means[parents] - work.base.means[parents]
+        stray = ~self._inside_focus(growth.children.means + shift, masks)
+        growth.children.means[stray] = work.base.means[parents[stray]]
+        work.base.means[parents] = growth.parent_means
+        work.base.log_scales[parents] = growth.parent_log_scales
+        work.append(growth.children)
+        return True
 
     def _replace(self, work: _Working) -> None:
         """After Gaussians came or went: the cache follows, and the picture."""

@@ -124,7 +124,7 @@ def test_changes_are_rounded_more_coarsely_the_more_they_must_be_worth() -> None
             control.wrote(PacketKind.DELTA, size)
         significance = control.significance(settings)
         assert significance == replace(
-            settings, worth=pytest.approx(worth, rel=1e-5), requantisation=significance.requantisation
+            settings, threshold=pytest.approx(worth, rel=1e-5), requantisation=significance.requantisation
         )
         factor = (worth / settings.threshold) ** 0.25
         for name, step in vars(settings.requantisation).items():
