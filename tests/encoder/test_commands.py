@@ -276,7 +276,7 @@ import json, sys
 from dataclasses import replace
 from decogs.encoder import PRESETS
 from decogs.encoder.commands import encode_main
-from decogs.encoder.presets import EncodeSettings
+from decogs.encoder.settings.presets import EncodeSettings
 
 keyframe, frame = json.loads(sys.argv.pop(1))
 start = PRESETS["draft"]

@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 
-import decogs.encoder.training.densification as densification
 from decogs.decoder.stream import open_stream
 from decogs.encoder import PRESETS
 from decogs.encoder.analysis import Decision, Wanted, wanted_effects, with_effects
@@ -134,7 +133,7 @@ def test_a_change_of_light_builds_no_cache_and_seeks_nothing_new(
 
     for place, name in (
         (frame_training, "TransformationCache"),
-        (densification, "grow"),
+        (frame_training._DeltaTraining, "_grow"),
         (frame_training, "seeds"),
         (frame_training, "shared_displacements"),
     ):
