@@ -75,10 +75,10 @@ def encode(
     ``frames``: "A:B" half-open, as in Python, or a slice; all when None. ``scale``: of the pictures trained on.
     ``holdout``: cameras kept out of training and measured on. ``preset``: a name in PRESETS, or settings.
     ``method``: "decogs" or "3dgstream"; ``ablate``: parts of DecoGS to leave out, a list or text with commas;
-    ``selection``: a name in SELECTION_RULES; all three on top of the preset (`methods`).
+    ``selection``: a name in SELECTION_RULES; all three on top of the preset (`switches`).
     ``effects``: "auto" looks at the rig
     first, for seconds, and builds what scene and frames call for; "all", "none", or names with commas, "-name" takes
-    one away (`effects`); None is "auto" for a named preset, and for settings what they say; the baseline has none.
+    one away (`analysis`); None is "auto" for a named preset, and for settings what they say; the baseline has none.
     ``keyframe``: an earlier stream of the same rig, first frame and held-out cameras whose keyframe is taken as it is.
     ``segment``: frames from one keyframe to the next; later ones are coded as differences from the first.
     ``quality``: 0 (smallest) to 100 (most exact), 50 is the preset as it is; with ``keyframe``, that of later frames.

@@ -6,10 +6,10 @@ none. Where they do not, it may be gloss, or a slanted surface that is resampled
 to be matched makes that large enough: a matte wall (in the tests) disagrees by 11 levels, a matte rendering of
 `workbench` by 9.2, the same with its gloss by 9.4, `workbench` itself by 10.2. So a yes is never surer than even.
 
-**The keyframe decides then.** It is trained with the preset's harmonics, and rounding (`keyframe.py`) keeps of them
-what the pictures show: on three synthetic rigs 2 to 3 of a thousand Gaussians keep any, on a recorded dome 119. Below
-``LEAST_SHOWN`` the stream has none, and later frames train none. Rejected: a second training without harmonics, to
-compare the tiles left out of the loss (twice the time, and two trainings differ by more than that by chance).
+**The keyframe decides then.** It is trained with the preset's harmonics, and rounding (`training/keyframe.py`) keeps of
+them what the pictures show: on three synthetic rigs 2 to 3 of a thousand Gaussians keep any, on a recorded dome 119.
+Below ``LEAST_SHOWN`` the stream has none, and later frames train none. Rejected: a second training without harmonics,
+to compare the tiles left out of the loss (twice the time, and two trainings differ by more than that by chance).
 """
 
 from __future__ import annotations

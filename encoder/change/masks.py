@@ -50,7 +50,7 @@ class FrameMask:
     The second covers the first, faint light, what is around them and, ``mended`` (None: nothing), what changed some
     frames ago.
 
-    ``lost``: why the picture says nothing of its frame (`dropouts`), and both are empty; "" when it does.
+    ``lost``: why the picture says nothing of its frame (`input.dropouts`), and both are empty; "" when it does.
     """
 
     raw: BoolArray

@@ -1,12 +1,12 @@
 """Time per frame: how it is asked for, and the control that keeps later frames to it on average.
 
 Chosen: wall-clock seconds of everything that an encode does for a frame, from its decoded pictures until it is ready
-for the next one's; what masks, selection and writing leave is for training, which meets a deadline (`effort`). What
-frames take beyond their deadlines, writing above all, is learned; what was saved and overspent is carried over. A frame
-whose time would not do for the least training is held, and the next one has its time as well: few steps in every frame
-lose what moves, and each frame begins with the errors of the last. As for
-bytes (`rate`), the clip's length is not known to it. Rejected: processor seconds (a rig that records waits for no
-processor); the keyframe in the budget (nothing tells how many frames are to pay for it).
+for the next one's; what masks, selection and writing leave is for training, which meets a deadline
+(`training.schedule`). What frames take beyond their deadlines, writing above all, is learned; what was saved and
+overspent is carried over. A frame whose time would not do for the least training is held, and the next one has its time
+as well: few steps in every frame lose what moves, and each frame begins with the errors of the last. As for
+bytes (`rate_control`), the clip's length is not known to it. Rejected: processor seconds (a rig that records waits for
+no processor); the keyframe in the budget (nothing tells how many frames are to pay for it).
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def with_time_budget(settings: EncodeSettings, seconds: float) -> EncodeSettings
 
 
 def with_target_psnr(settings: EncodeSettings, target: float) -> EncodeSettings:
-    """The same settings with the training of every frame ended once it has so many dB (`effort.TargetWatch`).
+    """The same settings with the training of every frame ended once it has so many dB (`schedule.TargetWatch`).
 
     Raises UsageError for what is no PSNR, and for a dense method, whose schedule is fixed.
     """

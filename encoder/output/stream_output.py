@@ -2,7 +2,7 @@
 
 A file grows as ``NAME.part``, which no other encode can write meanwhile, and gets its name when it is whole
 (`decogs.formats.outputs`); what was complete when something went wrong stays in ``NAME.part``, a valid, shorter stream
-that ``--resume`` goes on with (`resuming`).
+that ``--resume`` goes on with (`resume`).
 """
 
 from __future__ import annotations

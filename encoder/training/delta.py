@@ -6,8 +6,8 @@ never written: gradients are computed for the selected only, and Adam's moments 
 the paper's gradient gate and its reset of stale moments hold by construction. Equations: docs/METHOD.md, "Focus-aware
 loss" to "Optimiser-state reset".
 
-Beyond the paper: what newly appears gets Gaussians of its own (``emergence``), and ``warm_start`` lets a Gaussian
-begin where the last displacement of its neighbourhood would take it (``motion``). Without a cache (``cache`` None)
+Beyond the paper: what newly appears gets Gaussians of its own (`seeding`), and ``warm_start`` lets a Gaussian
+begin where the last displacement of its neighbourhood would take it (`warm_start`). Without a cache (``cache`` None)
 stage 1 is left out and stage 2 moves the Gaussians directly.
 """
 

@@ -4,7 +4,7 @@ What masks, selection and training see is canonical: the scene's own colours, fr
 packet says what was taken out of it, and a decoder puts it back to show what a camera recorded. Nothing here runs, and
 nothing is allocated, unless a camera is named.
 
-What cameras share is the scene's light and stays in their pictures (`effects/light.py` has the rule): a later frame's
+What cameras share is the scene's light and stays in their pictures (`analysis/light.py` has the rule): a later frame's
 shifts are those that differ from camera to camera at the same points of the scene. The cameras that are not named tell
 what is neutral; where all are, their median does, as far as it is more than what so many cameras that drift each by
 itself have in common by chance.
