@@ -15,7 +15,7 @@ RATE_RIGS ?= ../shared/data/rigs/workbench
 EFFECT_RIGS ?= $(addprefix ../shared/data/rigs/,still candle popup workbench workbench_drift)
 BENCH_ARGS ?=
 
-# Developers and tests have .venv, users and the demo .venv-user: without torch, a tenth of the download.
+# Developers and tests have .venv, users and the demo .venv-user: without torch, a third of the download.
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/ready

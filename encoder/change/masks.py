@@ -162,7 +162,7 @@ class MaskMemory:
         self._lost = [""] * len(pictures)
         self._changed = [np.zeros(picture.shape[1:], bool) for picture in pictures]
         self._frame, self._only_light = 0, False
-        self._mend_until = [np.zeros(picture.shape[1:], np.int32) for picture in pictures]
+        self._refine_until = [np.zeros(picture.shape[1:], np.int32) for picture in pictures]
 
     @property
     def references(self) -> Sequence[FloatArray]:
@@ -174,7 +174,7 @@ class MaskMemory:
 
         Raises ValueError when they are not the same views. Source: DecoGS, difference mask.
         """
-        views = list(zip(current, self._references, shown, self._changed, self._mend_until, strict=True))
+        views = list(zip(current, self._references, shown, self._changed, self._refine_until, strict=True))
         with side_by_side(self._threads) as each:
             masks = list(each(lambda view: self._mask(*view), views))
         self._lost = self._lost_pictures(current, masks)
@@ -207,7 +207,7 @@ class MaskMemory:
         copied = copy(self)
         copied._references = list(self._references)
         copied._changed = [changed.copy() for changed in self._changed]
-        copied._mend_until = [until.copy() for until in self._mend_until]
+        copied._refine_until = [until.copy() for until in self._refine_until]
         return copied
 
     def _lost_pictures(self, current: Sequence[FloatArray], masks: Sequence[FrameMask]) -> list[str]:
@@ -221,14 +221,14 @@ class MaskMemory:
         return [why or (FROZEN if repeat else "") for why, repeat in zip(lost, again, strict=True)]
 
     def _mask(
-        self, now: FloatArray, reference: FloatArray, shown: FloatArray, changed: BoolArray, mend_until: IntArray
+        self, now: FloatArray, reference: FloatArray, shown: FloatArray, changed: BoolArray, refine_until: IntArray
     ) -> FrameMask:
         settings = self._settings
         noise = self._noise(now, reference)
         raw = without_specks(difference_mask(now, reference, max(settings.threshold, noise)), settings.speck_area)
         if settings.residual and changed.any():
             raw |= _without_lines(difference_mask(now, shown, settings.residual) & changed)
-        around, mending = self._grown(raw), mend_until > self._frame
+        around, mending = self._grown(raw), refine_until > self._frame
         threshold = max(settings.light_threshold, noise / _LIGHT_WINDOW)
         if settings.light_threshold and (self._only_light or _light_spreads(now, reference, around, threshold)):
             faint = faint_light_mask(now, reference, threshold)
@@ -280,7 +280,7 @@ class MaskMemory:
         settings = self._settings
         clearly = difference_mask(now, self._references[index], settings.refine_threshold)
         clearly = self._grown(without_specks(clearly, settings.speck_area))
-        self._mend_until[index][clearly] = self._frame + 1 + settings.refine_frames
+        self._refine_until[index][clearly] = self._frame + 1 + settings.refine_frames
 
     def passed(self, current: Sequence[FloatArray], *, held: bool = False) -> None:
         """Tells that the frame is over, trained or not; ``held``: what changed in it is still to be trained."""

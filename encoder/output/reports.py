@@ -1,4 +1,4 @@
-"""What an encode tells of itself: of every frame, and of the whole stream; and the watch its seconds come from."""
+"""What an encode reports of itself: of every frame, and of the whole stream."""
 
 from __future__ import annotations
 
