@@ -32,7 +32,7 @@ from .settings.encode import EncodeSettings
 from .settings.presets import preset as named_preset
 from .stream import encode_stream
 from .switches import with_method, with_selection, without
-from .training.method import FRAME_METHODS, require_sparse
+from .training.methods import FRAME_METHODS, require_sparse
 
 _LEAST_SECONDS, _MOST_SECONDS = 1e-4, 1e6
 """Of a frame's time: what a clock tells apart, and twelve days."""

@@ -25,7 +25,8 @@ from .rasterise import IncrementalViews, fixed_view, training_kernel
 from .settings.encode import EncodeSettings
 from .settings.frame import FrameSettings
 from .stopwatch import Stopwatch
-from .training.method import FRAME_METHODS, FrameTrainer, training_context
+from .training.method import FrameTrainer, training_context
+from .training.methods import FRAME_METHODS
 from .training.warm_start import Motion
 
 

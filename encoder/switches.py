@@ -14,7 +14,7 @@ from decogs.formats.errors import UsageError
 
 from .change.selection import SELECTION_RULES
 from .settings.encode import EncodeSettings
-from .training.method import FRAME_METHODS, require_sparse
+from .training.methods import FRAME_METHODS, require_sparse
 
 ABLATIONS = ("select", "focus", "gate")
 """The parts of DecoGS that can be left out; `without` says what then happens."""

@@ -21,7 +21,7 @@ from decogs.formats.errors import UsageError
 from ..registry import Registry
 from ..settings.encode import EncodeSettings
 from ..settings.frame import RequantisationSteps, SignificanceSettings
-from ..training.method import require_sparse
+from ..training.methods import require_sparse
 
 NEUTRAL_QUALITY = 50.0
 """The preset as it is."""

@@ -1,4 +1,4 @@
-"""Frame methods by name: how later frames are trained, ours and those of installed packages (docs/extending.md).
+"""What a frame method is: how later frames are trained (docs/extending.md; `methods` has them by name).
 
 A method makes one trainer for a stream; the loop calls the trainer once for each later frame that changed. All methods
 share the keyframe, the views, the rasteriser and the lattice.
@@ -13,13 +13,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.errors import UsageError
 from decogs.formats.splats import FloatArray, Splats
 
 from ..change.masks import FrameMask
 from ..input.ingest import View
 from ..rasterise import FixedView, TrainingKernel
-from ..registry import Registry
 from ..settings.encode import EncodeSettings
 from ..settings.frame import FrameSettings
 from .keyframe import scene_extent
@@ -118,31 +116,6 @@ class FrameMethod:
 
     trainer: Callable[[TrainingContext], FrameTrainer]
     dense: bool = False
-
-
-def _decogs(context: TrainingContext) -> FrameTrainer:
-    from .delta import DeltaTrainer
-
-    return DeltaTrainer(context)
-
-
-def _threedgstream(context: TrainingContext) -> FrameTrainer:
-    from .threedgstream import BaselineTrainer
-
-    return BaselineTrainer(context)
-
-
-FRAME_METHODS: Registry[FrameMethod] = Registry(
-    "method",
-    "decogs.frame_methods",
-    {"decogs": FrameMethod(_decogs), "3dgstream": FrameMethod(_threedgstream, dense=True)},
-)
-
-
-def require_sparse(settings: EncodeSettings, option: str, why: str) -> None:
-    """Raises UsageError where the settings' method is dense, which an option of sparse ones excludes."""
-    if FRAME_METHODS.get(settings.method).dense:
-        raise UsageError(f"{option}: --method {settings.method} {why}; drop one of the two")
 
 
 def training_context(

@@ -17,7 +17,7 @@ from decogs.encoder.change.selection import SELECTION_RULES, ViewEvidence, selec
 from decogs.encoder.registry import Registry
 from decogs.encoder.settings.frame import SelectionSettings
 from decogs.encoder.switches import with_selection
-from decogs.encoder.training.method import FRAME_METHODS
+from decogs.encoder.training.methods import FRAME_METHODS
 from decogs.formats.errors import UsageError
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "extending.md"

@@ -16,7 +16,7 @@ from decogs.encoder import PRESETS, EncodeSettings
 from decogs.encoder.settings.cache import CacheSettings
 from decogs.encoder.settings.frame import RequantisationSteps
 from decogs.encoder.settings.presets import LADDER, preset
-from decogs.encoder.training.method import FRAME_METHODS
+from decogs.encoder.training.methods import FRAME_METHODS
 from decogs.formats.errors import UsageError
 
 
