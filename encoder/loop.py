@@ -56,7 +56,7 @@ class StreamEncoder:
     ) -> None:
         self._settings, self._convergence = settings, convergence
         self._state = StreamState(ingest, settings, output, keyframe, seed=seed, threads=threads, device=device)
-        self._reporter = FrameReporter(ingest, self._state.kernel, self._state.views, on_warning)
+        self._reporter = FrameReporter(ingest, self._state.kernel, self._state.views, on_warning, threads=threads)
         self._time = None if settings.time_budget is None else TimeControl(settings.time_budget)
 
     def check_header(self, first: int) -> None:

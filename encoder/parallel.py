@@ -1,4 +1,4 @@
-"""Work on all views side by side, one thread for each, in the views' order; results do not depend on their number."""
+"""Work on all views side by side, in the views' order, and ahead of time; results do not depend on threads."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from itertools import islice
 from typing import Protocol, TypeVar
 
 import cv2
@@ -32,3 +33,13 @@ def side_by_side(threads: int) -> Iterator[Each]:
             yield pool.map
     finally:
         cv2.setNumThreads(own_threads)
+
+
+def ahead(items: Iterable[R]) -> Iterator[R]:
+    """The items in their order, each made on a thread of its own while the one before it is worked on."""
+    coming = iter(items)
+    with ThreadPoolExecutor(1) as maker:
+        after = maker.submit(list, islice(coming, 1))
+        while now := after.result():
+            after = maker.submit(list, islice(coming, 1))
+            yield now[0]

@@ -9,6 +9,7 @@ import numpy as np
 from decogs.formats.splats import FloatArray, Splats
 
 from .input.ingest import View
+from .parallel import side_by_side
 from .rasterise import TrainingKernel
 
 
@@ -22,15 +23,20 @@ def mean_psnr(kernel: TrainingKernel, splats: Splats, views: Sequence[View], pic
     return mean_picture_psnr(views, [kernel.forward(splats, view.pinhole).rgb for view in views], pictures)
 
 
-def mean_picture_psnr(views: Sequence[View], shown: Sequence[FloatArray], pictures: Sequence[FloatArray]) -> float:
+def mean_picture_psnr(
+    views: Sequence[View], shown: Sequence[FloatArray], pictures: Sequence[FloatArray], *, threads: int = 1
+) -> float:
     """Mean over the views of each one's PSNR, over recorded pixels, of ``shown`` clipped to 0..1; NaN without views."""
-    values = []
-    for view, picture, target in zip(views, shown, pictures, strict=True):
-        square = (np.clip(picture, 0, 1) - target) ** 2
-        if view.valid is not None:
-            square = square * view.valid
-        values.append(psnr_of(float(square.sum(dtype=np.float64)) / (3 * float(_size(view)))))
+    with side_by_side(threads) as each:
+        values = list(each(_picture_psnr, views, shown, pictures))
     return float(np.mean(values)) if values else float("nan")
+
+
+def _picture_psnr(view: View, shown: FloatArray, picture: FloatArray) -> float:
+    square = (np.clip(shown, 0, 1) - picture) ** 2
+    if view.valid is not None:
+        square = square * view.valid
+    return psnr_of(float(square.sum(dtype=np.float64)) / (3 * float(_size(view))))
 
 
 def _size(view: View) -> float:

@@ -16,6 +16,7 @@ from .output.convergence_log import ConvergenceLog
 from .output.reports import EncodeReport, FrameReport, OnFrame, OnKeyframeStep, OnWarning
 from .output.resume import Interrupted, check_resumable
 from .output.stream_output import FileOutput, StreamOutput, open_output
+from .parallel import ahead
 from .settings.encode import EncodeSettings
 
 
@@ -69,7 +70,8 @@ def encode_stream(
         reports: list[FrameReport] = []
         interrupted = False
         try:
-            for frame in ingest.frames(span.start, span.stop):
+            frames = ingest.frames(span.start, span.stop)
+            for frame in ahead(frames) if threads > 1 else frames:
                 packet = next(packets, None)
                 if packet is not None:
                     # The first and the last tell whether the pictures are those that it was made from.

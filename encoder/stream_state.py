@@ -130,7 +130,11 @@ class StreamState:
         if effects and settings.detect_per_frame:
             with now.watch.stage("effects"):
                 effects, settings = enabled_effects(
-                    settings, now.compensated.training, self.changes.references, now.change.masks
+                    settings,
+                    now.compensated.training,
+                    self.changes.references,
+                    now.change.masks,
+                    threads=self.threads,
                 )
         significance = settings.frame.significance
         if self.rate is not None:

@@ -17,13 +17,15 @@ def enabled_effects(
     pictures: Sequence[FloatArray],
     references: Sequence[FloatArray],
     masks: Sequence[FrameMask],
+    *,
+    threads: int = 1,
 ) -> tuple[tuple[str, ...], EncodeSettings]:
     """The names of ``settings``' effects that a frame calls for, and the settings without the others.
 
     ``pictures``, ``references``: the frame's and what they are compared with, (3, H, W) each.
     """
     effects = settings.frame_effects
-    found = frame_effects(pictures, references, masks)
+    found = frame_effects(pictures, references, masks, threads=threads)
     # What moves changes its shading, too: without colours workbench_drift loses half a dB where things move.
     disabled = [] if found.motion else [name for name in effects if not getattr(found, name)]
     return tuple(name for name in effects if name not in disabled), disable(settings, disabled)

@@ -19,6 +19,7 @@ from decogs.formats.splats import FloatArray
 
 from ..change.masks import FrameMask
 from ..change.noise import picture_noise
+from ..parallel import side_by_side
 from . import appearance_change, motion
 from .changes import WINDOW_PIXELS, change_maps
 from .look import MOST_PIXELS
@@ -60,13 +61,19 @@ class _Pixels:
 
 
 def frame_effects(
-    current: Sequence[FloatArray], previous: Sequence[FloatArray], masks: Sequence[FrameMask]
+    current: Sequence[FloatArray],
+    previous: Sequence[FloatArray],
+    masks: Sequence[FrameMask],
+    *,
+    threads: int = 1,
 ) -> FrameEffects:
     """What a frame brings, from every view's picture (3, H, W) 0..1, the one it is compared with, and its mask.
 
     Raises ValueError when they are not the same views.
     """
-    views = [_pixels(*view) for view in zip(current, previous, masks, strict=True) if view[2].dilated.any()]
+    changed = [view for view in zip(current, previous, masks, strict=True) if view[2].dilated.any()]
+    with side_by_side(threads) as each:
+        views = list(each(lambda view: _pixels(*view), changed))
     if not views:
         return FrameEffects(motion=False, appearance_change=False)
     # Many little doubts are one: all views together count as one more.

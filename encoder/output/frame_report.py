@@ -23,9 +23,15 @@ class FrameReporter:
     """Reports the frames of a stream. ``views`` show its scene; where there are none, it is rendered."""
 
     def __init__(
-        self, ingest: Ingest, kernel: TrainingKernel, views: IncrementalViews, on_warning: OnWarning | None
+        self,
+        ingest: Ingest,
+        kernel: TrainingKernel,
+        views: IncrementalViews,
+        on_warning: OnWarning | None,
+        *,
+        threads: int,
     ) -> None:
-        self._ingest, self._kernel, self._views = ingest, kernel, views
+        self._ingest, self._kernel, self._views, self._threads = ingest, kernel, views, threads
         self._on_warning = on_warning
 
     def report(
@@ -67,9 +73,9 @@ class FrameReporter:
 
     def _training_psnr(self, frame: RigFrame, scene: Splats, seen: Sequence[int]) -> float:
         """Of the views in ``seen``, of all if there are none."""
-        views, pictures = self._ingest.views, frame.training
-        used = seen or range(len(views))
-        return mean_picture_psnr([views[i] for i in used], self._shown(scene, used), [pictures[i] for i in used])
+        used = seen or range(len(self._ingest.views))
+        views, pictures = [self._ingest.views[i] for i in used], [frame.training[i] for i in used]
+        return mean_picture_psnr(views, self._shown(scene, used), pictures, threads=self._threads)
 
     def _shown(self, scene: Splats, used: Sequence[int]) -> list[FloatArray]:
         """What these views show of the scene, (3, H, W) each."""

@@ -30,6 +30,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+import torch.nn.functional as functional
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -197,6 +198,7 @@ class CudaKernel(TrainingKernel):
         self._resident = _Resident(self.device)
         self._drawn: tuple[list[Tensor], _Projected, _Projected, Tensor, Tensor, Tensor] | None = None
         self._gradient: Tensor | None = None
+        self._part: tuple[Splats, RowArray, list[Tensor]] | None = None
 
     def forward(
         self,
@@ -289,6 +291,12 @@ class CudaKernel(TrainingKernel):
         """Stored values on the device, ready to be differentiated by."""
         return [self.upload(getattr(splats, name)).requires_grad_() for name in _STORED]
 
+    def part(self, scene: Splats, rows: RowArray) -> list[Tensor]:
+        """Stored values of a scene's ``rows`` on the device; they travel once for all views that ask in a row."""
+        if self._part is None or self._part[0] is not scene or self._part[1] is not rows:
+            self._part = scene, rows, self.leaves(take_splats(scene, rows))
+        return self._part[2]
+
     def gradients(
         self, leaves: list[Tensor], projected: _Projected, by: tuple[Tensor, ...], out: SplatGradients
     ) -> None:
@@ -376,6 +384,7 @@ class CudaFixedView(FixedView):
         self._colours = torch.zeros((camera.height, camera.width, 4), device=kernel.device)
         self._alphas = torch.zeros((camera.height, camera.width, 1), device=kernel.device)
         self._tiles_met = torch.zeros((self._lens.rows, self._lens.columns), dtype=torch.bool, device=kernel.device)
+        self._travelled: tuple[Tensor, FloatArray] | None = None  # colours, and the host's copy of them
         self._stale = ~self._tiles_met  # tiles that do not show what rests, and nothing else
         self._lifted = np.zeros(0, np.bool_)
         self._all = _Projected.blank(0, kernel.device)  # what rests, as it was put; what changes, as last drawn
@@ -384,7 +393,9 @@ class CudaFixedView(FixedView):
 
     @property
     def rgb(self) -> FloatArray:
-        return _host(self._colours[..., :3].permute(2, 0, 1))
+        if self._travelled is None or self._travelled[0] is not self._colours:
+            self._travelled = self._colours, _host(self._colours[..., :3].permute(2, 0, 1))
+        return self._travelled[1]
 
     @property
     def alpha(self) -> FloatArray:
@@ -399,7 +410,8 @@ class CudaFixedView(FixedView):
         return np.asarray(self._tiles_met.cpu().numpy().ravel(), np.uint8)
 
     def place(self, scene: Splats) -> None:
-        self._all, self._lifted = self._projected(scene), np.zeros(len(scene), np.bool_)
+        stored = self._device_kernel.leaves(scene)
+        self._all, self._lifted = self._projected(stored, scene.sh_degree), np.zeros(len(scene), np.bool_)
         self._forget()
 
     def refresh(self, marks: NDArray[np.bool_] | None = None) -> FloatArray:
@@ -487,16 +499,15 @@ class CudaFixedView(FixedView):
         return out
 
     def settle(self, scene: Splats, rows: RowArray, renumbered: RowArray | None = None) -> None:
-        rows = checked_rows(rows, len(scene))
+        kernel, asked, rows = self._device_kernel, rows, checked_rows(rows, len(scene))
         renumbered = check_renumbered(renumbered, self._placed(), len(scene))
-        kernel = self._device_kernel
         if renumbered is not None:
             kept = self._all.take(kernel.upload(np.flatnonzero(renumbered >= 0)))
             self._all = _Projected.blank(len(scene), kernel.device)
             self._all.write(kernel.upload(renumbered[renumbered >= 0]), kept)
         else:
             self._all = self._all.take(slice(0, len(scene))).with_room(len(scene))
-        self._all.write(kernel.upload(rows), self._projected(take_splats(scene, rows)))
+        self._all.write(kernel.upload(rows), self._projected(kernel.part(scene, asked), scene.sh_degree))
         self._lifted = np.zeros(len(scene), np.bool_)
         self._forget()
 
@@ -525,8 +536,8 @@ class CudaFixedView(FixedView):
         return self._where
 
     @torch.no_grad()
-    def _projected(self, splats: Splats) -> _Projected:
-        return self._device_kernel.project(self._device_kernel.leaves(splats), self._lens, splats.sh_degree)
+    def _projected(self, stored: list[Tensor], sh_degree: int) -> _Projected:
+        return self._device_kernel.project(stored, self._lens, sh_degree)
 
     def _lists(self, projected: _Projected) -> _Lists:
         return self._device_kernel.tile_lists(projected, self._lens)
@@ -545,8 +556,8 @@ class CudaFixedView(FixedView):
 
 def _turned_somehow(quaternions: Tensor) -> Tensor:
     """No rotation in place of a zero quaternion; gsplat brings the others to unit length."""
-    upright = torch.tensor([1.0, 0.0, 0.0, 0.0], device=quaternions.device)
     zero = quaternions.detach().abs().amax(1, keepdim=True) < 1e-18
+    upright = functional.pad(torch.ones_like(quaternions[:, :1]), (0, 3))  # made there: nothing travels
     return torch.where(zero, upright, quaternions)
 
 

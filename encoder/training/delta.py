@@ -16,6 +16,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import repeat
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ from decogs.formats.splats import FloatArray, Splats, empty_splats, join_splats,
 
 from ..change.masks import FrameMask, showing
 from ..input.ingest import View
+from ..parallel import side_by_side
 from ..rasterise import SplatGradients, TrainingKernel, gradients_like
 from ..settings.frame import FrameSettings
 from ..transformation_cache import TransformationCache
@@ -116,9 +118,8 @@ class _DeltaTraining:
         """The trained frame, and how far its schedule went."""
         scene, pictures, masks = self._frame.scene, self._frame.pictures, self._frame.masks
         before = self._squared_error(pictures, masks)
-        losses = [
-            self._loss(picture, mask, view) for picture, mask, view in zip(pictures, masks, self._views, strict=True)
-        ]
+        with side_by_side(self._threads) as each:
+            losses = list(each(self._loss, pictures, masks, self._views))
         work = _Working(scene, np.flatnonzero(self._frame.selected), self._kernel, self._settings)
         self._start_warm(work, self._frame.motion[work.rows])
         if self._cache is not None:
@@ -141,8 +142,13 @@ class _DeltaTraining:
 
     def _errors(self, pictures: Sequence[FloatArray], masks: Sequence[FrameMask]) -> list[FloatArray]:
         """By how much what some views show misses their pictures in focus, (3, pixels) each, colours 0 to 1."""
-        regions = [(i, np.flatnonzero(_focus(self._views[i], masks[i]))) for i in self._probes()]
-        return [np.clip(_pixels(self._watch[i].rgb, focus), 0, 1) - _pixels(pictures[i], focus) for i, focus in regions]
+
+        def missing(index: int) -> FloatArray:
+            focus = np.flatnonzero(_focus(self._views[index], masks[index]))
+            return np.clip(_pixels(self._watch[index].rgb, focus), 0, 1) - _pixels(pictures[index], focus)
+
+        with side_by_side(self._threads) as each:
+            return list(each(missing, self._probes()))
 
     def _squared_error(self, pictures: Sequence[FloatArray], masks: Sequence[FrameMask]) -> float:
         return sum(float(np.square(errors).sum(dtype=np.float64)) for errors in self._errors(pictures, masks))
@@ -391,16 +397,17 @@ class _DeltaTraining:
         if settings.max_seeds <= 0:
             return empty_splats(work.base.sh_degree)
         looks: dict[int, Look] = {}
-        misses: list[NDArray[np.bool_]] = []
+        misses: dict[int, NDArray[np.bool_]] = {}
         for probe in (views[::3], views):
-            for index in probe:
-                if index not in looks:
-                    looks[index] = self._look(work, index, losses[index].target, masks[index])
-                    misses.append(missed(looks[index], settings))
-            if not worth_a_search(misses, settings):
+            new = [index for index in probe if index not in looks]
+            looks |= {index: self._look(work, index, losses[index].target, masks[index]) for index in new}
+            with side_by_side(self._threads) as each:
+                misses |= zip(new, each(missed, map(looks.__getitem__, new), repeat(settings)), strict=False)
+            if not worth_a_search(list(misses.values()), settings):
                 return empty_splats(work.base.sh_degree)
         fewer = replace(settings, max_rays=max(1, round(rays * settings.max_rays)))
-        return seeds([looks[i] for i in views], fewer, work.base.sh_degree, threads=self._threads)
+        found = [looks[i] for i in views], [misses[i] for i in views]
+        return seeds(*found, fewer, work.base.sh_degree, threads=self._threads)
 
     def _look(self, work: _Working, index: int, target: FloatArray, mask: FrameMask) -> Look:
         view, watching = self._views[index], self._watch[index]

@@ -15,7 +15,8 @@ Rejected: a voxel grid (its resolution has to be that of the pixels to be of use
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -39,6 +40,8 @@ _SAME = 0.1
 _NEAR = 4.0
 """Size of a neighbourhood, as a multiple of the distance between rays."""
 _SIGMA_PER_SPACING = 0.6
+_PART = 500
+"""Rays that are looked along at once: enough that numpy works, not Python; parts run side by side."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +64,10 @@ def missed(look: Look, settings: EmergenceSettings) -> BoolArray:
 
 
 def _missed(look: Look, levels: float) -> BoolArray:
-    wrong = (np.abs(look.rendered - look.picture).max(axis=0) > np.float32(levels / 255)) & look.focus
+    focus = np.flatnonzero(look.focus)
+    rendered, picture = (np.take(planes.reshape(3, -1), focus, axis=1) for planes in (look.rendered, look.picture))
+    wrong = np.zeros(look.focus.shape, bool)
+    wrong.reshape(-1)[focus] = np.abs(rendered - picture).max(axis=0) > np.float32(levels / 255)
     return cv2.morphologyEx(wrong.view(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)).view(np.bool_)
 
 
@@ -71,43 +77,62 @@ def worth_a_search(masks: Sequence[BoolArray], settings: EmergenceSettings) -> b
     return missing > settings.min_fraction * sum(mask.size for mask in masks)
 
 
-def seeds(looks: Sequence[Look], settings: EmergenceSettings, sh_degree: int, *, threads: int = 1) -> Splats:
+def seeds(
+    looks: Sequence[Look], cores: Sequence[BoolArray], settings: EmergenceSettings, sh_degree: int, *, threads: int = 1
+) -> Splats:
     """New Gaussians where the views agree that something stands before what is rendered; often none.
 
-    ``looks``: all training views; ``sh_degree``: the scene's. Deterministic.
+    ``looks``: all training views; ``cores``: what each of them has ``missed``; ``sh_degree``: the scene's.
+    Deterministic.
     """
+    if settings.max_seeds <= 0 or not worth_a_search(cores, settings):
+        return empty_splats(sh_degree)
+    step = max(1, -(-sum(int(core.sum()) for core in cores) // settings.max_rays))
     with side_by_side(threads) as each:
-        cores = list(each(lambda look: missed(look, settings), looks))
-        if settings.max_seeds <= 0 or not worth_a_search(cores, settings):
-            return empty_splats(sh_degree)
         search = _Search(looks, cores, settings, each)
-        step = max(1, -(-sum(int(core.sum()) for core in cores) // settings.max_rays))
-        rays = [np.flatnonzero(core)[index % step :: step] for index, core in enumerate(cores)]
-        found = list(each(search.along_rays, range(len(cores)), rays))
-    return _splats(_thinned(_confirmed(found, step), settings.max_seeds), cores, settings, sh_degree)
+        found = list(each(search.along_rays, search.rays(step)))
+    if not found:
+        return empty_splats(sh_degree)
+    return _splats(_thinned(_confirmed(_join(found), step), settings.max_seeds), cores, settings, sh_degree)
+
+
+@dataclass(frozen=True)
+class _Rays:
+    """Rays through pixels (flat indices) of several views: origin and direction (R, 3), of depth 1.
+
+    ``surface`` (R,): the rendered depth, 0 for none. ``colours`` (R, 3): as recorded; ``smooth``: around the pixel.
+    """
+
+    views: IntArray
+    pixels: IntArray
+    origins: NDArray[np.float64]
+    directions: NDArray[np.float64]
+    surface: FloatArray
+    colours: FloatArray
+    smooth: FloatArray
 
 
 @dataclass(frozen=True)
 class _Found:
-    """Points (P, 3) float64, colours (P, 3), the size of a pixel there and how badly the views agree (P,)."""
+    """Points (P, 3) float64, whose rays they end, colours (P, 3), a pixel's size there, how badly views agree (P,)."""
 
     points: NDArray[np.float64]
+    views: IntArray
     colours: FloatArray
     pixel: NDArray[np.float64]
     cost: FloatArray
 
 
-def _join(found: Sequence[_Found]) -> _Found:
-    return _Found(
-        np.concatenate([f.points for f in found]),
-        np.concatenate([f.colours for f in found]),
-        np.concatenate([f.pixel for f in found]),
-        np.concatenate([f.cost for f in found]),
-    )
+P = TypeVar("P", _Rays, _Found)
 
 
-def _take(found: _Found, rows: IntArray) -> _Found:
-    return _Found(found.points[rows], found.colours[rows], found.pixel[rows], found.cost[rows])
+def _join(parts: Sequence[P]) -> P:
+    columns = [np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(parts[0])]
+    return type(parts[0])(*columns)
+
+
+def _take(part: P, rows: IntArray | slice) -> P:
+    return type(part)(*(getattr(part, field.name)[rows] for field in fields(part)))
 
 
 class _Search:
@@ -116,7 +141,7 @@ class _Search:
     def __init__(
         self, looks: Sequence[Look], cores: Sequence[BoolArray], settings: EmergenceSettings, each: Each
     ) -> None:
-        self._looks, self._settings = looks, settings
+        self._looks, self._cores, self._settings = looks, cores, settings
         self._wide = list(each(lambda look, core: _wide(look, core, settings.residual / 2), looks, cores))
         self._smooth = list(each(lambda look: _smoothed(look.picture), looks))
         self._change = list(each(lambda look: _smoothed(look.picture - look.rendered), looks))
@@ -124,66 +149,81 @@ class _Search:
         near, far = np.percentile(depths[depths > 0], [1, 99]) if (depths > 0).any() else (1.0, 1.0)
         self._inverse = np.linspace(1 / (_NEAREST * near), 1 / far, settings.depths)
 
-    def along_rays(self, index: int, pixels: IntArray) -> _Found:
-        """One seed at most for each of a view's ``pixels`` (flat indices)."""
-        look, settings = self._looks[index], self._settings
-        origin, directions = camera_centre(look.camera), _rays(look.camera, pixels)
-        surface = look.depth.ravel()[pixels]
-        inverse = np.broadcast_to(self._inverse, (len(pixels), len(self._inverse)))
+    def rays(self, step: int) -> list[_Rays]:
+        """Rays of every ``step``-th pixel that a view misses, in the views' order, in parts of _PART."""
+        looks, cores = enumerate(self._looks), self._cores
+        joined = _join([self._rays_of(i, look, np.flatnonzero(cores[i])[i % step :: step]) for i, look in looks])
+        return [_take(joined, slice(at, at + _PART)) for at in range(0, len(joined.pixels), _PART)]
+
+    def _rays_of(self, index: int, look: Look, pixels: IntArray) -> _Rays:
+        return _Rays(
+            np.full(len(pixels), index),
+            pixels,
+            np.broadcast_to(camera_centre(look.camera), (len(pixels), 3)),
+            _directions(look.camera, pixels),
+            look.depth.ravel()[pixels],
+            look.picture.reshape(3, -1).T[pixels],
+            self._smooth[index].reshape(-1, 3)[pixels],
+        )
+
+    def along_rays(self, rays: _Rays) -> _Found:
+        """One seed at most for each ray."""
+        settings, surface, count = self._settings, rays.surface, len(rays.pixels)
+        inverse = np.broadcast_to(self._inverse, (count, len(self._inverse)))
         limit = np.where(surface > 0, (1 - settings.in_front) * surface, np.inf)
         ray, place = np.nonzero(inverse * limit[:, None] > 1)
-        ray, place = self._inside_hull(index, origin, directions, ray, place)
+        ray, place = self._inside_hull(rays, ray, place)
         # Between the steps of the coarse search, which are a few pixels apart in the views farthest off.
         ray = np.repeat(ray, 3)
         gap = self._inverse[0] - self._inverse[-1]
         offsets = np.array([-1, 0, 1]) / 3 * gap / max(1, len(self._inverse) - 1)
         depth = 1 / (self._inverse[place][:, None] + offsets).ravel()
-        reference = self._smooth[index].reshape(-1, 3)[pixels]
-        points = origin + directions[ray] * depth[:, None]
-        (cost,), front = self._disagreements([self._smooth], index, points, [reference[ray]])
+        points = rays.origins[ray] + rays.directions[ray] * depth[:, None]
+        (cost,), front = self._disagreements([self._smooth], rays.views[ray], points, [rays.smooth[ray]])
         tolerance = np.float32(settings.spread / 255)
-        best = np.full(len(pixels), np.inf, np.float32)
+        best = np.full(count, np.inf, np.float32)
         np.minimum.at(best, ray, np.where(front, cost, np.inf).astype(np.float32))
-        explained = np.zeros(len(pixels), bool)
+        explained = np.zeros(count, bool)
         asking = np.flatnonzero((best <= tolerance) & (surface > 0))
-        there = self._disagreement_at_surface(index, pixels[asking], origin, (directions * surface[:, None])[asking])
+        there = self._disagreement_at_surface(_take(rays, asking))
         explained[asking] = there <= 2 * best[asking] + tolerance / 4
         fits = front & (cost <= np.minimum(best[ray] + _SAME * tolerance, tolerance)) & ~explained[ray]
         rows = np.flatnonzero(fits)
         rows = rows[np.lexsort((depth[rows], ray[rows]))]
         rows = rows[np.unique(ray[rows], return_index=True)[1]]  # the foremost of each ray
-        points = origin + directions[ray[rows]] * depth[rows, None]
-        colours = look.picture.reshape(3, -1).T[pixels[ray[rows]]]
-        return _Found(points, colours, depth[rows] / look.camera.fx, cost[rows])
+        ended, depth = _take(rays, ray[rows]), depth[rows]
+        pixel = depth / np.array([look.camera.fx for look in self._looks])[ended.views]
+        return _Found(ended.origins + ended.directions * depth[:, None], ended.views, ended.colours, pixel, cost[rows])
 
-    def _disagreement_at_surface(
-        self, index: int, pixels: IntArray, origin: NDArray[np.float64], reach: NDArray[np.float64]
-    ) -> FloatArray:
-        """How badly the rendered surface, at origin + reach, explains the pixels (P,).
+    def _disagreement_at_surface(self, rays: _Rays) -> FloatArray:
+        """How badly the rendered surface explains the rays' pixels (R,).
 
         It explains a pixel if the views agree there about its colour, or, where texture is too fine to tell, about how
         much it has changed; rendered depths are a little off, so its neighbourhood counts as well.
         """
-        least = np.full(len(pixels), np.inf, np.float32)
+        least = np.full(len(rays.pixels), np.inf, np.float32)
+        changes = np.zeros((len(rays.pixels), 3), np.float32)
+        for index in np.unique(rays.views):
+            own = rays.views == index
+            changes[own] = self._change[index].reshape(-1, 3)[rays.pixels[own]]
+        reach = rays.directions * rays.surface[:, None]
         for nearer in (0.985, 1.0, 1.015):
-            pictures = (self._smooth, self._change)
-            own = [each[index].reshape(-1, 3)[pixels] for each in pictures]
-            there, _ = self._disagreements(pictures, index, origin + nearer * reach, own)
+            there, _ = self._disagreements(
+                (self._smooth, self._change), rays.views, rays.origins + nearer * reach, (rays.smooth, changes)
+            )
             least = np.minimum(least, np.minimum(*there))
         return least
 
-    def _inside_hull(
-        self, index: int, origin: NDArray[np.float64], directions: NDArray[np.float64], ray: IntArray, place: IntArray
-    ) -> tuple[IntArray, IntArray]:
+    def _inside_hull(self, rays: _Rays, ray: IntArray, place: IntArray) -> tuple[IntArray, IntArray]:
         """Those of the samples that the masks of nearly all other views which see them hold."""
         settings = self._settings
         allowed = settings.missing_fraction * len(self._looks)
         seen = np.ones(len(ray), np.int64)
         misses = np.zeros(len(ray), np.int64)
-        for other in _far_first(index, len(self._looks)):
-            points = origin + directions[ray] / self._inverse[place][:, None]
+        for other in _far_first(int(rays.views[0]), len(self._looks)):
+            points = rays.origins[ray] + rays.directions[ray] / self._inverse[place][:, None]
             flat, *_ = _project(self._looks[other].camera, points)
-            inside = flat >= 0
+            inside = (flat >= 0) & (rays.views[ray] != other)
             hit = inside & self._wide[other][np.maximum(flat, 0)]
             seen += inside
             misses += inside & ~hit
@@ -195,22 +235,21 @@ class _Search:
     def _disagreements(
         self,
         pictures: Sequence[Sequence[FloatArray]],
-        index: int,
+        views: IntArray,
         points: NDArray[np.float64],
         references: Sequence[FloatArray],
     ) -> tuple[list[FloatArray], BoolArray]:
         """How much each kind of ``pictures`` differs from its reference colours (P, 3) at points, 0..1; those in front.
 
-        The mean over the best of the views that see a point; a point must lie before what most of them render.
+        The mean over the best of the views that see a point, its own (``views``) apart; a point must lie before what
+        most of them render.
         """
         count = len(points)
         differences = np.full((len(pictures), len(self._looks), count), np.inf, np.float32)
         before, seen = np.zeros(count, np.int64), np.zeros(count, np.int64)
         for other, look in enumerate(self._looks):
-            if other == index:
-                continue
             flat, u, v, depth = _project(look.camera, points)
-            inside = np.flatnonzero(flat >= 0)
+            inside = np.flatnonzero((flat >= 0) & (views != other))
             at = flat[inside]
             for kind, (each, reference) in enumerate(zip(pictures, references, strict=True)):
                 colours = _sample(each[other], u[inside], v[inside])
@@ -255,11 +294,11 @@ def _sample(picture: FloatArray, u: NDArray[np.float64], v: NDArray[np.float64])
 
 
 def _far_first(index: int, count: int) -> list[int]:
-    """The other views, in an order that soon meets different directions: neighbours carve little."""
-    return sorted((i for i in range(count) if i != index), key=lambda i: ((i - index) * 5 % count, i))
+    """All views, in an order that soon meets directions other than that of ``index``: neighbours carve little."""
+    return sorted(range(count), key=lambda i: ((i - index) * 5 % count, i))
 
 
-def _rays(camera: Camera, pixels: IntArray) -> NDArray[np.float64]:
+def _directions(camera: Camera, pixels: IntArray) -> NDArray[np.float64]:
     """Directions (P, 3) through the centres of pixels (flat indices), of depth 1."""
     rows, columns = np.divmod(pixels, camera.width)
     x = (columns + 0.5 - camera.cx) / camera.fx
@@ -282,26 +321,24 @@ def _project(
     return np.where(inside, row * camera.width + column, -1), u, v, depth
 
 
-def _confirmed(found: Sequence[_Found], step: int) -> _Found:
-    """Points of all views near which rays of another view ended as well; every ``step``-th pixel had a ray.
+def _confirmed(found: _Found, step: int) -> _Found:
+    """Points near which rays of another view ended as well; every ``step``-th pixel had a ray.
 
     Colours that agree by chance do so at scattered depths. Near: in one cell of a grid
     or of the same grid shifted by half.
     """
-    joined = _join(found)
-    if not len(joined.points):
-        return joined
-    view = np.repeat(np.arange(len(found)), [len(f.points) for f in found])
-    size = _NEAR * max(1.5, step**0.5) * float(np.median(joined.pixel))
-    keep = np.zeros(len(view), bool)
+    if not len(found.points):
+        return found
+    size = _NEAR * max(1.5, step**0.5) * float(np.median(found.pixel))
+    keep = np.zeros(len(found.views), bool)
     for shift in (0.0, 0.5):
-        cells = np.floor((joined.points - joined.points.min(axis=0)) / size + shift).astype(np.int64)
+        cells = np.floor((found.points - found.points.min(axis=0)) / size + shift).astype(np.int64)
         _, cell = np.unique(cells, axis=0, return_inverse=True)
         cell = cell.reshape(-1)
-        present = np.zeros((int(cell.max()) + 1, len(found)), bool)
-        present[cell, view] = True
+        present = np.zeros((int(cell.max()) + 1, int(found.views.max()) + 1), bool)
+        present[cell, found.views] = True
         keep |= present.sum(axis=1)[cell] >= 2
-    return _take(joined, np.flatnonzero(keep))
+    return _take(found, np.flatnonzero(keep))
 
 
 def _thinned(found: _Found, most: int) -> _Found:

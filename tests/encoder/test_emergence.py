@@ -12,7 +12,8 @@ from decogs.encoder.change.masks import FrameMask
 from decogs.encoder.input.ingest import View
 from decogs.encoder.rasterise import FixedView, TrainingKernel
 from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings
-from decogs.encoder.training.seeding import Look, missed, seeds, worth_a_search
+from decogs.encoder.training import seeding
+from decogs.encoder.training.seeding import Look, missed, worth_a_search
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import SH_C0, Splats, join_splats, take_splats
 from one_frame import delta_trainer, train
@@ -79,6 +80,10 @@ def looks(kernel: TrainingKernel, shown: Splats, rendered: Splats) -> list[Look]
 @pytest.fixture(scope="module")
 def appeared(kernel: TrainingKernel, wall: Splats) -> list[Look]:
     return looks(kernel, join_splats(wall, sphere()), wall)
+
+
+def seeds(looks: list[Look], settings: EmergenceSettings, sh_degree: int) -> Splats:
+    return seeding.seeds(looks, [missed(look, settings) for look in looks], settings, sh_degree)
 
 
 def relit(scene: Splats) -> Splats:

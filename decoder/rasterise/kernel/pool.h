@@ -7,6 +7,7 @@
 
 #include <unistd.h>
 
+#include <algorithm>
 #include <atomic>
 #include <condition_variable>
 #include <exception>
@@ -70,12 +71,12 @@ class Pool {
                 count_ = count;
                 next_.store(0);
                 failure_ = nullptr;
-                busy_ = static_cast<int>(workers_.size());
-                ++round_;
+                wanted_ = busy_ = std::min(static_cast<int>(workers_.size()), count - 1);
             }
-            wake_.notify_all();
+            for (int i = std::min(static_cast<int>(workers_.size()), count - 1); i > 0; --i) wake_.notify_one();
             drain(task, count);
             std::unique_lock<std::mutex> lock(mutex_);
+            busy_ -= std::exchange(wanted_, 0);  // who has not woken yet may sleep on: nothing is left to begin
             done_.wait(lock, [this] { return busy_ == 0; });
             task_ = nullptr;
             if (failure_) std::rethrow_exception(std::exchange(failure_, nullptr));
@@ -92,15 +93,14 @@ class Pool {
             }
         }
         void work() {
-            long seen = 0;
             for (;;) {
                 const std::function<void(int)>* task;
                 int count;
                 {
                     std::unique_lock<std::mutex> lock(mutex_);
-                    wake_.wait(lock, [&] { return stop_ || round_ != seen; });
+                    wake_.wait(lock, [&] { return stop_ || wanted_ > 0; });
                     if (stop_) return;
-                    seen = round_;
+                    --wanted_;
                     task = task_;
                     count = count_;
                 }
@@ -116,8 +116,7 @@ class Pool {
         const std::function<void(int)>* task_ = nullptr;
         std::exception_ptr failure_;
         std::atomic<int> next_{0};
-        int count_ = 0, busy_ = 0;
-        long round_ = 0;
+        int count_ = 0, wanted_ = 0, busy_ = 0;  // workers that are still to wake; those that are, or still to wake
         bool stop_ = false;
     };
 
