@@ -21,7 +21,7 @@ class ConvergenceLog:
 
     def __init__(self, path: Path, *, append: bool = False) -> None:
         self._frame, self._began = 0, 0.0
-        self._lines = JsonLines(path, "--convergence-log", append=append)
+        self._lines = JsonLines(path, "convergence_log", append=append)
 
     def __enter__(self) -> ConvergenceLog:
         return self

@@ -65,7 +65,7 @@ def test_progress_reaches_its_end(moving_rig: Path) -> None:
 
 
 def test_one_frame_tells_what_it_can(moving_rig: Path) -> None:
-    analysis = analyse(moving_rig, frames="0:1")
+    analysis = analyse(moving_rig, frames=slice(0, 1))
     of = {finding.decision.effect: finding.decision for finding in analysis.findings}
     assert (of["motion"].detected, of["motion"].confidence) == (False, 0.0)
     assert not of["exposure_drift"].detected
