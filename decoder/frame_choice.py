@@ -35,6 +35,7 @@ def open_chosen(
 
 
 def damage_to(on_warning: OnWarning | None) -> OnDamage:
+    """Tells ``on_warning``, if there is one, of each damage in one line."""
     return lambda damage: None if on_warning is None else on_warning(str(damage))
 
 

@@ -52,6 +52,7 @@ class Parser(argparse.ArgumentParser):
         return parsed
 
     def error(self, message: str) -> NoReturn:
+        """Prints one line and ends the process with exit code 2."""
         sys.stderr.write(f"{self.prog}: error: {message} (see {self.prog} --help)\n")
         raise SystemExit(USER_ERROR)
 
@@ -260,12 +261,14 @@ def number(text: str) -> float:
 
 
 def whole_number(text: str) -> int:
+    """An option's whole number in ASCII digits; ArgumentTypeError for anything else."""
     if not re.fullmatch(r"[+-]?[0-9]{1,18}", text, re.ASCII):
         raise argparse.ArgumentTypeError(f"{text!r} is no whole number of at most 18 digits")
     return int(text)
 
 
 def number_of_threads(text: str) -> int:
+    """An option's number of threads, 0 for all processors; ArgumentTypeError for anything else."""
     if not re.fullmatch(r"[0-9]{1,9}", text, re.ASCII):
         raise argparse.ArgumentTypeError(f"{text!r} is no number of threads; 0 means all processors")
     return int(text)
@@ -282,8 +285,10 @@ def printable(text: str) -> str:
 
 
 def counted(number: int, thing: str) -> str:
+    """A number of things in words: "1 frame", "2 frames"."""
     return f"{number} {thing}" + ("" if number == 1 else "s")
 
 
 def size_text(count: int) -> str:
+    """A size as users read it: bytes, kB (1e3) or MB (1e6)."""
     return f"{count} bytes" if count < 10_000 else f"{count / 1e3:.1f} kB" if count < 1e7 else f"{count / 1e6:.1f} MB"

@@ -161,6 +161,7 @@ def check_renumbered(renumbered: RowArray | None, lifted: NDArray[np.bool_], pop
 
 
 def kernel_path(package: Path, stem: str, instruction_set: str) -> Path:
+    """Where a package keeps a kernel compiled for this instruction set."""
     return package / f"{stem}_{instruction_set}.abi3.so"
 
 

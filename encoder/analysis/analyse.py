@@ -43,6 +43,7 @@ class Analysis:
 
     @property
     def decisions(self) -> tuple[Decision, ...]:
+        """The decision on each effect, in the order of EFFECTS."""
         return tuple(finding.decision for finding in self.findings)
 
     def table(self) -> Iterator[str]:

@@ -71,6 +71,7 @@ class Look:
 
     @property
     def names(self) -> tuple[str, ...]:
+        """The names of the cameras looked at, in the rig's order."""
         return tuple(camera.name for camera in self.cameras)
 
 

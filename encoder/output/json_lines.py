@@ -42,6 +42,7 @@ class JsonLines:
                 self._file.close()
 
     def write(self, record: dict[str, Any]) -> None:
+        """Writes one object as a line; others see it after the next ``flush``."""
         try:
             self._file.write((json.dumps(record) + "\n").encode())
         except OSError as error:
