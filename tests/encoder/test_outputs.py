@@ -201,9 +201,7 @@ def test_a_log_that_cannot_be_written_is_named(
     moving: Any, moving_rig: Path, tiny_rig: Any, tiny_settings: Any, tmp_path: Path, option: str
 ) -> None:
     given = {"holdout": [tiny_rig.held_out], "settings": tiny_settings, "keyframe": moving.path, option: "/dev/full"}
-    with pytest.raises(
-        UsageError, match=f"^--{option.replace('_', '-')} /dev/full: No space left on device; make room"
-    ):
+    with pytest.raises(UsageError, match=f"^`{option}` /dev/full: No space left on device; make room"):
         encode_rig(moving_rig, tmp_path / "x.dgs", **given)
 
 
