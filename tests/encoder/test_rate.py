@@ -252,7 +252,7 @@ def test_a_budget_is_asked_for_in_either_unit(
     arguments = [str(moving_rig), "-o", str(tmp_path / "x.dgs"), "--preset", "economical", "--holdout", "cam02"]
     arguments += ["--keyframe", str(moving.path), "--frames", ":2", "--log", str(tmp_path / "log")]
     assert encode_main([*arguments, *asked]) == 0
-    started = next(json.loads(line) for line in (tmp_path / "log").open() if '"start"' in line)
+    started = next(json.loads(line) for line in (tmp_path / "log").read_text().splitlines() if '"start"' in line)
     assert started["settings"]["frame_budget"] == 2000
 
 
