@@ -85,10 +85,12 @@ class Correction:
 
     @property
     def is_turned(self) -> bool:
+        """Whether the picture is turned at all."""
         return bool(self.yaw or self.pitch or self.roll)
 
     @property
     def is_coloured(self) -> bool:
+        """Whether exposure or white balance is changed at all."""
         return bool(self.exposure or self.red or self.blue)
 
 

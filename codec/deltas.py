@@ -64,6 +64,7 @@ class Delta:
 
     @property
     def changes(self) -> Changes:
+        """How many Gaussians it changes, adds and removes."""
         return Changes(len(self.rows), len(self.added), len(self.removed))
 
 

@@ -1,6 +1,6 @@
 """Opens a .dgs stream, reconstructs any frame, renders any view and exports it; never needs torch.
 
-``decode``, ``export`` and ``info`` do what the commands of those names do, with the same options; ``open_stream`` and
+``decode``, ``export`` and ``info`` do what the commands of those names do, with values for options; ``open_stream`` and
 ``render_view`` are the library below them. What is heavy (OpenCV, OpenEXR, OpenUSD, the rasteriser's kernel) is only
 loaded when it is used.
 """

@@ -25,6 +25,7 @@ from decogs.formats.command_line import (
     tell,
     warn_as,
 )
+from decogs.formats.frame_ranges import frame_range
 
 from .limits import DEFAULT_MAX_MEMORY
 
@@ -62,7 +63,7 @@ def decode_main(arguments: Sequence[str] | None = None) -> int:
         metavar="S",
         help="with --follow: stop when nothing came for S seconds (default 600)",
     )
-    return run(parser.prog, lambda: _decode(parser.parse_args(frames_joined(arguments))), cleans_up=True)
+    return run(parser, lambda: _decode(parser, parser.parse_args(frames_joined(arguments))), cleans_up=True)
 
 
 def export_main(arguments: Sequence[str] | None = None) -> int:
@@ -75,7 +76,7 @@ def export_main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--up-axis", choices=("Y", "Z"), default="Y", help="which world axis is up; nothing is rotated (default Y)"
     )
-    return run(parser.prog, lambda: _export(parser.parse_args(frames_joined(arguments))), cleans_up=True)
+    return run(parser, lambda: _export(parser, parser.parse_args(frames_joined(arguments))), cleans_up=True)
 
 
 def info_main(arguments: Sequence[str] | None = None) -> int:
@@ -89,10 +90,10 @@ def info_main(arguments: Sequence[str] | None = None) -> int:
         help="print where every byte goes instead: frame by frame, attribute by attribute",
     )
     _add_trust(parser)
-    return run(parser.prog, lambda: _info(parser.parse_args(frames_joined(arguments))))
+    return run(parser, lambda: _info(parser.parse_args(frames_joined(arguments))))
 
 
-def _decode(options: argparse.Namespace) -> None:
+def _decode(parser: Parser, options: argparse.Namespace) -> None:
     from .decoding import decode
     from .following import DEFAULT_IDLE
 
@@ -103,7 +104,7 @@ def _decode(options: argparse.Namespace) -> None:
             options.output,
             view=options.view,
             camera=options.camera,
-            frames=options.frames,
+            frames=None if options.frames is None else frame_range(options.frames),
             scale=options.scale,
             background=options.background,
             undistorted=options.undistorted,
@@ -114,7 +115,7 @@ def _decode(options: argparse.Namespace) -> None:
             follow=options.follow,
             idle=DEFAULT_IDLE if options.idle is None else options.idle,
             on_frame=on_frame,
-            on_warning=warn_as("decogs-decode"),
+            on_warning=warn_as(parser),
         )
     tell(
         f"{options.output}: {counted(report.frame_count, 'frame')} of {report.view}, "
@@ -122,19 +123,19 @@ def _decode(options: argparse.Namespace) -> None:
     )
 
 
-def _export(options: argparse.Namespace) -> None:
+def _export(parser: Parser, options: argparse.Namespace) -> None:
     from .usd_export import export
 
     with progress("exporting") as on_frame:
         report = export(
             options.stream,
             options.output,
-            frames=options.frames,
+            frames=None if options.frames is None else frame_range(options.frames),
             up_axis=options.up_axis,
             strict=options.strict,
             max_memory=options.max_memory,
             on_frame=on_frame,
-            on_warning=warn_as("decogs-export"),
+            on_warning=warn_as(parser),
         )
     tell(
         f"{options.output}: {counted(report.frame_count, 'frame')}, {report.static_count} static and "

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, BinaryIO
 from decogs.codec.header import StreamHeader
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
+from decogs.formats.frame_ranges import Frames
 
 from .following import DEFAULT_IDLE, GrowingStream, follow_stream
 from .frame import DecodedFrame
@@ -45,7 +46,7 @@ def decode(
     *,
     view: str | None = None,
     camera: str | os.PathLike[str] | Camera | Sequence[Camera] | None = None,
-    frames: str | slice | None = None,
+    frames: Frames = None,
     scale: float = 1.0,
     background: Colour | None = None,
     undistorted: bool = False,
@@ -61,11 +62,12 @@ def decode(
     """Writes the pictures of one view of a stream, one per encoded frame.
 
     ``view`` names a camera of the rig; ``camera`` is a pose file, a Camera, or a list of them with one per frame of the
-    stream. ``output`` chooses the kind of file, see ``decogs.decoder.picture_output``. ``frames``: "A:B" or a slice,
-    None for all. ``background``: display-referred RGB in 0..1, the stream's when None. ``undistorted``: without the
-    rig camera's lens distortion. ``canonical``: in the scene's own colours and through the calibrated pose, where the
-    stream signals exposure, white balance or shake of the camera; otherwise what it recorded. ``strict`` and
-    ``max_memory`` (bytes) are those of ``open_stream``: without ``strict``, damaged frames show the last good one.
+    stream. ``output`` chooses the kind of file, see ``decogs.decoder.picture_output``. ``frames``:
+    consecutive ones, as a slice or a range; None for all. ``background``: display-referred RGB in 0..1, the stream's
+    when None. ``undistorted``: without the rig camera's lens distortion. ``canonical``: in the scene's own colours and
+    through the calibrated pose, where the stream signals exposure, white balance or shake of the camera; otherwise what
+    it recorded. ``strict`` and ``max_memory`` (bytes) are those of ``open_stream``: without ``strict``, damaged frames
+    show the last good one.
     ``on_frame(done, all)`` reports progress, ``all`` being 0 while nobody knows, and ``on_warning(text)`` damage.
 
     ``follow``: each picture as soon as its packet is complete in the file that an encoder is writing as ``stream``

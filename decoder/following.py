@@ -80,6 +80,7 @@ class GrowingStream:
 
     @property
     def ended(self) -> bool:
+        """Whether the end packet has been read."""
         return self._reader.ended
 
     def frames(self) -> Iterator[DecodedFrame]:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from decogs.formats.errors import UsageError
-from decogs.formats.frame_ranges import frame_range
+from decogs.formats.frame_ranges import Frames, frame_slice
 
 from .damage import OnDamage
 from .stream import Stream, open_stream
@@ -19,7 +19,7 @@ OnWarning = Callable[[str], None]
 @contextmanager
 def open_chosen(
     path: str | os.PathLike[str],
-    frames: str | slice | None,
+    frames: Frames,
     *,
     strict: bool,
     max_memory: int,
@@ -27,7 +27,7 @@ def open_chosen(
 ) -> Iterator[tuple[Stream, range]]:
     """A stream, opened, and which of its frames were asked for; ``on_warning`` is called for damage.
 
-    ``frames``: "A:B" or a slice by Python's rules, None for all. Raises UsageError when the stream has none of them.
+    ``frames``: a slice by Python's rules, or a range; None for all. Raises UsageError when the stream has none of them.
     """
     with open_stream(path, strict=strict, max_memory=max_memory, on_damage=damage_to(on_warning)) as stream:
         _warn_of_tail(stream, on_warning)
@@ -35,12 +35,13 @@ def open_chosen(
 
 
 def damage_to(on_warning: OnWarning | None) -> OnDamage:
+    """Tells ``on_warning``, if there is one, of each damage in one line."""
     return lambda damage: None if on_warning is None else on_warning(str(damage))
 
 
-def coming_frames(frames: str | slice | None) -> slice:
+def coming_frames(frames: Frames) -> slice:
     """The frames asked for of a stream whose end is not known; raises UsageError where they count from there."""
-    wanted = _wanted(frames)
+    wanted = frame_slice(frames)
     start, stop = wanted.start or 0, wanted.stop
     if wanted.step not in (None, 1) or start < 0 or (stop is not None and stop <= start):
         raise UsageError("frames of a stream that still grows are A:B with 0 <= A < B, or A:, one after the other")
@@ -48,9 +49,9 @@ def coming_frames(frames: str | slice | None) -> slice:
     return slice(min(start, most), None if stop is None else min(stop, most))
 
 
-def _chosen_frames(stream: Stream, frames: str | slice | None) -> range:
+def _chosen_frames(stream: Stream, frames: Frames) -> range:
     """The frames asked for as a range of this stream's, by Python's slicing rules; raises UsageError when none is."""
-    wanted = _wanted(frames)
+    wanted = frame_slice(frames)
     if wanted.step not in (None, 1):
         raise UsageError("frames are decoded one after the other; a step is not possible")
     start, stop, _ = wanted.indices(stream.frame_count)
@@ -66,7 +67,3 @@ def _warn_of_tail(stream: Stream, on_warning: OnWarning | None) -> None:
             f"{stream.path}: stops {stream.unfinished_bytes} bytes into a packet; "
             f"its {stream.frame_count} complete frames are read"
         )
-
-
-def _wanted(frames: str | slice | None) -> slice:
-    return slice(None) if frames is None else frame_range(frames) if isinstance(frames, str) else frames

@@ -60,9 +60,11 @@ class FileFrom(io.RawIOBase):
         self._file, self._offset = file, offset
 
     def readable(self) -> bool:
+        """Always: it is only read."""
         return True
 
     def readinto(self, buffer: Any) -> int:
+        """Reads on from its own place into ``buffer``; returns how many bytes, 0 at the end."""
         # The file is asked for its descriptor each time: once closed it has none, and the number is another file's.
         data = os.pread(self._file.fileno(), len(buffer), self._offset)
         buffer[: len(data)] = data

@@ -100,6 +100,7 @@ class BrownConradyLens:
         return value / below, (slope - value / below * slope_below) / below
 
     def distort(self, x: F64, y: F64) -> tuple[F64, F64]:
+        """Where the lens puts points x, y of the plane at depth 1, by OpenCV's model."""
         p1, p2 = self._tangential
         s = x * x + y * y
         radial, _ = self._radial(s)
@@ -151,6 +152,7 @@ class FisheyeLens:
         self.reach = math.tan(self._widest_angle)
 
     def distort(self, x: F64, y: F64) -> tuple[F64, F64]:
+        """Where the lens puts points x, y of the plane at depth 1, by OpenCV's fisheye model."""
         radius = np.hypot(x, y)
         angle = np.arctan(radius)
         bent = angle * _horner(self._polynomial.coef, angle * angle)
@@ -247,6 +249,7 @@ class Undistortion:
 
     @property
     def valid(self) -> NDArray[np.bool_]:
+        """Which pixels (H, W) of the pinhole picture were recorded."""
         if self._maps is None:
             return np.ones((self.pinhole.height, self.pinhole.width), dtype=np.bool_)
         return self._maps[2]

@@ -63,7 +63,7 @@ def check_picture(camera: Camera, max_memory: int, *, lens: bool, rendered: Came
     if _picture_bytes(camera, lens, rendered or camera) > max_memory:
         raise UsageError(
             f"camera {camera.name!r}: a picture of {camera.width}x{camera.height} needs more than the memory allowed; "
-            "choose a smaller scale or more memory (--max-memory)"
+            "choose a smaller scale or more memory (`max_memory`)"
         )
 
 
@@ -83,7 +83,7 @@ def limits_explained(max_memory: int, limits: Collection[int]) -> Iterator[None]
     except StreamError as error:
         above = re.search(r"limit of (\d+)", str(error))
         if above is not None and int(above[1]) in limits:
-            error.args = (f"{error}; allow more memory than {max_memory} bytes (--max-memory)",)
+            error.args = (f"{error}; allow more memory than {max_memory} bytes (`max_memory`)",)
         raise
 
 

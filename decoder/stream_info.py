@@ -64,11 +64,13 @@ class ByteTable:
 
     @property
     def totals(self) -> tuple[int, ...]:
+        """The sum of each column in bytes, ``around`` counted as the container's."""
         columns = [sum(column) for column in zip(*self.rows, strict=True)] or [0] * len(self.purposes)
         return (*columns[:-1], columns[-1] + self.around)
 
     @property
     def total(self) -> int:
+        """The file's bytes."""
         return sum(self.totals)
 
     @property

@@ -12,6 +12,7 @@ from .stream_info import FrameInfo, StreamInfo
 
 
 def summary_lines(facts: StreamInfo) -> Iterator[str]:
+    """What ``decogs-info`` prints: the stream, its cameras, and a row for each frame."""
     header, totals = facts.header, facts.totals
     yield f"{facts.path}: {size_text(facts.file_bytes)}, bitstream {facts.version[0]}.{facts.version[1]}"
     if not facts.complete:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
+from decogs.formats.frame_ranges import Frames
 from decogs.formats.splats import SH_C0, FloatArray, Splats, empty_splats, join_splats, take_splats
 from decogs.formats.usd import (
     DEFAULT_PROTOTYPE_RADIUS,
@@ -79,7 +80,7 @@ def export(
     stream: str | os.PathLike[str],
     output: str | os.PathLike[str],
     *,
-    frames: str | slice | None = None,
+    frames: Frames = None,
     up_axis: UpAxis = "Y",
     strict: bool = False,
     max_memory: int = DEFAULT_MAX_MEMORY,
@@ -88,9 +89,10 @@ def export(
 ) -> ExportReport:
     """Writes a range of frames as one USD file (.usdc, .usda), described in ``decogs.formats.usd``.
 
-    ``frames``: "A:B" or a slice, None for all. ``up_axis`` states which axis of the world is up; nothing is rotated.
-    ``strict`` and ``max_memory`` (bytes) are those of ``open_stream``. The frames are read twice; ``on_frame(done,
-    all)`` counts both readings, ``on_warning(text)`` is called for damage. Raises UsageError, StreamError or OSError.
+    ``frames``: consecutive ones, as a slice or a range; None for all. ``up_axis`` states which axis of the world is up;
+    nothing is rotated. ``strict`` and ``max_memory`` (bytes) are those of ``open_stream``. The frames are read twice;
+    ``on_frame(done, all)`` counts both readings, ``on_warning(text)`` is called for damage. Raises UsageError,
+    StreamError or OSError.
     """
     with open_chosen(stream, frames, strict=strict, max_memory=max_memory, on_warning=on_warning) as (opened, chosen):
         header = opened.header

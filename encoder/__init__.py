@@ -1,12 +1,29 @@
 """Everything that chooses: ingest, keyframe training, masks, selection, motion, densification and the closed loop.
 
-``encode`` does what ``decogs-encode`` does, with the same options.
+``encode`` does what ``decogs-encode`` does; what the command's options write as text are values here.
 """
 
+from .analysis import EffectChoice
 from .encoding import encode
+from .output.observer import EncodeObserver
+from .output.progress import TerminalProgress
 from .output.reports import EncodeReport, FrameReport
 from .settings.compensation import CorrectionSettings
 from .settings.encode import EncodeSettings
 from .settings.presets import PRESETS
+from .switches import Switches
+from .targets import Targets
 
-__all__ = ["PRESETS", "CorrectionSettings", "EncodeReport", "EncodeSettings", "FrameReport", "encode"]
+__all__ = [
+    "PRESETS",
+    "CorrectionSettings",
+    "EffectChoice",
+    "EncodeObserver",
+    "EncodeReport",
+    "EncodeSettings",
+    "FrameReport",
+    "Switches",
+    "Targets",
+    "TerminalProgress",
+    "encode",
+]

@@ -12,12 +12,15 @@ from decogs.formats.command_line import (
     frames_joined,
     number,
     number_of_threads,
+    reworded,
     run,
     tell,
     warn_as,
     whole_number,
 )
 from decogs.formats.errors import UsageError
+from decogs.formats.frame_ranges import frame_range
+from decogs.formats.rigs import Rig, open_rig
 
 if TYPE_CHECKING:
     from .output.reports import EncodeReport
@@ -39,7 +42,11 @@ def encode_main(arguments: Sequence[str] | None = None) -> int:
         "--holdout", action="append", default=[], metavar="CAM", help="keep a camera out of training (repeatable)"
     )
     parser.add_argument(
-        "--preset", default="standard", metavar="P", help="live, draft, standard (default), high, archive; or paper"
+        "--preset",
+        dest="settings",
+        default="standard",
+        metavar="P",
+        help="live, draft, standard (default), high, archive; or paper",
     )
     parser.add_argument(
         "--method", metavar="M", help="decogs (default), 3dgstream (the dense baseline, slower), or one of a package"
@@ -122,49 +129,71 @@ def encode_main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--log", metavar="FILE", help="write each frame's figures as JSON lines")
     parser.add_argument("--convergence-log", metavar="FILE", help="write the loss of every training step as JSON lines")
-    return run(parser.prog, lambda: _encode(parser.parse_args(frames_joined(arguments))))
+    return run(parser, lambda: _encode(parser, parser.parse_args(frames_joined(arguments))))
 
 
-def _encode(options: argparse.Namespace) -> int:
+def _encode(parser: Parser, options: argparse.Namespace) -> int:
     from .encoding import encode
+    from .option_texts import effect_choice, names, seconds_per_frame
+    from .output.progress import TerminalProgress
+    from .switches import Switches
+    from .targets import Targets
 
     piped = options.output == "-"
     if piped and sys.stdout.isatty():
         raise UsageError("-o -: the stream would go to the terminal; redirect it, or name a file")
-    report = encode(
-        options.rig_dir,
-        sys.stdout.buffer if piped else options.output,
-        frames=options.frames,
-        scale=options.scale,
-        holdout=options.holdout,
-        preset=options.preset,
-        method=options.method,
-        ablate=options.ablate,
-        selection=options.selection,
-        effects=options.effects,
-        keyframe=options.keyframe,
-        segment=options.segment,
-        quality=options.quality,
-        bitrate=options.bitrate,
-        max_mb_per_frame=options.max_mb_per_frame,
-        lossless=options.lossless,
-        time_budget=options.time_budget,
-        target_psnr=options.target_psnr,
-        resume=options.resume,
-        seed=options.seed,
-        threads=options.threads,
-        device=options.device,
-        log=options.log,
-        convergence_log=options.convergence_log,
-        terminal=sys.stderr,
-        on_warning=warn_as("decogs-encode"),
-    )
+    rig, bytes_per_frame, words = _budget(options)
+    seconds = None if options.time_budget is None else seconds_per_frame(options.time_budget)
+    if seconds is not None:
+        words[f"`time_budget` {seconds:g}"] = f"--time-budget {options.time_budget}"
+    with reworded(words), TerminalProgress(sys.stderr) as progress:
+        report = encode(
+            rig,
+            sys.stdout.buffer if piped else options.output,
+            options.settings,
+            frames=None if options.frames is None else frame_range(options.frames),
+            scale=options.scale,
+            holdout=options.holdout,
+            switches=Switches(options.method, names(options.ablate), options.selection),
+            targets=Targets(options.quality, bytes_per_frame, options.lossless, seconds, options.target_psnr),
+            effects=None if options.effects is None else effect_choice(options.effects),
+            keyframe=options.keyframe,
+            segment=options.segment,
+            resume=options.resume,
+            seed=options.seed,
+            threads=options.threads,
+            device=options.device,
+            log=options.log,
+            convergence_log=options.convergence_log,
+            progress=progress,
+            on_warning=warn_as(parser),
+        )
     tell("\n".join(_summary(report)), to_stderr=piped)
     warnings = [*_left_out(report), _rejected(report), *_uncorrected(report), _overlooked(report)]
     warnings += [_missed_budget(report), _missed_time(report)]
     for warning in filter(None, warnings):
-        warn_as("decogs-encode")(warning)
+        warn_as(parser)(warning)
     return 130 if report.interrupted else 0
+
+
+def _budget(options: argparse.Namespace) -> tuple[Rig | str, float | None, dict[str, str]]:
+    """The rig, opened where a bitrate needs its frame rate, bytes per frame, and how these were asked for."""
+    bitrate, megabytes = options.bitrate, options.max_mb_per_frame
+    if bitrate is not None and megabytes is not None:
+        raise UsageError("--bitrate and --max-mb-per-frame are one budget in two units; drop one of the two")
+    if bitrate is not None:
+        rig = open_rig(options.rig_dir)
+        if rig.fps is None:
+            raise UsageError(f"--bitrate: {rig.path} states no frame rate; use --max-mb-per-frame")
+        return rig, *_asked(bitrate * 1000 / 8 / rig.fps, "--bitrate", bitrate)
+    if megabytes is not None:
+        return options.rig_dir, *_asked(megabytes * 1e6, "--max-mb-per-frame", megabytes)
+    return options.rig_dir, None, {"`bytes_per_frame`": "--max-mb-per-frame or --bitrate"}
+
+
+def _asked(bytes_per_frame: float, option: str, value: float) -> tuple[float, dict[str, str]]:
+    words = {f"`bytes_per_frame` {bytes_per_frame:g}": f"{option} {value:g}", "`bytes_per_frame`": option}
+    return bytes_per_frame, words
 
 
 def _summary(report: EncodeReport) -> list[str]:

@@ -81,7 +81,7 @@ class StreamEncoder:
             written = state.scene.begin(key, corrections)
         state.begin(frame, watch)
         if state.source is not None:
-            self._reporter.check_footage(frame, state.scene.splats, f"--keyframe {state.source.path}", [], watch)
+            self._reporter.check_footage(frame, state.scene.splats, f"`keyframe` {state.source.path}", [], watch)
         return self._report(frame, written, Change([], np.ones(len(key), bool)), watch)
 
     def encode_next(self, frame: RigFrame) -> FrameReport:

@@ -16,10 +16,12 @@ class Stopwatch:
     began: float = field(default_factory=time.process_time)
 
     def cpu_seconds(self) -> float:
+        """Processor seconds of all threads since it was made."""
         return time.process_time() - self.began
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
+        """Adds the wall-clock seconds spent inside to the stage ``name``."""
         begin = time.perf_counter()
         try:
             yield

@@ -64,7 +64,7 @@ def encode_stream(
         origin, last = "", 0
         if left is not None:
             encoder.take_over(left, span)
-            packets, origin, last = left.packets(), f"--resume: {left.path}", len(left.entries) - 1
+            packets, origin, last = left.packets(), f"`resume`: {left.path}", len(left.entries) - 1
             if left.path != target.growing and left.ended and resumed == len(span):
                 return EncodeReport(target.name, [], left.path.stat().st_size, False, resumed)
         reports: list[FrameReport] = []

@@ -8,7 +8,7 @@ combination (a method applies on top of any preset).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from decogs.formats.errors import UsageError
 
@@ -20,6 +20,27 @@ ABLATIONS = ("select", "focus", "gate")
 """The parts of DecoGS that can be left out; `without` says what then happens."""
 
 
+@dataclass(frozen=True)
+class Switches:
+    """What later frames are trained with, on top of settings; None and nothing are what those say.
+
+    ``method``: a name in FRAME_METHODS: "decogs", "3dgstream", or one of an installed package. ``ablate``: parts of
+    DecoGS to leave out, of ABLATIONS. ``selection``: a name in SELECTION_RULES.
+    """
+
+    method: str | None = None
+    ablate: Sequence[str] = ()
+    selection: str | None = None
+
+
+def with_switches(settings: EncodeSettings, switches: Switches) -> EncodeSettings:
+    """The same settings with these switches; raises UsageError for unknown names, and what excludes each other."""
+    if switches.method is not None:
+        settings = with_method(settings, switches.method)
+    settings = without(settings, switches.ablate)
+    return settings if switches.selection is None else with_selection(settings, switches.selection)
+
+
 def with_method(settings: EncodeSettings, name: str) -> EncodeSettings:
     """The same settings with later frames trained by another method; raises UsageError for an unknown one.
 
@@ -28,9 +49,9 @@ def with_method(settings: EncodeSettings, name: str) -> EncodeSettings:
     try:
         method = FRAME_METHODS.get(name)
     except UsageError as error:
-        raise UsageError(f"--method {error}") from error
+        raise UsageError(f"`method` {error}") from error
     if method.dense and settings.frame.ablated:
-        raise UsageError(f"--method {name}: it has no {settings.frame.ablated[0]} to leave out; drop --ablate")
+        raise UsageError(f"`method` {name}: it has no {settings.frame.ablated[0]} to leave out; drop `ablate`")
     return replace(settings, method=name)
 
 
@@ -42,10 +63,10 @@ def with_selection(settings: EncodeSettings, rule: str) -> EncodeSettings:
     try:
         SELECTION_RULES.get(rule)
     except UsageError as error:
-        raise UsageError(f"--selection {error}") from error
-    require_sparse(settings, f"--selection {rule}", "trains every Gaussian")
+        raise UsageError(f"`selection` {error}") from error
+    require_sparse(settings, f"`selection` {rule}", "trains every Gaussian")
     if "select" in settings.frame.ablated:
-        raise UsageError(f"--selection {rule}: --ablate select takes every Gaussian; drop one of the two")
+        raise UsageError(f"`selection` {rule}: `ablate` select takes every Gaussian; drop one of the two")
     selection = replace(settings.frame.selection, rule=rule)
     return replace(settings, frame=replace(settings.frame, selection=selection))
 
@@ -64,8 +85,8 @@ def without(settings: EncodeSettings, parts: Sequence[str]) -> EncodeSettings:
     """
     for part in parts:
         if part not in ABLATIONS:
-            raise UsageError(f"--ablate {part}: there is no such part; choose from {', '.join(ABLATIONS)}")
+            raise UsageError(f"`ablate` {part}: there is no such part; choose from {', '.join(ABLATIONS)}")
     if parts:
-        require_sparse(settings, f"--ablate {parts[0]}", "has no such part")
+        require_sparse(settings, f"`ablate` {parts[0]}", "has no such part")
     ablated = tuple(name for name in ABLATIONS if name in (*settings.frame.ablated, *parts))
     return replace(settings, frame=replace(settings.frame, ablated=ablated))

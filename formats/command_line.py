@@ -14,7 +14,7 @@ import re
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from typing import Any, BinaryIO, NoReturn
 
@@ -24,6 +24,8 @@ USER_ERROR = 2
 INTERRUPTED = 130
 _BROKEN_PIPE = 141
 _CONTROL = re.compile("[\x00-\x1f\x7f-\x9f]+")
+_PARAMETER = re.compile("`([a-z_]+)`")
+"""How a library's texts name a parameter: it knows no options."""
 
 OnFrame = Callable[[int, int], None]
 """Told of progress: units done and units in all, 0 while nobody knows."""
@@ -32,26 +34,62 @@ OnFrame = Callable[[int, int], None]
 class Parser(argparse.ArgumentParser):
     """Says what is wrong with the arguments in one line, as for every other error."""
 
+    def in_options(self, text: str) -> str:
+        """A library's text with each parameter in backticks as the option that sets it: ```scale``` is --scale.
+
+        An option that sets a parameter of another name has that as its ``dest``.
+        """
+        options = _options_by_parameter(self)
+        return _PARAMETER.sub(lambda found: options.get(found[1], found[0]), text)
+
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Refuses "--" as the value of an option, which argparse takes away and then hands on an empty list."""
         parsed = super().parse_args(args, namespace)
         for name, value in vars(parsed).items():
             is_empty = value == [] and self.get_default(name) != []
             if is_empty or (isinstance(value, list) and [] in value):
-                self.error(f"argument --{name.replace('_', '-')}: expected one argument")
+                self.error(f"argument {_options_by_parameter(self).get(name, name)}: expected one argument")
         return parsed
 
     def error(self, message: str) -> NoReturn:
+        """Prints one line and ends the process with exit code 2."""
         sys.stderr.write(f"{self.prog}: error: {message} (see {self.prog} --help)\n")
         raise SystemExit(USER_ERROR)
 
 
-def run(program: str, command: Callable[[], int | None], *, cleans_up: bool = False) -> int:
+def _options_by_parameter(parser: argparse.ArgumentParser) -> dict[str, str]:
+    """The first spelling of every option, by the parameter it sets; those of the commands within count as well."""
+    options: dict[str, str] = {}
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for within in action.choices.values():
+                options |= _options_by_parameter(within)
+        elif action.option_strings:
+            options[action.dest] = action.option_strings[0]
+    return options
+
+
+@contextmanager
+def reworded(words: Mapping[str, str]) -> Iterator[None]:
+    """Errors from inside have the user's words for the library's, where an option's value was converted for it."""
+    try:
+        yield
+    except DecogsError as error:
+        text = str(error)
+        for said, given in words.items():
+            text = text.replace(said, given)
+        error.args = (text,)
+        raise
+
+
+def run(parser: Parser, command: Callable[[], int | None], *, cleans_up: bool = False) -> int:
     """Runs a command and returns its exit code; an error the user can act on becomes one line on stderr.
 
-    The command returns an exit code of its own, or None for 0. ``cleans_up``: SIGTERM and SIGHUP let it remove what it
+    ``parser``: the command's, whose options an error then names. The command returns an exit code of its own, or None
+    for 0. ``cleans_up``: SIGTERM and SIGHUP let it remove what it
     has written by halves before they end the process; without, they do so at once.
     """
+    program = parser.prog
     _open_standard_streams()
     if sys.stdout is None:
         return _say(f"{program}: error: standard output is closed; send it to a file, or to /dev/null", USER_ERROR)
@@ -66,7 +104,7 @@ def run(program: str, command: Callable[[], int | None], *, cleans_up: bool = Fa
     except KeyboardInterrupt:
         return _say(f"{program}: interrupted", INTERRUPTED)
     except DecogsError as error:
-        return _say(f"{program}: error: {error}", USER_ERROR)
+        return _say(f"{program}: error: {parser.in_options(str(error))}", USER_ERROR)
     except OSError as error:
         where = error.filename or (None if _stdout_takes_it() else "standard output")
         what = f"{where}: {error.strerror}" if where else error.strerror or str(error)
@@ -187,9 +225,9 @@ def tell(text: str, *, to_stderr: bool = False) -> None:
         raise
 
 
-def warn_as(program: str) -> Callable[[str], None]:
-    """Prints each text it is given as one line on stderr."""
-    return lambda text: print(f"{program}: warning: {printable(text)}", file=sys.stderr)
+def warn_as(parser: Parser) -> Callable[[str], None]:
+    """Prints each text it is given as one line on stderr, with the command's options for a library's parameters."""
+    return lambda text: print(f"{parser.prog}: warning: {printable(parser.in_options(text))}", file=sys.stderr)
 
 
 def frames_joined(arguments: Sequence[str] | None) -> list[str]:
@@ -223,12 +261,14 @@ def number(text: str) -> float:
 
 
 def whole_number(text: str) -> int:
+    """An option's whole number in ASCII digits; ArgumentTypeError for anything else."""
     if not re.fullmatch(r"[+-]?[0-9]{1,18}", text, re.ASCII):
         raise argparse.ArgumentTypeError(f"{text!r} is no whole number of at most 18 digits")
     return int(text)
 
 
 def number_of_threads(text: str) -> int:
+    """An option's number of threads, 0 for all processors; ArgumentTypeError for anything else."""
     if not re.fullmatch(r"[0-9]{1,9}", text, re.ASCII):
         raise argparse.ArgumentTypeError(f"{text!r} is no number of threads; 0 means all processors")
     return int(text)
@@ -245,8 +285,10 @@ def printable(text: str) -> str:
 
 
 def counted(number: int, thing: str) -> str:
+    """A number of things in words: "1 frame", "2 frames"."""
     return f"{number} {thing}" + ("" if number == 1 else "s")
 
 
 def size_text(count: int) -> str:
+    """A size as users read it: bytes, kB (1e3) or MB (1e6)."""
     return f"{count} bytes" if count < 10_000 else f"{count / 1e3:.1f} kB" if count < 1e7 else f"{count / 1e6:.1f} MB"

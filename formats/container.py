@@ -191,6 +191,7 @@ class PacketReader:
 
     @property
     def pending(self) -> int:
+        """Bytes that were read and belong to no whole packet yet; 0 while the next packet is searched for."""
         return 0 if self._searched_from is not None else len(self._buffer)
 
     @property

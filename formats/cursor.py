@@ -27,6 +27,7 @@ class Cursor:
 
     @property
     def remaining(self) -> int:
+        """Bytes between the position and the payload's end."""
         return len(self._data) - self.position
 
     def take(self, size: int) -> memoryview:
@@ -38,13 +39,16 @@ class Cursor:
         return self._data[start : self.position]
 
     def u8(self) -> int:
+        """The next byte."""
         return self.take(1)[0]
 
     def u32(self) -> int:
+        """The next 4 bytes, little-endian and unsigned."""
         value: int = _U32.unpack(self.take(4))[0]
         return value
 
     def u64(self) -> int:
+        """The next 8 bytes, little-endian and unsigned."""
         value: int = _U64.unpack(self.take(8))[0]
         return value
 

@@ -1,4 +1,4 @@
-"""Ranges of frames as the user writes them: "A:B"."""
+"""Ranges of frames: as values, and as the user of a command writes them, "A:B"."""
 
 from __future__ import annotations
 
@@ -7,6 +7,15 @@ import re
 from .errors import UsageError
 
 _RANGE = re.compile(r"\s*([+-]?[0-9]{1,4000})?\s*:\s*([+-]?[0-9]{1,4000})?\s*", re.ASCII)
+
+
+Frames = slice | range | None
+"""Which frames: a slice by Python's rules, a range of their numbers, or None for all."""
+
+
+def frame_slice(frames: Frames) -> slice:
+    """The same as a slice."""
+    return slice(frames.start, frames.stop, frames.step) if isinstance(frames, range) else frames or slice(None)
 
 
 def frame_range(text: str) -> slice:

@@ -34,9 +34,9 @@ _ABOUT_TO_BE_LOCKED = 2.0
 
 @dataclass(frozen=True)
 class Output:
-    """Something to be written: the option that asks for it and the file; ``grows``: beside its name first."""
+    """Something to be written: the parameter that asks for it and the file; ``grows``: beside its name first."""
 
-    option: str
+    parameter: str
     file: Path | BinaryIO
     grows: bool = False
 
@@ -67,8 +67,8 @@ def check_outputs(outputs: Sequence[Output], inputs: Iterable[tuple[Path, str]])
         places = output.places
         for name, place in places:
             if place in taken:
-                raise UsageError(f"{output.option} {name}: {taken[place]}; name another file")
-        taken |= {place: f"{output.option} is written there, too" for _, place in places}
+                raise UsageError(f"`{output.parameter}` {name}: {taken[place]}; name another file")
+        taken |= {place: f"`{output.parameter}` is written there, too" for _, place in places}
 
 
 def part_of(output: Path) -> Path:
@@ -110,9 +110,8 @@ class GrowingFile:
     ``publish`` closes it; what it holds by then stays, an empty one is removed.
     """
 
-    def __init__(self, output: Path, *, leftover: Leftover = "refused", option: str = "") -> None:
-        """Raises UsageError, which begins with ``option``, for what cannot be written or is being written."""
-        self._said = f"{option} " if option else ""
+    def __init__(self, output: Path, *, leftover: Leftover = "refused") -> None:
+        """Raises UsageError for what cannot be written or is being written."""
         self.output, self.path = resolved(output), part_of(output)
         self._check()
         self.file = self._locked()
@@ -122,7 +121,7 @@ class GrowingFile:
             self.file.close()
             self._refuse(
                 self.path,
-                "an encode that was cut off left it; --resume goes on with it, or delete it to start over",
+                "an encode that was cut off left it; `resume` goes on with it, or delete it to start over",
             )
 
     @property
@@ -192,7 +191,7 @@ class GrowingFile:
             file.close()  # The other one was done and gave it its name between the two steps.
 
     def _refuse(self, path: Path, problem: str) -> None:
-        raise UsageError(f"{self._said}{path}: {problem}")
+        raise UsageError(f"{path}: {problem}")
 
 
 def write_whole(path: Path, data: bytes) -> None:

@@ -39,6 +39,7 @@ class Splats:
 
     @property
     def sh_degree(self) -> int:
+        """Degree of the spherical harmonics, 0 to 3."""
         return sh_degree_of(self.sh.shape[1])
 
 

@@ -161,6 +161,7 @@ def check_renumbered(renumbered: RowArray | None, lifted: NDArray[np.bool_], pop
 
 
 def kernel_path(package: Path, stem: str, instruction_set: str) -> Path:
+    """Where a package keeps a kernel compiled for this instruction set."""
     return package / f"{stem}_{instruction_set}.abi3.so"
 
 
@@ -291,7 +292,7 @@ def renderer(threads: int) -> Renderer:
 def check_drawn(status: int, width: int, height: int, max_pairs: int = MAX_PAIRS) -> None:
     """Raises UsageError when the kernel refused a scene, MemoryError when it found no memory for the picture."""
     if status == _COVERED:
-        more = " or more memory (--max-memory)" if max_pairs < MAX_PAIRS else ""
+        more = " or more memory (`max_memory`)" if max_pairs < MAX_PAIRS else ""
         raise UsageError(
             f"a picture of {width}x{height} is covered too many times by the scene's Gaussians; "
             f"choose a smaller scale{more}"

@@ -12,7 +12,7 @@ in ``DESIGN.md``.
 
 from ..settings.effects import EFFECT_NAMES, FRAME_EFFECTS, PRESET_EFFECTS
 from .appearance_change import AppearanceChange
-from .building import AUTO, Wanted, disable, wanted_effects, with_effects
+from .building import AUTO, EffectChoice, disable, with_effects
 from .camera_shake import CameraShake
 from .disappearance import Disappearance
 from .effect import Decision, Effect, Evidence
@@ -35,13 +35,12 @@ __all__ = [
     "PRESET_EFFECTS",
     "Decision",
     "Effect",
+    "EffectChoice",
     "Evidence",
     "Look",
-    "Wanted",
     "disable",
     "frame_effects",
     "look_at",
-    "wanted_effects",
     "with_effects",
 ]
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from decogs.formats.frame_ranges import frame_range
+from decogs.formats.frame_ranges import Frames
 from decogs.formats.rigs import Rig, open_rig
 from decogs.formats.threads import thread_count
 
@@ -43,6 +43,7 @@ class Analysis:
 
     @property
     def decisions(self) -> tuple[Decision, ...]:
+        """The decision on each effect, in the order of EFFECTS."""
         return tuple(finding.decision for finding in self.findings)
 
     def table(self) -> Iterator[str]:
@@ -76,30 +77,30 @@ class Analysis:
 
 
 def analyse(
-    rig_dir: str | os.PathLike[str] | Rig,
+    rig: str | os.PathLike[str] | Rig,
     *,
-    frames: str | slice | None = None,
-    holdout: str | Sequence[str] = (),
+    frames: Frames = None,
+    holdout: Sequence[str] = (),
     threads: int = 0,
     on_step: OnStep = lambda done, total: None,
 ) -> Analysis:
     """Looks at a rig before anything is trained, and decides which effects it calls for.
 
-    ``rig_dir``: its folder or calibration file, or the rig itself. ``frames``: "A:B" half-open, as in Python, or a
-    slice; all when None. ``holdout``: cameras that are not looked at.
+    ``rig``: its folder or calibration file, or the rig itself. ``frames``: consecutive ones, as a slice or a range; all
+    when None. ``holdout``: names of cameras that are not looked at.
     ``threads``: 0 means all processors; what is found does not depend on it. Raises RigError or UsageError.
     """
     began = time.perf_counter()
-    held = [holdout] if isinstance(holdout, str) else list(holdout)
-    rig = rig_dir if isinstance(rig_dir, Rig) else open_rig(rig_dir)
-    span = frame_span(rig, frame_range(frames) if isinstance(frames, str) else frames)
-    look = look_at(rig, holdout=held, frames=span, threads=thread_count(threads), on_step=on_step)
+    if not isinstance(rig, Rig):
+        rig = open_rig(rig)
+    span = frame_span(rig, frames)
+    look = look_at(rig, holdout=holdout, frames=span, threads=thread_count(threads), on_step=on_step)
     findings = []
     for effect in EFFECTS:
         evidence = effect.evidence(look)
         findings.append(Finding(evidence, effect.decide(look, evidence)))
     seconds = time.perf_counter() - began
-    return Analysis(str(rig.path), rig.layout, tuple(held), len(span), look, tuple(findings), seconds)
+    return Analysis(str(rig.path), rig.layout, tuple(holdout), len(span), look, tuple(findings), seconds)
 
 
 _HEADINGS = ("effect", "called for", "sure", "evidence", "counts from", "cameras", "frames", "cost")

@@ -83,6 +83,7 @@ class _Difference:
 
 
 def untold(frames: int) -> Arrivals:
+    """The arrivals of a camera of which nothing can be told: NaN for each of its ``frames``."""
     return Arrivals(np.full(frames, np.nan), np.full(frames, np.nan))
 
 

@@ -9,27 +9,47 @@ effect would be spread over many files, and a new one would touch them all).
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from decogs.formats.errors import UsageError
 
-from ..settings.effects import CAMERA_EFFECTS, EFFECT_NAMES, FRAME_EFFECTS
+from ..settings.effects import CAMERA_EFFECTS, EFFECT_BASES, EFFECT_NAMES, FRAME_EFFECTS
 from .effect import Decision
 
 if TYPE_CHECKING:
     from ..settings.encode import EncodeSettings
 
-AUTO, ALL, NONE = "auto", "all", "none"
+AUTO, ALL, NONE = EFFECT_BASES
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """Which effects an encode is to build: a ``base`` (AUTO, ALL or NONE), and names added to it and taken from it."""
+class EffectChoice:
+    """Which effects an encode is to build: a base, and names of effects added to it and taken from it.
+
+    ``base``: "auto" is what the scene calls for, which the rig is looked at for first, for seconds, and what each frame
+    calls for; "all" every effect; "none" no effect. Raises UsageError for another base or an unknown name.
+    """
 
     base: str
-    added: frozenset[str] = frozenset()
-    dropped: frozenset[str] = frozenset()
+    added: AbstractSet[str] = frozenset()
+    dropped: AbstractSet[str] = frozenset()
+
+    def __post_init__(self) -> None:
+        unknown = [name for name in (*sorted(self.added), *sorted(self.dropped)) if name not in EFFECT_NAMES]
+        if self.base not in EFFECT_BASES:
+            unknown.insert(0, self.base)
+        if unknown:
+            raise UsageError(
+                f"`effects` {self}: there is no effect {unknown[0]!r}; choose auto, all, none or from "
+                f"{', '.join(EFFECT_NAMES)}"
+            )
+
+    def __str__(self) -> str:
+        """As ``--effects`` takes it."""
+        base = [] if self.base == NONE and self.added else [self.base]
+        return ",".join([*base, *sorted(self.added), *(f"-{name}" for name in sorted(self.dropped))])
 
     def names(self, detected: Collection[str]) -> tuple[str, ...]:
         """In order, given those that the scene calls for; what every frame is asked for itself counts as such."""
@@ -38,22 +58,8 @@ class Wanted:
         return tuple(name for name in EFFECT_NAMES if name in names)
 
 
-def wanted_effects(text: str) -> Wanted:
-    """Reads ``--effects``: auto, all or none, or names with commas; ``-name`` takes one away. Raises UsageError."""
-    words = [word.strip() for word in text.split(",") if word.strip()]
-    base = words.pop(0) if words and words[0] in (AUTO, ALL, NONE) else ALL if text.startswith("-") else NONE
-    added = frozenset(word for word in words if not word.startswith("-"))
-    dropped = frozenset(word[1:] for word in words if word.startswith("-"))
-    if unknown := sorted((added | dropped) - set(EFFECT_NAMES)):
-        raise UsageError(
-            f"--effects {text}: there is no effect {unknown[0]!r}; choose auto, all, none or from "
-            f"{', '.join(EFFECT_NAMES)}"
-        )
-    return Wanted(base, added, dropped)
-
-
 def with_effects(
-    settings: EncodeSettings, wanted: Wanted, cameras: Sequence[str], decisions: Callable[[], Sequence[Decision]]
+    settings: EncodeSettings, wanted: EffectChoice, cameras: Sequence[str], decisions: Callable[[], Sequence[Decision]]
 ) -> EncodeSettings:
     """``settings`` that build what is wanted and nothing else; their ``effects`` are those that make a difference.
 

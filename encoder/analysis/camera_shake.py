@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 
 class CameraShake:
+    """Cameras that do not stand still."""
+
     name = "camera_shake"
 
     def evidence(self, look: Look) -> Evidence:

@@ -69,6 +69,7 @@ class ChangeShares:
 
     @staticmethod
     def untold(frames: int) -> ChangeShares:
+        """The shares of a camera of which nothing can be told: NaN for each of its ``frames``."""
         return ChangeShares(*(np.full(frames, np.nan) for _ in fields(ChangeShares)))
 
     @staticmethod

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from decogs.formats.command_line import Parser, frames_joined, number_of_threads, progress, run, tell, warn_as
 from decogs.formats.errors import UsageError
+from decogs.formats.frame_ranges import frame_range
 from decogs.formats.outputs import Output, check_outputs, is_device, write_whole
 from decogs.formats.rigs import files_of, open_rig
 
@@ -29,22 +30,22 @@ def analyze_main(arguments: Sequence[str] | None = None) -> int:
         "--json", metavar="FILE", help="write every figure, per camera and frame; - for stdout (the table: stderr)"
     )
     parser.add_argument("--threads", type=number_of_threads, default=0, metavar="N", help="default: all processors")
-    return run(parser.prog, lambda: _analyze(parser.parse_args(frames_joined(arguments))))
+    return run(parser, lambda: _analyze(parser, parser.parse_args(frames_joined(arguments))))
 
 
-def _analyze(options: argparse.Namespace) -> None:
+def _analyze(parser: Parser, options: argparse.Namespace) -> None:
     from .analyse import analyse
 
     rig = open_rig(options.rig_dir)
     for warning in rig.warnings:
-        warn_as("decogs-analyze")(warning)
+        warn_as(parser)(warning)
     to_file = options.json is not None and options.json != "-"
     if to_file:
-        check_outputs([Output("--json", Path(options.json), grows=True)], files_of(rig))
+        check_outputs([Output("json", Path(options.json), grows=True)], files_of(rig))
     with progress("looking", "step") as on_step:
         analysis = analyse(
             rig,
-            frames=options.frames,
+            frames=None if options.frames is None else frame_range(options.frames),
             holdout=options.holdout,
             threads=options.threads,
             on_step=on_step,

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 
 class Disappearance:
+    """Something that is gone in the end."""
+
     name = "disappearance"
 
     def evidence(self, look: Look) -> Evidence:

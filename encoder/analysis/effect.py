@@ -74,7 +74,9 @@ class Effect(Protocol):
     """One effect a scene may call for; every effect is one module."""
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """One of EFFECT_NAMES."""
+        ...
 
     def evidence(self, look: Look) -> Evidence:
         """How strong the effect shows in the pictures."""

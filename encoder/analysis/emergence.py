@@ -24,6 +24,8 @@ _LEAST_SHARE = 0.25
 
 
 class Emergence:
+    """Something that is there in the end and was not before."""
+
     name = "emergence"
 
     def evidence(self, look: Look) -> Evidence:

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 
 class ExposureDrift:
+    """Cameras whose exposure drifts."""
+
     name = "exposure_drift"
 
     def evidence(self, look: Look) -> Evidence:

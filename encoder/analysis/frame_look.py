@@ -40,10 +40,12 @@ class FrameEffects:
 
     @property
     def emergence(self) -> bool:
+        """Whether something may have come: with any motion."""
         return self.motion
 
     @property
     def disappearance(self) -> bool:
+        """Whether something may have gone: with any motion."""
         return self.motion
 
 

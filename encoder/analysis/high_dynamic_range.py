@@ -17,6 +17,8 @@ _TRACE = 0.01
 
 
 class HighDynamicRange:
+    """Pictures brighter than white."""
+
     name = "high_dynamic_range"
 
     def evidence(self, look: Look) -> Evidence:

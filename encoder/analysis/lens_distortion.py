@@ -48,6 +48,8 @@ _STEP = 1e-5
 
 
 class LensDistortion:
+    """Lenses that bend more than the calibration says."""
+
     name = "lens_distortion"
 
     def evidence(self, look: Look) -> Evidence:

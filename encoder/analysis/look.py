@@ -22,7 +22,7 @@ from decogs.formats.pictures import Picture
 from decogs.formats.rigs import Rig, read_frames
 
 from ..change.noise import picture_noise
-from ..input.ingest import display_referred
+from ..input.ingest import check_held_out, display_referred
 from ..parallel import Each, side_by_side
 from .arrivals import Arrivals, camera_arrivals
 from .arrivals import untold as untold_arrivals
@@ -71,6 +71,7 @@ class Look:
 
     @property
     def names(self) -> tuple[str, ...]:
+        """The names of the cameras looked at, in the rig's order."""
         return tuple(camera.name for camera in self.cameras)
 
 
@@ -129,10 +130,7 @@ class _Steps:
 
 
 def _small_cameras(rig: Rig, holdout: Sequence[str]) -> tuple[tuple[Camera, ...], tuple[float, ...]]:
-    names = [camera.name for camera in rig.cameras]
-    for name in holdout:
-        if name not in names:
-            raise UsageError(f"--holdout {name}: {rig.path} has no such camera; it has {', '.join(names)}")
+    check_held_out(rig, holdout)
     kept = [camera for camera in rig.cameras if camera.name not in holdout]
     if not kept:
         raise UsageError(f"{rig.path}: every camera is held out; leave some to look at")

@@ -46,6 +46,7 @@ class CameraPath:
 
     @property
     def shakes(self) -> bool:
+        """Whether the camera moves more than a fixed one's pictures seem to."""
         return bool(np.nan_to_num(self.displacement).max() >= SHAKE_LIMIT)
 
 

@@ -20,6 +20,8 @@ _MULTIPLE = 6
 
 
 class SensorNoise:
+    """Noise between frames when nothing happens."""
+
     name = "sensor_noise"
 
     def evidence(self, look: Look) -> Evidence:

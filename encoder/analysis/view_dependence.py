@@ -48,6 +48,8 @@ LEAST_SHOWN = 0.01
 
 
 class ViewDependence:
+    """Colour that depends on where it is seen from."""
+
     name = "view_dependence"
 
     def evidence(self, look: Look) -> Evidence:

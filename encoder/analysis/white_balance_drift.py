@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 
 class WhiteBalanceDrift:
+    """Cameras whose white balance drifts."""
+
     name = "white_balance_drift"
 
     def evidence(self, look: Look) -> Evidence:

@@ -7,6 +7,7 @@ table.
 
 from __future__ import annotations
 
+from ..analysis import EffectChoice
 from ..settings.cache import CacheSettings
 from ..settings.frame import IterationSettings, RequantisationSteps, SignificanceSettings
 from .timing import TIMINGS
@@ -229,7 +230,7 @@ QUESTIONS = (
                 f"light{t:g}",
                 f"{t:g}" if t else "as everything else",
                 {"frame.masks.light_threshold": t},
-                effects="auto",
+                effects=EffectChoice("auto"),
             )
             for t in (0.0, 2.5, 4.0, 6.0)
         ),

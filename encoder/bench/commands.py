@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from decogs.formats.command_line import Parser, frames_joined, number, number_of_threads, run, warn_as, whole_number
+from decogs.formats.frame_ranges import frame_range
 
 
 def bench_main(arguments: Sequence[str] | None = None) -> int:
@@ -31,7 +32,7 @@ def bench_main(arguments: Sequence[str] | None = None) -> int:
     for kind in (paper, choices, rates, effects, curve):
         _add_options(kind)
     given = frames_joined(arguments)
-    return run(parser.prog, lambda: _bench(parser.parse_args(given), given))
+    return run(parser, lambda: _bench(parser, parser.parse_args(given), given))
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:
@@ -45,7 +46,13 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--frames", metavar="A:B", help="half-open, as in Python: 0:10, 5:, -3: (default: all)")
     parser.add_argument("--scale", type=number, default=1.0, metavar="S", help="size of the pictures")
-    parser.add_argument("--preset", default="standard", metavar="P", help="what variants start from (default standard)")
+    parser.add_argument(
+        "--preset",
+        dest="settings",
+        default="standard",
+        metavar="P",
+        help="what variants start from (default standard)",
+    )
     parser.add_argument(
         "--only", default="", metavar="PARTS", help="run for these tables only (with commas); none: no run"
     )
@@ -55,7 +62,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--keep-streams", action="store_true", help="leave the .dgs files in OUTPUT/streams")
 
 
-def _bench(options: argparse.Namespace, given: Sequence[str]) -> None:
+def _bench(parser: Parser, options: argparse.Namespace, given: Sequence[str]) -> None:
     from .report import PLANS, make_report
     from .runs import BenchOptions
 
@@ -64,10 +71,10 @@ def _bench(options: argparse.Namespace, given: Sequence[str]) -> None:
         options.rigs,
         options.output,
         BenchOptions(
-            holdout=options.holdout,
-            frames=options.frames,
+            holdout=options.holdout or (),
+            frames=None if options.frames is None else frame_range(options.frames),
             scale=options.scale,
-            preset=options.preset,
+            preset=options.settings,
             threads=options.threads,
             seed=options.seed,
             any_code=options.any_code,
@@ -76,7 +83,7 @@ def _bench(options: argparse.Namespace, given: Sequence[str]) -> None:
         only=[part for part in options.only.split(",") if part],
         command=_command(given, [*options.rigs, options.output]),
         terminal=sys.stderr,
-        on_warning=warn_as("decogs-bench"),
+        on_warning=warn_as(parser),
     )
     print(path)
 

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from ..analysis import EffectChoice
 from ..settings.effects import EFFECT_NAMES
 from .plans import RigResults
 from .tables import NOTHING, markdown, mean_of, number
 from .variants import Question, Variant
 
-AUTO = Variant("effects-auto", "as called for (auto)", effects="auto")
-ALL = Variant("effects-all", "all", effects="all")
-NONE = Variant("effects-none", "none", effects="none")
+AUTO = Variant("effects-auto", "as called for (auto)", effects=EffectChoice("auto"))
+ALL = Variant("effects-all", "all", effects=EffectChoice("all"))
+NONE = Variant("effects-none", "none", effects=EffectChoice("none"))
 WITHOUT = {
-    name: Variant(f"effects-no-{name}", f"auto, without {name}", effects=f"auto,-{name}")
+    name: Variant(f"effects-no-{name}", f"auto, without {name}", effects=EffectChoice("auto", dropped={name}))
     for name in EFFECT_NAMES
     if name != "high_dynamic_range"
 }

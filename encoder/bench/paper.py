@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from ..analysis import EffectChoice
 from .variants import Question, Times, Variant
 
 DECOGS = Variant("decogs", "DecoGS, all effects in every frame")
-DECOGS_AUTO = Variant("decogs-auto", "DecoGS, effects as called for (the default)", effects="auto")
+DECOGS_AUTO = Variant("decogs-auto", "DecoGS, effects as called for (the default)", effects=EffectChoice("auto"))
 DECOGS_PAPER = Variant("decogs-paper", "DecoGS, the paper's recipe (preset paper)", preset="paper")
 BASELINE = Variant("3dgstream", "3DGStream baseline, dense", method="3dgstream")
 METHODS = (DECOGS_AUTO, DECOGS, DECOGS_PAPER, BASELINE)

@@ -88,7 +88,7 @@ def make_report(
         raise UsageError(f"{folder}: is a file; name a folder for the report")
     results = [RigResults(RigBench(rig_dir, folder, options)) for rig_dir in rig_dirs]
     _check_names([result.bench for result in results])
-    written = [Output("-o", folder / f"{plan.name}{suffix}", grows=True) for suffix in (".md", ".json", ".html")]
+    written = [Output("output", folder / f"{plan.name}{suffix}", grows=True) for suffix in (".md", ".json", ".html")]
     check_outputs(written, [file for result in results for file in files_of(result.bench.rig)])
     folder.mkdir(parents=True, exist_ok=True)
     _run_missing(results, wanted, plan, terminal, on_warning)
@@ -122,7 +122,7 @@ def _wanted(plan: Plan, only: Sequence[str]) -> list[Variant]:
         sets[plan.trade.key] = (plan.trade.source,)
     for key in only:
         if key != NONE and key not in sets:
-            raise UsageError(f"--only {key}: there is no such part; choose from {', '.join(sets)}, {NONE}")
+            raise UsageError(f"`only` {key}: there is no such part; choose from {', '.join(sets)}, {NONE}")
     chosen = [variants for key, variants in sets.items() if not only or key in only]
     return [variant for variants in chosen for variant in variants]
 

@@ -27,16 +27,16 @@ from numpy.typing import NDArray
 from decogs.codec.header import StreamHeader
 from decogs.decoder.stream import open_stream
 from decogs.formats.errors import UsageError
-from decogs.formats.frame_ranges import frame_range
+from decogs.formats.frame_ranges import Frames
 from decogs.formats.outputs import GrowingFile, write_whole
 from decogs.formats.rigs import Rig, open_rig
 from decogs.formats.splats import Splats
 from decogs.formats.threads import thread_count
 
-from ..analysis import AUTO, Decision, wanted_effects, with_effects
+from ..analysis import AUTO, Decision, with_effects
 from ..analysis.analyse import analyse
 from ..input.imported_keyframe import read_keyframe
-from ..input.ingest import Ingest, frame_span
+from ..input.ingest import Ingest, check_held_out, frame_span
 from ..output.convergence_log import ConvergenceLog
 from ..output.reports import EncodeReport, FrameReport, OnKeyframeStep
 from ..settings.effects import PRESET_EFFECTS
@@ -63,13 +63,15 @@ KEYFRAME = Variant("keyframe", "the keyframe that all variants start from", fram
 
 @dataclass(frozen=True)
 class BenchOptions:
-    """What all runs of a report share; as ``decogs-bench``'s options of these names.
+    """What all runs of a report share.
 
-    ``any_code``: take results that other code made. ``keep_streams``: leave the .dgs files.
+    ``holdout``: cameras to measure on; the rig's own, or cam00, when there are none. ``preset``: what variants start
+    from. ``frames``, ``scale``, ``threads``, ``seed``: as ``encode``'s. ``any_code``: take results that other code
+    made. ``keep_streams``: leave the .dgs files.
     """
 
-    holdout: str | Sequence[str] | None = None
-    frames: str | None = None
+    holdout: Sequence[str] = ()
+    frames: Frames = None
     scale: float = 1.0
     preset: str = "standard"
     threads: int = 0
@@ -147,15 +149,15 @@ class RigBench:
     def __init__(self, rig_dir: str | os.PathLike[str], output: Path, options: BenchOptions) -> None:
         """Raises RigError and UsageError for a rig or options that cannot be measured; nothing is trained yet."""
         if options.seed < 0:
-            raise UsageError(f"--seed {options.seed}: give a number of at least 0")
+            raise UsageError(f"`seed` {options.seed}: give a number of at least 0")
         settings_of(KEYFRAME, options.preset)
         self.rig = open_rig(rig_dir)
         self.name = re.sub(r"[^\w.-]+", "_", self.rig.path.resolve().name) or "rig"
         self.options = options
         self.cameras = _held_out(self.rig, options.holdout)
-        self.frames = frame_span(self.rig, None if options.frames is None else frame_range(options.frames))
+        self.frames = frame_span(self.rig, options.frames)
         if len(self.frames) < 2:
-            raise UsageError(f"{self.rig.path}: a report compares frames; give at least 2 with --frames A:B")
+            raise UsageError(f"{self.rig.path}: a report compares frames; give at least 2 with `frames` A:B")
         Ingest(self.rig, holdout=self.cameras, scale=options.scale)
         self._threads = thread_count(options.threads)
         self.runs_folder, self._streams = output / "runs", output / "streams"
@@ -193,7 +195,7 @@ class RigBench:
         settings = settings_of(variant, self.options.preset)
         if variant.effects is None:
             return settings
-        wanted = wanted_effects(variant.effects)
+        wanted = variant.effects
         if wanted.base == AUTO:
             # What the scene does not call for cannot wrongly be left out.
             detected = {decision.effect for decision in self._decisions if decision.detected}
@@ -414,7 +416,7 @@ class RigBench:
         words += ["--ablate", ",".join(variant.ablate)] if variant.ablate else []
         words += ["--selection", variant.selection] if variant.selection else []
         words += [] if variant.quality is None else ["--quality", f"{variant.quality:g}"]
-        words += ["--effects", variant.effects or ",".join(PRESET_EFFECTS)]
+        words += ["--effects", ",".join(PRESET_EFFECTS) if variant.effects is None else str(variant.effects)]
         words += [] if self._trains_keyframe(variant) else ["--keyframe", f"{KEYFRAME.name}.dgs"]
         extra = [] if variant.stride == 1 else [f"every {variant.stride}. frame"]
         extra += [] if variant.timing is None else [f"frames {', '.join(map(str, frames))}"]
@@ -447,19 +449,16 @@ def _frame(index: int, cost: FrameReport, looks: FrameQuality) -> RunFrame:
     return RunFrame(**rounded(values))
 
 
-def _held_out(rig: Rig, chosen: str | Sequence[str] | None) -> tuple[str, ...]:
+def _held_out(rig: Rig, chosen: Sequence[str]) -> tuple[str, ...]:
     """The cameras to measure on: those asked for, or the rig's own, or cam00."""
     names = [camera.name for camera in rig.cameras]
     if chosen:
-        wanted = tuple(dict.fromkeys([chosen] if isinstance(chosen, str) else chosen))
-        for each in wanted:
-            if each not in names:
-                raise UsageError(f"--holdout {each}: {rig.path} has no such camera; it has {', '.join(names)}")
-        return wanted
+        check_held_out(rig, chosen)
+        return tuple(dict.fromkeys(chosen))
     for name in (_own_held_out(rig.path / "rig.json"), "cam00"):
         if name in names:
             return (str(name),)
-    raise UsageError(f"{rig.path}: names no camera to hold out and has no cam00; choose one with --holdout CAM")
+    raise UsageError(f"{rig.path}: names no camera to hold out and has no cam00; choose one with `holdout` CAM")
 
 
 def _own_held_out(calibration: Path) -> str | None:

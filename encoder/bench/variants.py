@@ -8,6 +8,7 @@ from typing import Any
 
 from decogs.formats.errors import UsageError
 
+from ..analysis import EffectChoice
 from ..coding.rate_control import with_quality
 from ..settings.encode import EncodeSettings
 from ..settings.presets import preset
@@ -30,8 +31,8 @@ class Variant:
 
     ``name``: letters, digits, '.', '_' and '-'; part of file names. ``settings``: what differs from the preset, by
     dotted path ("frame.masks.threshold"); values replace the setting, or are Times. ``preset`` None: the report's.
-    ``method``, ``ablate``, ``selection``, ``quality``, ``effects``: as ``encode``'s; ``effects`` None is all that the
-    preset has. ``stride``: every so many frames. ``scale``: of the pictures it trains on, times the report's; it is
+    ``method``, ``ablate``, ``selection``: as in `Switches`; ``quality``: as in `Targets`; ``effects``: None is all that
+    the preset has. ``stride``: every so many frames. ``scale``: of the pictures it trains on, times the report's; it is
     measured at the report's all the same.
     ``timing``: one of `timing.TIMINGS`. ``frames``: only the first so many, or the last so many when negative.
     ``own_keyframe``: trains its own instead of starting from the one that all variants of a rig share. ``refined``:
@@ -46,7 +47,7 @@ class Variant:
     ablate: tuple[str, ...] = ()
     selection: str | None = None
     quality: float | None = None
-    effects: str | None = None
+    effects: EffectChoice | None = None
     stride: int = 1
     scale: float = 1.0
     timing: str | None = None

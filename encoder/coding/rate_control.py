@@ -59,7 +59,7 @@ def with_quality(settings: EncodeSettings, quality: float) -> EncodeSettings:
     lattice only.
     """
     if not 0 <= quality <= 100:
-        raise UsageError(f"--quality {quality:g}: give a number from 0 (smallest) to 100 (most exact)")
+        raise UsageError(f"`quality` {quality:g}: give a number from 0 (smallest) to 100 (most exact)")
     factor = 2.0 ** ((NEUTRAL_QUALITY - quality) / _QUALITIES_PER_OCTAVE)
     significance = replace(
         settings.frame.significance, threshold=_rounded(settings.frame.significance.threshold * factor)
@@ -79,17 +79,18 @@ def with_lossless(settings: EncodeSettings) -> EncodeSettings:
     return replace(settings, frame=replace(settings.frame, significance=significance))
 
 
-def with_budget(settings: EncodeSettings, frame_budget: float, option: str) -> EncodeSettings:
-    """The same settings held to ``frame_budget`` bytes, the mean of the frames after the first.
+def with_budget(settings: EncodeSettings, bytes_per_frame: float) -> EncodeSettings:
+    """The same settings held to ``bytes_per_frame``, the mean of the frames after the first.
 
-    ``option``: how it was asked for. Raises UsageError for what is no budget, and where every change is sent.
+    Raises UsageError for what is no budget, and where every change is sent.
     """
-    if not (math.isfinite(frame_budget) and frame_budget >= 1):
-        raise UsageError(f"{option}: that is {frame_budget:g} bytes a frame; give at least 1")
-    require_sparse(settings, option, "codes every change")
+    asked = f"`bytes_per_frame` {bytes_per_frame:g}"
+    if not (math.isfinite(bytes_per_frame) and bytes_per_frame >= 1):
+        raise UsageError(f"{asked}: that is {bytes_per_frame:g} bytes a frame; give at least 1")
+    require_sparse(settings, asked, "codes every change")
     if not settings.frame.significance.threshold or settings.frame.cache is not None:
-        raise UsageError(f"{option}: these settings code every change; choose --preset draft, standard or high")
-    return replace(settings, frame_budget=frame_budget)
+        raise UsageError(f"{asked}: these settings code every change; choose `settings` draft, standard or high")
+    return replace(settings, frame_budget=bytes_per_frame)
 
 
 def over_budget(sizes: Sequence[int], frame_budget: float) -> float:

@@ -12,7 +12,6 @@ no processor); the keyframe in the budget (nothing tells how many frames are to 
 from __future__ import annotations
 
 import math
-import re
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -38,27 +37,20 @@ _MEMORY = 0.7
 _AFTER_TRAINING = ("write", "settle")
 _UNCOUNTED = "measure"
 _FIXED = "trains a fixed number of steps"
-_WRITTEN = re.compile(r"([0-9.eE+-]+?)\s*(ms|s)?\s*(?:/\s*frame)?")
-
-
-def seconds_per_frame(text: str | float) -> float:
-    """Seconds of ``1.5s/frame``, ``500ms/frame`` or plain ``1.5``; raises UsageError for what is no time."""
-    found = _WRITTEN.fullmatch(str(text).strip())
-    try:
-        seconds = float(found[1]) * (0.001 if found[2] == "ms" else 1) if found else math.nan
-    except ValueError:
-        seconds = math.nan
-    if not (math.isfinite(seconds) and seconds > 0):
-        raise UsageError(f"--time-budget {text}: that is no time; write 1.5s/frame or 500ms/frame")
-    return seconds
+_LEAST_SECONDS, _MOST_SECONDS = 1e-4, 1e6
+"""Of a frame's time: what a clock tells apart, and twelve days."""
 
 
 def with_time_budget(settings: EncodeSettings, seconds: float) -> EncodeSettings:
     """The same settings held to so many seconds, the mean of the frames after the first.
 
-    Raises UsageError for a dense method, whose schedule is fixed.
+    Raises UsageError beyond what a clock can tell, and for a dense method, whose schedule is fixed.
     """
-    require_sparse(settings, "--time-budget", _FIXED)
+    if not _LEAST_SECONDS <= seconds <= _MOST_SECONDS:
+        raise UsageError(
+            f"`time_budget` {seconds:g}: give from {_LEAST_SECONDS:g} to {_MOST_SECONDS:g} seconds a frame"
+        )
+    require_sparse(settings, "`time_budget`", _FIXED)
     return replace(settings, time_budget=seconds)
 
 
@@ -68,8 +60,8 @@ def with_target_psnr(settings: EncodeSettings, target: float) -> EncodeSettings:
     Raises UsageError for what is no PSNR, and for a dense method, whose schedule is fixed.
     """
     if not (math.isfinite(target) and 0 < target <= 100):
-        raise UsageError(f"--target-psnr {target:g}: give decibels above 0 and at most 100, such as 30")
-    require_sparse(settings, "--target-psnr", _FIXED)
+        raise UsageError(f"`target_psnr` {target:g}: give decibels above 0 and at most 100, such as 30")
+    require_sparse(settings, "`target_psnr`", _FIXED)
     return replace(settings, target_psnr=target)
 
 

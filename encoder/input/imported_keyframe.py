@@ -79,16 +79,16 @@ class KeyframeSource:
         if set(self.header.held_out) != held:
             self._refuse(
                 f"it was trained with {_listed(self.header.held_out)} held out, this encode holds out {_listed(held)}",
-                "use the same --holdout",
+                "use the same `holdout`",
             )
         if self.header.first_frame != first_frame:
             self._refuse(
                 f"it begins with frame {self.header.first_frame} of the rig, not {first_frame}",
-                f"use --frames {self.header.first_frame}:",
+                f"use `frames` {self.header.first_frame}:",
             )
 
     def _refuse(self, problem: str, remedy: str) -> None:
-        raise UsageError(f"--keyframe {self.path}: {problem}; {remedy}")
+        raise UsageError(f"`keyframe` {self.path}: {problem}; {remedy}")
 
 
 def read_keyframe(path: str | os.PathLike[str]) -> KeyframeSource:
@@ -96,10 +96,10 @@ def read_keyframe(path: str | os.PathLike[str]) -> KeyframeSource:
     try:
         with open_stream(path, strict=False) as stream:
             if not stream.frame_count:
-                raise UsageError(f"--keyframe {path}: it holds no frame; give a stream with at least its first one")
+                raise UsageError(f"`keyframe` {path}: it holds no frame; give a stream with at least its first one")
             return KeyframeSource(Path(path), stream.header, next(stream.frames(0, 1)).state)
     except OSError as error:
-        raise UsageError(f"--keyframe {path}: {error.strerror}; give the .dgs file of an earlier encode") from error
+        raise UsageError(f"`keyframe` {path}: {error.strerror}; give the .dgs file of an earlier encode") from error
 
 
 def _difference(one: Camera, other: Camera) -> str:

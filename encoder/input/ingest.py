@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from decogs.decoder.lens import Undistortion, with_k1
 from decogs.formats.cameras import Camera, camera_centre, scale_camera, turned
 from decogs.formats.errors import RigError, UsageError
+from decogs.formats.frame_ranges import Frames, frame_slice
 from decogs.formats.rigs import Rig, read_frames
 from decogs.formats.splats import FloatArray
 
@@ -66,11 +67,9 @@ class Ingest:
         self, rig: Rig, *, holdout: Sequence[str] = (), scale: float = 1.0, lens: Mapping[str, float] | None = None
     ) -> None:
         if not 0 < scale <= 4:
-            raise UsageError(f"--scale {scale:g}: give a number above 0 and at most 4, such as 0.5")
+            raise UsageError(f"`scale` {scale:g}: give a number above 0 and at most 4, such as 0.5")
         names = [camera.name for camera in rig.cameras]
-        for name in holdout:
-            if name not in names:
-                raise UsageError(f"--holdout {name}: {rig.path} has no such camera; it has {', '.join(names)}")
+        check_held_out(rig, holdout)
         rig = _with_lenses(rig, lens) if lens else rig
         self.rig = rig
         self.scale = scale
@@ -134,13 +133,23 @@ class Ingest:
         return planes
 
 
-def frame_span(rig: Rig, frames: slice | None) -> range:
+def check_held_out(rig: Rig, holdout: Sequence[str]) -> None:
+    """Raises UsageError when a name of ``holdout`` is no camera of the rig."""
+    names = [camera.name for camera in rig.cameras]
+    if isinstance(holdout, str):
+        raise UsageError(f"`holdout` {holdout}: give a list of names, such as ['{holdout}']")
+    for name in holdout:
+        if name not in names:
+            raise UsageError(f"`holdout` {name}: {rig.path} has no such camera; it has {', '.join(names)}")
+
+
+def frame_span(rig: Rig, frames: Frames) -> range:
     """The rig's frames that ``frames`` names, as Python would; raises UsageError when there are none or they skip."""
-    chosen = range(rig.frame_count)[slice(None) if frames is None else frames]
+    chosen = range(rig.frame_count)[frame_slice(frames)]
     if not len(chosen):
-        raise UsageError(f"--frames: {rig.path} has frames 0 to {rig.frame_count - 1}; the range holds none of them")
+        raise UsageError(f"`frames`: {rig.path} has frames 0 to {rig.frame_count - 1}; the range holds none of them")
     if chosen.step != 1:
-        raise UsageError("--frames: give consecutive frames, A:B")
+        raise UsageError("`frames`: give consecutive ones, without a step")
     return chosen
 
 

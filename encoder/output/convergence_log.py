@@ -21,7 +21,7 @@ class ConvergenceLog:
 
     def __init__(self, path: Path, *, append: bool = False) -> None:
         self._frame, self._began = 0, 0.0
-        self._lines = JsonLines(path, "--convergence-log", append=append)
+        self._lines = JsonLines(path, "convergence_log", append=append)
 
     def __enter__(self) -> ConvergenceLog:
         return self
@@ -37,6 +37,7 @@ class ConvergenceLog:
         self._frame, self._began = frame, time.perf_counter()
 
     def step(self, stage: str, iteration: int, loss: float) -> None:
+        """Writes a step of the frame that was begun: its stage, its number there from 0, and the loss before it."""
         record = {
             "frame": self._frame,
             "stage": stage,

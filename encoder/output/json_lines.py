@@ -1,4 +1,4 @@
-"""Figures as JSON lines, written as things happen: what ``--log`` and ``--convergence-log`` name."""
+"""Figures as JSON lines, written as things happen: what ``log`` and ``convergence_log`` name."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from decogs.formats.outputs import open_in_place
 class JsonLines:
     """One JSON object per line in ``path``, begun anew or, by ``append``, gone on with.
 
-    ``option``: what asked for it. Every method raises UsageError, which names both, when it cannot be written.
+    ``parameter``: what asked for it. Every method raises UsageError, which names both, when it cannot be written.
     """
 
-    def __init__(self, path: Path, option: str, *, append: bool = False) -> None:
-        self._said = f"{option} {path}"
+    def __init__(self, path: Path, parameter: str, *, append: bool = False) -> None:
+        self._said = f"`{parameter}` {path}"
         try:
             self._file = open_in_place(path, append=append)
         except OSError as error:
             raise UsageError(f"{self._said}: {error.strerror}; name a file in a folder that can be written") from error
         except UsageError as error:
-            raise UsageError(f"{option} {error}") from None
+            raise UsageError(f"`{parameter}` {error}") from None
 
     def __enter__(self) -> JsonLines:
         return self
@@ -42,6 +42,7 @@ class JsonLines:
                 self._file.close()
 
     def write(self, record: dict[str, Any]) -> None:
+        """Writes one object as a line; others see it after the next ``flush``."""
         try:
             self._file.write((json.dumps(record) + "\n").encode())
         except OSError as error:

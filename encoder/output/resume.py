@@ -29,23 +29,23 @@ from decogs.formats.errors import StreamError, UsageError
 
 from ..settings.encode import EncodeSettings
 
-_OPTIONS = {
-    "frame.significance": "--quality or --lossless",
-    "keyframe.rd_lambda": "--quality",
-    "lattice": "--quality",
-    "frame_budget": "--max-mb-per-frame or --bitrate",
-    "time_budget": "--time-budget",
-    "target_psnr": "--target-psnr",
-    "segment": "--segment",
-    "held_out": "--holdout",
-    "first_frame": "--frames",
-    "frame.selection": "--selection or --preset",
-    "effects": "--effects",
-    "detect_per_frame": "--effects",
-    "corrections": "--effects",
-    "corrected": "--effects",
-    "frame": "--preset",
-    "keyframe": "--preset",
+_PARAMETERS = {
+    "frame.significance": "`quality` or `lossless`",
+    "keyframe.rd_lambda": "`quality`",
+    "lattice": "`quality`",
+    "frame_budget": "`bytes_per_frame`",
+    "time_budget": "`time_budget`",
+    "target_psnr": "`target_psnr`",
+    "segment": "`segment`",
+    "held_out": "`holdout`",
+    "first_frame": "`frames`",
+    "frame.selection": "`selection` or `settings`",
+    "effects": "`effects`",
+    "detect_per_frame": "`effects`",
+    "corrections": "`effects`",
+    "corrected": "`effects`",
+    "frame": "`settings`",
+    "keyframe": "`settings`",
 }
 """What asked for a setting that differs, by the beginning of its name in the header; the first that fits."""
 
@@ -72,18 +72,18 @@ class Interrupted:
         payload = wanted.to_bytes()
         if payload != self.header_payload:
             name, was, now = _difference(json.loads(self.header_payload), json.loads(payload))
-            option = next((f" ({option})" for start, option in _OPTIONS.items() if name.startswith(start)), "")
-            self._refuse(f"was begun with {name} {_short(was)}, this encode has {_short(now)}{option}")
+            asked = next((f" ({asked})" for start, asked in _PARAMETERS.items() if name.startswith(start)), "")
+            self._refuse(f"was begun with {name} {_short(was)}, this encode has {_short(now)}{asked}")
         if len(self.entries) > frames:
             self._refuse(f"holds {len(self.entries)} frames already, this encode has {frames}")
 
     def check_keyframe(self, *, same: bool) -> None:
         """Raises UsageError when the stream does not begin with the keyframe that was given."""
         if not same:
-            self._refuse("begins with another keyframe than that of --keyframe")
+            self._refuse("begins with another keyframe than that of `keyframe`")
 
     def _refuse(self, problem: str) -> None:
-        raise UsageError(f"--resume: {self.path} {problem}; give the same options, or drop --resume to start over")
+        raise UsageError(f"`resume`: {self.path} {problem}; give the same options, or drop `resume` to start over")
 
 
 def find_interrupted(output: Path, growing: Path) -> Interrupted | None:
@@ -105,11 +105,11 @@ def check_resumable(settings: EncodeSettings) -> None:
         return
     kept = {
         "the carried cache": settings.frame.carry_cache and settings.frame.cache is not None,
-        "--ablate gate": "gate" in settings.frame.ablated,
+        "`ablate` gate": "gate" in settings.frame.ablated,
     }
     for name, is_kept in kept.items():
         if is_kept:
-            raise UsageError(f"--resume: {name} keeps something of training that no stream has; drop one of the two")
+            raise UsageError(f"`resume`: {name} keeps something of training that no stream has; drop one of the two")
 
 
 def _read(path: Path) -> Interrupted | None:

@@ -2,7 +2,7 @@
 
 A file grows as ``NAME.part``, which no other encode can write meanwhile, and gets its name when it is whole
 (`decogs.formats.outputs`); what was complete when something went wrong stays in ``NAME.part``, a valid, shorter stream
-that ``--resume`` goes on with (`resume`).
+that ``resume`` goes on with (`resume`).
 """
 
 from __future__ import annotations
@@ -154,7 +154,7 @@ class FileOutput(StreamOutput):
             yield
         except OSError as error:
             self._failed = True
-            raise UsageError(f"{self.growing}: {error.strerror}; make room, then go on with --resume") from error
+            raise UsageError(f"{self.growing}: {error.strerror}; make room, then go on with `resume`") from error
 
 
 class PipeOutput(StreamOutput):
@@ -204,7 +204,7 @@ def open_output(output: Path | BinaryIO, *, resume: bool = False) -> StreamOutpu
     if isinstance(output, Path) and not is_device(output):
         return FileOutput(output, resume=resume)
     if resume:
-        raise UsageError("--resume: a pipe cannot be gone on with; name a file with -o")
+        raise UsageError("`resume`: a pipe cannot be gone on with; name a file with `output`")
     return PipeOutput(output.open("wb"), output) if isinstance(output, Path) else PipeOutput(output)
 
 

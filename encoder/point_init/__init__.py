@@ -61,9 +61,14 @@ class KnownPoints(Protocol):
     """Points from elsewhere: ``xyz`` (P, 3) world, ``rgb`` (P, 3) uint8."""
 
     @property
-    def xyz(self) -> NDArray[np.float32]: ...
+    def xyz(self) -> NDArray[np.float32]:
+        """Positions (P, 3) in world units."""
+        ...
+
     @property
-    def rgb(self) -> NDArray[np.uint8]: ...
+    def rgb(self) -> NDArray[np.uint8]:
+        """Colours (P, 3) uint8, display-referred."""
+        ...
 
 
 @dataclass(frozen=True)

@@ -40,14 +40,17 @@ class View:
 
     @property
     def width(self) -> int:
+        """Of the picture, in pixels."""
         return self.camera.width
 
     @property
     def height(self) -> int:
+        """Of the picture, in pixels."""
         return self.camera.height
 
     @property
     def focal(self) -> float:
+        """Focal length in pixels, the geometric mean of fx and fy."""
         return float(np.sqrt(self.camera.fx * self.camera.fy))
 
 

@@ -20,10 +20,10 @@ DEVICES = ("auto", "cpu", "cuda")
 def check_device(device: str) -> None:
     """Raises UsageError unless training can run on ``device``, one of DEVICES."""
     if device not in DEVICES:
-        raise UsageError(f"--device {device}: choose from {', '.join(DEVICES)}")
+        raise UsageError(f"`device` {device}: choose from {', '.join(DEVICES)}")
     missing = _missing_for_cuda() if device == "cuda" else None
     if missing:
-        raise UsageError(f"--device cuda: {missing}; install decogs[cuda] with a CUDA build of torch, or use cpu")
+        raise UsageError(f"`device` cuda: {missing}; install decogs[cuda] with a CUDA build of torch, or use cpu")
 
 
 def _missing_for_cuda() -> str | None:

@@ -72,14 +72,17 @@ class FixedView:
 
     @property
     def rgb(self) -> FloatArray:
+        """The picture (3, H, W) float32, display-referred; the next ``draw`` writes over it."""
         return self._rgb
 
     @property
     def alpha(self) -> FloatArray:
+        """Opacity (H, W) float32 of the picture, 0 to 1."""
         return self._alpha
 
     @property
     def depth(self) -> FloatArray:
+        """Depth (H, W) float32 in world units, summed with the rendering weights."""
         return self._depth
 
     @property

@@ -31,6 +31,8 @@ _TILE = 16
 
 
 class NativeCotangents(ctypes.Structure):
+    """Gradients of a loss with respect to a rendering, as the kernel reads them."""
+
     _fields_ = [
         ("rgb", ctypes.c_void_p),
         ("alpha", ctypes.c_void_p),
@@ -40,6 +42,8 @@ class NativeCotangents(ctypes.Structure):
 
 
 class NativeGradients(ctypes.Structure):
+    """Gradients with respect to a scene, as the kernel writes them."""
+
     _fields_ = [
         (name, ctypes.c_void_p) for name in ("means", "log_scales", "quaternions", "opacity_logits", "sh", "view")
     ]
@@ -78,6 +82,7 @@ def adam_step(step: int, beta1: float, beta2: float, epsilon: float) -> AdamStep
 
 @lru_cache(maxsize=1)
 def training_library() -> ctypes.CDLL:
+    """The training kernel, compiled for this processor and loaded once."""
     library = load_kernel(Path(__file__).parent, "_training")
     pointer, handle = ctypes.POINTER, ctypes.c_void_p
     library.decogs_trainer_create.restype = handle
@@ -138,13 +143,19 @@ class Picture(Protocol):
     """A rendering, planar: rgb (3, H, W), alpha (H, W), summed depth (H, W) or None."""
 
     @property
-    def rgb(self) -> FloatArray: ...
+    def rgb(self) -> FloatArray:
+        """Colours (3, H, W) float32, display-referred."""
+        ...
 
     @property
-    def alpha(self) -> FloatArray: ...
+    def alpha(self) -> FloatArray:
+        """Opacity (H, W) float32, 0 to 1."""
+        ...
 
     @property
-    def depth(self) -> FloatArray | None: ...
+    def depth(self) -> FloatArray | None:
+        """Depth (H, W) float32 in world units, summed with the rendering weights; None where it was not rendered."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -197,6 +208,7 @@ class LossValue:
 
 
 def address(array: NDArray[np.generic] | None) -> int | None:
+    """Where the array lies for the kernel, None for none; raises ValueError unless it is C-contiguous."""
     if array is None:
         return None
     if not array.flags.c_contiguous:
@@ -205,6 +217,7 @@ def address(array: NDArray[np.generic] | None) -> int | None:
 
 
 def float_address(array: FloatArray | None) -> int | None:
+    """Where a float32 array lies for the kernel, None for none; raises ValueError for another type or layout."""
     if array is not None and array.dtype != np.float32:
         raise ValueError("the kernel reads float32 arrays only")
     return address(array)

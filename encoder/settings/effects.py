@@ -10,5 +10,8 @@ CAMERA_EFFECTS = ("exposure_drift", "white_balance_drift", "camera_shake", "lens
 
 EFFECT_NAMES = (*FRAME_EFFECTS, *CAMERA_EFFECTS, "view_dependence", "sensor_noise", "high_dynamic_range")
 
+EFFECT_BASES = ("auto", "all", "none")
+"""What names are added to and taken from: what the scene calls for, every effect, or no effect."""
+
 PRESET_EFFECTS = (*FRAME_EFFECTS, "view_dependence")
 """What a preset builds in every frame when nobody says otherwise and no scene is looked at."""

@@ -17,4 +17,5 @@ class LearningRates:
     sh_rest: float
 
     def scaled(self, factor: float) -> LearningRates:
+        """All of them times ``factor``."""
         return LearningRates(*(getattr(self, f.name) * factor for f in fields(self)))

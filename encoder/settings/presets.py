@@ -104,5 +104,5 @@ PRESETS: dict[str, EncodeSettings] = {
 def preset(name: str) -> EncodeSettings:
     """The settings of that name; raises UsageError for an unknown one."""
     if name not in PRESETS:
-        raise UsageError(f"--preset {name}: there is no such preset; choose from {', '.join(PRESETS)}")
+        raise UsageError(f"`settings` {name}: there is no such preset; choose from {', '.join(PRESETS)}")
     return PRESETS[name]

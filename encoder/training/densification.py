@@ -39,6 +39,7 @@ class ViewGradients:
         self._views += view > 0
 
     def mean(self) -> NDArray[np.float64]:
+        """The mean (N,) over the views that drew each Gaussian; 0 for one that no view drew."""
         return self._sum / np.maximum(self._views, 1)
 
 

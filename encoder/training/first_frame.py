@@ -89,5 +89,5 @@ def _check_shows(frame: RigFrame, views: Sequence[View]) -> None:
             name = view.camera.name
             raise RigError(
                 f"camera {name} is black in frame {frame.index}, and a keyframe cannot be trained on that; begin at a "
-                f"later frame (--frames) or keep the camera out (--holdout {name})"
+                f"later frame (`frames`) or keep the camera out (`holdout` {name})"
             )

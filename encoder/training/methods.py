@@ -17,7 +17,7 @@ FRAME_METHODS: Registry[FrameMethod] = Registry(
 )
 
 
-def require_sparse(settings: EncodeSettings, option: str, why: str) -> None:
-    """Raises UsageError where the settings' method is dense, which an option of sparse ones excludes."""
+def require_sparse(settings: EncodeSettings, asked: str, why: str) -> None:
+    """Raises UsageError where the settings' method is dense, which what is ``asked`` for excludes: ``why``."""
     if FRAME_METHODS.get(settings.method).dense:
-        raise UsageError(f"{option}: --method {settings.method} {why}; drop one of the two")
+        raise UsageError(f"{asked}: `method` {settings.method} {why}; drop one of the two")

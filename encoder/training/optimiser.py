@@ -134,6 +134,7 @@ class Adam:
         return np.asarray(np.sqrt(second * np.float32(1 / seen)))
 
     def moments_are_zero(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> bool:
+        """Whether both moments of these rows are zero, as before their first step."""
         return not any(getattr(m, name)[rows].any() for m in (self._first, self._second) for name in ATTRIBUTES)
 
     def keep(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> None:

@@ -98,6 +98,7 @@ class Pace:
 
     @property
     def is_over(self) -> bool:
+        """Whether the schedule's end is reached."""
         return self.position >= self._iterations
 
     @property

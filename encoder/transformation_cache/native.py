@@ -60,6 +60,7 @@ class Parameters:
         self.first, self.second = np.zeros_like(self.value), np.zeros_like(self.value)
 
     def native(self) -> _Trained:
+        """The same as the kernel reads it; the arrays stay theirs."""
         return _Trained(*(array.ctypes.data for array in (self.value, self.first, self.second)))
 
 

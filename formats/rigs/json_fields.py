@@ -26,6 +26,7 @@ class Fields:
         return self.values.get(key) is not None
 
     def wrong(self, key: str, what: str) -> RigError:
+        """The error to raise for a field: ``what`` is wrong with it."""
         return RigError(f"{self.where}: {key!r} {what}; correct the file")
 
     def number(self, key: str, default: float | None = None) -> float:
@@ -38,12 +39,14 @@ class Fields:
         return self._finite(key, value)
 
     def integer(self, key: str) -> int:
+        """A whole number; raises RigError when it is missing or none."""
         value = self.number(key)
         if value != int(value):
             raise self.wrong(key, f"is {value:g}, not a whole number")
         return int(value)
 
     def text(self, key: str, default: str | None = None) -> str:
+        """A text; ``default`` (if any) where the field is missing. Raises RigError for anything else."""
         value = self.values.get(key, default)
         if not isinstance(value, str):
             raise self.wrong(key, "is missing" if value is None else "is not a text")
@@ -57,6 +60,7 @@ class Fields:
         return value
 
     def numbers(self, key: str) -> tuple[float, ...]:
+        """A list of finite numbers; raises RigError for anything else."""
         return tuple(self._finite(key, value) for value in self._list(key))
 
     def matrix(self, key: str) -> NDArray[np.float64]:

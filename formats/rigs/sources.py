@@ -20,15 +20,29 @@ class FrameSource(Protocol):
     """The frames of one camera, read lazily and strictly in sequence. Sizes in pixels; fps None if unknown."""
 
     @property
-    def path(self) -> Path: ...
+    def path(self) -> Path:
+        """The video, or the folder of pictures."""
+        ...
+
     @property
-    def width(self) -> int: ...
+    def width(self) -> int:
+        """Of every frame, in pixels."""
+        ...
+
     @property
-    def height(self) -> int: ...
+    def height(self) -> int:
+        """Of every frame, in pixels."""
+        ...
+
     @property
-    def frame_count(self) -> int: ...
+    def frame_count(self) -> int:
+        """How many frames there are."""
+        ...
+
     @property
-    def fps(self) -> float | None: ...
+    def fps(self) -> float | None:
+        """Frames per second; None when it is unknown."""
+        ...
 
     def read(self, start: int, stop: int) -> Generator[Picture, None, None]:
         """Frames start (inclusive) to stop (exclusive). Raises RigError naming file and frame."""

@@ -30,7 +30,7 @@ import decogs.encoder.training.delta as frame_training
 import decogs.encoder.training.seeding as emergence
 from decogs.decoder.picture_output import to_8bit
 from decogs.decoder.views import render_view
-from decogs.encoder import PRESETS, EncodeReport, EncodeSettings, encode
+from decogs.encoder import PRESETS, EffectChoice, EncodeReport, EncodeSettings, Targets, encode
 from decogs.encoder.change.masks import MaskMemory
 from decogs.encoder.coding.coded_scene import CodedScene
 from decogs.encoder.coding.time_control import counted_seconds
@@ -40,7 +40,7 @@ from decogs.formats.rigs import open_rig, read_frames
 from decogs.formats.splats import SH_C0, Splats, join_splats
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
-EFFECTS = "motion,appearance_change,emergence,disappearance"
+EFFECTS = EffectChoice("none", {"motion", "appearance_change", "emergence", "disappearance"})
 CAP = 2500
 TIME_SHARES, BYTE_SHARES = (2.0, 1.0, 0.5, 0.25), (1.0, 0.5, 0.25)
 
@@ -240,7 +240,7 @@ def run(clip: Clip, keyframe: Path | None, output: Path, preset: str, **options:
     """An encode on the work clock; ``options`` are those of ``encode``."""
     with WorkClock().counting():
         return encode(
-            clip.rig, output, preset=settings_of(preset), effects=EFFECTS, threads=1,
+            clip.rig, output, settings_of(preset), effects=EFFECTS, threads=1,
             keyframe=keyframe, holdout=clip.held_out, **options,
         )  # fmt: skip
 
@@ -260,7 +260,7 @@ def rows(clip: Clip, work: Path, only: str | None, tell: Callable[[Row], None]) 
     """All runs of a clip."""
     key = clip.rig / "key.dgs"
     if not key.exists():
-        run(clip, None, key, "live", frames=":1")
+        run(clip, None, key, "live", frames=slice(1))
     done: list[Row] = []
     wanted = ("live", "standard") if only else ("live", "draft", "standard")
     kept = clip.rig / "presets.json"
@@ -279,10 +279,14 @@ def rows(clip: Clip, work: Path, only: str | None, tell: Callable[[Row], None]) 
     presets = {name: add(name, name) for name in wanted}
     if only in (None, "time"):
         for share in TIME_SHARES:
-            add(f"time x {share:g}", "standard", time_budget=share * presets["live"].seconds)
+            add(f"time x {share:g}", "standard", targets=Targets(time_budget=share * presets["live"].seconds))
     if only in (None, "bytes"):
         for share in BYTE_SHARES:
-            add(f"bytes x {share:g}", "standard", max_mb_per_frame=share * presets["standard"].kilobytes / 1e3)
+            add(
+                f"bytes x {share:g}",
+                "standard",
+                targets=Targets(bytes_per_frame=share * presets["standard"].kilobytes * 1e3),
+            )
     return done
 
 

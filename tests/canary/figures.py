@@ -24,7 +24,7 @@ HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE.parent)] * (str(HERE.parent) not in sys.path)
 
 from canary.rigs import HELD_OUT, RIGS, write_rig  # noqa: E402
-from decogs.encoder import encode  # noqa: E402
+from decogs.encoder import EffectChoice, encode  # noqa: E402
 from decogs.encoder.analysis.analyse import analyse  # noqa: E402
 from decogs.encoder.settings.presets import LADDER, preset  # noqa: E402
 from decogs.formats.container import PacketKind, iterate_packets  # noqa: E402
@@ -32,7 +32,7 @@ from decogs.formats.container import PacketKind, iterate_packets  # noqa: E402
 EXPECTED = HERE / "expected.json"
 TOLERANCE = 0.02
 """dB; the bytes are compared exactly, so this only forgives how a machine measures."""
-_EFFECTS = "motion,appearance_change,emergence,disappearance"
+_EFFECTS = EffectChoice("none", {"motion", "appearance_change", "emergence", "disappearance"})
 
 
 def keyframe_of(name: str) -> Path:
@@ -42,14 +42,14 @@ def keyframe_of(name: str) -> Path:
 def train_keyframe(name: str, rig: Path) -> None:
     """A small keyframe of the rig's first frame, written beside this file."""
     settings = replace(preset("draft"), keyframe=replace(preset("draft").keyframe, cap=1500))
-    encode(rig, keyframe_of(name), preset=settings, frames="0:1", holdout=HELD_OUT, effects=_EFFECTS, threads=1)
+    encode(rig, keyframe_of(name), settings, frames=slice(1), holdout=[HELD_OUT], effects=_EFFECTS, threads=1)
 
 
 def measure(name: str, preset_name: str, rig: Path, folder: Path) -> dict[str, Any]:
     """Bytes, digest and PSNR of the frames after the first."""
     output = folder / f"{name}-{preset_name}.dgs"
     report = encode(
-        rig, output, preset=preset_name, holdout=HELD_OUT, keyframe=keyframe_of(name), effects=_EFFECTS, threads=2
+        rig, output, preset_name, holdout=[HELD_OUT], keyframe=keyframe_of(name), effects=_EFFECTS, threads=2
     )
     later = report.frames[1:]
     with output.open("rb") as stream:

@@ -285,7 +285,7 @@ def test_what_the_product_writes_the_plain_decoder_reads(seed: int) -> None:
 def test_what_the_encoder_makes_the_plain_decoder_reads(tmp_path: Path) -> None:
     """The sample rig, small; the third frame is a keyframe that refers to the first."""
     rig, path = Path(__file__).parents[1] / "demo" / "workbench", tmp_path / "encoded.dgs"
-    encode(rig, path, frames=":3", scale=0.1, preset="draft", segment=2)
+    encode(rig, path, "draft", frames=slice(3), scale=0.1, segment=2)
     product = by_the_product(path.read_bytes(), {})
     assert (product.reason, len(product.frames), product.indexes) == (None, 3, (True,))
     assert by_the_plain_decoder(path.read_bytes(), {}) == product

@@ -21,9 +21,9 @@ from decogs.codec.header import StreamHeader
 from decogs.decoder import decode
 from decogs.decoder.commands import decode_main, export_main
 from decogs.decoder.free_camera import MAX_FILE_BYTES, read_free_cameras
-from decogs.formats.command_line import Parser, run
+from decogs.formats.command_line import Parser, reworded, run, warn_as
 from decogs.formats.container import StreamWriter, iterate_packets
-from decogs.formats.errors import UsageError
+from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.quiet import quiet_opencv
 
 RUN = "import sys; from decogs.decoder import commands; sys.exit(getattr(commands, sys.argv.pop(1))())"
@@ -67,7 +67,7 @@ def test_names_that_are_no_utf8_are_refused_where_a_library_would_fail_on_them(
 
 
 def test_such_a_name_is_fine_for_a_folder_of_png(small_stream, tmp_path: Path) -> None:
-    decode(small_stream.path, f"{tmp_path}/\udcff", view="cam00", frames=":1")
+    decode(small_stream.path, f"{tmp_path}/\udcff", view="cam00", frames=slice(1))
     assert os.listdir(f"{tmp_path}/\udcff") == ["cam00_000000.png"]
 
 
@@ -145,7 +145,7 @@ def test_a_pattern_has_one_place_for_the_number(small_stream, tmp_path: Path, ca
 def test_a_pipe_that_is_cut_says_where(small_stream, tmp_path: Path) -> None:
     packets = list(iterate_packets(io.BytesIO(small_stream.path.read_bytes())))
     data = small_stream.path.read_bytes()
-    for frame, where, frames in ((0, "its first keyframe", None), (3, "frame 3", "5:")):
+    for frame, where, frames in ((0, "its first keyframe", None), (3, "frame 3", slice(5, None))):
         cut = io.BytesIO(data[: packets[1 + frame].offset + 30])
         with pytest.raises(UsageError, match=f"no such frame came; the stream stops 30 bytes into {where}"):
             decode(cut, tmp_path / "o", view="cam00", frames=frames)
@@ -153,7 +153,7 @@ def test_a_pipe_that_is_cut_says_where(small_stream, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["a" * 255, "日" * 85, "日" * 255])
 def test_long_names_of_cameras_are_cut(small_stream, tmp_path: Path, name: str) -> None:
-    decode(rewritten(small_stream.path, camera=name), tmp_path / "o", view=name, frames=":2")
+    decode(rewritten(small_stream.path, camera=name), tmp_path / "o", view=name, frames=slice(2))
     found = sorted(os.listdir(tmp_path / "o"))
     assert [file[-11:] for file in found] == ["_000000.png", "_000001.png"]
     assert all(file.startswith(name[:60]) and len(os.fsencode(file)) <= 211 for file in found)
@@ -223,10 +223,10 @@ def test_whatever_word_a_library_has_for_it_memory_is_out_in_one_line(capsys) ->
         ImportError("libx.so: failed to map segment from shared object"),
         ImportError("libx.so: cannot allocate memory in static TLS block"),
     ):
-        assert run("decogs-x", raises(error)) == 2
+        assert run(Parser(prog="decogs-x"), raises(error)) == 2
         assert "decogs-x: error: out of memory" in capsys.readouterr().err
     with pytest.raises(RuntimeError, match="a bug"):
-        run("decogs-x", raises(RuntimeError("a bug")))
+        run(Parser(prog="decogs-x"), raises(RuntimeError("a bug")))
 
 
 def test_a_pose_file_may_be_a_pipe_and_is_read_to_its_bound(tmp_path: Path) -> None:
@@ -266,3 +266,27 @@ def test_an_option_that_may_be_repeated_may_be_left_out() -> None:
     for option in ("--holdout", "--frames"):
         with pytest.raises(SystemExit):
             parser.parse_args([option, "--"])
+
+
+def test_errors_of_the_library_name_the_commands_options(capsys: pytest.CaptureFixture[str]) -> None:
+    """Also where an option is called otherwise, in a command within a command, and in an error of more than a text."""
+    parser = Parser(prog="decogs-x")
+    parser.add_argument("stream")
+    parser.add_argument("-o", "--output")
+    parser.add_argument("--preset", dest="settings")
+    parser.add_subparsers().add_parser("y").add_argument("--max-memory")
+    text = "`settings` x, `max_memory`, `output`: no `stream`, `other`"
+    for error in (UsageError(text), StreamError("too-large", text, packet=3)):
+        assert run(parser, raises(error)) == 2
+        assert "decogs-x: error: --preset x, --max-memory, -o: no `stream`, `other`" in capsys.readouterr().err
+    warn_as(parser)(text)
+    assert capsys.readouterr().err == "decogs-x: warning: --preset x, --max-memory, -o: no `stream`, `other`\n"
+
+
+def test_an_error_can_be_said_in_the_users_words() -> None:
+    with (
+        pytest.raises(StreamError, match=r"^--rate 9: too little in packet 3 \[x\]$") as caught,
+        reworded({"`r` 5": "--rate 9"}),
+    ):
+        raise StreamError("x", "`r` 5: too little", packet=3)
+    assert caught.value.packet == 3

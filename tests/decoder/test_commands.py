@@ -89,8 +89,8 @@ def test_a_free_camera_sees_the_scene(small_stream, tmp_path: Path) -> None:
 def test_a_camera_path_has_one_camera_per_frame_of_the_stream(small_stream, tmp_path: Path) -> None:
     path = [POSE | {"position": [t / 10, 0, 0], "look_at": [t / 10, 0, 2]} for t in range(7)]
     (tmp_path / "path.json").write_text(json.dumps(path))
-    decode(small_stream.path, tmp_path / "o", camera=tmp_path / "path.json", frames="5:7")
-    decode(small_stream.path, tmp_path / "all", camera=tmp_path / "path.json", frames=":7")
+    decode(small_stream.path, tmp_path / "o", camera=tmp_path / "path.json", frames=slice(5, 7))
+    decode(small_stream.path, tmp_path / "all", camera=tmp_path / "path.json", frames=slice(7))
     one, two = (read_png(tmp_path / "o" / f"camera_{t:06d}.png") for t in (5, 6))
     assert (one != two).any(), "frame 6 skips, but its camera has moved on"
     np.testing.assert_array_equal(one, read_png(tmp_path / "all" / "camera_000005.png"))

@@ -122,7 +122,7 @@ def test_pairs_are_counted_where_a_few_change(tmp_path: Path) -> None:
     view, nothing = RestingView(camera, (0, 0, 0), threads=1), np.zeros(0, np.int64)
     view.allow(16 * 60)
     view.place(scene)
-    with pytest.raises(UsageError, match=r"64x64 is covered too many times .* \(--max-memory\)"):
+    with pytest.raises(UsageError, match=r"64x64 is covered too many times .* \(`max_memory`\)"):
         view.change(nothing, scene, np.arange(40, 80), population=80)
     with pytest.raises(ValueError, match="place one first"):
         view.refresh()
@@ -134,13 +134,13 @@ def test_pairs_are_counted_where_a_few_change(tmp_path: Path) -> None:
 
 
 def test_a_limit_that_follows_from_the_memory_says_so(small_stream) -> None:
-    with pytest.raises(StreamError, match=r"above the limit of 0 .*; allow more memory than 1 bytes \(--max-memory\)"):
+    with pytest.raises(StreamError, match=r"above the limit of 0 .*; allow more memory than 1 bytes \(`max_memory`\)"):
         info(small_stream.path, max_memory=1)
-    with pytest.raises(StreamError, match=r"60 Gaussians are above the limit of \d+ .*--max-memory"):
+    with pytest.raises(StreamError, match=r"60 Gaussians are above the limit of \d+ .*`max_memory`"):
         info(small_stream.path, max_memory=64_000)
     with (
         open_stream(small_stream.path, max_gaussians=7) as stream,
         pytest.raises(StreamError, match="limit of 7") as caught,
     ):
         list(stream.frames())
-    assert "--max-memory" not in str(caught.value)
+    assert "max_memory" not in str(caught.value)

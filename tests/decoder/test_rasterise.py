@@ -258,5 +258,5 @@ def test_thread_counts_out_of_range_are_refused() -> None:
     assert thread_count(0) == len(os.sched_getaffinity(0))
     assert thread_count(3) == 3
     for threads in (-1, 1025):
-        with pytest.raises(UsageError, match="--threads"):
+        with pytest.raises(UsageError, match="`threads`"):
             thread_count(threads)

@@ -32,8 +32,8 @@ with open_stream(stream) as opened:
 assert picture.image.max() > 0.5, "nothing is seen"
 decode(stream, folder + "/pictures", view="cam01")
 decode(stream, folder + "/video.mp4", view="cam00")
-decode(stream, folder + "/frame.exr", view="cam00", frames="2:3")
-export(stream, folder + "/scene.usda", frames="0:2")
+decode(stream, folder + "/frame.exr", view="cam00", frames=slice(2, 3))
+export(stream, folder + "/scene.usda", frames=slice(0, 2))
 assert info(stream).totals["frames"] == 8
 from decogs.decoder.commands import decode_main, export_main, info_main
 assert info_main([stream]) == 0

@@ -75,7 +75,10 @@ def test_nothing_goes_to_standard_output_in_place_of_a_closed_stderr(stream: Pat
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
 @pytest.mark.parametrize(("unbuffered", "named"), [("", "standard output: "), ("1", "")])
 def test_a_full_standard_output_is_one_line(unbuffered: str, named: str) -> None:
-    code = "import sys; from decogs.formats.command_line import run; sys.exit(run('x', lambda: print('figures')))"
+    code = (
+        "import sys; from decogs.formats.command_line import Parser, run; "
+        "sys.exit(run(Parser(prog='x'), lambda: print('figures')))"
+    )
     with Path("/dev/full").open("wb") as full:
         ran = subprocess.run(
             [sys.executable, "-c", code],

@@ -597,26 +597,26 @@ def test_projections_and_lists_of_the_installed_gsplats_own_twin_serve_as_well(n
 def test_the_device_is_chosen_or_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     for device in ("auto", "cpu"):
         assert type(training_kernel(device, 1)) is TrainingKernel
-    with pytest.raises(UsageError, match="--device tpu: choose from auto, cpu, cuda"):
+    with pytest.raises(UsageError, match="`device` tpu: choose from auto, cpu, cuda"):
         training_kernel("tpu")
     with monkeypatch.context() as without_torch:
         without_torch.delitem(sys.modules, "decogs.encoder.rasterise.cuda")
         without_torch.setitem(sys.modules, "torch", None)
-        with pytest.raises(UsageError, match="--device cuda: torch cannot be imported"):
+        with pytest.raises(UsageError, match="`device` cuda: torch cannot be imported"):
             training_kernel("cuda")
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    with pytest.raises(UsageError, match=r"--device cuda: torch .* finds no CUDA device; install"):
+    with pytest.raises(UsageError, match=r"`device` cuda: torch .* finds no CUDA device; install"):
         training_kernel("cuda")
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     for name in ("gsplat", "gsplat.cuda", "gsplat.cuda._backend"):
         monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(UsageError, match="--device cuda: gsplat cannot be imported"):
+    with pytest.raises(UsageError, match="`device` cuda: gsplat cannot be imported"):
         training_kernel("cuda")
     found = {name: ModuleType(name) for name in ("gsplat", "gsplat.cuda", "gsplat.cuda._backend")}
     found["gsplat.cuda._backend"]._C = None  # type: ignore[attr-defined]
     for name, module in found.items():
         monkeypatch.setitem(sys.modules, name, module)
-    with pytest.raises(UsageError, match="--device cuda: gsplat has no compiled kernels"):
+    with pytest.raises(UsageError, match="`device` cuda: gsplat has no compiled kernels"):
         training_kernel("cuda")
     found["gsplat.cuda._backend"]._C = object()  # type: ignore[attr-defined]
     assert missing_for_cuda() is None

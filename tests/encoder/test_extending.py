@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from decogs.decoder.stream import open_stream
-from decogs.encoder import encode
+from decogs.encoder import Switches, encode
 from decogs.encoder.change.selection import SELECTION_RULES, ViewEvidence, select
 from decogs.encoder.registry import Registry
 from decogs.encoder.settings.frame import SelectionSettings
@@ -39,9 +39,14 @@ def test_the_documents_rule_encodes_when_it_is_installed(
     installed: Path, moving: Any, moving_rig: Path, tiny_rig: Any, tiny_settings: Any, tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    given = {"preset": tiny_settings, "holdout": tiny_rig.held_out, "keyframe": moving.path, "selection": "majority"}
+    given = {
+        "settings": tiny_settings,
+        "holdout": [tiny_rig.held_out],
+        "keyframe": moving.path,
+        "switches": Switches(selection="majority"),
+    }
     with pytest.raises(
-        UsageError, match=r"^--selection majority: there is no such selection rule; choose from paper, w"
+        UsageError, match=r"^`selection` majority: there is no such selection rule; choose from paper, w"
     ):
         encode(moving_rig, tmp_path / "x.dgs", **given)
     monkeypatch.syspath_prepend(installed)
@@ -57,8 +62,13 @@ def test_the_documents_method_encodes_when_it_is_installed(
     installed: Path, moving: Any, moving_rig: Path, tiny_rig: Any, tiny_settings: Any, tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    given = {"preset": tiny_settings, "holdout": tiny_rig.held_out, "keyframe": moving.path, "method": "recolour"}
-    with pytest.raises(UsageError, match=r"^--method recolour: there is no such method; choose from decogs, 3dgs"):
+    given = {
+        "settings": tiny_settings,
+        "holdout": [tiny_rig.held_out],
+        "keyframe": moving.path,
+        "switches": Switches("recolour"),
+    }
+    with pytest.raises(UsageError, match=r"^`method` recolour: there is no such method; choose from decogs, 3dgs"):
         encode(moving_rig, tmp_path / "x.dgs", **given)
     monkeypatch.syspath_prepend(installed)
     report = encode(moving_rig, tmp_path / "x.dgs", **given)

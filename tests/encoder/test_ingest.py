@@ -121,11 +121,11 @@ def test_display_referred_codes_linear_light_as_srgb() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"scale": 0.0}, r"--scale 0: give a number above 0"),
-        ({"scale": -1.0}, r"--scale -1"),
-        ({"scale": float("nan")}, r"--scale nan"),
-        ({"scale": 5.0}, r"--scale 5: .* at most 4"),
-        ({"holdout": ["cam02", "nope"]}, r"--holdout nope: .* no such camera; it has cam00, cam01"),
+        ({"scale": 0.0}, r"`scale` 0: give a number above 0"),
+        ({"scale": -1.0}, r"`scale` -1"),
+        ({"scale": float("nan")}, r"`scale` nan"),
+        ({"scale": 5.0}, r"`scale` 5: .* at most 4"),
+        ({"holdout": ["cam02", "nope"]}, r"`holdout` nope: .* no such camera; it has cam00, cam01"),
         ({"holdout": [f"cam{i:02d}" for i in range(5)]}, r"every camera is held out"),
     ],
 )

@@ -79,13 +79,13 @@ def refused(encode: Any, moving: Any, message: str, error: type[DecogsError] = U
 def test_other_held_out_cameras_are_refused(encode: Any, moving: Any, moving_rig: Path) -> None:
     """cam03 was trained on; that cam02 was not is no reason to leave it unmeasured now."""
     for held_out, now in ((["cam03"], "cam03"), (["cam02", "cam03"], "cam02, cam03"), ([], "no camera")):
-        message = f"it was trained with cam02 held out, this encode holds out {now}; use the same --holdout"
+        message = f"it was trained with cam02 held out, this encode holds out {now}; use the same `holdout`"
         with refused(encode, moving, message) as run:
             run(moving_rig, holdout=held_out)
 
 
 def test_another_first_frame_is_refused(encode: Any, moving: Any, moving_rig: Path) -> None:
-    with refused(encode, moving, "it begins with frame 0 of the rig, not 1; use --frames 0:") as run:
+    with refused(encode, moving, "it begins with frame 0 of the rig, not 1; use `frames` 0:") as run:
         run(moving_rig, start=1)
 
 
@@ -111,7 +111,7 @@ def test_another_rig_is_refused(
         values.flat[0 if field == "fx" else 3] += 1e-6  # of a pose, the first entry of the translation
         camera[field] = values.tolist()
     (rig / "rig.json").write_text(json.dumps(document))
-    with refused(encode, moving, f"--keyframe {moving.path}: {message}.* this rig's; give a stream of the same") as run:
+    with refused(encode, moving, f"`keyframe` {moving.path}: {message}.* this rig's; give a stream of the same") as run:
         run(rig)
 
 
@@ -129,9 +129,9 @@ def test_a_refusal_leaves_nothing(encode: Any, moving: Any, moving_rig: Path, tm
 def test_what_holds_no_keyframe_is_refused(moving: Any, tmp_path: Path) -> None:
     key = packets(moving.path)[PacketKind.KEY]
     (tmp_path / "header.dgs").write_bytes(moving.data[: key.offset])
-    with pytest.raises(UsageError, match=r"--keyframe .*header\.dgs: it holds no frame; give a stream with at least"):
+    with pytest.raises(UsageError, match=r"`keyframe` .*header\.dgs: it holds no frame; give a stream with at least"):
         read_keyframe(tmp_path / "header.dgs")
-    with pytest.raises(UsageError, match=r"--keyframe .*none\.dgs: No such file or directory; give the \.dgs file"):
+    with pytest.raises(UsageError, match=r"`keyframe` .*none\.dgs: No such file or directory; give the \.dgs file"):
         read_keyframe(tmp_path / "none.dgs")
     with pytest.raises(UsageError, match="Is a directory; give"):
         read_keyframe(tmp_path)

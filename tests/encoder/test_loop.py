@@ -486,7 +486,7 @@ def test_frame_ranges_are_pythons(moving_rig: Path) -> None:
     ):
         assert frame_span(rig, frames) == expected
     for frames in (slice(5, 5), slice(2, 2), slice(9, None), slice(3, 1)):
-        with pytest.raises(UsageError, match=r"--frames: .* has frames 0 to 3; the range holds none of them"):
+        with pytest.raises(UsageError, match=r"`frames`: .* has frames 0 to 3; the range holds none of them"):
             frame_span(rig, frames)
     for frames in (slice(None, None, 2), slice(None, None, -1)):
         with pytest.raises(UsageError, match="give consecutive frames"):

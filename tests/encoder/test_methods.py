@@ -47,18 +47,18 @@ DENSE = EncodeSettings(method="3dgstream")
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda: with_method(EncodeSettings(), "4dgs"), "--method 4dgs: there is no such method; choose from decogs, "),
+        (lambda: with_method(EncodeSettings(), "4dgs"), "`method` 4dgs: there is no such method; choose from decogs, "),
         (
             lambda: with_selection(EncodeSettings(), "all"),
-            "--selection all: there is no such selection rule; choose from paper, ",
+            "`selection` all: there is no such selection rule; choose from paper, ",
         ),
-        (lambda: without(EncodeSettings(), ["gate", "loss"]), "--ablate loss: there is no such part; choose from sele"),
-        (lambda: without(DENSE, ["focus"]), "--ablate focus: --method 3dgstream has no such part; drop one of the two"),
-        (lambda: with_method(without(EncodeSettings(), ["focus"]), "3dgstream"), "--method 3dgstream: it has no focus"),
-        (lambda: with_selection(DENSE, "paper"), "--selection paper: --method 3dgstream trains every Gaussian; drop"),
+        (lambda: without(EncodeSettings(), ["gate", "loss"]), "`ablate` loss: there is no such part; choose from sele"),
+        (lambda: without(DENSE, ["focus"]), "`ablate` focus: `method` 3dgstream has no such part; drop one of the two"),
+        (lambda: with_method(without(EncodeSettings(), ["focus"]), "3dgstream"), "`method` 3dgstream: it has no focus"),
+        (lambda: with_selection(DENSE, "paper"), "`selection` paper: `method` 3dgstream trains every Gaussian; drop"),
         (
             lambda: with_selection(without(EncodeSettings(), ["select"]), "paper"),
-            "--selection paper: --ablate select takes every Gaussian; drop one of the two",
+            "`selection` paper: `ablate` select takes every Gaussian; drop one of the two",
         ),
     ],
 )

@@ -12,7 +12,7 @@ import pytest
 
 from canary.figures import keyframe_of
 from canary.rigs import HELD_OUT, write_rig
-from decogs.encoder import encode
+from decogs.encoder import EffectChoice, encode
 from decogs.encoder.analysis.sensor_noise import SensorNoise
 from decogs.encoder.change.masks import MaskMemory
 from decogs.encoder.change.noise import frame_noise, picture_noise
@@ -117,10 +117,10 @@ def test_an_encode_loses_nothing_of_it_to_the_noise_threshold(
         report = encode(
             rig,
             tmp_path / "scene.dgs",
-            preset=replace(live, frame=replace(live.frame, masks=masks)),
+            settings=replace(live, frame=replace(live.frame, masks=masks)),
             keyframe=keyframe_of("arc"),
-            holdout=HELD_OUT,
-            effects="motion,appearance_change,emergence,disappearance",
+            holdout=[HELD_OUT],
+            effects=EffectChoice("none", {"motion", "appearance_change", "emergence", "disappearance"}),
         )
         psnr.append(min(frame.training_psnr for frame in report.frames[1:]))
         assert report.frames[1].kind != "skip"

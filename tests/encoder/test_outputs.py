@@ -50,8 +50,8 @@ def test_files_of_the_rig_are_never_written_over(
     (rig / "link").symlink_to(rig / "cam03" / "0002.png")
     (rig / "other").hardlink_to(rig / "rig.json")
     before = contents(tmp_path)
-    with pytest.raises(UsageError, match=f"(-o|--log|--convergence-log) .*{named}: .*; name another file"):
-        encode_rig(rig, **({"output": tmp_path / "x.dgs"} | {option: rig / named}), preset=tiny_settings)
+    with pytest.raises(UsageError, match=f"(`output`|`log`|`convergence_log`) .*{named}: .*; name another file"):
+        encode_rig(rig, **({"output": tmp_path / "x.dgs"} | {option: rig / named}), settings=tiny_settings)
     assert contents(tmp_path) == before
 
 
@@ -70,11 +70,11 @@ def test_an_analysis_writes_over_no_file_of_the_rig(
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"log": "x.dgs"}, "--log .*x.dgs: -o is written there, too"),
-        ({"log": "x.dgs.part"}, "--log .*x.dgs.part: -o is written there, too"),
-        ({"log": "l", "convergence_log": "l"}, "--convergence-log .*l: --log is written there, too"),
-        ({"log": "key.dgs"}, "--log .*key.dgs: is read, as --keyframe; name another file"),
-        ({"output": "key.dgs"}, "-o .*key.dgs: is read, as --keyframe; name another file"),
+        ({"log": "x.dgs"}, "`log` .*x.dgs: `output` is written there, too"),
+        ({"log": "x.dgs.part"}, "`log` .*x.dgs.part: `output` is written there, too"),
+        ({"log": "l", "convergence_log": "l"}, "`convergence_log` .*l: `log` is written there, too"),
+        ({"log": "key.dgs"}, "`log` .*key.dgs: is read, as `keyframe`; name another file"),
+        ({"output": "key.dgs"}, "`output` .*key.dgs: is read, as `keyframe`; name another file"),
     ],
 )
 def test_no_two_outputs_in_one_place_and_none_over_the_keyframe(
@@ -84,7 +84,7 @@ def test_no_two_outputs_in_one_place_and_none_over_the_keyframe(
     before = contents(tmp_path)
     paths = {name: tmp_path / value for name, value in ({"output": "x.dgs"} | options).items()}
     with pytest.raises(UsageError, match=message):
-        encode_rig(moving_rig, **paths, preset=tiny_settings, keyframe=tmp_path / "key.dgs")
+        encode_rig(moving_rig, **paths, settings=tiny_settings, keyframe=tmp_path / "key.dgs")
     assert contents(tmp_path) == before
 
 
@@ -96,7 +96,7 @@ def test_a_stream_that_another_encode_writes_is_refused_at_once(
         other.file.write(b"its keyframe")
         other.file.flush()
         with pytest.raises(UsageError, match=r"x\.dgs\.part: another process is writing it"):
-            encode_rig(moving_rig, tmp_path / "x.dgs", preset=tiny_settings, resume=resume)
+            encode_rig(moving_rig, tmp_path / "x.dgs", settings=tiny_settings, resume=resume)
         assert contents(tmp_path) == {"x.dgs.part": b"its keyframe"}
 
 
@@ -119,8 +119,8 @@ def test_what_an_interrupted_encode_left_is_not_written_over_unasked(
     encode: Any, moving: Any, moving_rig: Path, tiny_settings: Any, tmp_path: Path
 ) -> None:
     (tmp_path / "x.dgs.part").write_bytes(moving.data[:-200])
-    with pytest.raises(UsageError, match=r"x\.dgs\.part: .* left it; --resume goes on with it, or delete it"):
-        encode_rig(moving_rig, tmp_path / "x.dgs", preset=tiny_settings)
+    with pytest.raises(UsageError, match=r"x\.dgs\.part: .* left it; `resume` goes on with it, or delete it"):
+        encode_rig(moving_rig, tmp_path / "x.dgs", settings=tiny_settings)
     assert contents(tmp_path) == {"x.dgs.part": moving.data[:-200]}
     assert encode(moving_rig, output=tmp_path / "x.dgs", resume=True).data == moving.data
 
@@ -128,7 +128,7 @@ def test_what_an_interrupted_encode_left_is_not_written_over_unasked(
 def test_logs_are_gone_on_with_by_resume_and_begun_anew_without(
     moving: Any, moving_rig: Path, tiny_rig: Any, tiny_settings: Any, tmp_path: Path
 ) -> None:
-    given = {"holdout": tiny_rig.held_out, "preset": tiny_settings, "keyframe": moving.path, "frames": ":2"}
+    given = {"holdout": [tiny_rig.held_out], "settings": tiny_settings, "keyframe": moving.path, "frames": slice(2)}
     given |= {"log": tmp_path / "log", "convergence_log": tmp_path / "convergence_log"}
     events = []
     for resume in (False, True, False):
@@ -154,7 +154,7 @@ def test_a_named_pipe_is_written_into(encode: Any, moving: Any, moving_rig: Path
     reader.join(10)
     assert got == [moving.data]
     assert (report.output, pipe.is_fifo()) == (pipe, True)
-    with pytest.raises(UsageError, match="--resume: a pipe cannot be gone on with"):
+    with pytest.raises(UsageError, match="`resume`: a pipe cannot be gone on with"):
         encode(moving_rig, output=pipe, resume=True)
 
 
@@ -172,7 +172,7 @@ def test_what_cannot_grow_is_said_before_the_keyframe_is_trained(
     moving_rig: Path, tiny_settings: Any, tmp_path: Path, output: Callable[[Path], Path]
 ) -> None:
     with pytest.raises(UsageError, match="the file grows there; choose another name"):
-        encode_rig(moving_rig, output(tmp_path), preset=tiny_settings)
+        encode_rig(moving_rig, output(tmp_path), settings=tiny_settings)
 
 
 @pytest.mark.parametrize("frames", [0, 2])
@@ -186,7 +186,7 @@ def test_a_full_disk_is_named_with_what_to_do_and_what_is_there_stays(
             return super().write(kind, frame, payload, **options)
 
     monkeypatch.setattr(stream_output, "StreamWriter", Full)
-    with pytest.raises(UsageError, match=r"x\.dgs\.part: No space left on device; make room, then go on with --resume"):
+    with pytest.raises(UsageError, match=r"x\.dgs\.part: No space left on device; make room, then go on with `resume`"):
         encode(moving_rig, output=tmp_path / "x.dgs", keyframe=moving.path)
     left = contents(tmp_path).get("x.dgs.part", b"")
     assert moving.data.startswith(left)
@@ -200,10 +200,8 @@ def test_a_full_disk_is_named_with_what_to_do_and_what_is_there_stays(
 def test_a_log_that_cannot_be_written_is_named(
     moving: Any, moving_rig: Path, tiny_rig: Any, tiny_settings: Any, tmp_path: Path, option: str
 ) -> None:
-    given = {"holdout": tiny_rig.held_out, "preset": tiny_settings, "keyframe": moving.path, option: "/dev/full"}
-    with pytest.raises(
-        UsageError, match=f"^--{option.replace('_', '-')} /dev/full: No space left on device; make room"
-    ):
+    given = {"holdout": [tiny_rig.held_out], "settings": tiny_settings, "keyframe": moving.path, option: "/dev/full"}
+    with pytest.raises(UsageError, match=f"^`{option}` /dev/full: No space left on device; make room"):
         encode_rig(moving_rig, tmp_path / "x.dgs", **given)
 
 
@@ -211,7 +209,7 @@ def test_a_log_that_cannot_be_written_is_named(
 def test_a_pipe_or_device_that_is_full_is_named(
     moving: Any, moving_rig: Path, tiny_rig: Any, tiny_settings: Any
 ) -> None:
-    given = {"holdout": tiny_rig.held_out, "preset": tiny_settings, "keyframe": moving.path}
+    given = {"holdout": [tiny_rig.held_out], "settings": tiny_settings, "keyframe": moving.path}
     with pytest.raises(OSError, match="No space left on device: '/dev/full'"):
         encode_rig(moving_rig, "/dev/full", **given)
     full = open("/dev/full", "wb", buffering=0)  # noqa: SIM115 (two contexts of different ends)
@@ -235,7 +233,7 @@ def test_what_a_header_cannot_hold_is_said_before_training(
     change(document)
     (rig / "rig.json").write_text(json.dumps(document))
     with pytest.raises(RigError, match=f"^{rig}: a stream cannot hold this rig .{problem}"):
-        encode_rig(rig, tmp_path / "x.dgs", preset=tiny_settings)
+        encode_rig(rig, tmp_path / "x.dgs", settings=tiny_settings)
     assert not list(tmp_path.glob("x*"))
 
 
@@ -257,7 +255,7 @@ def test_resuming_or_beginning_with_other_footage_is_warned_of(
     moving: Any, moving_rig: Path, tiny_rig: Any, tiny_settings: Any, tmp_path: Path
 ) -> None:
     other = swapped(moving_rig, tmp_path / "rig", ["cam01", "cam03"])
-    given = {"holdout": tiny_rig.held_out, "preset": tiny_settings, "frames": ":2"}
+    given = {"holdout": [tiny_rig.held_out], "settings": tiny_settings, "frames": slice(2)}
     for rig, expected in ((moving_rig, 0), (other, 1)):
         for options in ({"keyframe": moving.path}, {"resume": True}):
             output, told = tmp_path / f"{rig.parent.name}.dgs", []

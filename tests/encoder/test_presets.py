@@ -29,7 +29,7 @@ def test_the_names_users_know() -> None:
 def test_an_unknown_name_is_answered_with_those_there_are() -> None:
     with pytest.raises(
         UsageError,
-        match=r"--preset fast: there is no such preset; choose from live, draft, standard, high, archive, paper",
+        match=r"`settings` fast: there is no such preset; choose from live, draft, standard, high, archive, paper",
     ):
         preset("fast")
 

@@ -10,7 +10,9 @@ from pathlib import Path
 import pytest
 
 from decogs.encoder import FrameReport
-from decogs.encoder.output.progress import EncodeProgress, frame_line
+from decogs.encoder.output.encode_log import EncodeLog
+from decogs.encoder.output.observer import EncodeObserver
+from decogs.encoder.output.progress import TerminalProgress, frame_line
 from decogs.formats.errors import UsageError
 
 
@@ -19,9 +21,9 @@ class Terminal(io.StringIO):
         return True
 
 
-def follow(progress: EncodeProgress, report: FrameReport) -> None:
-    with progress:
-        progress.started({"rig": "somewhere"})
+def follow(observer: EncodeLog | TerminalProgress, report: FrameReport) -> None:
+    with observer as progress:
+        progress.started({"frames": [0, 2]})
         for step in range(1, 101):
             progress.keyframe_step(step, 100, 0.5 / step)
         progress.frame(replace(report, frame=0, kind="key", held_out_psnr=None))
@@ -31,18 +33,24 @@ def follow(progress: EncodeProgress, report: FrameReport) -> None:
 
 def test_a_pipe_gets_nothing(frame_report: FrameReport) -> None:
     pipe = io.StringIO()
-    follow(EncodeProgress(2, None, terminal=pipe), frame_report)
+    follow(TerminalProgress(pipe), frame_report)
     assert pipe.getvalue() == ""
 
 
-def test_without_a_terminal_nothing_is_printed(frame_report: FrameReport, capfd: pytest.CaptureFixture[str]) -> None:
-    follow(EncodeProgress(2, None), frame_report)
+def test_an_observer_may_do_nothing(frame_report: FrameReport, capfd: pytest.CaptureFixture[str]) -> None:
+    observer = EncodeObserver()
+    observer.look_step(1, 2)
+    observer.looked({"motion": ["cam01"]})
+    observer.started({"frames": [0, 2]})
+    observer.keyframe_step(1, 100, 0.5)
+    observer.frame(frame_report)
+    observer.finished({"bytes": 5})
     assert capfd.readouterr() == ("", "")
 
 
 def test_a_terminal_gets_two_bars_with_the_time_left_and_a_line_per_frame(frame_report: FrameReport) -> None:
     terminal = Terminal()
-    follow(EncodeProgress(2, None, terminal=terminal), frame_report)
+    follow(TerminalProgress(terminal), frame_report)
     shown = terminal.getvalue()
     assert "keyframe:" in shown
     assert "/100 [" in shown
@@ -56,7 +64,8 @@ def test_a_terminal_gets_two_bars_with_the_time_left_and_a_line_per_frame(frame_
 
 def test_later_keyframes_open_no_bar_and_replayed_frames_are_told(frame_report: FrameReport) -> None:
     terminal = Terminal()
-    with EncodeProgress(3, None, terminal=terminal) as progress:
+    with TerminalProgress(terminal) as progress:
+        progress.started({"frames": [4, 7]})
         for frame in range(3):
             progress.frame(replace(frame_report, frame=frame, kind="key", replayed=frame < 2))
     shown = terminal.getvalue()
@@ -66,7 +75,7 @@ def test_later_keyframes_open_no_bar_and_replayed_frames_are_told(frame_report: 
 
 def test_leaving_early_wipes_the_bar() -> None:
     terminal = Terminal()
-    with EncodeProgress(2, None, terminal=terminal) as progress:
+    with TerminalProgress(terminal) as progress:
         progress.keyframe_step(1, 100, 0.5)  # and then the block is left
     assert terminal.getvalue().rstrip(" ").endswith("\r")
 
@@ -81,10 +90,10 @@ def test_a_frames_figures_on_one_line(frame_report: FrameReport) -> None:
 
 def test_the_log_holds_one_json_object_per_event(frame_report: FrameReport, tmp_path: Path) -> None:
     path = tmp_path / "log.jsonl"
-    follow(EncodeProgress(2, path), frame_report)
+    follow(EncodeLog(path), frame_report)
     records = [json.loads(line) for line in path.read_text().splitlines()]
     assert [record.pop("event") for record in records] == ["start", "frame", "frame", "end"]
-    assert records[0] == {"rig": "somewhere"}
+    assert records[0] == {"frames": [0, 2]}
     elapsed = [record.pop("elapsed") for record in records[1:]]
     assert elapsed == sorted(elapsed)
     assert records[2] == asdict(frame_report)
@@ -98,11 +107,11 @@ def test_the_log_holds_one_json_object_per_event(frame_report: FrameReport, tmp_
 
 def test_the_log_can_be_followed_while_it_grows(frame_report: FrameReport, tmp_path: Path) -> None:
     path = tmp_path / "log.jsonl"
-    with EncodeProgress(2, path) as progress:
+    with EncodeLog(path) as progress:
         progress.frame(frame_report)
         assert json.loads(path.read_text())["frame"] == 3
 
 
 def test_a_log_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"--log .*x/log\.jsonl: No such file or directory; name a file"):
-        EncodeProgress(2, tmp_path / "x" / "log.jsonl")
+    with pytest.raises(UsageError, match=r"`log` .*x/log\.jsonl: No such file or directory; name a file"):
+        EncodeLog(tmp_path / "x" / "log.jsonl")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from decogs.encoder import PRESETS, EncodeSettings
+from decogs.encoder import PRESETS, EncodeSettings, Targets
 from decogs.encoder import encode as encode_rig
 from decogs.encoder.coding.rate_control import (
     TOLERANCE,
@@ -62,7 +63,7 @@ def test_16_less_is_worth_twice_as_much_and_coarser_by_a_fourth_root_of_two() ->
 def test_where_every_change_is_sent_the_lattice_follows(settings: EncodeSettings) -> None:
     assert with_quality(settings, 34).lattice_scale == 1.18921
     with pytest.raises(UsageError, match=r"drop one of the two|these settings code every change"):
-        with_budget(settings, BUDGET, "--bitrate 9")
+        with_budget(settings, BUDGET)
 
 
 # The controller, against scenes that answer as measured ones do
@@ -225,30 +226,43 @@ def test_segments_with_a_budget_resume_to_the_same_bytes(
 def test_options_become_settings(
     moving: Any, moving_rig: Path, economical: EncodeSettings, tmp_path: Path, tiny_rig: Any
 ) -> None:
-    given = {"preset": economical, "holdout": tiny_rig.held_out, "keyframe": moving.path, "frames": ":2"}
+    given = {"settings": economical, "holdout": [tiny_rig.held_out], "keyframe": moving.path, "frames": slice(2)}
 
     def settings(**options: Any) -> dict[str, Any]:
-        encode_rig(moving_rig, tmp_path / "x.dgs", **given, **options, log=tmp_path / "log")
+        encode_rig(moving_rig, tmp_path / "x.dgs", **given, targets=Targets(**options), log=tmp_path / "log")
         document: dict[str, Any] = json.loads((tmp_path / "log").read_text().splitlines()[0])["settings"]
         return document
 
     assert "frame_budget" not in settings()
-    assert settings(max_mb_per_frame=0.002)["frame_budget"] == 2000
-    both = settings(bitrate=400, quality=34)
-    assert both["frame_budget"] == 2000, "400 kbit/s are 2000 bytes at the rig's 25 frames per second"
+    assert settings(bytes_per_frame=2000)["frame_budget"] == 2000
+    both = settings(bytes_per_frame=2000, quality=34)
+    assert both["frame_budget"] == 2000
     assert both["frame"]["significance"]["threshold"] == 0.04
     assert settings(lossless=True) == with_lossless(economical).as_document()
 
 
-def test_a_bitrate_wants_a_frame_rate(
-    moving_rig: Path, economical: EncodeSettings, tmp_path: Path, tiny_rig: Any
-) -> None:
+@pytest.mark.parametrize(
+    "asked", [["--max-mb-per-frame", "0.002"], ["--bitrate", "400"]], ids=["bytes", "at 25 frames per second"]
+)
+def test_a_budget_is_asked_for_in_either_unit(
+    moving: Any, moving_rig: Path, economical: EncodeSettings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    asked: list[str],
+) -> None:  # fmt: skip
+    monkeypatch.setitem(PRESETS, "economical", economical)
+    arguments = [str(moving_rig), "-o", str(tmp_path / "x.dgs"), "--preset", "economical", "--holdout", "cam02"]
+    arguments += ["--keyframe", str(moving.path), "--frames", ":2", "--log", str(tmp_path / "log")]
+    assert encode_main([*arguments, *asked]) == 0
+    started = next(json.loads(line) for line in (tmp_path / "log").read_text().splitlines() if '"start"' in line)
+    assert started["settings"]["frame_budget"] == 2000
+
+
+def test_a_bitrate_wants_a_frame_rate(moving_rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rig = shutil.copytree(moving_rig, tmp_path / "rig")
     values = json.loads((rig / "rig.json").read_text())
     del values["fps"]
     (rig / "rig.json").write_text(json.dumps(values))
-    with pytest.raises(UsageError, match=r"--bitrate: .* states no frame rate; use --max-mb-per-frame"):
-        encode_rig(rig, tmp_path / "x.dgs", preset=economical, bitrate=500)
+    assert encode_main([str(rig), "-o", str(tmp_path / "x.dgs"), "--bitrate", "500"]) == 2
+    assert re.search(r"--bitrate: .* states no frame rate; use --max-mb-per-frame$", capsys.readouterr().err.strip())
 
 
 def test_a_budget_that_cannot_be_met_is_told(

@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 
 from decogs.codec.corrections import Correction
+from decogs.encoder import Switches, Targets
 from decogs.encoder import encode as encode_rig
 from decogs.encoder.training.delta import DeltaTrainer
 from decogs.formats.container import FRAME_KINDS, iterate_packets
@@ -170,15 +171,21 @@ def test_more_frames_can_be_added(encode: Any, moving: Any, moving_rig: Path, tm
     ("options", "message"),
     [
         ({"seed": 3}, r"scene\.dgs\.part was begun with seed 0, this encode has 3; give the same options, or drop"),
-        ({"holdout": "cam03"}, r"was begun with held_out \[\"cam02\"\], this encode has \[\"cam03\"\]"),
+        ({"holdout": ["cam03"]}, r"was begun with held_out \[\"cam02\"\], this encode has \[\"cam03\"\]"),
         ({"scale": 0.5}, "was begun with scale 1.0, this encode has 0.5"),
-        ({"frames": "1:4"}, "was begun with first_frame 0, this encode has 1"),
-        ({"frames": ":1"}, "holds 2 frames already, this encode has 1"),
+        ({"frames": slice(1, 4)}, "was begun with first_frame 0, this encode has 1"),
+        ({"frames": slice(1)}, "holds 2 frames already, this encode has 1"),
         ({"segment": 2}, "was begun with segment 0, this encode has 2"),
-        ({"method": "3dgstream"}, 'was begun with method "decogs", this encode has "3dgstream"'),
-        ({"selection": "paper"}, 'was begun with frame.selection.rule "weight", this encode has "paper"'),
-        ({"quality": 51}, r"was begun with lattice_scale .*\(--quality\); give the same options"),
-        ({"ablate": "gate"}, "--resume: --ablate gate keeps something of training that no stream has"),
+        ({"switches": Switches("3dgstream")}, 'was begun with method "decogs", this encode has "3dgstream"'),
+        (
+            {"switches": Switches(selection="paper")},
+            'was begun with frame.selection.rule "weight", this encode has "paper"',
+        ),
+        ({"targets": Targets(51)}, r"was begun with lattice_scale .*\(`quality`\); give the same options"),
+        (
+            {"switches": Switches(ablate=["gate"])},
+            "`resume`: `ablate` gate keeps something of training that no stream has",
+        ),
     ],
 )
 def test_other_options_are_refused_and_nothing_is_touched(
@@ -187,7 +194,7 @@ def test_other_options_are_refused_and_nothing_is_touched(
     data = moving.data[: ends(moving.path)[2] + 7]
     output = part(tmp_path, data)
     with pytest.raises(UsageError, match=message) as raised:
-        encode_rig(moving_rig, output, resume=True, **({"preset": tiny_settings, "holdout": "cam02"} | options))
+        encode_rig(moving_rig, output, resume=True, **({"settings": tiny_settings, "holdout": ["cam02"]} | options))
     assert "\n" not in str(raised.value)
     assert [path.name for path in tmp_path.iterdir()] == ["scene.dgs.part"]
     assert (tmp_path / "scene.dgs.part").read_bytes() == data
@@ -198,7 +205,7 @@ def test_a_carried_cache_and_another_keyframe_are_refused(
 ) -> None:
     output = part(tmp_path, moving.data[: ends(moving.path)[2]])
     carried = replace(tiny_settings, frame=replace(tiny_settings.frame, carry_cache=True))
-    with pytest.raises(UsageError, match="--resume: the carried cache keeps"):
+    with pytest.raises(UsageError, match="`resume`: the carried cache keeps"):
         encode(moving_rig, output=output, resume=True, settings=carried)
     other = replace(tiny_settings, keyframe=replace(tiny_settings.keyframe, iterations=60))
     keyframe = encode(moving_rig, settings=other, stop=1).path

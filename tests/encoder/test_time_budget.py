@@ -15,7 +15,7 @@ import pytest
 import decogs.encoder.training.delta as frame_training
 from decogs.codec.digest import digest
 from decogs.decoder.stream import open_stream
-from decogs.encoder import PRESETS, EncodeSettings
+from decogs.encoder import PRESETS, EncodeSettings, Switches, Targets
 from decogs.encoder import encode as encode_rig
 from decogs.encoder.coding.coded_scene import CodedScene
 from decogs.encoder.coding.time_control import (
@@ -23,11 +23,11 @@ from decogs.encoder.coding.time_control import (
     TimeControl,
     counted_seconds,
     over_time,
-    seconds_per_frame,
     with_target_psnr,
     with_time_budget,
 )
 from decogs.encoder.commands import encode_main
+from decogs.encoder.option_texts import seconds_per_frame
 from decogs.encoder.rasterise import FixedView
 from decogs.encoder.settings.frame import SignificanceSettings
 from decogs.encoder.settings.optimiser import LearningRates
@@ -52,10 +52,9 @@ BUDGET = 1.0
         (" 500 ms / frame", 0.5),
         ("2s", 2.0),
         ("1e3ms", 1.0),
-        (0.25, 0.25),
     ],
 )
-def test_times_are_read(text: str | float, seconds: float) -> None:
+def test_times_are_read(text: str, seconds: float) -> None:
     assert seconds_per_frame(text) == seconds
 
 
@@ -69,9 +68,9 @@ def test_what_is_no_time_is_refused(text: str) -> None:
 
 def test_methods_with_a_fixed_schedule_are_refused() -> None:
     dense = with_method(PRESETS["standard"], "3dgstream")
-    with pytest.raises(UsageError, match="--time-budget: --method 3dgstream trains a fixed number of steps; drop one"):
+    with pytest.raises(UsageError, match="`time_budget`: `method` 3dgstream trains a fixed number of steps; drop one"):
         with_time_budget(dense, 1.0)
-    with pytest.raises(UsageError, match="--target-psnr: --method 3dgstream trains a fixed number of steps; drop one"):
+    with pytest.raises(UsageError, match="`target_psnr`: `method` 3dgstream trains a fixed number of steps; drop one"):
         with_target_psnr(dense, 30.0)
 
 
@@ -214,10 +213,12 @@ def test_a_clip_keeps_its_time_and_its_changes_are_still_judged(
     monkeypatch.setattr(time, "perf_counter", lambda: now[0])
     monkeypatch.setattr(FixedView, "draw", slow)
     monkeypatch.setattr(frame_training, "revert_insignificant", lambda *a: (judged.append(1), revert_insignificant(*a)))
-    output, given = tmp_path / "x.dgs", {"holdout": tiny_rig.held_out, "keyframe": moving.path, "preset": patient}
+    output, given = tmp_path / "x.dgs", {"holdout": [tiny_rig.held_out], "keyframe": moving.path, "settings": patient}
     encode_rig(restless_rig, tmp_path / "free.dgs", **given)
     judged.clear()
-    report = encode_rig(restless_rig, output, **given, time_budget="300ms/frame", convergence_log=tmp_path / "any")
+    report = encode_rig(
+        restless_rig, output, **given, targets=Targets(time_budget=0.3), convergence_log=tmp_path / "any"
+    )
     spent = [counted_seconds(frame.seconds) for frame in report.frames[1:]]
     assert np.mean(spent) == pytest.approx(0.3, rel=TIME_TOLERANCE)
     assert len(judged) == 12
@@ -244,8 +245,8 @@ def test_a_held_frame_is_taken_up_by_the_next_one(
     monkeypatch.setattr(time, "perf_counter", lambda: now[0])
     monkeypatch.setattr(FixedView, "draw", slow)
     rig = tiny_rig.write(tmp_path / "rig", frames=[0, *[1, 3, 0] * 4])
-    given = {"holdout": tiny_rig.held_out, "keyframe": moving.path, "preset": patient}
-    report = encode_rig(rig, tmp_path / "x.dgs", **given, time_budget="110ms/frame")
+    given = {"holdout": [tiny_rig.held_out], "keyframe": moving.path, "settings": patient}
+    report = encode_rig(rig, tmp_path / "x.dgs", **given, targets=Targets(time_budget=0.11))
     later = report.frames[1:]
     held = [frame for frame in later if not frame.effects]
     trained = [frame for frame in later if frame.effects]
@@ -277,8 +278,8 @@ def test_what_moves_is_begun_as_far_on_as_frames_have_passed(
     monkeypatch.setattr(DeltaTrainer, "train", noted)
     monkeypatch.setattr(CodedScene, "displacements", measured)
     rig = tiny_rig.write(tmp_path / "rig", frames=[0, 1, 3, 0, 1])
-    given = {"holdout": tiny_rig.held_out, "keyframe": moving.path, "preset": patient}
-    report = encode_rig(rig, tmp_path / "x.dgs", **given, time_budget="10s/frame")
+    given = {"holdout": [tiny_rig.held_out], "keyframe": moving.path, "settings": patient}
+    report = encode_rig(rig, tmp_path / "x.dgs", **given, targets=Targets(time_budget=10.0))
     assert [frame.kind for frame in report.frames] == ["key", "delta", "skip", "delta", "delta"]
     assert all(way.any() for way in reached)
     np.testing.assert_array_equal(begun[1], 2 * reached[0])
@@ -306,11 +307,11 @@ def test_few_steps_still_get_as_far_as_things_move(
     factors: list[float] = []
     scaled = LearningRates.scaled
     monkeypatch.setattr(LearningRates, "scaled", lambda r, f: (factors.append(f), scaled(r, f))[1])
-    given = {"holdout": tiny_rig.held_out, "keyframe": moving.path, "preset": patient, "frames": ":2"}
+    given = {"holdout": [tiny_rig.held_out], "keyframe": moving.path, "settings": patient, "frames": slice(2)}
     encode_rig(restless_rig, tmp_path / "x.dgs", **given)
     assert max(factors[-60:]) == 1.0
     factors.clear()
-    encode_rig(restless_rig, tmp_path / "x.dgs", **given, time_budget="220ms/frame")
+    encode_rig(restless_rig, tmp_path / "x.dgs", **given, targets=Targets(time_budget=0.22))
     # 12 to 20 steps instead of 60: strides of 3 to 5.
     assert 1.5 < max(factors) <= frame_training._MOST_HASTE
 
@@ -351,7 +352,7 @@ def test_a_time_that_cannot_be_met_is_told(
 def test_a_timed_encode_can_be_gone_on_with(
     encode: Any, moving: Any, moving_rig: Path, patient: EncodeSettings, tmp_path: Path
 ) -> None:
-    given = {"settings": with_time_budget(patient, 1e-6), "keyframe": moving.path}
+    given = {"settings": with_time_budget(patient, 1e-4), "keyframe": moving.path}
     whole = encode(moving_rig, **given)
     with whole.path.open("rb") as file:
         ends = [packet.offset + packet.size for packet in iterate_packets(file)]
@@ -369,11 +370,11 @@ def test_a_timed_encode_can_be_gone_on_with(
 def test_a_target_ends_training_and_the_same_seed_still_gives_the_same_bytes(
     moving: Any, moving_rig: Path, patient: EncodeSettings, tiny_rig: Any, tmp_path: Path
 ) -> None:
-    given = {"holdout": tiny_rig.held_out, "preset": patient}
+    given = {"holdout": [tiny_rig.held_out], "settings": patient}
     steps, data = {}, {}
     for target in (None, 20.0, 20.0, 21.5):
         path = tmp_path / "x.dgs"
-        encode_rig(moving_rig, path, **given, target_psnr=target, convergence_log=tmp_path / "any")
+        encode_rig(moving_rig, path, **given, targets=Targets(target_psnr=target), convergence_log=tmp_path / "any")
         steps[target] = steps_of(tmp_path / "any")
         assert data.setdefault(target, path.read_bytes()) == path.read_bytes()
     whole, low, high = (steps[target] for target in (None, 20.0, 21.5))
@@ -414,7 +415,9 @@ def test_anytime_tells_every_step_and_changes_no_byte(
     moving: Any, moving_rig: Path, tiny_rig: Any, tiny_settings: EncodeSettings, tmp_path: Path
 ) -> None:
     path = tmp_path / "any.jsonl"
-    encode_rig(moving_rig, tmp_path / "x.dgs", holdout=tiny_rig.held_out, preset=tiny_settings, convergence_log=path)
+    encode_rig(
+        moving_rig, tmp_path / "x.dgs", holdout=[tiny_rig.held_out], settings=tiny_settings, convergence_log=path
+    )
     assert (tmp_path / "x.dgs").read_bytes() == moving.data
     records = [json.loads(line) for line in path.read_text().splitlines()]
     assert all(record.keys() == {"frame", "stage", "iteration", "seconds", "loss"} for record in records)
@@ -435,8 +438,15 @@ def test_anytime_tells_every_step_and_changes_no_byte(
 def test_anytime_tells_of_the_baseline(
     moving: Any, moving_rig: Path, tiny_rig: Any, tiny_settings: EncodeSettings, tmp_path: Path
 ) -> None:
-    given = {"holdout": tiny_rig.held_out, "preset": tiny_settings, "method": "3dgstream", "keyframe": moving.path}
-    encode_rig(moving_rig, tmp_path / "x.dgs", frames=":2", **given, convergence_log=tmp_path / "any")
+    given = {"holdout": [tiny_rig.held_out], "settings": tiny_settings, "keyframe": moving.path}
+    encode_rig(
+        moving_rig,
+        tmp_path / "x.dgs",
+        frames=slice(2),
+        **given,
+        switches=Switches("3dgstream"),
+        convergence_log=tmp_path / "any",
+    )
     records = [json.loads(line) for line in (tmp_path / "any").read_text().splitlines()]
     steps = [record["iteration"] for record in records if record["stage"] == "cache"]
     assert steps == list(range(tiny_settings.baseline.cache_iterations))
@@ -444,6 +454,6 @@ def test_anytime_tells_of_the_baseline(
 
 
 def test_a_file_that_cannot_be_written_is_refused(moving_rig: Path, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"--convergence-log .*x/any: No such file or directory; name a file"):
+    with pytest.raises(UsageError, match=r"`convergence_log` .*x/any: No such file or directory; name a file"):
         encode_rig(moving_rig, tmp_path / "x.dgs", convergence_log=tmp_path / "x" / "any")
     assert list(tmp_path.iterdir()) == []

@@ -37,28 +37,31 @@ def by_hard_link(path: Path) -> Path:
 def test_an_input_is_known_by_all_its_names(tmp_path: Path, named: Callable[[Path], Path]) -> None:
     path = tmp_path / "cam.mp4"
     path.write_bytes(b"film")
-    with pytest.raises(UsageError, match=r"--log .*: holds frames; name another file"):
-        check_outputs([Output("--log", named(path))], [(path, "holds frames")])
+    with pytest.raises(UsageError, match=r"`log` .*: holds frames; name another file"):
+        check_outputs([Output("log", named(path))], [(path, "holds frames")])
 
 
 def test_two_outputs_in_one_place_are_refused_be_they_there_or_not(tmp_path: Path) -> None:
-    stream, log = Output("-o", tmp_path / "a.dgs", grows=True), Output("--log", tmp_path / "log")
+    stream, log = Output("output", tmp_path / "a.dgs", grows=True), Output("log", tmp_path / "log")
     check_outputs([stream, log], [])
     for name in ("a.dgs", "a.dgs.part"):
-        with pytest.raises(UsageError, match=rf"--convergence-log .*{name}: -o is written there, too"):
-            check_outputs([stream, log, Output("--convergence-log", tmp_path / name)], [])
-    with pytest.raises(UsageError, match=r"--convergence-log .*log: --log is written there, too"):
-        check_outputs([stream, log, Output("--convergence-log", tmp_path / "log")], [])
+        with pytest.raises(UsageError, match=rf"`convergence_log` .*{name}: `output` is written there, too"):
+            check_outputs([stream, log, Output("convergence_log", tmp_path / name)], [])
+    with pytest.raises(UsageError, match=r"`convergence_log` .*log: `log` is written there, too"):
+        check_outputs([stream, log, Output("convergence_log", tmp_path / "log")], [])
     (tmp_path / "a.dgs.part").write_bytes(b"film")
-    with pytest.raises(UsageError, match=r"-o .*a\.dgs\.part: holds frames"):
+    with pytest.raises(UsageError, match=r"`output` .*a\.dgs\.part: holds frames"):
         check_outputs([stream], [(tmp_path / "a.dgs.part", "holds frames")])
 
 
 def test_an_open_file_counts_and_devices_may_be_named_twice(tmp_path: Path) -> None:
-    with (tmp_path / "out").open("wb") as piped, pytest.raises(UsageError, match=r"--log .*out: -o is written there"):
-        check_outputs([Output("-o", piped), Output("--log", tmp_path / "out")], [])
+    with (
+        (tmp_path / "out").open("wb") as piped,
+        pytest.raises(UsageError, match=r"`log` .*out: `output` is written there"),
+    ):
+        check_outputs([Output("output", piped), Output("log", tmp_path / "out")], [])
     null = Path(os.devnull)
-    check_outputs([Output("--log", null), Output("--convergence-log", null)], [])
+    check_outputs([Output("log", null), Output("convergence_log", null)], [])
 
 
 def test_a_growing_file_has_one_writer_until_it_has_its_name(tmp_path: Path) -> None:
@@ -79,7 +82,7 @@ def test_a_growing_file_has_one_writer_until_it_has_its_name(tmp_path: Path) -> 
 def test_what_was_left_is_refused_kept_or_dropped(tmp_path: Path) -> None:
     path, part = tmp_path / "scene", tmp_path / "scene.part"
     part.write_bytes(b"half")
-    with pytest.raises(UsageError, match=r"scene\.part: an encode that was cut off left it; --resume goes on with it"):
+    with pytest.raises(UsageError, match=r"scene\.part: an encode that was cut off left it; `resume` goes on with it"):
         GrowingFile(path)
     with GrowingFile(path, leftover="kept") as growing:
         assert growing.file.read() == b"half"

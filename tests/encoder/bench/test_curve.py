@@ -25,7 +25,7 @@ pytestmark = [
     pytest.mark.skipif(importlib.util.find_spec("matplotlib") is None, reason="plots need the extra 'bench'"),
 ]
 
-OPTIONS = BenchOptions(holdout="cam02", preset="tiny", threads=1)
+OPTIONS = BenchOptions(holdout=("cam02",), preset="tiny", threads=1)
 OWN = Variant("own", "own </script> & <b>", own_keyframe=True)
 SMALL = Variant("small", "half", scale=0.5, own_keyframe=True)
 SHARED = Variant("preset", "the preset")

@@ -13,7 +13,7 @@ from decogs.encoder.bench.runs import BenchOptions, RigBench
 
 pytestmark = pytest.mark.usefixtures("short_presets")
 
-OPTIONS = BenchOptions(holdout="cam02", preset="tiny", threads=2)
+OPTIONS = BenchOptions(holdout=("cam02",), preset="tiny", threads=2)
 
 
 def test_what_is_wrongly_left_out_is_measured_and_what_is_not_called_for_is_not(

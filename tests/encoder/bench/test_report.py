@@ -35,7 +35,7 @@ from decogs.formats.errors import TrainingError, UsageError
 
 pytestmark = pytest.mark.usefixtures("short_presets")
 
-OPTIONS = BenchOptions(holdout="cam02", preset="tiny", threads=1)
+OPTIONS = BenchOptions(holdout=("cam02",), preset="tiny", threads=1)
 SMALL = Plan(
     "small",
     "A small report",

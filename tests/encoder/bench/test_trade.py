@@ -49,7 +49,7 @@ def test_a_plot_is_not_pressed_together_by_what_is_far_below() -> None:
 def test_a_point_has_the_figures_of_its_run_and_the_keyframe_it_began_with(
     three_frames: Path, tmp_path: Path, run_of: Any, frame_of: Any
 ) -> None:
-    bench = RigBench(three_frames, tmp_path, BenchOptions(holdout="cam02", preset="tiny", threads=1))
+    bench = RigBench(three_frames, tmp_path, BenchOptions(holdout=("cam02",), preset="tiny", threads=1))
     shared, own, missing = Variant("a", "shares"), Variant("b", "own", own_keyframe=True), Variant("c", "c", frames=2)
     plan = Plan("p", "P", (Question("q", "Q", "", (shared, own, missing), ()),))
     result = RigResults(bench)

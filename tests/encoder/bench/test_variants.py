@@ -56,8 +56,8 @@ def test_another_preset_trains_its_frames_but_shares_the_keyframe() -> None:
         (Variant("v", "", {"frame.warm_start.share": 1}), r"variant v: there is no setting 'frame\.warm_start\.share'"),
         (Variant("v", "", {"keyframe.cap": 1}), r"variant v: changes keyframe\.cap but shares the keyframe"),
         (Variant("v", "", quality=30), "variant v: changes quality but shares the keyframe; set own_keyframe"),
-        (Variant("v", "", preset="fast"), "--preset fast: "),
-        (Variant("v", "", method="3dgstream", ablate=("gate",)), "--ablate gate: "),
+        (Variant("v", "", preset="fast"), "`settings` fast: "),
+        (Variant("v", "", method="3dgstream", ablate=("gate",)), "`ablate` gate: "),
     ],
 )
 def test_impossible_variants_are_refused(variant: Variant, message: str) -> None:

@@ -39,7 +39,7 @@ class KnownRig:
 @cache
 def _known(name: str) -> KnownRig:
     truth = json.loads((RIGS / name / "scene.json").read_text())
-    return KnownRig(analyse(RIGS / name, holdout=truth["held_out"]), truth)
+    return KnownRig(analyse(RIGS / name, holdout=[truth["held_out"]]), truth)
 
 
 @pytest.fixture(scope="session")

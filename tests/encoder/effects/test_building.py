@@ -11,8 +11,9 @@ import pytest
 
 from decogs.decoder.stream import open_stream
 from decogs.encoder import PRESETS
-from decogs.encoder.analysis import Decision, Wanted, wanted_effects, with_effects
+from decogs.encoder.analysis import Decision, EffectChoice, with_effects
 from decogs.encoder.change.masks import MaskMemory
+from decogs.encoder.option_texts import effect_choice
 from decogs.encoder.settings.effects import CAMERA_EFFECTS, EFFECT_NAMES, FRAME_EFFECTS
 from decogs.encoder.settings.encode import EncodeSettings
 from decogs.encoder.training import delta as frame_training
@@ -40,29 +41,37 @@ def decisions(*detected: str, cameras: tuple[str, ...] = ("cam01",), **figures: 
 
 
 def built(text: str, found: Sequence[Decision] = (), settings: EncodeSettings = STANDARD) -> EncodeSettings:
-    return with_effects(settings, wanted_effects(text), ["cam01", "cam02"], lambda: found)
+    return with_effects(settings, effect_choice(text), ["cam01", "cam02"], lambda: found)
 
 
 @pytest.mark.parametrize(
     ("text", "wanted"),
     [
-        ("auto", Wanted("auto")),
-        ("all", Wanted("all")),
-        ("none", Wanted("none")),
-        ("motion, emergence", Wanted("none", frozenset({"motion", "emergence"}))),
-        ("auto,-camera_shake", Wanted("auto", dropped=frozenset({"camera_shake"}))),
-        ("-motion", Wanted("all", dropped=frozenset({"motion"}))),
-        ("none,motion,-motion", Wanted("none", frozenset({"motion"}), frozenset({"motion"}))),
+        ("auto", EffectChoice("auto")),
+        ("all", EffectChoice("all")),
+        ("none", EffectChoice("none")),
+        ("motion, emergence", EffectChoice("none", frozenset({"motion", "emergence"}))),
+        ("auto,-camera_shake", EffectChoice("auto", dropped=frozenset({"camera_shake"}))),
+        ("-motion", EffectChoice("all", dropped=frozenset({"motion"}))),
+        ("none,motion,-motion", EffectChoice("none", frozenset({"motion"}), frozenset({"motion"}))),
     ],
 )
-def test_words(text: str, wanted: Wanted) -> None:
-    assert wanted_effects(text) == wanted
+def test_words(text: str, wanted: EffectChoice) -> None:
+    assert effect_choice(text) == wanted
 
 
 @pytest.mark.parametrize("text", ["movement", "auto,-movement", "motion auto"])
 def test_unknown_words_are_refused(text: str) -> None:
-    with pytest.raises(UsageError, match="there is no effect"):
-        wanted_effects(text)
+    with pytest.raises(UsageError, match=f"`effects` {text}: there is no effect"):
+        effect_choice(text)
+
+
+def test_a_choice_of_effects_is_checked_and_says_itself() -> None:
+    with pytest.raises(UsageError, match="there is no effect 'some'; choose auto, all, none or from motion"):
+        EffectChoice("some")
+    assert str(EffectChoice("auto", dropped={"camera_shake"})) == "auto,-camera_shake"
+    assert str(EffectChoice("none", {"motion", "emergence"})) == "emergence,motion"
+    assert str(EffectChoice("none")) == "none"
 
 
 def test_auto_asks_every_frame_and_takes_what_the_scene_calls_for() -> None:
@@ -76,12 +85,14 @@ def test_auto_asks_every_frame_and_takes_what_the_scene_calls_for() -> None:
 
 def test_where_most_cameras_drift_all_are_corrected() -> None:
     both = decisions("exposure_drift", "camera_shake", cameras=("cam01", "cam02"))
-    assert with_effects(STANDARD, Wanted("auto"), ["cam01", "cam02", "cam03"], lambda: both).corrections.exposure == (
+    assert with_effects(
+        STANDARD, EffectChoice("auto"), ["cam01", "cam02", "cam03"], lambda: both
+    ).corrections.exposure == (
         "cam01",
         "cam02",
         "cam03",
     )
-    few = with_effects(STANDARD, Wanted("auto"), [f"cam{i:02}" for i in range(1, 5)], lambda: both).corrections
+    few = with_effects(STANDARD, EffectChoice("auto"), [f"cam{i:02}" for i in range(1, 5)], lambda: both).corrections
     assert few.exposure == few.shake == ("cam01", "cam02")
 
 
@@ -95,7 +106,7 @@ def test_a_fixed_choice_does_not_look_at_the_rig() -> None:
         raise AssertionError("the rig was looked at")
 
     for text in ("none", "motion,view_dependence", ",".join(FRAME_EFFECTS)):
-        settings = with_effects(STANDARD, wanted_effects(text), ["cam01"], looked)
+        settings = with_effects(STANDARD, effect_choice(text), ["cam01"], looked)
         assert not settings.detect_per_frame
         assert settings.corrections == STANDARD.corrections
 

@@ -54,8 +54,8 @@ def test_threads_change_nothing(moving_rig: Path) -> None:
 def test_a_held_out_camera_is_not_looked_at(moving_rig: Path, tmp_path: Path, tiny_rig: Any) -> None:
     poisoned = tiny_rig.poisoned(moving_rig, tmp_path / "poisoned", "cam02")
     (poisoned / "cam02" / "0001.png").write_bytes(b"no picture")
-    clean = told(analyse(moving_rig, holdout="cam02").to_json())
-    assert told(analyse(poisoned, holdout="cam02").to_json()) == clean | {"rig": str(poisoned)}
+    clean = told(analyse(moving_rig, holdout=["cam02"]).to_json())
+    assert told(analyse(poisoned, holdout=["cam02"]).to_json()) == clean | {"rig": str(poisoned)}
 
 
 def test_progress_reaches_its_end(moving_rig: Path) -> None:
@@ -65,7 +65,7 @@ def test_progress_reaches_its_end(moving_rig: Path) -> None:
 
 
 def test_one_frame_tells_what_it_can(moving_rig: Path) -> None:
-    analysis = analyse(moving_rig, frames="0:1")
+    analysis = analyse(moving_rig, frames=slice(0, 1))
     of = {finding.decision.effect: finding.decision for finding in analysis.findings}
     assert (of["motion"].detected, of["motion"].confidence) == (False, 0.0)
     assert not of["exposure_drift"].detected

@@ -85,7 +85,7 @@ def write_clip(folder: Path, moves: bool, change: Shown) -> None:
 def clip(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Analysis]:
     folder = tmp_path_factory.mktemp("clips") / request.param
     write_clip(folder, *CLIPS[request.param])
-    return request.param, analyse(folder, holdout=HELD_OUT)
+    return request.param, analyse(folder, holdout=[HELD_OUT])
 
 
 def test_every_effect_is_found_where_it_is_and_nowhere_else(clip: tuple[str, Analysis]) -> None:

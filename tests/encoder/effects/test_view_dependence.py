@@ -58,7 +58,7 @@ def test_only_auto_asks_the_keyframe(
     """Were all of the tiny rig's harmonics too few. An encode cut off goes on with the degree it began with."""
     monkeypatch.setattr(view_dependence, "LEAST_SHOWN", 2.0)
     output, again = tmp_path / "scene.dgs", tmp_path / "again.dgs"
-    options = {"holdout": tiny_rig.held_out, "preset": tiny_settings, "effects": effects}
+    options = {"holdout": [tiny_rig.held_out], "settings": tiny_settings, "effects": effects}
     encode(moving_rig, output, **options)
     with open_stream(output) as stream:
         assert stream.header.sh_degree == degree

@@ -1,0 +1,42 @@
+"""What users of the commands write for an option, as the value that the library takes."""
+
+from __future__ import annotations
+
+import math
+import re
+
+from decogs.formats.errors import UsageError
+
+from .analysis import EffectChoice
+from .settings.effects import EFFECT_BASES
+
+_TIME = re.compile(r"([0-9.eE+-]+?)\s*(ms|s)?\s*(?:/\s*frame)?")
+
+
+def effect_choice(text: str) -> EffectChoice:
+    """The effects of ``--effects``: auto, all or none, or names with commas; ``-name`` takes one away.
+
+    Names alone are those and no other; where the first is taken away, from all. Raises UsageError for an unknown one.
+    """
+    words = [word.strip() for word in text.split(",") if word.strip()]
+    base = words.pop(0) if words and words[0] in EFFECT_BASES else "all" if text.startswith("-") else "none"
+    added = frozenset(word for word in words if not word.startswith("-"))
+    dropped = frozenset(word[1:] for word in words if word.startswith("-"))
+    return EffectChoice(base, added, dropped)
+
+
+def seconds_per_frame(text: str) -> float:
+    """Seconds of ``1.5s/frame``, ``500ms/frame`` or plain ``1.5``; raises UsageError for what is no time."""
+    found = _TIME.fullmatch(text.strip())
+    try:
+        seconds = float(found[1]) * (0.001 if found[2] == "ms" else 1) if found else math.nan
+    except ValueError:
+        seconds = math.nan
+    if not (math.isfinite(seconds) and seconds > 0):
+        raise UsageError(f"--time-budget {text}: that is no time; write 1.5s/frame or 500ms/frame")
+    return seconds
+
+
+def names(text: str) -> list[str]:
+    """Names with commas between them."""
+    return [word.strip() for word in text.split(",") if word.strip()]

@@ -1,0 +1,53 @@
+"""An encode's figures as JSON lines."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from .json_lines import JsonLines
+from .observer import EncodeObserver
+from .reports import FrameReport
+
+
+class EncodeLog(EncodeObserver):
+    """Writes one JSON object per line to ``path``, as things happen; a context manager.
+
+    "look": what the rig calls for, where it was looked at; "start"; one "frame" per frame: the fields of FrameReport,
+    and ``elapsed`` seconds; "end". ``append``: after what is there. Raises UsageError when it cannot be written.
+    """
+
+    def __init__(self, path: Path, *, append: bool = False) -> None:
+        self._began = time.perf_counter()
+        self._lines = JsonLines(path, "log", append=append)
+
+    def __enter__(self) -> EncodeLog:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._lines.__exit__(kind, error, trace)
+
+    def looked(self, detected: Mapping[str, Sequence[str]]) -> None:
+        self._write({"event": "look", "detected": {effect: list(names) for effect, names in detected.items()}})
+
+    def started(self, facts: Mapping[str, Any]) -> None:
+        self._write({"event": "start", **facts})
+
+    def frame(self, report: FrameReport) -> None:
+        self._write({"event": "frame", "elapsed": self._elapsed(), **asdict(report)})
+
+    def finished(self, facts: Mapping[str, Any]) -> None:
+        self._write({"event": "end", "elapsed": self._elapsed(), **facts})
+
+    def _elapsed(self) -> float:
+        return round(time.perf_counter() - self._began, 3)
+
+    def _write(self, record: dict[str, Any]) -> None:
+        self._lines.write(record)
+        self._lines.flush()

@@ -1,0 +1,64 @@
+"""Whom an encode tells of its progress."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from .reports import FrameReport
+
+
+class EncodeObserver:
+    """Is told how an encode goes on; a class of one's own overrides what it wants to know. Here nothing is done."""
+
+    def look_step(self, step: int, steps: int) -> None:
+        """A step of the look at the rig is done: ``step`` of ``steps``."""
+
+    def looked(self, detected: Mapping[str, Sequence[str]]) -> None:
+        """The rig was looked at: ``detected`` has each effect that it calls for, with the names of its cameras."""
+
+    def started(self, facts: Mapping[str, Any]) -> None:
+        """The first frame is begun: the rig's facts and the settings, as plain JSON values.
+
+        ``facts["frames"]`` are the rig's first frame and the one after the last.
+        """
+
+    def keyframe_step(self, step: int, steps: int, loss: float) -> None:
+        """A step of the first keyframe's training is done: ``step`` of ``steps``, and the loss before it."""
+
+    def frame(self, report: FrameReport) -> None:
+        """A frame is written."""
+
+    def finished(self, facts: Mapping[str, Any]) -> None:
+        """The stream is whole: its path, its bytes, and whether it was interrupted, as plain JSON values."""
+
+
+class Observers(EncodeObserver):
+    """Several observers as one, told in their order."""
+
+    def __init__(self, observers: Sequence[EncodeObserver]) -> None:
+        self._observers = tuple(observers)
+
+    def look_step(self, step: int, steps: int) -> None:
+        for observer in self._observers:
+            observer.look_step(step, steps)
+
+    def looked(self, detected: Mapping[str, Sequence[str]]) -> None:
+        for observer in self._observers:
+            observer.looked(detected)
+
+    def started(self, facts: Mapping[str, Any]) -> None:
+        for observer in self._observers:
+            observer.started(facts)
+
+    def keyframe_step(self, step: int, steps: int, loss: float) -> None:
+        for observer in self._observers:
+            observer.keyframe_step(step, steps, loss)
+
+    def frame(self, report: FrameReport) -> None:
+        for observer in self._observers:
+            observer.frame(report)
+
+    def finished(self, facts: Mapping[str, Any]) -> None:
+        for observer in self._observers:
+            observer.finished(facts)
