@@ -20,6 +20,7 @@ from decogs.decoder.lens import distort_pixels, is_distorted
 from decogs.formats.cameras import Camera, camera_centre
 
 from ..change.masks import BoolArray
+from ..numerics import tukey
 from .effect import F64, Decision, Evidence, cameras_beyond, decided, spans
 from .look import Look
 from .matches import PairMatches, sampson_distances
@@ -162,7 +163,7 @@ class _Fit:
             sizes = np.abs(np.concatenate(missed))
             near = sizes[sizes < max(reach, 4.0)]
             deviation = max(_LEAST_DEVIATION, 1.5 * float(np.median(near)) if len(near) else 0.0)
-            self._weights = [_tukey(each, max(reach, 4 * deviation)) for each in missed]
+            self._weights = [tukey(each, max(reach, 4 * deviation)) for each in missed]
             normal, gradient = self._normal_equations(unknowns, missed)
             prior = (deviation / scales) ** 2
             normal[np.diag_indices_from(normal)] += prior
@@ -191,10 +192,6 @@ class _Fit:
         second = _straightened(pair.second_rays, unknowns[pair.second, 0])
         baseline = self._centres[pair.first] - self._centres[pair.second]
         return sampson_distances(first, second, turned, baseline) * self.cameras[pair.first].fx
-
-
-def _tukey(missed: F64, reach: float) -> F64:
-    return np.asarray(np.maximum(0.0, 1 - (missed / reach) ** 2) ** 2)
 
 
 def _straightened(rays: F64, k1: float) -> F64:

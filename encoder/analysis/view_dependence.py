@@ -24,6 +24,7 @@ from decogs.codec.state import Attributes
 from decogs.formats.cameras import camera_centre
 from decogs.formats.splats import sh_degree_of
 
+from ..numerics import bilinear
 from .effect import F64, Decision, Evidence, cameras_beyond, confidence, decided, spans
 from .look import Look
 from .matches import U8, PairMatches, sampson_distances
@@ -107,14 +108,8 @@ def _differences(look: Look, pair: PairMatches, first: U8 | F64, second: U8 | F6
     near = np.abs(distance) < _NEAR_LINE
     if not near.any():
         return np.empty(0)
-    here, there = _at(first, pair.first_pixels[near]), _at(second, pair.second_pixels[near])
+    here = bilinear(first, *pair.first_pixels[near].T).astype(np.float64)
+    there = bilinear(second, *pair.second_pixels[near].T).astype(np.float64)
     ratio = np.log((there + _DARK) / (here + _DARK))
     ratio -= np.median(ratio, axis=0)
     return np.asarray(np.abs(ratio * (here + _DARK)).max(axis=1))
-
-
-def _at(picture: U8 | F64, pixels: F64) -> F64:
-    """Colours (N, 3) at pixels whose corner of the picture is 0."""
-    at = (pixels - 0.5).astype(np.float32)
-    colours = cv2.remap(picture, at[:, :1], at[:, 1:], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(colours[:, 0], np.float64)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.decoder.lens import Undistortion, with_k1
-from decogs.formats.cameras import Camera, camera_centre, scale_camera, turned
+from decogs.formats.cameras import Camera, camera_centre, in_picture, project, scale_camera
 from decogs.formats.errors import RigError, UsageError
 from decogs.formats.rigs import Rig, read_frames
 from decogs.formats.splats import FloatArray
@@ -189,12 +189,8 @@ def _filling(valid: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.in
 
 def _median_depth(camera: Camera, xyz: FloatArray) -> float:
     """Median depth of the points inside the camera's picture; 0 when it sees none."""
-    position = turned(camera.world_to_camera[:3, :3], xyz.astype(np.float64)) + camera.world_to_camera[:3, 3]
-    depth = position[:, 2]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        u = camera.fx * position[:, 0] / depth + camera.cx
-        v = camera.fy * position[:, 1] / depth + camera.cy
-    seen = (depth > 0) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+    u, v, depth = project(camera, xyz)
+    seen = in_picture(camera, u, v, depth)
     return float(np.median(depth[seen])) if seen.any() else 0.0
 
 

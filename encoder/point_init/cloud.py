@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ..numerics import nearest
 from .agreement import Candidates, depth_ratio
 from .frusta import DepthRange
 from .views import Array, View, inside, project
@@ -172,6 +172,5 @@ def neighbour_distances(xyz: NDArray[np.float64]) -> Array:
     middle = xyz.mean(axis=0)
     scale = max(float(np.abs(xyz - middle).max()), 1e-30)
     points = ((xyz - middle) / scale).astype(np.float32)
-    index = cv2.flann.Index(points, {"algorithm": 4, "leaf_max_size": 10})  # exact single k-d tree
-    _, squared = index.knnSearch(points, count + 1, params={"checks": -1})
+    _, squared = nearest(points, count + 1)
     return np.asarray(np.sqrt(squared[:, 1:]).mean(axis=1) * scale, np.float32)

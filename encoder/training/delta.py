@@ -21,7 +21,7 @@ from itertools import repeat
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.cameras import turned
+from decogs.formats.cameras import in_picture, project
 from decogs.formats.splats import FloatArray, Splats, empty_splats, join_splats, take_splats
 
 from ..change.masks import FrameMask, showing
@@ -434,13 +434,8 @@ class _DeltaTraining:
         """Points (P, 3) that project into the region of interest of at least one view."""
         inside = np.zeros(len(means), bool)
         for view, mask in zip(self._views, masks, strict=True):
-            camera = view.pinhole
-            position = turned(camera.world_to_camera[:3, :3], means.astype(np.float64)) + camera.world_to_camera[:3, 3]
-            with np.errstate(divide="ignore", invalid="ignore"):
-                u = camera.fx * position[:, 0] / position[:, 2] + camera.cx
-                v = camera.fy * position[:, 1] / position[:, 2] + camera.cy
-            seen = (position[:, 2] > 0) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
-            rows = np.flatnonzero(seen)
+            u, v, depth = project(view.pinhole, means)
+            rows = np.flatnonzero(in_picture(view.pinhole, u, v, depth))
             inside[rows] |= mask.dilated[v[rows].astype(np.int64), u[rows].astype(np.int64)]
         return inside
 

@@ -22,9 +22,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.cameras import Camera, camera_centre, turned
+from decogs.formats.cameras import Camera, camera_centre, in_camera, in_picture, ray_slopes, turned
 from decogs.formats.splats import SH_C0, FloatArray, Splats, empty_splats
 
+from ..numerics import bilinear
 from ..parallel import Each, side_by_side
 from ..settings.frame import EmergenceSettings
 
@@ -252,7 +253,7 @@ class _Search:
             inside = np.flatnonzero((flat >= 0) & (views != other))
             at = flat[inside]
             for kind, (each, reference) in enumerate(zip(pictures, references, strict=True)):
-                colours = _sample(each[other], u[inside], v[inside])
+                colours = bilinear(each[other], u[inside], v[inside])
                 differences[kind, other, inside] = np.abs(colours - reference[inside]).max(axis=1)
             rendered = look.depth.ravel()[at]
             before[inside] += (rendered <= 0) | (depth[inside] < (1 - self._settings.in_front / 2) * rendered)
@@ -281,18 +282,6 @@ def _smoothed(planes: FloatArray) -> FloatArray:
     return np.asarray(cv2.blur(cv2.merge(list(planes)), (3, 3)), np.float32)
 
 
-def _sample(picture: FloatArray, u: NDArray[np.float64], v: NDArray[np.float64]) -> FloatArray:
-    """Colours (P, 3) between pixels, bilinear."""
-    width = 1024  # remap takes no more than 32767 rows
-    places = np.zeros((2, -(-len(u) // width) * width), np.float32)
-    places[0, : len(u)], places[1, : len(u)] = u - 0.5, v - 0.5
-    columns, rows = places.reshape(2, -1, width)
-    if not len(u):
-        return np.zeros((0, 3), np.float32)
-    found = cv2.remap(picture, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(found.reshape(-1, 3)[: len(u)], np.float32)
-
-
 def _far_first(index: int, count: int) -> list[int]:
     """All views, in an order that soon meets directions other than that of ``index``: neighbours carve little."""
     return sorted(range(count), key=lambda i: ((i - index) * 5 % count, i))
@@ -301,8 +290,7 @@ def _far_first(index: int, count: int) -> list[int]:
 def _directions(camera: Camera, pixels: IntArray) -> NDArray[np.float64]:
     """Directions (P, 3) through the centres of pixels (flat indices), of depth 1."""
     rows, columns = np.divmod(pixels, camera.width)
-    x = (columns + 0.5 - camera.cx) / camera.fx
-    y = (rows + 0.5 - camera.cy) / camera.fy
+    x, y = ray_slopes(camera, columns + 0.5, rows + 0.5)
     return turned(camera.world_to_camera[:3, :3].T, np.stack([x, y, np.ones_like(x)], axis=1))
 
 
@@ -310,13 +298,12 @@ def _project(
     camera: Camera, points: NDArray[np.float64]
 ) -> tuple[IntArray, NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Flat pixel of every point, -1 outside the picture; column, row (pixel centres at .5) and depth."""
-    position = turned(camera.world_to_camera[:3, :3], points) + camera.world_to_camera[:3, 3]
-    depth = position[:, 2]
+    x, y, depth = in_camera(camera, points).T
     front = depth > 1e-9
     reciprocal = 1 / np.where(front, depth, 1)
-    u = camera.fx * position[:, 0] * reciprocal + camera.cx
-    v = camera.fy * position[:, 1] * reciprocal + camera.cy
-    inside = front & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+    # Rounded otherwise than by ``formats.cameras.project``; what is encoded hangs on the last bits.
+    u, v = camera.fx * x * reciprocal + camera.cx, camera.fy * y * reciprocal + camera.cy
+    inside = front & in_picture(camera, u, v, depth)
     column, row = np.where(inside, u, 0).astype(np.int64), np.where(inside, v, 0).astype(np.int64)
     return np.where(inside, row * camera.width + column, -1), u, v, depth
 

@@ -8,13 +8,11 @@ whose car spins, at four times the cost).
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from decogs.formats.splats import FloatArray
 
-_EXACT_KD_TREE: dict[str, bool | int | float | str] = {"algorithm": 4, "leaf_max_size": 10}
-_ALL_LEAVES: dict[str, bool | int | float | str] = {"checks": -1}
+from ..numerics import nearest
 
 
 def shared_displacements(means: FloatArray, displacements: FloatArray, neighbours: int) -> FloatArray:
@@ -25,9 +23,8 @@ def shared_displacements(means: FloatArray, displacements: FloatArray, neighbour
     count = min(neighbours, len(means))
     if count <= 1:
         return displacements
-    tree = cv2.flann.Index(means, _EXACT_KD_TREE)
-    nearest, _ = tree.knnSearch(means, count, params=_ALL_LEAVES)
-    return np.asarray(np.median(displacements[nearest], axis=1), np.float32)
+    around, _ = nearest(means, count)
+    return np.asarray(np.median(displacements[around], axis=1), np.float32)
 
 
 class Motion:

@@ -15,15 +15,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.cameras import Camera, turned
+from decogs.formats.cameras import in_picture, project, ray_slopes, turned
 from decogs.formats.splats import FloatArray
 
+from ...numerics import bilinear
 from ...rasterise import Picture
 from ..ingest import View
 from .colour import OddsShift, tells, tukey_weights
@@ -154,47 +155,28 @@ def _surface(view: View, depth: FloatArray, samples: int) -> F64:
     z = depth[rows, columns].astype(np.float64)
     there = np.isfinite(z)
     z, rows, columns = z[there], rows[there], columns[there]
-    x, y = (columns + 0.5 - camera.cx) / camera.fx * z, (rows + 0.5 - camera.cy) / camera.fy * z
+    x, y = ray_slopes(camera, columns + 0.5, rows + 0.5)
     pose = camera.world_to_camera
-    return turned(pose[:3, :3].T, np.stack([x, y, z], axis=1) - pose[:3, 3])
+    return turned(pose[:3, :3].T, np.stack([x * z, y * z, z], axis=1) - pose[:3, 3])
 
 
 def _colours(view: View, picture: FloatArray, depth: FloatArray, points: F64) -> tuple[FloatArray, NDArray[np.bool_]]:
     """The picture's colours (P, 3) of the points, and which of them (P,) the view sees."""
     v, u, inside = _pixels(view, depth, points)
-    at = [np.where(inside, pixel - 0.5, 0).astype(np.float32)[:, None] for pixel in (u, v)]
-    colours = [_sampled(np.ascontiguousarray(picture[..., channel]), at[0], at[1]) for channel in range(3)]
-    return np.stack(colours, axis=1), inside
+    return bilinear(picture, u, v), inside
 
 
 def _pixels(view: View, depth: FloatArray, points: F64) -> tuple[F64, F64, NDArray[np.bool_]]:
     """Row and column of the points (P,) in the view, corner of the picture at 0, and which of them it sees; 0 of
     others."""
-    u, v, z = _projected(view.pinhole, points)
-    inside = (z > 0) & (u >= 0) & (u < view.pinhole.width) & (v >= 0) & (v < view.pinhole.height)
+    u, v, z = project(view.pinhole, points)
+    inside = in_picture(view.pinhole, u, v, z)
     column, row = (np.where(inside, pixel, 0).astype(np.int64) for pixel in (u, v))
     with np.errstate(invalid="ignore"):
         inside &= np.abs(depth[row, column] / np.where(inside, z, 1) - 1) < _SAME_DEPTH
     if view.valid is not None:
         inside &= view.valid[row, column] > 0
     return np.where(inside, v, 0), np.where(inside, u, 0), inside
-
-
-def _sampled(plane: FloatArray, u: FloatArray, v: FloatArray) -> FloatArray:
-    """Bilinear samples; ``cv2.remap`` takes no more than 32 767 rows at once."""
-    most = 1 << 14
-    parts: list[Any] = [
-        cv2.remap(plane, u[i : i + most], v[i : i + most], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        for i in range(0, len(u), most)
-    ]
-    return np.asarray(np.concatenate(parts)[:, 0], np.float32)
-
-
-def _projected(camera: Camera, points: F64) -> tuple[F64, F64, F64]:
-    position = turned(camera.world_to_camera[:3, :3], points) + camera.world_to_camera[:3, 3]
-    z = position[:, 2]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return camera.fx * position[:, 0] / z + camera.cx, camera.fy * position[:, 1] / z + camera.cy, z
 
 
 def _channel_shifts(values: FloatArray, known: NDArray[np.bool_]) -> list[tuple[float, float]]:

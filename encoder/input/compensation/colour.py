@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from decogs.decoder.camera_corrections import with_odds
 from decogs.formats.splats import FloatArray
 
+from ...numerics import tukey
+
 _DARKEST, _BRIGHTEST = 6 / 255, 249 / 255
 
 _MOST_PIXELS = 40_000
@@ -61,8 +63,7 @@ def tukey_weights(residuals: FloatArray) -> FloatArray:
     """Tukey's biweight of residuals in picture units, by their own spread: 1 for none, 0 for what does not belong."""
     some = residuals.ravel()[:: max(1, residuals.size // _MEDIAN_OF)]
     spread = max(1.4826 * float(np.median(np.abs(some))), _LEAST_SPREAD)
-    inside = 1 - np.square(residuals / np.float32(_TUKEY * spread))
-    return np.asarray(np.square(np.maximum(inside, 0)))
+    return tukey(residuals, _TUKEY * spread)
 
 
 def without_odds(picture: FloatArray, odds: tuple[float, float, float]) -> FloatArray:
