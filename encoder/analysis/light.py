@@ -25,6 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.formats.cameras import Camera, camera_centre
+from decogs.formats.colour import linear_from_srgb
+from decogs.formats.splats import logit
 
 from .matches import Matches, PairMatches, sampson_distances
 
@@ -61,9 +63,7 @@ _OVERALL = 0.5
 """Of a gain, what the median of the camera's pixels must show: a quarter of them may do something else."""
 _COMPARABLE = 3
 """Cameras that a median needs: of two that differ, either may be the one that drifts."""
-_LINEAR: F32 = np.array(
-    [v / 12.92 if v <= 0.04045 else ((v + 0.055) / 1.055) ** 2.4 for v in np.arange(256) / 255], np.float32
-)
+_LINEAR: F32 = linear_from_srgb(np.arange(256) / 255).astype(np.float32)
 _CLIPPED = 5
 """Levels from either end of the scale within which a value tells nothing of the light."""
 _ROUNDS = 12
@@ -145,7 +145,7 @@ def light_at(pictures: U8, pixels: F64) -> F64:
         red, green, blue = np.log(_LINEAR[around[known]].mean(axis=1, dtype=np.float64)).T
         value = around[known].mean(axis=1, dtype=np.float64) / 255
         light = np.stack([(red + green + blue) / 3, red - green, blue - green], axis=1)
-        found[index, known] = np.concatenate([light, np.log(value / (1 - value))], axis=1)
+        found[index, known] = np.concatenate([light, logit(value)], axis=1)
     return found
 
 

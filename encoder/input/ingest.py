@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from decogs.decoder.lens import Undistortion, with_k1
 from decogs.formats.cameras import Camera, camera_centre, in_picture, project, scale_camera
+from decogs.formats.colour import srgb_from_linear
 from decogs.formats.errors import RigError, UsageError
 from decogs.formats.rigs import Rig, read_frames
 from decogs.formats.splats import FloatArray
@@ -195,9 +196,8 @@ def _median_depth(camera: Camera, xyz: FloatArray) -> float:
 
 
 def display_referred(picture: NDArray[np.uint8] | NDArray[np.float32]) -> FloatArray:
-    """(H, W, 3) in 0..1: 8-bit pictures as they are, scene-linear ones clipped and sRGB-coded (IEC 61966-2-1)."""
+    """(H, W, 3) in 0..1: 8-bit pictures as they are, scene-linear ones clipped and sRGB-coded."""
     if picture.dtype == np.uint8:
         return np.asarray(picture.astype(np.float32) / np.float32(255))
     linear = np.clip(picture.astype(np.float32), 0, 1)
-    coded = np.where(linear <= 0.0031308, linear * 12.92, 1.055 * np.power(linear, 1 / 2.4) - 0.055)
-    return coded.astype(np.float32)
+    return srgb_from_linear(linear)

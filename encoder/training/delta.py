@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.formats.cameras import in_picture, project
-from decogs.formats.splats import FloatArray, Splats, empty_splats, join_splats, take_splats
+from decogs.formats.splats import FloatArray, Splats, empty_splats, join_splats, sigmoid, take_splats
 
 from ..change.masks import FrameMask, showing
 from ..input.ingest import View
@@ -30,7 +30,7 @@ from ..parallel import side_by_side
 from ..rasterise import SplatGradients, TrainingKernel, gradients_like
 from ..settings.frame import FrameSettings
 from ..transformation_cache import TransformationCache
-from .densification import DENSIFICATIONS, ViewGradients, opacities_of
+from .densification import DENSIFICATIONS, ViewGradients
 from .losses import PhotometricLoss, focus_loss, require_finite, whole_picture_loss
 from .method import FrameInput, TrainedFrame, TrainingContext
 from .optimiser import OPTIMISERS, Optimiser
@@ -306,7 +306,7 @@ class _DeltaTraining:
     def _densify(self, work: _Working, view_gradients: ViewGradients, masks: Sequence[FrameMask]) -> None:
         """Adds Gaussians to ``work`` where the gradient asks for them, and takes those away that have become faint."""
         settings = self._settings
-        faint = work.selected & (opacities_of(work.base) < settings.prune_opacity)
+        faint = work.selected & (sigmoid(work.base.opacity_logits) < settings.prune_opacity)
         room = min(int(settings.grow_fraction * work.selected.sum()), self._most - work.population + int(faint.sum()))
         grows = room > 0 and self._grow(work, view_gradients, masks, work.selected & ~faint, room)
         work.remove(np.flatnonzero(faint))
@@ -515,7 +515,7 @@ class _Working:
 
     def lasting(self) -> NDArray[np.bool_]:
         """Which of ``rows`` outlive the frame: all but those that were added in vain."""
-        return (self.rows < self._population) | (opacities_of(self.base) >= self._prune_opacity)
+        return (self.rows < self._population) | (sigmoid(self.base.opacity_logits) >= self._prune_opacity)
 
     def result(self) -> TrainedFrame:
         """Bakes the cache's motion in (docs/METHOD.md, "Commit")."""

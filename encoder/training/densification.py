@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.codec.lattice import LOG_SCALE_BOUND
-from decogs.decoder.rasterise.reference import rotation_matrices
+from decogs.formats.rotations import rotation_matrices
 from decogs.formats.splats import Splats, take_splats
 
 from ..registry import Registry
@@ -42,12 +42,6 @@ class ViewGradients:
         return self._sum / np.maximum(self._views, 1)
 
 
-def opacities_of(splats: Splats) -> NDArray[np.float32]:
-    """Activated opacities 0..1, (N,)."""
-    logits = np.clip(splats.opacity_logits, -80, 80)
-    return np.asarray(1 / (1 + np.exp(-logits)), np.float32)
-
-
 @dataclass(frozen=True)
 class Growth:
     """What densification proposes: ``children`` to append, one per row of ``parents``, and the parents' new values."""
@@ -65,7 +59,7 @@ def grow(splats: Splats, parents: NDArray[np.int64], large: float, random: np.ra
     """
     taken = take_splats(splats, parents)
     scales = np.exp(np.clip(taken.log_scales.astype(np.float64), -LOG_SCALE_BOUND, LOG_SCALE_BOUND))
-    rotations = rotation_matrices(np, taken.quaternions.astype(np.float64))
+    rotations = rotation_matrices(taken.quaternions.astype(np.float64))
     offsets = np.einsum("nij,nj->ni", rotations, random.normal(size=scales.shape) * scales)
     split = (scales.max(axis=1, initial=0) > large)[:, None]
     offsets = np.where(split, offsets, 0).astype(np.float32)

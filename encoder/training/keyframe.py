@@ -19,7 +19,7 @@ from decogs.codec.lattice import Lattice, default_lattice, dequantise, quantise,
 from decogs.codec.state import Attributes
 from decogs.formats.cameras import camera_centre
 from decogs.formats.errors import TrainingError
-from decogs.formats.splats import SH_C0, FloatArray, Splats, take_splats
+from decogs.formats.splats import SH_C0, FloatArray, Splats, logit, sigmoid, take_splats
 
 from ..input.compensation import Corrector
 from ..input.ingest import View
@@ -28,7 +28,7 @@ from ..psnr import mean_psnr, psnr_of
 from ..rasterise import Picture, TrainingKernel, gradients_like
 from ..settings.keyframe import KeyframeSettings
 from ..settings.optimiser import LearningRates
-from .densification import DENSIFICATIONS, ViewGradients, opacities_of
+from .densification import DENSIFICATIONS, ViewGradients
 from .losses import whole_picture_loss
 from .optimiser import OPTIMISERS
 from .schedule import WHOLE, Effort, TargetWatch
@@ -71,12 +71,11 @@ def splats_from_points(points: FirstPoints, settings: KeyframeSettings) -> Splat
     quaternions = np.zeros((count, 4), np.float32)
     quaternions[:, 0] = 1.0
     log_scales = np.log(np.maximum(points.spacing * settings.start_size, 1e-12), dtype=np.float32)
-    logit = np.log(settings.start_opacity / (1 - settings.start_opacity))
     return Splats(
         np.ascontiguousarray(points.xyz, np.float32),
         np.repeat(log_scales[:, None], 3, axis=1),
         quaternions,
-        np.full(count, logit, np.float32),
+        np.full(count, logit(settings.start_opacity), np.float32),
         sh,
     )
 
@@ -318,7 +317,7 @@ class _KeyframeTraining:
         if (step + 1) % settings.grow_every or not settings.grow_from < progress < settings.grow_to:
             return
         splats = self._optimiser.splats
-        keep = opacities_of(splats) >= settings.prune_opacity
+        keep = sigmoid(splats.opacity_logits) >= settings.prune_opacity
         room = settings.cap - int(keep.sum())
         growth = DENSIFICATIONS.get(settings.densification)(
             splats,

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.formats.cameras import Camera, camera_centre, in_camera, in_picture, ray_slopes, turned
-from decogs.formats.splats import SH_C0, FloatArray, Splats, empty_splats
+from decogs.formats.splats import SH_C0, FloatArray, Splats, empty_splats, logit
 
 from ..numerics import bilinear
 from ..parallel import Each, side_by_side
@@ -357,6 +357,6 @@ def _splats(found: _Found, cores: Sequence[BoolArray], settings: EmergenceSettin
         np.ascontiguousarray(found.points, np.float32),
         np.repeat(np.log(sigma)[:, None], 3, axis=1).astype(np.float32),
         np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
-        np.full(count, np.log(settings.opacity / (1 - settings.opacity)), np.float32),
+        np.full(count, logit(settings.opacity), np.float32),
         sh,
     )

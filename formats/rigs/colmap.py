@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from ..cameras import Camera, DistortionModel
 from ..errors import RigError
 from ..pictures import PICTURE_SUFFIXES
+from ..rotations import rotation_rows
 from ..videos import VIDEO_SUFFIXES
 from .calibration import calibrated_camera, rigid_pose
 from .rig import Points, Rig, assemble_rig
@@ -187,13 +188,8 @@ def _pose(quaternion: tuple[float, ...], translation: tuple[float, ...], where: 
     norm = float(np.linalg.norm(q)) if np.isfinite(q).all() and np.abs(q).max() < 1e100 else 0.0
     if norm < 1e-6:
         raise RigError(f"{where}: the pose is singular (rotation quaternion {quaternion}); export the model again")
-    w, x, y, z = q / norm
     pose = np.eye(4)
-    pose[:3, :3] = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    )
+    pose[:3, :3] = rotation_rows(*(q / norm))
     pose[:3, 3] = translation
     return rigid_pose(pose, where)
 

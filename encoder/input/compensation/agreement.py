@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.formats.cameras import in_picture, project, ray_slopes, turned
-from decogs.formats.splats import FloatArray
+from decogs.formats.splats import FloatArray, logit
 
 from ...numerics import bilinear
 from ...rasterise import Picture
@@ -111,7 +111,7 @@ def shared_changes(
         if not enough[:, channel].any():
             continue
         v, s = (np.where(known, side[..., channel], np.float32(0.5)) for side in (now, before))
-        logs, slope = np.log(v / (1 - v)) - np.log(s / (1 - s)), s * (1 - s)
+        logs, slope = logit(v) - logit(s), s * (1 - s)
         solved, weights = _solved(logs, slope, known)
         shifts[:, channel] = solved
         total = weights.sum(axis=0)
@@ -185,7 +185,7 @@ def _channel_shifts(values: FloatArray, known: NDArray[np.bool_]) -> list[tuple[
     if not known.any():
         return [(0.0, 0.0)] * len(values)
     inside = np.where(known, values, np.float32(0.5))
-    shifts, weights = _solved(np.log(inside / (1 - inside)), inside * (1 - inside), known)
+    shifts, weights = _solved(logit(inside), inside * (1 - inside), known)
     return list(zip(shifts.tolist(), weights.sum(axis=1, dtype=np.float64).tolist(), strict=True))
 
 

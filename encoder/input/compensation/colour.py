@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.decoder.camera_corrections import with_odds
-from decogs.formats.splats import FloatArray
+from decogs.formats.splats import FloatArray, logit
 
 from ...numerics import tukey
 
@@ -82,7 +82,7 @@ def _channel_shift(recorded: FloatArray, shown: FloatArray, known: NDArray[np.bo
         return 0.0, 0.0
     v, s = recorded[inside], shown[inside]
     slope = s * (1 - s)
-    shift = float(np.median(np.log(v / (1 - v)) - np.log(s / (1 - s))))
+    shift = float(np.median(logit(v) - logit(s)))
     precision = 0.0
     for _ in range(_ROUNDS):
         factor = np.float32(np.exp(-shift))
