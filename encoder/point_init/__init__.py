@@ -71,15 +71,13 @@ class FirstPoints:
     """Where training starts.
 
     ``xyz`` (P, 3) world; ``rgb`` (P, 3) 0..1; ``spacing`` (P,) world units, the size one point has to cover (mean
-    distance to its three nearest, within bounds); ``confidence`` (P,) 0..1, 0.05 for a guess; ``nearest`` is a depth
-    closer than which nothing but other cameras was found in front of any camera (0: unknown), fit for a near plane.
+    distance to its three nearest, within bounds); ``confidence`` (P,) 0..1, 0.05 for a guess.
     """
 
     xyz: NDArray[np.float32]
     rgb: NDArray[np.float32]
     spacing: NDArray[np.float32]
     confidence: NDArray[np.float32]
-    nearest: float = 0.0
 
 
 def first_points(
@@ -149,7 +147,7 @@ def _first_points(
     room = cap - len(cloud)
     if len(filling) > room:
         filling = take(filling, np.sort(random.permutation(len(filling))[:room]))
-    return _finish(join([cloud, filling]), pixels, surveys)
+    return _finish(join([cloud, filling]), pixels)
 
 
 def _scales(cameras: Sequence[Camera], each: float, together: float) -> list[float]:
@@ -228,12 +226,11 @@ def _choose(proposed: Cloud, surveys: Sequence[Survey], most: int) -> tuple[Clou
     return take(replace(cloud, rgb=sight.rgb), (sight.through <= 1) | (2 * sight.through <= sight.in_place)), pixels
 
 
-def _finish(cloud: Cloud, pixels: float, surveys: Sequence[Survey]) -> FirstPoints:
+def _finish(cloud: Cloud, pixels: float) -> FirstPoints:
     usual = cloud.spacing * np.float32(pixels)
     return FirstPoints(
         xyz=cloud.xyz.astype(np.float32),
         rgb=np.clip(cloud.rgb, 0, 1).astype(np.float32),
         spacing=np.clip(neighbour_distances(cloud.xyz), np.float32(0.5) * usual, 3 * usual),
         confidence=cloud.confidence,
-        nearest=_CLEAR * min((survey.nearest for survey in surveys), default=0.0),
     )

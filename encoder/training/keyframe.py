@@ -48,12 +48,11 @@ OnStep = Callable[[int, int, float], None]
 
 @dataclass(frozen=True)
 class TrainedKeyframe:
-    """The trained scene, its lattice and how training went: steps run, and whether the validation tiles stopped it."""
+    """The trained scene, its lattice and how training went: steps run, PSNR of its pictures."""
 
     splats: Splats
     lattice: Lattice
     steps: int
-    stopped_early: bool
     training_psnr: float
 
 
@@ -160,14 +159,14 @@ class _KeyframeTraining:
         self._values: list[float] = []
 
     def run(self, on_step: OnStep | None) -> TrainedKeyframe:
-        steps, stopped = self._train(on_step)
+        steps = self._train(on_step)
         lattice = self._settle_on_lattice(steps, on_step)
         splats = self._optimiser.splats
         seen = self._seen(splats)
         if not seen.all():
             splats = take_splats(splats, seen)
         self._check_learnt(splats)
-        return TrainedKeyframe(splats, lattice, steps, stopped, self._training_psnr(splats))
+        return TrainedKeyframe(splats, lattice, steps, self._training_psnr(splats))
 
     def _check_learnt(self, splats: Splats) -> None:
         """Raises TrainingError when training has diverged: no view draws anything, or the loss is what it was."""
@@ -181,8 +180,8 @@ class _KeyframeTraining:
                 "diverged; lower the learning rates"
             )
 
-    def _train(self, on_step: OnStep | None) -> tuple[int, bool]:
-        """Trains until schedule, target or stop, which goes back to the best; steps, and whether it stopped."""
+    def _train(self, on_step: OnStep | None) -> int:
+        """Trains until schedule, target or stop, which goes back to the best; returns the steps."""
         settings = self._settings
         best, best_optimiser, waited, step = -np.inf, self._optimiser, 0, 0
         while step < settings.iterations and waited < settings.patience and not self._is_good_enough:
@@ -204,11 +203,10 @@ class _KeyframeTraining:
                     best_optimiser = self._optimiser.copied()
                 else:
                     waited += 1
-        stopped = step < settings.iterations and not self._is_good_enough
-        if stopped:
+        if step < settings.iterations and not self._is_good_enough:
             self._optimiser = best_optimiser
             self._gradients = gradients_like(best_optimiser.splats)
-        return step, stopped
+        return step
 
     def _settle_on_lattice(self, steps: int, on_step: OnStep | None) -> Lattice:
         """Puts one attribute after the other on the lattice, which is coarse, and trains the others around them."""

@@ -133,9 +133,6 @@ class Adam:
         second: FloatArray = getattr(self._second, name)
         return np.asarray(np.sqrt(second * np.float32(1 / seen)))
 
-    def moments_are_zero(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> bool:
-        return not any(getattr(m, name)[rows].any() for m in (self._first, self._second) for name in ATTRIBUTES)
-
     def keep(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> None:
         """Drops every other row, or puts rows into a new order."""
         self.splats, self._held = take_splats(self.splats, rows), {}

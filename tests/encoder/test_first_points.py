@@ -154,10 +154,9 @@ def test_spacing_is_about_the_distance_to_neighbours(arc_points: FirstPoints) ->
 
 
 def test_nothing_stands_right_in_front_of_a_camera(arc_points: FirstPoints) -> None:
-    assert 0.5 < arc_points.nearest < 1.5  # half of about 2, the depth of the floor in front
     for camera in ARC:
         distance = np.linalg.norm(arc_points.xyz - camera_centre(camera), axis=1)
-        assert distance.min() > arc_points.nearest
+        assert distance.min() > 0.8  # well below half of about 2, the depth of the floor in front
 
 
 @pytest.mark.parametrize(
