@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-P = TypeVar("P", bound=np.generic)
+P = TypeVar("P", bound="np.integer[Any] | np.floating[Any]")
 F = TypeVar("F", np.float32, np.float64)
 
 _WIDTH = 1024

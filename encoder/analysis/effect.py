@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from .look import Look
+from .rig_statistics import RigStatistics
 
 if TYPE_CHECKING:
     from ..settings.encode import EncodeSettings
@@ -21,11 +21,11 @@ Span = tuple[int, int]
 
 @dataclass(frozen=True)
 class Evidence:
-    """How strong an effect shows, per camera and looked-at frame.
+    """Strength of an effect per camera and analysed frame.
 
-    ``values`` (cameras, frames) float64 in ``unit``, in the order of the look's cameras and frames; NaN where nothing
-    could be determined. A value counts from ``limit`` on. ``details``: further arrays of the same shape, by name, that
-    the decision draws on and the JSON shows.
+    ``values`` (cameras, frames) float64 in ``unit``, in the order of the statistics' cameras and frames; NaN:
+    undetermined. A value counts from ``limit`` on. ``details``: further arrays of the same shape, by name, for the
+    decision and the JSON.
     """
 
     values: F64
@@ -76,11 +76,11 @@ class Effect(Protocol):
     @property
     def name(self) -> str: ...
 
-    def evidence(self, look: Look) -> Evidence:
+    def evidence(self, stats: RigStatistics) -> Evidence:
         """How strong the effect shows in the pictures."""
         ...
 
-    def decide(self, look: Look, evidence: Evidence) -> Decision:
+    def decide(self, stats: RigStatistics, evidence: Evidence) -> Decision:
         """What follows from the evidence."""
         ...
 
@@ -107,7 +107,7 @@ def cameras_beyond(evidence: Evidence) -> BoolArray:
     return np.asarray(evidence.reached.any(axis=1))
 
 
-def spans(look: Look, counts: BoolArray, *, gap: int = 0) -> tuple[Span, ...]:
+def spans(stats: RigStatistics, counts: BoolArray, *, gap: int = 0) -> tuple[Span, ...]:
     """Inclusive spans of rig frames for the looked-at frames that count; pauses of up to ``gap`` of them are closed.
 
     Where frames were left out, what shows in a looked-at frame may have begun right after the one before it.
@@ -115,18 +115,18 @@ def spans(look: Look, counts: BoolArray, *, gap: int = 0) -> tuple[Span, ...]:
     found: list[Span] = []
     last = -1
     for index in np.flatnonzero(counts).tolist():
-        start = look.frames[index - 1] + 1 if index else look.frames[0]
+        start = stats.frames[index - 1] + 1 if index else stats.frames[0]
         if found and index - last <= gap + 1:
-            found[-1] = (found[-1][0], look.frames[index])
+            found[-1] = (found[-1][0], stats.frames[index])
         else:
-            found.append((start, look.frames[index]))
+            found.append((start, stats.frames[index]))
         last = index
     return tuple(found)
 
 
-def one_span(look: Look, counts: BoolArray) -> tuple[Span, ...]:
+def one_span(stats: RigStatistics, counts: BoolArray) -> tuple[Span, ...]:
     """The span from the first to the last frame that counts: for what drifts and passes through zero."""
-    return spans(look, counts, gap=len(look.frames))
+    return spans(stats, counts, gap=len(stats.frames))
 
 
 def seen_together(evidence: Evidence, cameras: int = 2) -> BoolArray:
@@ -137,13 +137,13 @@ def seen_together(evidence: Evidence, cameras: int = 2) -> BoolArray:
     return np.asarray(evidence.reached.sum(axis=0) >= min(cameras, len(evidence.values)))
 
 
-def in_doubt(look: Look, evidence: Evidence) -> bool:
+def in_doubt(stats: RigStatistics, evidence: Evidence) -> bool:
     """Whether there were frames to compare and nothing could be determined of them: every camera shakes."""
-    return len(look.frames) > 1 and not np.isfinite(evidence.peak)
+    return len(stats.frames) > 1 and not np.isfinite(evidence.peak)
 
 
 def decided(
-    look: Look,
+    stats: RigStatistics,
     effect: Effect,
     evidence: Evidence,
     *,
@@ -164,7 +164,7 @@ def decided(
         effect=effect.name,
         detected=detected,
         confidence=confidence(evidence) if sure is None else sure,
-        cameras=tuple(name for name, count in zip(look.names, counts, strict=True) if count),
+        cameras=tuple(name for name, count in zip(stats.names, counts, strict=True) if count),
         frames=frames if detected else (),
         reason=reason,
         cost=cost if detected else "nothing",

@@ -9,7 +9,7 @@ from decogs.formats.splats import FloatArray
 from ..change.masks import FrameMask
 from ..settings.encode import EncodeSettings
 from .building import disable
-from .frame_look import frame_effects
+from .frame_effects import frame_effects
 
 
 def enabled_effects(

@@ -22,8 +22,8 @@ from decogs.formats.cameras import Camera, camera_centre
 from ..change.masks import BoolArray
 from ..numerics import tukey
 from .effect import F64, Decision, Evidence, cameras_beyond, decided, spans
-from .look import Look
 from .matches import PairMatches, sampson_distances
+from .rig_statistics import RigStatistics
 
 if TYPE_CHECKING:
     from ..settings.encode import EncodeSettings
@@ -51,28 +51,28 @@ _STEP = 1e-5
 class LensDistortion:
     name = "lens_distortion"
 
-    def evidence(self, look: Look) -> Evidence:
-        beyond, error, k1 = _beyond_calibration(look)
-        calibrated = np.array([_calibrated(camera) for camera in look.cameras])
-        values = np.full((len(look.cameras), len(look.frames)), np.nan)
+    def evidence(self, stats: RigStatistics) -> Evidence:
+        beyond, error, k1 = _beyond_calibration(stats)
+        calibrated = np.array([_calibrated(camera) for camera in stats.cameras])
+        values = np.full((len(stats.cameras), len(stats.frames)), np.nan)
         # Undetermined counts for a lens that is calibrated; a calibrated zero says nothing where the fit could not
         # tell.
         values[:, 0] = np.fmax(_surely(beyond, error), np.where(calibrated > 0, calibrated, np.nan))
         details = {"k1": k1, "beyond_px": beyond, "deviation_px": error, "calibrated_px": calibrated}
         return Evidence(values, "px", _LIMIT, {name: column[:, None] for name, column in details.items()})
 
-    def decide(self, look: Look, evidence: Evidence) -> Decision:
+    def decide(self, stats: RigStatistics, evidence: Evidence) -> Decision:
         details = {name: column[:, 0] for name, column in evidence.details.items()}
         uncalibrated = np.nan_to_num(_surely(details["beyond_px"], details["deviation_px"])) >= evidence.limit
         return decided(
-            look,
+            stats,
             self,
             evidence,
             counts=cameras_beyond(evidence),
-            frames=spans(look, np.ones(len(look.frames), bool)),
-            reason=_reason(look, evidence, uncalibrated),
+            frames=spans(stats, np.ones(len(stats.frames), bool)),
+            reason=_reason(stats, evidence, uncalibrated),
             cost="one resampling of every picture read, 2 ms at 352x264 (estimated); nothing to send but the lens",
-            figures={"k1": {look.names[k]: float(details["k1"][k]) for k in np.flatnonzero(uncalibrated)}},
+            figures={"k1": {stats.names[k]: float(details["k1"][k]) for k in np.flatnonzero(uncalibrated)}},
         )
 
     def enabled(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
@@ -87,13 +87,13 @@ def _surely(pixels: F64, deviation: F64) -> F64:
     return np.asarray(np.maximum(np.abs(pixels) - _SURE * deviation, 0.0))
 
 
-def _reason(look: Look, evidence: Evidence, uncalibrated: BoolArray) -> str:
+def _reason(stats: RigStatistics, evidence: Evidence, uncalibrated: BoolArray) -> str:
     if not np.isfinite(evidence.peak):
         return "too few points are seen by two cameras to tell"
     text = f"lenses bend by up to {evidence.peak:.1f} px"
     if uncalibrated.any():
         k1 = evidence.details["k1"][:, 0]
-        named = ", ".join(f"{look.names[k]} k1 {k1[k]:+.3f}" for k in np.flatnonzero(uncalibrated))
+        named = ", ".join(f"{stats.names[k]} k1 {k1[k]:+.3f}" for k in np.flatnonzero(uncalibrated))
         return f"{text}; beyond the calibration: {named}"
     return f"{text}, by the calibration" if cameras_beyond(evidence).any() else text
 
@@ -110,18 +110,18 @@ def _calibrated(camera: Camera) -> float:
     return float(moved[np.isfinite(moved)].max())
 
 
-def _beyond_calibration(look: Look) -> tuple[F64, F64, F64]:
+def _beyond_calibration(stats: RigStatistics) -> tuple[F64, F64, F64]:
     """Displacement by each camera's k1 beyond its calibration, its deviation (pixels), and k1; NaN where untold."""
-    count = len(look.cameras)
+    count = len(stats.cameras)
     beyond, error, k1 = (np.full(count, np.nan) for _ in range(3))
-    fit = _Fit(look.cameras, look.matches.pairs)
+    fit = _Fit(stats.cameras, stats.matches.pairs)
     met = fit.matches_of_cameras()
     if met.max(initial=0) < _LEAST_MATCHES:
         return beyond, error, k1
     found, deviation = fit.solve()
     kept = fit.matches_of_cameras()
     known = (kept >= _LEAST_MATCHES) & (kept >= _LEAST_SHARE * met)
-    pixels = np.array([camera.fx for camera in look.cameras]) * fit.radii() ** 3
+    pixels = np.array([camera.fx for camera in stats.cameras]) * fit.radii() ** 3
     beyond[known], error[known], k1[known] = (found * pixels)[known], (deviation * pixels)[known], found[known]
     return beyond, error, k1
 

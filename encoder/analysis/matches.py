@@ -26,7 +26,7 @@ _RATIO = 0.8
 
 @dataclass(frozen=True)
 class PairMatches:
-    """Matches of the cameras ``first`` and ``second`` (positions in the look): pixels (N, 2) in both pictures.
+    """Matches of two cameras, ``first`` and ``second`` in the statistics' order: pixels (N, 2) in both pictures.
 
     ``first_rays``, ``second_rays`` (N, 2): the same as x/z and y/z, by the calibrated lens. Corner of the picture at 0.
     """

@@ -10,7 +10,7 @@ import numpy as np
 
 from .changes import WINDOW_PIXELS
 from .effect import Decision, Effect, Evidence, decided, in_doubt, seen_together, spans
-from .look import Look
+from .rig_statistics import RigStatistics
 
 if TYPE_CHECKING:
     from ..settings.encode import EncodeSettings
@@ -41,19 +41,19 @@ class Motion:
 
     name = "motion"
 
-    def evidence(self, look: Look) -> Evidence:
-        restructured = np.stack([shares.restructured for shares in look.changes])
-        near = np.stack([shares.near for shares in look.changes])
-        pixels = np.array([[camera.width * camera.height] for camera in look.cameras])
+    def evidence(self, stats: RigStatistics) -> Evidence:
+        restructured = np.stack([shares.restructured for shares in stats.changes])
+        near = np.stack([shares.near for shares in stats.changes])
+        pixels = np.array([[camera.width * camera.height] for camera in stats.cameras])
         share = restructured / np.maximum(near, 1e-9)
         share[restructured * pixels < WINDOW_PIXELS] = 0
         details = {"restructured": restructured * 100}
         return Evidence(share * 100, "% restructured", LIMIT * 100, details)
 
-    def decide(self, look: Look, evidence: Evidence) -> Decision:
+    def decide(self, stats: RigStatistics, evidence: Evidence) -> Decision:
         area = float(np.nan_to_num(evidence.details["restructured"]).max())
         return decide_by_change(
-            look,
+            stats,
             self,
             evidence,
             reason=f"up to {area:.2g} % of a picture holds content in one frame that light does not make of the last's",
@@ -79,17 +79,17 @@ class Motion:
 
 
 def decide_by_change(
-    look: Look, effect: Effect, evidence: Evidence, *, reason: str, cost: str, figures: Mapping[str, Any]
+    stats: RigStatistics, effect: Effect, evidence: Evidence, *, reason: str, cost: str, figures: Mapping[str, Any]
 ) -> Decision:
     """Called for in the frames in which two cameras see it; taken for granted where every camera shakes."""
-    doubt = in_doubt(look, evidence)
-    frames = np.full(len(look.frames), doubt) | seen_together(evidence)
+    doubt = in_doubt(stats, evidence)
+    frames = np.full(len(stats.frames), doubt) | seen_together(evidence)
     return decided(
-        look,
+        stats,
         effect,
         evidence,
         counts=np.any((evidence.reached & frames) | doubt, axis=1),
-        frames=spans(look, frames, gap=PAUSE),
+        frames=spans(stats, frames, gap=PAUSE),
         reason="every camera shakes: undetermined, assumed" if doubt else reason,
         cost=cost,
         figures=figures,

@@ -26,8 +26,8 @@ from decogs.formats.splats import sh_degree_of
 
 from ..numerics import bilinear
 from .effect import F64, Decision, Evidence, cameras_beyond, confidence, decided, spans
-from .look import Look
 from .matches import U8, PairMatches, sampson_distances
+from .rig_statistics import RigStatistics
 
 if TYPE_CHECKING:
     from ..settings.encode import EncodeSettings
@@ -51,29 +51,29 @@ LEAST_SHOWN = 0.01
 class ViewDependence:
     name = "view_dependence"
 
-    def evidence(self, look: Look) -> Evidence:
-        smooth = [cv2.GaussianBlur(pictures[0], (0, 0), _SMOOTHING).astype(np.float32) for pictures in look.pictures]
-        found: list[list[F64]] = [[] for _ in look.cameras]
-        for pair in look.matches.pairs:
-            differences = _differences(look, pair, smooth[pair.first], smooth[pair.second])
+    def evidence(self, stats: RigStatistics) -> Evidence:
+        smooth = [cv2.GaussianBlur(pictures[0], (0, 0), _SMOOTHING).astype(np.float32) for pictures in stats.pictures]
+        found: list[list[F64]] = [[] for _ in stats.cameras]
+        for pair in stats.matches.pairs:
+            differences = _differences(stats, pair, smooth[pair.first], smooth[pair.second])
             found[pair.first].append(differences)
             found[pair.second].append(differences)
-        values = np.full((len(look.cameras), len(look.frames)), np.nan)
+        values = np.full((len(stats.cameras), len(stats.frames)), np.nan)
         for row, each in enumerate(found):
             levels = np.concatenate(each) if each else np.empty(0)
             if len(levels) >= _LEAST_MATCHES:
                 values[row, 0] = np.quantile(levels, _QUANTILE)
         return Evidence(values, "levels", _LIMIT)
 
-    def decide(self, look: Look, evidence: Evidence) -> Decision:
+    def decide(self, stats: RigStatistics, evidence: Evidence) -> Decision:
         known = np.isfinite(evidence.peak)
         beyond = cameras_beyond(evidence)
         return decided(
-            look,
+            stats,
             self,
             evidence,
-            counts=beyond if known else np.ones(len(look.cameras), bool),
-            frames=spans(look, np.ones(len(look.frames), bool)),
+            counts=beyond if known else np.ones(len(stats.cameras), bool),
+            frames=spans(stats, np.ones(len(stats.frames), bool)),
             reason=f"a tenth of what two views share differs by {evidence.peak:.1f} levels or more: gloss, or slant"
             if known
             else "too few points are seen by two cameras to tell: taken for granted",
@@ -99,9 +99,9 @@ def as_far_as_shown(values: Attributes) -> Attributes:
     return replace(values, sh=np.ascontiguousarray(values.sh[:, : (degree + 1) ** 2]))
 
 
-def _differences(look: Look, pair: PairMatches, first: U8 | F64, second: U8 | F64) -> F64:
+def _differences(stats: RigStatistics, pair: PairMatches, first: U8 | F64, second: U8 | F64) -> F64:
     """Levels by which the colours of a pair's believable matches differ, beyond what they all do."""
-    cameras = look.cameras[pair.first], look.cameras[pair.second]
+    cameras = stats.cameras[pair.first], stats.cameras[pair.second]
     rotations = [camera.world_to_camera[:3, :3] for camera in cameras]
     baseline = camera_centre(cameras[0]) - camera_centre(cameras[1])
     distance = sampson_distances(pair.first_rays, pair.second_rays, rotations, baseline) * cameras[0].fx

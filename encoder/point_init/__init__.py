@@ -22,7 +22,7 @@ from ..parallel import Each, side_by_side
 from .agreement import Candidates, agree, no_candidates
 from .cloud import (
     Cloud,
-    Survey,
+    ViewDepths,
     empty_cloud,
     join,
     look_from_all,
@@ -35,7 +35,7 @@ from .cloud import (
 from .frusta import DepthRange, choose_neighbours, depths_of, likely_points, points_within, rig_size, shared_depths
 from .guesses import guess_points
 from .plane_sweep import DepthMap, choose_planes, sweep
-from .views import Array, View, floats, inside, make_view, project
+from .views import Array, SweepView, floats, inside, make_view, project
 
 __all__ = ["FirstPoints", "KnownPoints", "first_points"]
 
@@ -131,19 +131,19 @@ def _first_points(
     ranges = [depths_of(view, c.xyz, everything, at) for view, c, at in zip(fine, rough, shared, strict=True)]
     samples = [likely_points(view, everything, depths) for view, depths in zip(fine, ranges, strict=True)]
     candidates, maps = _sweep_all(each, fine, ranges, samples)
-    surveys = [_survey(*all_of_view) for all_of_view in zip(fine, ranges, candidates, maps, strict=True)]
+    all_depths = [_view_depths(*all_of_view) for all_of_view in zip(fine, ranges, candidates, maps, strict=True)]
 
     stride = max(1, int((sum(len(c) for c in candidates) / (_SURPLUS * cap)) ** 0.5))
     clouds = [given, *(thin_candidates(c, stride) for c in candidates)]
-    clouds += [_where_unconfirmed(*three) for three in zip(coarse, rough, surveys, strict=True)]
+    clouds += [_where_unconfirmed(*three) for three in zip(coarse, rough, all_depths, strict=True)]
     proposed = join(clouds)
-    proposed = take(proposed, ~too_near(proposed, surveys, _CLEAR))
+    proposed = take(proposed, ~too_near(proposed, all_depths, _CLEAR))
 
     most = max(1, round(cap * _CONFIRMED_SHARE))
-    cloud, pixels = _choose(proposed, surveys, most)
-    filling = guess_points(cloud, surveys, pixels, random)
+    cloud, pixels = _choose(proposed, all_depths, most)
+    filling = guess_points(cloud, all_depths, pixels, random)
     if cap - len(filling) > most and len(cloud) < len(proposed):
-        cloud, pixels = _choose(proposed, surveys, cap - len(filling))
+        cloud, pixels = _choose(proposed, all_depths, cap - len(filling))
     room = cap - len(cloud)
     if len(filling) > room:
         filling = take(filling, np.sort(random.permutation(len(filling))[:room]))
@@ -158,7 +158,7 @@ def _scales(cameras: Sequence[Camera], each: float, together: float) -> list[flo
 
 def _sweep_all(
     each: Each,
-    views: Sequence[View],
+    views: Sequence[SweepView],
     ranges: Sequence[DepthRange | None],
     samples: Sequence[NDArray[np.float64]],
 ) -> tuple[list[Candidates], list[DepthMap | None]]:
@@ -179,17 +179,19 @@ def _sweep_all(
     return list(each(candidates, range(len(views)))), maps
 
 
-def _survey(view: View, depths: DepthRange | None, candidates: Candidates, depth_map: DepthMap | None) -> Survey:
-    """What the fine sweep tells of one view."""
+def _view_depths(
+    view: SweepView, depths: DepthRange | None, candidates: Candidates, depth_map: DepthMap | None
+) -> ViewDepths:
+    """Result of the fine sweep for one view."""
     if depth_map is None:
-        return Survey(view, depths, None, None, 0.0)
+        return ViewDepths(view, depths, None, None, 0.0)
     confirmed = np.zeros((view.height, view.width), np.float32)
     confirmed[candidates.row, candidates.column] = candidates.inverse_depth
     nearest = 1 / float(np.percentile(candidates.inverse_depth, 99.9)) if len(candidates) >= _FEW else 0.0
-    return Survey(view, depths, depth_map.inverse_depth, confirmed, nearest)
+    return ViewDepths(view, depths, depth_map.inverse_depth, confirmed, nearest)
 
 
-def _known_cloud(known: KnownPoints | None, views: Sequence[View]) -> Cloud:
+def _known_cloud(known: KnownPoints | None, views: Sequence[SweepView]) -> Cloud:
     """The given points as a cloud; their spacing is a pixel of the view nearest to them that sees them."""
     if known is None or not len(known.xyz):
         return empty_cloud()
@@ -204,25 +206,25 @@ def _known_cloud(known: KnownPoints | None, views: Sequence[View]) -> Cloud:
     return take(cloud, np.isfinite(spacing) & np.isfinite(xyz).all(axis=1))
 
 
-def _where_unconfirmed(coarse: View, candidates: Candidates, survey: Survey) -> Cloud:
+def _where_unconfirmed(coarse: SweepView, candidates: Candidates, view_depths: ViewDepths) -> Cloud:
     """Points of the coarse sweep where the fine one confirms nothing: little texture, very different views."""
     cloud = thin_candidates(candidates, 1)
     cloud = replace(cloud, confidence=np.float32(_COARSE_CONFIDENCE) * cloud.confidence)
-    if survey.confirmed is None:
+    if view_depths.confirmed is None:
         return cloud
-    view = survey.view
+    view = view_depths.view
     reach = 2 * round(view.width / coarse.width) + 1
-    covered = cv2.dilate((survey.confirmed > 0).astype(np.uint8), np.ones((reach, reach), np.uint8))
+    covered = cv2.dilate((view_depths.confirmed > 0).astype(np.uint8), np.ones((reach, reach), np.uint8))
     u, v, _ = project(view, cloud.xyz)
     column = np.clip(np.round(u), 0, view.width - 1).astype(np.int64)
     row = np.clip(np.round(v), 0, view.height - 1).astype(np.int64)
     return take(cloud, covered[row, column] == 0)
 
 
-def _choose(proposed: Cloud, surveys: Sequence[Survey], most: int) -> tuple[Cloud, float]:
+def _choose(proposed: Cloud, all_depths: Sequence[ViewDepths], most: int) -> tuple[Cloud, float]:
     """At most ``most`` evenly spread points not seen through, coloured by all views, and how many pixels apart."""
     cloud, pixels = spread_to_count(proposed, most)
-    sight = look_from_all(cloud, surveys)
+    sight = look_from_all(cloud, all_depths)
     return take(replace(cloud, rgb=sight.rgb), (sight.through <= 1) | (2 * sight.through <= sight.in_place)), pixels
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .plane_sweep import DepthMap
-from .views import Array, View, between, inside, pixel_rays, project
+from .views import Array, SweepView, between, inside, pixel_rays, project
 
 _TOLERANCE = 1.0
 """Disagreement of two depths, as a move in the other picture in pixels, up to which they count as the same."""
@@ -67,7 +67,7 @@ class _Projection:
     shift: float
 
 
-def _project_surface(view: View, other: View, inverse_depth: Array) -> _Projection:
+def _project_surface(view: SweepView, other: SweepView, inverse_depth: Array) -> _Projection:
     """Where the surface a view sees lies in another view, straight from pixel to pixel."""
     matrix, offset = between(view, other)
     columns = np.arange(view.width, dtype=np.float32)
@@ -90,11 +90,11 @@ def _sample(picture: Array, u: Array, v: Array, outside: float) -> Array:
     )
 
 
-def _within(other: View, u: Array, v: Array) -> NDArray[np.bool_]:
+def _within(other: SweepView, u: Array, v: Array) -> NDArray[np.bool_]:
     return np.asarray((u >= 0) & (u <= other.width - 1) & (v >= 0) & (v <= other.height - 1))
 
 
-def _similarities(view: View, others: Sequence[View], places: Sequence[_Projection]) -> Array:
+def _similarities(view: SweepView, others: Sequence[SweepView], places: Sequence[_Projection]) -> Array:
     """Correlation of windows of a view and of others around the same surface, (others, H, W); -1 where not seen.
 
     Windows in which neither view has any texture above noise count as alike.
@@ -119,14 +119,14 @@ def _edges(inverse_depth: Array) -> NDArray[np.bool_]:
     return np.asarray(cv2.dilate(inverse_depth, kernel) - cv2.erode(inverse_depth, kernel) > _JUMP * inverse_depth)
 
 
-def _looseness(view: View) -> Array:
+def _looseness(view: SweepView) -> Array:
     """How much farther apart than on average points may stand, (H, W): texture needs more of them."""
     typical = max(float(np.median(view.contrast)), 1e-6)
     return np.asarray(np.clip((view.contrast / typical) ** -_DETAIL, 1 / _UNEVEN, _UNEVEN))
 
 
 def agree(
-    views: Sequence[View],
+    views: Sequence[SweepView],
     index: int,
     neighbours: Sequence[int],
     matched: Sequence[int],
@@ -177,7 +177,7 @@ def agree(
     )
 
 
-def _sideways(view: View, other: View) -> float:
+def _sideways(view: SweepView, other: SweepView) -> float:
     """Pixels a point at unit depth moves in the other view per relative change of its depth, seen from ``view``."""
     offset = other.centre - view.centre
     along = float(offset @ other.rotation[2])
@@ -185,7 +185,7 @@ def _sideways(view: View, other: View) -> float:
 
 
 def depth_ratio(
-    view: View, inverse_depth: Array, xyz: NDArray[np.float64]
+    view: SweepView, inverse_depth: Array, xyz: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
     """Depth of points (P, 3) over the depth seen there (> 1: hidden; NaN where unknown, 0), their columns and rows."""
     u, v, z = project(view, xyz)

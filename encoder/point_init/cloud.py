@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..numerics import nearest
 from .agreement import Candidates, depth_ratio
 from .frusta import DepthRange
-from .views import Array, View, inside, project
+from .views import Array, SweepView, inside, project
 
 _SEEN_THROUGH = 0.04
 """Share of its depth by which a point lies in front of what a view sees, when that view sees through it."""
@@ -35,12 +35,12 @@ class Cloud:
 
 
 @dataclass(frozen=True)
-class Survey:
+class ViewDepths:
     """What is known of one view: ``believed`` (H, W) inverse depths of its sweep, ``confirmed`` (H, W) those other
     views agree with, 0 elsewhere (both None if it shares nothing with others), ``nearest`` depth of the latter (0 if
     unknown)."""
 
-    view: View
+    view: SweepView
     depths: DepthRange | None
     believed: Array | None
     confirmed: Array | None
@@ -137,30 +137,30 @@ def spread_to_count(cloud: Cloud, most: int) -> tuple[Cloud, float]:
     return take(cloud, chosen), float(high) if high < np.inf else _CLOSEST
 
 
-def look_from_all(cloud: Cloud, surveys: Sequence[Survey]) -> Sight:
+def look_from_all(cloud: Cloud, all_depths: Sequence[ViewDepths]) -> Sight:
     """What the views say of a cloud's points."""
     through, in_place = np.zeros(len(cloud), np.int64), np.zeros(len(cloud), np.int64)
     rgb = cloud.rgb.copy()
-    for survey in surveys:
-        if survey.confirmed is None:
+    for view_depths in all_depths:
+        if view_depths.confirmed is None:
             continue
-        ratio, column, row = depth_ratio(survey.view, survey.confirmed, cloud.xyz)
+        ratio, column, row = depth_ratio(view_depths.view, view_depths.confirmed, cloud.xyz)
         through += ratio < 1 - _SEEN_THROUGH
         here = np.abs(ratio - 1) <= _SEEN_THROUGH
         in_place += here
-        rgb[here] += survey.view.picture[row[here], column[here]]
+        rgb[here] += view_depths.view.picture[row[here], column[here]]
     return Sight(through, in_place, rgb / (1 + in_place[:, None]).astype(np.float32))
 
 
-def too_near(cloud: Cloud, surveys: Sequence[Survey], share: float) -> NDArray[np.bool_]:
+def too_near(cloud: Cloud, all_depths: Sequence[ViewDepths], share: float) -> NDArray[np.bool_]:
     """Points (P,) right in front of a camera: nearer than ``share`` of the nearest depth confirmed in its view.
 
     Cameras that stand in one another's view are found as points, and they would hide what they look at.
     """
     near = np.zeros(len(cloud), bool)
-    for survey in surveys:
-        u, v, depth = project(survey.view, cloud.xyz)
-        near |= inside(survey.view, u, v) & (depth > 0) & (depth < share * survey.nearest)
+    for view_depths in all_depths:
+        u, v, depth = project(view_depths.view, cloud.xyz)
+        near |= inside(view_depths.view, u, v) & (depth > 0) & (depth < share * view_depths.nearest)
     return near
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .views import View, inside, pixel_rays, project
+from .views import SweepView, inside, pixel_rays, project
 
 RAY_GRID = (12, 9)
 _DEPTHS = 64
@@ -29,7 +29,7 @@ class DepthRange:
     far: float
 
 
-def ray_grid(view: View) -> NDArray[np.float64]:
+def ray_grid(view: SweepView) -> NDArray[np.float64]:
     """World directions of a coarse grid of the view's pixels, (G, 3), at unit depth."""
     u, v = np.meshgrid(
         (np.arange(RAY_GRID[0]) + 0.5) / RAY_GRID[0] * view.width - 0.5,
@@ -38,7 +38,7 @@ def ray_grid(view: View) -> NDArray[np.float64]:
     return pixel_rays(view, u.ravel(), v.ravel())
 
 
-def rig_size(views: Sequence[View]) -> float:
+def rig_size(views: Sequence[SweepView]) -> float:
     """Largest distance between two cameras, world units; 0 if all stand in one place."""
     centres = np.array([view.centre for view in views])
     return float(np.linalg.norm(centres[:, None] - centres[None], axis=-1).max())
@@ -53,7 +53,7 @@ def angle_worth(degrees: NDArray[np.floating]) -> NDArray[np.float64]:
     return np.asarray(small * np.exp(-(np.maximum(degrees - 16.0, 0.0) ** 2) / (2 * 13.0**2)))
 
 
-def shared_depths(views: Sequence[View]) -> list[DepthRange | None]:
+def shared_depths(views: Sequence[SweepView]) -> list[DepthRange | None]:
     """For every view the depths at which other views see a fair part of the same space; None if there are none.
 
     Nearest: where the worth for matching (best other view of each pixel, see ``angle_worth``) reaches a quarter of its
@@ -83,7 +83,7 @@ def shared_depths(views: Sequence[View]) -> list[DepthRange | None]:
     return ranges
 
 
-def _angles(xyz: NDArray[np.float64], a: View, b: View) -> NDArray[np.float64]:
+def _angles(xyz: NDArray[np.float64], a: SweepView, b: SweepView) -> NDArray[np.float64]:
     """Angles, in degrees, under which two cameras see points (..., 3)."""
     to_a, to_b = xyz - a.centre, xyz - b.centre
     lengths = np.linalg.norm(to_a, axis=-1) * np.linalg.norm(to_b, axis=-1)
@@ -91,7 +91,9 @@ def _angles(xyz: NDArray[np.float64], a: View, b: View) -> NDArray[np.float64]:
     return np.asarray(np.degrees(np.arccos(np.clip(cosines, -1, 1))))
 
 
-def choose_neighbours(views: Sequence[View], samples: Sequence[NDArray[np.float64]], count: int) -> list[list[int]]:
+def choose_neighbours(
+    views: Sequence[SweepView], samples: Sequence[NDArray[np.float64]], count: int
+) -> list[list[int]]:
     """For every view up to ``count`` others to match it with, best first.
 
     ``samples``: per view world points (S, 3) it may be looking at. Worth: the share of these the other view sees under
@@ -120,7 +122,7 @@ def choose_neighbours(views: Sequence[View], samples: Sequence[NDArray[np.float6
     return chosen_of_all
 
 
-def points_within(view: View, depths: DepthRange | None) -> NDArray[np.float64]:
+def points_within(view: SweepView, depths: DepthRange | None) -> NDArray[np.float64]:
     """World points (S, 3) all over the depths the view shares with others, evenly in inverse depth."""
     if depths is None:
         return np.zeros((0, 3))
@@ -129,7 +131,7 @@ def points_within(view: View, depths: DepthRange | None) -> NDArray[np.float64]:
 
 
 def depths_of(
-    view: View, own: NDArray[np.float64], all_views: NDArray[np.float64], shared: DepthRange | None
+    view: SweepView, own: NDArray[np.float64], all_views: NDArray[np.float64], shared: DepthRange | None
 ) -> DepthRange | None:
     """Depths between which a view should be searched closely, with a margin; ``shared`` if too little was found so far.
 
@@ -147,7 +149,7 @@ def depths_of(
     return DepthRange(float(near) * 0.9, float(far) * 1.15)
 
 
-def likely_points(view: View, xyz: NDArray[np.float64], depths: DepthRange | None) -> NDArray[np.float64]:
+def likely_points(view: SweepView, xyz: NDArray[np.float64], depths: DepthRange | None) -> NDArray[np.float64]:
     """World points (S, 3), one per cell of the view, at the median depth of what was found in it or in all."""
     if depths is None:
         return np.zeros((0, 3))

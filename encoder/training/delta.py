@@ -36,14 +36,14 @@ from .method import FrameInput, TrainedFrame, TrainingContext
 from .optimiser import OPTIMISERS, Optimiser
 from .schedule import (
     LEAST_STEPS,
-    Pace,
     SearchTime,
+    StepSchedule,
     TargetWatch,
     iteration_factor,
     search_of,
     search_seconds,
 )
-from .seeding import Look, missed, seeds, worth_a_search
+from .seeding import SearchView, missed, seeds, worth_a_search
 from .significance import picture_weight, revert_insignificant
 from .view_order import view_order
 from .warm_start import shared_displacements
@@ -80,9 +80,9 @@ class DeltaTrainer:
         """
         began = time.perf_counter()
         training = _DeltaTraining(self, frame, self._cache_of(frame.settings))
-        result, pace = training.run()
-        if frame.effort.deadline is not None:
-            self.step_seconds, steps = pace.steps_seconds
+        result, schedule = training.run()
+        if frame.stopping.deadline is not None:
+            self.step_seconds, steps = schedule.steps_seconds
             spent = time.perf_counter() - began
             self.min_seconds = spent - training.searching - steps + LEAST_STEPS * self.step_seconds
         return result
@@ -105,16 +105,16 @@ class _DeltaTraining:
         self._stream, self._frame, self._cache = stream, frame, cache
         self._kernel, self._views, self._watch = context.kernel, context.views, context.static_views
         self._threads, self._extent, self._most = context.threads, context.extent, context.max_gaussians
-        self._settings, self._effort = frame.settings, frame.effort
-        self._short = frame.effort.deadline is not None and (
-            stream.step_seconds * frame.settings.joint_iterations > frame.effort.deadline - time.perf_counter()
+        self._settings, self._stopping = frame.settings, frame.stopping
+        self._short = frame.stopping.deadline is not None and (
+            stream.step_seconds * frame.settings.joint_iterations > frame.stopping.deadline - time.perf_counter()
         )
         self._used = showing(frame.masks)
         self._random = np.random.default_rng((context.seed, frame.index))
         self._values: list[float] = []
         self.searching = 0.0
 
-    def run(self) -> tuple[TrainedFrame, Pace]:
+    def run(self) -> tuple[TrainedFrame, StepSchedule]:
         """The trained frame, and how far its schedule went."""
         scene, pictures, masks = self._frame.scene, self._frame.pictures, self._frame.masks
         before = self._squared_error(pictures, masks)
@@ -130,11 +130,11 @@ class _DeltaTraining:
             self._add_emerging(work, losses, masks, self._used)
         if "gate" in self._settings.ablated:
             self._open_gate(work, scene)
-        pace = self._stage2(work, scene, losses, masks)
+        schedule = self._stage2(work, scene, losses, masks)
         self._draw_probes(work)
         if self._squared_error(pictures, masks) > _DIVERGED * before:
-            return replace(work.unchanged(scene), rejected=True), pace
-        return replace(self._result(work), hurried=pace.hurry > 1), pace
+            return replace(work.unchanged(scene), rejected=True), schedule
+        return replace(self._result(work), hurried=schedule.hurry > 1), schedule
 
     def _probes(self) -> list[int]:
         """A few of the used views, enough to see what goes wrong everywhere; a handful of them when time is short."""
@@ -157,7 +157,7 @@ class _DeltaTraining:
         for index in self._probes():
             self._watch[index].draw(work.shown, work.rows)
 
-    def _pace(self, work: _Working, losses: Sequence[PhotometricLoss], masks: Sequence[FrameMask]) -> float:
+    def _iteration_factor(self, work: _Working, losses: Sequence[PhotometricLoss], masks: Sequence[FrameMask]) -> float:
         """How many times the iterations of stage 2 this frame gets."""
         if not self._settings.adaptive_iterations.usual_miss:
             return 1.0
@@ -181,18 +181,18 @@ class _DeltaTraining:
         """The cache alone; the last third gathers the gradients that densification goes by."""
         gathered = ViewGradients(len(work.rows))
         iterations = self._settings.cache_iterations
-        pace = Pace(iterations, self._effort.deadline_before(iterations, self._settings.joint_iterations))
+        schedule = StepSchedule(iterations, self._stopping.deadline_before(iterations, self._settings.joint_iterations))
         for step, index in self._views_at_random():
-            if pace.is_over:
+            if schedule.is_over:
                 break
             work.show(*cache.moved())
             gradients = self._gradients(work, losses, index)
             self._tell("cache", step)
             cache.backward(gradients.means, gradients.quaternions)
             cache.step()
-            if 3 * pace.position >= 2 * iterations:
+            if 3 * schedule.position >= 2 * iterations:
                 self._gather(gathered, gradients, losses, index)
-            pace.step()
+            schedule.step()
         work.show(*cache.moved())
         return gathered
 
@@ -202,7 +202,7 @@ class _DeltaTraining:
         scene: Splats,
         losses: Sequence[PhotometricLoss],
         masks: Sequence[FrameMask],
-    ) -> Pace:
+    ) -> StepSchedule:
         """The Gaussians' own values, with the cache if there is one; without it, densification falls in here."""
         settings, worth = self._settings, self._settings.significance.threshold
         rates = replace(settings.rates, means=settings.rates.means * self._extent)
@@ -210,24 +210,25 @@ class _DeltaTraining:
         grow_from, grow_at = settings.joint_iterations // 4, settings.joint_iterations // 2
         decide_at = max(grow_at + 1, round(settings.significance.decide_at * settings.joint_iterations))
         judged = self._cache is not None or worth == 0
-        pace = Pace(settings.joint_iterations, self._effort.deadline, factor=self._pace(work, losses, masks))
+        factor = self._iteration_factor(work, losses, masks)
+        schedule = StepSchedule(settings.joint_iterations, self._stopping.deadline, factor=factor)
         target = self._target(losses, masks)
         for step, index in self._views_at_random():
-            if pace.is_over:
+            if schedule.is_over:
                 break
-            if self._cache is None and pace.reaches(grow_at):
+            if self._cache is None and schedule.reaches(grow_at):
                 self._densify(work, gathered, masks)
             self._show(work)
-            if self._cache is None and pace.reaches(grow_from):
-                self._search_emerging(work, losses, masks, pace)
+            if self._cache is None and schedule.reaches(grow_from):
+                self._search_emerging(work, losses, masks, schedule)
                 gathered = ViewGradients(len(work.rows))
             gradients = self._gradients(work, losses, index)
             self._tell("joint", step)
-            if grow_from <= pace.position < grow_at:
+            if grow_from <= schedule.position < grow_at:
                 self._gather(gathered, gradients, losses, index)
             if self._cache is not None:
                 gradients = self._through_cache(work, gradients, self._cache)
-            if pace.reaches(decide_at) and not judged:
+            if schedule.reaches(decide_at) and not judged:
                 before, old, judged = work.before(scene), work.rows < len(scene), True
                 revert_insignificant(
                     work.optimiser, before, old, worth * picture_weight([losses[i] for i in self._used])
@@ -237,24 +238,24 @@ class _DeltaTraining:
             elif target is not None and target.saw(index, self._watch[index].rgb):
                 if judged:
                     break
-                pace.skip_to(decide_at)
-            if pace.position > grow_at and self._has_fallen_flat(step):
+                schedule.skip_to(decide_at)
+            if schedule.position > grow_at and self._has_fallen_flat(step):
                 break
-            late = settings.late_decay ** max(0.0, 2 * pace.position / settings.joint_iterations - 1)
-            work.optimiser.step(gradients, rates.scaled(late * min(pace.hurry**0.5, _MOST_HASTE)))
-            pace.step()
+            late = settings.late_decay ** max(0.0, 2 * schedule.position / settings.joint_iterations - 1)
+            work.optimiser.step(gradients, rates.scaled(late * min(schedule.hurry**0.5, _MOST_HASTE)))
+            schedule.step()
         self._show(work)
-        return pace
+        return schedule
 
     def _tell(self, stage: str, step: int) -> None:
-        if self._effort.on_loss is not None:
-            self._effort.on_loss(stage, step, self._values[-1])
+        if self._stopping.on_loss is not None:
+            self._stopping.on_loss(stage, step, self._values[-1])
 
     def _target(self, losses: Sequence[PhotometricLoss], masks: Sequence[FrameMask]) -> TargetWatch | None:
-        if self._effort.target_psnr is None:
+        if self._stopping.target_psnr is None:
             return None
         regions = [_focus(view, mask) for view, mask in zip(self._views, masks, strict=True)]
-        return TargetWatch(self._effort.target_psnr, [loss.target for loss in losses], regions)
+        return TargetWatch(self._stopping.target_psnr, [loss.target for loss in losses], regions)
 
     def _has_fallen_flat(self, step: int) -> bool:
         """Whether the round through all views that ends here lowered the loss by too little to go on."""
@@ -353,22 +354,22 @@ class _DeltaTraining:
         self._show(work)
 
     def _search_emerging(
-        self, work: _Working, losses: Sequence[PhotometricLoss], masks: Sequence[FrameMask], pace: Pace
+        self, work: _Working, losses: Sequence[PhotometricLoss], masks: Sequence[FrameMask], schedule: StepSchedule
     ) -> None:
         """Adds what newly appears; when time is short not in every frame, and by some of the views."""
-        if self._effort.deadline is None:
+        if self._stopping.deadline is None:
             self._add_emerging(work, losses, masks, self._used)
             return
         began = time.perf_counter()
         guess = search_seconds(self._settings.emergence.max_rays, len(self._used))
-        share = self._stream.search.affords(self._effort.deadline - began, guess)
+        share = self._stream.search.affords(self._stopping.deadline - began, guess)
         if share:
             looked, rays = search_of(share, len(self._used))
             apart = -(-len(self._used) // looked)
             self._add_emerging(work, losses, masks, self._used[self._frame.index % apart :: apart], rays)
             self.searching = time.perf_counter() - began
             self._stream.search.took(self.searching, share)
-            pace.put_off(self.searching)
+            schedule.put_off(self.searching)
 
     def _add_emerging(
         self,
@@ -396,24 +397,24 @@ class _DeltaTraining:
         settings = self._settings.emergence
         if settings.max_seeds <= 0:
             return empty_splats(work.base.sh_degree)
-        looks: dict[int, Look] = {}
+        searched: dict[int, SearchView] = {}
         misses: dict[int, NDArray[np.bool_]] = {}
         for probe in (views[::3], views):
-            new = [index for index in probe if index not in looks]
-            looks |= {index: self._look(work, index, losses[index].target, masks[index]) for index in new}
+            new = [index for index in probe if index not in searched]
+            searched |= {index: self._search_view(work, index, losses[index].target, masks[index]) for index in new}
             with side_by_side(self._threads) as each:
-                misses |= zip(new, each(missed, map(looks.__getitem__, new), repeat(settings)), strict=False)
+                misses |= zip(new, each(missed, map(searched.__getitem__, new), repeat(settings)), strict=False)
             if not worth_a_search(list(misses.values()), settings):
                 return empty_splats(work.base.sh_degree)
         fewer = replace(settings, max_rays=max(1, round(rays * settings.max_rays)))
-        found = [looks[i] for i in views], [misses[i] for i in views]
+        found = [searched[i] for i in views], [misses[i] for i in views]
         return seeds(*found, fewer, work.base.sh_degree, threads=self._threads)
 
-    def _look(self, work: _Working, index: int, target: FloatArray, mask: FrameMask) -> Look:
+    def _search_view(self, work: _Working, index: int, target: FloatArray, mask: FrameMask) -> SearchView:
         view, watching = self._views[index], self._watch[index]
         watching.draw(work.shown, work.rows, depth=True)
         depth = watching.depth / np.maximum(watching.alpha, np.float32(1e-6))
-        return Look(view.pinhole, target, watching.rgb, depth, _focus(view, mask))
+        return SearchView(view.pinhole, target, watching.rgb, depth, _focus(view, mask))
 
     def _open_gate(self, work: _Working, scene: Splats) -> None:
         """Ablation: from here on every Gaussian is stepped, with the momentum of the frames before."""

@@ -20,7 +20,7 @@ from ..rasterise import TrainingKernel
 from ..settings.encode import EncodeSettings
 from ..stopwatch import Stopwatch
 from .keyframe import scouted_pictures, train_keyframe
-from .schedule import Effort
+from .schedule import StoppingRule
 
 
 def train_first_frame(
@@ -33,7 +33,7 @@ def train_first_frame(
     seed: int,
     threads: int,
     corrector: Corrector | None,
-    effort: Effort,
+    stopping: StoppingRule,
     on_step: OnKeyframeStep | None,
 ) -> tuple[State, Lattice]:
     """The keyframe's Gaussians on the lattice that suits them; gives the ingest its near planes.
@@ -75,7 +75,7 @@ def train_first_frame(
             lattice_scale=settings.lattice_scale,
             corrector=corrector,
             on_step=on_step,
-            effort=effort,
+            stopping=stopping,
         )
     values = quantise(trained.splats, trained.lattice)
     state, _ = keyframe_state(as_far_as_shown(values) if settings.detect_per_frame else values)

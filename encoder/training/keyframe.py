@@ -25,13 +25,13 @@ from ..input.compensation import Corrector
 from ..input.ingest import View
 from ..point_init import FirstPoints
 from ..psnr import mean_psnr, psnr_of
-from ..rasterise import Picture, TrainingKernel, gradients_like
+from ..rasterise import RenderedPicture, TrainingKernel, gradients_like
 from ..settings.keyframe import KeyframeSettings
 from ..settings.optimiser import LearningRates
 from .densification import DENSIFICATIONS, ViewGradients
 from .losses import whole_picture_loss
 from .optimiser import OPTIMISERS
-from .schedule import WHOLE, Effort, TargetWatch
+from .schedule import WHOLE, StoppingRule, TargetWatch
 from .significance import cheapest, picture_weight
 from .view_order import view_order
 
@@ -90,19 +90,19 @@ def train_keyframe(
     lattice_scale: float = 1.0,
     corrector: Corrector | None = None,
     on_step: OnStep | None = None,
-    effort: Effort = WHOLE,
+    stopping: StoppingRule = WHOLE,
 ) -> TrainedKeyframe:
     """Trains the first frame's Gaussians on ``pictures`` (3, H, W) of ``views``; the same seed gives the same bits.
 
     ``lattice_scale``: how coarse the lattice is to be, in units of the default one's steps. ``corrector``: of the
-    cameras whose faults are found, and taken out of their pictures, on the way. ``effort``: a target in the whole
+    cameras whose faults are found, and taken out of their pictures, on the way. ``stopping``: a target in the whole
     pictures, but for the tiles kept out of the loss, ends training before the settings' iterations; deadlines are for
     later frames. Raises TrainingError without points or when the loss stops being finite.
     """
     if not len(points.xyz):
         raise TrainingError("there are no first points to train from; check the poses, or give the rig COLMAP points")
     random = np.random.default_rng(seed)
-    training = _KeyframeTraining(kernel, views, pictures, points, settings, lattice_scale, random, corrector, effort)
+    training = _KeyframeTraining(kernel, views, pictures, points, settings, lattice_scale, random, corrector, stopping)
     return training.run(on_step)
 
 
@@ -138,7 +138,7 @@ class _KeyframeTraining:
         lattice_scale: float,
         random: np.random.Generator,
         corrector: Corrector | None,
-        effort: Effort,
+        stopping: StoppingRule,
     ) -> None:
         self._kernel, self._views, self._settings, self._random = kernel, views, settings, random
         self._recorded, self._corrector = pictures, corrector
@@ -148,7 +148,7 @@ class _KeyframeTraining:
         self._losses = [
             whole_picture_loss(picture, c, settings.dissimilarity) for picture, c in zip(pictures, counted, strict=True)
         ]
-        self._effort, self._is_good_enough = effort, False
+        self._stopping, self._is_good_enough = stopping, False
         self._regions = [None if c is None else c > 0 for c in counted]
         self._target = self._target_watch()
         self._kept_back = [_kept_back(view, c) for view, c in zip(views, counted, strict=True)]
@@ -274,8 +274,8 @@ class _KeyframeTraining:
         return value.total
 
     def _tell(self, stage: str, step: int, loss: float) -> None:
-        if self._effort.on_loss is not None:
-            self._effort.on_loss(stage, step, loss)
+        if self._stopping.on_loss is not None:
+            self._stopping.on_loss(stage, step, loss)
 
     def _corrects_at(self, step: int) -> bool:
         iterations = self._settings.iterations
@@ -291,16 +291,16 @@ class _KeyframeTraining:
     def canonical(self, corrector: Corrector, step: int) -> list[FloatArray]:
         """The recorded pictures without the faults that they have against the scene as it is."""
 
-        def look(number: int) -> Picture:
+        def draw(number: int) -> RenderedPicture:
             camera = self._views[number].pinhole
             return self._kernel.forward(self._optimiser.splats, camera, sh_degree=self._degree(step), depth=True)
 
-        return corrector.undo(self._recorded, corrector.find_jointly(self._recorded, look))
+        return corrector.undo(self._recorded, corrector.find_jointly(self._recorded, draw))
 
     def _target_watch(self) -> TargetWatch | None:
-        if self._effort.target_psnr is None:
+        if self._stopping.target_psnr is None:
             return None
-        return TargetWatch(self._effort.target_psnr, [loss.target for loss in self._losses], self._regions)
+        return TargetWatch(self._stopping.target_psnr, [loss.target for loss in self._losses], self._regions)
 
     def _degree(self, step: int) -> int:
         """SH degree rises by one each quarter of the schedule."""

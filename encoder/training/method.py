@@ -21,7 +21,7 @@ from ..rasterise import FixedView, TrainingKernel
 from ..settings.encode import EncodeSettings
 from ..settings.frame import FrameSettings
 from .keyframe import scene_extent
-from .schedule import WHOLE, Effort
+from .schedule import WHOLE, StoppingRule
 
 MAX_GROWTH = 1.25
 """How much larger than the keyframe's the scene may become by clones and splits. Long streams would grow without end:
@@ -57,7 +57,7 @@ class FrameInput:
     ``index``: within the stream; with the seed it makes all that is random, so that a frame can be trained again alone.
     ``scene``: the reconstructed Gaussians of the frame before, N of them. ``selected`` (N,): S_t. ``pictures``: one
     (3, H, W) for each view, colours 0 to 1. ``masks``: one for each view, none for a dense method. ``motion`` (N, 3):
-    every Gaussian's last displacement, world units. ``settings``: of this frame. ``effort``: what ends training early.
+    every Gaussian's last displacement, world units. ``settings``: of this frame. ``stopping``: the end of training.
     """
 
     index: int
@@ -67,7 +67,7 @@ class FrameInput:
     masks: Sequence[FrameMask]
     motion: FloatArray
     settings: FrameSettings
-    effort: Effort = WHOLE
+    stopping: StoppingRule = WHOLE
 
 
 @dataclass(frozen=True)

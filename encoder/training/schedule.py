@@ -47,8 +47,8 @@ _LEAST_SEARCHED = 8
 
 
 @dataclass(frozen=True)
-class Effort:
-    """What ends a frame's training early, and who watches it; all None is the whole schedule.
+class StoppingRule:
+    """Conditions that end a frame's training early, and an observer of its steps; all None: the whole schedule.
 
     ``deadline``: when training is to be over, in seconds of ``time.perf_counter``; the result then depends on the
     machine. ``target_psnr``: what suffices (`TargetWatch`), in dB; higher is slower. ``on_loss``: called for every
@@ -67,7 +67,7 @@ class Effort:
         return now + (self.deadline - now) * steps / max(1, steps + later)
 
 
-WHOLE = Effort()
+WHOLE = StoppingRule()
 """The whole schedule, unwatched."""
 
 
@@ -83,7 +83,7 @@ def iteration_factor(settings: IterationSettings, errors: Sequence[FloatArray]) 
     return float(np.clip(missed / pixels / settings.usual_miss, settings.min_factor, settings.max_factor))
 
 
-class Pace:
+class StepSchedule:
     """Where a stage is in its schedule of ``iterations``: its steps are ``factor`` times as many, or fewer in time.
 
     Without a ``deadline`` ``position`` is the number of steps done, divided by the factor.

@@ -46,7 +46,7 @@ _PART = 500
 
 
 @dataclass(frozen=True)
-class Look:
+class SearchView:
     """One view at the moment of the search: its pinhole camera, picture and rendering (3, H, W), rendered depth (H, W).
 
     ``focus`` (H, W): where the frame may change at all. The depth is the mean along the ray, in world units.
@@ -59,15 +59,15 @@ class Look:
     focus: BoolArray
 
 
-def missed(look: Look, settings: EmergenceSettings) -> BoolArray:
+def missed(view: SearchView, settings: EmergenceSettings) -> BoolArray:
     """Pixels of the focus where the rendering clearly misses the picture; edges one pixel wide do not count. (H, W)."""
-    return _missed(look, settings.residual)
+    return _missed(view, settings.residual)
 
 
-def _missed(look: Look, levels: float) -> BoolArray:
-    focus = np.flatnonzero(look.focus)
-    rendered, picture = (np.take(planes.reshape(3, -1), focus, axis=1) for planes in (look.rendered, look.picture))
-    wrong = np.zeros(look.focus.shape, bool)
+def _missed(view: SearchView, levels: float) -> BoolArray:
+    focus = np.flatnonzero(view.focus)
+    rendered, picture = (np.take(planes.reshape(3, -1), focus, axis=1) for planes in (view.rendered, view.picture))
+    wrong = np.zeros(view.focus.shape, bool)
     wrong.reshape(-1)[focus] = np.abs(rendered - picture).max(axis=0) > np.float32(levels / 255)
     return cv2.morphologyEx(wrong.view(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)).view(np.bool_)
 
@@ -79,18 +79,23 @@ def worth_a_search(masks: Sequence[BoolArray], settings: EmergenceSettings) -> b
 
 
 def seeds(
-    looks: Sequence[Look], cores: Sequence[BoolArray], settings: EmergenceSettings, sh_degree: int, *, threads: int = 1
+    views: Sequence[SearchView],
+    cores: Sequence[BoolArray],
+    settings: EmergenceSettings,
+    sh_degree: int,
+    *,
+    threads: int = 1,
 ) -> Splats:
     """New Gaussians where the views agree that something stands before what is rendered; often none.
 
-    ``looks``: all training views; ``cores``: what each of them has ``missed``; ``sh_degree``: the scene's.
+    ``views``: all training views; ``cores``: what each of them has ``missed``; ``sh_degree``: the scene's.
     Deterministic.
     """
     if settings.max_seeds <= 0 or not worth_a_search(cores, settings):
         return empty_splats(sh_degree)
     step = max(1, -(-sum(int(core.sum()) for core in cores) // settings.max_rays))
     with side_by_side(threads) as each:
-        search = _Search(looks, cores, settings, each)
+        search = _Search(views, cores, settings, each)
         found = list(each(search.along_rays, search.rays(step)))
     if not found:
         return empty_splats(sh_degree)
@@ -140,30 +145,30 @@ class _Search:
     """What all rays are held against: every view's wide mask, smoothed picture and rendered depth."""
 
     def __init__(
-        self, looks: Sequence[Look], cores: Sequence[BoolArray], settings: EmergenceSettings, each: Each
+        self, views: Sequence[SearchView], cores: Sequence[BoolArray], settings: EmergenceSettings, each: Each
     ) -> None:
-        self._looks, self._cores, self._settings = looks, cores, settings
-        self._wide = list(each(lambda look, core: _wide(look, core, settings.residual / 2), looks, cores))
-        self._smooth = list(each(lambda look: _smoothed(look.picture), looks))
-        self._change = list(each(lambda look: _smoothed(look.picture - look.rendered), looks))
-        depths = np.concatenate([look.depth.ravel()[::17] for look in looks])
+        self._views, self._cores, self._settings = views, cores, settings
+        self._wide = list(each(lambda view, core: _wide(view, core, settings.residual / 2), views, cores))
+        self._smooth = list(each(lambda view: _smoothed(view.picture), views))
+        self._change = list(each(lambda view: _smoothed(view.picture - view.rendered), views))
+        depths = np.concatenate([view.depth.ravel()[::17] for view in views])
         near, far = np.percentile(depths[depths > 0], [1, 99]) if (depths > 0).any() else (1.0, 1.0)
         self._inverse = np.linspace(1 / (_NEAREST * near), 1 / far, settings.depths)
 
     def rays(self, step: int) -> list[_Rays]:
         """Rays of every ``step``-th pixel that a view misses, in the views' order, in parts of _PART."""
-        looks, cores = enumerate(self._looks), self._cores
-        joined = _join([self._rays_of(i, look, np.flatnonzero(cores[i])[i % step :: step]) for i, look in looks])
+        views, cores = enumerate(self._views), self._cores
+        joined = _join([self._rays_of(i, view, np.flatnonzero(cores[i])[i % step :: step]) for i, view in views])
         return [_take(joined, slice(at, at + _PART)) for at in range(0, len(joined.pixels), _PART)]
 
-    def _rays_of(self, index: int, look: Look, pixels: IntArray) -> _Rays:
+    def _rays_of(self, index: int, view: SearchView, pixels: IntArray) -> _Rays:
         return _Rays(
             np.full(len(pixels), index),
             pixels,
-            np.broadcast_to(camera_centre(look.camera), (len(pixels), 3)),
-            _directions(look.camera, pixels),
-            look.depth.ravel()[pixels],
-            look.picture.reshape(3, -1).T[pixels],
+            np.broadcast_to(camera_centre(view.camera), (len(pixels), 3)),
+            _directions(view.camera, pixels),
+            view.depth.ravel()[pixels],
+            view.picture.reshape(3, -1).T[pixels],
             self._smooth[index].reshape(-1, 3)[pixels],
         )
 
@@ -193,7 +198,7 @@ class _Search:
         rows = rows[np.lexsort((depth[rows], ray[rows]))]
         rows = rows[np.unique(ray[rows], return_index=True)[1]]  # the foremost of each ray
         ended, depth = _take(rays, ray[rows]), depth[rows]
-        pixel = depth / np.array([look.camera.fx for look in self._looks])[ended.views]
+        pixel = depth / np.array([view.camera.fx for view in self._views])[ended.views]
         return _Found(ended.origins + ended.directions * depth[:, None], ended.views, ended.colours, pixel, cost[rows])
 
     def _disagreement_at_surface(self, rays: _Rays) -> FloatArray:
@@ -218,12 +223,12 @@ class _Search:
     def _inside_hull(self, rays: _Rays, ray: IntArray, place: IntArray) -> tuple[IntArray, IntArray]:
         """Those of the samples that the masks of nearly all other views which see them hold."""
         settings = self._settings
-        allowed = settings.missing_fraction * len(self._looks)
+        allowed = settings.missing_fraction * len(self._views)
         seen = np.ones(len(ray), np.int64)
         misses = np.zeros(len(ray), np.int64)
-        for other in _far_first(int(rays.views[0]), len(self._looks)):
+        for other in _far_first(int(rays.views[0]), len(self._views)):
             points = rays.origins[ray] + rays.directions[ray] / self._inverse[place][:, None]
-            flat, *_ = _project(self._looks[other].camera, points)
+            flat, *_ = _project(self._views[other].camera, points)
             inside = (flat >= 0) & (rays.views[ray] != other)
             hit = inside & self._wide[other][np.maximum(flat, 0)]
             seen += inside
@@ -246,16 +251,16 @@ class _Search:
         most of them render.
         """
         count = len(points)
-        differences = np.full((len(pictures), len(self._looks), count), np.inf, np.float32)
+        differences = np.full((len(pictures), len(self._views), count), np.inf, np.float32)
         before, seen = np.zeros(count, np.int64), np.zeros(count, np.int64)
-        for other, look in enumerate(self._looks):
-            flat, u, v, depth = _project(look.camera, points)
+        for other, view in enumerate(self._views):
+            flat, u, v, depth = _project(view.camera, points)
             inside = np.flatnonzero((flat >= 0) & (views != other))
             at = flat[inside]
             for kind, (each, reference) in enumerate(zip(pictures, references, strict=True)):
                 colours = bilinear(each[other], u[inside], v[inside])
                 differences[kind, other, inside] = np.abs(colours - reference[inside]).max(axis=1)
-            rendered = look.depth.ravel()[at]
+            rendered = view.depth.ravel()[at]
             before[inside] += (rendered <= 0) | (depth[inside] < (1 - self._settings.in_front / 2) * rendered)
             seen[inside] += 1
         enough = seen >= self._settings.min_views - 1
@@ -271,9 +276,9 @@ def _mean_of_best(differences: FloatArray, seen: IntArray, enough: BoolArray) ->
     return np.where(enough, total / np.maximum(wanted, 1), np.inf).astype(np.float32)
 
 
-def _wide(look: Look, core: BoolArray, levels: float) -> BoolArray:
+def _wide(view: SearchView, core: BoolArray, levels: float) -> BoolArray:
     """``core`` and what is missed by ``levels``, a pixel wider, flat: a new object may look like what it hides."""
-    missing = (_missed(look, levels) | core).view(np.uint8)
+    missing = (_missed(view, levels) | core).view(np.uint8)
     return cv2.dilate(missing, np.ones((3, 3), np.uint8)).view(np.bool_).ravel()
 
 

@@ -51,7 +51,7 @@ class BaselineTrainer:
     def train(self, frame: FrameInput, /) -> TrainedFrame:
         """Trains all Gaussians; S_t, masks, motion, the frame's settings and an early end have no part in it."""
         scene, pictures = frame.scene, frame.pictures
-        self._on_loss = frame.effort.on_loss
+        self._on_loss = frame.stopping.on_loss
         self._random = np.random.default_rng((self._seed, frame.index))
         self._order = view_order(len(self._views), self._random)
         losses = [

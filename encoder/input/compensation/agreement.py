@@ -25,14 +25,14 @@ from decogs.formats.cameras import in_picture, project, ray_slopes, turned
 from decogs.formats.splats import FloatArray, logit
 
 from ...numerics import bilinear
-from ...rasterise import Picture
+from ...rasterise import RenderedPicture
 from ..ingest import View
 from .colour import OddsShift, tells, tukey_weights
 
 F64 = NDArray[np.float64]
 
 
-Look = Callable[[int], Picture]
+DrawView = Callable[[int], RenderedPicture]
 """The scene through the training view of that number, with its depth."""
 
 _SAMPLES = 2000
@@ -82,9 +82,9 @@ class SharedChanges(NamedTuple):
     known: NDArray[np.bool_]
 
 
-def shared_surface(views: Sequence[View], look: Look) -> SharedSurface:
+def shared_surface(views: Sequence[View], draw: DrawView) -> SharedSurface:
     """Points of the scene's surface, found in every view that sees them."""
-    depths = [_depth(look(number)) for number in range(len(views))]
+    depths = [_depth(draw(number)) for number in range(len(views))]
     samples = _LATER_SAMPLES // len(views)
     points = np.concatenate([_surface(view, depth, samples) for view, depth in zip(views, depths, strict=True)])
     pixels = [_pixels(view, depth, points) for view, depth in zip(views, depths, strict=True)]
@@ -120,12 +120,12 @@ def shared_changes(
     return SharedChanges(shifts, common, np.asarray(enough.all(axis=1)))
 
 
-def agreeing_shifts(views: Sequence[View], pictures: Sequence[FloatArray], look: Look) -> list[OddsShift]:
+def agreeing_shifts(views: Sequence[View], pictures: Sequence[FloatArray], draw: DrawView) -> list[OddsShift]:
     """The shift of every view's odds, up to one common shift a channel, which is chosen so that their mean is 0.
 
     ``pictures``: (3, H, W) of every view, turns taken out. A view that shares nothing with others gets 0.
     """
-    depths = [_depth(look(number)) for number in range(len(views))]
+    depths = [_depth(draw(number)) for number in range(len(views))]
     points = np.concatenate([_surface(view, depth, _SAMPLES) for view, depth in zip(views, depths, strict=True)])
     if not len(points):
         return [OddsShift(np.zeros(3), np.zeros(3))] * len(views)
@@ -138,7 +138,7 @@ def agreeing_shifts(views: Sequence[View], pictures: Sequence[FloatArray], look:
     return [OddsShift(*map(np.array, zip(*of_view, strict=True))) for of_view in zip(*solved, strict=True)]
 
 
-def _depth(picture: Picture) -> FloatArray:
+def _depth(picture: RenderedPicture) -> FloatArray:
     """Depth (H, W) of what the view sees, NaN where that is not opaque."""
     assert picture.depth is not None
     with np.errstate(divide="ignore", invalid="ignore"):

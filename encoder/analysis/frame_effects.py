@@ -22,7 +22,7 @@ from ..change.noise import picture_noise
 from ..parallel import side_by_side
 from . import appearance_change, motion
 from .changes import WINDOW_PIXELS, change_maps
-from .look import MOST_PIXELS
+from .rig_statistics import MOST_PIXELS
 
 _LEAST_CHANGED = 4 * WINDOW_PIXELS
 """Changed pixels of all views below which a frame is in doubt."""
