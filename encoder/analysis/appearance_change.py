@@ -14,15 +14,15 @@ from .rig_statistics import F64, RigStatistics
 if TYPE_CHECKING:
     from ..settings.encode import EncodeSettings
 LIMIT = 0.2
-"""Share of a change away from motion: the geometric middle of the shadows of what moves, and of light alone."""
+"""Share of a change away from motion: the geometric mean of its values for shadows of moving objects and for light."""
 
 _LEAST_SHARE = 0.001
 """Share of a picture below which a change is a speck: 93 pixels of 352 x 264."""
 
 
 class AppearanceChange:
-    """Evidence: of what changes, the share that is not near anything that moves; there the shadow belongs to the
-    motion. What changes too slowly to be seen from one frame to the next is looked for over several."""
+    """Evidence: share of the changed pixels away from motion; near it, shadows belong to the motion. Changes too slow
+    to detect between successive frames are detected over several."""
 
     name = "appearance_change"
 
@@ -53,7 +53,7 @@ class AppearanceChange:
 
 
 def _away_from_motion(stats: RigStatistics, *names: str) -> tuple[F64, F64, F64]:
-    """Shares (cameras, F): of pictures, what changes; what does so away from motion; of the first, the second."""
+    """Arrays (cameras, F): share of changed pixels, share of those away from motion, ratio of second to first."""
     changed, near = (np.stack([getattr(shares, name) for shares in stats.changes]) for name in names)
     alone = changed - near
     share = alone / np.maximum(changed, 1e-9)

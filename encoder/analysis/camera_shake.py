@@ -1,4 +1,4 @@
-"""A camera that does not stand still: its whole picture moves against its first frame."""
+"""Camera shake: the whole picture moves against the first frame."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Something is gone in the end: it left the pictures, or went behind or into something else."""
+"""Disappearance: an object leaves the pictures, or goes behind or into another object."""
 
 from __future__ import annotations
 
@@ -35,5 +35,5 @@ class Disappearance:
         return settings
 
     def disabled(self, settings: EncodeSettings) -> EncodeSettings:
-        """What has become faint stays."""
+        """Transparent Gaussians stay."""
         return replace(settings, frame=replace(settings.frame, prune_opacity=0.0))

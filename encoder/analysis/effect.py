@@ -41,23 +41,23 @@ class Evidence:
 
     @property
     def reached(self) -> BoolArray:
-        """Where the values reach the limit, (cameras, frames)."""
+        """Whether the values reach the limit, (cameras, frames)."""
         return np.asarray(np.nan_to_num(self.values, nan=-np.inf) >= self.limit)
 
     @property
     def camera_peaks(self) -> F64:
-        """Each camera's largest value (cameras,); NaN for a camera of which nothing could be determined."""
+        """Each camera's largest value (cameras,); NaN for an undetermined camera."""
         with_floor = np.where(np.isfinite(self.values), self.values, -np.inf).max(axis=1)
         return np.asarray(np.where(np.isfinite(with_floor), with_floor, np.nan))
 
 
 @dataclass(frozen=True)
 class Decision:
-    """Whether a scene calls for an effect, how sure that is, where and when, why, and what it costs.
+    """Decision on an effect, with its confidence, cameras, frames, reason and cost.
 
-    ``confidence``: 0.5 when the evidence lies at its limit, 0.9 at three times or a third of it; 0 when nothing could
-    be known. ``cameras``: names. ``frames``: inclusive spans in the rig's own numbers; the first frame of a span is
-    the first whose picture differs. ``reason`` and ``cost`` are one line each. ``figures``: what an encoder needs.
+    ``confidence``: 0.5 for evidence at its limit, 0.9 at three times or a third of it; 0 if undetermined. ``cameras``:
+    names. ``frames``: inclusive spans in the rig's own numbers, from the first frame whose picture differs. ``reason``
+    and ``cost`` are one line each. ``figures``: parameters for the encoder.
     """
 
     effect: str
@@ -77,11 +77,11 @@ class Effect(Protocol):
     def name(self) -> str: ...
 
     def evidence(self, stats: RigStatistics) -> Evidence:
-        """How strong the effect shows in the pictures."""
+        """Strength of the effect in the pictures."""
         ...
 
     def decide(self, stats: RigStatistics, evidence: Evidence) -> Decision:
-        """What follows from the evidence."""
+        """Decision from the evidence."""
         ...
 
     def enabled(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
@@ -94,7 +94,7 @@ class Effect(Protocol):
 
 
 def confidence(evidence: Evidence) -> float:
-    """How sure the decision is, by how far the peak lies from its limit: 1/2 there, 9/10 three times away; 0 untold."""
+    """Confidence by the ratio of peak and limit: 1/2 at 1, 9/10 at 3 and 1/3; 0 if undetermined."""
     peak = evidence.peak
     if not np.isfinite(peak):
         return 0.0
@@ -108,9 +108,9 @@ def cameras_beyond(evidence: Evidence) -> BoolArray:
 
 
 def spans(stats: RigStatistics, counts: BoolArray, *, gap: int = 0) -> tuple[Span, ...]:
-    """Inclusive spans of rig frames for the looked-at frames that count; pauses of up to ``gap`` of them are closed.
+    """Inclusive spans of rig frames for the analysed frames that count, with pauses of up to ``gap`` frames closed.
 
-    Where frames were left out, what shows in a looked-at frame may have begun right after the one before it.
+    In a thinned clip, a change may have begun right after the previous analysed frame.
     """
     found: list[Span] = []
     last = -1
@@ -125,20 +125,20 @@ def spans(stats: RigStatistics, counts: BoolArray, *, gap: int = 0) -> tuple[Spa
 
 
 def one_span(stats: RigStatistics, counts: BoolArray) -> tuple[Span, ...]:
-    """The span from the first to the last frame that counts: for what drifts and passes through zero."""
+    """The span from the first to the last frame that counts, for drifts that pass through zero."""
     return spans(stats, counts, gap=len(stats.frames))
 
 
 def seen_together(evidence: Evidence, cameras: int = 2) -> BoolArray:
     """Frames (F,) in which the evidence reaches its limit in at least that many cameras, or in all if there are fewer.
 
-    What happens in the scene shows in more than one view; what a single one shows is left to chance.
+    A change of the scene is visible in more than one view; evidence in a single view may be chance.
     """
     return np.asarray(evidence.reached.sum(axis=0) >= min(cameras, len(evidence.values)))
 
 
 def in_doubt(stats: RigStatistics, evidence: Evidence) -> bool:
-    """Whether there were frames to compare and nothing could be determined of them: every camera shakes."""
+    """Whether all cameras are undetermined although there are frames to compare: every camera shakes."""
     return len(stats.frames) > 1 and not np.isfinite(evidence.peak)
 
 
@@ -156,8 +156,7 @@ def decided(
 ) -> Decision:
     """The decision for an effect that is called for when any camera ``counts`` (cameras,).
 
-    Cameras, frames and cost are left out of one that is not. ``sure``: the confidence, where it is not that of the
-    evidence alone.
+    Other decisions have no cameras, frames and cost. ``sure``: the confidence, if not that of the evidence.
     """
     detected = bool(counts.any())
     return Decision(

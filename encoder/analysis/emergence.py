@@ -1,4 +1,4 @@
-"""Something is there in the end that was not there before, and did not come from elsewhere in the pictures."""
+"""Emergence: a new object that does not come from elsewhere in the pictures."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from ..settings.encode import EncodeSettings
 
 IMBALANCE = 60.0
-"""Per cent by which arrivals and departures must differ: what moves towards a camera grows, and arrives larger than it
-left; by 60 % it would be four times as large."""
+"""Least imbalance of arrivals and departures, in per cent: an object that moves towards a camera grows and arrives
+larger than it left; 60 % is four times as large."""
 _MOTION = Motion()
 _LEAST_SHARE = 0.25
-"""Share of the cameras that must see it: what merely enters or leaves the picture of one is motion to the others."""
+"""Least share of cameras with the evidence: an object that enters one picture merely moves in the others."""
 
 
 class Emergence:
@@ -43,21 +43,21 @@ class Emergence:
         return settings
 
     def disabled(self, settings: EncodeSettings) -> EncodeSettings:
-        """No seeds are sought, and no Gaussian is split."""
+        """Neither the search for emerging objects nor densification."""
         frame = settings.frame
         frame = replace(frame, grow_fraction=0.0, emergence=replace(frame.emergence, max_seeds=0))
         return replace(settings, frame=frame)
 
 
 def none_without_motion(stats: RigStatistics, values: F64) -> F64:
-    """The values (cameras, F) with 0 in cameras in which nothing moves: what came or went there is light."""
+    """The values (cameras, F), 0 in cameras without motion, where arrivals and departures are light."""
     moving = _MOTION.evidence(stats)
     still = np.isfinite(moving.values) & ~moving.reached.any(axis=1, keepdims=True)
     return np.asarray(np.where(still, 0.0, values))
 
 
 def decide_by_vote(stats: RigStatistics, effect: Effect, evidence: Evidence, *, what: str, cost: str) -> Decision:
-    """Called for where a quarter of the cameras, at least two, agree; only as sure as there are cameras that tell."""
+    """Called for if a quarter of the cameras agree, at least two; confidence falls with undetermined cameras."""
     needed = max(2, math.ceil(_LEAST_SHARE * len(stats.cameras)))
     frames = seen_together(evidence, needed)
     votes = int(np.any(evidence.reached, axis=1).sum())

@@ -1,4 +1,4 @@
-"""A camera whose exposure drifts: its whole picture grows brighter or darker, and other cameras' pictures do not."""
+"""Exposure drift: a camera's whole picture grows brighter or darker, unlike other cameras' pictures."""
 
 from __future__ import annotations
 

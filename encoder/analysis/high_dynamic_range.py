@@ -1,4 +1,4 @@
-"""Pictures brighter than white: scene-linear values beyond 1 in more than a trace of the pixels."""
+"""High dynamic range: scene-linear values above 1 in more than a trace of the pixels."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class HighDynamicRange:
         )
 
     def enabled(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
-        """Told of only: a stream keeps display-referred colours, and what is brighter than white is clipped."""
+        """Reported only: a stream has display-referred colours, clipped at white."""
         return settings
 
     def disabled(self, settings: EncodeSettings) -> EncodeSettings:

@@ -1,9 +1,9 @@
-"""Lenses that bend: by the rig's calibration, or, beyond it, by what neighbouring cameras see.
+"""Lens distortion: by the rig's calibration, or, beyond it, by matches between neighbouring cameras.
 
-A point seen by two cameras lies on its epipolar line in each, unless a lens bends. One coefficient k1 a camera
-(OpenCV's: distorted = undistorted (1 + k1 r^2)) and a small rotation a camera (so that a pose that is a little off is
-not taken for a lens) are fitted to all matches at once: Gauss-Newton on Sampson distances, with Tukey weights whose
-reach shrinks to four deviations, since a third of the matches may be wrong.
+Without distortion, a point in two pictures lies on its epipolar line in each. The fit has one coefficient k1 per camera
+(OpenCV's: distorted = undistorted (1 + k1 r^2)) and a small rotation per camera, so that errors of the pose are not
+distortion. Gauss-Newton minimises Sampson distances of all matches, with Tukey weights whose reach shrinks to four
+deviations, since a third of the matches may be wrong.
 """
 
 from __future__ import annotations
@@ -29,20 +29,19 @@ if TYPE_CHECKING:
     from ..settings.encode import EncodeSettings
 
 _LIMIT = 1.0
-"""Displacement that counts, in pixels looked at: three times what SIFT tells apart. Beyond the calibration it is taken
-at the radius within which nine of ten matches lie: the fit has seen nothing of what is farther out."""
+"""Least displacement that counts, in pixels of the analysed size: three times SIFT's accuracy. Beyond the calibration,
+it is that at the radius within which nine of ten matches lie: the fit has no data farther out."""
 _RADIUS_QUANTILE = 0.9
 _SURE = 3.0
-"""Deviations of the fit taken off what it finds: the rest is what the lens bends by at least."""
+"""Deviations of the fit, subtracted from its result for a lower bound of the distortion."""
 _LEAST_MATCHES = 30
 _LEAST_SHARE = 0.5
-"""Share of a camera's matches that must lie near their lines in the end: wrong matches lie there by chance, one in
-ten."""
+"""Least share of a camera's matches near their epipolar lines after the fit; by chance one in ten wrong matches is."""
 _UNKNOWNS = 4
 _ROUNDS = 12
 _FIRST_REACH, _SHRINKS = 20.0, 0.7
 _LEAST_DEVIATION = 0.3
-"""Pixels: SIFT does not find a point more exactly."""
+"""SIFT's accuracy, in pixels."""
 _ROTATION_PRIOR = np.radians(0.15)
 _K1_PRIOR = 0.3
 _STEP = 1e-5
@@ -76,7 +75,7 @@ class LensDistortion:
         )
 
     def enabled(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
-        """What a calibration says is undone in any case; here what it does not know."""
+        """Corrects the distortion beyond the calibration, which is undone in any case."""
         return replace(settings, corrections=replace(settings.corrections, lens=dict(decision.figures["k1"])))
 
     def disabled(self, settings: EncodeSettings) -> EncodeSettings:
@@ -99,7 +98,7 @@ def _reason(stats: RigStatistics, evidence: Evidence, uncalibrated: BoolArray) -
 
 
 def _calibrated(camera: Camera) -> float:
-    """How far the calibrated lens moves the pixel nearest to a corner that it reaches, in pixels; 0 for none."""
+    """Displacement of the calibrated lens near a corner, at the last pixel it reaches; 0 without distortion."""
     if not is_distorted(camera):
         return 0.0
     share = np.linspace(0, 1, 33)[:, None]
@@ -111,7 +110,7 @@ def _calibrated(camera: Camera) -> float:
 
 
 def _beyond_calibration(stats: RigStatistics) -> tuple[F64, F64, F64]:
-    """Displacement by each camera's k1 beyond its calibration, its deviation (pixels), and k1; NaN where untold."""
+    """Displacement by each camera's k1 beyond its calibration, its deviation (pixels), and k1; NaN: undetermined."""
     count = len(stats.cameras)
     beyond, error, k1 = (np.full(count, np.nan) for _ in range(3))
     fit = _Fit(stats.cameras, stats.matches.pairs)

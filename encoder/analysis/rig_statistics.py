@@ -25,7 +25,7 @@ from ..change.noise import picture_noise
 from ..input.ingest import display_referred
 from ..parallel import Each, side_by_side
 from .arrivals import Arrivals, camera_arrivals
-from .arrivals import untold as untold_arrivals
+from .arrivals import undetermined as undetermined_arrivals
 from .changes import ChangeShares, change_maps
 from .light import Light, light_at, light_overall, own_light, shared_points, without_drift
 from .matches import Matches, find_matches
@@ -204,6 +204,6 @@ def _changes(pictures: U8, recorded: U8, noise: float, path: CameraPath) -> tupl
     ``pictures``: ``recorded`` without the camera's drift, whose remainder grows over frames as slow light does.
     """
     if path.shakes:
-        return ChangeShares.untold(len(pictures)), untold_arrivals(len(pictures))
+        return ChangeShares.undetermined(len(pictures)), undetermined_arrivals(len(pictures))
     maps = [change_maps(before, now, noise) for before, now in pairwise(pictures)]
     return ChangeShares.of(maps, pictures, noise, slow=pictures is recorded), camera_arrivals(pictures, maps, noise)

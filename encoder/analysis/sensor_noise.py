@@ -1,4 +1,4 @@
-"""What a camera's pictures differ by from frame to frame when nothing happens."""
+"""Sensor noise: differences between successive pictures of a static scene."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ if TYPE_CHECKING:
     from ..settings.encode import EncodeSettings
 
 _ROUNDING = 0.3
-"""Deviation in levels that rounding to 8 bits brings by itself: 1 / sqrt 12, rounded up."""
+"""Deviation of rounding to 8 bits, in levels: 1 / sqrt 12, rounded up."""
 _MULTIPLE = 6
-"""A change must be so many deviations of the difference of two pictures to be no noise."""
+"""Least size of a change, in deviations of the difference of two pictures."""
 
 
 class SensorNoise:

@@ -1,13 +1,13 @@
-"""Colour that depends on where it is seen from: gloss, mirrors, sheen.
+"""View-dependent colour: gloss, mirrors, sheen.
 
-Points that neighbouring cameras have in common are compared in colour, after what the two cameras differ by as a
-whole. **Only the absence of view dependence can be determined this way**: where views agree to a few levels, there is
-none. Where they do not, it may be gloss, or a slanted surface that is resampled otherwise, and a texture strong enough
-to be matched makes that large enough: a matte wall (in the tests) disagrees by 11 levels, a matte rendering of
-`workbench` by 9.2, the same with its gloss by 9.4, `workbench` itself by 10.2. So a yes is never surer than even.
+The evidence compares colours of points that neighbouring cameras share, without the cameras' overall difference. **Only
+the absence of view dependence can be determined this way**: views that agree to a few levels have none. A disagreement
+may be gloss, or different resampling of a slanted surface, which is large at textures strong enough for matching: a
+matte wall (in the tests) disagrees by 11 levels, a matte rendering of `workbench` by 9.2, the same with its gloss by
+9.4, `workbench` itself by 10.2. So the confidence in view dependence is at most one half.
 
-**The keyframe decides then.** It is trained with the preset's harmonics, and rounding (`training/keyframe.py`) keeps of
-them what the pictures show: on three synthetic rigs 2 to 3 of a thousand Gaussians keep any, on a recorded dome 119.
+**The keyframe decides then.** It is trained with the preset's harmonics, and rounding (`training/keyframe.py`) keeps
+the visible ones: on three synthetic rigs 2 to 3 of a thousand Gaussians keep any, on a recorded dome 119.
 Below ``LEAST_SHOWN`` the stream has none, and later frames train none. Rejected: a second training without harmonics,
 to compare the tiles left out of the loss (twice the time, and two trainings differ by more than that by chance).
 """
@@ -33,19 +33,19 @@ if TYPE_CHECKING:
     from ..settings.encode import EncodeSettings
 
 _LIMIT = 4.0
-"""Levels of 255: the smallest change that counts from frame to frame, too."""
+"""Levels of 255: the same as the smallest change between frames that counts."""
 _QUANTILE = 0.9
-"""Gloss is a small part of a scene: nine matches of ten may agree."""
+"""Quantile of the matches' differences: gloss is a small part of a scene."""
 _NEAR_LINE = 1.5
-"""Pixels from the epipolar line within which a match is believed."""
+"""Largest distance of an inlier from its epipolar line, in pixels."""
 _LEAST_MATCHES = 30
 _SMOOTHING = 2.0
-"""Deviation, in pixels, of the window compared: finer detail never falls on the same pixels twice."""
+"""Deviation, in pixels, of the smoothing before the comparison: finer detail depends on resampling."""
 _DARK = 8.0
-"""Levels added before logarithms, so that noise in the dark does not count for more than in the light."""
+"""Levels added before logarithms, which limits the weight of noise in dark pixels."""
 _AT_MOST = 0.5
 LEAST_SHOWN = 0.01
-"""Share of a keyframe's Gaussians that must have harmonics of a degree or above for the stream to have that degree."""
+"""Least share of a keyframe's Gaussians with harmonics of a degree or above for the stream to have that degree."""
 
 
 class ViewDependence:
@@ -100,7 +100,7 @@ def as_far_as_shown(values: Attributes) -> Attributes:
 
 
 def _differences(stats: RigStatistics, pair: PairMatches, first: U8 | F64, second: U8 | F64) -> F64:
-    """Levels by which the colours of a pair's believable matches differ, beyond what they all do."""
+    """Differences in colour, in levels, of a pair's inlier matches, beyond their common difference."""
     cameras = stats.cameras[pair.first], stats.cameras[pair.second]
     rotations = [camera.world_to_camera[:3, :3] for camera in cameras]
     baseline = camera_centre(cameras[0]) - camera_centre(cameras[1])

@@ -1,4 +1,4 @@
-"""A camera whose white balance drifts: red or blue of its whole picture against green, unlike other cameras'."""
+"""White-balance drift: a camera's red or blue drifts against green in its whole picture, unlike other cameras'."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """First points from the rig itself: a coloured cloud for the keyframe, from poses and pictures of frame 0 alone.
 
-A coarse plane sweep over the depths the cameras share finds where things are, a fine one over just these depths finds
-the surfaces, agreement between views decides what to believe, and gaps are filled with guesses. Points from elsewhere
-(COLMAP) join.
+A coarse plane sweep over the cameras' shared depths finds the depth range, and a fine sweep over this range finds the
+surfaces. Consistency between views confirms points, and guesses fill gaps. Points from elsewhere (COLMAP) join.
 """
 
 from __future__ import annotations
@@ -44,17 +43,17 @@ _COARSE_PIXELS = 14_000
 """Largest pictures of the sweeps, in pixels: one view's, all views' together, one view's in the coarse sweep."""
 _MOST_PLANES = 128
 _MATCHED, _COMPARED = 4, 8
-"""Neighbours a view is matched with, and those its depths are compared with."""
+"""Neighbours for matching, and for checking the consistency of depths."""
 _SURPLUS = 3.0
-"""Candidates per point of the cap that are looked at when choosing."""
+"""Candidates per point of the cap from which points are chosen."""
 _CONFIRMED_SHARE = 0.85
 """Share of the room that confirmed points may take at first; the rest is for guesses."""
 _COARSE_CONFIDENCE = 0.5
-"""Confidence in points only the coarse sweep finds, relative to the fine one's."""
+"""Confidence in points of the coarse sweep alone, relative to those of the fine one."""
 _FEW = 100
-"""Confirmed points below which a view does not tell how near things are."""
+"""Least confirmed points of a view for its nearest depth to count."""
 _CLEAR = 0.5
-"""Share of a view's nearest confirmed depth within which other views' points are taken for the camera itself."""
+"""Share of a view's nearest confirmed depth below which other views' points count as its camera's housing."""
 
 
 class KnownPoints(Protocol):
@@ -68,7 +67,7 @@ class KnownPoints(Protocol):
 
 @dataclass(frozen=True)
 class FirstPoints:
-    """Where training starts.
+    """The initial points of training.
 
     ``xyz`` (P, 3) world; ``rgb`` (P, 3) 0..1; ``spacing`` (P,) world units, the size one point has to cover (mean
     distance to its three nearest, within bounds); ``confidence`` (P,) 0..1, 0.05 for a guess.
@@ -162,7 +161,7 @@ def _sweep_all(
     ranges: Sequence[DepthRange | None],
     samples: Sequence[NDArray[np.float64]],
 ) -> tuple[list[Candidates], list[DepthMap | None]]:
-    """What every view proposes and its depth map; nothing and None for views that share nothing with others."""
+    """Every view's candidates and depth map; no candidates and None for views without shared depths."""
     neighbours = choose_neighbours(views, samples, _COMPARED)
 
     def depth_map(i: int) -> DepthMap | None:
@@ -192,7 +191,7 @@ def _view_depths(
 
 
 def _known_cloud(known: KnownPoints | None, views: Sequence[SweepView]) -> Cloud:
-    """The given points as a cloud; their spacing is a pixel of the view nearest to them that sees them."""
+    """The given points as a cloud; their spacing is a pixel of the nearest view that sees them."""
     if known is None or not len(known.xyz):
         return empty_cloud()
     xyz = np.asarray(known.xyz, np.float64)
@@ -207,7 +206,7 @@ def _known_cloud(known: KnownPoints | None, views: Sequence[SweepView]) -> Cloud
 
 
 def _where_unconfirmed(coarse: SweepView, candidates: Candidates, view_depths: ViewDepths) -> Cloud:
-    """Points of the coarse sweep where the fine one confirms nothing: little texture, very different views."""
+    """Points of the coarse sweep where the fine one confirms none: little texture, very different views."""
     cloud = thin_candidates(candidates, 1)
     cloud = replace(cloud, confidence=np.float32(_COARSE_CONFIDENCE) * cloud.confidence)
     if view_depths.confirmed is None:
@@ -222,7 +221,7 @@ def _where_unconfirmed(coarse: SweepView, candidates: Candidates, view_depths: V
 
 
 def _choose(proposed: Cloud, all_depths: Sequence[ViewDepths], most: int) -> tuple[Cloud, float]:
-    """At most ``most`` evenly spread points not seen through, coloured by all views, and how many pixels apart."""
+    """At most ``most`` evenly spread points without floaters, coloured by all views, and their spacing in pixels."""
     cloud, pixels = spread_to_count(proposed, most)
     sight = look_from_all(cloud, all_depths)
     return take(replace(cloud, rgb=sight.rgb), (sight.through <= 1) | (2 * sight.through <= sight.in_place)), pixels

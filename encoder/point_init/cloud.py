@@ -1,4 +1,4 @@
-"""One cloud out of the views' candidates: evenly spread, at most so many, without floaters."""
+"""One cloud from the views' candidates: evenly spread, of limited size, without floaters."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from .frusta import DepthRange
 from .views import Array, SweepView, inside, project
 
 _SEEN_THROUGH = 0.04
-"""Share of its depth by which a point lies in front of what a view sees, when that view sees through it."""
+"""Relative depth by which a point lies in front of a view's surface if that view sees through it."""
 
 _CLOSEST = 0.7
-"""Pixels between points from which on more of them tell nothing new."""
+"""Least useful distance between points, in pixels."""
 _TRIALS = 10
 
 
@@ -36,9 +36,8 @@ class Cloud:
 
 @dataclass(frozen=True)
 class ViewDepths:
-    """What is known of one view: ``believed`` (H, W) inverse depths of its sweep, ``confirmed`` (H, W) those other
-    views agree with, 0 elsewhere (both None if it shares nothing with others), ``nearest`` depth of the latter (0 if
-    unknown)."""
+    """Depths of one view: ``believed`` (H, W), inverse depths of its sweep; ``confirmed`` (H, W), those consistent with
+    other views, 0 elsewhere (both None without shared depths); ``nearest`` confirmed depth (0: unknown)."""
 
     view: SweepView
     depths: DepthRange | None
@@ -138,7 +137,7 @@ def spread_to_count(cloud: Cloud, most: int) -> tuple[Cloud, float]:
 
 
 def look_from_all(cloud: Cloud, all_depths: Sequence[ViewDepths]) -> Sight:
-    """What the views say of a cloud's points."""
+    """Visibility of a cloud's points in all views."""
     through, in_place = np.zeros(len(cloud), np.int64), np.zeros(len(cloud), np.int64)
     rgb = cloud.rgb.copy()
     for view_depths in all_depths:
@@ -155,7 +154,7 @@ def look_from_all(cloud: Cloud, all_depths: Sequence[ViewDepths]) -> Sight:
 def too_near(cloud: Cloud, all_depths: Sequence[ViewDepths], share: float) -> NDArray[np.bool_]:
     """Points (P,) right in front of a camera: nearer than ``share`` of the nearest depth confirmed in its view.
 
-    Cameras that stand in one another's view are found as points, and they would hide what they look at.
+    Points on a camera in another camera's view would hide the scene from it.
     """
     near = np.zeros(len(cloud), bool)
     for view_depths in all_depths:

@@ -13,17 +13,17 @@ from .views import SweepView, inside, pixel_rays, project
 RAY_GRID = (12, 9)
 _DEPTHS = 64
 _WIDEST_RANGE = 400.0
-"""Farthest over nearest depth looked at, in a rig whose views overlap up to infinity."""
+"""Ratio of farthest to nearest depth searched, in a rig whose views overlap up to infinity."""
 _SHARE = 0.1
-"""Share of a view's pixels that another view has to see for a depth to count as shared."""
+"""Least share of a view's pixels that another view sees at a shared depth."""
 _WORTH = 0.25
 _FEWEST_POINTS = 200
-"""Points found in a view from which on they tell its depth range."""
+"""Least points in a view for its depth range to come from them."""
 
 
 @dataclass(frozen=True)
 class DepthRange:
-    """Depths (along the optical axis, world units) between which a view is searched."""
+    """Depth range of a view's search, along the optical axis, in world units."""
 
     near: float
     far: float
@@ -45,9 +45,9 @@ def rig_size(views: Sequence[SweepView]) -> float:
 
 
 def angle_worth(degrees: NDArray[np.floating]) -> NDArray[np.float64]:
-    """What a point seen by two views under this angle is worth for matching: 1 between 6 and 16 degrees, 0 at none.
+    """Usefulness for matching of this angle between two views' rays to a point: 1 from 6 to 16 degrees, 0 at 0.
 
-    Smaller angles tell little about depth, under larger ones the pictures look different.
+    Smaller angles hardly constrain depth; under larger ones the pictures differ.
     """
     small = np.minimum(degrees / 6.0, 1.0)
     return np.asarray(small * np.exp(-(np.maximum(degrees - 16.0, 0.0) ** 2) / (2 * 13.0**2)))
@@ -133,7 +133,7 @@ def points_within(view: SweepView, depths: DepthRange | None) -> NDArray[np.floa
 def depths_of(
     view: SweepView, own: NDArray[np.float64], all_views: NDArray[np.float64], shared: DepthRange | None
 ) -> DepthRange | None:
-    """Depths between which a view should be searched closely, with a margin; ``shared`` if too little was found so far.
+    """Depth range of a view's fine search, with a margin; ``shared`` if too few points are known.
 
     ``own`` (P, 3): points found in this view; ``all_views`` (Q, 3): in all. Of the latter the outermost hundredths are
     left out: among them are the camera's own housing, seen by others, and what it cannot see behind other things.

@@ -1,4 +1,4 @@
-"""Points where views have none: guesses, so that training has something to start from everywhere it will be judged."""
+"""Guessed points where views have none, so that training starts with points everywhere."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from .frusta import DepthRange, rig_size
 from .views import Array, SweepView, floats, inside, pixel_rays, project
 
 CELL = 8
-"""Side, in pixels, of the picture cells that should hold a point."""
+"""Side, in pixels, of picture cells, each of which gets a point."""
 _APART = 1.2
-"""Distance between guesses, in units of that between confirmed points."""
+"""Distance between guesses over that between confirmed points."""
 _BELIEVED = 0.5
-"""Share of the guesses at the unconfirmed depth of the view's own sweep, where it is likely enough."""
+"""Share of the guesses at the unconfirmed depth of the view's own sweep, where it is plausible."""
 _SCATTER, _WIDE_SCATTER = 0.05, 0.5
 """Relative standard deviation of the depth of the other guesses around that of known points near them: in a view in
 which enough is confirmed, and in one in which nothing is."""
 _ENOUGH = 0.4
-"""Share of confirmed pixels that is enough."""
+"""Sufficient share of confirmed pixels."""
 _CONFIDENCE = 0.05
 _FEW_KNOWN = 0.01
 """Share of a view's pixels with confirmed depths below which points of other views tell its depths."""
 _WITHOUT_POINTS = 20_000
-"""Guesses in all if there is no confirmed point."""
+"""Total number of guesses without any confirmed point."""
 _CLEAR = 0.9
 """Share of the nearest confirmed depth of any view that sees it at which a guess must lie at least."""
 
 
 def guess_points(cloud: Cloud, all_depths: Sequence[ViewDepths], pixels: float, random: np.random.Generator) -> Cloud:
-    """Points where views have none of ``cloud``: near what is known, or anywhere in the frusta if nothing is.
+    """Points where views have none of ``cloud``: near known points, or anywhere in the frusta without these.
 
-    ``pixels``: how far apart the points of ``cloud`` are in a picture.
+    ``pixels``: distance between the points of ``cloud`` in a picture.
     """
     found = [empty_cloud()]
     if not len(cloud):
@@ -53,7 +53,7 @@ def guess_points(cloud: Cloud, all_depths: Sequence[ViewDepths], pixels: float, 
 
 
 def cell_counts(view: SweepView, xyz: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Points per picture cell of 8 x 8 pixels, (rows, columns); what hides what is not looked at."""
+    """Points per picture cell of 8 x 8 pixels, (rows, columns), without regard to occlusion."""
     u, v, _ = project(view, xyz)
     visible = inside(view, u, v)
     columns, rows = -(-view.width // CELL), -(-view.height // CELL)
@@ -64,7 +64,7 @@ def cell_counts(view: SweepView, xyz: NDArray[np.float64]) -> NDArray[np.int64]:
 def fill_depths(known: Array) -> Array:
     """Known inverse depths (H, W; 0: unknown) spread into the gaps, the far ones a little stronger; (H, W).
 
-    Push and pull: unknown pixels get the mean of ever larger surroundings, until there is a known one.
+    Push-pull interpolation: unknown pixels get the mean of growing surroundings, up to the first known pixel.
     """
     weight = np.where(known > 0, 1 / np.maximum(known, 1e-12), 0).astype(np.float32)
     weight /= max(float(weight.max()), 1e-12)
@@ -109,7 +109,7 @@ def _guess(view: SweepView, column: NDArray[np.int64], row: NDArray[np.int64], d
 def fill_empty_cells(view_depths: ViewDepths, cloud: Cloud, pixels: float, random: np.random.Generator) -> Cloud:
     """Points for the cells of a view in which no point of ``cloud`` falls.
 
-    Some lie at the depth of known points around, with some scatter, some at the unconfirmed depth of the own sweep.
+    Their depths are those of known points around, with some scatter, or unconfirmed ones of the view's sweep.
     """
     view = view_depths.view
     empty = np.argwhere(cell_counts(view, cloud.xyz) == 0)

@@ -1,4 +1,4 @@
-"""What the search for first points knows of one camera: its pinhole model, its picture and a picture to match with."""
+"""One camera in the search for first points: its pinhole model, its picture and a normalised picture for matching."""
 
 from __future__ import annotations
 

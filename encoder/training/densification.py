@@ -1,6 +1,6 @@
-"""Where Gaussians are added and taken away: all over the keyframe, and only inside the focus of a later frame.
+"""Densification and pruning: in the whole keyframe, and only inside the focus of a later frame.
 
-Source: Kerbl 2023, section 5.2 (clone what is small, split what is large, where the projected centre's gradient is
+Source: Kerbl 2023, section 5.2 (clone small Gaussians and split large ones where the projected centre's gradient is
 high); DecoGS for later frames (docs/METHOD.md, "Selective densification"). Rejected for the keyframe: growth without a
 limit (on `workbench` 80 000 Gaussians fit the training views 1.2 dB better than 52 000 and the held-out one no better).
 Opacity resets: not tried.
@@ -44,7 +44,7 @@ class ViewGradients:
 
 @dataclass(frozen=True)
 class Growth:
-    """What densification proposes: ``children`` to append, one per row of ``parents``, and the parents' new values."""
+    """Proposal of a densification: ``children`` to append, one per row of ``parents``, and the parents' new values."""
 
     parents: NDArray[np.int64]
     children: Splats
@@ -84,7 +84,7 @@ def strongest(
 
 
 class Densification(Protocol):
-    """Chooses where Gaussians are added, and which; called a few times in a keyframe, once in a later frame."""
+    """Chooses the Gaussians to add; called a few times in a keyframe, once in a later frame."""
 
     def __call__(
         self,

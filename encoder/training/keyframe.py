@@ -116,9 +116,9 @@ def scouted_pictures(
     *,
     seed: int,
 ) -> list[FloatArray]:
-    """The pictures without their cameras' faults, as far as a short training tells them.
+    """The pictures without their cameras' faults, as estimated by a short training.
 
-    For a second search for first points: what a turned camera sees agrees with no other one to the pixel.
+    For a second search for first points: pictures of a turned camera match no others to the pixel.
     """
     short = replace(settings, iterations=_SCOUTING, validation_fraction=0.0, settle_iterations=0)
     random = np.random.default_rng(seed)
@@ -169,7 +169,7 @@ class _KeyframeTraining:
         return TrainedKeyframe(splats, lattice, steps, self._training_psnr(splats))
 
     def _check_learnt(self, splats: Splats) -> None:
-        """Raises TrainingError when training has diverged: no view draws anything, or the loss is what it was."""
+        """Raises TrainingError when training has diverged: no Gaussian is visible, or the loss has not fallen."""
         count = len(self._views)
         rounds = [sum(self._values[i : i + count]) for i in range(0, len(self._values) - count + 1, count)]
         if not len(splats):
@@ -209,7 +209,7 @@ class _KeyframeTraining:
         return step
 
     def _settle_on_lattice(self, steps: int, on_step: OnStep | None) -> Lattice:
-        """Puts one attribute after the other on the lattice, which is coarse, and trains the others around them."""
+        """Rounds one attribute after the other to the coarse lattice and trains the others around them."""
         total = self._settings.settle_iterations
         extent, centre = robust_extent(self._optimiser.splats.means)
         lattice = default_lattice(extent, centre=centre, scale=self._lattice_scale)
@@ -227,14 +227,14 @@ class _KeyframeTraining:
         return lattice
 
     def _fix(self, names: Sequence[str], points: Attributes, lattice: Lattice) -> None:
-        """From now on these attributes are at ``points`` of the lattice."""
+        """Sets these attributes to ``points`` of the lattice and holds them."""
         splats, there = self._optimiser.splats, dequantise(points, lattice)
         for name in names:
             getattr(splats, name)[:] = getattr(there, name)
         self._optimiser.hold({name: np.ones(getattr(splats, name).shape, bool) for name in names})
 
     def _judged(self, lattice: Lattice) -> Attributes:
-        """Lattice points: rotations and view-dependent colours as far as they show, the rest the nearest."""
+        """Lattice points: rate-distortion optimised for rotations and view-dependent colours, else the nearest."""
         splats, bit = self._optimiser.splats, self._settings.rd_lambda
         points, share = quantise(splats, lattice), np.float32(picture_weight(self._losses))
         quaternions, sh = (self._optimiser.gradient_size(name) / share for name in ("quaternions", "sh"))
@@ -283,13 +283,13 @@ class _KeyframeTraining:
         return step % every == 0 and _CORRECT_FROM <= step / iterations <= _CORRECT_TO
 
     def _correct(self, corrector: Corrector, step: int) -> None:
-        """Trains on from here on the pictures without the cameras' faults, as far as the scene tells them by now."""
+        """Replaces the target pictures by ones without the cameras' faults, estimated against the scene so far."""
         pictures = self.canonical(corrector, step)
         self._losses = [replace(loss, target=target) for loss, target in zip(self._losses, pictures, strict=True)]
         self._target = self._target_watch()
 
     def canonical(self, corrector: Corrector, step: int) -> list[FloatArray]:
-        """The recorded pictures without the faults that they have against the scene as it is."""
+        """The recorded pictures without the cameras' faults, estimated against the scene so far."""
 
         def draw(number: int) -> RenderedPicture:
             camera = self._views[number].pinhole
@@ -337,7 +337,7 @@ class _KeyframeTraining:
         self._view_gradients = ViewGradients(len(self._optimiser.splats))
 
     def validation_psnr(self, step: int) -> float:
-        """PSNR over the tiles that no loss has seen."""
+        """PSNR over the tiles kept out of the loss."""
         square, pixels = 0.0, 0.0
         for view, loss, kept in zip(self._views, self._losses, self._kept_back, strict=True):
             if kept is None:
@@ -348,7 +348,7 @@ class _KeyframeTraining:
         return psnr_of(square / max(pixels, 1.0))
 
     def _seen(self, splats: Splats) -> NDArray[np.bool_]:
-        """Gaussians that some training view draws: the others cost bytes and show only as floaters elsewhere."""
+        """Gaussians visible in some training view; the others cost bytes and show only as floaters elsewhere."""
         seen = np.zeros(len(splats), bool)
         for view in self._views:
             self._kernel.forward(splats, view.pinhole)
@@ -360,7 +360,7 @@ class _KeyframeTraining:
 
 
 def _counted(view: View, share: float, random: np.random.Generator) -> FloatArray | None:
-    """1 where a pixel counts in the loss: recorded, and not in one of the tiles kept back."""
+    """1 at pixels that count in the loss: recorded ones outside the validation tiles."""
     height, width = view.pinhole.height, view.pinhole.width
     counted = np.ones((height, width), np.float32) if view.valid is None else view.valid.copy()
     if share > 0:

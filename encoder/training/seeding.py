@@ -1,15 +1,15 @@
-"""What newly appears in a later frame: seeds of new Gaussians, found in the pictures themselves.
+"""Seeds of new Gaussians for objects that appear in a later frame, from the pictures alone.
 
-Moving and splitting the selected Gaussians cannot make an object that comes out of a box or into the scene. So, once
-the selected have had time to follow the pictures, what still differs clearly from the pictures is looked at: rays of
-such pixels are cut where the residual masks of the other views agree (a visual hull), and a ray's seed is the foremost
-of its depths at which the other views show the pixel's colour.
+Moving and splitting the selected Gaussians cannot make an object that comes out of a box or into the scene. The search
+runs after the selected Gaussians have had time to follow the pictures. It casts rays through the pixels that still
+differ clearly, keeps the depths at which the residual masks of the other views agree (a visual hull), and puts a ray's
+seed at the foremost depth at which the other views show the pixel's colour.
 
-A wrong seed is a floater, so a ray gets one only if what it explains lies in front of what is rendered there, and the
-rendered surface itself does not explain the pixel: a change of light leaves every view agreeing about the old surface.
+A wrong seed is a floater. So a seed must lie in front of the rendered surface, and that surface must not explain the
+pixel itself: under a change of light all views still agree about the old surface.
 
 Source: visual hull (Laurentini 1994) and photo hull (Kutulakos and Seitz 2000, "A theory of shape by space carving").
-Rejected: a voxel grid (its resolution has to be that of the pixels to be of use, and most of it is empty).
+Rejected: a voxel grid (useful only at the resolution of pixels, and then mostly empty).
 """
 
 from __future__ import annotations
@@ -33,23 +33,23 @@ BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 
 _NEAREST = 0.6
-"""Nearest depth looked at, as a share of the first percentile of the rendered depths."""
+"""Nearest depth searched, as a share of the first percentile of the rendered depths."""
 _AGREEING = 0.6
 """Share of the views that see a point whose colours must agree; the others may be occluded."""
 _SAME = 0.1
-"""Share of the allowed spread within which two depths of a ray explain it equally well: the nearer one is seen."""
+"""Share of the allowed spread within which two depths of a ray explain it equally well; the nearer one wins."""
 _NEAR = 4.0
 """Size of a neighbourhood, as a multiple of the distance between rays."""
 _SIGMA_PER_SPACING = 0.6
 _PART = 500
-"""Rays that are looked along at once: enough that numpy works, not Python; parts run side by side."""
+"""Rays per batch: enough for numpy to dominate Python's overhead; batches run in parallel."""
 
 
 @dataclass(frozen=True)
 class SearchView:
-    """One view at the moment of the search: its pinhole camera, picture and rendering (3, H, W), rendered depth (H, W).
+    """One view at the time of the search: its pinhole camera, picture and rendering (3, H, W), rendered depth (H, W).
 
-    ``focus`` (H, W): where the frame may change at all. The depth is the mean along the ray, in world units.
+    ``focus`` (H, W): the region in which the frame may change. The depth is the mean along the ray, in world units.
     """
 
     camera: Camera
@@ -60,7 +60,7 @@ class SearchView:
 
 
 def missed(view: SearchView, settings: EmergenceSettings) -> BoolArray:
-    """Pixels of the focus where the rendering clearly misses the picture; edges one pixel wide do not count. (H, W)."""
+    """Pixels (H, W) of the focus where rendering and picture clearly differ, without edges one pixel wide."""
     return _missed(view, settings.residual)
 
 
@@ -73,7 +73,7 @@ def _missed(view: SearchView, levels: float) -> BoolArray:
 
 
 def worth_a_search(masks: Sequence[BoolArray], settings: EmergenceSettings) -> bool:
-    """Whether ``masks`` of missed pixels hold more than a tiny share of their pictures."""
+    """Whether ``masks`` of missed pixels cover more than a tiny share of their pictures."""
     missing = sum(int(mask.sum()) for mask in masks)
     return missing > settings.min_fraction * sum(mask.size for mask in masks)
 
@@ -86,10 +86,9 @@ def seeds(
     *,
     threads: int = 1,
 ) -> Splats:
-    """New Gaussians where the views agree that something stands before what is rendered; often none.
+    """New Gaussians where the views agree on a surface in front of the rendered one; often none.
 
-    ``views``: all training views; ``cores``: what each of them has ``missed``; ``sh_degree``: the scene's.
-    Deterministic.
+    ``views``: all training views; ``cores``: their ``missed`` masks; ``sh_degree``: the scene's. Deterministic.
     """
     if settings.max_seeds <= 0 or not worth_a_search(cores, settings):
         return empty_splats(sh_degree)
@@ -120,7 +119,7 @@ class _Rays:
 
 @dataclass(frozen=True)
 class _Found:
-    """Points (P, 3) float64, whose rays they end, colours (P, 3), a pixel's size there, how badly views agree (P,)."""
+    """Points (P, 3) float64, the views of their rays, colours (P, 3), size of a pixel there, disagreement (P,)."""
 
     points: NDArray[np.float64]
     views: IntArray
@@ -142,7 +141,7 @@ def _take(part: P, rows: IntArray | slice) -> P:
 
 
 class _Search:
-    """What all rays are held against: every view's wide mask, smoothed picture and rendered depth."""
+    """Every view's wide mask, smoothed picture and rendered depth, which all rays are compared with."""
 
     def __init__(
         self, views: Sequence[SearchView], cores: Sequence[BoolArray], settings: EmergenceSettings, each: Each
@@ -173,7 +172,7 @@ class _Search:
         )
 
     def along_rays(self, rays: _Rays) -> _Found:
-        """One seed at most for each ray."""
+        """At most one seed per ray."""
         settings, surface, count = self._settings, rays.surface, len(rays.pixels)
         inverse = np.broadcast_to(self._inverse, (count, len(self._inverse)))
         limit = np.where(surface > 0, (1 - settings.in_front) * surface, np.inf)
@@ -202,10 +201,10 @@ class _Search:
         return _Found(ended.origins + ended.directions * depth[:, None], ended.views, ended.colours, pixel, cost[rows])
 
     def _disagreement_at_surface(self, rays: _Rays) -> FloatArray:
-        """How badly the rendered surface explains the rays' pixels (R,).
+        """Disagreement (R,) of the views at the rendered surface.
 
-        It explains a pixel if the views agree there about its colour, or, where texture is too fine to tell, about how
-        much it has changed; rendered depths are a little off, so its neighbourhood counts as well.
+        The surface explains a pixel if the views agree on its colour there or, for texture too fine to compare, on its
+        change. Rendered depths are slightly off, so nearby depths count as well.
         """
         least = np.full(len(rays.pixels), np.inf, np.float32)
         changes = np.zeros((len(rays.pixels), 3), np.float32)
@@ -221,7 +220,7 @@ class _Search:
         return least
 
     def _inside_hull(self, rays: _Rays, ray: IntArray, place: IntArray) -> tuple[IntArray, IntArray]:
-        """Those of the samples that the masks of nearly all other views which see them hold."""
+        """The samples that lie inside the masks of nearly all other views that see them."""
         settings = self._settings
         allowed = settings.missing_fraction * len(self._views)
         seen = np.ones(len(ray), np.int64)
@@ -245,10 +244,10 @@ class _Search:
         points: NDArray[np.float64],
         references: Sequence[FloatArray],
     ) -> tuple[list[FloatArray], BoolArray]:
-        """How much each kind of ``pictures`` differs from its reference colours (P, 3) at points, 0..1; those in front.
+        """Difference (P,) of each kind of ``pictures`` from its reference colours (P, 3), 0..1; the points in front.
 
-        The mean over the best of the views that see a point, its own (``views``) apart; a point must lie before what
-        most of them render.
+        The difference is the mean over the best views that see a point, except its own (``views``). A point is in
+        front if it lies before the rendered surface of most views.
         """
         count = len(points)
         differences = np.full((len(pictures), len(self._views), count), np.inf, np.float32)
@@ -277,7 +276,7 @@ def _mean_of_best(differences: FloatArray, seen: IntArray, enough: BoolArray) ->
 
 
 def _wide(view: SearchView, core: BoolArray, levels: float) -> BoolArray:
-    """``core`` and what is missed by ``levels``, a pixel wider, flat: a new object may look like what it hides."""
+    """``core`` and the pixels missed by ``levels``, a pixel wider, flat: a new object may resemble what it hides."""
     missing = (_missed(view, levels) | core).view(np.uint8)
     return cv2.dilate(missing, np.ones((3, 3), np.uint8)).view(np.bool_).ravel()
 
@@ -288,7 +287,7 @@ def _smoothed(planes: FloatArray) -> FloatArray:
 
 
 def _far_first(index: int, count: int) -> list[int]:
-    """All views, in an order that soon meets directions other than that of ``index``: neighbours carve little."""
+    """All views, with directions unlike that of ``index`` early: neighbouring views carve little."""
     return sorted(range(count), key=lambda i: ((i - index) * 5 % count, i))
 
 
@@ -306,7 +305,7 @@ def _project(
     x, y, depth = in_camera(camera, points).T
     front = depth > 1e-9
     reciprocal = 1 / np.where(front, depth, 1)
-    # Rounded otherwise than by ``formats.cameras.project``; what is encoded hangs on the last bits.
+    # ``formats.cameras.project`` rounds differently, and streams depend on the last bits.
     u, v = camera.fx * x * reciprocal + camera.cx, camera.fy * y * reciprocal + camera.cy
     inside = front & in_picture(camera, u, v, depth)
     column, row = np.where(inside, u, 0).astype(np.int64), np.where(inside, v, 0).astype(np.int64)
@@ -314,10 +313,9 @@ def _project(
 
 
 def _confirmed(found: _Found, step: int) -> _Found:
-    """Points near which rays of another view ended as well; every ``step``-th pixel had a ray.
+    """Points close to the end of another view's ray; every ``step``-th pixel had a ray.
 
-    Colours that agree by chance do so at scattered depths. Near: in one cell of a grid
-    or of the same grid shifted by half.
+    Chance agreements of colour have scattered depths. Close: in one cell of a grid or of the grid shifted by half.
     """
     if not len(found.points):
         return found
@@ -348,11 +346,11 @@ def _thinned(found: _Found, most: int) -> _Found:
 
 
 def _splats(found: _Found, cores: Sequence[BoolArray], settings: EmergenceSettings, sh_degree: int) -> Splats:
-    """Round Gaussians, half transparent, wide enough to close the gaps between them."""
+    """Isotropic, half-transparent Gaussians, wide enough to close the gaps between them."""
     count = len(found.points)
     if not count:
         return empty_splats(sh_degree)
-    # Half a body's surface shows in a view: so far apart, in pixels, are seeds that cover all of it.
+    # A view shows half of a body's surface. The spacing is in pixels, for seeds that cover all of it.
     area = 2 * sum(int(core.sum()) for core in cores) / len(cores)
     spacing = float(np.clip(np.sqrt(area / count), 1.5, 6.0))
     sigma = _SIGMA_PER_SPACING * spacing * found.pixel

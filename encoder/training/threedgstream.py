@@ -1,9 +1,9 @@
 """The baseline: 3DGStream's recipe (Sun 2024), dense, on the same keyframe, views, rasteriser and cache as DecoGS.
 
 Stage 1 trains the transformation cache over all Gaussians from its identity start, anew in every frame. The moved
-Gaussians are what lasts. Stage 2 spawns Gaussians where the gradient was high and trains those alone; they show in
-this frame only and are removed before the next one. Nothing is selected, nothing masked: every pixel and every
-Gaussian takes part in every step, which is the cost and the flicker that DecoGS is measured against.
+Gaussians persist. Stage 2 spawns Gaussians where the gradient was high and trains them alone; they are visible in this
+frame only and are removed before the next one. There is no selection and no mask: every pixel and every Gaussian takes
+part in every step. Its cost and flicker are the reference for DecoGS.
 
 Numbers: the released configuration (SJoJoK/3DGStream: configs/cache/cache_F_4.json and
 test/flame_steak_suite/cfg_args.json). Two things follow the released code and not the paper's text: gradients for
