@@ -13,6 +13,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+MAX_SIDE = 1 << 16
+"""Pixels along a side of the largest camera of a rig or a viewer."""
+
 DistortionModel = Literal["none", "opencv", "fisheye"]
 
 

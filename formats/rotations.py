@@ -1,4 +1,4 @@
-"""Rotations: matrices of quaternions wxyz."""
+"""Rotations: their matrices, also those of quaternions wxyz."""
 
 from __future__ import annotations
 
@@ -6,6 +6,13 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+
+
+def is_orthonormal(matrix: NDArray[np.float64], tolerance: float) -> bool:
+    """Whether a matrix (3, 3) is a rotation or reflection to within ``tolerance``."""
+    # The largest entry first: products of hostile numbers stay far from overflow.
+    return not (np.abs(matrix).max() > 2 or np.abs(matrix @ matrix.T - np.eye(3)).max() > tolerance)
 
 
 def rotation_rows(w: Any, x: Any, y: Any, z: Any) -> list[list[Any]]:
