@@ -1,4 +1,4 @@
-"""What a rig calls for, effect by effect: the statistics, the evidence, the decisions, as a table and as JSON."""
+"""Analysis of a rig, effect by effect: statistics, evidence and decisions, as a table and as JSON."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from .rig_statistics import OnStep, RigStatistics, gather_statistics
 
 @dataclass(frozen=True)
 class Finding:
-    """One effect's evidence and what was decided from it."""
+    """One effect's evidence and decision."""
 
     evidence: Evidence
     decision: Decision
@@ -31,7 +31,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Analysis:
-    """What was found on a rig: a finding for every effect, in the order of EFFECTS; ``seconds`` it took."""
+    """Result of an analysis: a finding for every effect, in the order of EFFECTS; ``seconds``: its duration."""
 
     path: str
     layout: str
@@ -46,7 +46,7 @@ class Analysis:
         return tuple(finding.decision for finding in self.findings)
 
     def table(self) -> Iterator[str]:
-        """What the user reads: the rig, then one row per effect."""
+        """A table for the user: the rig, then one row per effect."""
         stats = self.stats
         thinned = f", 1 in {stats.step} looked at" if stats.step > 1 else ""
         sizes = " and ".join(sorted({f"{camera.width}x{camera.height}" for camera in stats.cameras}))
@@ -86,8 +86,8 @@ def analyse(
     """Looks at a rig before anything is trained, and decides which effects it calls for.
 
     ``rig_dir``: its folder or calibration file, or the rig itself. ``frames``: "A:B" half-open, as in Python, or a
-    slice; all when None. ``holdout``: cameras that are not looked at.
-    ``threads``: 0 means all processors; what is found does not depend on it. Raises RigError or UsageError.
+    slice; all when None. ``holdout``: cameras to leave out.
+    ``threads``: 0 means all processors; results do not depend on it. Raises RigError or UsageError.
     """
     began = time.perf_counter()
     held = [holdout] if isinstance(holdout, str) else list(holdout)

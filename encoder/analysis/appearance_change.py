@@ -1,4 +1,4 @@
-"""Light or colour changes while the geometry stays: lamps, screens, shadows of what is outside the picture."""
+"""Light or colour changes while the geometry stays: lamps, screens, shadows of objects outside the picture."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ def with_effects(
     """``settings`` with exactly the wanted effects; their ``effects`` list those that change the settings.
 
     ``cameras``: names of all that train, for an effect that is wanted where the scene does not call for it.
-    ``decisions``: of the rig (`analysis.analyse`), asked for only where what is wanted depends on them.
+    ``decisions``: of the rig (`analysis.analyse`), called only if the wanted effects depend on them.
     """
     from . import EFFECTS
 

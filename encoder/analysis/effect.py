@@ -1,4 +1,4 @@
-"""What every effect says of a rig: the evidence it found, and what it decides from it. One protocol, plain data."""
+"""The protocol of an effect, with its evidence and its decision as plain data."""
 
 from __future__ import annotations
 

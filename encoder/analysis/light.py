@@ -212,7 +212,7 @@ def _believed(cameras: Sequence[Camera], pair: PairMatches) -> tuple[I64, I64, F
 
 
 def _change_differences(points: SharedPoints, lights: Sequence[F64]) -> F64:
-    """By how much more the first camera's value of a point changed than the second's, (F, N, 6)."""
+    """Difference between the changes of a point's value in its first and its second camera, (F, N, 6)."""
     frames = lights[0].shape[0]
     sides = np.full((2, frames, len(points.first), 6), np.nan)
     for camera, light in enumerate(lights):

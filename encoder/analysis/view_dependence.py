@@ -92,7 +92,7 @@ class ViewDependence:
 
 
 def as_far_as_shown(values: Attributes) -> Attributes:
-    """A keyframe's ``values``, rounded by what shows, without the degrees that hardly any Gaussian has harmonics of."""
+    """A keyframe's rounded ``values`` without the SH degrees that hardly any Gaussian uses."""
     degree = sh_degree_of(values.coefficients)
     while degree and values.sh[:, degree**2 :].any(axis=(1, 2)).sum() < LEAST_SHOWN * len(values):
         degree -= 1

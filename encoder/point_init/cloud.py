@@ -48,8 +48,8 @@ class ViewDepths:
 
 @dataclass(frozen=True)
 class Sight:
-    """Per point (P,): how many views see ``through`` it to something behind, how many see it ``in_place``; ``rgb``
-    (P, 3) is the mean of its own colour and of what the latter see."""
+    """Number of views per point (P,) that see ``through`` it, and that see it ``in_place``; ``rgb`` (P, 3): mean of its
+    own colour and of those in the latter views."""
 
     through: NDArray[np.int64]
     in_place: NDArray[np.int64]

@@ -1,4 +1,4 @@
-"""What the cameras' poses alone tell: which depths a view shares with others, and which views to match it with."""
+"""Shared depths of views and neighbours for matching, from the cameras' poses and points."""
 
 from __future__ import annotations
 
@@ -135,8 +135,8 @@ def depths_of(
 ) -> DepthRange | None:
     """Depth range of a view's fine search, with a margin; ``shared`` if too few points are known.
 
-    ``own`` (P, 3): points found in this view; ``all_views`` (Q, 3): in all. Of the latter the outermost hundredths are
-    left out: among them are the camera's own housing, seen by others, and what it cannot see behind other things.
+    ``own`` (P, 3): points found in this view; ``all_views`` (Q, 3): in all, without the nearest and farthest hundredth,
+    which include the camera's own housing and occluded points.
     """
     depth = (own - view.centre) @ view.rotation[2]
     u, v, others = project(view, all_views)
@@ -150,7 +150,7 @@ def depths_of(
 
 
 def likely_points(view: SweepView, xyz: NDArray[np.float64], depths: DepthRange | None) -> NDArray[np.float64]:
-    """World points (S, 3), one per cell of the view, at the median depth of what was found in it or in all."""
+    """World points (S, 3), one per cell of the view, at the median depth of the points in it or in all cells."""
     if depths is None:
         return np.zeros((0, 3))
     u, v, depth = project(view, xyz)

@@ -64,7 +64,7 @@ def _behind(homography: NDArray[np.float64], width: int, height: int) -> NDArray
 
 
 def _better_half(costs: list[Array]) -> Array:
-    """Twice the mean of the better half of up to four costs: what is occluded in some neighbours is seen in others."""
+    """Twice the mean of the better half of up to four costs: points occluded in some neighbours show in others."""
     if len(costs) == 1:
         return costs[0] * 2
     if len(costs) == 2:

@@ -42,7 +42,7 @@ class Optimiser(Protocol):
         ...
 
     def gradient_size(self, name: str) -> FloatArray:
-        """Size of an attribute's gradients so far, shaped like it: what a change of it is worth to the loss."""
+        """Size of an attribute's gradients so far, shaped like it: the loss's sensitivity to a change."""
         ...
 
     def keep(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> None:

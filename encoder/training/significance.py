@@ -9,7 +9,7 @@ lattice's, so that few and small integers remain.
 Measured on workbench (DESIGN.md): 12 kB a frame instead of 100 unrounded, for .2 dB where things move. Rejected: a
 dead zone in lattice steps (at the same dynamic PSNR twice the bytes: it spares the sharp and the faint alike); a raised
 epsilon in Adam, the prototype's lever (75th percentile: 19 % fewer bytes for .6 dB); predicted motion (5 % of the
-positions' bytes: what is left of motion after training is noise, which no neighbour tells).
+positions' bytes: the rest of motion after training is noise, which neighbours do not predict).
 """
 
 from __future__ import annotations
