@@ -15,6 +15,7 @@ from decogs.formats.cameras import Camera
 from decogs.formats.container import PACKET_HEADER_SIZE, PROLOGUE_SIZE
 from decogs.formats.errors import StreamError
 from decogs.formats.reasons import Reason
+from decogs.formats.rotations import is_orthonormal
 
 from .corrections import EFFECT_FIELDS, CorrectedCameras
 from .lattice import Lattice, Vector
@@ -320,8 +321,7 @@ def _pose(fields: _Fields) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
     pose = np.eye(4)
     pose[:3] = inner
     rotation = pose[:3, :3]
-    # The largest entry first: products of hostile numbers stay far from overflow.
-    if np.abs(rotation).max() > 2 or np.abs(rotation @ rotation.T - np.eye(3)).max() > _RIGID_TOLERANCE:
+    if not is_orthonormal(rotation, _RIGID_TOLERANCE):
         _refuse("world_to_camera is no rigid motion")
     if np.linalg.det(rotation) < 0:
         _refuse("world_to_camera mirrors the scene")

@@ -31,11 +31,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.cameras import Camera
+from decogs.formats.cameras import MAX_SIDE, Camera
 from decogs.formats.errors import UsageError
 
 MAX_FILE_BYTES = 64 << 20
-MAX_SIDE = 1 << 16
 FREE_CAMERA_NAME = "camera"
 
 _LENS_FIELDS = frozenset({"width", "height", "fx", "fy", "fov_y", "cx", "cy"})

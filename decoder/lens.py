@@ -24,7 +24,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.cameras import Camera, as_pinhole
+from decogs.formats.cameras import Camera, as_pinhole, ray_slopes
 from decogs.formats.errors import UsageError
 
 F64 = NDArray[np.float64]
@@ -218,7 +218,7 @@ def distort_pixels(camera: Camera, pixels: F64) -> F64:
     if not is_distorted(camera):
         return np.array(pixels, dtype=np.float64)
     lens = lens_of(camera)
-    x, y = (pixels[..., 0] - camera.cx) / camera.fx, (pixels[..., 1] - camera.cy) / camera.fy
+    x, y = ray_slopes(camera, pixels[..., 0], pixels[..., 1])
     return _in_pixels(camera, *_bent(lens, x, y))
 
 
@@ -226,7 +226,7 @@ def undistort_pixels(camera: Camera, pixels: F64) -> F64:
     """Where points of the distorted picture lie in the pinhole one: (..., 2) to (..., 2); see ``distort_pixels``."""
     if not is_distorted(camera):
         return np.array(pixels, dtype=np.float64)
-    x, y = (pixels[..., 0] - camera.cx) / camera.fx, (pixels[..., 1] - camera.cy) / camera.fy
+    x, y = ray_slopes(camera, pixels[..., 0], pixels[..., 1])
     with np.errstate(all="ignore"):
         return _in_pixels(camera, *lens_of(camera).undistort(x, y))
 

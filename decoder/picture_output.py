@@ -33,6 +33,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.formats.colour import linear_from_srgb
 from decogs.formats.errors import UsageError, check_utf8
 from decogs.formats.quiet import quiet_opencv
 
@@ -106,9 +107,7 @@ def to_8bit(image: NDArray[Any]) -> NDArray[np.uint8]:
 
 def linear_light(image: NDArray[Any]) -> NDArray[np.float32]:
     """sRGB-coded values to linear light (IEC 61966-2-1), continued above 1 and, mirrored, below 0."""
-    size = np.abs(image, dtype=np.float32)
-    linear = np.where(size <= 0.04045, size / 12.92, ((size + 0.055) / 1.055) ** 2.4)
-    return np.asarray(np.copysign(linear, image), dtype=np.float32)
+    return np.asarray(np.copysign(linear_from_srgb(np.abs(image, dtype=np.float32)), image), dtype=np.float32)
 
 
 class _Files(PictureSink):

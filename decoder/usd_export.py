@@ -15,16 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.formats.cameras import Camera
+from decogs.formats.colour import linear_from_srgb
 from decogs.formats.errors import UsageError
 from decogs.formats.frame_ranges import Frames
-from decogs.formats.splats import SH_C0, FloatArray, Splats, empty_splats, join_splats, take_splats
+from decogs.formats.splats import SH_C0, Splats, empty_splats, join_splats, sigmoid, take_splats
 from decogs.formats.usd import (
     DEFAULT_PROTOTYPE_RADIUS,
     UpAxis,
     UsdSplats,
     UsdWriter,
     check_usd_request,
-    linear_from_srgb,
 )
 
 from .frame_choice import OnWarning, open_chosen
@@ -222,18 +222,14 @@ def usd_splats(splats: Splats) -> UsdSplats:
     norms = np.linalg.norm(splats.quaternions.astype(np.float64), axis=1, keepdims=True)
     rotations = np.divide(splats.quaternions, norms, out=np.zeros(splats.quaternions.shape), where=norms > 0)
     rotations[norms[:, 0] == 0] = (1.0, 0.0, 0.0, 0.0)
+    colours = np.clip(0.5 + SH_C0 * splats.sh[:, 0], 0.0, 1.0).astype(np.float64)
     return UsdSplats(
         positions=splats.means,
         rotations=rotations.astype(np.float32),
         scales=np.exp(splats.log_scales),
-        colours=linear_from_srgb(0.5 + SH_C0 * splats.sh[:, 0]),
-        opacities=_sigmoid(splats.opacity_logits),
+        colours=linear_from_srgb(colours).astype(np.float32),
+        opacities=sigmoid(splats.opacity_logits),
     )
-
-
-def _sigmoid(logits: FloatArray) -> FloatArray:
-    """Logistic function without overflow: float32 exp stays finite below 88."""
-    return (1.0 / (1.0 + np.exp(-np.clip(logits, -80.0, 80.0)))).astype(np.float32)
 
 
 def _check_order(indices: list[int], index: int) -> None:

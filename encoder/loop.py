@@ -32,7 +32,7 @@ from .stopwatch import Stopwatch
 from .stream_state import FrameInWork, StreamState
 from .training.first_frame import train_first_frame
 from .training.method import FrameInput, TrainedFrame
-from .training.schedule import Effort
+from .training.schedule import StoppingRule
 
 
 class StreamEncoder:
@@ -130,9 +130,9 @@ class StreamEncoder:
             self._convergence.begin(frame.index)
         return Stopwatch()
 
-    def _effort(self, deadline: float | None = None) -> Effort:
+    def _stopping(self, deadline: float | None = None) -> StoppingRule:
         on_loss = None if self._convergence is None else self._convergence.step
-        return Effort(deadline, self._settings.target_psnr, on_loss)
+        return StoppingRule(deadline, self._settings.target_psnr, on_loss)
 
     def _first_frame(self, frame: RigFrame, watch: Stopwatch, on_step: OnKeyframeStep | None) -> tuple[State, Lattice]:
         state = self._state
@@ -149,7 +149,7 @@ class StreamEncoder:
             seed=state.seed,
             threads=state.threads,
             corrector=state.compensation.corrector,
-            effort=self._effort(),
+            stopping=self._stopping(),
             on_step=on_step,
         )
 
@@ -167,7 +167,7 @@ class StreamEncoder:
             now.change.masks,
             self._state.motion.expected(),
             settings,
-            self._effort(deadline),
+            self._stopping(deadline),
         )
         with now.watch.stage("training"):
             self._state.views.detach(np.flatnonzero(given.selected))

@@ -8,10 +8,13 @@ centre of the first pixel is (0.5, 0.5).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+
+MAX_SIDE = 1 << 16
+"""Pixels along a side of the largest camera of a rig or a viewer."""
 
 DistortionModel = Literal["none", "opencv", "fisheye"]
 
@@ -45,13 +48,37 @@ def camera_centre(camera: Camera) -> NDArray[np.float64]:
     return -turned(rotation.T, translation)
 
 
-def turned(rotation: NDArray[np.float64], vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def turned(rotation: NDArray[np.float64], vectors: NDArray[np.floating]) -> NDArray[np.float64]:
     """``rotation @ v`` for vectors v (..., 3), summed in a fixed order.
 
     A BLAS picks its code, and with it the last bits, by the processor; what is encoded must not depend on that.
     """
     x, y, z = (vectors[..., axis, None] for axis in range(3))
     return np.asarray(x * rotation[:, 0] + y * rotation[:, 1] + z * rotation[:, 2])
+
+
+def in_camera(camera: Camera, points: NDArray[np.floating]) -> NDArray[np.float64]:
+    """World points (..., 3) in the camera's axes."""
+    return turned(camera.world_to_camera[:3, :3], points) + camera.world_to_camera[:3, 3]
+
+
+def project(camera: Camera, points: NDArray[np.floating]) -> tuple[NDArray[np.float64], ...]:
+    """Columns u, rows v and depths (P,) of world points (P, 3); u and v mean nothing where the depth is not above 0."""
+    x, y, depth = np.moveaxis(in_camera(camera, points), -1, 0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return camera.fx * x / depth + camera.cx, camera.fy * y / depth + camera.cy, depth
+
+
+def in_picture(
+    camera: Camera, u: NDArray[np.floating], v: NDArray[np.floating], depth: NDArray[np.floating]
+) -> NDArray[np.bool_]:
+    """Whether projected points lie before the camera and inside its picture."""
+    return np.asarray((depth > 0) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height))
+
+
+def ray_slopes(camera: Camera, u: NDArray[Any], v: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """x / z and y / z of the rays through pixel positions, in the camera's axes; without distortion."""
+    return (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
 
 
 def scale_camera(camera: Camera, scale: float) -> Camera:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import struct
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import BinaryIO, NoReturn
@@ -334,25 +334,6 @@ class PacketReader:
         raise StreamError(reason, message, packet=self._ordinal, offset=self._offset)
 
 
-def iterate_packets(file: BinaryIO, *, strict: bool = True, max_payload: int = MAX_PAYLOAD) -> Iterator[Packet]:
-    """Every complete packet from the start of a stream; ancillary packets of unknown kind are skipped.
-
-    An incomplete packet at the tail raises StreamError("truncated") after the complete ones when ``strict``, else the
-    iteration just ends. Damage always raises.
-    """
-    reader, frame = PacketReader(file, max_payload=max_payload), 0
-    while (packet := reader.next()) is not None:
-        if packet.kind in FRAME_KINDS:
-            check_frame(packet, frame)
-            frame += 1
-        elif packet.kind == PacketKind.END:
-            check_count(packet, frame)
-        if packet.kind in _KNOWN_KINDS:
-            yield packet
-    if strict and (reader.pending or not reader.ordinal):
-        raise stops_inside(reader.pending, reader.offset, reader.ordinal)
-
-
 def stops_inside(size: int, offset: int, packet: int | None = None) -> StreamError:
     """What is wrong with a stream that ends ``size`` bytes into the packet at ``offset``."""
     message = f"the stream stops {size} bytes into a packet"
@@ -462,12 +443,6 @@ def scan_index(file: BinaryIO, *, max_frames: int = MAX_FRAME) -> list[IndexEntr
         offset += PACKET_OVERHEAD + length
         ordinal += 1
     return entries
-
-
-def frame_index(file: BinaryIO) -> list[IndexEntry]:
-    """Where every frame's packet lies: from the index when there is one, else from a scan of the packet headers."""
-    entries = read_index(file)
-    return scan_index(file) if entries is None else entries
 
 
 def end_fields(packet: Packet) -> tuple[int, int]:

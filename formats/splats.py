@@ -8,12 +8,13 @@ unit ``rotations`` and view-dependent ``rgb = 0.5 + SH(direction)``.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float32]
+F = TypeVar("F", np.float32, np.float64)
 
 SH_C0 = 0.28209479177387814
 """Value of the degree-0 spherical harmonic: display colour = 0.5 + SH_C0 * sh[:, 0]."""
@@ -41,6 +42,16 @@ class Splats:
     def sh_degree(self) -> int:
         """Degree of the spherical harmonics, 0 to 3."""
         return sh_degree_of(self.sh.shape[1])
+
+
+def sigmoid(logits: NDArray[F]) -> NDArray[F]:
+    """Logistic function; beyond +-80, where float32 would overflow, it stays as it is there."""
+    return np.asarray(1 / (1 + np.exp(-np.clip(logits, -80, 80))), logits.dtype)
+
+
+def logit(values: Any) -> Any:
+    """Inverse of ``sigmoid``, the logarithm of the odds, of numbers or arrays strictly between 0 and 1."""
+    return np.log(values / (1 - values))
 
 
 def sh_degree_of(coefficients: int) -> int:

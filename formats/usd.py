@@ -48,6 +48,7 @@ from numpy.typing import NDArray
 
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError, check_utf8
+from decogs.formats.rotations import rotation_rows
 from decogs.formats.splats import FloatArray
 
 UpAxis = Literal["Y", "Z"]
@@ -84,13 +85,6 @@ class UsdSplats:
     opacities: FloatArray
 
 
-def linear_from_srgb(coded: NDArray[Any]) -> FloatArray:
-    """Linear light of sRGB-coded values, both clipped to 0..1 (IEC 61966-2-1)."""
-    clipped = np.clip(coded, 0.0, 1.0).astype(np.float64)
-    linear: NDArray[np.float64] = np.where(clipped <= 0.04045, clipped / 12.92, ((clipped + 0.055) / 1.055) ** 2.4)
-    return linear.astype(np.float32)
-
-
 def splat_extent(splats: UsdSplats, radius: float) -> FloatArray:
     """Box around the instances, (2, 3): each the box around a cube of half side ``radius``, as UsdGeom computes it.
 
@@ -98,14 +92,7 @@ def splat_extent(splats: UsdSplats, radius: float) -> FloatArray:
     """
     if len(splats.positions) == 0:
         return np.zeros((2, 3), np.float32)
-    w, x, y, z = splats.rotations.T
-    rotation = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    rotation = np.array(rotation_rows(*splats.rotations.T))
     half = radius * np.einsum("ijn,nj->ni", np.abs(rotation), splats.scales)
     return np.stack([(splats.positions - half).min(axis=0), (splats.positions + half).max(axis=0)]).astype(np.float32)
 

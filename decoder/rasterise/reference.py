@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from decogs.formats.cameras import Camera, camera_centre
+from decogs.formats.rotations import rotation_matrices
 
 BLUR = 0.3
 """Variance of the low-pass filter, square pixels (Kerbl 2023)."""
@@ -21,21 +22,6 @@ ALPHA_MAX = 0.99
 TRANSMITTANCE_MIN = 1e-4
 CLOSEST = 0.5
 """A Gaussian nearer than this many of its largest sigma is not drawn: the linearisation means nothing there."""
-
-
-def rotation_matrices(xp: ModuleType, quaternions: Any) -> Any:
-    """Rotations (N, 3, 3) of wxyz quaternions (N, 4) of any norm; a zero quaternion stands for no rotation."""
-    norm = xp.sqrt((quaternions * quaternions).sum(-1))[:, None]
-    identity = xp.zeros_like(quaternions)
-    identity[:, 0] = 1.0
-    unit = xp.where(norm > 1e-18, quaternions / xp.where(norm > 1e-18, norm, xp.ones_like(norm)), identity)
-    w, x, y, z = unit[:, 0], unit[:, 1], unit[:, 2], unit[:, 3]
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return xp.stack([xp.stack(row, -1) for row in rows], -2)
 
 
 def sh_basis(xp: ModuleType, degree: int, directions: Any) -> Any:
@@ -103,7 +89,7 @@ def render_reference(
         ],
         -2,
     )
-    m = jacobian @ rotation @ rotation_matrices(xp, quaternions) * scales[:, None, :]
+    m = jacobian @ rotation @ rotation_matrices(quaternions, xp) * scales[:, None, :]
     a0, b0, c0 = (m[:, 0] ** 2).sum(-1), (m[:, 0] * m[:, 1]).sum(-1), (m[:, 1] ** 2).sum(-1)
     n0 = m[:, 0, 1] * m[:, 1, 2] - m[:, 0, 2] * m[:, 1, 1]
     n1 = m[:, 0, 2] * m[:, 1, 0] - m[:, 0, 0] * m[:, 1, 2]

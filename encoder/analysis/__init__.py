@@ -1,13 +1,12 @@
 """The effects a scene may call for, and how a rig's pictures tell, before any 3D model exists.
 
-Every effect is one module with one class that keeps the protocol of ``effect.py``: ``evidence`` turns the look at the
-rig into figures per camera and frame, ``decide`` turns these into a decision with its reason and cost, ``enabled`` and
-``disabled`` turn that into what an encode does (`building`). A new effect is one new module and one entry in
-``EFFECTS``; one that a decoder has to know has its coded form in `codec`. What effects measure alike is measured once,
-by the look (``look.py``): gains of light (``light.py``), the motion of the camera (``registration.py``), what changed
-from frame to frame (``changes.py``), points that neighbouring cameras share (``matches.py``). ``frame_look.py`` says
-the same of one frame of one view, in milliseconds, for the encoder's loop. What was measured, and what was rejected, is
-in ``DESIGN.md``.
+Every effect is a module with one class that implements the protocol of ``effect.py``: ``evidence`` derives figures per
+camera and frame from the rig's statistics, ``decide`` a decision with its reason and cost from these, ``enabled`` and
+``disabled`` the settings of an encode (`building`). A new effect is a new module and an entry in ``EFFECTS``; an effect
+that a decoder has to know has its coded form in `codec`. ``rig_statistics.py`` makes the measurements that effects
+share: gains of light (``light.py``), camera motion (``registration.py``), changes from frame to frame (``changes.py``),
+points that neighbouring cameras share (``matches.py``). ``frame_effects.py`` detects effects of one frame of one view,
+in milliseconds, for the encoder's loop. ``DESIGN.md`` has measurements and rejected variants.
 """
 
 from ..settings.effects import EFFECT_NAMES, FRAME_EFFECTS, PRESET_EFFECTS
@@ -18,11 +17,11 @@ from .disappearance import Disappearance
 from .effect import Decision, Effect, Evidence
 from .emergence import Emergence
 from .exposure_drift import ExposureDrift
-from .frame_look import frame_effects
+from .frame_effects import frame_effects
 from .high_dynamic_range import HighDynamicRange
 from .lens_distortion import LensDistortion
-from .look import Look, look_at
 from .motion import Motion
+from .rig_statistics import RigStatistics, gather_statistics
 from .sensor_noise import SensorNoise
 from .view_dependence import ViewDependence
 from .white_balance_drift import WhiteBalanceDrift
@@ -37,10 +36,10 @@ __all__ = [
     "Effect",
     "EffectChoice",
     "Evidence",
-    "Look",
+    "RigStatistics",
     "disable",
     "frame_effects",
-    "look_at",
+    "gather_statistics",
     "with_effects",
 ]
 

@@ -1,4 +1,4 @@
-"""What a rig calls for, effect by effect: the look, the evidence, the decisions, as a table and as JSON."""
+"""Analysis of a rig, effect by effect: statistics, evidence and decisions, as a table and as JSON."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from decogs.formats.threads import thread_count
 from ..input.ingest import frame_span
 from . import EFFECTS
 from .effect import Decision, Evidence, Span
-from .look import Look, OnStep, look_at
+from .rig_statistics import OnStep, RigStatistics, gather_statistics
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One effect's evidence and what was decided from it."""
+    """One effect's evidence and decision."""
 
     evidence: Evidence
     decision: Decision
@@ -31,13 +31,13 @@ class Finding:
 
 @dataclass(frozen=True)
 class Analysis:
-    """What was found on a rig: a finding for every effect, in the order of EFFECTS; ``seconds`` it took."""
+    """Result of an analysis: a finding for every effect, in the order of EFFECTS; ``seconds``: its duration."""
 
     path: str
     layout: str
     held_out: tuple[str, ...]
     frame_count: int
-    look: Look
+    stats: RigStatistics
     findings: tuple[Finding, ...]
     seconds: float
 
@@ -47,32 +47,32 @@ class Analysis:
         return tuple(finding.decision for finding in self.findings)
 
     def table(self) -> Iterator[str]:
-        """What the user reads: the rig, then one row per effect."""
-        look = self.look
-        thinned = f", 1 in {look.step} looked at" if look.step > 1 else ""
-        sizes = " and ".join(sorted({f"{camera.width}x{camera.height}" for camera in look.cameras}))
+        """A table for the user: the rig, then one row per effect."""
+        stats = self.stats
+        thinned = f", 1 in {stats.step} looked at" if stats.step > 1 else ""
+        sizes = " and ".join(sorted({f"{camera.width}x{camera.height}" for camera in stats.cameras}))
         yield (
-            f"{self.path}: {len(look.cameras)} cameras, {self.frame_count} frames{thinned}, at {sizes}, "
+            f"{self.path}: {len(stats.cameras)} cameras, {self.frame_count} frames{thinned}, at {sizes}, "
             f"in {self.seconds:.1f} s"
         )
-        rows = [_HEADINGS, *(_row(look, finding) for finding in self.findings)]
+        rows = [_HEADINGS, *(_row(stats, finding) for finding in self.findings)]
         widths = [max(len(row[column]) for row in rows) for column in range(len(_HEADINGS))]
         for row in rows:
             yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
 
     def to_json(self) -> dict[str, Any]:
         """The same with every figure per camera and frame; None where nothing could be determined."""
-        look = self.look
+        stats = self.stats
         return {
             "rig": self.path,
             "layout": self.layout,
-            "cameras": list(look.names),
+            "cameras": list(stats.names),
             "held_out": list(self.held_out),
-            "frames": list(look.frames),
-            "step": look.step,
-            "sizes": {camera.name: [camera.width, camera.height] for camera in look.cameras},
+            "frames": list(stats.frames),
+            "step": stats.step,
+            "sizes": {camera.name: [camera.width, camera.height] for camera in stats.cameras},
             "seconds": round(self.seconds, 3),
-            "effects": [_finding_json(look, finding) for finding in self.findings],
+            "effects": [_finding_json(stats, finding) for finding in self.findings],
         }
 
 
@@ -87,26 +87,26 @@ def analyse(
     """Looks at a rig before anything is trained, and decides which effects it calls for.
 
     ``rig``: its folder or calibration file, or the rig itself. ``frames``: consecutive ones, as a slice or a range; all
-    when None. ``holdout``: names of cameras that are not looked at.
-    ``threads``: 0 means all processors; what is found does not depend on it. Raises RigError or UsageError.
+    when None. ``holdout``: names of cameras to leave out.
+    ``threads``: 0 means all processors; results do not depend on it. Raises RigError or UsageError.
     """
     began = time.perf_counter()
     if not isinstance(rig, Rig):
         rig = open_rig(rig)
     span = frame_span(rig, frames)
-    look = look_at(rig, holdout=holdout, frames=span, threads=thread_count(threads), on_step=on_step)
+    stats = gather_statistics(rig, holdout=holdout, frames=span, threads=thread_count(threads), on_step=on_step)
     findings = []
     for effect in EFFECTS:
-        evidence = effect.evidence(look)
-        findings.append(Finding(evidence, effect.decide(look, evidence)))
+        evidence = effect.evidence(stats)
+        findings.append(Finding(evidence, effect.decide(stats, evidence)))
     seconds = time.perf_counter() - began
-    return Analysis(str(rig.path), rig.layout, tuple(holdout), len(span), look, tuple(findings), seconds)
+    return Analysis(str(rig.path), rig.layout, tuple(holdout), len(span), stats, tuple(findings), seconds)
 
 
 _HEADINGS = ("effect", "called for", "sure", "evidence", "counts from", "cameras", "frames", "cost")
 
 
-def _row(look: Look, finding: Finding) -> tuple[str, ...]:
+def _row(stats: RigStatistics, finding: Finding) -> tuple[str, ...]:
     evidence, decision = finding.evidence, finding.decision
     known = math.isfinite(evidence.peak)
     return (
@@ -115,16 +115,16 @@ def _row(look: Look, finding: Finding) -> tuple[str, ...]:
         f"{decision.confidence:.0%}",
         f"{evidence.peak:.3g} {evidence.unit}" if known else "undetermined",
         f"{evidence.limit:g}",
-        _cameras(look, decision.cameras),
+        _cameras(stats, decision.cameras),
         _frames(decision.frames),
         decision.cost,
     )
 
 
-def _cameras(look: Look, names: Sequence[str]) -> str:
+def _cameras(stats: RigStatistics, names: Sequence[str]) -> str:
     if not names:
         return "-"
-    if len(names) == len(look.names):
+    if len(names) == len(stats.names):
         return f"all {len(names)}"
     return " ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
@@ -134,7 +134,7 @@ def _frames(spans: Sequence[Span]) -> str:
     return " ".join(shown) + (f" and {len(spans) - 3} more" if len(spans) > 3 else "") if shown else "-"
 
 
-def _finding_json(look: Look, finding: Finding) -> dict[str, Any]:
+def _finding_json(stats: RigStatistics, finding: Finding) -> dict[str, Any]:
     evidence, decision = finding.evidence, finding.decision
     return {
         "effect": decision.effect,
@@ -148,13 +148,13 @@ def _finding_json(look: Look, finding: Finding) -> dict[str, Any]:
         "reason": decision.reason,
         "cost": decision.cost,
         "figures": _plain(decision.figures),
-        "values": _by_camera(look, evidence.values),
-        "details": {name: _by_camera(look, values) for name, values in evidence.details.items()},
+        "values": _by_camera(stats, evidence.values),
+        "details": {name: _by_camera(stats, values) for name, values in evidence.details.items()},
     }
 
 
-def _by_camera(look: Look, values: np.ndarray[Any, np.dtype[np.float64]]) -> dict[str, list[float | None]]:
-    return {name: [_number(v) for v in row.tolist()] for name, row in zip(look.names, values, strict=True)}
+def _by_camera(stats: RigStatistics, values: np.ndarray[Any, np.dtype[np.float64]]) -> dict[str, list[float | None]]:
+    return {name: [_number(v) for v in row.tolist()] for name, row in zip(stats.names, values, strict=True)}
 
 
 def _plain(value: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Light or colour changes while the geometry stays: lamps, screens, shadows of what is outside the picture."""
+"""Light or colour changes while the geometry stays: lamps, screens, shadows of objects outside the picture."""
 
 from __future__ import annotations
 
@@ -8,34 +8,34 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .effect import Decision, Evidence
-from .look import F64, Look
 from .motion import decide_by_change
+from .rig_statistics import F64, RigStatistics
 
 if TYPE_CHECKING:
     from ..settings.encode import EncodeSettings
 LIMIT = 0.2
-"""Share of a change away from motion: the geometric middle of the shadows of what moves, and of light alone."""
+"""Share of a change away from motion: the geometric mean of its values for shadows of moving objects and for light."""
 
 _LEAST_SHARE = 0.001
 """Share of a picture below which a change is a speck: 93 pixels of 352 x 264."""
 
 
 class AppearanceChange:
-    """Evidence: of what changes, the share that is not near anything that moves; there the shadow belongs to the
-    motion. What changes too slowly to be seen from one frame to the next is looked for over several."""
+    """Evidence: share of the changed pixels away from motion; near it, shadows belong to the motion. Changes too slow
+    to detect between successive frames are detected over several."""
 
     name = "appearance_change"
 
-    def evidence(self, look: Look) -> Evidence:
-        changed, alone, share = _away_from_motion(look, "changed", "near")
-        _, _, slow = _away_from_motion(look, "slow_changed", "slow_near")
+    def evidence(self, stats: RigStatistics) -> Evidence:
+        changed, alone, share = _away_from_motion(stats, "changed", "near")
+        _, _, slow = _away_from_motion(stats, "slow_changed", "slow_near")
         details = {"changed": changed * 100, "alone": alone * 100, "slow": slow * 100}
         return Evidence(np.fmax(share, slow) * 100, "% of change", LIMIT * 100, details)
 
-    def decide(self, look: Look, evidence: Evidence) -> Decision:
+    def decide(self, stats: RigStatistics, evidence: Evidence) -> Decision:
         area = float(np.nan_to_num(evidence.details["alone"]).max())
         return decide_by_change(
-            look,
+            stats,
             self,
             evidence,
             reason=f"up to {area:.2g} % of a picture changes from one frame to the next, in place and away from motion",
@@ -52,9 +52,9 @@ class AppearanceChange:
         return replace(settings, frame=replace(settings.frame, rates=rates))
 
 
-def _away_from_motion(look: Look, *names: str) -> tuple[F64, F64, F64]:
-    """Shares (cameras, F): of pictures, what changes; what does so away from motion; of the first, the second."""
-    changed, near = (np.stack([getattr(shares, name) for shares in look.changes]) for name in names)
+def _away_from_motion(stats: RigStatistics, *names: str) -> tuple[F64, F64, F64]:
+    """Arrays (cameras, F): share of changed pixels, share of those away from motion, ratio of second to first."""
+    changed, near = (np.stack([getattr(shares, name) for shares in stats.changes]) for name in names)
     alone = changed - near
     share = alone / np.maximum(changed, 1e-9)
     share[alone < _LEAST_SHARE] = 0

@@ -1,19 +1,18 @@
-"""What came to be where it was not before, or went from where it was, and did not just move.
+"""Arrivals and departures of objects, as opposed to motion.
 
-An object has an outline. Where the pictures before and after a change differ, the one that shows the object has
-stronger edges along the border of the difference: the object *arrived* there or it *left* there. What merely moved left
-one place and arrived at another, and restructured pixels join the two, in the picture and from one to the next: its
-*path*. So a path with arrivals and departures that balance is motion; one with arrivals alone is an emergence, one with
-departures alone a disappearance. Every path is judged by itself, by the pictures before its first and after its last
-step: what else moves, earlier, later or elsewhere, has no part in it. The edge test is that of video surveillance for
-bags that were left behind or taken away.
+An object has an outline. Along the border of a difference between the pictures before and after a change, the picture
+with the object has stronger edges: the object *arrived* there or it *left*. A moving object left one place and arrived
+at another, and restructured pixels connect the two in space and time: its *path*. A path with balanced arrivals and
+departures is motion, one with arrivals alone an emergence, one with departures alone a disappearance. The pictures
+before the first and after the last step of a path decide about it, independently of other motion. Video surveillance
+applies this edge test to abandoned or stolen bags.
 
-Nothing is said of a path in which a difference has no clear side, or a place was already (for an arrival) or is still
-(for a departure) in motion as the clip began (or ended); nor of one that only left, from a place already in motion, or
-that still arrives as the clip ends.
+A path stays undetermined if a difference has no clear side; if the place of an arrival was already in motion at the
+clip's begin, or that of a departure still is at its end; if it only leaves, from a place already in motion; and if it
+still arrives at the clip's end.
 
-What comes and goes in between is motion. What touches something that moves, in the picture, is one path with it: other
-cameras see the two apart.
+An object that comes and goes within the clip is motion. An object that touches a moving one in the picture shares its
+path; other cameras see the two apart.
 """
 
 from __future__ import annotations
@@ -35,26 +34,26 @@ U8 = NDArray[np.uint8]
 IntArray = NDArray[np.int64]
 
 _OBJECT_LEVELS = 12
-"""Difference of an object from what it covers, in levels; soft shadows differ by less."""
+"""Least difference of an object from its background, in levels; soft shadows differ by less."""
 _CLEAR_SIDE = 0.15
-"""Share of the border along which the one picture must have more of the stronger edges than the other."""
+"""Least lead of one picture in the share of the border with stronger edges."""
 _STRONGER = 1.5
 _EDGE = 40.0
-"""Scharr response that is an edge: a step of 2 to 3 levels after smoothing."""
+"""Least Scharr response of an edge: a step of 2 to 3 levels after smoothing."""
 _OUTLINED = 0.3
-"""Share of a difference's border that must be restructured: light has soft borders that are not."""
+"""Least restructured share of a difference's border: light has soft borders, which are not restructured."""
 _RESTING = 0.3
-"""Share of a place that may change in the first (or last) two steps and still count as resting."""
+"""Largest share of a resting place that changes in the first (or last) two steps."""
 _SETTLED = 0.9
 _SQUARE = np.ones((3, 3), np.uint8)
 
 
 @dataclass(frozen=True)
 class Arrivals:
-    """How far arrivals and departures of a camera's swept areas are from balance, per frame (F,), in per cent.
+    """Imbalance of arrivals and departures in a camera's swept areas, per frame (F,), in per cent.
 
-    100 is an object that only arrived (or only left), 0 none, or one that moved. NaN for the first frame and where
-    nothing could be determined.
+    100: an object that only arrived (or only left); 0: no object, or a moving one. NaN: the first frame, and
+    undetermined ones.
     """
 
     arrived: F64
@@ -63,7 +62,7 @@ class Arrivals:
 
 @dataclass(frozen=True)
 class _Path:
-    """What restructured pixels join over time: ``swept`` (H, W), and its ``first`` and ``last`` step.
+    """Restructured pixels connected over time: ``swept`` (H, W), and its ``first`` and ``last`` step.
 
     Step t leads from picture t to picture t + 1.
     """
@@ -82,13 +81,13 @@ class _Difference:
     busy_at_first: bool
 
 
-def untold(frames: int) -> Arrivals:
-    """The arrivals of a camera of which nothing can be told: NaN for each of its ``frames``."""
+def undetermined(frames: int) -> Arrivals:
+    """The arrivals of a camera that cannot be judged: NaN for each of its ``frames``."""
     return Arrivals(np.full(frames, np.nan), np.full(frames, np.nan))
 
 
 def camera_arrivals(pictures: U8, maps: Sequence[ChangeMaps], noise: float) -> Arrivals:
-    """What arrived and what left over a camera's pictures (F, H, W, 3); ``maps``: of each against the one before."""
+    """Arrivals and departures in a camera's pictures (F, H, W, 3); ``maps``: of each against the one before."""
     arrived, left = (np.zeros(len(pictures)) for _ in range(2))
     arrived[0] = left[0] = np.nan
     unclear = False
@@ -113,13 +112,13 @@ def camera_arrivals(pictures: U8, maps: Sequence[ChangeMaps], noise: float) -> A
             unclear = True
         else:
             _raise(left, slice(before + 1, after + 1), -balance)
-    return untold(len(pictures)) if unclear and not np.nansum(arrived + left) else Arrivals(arrived, left)
+    return undetermined(len(pictures)) if unclear and not np.nansum(arrived + left) else Arrivals(arrived, left)
 
 
 def _paths(maps: Sequence[ChangeMaps]) -> list[_Path]:
-    """The paths that are large enough to tell, in the order of their first steps."""
+    """The sufficiently large paths, in the order of their first steps."""
     shape = maps[0].restructured.shape
-    parents = [0]  # of every step's areas, of all steps: the path each was found to belong to; 0 is none
+    parents = [0]  # union-find over the areas of all steps: the path of each; 0: none
     pixels, numbers, steps = ([np.zeros(0, np.int64)] for _ in range(3))
     before = np.zeros(shape, np.int64)
     for step, each in enumerate(maps):
@@ -140,7 +139,7 @@ def _paths(maps: Sequence[ChangeMaps]) -> list[_Path]:
 
 
 def _grouped(shape: tuple[int, ...], pixels: IntArray, steps: IntArray, paths: IntArray) -> list[_Path]:
-    """The paths of pixels (P,), flat, each of a step, in the steps' order, and of a path's number."""
+    """Paths from flat pixels (P,) with their steps, in the steps' order, and path numbers."""
     order = np.argsort(paths, kind="stable")
     starts = np.flatnonzero(np.diff(paths[order]) > 0) + 1
     found = []
@@ -166,7 +165,7 @@ def _raise(values: F64, frames: slice, balance: float) -> None:
 
 
 def _differences(pictures: U8, maps: Sequence[ChangeMaps], path: _Path, noise: float) -> list[_Difference]:
-    """Where a path's pictures before and after it differ as far as objects do."""
+    """Pixels at which the pictures before and after a path differ as much as objects do."""
     window = _around(path.swept)
     first, last = pictures[path.first][window], pictures[path.last + 1][window]
     swept, width = path.swept[window], pictures.shape[2]
@@ -176,7 +175,7 @@ def _differences(pictures: U8, maps: Sequence[ChangeMaps], path: _Path, noise: f
     closed = cv2.morphologyEx(objects.view(np.uint8), cv2.MORPH_CLOSE, _SQUARE)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(closed, connectivity=8)
     edges = _edges(first), _edges(last)
-    # Motion of the clip's first and last two steps may have begun before it, or go on after.
+    # Motion in the clip's first and last two steps may extend beyond the clip.
     ends = maps[path.first : 2], maps[max(len(maps) - 2, 0) : path.last + 1]
     early, late = (_moving(some, window, path.swept.shape) for some in ends)
     found = []
@@ -198,7 +197,7 @@ def _differences(pictures: U8, maps: Sequence[ChangeMaps], path: _Path, noise: f
 
 
 def _around(area: BoolArray) -> tuple[slice, slice]:
-    """The rows and columns of an area, and as many around it as a change near it may reach."""
+    """Rows and columns of an area and its surroundings, as far as nearby changes may reach."""
     margin = round(2 * NEAR_SHARE * area.shape[1]) + math.isqrt(WINDOW_PIXELS)
     spans = [np.flatnonzero(area.any(axis=axis)) for axis in (1, 0)]
     rows, columns = (slice(max(0, int(span[0]) - margin), int(span[-1]) + 1 + margin) for span in spans)
@@ -206,7 +205,7 @@ def _around(area: BoolArray) -> tuple[slice, slice]:
 
 
 def _moving(maps: Sequence[ChangeMaps], window: tuple[slice, slice], shape: tuple[int, ...]) -> BoolArray:
-    """Where in the ``window`` of a picture of that ``shape`` something moves in any of the steps."""
+    """Moving pixels in the ``window`` of a picture of this ``shape``, over all of the steps."""
     moves = np.zeros(shape, bool)[window]
     for each in maps:
         moves |= ChangeMaps(each.changed[window], each.restructured[window]).near(shape[1])
@@ -214,7 +213,7 @@ def _moving(maps: Sequence[ChangeMaps], window: tuple[slice, slice], shape: tupl
 
 
 def _side(first: F32, last: F32) -> int:
-    """Which picture has the object, by its edges along the border: 1 the last, -1 the first, 0 not clear."""
+    """The picture with the object, by edges along the border: 1 the last, -1 the first, 0 unclear."""
     strong = np.maximum(first, last) > _EDGE
     lead = float((strong & (last > _STRONGER * first)).mean() - (strong & (first > _STRONGER * last)).mean())
     return 0 if abs(lead) < _CLEAR_SIDE else 1 if lead > 0 else -1
@@ -227,7 +226,7 @@ def _edges(picture: U8) -> F32:
 
 
 def _settled(pictures: U8, place: BoolArray) -> int:
-    """The first frame by which nine tenths of what differs in the end have begun to differ from the first picture."""
+    """First frame at which nine tenths of the finally differing pixels already differ from the first picture."""
     here = pictures[:, place].astype(np.int16)
     differs = np.abs(here - here[0]).max(axis=2) > _OBJECT_LEVELS
     begun = np.logical_or.accumulate(differs[:, differs[-1]], axis=0).sum(axis=1)

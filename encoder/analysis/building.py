@@ -1,9 +1,9 @@
-"""What an encode builds of the effects: those that a scene calls for, or those that it is asked for.
+"""The effects that an encode enables: those that a scene calls for, or those that the user requests.
 
-Chosen: building an effect, or leaving it out, changes settings and nothing else, in the effect's own file; training
-looks at settings only. So what is not called for is not there to cost anything, a stream's header says what was built,
-and a frame's own choice is the same change made for one frame. Rejected: flags that training asks at every turn (an
-effect would be spread over many files, and a new one would touch them all).
+Chosen: an effect, in its own file, changes settings and nothing else; training depends on settings only. So a disabled
+effect costs nothing, a stream's header lists the enabled ones, and one frame's choice is the same change of its
+settings. Rejected: flags that training checks (an effect would be spread over many files, and a new one would change
+them all).
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ AUTO, ALL, NONE = EFFECT_BASES
 
 @dataclass(frozen=True)
 class EffectChoice:
-    """Which effects an encode is to build: a base, and names of effects added to it and taken from it.
+    """The requested effects: a base, and names of effects added to it and dropped from it.
 
-    ``base``: "auto" is what the scene calls for, which the rig is looked at for first, for seconds, and what each frame
+    ``base``: "auto" is what the scene calls for, for which the rig is analysed first, for seconds, and what each frame
     calls for; "all" every effect; "none" no effect. Raises UsageError for another base or an unknown name.
     """
 
@@ -52,7 +52,7 @@ class EffectChoice:
         return ",".join([*base, *sorted(self.added), *(f"-{name}" for name in sorted(self.dropped))])
 
     def names(self, detected: Collection[str]) -> tuple[str, ...]:
-        """In order, given those that the scene calls for; what every frame is asked for itself counts as such."""
+        """The requested names, in order, given the detected ones; effects detected per frame count as detected."""
         bases = {AUTO: {*FRAME_EFFECTS, *detected}, ALL: set(EFFECT_NAMES), NONE: set[str]()}
         names = (bases[self.base] | self.added) - self.dropped
         return tuple(name for name in EFFECT_NAMES if name in names)
@@ -61,10 +61,10 @@ class EffectChoice:
 def with_effects(
     settings: EncodeSettings, wanted: EffectChoice, cameras: Sequence[str], decisions: Callable[[], Sequence[Decision]]
 ) -> EncodeSettings:
-    """``settings`` that build what is wanted and nothing else; their ``effects`` are those that make a difference.
+    """``settings`` with exactly the wanted effects; their ``effects`` list those that change the settings.
 
     ``cameras``: names of all that train, for an effect that is wanted where the scene does not call for it.
-    ``decisions``: of the rig (`analysis.analyse`), asked for only where what is wanted depends on them.
+    ``decisions``: of the rig (`analysis.analyse`), called only if the wanted effects depend on them.
     """
     from . import EFFECTS
 
@@ -86,12 +86,12 @@ def with_effects(
 
 
 def _is_common(decision: Decision, cameras: Sequence[str]) -> bool:
-    """Whether most cameras have a fault: then the others have it, too, though less than can be determined."""
+    """Whether most cameras have a fault; then the others presumably have it below the detection limit."""
     return decision.effect in CAMERA_EFFECTS and 2 * len(decision.cameras) > len(cameras)
 
 
 def disable(settings: EncodeSettings, names: Collection[str]) -> EncodeSettings:
-    """``settings`` without the effects of these names: what a frame does that does not call for them."""
+    """``settings`` without the effects of these names, for a frame that does not call for them."""
     from . import EFFECTS
 
     for effect in EFFECTS:

@@ -1,4 +1,4 @@
-"""A camera that does not stand still: its whole picture moves against its first frame."""
+"""Camera shake: the whole picture moves against the first frame."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .effect import Decision, Evidence, cameras_beyond, decided, one_span
-from .look import Look
 from .registration import SHAKE_LIMIT
+from .rig_statistics import RigStatistics
 
 if TYPE_CHECKING:
     from ..settings.encode import EncodeSettings
@@ -20,25 +20,25 @@ class CameraShake:
 
     name = "camera_shake"
 
-    def evidence(self, look: Look) -> Evidence:
-        return Evidence(np.stack([path.displacement for path in look.paths]), "px", SHAKE_LIMIT)
+    def evidence(self, stats: RigStatistics) -> Evidence:
+        return Evidence(np.stack([path.displacement for path in stats.paths]), "px", SHAKE_LIMIT)
 
-    def decide(self, look: Look, evidence: Evidence) -> Decision:
+    def decide(self, stats: RigStatistics, evidence: Evidence) -> Decision:
         shaking = cameras_beyond(evidence)
-        own = evidence.camera_peaks / np.array(look.scales)
+        own = evidence.camera_peaks / np.array(stats.scales)
         largest = float(np.nan_to_num(own).max())
         return decided(
-            look,
+            stats,
             self,
             evidence,
             counts=shaking,
-            frames=one_span(look, np.any(evidence.reached[shaking], axis=0)),
+            frames=one_span(stats, np.any(evidence.reached[shaking], axis=0)),
             reason=f"a still background moves by up to {evidence.peak:.2f} px ({largest:.2f} px of the rig's pictures)",
             cost=f"3 angles per shaking camera and frame, about {6 * shaking.sum()} bytes a frame (estimated); a pose "
             "gradient in every training step of these cameras",
             figures={
                 "transforms": {
-                    look.names[k]: {"scale": look.scales[k], "pixels": look.paths[k].transforms.tolist()}
+                    stats.names[k]: {"scale": stats.scales[k], "pixels": stats.paths[k].transforms.tolist()}
                     for k in np.flatnonzero(shaking)
                 }
             },

@@ -1,8 +1,8 @@
-"""What changed between two pictures of a camera: where, and whether the pattern there moved or only its light.
+"""Changed pixels between two pictures of a camera, divided into changes of light and of content.
 
-A pattern whose light changes stays an affine function of itself in every small window: brighter, darker, of more or
-less contrast. What moves is not. So in windows of 7 x 7 pixels the new picture is fitted to the old one and the old to
-the new, and where more than half of what changed is left over, the content is another: *restructured*.
+A change of light is an affine function of the old values in every small window: brighter, darker, of more or less
+contrast. Motion is not. So affine fits map the new picture to the old one and vice versa, in windows of 7 x 7 pixels.
+Where the residual exceeds half of the change, the content differs: *restructured*.
 """
 
 from __future__ import annotations
@@ -24,30 +24,30 @@ CHANGE_LEVELS = 4.0
 """Smallest change of a 3 x 3 mean that counts, in 8-bit levels; at least CHANGE_NOISE times the camera's noise."""
 CHANGE_NOISE = 4.0
 _RESTRUCTURED_LEVELS = 6.0
-"""What an affine fit must leave over at least, in levels: coding leaves 2 to 3 of sharp texture."""
+"""Least residual of an affine fit that counts, in levels: video coding leaves 2 to 3 at sharp texture."""
 _UNEXPLAINED = 0.5
 _WINDOW = (7, 7)
 WINDOW_PIXELS = 49
 SLOW_FRAMES = 4
-"""Frames over which light is looked for that changes by less from one to the next than CHANGE_LEVELS."""
+"""Frames over which slow light is detected, which changes by less than CHANGE_LEVELS per frame."""
 _LEAST_PART = 0.5
-"""Of a frame's even part in such a change, what it must have for the change to be its own, too."""
+"""Least part of a frame in such a change, relative to an even distribution over the frames."""
 NEAR_SHARE = 0.0355
-"""How far around restructured pixels a change counts as theirs, as a share of the picture's width: the reach of the
-encoder's masks."""
+"""Radius around restructured pixels within which a change belongs to them, as a share of the picture's width: the
+dilation of the encoder's masks."""
 
 
 @dataclass(frozen=True)
 class ChangeMaps:
-    """Bool (H, W): ``changed`` at all; ``restructured``, content that an affine change of light does not explain."""
+    """Bool (H, W): ``changed``; ``restructured``, changes that no affine change of light explains."""
 
     changed: BoolArray
     restructured: BoolArray
 
     def near(self, width: int | None = None) -> BoolArray:
-        """Changed pixels around restructured ones: objects, their shadows, what they uncover.
+        """Changed pixels around restructured ones: objects, their shadows, uncovered background.
 
-        ``width`` of the whole picture, where the maps are of a part.
+        ``width``: of the whole picture, if the maps are of a part.
         """
         return self.changed & dilate(self.restructured, round(NEAR_SHARE * (width or self.changed.shape[1])))
 
@@ -56,9 +56,9 @@ class ChangeMaps:
 class ChangeShares:
     """Shares of one camera's picture per frame (F,), against the frame before; NaN for the first.
 
-    ``changed`` at all, ``restructured``, and ``near``: changed close to what is restructured. ``slow_changed``,
-    ``slow_near``: the same over the SLOW_FRAMES frames around it, where it has its part in what changed there, else 0;
-    NaN in a camera whose drift was taken out.
+    ``changed``, ``restructured``, and ``near``: changed pixels close to restructured ones. ``slow_changed``,
+    ``slow_near``: the same over the SLOW_FRAMES frames around a frame that contributes to their change, else 0; NaN
+    for a camera whose drift was removed.
     """
 
     changed: F64
@@ -68,8 +68,8 @@ class ChangeShares:
     slow_near: F64
 
     @staticmethod
-    def untold(frames: int) -> ChangeShares:
-        """The shares of a camera of which nothing can be told: NaN for each of its ``frames``."""
+    def undetermined(frames: int) -> ChangeShares:
+        """The shares of a camera that cannot be judged: NaN for each of its ``frames``."""
         return ChangeShares(*(np.full(frames, np.nan) for _ in fields(ChangeShares)))
 
     @staticmethod
@@ -86,7 +86,7 @@ class ChangeShares:
 
 
 def change_maps(before: U8, now: U8, noise: float) -> ChangeMaps:
-    """What changed from one picture (H, W, 3) to the next; ``noise``: deviation of one picture in 8-bit levels."""
+    """Changes from one picture (H, W, 3) to the next; ``noise``: deviation of one picture in 8-bit levels."""
     limit = max(CHANGE_LEVELS, CHANGE_NOISE * noise)
     differences = cv2.absdiff(cv2.blur(now, (3, 3)), cv2.blur(before, (3, 3)))
     changed = np.asarray(differences.max(axis=2) > limit)
@@ -98,7 +98,7 @@ def change_maps(before: U8, now: U8, noise: float) -> ChangeMaps:
 
 
 def _slow_shares(pictures: U8, noise: float) -> F64:
-    """``slow_changed`` and ``slow_near`` (2, F) of pictures (F, H, W, 3): light that no two of them tell from noise."""
+    """``slow_changed`` and ``slow_near`` (2, F) of pictures (F, H, W, 3): light below noise between successive ones."""
     shares = np.zeros((2, len(pictures)))
     shares[:, 0] = np.nan
     last = len(pictures) - 1
@@ -118,12 +118,12 @@ def _slow_shares(pictures: U8, noise: float) -> F64:
 
 
 def _left_over(before: U8, now: U8) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Mean square of what affine fits leave over in the window around each pixel, and of the whole change."""
+    """Mean squared residual of affine fits in the window around each pixel, and mean squared change."""
     a, b = (cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY).astype(np.float32) for picture in (before, now))
     mean_a, mean_b = cv2.blur(a, _WINDOW), cv2.blur(b, _WINDOW)
     square_a, square_b, product = cv2.blur(a * a, _WINDOW), cv2.blur(b * b, _WINDOW), cv2.blur(a * b, _WINDOW)
     var_a, var_b = square_a - mean_a * mean_a, square_b - mean_b * mean_b
-    # A pattern that turns into its negative is another pattern.
+    # The negative of a pattern counts as different content.
     common = np.maximum(product - mean_a * mean_b, 0) ** 2
     left_over = np.maximum(var_b - common / (var_a + 1), var_a - common / (var_b + 1))
     return left_over, square_a + square_b - 2 * product

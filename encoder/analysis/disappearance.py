@@ -1,4 +1,4 @@
-"""Something is gone in the end: it left the pictures, or went behind or into something else."""
+"""Disappearance: an object leaves the pictures, or goes behind or into another object."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from .effect import Decision, Evidence
 from .emergence import IMBALANCE, decide_by_vote, none_without_motion
-from .look import Look
+from .rig_statistics import RigStatistics
 
 if TYPE_CHECKING:
     from ..settings.encode import EncodeSettings
@@ -20,13 +20,13 @@ class Disappearance:
 
     name = "disappearance"
 
-    def evidence(self, look: Look) -> Evidence:
-        values = np.stack([arrivals.left for arrivals in look.arrivals])
-        return Evidence(none_without_motion(look, values), "% left only", IMBALANCE)
+    def evidence(self, stats: RigStatistics) -> Evidence:
+        values = np.stack([arrivals.left for arrivals in stats.arrivals])
+        return Evidence(none_without_motion(stats, values), "% left only", IMBALANCE)
 
-    def decide(self, look: Look, evidence: Evidence) -> Decision:
+    def decide(self, stats: RigStatistics, evidence: Evidence) -> Decision:
         return decide_by_vote(
-            look,
+            stats,
             self,
             evidence,
             what="show at their start what is gone at their end and went nowhere in the picture",
@@ -37,5 +37,5 @@ class Disappearance:
         return settings
 
     def disabled(self, settings: EncodeSettings) -> EncodeSettings:
-        """What has become faint stays."""
+        """Transparent Gaussians stay."""
         return replace(settings, frame=replace(settings.frame, prune_opacity=0.0))

@@ -1,4 +1,4 @@
-"""What every effect says of a rig: the evidence it found, and what it decides from it. One protocol, plain data."""
+"""The protocol of an effect, with its evidence and its decision as plain data."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from .look import Look
+from .rig_statistics import RigStatistics
 
 if TYPE_CHECKING:
     from ..settings.encode import EncodeSettings
@@ -21,11 +21,11 @@ Span = tuple[int, int]
 
 @dataclass(frozen=True)
 class Evidence:
-    """How strong an effect shows, per camera and looked-at frame.
+    """Strength of an effect per camera and analysed frame.
 
-    ``values`` (cameras, frames) float64 in ``unit``, in the order of the look's cameras and frames; NaN where nothing
-    could be determined. A value counts from ``limit`` on. ``details``: further arrays of the same shape, by name, that
-    the decision draws on and the JSON shows.
+    ``values`` (cameras, frames) float64 in ``unit``, in the order of the statistics' cameras and frames; NaN:
+    undetermined. A value counts from ``limit`` on. ``details``: further arrays of the same shape, by name, for the
+    decision and the JSON.
     """
 
     values: F64
@@ -41,23 +41,23 @@ class Evidence:
 
     @property
     def reached(self) -> BoolArray:
-        """Where the values reach the limit, (cameras, frames)."""
+        """Whether the values reach the limit, (cameras, frames)."""
         return np.asarray(np.nan_to_num(self.values, nan=-np.inf) >= self.limit)
 
     @property
     def camera_peaks(self) -> F64:
-        """Each camera's largest value (cameras,); NaN for a camera of which nothing could be determined."""
+        """Each camera's largest value (cameras,); NaN for an undetermined camera."""
         with_floor = np.where(np.isfinite(self.values), self.values, -np.inf).max(axis=1)
         return np.asarray(np.where(np.isfinite(with_floor), with_floor, np.nan))
 
 
 @dataclass(frozen=True)
 class Decision:
-    """Whether a scene calls for an effect, how sure that is, where and when, why, and what it costs.
+    """Decision on an effect, with its confidence, cameras, frames, reason and cost.
 
-    ``confidence``: 0.5 when the evidence lies at its limit, 0.9 at three times or a third of it; 0 when nothing could
-    be known. ``cameras``: names. ``frames``: inclusive spans in the rig's own numbers; the first frame of a span is
-    the first whose picture differs. ``reason`` and ``cost`` are one line each. ``figures``: what an encoder needs.
+    ``confidence``: 0.5 for evidence at its limit, 0.9 at three times or a third of it; 0 if undetermined. ``cameras``:
+    names. ``frames``: inclusive spans in the rig's own numbers, from the first frame whose picture differs. ``reason``
+    and ``cost`` are one line each. ``figures``: parameters for the encoder.
     """
 
     effect: str
@@ -78,12 +78,12 @@ class Effect(Protocol):
         """One of EFFECT_NAMES."""
         ...
 
-    def evidence(self, look: Look) -> Evidence:
-        """How strong the effect shows in the pictures."""
+    def evidence(self, stats: RigStatistics) -> Evidence:
+        """Strength of the effect in the pictures."""
         ...
 
-    def decide(self, look: Look, evidence: Evidence) -> Decision:
-        """What follows from the evidence."""
+    def decide(self, stats: RigStatistics, evidence: Evidence) -> Decision:
+        """Decision from the evidence."""
         ...
 
     def enabled(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
@@ -96,7 +96,7 @@ class Effect(Protocol):
 
 
 def confidence(evidence: Evidence) -> float:
-    """How sure the decision is, by how far the peak lies from its limit: 1/2 there, 9/10 three times away; 0 untold."""
+    """Confidence by the ratio of peak and limit: 1/2 at 1, 9/10 at 3 and 1/3; 0 if undetermined."""
     peak = evidence.peak
     if not np.isfinite(peak):
         return 0.0
@@ -109,43 +109,43 @@ def cameras_beyond(evidence: Evidence) -> BoolArray:
     return np.asarray(evidence.reached.any(axis=1))
 
 
-def spans(look: Look, counts: BoolArray, *, gap: int = 0) -> tuple[Span, ...]:
-    """Inclusive spans of rig frames for the looked-at frames that count; pauses of up to ``gap`` of them are closed.
+def spans(stats: RigStatistics, counts: BoolArray, *, gap: int = 0) -> tuple[Span, ...]:
+    """Inclusive spans of rig frames for the analysed frames that count, with pauses of up to ``gap`` frames closed.
 
-    Where frames were left out, what shows in a looked-at frame may have begun right after the one before it.
+    In a thinned clip, a change may have begun right after the previous analysed frame.
     """
     found: list[Span] = []
     last = -1
     for index in np.flatnonzero(counts).tolist():
-        start = look.frames[index - 1] + 1 if index else look.frames[0]
+        start = stats.frames[index - 1] + 1 if index else stats.frames[0]
         if found and index - last <= gap + 1:
-            found[-1] = (found[-1][0], look.frames[index])
+            found[-1] = (found[-1][0], stats.frames[index])
         else:
-            found.append((start, look.frames[index]))
+            found.append((start, stats.frames[index]))
         last = index
     return tuple(found)
 
 
-def one_span(look: Look, counts: BoolArray) -> tuple[Span, ...]:
-    """The span from the first to the last frame that counts: for what drifts and passes through zero."""
-    return spans(look, counts, gap=len(look.frames))
+def one_span(stats: RigStatistics, counts: BoolArray) -> tuple[Span, ...]:
+    """The span from the first to the last frame that counts, for drifts that pass through zero."""
+    return spans(stats, counts, gap=len(stats.frames))
 
 
 def seen_together(evidence: Evidence, cameras: int = 2) -> BoolArray:
     """Frames (F,) in which the evidence reaches its limit in at least that many cameras, or in all if there are fewer.
 
-    What happens in the scene shows in more than one view; what a single one shows is left to chance.
+    A change of the scene is visible in more than one view; evidence in a single view may be chance.
     """
     return np.asarray(evidence.reached.sum(axis=0) >= min(cameras, len(evidence.values)))
 
 
-def in_doubt(look: Look, evidence: Evidence) -> bool:
-    """Whether there were frames to compare and nothing could be determined of them: every camera shakes."""
-    return len(look.frames) > 1 and not np.isfinite(evidence.peak)
+def in_doubt(stats: RigStatistics, evidence: Evidence) -> bool:
+    """Whether all cameras are undetermined although there are frames to compare: every camera shakes."""
+    return len(stats.frames) > 1 and not np.isfinite(evidence.peak)
 
 
 def decided(
-    look: Look,
+    stats: RigStatistics,
     effect: Effect,
     evidence: Evidence,
     *,
@@ -158,15 +158,14 @@ def decided(
 ) -> Decision:
     """The decision for an effect that is called for when any camera ``counts`` (cameras,).
 
-    Cameras, frames and cost are left out of one that is not. ``sure``: the confidence, where it is not that of the
-    evidence alone.
+    Other decisions have no cameras, frames and cost. ``sure``: the confidence, if not that of the evidence.
     """
     detected = bool(counts.any())
     return Decision(
         effect=effect.name,
         detected=detected,
         confidence=confidence(evidence) if sure is None else sure,
-        cameras=tuple(name for name, count in zip(look.names, counts, strict=True) if count),
+        cameras=tuple(name for name, count in zip(stats.names, counts, strict=True) if count),
         frames=frames if detected else (),
         reason=reason,
         cost=cost if detected else "nothing",

@@ -9,7 +9,7 @@ from decogs.formats.splats import FloatArray
 from ..change.masks import FrameMask
 from ..settings.encode import EncodeSettings
 from .building import disable
-from .frame_look import frame_effects
+from .frame_effects import frame_effects
 
 
 def enabled_effects(
@@ -22,10 +22,10 @@ def enabled_effects(
 ) -> tuple[tuple[str, ...], EncodeSettings]:
     """The names of ``settings``' effects that a frame calls for, and the settings without the others.
 
-    ``pictures``, ``references``: the frame's and what they are compared with, (3, H, W) each.
+    ``pictures``, ``references``: those of the frame, (3, H, W) each.
     """
     effects = settings.frame_effects
     found = frame_effects(pictures, references, masks, threads=threads)
-    # What moves changes its shading, too: without colours workbench_drift loses half a dB where things move.
+    # Moving objects change their shading: without colours workbench_drift loses half a dB in moving regions.
     disabled = [] if found.motion else [name for name in effects if not getattr(found, name)]
     return tuple(name for name in effects if name not in disabled), disable(settings, disabled)

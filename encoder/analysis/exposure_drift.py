@@ -1,4 +1,4 @@
-"""A camera whose exposure drifts: its whole picture grows brighter or darker, and other cameras' pictures do not."""
+"""Exposure drift: a camera's whole picture grows brighter or darker, unlike other cameras' pictures."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from .effect import Decision, Evidence, cameras_beyond, decided, one_span
 from .light import EXPOSURE_LIMIT, FRAME_LIMIT
-from .look import Look
+from .rig_statistics import RigStatistics
 
 if TYPE_CHECKING:
     from ..settings.encode import EncodeSettings
@@ -20,23 +20,23 @@ class ExposureDrift:
 
     name = "exposure_drift"
 
-    def evidence(self, look: Look) -> Evidence:
-        gains = {"gain": np.expm1(look.light.gains[..., 0]) * 100}
-        return Evidence(look.light.exposure * 100, "% gain", EXPOSURE_LIMIT * 100, gains)
+    def evidence(self, stats: RigStatistics) -> Evidence:
+        gains = {"gain": np.expm1(stats.light.gains[..., 0]) * 100}
+        return Evidence(stats.light.exposure * 100, "% gain", EXPOSURE_LIMIT * 100, gains)
 
-    def decide(self, look: Look, evidence: Evidence) -> Decision:
+    def decide(self, stats: RigStatistics, evidence: Evidence) -> Decision:
         drifting = cameras_beyond(evidence)
-        gains = np.nan_to_num(look.light.gains[..., 0])
+        gains = np.nan_to_num(stats.light.gains[..., 0])
         return decided(
-            look,
+            stats,
             self,
             evidence,
             counts=drifting,
-            frames=one_span(look, np.any(np.abs(gains[drifting]) >= FRAME_LIMIT, axis=0)),
+            frames=one_span(stats, np.any(np.abs(gains[drifting]) >= FRAME_LIMIT, axis=0)),
             reason=f"nearly all of a picture shares a gain of up to {evidence.peak:.1f} % of its own",
             cost=f"1 number per camera and frame, about {2 * drifting.sum()} bytes a frame (estimated); "
             "one multiplication per pixel",
-            figures={"gain": {look.names[k]: np.exp(gains[k]).tolist() for k in np.flatnonzero(drifting)}},
+            figures={"gain": {stats.names[k]: np.exp(gains[k]).tolist() for k in np.flatnonzero(drifting)}},
         )
 
     def enabled(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:

@@ -1,4 +1,4 @@
-"""Pictures brighter than white: scene-linear values beyond 1 in more than a trace of the pixels."""
+"""High dynamic range: scene-linear values above 1 in more than a trace of the pixels."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .effect import Decision, Evidence, cameras_beyond, decided, spans
-from .look import Look
+from .rig_statistics import RigStatistics
 
 if TYPE_CHECKING:
     from ..settings.encode import EncodeSettings
@@ -21,20 +21,20 @@ class HighDynamicRange:
 
     name = "high_dynamic_range"
 
-    def evidence(self, look: Look) -> Evidence:
-        shares = np.where(np.isfinite(look.above_white), look.above_white, 0.0)
-        return Evidence(shares * 100, "% of pixels", _TRACE, {"brightest": look.brightest})
+    def evidence(self, stats: RigStatistics) -> Evidence:
+        shares = np.where(np.isfinite(stats.above_white), stats.above_white, 0.0)
+        return Evidence(shares * 100, "% of pixels", _TRACE, {"brightest": stats.brightest})
 
-    def decide(self, look: Look, evidence: Evidence) -> Decision:
+    def decide(self, stats: RigStatistics, evidence: Evidence) -> Decision:
         beyond = cameras_beyond(evidence)
-        brightest = float(np.nan_to_num(look.brightest, nan=1.0).max())
-        known = np.isfinite(look.brightest).any()
+        brightest = float(np.nan_to_num(stats.brightest, nan=1.0).max())
+        known = np.isfinite(stats.brightest).any()
         return decided(
-            look,
+            stats,
             self,
             evidence,
             counts=beyond,
-            frames=spans(look, np.any(evidence.reached, axis=0)),
+            frames=spans(stats, np.any(evidence.reached, axis=0)),
             reason=f"{evidence.peak:.3g} % of a picture lies beyond white, up to {brightest:.4g} times it"
             if known
             else "8-bit pictures end at white",
@@ -43,7 +43,7 @@ class HighDynamicRange:
         )
 
     def enabled(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
-        """Told of only: a stream keeps display-referred colours, and what is brighter than white is clipped."""
+        """Reported only: a stream has display-referred colours, clipped at white."""
         return settings
 
     def disabled(self, settings: EncodeSettings) -> EncodeSettings:

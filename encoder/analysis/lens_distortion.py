@@ -1,9 +1,9 @@
-"""Lenses that bend: by the rig's calibration, or, beyond it, by what neighbouring cameras see.
+"""Lens distortion: by the rig's calibration, or, beyond it, by matches between neighbouring cameras.
 
-A point seen by two cameras lies on its epipolar line in each, unless a lens bends. One coefficient k1 a camera
-(OpenCV's: distorted = undistorted (1 + k1 r^2)) and a small rotation a camera (so that a pose that is a little off is
-not taken for a lens) are fitted to all matches at once: Gauss-Newton on Sampson distances, with Tukey weights whose
-reach shrinks to four deviations, since a third of the matches may be wrong.
+Without distortion, a point in two pictures lies on its epipolar line in each. The fit has one coefficient k1 per camera
+(OpenCV's: distorted = undistorted (1 + k1 r^2)) and a small rotation per camera, so that errors of the pose are not
+distortion. Gauss-Newton minimises Sampson distances of all matches, with Tukey weights whose reach shrinks to four
+deviations, since a third of the matches may be wrong.
 """
 
 from __future__ import annotations
@@ -20,28 +20,28 @@ from decogs.decoder.lens import distort_pixels, is_distorted
 from decogs.formats.cameras import Camera, camera_centre
 
 from ..change.masks import BoolArray
+from ..numerics import tukey
 from .effect import F64, Decision, Evidence, cameras_beyond, decided, spans
-from .look import Look
 from .matches import PairMatches, sampson_distances
+from .rig_statistics import RigStatistics
 
 if TYPE_CHECKING:
     from ..settings.encode import EncodeSettings
 
 _LIMIT = 1.0
-"""Displacement that counts, in pixels looked at: three times what SIFT tells apart. Beyond the calibration it is taken
-at the radius within which nine of ten matches lie: the fit has seen nothing of what is farther out."""
+"""Least displacement that counts, in pixels of the analysed size: three times SIFT's accuracy. Beyond the calibration,
+it is that at the radius within which nine of ten matches lie: the fit has no data farther out."""
 _RADIUS_QUANTILE = 0.9
 _SURE = 3.0
-"""Deviations of the fit taken off what it finds: the rest is what the lens bends by at least."""
+"""Deviations of the fit, subtracted from its result for a lower bound of the distortion."""
 _LEAST_MATCHES = 30
 _LEAST_SHARE = 0.5
-"""Share of a camera's matches that must lie near their lines in the end: wrong matches lie there by chance, one in
-ten."""
+"""Least share of a camera's matches near their epipolar lines after the fit; by chance one in ten wrong matches is."""
 _UNKNOWNS = 4
 _ROUNDS = 12
 _FIRST_REACH, _SHRINKS = 20.0, 0.7
 _LEAST_DEVIATION = 0.3
-"""Pixels: SIFT does not find a point more exactly."""
+"""SIFT's accuracy, in pixels."""
 _ROTATION_PRIOR = np.radians(0.15)
 _K1_PRIOR = 0.3
 _STEP = 1e-5
@@ -52,32 +52,32 @@ class LensDistortion:
 
     name = "lens_distortion"
 
-    def evidence(self, look: Look) -> Evidence:
-        beyond, error, k1 = _beyond_calibration(look)
-        calibrated = np.array([_calibrated(camera) for camera in look.cameras])
-        values = np.full((len(look.cameras), len(look.frames)), np.nan)
+    def evidence(self, stats: RigStatistics) -> Evidence:
+        beyond, error, k1 = _beyond_calibration(stats)
+        calibrated = np.array([_calibrated(camera) for camera in stats.cameras])
+        values = np.full((len(stats.cameras), len(stats.frames)), np.nan)
         # Undetermined counts for a lens that is calibrated; a calibrated zero says nothing where the fit could not
         # tell.
         values[:, 0] = np.fmax(_surely(beyond, error), np.where(calibrated > 0, calibrated, np.nan))
         details = {"k1": k1, "beyond_px": beyond, "deviation_px": error, "calibrated_px": calibrated}
         return Evidence(values, "px", _LIMIT, {name: column[:, None] for name, column in details.items()})
 
-    def decide(self, look: Look, evidence: Evidence) -> Decision:
+    def decide(self, stats: RigStatistics, evidence: Evidence) -> Decision:
         details = {name: column[:, 0] for name, column in evidence.details.items()}
         uncalibrated = np.nan_to_num(_surely(details["beyond_px"], details["deviation_px"])) >= evidence.limit
         return decided(
-            look,
+            stats,
             self,
             evidence,
             counts=cameras_beyond(evidence),
-            frames=spans(look, np.ones(len(look.frames), bool)),
-            reason=_reason(look, evidence, uncalibrated),
+            frames=spans(stats, np.ones(len(stats.frames), bool)),
+            reason=_reason(stats, evidence, uncalibrated),
             cost="one resampling of every picture read, 2 ms at 352x264 (estimated); nothing to send but the lens",
-            figures={"k1": {look.names[k]: float(details["k1"][k]) for k in np.flatnonzero(uncalibrated)}},
+            figures={"k1": {stats.names[k]: float(details["k1"][k]) for k in np.flatnonzero(uncalibrated)}},
         )
 
     def enabled(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
-        """What a calibration says is undone in any case; here what it does not know."""
+        """Corrects the distortion beyond the calibration, which is undone in any case."""
         return replace(settings, corrections=replace(settings.corrections, lens=dict(decision.figures["k1"])))
 
     def disabled(self, settings: EncodeSettings) -> EncodeSettings:
@@ -88,19 +88,19 @@ def _surely(pixels: F64, deviation: F64) -> F64:
     return np.asarray(np.maximum(np.abs(pixels) - _SURE * deviation, 0.0))
 
 
-def _reason(look: Look, evidence: Evidence, uncalibrated: BoolArray) -> str:
+def _reason(stats: RigStatistics, evidence: Evidence, uncalibrated: BoolArray) -> str:
     if not np.isfinite(evidence.peak):
         return "too few points are seen by two cameras to tell"
     text = f"lenses bend by up to {evidence.peak:.1f} px"
     if uncalibrated.any():
         k1 = evidence.details["k1"][:, 0]
-        named = ", ".join(f"{look.names[k]} k1 {k1[k]:+.3f}" for k in np.flatnonzero(uncalibrated))
+        named = ", ".join(f"{stats.names[k]} k1 {k1[k]:+.3f}" for k in np.flatnonzero(uncalibrated))
         return f"{text}; beyond the calibration: {named}"
     return f"{text}, by the calibration" if cameras_beyond(evidence).any() else text
 
 
 def _calibrated(camera: Camera) -> float:
-    """How far the calibrated lens moves the pixel nearest to a corner that it reaches, in pixels; 0 for none."""
+    """Displacement of the calibrated lens near a corner, at the last pixel it reaches; 0 without distortion."""
     if not is_distorted(camera):
         return 0.0
     share = np.linspace(0, 1, 33)[:, None]
@@ -111,18 +111,18 @@ def _calibrated(camera: Camera) -> float:
     return float(moved[np.isfinite(moved)].max())
 
 
-def _beyond_calibration(look: Look) -> tuple[F64, F64, F64]:
-    """Displacement by each camera's k1 beyond its calibration, its deviation (pixels), and k1; NaN where untold."""
-    count = len(look.cameras)
+def _beyond_calibration(stats: RigStatistics) -> tuple[F64, F64, F64]:
+    """Displacement by each camera's k1 beyond its calibration, its deviation (pixels), and k1; NaN: undetermined."""
+    count = len(stats.cameras)
     beyond, error, k1 = (np.full(count, np.nan) for _ in range(3))
-    fit = _Fit(look.cameras, look.matches.pairs)
+    fit = _Fit(stats.cameras, stats.matches.pairs)
     met = fit.matches_of_cameras()
     if met.max(initial=0) < _LEAST_MATCHES:
         return beyond, error, k1
     found, deviation = fit.solve()
     kept = fit.matches_of_cameras()
     known = (kept >= _LEAST_MATCHES) & (kept >= _LEAST_SHARE * met)
-    pixels = np.array([camera.fx for camera in look.cameras]) * fit.radii() ** 3
+    pixels = np.array([camera.fx for camera in stats.cameras]) * fit.radii() ** 3
     beyond[known], error[known], k1[known] = (found * pixels)[known], (deviation * pixels)[known], found[known]
     return beyond, error, k1
 
@@ -164,7 +164,7 @@ class _Fit:
             sizes = np.abs(np.concatenate(missed))
             near = sizes[sizes < max(reach, 4.0)]
             deviation = max(_LEAST_DEVIATION, 1.5 * float(np.median(near)) if len(near) else 0.0)
-            self._weights = [_tukey(each, max(reach, 4 * deviation)) for each in missed]
+            self._weights = [tukey(each, max(reach, 4 * deviation)) for each in missed]
             normal, gradient = self._normal_equations(unknowns, missed)
             prior = (deviation / scales) ** 2
             normal[np.diag_indices_from(normal)] += prior
@@ -193,10 +193,6 @@ class _Fit:
         second = _straightened(pair.second_rays, unknowns[pair.second, 0])
         baseline = self._centres[pair.first] - self._centres[pair.second]
         return sampson_distances(first, second, turned, baseline) * self.cameras[pair.first].fx
-
-
-def _tukey(missed: F64, reach: float) -> F64:
-    return np.asarray(np.maximum(0.0, 1 - (missed / reach) ** 2) ** 2)
 
 
 def _straightened(rays: F64, k1: float) -> F64:

@@ -1,16 +1,15 @@
-"""A camera's own gain, separated from the scene's light by points of the scene that several cameras see.
+"""A camera's own gain, separated from the scene's light by points that several cameras share.
 
-At a point and frame, the change since the first frame is the sum of two: what the light there did, the same for all
-cameras that see the point, and what a camera's exposure or white balance did, the same for all its points. The
-difference between two cameras at one point is free of the light, wherever and however it changed; from many of them
-the cameras' gains are solved for, frame by frame, by least absolute deviations. That leaves one gain common to all
-cameras, which nothing can tell from light: it is light. So the median of the cameras' gains is the scene's, and a
-camera's own gain is what it differs by from that.
+The change at a point since the first frame is the sum of two: that of the light, the same for all cameras that see the
+point, and that of a camera's exposure or white balance, the same for all its points. The difference between two cameras
+at a point is independent of light. From many points, least absolute deviations give the cameras' gains, frame by frame,
+up to a common gain, which counts as light. So the median of the cameras' gains is the scene's, and a camera's own gain
+is its difference from this median.
 
-It counts as far as at least 80 % of the camera's points share it, in one direction: gloss, a shadow on one side, what
-moves, or a wrong match differ from place to place. And the camera's whole picture must show it: where most cameras'
-pictures change alike, the median of its pixels changes by half of the gain more, in the same direction. It does not
-where the points lie on what moves. A camera that shares too few points with others is undetermined.
+A gain counts as far as at least 80 % of the camera's points share it, in one direction: gloss, shadows on one side,
+motion and wrong matches differ from place to place. The camera's whole picture must confirm it: where most cameras'
+pictures change alike, the median of its pixels must change by half of the gain more, in the same direction. This
+excludes points on moving objects. A camera that shares too few points with others is undetermined.
 """
 
 from __future__ import annotations
@@ -25,6 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.formats.cameras import Camera, camera_centre
+from decogs.formats.colour import linear_from_srgb
+from decogs.formats.splats import logit
 
 from .matches import Matches, PairMatches, sampson_distances
 
@@ -38,32 +39,30 @@ EXPOSURE_LIMIT = 0.03
 power of 1/2.2."""
 
 WHITE_BALANCE_LIMIT = 0.02
-"""Gain of red or blue against green that counts: one level of 255 at mid-grey."""
+"""Least gain of red or blue against green that counts: one level of 255 at mid-grey."""
 
 FRAME_LIMIT = 0.01
 """Gain from which a frame of a drifting camera counts: half a level at mid-grey; a median over many points."""
 
 _AROUND = np.mgrid[-4:5:2, -4:5:2].reshape(2, 1, -1)
-"""Pixels around a point over which light is averaged: noise shrinks, and half a pixel of misplacement hardly shows."""
+"""Pixels around a point for averaging: reduces noise and the effect of half a pixel of misplacement."""
 _MOST_CLIPPED = 0.1
-"""Share of these that may be clipped."""
+"""Largest clipped share of these."""
 _MOST_SHARED = 100
-"""Points that a pair of cameras contributes: a median of so many is an eighth as noisy as one."""
+"""Most points of a pair of cameras: the median of so many has an eighth of the noise of one."""
 _NEAR_LINE = 3.0
-"""Pixels from the epipolar line within which a match is believed; a lens may be bent by more than its calibration."""
+"""Largest distance of an inlier from its epipolar line, in pixels, with room for uncalibrated distortion."""
 _DIFFERENT = 0.2
-"""Share of a camera's points at either end that may do something else."""
+"""Share of a camera's points at either end that may deviate."""
 _FEW = 20
-"""Points shared with other cameras below which nothing is said of a camera."""
+"""Least points that a determined camera shares with others."""
 _GRID = 24
-"""Rows and columns of pixels by which a whole picture is judged."""
+"""Rows and columns of the grid of pixels that stands for a whole picture."""
 _OVERALL = 0.5
-"""Of a gain, what the median of the camera's pixels must show: a quarter of them may do something else."""
+"""Least change of the median of a camera's pixels over its gain: a quarter of the pixels may deviate."""
 _COMPARABLE = 3
 """Cameras that a median needs: of two that differ, either may be the one that drifts."""
-_LINEAR: F32 = np.array(
-    [v / 12.92 if v <= 0.04045 else ((v + 0.055) / 1.055) ** 2.4 for v in np.arange(256) / 255], np.float32
-)
+_LINEAR: F32 = linear_from_srgb(np.arange(256) / 255).astype(np.float32)
 _CLIPPED = 5
 """Levels from either end of the scale within which a value tells nothing of the light."""
 _ROUNDS = 12
@@ -82,16 +81,16 @@ class SharedPoints:
     second_pixels: F64
 
     def pixels_of(self, camera: int) -> F64:
-        """Where a camera sees its points (M, 2): first those in which it comes first."""
+        """A camera's pixels (M, 2) of its points, beginning with pairs in which it is the first."""
         return np.concatenate([self.first_pixels[self.first == camera], self.second_pixels[self.second == camera]])
 
 
 @dataclass(frozen=True)
 class Light:
-    """The cameras' own gains against their first frames, after what belongs to the scene; arrays (cameras, F).
+    """The cameras' own gains against their first frames, without the scene's light; arrays (cameras, F).
 
-    ``exposure``, ``white_balance``: sizes of the gain that 80 % of a camera's points share, as logarithms, NaN where
-    nothing can be determined. ``gains`` (cameras, F, 3): log gains over all channels, of red over green and of blue
+    ``exposure``, ``white_balance``: sizes of the gain that 80 % of a camera's points share, as logarithms; NaN if
+    undetermined. ``gains`` (cameras, F, 3): log gains over all channels, of red over green and of blue
     over green; ``odds`` (cameras, F, 3): shifts of the log odds of red, green and blue.
     """
 
@@ -145,14 +144,14 @@ def light_at(pictures: U8, pixels: F64) -> F64:
         red, green, blue = np.log(_LINEAR[around[known]].mean(axis=1, dtype=np.float64)).T
         value = around[known].mean(axis=1, dtype=np.float64) / 255
         light = np.stack([(red + green + blue) / 3, red - green, blue - green], axis=1)
-        found[index, known] = np.concatenate([light, np.log(value / (1 - value))], axis=1)
+        found[index, known] = np.concatenate([light, logit(value)], axis=1)
     return found
 
 
 def light_overall(pictures: U8) -> F64:
     """The change of a camera's pictures (F, H, W, 3) against the first, medians (F, 6) of `light_at` a grid of pixels.
 
-    NaN where hardly any of them can be determined.
+    NaN if hardly any pixel is determined.
     """
     height, width = pictures.shape[1:3]
     row, column = (np.linspace(0, size, _GRID, endpoint=False) + size / (2 * _GRID) for size in (height, width))
@@ -167,7 +166,7 @@ def light_overall(pictures: U8) -> F64:
 
 
 def own_light(points: SharedPoints, lights: Sequence[F64], overall: Sequence[F64]) -> Light:
-    """What of every camera's changes is its own.
+    """Every camera's own share of its changes.
 
     ``lights``: of each, `light_at` its `SharedPoints.pixels_of`; ``overall``: of each, `light_overall`.
     """
@@ -188,9 +187,9 @@ def own_light(points: SharedPoints, lights: Sequence[F64], overall: Sequence[F64
 
 
 def _seen_overall(shares: F64, overall: F64) -> F64:
-    """The ``shares`` (cameras, F, 6) of gains, 0 where the cameras' ``overall`` changes do not show them.
+    """The ``shares`` (cameras, F, 6) of gains, 0 where the cameras' ``overall`` changes contradict them.
 
-    Where these differ among most cameras anyway, as under light that differs from place to place, nothing is said.
+    Overall changes that differ among most cameras, as under local light, do not count.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # No camera is determined in a frame.
@@ -213,7 +212,7 @@ def _believed(cameras: Sequence[Camera], pair: PairMatches) -> tuple[I64, I64, F
 
 
 def _change_differences(points: SharedPoints, lights: Sequence[F64]) -> F64:
-    """By how much more the first camera's value of a point changed than the second's, (F, N, 6)."""
+    """Difference between the changes of a point's value in its first and its second camera, (F, N, 6)."""
     frames = lights[0].shape[0]
     sides = np.full((2, frames, len(points.first), 6), np.nan)
     for camera, light in enumerate(lights):
@@ -226,9 +225,9 @@ def _change_differences(points: SharedPoints, lights: Sequence[F64]) -> F64:
 
 
 def _solved(first: I64, second: I64, differences: F64, cameras: int) -> tuple[F64, F64]:
-    """Gains (cameras, 6) whose differences fit those (N, 6) of the points best, and what 80 % of the points share.
+    """Gains (cameras, 6) that fit the points' ``differences`` (N, 6) best, and the share that 80 % of the points show.
 
-    Of cameras that can be compared; of others the gain is 0 and the share NaN.
+    Cameras without comparable ones have gain 0 and share NaN.
     """
     gains, shares = np.zeros((cameras, 6)), np.full((cameras, 6), np.nan)
     for group in _comparable(first, second, cameras):
@@ -247,7 +246,7 @@ def _solved(first: I64, second: I64, differences: F64, cameras: int) -> tuple[F6
 
 
 def _comparable(first: I64, second: I64, cameras: int) -> list[I64]:
-    """Groups of cameras, ascending, that are joined by enough points."""
+    """Groups of cameras, ascending, with enough common points."""
     kept = np.ones(cameras, bool)
     while True:
         both = kept[first] & kept[second]
@@ -269,7 +268,7 @@ def _comparable(first: I64, second: I64, cameras: int) -> list[I64]:
 
 
 def _least_deviations(first: I64, second: I64, differences: F64, cameras: int) -> F64:
-    """Gains (cameras,) under which ``differences`` (N,), of first minus second, leave the least absolute errors."""
+    """Gains (cameras,) with least absolute deviations from ``differences`` (N,), first minus second."""
     weights = np.ones(len(differences))
     gains = np.zeros(cameras)
     for _ in range(_ROUNDS):
@@ -278,14 +277,14 @@ def _least_deviations(first: I64, second: I64, differences: F64, cameras: int) -
         normal = np.diag(coupling.sum(axis=1)) - coupling
         pulled = weights * differences
         right = np.bincount(first, pulled, cameras) - np.bincount(second, pulled, cameras)
-        # Any common gain fits as well; this picks the one with mean 0.
+        # The common gain is arbitrary; this makes the mean 0.
         gains = np.linalg.solve(normal + np.trace(normal) / cameras**2, right)
         weights = 1 / np.maximum(np.abs(differences - gains[first] + gains[second]), _SMALLEST)
     return gains
 
 
 def _shared(values: F64) -> F64:
-    """What at least 80 % of the points (N, ...) share, in one direction; 0 where they differ in sign."""
+    """Value that at least 80 % of the points (N, ...) reach in one direction; 0 if they differ in sign."""
     low, high = np.quantile(values, [_DIFFERENT, 1 - _DIFFERENT], axis=0)
     nearer = np.where(np.abs(low) < np.abs(high), low, high)
     return np.asarray(np.where(low * high > 0, nearer, 0.0))

@@ -1,4 +1,4 @@
-"""Points of the scene found again by neighbouring cameras, in the first picture of each: SIFT, compared both ways."""
+"""Matches between the first pictures of neighbouring cameras: SIFT with a mutual check."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ U8 = NDArray[np.uint8]
 _FEATURES = 800
 _NEIGHBOURS = 4
 _WIDEST_ANGLE = 1.0
-"""Radians between optical axes beyond which SIFT finds next to nothing again."""
+"""Angle between optical axes, in radians, beyond which SIFT hardly matches."""
 _RATIO = 0.8
-"""Lowe's ratio: how much better the best match must be than the second."""
+"""Lowe's ratio: largest distance of the best match over the second best."""
 
 
 @dataclass(frozen=True)
 class PairMatches:
-    """Matches of the cameras ``first`` and ``second`` (positions in the look): pixels (N, 2) in both pictures.
+    """Matches of two cameras, ``first`` and ``second`` in the statistics' order: pixels (N, 2) in both pictures.
 
     ``first_rays``, ``second_rays`` (N, 2): the same as x/z and y/z, by the calibrated lens. Corner of the picture at 0.
     """
@@ -41,7 +41,7 @@ class PairMatches:
 
 @dataclass(frozen=True)
 class Matches:
-    """What pairs of neighbouring cameras have in common, wrong matches among it."""
+    """Matches of pairs of neighbouring cameras, including wrong ones."""
 
     pairs: tuple[PairMatches, ...]
 
@@ -61,7 +61,7 @@ def find_matches(cameras: Sequence[Camera], pictures: Sequence[U8], each: Callab
 
 
 def sampson_distances(first: F64, second: F64, rotations: Sequence[F64], baseline: F64) -> F64:
-    """How far matches (N, 2) of rays x/z, y/z lie from each other's epipolar lines, signed, in focal lengths (N,).
+    """Signed Sampson distances (N,) of matches (N, 2) of rays x/z, y/z, in focal lengths.
 
     ``rotations``: world to camera, of both; ``baseline``: centre of the first minus that of the second, world units.
     Source: Hartley and Zisserman, Multiple View Geometry, 11.4.3 (Sampson distance).

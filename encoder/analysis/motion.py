@@ -1,4 +1,4 @@
-"""Things move: patterns are found elsewhere, and no change of light explains what is now in their place."""
+"""Motion: restructured pixels, whose content no change of light explains."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ import numpy as np
 
 from .changes import WINDOW_PIXELS
 from .effect import Decision, Effect, Evidence, decided, in_doubt, seen_together, spans
-from .look import Look
+from .rig_statistics import RigStatistics
 
 if TYPE_CHECKING:
     from ..settings.encode import EncodeSettings
 
 LIMIT = 0.15
-"""Restructured share of what changes around: in the geometric middle of what light alone and what motion bring."""
+"""Restructured share of nearby changes: the geometric mean of its values for light alone and for motion."""
 
 PAUSE = 2
-"""Frames without evidence that do not end a span: what turns round stands still for a moment."""
+"""Frames without evidence that do not end a span: motion pauses where it reverses."""
 
 _LIGHT_THRESHOLD = 0.4
-"""Factor of the significance threshold where light alone changes: the change is spread over many Gaussians, each of
-which hardly shows. candle: .0033 / .0052 / .0104 (this is .0068 of standard's .017) give 12.1 /
+"""Factor of the significance threshold where light alone changes: many Gaussians change, each of them hardly
+visibly. candle: .0033 / .0052 / .0104 (this is .0068 of standard's .017) give 12.1 /
 10.8 / 8.0 kB a frame and, where light changes, 31.91 / 31.94 / 31.89 dB."""
 
 _LIGHT_ITERATIONS = 0.6
@@ -32,28 +32,28 @@ CPU-s a frame instead of 1.7 and loses .02 dB where light changes."""
 
 
 class Motion:
-    """Evidence: of what changes around restructured pixels, the share that is restructured itself.
+    """Evidence: restructured share of the changed pixels around restructured ones.
 
-    Around a moving body that is the body and the edges of its shadow. Where only light changes, the few pixels that
-    seem restructured (highlights that clip, a flame's rim) lie in the middle of a change that is explained.
-    Restructured areas below one window (49 pixels) are none.
+    A moving body and the edges of its shadow are restructured. Under a change of light alone, the few restructured
+    pixels (clipped highlights, a flame's rim) lie inside a large explained change. Restructured areas below one window
+    (49 pixels) do not count.
     """
 
     name = "motion"
 
-    def evidence(self, look: Look) -> Evidence:
-        restructured = np.stack([shares.restructured for shares in look.changes])
-        near = np.stack([shares.near for shares in look.changes])
-        pixels = np.array([[camera.width * camera.height] for camera in look.cameras])
+    def evidence(self, stats: RigStatistics) -> Evidence:
+        restructured = np.stack([shares.restructured for shares in stats.changes])
+        near = np.stack([shares.near for shares in stats.changes])
+        pixels = np.array([[camera.width * camera.height] for camera in stats.cameras])
         share = restructured / np.maximum(near, 1e-9)
         share[restructured * pixels < WINDOW_PIXELS] = 0
         details = {"restructured": restructured * 100}
         return Evidence(share * 100, "% restructured", LIMIT * 100, details)
 
-    def decide(self, look: Look, evidence: Evidence) -> Decision:
+    def decide(self, stats: RigStatistics, evidence: Evidence) -> Decision:
         area = float(np.nan_to_num(evidence.details["restructured"]).max())
         return decide_by_change(
-            look,
+            stats,
             self,
             evidence,
             reason=f"up to {area:.2g} % of a picture holds content in one frame that light does not make of the last's",
@@ -65,7 +65,7 @@ class Motion:
         return settings
 
     def disabled(self, settings: EncodeSettings) -> EncodeSettings:
-        """Nothing is carried along, turned or resized; light alone is judged more leniently, in fewer steps."""
+        """No warm start, no training of geometry; a lower significance threshold and fewer steps for light alone."""
         frame = settings.frame
         rates = replace(frame.rates, means=0.0, log_scales=0.0, quaternions=0.0)
         significance = replace(frame.significance, threshold=_LIGHT_THRESHOLD * frame.significance.threshold)
@@ -79,17 +79,17 @@ class Motion:
 
 
 def decide_by_change(
-    look: Look, effect: Effect, evidence: Evidence, *, reason: str, cost: str, figures: Mapping[str, Any]
+    stats: RigStatistics, effect: Effect, evidence: Evidence, *, reason: str, cost: str, figures: Mapping[str, Any]
 ) -> Decision:
-    """Called for in the frames in which two cameras see it; taken for granted where every camera shakes."""
-    doubt = in_doubt(look, evidence)
-    frames = np.full(len(look.frames), doubt) | seen_together(evidence)
+    """Called for in frames with evidence in two cameras, and in all frames if every camera shakes."""
+    doubt = in_doubt(stats, evidence)
+    frames = np.full(len(stats.frames), doubt) | seen_together(evidence)
     return decided(
-        look,
+        stats,
         effect,
         evidence,
         counts=np.any((evidence.reached & frames) | doubt, axis=1),
-        frames=spans(look, frames, gap=PAUSE),
+        frames=spans(stats, frames, gap=PAUSE),
         reason="every camera shakes: undetermined, assumed" if doubt else reason,
         cost=cost,
         figures=figures,

@@ -1,9 +1,9 @@
-"""How a camera's whole picture moves against its first frame: the shake of a camera that should stand still.
+"""Motion of a camera's whole picture against its first frame: the shake of a static camera.
 
-Corners of the first picture are followed into every other (Lucas-Kanade on locally normalised brightness, so that light
-does not matter), and one small similarity is fitted to their displacements, robustly. A shaking camera moves everything
-alike: where three corners of ten stay, the camera has not moved, whatever the others do, and where half of the corners
-miss the similarity by more than half of it, something else moves, and nothing is said of the camera.
+Lucas-Kanade tracks corners of the first picture in every other, on locally normalised brightness, which removes changes
+of light. A robust fit gives one small similarity per frame. A shaking camera moves all corners: if three of ten stay,
+the camera has not moved. If half of the corners deviate from the similarity by more than half of it, objects move, and
+the camera's motion is undetermined.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
 
 SHAKE_LIMIT = 0.1
-"""Displacement in pixels looked at that counts: ten times what noise leaves of a picture that stands still; an edge of
-100 levels, two pixels wide, changes by 5 levels."""
+"""Least displacement that counts, in pixels of the analysed size: ten times that of a static picture with noise. It
+changes an edge of 100 levels, two pixels wide, by 5 levels."""
 
 _MOST_CORNERS, _CORNER_QUALITY, _CORNER_DISTANCE = 1000, 0.02, 7
 _PARTS, _CORNERS_PER_PART = (5, 4), 10
@@ -30,7 +30,7 @@ _STILL_SHARE = 0.3
 _ALIKE = 0.5
 _ROUNDS = 8
 _SMALLEST_SPREAD = 0.02
-"""Spread of displacements, in pixels, below which corners cannot be known apart: what noise leaves."""
+"""Least spread of displacements, in pixels: that of noise."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class CameraPath:
 
 
 def camera_path(pictures: U8) -> CameraPath:
-    """Follows the corners of a camera's first picture through all (F, H, W, 3)."""
+    """Tracks the corners of a camera's first picture through all (F, H, W, 3)."""
     count = len(pictures)
     displacement = np.full(count, np.nan)
     transforms = np.tile(np.eye(2, 3), (count, 1, 1))
@@ -74,7 +74,7 @@ def camera_path(pictures: U8) -> CameraPath:
 
 
 def _corners(picture: U8) -> F32:
-    """The strongest corners (N, 1, 2) of every part of the picture: one strong texture must not speak for all."""
+    """The strongest corners (N, 1, 2) of every part of the picture, so that no single texture dominates."""
     found = cv2.goodFeaturesToTrack(picture, _MOST_CORNERS, _CORNER_QUALITY, _CORNER_DISTANCE)
     if found is None:
         return np.empty((0, 1, 2), np.float32)

@@ -1,4 +1,4 @@
-"""What a camera's pictures differ by from frame to frame when nothing happens."""
+"""Sensor noise: differences between successive pictures of a static scene."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .effect import Decision, Evidence, cameras_beyond, decided, spans
-from .look import Look
+from .rig_statistics import RigStatistics
 
 if TYPE_CHECKING:
     from ..settings.encode import EncodeSettings
 
 _ROUNDING = 0.3
-"""Deviation in levels that rounding to 8 bits brings by itself: 1 / sqrt 12, rounded up."""
+"""Deviation of rounding to 8 bits, in levels: 1 / sqrt 12, rounded up."""
 _MULTIPLE = 6
-"""A change must be so many deviations of the difference of two pictures to be no noise."""
+"""Least size of a change, in deviations of the difference of two pictures."""
 
 
 class SensorNoise:
@@ -24,21 +24,21 @@ class SensorNoise:
 
     name = "sensor_noise"
 
-    def evidence(self, look: Look) -> Evidence:
-        return Evidence(look.noise, "levels", _ROUNDING)
+    def evidence(self, stats: RigStatistics) -> Evidence:
+        return Evidence(stats.noise, "levels", _ROUNDING)
 
-    def decide(self, look: Look, evidence: Evidence) -> Decision:
+    def decide(self, stats: RigStatistics, evidence: Evidence) -> Decision:
         noisy = cameras_beyond(evidence)
         thresholds = _MULTIPLE * np.sqrt(2) * np.nan_to_num(evidence.camera_peaks)
         return decided(
-            look,
+            stats,
             self,
             evidence,
             counts=noisy,
-            frames=spans(look, np.ones(len(look.frames), bool)),
+            frames=spans(stats, np.ones(len(stats.frames), bool)),
             reason=f"pictures of one camera deviate by up to {evidence.peak:.2f} levels of 255 where nothing changes",
             cost=f"nothing to send; no mask threshold below {thresholds.max():.1f} levels",
-            figures={"least_threshold": {name: float(t) for name, t in zip(look.names, thresholds, strict=True)}},
+            figures={"least_threshold": {name: float(t) for name, t in zip(stats.names, thresholds, strict=True)}},
         )
 
     def enabled(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:

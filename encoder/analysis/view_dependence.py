@@ -1,13 +1,13 @@
-"""Colour that depends on where it is seen from: gloss, mirrors, sheen.
+"""View-dependent colour: gloss, mirrors, sheen.
 
-Points that neighbouring cameras have in common are compared in colour, after what the two cameras differ by as a
-whole. **Only the absence of view dependence can be determined this way**: where views agree to a few levels, there is
-none. Where they do not, it may be gloss, or a slanted surface that is resampled otherwise, and a texture strong enough
-to be matched makes that large enough: a matte wall (in the tests) disagrees by 11 levels, a matte rendering of
-`workbench` by 9.2, the same with its gloss by 9.4, `workbench` itself by 10.2. So a yes is never surer than even.
+The evidence compares colours of points that neighbouring cameras share, without the cameras' overall difference. **Only
+the absence of view dependence can be determined this way**: views that agree to a few levels have none. A disagreement
+may be gloss, or different resampling of a slanted surface, which is large at textures strong enough for matching: a
+matte wall (in the tests) disagrees by 11 levels, a matte rendering of `workbench` by 9.2, the same with its gloss by
+9.4, `workbench` itself by 10.2. So the confidence in view dependence is at most one half.
 
-**The keyframe decides then.** It is trained with the preset's harmonics, and rounding (`training/keyframe.py`) keeps of
-them what the pictures show: on three synthetic rigs 2 to 3 of a thousand Gaussians keep any, on a recorded dome 119.
+**The keyframe decides then.** It is trained with the preset's harmonics, and rounding (`training/keyframe.py`) keeps
+the visible ones: on three synthetic rigs 2 to 3 of a thousand Gaussians keep any, on a recorded dome 119.
 Below ``LEAST_SHOWN`` the stream has none, and later frames train none. Rejected: a second training without harmonics,
 to compare the tiles left out of the loss (twice the time, and two trainings differ by more than that by chance).
 """
@@ -24,27 +24,28 @@ from decogs.codec.state import Attributes
 from decogs.formats.cameras import camera_centre
 from decogs.formats.splats import sh_degree_of
 
+from ..numerics import bilinear
 from .effect import F64, Decision, Evidence, cameras_beyond, confidence, decided, spans
-from .look import Look
 from .matches import U8, PairMatches, sampson_distances
+from .rig_statistics import RigStatistics
 
 if TYPE_CHECKING:
     from ..settings.encode import EncodeSettings
 
 _LIMIT = 4.0
-"""Levels of 255: the smallest change that counts from frame to frame, too."""
+"""Levels of 255: the same as the smallest change between frames that counts."""
 _QUANTILE = 0.9
-"""Gloss is a small part of a scene: nine matches of ten may agree."""
+"""Quantile of the matches' differences: gloss is a small part of a scene."""
 _NEAR_LINE = 1.5
-"""Pixels from the epipolar line within which a match is believed."""
+"""Largest distance of an inlier from its epipolar line, in pixels."""
 _LEAST_MATCHES = 30
 _SMOOTHING = 2.0
-"""Deviation, in pixels, of the window compared: finer detail never falls on the same pixels twice."""
+"""Deviation, in pixels, of the smoothing before the comparison: finer detail depends on resampling."""
 _DARK = 8.0
-"""Levels added before logarithms, so that noise in the dark does not count for more than in the light."""
+"""Levels added before logarithms, which limits the weight of noise in dark pixels."""
 _AT_MOST = 0.5
 LEAST_SHOWN = 0.01
-"""Share of a keyframe's Gaussians that must have harmonics of a degree or above for the stream to have that degree."""
+"""Least share of a keyframe's Gaussians with harmonics of a degree or above for the stream to have that degree."""
 
 
 class ViewDependence:
@@ -52,29 +53,29 @@ class ViewDependence:
 
     name = "view_dependence"
 
-    def evidence(self, look: Look) -> Evidence:
-        smooth = [cv2.GaussianBlur(pictures[0], (0, 0), _SMOOTHING).astype(np.float32) for pictures in look.pictures]
-        found: list[list[F64]] = [[] for _ in look.cameras]
-        for pair in look.matches.pairs:
-            differences = _differences(look, pair, smooth[pair.first], smooth[pair.second])
+    def evidence(self, stats: RigStatistics) -> Evidence:
+        smooth = [cv2.GaussianBlur(pictures[0], (0, 0), _SMOOTHING).astype(np.float32) for pictures in stats.pictures]
+        found: list[list[F64]] = [[] for _ in stats.cameras]
+        for pair in stats.matches.pairs:
+            differences = _differences(stats, pair, smooth[pair.first], smooth[pair.second])
             found[pair.first].append(differences)
             found[pair.second].append(differences)
-        values = np.full((len(look.cameras), len(look.frames)), np.nan)
+        values = np.full((len(stats.cameras), len(stats.frames)), np.nan)
         for row, each in enumerate(found):
             levels = np.concatenate(each) if each else np.empty(0)
             if len(levels) >= _LEAST_MATCHES:
                 values[row, 0] = np.quantile(levels, _QUANTILE)
         return Evidence(values, "levels", _LIMIT)
 
-    def decide(self, look: Look, evidence: Evidence) -> Decision:
+    def decide(self, stats: RigStatistics, evidence: Evidence) -> Decision:
         known = np.isfinite(evidence.peak)
         beyond = cameras_beyond(evidence)
         return decided(
-            look,
+            stats,
             self,
             evidence,
-            counts=beyond if known else np.ones(len(look.cameras), bool),
-            frames=spans(look, np.ones(len(look.frames), bool)),
+            counts=beyond if known else np.ones(len(stats.cameras), bool),
+            frames=spans(stats, np.ones(len(stats.frames), bool)),
             reason=f"a tenth of what two views share differs by {evidence.peak:.1f} levels or more: gloss, or slant"
             if known
             else "too few points are seen by two cameras to tell: taken for granted",
@@ -93,30 +94,24 @@ class ViewDependence:
 
 
 def as_far_as_shown(values: Attributes) -> Attributes:
-    """A keyframe's ``values``, rounded by what shows, without the degrees that hardly any Gaussian has harmonics of."""
+    """A keyframe's rounded ``values`` without the SH degrees that hardly any Gaussian uses."""
     degree = sh_degree_of(values.coefficients)
     while degree and values.sh[:, degree**2 :].any(axis=(1, 2)).sum() < LEAST_SHOWN * len(values):
         degree -= 1
     return replace(values, sh=np.ascontiguousarray(values.sh[:, : (degree + 1) ** 2]))
 
 
-def _differences(look: Look, pair: PairMatches, first: U8 | F64, second: U8 | F64) -> F64:
-    """Levels by which the colours of a pair's believable matches differ, beyond what they all do."""
-    cameras = look.cameras[pair.first], look.cameras[pair.second]
+def _differences(stats: RigStatistics, pair: PairMatches, first: U8 | F64, second: U8 | F64) -> F64:
+    """Differences in colour, in levels, of a pair's inlier matches, beyond their common difference."""
+    cameras = stats.cameras[pair.first], stats.cameras[pair.second]
     rotations = [camera.world_to_camera[:3, :3] for camera in cameras]
     baseline = camera_centre(cameras[0]) - camera_centre(cameras[1])
     distance = sampson_distances(pair.first_rays, pair.second_rays, rotations, baseline) * cameras[0].fx
     near = np.abs(distance) < _NEAR_LINE
     if not near.any():
         return np.empty(0)
-    here, there = _at(first, pair.first_pixels[near]), _at(second, pair.second_pixels[near])
+    here = bilinear(first, *pair.first_pixels[near].T).astype(np.float64)
+    there = bilinear(second, *pair.second_pixels[near].T).astype(np.float64)
     ratio = np.log((there + _DARK) / (here + _DARK))
     ratio -= np.median(ratio, axis=0)
     return np.asarray(np.abs(ratio * (here + _DARK)).max(axis=1))
-
-
-def _at(picture: U8 | F64, pixels: F64) -> F64:
-    """Colours (N, 3) at pixels whose corner of the picture is 0."""
-    at = (pixels - 0.5).astype(np.float32)
-    colours = cv2.remap(picture, at[:, :1], at[:, 1:], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(colours[:, 0], np.float64)

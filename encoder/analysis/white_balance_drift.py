@@ -1,4 +1,4 @@
-"""A camera whose white balance drifts: red or blue of its whole picture against green, unlike other cameras'."""
+"""White-balance drift: a camera's red or blue drifts against green in its whole picture, unlike other cameras'."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from .effect import Decision, Evidence, cameras_beyond, decided, one_span
 from .light import FRAME_LIMIT, WHITE_BALANCE_LIMIT
-from .look import Look
+from .rig_statistics import RigStatistics
 
 if TYPE_CHECKING:
     from ..settings.encode import EncodeSettings
@@ -20,23 +20,23 @@ class WhiteBalanceDrift:
 
     name = "white_balance_drift"
 
-    def evidence(self, look: Look) -> Evidence:
-        gains = {"red": np.expm1(look.light.gains[..., 1]) * 100, "blue": np.expm1(look.light.gains[..., 2]) * 100}
-        return Evidence(look.light.white_balance * 100, "% gain", WHITE_BALANCE_LIMIT * 100, gains)
+    def evidence(self, stats: RigStatistics) -> Evidence:
+        gains = {"red": np.expm1(stats.light.gains[..., 1]) * 100, "blue": np.expm1(stats.light.gains[..., 2]) * 100}
+        return Evidence(stats.light.white_balance * 100, "% gain", WHITE_BALANCE_LIMIT * 100, gains)
 
-    def decide(self, look: Look, evidence: Evidence) -> Decision:
+    def decide(self, stats: RigStatistics, evidence: Evidence) -> Decision:
         drifting = cameras_beyond(evidence)
-        gains = np.nan_to_num(look.light.gains[..., 1:])
+        gains = np.nan_to_num(stats.light.gains[..., 1:])
         return decided(
-            look,
+            stats,
             self,
             evidence,
             counts=drifting,
-            frames=one_span(look, np.any(np.abs(gains[drifting]) >= FRAME_LIMIT, axis=(0, 2))),
+            frames=one_span(stats, np.any(np.abs(gains[drifting]) >= FRAME_LIMIT, axis=(0, 2))),
             reason=f"nearly all of a picture shares a gain of up to {evidence.peak:.1f} % of red or blue against green",
             cost=f"2 numbers per camera and frame, about {4 * drifting.sum()} bytes a frame (estimated); "
             "two multiplications per pixel",
-            figures={"red_blue": {look.names[k]: np.exp(gains[k]).tolist() for k in np.flatnonzero(drifting)}},
+            figures={"red_blue": {stats.names[k]: np.exp(gains[k]).tolist() for k in np.flatnonzero(drifting)}},
         )
 
     def enabled(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:

@@ -1,1 +1,1 @@
-"""What changed in a frame: masks, the Gaussians selected for them, flashes."""
+"""Changes in a frame: difference masks, selection of Gaussians, flashes."""

@@ -1,4 +1,4 @@
-"""What changed in a frame and which Gaussians it selects, with the memory that this needs from frame to frame."""
+"""Change detection: a frame's masks and selected Gaussians, with the state between frames."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from .selection import select, view_evidence
 
 @dataclass(frozen=True)
 class Change:
-    """What changed in a frame: one mask for each view, none for a dense method, and S_t, (N,).
+    """Change in a frame: one mask for each view, none for a dense method, and S_t, (N,).
 
-    ``overlooked``: the masks found no change although most of the pictures had; everything is selected.
+    ``overlooked``: the masks missed a change of most of the pictures; everything is selected.
     """
 
     masks: Sequence[FrameMask]
@@ -33,7 +33,7 @@ class Change:
 
     @property
     def share(self) -> float:
-        """Share of the Gaussians that is selected, 0 to 1."""
+        """Share of selected Gaussians, 0 to 1."""
         return float(self.selected.mean()) if len(self.selected) else 0.0
 
 
@@ -52,13 +52,13 @@ class ChangeDetector:
 
     @property
     def references(self) -> Sequence[FloatArray]:
-        """The pictures that the next frame is compared with, (3, H, W) each."""
+        """Reference pictures of the next frame, (3, H, W) each."""
         return self._memory.references
 
     def detect(
         self, frame: int, pictures: Sequence[FloatArray], state: State, motion: FloatArray, watch: Stopwatch
     ) -> Change:
-        """What changed in ``frame`` (the rig's index) against the scene before it: ``state``, its last ``motion``."""
+        """Change of ``frame`` (the rig's index) against the scene before it: ``state``, its last ``motion``."""
         if not self._views:
             return Change([], np.ones(len(state), bool))
         nothing = np.zeros(len(state), bool)
@@ -78,7 +78,7 @@ class ChangeDetector:
         return Change(masks, selected)
 
     def flash_is_over(self, frame: int, pictures: Sequence[FloatArray]) -> BeforeFlash | None:
-        """What was known before a flash, if the pictures are again as they were; the masks go back to it, too."""
+        """The state before a flash if the pictures match it again; the masks' state returns to it as well."""
         kept = self._before_flash
         if kept is None:
             return None
@@ -93,7 +93,7 @@ class ChangeDetector:
     def trained(
         self, pictures: Sequence[FloatArray], masks: Sequence[FrameMask], *, moved: bool, hurried: bool
     ) -> None:
-        """Takes it that the scene follows the frame now. ``hurried``: but for what it still clearly misses."""
+        """Records that the scene follows the frame; ``hurried``: except where it still clearly misses."""
         self._memory.trained(pictures, masks, moved=moved, shown=self._shown_on_budget() if hurried else None)
 
     def passed(self, pictures: Sequence[FloatArray], *, held: bool) -> None:
@@ -101,7 +101,7 @@ class ChangeDetector:
         self._memory.passed(pictures, held=held)
 
     def _shown_on_budget(self) -> list[FloatArray] | None:
-        """What the views show, where a time budget may leave something of a frame undone."""
+        """The views' renderings under a time budget, which may leave a frame unfinished; else None."""
         if self._settings.time_budget is None or not self._views:
             return None
         return [view.rgb for view in self._views]
@@ -111,7 +111,7 @@ class ChangeDetector:
         if "select" in self._settings.frame.ablated:
             return np.ones(population, bool)
         selected = self._inside(used, [masks[i].changing for i in used], settings)
-        if any(masks[i].mends for i in used):
+        if any(masks[i].refines for i in used):
             stricter = replace(settings, min_fraction=settings.refine_fraction)
             selected |= self._inside(used, [masks[i].dilated for i in used], stricter)
         return selected

@@ -1,4 +1,4 @@
-"""Where the picture changed: the difference mask of a view and the region of interest grown around it.
+"""Difference mask of a view and the region of interest, its dilation.
 
 Source: DecoGS, difference mask (method step 1): D = max over RGB of |I_t - I_{t-1}| on the 8-bit scale, M = D > tau,
 and the focus region is the max-pool of M with radius r.
@@ -30,43 +30,43 @@ _LEVEL_SLACK = 1e-3
 slack keeps a difference of exactly tau on the unchanged side, as in integer arithmetic."""
 
 _USUALLY = 0.9
-"""Share of the first frame's pixels that tells what a rendering misses usually: the rest are edges and glare."""
+"""Quantile of the first frame's errors that counts as the usual one: edges and glare exceed it."""
 CLEARLY = 25.0
-"""Levels (the paper's threshold) of which half of a picture's pixels would differ by noise if its deviation were 14."""
+"""Levels (the paper's threshold); noise of deviation 14 makes half of a picture's pixels differ by so much."""
 MOST = 0.5
-"""Share of a picture whose change is no noise."""
+"""Share of clearly changed pixels beyond which a change is not noise."""
 
 _SPREADS = 0.3
-"""Share of what is away from other changes, itself at least such a share of the picture, that faint light must reach: a
-moving thing's shading stays near it."""
+"""Least share that faint light must reach of the area away from other changes, itself at least this share of the
+picture. The shading of a moving object stays near it."""
 _LIGHT_WINDOW = 7
-"""Pixels across over which faint light is averaged: noise shrinks by as much, the difference that light makes stays."""
+"""Side, in pixels, of the window that averages faint light: noise shrinks by this factor, light does not."""
 
 
 @dataclass(frozen=True)
 class FrameMask:
     """One view's masks, bool (H, W): ``raw`` is where the picture changed, ``dilated`` the region of interest.
 
-    The second covers the first, faint light, what is around them and, ``mended`` (None: nothing), what changed some
-    frames ago.
+    The region of interest covers the changed pixels, faint light, their surroundings, and ``refined``, pixels that
+    changed some frames ago (None: no pixels).
 
-    ``lost``: why the picture says nothing of its frame (`input.dropouts`), and both are empty; "" when it does.
+    ``lost``: reason why the picture does not show its frame (`input.dropouts`), with empty masks; "" otherwise.
     """
 
     raw: BoolArray
     dilated: BoolArray
-    mended: BoolArray | None = None
+    refined: BoolArray | None = None
     lost: str = ""
 
     @property
-    def mends(self) -> bool:
-        """Whether anything is in the region of interest only to be mended."""
-        return self.mended is not None and bool(self.mended.any())
+    def refines(self) -> bool:
+        """Whether the region of interest has pixels that are only being refined."""
+        return self.refined is not None and bool(self.refined.any())
 
     @property
     def changing(self) -> BoolArray:
-        """The region of interest without what is only being mended."""
-        return self.dilated if self.mended is None else self.dilated & ~self.mended
+        """The region of interest without pixels that are only being refined."""
+        return self.dilated if self.refined is None else self.dilated & ~self.refined
 
 
 def showing(masks: Sequence[FrameMask]) -> list[int]:
@@ -75,7 +75,7 @@ def showing(masks: Sequence[FrameMask]) -> list[int]:
 
 
 def difference_mask(current: FloatArray, previous: FloatArray, threshold: float) -> BoolArray:
-    """Pixels of which some colour channel changed by more than ``threshold`` 8-bit levels; bool (H, W).
+    """Pixels at which some colour channel changed by more than ``threshold`` 8-bit levels; bool (H, W).
 
     Pictures are planar float32 (3, H, W), 0..1 for black to white (scene-linear pictures may exceed 1).
     Raises ValueError when the pictures' shapes differ. Source: DecoGS, difference mask.
@@ -124,7 +124,7 @@ def without_specks(mask: BoolArray, area: int) -> BoolArray:
 
 
 def _without_lines(mask: BoolArray) -> BoolArray:
-    """The mask where it is two pixels wide both ways: a rendering misses edges one pixel wide everywhere."""
+    """The mask opened by 2 x 2 pixels: renderings miss edges one pixel wide everywhere."""
     square = np.ones((2, 2), np.uint8)
     cores = cv2.erode(mask.view(np.uint8), square, anchor=(0, 0))
     opened: BoolArray = cv2.dilate(cores, square, anchor=(1, 1)).view(np.bool_)
@@ -132,7 +132,7 @@ def _without_lines(mask: BoolArray) -> BoolArray:
 
 
 def _light_spreads(now: FloatArray, reference: FloatArray, around: BoolArray, threshold: float) -> bool:
-    """Whether faint light, too slow to be a change itself, reached much of what is not ``around`` other changes."""
+    """Whether faint light, too slow to count as a change, reached much of the area not ``around`` other changes."""
     height, width = (max(1, size // _LIGHT_WINDOW) for size in around.shape)
     shrink = partial(cv2.resize, dsize=(width, height), interpolation=cv2.INTER_AREA)
     away = shrink((~around).astype(np.float32)) > 0.99
@@ -141,10 +141,10 @@ def _light_spreads(now: FloatArray, reference: FloatArray, around: BoolArray, th
 
 
 class MaskMemory:
-    """The masks of a stream's frames, and what they need to know of the frames before.
+    """The masks of a stream's frames, with the state between frames.
 
-    ``pictures``: the first frame's, one planar float32 (3, H, W) per view; views may differ in size. ``shown``: what
-    the scene shows of them, where frames may be left undone for want of time (`trained`).
+    ``pictures``: the first frame's, one planar float32 (3, H, W) per view; views may differ in size. ``shown``: their
+    renderings, if a lack of time may leave frames unfinished (`trained`).
     """
 
     def __init__(
@@ -166,7 +166,7 @@ class MaskMemory:
 
     @property
     def references(self) -> Sequence[FloatArray]:
-        """What every view's next picture is compared with, pixel by pixel."""
+        """Reference of every view's next picture."""
         return self._references
 
     def masks(self, current: Sequence[FloatArray], shown: Sequence[FloatArray]) -> list[FrameMask]:
@@ -181,9 +181,9 @@ class MaskMemory:
         return [_left_out(mask, why) if why else mask for mask, why in zip(masks, self._lost, strict=True)]
 
     def whole(self, current: Sequence[FloatArray], shown: Sequence[FloatArray]) -> list[FrameMask]:
-        """Masks of all of every view that shows its frame, for one in which most pixels clearly changed and are missed.
+        """Full masks of every view that shows its frame, if most pixels clearly changed and the scene misses them.
 
-        An empty list for other frames. After ``masks`` of the same pictures.
+        An empty list for other frames. Call ``masks`` with the same pictures first.
         """
         used = [index for index, why in enumerate(self._lost) if not why]
         pairs = [(current[i], self._references[i], shown[i]) for i in used]
@@ -198,12 +198,12 @@ class MaskMemory:
         return [_left_out(mask, why) if why else mask for mask, why in zip(masks, self._lost, strict=True)]
 
     def share_changed(self, current: Sequence[FloatArray]) -> float:
-        """Share of the pixels, median over the views, that differ from what they were compared with or trained on."""
+        """Share of pixels, median over the views, that differ from the reference."""
         threshold, pairs = self._settings.threshold, zip(current, self._references, strict=True)
         return float(np.median([difference_mask(now, reference, threshold).mean() for now, reference in pairs]))
 
     def copy(self) -> MaskMemory:
-        """The same memory, whatever this one goes on to see."""
+        """An independent copy of the state."""
         copied = copy(self)
         copied._references = list(self._references)
         copied._changed = [changed.copy() for changed in self._changed]
@@ -211,7 +211,7 @@ class MaskMemory:
         return copied
 
     def _lost_pictures(self, current: Sequence[FloatArray], masks: Sequence[FrameMask]) -> list[str]:
-        """Why each view's picture says nothing of its frame, or ""."""
+        """Reason why each view's picture does not show its frame, or ""."""
         lost = ["" if never else blankness(now) for now, never in zip(current, self._blank, strict=True)]
         again = [repeats(now, before) for now, before in zip(current, self._before, strict=True)]
         flags = zip(masks, lost, again, strict=True)
@@ -228,15 +228,15 @@ class MaskMemory:
         raw = without_specks(difference_mask(now, reference, max(settings.threshold, noise)), settings.speck_area)
         if settings.residual and changed.any():
             raw |= _without_lines(difference_mask(now, shown, settings.residual) & changed)
-        around, mending = self._grown(raw), refine_until > self._frame
+        around, refining = self._grown(raw), refine_until > self._frame
         threshold = max(settings.light_threshold, noise / _LIGHT_WINDOW)
         if settings.light_threshold and (self._only_light or _light_spreads(now, reference, around, threshold)):
             faint = faint_light_mask(now, reference, threshold)
             around = self._grown(raw | without_specks(faint, settings.speck_area))
-        return FrameMask(raw, around | mending, mending & ~around)
+        return FrameMask(raw, around | refining, refining & ~around)
 
     def _noise(self, now: FloatArray, reference: FloatArray) -> float:
-        """Levels below which a difference may be noise; none where nearly all of the picture clearly changed."""
+        """Levels below which a difference may be noise; 0 where most of the picture clearly changed."""
         settings = self._settings
         if not settings.noise_multiple:
             return 0.0
@@ -255,17 +255,17 @@ class MaskMemory:
         moved: bool,
         shown: Sequence[FloatArray] | None = None,
     ) -> None:
-        """Tells that the regions of interest were trained on ``current``, positions among the rest if it ``moved``.
+        """Records that the regions of interest were trained on ``current``; ``moved``: including positions.
 
-        ``shown``: what the scene now shows. What it misses by more than is usual in the first frame was left undone,
-        and stays what it was for the frames to come.
+        ``shown``: the scene's renderings. Pixels whose error exceeds the usual one of the first frame count as
+        unfinished and keep their reference.
         """
         self._only_light = not moved
 
         def note(index: int) -> None:
             now, mask = current[index], masks[index]
             if moved and self._settings.refine_frames:
-                self._mend(index, now)
+                self._refine(index, now)
             done = mask.dilated
             if shown is not None and self._usual is not None:
                 done = done & ~difference_mask(shown[index], now, self._usual[index])
@@ -275,15 +275,15 @@ class MaskMemory:
         with side_by_side(self._threads) as each:
             list(each(note, showing(masks)))
 
-    def _mend(self, index: int, now: FloatArray) -> None:
-        """What has clearly changed in a view stays in its region of interest for some frames."""
+    def _refine(self, index: int, now: FloatArray) -> None:
+        """Keeps clearly changed pixels of a view in its region of interest for some frames."""
         settings = self._settings
         clearly = difference_mask(now, self._references[index], settings.refine_threshold)
         clearly = self._grown(without_specks(clearly, settings.speck_area))
         self._refine_until[index][clearly] = self._frame + 1 + settings.refine_frames
 
     def passed(self, current: Sequence[FloatArray], *, held: bool = False) -> None:
-        """Tells that the frame is over, trained or not; ``held``: what changed in it is still to be trained."""
+        """Goes on to the next frame; ``held``: this frame's changes still wait for training."""
         self._before = list(current)
         self._frame += 1
         if not (held or self._settings.since_trained):
@@ -292,7 +292,7 @@ class MaskMemory:
 
 
 def _usual_miss(picture: FloatArray, shown: FloatArray) -> float:
-    """By how many 8-bit levels a rendering misses a picture (3, H, W) that was trained in full: its worst tenth."""
+    """Error, in 8-bit levels, that a tenth of the pixels of a fully trained picture (3, H, W) exceed."""
     miss = np.abs(np.clip(shown, 0, 1) - picture).max(axis=0)
     return 255 * float(np.quantile(miss, _USUALLY))
 

@@ -1,9 +1,9 @@
-"""A camera's noise from two of its pictures, whatever moves in them and however their light changes.
+"""Noise of a camera from two of its pictures, robust to motion and changes of light.
 
-Noise differs from frame to frame *and* from pixel to pixel. What moves is mostly smooth, and vanishes in what a
-difference of two pictures differs by from its neighbours. Light that changes leaves a pattern an affine function of
-itself in every small window: values before and now lie along a line, and noise is the spread across it, the smaller
-eigenvalue of their covariance, whatever the light did and however fine the pattern. Both only err upwards.
+Noise is independent between frames *and* between pixels. A Laplacian of the difference picture suppresses motion, which
+is mostly smooth. Under a change of light, the new values in a small window are an affine function of the old ones: they
+lie along a line, and noise is the spread across it, the smaller eigenvalue of their covariance, for any light and any
+pattern. Both estimates only err upwards.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ _DETAIL = np.array([[0, -0.25, 0], [-0.25, 1, -0.25], [0, -0.25, 0]], np.float32
 _TILE = 16
 _MOST_TILES = 300
 _QUIETEST = 0.25
-"""Share of the tiles that hold nothing but noise and light: what moves covers the others at most."""
+"""Least share of tiles with only noise and light; motion covers at most the others."""
 _CLIPPED = 3
 _MOST_CLIPPED = 0.1
 _UNEVEN = 1.5
-"""By how much the picture's noise may be above that of its quietest tiles: coding smooths flat ones."""
+"""Largest ratio of the picture's noise to that of its quietest tiles: video coding smooths flat tiles."""
 _OF_CHANGE = 2.0
-"""Deviation of a difference over that of its noise from which most of the picture has changed."""
+"""Ratio of a difference's deviation to its noise from which on most of the picture has changed."""
 
 
 def frame_noise(current: FloatArray, previous: FloatArray, least: float = 0.0) -> float:
-    """Standard deviation of a camera's frame-to-frame noise, in 8-bit levels, whatever moves in the pictures.
+    """Standard deviation of a camera's frame-to-frame noise, in 8-bit levels, robust to motion.
 
-    Both (3, H, W). 0 where most of the picture has changed: then there is nothing that noise could be determined from.
-    ``least``: a deviation below which it need not be exact.
+    Both (3, H, W). 0 if most of the picture has changed, which leaves noise undetermined. ``least``: the result need
+    not be exact below this deviation.
     """
     deviation = _spread((current - previous).ravel()[::7])
     if deviation <= least:
@@ -53,14 +53,14 @@ def picture_noise(before: FloatArray, now: FloatArray) -> float:
 
 
 def _detail(plane: FloatArray) -> FloatArray:
-    """What a plane (H, W) differs by from its neighbours."""
+    """Difference of a plane's pixels (H, W) from the mean of their neighbours."""
     return np.asarray(cv2.filter2D(plane, -1, _DETAIL), np.float32)
 
 
 def _spread(difference: FloatArray) -> float:
-    """Standard deviation of differences 0..1 in levels, without those beyond three of it."""
+    """Standard deviation of differences 0..1, in levels, without outliers beyond three deviations."""
     levels = difference.astype(np.float64) * 255
-    # From the median, which what moves hardly shifts; it is a whole level, often 0, in pictures of 8 bits.
+    # Starts from the median, which motion hardly shifts; in 8-bit pictures it is a whole level, often 0.
     deviation = 1.5 * float(np.median(np.abs(levels))) + 1
     for _ in range(20):
         kept = levels[np.abs(levels) <= 3 * deviation]
@@ -72,9 +72,9 @@ def _spread(difference: FloatArray) -> float:
 
 
 def _across_light(before: FloatArray, now: FloatArray) -> float:
-    """Deviation, in levels, across the lines that light moves values along, in the quietest tiles; inf if none tells.
+    """Deviation, in levels, across the lines of affine changes of light, in the quietest tiles; inf without any.
 
-    Along rows and columns, too: a wave of brightness may be finer than a tile.
+    Rows and columns count as well: a wave of brightness may be finer than a tile.
     """
     a, b = _tiles(before), _tiles(now)
     channels = len(before)

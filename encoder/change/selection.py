@@ -1,4 +1,4 @@
-"""Which Gaussians a frame may change: a protocol, two rules of ours, and those of installed packages.
+"""Selection of the Gaussians that a frame may change: a protocol, two rules, and those of installed packages.
 
 Equations: docs/METHOD.md, "Selection".
 
@@ -7,7 +7,7 @@ transmittance, in all and inside the mask. A view weighs only the tiles that cha
 
 * ``paper``: the projected centre lies in the dilated mask in at least ``min_views`` views in which it is visible.
 * ``weight``: in the views where it is visible, more than ``min_fraction`` of its weight falls inside the masks. It
-  leaves out the background that merely stands behind moving things (encoder/DESIGN.md: 20 % selected instead of 77 %
+  excludes the background behind moving objects (encoder/DESIGN.md: 20 % selected instead of 77 %
   on `panoptic_basketball`).
 """
 
@@ -27,10 +27,10 @@ from ..settings.frame import SelectionSettings
 
 @dataclass(frozen=True)
 class ViewEvidence:
-    """What one view shows of every Gaussian, against its dilated mask.
+    """Every Gaussian's contribution to one view, in all and inside the dilated mask.
 
     ``weight``, ``masked_weight`` (N,): the rendering weight in pixels, in all and inside the mask. ``centre_inside``:
-    computes, for a rule that asks, whether the projected centre lies inside (N,), False where nothing is drawn.
+    computes on demand whether the projected centre lies inside (N,), False for undrawn Gaussians.
     """
 
     weight: NDArray[np.float32]
@@ -39,9 +39,9 @@ class ViewEvidence:
 
 
 class SelectionRule(Protocol):
-    """Chooses S_t, (N,) bool, from what every view shows; called once or twice a frame, from one thread.
+    """Chooses S_t, (N,) bool, from every view's evidence; called once or twice a frame, from one thread.
 
-    The same evidence must give the same choice, whatever came before: encodes are resumed and repeated to the bit.
+    The choice must depend on the evidence alone: resumed and repeated encodes are identical to the bit.
     """
 
     def __call__(self, views: Sequence[ViewEvidence], settings: SelectionSettings, /) -> NDArray[np.bool_]: ...

@@ -35,8 +35,8 @@ _STEP_SHARE = 0.25
 does what changes are rounded to."""
 
 _RESPONSE = 0.5
-"""Bytes fall with this power of the worth: measured .41 to .65 (report/budgets.md). Up to four times as steep, or however
-flat, the control still settles."""
+"""Bytes fall with this power of the worth: measured .41 to .65 (report/budgets.md). Up to four times as steep, or
+however flat, the control still settles."""
 _HORIZON = 12
 """Frames over which what was saved or overspent is made up for: fewer follow the budget closer, more are steadier."""
 _MEMORY = 0.5

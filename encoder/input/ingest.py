@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.decoder.lens import Undistortion, with_k1
-from decogs.formats.cameras import Camera, camera_centre, scale_camera, turned
+from decogs.formats.cameras import Camera, camera_centre, in_picture, project, scale_camera
+from decogs.formats.colour import srgb_from_linear
 from decogs.formats.errors import RigError, UsageError
 from decogs.formats.frame_ranges import Frames, frame_slice
 from decogs.formats.rigs import Rig, read_frames
@@ -198,19 +199,14 @@ def _filling(valid: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.in
 
 def _median_depth(camera: Camera, xyz: FloatArray) -> float:
     """Median depth of the points inside the camera's picture; 0 when it sees none."""
-    position = turned(camera.world_to_camera[:3, :3], xyz.astype(np.float64)) + camera.world_to_camera[:3, 3]
-    depth = position[:, 2]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        u = camera.fx * position[:, 0] / depth + camera.cx
-        v = camera.fy * position[:, 1] / depth + camera.cy
-    seen = (depth > 0) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+    u, v, depth = project(camera, xyz)
+    seen = in_picture(camera, u, v, depth)
     return float(np.median(depth[seen])) if seen.any() else 0.0
 
 
 def display_referred(picture: NDArray[np.uint8] | NDArray[np.float32]) -> FloatArray:
-    """(H, W, 3) in 0..1: 8-bit pictures as they are, scene-linear ones clipped and sRGB-coded (IEC 61966-2-1)."""
+    """(H, W, 3) in 0..1: 8-bit pictures as they are, scene-linear ones clipped and sRGB-coded."""
     if picture.dtype == np.uint8:
         return np.asarray(picture.astype(np.float32) / np.float32(255))
     linear = np.clip(picture.astype(np.float32), 0, 1)
-    coded = np.where(linear <= 0.0031308, linear * 12.92, 1.055 * np.power(linear, 1 / 2.4) - 0.055)
-    return coded.astype(np.float32)
+    return srgb_from_linear(linear)

@@ -1,8 +1,7 @@
 """First points from the rig itself: a coloured cloud for the keyframe, from poses and pictures of frame 0 alone.
 
-A coarse plane sweep over the depths the cameras share finds where things are, a fine one over just these depths finds
-the surfaces, agreement between views decides what to believe, and gaps are filled with guesses. Points from elsewhere
-(COLMAP) join.
+A coarse plane sweep over the cameras' shared depths finds the depth range, and a fine sweep over this range finds the
+surfaces. Consistency between views confirms points, and guesses fill gaps. Points from elsewhere (COLMAP) join.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from ..parallel import Each, side_by_side
 from .agreement import Candidates, agree, no_candidates
 from .cloud import (
     Cloud,
-    Survey,
+    ViewDepths,
     empty_cloud,
     join,
     look_from_all,
@@ -35,7 +34,7 @@ from .cloud import (
 from .frusta import DepthRange, choose_neighbours, depths_of, likely_points, points_within, rig_size, shared_depths
 from .guesses import guess_points
 from .plane_sweep import DepthMap, choose_planes, sweep
-from .views import Array, View, floats, inside, make_view, project
+from .views import Array, SweepView, floats, inside, make_view, project
 
 __all__ = ["FirstPoints", "KnownPoints", "first_points"]
 
@@ -44,17 +43,17 @@ _COARSE_PIXELS = 14_000
 """Largest pictures of the sweeps, in pixels: one view's, all views' together, one view's in the coarse sweep."""
 _MOST_PLANES = 128
 _MATCHED, _COMPARED = 4, 8
-"""Neighbours a view is matched with, and those its depths are compared with."""
+"""Neighbours for matching, and for checking the consistency of depths."""
 _SURPLUS = 3.0
-"""Candidates per point of the cap that are looked at when choosing."""
+"""Candidates per point of the cap from which points are chosen."""
 _CONFIRMED_SHARE = 0.85
 """Share of the room that confirmed points may take at first; the rest is for guesses."""
 _COARSE_CONFIDENCE = 0.5
-"""Confidence in points only the coarse sweep finds, relative to the fine one's."""
+"""Confidence in points of the coarse sweep alone, relative to those of the fine one."""
 _FEW = 100
-"""Confirmed points below which a view does not tell how near things are."""
+"""Least confirmed points of a view for its nearest depth to count."""
 _CLEAR = 0.5
-"""Share of a view's nearest confirmed depth within which other views' points are taken for the camera itself."""
+"""Share of a view's nearest confirmed depth below which other views' points count as its camera's housing."""
 
 
 class KnownPoints(Protocol):
@@ -73,18 +72,16 @@ class KnownPoints(Protocol):
 
 @dataclass(frozen=True)
 class FirstPoints:
-    """Where training starts.
+    """The initial points of training.
 
     ``xyz`` (P, 3) world; ``rgb`` (P, 3) 0..1; ``spacing`` (P,) world units, the size one point has to cover (mean
-    distance to its three nearest, within bounds); ``confidence`` (P,) 0..1, 0.05 for a guess; ``nearest`` is a depth
-    closer than which nothing but other cameras was found in front of any camera (0: unknown), fit for a near plane.
+    distance to its three nearest, within bounds); ``confidence`` (P,) 0..1, 0.05 for a guess.
     """
 
     xyz: NDArray[np.float32]
     rgb: NDArray[np.float32]
     spacing: NDArray[np.float32]
     confidence: NDArray[np.float32]
-    nearest: float = 0.0
 
 
 def first_points(
@@ -138,23 +135,23 @@ def _first_points(
     ranges = [depths_of(view, c.xyz, everything, at) for view, c, at in zip(fine, rough, shared, strict=True)]
     samples = [likely_points(view, everything, depths) for view, depths in zip(fine, ranges, strict=True)]
     candidates, maps = _sweep_all(each, fine, ranges, samples)
-    surveys = [_survey(*all_of_view) for all_of_view in zip(fine, ranges, candidates, maps, strict=True)]
+    all_depths = [_view_depths(*all_of_view) for all_of_view in zip(fine, ranges, candidates, maps, strict=True)]
 
     stride = max(1, int((sum(len(c) for c in candidates) / (_SURPLUS * cap)) ** 0.5))
     clouds = [given, *(thin_candidates(c, stride) for c in candidates)]
-    clouds += [_where_unconfirmed(*three) for three in zip(coarse, rough, surveys, strict=True)]
+    clouds += [_where_unconfirmed(*three) for three in zip(coarse, rough, all_depths, strict=True)]
     proposed = join(clouds)
-    proposed = take(proposed, ~too_near(proposed, surveys, _CLEAR))
+    proposed = take(proposed, ~too_near(proposed, all_depths, _CLEAR))
 
     most = max(1, round(cap * _CONFIRMED_SHARE))
-    cloud, pixels = _choose(proposed, surveys, most)
-    filling = guess_points(cloud, surveys, pixels, random)
+    cloud, pixels = _choose(proposed, all_depths, most)
+    filling = guess_points(cloud, all_depths, pixels, random)
     if cap - len(filling) > most and len(cloud) < len(proposed):
-        cloud, pixels = _choose(proposed, surveys, cap - len(filling))
+        cloud, pixels = _choose(proposed, all_depths, cap - len(filling))
     room = cap - len(cloud)
     if len(filling) > room:
         filling = take(filling, np.sort(random.permutation(len(filling))[:room]))
-    return _finish(join([cloud, filling]), pixels, surveys)
+    return _finish(join([cloud, filling]), pixels)
 
 
 def _scales(cameras: Sequence[Camera], each: float, together: float) -> list[float]:
@@ -165,11 +162,11 @@ def _scales(cameras: Sequence[Camera], each: float, together: float) -> list[flo
 
 def _sweep_all(
     each: Each,
-    views: Sequence[View],
+    views: Sequence[SweepView],
     ranges: Sequence[DepthRange | None],
     samples: Sequence[NDArray[np.float64]],
 ) -> tuple[list[Candidates], list[DepthMap | None]]:
-    """What every view proposes and its depth map; nothing and None for views that share nothing with others."""
+    """Every view's candidates and depth map; no candidates and None for views without shared depths."""
     neighbours = choose_neighbours(views, samples, _COMPARED)
 
     def depth_map(i: int) -> DepthMap | None:
@@ -186,18 +183,20 @@ def _sweep_all(
     return list(each(candidates, range(len(views)))), maps
 
 
-def _survey(view: View, depths: DepthRange | None, candidates: Candidates, depth_map: DepthMap | None) -> Survey:
-    """What the fine sweep tells of one view."""
+def _view_depths(
+    view: SweepView, depths: DepthRange | None, candidates: Candidates, depth_map: DepthMap | None
+) -> ViewDepths:
+    """Result of the fine sweep for one view."""
     if depth_map is None:
-        return Survey(view, depths, None, None, 0.0)
+        return ViewDepths(view, depths, None, None, 0.0)
     confirmed = np.zeros((view.height, view.width), np.float32)
     confirmed[candidates.row, candidates.column] = candidates.inverse_depth
     nearest = 1 / float(np.percentile(candidates.inverse_depth, 99.9)) if len(candidates) >= _FEW else 0.0
-    return Survey(view, depths, depth_map.inverse_depth, confirmed, nearest)
+    return ViewDepths(view, depths, depth_map.inverse_depth, confirmed, nearest)
 
 
-def _known_cloud(known: KnownPoints | None, views: Sequence[View]) -> Cloud:
-    """The given points as a cloud; their spacing is a pixel of the view nearest to them that sees them."""
+def _known_cloud(known: KnownPoints | None, views: Sequence[SweepView]) -> Cloud:
+    """The given points as a cloud; their spacing is a pixel of the nearest view that sees them."""
     if known is None or not len(known.xyz):
         return empty_cloud()
     xyz = np.asarray(known.xyz, np.float64)
@@ -211,34 +210,33 @@ def _known_cloud(known: KnownPoints | None, views: Sequence[View]) -> Cloud:
     return take(cloud, np.isfinite(spacing) & np.isfinite(xyz).all(axis=1))
 
 
-def _where_unconfirmed(coarse: View, candidates: Candidates, survey: Survey) -> Cloud:
-    """Points of the coarse sweep where the fine one confirms nothing: little texture, very different views."""
+def _where_unconfirmed(coarse: SweepView, candidates: Candidates, view_depths: ViewDepths) -> Cloud:
+    """Points of the coarse sweep where the fine one confirms none: little texture, very different views."""
     cloud = thin_candidates(candidates, 1)
     cloud = replace(cloud, confidence=np.float32(_COARSE_CONFIDENCE) * cloud.confidence)
-    if survey.confirmed is None:
+    if view_depths.confirmed is None:
         return cloud
-    view = survey.view
+    view = view_depths.view
     reach = 2 * round(view.width / coarse.width) + 1
-    covered = cv2.dilate((survey.confirmed > 0).astype(np.uint8), np.ones((reach, reach), np.uint8))
+    covered = cv2.dilate((view_depths.confirmed > 0).astype(np.uint8), np.ones((reach, reach), np.uint8))
     u, v, _ = project(view, cloud.xyz)
     column = np.clip(np.round(u), 0, view.width - 1).astype(np.int64)
     row = np.clip(np.round(v), 0, view.height - 1).astype(np.int64)
     return take(cloud, covered[row, column] == 0)
 
 
-def _choose(proposed: Cloud, surveys: Sequence[Survey], most: int) -> tuple[Cloud, float]:
-    """At most ``most`` evenly spread points not seen through, coloured by all views, and how many pixels apart."""
+def _choose(proposed: Cloud, all_depths: Sequence[ViewDepths], most: int) -> tuple[Cloud, float]:
+    """At most ``most`` evenly spread points without floaters, coloured by all views, and their spacing in pixels."""
     cloud, pixels = spread_to_count(proposed, most)
-    sight = look_from_all(cloud, surveys)
+    sight = look_from_all(cloud, all_depths)
     return take(replace(cloud, rgb=sight.rgb), (sight.through <= 1) | (2 * sight.through <= sight.in_place)), pixels
 
 
-def _finish(cloud: Cloud, pixels: float, surveys: Sequence[Survey]) -> FirstPoints:
+def _finish(cloud: Cloud, pixels: float) -> FirstPoints:
     usual = cloud.spacing * np.float32(pixels)
     return FirstPoints(
         xyz=cloud.xyz.astype(np.float32),
         rgb=np.clip(cloud.rgb, 0, 1).astype(np.float32),
         spacing=np.clip(neighbour_distances(cloud.xyz), np.float32(0.5) * usual, 3 * usual),
         confidence=cloud.confidence,
-        nearest=_CLEAR * min((survey.nearest for survey in surveys), default=0.0),
     )

@@ -1,4 +1,4 @@
-"""Which depths of a sweep to believe: agreement between views in place and in look, and what other views see through.
+"""Confirmation of a sweep's depths: geometric and photometric consistency between views, and free space.
 
 Source: geometric consistency and fusion as in multi-view stereo (Schönberger 2016, "Pixelwise view selection for
 unstructured multi-view stereo", section 4.4, and its fusion by reprojection).
@@ -14,25 +14,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .plane_sweep import DepthMap
-from .views import Array, View, between, inside, pixel_rays, project
+from .views import Array, SweepView, between, inside, pixel_rays, project
 
 _TOLERANCE = 1.0
-"""Disagreement of two depths, as a move in the other picture in pixels, up to which they count as the same."""
+"""Largest difference of equal depths, as a displacement in the other picture, in pixels."""
 _LOOK_ALIKE = 0.5
-"""Correlation of two windows from which on they count as the same texture."""
+"""Least correlation of two windows of the same texture."""
 _WINDOW = 7
 _NOISE_VARIANCE = 0.01**2
 _DETAIL, _UNEVEN = 0.6, 2.0
 _JUMP = 0.08
-"""Share of inverse depth by which it changes within 3 x 3 pixels where one surface ends before another."""
+"""Relative change of inverse depth within 3 x 3 pixels at an occlusion edge."""
 
 
 @dataclass(frozen=True)
 class Candidates:
-    """Points one view proposes.
+    """Candidate points of one view.
 
-    ``xyz`` (P, 3) float64 world, ``rgb`` (P, 3), ``spacing`` (P,) world size of one pixel there, more where there is
-    little to see, less where there is much; ``confidence`` (P,) 0..1; ``inverse_depth``, ``column``, ``row`` (P,).
+    ``xyz`` (P, 3) float64 world, ``rgb`` (P, 3), ``spacing`` (P,) world size of one pixel there, larger without texture
+    and smaller with much; ``confidence`` (P,) 0..1; ``inverse_depth``, ``column``, ``row`` (P,).
     """
 
     xyz: NDArray[np.float64]
@@ -48,7 +48,7 @@ class Candidates:
 
 
 def no_candidates() -> Candidates:
-    """Nothing to propose."""
+    """No points."""
     none, nowhere = np.zeros(0, np.float32), np.zeros(0, np.int64)
     return Candidates(np.zeros((0, 3)), np.zeros((0, 3), np.float32), none, none, none, nowhere, nowhere)
 
@@ -67,8 +67,8 @@ class _Projection:
     shift: float
 
 
-def _project_surface(view: View, other: View, inverse_depth: Array) -> _Projection:
-    """Where the surface a view sees lies in another view, straight from pixel to pixel."""
+def _project_surface(view: SweepView, other: SweepView, inverse_depth: Array) -> _Projection:
+    """Projection of a view's surface into another view, from pixel to pixel."""
     matrix, offset = between(view, other)
     columns = np.arange(view.width, dtype=np.float32)
     rows = np.arange(view.height, dtype=np.float32)[:, None]
@@ -90,14 +90,14 @@ def _sample(picture: Array, u: Array, v: Array, outside: float) -> Array:
     )
 
 
-def _within(other: View, u: Array, v: Array) -> NDArray[np.bool_]:
+def _within(other: SweepView, u: Array, v: Array) -> NDArray[np.bool_]:
     return np.asarray((u >= 0) & (u <= other.width - 1) & (v >= 0) & (v <= other.height - 1))
 
 
-def _similarities(view: View, others: Sequence[View], places: Sequence[_Projection]) -> Array:
+def _similarities(view: SweepView, others: Sequence[SweepView], places: Sequence[_Projection]) -> Array:
     """Correlation of windows of a view and of others around the same surface, (others, H, W); -1 where not seen.
 
-    Windows in which neither view has any texture above noise count as alike.
+    Windows without texture above noise in either view count as equal.
     """
     window = (_WINDOW, _WINDOW)
     mean = cv2.blur(view.centred, window)
@@ -114,19 +114,19 @@ def _similarities(view: View, others: Sequence[View], places: Sequence[_Projecti
 
 
 def _edges(inverse_depth: Array) -> NDArray[np.bool_]:
-    """Pixels next to a jump of depth: their windows hold two surfaces, their colours may be mixed."""
+    """Pixels at an occlusion edge: their windows cover two surfaces, their colours may be mixed."""
     kernel = np.ones((3, 3), np.uint8)
     return np.asarray(cv2.dilate(inverse_depth, kernel) - cv2.erode(inverse_depth, kernel) > _JUMP * inverse_depth)
 
 
-def _looseness(view: View) -> Array:
-    """How much farther apart than on average points may stand, (H, W): texture needs more of them."""
+def _looseness(view: SweepView) -> Array:
+    """Factor (H, W) of the distance between points: less where texture is strong."""
     typical = max(float(np.median(view.contrast)), 1e-6)
     return np.asarray(np.clip((view.contrast / typical) ** -_DETAIL, 1 / _UNEVEN, _UNEVEN))
 
 
 def agree(
-    views: Sequence[View],
+    views: Sequence[SweepView],
     index: int,
     neighbours: Sequence[int],
     matched: Sequence[int],
@@ -135,9 +135,9 @@ def agree(
 ) -> Candidates:
     """The points of one view's depth map that other views confirm.
 
-    Kept is what at least one view in ``neighbours`` (two, if there are at least four) sees at the same place, what
-    looks alike in the better half of the views in ``matched`` (the first of ``neighbours``), and what not more views
-    see through; inverse depths are means over the views that agree.
+    A confirmed point has the same depth in at least one view in ``neighbours`` (two, of at least four), similar texture
+    in the better half of the views in ``matched`` (the first of ``neighbours``), and no more views that see through it.
+    Inverse depths are means over the consistent views.
     """
     view, own = views[index], depths.inverse_depth
     places = [_project_surface(view, views[j], own) for j in neighbours]
@@ -177,15 +177,15 @@ def agree(
     )
 
 
-def _sideways(view: View, other: View) -> float:
-    """Pixels a point at unit depth moves in the other view per relative change of its depth, seen from ``view``."""
+def _sideways(view: SweepView, other: SweepView) -> float:
+    """Displacement in the other view, in pixels, of a point at unit depth per relative change of its depth."""
     offset = other.centre - view.centre
     along = float(offset @ other.rotation[2])
     return float(other.focal * np.sqrt(max(float(offset @ offset) - along**2, 0.0)))
 
 
 def depth_ratio(
-    view: View, inverse_depth: Array, xyz: NDArray[np.float64]
+    view: SweepView, inverse_depth: Array, xyz: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
     """Depth of points (P, 3) over the depth seen there (> 1: hidden; NaN where unknown, 0), their columns and rows."""
     u, v, z = project(view, xyz)

@@ -1,23 +1,23 @@
-"""One cloud out of the views' candidates: evenly spread, at most so many, without floaters."""
+"""One cloud from the views' candidates: evenly spread, of limited size, without floaters."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ..numerics import nearest
 from .agreement import Candidates, depth_ratio
 from .frusta import DepthRange
-from .views import Array, View, inside, project
+from .views import Array, SweepView, inside, project
 
 _SEEN_THROUGH = 0.04
-"""Share of its depth by which a point lies in front of what a view sees, when that view sees through it."""
+"""Relative depth by which a point lies in front of a view's surface if that view sees through it."""
 
 _CLOSEST = 0.7
-"""Pixels between points from which on more of them tell nothing new."""
+"""Least useful distance between points, in pixels."""
 _TRIALS = 10
 
 
@@ -35,12 +35,11 @@ class Cloud:
 
 
 @dataclass(frozen=True)
-class Survey:
-    """What is known of one view: ``believed`` (H, W) inverse depths of its sweep, ``confirmed`` (H, W) those other
-    views agree with, 0 elsewhere (both None if it shares nothing with others), ``nearest`` depth of the latter (0 if
-    unknown)."""
+class ViewDepths:
+    """Depths of one view: ``believed`` (H, W), inverse depths of its sweep; ``confirmed`` (H, W), those consistent with
+    other views, 0 elsewhere (both None without shared depths); ``nearest`` confirmed depth (0: unknown)."""
 
-    view: View
+    view: SweepView
     depths: DepthRange | None
     believed: Array | None
     confirmed: Array | None
@@ -49,8 +48,8 @@ class Survey:
 
 @dataclass(frozen=True)
 class Sight:
-    """Per point (P,): how many views see ``through`` it to something behind, how many see it ``in_place``; ``rgb``
-    (P, 3) is the mean of its own colour and of what the latter see."""
+    """Number of views per point (P,) that see ``through`` it, and that see it ``in_place``; ``rgb`` (P, 3): mean of its
+    own colour and of those in the latter views."""
 
     through: NDArray[np.int64]
     in_place: NDArray[np.int64]
@@ -137,30 +136,30 @@ def spread_to_count(cloud: Cloud, most: int) -> tuple[Cloud, float]:
     return take(cloud, chosen), float(high) if high < np.inf else _CLOSEST
 
 
-def look_from_all(cloud: Cloud, surveys: Sequence[Survey]) -> Sight:
-    """What the views say of a cloud's points."""
+def look_from_all(cloud: Cloud, all_depths: Sequence[ViewDepths]) -> Sight:
+    """Visibility of a cloud's points in all views."""
     through, in_place = np.zeros(len(cloud), np.int64), np.zeros(len(cloud), np.int64)
     rgb = cloud.rgb.copy()
-    for survey in surveys:
-        if survey.confirmed is None:
+    for view_depths in all_depths:
+        if view_depths.confirmed is None:
             continue
-        ratio, column, row = depth_ratio(survey.view, survey.confirmed, cloud.xyz)
+        ratio, column, row = depth_ratio(view_depths.view, view_depths.confirmed, cloud.xyz)
         through += ratio < 1 - _SEEN_THROUGH
         here = np.abs(ratio - 1) <= _SEEN_THROUGH
         in_place += here
-        rgb[here] += survey.view.picture[row[here], column[here]]
+        rgb[here] += view_depths.view.picture[row[here], column[here]]
     return Sight(through, in_place, rgb / (1 + in_place[:, None]).astype(np.float32))
 
 
-def too_near(cloud: Cloud, surveys: Sequence[Survey], share: float) -> NDArray[np.bool_]:
+def too_near(cloud: Cloud, all_depths: Sequence[ViewDepths], share: float) -> NDArray[np.bool_]:
     """Points (P,) right in front of a camera: nearer than ``share`` of the nearest depth confirmed in its view.
 
-    Cameras that stand in one another's view are found as points, and they would hide what they look at.
+    Points on a camera in another camera's view would hide the scene from it.
     """
     near = np.zeros(len(cloud), bool)
-    for survey in surveys:
-        u, v, depth = project(survey.view, cloud.xyz)
-        near |= inside(survey.view, u, v) & (depth > 0) & (depth < share * survey.nearest)
+    for view_depths in all_depths:
+        u, v, depth = project(view_depths.view, cloud.xyz)
+        near |= inside(view_depths.view, u, v) & (depth > 0) & (depth < share * view_depths.nearest)
     return near
 
 
@@ -172,6 +171,5 @@ def neighbour_distances(xyz: NDArray[np.float64]) -> Array:
     middle = xyz.mean(axis=0)
     scale = max(float(np.abs(xyz - middle).max()), 1e-30)
     points = ((xyz - middle) / scale).astype(np.float32)
-    index = cv2.flann.Index(points, {"algorithm": 4, "leaf_max_size": 10})  # exact single k-d tree
-    _, squared = index.knnSearch(points, count + 1, params={"checks": -1})
+    _, squared = nearest(points, count + 1)
     return np.asarray(np.sqrt(squared[:, 1:]).mean(axis=1) * scale, np.float32)

@@ -1,4 +1,4 @@
-"""What the cameras' poses alone tell: which depths a view shares with others, and which views to match it with."""
+"""Shared depths of views and neighbours for matching, from the cameras' poses and points."""
 
 from __future__ import annotations
 
@@ -8,28 +8,28 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .views import View, inside, pixel_rays, project
+from .views import SweepView, inside, pixel_rays, project
 
 RAY_GRID = (12, 9)
 _DEPTHS = 64
 _WIDEST_RANGE = 400.0
-"""Farthest over nearest depth looked at, in a rig whose views overlap up to infinity."""
+"""Ratio of farthest to nearest depth searched, in a rig whose views overlap up to infinity."""
 _SHARE = 0.1
-"""Share of a view's pixels that another view has to see for a depth to count as shared."""
+"""Least share of a view's pixels that another view sees at a shared depth."""
 _WORTH = 0.25
 _FEWEST_POINTS = 200
-"""Points found in a view from which on they tell its depth range."""
+"""Least points in a view for its depth range to come from them."""
 
 
 @dataclass(frozen=True)
 class DepthRange:
-    """Depths (along the optical axis, world units) between which a view is searched."""
+    """Depth range of a view's search, along the optical axis, in world units."""
 
     near: float
     far: float
 
 
-def ray_grid(view: View) -> NDArray[np.float64]:
+def ray_grid(view: SweepView) -> NDArray[np.float64]:
     """World directions of a coarse grid of the view's pixels, (G, 3), at unit depth."""
     u, v = np.meshgrid(
         (np.arange(RAY_GRID[0]) + 0.5) / RAY_GRID[0] * view.width - 0.5,
@@ -38,22 +38,22 @@ def ray_grid(view: View) -> NDArray[np.float64]:
     return pixel_rays(view, u.ravel(), v.ravel())
 
 
-def rig_size(views: Sequence[View]) -> float:
+def rig_size(views: Sequence[SweepView]) -> float:
     """Largest distance between two cameras, world units; 0 if all stand in one place."""
     centres = np.array([view.centre for view in views])
     return float(np.linalg.norm(centres[:, None] - centres[None], axis=-1).max())
 
 
 def angle_worth(degrees: NDArray[np.floating]) -> NDArray[np.float64]:
-    """What a point seen by two views under this angle is worth for matching: 1 between 6 and 16 degrees, 0 at none.
+    """Usefulness for matching of this angle between two views' rays to a point: 1 from 6 to 16 degrees, 0 at 0.
 
-    Smaller angles tell little about depth, under larger ones the pictures look different.
+    Smaller angles hardly constrain depth; under larger ones the pictures differ.
     """
     small = np.minimum(degrees / 6.0, 1.0)
     return np.asarray(small * np.exp(-(np.maximum(degrees - 16.0, 0.0) ** 2) / (2 * 13.0**2)))
 
 
-def shared_depths(views: Sequence[View]) -> list[DepthRange | None]:
+def shared_depths(views: Sequence[SweepView]) -> list[DepthRange | None]:
     """For every view the depths at which other views see a fair part of the same space; None if there are none.
 
     Nearest: where the worth for matching (best other view of each pixel, see ``angle_worth``) reaches a quarter of its
@@ -83,7 +83,7 @@ def shared_depths(views: Sequence[View]) -> list[DepthRange | None]:
     return ranges
 
 
-def _angles(xyz: NDArray[np.float64], a: View, b: View) -> NDArray[np.float64]:
+def _angles(xyz: NDArray[np.float64], a: SweepView, b: SweepView) -> NDArray[np.float64]:
     """Angles, in degrees, under which two cameras see points (..., 3)."""
     to_a, to_b = xyz - a.centre, xyz - b.centre
     lengths = np.linalg.norm(to_a, axis=-1) * np.linalg.norm(to_b, axis=-1)
@@ -91,7 +91,9 @@ def _angles(xyz: NDArray[np.float64], a: View, b: View) -> NDArray[np.float64]:
     return np.asarray(np.degrees(np.arccos(np.clip(cosines, -1, 1))))
 
 
-def choose_neighbours(views: Sequence[View], samples: Sequence[NDArray[np.float64]], count: int) -> list[list[int]]:
+def choose_neighbours(
+    views: Sequence[SweepView], samples: Sequence[NDArray[np.float64]], count: int
+) -> list[list[int]]:
     """For every view up to ``count`` others to match it with, best first.
 
     ``samples``: per view world points (S, 3) it may be looking at. Worth: the share of these the other view sees under
@@ -120,7 +122,7 @@ def choose_neighbours(views: Sequence[View], samples: Sequence[NDArray[np.float6
     return chosen_of_all
 
 
-def points_within(view: View, depths: DepthRange | None) -> NDArray[np.float64]:
+def points_within(view: SweepView, depths: DepthRange | None) -> NDArray[np.float64]:
     """World points (S, 3) all over the depths the view shares with others, evenly in inverse depth."""
     if depths is None:
         return np.zeros((0, 3))
@@ -129,12 +131,12 @@ def points_within(view: View, depths: DepthRange | None) -> NDArray[np.float64]:
 
 
 def depths_of(
-    view: View, own: NDArray[np.float64], all_views: NDArray[np.float64], shared: DepthRange | None
+    view: SweepView, own: NDArray[np.float64], all_views: NDArray[np.float64], shared: DepthRange | None
 ) -> DepthRange | None:
-    """Depths between which a view should be searched closely, with a margin; ``shared`` if too little was found so far.
+    """Depth range of a view's fine search, with a margin; ``shared`` if too few points are known.
 
-    ``own`` (P, 3): points found in this view; ``all_views`` (Q, 3): in all. Of the latter the outermost hundredths are
-    left out: among them are the camera's own housing, seen by others, and what it cannot see behind other things.
+    ``own`` (P, 3): points found in this view; ``all_views`` (Q, 3): in all, without the nearest and farthest hundredth,
+    which include the camera's own housing and occluded points.
     """
     depth = (own - view.centre) @ view.rotation[2]
     u, v, others = project(view, all_views)
@@ -147,8 +149,8 @@ def depths_of(
     return DepthRange(float(near) * 0.9, float(far) * 1.15)
 
 
-def likely_points(view: View, xyz: NDArray[np.float64], depths: DepthRange | None) -> NDArray[np.float64]:
-    """World points (S, 3), one per cell of the view, at the median depth of what was found in it or in all."""
+def likely_points(view: SweepView, xyz: NDArray[np.float64], depths: DepthRange | None) -> NDArray[np.float64]:
+    """World points (S, 3), one per cell of the view, at the median depth of the points in it or in all cells."""
     if depths is None:
         return np.zeros((0, 3))
     u, v, depth = project(view, xyz)

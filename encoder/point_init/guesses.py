@@ -1,4 +1,4 @@
-"""Points where views have none: guesses, so that training has something to start from everywhere it will be judged."""
+"""Guessed points where views have none, so that training starts with points everywhere."""
 
 from __future__ import annotations
 
@@ -8,52 +8,52 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from .cloud import Cloud, Survey, empty_cloud, join, look_from_all, take, too_near
+from .cloud import Cloud, ViewDepths, empty_cloud, join, look_from_all, take, too_near
 from .frusta import DepthRange, rig_size
-from .views import Array, View, floats, inside, pixel_rays, project
+from .views import Array, SweepView, floats, inside, pixel_rays, project
 
 CELL = 8
-"""Side, in pixels, of the picture cells that should hold a point."""
+"""Side, in pixels, of picture cells, each of which gets a point."""
 _APART = 1.2
-"""Distance between guesses, in units of that between confirmed points."""
+"""Distance between guesses over that between confirmed points."""
 _BELIEVED = 0.5
-"""Share of the guesses at the unconfirmed depth of the view's own sweep, where it is likely enough."""
+"""Share of the guesses at the unconfirmed depth of the view's own sweep, where it is plausible."""
 _SCATTER, _WIDE_SCATTER = 0.05, 0.5
 """Relative standard deviation of the depth of the other guesses around that of known points near them: in a view in
 which enough is confirmed, and in one in which nothing is."""
 _ENOUGH = 0.4
-"""Share of confirmed pixels that is enough."""
+"""Sufficient share of confirmed pixels."""
 _CONFIDENCE = 0.05
 _FEW_KNOWN = 0.01
 """Share of a view's pixels with confirmed depths below which points of other views tell its depths."""
 _WITHOUT_POINTS = 20_000
-"""Guesses in all if there is no confirmed point."""
+"""Total number of guesses without any confirmed point."""
 _CLEAR = 0.9
 """Share of the nearest confirmed depth of any view that sees it at which a guess must lie at least."""
 
 
-def guess_points(cloud: Cloud, surveys: Sequence[Survey], pixels: float, random: np.random.Generator) -> Cloud:
-    """Points where views have none of ``cloud``: near what is known, or anywhere in the frusta if nothing is.
+def guess_points(cloud: Cloud, all_depths: Sequence[ViewDepths], pixels: float, random: np.random.Generator) -> Cloud:
+    """Points where views have none of ``cloud``: near known points, or anywhere in the frusta without these.
 
-    ``pixels``: how far apart the points of ``cloud`` are in a picture.
+    ``pixels``: distance between the points of ``cloud`` in a picture.
     """
     found = [empty_cloud()]
     if not len(cloud):
-        size = rig_size([survey.view for survey in surveys]) or 1.0
-        each = max(1, _WITHOUT_POINTS // len(surveys))
-        for survey in surveys:
-            depths = survey.depths or DepthRange(size / 2, size * 5)
-            found.append(random_in_frustum(survey.view, depths, each, random))
+        size = rig_size([view_depths.view for view_depths in all_depths]) or 1.0
+        each = max(1, _WITHOUT_POINTS // len(all_depths))
+        for view_depths in all_depths:
+            depths = view_depths.depths or DepthRange(size / 2, size * 5)
+            found.append(random_in_frustum(view_depths.view, depths, each, random))
         return join(found)
-    for survey in surveys:
-        guess = fill_empty_cells(survey, join([cloud, *found]), pixels, random)
-        wrong = (look_from_all(guess, surveys).through > 0) | too_near(guess, surveys, _CLEAR)
+    for view_depths in all_depths:
+        guess = fill_empty_cells(view_depths, join([cloud, *found]), pixels, random)
+        wrong = (look_from_all(guess, all_depths).through > 0) | too_near(guess, all_depths, _CLEAR)
         found.append(take(guess, ~wrong))
     return join(found)
 
 
-def cell_counts(view: View, xyz: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Points per picture cell of 8 x 8 pixels, (rows, columns); what hides what is not looked at."""
+def cell_counts(view: SweepView, xyz: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Points per picture cell of 8 x 8 pixels, (rows, columns), without regard to occlusion."""
     u, v, _ = project(view, xyz)
     visible = inside(view, u, v)
     columns, rows = -(-view.width // CELL), -(-view.height // CELL)
@@ -64,7 +64,7 @@ def cell_counts(view: View, xyz: NDArray[np.float64]) -> NDArray[np.int64]:
 def fill_depths(known: Array) -> Array:
     """Known inverse depths (H, W; 0: unknown) spread into the gaps, the far ones a little stronger; (H, W).
 
-    Push and pull: unknown pixels get the mean of ever larger surroundings, until there is a known one.
+    Push-pull interpolation: unknown pixels get the mean of growing surroundings, up to the first known pixel.
     """
     weight = np.where(known > 0, 1 / np.maximum(known, 1e-12), 0).astype(np.float32)
     weight /= max(float(weight.max()), 1e-12)
@@ -83,7 +83,7 @@ def fill_depths(known: Array) -> Array:
     return np.asarray(filled)
 
 
-def projected_depths(view: View, xyz: NDArray[np.float64]) -> Array:
+def projected_depths(view: SweepView, xyz: NDArray[np.float64]) -> Array:
     """Inverse depths (H, W) of the nearest point in every pixel, 0 where there is none."""
     u, v, depth = project(view, xyz)
     visible = inside(view, u, v) & (depth > 0)
@@ -94,24 +94,24 @@ def projected_depths(view: View, xyz: NDArray[np.float64]) -> Array:
     return inverse
 
 
-def random_in_frustum(view: View, depths: DepthRange, count: int, random: np.random.Generator) -> Cloud:
+def random_in_frustum(view: SweepView, depths: DepthRange, count: int, random: np.random.Generator) -> Cloud:
     """Random points of the view's colours, evenly over its picture and over inverse depth."""
     column, row = random.integers(0, view.width, count), random.integers(0, view.height, count)
     return _guess(view, column, row, 1 / random.uniform(1 / depths.far, 1 / depths.near, count))
 
 
-def _guess(view: View, column: NDArray[np.int64], row: NDArray[np.int64], depth: NDArray[np.float64]) -> Cloud:
+def _guess(view: SweepView, column: NDArray[np.int64], row: NDArray[np.int64], depth: NDArray[np.float64]) -> Cloud:
     xyz = view.centre + pixel_rays(view, column.astype(np.float64), row.astype(np.float64)) * depth[:, None]
     spacing = (_APART * depth / view.focal).astype(np.float32)
     return Cloud(xyz, view.picture[row, column], spacing, np.full(len(xyz), _CONFIDENCE, np.float32))
 
 
-def fill_empty_cells(survey: Survey, cloud: Cloud, pixels: float, random: np.random.Generator) -> Cloud:
+def fill_empty_cells(view_depths: ViewDepths, cloud: Cloud, pixels: float, random: np.random.Generator) -> Cloud:
     """Points for the cells of a view in which no point of ``cloud`` falls.
 
-    Some lie at the depth of known points around, with some scatter, some at the unconfirmed depth of the own sweep.
+    Their depths are those of known points around, with some scatter, or unconfirmed ones of the view's sweep.
     """
-    view = survey.view
+    view = view_depths.view
     empty = np.argwhere(cell_counts(view, cloud.xyz) == 0)
     wanted = int(np.ceil(len(empty) * min((CELL / (_APART * pixels)) ** 2, 4.0)))
     if not wanted:
@@ -119,15 +119,15 @@ def fill_empty_cells(survey: Survey, cloud: Cloud, pixels: float, random: np.ran
     cell = empty[random.integers(0, len(empty), wanted)]
     column = np.minimum(cell[:, 1] * CELL + random.integers(0, CELL, wanted), view.width - 1)
     row = np.minimum(cell[:, 0] * CELL + random.integers(0, CELL, wanted), view.height - 1)
-    known = survey.confirmed
+    known = view_depths.confirmed
     if known is None or np.count_nonzero(known) < _FEW_KNOWN * known.size:
         known = projected_depths(view, cloud.xyz)
     doubt = 1 - min(1.0, np.count_nonzero(known) / (_ENOUGH * known.size))
     scatter = _SCATTER + (_WIDE_SCATTER - _SCATTER) * doubt
     inverse = fill_depths(known)[row, column] * np.exp(scatter * random.standard_normal(wanted))
-    if survey.believed is not None and known.any():
+    if view_depths.believed is not None and known.any():
         low, high = np.percentile(known[known > 0], [1, 99])
-        own = survey.believed[row, column]
+        own = view_depths.believed[row, column]
         use = (random.random(wanted) < _BELIEVED) & (own > 0.8 * low) & (own < 1.1 * high)
         inverse[use] = own[use]
     good = inverse > 1e-12

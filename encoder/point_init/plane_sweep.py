@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .frusta import DepthRange, ray_grid
-from .views import Array, View, between, floats, project
+from .views import Array, SweepView, between, floats, project
 
 _TRUNCATION = 1.5
 """Difference of normalised luminance from which on two pixels are just different."""
@@ -41,7 +41,7 @@ class Costs:
     turned: NDArray[np.uint8]
 
 
-def choose_planes(view: View, neighbours: Sequence[View], depths: DepthRange, most: int) -> Array:
+def choose_planes(view: SweepView, neighbours: Sequence[SweepView], depths: DepthRange, most: int) -> Array:
     """Inverse depths of the planes, ascending, so that a picture moves about one pixel from plane to plane."""
     rays = ray_grid(view)
     moves = []
@@ -64,7 +64,7 @@ def _behind(homography: NDArray[np.float64], width: int, height: int) -> NDArray
 
 
 def _better_half(costs: list[Array]) -> Array:
-    """Twice the mean of the better half of up to four costs: what is occluded in some neighbours is seen in others."""
+    """Twice the mean of the better half of up to four costs: points occluded in some neighbours show in others."""
     if len(costs) == 1:
         return costs[0] * 2
     if len(costs) == 2:
@@ -76,7 +76,7 @@ def _better_half(costs: list[Array]) -> Array:
     return floats(cv2.add(cv2.min(low0, low1), cv2.min(cv2.max(low0, low1), cv2.min(high0, high1))))
 
 
-def matching_costs(view: View, neighbours: Sequence[View], planes: Array) -> Costs:
+def matching_costs(view: SweepView, neighbours: Sequence[SweepView], planes: Array) -> Costs:
     """Photo-consistency costs, 0 alike to 255 different or not seen, (H, D, W) and (W, D, H)."""
     size = (view.width, view.height)
     upright = np.empty((view.height, len(planes), view.width), np.uint8)
@@ -158,7 +158,7 @@ def pick_depths(total: NDArray[np.int16], planes: Array) -> DepthMap:
     return DepthMap(floats(planes[0] + plane * step))
 
 
-def sweep(view: View, neighbours: Sequence[View], planes: Array) -> DepthMap:
+def sweep(view: SweepView, neighbours: Sequence[SweepView], planes: Array) -> DepthMap:
     """Depth of every pixel of ``view``, matched with one to four neighbours; ``planes``: see ``choose_planes``."""
     costs = matching_costs(view, neighbours, planes)
     return pick_depths(aggregate(costs, view.picture.mean(axis=2)), planes)

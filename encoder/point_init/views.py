@@ -1,4 +1,4 @@
-"""What the search for first points knows of one camera: its pinhole model, its picture and a picture to match with."""
+"""One camera in the search for first points: its pinhole model, its picture and a normalised picture for matching."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _NOISE = 0.012
 
 
 @dataclass(frozen=True)
-class View:
+class SweepView:
     """One camera at the resolution of the sweep.
 
     ``picture`` (H, W, 3) RGB 0..1; ``normalised`` (H, W) luminance with local mean and contrast taken out, so that
@@ -54,7 +54,7 @@ class View:
         return float(np.sqrt(self.camera.fx * self.camera.fy))
 
 
-def make_view(camera: Camera, picture: Array, scale: float) -> View:
+def make_view(camera: Camera, picture: Array, scale: float) -> SweepView:
     """The view of ``camera`` at ``scale`` (at most 1) of its resolution; ``picture`` (H, W, 3) RGB 0..1."""
     if scale < 1:
         camera = scale_camera(camera, scale)
@@ -65,7 +65,7 @@ def make_view(camera: Camera, picture: Array, scale: float) -> View:
     centred = luminance - mean
     contrast = np.sqrt(cv2.GaussianBlur(centred * centred, (0, 0), _WINDOW_SIGMA) + np.float32(_NOISE**2))
     rotation, translation = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
-    return View(
+    return SweepView(
         camera=camera,
         picture=picture,
         normalised=centred / contrast,
@@ -86,7 +86,7 @@ def floats(picture: NDArray[np.generic]) -> Array:
     return np.asarray(picture, np.float32)
 
 
-def pixel_rays(view: View, u: NDArray[np.floating], v: NDArray[np.floating]) -> NDArray[np.float64]:
+def pixel_rays(view: SweepView, u: NDArray[np.floating], v: NDArray[np.floating]) -> NDArray[np.float64]:
     """World directions of pixels (u, v; first centre at 0), shape (..., 3), at unit depth along the optical axis."""
     k = view.intrinsics
     camera_rays = np.stack([(u - k[0, 2]) / k[0, 0], (v - k[1, 2]) / k[1, 1], np.ones_like(u)], axis=-1)
@@ -94,7 +94,7 @@ def pixel_rays(view: View, u: NDArray[np.floating], v: NDArray[np.floating]) -> 
 
 
 def project(
-    view: View, xyz: NDArray[np.floating]
+    view: SweepView, xyz: NDArray[np.floating]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Pixel columns, rows (first centre at 0; -1e6 behind the camera) and depths of world points (..., 3)."""
     p = xyz @ view.rotation.T + view.translation
@@ -106,12 +106,12 @@ def project(
     return u, v, depth
 
 
-def inside(view: View, u: NDArray[np.floating], v: NDArray[np.floating]) -> NDArray[np.bool_]:
+def inside(view: SweepView, u: NDArray[np.floating], v: NDArray[np.floating]) -> NDArray[np.bool_]:
     """Whether pixel positions (first centre at 0) fall inside the picture."""
     return np.asarray((u > -0.5) & (u < view.width - 0.5) & (v > -0.5) & (v < view.height - 0.5))
 
 
-def between(view: View, other: View) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def between(view: SweepView, other: SweepView) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """A (3, 3) and b (3,): pixel p = (u, v, 1) of ``view`` at inverse depth d falls on pixel A p + b d of ``other``.
 
     The third component over d is the depth there; first pixel centres at 0.

@@ -12,7 +12,7 @@ from decogs.formats.errors import UsageError
 
 from .fixed_view import FixedView
 from .incremental_views import IncrementalViews
-from .native import HostPicture, LossValue, Picture, SplatGradients, TrainingKernel, gradients_like
+from .native import HostPicture, LossValue, RenderedPicture, SplatGradients, TrainingKernel, gradients_like
 
 DEVICES = ("auto", "cpu", "cuda")
 
@@ -59,7 +59,7 @@ __all__ = [
     "HostPicture",
     "IncrementalViews",
     "LossValue",
-    "Picture",
+    "RenderedPicture",
     "SplatGradients",
     "TrainingKernel",
     "check_device",

@@ -40,7 +40,7 @@ from decogs.formats.cameras import Camera, camera_centre
 from decogs.formats.splats import FloatArray, Splats, take_splats
 
 from .fixed_view import FixedView
-from .native import LossValue, Picture, SplatGradients, TrainingKernel, gradients_like
+from .native import LossValue, RenderedPicture, SplatGradients, TrainingKernel, gradients_like
 from .photometric import TiledLoss
 
 _TILE = 16
@@ -208,7 +208,7 @@ class CudaKernel(TrainingKernel):
         *,
         sh_degree: int | None = None,
         depth: bool = False,
-    ) -> Picture:
+    ) -> RenderedPicture:
         lens, leaves = _Lens(camera, self.device), self.leaves(splats)
         degree = splats.sh_degree if sh_degree is None else min(sh_degree, splats.sh_degree)
         projected = self.project(leaves, lens, degree)

@@ -139,7 +139,7 @@ def training_library() -> ctypes.CDLL:
     return library
 
 
-class Picture(Protocol):
+class RenderedPicture(Protocol):
     """A rendering, planar: rgb (3, H, W), alpha (H, W), summed depth (H, W) or None."""
 
     @property
@@ -252,7 +252,7 @@ class TrainingKernel:
         *,
         sh_degree: int | None = None,
         depth: bool = False,
-    ) -> Picture:
+    ) -> RenderedPicture:
         """Renders and remembers what the way back needs; UsageError when the scene covers the picture too often."""
         size = (camera.height, camera.width)
         picture = HostPicture(

@@ -1,14 +1,13 @@
 """One later frame: the selected Gaussians follow the pictures, everything else stays.
 
-Stage 1 trains the transformation cache alone. Then Gaussians are added and taken away inside the region of
-interest. Stage 2 trains the selected Gaussians' own values together with the cache. Values of other Gaussians are
-never written: gradients are computed for the selected only, and Adam's moments exist for the selected only, so that
-the paper's gradient gate and its reset of stale moments hold by construction. Equations: docs/METHOD.md, "Focus-aware
-loss" to "Optimiser-state reset".
+Stage 1 trains the transformation cache alone. Then densification and pruning run inside the region of interest. Stage 2
+trains the selected Gaussians' own values together with the cache. Values of other Gaussians never change: gradients and
+Adam's moments exist for the selected Gaussians only, so that the paper's gradient gate and its reset of stale moments
+hold by construction. Equations: docs/METHOD.md, "Focus-aware loss" to "Optimiser-state reset".
 
-Beyond the paper: what newly appears gets Gaussians of its own (`seeding`), and ``warm_start`` lets a Gaussian
-begin where the last displacement of its neighbourhood would take it (`warm_start`). Without a cache (``cache`` None)
-stage 1 is left out and stage 2 moves the Gaussians directly.
+Beyond the paper: emerging objects get new Gaussians (`seeding`), and ``warm_start`` starts a Gaussian from the last
+displacement of its neighbourhood (`warm_start`). Without a cache (``cache`` None) there is no stage 1, and stage 2
+moves the Gaussians directly.
 """
 
 from __future__ import annotations
@@ -21,8 +20,8 @@ from itertools import repeat
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.cameras import turned
-from decogs.formats.splats import FloatArray, Splats, empty_splats, join_splats, take_splats
+from decogs.formats.cameras import in_picture, project
+from decogs.formats.splats import FloatArray, Splats, empty_splats, join_splats, sigmoid, take_splats
 
 from ..change.masks import FrameMask, showing
 from ..input.ingest import View
@@ -30,38 +29,36 @@ from ..parallel import side_by_side
 from ..rasterise import SplatGradients, TrainingKernel, gradients_like
 from ..settings.frame import FrameSettings
 from ..transformation_cache import TransformationCache
-from .densification import DENSIFICATIONS, ViewGradients, opacities_of
+from .densification import DENSIFICATIONS, ViewGradients
 from .losses import PhotometricLoss, focus_loss, require_finite, whole_picture_loss
 from .method import FrameInput, TrainedFrame, TrainingContext
 from .optimiser import OPTIMISERS, Optimiser
 from .schedule import (
     LEAST_STEPS,
-    Pace,
     SearchTime,
+    StepSchedule,
     TargetWatch,
     iteration_factor,
     search_of,
     search_seconds,
 )
-from .seeding import Look, missed, seeds, worth_a_search
+from .seeding import SearchView, missed, seeds, worth_a_search
 from .significance import picture_weight, revert_insignificant
 from .view_order import view_order
 from .warm_start import shared_displacements
 
 _DIVERGED = 1.5
-"""Training that raises the squared error in focus by this factor (1.8 dB) has diverged; one that works lowers it."""
-
+"""Training that raises the squared error in focus by this factor (1.8 dB) has diverged; normally the error falls."""
 
 _MOST_PROBES = 4
-"""Views that tell what goes wrong when time is short: each of them is drawn twice, which takes as long as a step."""
-
+"""Views whose error is measured when time is short: each is rendered twice, which takes as long as a step."""
 
 _MOST_HASTE = 3.0
-"""Factor of the rates where a deadline leaves few steps: they must still get as far as things move."""
+"""Largest factor of the rates when a deadline leaves few steps, which must still cover the motion."""
 
 
 class DeltaTrainer:
-    """Trains the later frames of one stream; what it keeps from frame to frame is here, the rest in `_DeltaTraining`.
+    """Trains the later frames of one stream. It holds the state between frames; `_DeltaTraining` trains one frame.
 
     ``context.static_views`` show the stream's scene, all of it static between frames.
     """
@@ -74,21 +71,21 @@ class DeltaTrainer:
         self._cache: TransformationCache | None = None
 
     def train(self, frame: FrameInput, /) -> TrainedFrame:
-        """Trains the selected Gaussians; where training has diverged, nothing changes.
+        """Trains the selected Gaussians; diverged training changes nothing.
 
-        What ends training early is in either stage a deadline, in stage 2 a target in the regions of interest.
+        A deadline ends either stage early, a target in the regions of interest stage 2.
         """
         began = time.perf_counter()
         training = _DeltaTraining(self, frame, self._cache_of(frame.settings))
-        result, pace = training.run()
-        if frame.effort.deadline is not None:
-            self.step_seconds, steps = pace.steps_seconds
+        result, schedule = training.run()
+        if frame.stopping.deadline is not None:
+            self.step_seconds, steps = schedule.steps_seconds
             spent = time.perf_counter() - began
             self.min_seconds = spent - training.searching - steps + LEAST_STEPS * self.step_seconds
         return result
 
     def _cache_of(self, settings: FrameSettings) -> TransformationCache | None:
-        """The cache that a frame's settings ask for; built when the first frame does."""
+        """The cache of a frame's settings, built at first use."""
         if settings.cache is None:
             return None
         if self._cache is None and settings.cache_iterations + settings.joint_iterations > 0:
@@ -98,24 +95,24 @@ class DeltaTrainer:
 
 
 class _DeltaTraining:
-    """The training of one frame. ``searching``: seconds that the search for emerging things took."""
+    """The training of one frame. ``searching``: duration of the search for emerging objects, seconds."""
 
     def __init__(self, stream: DeltaTrainer, frame: FrameInput, cache: TransformationCache | None) -> None:
         context = stream.context
         self._stream, self._frame, self._cache = stream, frame, cache
         self._kernel, self._views, self._watch = context.kernel, context.views, context.static_views
         self._threads, self._extent, self._most = context.threads, context.extent, context.max_gaussians
-        self._settings, self._effort = frame.settings, frame.effort
-        self._short = frame.effort.deadline is not None and (
-            stream.step_seconds * frame.settings.joint_iterations > frame.effort.deadline - time.perf_counter()
+        self._settings, self._stopping = frame.settings, frame.stopping
+        self._short = frame.stopping.deadline is not None and (
+            stream.step_seconds * frame.settings.joint_iterations > frame.stopping.deadline - time.perf_counter()
         )
         self._used = showing(frame.masks)
         self._random = np.random.default_rng((context.seed, frame.index))
         self._values: list[float] = []
         self.searching = 0.0
 
-    def run(self) -> tuple[TrainedFrame, Pace]:
-        """The trained frame, and how far its schedule went."""
+    def run(self) -> tuple[TrainedFrame, StepSchedule]:
+        """The trained frame and its schedule."""
         scene, pictures, masks = self._frame.scene, self._frame.pictures, self._frame.masks
         before = self._squared_error(pictures, masks)
         with side_by_side(self._threads) as each:
@@ -130,18 +127,18 @@ class _DeltaTraining:
             self._add_emerging(work, losses, masks, self._used)
         if "gate" in self._settings.ablated:
             self._open_gate(work, scene)
-        pace = self._stage2(work, scene, losses, masks)
+        schedule = self._stage2(work, scene, losses, masks)
         self._draw_probes(work)
         if self._squared_error(pictures, masks) > _DIVERGED * before:
-            return replace(work.unchanged(scene), rejected=True), pace
-        return replace(self._result(work), hurried=pace.hurry > 1), pace
+            return replace(work.unchanged(scene), rejected=True), schedule
+        return replace(self._result(work), hurried=schedule.hurry > 1), schedule
 
     def _probes(self) -> list[int]:
-        """A few of the used views, enough to see what goes wrong everywhere; a handful of them when time is short."""
+        """A sample of the used views for measuring errors: every third, fewer when time is short."""
         return self._used[:: max(3, -(-len(self._used) // _MOST_PROBES)) if self._short else 3]
 
     def _errors(self, pictures: Sequence[FloatArray], masks: Sequence[FrameMask]) -> list[FloatArray]:
-        """By how much what some views show misses their pictures in focus, (3, pixels) each, colours 0 to 1."""
+        """Errors of some views' renderings in focus, (3, pixels) each, colours 0 to 1."""
 
         def missing(index: int) -> FloatArray:
             focus = np.flatnonzero(_focus(self._views[index], masks[index]))
@@ -157,8 +154,8 @@ class _DeltaTraining:
         for index in self._probes():
             self._watch[index].draw(work.shown, work.rows)
 
-    def _pace(self, work: _Working, losses: Sequence[PhotometricLoss], masks: Sequence[FrameMask]) -> float:
-        """How many times the iterations of stage 2 this frame gets."""
+    def _iteration_factor(self, work: _Working, losses: Sequence[PhotometricLoss], masks: Sequence[FrameMask]) -> float:
+        """Factor of this frame's iterations in stage 2."""
         if not self._settings.adaptive_iterations.usual_miss:
             return 1.0
         self._draw_probes(work)
@@ -178,21 +175,21 @@ class _DeltaTraining:
         return focus_loss(picture, mask.dilated, view.valid, weights)
 
     def _stage1(self, work: _Working, losses: Sequence[PhotometricLoss], cache: TransformationCache) -> ViewGradients:
-        """The cache alone; the last third gathers the gradients that densification goes by."""
+        """Trains the cache alone; the last third gathers the gradients for densification."""
         gathered = ViewGradients(len(work.rows))
         iterations = self._settings.cache_iterations
-        pace = Pace(iterations, self._effort.deadline_before(iterations, self._settings.joint_iterations))
+        schedule = StepSchedule(iterations, self._stopping.deadline_before(iterations, self._settings.joint_iterations))
         for step, index in self._views_at_random():
-            if pace.is_over:
+            if schedule.is_over:
                 break
             work.show(*cache.moved())
             gradients = self._gradients(work, losses, index)
             self._tell("cache", step)
             cache.backward(gradients.means, gradients.quaternions)
             cache.step()
-            if 3 * pace.position >= 2 * iterations:
+            if 3 * schedule.position >= 2 * iterations:
                 self._gather(gathered, gradients, losses, index)
-            pace.step()
+            schedule.step()
         work.show(*cache.moved())
         return gathered
 
@@ -202,32 +199,33 @@ class _DeltaTraining:
         scene: Splats,
         losses: Sequence[PhotometricLoss],
         masks: Sequence[FrameMask],
-    ) -> Pace:
-        """The Gaussians' own values, with the cache if there is one; without it, densification falls in here."""
+    ) -> StepSchedule:
+        """Trains the Gaussians' own values, with the cache if there is one; without it, includes densification."""
         settings, worth = self._settings, self._settings.significance.threshold
         rates = replace(settings.rates, means=settings.rates.means * self._extent)
         gathered, self._values = ViewGradients(len(work.rows)), []
         grow_from, grow_at = settings.joint_iterations // 4, settings.joint_iterations // 2
         decide_at = max(grow_at + 1, round(settings.significance.decide_at * settings.joint_iterations))
         judged = self._cache is not None or worth == 0
-        pace = Pace(settings.joint_iterations, self._effort.deadline, factor=self._pace(work, losses, masks))
+        factor = self._iteration_factor(work, losses, masks)
+        schedule = StepSchedule(settings.joint_iterations, self._stopping.deadline, factor=factor)
         target = self._target(losses, masks)
         for step, index in self._views_at_random():
-            if pace.is_over:
+            if schedule.is_over:
                 break
-            if self._cache is None and pace.reaches(grow_at):
+            if self._cache is None and schedule.reaches(grow_at):
                 self._densify(work, gathered, masks)
             self._show(work)
-            if self._cache is None and pace.reaches(grow_from):
-                self._search_emerging(work, losses, masks, pace)
+            if self._cache is None and schedule.reaches(grow_from):
+                self._search_emerging(work, losses, masks, schedule)
                 gathered = ViewGradients(len(work.rows))
             gradients = self._gradients(work, losses, index)
             self._tell("joint", step)
-            if grow_from <= pace.position < grow_at:
+            if grow_from <= schedule.position < grow_at:
                 self._gather(gathered, gradients, losses, index)
             if self._cache is not None:
                 gradients = self._through_cache(work, gradients, self._cache)
-            if pace.reaches(decide_at) and not judged:
+            if schedule.reaches(decide_at) and not judged:
                 before, old, judged = work.before(scene), work.rows < len(scene), True
                 revert_insignificant(
                     work.optimiser, before, old, worth * picture_weight([losses[i] for i in self._used])
@@ -237,27 +235,27 @@ class _DeltaTraining:
             elif target is not None and target.saw(index, self._watch[index].rgb):
                 if judged:
                     break
-                pace.skip_to(decide_at)
-            if pace.position > grow_at and self._has_fallen_flat(step):
+                schedule.skip_to(decide_at)
+            if schedule.position > grow_at and self._has_fallen_flat(step):
                 break
-            late = settings.late_decay ** max(0.0, 2 * pace.position / settings.joint_iterations - 1)
-            work.optimiser.step(gradients, rates.scaled(late * min(pace.hurry**0.5, _MOST_HASTE)))
-            pace.step()
+            late = settings.late_decay ** max(0.0, 2 * schedule.position / settings.joint_iterations - 1)
+            work.optimiser.step(gradients, rates.scaled(late * min(schedule.hurry**0.5, _MOST_HASTE)))
+            schedule.step()
         self._show(work)
-        return pace
+        return schedule
 
     def _tell(self, stage: str, step: int) -> None:
-        if self._effort.on_loss is not None:
-            self._effort.on_loss(stage, step, self._values[-1])
+        if self._stopping.on_loss is not None:
+            self._stopping.on_loss(stage, step, self._values[-1])
 
     def _target(self, losses: Sequence[PhotometricLoss], masks: Sequence[FrameMask]) -> TargetWatch | None:
-        if self._effort.target_psnr is None:
+        if self._stopping.target_psnr is None:
             return None
         regions = [_focus(view, mask) for view, mask in zip(self._views, masks, strict=True)]
-        return TargetWatch(self._effort.target_psnr, [loss.target for loss in losses], regions)
+        return TargetWatch(self._stopping.target_psnr, [loss.target for loss in losses], regions)
 
     def _has_fallen_flat(self, step: int) -> bool:
-        """Whether the round through all views that ends here lowered the loss by too little to go on."""
+        """Whether the round of views that ends here hardly lowered the loss."""
         count = len(self._used)
         if not self._settings.flat or (step + 1) % count or len(self._values) < 2 * count:
             return False
@@ -286,12 +284,12 @@ class _DeltaTraining:
     def _gather(
         self, gathered: ViewGradients, gradients: SplatGradients, losses: Sequence[PhotometricLoss], index: int
     ) -> None:
-        """Adds a view's gradients, brought back to the scale that the threshold is meant for: the plain loss's."""
+        """Adds a view's gradients, rescaled to those of the plain loss, the threshold's scale."""
         camera = self._views[index].pinhole
         gathered.add(gradients.view / np.float32(losses[index].emphasis), camera.width, camera.height)
 
     def _gradients(self, work: _Working, losses: Sequence[PhotometricLoss], index: int) -> SplatGradients:
-        """Gradients of the shown values; pixels that nothing under training meets have no part in them."""
+        """Gradients of the shown values, from the pixels that Gaussians under training cover."""
         view = self._watch[index]
         view.draw(work.shown, work.rows)
         value = losses[index].evaluate_drawn(view)
@@ -300,13 +298,13 @@ class _DeltaTraining:
         return view.backward(out=work.gradients)
 
     def _views_at_random(self) -> Iterator[tuple[int, int]]:
-        """Steps without end and the view of each."""
+        """Endless steps, each with its view."""
         return ((step, self._used[place]) for step, place in enumerate(view_order(len(self._used), self._random)))
 
     def _densify(self, work: _Working, view_gradients: ViewGradients, masks: Sequence[FrameMask]) -> None:
-        """Adds Gaussians to ``work`` where the gradient asks for them, and takes those away that have become faint."""
+        """Densifies ``work`` where gradients are large and prunes transparent Gaussians."""
         settings = self._settings
-        faint = work.selected & (opacities_of(work.base) < settings.prune_opacity)
+        faint = work.selected & (sigmoid(work.base.opacity_logits) < settings.prune_opacity)
         room = min(int(settings.grow_fraction * work.selected.sum()), self._most - work.population + int(faint.sum()))
         grows = room > 0 and self._grow(work, view_gradients, masks, work.selected & ~faint, room)
         work.remove(np.flatnonzero(faint))
@@ -321,7 +319,7 @@ class _DeltaTraining:
         eligible: NDArray[np.bool_],
         room: int,
     ) -> bool:
-        """Adds at most ``room`` Gaussians to ``work``, and returns whether there were any.
+        """Adds at most ``room`` Gaussians to ``work``; returns whether it added any.
 
         A child outside every region of interest starts at its parent's position.
         """
@@ -347,28 +345,28 @@ class _DeltaTraining:
         return True
 
     def _replace(self, work: _Working) -> None:
-        """After Gaussians came or went: the cache follows, and the picture."""
+        """Updates cache and shown values after a change of the set of Gaussians."""
         if self._cache is not None:
             self._cache.place(work.base.means, work.base.quaternions, same_frame=True)
         self._show(work)
 
     def _search_emerging(
-        self, work: _Working, losses: Sequence[PhotometricLoss], masks: Sequence[FrameMask], pace: Pace
+        self, work: _Working, losses: Sequence[PhotometricLoss], masks: Sequence[FrameMask], schedule: StepSchedule
     ) -> None:
-        """Adds what newly appears; when time is short not in every frame, and by some of the views."""
-        if self._effort.deadline is None:
+        """Adds emerging objects; with a deadline, only in some frames and from some of the views."""
+        if self._stopping.deadline is None:
             self._add_emerging(work, losses, masks, self._used)
             return
         began = time.perf_counter()
         guess = search_seconds(self._settings.emergence.max_rays, len(self._used))
-        share = self._stream.search.affords(self._effort.deadline - began, guess)
+        share = self._stream.search.affords(self._stopping.deadline - began, guess)
         if share:
             looked, rays = search_of(share, len(self._used))
             apart = -(-len(self._used) // looked)
             self._add_emerging(work, losses, masks, self._used[self._frame.index % apart :: apart], rays)
             self.searching = time.perf_counter() - began
             self._stream.search.took(self.searching, share)
-            pace.put_off(self.searching)
+            schedule.put_off(self.searching)
 
     def _add_emerging(
         self,
@@ -378,7 +376,7 @@ class _DeltaTraining:
         views: Sequence[int],
         rays: float = 1.0,
     ) -> None:
-        """Adds what newly appears in this frame to ``work``: seen by these ``views``, with such a share of the rays."""
+        """Adds this frame's emerging objects to ``work``, from these ``views`` and a share of the ``rays``."""
         new = self._emerging(work, losses, masks, views, rays)
         if len(new):
             work.append(new)
@@ -392,31 +390,31 @@ class _DeltaTraining:
         views: Sequence[int],
         rays: float,
     ) -> Splats:
-        """Seeds of it; a few views tell whether to look at all of them."""
+        """Seeds of emerging objects; a third of the views decides whether to search in all."""
         settings = self._settings.emergence
         if settings.max_seeds <= 0:
             return empty_splats(work.base.sh_degree)
-        looks: dict[int, Look] = {}
+        searched: dict[int, SearchView] = {}
         misses: dict[int, NDArray[np.bool_]] = {}
         for probe in (views[::3], views):
-            new = [index for index in probe if index not in looks]
-            looks |= {index: self._look(work, index, losses[index].target, masks[index]) for index in new}
+            new = [index for index in probe if index not in searched]
+            searched |= {index: self._search_view(work, index, losses[index].target, masks[index]) for index in new}
             with side_by_side(self._threads) as each:
-                misses |= zip(new, each(missed, map(looks.__getitem__, new), repeat(settings)), strict=False)
+                misses |= zip(new, each(missed, map(searched.__getitem__, new), repeat(settings)), strict=False)
             if not worth_a_search(list(misses.values()), settings):
                 return empty_splats(work.base.sh_degree)
         fewer = replace(settings, max_rays=max(1, round(rays * settings.max_rays)))
-        found = [looks[i] for i in views], [misses[i] for i in views]
+        found = [searched[i] for i in views], [misses[i] for i in views]
         return seeds(*found, fewer, work.base.sh_degree, threads=self._threads)
 
-    def _look(self, work: _Working, index: int, target: FloatArray, mask: FrameMask) -> Look:
+    def _search_view(self, work: _Working, index: int, target: FloatArray, mask: FrameMask) -> SearchView:
         view, watching = self._views[index], self._watch[index]
         watching.draw(work.shown, work.rows, depth=True)
         depth = watching.depth / np.maximum(watching.alpha, np.float32(1e-6))
-        return Look(view.pinhole, target, watching.rgb, depth, _focus(view, mask))
+        return SearchView(view.pinhole, target, watching.rgb, depth, _focus(view, mask))
 
     def _open_gate(self, work: _Working, scene: Splats) -> None:
-        """Ablation: from here on every Gaussian is stepped, with the momentum of the frames before."""
+        """Ablation: steps every Gaussian from here on, with the momentum of previous frames."""
         others = np.setdiff1d(np.arange(len(scene)), work.lifted)
         for view in self._watch:
             view.lift(others)
@@ -434,13 +432,8 @@ class _DeltaTraining:
         """Points (P, 3) that project into the region of interest of at least one view."""
         inside = np.zeros(len(means), bool)
         for view, mask in zip(self._views, masks, strict=True):
-            camera = view.pinhole
-            position = turned(camera.world_to_camera[:3, :3], means.astype(np.float64)) + camera.world_to_camera[:3, 3]
-            with np.errstate(divide="ignore", invalid="ignore"):
-                u = camera.fx * position[:, 0] / position[:, 2] + camera.cx
-                v = camera.fy * position[:, 1] / position[:, 2] + camera.cy
-            seen = (position[:, 2] > 0) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
-            rows = np.flatnonzero(seen)
+            u, v, depth = project(view.pinhole, means)
+            rows = np.flatnonzero(in_picture(view.pinhole, u, v, depth))
             inside[rows] |= mask.dilated[v[rows].astype(np.int64), u[rows].astype(np.int64)]
         return inside
 
@@ -456,10 +449,10 @@ def _focus(view: View, mask: FrameMask) -> NDArray[np.bool_]:
 
 
 class _Working:
-    """A frame in the making: the Gaussians under training, apart from the scene they belong to.
+    """The Gaussians under training in a frame, separate from their scene.
 
-    ``rows`` (M,), ascending, are their rows in the scene; Gaussians that are added get rows behind its last. ``base``
-    are their own values, ``shown`` the same as the cache moves them. ``selected`` (M,): all, but for an ablation.
+    ``rows`` (M,), ascending, are their rows in the scene; new Gaussians get rows behind its last. ``base``: their own
+    values; ``shown``: these moved by the cache. ``selected`` (M,): all, except in an ablation.
     """
 
     def __init__(self, scene: Splats, rows: NDArray[np.int64], kernel: TrainingKernel, settings: FrameSettings) -> None:
@@ -477,14 +470,14 @@ class _Working:
 
     @property
     def population(self) -> int:
-        """How many Gaussians the scene has as it is now."""
+        """Current number of Gaussians in the scene."""
         return self._population - len(self.lifted) + len(self.rows)
 
     def show(self, means: FloatArray, quaternions: FloatArray) -> None:
         self.shown = replace(self.base, means=means, quaternions=quaternions)
 
     def append(self, children: Splats) -> None:
-        """Every per-Gaussian buffer follows the new count (docs/METHOD.md, "Selective densification")."""
+        """Appends Gaussians; every per-Gaussian buffer grows (docs/METHOD.md, "Selective densification")."""
         self.optimiser.append(children)
         self.rows = np.concatenate([self.rows, np.arange(self._next_row, self._next_row + len(children))])
         self.selected = np.concatenate([self.selected, np.ones(len(children), bool)])
@@ -492,7 +485,7 @@ class _Working:
         self._resized()
 
     def remove(self, positions: NDArray[np.int64]) -> None:
-        """Takes the Gaussians at ``positions`` of ``rows`` out of training and out of the picture."""
+        """Removes the Gaussians at ``positions`` of ``rows`` from training and scene."""
         stays = np.ones(len(self.rows), bool)
         stays[positions] = False
         self.rows, self.selected = self.rows[stays], self.selected[stays]
@@ -500,7 +493,7 @@ class _Working:
         self._resized()
 
     def admit(self, rows: NDArray[np.int64], splats: Splats, momentum: Optimiser | None) -> None:
-        """Takes further ``rows`` of the scene under training that are not selected."""
+        """Adds unselected ``rows`` of the scene to the training."""
         joined = np.concatenate([self.rows, rows])
         order = np.argsort(joined)
         self.rows = joined[order]
@@ -514,13 +507,13 @@ class _Working:
         self._resized()
 
     def before(self, scene: Splats) -> Splats:
-        """What ``rows`` were in the ``scene``; those that were added are as they are."""
+        """Values of ``rows`` in the ``scene``; new Gaussians have their current ones."""
         old = self.rows < self._population
         return join_splats(take_splats(scene, self.rows[old]), take_splats(self.base, ~old))
 
     def lasting(self) -> NDArray[np.bool_]:
-        """Which of ``rows`` outlive the frame: all but those that were added in vain."""
-        return (self.rows < self._population) | (opacities_of(self.base) >= self._prune_opacity)
+        """Which of ``rows`` outlive the frame: all except transparent new ones."""
+        return (self.rows < self._population) | (sigmoid(self.base.opacity_logits) >= self._prune_opacity)
 
     def result(self) -> TrainedFrame:
         """Bakes the cache's motion in (docs/METHOD.md, "Commit")."""
@@ -533,7 +526,7 @@ class _Working:
         )
 
     def unchanged(self, scene: Splats) -> TrainedFrame:
-        """All as it was in the ``scene``."""
+        """The frame without any change to the ``scene``."""
         nothing = empty_splats(scene.sh_degree)
         return TrainedFrame(self.lifted, take_splats(scene, self.lifted), np.zeros(0, np.int64), nothing)
 

@@ -1,6 +1,6 @@
-"""Where Gaussians are added and taken away: all over the keyframe, and only inside the focus of a later frame.
+"""Densification and pruning: in the whole keyframe, and only inside the focus of a later frame.
 
-Source: Kerbl 2023, section 5.2 (clone what is small, split what is large, where the projected centre's gradient is
+Source: Kerbl 2023, section 5.2 (clone small Gaussians and split large ones where the projected centre's gradient is
 high); DecoGS for later frames (docs/METHOD.md, "Selective densification"). Rejected for the keyframe: growth without a
 limit (on `workbench` 80 000 Gaussians fit the training views 1.2 dB better than 52 000 and the held-out one no better).
 Opacity resets: not tried.
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.codec.lattice import LOG_SCALE_BOUND
-from decogs.decoder.rasterise.reference import rotation_matrices
+from decogs.formats.rotations import rotation_matrices
 from decogs.formats.splats import Splats, take_splats
 
 from ..registry import Registry
@@ -43,15 +43,9 @@ class ViewGradients:
         return self._sum / np.maximum(self._views, 1)
 
 
-def opacities_of(splats: Splats) -> NDArray[np.float32]:
-    """Activated opacities 0..1, (N,)."""
-    logits = np.clip(splats.opacity_logits, -80, 80)
-    return np.asarray(1 / (1 + np.exp(-logits)), np.float32)
-
-
 @dataclass(frozen=True)
 class Growth:
-    """What densification proposes: ``children`` to append, one per row of ``parents``, and the parents' new values."""
+    """Proposal of a densification: ``children`` to append, one per row of ``parents``, and the parents' new values."""
 
     parents: NDArray[np.int64]
     children: Splats
@@ -66,7 +60,7 @@ def grow(splats: Splats, parents: NDArray[np.int64], large: float, random: np.ra
     """
     taken = take_splats(splats, parents)
     scales = np.exp(np.clip(taken.log_scales.astype(np.float64), -LOG_SCALE_BOUND, LOG_SCALE_BOUND))
-    rotations = rotation_matrices(np, taken.quaternions.astype(np.float64))
+    rotations = rotation_matrices(taken.quaternions.astype(np.float64))
     offsets = np.einsum("nij,nj->ni", rotations, random.normal(size=scales.shape) * scales)
     split = (scales.max(axis=1, initial=0) > large)[:, None]
     offsets = np.where(split, offsets, 0).astype(np.float32)
@@ -91,7 +85,7 @@ def strongest(
 
 
 class Densification(Protocol):
-    """Chooses where Gaussians are added, and which; called a few times in a keyframe, once in a later frame."""
+    """Chooses the Gaussians to add; called a few times in a keyframe, once in a later frame."""
 
     def __call__(
         self,

@@ -1,4 +1,4 @@
-"""The first frame: from its pictures to the Gaussians that everything later starts from."""
+"""The first frame: from its pictures to the keyframe's Gaussians."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from ..rasterise import TrainingKernel
 from ..settings.encode import EncodeSettings
 from ..stopwatch import Stopwatch
 from .keyframe import scouted_pictures, train_keyframe
-from .schedule import Effort
+from .schedule import StoppingRule
 
 
 def train_first_frame(
@@ -33,14 +33,13 @@ def train_first_frame(
     seed: int,
     threads: int,
     corrector: Corrector | None,
-    effort: Effort,
+    stopping: StoppingRule,
     on_step: OnKeyframeStep | None,
 ) -> tuple[State, Lattice]:
-    """The keyframe's Gaussians on the lattice that suits them; gives the ingest its near planes.
+    """The keyframe's Gaussians and their lattice; sets the near planes of the ingest.
 
-    Where a camera shakes, first points are sought again once a short training has shown how it stood. Where frames are
-    asked for their effects, so is this one, for view dependence. Raises RigError for a black picture and TrainingError
-    where training fails.
+    If a camera shakes, a short training finds its pose, and the search for first points runs again. With detection per
+    frame, view dependence is detected here. Raises RigError for a black picture and TrainingError for failed training.
     """
     _check_shows(frame, ingest.views)
 
@@ -75,7 +74,7 @@ def train_first_frame(
             lattice_scale=settings.lattice_scale,
             corrector=corrector,
             on_step=on_step,
-            effort=effort,
+            stopping=stopping,
         )
     values = quantise(trained.splats, trained.lattice)
     state, _ = keyframe_state(as_far_as_shown(values) if settings.detect_per_frame else values)
@@ -83,7 +82,7 @@ def train_first_frame(
 
 
 def _check_shows(frame: RigFrame, views: Sequence[View]) -> None:
-    """Raises RigError when a picture that the keyframe is to be trained on is black: it would become fog."""
+    """Raises RigError for a black training picture, which would make the keyframe fog."""
     for view, picture in zip(views, frame.training, strict=True):
         if blankness(picture) == BLACK:
             name = view.camera.name

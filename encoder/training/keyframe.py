@@ -19,19 +19,19 @@ from decogs.codec.lattice import Lattice, default_lattice, dequantise, quantise,
 from decogs.codec.state import Attributes
 from decogs.formats.cameras import camera_centre
 from decogs.formats.errors import TrainingError
-from decogs.formats.splats import SH_C0, FloatArray, Splats, take_splats
+from decogs.formats.splats import SH_C0, FloatArray, Splats, logit, sigmoid, take_splats
 
 from ..input.compensation import Corrector
 from ..input.ingest import View
 from ..point_init import FirstPoints
 from ..psnr import mean_psnr, psnr_of
-from ..rasterise import Picture, TrainingKernel, gradients_like
+from ..rasterise import RenderedPicture, TrainingKernel, gradients_like
 from ..settings.keyframe import KeyframeSettings
 from ..settings.optimiser import LearningRates
-from .densification import DENSIFICATIONS, ViewGradients, opacities_of
+from .densification import DENSIFICATIONS, ViewGradients
 from .losses import whole_picture_loss
 from .optimiser import OPTIMISERS
-from .schedule import WHOLE, Effort, TargetWatch
+from .schedule import WHOLE, StoppingRule, TargetWatch
 from .significance import cheapest, picture_weight
 from .view_order import view_order
 
@@ -48,12 +48,11 @@ OnStep = Callable[[int, int, float], None]
 
 @dataclass(frozen=True)
 class TrainedKeyframe:
-    """The trained scene, its lattice and how training went: steps run, and whether the validation tiles stopped it."""
+    """The trained scene, its lattice and how training went: steps run, PSNR of its pictures."""
 
     splats: Splats
     lattice: Lattice
     steps: int
-    stopped_early: bool
     training_psnr: float
 
 
@@ -71,12 +70,11 @@ def splats_from_points(points: FirstPoints, settings: KeyframeSettings) -> Splat
     quaternions = np.zeros((count, 4), np.float32)
     quaternions[:, 0] = 1.0
     log_scales = np.log(np.maximum(points.spacing * settings.start_size, 1e-12), dtype=np.float32)
-    logit = np.log(settings.start_opacity / (1 - settings.start_opacity))
     return Splats(
         np.ascontiguousarray(points.xyz, np.float32),
         np.repeat(log_scales[:, None], 3, axis=1),
         quaternions,
-        np.full(count, logit, np.float32),
+        np.full(count, logit(settings.start_opacity), np.float32),
         sh,
     )
 
@@ -92,19 +90,19 @@ def train_keyframe(
     lattice_scale: float = 1.0,
     corrector: Corrector | None = None,
     on_step: OnStep | None = None,
-    effort: Effort = WHOLE,
+    stopping: StoppingRule = WHOLE,
 ) -> TrainedKeyframe:
     """Trains the first frame's Gaussians on ``pictures`` (3, H, W) of ``views``; the same seed gives the same bits.
 
     ``lattice_scale``: how coarse the lattice is to be, in units of the default one's steps. ``corrector``: of the
-    cameras whose faults are found, and taken out of their pictures, on the way. ``effort``: a target in the whole
+    cameras whose faults are found, and taken out of their pictures, on the way. ``stopping``: a target in the whole
     pictures, but for the tiles kept out of the loss, ends training before the settings' iterations; deadlines are for
     later frames. Raises TrainingError without points or when the loss stops being finite.
     """
     if not len(points.xyz):
         raise TrainingError("there are no first points to train from; check the poses, or give the rig COLMAP points")
     random = np.random.default_rng(seed)
-    training = _KeyframeTraining(kernel, views, pictures, points, settings, lattice_scale, random, corrector, effort)
+    training = _KeyframeTraining(kernel, views, pictures, points, settings, lattice_scale, random, corrector, stopping)
     return training.run(on_step)
 
 
@@ -118,9 +116,9 @@ def scouted_pictures(
     *,
     seed: int,
 ) -> list[FloatArray]:
-    """The pictures without their cameras' faults, as far as a short training tells them.
+    """The pictures without their cameras' faults, as estimated by a short training.
 
-    For a second search for first points: what a turned camera sees agrees with no other one to the pixel.
+    For a second search for first points: pictures of a turned camera match no others to the pixel.
     """
     short = replace(settings, iterations=_SCOUTING, validation_fraction=0.0, settle_iterations=0)
     random = np.random.default_rng(seed)
@@ -140,7 +138,7 @@ class _KeyframeTraining:
         lattice_scale: float,
         random: np.random.Generator,
         corrector: Corrector | None,
-        effort: Effort,
+        stopping: StoppingRule,
     ) -> None:
         self._kernel, self._views, self._settings, self._random = kernel, views, settings, random
         self._recorded, self._corrector = pictures, corrector
@@ -150,7 +148,7 @@ class _KeyframeTraining:
         self._losses = [
             whole_picture_loss(picture, c, settings.dissimilarity) for picture, c in zip(pictures, counted, strict=True)
         ]
-        self._effort, self._is_good_enough = effort, False
+        self._stopping, self._is_good_enough = stopping, False
         self._regions = [None if c is None else c > 0 for c in counted]
         self._target = self._target_watch()
         self._kept_back = [_kept_back(view, c) for view, c in zip(views, counted, strict=True)]
@@ -161,17 +159,17 @@ class _KeyframeTraining:
         self._values: list[float] = []
 
     def run(self, on_step: OnStep | None) -> TrainedKeyframe:
-        steps, stopped = self._train(on_step)
+        steps = self._train(on_step)
         lattice = self._settle_on_lattice(steps, on_step)
         splats = self._optimiser.splats
         seen = self._seen(splats)
         if not seen.all():
             splats = take_splats(splats, seen)
         self._check_learnt(splats)
-        return TrainedKeyframe(splats, lattice, steps, stopped, self._training_psnr(splats))
+        return TrainedKeyframe(splats, lattice, steps, self._training_psnr(splats))
 
     def _check_learnt(self, splats: Splats) -> None:
-        """Raises TrainingError when training has diverged: no view draws anything, or the loss is what it was."""
+        """Raises TrainingError when training has diverged: no Gaussian is visible, or the loss has not fallen."""
         count = len(self._views)
         rounds = [sum(self._values[i : i + count]) for i in range(0, len(self._values) - count + 1, count)]
         if not len(splats):
@@ -182,8 +180,8 @@ class _KeyframeTraining:
                 "diverged; lower the learning rates"
             )
 
-    def _train(self, on_step: OnStep | None) -> tuple[int, bool]:
-        """Trains until schedule, target or stop, which goes back to the best; steps, and whether it stopped."""
+    def _train(self, on_step: OnStep | None) -> int:
+        """Trains until schedule, target or stop, which goes back to the best; returns the steps."""
         settings = self._settings
         best, best_optimiser, waited, step = -np.inf, self._optimiser, 0, 0
         while step < settings.iterations and waited < settings.patience and not self._is_good_enough:
@@ -205,14 +203,13 @@ class _KeyframeTraining:
                     best_optimiser = self._optimiser.copied()
                 else:
                     waited += 1
-        stopped = step < settings.iterations and not self._is_good_enough
-        if stopped:
+        if step < settings.iterations and not self._is_good_enough:
             self._optimiser = best_optimiser
             self._gradients = gradients_like(best_optimiser.splats)
-        return step, stopped
+        return step
 
     def _settle_on_lattice(self, steps: int, on_step: OnStep | None) -> Lattice:
-        """Puts one attribute after the other on the lattice, which is coarse, and trains the others around them."""
+        """Rounds one attribute after the other to the coarse lattice and trains the others around them."""
         total = self._settings.settle_iterations
         extent, centre = robust_extent(self._optimiser.splats.means)
         lattice = default_lattice(extent, centre=centre, scale=self._lattice_scale)
@@ -230,14 +227,14 @@ class _KeyframeTraining:
         return lattice
 
     def _fix(self, names: Sequence[str], points: Attributes, lattice: Lattice) -> None:
-        """From now on these attributes are at ``points`` of the lattice."""
+        """Sets these attributes to ``points`` of the lattice and holds them."""
         splats, there = self._optimiser.splats, dequantise(points, lattice)
         for name in names:
             getattr(splats, name)[:] = getattr(there, name)
         self._optimiser.hold({name: np.ones(getattr(splats, name).shape, bool) for name in names})
 
     def _judged(self, lattice: Lattice) -> Attributes:
-        """Lattice points: rotations and view-dependent colours as far as they show, the rest the nearest."""
+        """Lattice points: rate-distortion optimised for rotations and view-dependent colours, else the nearest."""
         splats, bit = self._optimiser.splats, self._settings.rd_lambda
         points, share = quantise(splats, lattice), np.float32(picture_weight(self._losses))
         quaternions, sh = (self._optimiser.gradient_size(name) / share for name in ("quaternions", "sh"))
@@ -277,8 +274,8 @@ class _KeyframeTraining:
         return value.total
 
     def _tell(self, stage: str, step: int, loss: float) -> None:
-        if self._effort.on_loss is not None:
-            self._effort.on_loss(stage, step, loss)
+        if self._stopping.on_loss is not None:
+            self._stopping.on_loss(stage, step, loss)
 
     def _corrects_at(self, step: int) -> bool:
         iterations = self._settings.iterations
@@ -286,24 +283,24 @@ class _KeyframeTraining:
         return step % every == 0 and _CORRECT_FROM <= step / iterations <= _CORRECT_TO
 
     def _correct(self, corrector: Corrector, step: int) -> None:
-        """Trains on from here on the pictures without the cameras' faults, as far as the scene tells them by now."""
+        """Replaces the target pictures by ones without the cameras' faults, estimated against the scene so far."""
         pictures = self.canonical(corrector, step)
         self._losses = [replace(loss, target=target) for loss, target in zip(self._losses, pictures, strict=True)]
         self._target = self._target_watch()
 
     def canonical(self, corrector: Corrector, step: int) -> list[FloatArray]:
-        """The recorded pictures without the faults that they have against the scene as it is."""
+        """The recorded pictures without the cameras' faults, estimated against the scene so far."""
 
-        def look(number: int) -> Picture:
+        def draw(number: int) -> RenderedPicture:
             camera = self._views[number].pinhole
             return self._kernel.forward(self._optimiser.splats, camera, sh_degree=self._degree(step), depth=True)
 
-        return corrector.undo(self._recorded, corrector.find_jointly(self._recorded, look))
+        return corrector.undo(self._recorded, corrector.find_jointly(self._recorded, draw))
 
     def _target_watch(self) -> TargetWatch | None:
-        if self._effort.target_psnr is None:
+        if self._stopping.target_psnr is None:
             return None
-        return TargetWatch(self._effort.target_psnr, [loss.target for loss in self._losses], self._regions)
+        return TargetWatch(self._stopping.target_psnr, [loss.target for loss in self._losses], self._regions)
 
     def _degree(self, step: int) -> int:
         """SH degree rises by one each quarter of the schedule."""
@@ -318,7 +315,7 @@ class _KeyframeTraining:
         if (step + 1) % settings.grow_every or not settings.grow_from < progress < settings.grow_to:
             return
         splats = self._optimiser.splats
-        keep = opacities_of(splats) >= settings.prune_opacity
+        keep = sigmoid(splats.opacity_logits) >= settings.prune_opacity
         room = settings.cap - int(keep.sum())
         growth = DENSIFICATIONS.get(settings.densification)(
             splats,
@@ -340,7 +337,7 @@ class _KeyframeTraining:
         self._view_gradients = ViewGradients(len(self._optimiser.splats))
 
     def validation_psnr(self, step: int) -> float:
-        """PSNR over the tiles that no loss has seen."""
+        """PSNR over the tiles kept out of the loss."""
         square, pixels = 0.0, 0.0
         for view, loss, kept in zip(self._views, self._losses, self._kept_back, strict=True):
             if kept is None:
@@ -351,7 +348,7 @@ class _KeyframeTraining:
         return psnr_of(square / max(pixels, 1.0))
 
     def _seen(self, splats: Splats) -> NDArray[np.bool_]:
-        """Gaussians that some training view draws: the others cost bytes and show only as floaters elsewhere."""
+        """Gaussians visible in some training view; the others cost bytes and show only as floaters elsewhere."""
         seen = np.zeros(len(splats), bool)
         for view in self._views:
             self._kernel.forward(splats, view.pinhole)
@@ -363,7 +360,7 @@ class _KeyframeTraining:
 
 
 def _counted(view: View, share: float, random: np.random.Generator) -> FloatArray | None:
-    """1 where a pixel counts in the loss: recorded, and not in one of the tiles kept back."""
+    """1 at pixels that count in the loss: recorded ones outside the validation tiles."""
     height, width = view.pinhole.height, view.pinhole.width
     counted = np.ones((height, width), np.float32) if view.valid is None else view.valid.copy()
     if share > 0:

@@ -1,8 +1,8 @@
 """The losses of the keyframe and of later frames, as weights for the kernel's fused L1 + SSIM.
 
-Lambda 0.2 as 3DGS. The paper does not publish beta1 and beta2; they only set how much a pixel outside the focus counts
-against one inside, since Adam does not see the loss's scale. 0.2 and 0.8 are not the winners of a measurement: from
-1 and 0 to 0 and 1 it makes no difference (DESIGN.md).
+Lambda is 0.2 as in 3DGS. The paper does not publish beta1 and beta2. They only weigh pixels outside the focus against
+pixels inside, since Adam ignores the loss's scale. The choice of 0.2 and 0.8 is arbitrary: values from 1 and 0 to 0 and
+1 make no difference (DESIGN.md).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from ..settings.frame import FocusWeights
 class PhotometricLoss:
     """A loss against one target picture, ready for the kernel; weight maps are (H, W) float32, None meaning 1.
 
-    ``emphasis``: how much more a pixel in focus weighs here than in the mean over the whole picture.
+    ``emphasis``: weight of a pixel in focus over its weight in the mean of the whole picture.
     """
 
     target: FloatArray
@@ -36,7 +36,7 @@ class PhotometricLoss:
     emphasis: float = 1.0
 
     def evaluate(self, kernel: TrainingKernel) -> LossValue:
-        """The loss of the picture that ``kernel`` has just drawn; the kernel keeps its gradient."""
+        """Loss of the last picture of ``kernel``; the kernel keeps its gradient."""
         return kernel.picture_loss(
             self.target,
             l1_scale=self.l1_scale,
@@ -46,7 +46,7 @@ class PhotometricLoss:
         )
 
     def evaluate_drawn(self, view: FixedView) -> LossValue:
-        """The loss of what ``view`` has just drawn, in the tiles that can change; the view keeps its gradient."""
+        """Loss of the last picture of ``view`` in the tiles that can change; the view keeps its gradient."""
         return view.loss(
             self.target,
             l1_scale=self.l1_scale,
@@ -57,7 +57,7 @@ class PhotometricLoss:
 
 
 def require_finite(value: LossValue, camera: Camera) -> None:
-    """Raises TrainingError for the loss of a later frame that has diverged."""
+    """Raises TrainingError for a later frame's loss that is not finite."""
     if not math.isfinite(value.total):
         raise TrainingError(f"the loss of camera {camera.name} is {value.total}; lower the rates")
 

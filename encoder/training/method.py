@@ -1,7 +1,7 @@
-"""What a frame method is: how later frames are trained (docs/extending.md; `methods` has them by name).
+"""The protocol of a frame method, which trains later frames (docs/extending.md; `methods` has them by name).
 
-A method makes one trainer for a stream; the loop calls the trainer once for each later frame that changed. All methods
-share the keyframe, the views, the rasteriser and the lattice.
+A method makes one trainer per stream; the loop calls it once for each later frame that changed. All methods share the
+keyframe, the views, the rasteriser and the lattice.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from ..rasterise import FixedView, TrainingKernel
 from ..settings.encode import EncodeSettings
 from ..settings.frame import FrameSettings
 from .keyframe import scene_extent
-from .schedule import WHOLE, Effort
+from .schedule import WHOLE, StoppingRule
 
 MAX_GROWTH = 1.25
-"""How much larger than the keyframe's the scene may become by clones and splits. Long streams would grow without end:
-thousand frames of the tests' scene from 2 500 Gaussians to 18 000, and lose 2 dB by it."""
+"""Bound of the scene's size by clones and splits, as a multiple of the keyframe's. Without it long streams keep
+growing: the tests' scene from 2 500 Gaussians to 18 000 in a thousand frames, which costs 2 dB."""
 
 
 @dataclass(frozen=True)
 class TrainingContext:
-    """What stays the same for all frames of a stream.
+    """Constants of a stream's training.
 
-    ``views``: the training views. ``static_views``: the same views as they show the scene, kept up to date by the loop;
-    empty for a dense method. ``population``: Gaussians of the keyframe. ``max_gaussians``: no clone or split makes the
-    scene larger. ``extent``: size of the rig, world units; position rates scale with it. ``box``: corners (3,) around
-    the scene, which bound what a transformation cache may move. ``threads``: at least 1; results do not depend on it.
+    ``views``: the training views. ``static_views``: their renderings of the scene, updated by the loop; empty for a
+    dense method. ``population``: Gaussians of the keyframe. ``max_gaussians``: bound for clones and splits. ``extent``:
+    size of the rig, world units; position rates scale with it. ``box``: corners (3,) around the scene, the domain of a
+    transformation cache. ``threads``: at least 1; results do not depend on it.
     """
 
     kernel: TrainingKernel
@@ -52,12 +52,12 @@ class TrainingContext:
 
 @dataclass(frozen=True)
 class FrameInput:
-    """What one later frame is trained from.
+    """Input of the training of one later frame.
 
-    ``index``: within the stream; with the seed it makes all that is random, so that a frame can be trained again alone.
-    ``scene``: the reconstructed Gaussians of the frame before, N of them. ``selected`` (N,): S_t. ``pictures``: one
+    ``index``: within the stream; with the seed it determines all randomness, so that a frame can be trained alone.
+    ``scene``: the N reconstructed Gaussians of the frame before. ``selected`` (N,): S_t. ``pictures``: one
     (3, H, W) for each view, colours 0 to 1. ``masks``: one for each view, none for a dense method. ``motion`` (N, 3):
-    every Gaussian's last displacement, world units. ``settings``: of this frame. ``effort``: what ends training early.
+    every Gaussian's last displacement, world units. ``settings``: of this frame. ``stopping``: the end of training.
     """
 
     index: int
@@ -67,14 +67,14 @@ class FrameInput:
     masks: Sequence[FrameMask]
     motion: FloatArray
     settings: FrameSettings
-    effort: Effort = WHOLE
+    stopping: StoppingRule = WHOLE
 
 
 @dataclass(frozen=True)
 class TrainedFrame:
-    """What a frame changed: new values (M rows) for the rows ``kept``, rows ``removed``, Gaussians ``added``.
+    """Changes of one frame: new values (M rows) for the rows ``kept``, rows ``removed``, Gaussians ``added``.
 
-    Rows are of the frame's scene, ascending. ``rejected``: training made the pictures worse, and nothing has changed.
+    Rows are of the frame's scene, ascending. ``rejected``: training made the pictures worse and changes nothing.
     ``hurried``: a deadline left fewer steps than the schedule has.
     """
 
@@ -94,7 +94,7 @@ class FrameTrainer(Protocol):
 
     @property
     def min_seconds(self) -> float:
-        """What a frame takes at least, in seconds; 0 while unknown. A time budget holds frames that have less."""
+        """Least seconds of a frame; 0 while unknown. A time budget holds frames that have less."""
         ...
 
     def train(self, frame: FrameInput, /) -> TrainedFrame:

@@ -42,7 +42,7 @@ class Optimiser(Protocol):
         ...
 
     def gradient_size(self, name: str) -> FloatArray:
-        """Size of an attribute's gradients so far, shaped like it: what a change of it is worth to the loss."""
+        """Size of an attribute's gradients so far, shaped like it: the loss's sensitivity to a change."""
         ...
 
     def keep(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> None:
@@ -132,10 +132,6 @@ class Adam:
         seen = 1 - float(np.float32(self._beta2)) ** max(1, self._steps)
         second: FloatArray = getattr(self._second, name)
         return np.asarray(np.sqrt(second * np.float32(1 / seen)))
-
-    def moments_are_zero(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> bool:
-        """Whether both moments of these rows are zero, as before their first step."""
-        return not any(getattr(m, name)[rows].any() for m in (self._first, self._second) for name in ATTRIBUTES)
 
     def keep(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> None:
         """Drops every other row, or puts rows into a new order."""

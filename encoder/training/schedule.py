@@ -1,17 +1,17 @@
-"""How long one frame trains: to the end of its schedule, to a deadline, or until it looks as good as asked for.
+"""Length of a frame's training: the whole schedule, up to a deadline, or up to a target quality.
 
-Chosen for a deadline: the schedule is run through in strides. After every step the frame's own median time per step
-says how many more fit, and what is left of the schedule is spread over them, so that densification, the judging of
-changes and the fall of the rates come where they always do, only sooner. Rates grow with the root of the strides, at
-most threefold: few steps must still get as far as things move. A frame needs no knowledge of others for it,
-and a machine that slows down in its middle is followed. Rejected: cutting the schedule off at the deadline, which
-leaves changes unjudged and rates high (DESIGN.md has both measured); a number of steps from the last frame's speed
-(frames differ by how much of the picture moves).
+Chosen for a deadline: larger strides through the schedule. After every step the frame's median time per step gives the
+number of steps that still fit, and the rest of the schedule is divided among them. So densification, the judging of
+changes and the decay of the rates keep their places in the schedule. Rates grow with the root of the stride, at most
+threefold, because few steps must still cover the motion. A frame needs no data of other frames, and the stride adapts
+to a machine that slows down. Rejected: ending the schedule at the deadline, which leaves changes unjudged and rates
+high (DESIGN.md has both measured); a number of steps from the last frame's speed (the moving share of the picture
+differs between frames).
 
-Chosen for iterations: as many times the usual number as the scene misses more of the region of interest than usual,
-measured before the frame's first step. A thing that enters needs twice the steps of one that moves on. Rejected:
-deciding it when emerging things are sought (what was sown too early stays behind as a trail: DESIGN.md has both), or
-from the frame before (a frame could not be trained again alone).
+Chosen for iterations: the usual number times the ratio of the error in the region of interest, before the first step,
+to its usual value. An entering object needs twice the steps of a moving one. Rejected: the decision at the search for
+emerging objects (Gaussians seeded too early remain as a trail: DESIGN.md has both); the error of the frame before (a
+frame could not be trained again alone).
 """
 
 from __future__ import annotations
@@ -33,26 +33,25 @@ OnLoss = Callable[[str, int, float], None]
 """Called with the stage, the iteration within it (from 0) and the loss of the view that it drew."""
 
 LEAST_STEPS = 12
-"""Steps that a stage runs however late it is: fewer follow nothing, and cost hardly less than these."""
+"""Least steps of a stage, however late it is: fewer have no effect and cost hardly less."""
 
 _CLEARLY = np.float32(25 / 255)
-"""By how much a colour is off that is clearly missed: the paper's tau, here of the rendering."""
+"""Colour error from which a pixel is clearly missed: the paper's tau, applied to the rendering."""
 
 _SEARCH_SHARE = 0.1
-"""Of the time for training, what the search for emerging things may take on average when time is short."""
+"""Mean share of training time for the search for emerging objects when time is short."""
 LEAST_SEARCH = 1 / 16
-"""Share of a whole search below which nothing is found."""
+"""Share of a whole search below which it finds nothing."""
 _LEAST_SEARCHED = 8
-"""Views in which a search is of use: a point must be missed in four of them."""
+"""Least views of a useful search: four views must miss a point."""
 
 
 @dataclass(frozen=True)
-class Effort:
-    """What ends a frame's training early, and who watches it; all None is the whole schedule.
+class StoppingRule:
+    """Conditions that end a frame's training early, and an observer of its steps; all None: the whole schedule.
 
-    ``deadline``: when training is to be over, in seconds of ``time.perf_counter``; the result then depends on the
-    machine. ``target_psnr``: what suffices (`TargetWatch`), in dB; higher is slower. ``on_loss``: called for every
-    step.
+    ``deadline``: end of training in seconds of ``time.perf_counter``; results then depend on the machine.
+    ``target_psnr``: sufficient quality (`TargetWatch`), dB; higher is slower. ``on_loss``: callback for every step.
     """
 
     deadline: float | None = None
@@ -67,12 +66,12 @@ class Effort:
         return now + (self.deadline - now) * steps / max(1, steps + later)
 
 
-WHOLE = Effort()
+WHOLE = StoppingRule()
 """The whole schedule, unwatched."""
 
 
 def iteration_factor(settings: IterationSettings, errors: Sequence[FloatArray]) -> float:
-    """How many times the usual iterations a frame runs.
+    """Factor of a frame's iterations, relative to the usual number.
 
     ``errors``: of some views in their regions of interest, (3, pixels) each, colours 0 to 1.
     """
@@ -83,10 +82,10 @@ def iteration_factor(settings: IterationSettings, errors: Sequence[FloatArray]) 
     return float(np.clip(missed / pixels / settings.usual_miss, settings.min_factor, settings.max_factor))
 
 
-class Pace:
-    """Where a stage is in its schedule of ``iterations``: its steps are ``factor`` times as many, or fewer in time.
+class StepSchedule:
+    """Position of a stage in its schedule of ``iterations``, run in ``factor`` times as many steps, fewer when late.
 
-    Without a ``deadline`` ``position`` is the number of steps done, divided by the factor.
+    Without a ``deadline``, ``position`` is the number of steps done, divided by the factor.
     """
 
     def __init__(self, iterations: int, deadline: float | None = None, *, factor: float = 1.0) -> None:
@@ -103,41 +102,41 @@ class Pace:
 
     @property
     def hurry(self) -> float:
-        """How many times as far the last step went as one without a deadline; 1 at the beginning."""
+        """Last stride over the stride without a deadline; 1 at the beginning."""
         return self._last_stride / self._own_stride
 
     @property
     def steps_seconds(self) -> tuple[float, float]:
-        """What a step takes, the median, and what all steps took; 0 without a deadline."""
+        """Median and total duration of the steps; 0 without a deadline."""
         return (median(self._seconds), sum(self._seconds)) if self._seconds else (0.0, 0.0)
 
     def reaches(self, mark: int) -> bool:
-        """Whether this step is the first one at or beyond that position."""
+        """Whether this step is the first one at or beyond ``mark``."""
         return self._before < mark <= self.position
 
     def step(self) -> None:
-        """Tells that a step was done."""
+        """Advances by one step."""
         self._before = self.position
         if self._deadline is not None:
             self._last_stride = self._stride(self._deadline)
         self.position += self._last_stride
 
     def put_off(self, seconds: float) -> None:
-        """Gives the deadline back what something else than steps took; the frames after it pay for it."""
+        """Extends the deadline by time spent outside of steps, at the expense of later frames."""
         if self._deadline is not None:
             self._deadline += seconds
             self._began += seconds
 
     def skip_to(self, mark: int) -> None:
-        """Leaves out what lies between this step and that position, which the next step reaches."""
+        """Skips the schedule up to ``mark``, which the next step reaches."""
         self.position = max(self.position, mark - self._own_stride)
 
     def _stride(self, deadline: float) -> float:
-        """What is left of the schedule for each of the steps that still fit, this one included."""
+        """Rest of the schedule, divided by the steps that still fit, this one included."""
         now = time.perf_counter()
         self._seconds.append(now - self._began)
         self._began = now
-        # The median: a single step that searched for what emerges says nothing of the next ones.
+        # The median ignores a single slow step with a search for emerging objects.
         fitting = round((deadline - now) / max(median(self._seconds), 1e-9))
         more = max(fitting, LEAST_STEPS - len(self._seconds), 0)
         left = self._iterations - self.position
@@ -145,10 +144,10 @@ class Pace:
 
 
 class SearchTime:
-    """When frames under a deadline search for what emerges, and how much of it.
+    """Time budget of the search for emerging objects in frames under a deadline.
 
-    A whole search may take as long as all steps of several frames, which would then be short of them. So it takes no
-    more than its share of training's time on average, with fewer rays in fewer views where that is too little.
+    A whole search may take as long as all steps of several frames. So searches take at most a fixed share of training
+    time on average; a small budget means fewer rays in fewer views.
     """
 
     def __init__(self) -> None:
@@ -156,9 +155,9 @@ class SearchTime:
         self._whole: float | None = None
 
     def affords(self, left: float, guess: float) -> float:
-        """The share, 0 to 1, of a whole search that a frame which has ``left`` seconds of training should make.
+        """Share, 0 to 1, of a whole search that fits a frame with ``left`` seconds of training.
 
-        ``guess``: what a whole one may take, in seconds, for as long as none was made.
+        ``guess``: estimated seconds of a whole search, used before the first one.
         """
         whole = guess if self._whole is None else self._whole
         smallest = LEAST_SEARCH * whole
@@ -169,31 +168,30 @@ class SearchTime:
         return min(1.0, max(LEAST_SEARCH, self._credit / max(whole, 1e-9)))
 
     def took(self, seconds: float, share: float) -> None:
-        """Tells how long such a share of a search took."""
+        """Records the duration of a ``share`` of a search."""
         self._credit -= seconds
         self._whole = seconds / share if self._whole is None else (self._whole + seconds / share) / 2
 
 
 def search_seconds(rays: int, views: int) -> float:
-    """About what a whole search takes: every ray is held against every view, 20 microseconds each on a busy core."""
+    """Estimated duration of a whole search: 20 microseconds per ray and view on a busy core."""
     return 2e-5 * rays * views
 
 
 def search_of(share: float, views: int) -> tuple[int, float]:
-    """In how many of ``views`` a share of a search is made, and with which share of its rays.
+    """Number of ``views`` and share of the rays for a ``share`` of a search.
 
-    Every ray is held against every view.
+    Every ray is compared with every view.
     """
     looked = max(min(_LEAST_SEARCHED, views), min(views, round(views * math.sqrt(share))))
     return looked, min(1.0, share * views / max(1, looked))
 
 
 class TargetWatch:
-    """Tells when what is drawn comes close enough to ``pictures`` (3, H, W) in ``regions`` (H, W), None all of it.
+    """Detects when renderings reach a target PSNR against ``pictures`` (3, H, W) in ``regions`` (H, W; None: all).
 
-    Measured is the PSNR of the mean square error over the regions of all views together and their three channels,
-    colours clipped to 0..1; every view counts as it was last drawn, so that it costs no drawing. Without any region
-    nothing is ever close enough.
+    The PSNR is that of the mean squared error over the regions of all views and their three channels, colours clipped
+    to 0..1. Each view counts with its last rendering, so the check renders nothing. Without regions it never succeeds.
     """
 
     def __init__(
@@ -206,11 +204,11 @@ class TargetWatch:
         self.restart()
 
     def restart(self) -> None:
-        """Forgets what was drawn so far."""
+        """Forgets all renderings so far."""
         self._squares = np.array([np.nan if target.size else 0.0 for target in self._targets])
 
     def saw(self, index: int, shown: FloatArray) -> bool:
-        """Takes what view ``index`` was drawn like; whether all views, each as last drawn, are close enough."""
+        """Takes a rendering of view ``index``; whether the last renderings of all views reach the target."""
         difference = np.clip(_pixels(shown, self._rows[index]), 0, 1) - self._targets[index]
         self._squares[index] = float(np.square(difference).sum(dtype=np.float64))
         return bool(self._squares.sum() <= self._most)

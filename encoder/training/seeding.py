@@ -1,15 +1,15 @@
-"""What newly appears in a later frame: seeds of new Gaussians, found in the pictures themselves.
+"""Seeds of new Gaussians for objects that appear in a later frame, from the pictures alone.
 
-Moving and splitting the selected Gaussians cannot make an object that comes out of a box or into the scene. So, once
-the selected have had time to follow the pictures, what still differs clearly from the pictures is looked at: rays of
-such pixels are cut where the residual masks of the other views agree (a visual hull), and a ray's seed is the foremost
-of its depths at which the other views show the pixel's colour.
+Moving and splitting the selected Gaussians cannot make an object that comes out of a box or into the scene. The search
+runs after the selected Gaussians have had time to follow the pictures. It casts rays through the pixels that still
+differ clearly, keeps the depths at which the residual masks of the other views agree (a visual hull), and puts a ray's
+seed at the foremost depth at which the other views show the pixel's colour.
 
-A wrong seed is a floater, so a ray gets one only if what it explains lies in front of what is rendered there, and the
-rendered surface itself does not explain the pixel: a change of light leaves every view agreeing about the old surface.
+A wrong seed is a floater. So a seed must lie in front of the rendered surface, and that surface must not explain the
+pixel itself: under a change of light all views still agree about the old surface.
 
 Source: visual hull (Laurentini 1994) and photo hull (Kutulakos and Seitz 2000, "A theory of shape by space carving").
-Rejected: a voxel grid (its resolution has to be that of the pixels to be of use, and most of it is empty).
+Rejected: a voxel grid (useful only at the resolution of pixels, and then mostly empty).
 """
 
 from __future__ import annotations
@@ -22,9 +22,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.cameras import Camera, camera_centre, turned
-from decogs.formats.splats import SH_C0, FloatArray, Splats, empty_splats
+from decogs.formats.cameras import Camera, camera_centre, in_camera, in_picture, ray_slopes, turned
+from decogs.formats.splats import SH_C0, FloatArray, Splats, empty_splats, logit
 
+from ..numerics import bilinear
 from ..parallel import Each, side_by_side
 from ..settings.frame import EmergenceSettings
 
@@ -32,23 +33,23 @@ BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 
 _NEAREST = 0.6
-"""Nearest depth looked at, as a share of the first percentile of the rendered depths."""
+"""Nearest depth searched, as a share of the first percentile of the rendered depths."""
 _AGREEING = 0.6
 """Share of the views that see a point whose colours must agree; the others may be occluded."""
 _SAME = 0.1
-"""Share of the allowed spread within which two depths of a ray explain it equally well: the nearer one is seen."""
+"""Share of the allowed spread within which two depths of a ray explain it equally well; the nearer one wins."""
 _NEAR = 4.0
 """Size of a neighbourhood, as a multiple of the distance between rays."""
 _SIGMA_PER_SPACING = 0.6
 _PART = 500
-"""Rays that are looked along at once: enough that numpy works, not Python; parts run side by side."""
+"""Rays per batch: enough for numpy to dominate Python's overhead; batches run in parallel."""
 
 
 @dataclass(frozen=True)
-class Look:
-    """One view at the moment of the search: its pinhole camera, picture and rendering (3, H, W), rendered depth (H, W).
+class SearchView:
+    """One view at the time of the search: its pinhole camera, picture and rendering (3, H, W), rendered depth (H, W).
 
-    ``focus`` (H, W): where the frame may change at all. The depth is the mean along the ray, in world units.
+    ``focus`` (H, W): the region in which the frame may change. The depth is the mean along the ray, in world units.
     """
 
     camera: Camera
@@ -58,38 +59,42 @@ class Look:
     focus: BoolArray
 
 
-def missed(look: Look, settings: EmergenceSettings) -> BoolArray:
-    """Pixels of the focus where the rendering clearly misses the picture; edges one pixel wide do not count. (H, W)."""
-    return _missed(look, settings.residual)
+def missed(view: SearchView, settings: EmergenceSettings) -> BoolArray:
+    """Pixels (H, W) of the focus where rendering and picture clearly differ, without edges one pixel wide."""
+    return _missed(view, settings.residual)
 
 
-def _missed(look: Look, levels: float) -> BoolArray:
-    focus = np.flatnonzero(look.focus)
-    rendered, picture = (np.take(planes.reshape(3, -1), focus, axis=1) for planes in (look.rendered, look.picture))
-    wrong = np.zeros(look.focus.shape, bool)
+def _missed(view: SearchView, levels: float) -> BoolArray:
+    focus = np.flatnonzero(view.focus)
+    rendered, picture = (np.take(planes.reshape(3, -1), focus, axis=1) for planes in (view.rendered, view.picture))
+    wrong = np.zeros(view.focus.shape, bool)
     wrong.reshape(-1)[focus] = np.abs(rendered - picture).max(axis=0) > np.float32(levels / 255)
     return cv2.morphologyEx(wrong.view(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)).view(np.bool_)
 
 
 def worth_a_search(masks: Sequence[BoolArray], settings: EmergenceSettings) -> bool:
-    """Whether ``masks`` of missed pixels hold more than a tiny share of their pictures."""
+    """Whether ``masks`` of missed pixels cover more than a tiny share of their pictures."""
     missing = sum(int(mask.sum()) for mask in masks)
     return missing > settings.min_fraction * sum(mask.size for mask in masks)
 
 
 def seeds(
-    looks: Sequence[Look], cores: Sequence[BoolArray], settings: EmergenceSettings, sh_degree: int, *, threads: int = 1
+    views: Sequence[SearchView],
+    cores: Sequence[BoolArray],
+    settings: EmergenceSettings,
+    sh_degree: int,
+    *,
+    threads: int = 1,
 ) -> Splats:
-    """New Gaussians where the views agree that something stands before what is rendered; often none.
+    """New Gaussians where the views agree on a surface in front of the rendered one; often none.
 
-    ``looks``: all training views; ``cores``: what each of them has ``missed``; ``sh_degree``: the scene's.
-    Deterministic.
+    ``views``: all training views; ``cores``: their ``missed`` masks; ``sh_degree``: the scene's. Deterministic.
     """
     if settings.max_seeds <= 0 or not worth_a_search(cores, settings):
         return empty_splats(sh_degree)
     step = max(1, -(-sum(int(core.sum()) for core in cores) // settings.max_rays))
     with side_by_side(threads) as each:
-        search = _Search(looks, cores, settings, each)
+        search = _Search(views, cores, settings, each)
         found = list(each(search.along_rays, search.rays(step)))
     if not found:
         return empty_splats(sh_degree)
@@ -114,7 +119,7 @@ class _Rays:
 
 @dataclass(frozen=True)
 class _Found:
-    """Points (P, 3) float64, whose rays they end, colours (P, 3), a pixel's size there, how badly views agree (P,)."""
+    """Points (P, 3) float64, the views of their rays, colours (P, 3), size of a pixel there, disagreement (P,)."""
 
     points: NDArray[np.float64]
     views: IntArray
@@ -136,38 +141,38 @@ def _take(part: P, rows: IntArray | slice) -> P:
 
 
 class _Search:
-    """What all rays are held against: every view's wide mask, smoothed picture and rendered depth."""
+    """Every view's wide mask, smoothed picture and rendered depth, which all rays are compared with."""
 
     def __init__(
-        self, looks: Sequence[Look], cores: Sequence[BoolArray], settings: EmergenceSettings, each: Each
+        self, views: Sequence[SearchView], cores: Sequence[BoolArray], settings: EmergenceSettings, each: Each
     ) -> None:
-        self._looks, self._cores, self._settings = looks, cores, settings
-        self._wide = list(each(lambda look, core: _wide(look, core, settings.residual / 2), looks, cores))
-        self._smooth = list(each(lambda look: _smoothed(look.picture), looks))
-        self._change = list(each(lambda look: _smoothed(look.picture - look.rendered), looks))
-        depths = np.concatenate([look.depth.ravel()[::17] for look in looks])
+        self._views, self._cores, self._settings = views, cores, settings
+        self._wide = list(each(lambda view, core: _wide(view, core, settings.residual / 2), views, cores))
+        self._smooth = list(each(lambda view: _smoothed(view.picture), views))
+        self._change = list(each(lambda view: _smoothed(view.picture - view.rendered), views))
+        depths = np.concatenate([view.depth.ravel()[::17] for view in views])
         near, far = np.percentile(depths[depths > 0], [1, 99]) if (depths > 0).any() else (1.0, 1.0)
         self._inverse = np.linspace(1 / (_NEAREST * near), 1 / far, settings.depths)
 
     def rays(self, step: int) -> list[_Rays]:
         """Rays of every ``step``-th pixel that a view misses, in the views' order, in parts of _PART."""
-        looks, cores = enumerate(self._looks), self._cores
-        joined = _join([self._rays_of(i, look, np.flatnonzero(cores[i])[i % step :: step]) for i, look in looks])
+        views, cores = enumerate(self._views), self._cores
+        joined = _join([self._rays_of(i, view, np.flatnonzero(cores[i])[i % step :: step]) for i, view in views])
         return [_take(joined, slice(at, at + _PART)) for at in range(0, len(joined.pixels), _PART)]
 
-    def _rays_of(self, index: int, look: Look, pixels: IntArray) -> _Rays:
+    def _rays_of(self, index: int, view: SearchView, pixels: IntArray) -> _Rays:
         return _Rays(
             np.full(len(pixels), index),
             pixels,
-            np.broadcast_to(camera_centre(look.camera), (len(pixels), 3)),
-            _directions(look.camera, pixels),
-            look.depth.ravel()[pixels],
-            look.picture.reshape(3, -1).T[pixels],
+            np.broadcast_to(camera_centre(view.camera), (len(pixels), 3)),
+            _directions(view.camera, pixels),
+            view.depth.ravel()[pixels],
+            view.picture.reshape(3, -1).T[pixels],
             self._smooth[index].reshape(-1, 3)[pixels],
         )
 
     def along_rays(self, rays: _Rays) -> _Found:
-        """One seed at most for each ray."""
+        """At most one seed per ray."""
         settings, surface, count = self._settings, rays.surface, len(rays.pixels)
         inverse = np.broadcast_to(self._inverse, (count, len(self._inverse)))
         limit = np.where(surface > 0, (1 - settings.in_front) * surface, np.inf)
@@ -192,14 +197,14 @@ class _Search:
         rows = rows[np.lexsort((depth[rows], ray[rows]))]
         rows = rows[np.unique(ray[rows], return_index=True)[1]]  # the foremost of each ray
         ended, depth = _take(rays, ray[rows]), depth[rows]
-        pixel = depth / np.array([look.camera.fx for look in self._looks])[ended.views]
+        pixel = depth / np.array([view.camera.fx for view in self._views])[ended.views]
         return _Found(ended.origins + ended.directions * depth[:, None], ended.views, ended.colours, pixel, cost[rows])
 
     def _disagreement_at_surface(self, rays: _Rays) -> FloatArray:
-        """How badly the rendered surface explains the rays' pixels (R,).
+        """Disagreement (R,) of the views at the rendered surface.
 
-        It explains a pixel if the views agree there about its colour, or, where texture is too fine to tell, about how
-        much it has changed; rendered depths are a little off, so its neighbourhood counts as well.
+        The surface explains a pixel if the views agree on its colour there or, for texture too fine to compare, on its
+        change. Rendered depths are slightly off, so nearby depths count as well.
         """
         least = np.full(len(rays.pixels), np.inf, np.float32)
         changes = np.zeros((len(rays.pixels), 3), np.float32)
@@ -215,14 +220,14 @@ class _Search:
         return least
 
     def _inside_hull(self, rays: _Rays, ray: IntArray, place: IntArray) -> tuple[IntArray, IntArray]:
-        """Those of the samples that the masks of nearly all other views which see them hold."""
+        """The samples that lie inside the masks of nearly all other views that see them."""
         settings = self._settings
-        allowed = settings.missing_fraction * len(self._looks)
+        allowed = settings.missing_fraction * len(self._views)
         seen = np.ones(len(ray), np.int64)
         misses = np.zeros(len(ray), np.int64)
-        for other in _far_first(int(rays.views[0]), len(self._looks)):
+        for other in _far_first(int(rays.views[0]), len(self._views)):
             points = rays.origins[ray] + rays.directions[ray] / self._inverse[place][:, None]
-            flat, *_ = _project(self._looks[other].camera, points)
+            flat, *_ = _project(self._views[other].camera, points)
             inside = (flat >= 0) & (rays.views[ray] != other)
             hit = inside & self._wide[other][np.maximum(flat, 0)]
             seen += inside
@@ -239,22 +244,22 @@ class _Search:
         points: NDArray[np.float64],
         references: Sequence[FloatArray],
     ) -> tuple[list[FloatArray], BoolArray]:
-        """How much each kind of ``pictures`` differs from its reference colours (P, 3) at points, 0..1; those in front.
+        """Difference (P,) of each kind of ``pictures`` from its reference colours (P, 3), 0..1; the points in front.
 
-        The mean over the best of the views that see a point, its own (``views``) apart; a point must lie before what
-        most of them render.
+        The difference is the mean over the best views that see a point, except its own (``views``). A point is in
+        front if it lies before the rendered surface of most views.
         """
         count = len(points)
-        differences = np.full((len(pictures), len(self._looks), count), np.inf, np.float32)
+        differences = np.full((len(pictures), len(self._views), count), np.inf, np.float32)
         before, seen = np.zeros(count, np.int64), np.zeros(count, np.int64)
-        for other, look in enumerate(self._looks):
-            flat, u, v, depth = _project(look.camera, points)
+        for other, view in enumerate(self._views):
+            flat, u, v, depth = _project(view.camera, points)
             inside = np.flatnonzero((flat >= 0) & (views != other))
             at = flat[inside]
             for kind, (each, reference) in enumerate(zip(pictures, references, strict=True)):
-                colours = _sample(each[other], u[inside], v[inside])
+                colours = bilinear(each[other], u[inside], v[inside])
                 differences[kind, other, inside] = np.abs(colours - reference[inside]).max(axis=1)
-            rendered = look.depth.ravel()[at]
+            rendered = view.depth.ravel()[at]
             before[inside] += (rendered <= 0) | (depth[inside] < (1 - self._settings.in_front / 2) * rendered)
             seen[inside] += 1
         enough = seen >= self._settings.min_views - 1
@@ -270,9 +275,9 @@ def _mean_of_best(differences: FloatArray, seen: IntArray, enough: BoolArray) ->
     return np.where(enough, total / np.maximum(wanted, 1), np.inf).astype(np.float32)
 
 
-def _wide(look: Look, core: BoolArray, levels: float) -> BoolArray:
-    """``core`` and what is missed by ``levels``, a pixel wider, flat: a new object may look like what it hides."""
-    missing = (_missed(look, levels) | core).view(np.uint8)
+def _wide(view: SearchView, core: BoolArray, levels: float) -> BoolArray:
+    """``core`` and the pixels missed by ``levels``, a pixel wider, flat: a new object may resemble what it hides."""
+    missing = (_missed(view, levels) | core).view(np.uint8)
     return cv2.dilate(missing, np.ones((3, 3), np.uint8)).view(np.bool_).ravel()
 
 
@@ -281,28 +286,15 @@ def _smoothed(planes: FloatArray) -> FloatArray:
     return np.asarray(cv2.blur(cv2.merge(list(planes)), (3, 3)), np.float32)
 
 
-def _sample(picture: FloatArray, u: NDArray[np.float64], v: NDArray[np.float64]) -> FloatArray:
-    """Colours (P, 3) between pixels, bilinear."""
-    width = 1024  # remap takes no more than 32767 rows
-    places = np.zeros((2, -(-len(u) // width) * width), np.float32)
-    places[0, : len(u)], places[1, : len(u)] = u - 0.5, v - 0.5
-    columns, rows = places.reshape(2, -1, width)
-    if not len(u):
-        return np.zeros((0, 3), np.float32)
-    found = cv2.remap(picture, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(found.reshape(-1, 3)[: len(u)], np.float32)
-
-
 def _far_first(index: int, count: int) -> list[int]:
-    """All views, in an order that soon meets directions other than that of ``index``: neighbours carve little."""
+    """All views, with directions unlike that of ``index`` early: neighbouring views carve little."""
     return sorted(range(count), key=lambda i: ((i - index) * 5 % count, i))
 
 
 def _directions(camera: Camera, pixels: IntArray) -> NDArray[np.float64]:
     """Directions (P, 3) through the centres of pixels (flat indices), of depth 1."""
     rows, columns = np.divmod(pixels, camera.width)
-    x = (columns + 0.5 - camera.cx) / camera.fx
-    y = (rows + 0.5 - camera.cy) / camera.fy
+    x, y = ray_slopes(camera, columns + 0.5, rows + 0.5)
     return turned(camera.world_to_camera[:3, :3].T, np.stack([x, y, np.ones_like(x)], axis=1))
 
 
@@ -310,22 +302,20 @@ def _project(
     camera: Camera, points: NDArray[np.float64]
 ) -> tuple[IntArray, NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Flat pixel of every point, -1 outside the picture; column, row (pixel centres at .5) and depth."""
-    position = turned(camera.world_to_camera[:3, :3], points) + camera.world_to_camera[:3, 3]
-    depth = position[:, 2]
+    x, y, depth = in_camera(camera, points).T
     front = depth > 1e-9
     reciprocal = 1 / np.where(front, depth, 1)
-    u = camera.fx * position[:, 0] * reciprocal + camera.cx
-    v = camera.fy * position[:, 1] * reciprocal + camera.cy
-    inside = front & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+    # ``formats.cameras.project`` rounds differently, and streams depend on the last bits.
+    u, v = camera.fx * x * reciprocal + camera.cx, camera.fy * y * reciprocal + camera.cy
+    inside = front & in_picture(camera, u, v, depth)
     column, row = np.where(inside, u, 0).astype(np.int64), np.where(inside, v, 0).astype(np.int64)
     return np.where(inside, row * camera.width + column, -1), u, v, depth
 
 
 def _confirmed(found: _Found, step: int) -> _Found:
-    """Points near which rays of another view ended as well; every ``step``-th pixel had a ray.
+    """Points close to the end of another view's ray; every ``step``-th pixel had a ray.
 
-    Colours that agree by chance do so at scattered depths. Near: in one cell of a grid
-    or of the same grid shifted by half.
+    Chance agreements of colour have scattered depths. Close: in one cell of a grid or of the grid shifted by half.
     """
     if not len(found.points):
         return found
@@ -356,11 +346,11 @@ def _thinned(found: _Found, most: int) -> _Found:
 
 
 def _splats(found: _Found, cores: Sequence[BoolArray], settings: EmergenceSettings, sh_degree: int) -> Splats:
-    """Round Gaussians, half transparent, wide enough to close the gaps between them."""
+    """Isotropic, half-transparent Gaussians, wide enough to close the gaps between them."""
     count = len(found.points)
     if not count:
         return empty_splats(sh_degree)
-    # Half a body's surface shows in a view: so far apart, in pixels, are seeds that cover all of it.
+    # A view shows half of a body's surface. The spacing is in pixels, for seeds that cover all of it.
     area = 2 * sum(int(core.sum()) for core in cores) / len(cores)
     spacing = float(np.clip(np.sqrt(area / count), 1.5, 6.0))
     sigma = _SIGMA_PER_SPACING * spacing * found.pixel
@@ -370,6 +360,6 @@ def _splats(found: _Found, cores: Sequence[BoolArray], settings: EmergenceSettin
         np.ascontiguousarray(found.points, np.float32),
         np.repeat(np.log(sigma)[:, None], 3, axis=1).astype(np.float32),
         np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
-        np.full(count, np.log(settings.opacity / (1 - settings.opacity)), np.float32),
+        np.full(count, logit(settings.opacity), np.float32),
         sh,
     )

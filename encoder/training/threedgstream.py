@@ -1,9 +1,9 @@
 """The baseline: 3DGStream's recipe (Sun 2024), dense, on the same keyframe, views, rasteriser and cache as DecoGS.
 
 Stage 1 trains the transformation cache over all Gaussians from its identity start, anew in every frame. The moved
-Gaussians are what lasts. Stage 2 spawns Gaussians where the gradient was high and trains those alone; they show in
-this frame only and are removed before the next one. Nothing is selected, nothing masked: every pixel and every
-Gaussian takes part in every step, which is the cost and the flicker that DecoGS is measured against.
+Gaussians persist. Stage 2 spawns Gaussians where the gradient was high and trains them alone; they are visible in this
+frame only and are removed before the next one. There is no selection and no mask: every pixel and every Gaussian takes
+part in every step. Its cost and flicker are the reference for DecoGS.
 
 Numbers: the released configuration (SJoJoK/3DGStream: configs/cache/cache_F_4.json and
 test/flame_steak_suite/cfg_args.json). Two things follow the released code and not the paper's text: gradients for
@@ -21,12 +21,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.decoder.rasterise.reference import rotation_matrices
-from decogs.formats.splats import Splats, join_splats, take_splats
+from decogs.formats.rotations import rotation_matrices
+from decogs.formats.splats import Splats, join_splats, logit, sigmoid, take_splats
 
 from ..rasterise import SplatGradients, gradients_like
 from ..transformation_cache import TransformationCache
-from .densification import ViewGradients, opacities_of
+from .densification import ViewGradients
 from .losses import PhotometricLoss, require_finite, whole_picture_loss
 from .method import FrameInput, TrainedFrame, TrainingContext
 from .optimiser import ATTRIBUTES, Adam
@@ -51,7 +51,7 @@ class BaselineTrainer:
     def train(self, frame: FrameInput, /) -> TrainedFrame:
         """Trains all Gaussians; S_t, masks, motion, the frame's settings and an early end have no part in it."""
         scene, pictures = frame.scene, frame.pictures
-        self._on_loss = frame.effort.on_loss
+        self._on_loss = frame.stopping.on_loss
         self._random = np.random.default_rng((self._seed, frame.index))
         self._order = view_order(len(self._views), self._random)
         losses = [
@@ -87,16 +87,15 @@ class BaselineTrainer:
         inside = ((scene.means >= low) & (scene.means <= high)).all(axis=1)
         parents = take_splats(scene, np.flatnonzero(inside & (gradients >= settings.spawn_gradient)))
         scales = np.exp(parents.log_scales.astype(np.float64))
-        rotations = rotation_matrices(np, parents.quaternions.astype(np.float64))
+        rotations = rotation_matrices(parents.quaternions.astype(np.float64))
         drawn = settings.spawn_spread * scales * self._random.normal(size=scales.shape)
         upright = np.zeros_like(parents.quaternions)
         upright[:, 0] = 1
-        logit = np.log(settings.spawn_opacity / (1 - settings.spawn_opacity))
         return Splats(
             (parents.means + np.einsum("nij,nj->ni", rotations, drawn)).astype(np.float32),
             parents.log_scales + np.float32(np.log(settings.spawn_growth)),
             upright,
-            np.full(len(parents), logit, np.float32),
+            np.full(len(parents), logit(settings.spawn_opacity), np.float32),
             parents.sh,
         )
 
@@ -123,7 +122,7 @@ class BaselineTrainer:
 
     def _worth_keeping(self, spawned: Splats) -> NDArray[np.bool_]:
         small = spawned.log_scales.max(axis=1, initial=-np.inf) <= np.log(self._settings.prune_size * self._extent)
-        return np.asarray(small & (opacities_of(spawned) >= self._settings.prune_opacity))
+        return np.asarray(small & (sigmoid(spawned.opacity_logits) >= self._settings.prune_opacity))
 
     def _descend(
         self, scene: Splats, losses: Sequence[PhotometricLoss], out: SplatGradients, place: tuple[str, int]

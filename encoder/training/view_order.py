@@ -1,4 +1,4 @@
-"""The order in which training takes the views: at random, each once before any comes again."""
+"""Order of the views in training: random, each once per round."""
 
 from __future__ import annotations
 
@@ -8,6 +8,6 @@ import numpy as np
 
 
 def view_order(count: int, random: np.random.Generator) -> Iterator[int]:
-    """Endless numbers below ``count``; a round is drawn when its first view is asked for."""
+    """Endless numbers below ``count``; each round is a new permutation."""
     while True:
         yield from reversed(random.permutation(count).tolist())

@@ -1,20 +1,18 @@
-"""Where a Gaussian will probably go next: the last displacement of its neighbourhood.
+"""Prediction of a Gaussian's motion: the last displacement of its neighbourhood.
 
-A single Gaussian's displacement carries the noise of its own training, and a new Gaussian has none at all. Chosen: the
-median over the nearest neighbours. Rejected: the Gaussian's own displacement (the noise walks on from frame to frame);
-a rigid motion fitted to the neighbourhood, with or without its rotation (no better than the median on `workbench`,
-whose car spins, at four times the cost).
+A single Gaussian's displacement contains the noise of its training, and a new Gaussian has none. Chosen: the median
+over the nearest neighbours. Rejected: the Gaussian's own displacement (its noise accumulates over frames); a rigid
+motion fitted to the neighbourhood, with or without rotation (no better than the median on `workbench`, whose car spins,
+at four times the cost).
 """
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from decogs.formats.splats import FloatArray
 
-_EXACT_KD_TREE: dict[str, bool | int | float | str] = {"algorithm": 4, "leaf_max_size": 10}
-_ALL_LEAVES: dict[str, bool | int | float | str] = {"checks": -1}
+from ..numerics import nearest
 
 
 def shared_displacements(means: FloatArray, displacements: FloatArray, neighbours: int) -> FloatArray:
@@ -25,31 +23,30 @@ def shared_displacements(means: FloatArray, displacements: FloatArray, neighbour
     count = min(neighbours, len(means))
     if count <= 1:
         return displacements
-    tree = cv2.flann.Index(means, _EXACT_KD_TREE)
-    nearest, _ = tree.knnSearch(means, count, params=_ALL_LEAVES)
-    return np.asarray(np.median(displacements[nearest], axis=1), np.float32)
+    around, _ = nearest(means, count)
+    return np.asarray(np.median(displacements[around], axis=1), np.float32)
 
 
 class Motion:
-    """How far every Gaussian moved in the last frame; ``last`` (N, 3), world units."""
+    """Displacement of every Gaussian in the last frame; ``last`` (N, 3), world units."""
 
     def __init__(self) -> None:
         self.last: FloatArray = np.zeros((0, 3), np.float32)
         self._held = 0
 
     def begin(self, population: int) -> None:
-        """Of the keyframe's Gaussians nothing is known."""
+        """Starts with a keyframe, whose Gaussians have no known motion."""
         self.last = np.zeros((population, 3), np.float32)
 
     def expected(self) -> FloatArray:
-        """The displacement up to the next frame: what was held is taken to have moved on."""
+        """Predicted displacement up to the next frame, at constant velocity over held frames."""
         return np.asarray(self.last * np.float32(1 + self._held), np.float32)
 
     def hold(self) -> None:
-        """The frame waits for time; the scene stays as it is."""
+        """Counts a frame without training; the scene stays."""
         self._held += 1
 
     def moved(self, displacements: FloatArray) -> None:
-        """Takes those since the last frame that was not held."""
+        """Takes the displacements since the last frame that was not held."""
         self.last = displacements / np.float32(1 + self._held)
         self._held = 0

@@ -7,10 +7,10 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..cameras import Camera, DistortionModel, turned
+from ..cameras import MAX_SIDE, Camera, DistortionModel, turned
 from ..errors import RigError
+from ..rotations import is_orthonormal
 
-MAX_SIDE = 1 << 16
 _RIGID_TOLERANCE = 1e-3
 """How far R R^T may be from the identity: calibration files carry as few as 4 digits."""
 
@@ -26,8 +26,7 @@ def rigid_pose(matrix: ArrayLike, where: str) -> NDArray[np.float64]:
     if not np.isfinite(pose).all():
         raise RigError(f"{where}: the pose holds NaN or infinite values; calibrate the camera again")
     rotation, translation = pose[:3, :3], pose[:3, 3]
-    # The first test keeps absurd values from overflowing in the others.
-    if np.abs(rotation).max() > 2 or np.abs(rotation @ rotation.T - np.eye(3)).max() > _RIGID_TOLERANCE:
+    if not is_orthonormal(rotation, _RIGID_TOLERANCE):
         singular = np.abs(rotation).max() <= 2 and abs(np.linalg.det(rotation)) < _RIGID_TOLERANCE
         what = "singular" if singular else "not a rigid motion (scaled or skewed axes)"
         raise RigError(f"{where}: the pose is {what}; calibrate the camera again")

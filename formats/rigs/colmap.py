@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from ..cameras import Camera, DistortionModel
 from ..errors import RigError
 from ..pictures import PICTURE_SUFFIXES
+from ..rotations import rotation_rows
 from ..videos import VIDEO_SUFFIXES
 from .calibration import calibrated_camera, rigid_pose
 from .rig import Points, Rig, assemble_rig
@@ -43,7 +44,7 @@ _SAME_POSE = 1e-4
 
 
 @dataclass(frozen=True)
-class Lens:
+class ModelledCamera:
     """One entry of the cameras file: a model name, the picture's size and the model's parameters."""
 
     model: str
@@ -127,7 +128,7 @@ def _camera_name(entry: Path) -> str:
 
 
 def _cameras_of(
-    model: Path, lenses: dict[int, Lens], images: list[PosedImage], frames: dict[str, Path]
+    model: Path, lenses: dict[int, ModelledCamera], images: list[PosedImage], frames: dict[str, Path]
 ) -> dict[str, Camera]:
     cameras: dict[str, Camera] = {}
     for image in sorted(images, key=lambda image: image.name):
@@ -155,7 +156,7 @@ def _same_pose(one: Camera, other: Camera) -> bool:
     return bool(difference[:3, :3].max() < _SAME_POSE and difference[:3, 3].max() < _SAME_POSE * distance)
 
 
-def _camera(name: str, lens: Lens, world_to_camera: NDArray[np.float64], where: str) -> Camera:
+def _camera(name: str, lens: ModelledCamera, world_to_camera: NDArray[np.float64], where: str) -> Camera:
     focal, distortion_model, distortion = lens_parameters(lens.model, lens.parameters)
     size = (lens.width, lens.height)
     return calibrated_camera(name, size, focal, world_to_camera, distortion_model, distortion, where)
@@ -187,13 +188,8 @@ def _pose(quaternion: tuple[float, ...], translation: tuple[float, ...], where: 
     norm = float(np.linalg.norm(q)) if np.isfinite(q).all() and np.abs(q).max() < 1e100 else 0.0
     if norm < 1e-6:
         raise RigError(f"{where}: the pose is singular (rotation quaternion {quaternion}); export the model again")
-    w, x, y, z = q / norm
     pose = np.eye(4)
-    pose[:3, :3] = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    )
+    pose[:3, :3] = rotation_rows(*(q / norm))
     pose[:3, 3] = translation
     return rigid_pose(pose, where)
 
@@ -252,7 +248,7 @@ def _read_file(path: Path) -> bytes:
         raise RigError(f"{path}: cannot be read ({error.strerror}); export the COLMAP model again") from None
 
 
-def _binary_lenses(path: Path) -> dict[int, Lens]:
+def _binary_lenses(path: Path) -> dict[int, ModelledCamera]:
     file = _Bytes(path)
     lenses = {}
     for _ in range(file.count(24)):
@@ -260,7 +256,7 @@ def _binary_lenses(path: Path) -> dict[int, Lens]:
         width, height = file.integers("<QQ")
         model = _MODEL_NAMES[number] if 0 <= number < len(_MODEL_NAMES) else f"number {number}"
         parameters = file.take(f"<{_check_model_name(model, f'{path}, camera {camera_id}')}d")
-        lenses[camera_id] = Lens(model, width, height, parameters)
+        lenses[camera_id] = ModelledCamera(model, width, height, parameters)
     return lenses
 
 
@@ -300,7 +296,7 @@ def _malformed(path: Path, number: int) -> RigError:
     return RigError(f"{path}: line {number} is malformed; export the COLMAP model again")
 
 
-def _text_lenses(path: Path) -> dict[int, Lens]:
+def _text_lenses(path: Path) -> dict[int, ModelledCamera]:
     lenses = {}
     for number, words in _text_lines(path):
         if not words:
@@ -312,7 +308,7 @@ def _text_lenses(path: Path) -> dict[int, Lens]:
             raise _malformed(path, number) from None
         if len(parameters) != _check_model_name(model, f"{path}, camera {camera_id}"):
             raise _malformed(path, number)
-        lenses[camera_id] = Lens(model, width, height, parameters)
+        lenses[camera_id] = ModelledCamera(model, width, height, parameters)
     return lenses
 
 
@@ -350,7 +346,7 @@ def _text_points(path: Path) -> Iterator[tuple[float, ...]]:
 # --- either; binary first, as in COLMAP -----------------------------------------------------------------------------
 
 
-def _read_lenses(model: Path) -> dict[int, Lens]:
+def _read_lenses(model: Path) -> dict[int, ModelledCamera]:
     binary = model / "cameras.bin"
     return _binary_lenses(binary) if binary.is_file() else _text_lenses(model / "cameras.txt")
 

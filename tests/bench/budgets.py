@@ -75,7 +75,7 @@ class WorkClock:
             (frame_training._DeltaTraining, "_densify", lambda _, trainer, work, *rest: 2000 + 1.0 * len(work.rows)),
             (frame_training, "revert_insignificant", lambda _, optimiser, *rest: 0.2 * len(optimiser.splats)),
             (frame_training, "missed", lambda _, look, *rest: 0.005 * look.depth.size),
-            (emergence._Search, "__init__", lambda _, search, looks, *rest: 0.1 * sum(x.depth.size for x in looks)),
+            (emergence._Search, "__init__", lambda _, search, views, *rest: 0.1 * sum(x.depth.size for x in views)),
             (
                 emergence._Search,
                 "along_rays",

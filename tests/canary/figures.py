@@ -27,7 +27,8 @@ from canary.rigs import HELD_OUT, RIGS, write_rig  # noqa: E402
 from decogs.encoder import EffectChoice, encode  # noqa: E402
 from decogs.encoder.analysis.analyse import analyse  # noqa: E402
 from decogs.encoder.settings.presets import LADDER, preset  # noqa: E402
-from decogs.formats.container import PacketKind, iterate_packets  # noqa: E402
+from decogs.formats.container import PacketKind  # noqa: E402
+from packets import iterate_packets  # noqa: E402
 
 EXPECTED = HERE / "expected.json"
 TOLERANCE = 0.02

@@ -19,8 +19,9 @@ from decogs.codec.state import Attributes, take_rows
 from decogs.codec.syntax import write_delta, write_key, write_skip
 from decogs.formats import container
 from decogs.formats.cameras import Camera
-from decogs.formats.container import PacketKind, StreamWriter, iterate_packets
+from decogs.formats.container import PacketKind, StreamWriter
 from decogs.formats.reasons import ALL_REASONS
+from packets import iterate_packets
 
 SPEC = (Path(__file__).resolve().parents[2] / "formats" / "SPEC.md").read_text(encoding="utf-8")
 

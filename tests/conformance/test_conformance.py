@@ -37,12 +37,12 @@ from decogs.formats.container import (
     Packet,
     PacketKind,
     StreamWriter,
-    iterate_packets,
     parse_index,
     read_packet_at,
 )
 from decogs.formats.errors import StreamError
 from decogs.formats.reasons import ALL_REASONS
+from packets import iterate_packets
 
 sys.path.insert(0, str(Path(__file__).parent))
 import limit_vectors

@@ -15,8 +15,9 @@ from decogs.codec.lattice import default_lattice, quantise
 from decogs.codec.state import Attributes, State, take_rows
 from decogs.codec.syntax import write_delta, write_key, write_skip
 from decogs.formats.cameras import Camera
-from decogs.formats.container import Packet, PacketKind, StreamWriter, iterate_packets
+from decogs.formats.container import Packet, PacketKind, StreamWriter
 from decogs.formats.splats import Splats
+from packets import iterate_packets
 
 KINDS = ("key", "delta", "skip", "delta", "key", "delta", "skip", "skip")
 

@@ -22,9 +22,10 @@ from decogs.decoder import decode
 from decogs.decoder.commands import decode_main, export_main
 from decogs.decoder.free_camera import MAX_FILE_BYTES, read_free_cameras
 from decogs.formats.command_line import Parser, reworded, run, warn_as
-from decogs.formats.container import StreamWriter, iterate_packets
+from decogs.formats.container import StreamWriter
 from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.quiet import quiet_opencv
+from packets import iterate_packets
 
 RUN = "import sys; from decogs.decoder import commands; sys.exit(getattr(commands, sys.argv.pop(1))())"
 

@@ -33,13 +33,13 @@ from decogs.formats.container import (
     PacketKind,
     StreamWriter,
     index_payload,
-    iterate_packets,
     packet_bytes,
     read_index,
 )
 from decogs.formats.errors import StreamError
 from decogs.formats.reasons import DAMAGE
 from decogs.formats.survey import MAX_LOST_FRAMES, lost_frames_within
+from packets import iterate_packets
 
 
 def read(path: Path, start: int = 0, stop: int | None = None, **options) -> tuple[list, list[Damage]]:

@@ -17,9 +17,9 @@ from decogs.decoder import decode
 from decogs.decoder.commands import decode_main
 from decogs.decoder.following import follow_stream
 from decogs.decoder.stream import open_stream
-from decogs.formats.container import iterate_packets
 from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.outputs import GrowingFile
+from packets import iterate_packets
 
 PATIENCE = 20.0
 """Seconds that a test waits for what must come; a shared machine may be slow."""

@@ -15,9 +15,10 @@ from decogs.decoder.damage import Damage
 from decogs.decoder.following import follow_stream
 from decogs.decoder.frame import DecodedFrame
 from decogs.decoder.stream import open_stream
-from decogs.formats.container import Packet, PacketKind, iterate_packets, packet_bytes, read_index
+from decogs.formats.container import Packet, PacketKind, packet_bytes, read_index
 from decogs.formats.errors import StreamError
 from decogs.formats.survey import MAX_DAMAGED_PLACES, lost_frames_within
+from packets import iterate_packets
 
 Told = tuple[list[int], int | None, bool]
 

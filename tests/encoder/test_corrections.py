@@ -25,7 +25,7 @@ from decogs.encoder.input.compensation.colour import odds_shift, without_odds
 from decogs.encoder.input.compensation.shake import angles_of, turn_of, unturned
 from decogs.encoder.input.compensation.worth import Worth
 from decogs.encoder.input.ingest import Ingest, View
-from decogs.encoder.rasterise import HostPicture, Picture
+from decogs.encoder.rasterise import HostPicture, RenderedPicture
 from decogs.encoder.settings.compensation import CorrectionSettings
 from decogs.formats.cameras import Camera, scale_camera
 from decogs.formats.errors import UsageError
@@ -136,36 +136,36 @@ def test_a_view_without_texture_stays_where_it_is(tiny_rig: Any) -> None:
 # All cameras at once
 
 
-def looks(tiny_rig: Any) -> tuple[list[View], Callable[[int], Picture]]:
+def drawn_views(tiny_rig: Any) -> tuple[list[View], Callable[[int], RenderedPicture]]:
     views = [View(tiny_rig.camera(i), tiny_rig.camera(i), None) for i in range(tiny_rig.cameras)]
     seen = [render(tiny_rig.scene_at(0), view.pinhole) for view in views]
 
-    def look(number: int) -> Picture:
+    def draw(number: int) -> RenderedPicture:
         picture: Rendering = seen[number]
         return HostPicture(planar(picture.image), picture.alpha, picture.depth * picture.alpha)
 
-    return views, look
+    return views, draw
 
 
 def test_cameras_agree_on_their_differences(tiny_rig: Any) -> None:
     """Their common shift cannot be seen."""
-    views, look = looks(tiny_rig)
+    views, draw = drawn_views(tiny_rig)
     truth = np.random.default_rng(5).normal(0, 0.15, (len(views), 3))
-    pictures = [recorded_of(look(i).rgb, tuple(shift), seed=i) for i, shift in enumerate(truth)]
-    found = np.array([colour.shift for colour in agreeing_shifts(views, pictures, look)])
+    pictures = [recorded_of(draw(i).rgb, tuple(shift), seed=i) for i, shift in enumerate(truth)]
+    found = np.array([colour.shift for colour in agreeing_shifts(views, pictures, draw)])
     np.testing.assert_allclose(found.mean(axis=0), 0, atol=1e-4)
     np.testing.assert_allclose(found, truth - truth.mean(axis=0), atol=0.015)  # pictures of 64 x 48, blurred by 3
 
 
 def test_a_camera_that_sees_nothing_in_common_gets_no_shift(tiny_rig: Any) -> None:
-    views, look = looks(tiny_rig)
-    dark = [look(i).rgb if i else np.zeros((3, 48, 64), np.float32) for i in range(len(views))]
-    assert np.abs(agreeing_shifts(views, dark, look)[0].shift).max() < 1e-3
+    views, draw = drawn_views(tiny_rig)
+    dark = [draw(i).rgb if i else np.zeros((3, 48, 64), np.float32) for i in range(len(views))]
+    assert np.abs(agreeing_shifts(views, dark, draw)[0].shift).max() < 1e-3
 
 
 def test_a_scene_that_is_still_transparent_tells_nothing(tiny_rig: Any) -> None:
-    views, look = looks(tiny_rig)
-    faint = [replace(look(i), alpha=np.float32(0.5) * look(i).alpha) for i in range(len(views))]
+    views, draw = drawn_views(tiny_rig)
+    faint = [replace(draw(i), alpha=np.float32(0.5) * draw(i).alpha) for i in range(len(views))]
     shifts = agreeing_shifts(views, [picture.rgb for picture in faint], faint.__getitem__)
     assert not any(shift.shift.any() for shift in shifts)
 
@@ -187,12 +187,12 @@ def test_a_camera_is_corrected_for_what_it_is_named(
     tiny_rig: Any, settings: Any, shift: tuple[float, ...], expected: tuple[float, ...]
 ) -> None:
     """Once against the scene, and once with the other cameras, which are not named, as what is neutral."""
-    views, look = looks(tiny_rig)
-    pictures = [look(i).rgb for i in range(len(views))]
+    views, draw = drawn_views(tiny_rig)
+    pictures = [draw(i).rgb for i in range(len(views))]
     pictures[1] = recorded_of(pictures[1], shift)
     corrector = Corrector(views, settings)
-    corrector.see(look)
-    told = [corrector.find(pictures, lambda number: look(number).rgb), corrector.find_jointly(pictures, look)]
+    corrector.see(draw)
+    told = [corrector.find(pictures, lambda number: draw(number).rgb), corrector.find_jointly(pictures, draw)]
     for found in told:
         assert set(found) == {"cam01"}
         numbers = np.array([found["cam01"].exposure, found["cam01"].red, found["cam01"].blue])
@@ -213,17 +213,17 @@ def lights() -> dict[str, Any]:
 @pytest.mark.parametrize("all_named", [False, True])
 def test_light_stays_in_a_cameras_picture(tiny_rig: Any, light: np.ndarray, all_named: bool) -> None:
     """One camera drifts and is named, or all are and do not: what they share is not taken out."""
-    views, look = looks(tiny_rig)
+    views, draw = drawn_views(tiny_rig)
     own = np.array(SHIFT) * (not all_named)
     pictures = []
     for number in range(len(views)):
         shifts = light + (own if number == 1 else np.zeros(3))[:, None, None]
-        odds = np.exp(shifts) * look(number).rgb / np.maximum(1 - look(number).rgb, 1e-6)
+        odds = np.exp(shifts) * draw(number).rgb / np.maximum(1 - draw(number).rgb, 1e-6)
         pictures.append(np.asarray(odds / (1 + odds), np.float32))
     cameras = tiny_rig.names if all_named else ("cam01",)
     corrector = Corrector(views, CorrectionSettings(exposure=cameras, white_balance=cameras))
-    corrector.see(look)
-    found = corrector.find(pictures, lambda number: look(number).rgb)
+    corrector.see(draw)
+    found = corrector.find(pictures, lambda number: draw(number).rgb)
     for name in cameras:
         odds = np.log(found[name].odds)
         np.testing.assert_allclose(odds, own if name == "cam01" else 0, atol=0.02)
@@ -231,7 +231,7 @@ def test_light_stays_in_a_cameras_picture(tiny_rig: Any, light: np.ndarray, all_
 
 def test_light_that_only_some_points_see_stays_too(tiny_rig: Any) -> None:
     """A lamp over most of the wall, which the cameras have at different places of their pictures."""
-    views, look = looks(tiny_rig)
+    views, draw = drawn_views(tiny_rig)
     pictures = []
     for number, view in enumerate(views):
         seen = render(tiny_rig.scene_at(0), view.pinhole)
@@ -239,13 +239,13 @@ def test_light_that_only_some_points_see_stays_too(tiny_rig: Any) -> None:
         x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
         rays = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones_like(x)])
         where = np.einsum("ji,jhw->ihw", pose[:3, :3], rays * seen.depth - pose[:3, 3, None, None])
-        pictures.append(recorded_of(look(number).rgb, (0, 0, 0), seed=number))
+        pictures.append(recorded_of(draw(number).rgb, (0, 0, 0), seed=number))
         pictures[-1] = np.where(where[0] < 0.6, 1 - 0.5 * (1 - pictures[-1]), pictures[-1]).astype(np.float32)
     corrector = Corrector(views, CorrectionSettings(exposure=("cam01",), white_balance=("cam01",)))
-    corrector.see(look)
-    found = corrector.find(pictures, lambda number: look(number).rgb)
+    corrector.see(draw)
+    found = corrector.find(pictures, lambda number: draw(number).rgb)
     np.testing.assert_allclose(np.log(found["cam01"].odds), 0, atol=0.02)
-    assert np.abs(odds_shift(pictures[1], look(1).rgb).shift).max() > 0.1, "alone it looks like a drift"
+    assert np.abs(odds_shift(pictures[1], draw(1).rgb).shift).max() > 0.1, "alone it looks like a drift"
 
 
 def test_a_correction_pays_where_the_scene_agrees_with_it() -> None:
@@ -268,16 +268,16 @@ def test_a_correction_pays_where_the_scene_agrees_with_it() -> None:
 
 def test_light_that_the_scene_has_not_followed_yet_is_no_cameras_loss(tiny_rig: Any) -> None:
     """All cameras got darker by as much as cam01's own drift makes it brighter: left alone, it would look right."""
-    views, look = looks(tiny_rig)
+    views, draw = drawn_views(tiny_rig)
     dimmer = np.full(3, -0.3)
     recorded = [
-        recorded_of(look(n).rgb, dimmer * (view.camera.name != "cam01"), seed=n) for n, view in enumerate(views)
+        recorded_of(draw(n).rgb, dimmer * (view.camera.name != "cam01"), seed=n) for n, view in enumerate(views)
     ]
     corrector = Corrector(views, CorrectionSettings(exposure=("cam01",), white_balance=("cam01",)))
-    corrector.see(look)
+    corrector.see(draw)
     corrector.begin({"cam01": Correction()})
     unchanged = [np.zeros(picture.shape[1:], bool) for picture in recorded]
-    show = lambda number: look(number).rgb  # noqa: E731
+    show = lambda number: draw(number).rgb  # noqa: E731
     for _ in range(4):
         found = corrector.find(recorded, show)
         np.testing.assert_allclose(np.log(found["cam01"].odds), 0.3, atol=0.02)

@@ -23,11 +23,12 @@ from torch import Tensor
 
 import decogs.encoder.stream_state as stream_state
 import rasterise_cases as cases
-from decogs.decoder.rasterise.reference import rotation_matrices, sh_basis
+from decogs.decoder.rasterise.reference import sh_basis
 from decogs.encoder.rasterise import FixedView, SplatGradients, TrainingKernel, fixed_view, training_kernel
 from decogs.encoder.rasterise.cuda import CudaKernel, missing_for_cuda
 from decogs.encoder.rasterise.photometric import TiledLoss, photometric_loss
 from decogs.formats.errors import UsageError
+from decogs.formats.rotations import rotation_matrices
 from decogs.formats.splats import Splats, empty_splats, join_splats, take_splats
 
 FIELDS = ("means", "log_scales", "quaternions", "opacity_logits", "sh", "view")
@@ -78,7 +79,7 @@ class StandIn:
         rays = position[:, :2] / z[:, None]
         held = rays.clamp((-0.15 * size - centre) / focal, (1.15 * size - centre) / focal)
         slope = torch.cat([torch.diag_embed((1 / z)[:, None] * focal), (-held * focal / z[:, None])[:, :, None]], 2)
-        half = slope @ pose[:3, :3] @ rotation_matrices(torch, quats) * scales[:, None]
+        half = slope @ pose[:3, :3] @ rotation_matrices(quats, torch) * scales[:, None]
         plain = half @ half.transpose(1, 2)
         filtered = plain + eps2d * torch.eye(2)
         compensations = (plain.det() / filtered.det()).clamp(min=0).sqrt()

@@ -13,7 +13,7 @@ from decogs.encoder.input.ingest import View
 from decogs.encoder.rasterise import FixedView, TrainingKernel
 from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings
 from decogs.encoder.training import seeding
-from decogs.encoder.training.seeding import Look, missed, worth_a_search
+from decogs.encoder.training.seeding import SearchView, missed, worth_a_search
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import SH_C0, Splats, join_splats, take_splats
 from one_frame import delta_trainer, train
@@ -66,24 +66,24 @@ def kernel() -> TrainingKernel:
     return TrainingKernel(2)
 
 
-def look(kernel: TrainingKernel, camera: Camera, shown: Splats, rendered: Splats) -> Look:
+def search_view(kernel: TrainingKernel, camera: Camera, shown: Splats, rendered: Splats) -> SearchView:
     picture = kernel.forward(rendered, camera, depth=True)
     assert picture.depth is not None
     depth = picture.depth / np.maximum(picture.alpha, np.float32(1e-6))
-    return Look(camera, kernel.forward(shown, camera).rgb, picture.rgb, depth, np.ones(depth.shape, bool))
+    return SearchView(camera, kernel.forward(shown, camera).rgb, picture.rgb, depth, np.ones(depth.shape, bool))
 
 
-def looks(kernel: TrainingKernel, shown: Splats, rendered: Splats) -> list[Look]:
-    return [look(kernel, camera, shown, rendered) for camera in cameras()]
+def search_views(kernel: TrainingKernel, shown: Splats, rendered: Splats) -> list[SearchView]:
+    return [search_view(kernel, camera, shown, rendered) for camera in cameras()]
 
 
 @pytest.fixture(scope="module")
-def appeared(kernel: TrainingKernel, wall: Splats) -> list[Look]:
-    return looks(kernel, join_splats(wall, sphere()), wall)
+def appeared(kernel: TrainingKernel, wall: Splats) -> list[SearchView]:
+    return search_views(kernel, join_splats(wall, sphere()), wall)
 
 
-def seeds(looks: list[Look], settings: EmergenceSettings, sh_degree: int) -> Splats:
-    return seeding.seeds(looks, [missed(look, settings) for look in looks], settings, sh_degree)
+def seeds(search_views: list[SearchView], settings: EmergenceSettings, sh_degree: int) -> Splats:
+    return seeding.seeds(search_views, [missed(view, settings) for view in search_views], settings, sh_degree)
 
 
 def relit(scene: Splats) -> Splats:
@@ -98,7 +98,7 @@ def bits(splats: Splats) -> bytes:
     return b"".join(array.tobytes() for array in vars(splats).values())
 
 
-def test_seeds_lie_on_the_new_surface_all_around_it_as_far_as_it_is_seen(appeared: list[Look]) -> None:
+def test_seeds_lie_on_the_new_surface_all_around_it_as_far_as_it_is_seen(appeared: list[SearchView]) -> None:
     found = seeds(appeared, SETTINGS, 0)
     assert len(found) > 100
     off = np.linalg.norm(found.means - CENTRE, axis=1) - RADIUS
@@ -111,14 +111,14 @@ def test_seeds_lie_on_the_new_surface_all_around_it_as_far_as_it_is_seen(appeare
     assert (spread[:2] > 1.5 * RADIUS).all()
 
 
-def test_seeds_have_the_colours_of_the_nearest_true_points(appeared: list[Look]) -> None:
+def test_seeds_have_the_colours_of_the_nearest_true_points(appeared: list[SearchView]) -> None:
     truth, found = sphere(), seeds(appeared, SETTINGS, 0)
     distance = np.linalg.norm(found.means[:, None] - truth.means[None], axis=2)
     error = np.abs(found.sh[:, 0] - truth.sh[distance.argmin(axis=1), 0]) * SH_C0
     assert np.median(error) < 0.06  # the bands change by 0.04 a pixel
 
 
-def test_seeds_have_the_scenes_harmonics_and_half_transparent_round_shapes(appeared: list[Look]) -> None:
+def test_seeds_have_the_scenes_harmonics_and_half_transparent_round_shapes(appeared: list[SearchView]) -> None:
     found = seeds(appeared, SETTINGS, 2)
     assert found.sh.shape == (len(found), 9, 3)
     assert not found.sh[:, 1:].any()
@@ -131,28 +131,28 @@ def test_seeds_have_the_scenes_harmonics_and_half_transparent_round_shapes(appea
 
 def test_what_is_rendered_already_needs_no_seeds(kernel: TrainingKernel, wall: Splats) -> None:
     whole = join_splats(wall, sphere())
-    same = looks(kernel, whole, whole)
-    assert not worth_a_search([missed(look, SETTINGS) for look in same], SETTINGS)
+    same = search_views(kernel, whole, whole)
+    assert not worth_a_search([missed(view, SETTINGS) for view in same], SETTINGS)
     assert len(seeds(same, SETTINGS, 0)) == 0
 
 
 def test_a_change_of_light_on_old_surfaces_needs_no_seeds(kernel: TrainingKernel, wall: Splats) -> None:
     whole = join_splats(wall, sphere())
-    changed = looks(kernel, relit(whole), whole)
-    assert worth_a_search([missed(look, SETTINGS) for look in changed], SETTINGS)
+    changed = search_views(kernel, relit(whole), whole)
+    assert worth_a_search([missed(view, SETTINGS) for view in changed], SETTINGS)
     # At the silhouette a pixel's mean depth is of neither surface: some rays are fooled (27), at most 2 %.
     assert len(seeds(changed, SETTINGS, 0)) < 0.02 * SETTINGS.max_rays
 
 
 def test_what_disappears_needs_no_seeds(kernel: TrainingKernel, wall: Splats) -> None:
-    assert len(seeds(looks(kernel, wall, join_splats(wall, sphere())), SETTINGS, 0)) < 10
+    assert len(seeds(search_views(kernel, wall, join_splats(wall, sphere())), SETTINGS, 0)) < 10
 
 
 def test_views_that_contradict_each_other_give_no_seeds(kernel: TrainingKernel, wall: Splats) -> None:
     """A different blot in every picture is no object."""
     random = np.random.default_rng(3)
     blotted = []
-    for view in looks(kernel, wall, wall):
+    for view in search_views(kernel, wall, wall):
         picture = view.picture.copy()
         x, y = random.integers(0, WIDTH - 30), random.integers(0, HEIGHT - 30)
         picture[:, y : y + 20, x : x + 20] = random.uniform(0, 1, (3, 1, 1))
@@ -160,7 +160,7 @@ def test_views_that_contradict_each_other_give_no_seeds(kernel: TrainingKernel, 
     assert len(seeds(blotted, SETTINGS, 0)) == 0
 
 
-def test_seeds_lie_before_what_the_other_views_show(appeared: list[Look]) -> None:
+def test_seeds_lie_before_what_the_other_views_show(appeared: list[SearchView]) -> None:
     """A surface just before most cameras hides what would be there: agreeing colours behind it are chance."""
     hidden = [
         one if index in (0, 4) else replace(one, depth=np.full_like(one.depth, 0.5))
@@ -169,12 +169,12 @@ def test_seeds_lie_before_what_the_other_views_show(appeared: list[Look]) -> Non
     assert len(seeds(hidden, SETTINGS, 0)) == 0
 
 
-def test_only_pixels_in_the_focus_count(appeared: list[Look]) -> None:
+def test_only_pixels_in_the_focus_count(appeared: list[SearchView]) -> None:
     outside = [replace(view, focus=np.zeros_like(view.focus)) for view in appeared]
     assert len(seeds(outside, SETTINGS, 0)) == 0
 
 
-def test_one_pixel_wide_edges_do_not_count(appeared: list[Look]) -> None:
+def test_one_pixel_wide_edges_do_not_count(appeared: list[SearchView]) -> None:
     view = appeared[0]
     lines = view.rendered.copy()
     lines[:, ::5] += 0.5
@@ -182,17 +182,17 @@ def test_one_pixel_wide_edges_do_not_count(appeared: list[Look]) -> None:
 
 
 @pytest.mark.parametrize("most", [0, 1, 60])
-def test_there_are_never_more_than_asked_for(appeared: list[Look], most: int) -> None:
+def test_there_are_never_more_than_asked_for(appeared: list[SearchView], most: int) -> None:
     found = seeds(appeared, replace(SETTINGS, max_seeds=most), 0)
     assert len(found) <= most
     assert len(found) >= 0.3 * most
 
 
-def test_the_same_pictures_give_the_same_seeds(appeared: list[Look]) -> None:
+def test_the_same_pictures_give_the_same_seeds(appeared: list[SearchView]) -> None:
     assert bits(seeds(appeared, SETTINGS, 0)) == bits(seeds(appeared, SETTINGS, 0))
 
 
-def test_no_view_may_be_empty_of_depth_to_fail(appeared: list[Look]) -> None:
+def test_no_view_may_be_empty_of_depth_to_fail(appeared: list[SearchView]) -> None:
     """Nothing rendered anywhere: everything is in front of nothing."""
     bare = [replace(view, rendered=np.zeros_like(view.rendered), depth=np.zeros_like(view.depth)) for view in appeared]
     assert np.isfinite(seeds(bare, SETTINGS, 0).means).all()

@@ -13,9 +13,9 @@ import pytest
 
 from decogs.encoder import PRESETS, Switches, Targets, TerminalProgress
 from decogs.encoder import encode as encode_rig
-from decogs.formats.container import iterate_packets
 from decogs.formats.errors import RigError, StreamError, UsageError
 from decogs.formats.rigs import open_rig
+from packets import iterate_packets
 
 
 def test_same_bytes_as_the_loop_whatever_is_logged(

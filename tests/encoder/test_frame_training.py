@@ -16,7 +16,7 @@ from decogs.encoder.settings.cache import CacheSettings
 from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings, IterationSettings
 from decogs.encoder.training.delta import DeltaTrainer
 from decogs.encoder.training.method import TrainedFrame
-from decogs.encoder.training.schedule import LEAST_STEPS, Effort
+from decogs.encoder.training.schedule import LEAST_STEPS, StoppingRule
 from decogs.formats.errors import TrainingError
 from decogs.formats.rigs import open_rig
 from decogs.formats.splats import Splats, take_splats
@@ -267,10 +267,10 @@ def test_without_the_focus_the_masks_are_not_in_the_loss(case: Case) -> None:
 def steps_of(case: Case, trainer: DeltaTrainer, pictures: list[np.ndarray]) -> int:
     """The steps of stage 2."""
     steps: list[int] = []
-    effort = Effort(on_loss=lambda stage, step, loss: steps.append(step))
+    stopping = StoppingRule(on_loss=lambda stage, step, loss: steps.append(step))
     motion = np.zeros_like(case.scene.means)
     masks = case.masks(everywhere=True)
-    train(trainer, case.scene, case.selected, pictures, masks, motion, frame=1, effort=effort)
+    train(trainer, case.scene, case.selected, pictures, masks, motion, frame=1, stopping=stopping)
     return len(steps)
 
 
@@ -306,9 +306,9 @@ def test_what_the_scene_misses_at_its_start_makes_a_frame_longer_or_shorter(case
 @pytest.mark.parametrize("settings", [MOVING, DIRECT], ids=["cache", "direct"])
 def test_a_deadline_gone_by_leaves_the_least_of_every_stage(case: Case, settings: FrameSettings) -> None:
     told: list[tuple[str, int]] = []
-    effort = Effort(deadline=0.0, on_loss=lambda stage, step, loss: told.append((stage, step)))
+    stopping = StoppingRule(deadline=0.0, on_loss=lambda stage, step, loss: told.append((stage, step)))
     settings = replace(settings, cache_iterations=60, joint_iterations=60)
-    frame = case.train(settings, effort=effort)
+    frame = case.train(settings, stopping=stopping)
     stages = ["joint"] if settings.cache is None else ["cache", "joint"]
     assert told == [(stage, step) for stage in stages for step in range(LEAST_STEPS)]
     assert error(case, applied(case.scene, frame)) < error(case, case.scene)

@@ -149,8 +149,8 @@ def test_where_something_moved_what_clearly_changed_stays_in_focus_for_some_fram
         if mask.dilated.any():
             memory.trained([now], [mask], moved=moved)
         memory.passed([now])
-    mended = [(2, 2)] if moved else []
-    assert focus == [[(2, 2), (5, 5)], mended, mended, []]
+    refined = [(2, 2)] if moved else []
+    assert focus == [[(2, 2), (5, 5)], refined, refined, []]
 
 
 def test_what_is_being_mended_has_not_changed() -> None:
@@ -160,7 +160,7 @@ def test_what_is_being_mended_has_not_changed() -> None:
     memory.passed([now])
     mask = memory.masks([now], [now])[0]
     assert mask.dilated.all()
-    assert mask.mends
+    assert mask.refines
     assert not mask.raw.any()
     assert not mask.changing.any()
 

@@ -26,8 +26,8 @@ from decogs.encoder.training.method import FrameInput, TrainedFrame
 from decogs.encoder.training.optimiser import Adam
 from decogs.encoder.training.seeding import _confirmed, _Found
 from decogs.encoder.training.warm_start import Motion
-from decogs.formats.container import iterate_packets
 from decogs.formats.splats import Splats, empty_splats
+from packets import iterate_packets
 
 
 def header_of(path: Path) -> StreamHeader:

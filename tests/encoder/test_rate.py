@@ -26,8 +26,9 @@ from decogs.encoder.coding.rate_control import (
 from decogs.encoder.commands import encode_main
 from decogs.encoder.settings.frame import RequantisationSteps, SignificanceSettings
 from decogs.encoder.switches import with_method
-from decogs.formats.container import PacketKind, iterate_packets
+from decogs.formats.container import PacketKind
 from decogs.formats.errors import UsageError
+from packets import iterate_packets
 
 BUDGET = 10_000
 Content = Callable[[int], float]

@@ -20,8 +20,9 @@ from decogs.codec.corrections import Correction
 from decogs.encoder import Switches, Targets
 from decogs.encoder import encode as encode_rig
 from decogs.encoder.training.delta import DeltaTrainer
-from decogs.formats.container import FRAME_KINDS, iterate_packets
+from decogs.formats.container import FRAME_KINDS
 from decogs.formats.errors import DecogsError, UsageError
+from packets import iterate_packets
 
 
 def never(*_: Any, **__: Any) -> None:

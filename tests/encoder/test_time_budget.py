@@ -34,8 +34,8 @@ from decogs.encoder.settings.optimiser import LearningRates
 from decogs.encoder.switches import with_method
 from decogs.encoder.training.delta import DeltaTrainer
 from decogs.encoder.training.schedule import LEAST_STEPS
-from decogs.formats.container import iterate_packets
 from decogs.formats.errors import UsageError
+from packets import iterate_packets
 
 BUDGET = 1.0
 

@@ -20,9 +20,7 @@ from decogs.formats.container import (
     PacketKind,
     PacketReader,
     StreamWriter,
-    frame_index,
     index_payload,
-    iterate_packets,
     packet_bytes,
     prologue,
     read_index,
@@ -31,6 +29,7 @@ from decogs.formats.container import (
 )
 from decogs.formats.errors import StreamError
 from decogs.formats.reasons import ALL_REASONS
+from packets import iterate_packets
 
 FRAMES = [
     (PacketKind.KEY, b"keyframe"),
@@ -280,16 +279,16 @@ def test_a_search_goes_on_where_it_stopped_when_the_file_grows() -> None:
 
 def test_index_and_scan_agree_and_lead_to_the_frames() -> None:
     data = stream()
-    entries = frame_index(io.BytesIO(data))
-    assert entries == scan_index(io.BytesIO(stream(finish=False))) == read_index(io.BytesIO(data))
+    entries = read_index(io.BytesIO(data))
+    assert entries == scan_index(io.BytesIO(stream(finish=False)))
     assert [read_packet_at(io.BytesIO(data), entry).payload for entry in entries] == [payload for _, payload in FRAMES]
 
 
 def test_index_reads_the_tail_only_and_scan_the_packet_headers_only() -> None:
     frames = [(PacketKind.DELTA, bytes(50_000))] * 20
-    for finish in (True, False):
+    for finish, read in ((True, read_index), (False, scan_index)):
         file = CountingFile(stream(frames, finish=finish))
-        assert len(frame_index(file)) == 20
+        assert len(read(file)) == 20
         assert file.handed_out < 2000
 
 
@@ -321,10 +320,11 @@ def test_an_index_that_lies_is_not_believed() -> None:
         read_packet_at(data, IndexEntry(PROLOGUE_SIZE + 1, 0, 2))
 
 
-def test_damaged_index_falls_back_to_the_scan() -> None:
+def test_a_damaged_index_is_none_and_the_scan_does_without_it() -> None:
     data = bytearray(stream())
     data[-40] ^= 1
-    assert len(frame_index(io.BytesIO(bytes(data)))) == 4
+    assert read_index(io.BytesIO(bytes(data))) is None
+    assert len(scan_index(io.BytesIO(bytes(data)))) == 4
 
 
 def test_sizes_of_the_specification() -> None:

@@ -11,7 +11,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdValidation
 
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
-from decogs.formats.usd import UsdSplats, UsdWriter, linear_from_srgb, splat_extent
+from decogs.formats.usd import UsdSplats, UsdWriter, splat_extent
 
 
 def some_splats(count: int, seed: int = 0) -> UsdSplats:
@@ -96,13 +96,6 @@ def test_extent_equals_what_usd_computes(tmp_path: Path) -> None:
 def test_extent_of_an_axis_aligned_splat_is_its_box() -> None:
     one = UsdSplats(*(np.array(v, np.float32) for v in ([[1, 2, 3]], [[1, 0, 0, 0]], [[1, 2, 4]], [[0, 0, 0]], [1])))
     np.testing.assert_array_equal(splat_extent(one, 0.5), [[0.5, 1, 1], [1.5, 3, 5]])
-
-
-def test_srgb_is_undone() -> None:
-    """Expected values from IEC 61966-2-1: the linear toe, mid grey 0.5 -> 0.21404114, and clipping at both ends."""
-    np.testing.assert_allclose(
-        linear_from_srgb(np.array([-1.0, 0.0, 0.04, 0.5, 1.0, 3.0])), [0, 0, 0.04 / 12.92, 0.21404114, 1, 1], rtol=1e-6
-    )
 
 
 def test_only_what_changes_has_samples_and_interpolation_holds_still_before_a_change(tmp_path: Path) -> None:

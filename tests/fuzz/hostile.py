@@ -10,6 +10,7 @@ from __future__ import annotations
 import ctypes
 import io
 import struct
+import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -41,12 +42,15 @@ from decogs.formats.container import (
     PacketKind,
     PacketReader,
     StreamWriter,
-    frame_index,
-    iterate_packets,
     prologue,
+    read_index,
+    scan_index,
 )
 from decogs.formats.errors import StreamError
 from decogs.formats.reasons import ALL_REASONS, Reason
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from packets import iterate_packets
 
 MAX_MEMORY = 32 << 20
 """What inputs are opened with, in bytes."""
@@ -305,7 +309,8 @@ def try_container(data: bytes) -> None:
     reader = PacketReader(io.BytesIO(data), max_payload=MAX_MEMORY)
     while _next_or_search(reader):
         pass
-    _refusable(lambda: frame_index(io.BytesIO(data)))
+    for read in (read_index, scan_index):
+        _refusable(lambda read=read: read(io.BytesIO(data)))
 
 
 def _next_or_search(reader: PacketReader) -> bool:

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from decogs.decoder.stream import open_stream
-from decogs.formats.container import iterate_packets
 from decogs.formats.errors import StreamError
+from packets import iterate_packets
 
 spec = importlib.util.spec_from_file_location("hostile", Path(__file__).with_name("hostile.py"))
 hostile = importlib.util.module_from_spec(spec)

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from decogs.codec.state import Rows
-from decogs.formats.splats import FloatArray, Splats
+from decogs.formats.splats import FloatArray, Splats, logit, sigmoid
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,12 +116,11 @@ def numbered(folder: Path, suffix: str) -> list[Path]:
 
 def logits(opacities: FloatArray) -> FloatArray:
     """Opacity logits of opacities from 0 to 1, both of which stay finite."""
-    inside = np.clip(opacities.astype(np.float64), 1e-6, 1 - 1e-6)
-    return np.log(inside / (1 - inside)).astype(np.float32)
+    return np.asarray(logit(np.clip(opacities.astype(np.float64), 1e-6, 1 - 1e-6)), np.float32)
 
 
 def opacities(splats: Splats) -> FloatArray:
-    return (1 / (1 + np.exp(-splats.opacity_logits.astype(np.float64)))).astype(np.float32)
+    return sigmoid(splats.opacity_logits.astype(np.float64)).astype(np.float32)
 
 
 def unit_rotations(splats: Splats) -> FloatArray:

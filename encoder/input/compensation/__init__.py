@@ -25,7 +25,7 @@ from decogs.formats.splats import FloatArray
 
 from ...settings.compensation import CorrectionSettings
 from ..ingest import View
-from .agreement import Look, SharedSurface, agreeing_shifts, shared_changes, shared_surface
+from .agreement import DrawView, SharedSurface, agreeing_shifts, shared_changes, shared_surface
 from .colour import OddsShift, odds_shift, without_odds
 from .shake import angles_of, turn_of, unturned
 from .worth import Worth, on_grid
@@ -74,10 +74,10 @@ class Corrector:
         nowhere = np.zeros((len(views), 0), np.int64)
         self._surface = SharedSurface(nowhere, nowhere, nowhere > 0)
 
-    def see(self, look: Look) -> None:
+    def see(self, draw: DrawView) -> None:
         """Takes the surface on which later frames compare cameras from the keyframe's scene."""
         if self._has_colours:
-            self._surface = shared_surface([view for _, view in self._views.values()], look)
+            self._surface = shared_surface([view for _, view in self._views.values()], draw)
 
     def find(self, recorded: Sequence[FloatArray], show: Show) -> Corrections:
         """The faults of a frame's ``recorded`` pictures (3, H, W) against the scene as ``show`` gives it.
@@ -143,7 +143,7 @@ class Corrector:
             for name, (number, view) in self._views.items()
         }
 
-    def find_jointly(self, recorded: Sequence[FloatArray], look: Look) -> Corrections:
+    def find_jointly(self, recorded: Sequence[FloatArray], draw: DrawView) -> Corrections:
         """The same while the scene is in the making, and has taken some of the faults for its own.
 
         What is neutral is determined by the cameras that are not named, by their median; where none is left, it is
@@ -152,12 +152,12 @@ class Corrector:
         straight, rotations = list(recorded), dict.fromkeys(self._named, np.eye(3))
         for name in self.cameras.camera_shake:
             number, view = self._views[name]
-            rotations[name] = self._measured(name, recorded, lambda number: look(number).rgb).rotation
+            rotations[name] = self._measured(name, recorded, lambda number: draw(number).rgb).rotation
             straight[number] = unturned(recorded[number], view.pinhole, rotations[name])
         if not self._has_colours:
             return {name: self._correction(name, _Fault(_NO_SHIFT, rotations[name])) for name in self._named}
         views = [view for _, view in self._views.values()]
-        colours = dict(zip(self._views, agreeing_shifts(views, straight, look), strict=True))
+        colours = dict(zip(self._views, agreeing_shifts(views, straight, draw), strict=True))
         offset = self._neutral({name: colour.shift for name, colour in colours.items()}, _mean)
         return {
             name: self._correction(name, _Fault(colours[name].without(offset), rotations[name])) for name in self._named

@@ -15,23 +15,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.cameras import Camera, turned
-from decogs.formats.splats import FloatArray
+from decogs.formats.cameras import in_picture, project, ray_slopes, turned
+from decogs.formats.splats import FloatArray, logit
 
-from ...rasterise import Picture
+from ...numerics import bilinear
+from ...rasterise import RenderedPicture
 from ..ingest import View
 from .colour import OddsShift, tells, tukey_weights
 
 F64 = NDArray[np.float64]
 
 
-Look = Callable[[int], Picture]
+DrawView = Callable[[int], RenderedPicture]
 """The scene through the training view of that number, with its depth."""
 
 _SAMPLES = 2000
@@ -81,9 +82,9 @@ class SharedChanges(NamedTuple):
     known: NDArray[np.bool_]
 
 
-def shared_surface(views: Sequence[View], look: Look) -> SharedSurface:
+def shared_surface(views: Sequence[View], draw: DrawView) -> SharedSurface:
     """Points of the scene's surface, found in every view that sees them."""
-    depths = [_depth(look(number)) for number in range(len(views))]
+    depths = [_depth(draw(number)) for number in range(len(views))]
     samples = _LATER_SAMPLES // len(views)
     points = np.concatenate([_surface(view, depth, samples) for view, depth in zip(views, depths, strict=True)])
     pixels = [_pixels(view, depth, points) for view, depth in zip(views, depths, strict=True)]
@@ -110,7 +111,7 @@ def shared_changes(
         if not enough[:, channel].any():
             continue
         v, s = (np.where(known, side[..., channel], np.float32(0.5)) for side in (now, before))
-        logs, slope = np.log(v / (1 - v)) - np.log(s / (1 - s)), s * (1 - s)
+        logs, slope = logit(v) - logit(s), s * (1 - s)
         solved, weights = _solved(logs, slope, known)
         shifts[:, channel] = solved
         total = weights.sum(axis=0)
@@ -119,12 +120,12 @@ def shared_changes(
     return SharedChanges(shifts, common, np.asarray(enough.all(axis=1)))
 
 
-def agreeing_shifts(views: Sequence[View], pictures: Sequence[FloatArray], look: Look) -> list[OddsShift]:
+def agreeing_shifts(views: Sequence[View], pictures: Sequence[FloatArray], draw: DrawView) -> list[OddsShift]:
     """The shift of every view's odds, up to one common shift a channel, which is chosen so that their mean is 0.
 
     ``pictures``: (3, H, W) of every view, turns taken out. A view that shares nothing with others gets 0.
     """
-    depths = [_depth(look(number)) for number in range(len(views))]
+    depths = [_depth(draw(number)) for number in range(len(views))]
     points = np.concatenate([_surface(view, depth, _SAMPLES) for view, depth in zip(views, depths, strict=True)])
     if not len(points):
         return [OddsShift(np.zeros(3), np.zeros(3))] * len(views)
@@ -137,7 +138,7 @@ def agreeing_shifts(views: Sequence[View], pictures: Sequence[FloatArray], look:
     return [OddsShift(*map(np.array, zip(*of_view, strict=True))) for of_view in zip(*solved, strict=True)]
 
 
-def _depth(picture: Picture) -> FloatArray:
+def _depth(picture: RenderedPicture) -> FloatArray:
     """Depth (H, W) of what the view sees, NaN where that is not opaque."""
     assert picture.depth is not None
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -154,24 +155,22 @@ def _surface(view: View, depth: FloatArray, samples: int) -> F64:
     z = depth[rows, columns].astype(np.float64)
     there = np.isfinite(z)
     z, rows, columns = z[there], rows[there], columns[there]
-    x, y = (columns + 0.5 - camera.cx) / camera.fx * z, (rows + 0.5 - camera.cy) / camera.fy * z
+    x, y = ray_slopes(camera, columns + 0.5, rows + 0.5)
     pose = camera.world_to_camera
-    return turned(pose[:3, :3].T, np.stack([x, y, z], axis=1) - pose[:3, 3])
+    return turned(pose[:3, :3].T, np.stack([x * z, y * z, z], axis=1) - pose[:3, 3])
 
 
 def _colours(view: View, picture: FloatArray, depth: FloatArray, points: F64) -> tuple[FloatArray, NDArray[np.bool_]]:
     """The picture's colours (P, 3) of the points, and which of them (P,) the view sees."""
     v, u, inside = _pixels(view, depth, points)
-    at = [np.where(inside, pixel - 0.5, 0).astype(np.float32)[:, None] for pixel in (u, v)]
-    colours = [_sampled(np.ascontiguousarray(picture[..., channel]), at[0], at[1]) for channel in range(3)]
-    return np.stack(colours, axis=1), inside
+    return bilinear(picture, u, v), inside
 
 
 def _pixels(view: View, depth: FloatArray, points: F64) -> tuple[F64, F64, NDArray[np.bool_]]:
     """Row and column of the points (P,) in the view, corner of the picture at 0, and which of them it sees; 0 of
     others."""
-    u, v, z = _projected(view.pinhole, points)
-    inside = (z > 0) & (u >= 0) & (u < view.pinhole.width) & (v >= 0) & (v < view.pinhole.height)
+    u, v, z = project(view.pinhole, points)
+    inside = in_picture(view.pinhole, u, v, z)
     column, row = (np.where(inside, pixel, 0).astype(np.int64) for pixel in (u, v))
     with np.errstate(invalid="ignore"):
         inside &= np.abs(depth[row, column] / np.where(inside, z, 1) - 1) < _SAME_DEPTH
@@ -180,30 +179,13 @@ def _pixels(view: View, depth: FloatArray, points: F64) -> tuple[F64, F64, NDArr
     return np.where(inside, v, 0), np.where(inside, u, 0), inside
 
 
-def _sampled(plane: FloatArray, u: FloatArray, v: FloatArray) -> FloatArray:
-    """Bilinear samples; ``cv2.remap`` takes no more than 32 767 rows at once."""
-    most = 1 << 14
-    parts: list[Any] = [
-        cv2.remap(plane, u[i : i + most], v[i : i + most], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        for i in range(0, len(u), most)
-    ]
-    return np.asarray(np.concatenate(parts)[:, 0], np.float32)
-
-
-def _projected(camera: Camera, points: F64) -> tuple[F64, F64, F64]:
-    position = turned(camera.world_to_camera[:3, :3], points) + camera.world_to_camera[:3, 3]
-    z = position[:, 2]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return camera.fx * position[:, 0] / z + camera.cx, camera.fy * position[:, 1] / z + camera.cy, z
-
-
 def _channel_shifts(values: FloatArray, known: NDArray[np.bool_]) -> list[tuple[float, float]]:
     """Shift and precision of every view, from values (V, P) of points that it sees where ``known``."""
     known = known & (known.sum(axis=0) > 1)
     if not known.any():
         return [(0.0, 0.0)] * len(values)
     inside = np.where(known, values, np.float32(0.5))
-    shifts, weights = _solved(np.log(inside / (1 - inside)), inside * (1 - inside), known)
+    shifts, weights = _solved(logit(inside), inside * (1 - inside), known)
     return list(zip(shifts.tolist(), weights.sum(axis=1, dtype=np.float64).tolist(), strict=True))
 
 

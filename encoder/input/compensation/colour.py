@@ -13,7 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.decoder.camera_corrections import with_odds
-from decogs.formats.splats import FloatArray
+from decogs.formats.splats import FloatArray, logit
+
+from ...numerics import tukey
 
 _DARKEST, _BRIGHTEST = 6 / 255, 249 / 255
 
@@ -61,8 +63,7 @@ def tukey_weights(residuals: FloatArray) -> FloatArray:
     """Tukey's biweight of residuals in picture units, by their own spread: 1 for none, 0 for what does not belong."""
     some = residuals.ravel()[:: max(1, residuals.size // _MEDIAN_OF)]
     spread = max(1.4826 * float(np.median(np.abs(some))), _LEAST_SPREAD)
-    inside = 1 - np.square(residuals / np.float32(_TUKEY * spread))
-    return np.asarray(np.square(np.maximum(inside, 0)))
+    return tukey(residuals, _TUKEY * spread)
 
 
 def without_odds(picture: FloatArray, odds: tuple[float, float, float]) -> FloatArray:
@@ -81,7 +82,7 @@ def _channel_shift(recorded: FloatArray, shown: FloatArray, known: NDArray[np.bo
         return 0.0, 0.0
     v, s = recorded[inside], shown[inside]
     slope = s * (1 - s)
-    shift = float(np.median(np.log(v / (1 - v)) - np.log(s / (1 - s))))
+    shift = float(np.median(logit(v) - logit(s)))
     precision = 0.0
     for _ in range(_ROUNDS):
         factor = np.float32(np.exp(-shift))

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.cameras import Camera, scale_camera
+from decogs.formats.cameras import Camera, ray_slopes, scale_camera
 from decogs.formats.splats import FloatArray
 
 from .colour import tukey_weights
@@ -102,9 +102,8 @@ def _flow_gradients(picture: FloatArray, camera: Camera) -> list[FloatArray]:
 
 def pixel_grid(camera: Camera) -> tuple[FloatArray, FloatArray]:
     """Normalised coordinates x (1, W) and y (H, 1) of the camera's pixel centres."""
-    x = ((np.arange(camera.width) + 0.5 - camera.cx) / camera.fx).astype(np.float32)
-    y = ((np.arange(camera.height) + 0.5 - camera.cy) / camera.fy).astype(np.float32)
-    return x[None, :], y[:, None]
+    x, y = ray_slopes(camera, np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
+    return x.astype(np.float32)[None, :], y.astype(np.float32)[:, None]
 
 
 def resized(picture: FloatArray, camera: Camera) -> FloatArray:

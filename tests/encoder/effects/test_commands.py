@@ -73,9 +73,9 @@ def test_one_frame_tells_what_it_can(moving_rig: Path) -> None:
 
 def test_a_clip_beyond_the_memory_is_thinned(moving_rig: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Room for two frames of five 64x48 cameras: every second of four is looked at; a span begins after the last."""
-    monkeypatch.setattr("decogs.encoder.analysis.look.MOST_BYTES", 2 * 5 * 64 * 48 * 3)
+    monkeypatch.setattr("decogs.encoder.analysis.rig_statistics.MOST_BYTES", 2 * 5 * 64 * 48 * 3)
     analysis = analyse(moving_rig)
-    assert (analysis.look.frames, analysis.look.step) == ((0, 2), 2)
+    assert (analysis.stats.frames, analysis.stats.step) == ((0, 2), 2)
     motion = next(f.decision for f in analysis.findings if f.decision.effect == "motion")
     assert motion.frames == ((1, 2),)
     assert "4 frames, 1 in 2 looked at" in next(iter(analysis.table()))

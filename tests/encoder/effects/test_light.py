@@ -47,11 +47,11 @@ def points_of(cameras: int) -> tuple[SharedPoints, list[tuple[int, int]]]:
     return SharedPoints(joined[0], joined[1], places[0], places[1]), begins
 
 
-Look = Callable[..., Light]
+Seen = Callable[..., Light]
 
 
 @pytest.fixture
-def seen(texture: np.ndarray, with_noise: Callable[..., np.ndarray]) -> Look:
+def seen(texture: np.ndarray, with_noise: Callable[..., np.ndarray]) -> Seen:
     """The light of cameras that see the texture as it is, then under each frame's ``light`` and each camera's gain.
 
     ``gains``: of a camera, one for every later frame, or a single one. ``light``: over the texture, likewise.
@@ -85,7 +85,7 @@ def wave(period: float, phase: float, size: float = 0.5) -> np.ndarray:
     return 1 + size * np.sin(2 * np.pi * np.arange(120) / period + phase)[:, None, None]
 
 
-def test_a_gain_of_one_camera_is_its_own(seen: Look) -> None:
+def test_a_gain_of_one_camera_is_its_own(seen: Seen) -> None:
     """The medians of points hold it to a twentieth of itself."""
     light = seen(1.0, 1.12, 1.0, 1.0)
     assert light.gains[1, 1, 0] == pytest.approx(np.log(1.12), rel=0.05)
@@ -94,7 +94,7 @@ def test_a_gain_of_one_camera_is_its_own(seen: Look) -> None:
     assert light.white_balance.max() < WHITE_BALANCE_LIMIT / 4
 
 
-def test_a_gain_of_red_is_white_balance(seen: Look) -> None:
+def test_a_gain_of_red_is_white_balance(seen: Seen) -> None:
     light = seen(1.0, np.array([1.06, 1.0, 1.0]), 1.0)
     assert light.gains[1, 1, 1] == pytest.approx(np.log(1.06), rel=0.1)
     assert light.white_balance[1, 1] > WHITE_BALANCE_LIMIT
@@ -117,7 +117,7 @@ LAMP = np.where(np.arange(160) < 70, 1.0, 1.6)[None, :, None]
     ],
     ids=["dims and turns warmer", "jumps", "flickers", "a lamp", "a wide wave", "a narrow wave"],
 )
-def test_light_is_no_cameras(seen: Look, light: list[Gain]) -> None:
+def test_light_is_no_cameras(seen: Seen, light: list[Gain]) -> None:
     """Neither alone nor beside two cameras that drift, whose gains are found all the same."""
     assert drifting(seen(*[1.0] * 6, light=light)) == set()
     first, second = ([gain] * len(light) for gain in (1.1, 0.88))
@@ -126,21 +126,21 @@ def test_light_is_no_cameras(seen: Look, light: list[Gain]) -> None:
     np.testing.assert_allclose(mixed.gains[[1, 4], -1, 0], np.log([1.1, 0.88]), atol=0.015)
 
 
-def test_one_of_four_cameras_drifts(seen: Look) -> None:
+def test_one_of_four_cameras_drifts(seen: Seen) -> None:
     assert drifting(seen(1.0, 1.0, 1.08, 1.0, light=[0.7])) == {2}
 
 
-def test_what_all_cameras_share_is_the_scenes(seen: Look) -> None:
+def test_what_all_cameras_share_is_the_scenes(seen: Seen) -> None:
     light = seen(1.1, 1.1, 1.1, 1.1)
     assert drifting(light) == set()
     assert np.abs(light.gains).max() < FRAME_LIMIT
 
 
-def test_all_cameras_that_drift_each_by_itself_are_found(seen: Look) -> None:
+def test_all_cameras_that_drift_each_by_itself_are_found(seen: Seen) -> None:
     assert drifting(seen([1.1, 0.9], [0.92, 1.12], [1.15, 0.94], [0.88, 1.0], light=[1.0, 1.0])) == {0, 1, 2, 3}
 
 
-def test_what_differs_from_place_to_place_in_one_camera_is_no_gain(seen: Look) -> None:
+def test_what_differs_from_place_to_place_in_one_camera_is_no_gain(seen: Seen) -> None:
     """Gloss, or a lamp that only this camera sees mirrored, on half of its picture."""
     mirrored = np.ones((1, 130, 1))
     mirrored[:, 60:] = 1.4
@@ -162,7 +162,7 @@ def test_a_gain_of_points_that_the_picture_does_not_show_is_none(texture: np.nda
     assert drifting(own_light(points, lights, overall)) == {1}
 
 
-def test_two_cameras_cannot_be_told_apart(seen: Look) -> None:
+def test_two_cameras_cannot_be_told_apart(seen: Seen) -> None:
     for gains in ((1.12,), (1.0, 1.12)):
         light = seen(*gains)
         assert np.isnan(light.exposure).all()
@@ -177,7 +177,7 @@ def test_a_camera_that_shares_nothing_is_not_told(texture: np.ndarray) -> None:
     assert told.tolist() == [True, True, True, False]
 
 
-def test_drift_is_undone_and_light_is_left(seen: Look, texture: np.ndarray) -> None:
+def test_drift_is_undone_and_light_is_left(seen: Seen, texture: np.ndarray) -> None:
     """The odds follow a gain on light within two levels for nine pixels of ten."""
     curves = seen(1.0, 1.15, 1.0, 1.0, light=[0.6]).curves()
     assert [curve is not None for curve in curves] == [False, True, False, False]
@@ -190,7 +190,7 @@ def test_drift_is_undone_and_light_is_left(seen: Look, texture: np.ndarray) -> N
     assert np.array_equal(steady[0], texture)
 
 
-def test_what_does_not_drift_is_left_alone(seen: Look, texture: np.ndarray) -> None:
+def test_what_does_not_drift_is_left_alone(seen: Seen, texture: np.ndarray) -> None:
     assert seen(1.0, 1.0, 1.0).curves() == [None] * 3
     pictures = np.stack([texture, cv2.flip(texture, 1)])
     assert without_drift(pictures, None) is pictures

@@ -13,21 +13,21 @@ from decogs.decoder.lens import distort_pixels
 from decogs.encoder.analysis.effect import Evidence
 from decogs.encoder.analysis.lens_distortion import LensDistortion
 from decogs.encoder.analysis.light import light_at, light_overall, own_light, shared_points
-from decogs.encoder.analysis.look import Look
 from decogs.encoder.analysis.matches import find_matches
+from decogs.encoder.analysis.rig_statistics import RigStatistics
 from decogs.encoder.analysis.view_dependence import ViewDependence
 from decogs.formats.cameras import Camera
 
 Views = tuple[list[Camera], list[np.ndarray]]
 
 
-def look_of(cameras: list[Camera], pictures: list[np.ndarray]) -> Look:
+def statistics_of(cameras: list[Camera], pictures: list[np.ndarray]) -> RigStatistics:
     """A look at one frame, with what is measured on a single one."""
     untold = np.full((len(cameras), 1), np.nan)
     matches = find_matches(cameras, pictures, map)
     points = shared_points(cameras, matches)
     lights = [light_at(picture[None], points.pixels_of(number)) for number, picture in enumerate(pictures)]
-    return Look(
+    return RigStatistics(
         cameras=tuple(cameras),
         scales=(1.0,) * len(cameras),
         frames=(0,),
@@ -45,8 +45,8 @@ def look_of(cameras: list[Camera], pictures: list[np.ndarray]) -> Look:
 
 
 def decision(effect: Any, views: Views) -> Any:
-    look = look_of(*views)
-    return effect.decide(look, effect.evidence(look))
+    stats = statistics_of(*views)
+    return effect.decide(stats, effect.evidence(stats))
 
 
 def test_straight_lenses_are_told_straight(plane_views: Callable[..., Views]) -> None:
@@ -66,9 +66,9 @@ def test_a_calibrated_lens_is_called_for_and_not_found_again(plane_views: Callab
     """The corner's displacement is the calibration's own; what it explains is not beyond it."""
     cameras, pictures = plane_views(cam03=0.1)
     cameras[3] = replace(cameras[3], distortion_model="opencv", distortion=(0.1, 0.0, 0.0, 0.0))
-    look = look_of(cameras, pictures)
-    evidence = LensDistortion().evidence(look)
-    found = LensDistortion().decide(look, evidence)
+    stats = statistics_of(cameras, pictures)
+    evidence = LensDistortion().evidence(stats)
+    found = LensDistortion().decide(stats, evidence)
     assert found.cameras == ("cam03",)
     assert found.figures["k1"] == {}
     corner = np.array([[0.0, 0.0]])
@@ -90,9 +90,9 @@ def test_a_matte_wall_of_strong_texture_does_not_depend_on_the_view(plane_views:
 
 
 def test_views_that_agree_rule_it_out(plane_views: Callable[..., Views]) -> None:
-    look = look_of(*plane_views())
+    stats = statistics_of(*plane_views())
     agreeing = Evidence(np.full((5, 1), 1.5), "levels", 4.0)
-    found = ViewDependence().decide(look, agreeing)
+    found = ViewDependence().decide(stats, agreeing)
     assert (found.detected, found.cost) == (False, "nothing")
     assert found.confidence > 0.8
 
@@ -103,6 +103,6 @@ def test_sheen_depends_on_the_view(plane_views: Callable[..., Views]) -> None:
     across, down = np.meshgrid(np.linspace(-1, 1, 352), np.linspace(-1, 1, 264))
     sheen = 70 * np.exp(-((across / 0.5) ** 2) - (down / 0.5) ** 2)[..., None]
     glossy = [np.clip(picture + sheen, 0, 255).astype(np.uint8) for picture in pictures]
-    matte, shiny = (ViewDependence().evidence(look_of(cameras, seen)).peak for seen in (pictures, glossy))
+    matte, shiny = (ViewDependence().evidence(statistics_of(cameras, seen)).peak for seen in (pictures, glossy))
     assert decision(ViewDependence(), (cameras, glossy)).detected
     assert shiny > 1.5 * matte

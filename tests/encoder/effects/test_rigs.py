@@ -71,7 +71,7 @@ def test_noise_is_found_where_the_pictures_were_given_noise(known_rig: Callable[
     decision = decision_of(rig, "sensor_noise")
     assert decision.detected == ("noise_sigma_8bit" in rig.truth["media"])
     if decision.detected:
-        assert set(decision.cameras) == set(rig.analysis.look.names) - rig.true_cameras("camera_shake")
+        assert set(decision.cameras) == set(rig.analysis.stats.names) - rig.true_cameras("camera_shake")
 
 
 @pytest.mark.parametrize("scene", SCENES)
@@ -83,7 +83,7 @@ def test_high_dynamic_range_is_found_in_scene_linear_pictures_only(known_rig: Ca
 
 @pytest.mark.parametrize("scene", SCENES)
 def test_the_held_out_camera_is_not_looked_at(known_rig: Callable[[str], Any], scene: str) -> None:
-    assert known_rig(scene).truth["held_out"] not in known_rig(scene).analysis.look.names
+    assert known_rig(scene).truth["held_out"] not in known_rig(scene).analysis.stats.names
 
 
 def test_the_lens_that_bends_is_measured(known_rig: Callable[[str], Any]) -> None:

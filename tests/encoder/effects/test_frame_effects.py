@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from decogs.encoder.analysis.frame_look import FrameEffects, frame_effects
+from decogs.encoder.analysis.frame_effects import FrameEffects, frame_effects
 from decogs.encoder.change.masks import FrameMask, difference_mask, dilate
 
 LIGHT_ONLY = FrameEffects(motion=False, appearance_change=True)

@@ -1,7 +1,7 @@
-"""One cheap look at a rig: small pictures of the training cameras, and what every effect measures on them.
+"""Statistics of a rig: small pictures of the training cameras, and the measurements that effects share.
 
-One pass over the frames; held-out cameras are never opened. Pictures are kept small and 8-bit, so that a clip fits the
-memory it is given; of a longer clip every n-th frame is looked at, and all other frames are decoded and dropped.
+One pass over the frames; held-out cameras are never opened. Pictures are small and 8-bit, so that a clip fits into
+MOST_BYTES. Of a longer clip every n-th frame is analysed; the others are decoded and dropped.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from ..change.noise import picture_noise
 from ..input.ingest import check_held_out, display_referred
 from ..parallel import Each, side_by_side
 from .arrivals import Arrivals, camera_arrivals
-from .arrivals import untold as untold_arrivals
+from .arrivals import undetermined as undetermined_arrivals
 from .changes import ChangeShares, change_maps
 from .light import Light, light_at, light_overall, own_light, shared_points, without_drift
 from .matches import Matches, find_matches
@@ -38,21 +38,21 @@ T = TypeVar("T")
 OnStep = Callable[[int, int], None]
 
 MOST_PIXELS = 352 * 264
-"""Size at which pictures are looked at, in pixels; smaller ones stay as they are."""
+"""Size of analysed pictures, in pixels; smaller ones stay as they are."""
 
 MOST_BYTES = 256 << 20
 """Memory for the pictures of all cameras; a clip that needs more is thinned to every n-th frame."""
 
 
 @dataclass(frozen=True)
-class Look:
-    """What was seen of a rig's training cameras.
+class RigStatistics:
+    """Pictures of a rig's training cameras and the measurements on them.
 
-    ``cameras`` at the size looked at (lens included), ``scales`` that size over the rig's. ``frames``: the rig's
-    numbers of the frames looked at, every ``step``-th. ``pictures``: per camera (F, H, W, 3) uint8, display-referred.
-    Arrays (cameras, F): ``noise``, deviation of one picture from the next over sqrt 2, in 8-bit levels of the full-
-    size pixels; ``above_white``, share of pixels beyond 1 in scene-linear pictures, NaN for 8-bit ones; ``brightest``,
-    the largest value of those.
+    ``cameras`` at the analysed size (lens included), ``scales`` that size over the rig's. ``frames``: the rig's
+    numbers of the analysed frames, every ``step``-th. ``pictures``: per camera (F, H, W, 3) uint8, display-referred.
+    Arrays (cameras, F): ``noise``, standard deviation of the difference of successive pictures over sqrt 2, in 8-bit
+    levels of full-size pixels; ``above_white``, share of pixels beyond 1 in scene-linear pictures, NaN for 8-bit ones;
+    ``brightest``, the largest value of those.
     """
 
     cameras: tuple[Camera, ...]
@@ -75,15 +75,15 @@ class Look:
         return tuple(camera.name for camera in self.cameras)
 
 
-def look_at(
+def gather_statistics(
     rig: Rig,
     *,
     holdout: Sequence[str] = (),
     frames: range | None = None,
     threads: int = 0,
     on_step: OnStep = lambda done, total: None,
-) -> Look:
-    """Looks at the frames (default: all) of every camera but the held-out ones.
+) -> RigStatistics:
+    """Measures the frames (default: all) of every camera except the held-out ones.
 
     The result does not depend on ``threads`` (0: all processors). ``on_step`` is called with steps done and in all.
     Raises UsageError for cameras or frames the rig does not have, RigError while reading.
@@ -103,7 +103,7 @@ def look_at(
         steady = each(without_drift, seen.pictures, light.curves())
         noise = _of_resting(seen.noise, paths)
         changes = [steps.over(found) for found in each(_changes, steady, seen.pictures, _typical(noise), paths)]
-    return Look(
+    return RigStatistics(
         cameras, scales, tuple(chosen), chosen.step, tuple(seen.pictures), noise, seen.above_white, seen.brightest,
         light, tuple(paths), tuple(shares for shares, _ in changes), tuple(came for _, came in changes), matches,
     )  # fmt: skip
@@ -197,11 +197,11 @@ def _typical(noise: F64) -> F64:
 
 
 def _changes(pictures: U8, recorded: U8, noise: float, path: CameraPath) -> tuple[ChangeShares, Arrivals]:
-    """What changed from each frame to the next, and over all; nothing is measured for a camera that itself moves.
+    """Changes from each frame to the next, and over all frames; a shaking camera has none.
 
-    ``pictures``: ``recorded`` without the camera's drift. What is left of that grows over frames as slow light does.
+    ``pictures``: ``recorded`` without the camera's drift, whose remainder grows over frames as slow light does.
     """
     if path.shakes:
-        return ChangeShares.untold(len(pictures)), untold_arrivals(len(pictures))
+        return ChangeShares.undetermined(len(pictures)), undetermined_arrivals(len(pictures))
     maps = [change_maps(before, now, noise) for before, now in pairwise(pictures)]
     return ChangeShares.of(maps, pictures, noise, slow=pictures is recorded), camera_arrivals(pictures, maps, noise)

@@ -1,8 +1,7 @@
-"""What one frame brings, determined from the masks' own pictures in milliseconds a view: for the encoder's loop.
+"""Effects of one frame, detected from the masks' pictures in milliseconds per view, for the encoder's loop.
 
-The measure is that of the clip (``changes.py``), on the part of each view that its mask covers, at the size the clip is
-looked at. Whatever is in doubt is motion: training positions that did not change costs time, not training those that
-did costs the picture.
+The measures are those of a clip (``changes.py``), inside each view's mask, at the size of the rig's statistics. A
+doubtful case counts as motion: training resting positions costs time, not training moving ones costs quality.
 """
 
 from __future__ import annotations
@@ -22,17 +21,17 @@ from ..change.noise import picture_noise
 from ..parallel import side_by_side
 from . import appearance_change, motion
 from .changes import WINDOW_PIXELS, change_maps
-from .look import MOST_PIXELS
+from .rig_statistics import MOST_PIXELS
 
 _LEAST_CHANGED = 4 * WINDOW_PIXELS
-"""Changed pixels of all views below which a frame is in doubt."""
+"""Least changed pixels of all views for a frame to be clear."""
 
 
 @dataclass(frozen=True)
 class FrameEffects:
-    """What a frame may bring. Without ``motion`` only colours and opacities need training.
+    """Effects of a frame. Without ``motion`` only colours and opacities need training.
 
-    ``emergence`` and ``disappearance`` are determined over a clip, not from two pictures: any motion may bring them.
+    ``emergence`` and ``disappearance`` cannot be detected from two pictures, so motion implies them.
     """
 
     motion: bool
@@ -51,7 +50,7 @@ class FrameEffects:
 
 @dataclass(frozen=True)
 class _Pixels:
-    """Pixels of one view, at the size looked at: changed, restructured, and changed near restructured ones."""
+    """Pixel counts of one view: changed, restructured, and changed near restructured ones."""
 
     changed: int
     restructured: int
@@ -69,7 +68,7 @@ def frame_effects(
     *,
     threads: int = 1,
 ) -> FrameEffects:
-    """What a frame brings, from every view's picture (3, H, W) 0..1, the one it is compared with, and its mask.
+    """Effects of a frame, from every view's picture (3, H, W) 0..1, its reference and its mask.
 
     Raises ValueError when they are not the same views.
     """
@@ -78,7 +77,7 @@ def frame_effects(
         views = list(each(lambda view: _pixels(*view), changed))
     if not views:
         return FrameEffects(motion=False, appearance_change=False)
-    # Many little doubts are one: all views together count as one more.
+    # All views together count as one more, since views may be unclear one by one.
     together = _Pixels(*(sum(getattr(view, field.name) for view in views) for field in fields(_Pixels)))
     moves = together.changed < _LEAST_CHANGED or any(view.moves for view in (*views, together))
     lit = any(v.changed - v.near >= appearance_change.LIMIT * max(v.changed, 1) for v in views)

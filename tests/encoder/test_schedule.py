@@ -12,9 +12,9 @@ from decogs.encoder.settings.frame import IterationSettings
 from decogs.encoder.training.schedule import (
     LEAST_SEARCH,
     LEAST_STEPS,
-    Effort,
-    Pace,
     SearchTime,
+    StepSchedule,
+    StoppingRule,
     TargetWatch,
     iteration_factor,
     search_of,
@@ -40,15 +40,15 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     return clock
 
 
-def run(pace: Pace, step: Callable[[int], None]) -> tuple[list[float], list[int]]:
+def run(schedule: StepSchedule, step: Callable[[int], None]) -> tuple[list[float], list[int]]:
     """Positions at which steps were made, and the step at which each mark was reached."""
     positions: list[float] = []
     reached: list[int] = []
-    while not pace.is_over:
-        reached += [len(positions)] * sum(pace.reaches(mark) for mark in MARKS)
-        positions.append(pace.position)
+    while not schedule.is_over:
+        reached += [len(positions)] * sum(schedule.reaches(mark) for mark in MARKS)
+        positions.append(schedule.position)
         step(len(positions) - 1)
-        pace.step()
+        schedule.step()
     return positions, reached
 
 
@@ -56,14 +56,14 @@ def run(pace: Pace, step: Callable[[int], None]) -> tuple[list[float], list[int]
 
 
 def test_without_a_deadline_every_step_is_made() -> None:
-    positions, reached = run(Pace(SCHEDULE), lambda step: None)
+    positions, reached = run(StepSchedule(SCHEDULE), lambda step: None)
     assert positions == list(range(SCHEDULE))
     assert reached == list(MARKS)
 
 
 @pytest.mark.parametrize(("factor", "steps"), [(0.5, 75), (2.0, 300)])
 def test_a_factor_makes_the_schedule_longer_or_shorter_with_every_mark_at_its_share(factor: float, steps: int) -> None:
-    positions, reached = run(Pace(SCHEDULE, factor=factor), lambda step: None)
+    positions, reached = run(StepSchedule(SCHEDULE, factor=factor), lambda step: None)
     assert len(positions) == steps
     np.testing.assert_allclose(reached, np.multiply(MARKS, factor), atol=1)
 
@@ -73,7 +73,7 @@ def test_a_deadline_ends_a_schedule_made_longer(clock: Clock) -> None:
         clock.now += 0.01
 
     deadline = clock.now + 0.01 * 200
-    positions, reached = run(Pace(SCHEDULE, deadline, factor=3.0), step)
+    positions, reached = run(StepSchedule(SCHEDULE, deadline, factor=3.0), step)
     assert len(positions) == pytest.approx(200, abs=2)
     np.testing.assert_allclose(reached, np.multiply(MARKS, 200 / SCHEDULE), atol=2)
 
@@ -94,7 +94,7 @@ def test_a_deadline_is_met_with_every_mark_at_its_share_of_the_steps(clock: Cloc
         clock.now += 0.01
 
     deadline = clock.now + 0.01 * fitting
-    positions, reached = run(Pace(SCHEDULE, deadline), step)
+    positions, reached = run(StepSchedule(SCHEDULE, deadline), step)
     assert clock.now == pytest.approx(deadline, abs=0.01), "one step"
     assert reached == pytest.approx([mark * fitting / SCHEDULE for mark in MARKS], abs=1.5)
     assert np.ptp(np.diff(positions)[1:]) < 0.2, "even strides once the first step has told its time"
@@ -106,7 +106,7 @@ def test_a_machine_that_slows_down_is_followed(clock: Clock) -> None:
         clock.now += 0.01 if index < 40 else 0.03
 
     deadline = clock.now + 1.0
-    _, reached = run(Pace(SCHEDULE, deadline), step)
+    _, reached = run(StepSchedule(SCHEDULE, deadline), step)
     assert clock.now == pytest.approx(deadline, abs=0.03)
     assert reached == sorted(reached)
     assert len(reached) == len(MARKS)
@@ -117,7 +117,7 @@ def test_one_slow_step_does_not_make_the_others_look_slow(clock: Clock) -> None:
         clock.now += 0.3 if index == 10 else 0.01
 
     deadline = clock.now + 1.0
-    positions, _ = run(Pace(SCHEDULE, deadline), step)
+    positions, _ = run(StepSchedule(SCHEDULE, deadline), step)
     assert clock.now == pytest.approx(deadline, abs=0.01)
     assert len(positions) == pytest.approx(71, abs=1)
 
@@ -126,19 +126,19 @@ def test_strides_tell_how_great_the_hurry_is(clock: Clock) -> None:
     """What the rates go by: exactly 1 unless the deadline makes strides longer."""
     for factor in (1.0, 3.0, 0.7):
         for deadline in (None, clock.now + 1e3):
-            pace = Pace(SCHEDULE, deadline, factor=factor)
+            schedule = StepSchedule(SCHEDULE, deadline, factor=factor)
             for _ in range(20):
-                assert pace.hurry == 1.0
-                pace.step()
-    pace = Pace(SCHEDULE, clock.now + 0.01 * 15)
+                assert schedule.hurry == 1.0
+                schedule.step()
+    schedule = StepSchedule(SCHEDULE, clock.now + 0.01 * 15)
     for _ in range(8):
         clock.now += 0.01
-        pace.step()
-    assert pace.hurry == pytest.approx(10, rel=0.05)
+        schedule.step()
+    assert schedule.hurry == pytest.approx(10, rel=0.05)
 
 
 def test_time_enough_changes_nothing(clock: Clock) -> None:
-    positions, _ = run(Pace(SCHEDULE, clock.now + 1e3), lambda step: None)
+    positions, _ = run(StepSchedule(SCHEDULE, clock.now + 1e3), lambda step: None)
     assert positions == list(range(SCHEDULE))
 
 
@@ -147,7 +147,7 @@ def test_a_deadline_gone_by_leaves_a_few_steps_with_all_that_belongs_to_them(clo
     def step(_: int) -> None:
         clock.now += 0.01
 
-    positions, reached = run(Pace(SCHEDULE, clock.now - late), step)
+    positions, reached = run(StepSchedule(SCHEDULE, clock.now - late), step)
     assert len(positions) == LEAST_STEPS
     assert len(reached) == len(MARKS)
 
@@ -157,26 +157,26 @@ def test_what_is_put_off_costs_no_steps(clock: Clock) -> None:
         clock.now += 0.01
         if index == 10:
             clock.now += 0.4
-            pace.put_off(0.4)
+            schedule.put_off(0.4)
 
-    pace = Pace(SCHEDULE, clock.now + 0.5)
-    positions, _ = run(pace, step)
+    schedule = StepSchedule(SCHEDULE, clock.now + 0.5)
+    positions, _ = run(schedule, step)
     assert len(positions) == pytest.approx(50, abs=1)
 
 
 @pytest.mark.parametrize("factor", [0.5, 1.0, 2.0])
 def test_skipping_leaves_out_what_lies_between(factor: float) -> None:
-    pace = Pace(SCHEDULE, factor=factor)
-    positions, reached = run(pace, lambda step: pace.skip_to(75) if step == 10 else None)
+    schedule = StepSchedule(SCHEDULE, factor=factor)
+    positions, reached = run(schedule, lambda step: schedule.skip_to(75) if step == 10 else None)
     assert reached == [11, 11 + np.ceil(factor)], "all but the first mark"
     assert positions[10:12] == [10 / factor, 75]
     assert len(positions) == 11 + (SCHEDULE - 75) * factor + (factor == 0.5) / 2
 
 
 def test_a_stage_gets_its_share_of_what_is_left(clock: Clock) -> None:
-    assert Effort(clock.now + 10).deadline_before(150, 100) == clock.now + 6
-    assert Effort(clock.now + 10).deadline_before(0, 0) == clock.now
-    assert Effort().deadline_before(150, 100) is None
+    assert StoppingRule(clock.now + 10).deadline_before(150, 100) == clock.now + 6
+    assert StoppingRule(clock.now + 10).deadline_before(0, 0) == clock.now
+    assert StoppingRule().deadline_before(150, 100) is None
 
 
 @pytest.mark.parametrize("seconds", [0.01, 0.2, 3.0])
