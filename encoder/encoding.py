@@ -64,10 +64,10 @@ def encode(
     bytes, such as a pipe. No file of the rig, nor the one of ``keyframe``, is ever written over; an output that another
     encode writes, or has left unfinished, is refused. ``settings``: a name in PRESETS, or settings.
 
-    What is encoded. ``frames``: consecutive ones, as a slice or a range; all when None. ``scale``: of the pictures
+    Input: ``frames``: consecutive ones, as a slice or a range; all when None. ``scale``: of the pictures
     trained on, above 0 and at most 4. ``holdout``: names of cameras kept out of training and measured on.
 
-    How. ``switches``: the method of later frames and its parts; ``targets``: quality, bytes and time; both on top of
+    Method: ``switches``: the method of later frames and its parts; ``targets``: quality, bytes and time; both on top of
     the settings. ``effects``: what is built of the effects (`EffectChoice`), or one of its bases; None is "auto" for a
     named preset, and for settings what they say; the baseline has none. ``corrections``: cameras whose faults are
     known, instead of those that ``effects`` finds. ``keyframe``: an earlier stream of the same rig, first frame and
@@ -75,12 +75,12 @@ def encode(
     coded as differences from the first. ``resume``: go on with what an encode with the same options left in ``output``
     + ".part", or as a shorter stream; the file gets the bytes of one that was not cut off.
 
-    On what. ``seed``: the same one gives the same bytes, except with a time budget. ``threads``: 0 means all
+    Resources: ``seed``: the same one gives the same bytes, except with a time budget. ``threads``: 0 means all
     processors; the stream does not depend on it. ``device``: "cuda" takes gsplat and gives other bits every time;
     "auto" is the CPU.
 
-    What is told. ``log``: file for JSON lines. ``convergence_log``: file for the loss of every training step, as JSON
-    lines; with ``resume``, both are continued. ``progress``: is told of every step and frame. ``on_warning`` is called
+    Reports: ``log``: file for JSON lines. ``convergence_log``: file for the loss of every training step, as JSON
+    lines; with ``resume``, both are continued. ``progress`` observes every step and frame. ``on_warning`` is called
     as soon as something is found that the user should know of the rig, and of a stream or keyframe that does not show
     its pictures.
 
