@@ -18,7 +18,7 @@ from decogs.formats.cameras import Camera
 from .camera_corrections import with_recorded_colours
 from .frame import DecodedFrame
 from .rasterise import Rendering
-from .rasterise.resting_view import RestingView
+from .rasterise.incremental_view import IncrementalView
 from .views import correction_of, max_pairs, through_lens, view_plan
 
 
@@ -64,7 +64,7 @@ class PlayedView:
         shown, self._shown = self._shown, None  # a refused scene leaves nothing to go on from
         self._follow(shown, frame)
         self._shown = frame.state
-        self.redrawn = self._view.refresh()
+        self.redrawn = self._view.redraw()
         if self._seen is None or self.redrawn:
             seen = Rendering(self._view.image, self._view.alpha, self._view.depth)
             self._seen, self._rendering = through_lens(self._plan, seen, self._background), None
@@ -92,7 +92,7 @@ class PlayedView:
             correction=self._correction,
             max_memory=self._max_memory,
         )
-        self._view = RestingView(self._plan.render_camera, self._background, threads=self._threads)
+        self._view = IncrementalView(self._plan.render_camera, self._background, threads=self._threads)
         self._shown = self._seen = self._rendering = None
 
     def _follow(self, shown: State | None, frame: DecodedFrame) -> None:
@@ -102,19 +102,19 @@ class PlayedView:
         self._view.allow(max_pairs(self._header, len(frame.state), self._plan, self._max_memory))
         delta = None if shown is None else frame.delta_from(shown)
         if shown is None or delta is None:
-            self._view.place(frame.splats)
+            self._view.set_scene(frame.splats)
         else:
             self._change(shown, delta, frame.state)
 
     def _change(self, before: State, delta: Delta, after: State) -> None:
         touched = np.zeros(len(before), bool)
         touched[delta.rows] = touched[delta.removed] = True
-        lifted = np.flatnonzero(touched)
+        detached = np.flatnonzero(touched)
         touched[delta.removed] = False
         added = np.arange(len(after) - len(delta.added), len(after))
         changed = np.concatenate([rows_after(delta.removed, np.flatnonzero(touched)), added])
         self._view.change(
-            lifted,
+            detached,
             dequantise(take_rows(after, changed), self._header.lattice),
             changed,
             population=len(after),

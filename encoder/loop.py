@@ -101,7 +101,7 @@ class StreamEncoder:
             state.rate.wrote(written.packet.kind, written.packet.size)
         effects = () if held else effects
         kept, hurried = (None, False) if trained is None else (trained.kept, trained.hurried)
-        uncorrected = state.settle(now, kept, effects, held=held, hurried=hurried)
+        uncorrected = state.commit(now, kept, effects, held=held, hurried=hurried)
         if self._time is not None:
             self._time.took(watch.seconds, held=held)
         report = self._report(compensated, written, now.change, watch)

@@ -75,4 +75,4 @@ def replay(state: StreamState, frame: RigFrame, packet: Packet, watch: Stopwatch
     state.scene.take(packet)
     if state.rate is not None:
         state.rate.wrote(packet.kind, packet.size)
-    return Replayed(compensated, written, now.change, state.settle(now, trained, effects, held=held))
+    return Replayed(compensated, written, now.change, state.commit(now, trained, effects, held=held))

@@ -91,7 +91,7 @@ class StreamState:
     def begin(self, frame: RigFrame, watch: Stopwatch) -> None:
         """Takes the first frame, compensated, whose state stands."""
         scene, views = self.scene.splats, self.ingest.views
-        with watch.stage("settle"):
+        with watch.stage("commit"):
             if not self.method.dense:
                 self.views.views = [fixed_view(self.kernel, view.pinhole) for view in views]
                 self.views.show(scene)
@@ -111,7 +111,7 @@ class StreamState:
             return False
         self.scene.go_back(kept.state)
         self.motion.last = kept.motion
-        with watch.stage("settle"):
+        with watch.stage("commit"):
             self.views.show(self.scene.splats)
         return True
 
@@ -141,7 +141,7 @@ class StreamState:
             significance = self.rate.significance(significance)
         return effects, replace(settings.frame, significance=significance)
 
-    def settle(
+    def commit(
         self,
         now: FrameInWork,
         trained: NDArray[np.int64] | None,
@@ -157,7 +157,7 @@ class StreamState:
         """
         scene, pictures, masks = self.scene, now.compensated.training, now.change.masks
         if trained is not None:
-            with now.watch.stage("settle"):
+            with now.watch.stage("commit"):
                 self.views.update(scene.splats, trained, now.before.ids, scene.state.ids)
             # Training that was rejected, or whose changes were all reverted, has made up for nothing.
             if masks and not same_values(now.before, scene.state):

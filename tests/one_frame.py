@@ -49,5 +49,5 @@ def train(
     if settings is None:
         settings = trainer.context.settings.frame if isinstance(trainer, DeltaTrainer) else FrameSettings()
     for view in trainer.context.static_views if isinstance(trainer, DeltaTrainer) else ():
-        view.lift(np.flatnonzero(selected))
+        view.detach(np.flatnonzero(selected))
     return trainer.train(FrameInput(frame, scene, selected, pictures, masks, motion, settings, **effort))

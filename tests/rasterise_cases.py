@@ -335,9 +335,9 @@ def encoder_digest(threads: int) -> str:
         v_rgb, v_alpha, v_depth = cotangents(case)
         g = kernel.backward(splats, v_rgb, v_alpha=v_alpha, v_depth=v_depth)
         view, third = FixedView(kernel, case.camera), np.arange(0, len(splats), 3)
-        view.place(splats)
-        digest.update(view.refresh(v_depth > 0).tobytes())
-        view.lift(third)
+        view.set_scene(splats)
+        digest.update(view.redraw(v_depth > 0).tobytes())
+        view.detach(third)
         view.draw(take_splats(splats, third), third)
         digest.update(view.rgb.tobytes())
         for some in (g, view.backward(v_rgb)):

@@ -80,7 +80,7 @@ class NativePlanes(ctypes.Structure):
 
 
 class NativePicture(ctypes.Structure):
-    """Where the kernel writes a picture as it is handed out (kernel/resting_view.h)."""
+    """Where the kernel writes a picture as it is handed out (kernel/incremental_view.h)."""
 
     _fields_ = [("image", ctypes.c_void_p), ("depth", ctypes.c_void_p)]
 
@@ -140,21 +140,21 @@ def checked_rows(rows: RowArray, population: int | None) -> RowArray:
     return np.ascontiguousarray(rows)
 
 
-def check_renumbered(renumbered: RowArray | None, lifted: NDArray[np.bool_], population: int) -> RowArray | None:
-    """Every former row's new one for the kernel, -1 for lifted ones that are gone; ValueError for anything else.
+def check_renumbered(renumbered: RowArray | None, detached: NDArray[np.bool_], population: int) -> RowArray | None:
+    """Every former row's new one for the kernel, -1 for detached ones that are gone; ValueError for anything else.
 
-    ``lifted`` (N,): which of the former rows are. Rows keep their order and move down only, which the kernel relies on.
+    ``detached`` (N,): which of the former rows are. Rows keep their order and move down only: the kernel relies on it.
     """
     if renumbered is None:
-        if population < len(lifted):
-            raise ValueError(f"{len(lifted)} Gaussians in a scene of {population} need new numbers")
+        if population < len(detached):
+            raise ValueError(f"{len(detached)} Gaussians in a scene of {population} need new numbers")
         return None
-    if renumbered.shape != lifted.shape or renumbered.dtype != np.int64:
-        raise ValueError(f"{renumbered.dtype} {renumbered.shape} new numbers for {len(lifted)} Gaussians, not int64")
+    if renumbered.shape != detached.shape or renumbered.dtype != np.int64:
+        raise ValueError(f"{renumbered.dtype} {renumbered.shape} new numbers for {len(detached)} Gaussians, not int64")
     stays = renumbered >= 0
     kept = renumbered[stays]
-    if (renumbered < -1).any() or not lifted[~stays].all():
-        raise ValueError("only lifted Gaussians can go, as -1")
+    if (renumbered < -1).any() or not detached[~stays].all():
+        raise ValueError("only detached Gaussians can go, as -1")
     if len(kept) and ((np.diff(kept) <= 0).any() or kept[-1] >= population or (kept > np.flatnonzero(stays)).any()):
         raise ValueError(f"new numbers must ascend, lie below {population} and be at most the former ones")
     return np.ascontiguousarray(renumbered)
@@ -210,15 +210,15 @@ def _library() -> ctypes.CDLL:
     library.decogs_render.restype = ctypes.c_int
     library.decogs_render.argtypes = [ctypes.c_void_p, *pointers, ctypes.c_uint64]
     handle, scene, camera, planes = ctypes.c_void_p, *pointers
-    library.decogs_resting_create.restype = handle
-    library.decogs_resting_create.argtypes = [camera]
-    library.decogs_resting_destroy.argtypes = [handle]
-    library.decogs_resting_allow.restype = None
-    library.decogs_resting_allow.argtypes = [handle, ctypes.c_uint64]
-    library.decogs_resting_place.restype = ctypes.c_int
-    library.decogs_resting_place.argtypes = [handle, handle, scene]
-    library.decogs_resting_change.restype = ctypes.c_int
-    library.decogs_resting_change.argtypes = [
+    library.decogs_incremental_create.restype = handle
+    library.decogs_incremental_create.argtypes = [camera]
+    library.decogs_incremental_destroy.argtypes = [handle]
+    library.decogs_incremental_allow.restype = None
+    library.decogs_incremental_allow.argtypes = [handle, ctypes.c_uint64]
+    library.decogs_incremental_set_scene.restype = ctypes.c_int
+    library.decogs_incremental_set_scene.argtypes = [handle, handle, scene]
+    library.decogs_incremental_change.restype = ctypes.c_int
+    library.decogs_incremental_change.argtypes = [
         handle,
         handle,
         handle,
@@ -229,8 +229,8 @@ def _library() -> ctypes.CDLL:
         handle,
         ctypes.c_int64,
     ]
-    library.decogs_resting_refresh.restype = check_memory
-    library.decogs_resting_refresh.argtypes = [
+    library.decogs_incremental_redraw.restype = check_memory
+    library.decogs_incremental_redraw.argtypes = [
         handle,
         handle,
         planes,

@@ -67,8 +67,8 @@ SELECTION_RULES: Registry[SelectionRule] = Registry(
 
 
 def view_evidence(view: FixedView, mask: NDArray[np.bool_]) -> ViewEvidence:
-    """Weighs every Gaussian of the scene at rest against the view's dilated mask (H, W)."""
-    weight, masked_weight = view.refresh(mask)
+    """Weighs every Gaussian of the static scene against the view's dilated mask (H, W)."""
+    weight, masked_weight = view.redraw(mask)
     return ViewEvidence(weight, masked_weight, lambda: _centres_inside(view.centres(), mask))
 
 

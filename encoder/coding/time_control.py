@@ -34,7 +34,7 @@ _MOST_OWED = 2.0
 """Budgets that frames may have overspent before one is held for that alone."""
 _MEMORY = 0.7
 """Share of the estimate of what a frame takes beyond its deadline that a new frame does not change."""
-_AFTER_TRAINING = ("write", "settle")
+_AFTER_TRAINING = ("write", "commit")
 _UNCOUNTED = "measure"
 _FIXED = "trains a fixed number of steps"
 _LEAST_SECONDS, _MOST_SECONDS = 1e-4, 1e6

@@ -11,8 +11,8 @@ draw. Gradients go back in two steps, through the compositing of all and through
 alone, and travel as one block. Pictures, targets and pictures' gradients stay on the device; a picture travels when
 somebody looks at it. Stored values travel, so that cache, densification and Adam (inherited) are the native ones.
 Rejected: gsplat's ``rasterization`` (projects and draws everything) and ``SelectiveAdam`` (no bias correction); Adam on
-the device (measured: of 10 ms a step of 150 000 Gaussians it and both ways take 4). Open: tile lists of what rests are
-sorted anew for every draw.
+the device (measured: of 10 ms a step of 150 000 Gaussians it and both ways take 4). Open: tile lists of static
+Gaussians are sorted anew for every draw.
 
 Differs from the native kernel: alpha ends at 0.999 instead of 0.99, so that a pixel in the core of a denser Gaussian is
 off by up to 0.009 of the contrast to what is behind it; the tiles met are those of a Gaussian's box, some more than its
@@ -385,9 +385,9 @@ class CudaFixedView(FixedView):
         self._alphas = torch.zeros((camera.height, camera.width, 1), device=kernel.device)
         self._tiles_met = torch.zeros((self._lens.rows, self._lens.columns), dtype=torch.bool, device=kernel.device)
         self._travelled: tuple[Tensor, FloatArray] | None = None  # colours, and the host's copy of them
-        self._stale = ~self._tiles_met  # tiles that do not show what rests, and nothing else
-        self._lifted = np.zeros(0, np.bool_)
-        self._all = _Projected.blank(0, kernel.device)  # what rests, as it was put; what changes, as last drawn
+        self._stale = ~self._tiles_met  # tiles that do not show what is static, and nothing else
+        self._detached = np.zeros(0, np.bool_)
+        self._all = _Projected.blank(0, kernel.device)  # what is static, as it was put; what changes, as last drawn
         self._changing: Tensor | None = None
         self._forget()
 
@@ -409,12 +409,12 @@ class CudaFixedView(FixedView):
     def met(self) -> NDArray[np.uint8]:
         return np.asarray(self._tiles_met.cpu().numpy().ravel(), np.uint8)
 
-    def place(self, scene: Splats) -> None:
+    def set_scene(self, scene: Splats) -> None:
         stored = self._device_kernel.leaves(scene)
-        self._all, self._lifted = self._projected(stored, scene.sh_degree), np.zeros(len(scene), np.bool_)
+        self._all, self._detached = self._projected(stored, scene.sh_degree), np.zeros(len(scene), np.bool_)
         self._forget()
 
-    def refresh(self, marks: NDArray[np.bool_] | None = None) -> FloatArray:
+    def redraw(self, marks: NDArray[np.bool_] | None = None) -> FloatArray:
         """As the native view's, but everything is drawn again, since the weights are gradients of the whole picture.
 
         A Gaussian's weight is the gradient of its red with a cotangent of 1 in every pixel, of its green with 1 in
@@ -432,14 +432,14 @@ class CudaFixedView(FixedView):
         self._stale = torch.zeros_like(self._stale)
         return _host(weights[:, :2].T)
 
-    def lift(self, rows: RowArray) -> None:
+    def detach(self, rows: RowArray) -> None:
         if self._rows is not None:
             self._all.radii.index_fill_(0, self._where, 0)
-        rows = checked_rows(rows, len(self._placed()))
-        lifted = self._device_kernel.upload(rows)
-        self._stale = self._stale | self._tiles(self._lists(self._all.take(lifted)).tiles)
-        self._all.radii.index_fill_(0, lifted, 0)
-        self._placed()[rows] = True
+        rows = checked_rows(rows, len(self._loaded()))
+        detached = self._device_kernel.upload(rows)
+        self._stale = self._stale | self._tiles(self._lists(self._all.take(detached)).tiles)
+        self._all.radii.index_fill_(0, detached, 0)
+        self._loaded()[rows] = True
         self._forget()
 
     def draw(self, moving: Splats, rows: RowArray, *, depth: bool = False) -> None:
@@ -498,9 +498,9 @@ class CudaFixedView(FixedView):
         self._device_kernel.gradients(leaves, projected, tuple(values[where] for values in found), out)
         return out
 
-    def settle(self, scene: Splats, rows: RowArray, renumbered: RowArray | None = None) -> None:
+    def commit(self, scene: Splats, rows: RowArray, renumbered: RowArray | None = None) -> None:
         kernel, asked, rows = self._device_kernel, rows, checked_rows(rows, len(scene))
-        renumbered = check_renumbered(renumbered, self._placed(), len(scene))
+        renumbered = check_renumbered(renumbered, self._loaded(), len(scene))
         if renumbered is not None:
             kept = self._all.take(kernel.upload(np.flatnonzero(renumbered >= 0)))
             self._all = _Projected.blank(len(scene), kernel.device)
@@ -508,7 +508,7 @@ class CudaFixedView(FixedView):
         else:
             self._all = self._all.take(slice(0, len(scene))).with_room(len(scene))
         self._all.write(kernel.upload(rows), self._projected(kernel.part(scene, asked), scene.sh_degree))
-        self._lifted = np.zeros(len(scene), np.bool_)
+        self._detached = np.zeros(len(scene), np.bool_)
         self._forget()
 
     def centres(self) -> FloatArray:
@@ -525,7 +525,7 @@ class CudaFixedView(FixedView):
         """``rows`` there, with room for all of them; what was drawn at other rows does not show any more."""
         if self._rows is not None and np.array_equal(rows, self._rows):
             return self._where
-        kernel, count = self._device_kernel, max(len(self._placed()), int(rows[-1]) + 1 if len(rows) else 0)
+        kernel, count = self._device_kernel, max(len(self._loaded()), int(rows[-1]) + 1 if len(rows) else 0)
         if self._rows is not None:
             self._all.radii.index_fill_(0, self._where, 0)
         if count > len(self._all.radii):

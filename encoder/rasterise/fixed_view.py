@@ -43,13 +43,13 @@ _MOST_NEW = 1 << 22
 class FixedView:
     """The picture of a pinhole ``camera``, kept up to date while Gaussians change a few at a time.
 
-    The order of calls: ``place`` a scene; then for every frame ``refresh`` (as often as wanted), ``lift`` the Gaussians
-    that are about to change, ``draw`` and ``backward`` as often as wanted, ``settle``.
+    The order of calls: ``set_scene``; then for every frame ``redraw`` (as often as wanted), ``detach`` the Gaussians
+    that are about to change, ``draw`` and ``backward`` as often as wanted, ``commit``.
 
     ``rgb`` (3, H, W), ``alpha`` and ``depth`` (H, W; the depth summed by weight) are the picture as last drawn or
-    refreshed; ``alpha`` and ``depth`` are those of the last refresh or of the last draw with ``depth``.
+    redrawn; ``alpha`` and ``depth`` are those of the last redraw or of the last draw with ``depth``.
 
-    After a scene that was refused (UsageError, MemoryError) the next call must be ``place``.
+    After a scene that was refused (UsageError, MemoryError) the next call must be ``set_scene``.
     """
 
     def __init__(self, kernel: TrainingKernel, camera: Camera) -> None:
@@ -60,7 +60,7 @@ class FixedView:
         self._alpha: FloatArray = np.zeros(size, np.float32)
         self._depth: FloatArray = np.zeros(size, np.float32)
         self._met: NDArray[np.uint8] = np.zeros(tile_count(camera.width, camera.height), np.uint8)
-        self._lifted: NDArray[np.bool_] | None = np.zeros(0, np.bool_)
+        self._detached: NDArray[np.bool_] | None = np.zeros(0, np.bool_)
         self._drawn: tuple[Splats, RowArray] | None = None
         self._cotangent: FloatArray | None = None
         self._evaluated = False
@@ -90,22 +90,22 @@ class FixedView:
         """One per 16x16 tile: whether a Gaussian of the last ``draw`` meets it. Nothing else can change its pixels."""
         return self._met
 
-    def place(self, scene: Splats) -> None:
-        """Starts with a whole scene (N Gaussians), all of it at rest; the picture is there after ``refresh``."""
+    def set_scene(self, scene: Splats) -> None:
+        """Starts with a whole scene (N Gaussians), all of it static; the picture is there after ``redraw``."""
         placed = native_scene(scene)
-        self._lifted = self._drawn = None
-        self._check(self._library.decogs_view_place(self._kernel.handle, self._handle, ctypes.byref(placed)))
-        self._lifted = np.zeros(len(scene), np.bool_)
+        self._detached = self._drawn = None
+        self._check(self._library.decogs_view_set_scene(self._kernel.handle, self._handle, ctypes.byref(placed)))
+        self._detached = np.zeros(len(scene), np.bool_)
 
-    def refresh(self, marks: NDArray[np.bool_] | None = None) -> FloatArray:
-        """Brings the picture up to date with the scene at rest; every Gaussian's rendering weight, (2, N).
+    def redraw(self, marks: NDArray[np.bool_] | None = None) -> FloatArray:
+        """Brings the picture up to date with the static scene; every Gaussian's rendering weight, (2, N).
 
         The weight is the sum of alpha times transmittance: in row 0 over all pixels, in row 1 over ``marks`` (H, W).
         """
         self._check_marks(marks)
-        weights = np.empty((2, len(self._placed())), np.float32)
+        weights = np.empty((2, len(self._loaded())), np.float32)
         planes = self._planes(depth=True)
-        self._library.decogs_view_refresh(
+        self._library.decogs_view_redraw(
             self._kernel.handle,
             self._handle,
             address(marks),
@@ -115,17 +115,17 @@ class FixedView:
         )
         return weights
 
-    def lift(self, rows: RowArray) -> None:
-        """Takes the Gaussians ``rows`` out of the scene at rest: they are what changes until ``settle``."""
-        lifted = self._placed()
-        rows = checked_rows(rows, len(lifted))
-        self._library.decogs_view_lift(self._handle, address(rows), len(rows))
-        lifted[rows] = True
+    def detach(self, rows: RowArray) -> None:
+        """Takes the Gaussians ``rows`` out of the static scene: they are what changes until ``commit``."""
+        detached = self._loaded()
+        rows = checked_rows(rows, len(detached))
+        self._library.decogs_view_detach(self._handle, address(rows), len(rows))
+        detached[rows] = True
 
     def draw(self, moving: Splats, rows: RowArray, *, depth: bool = False) -> None:
         """Brings the picture up to date with ``moving`` (M Gaussians) in it, which are the scene's ``rows``, ascending.
 
-        Rows are lifted ones, or new ones, numbered from N on. Lifted ones that are left out do not show.
+        Rows are detached ones, or new ones, numbered from N on. Detached ones that are left out do not show.
         """
         rows = self._checked_of(moving, rows)
         planes = self._planes(depth=depth)
@@ -153,7 +153,7 @@ class FixedView:
     ) -> LossValue:
         """``TrainingKernel.loss`` of the last ``draw`` in the tiles of ``met``; its gradient waits for ``backward``.
 
-        The arrays must not change until the next ``lift``: a device keeps its copy of them for a frame.
+        The arrays must not change until the next ``detach``: a device keeps its copy of them for a frame.
         """
         value, self._cotangent = self._kernel.loss(
             self._rgb,
@@ -190,38 +190,38 @@ class FixedView:
         )
         return out
 
-    def settle(self, scene: Splats, rows: RowArray, renumbered: RowArray | None = None) -> None:
-        """All is at rest again: ``scene`` is the scene from now on, ``rows`` (ascending) were lifted or are new.
+    def commit(self, scene: Splats, rows: RowArray, renumbered: RowArray | None = None) -> None:
+        """Makes everything static again: ``scene`` is the scene from now on, its ``rows`` were detached or are new.
 
         ``renumbered`` (N,) gives every old Gaussian's row in ``scene``, in the same order and none above the old one,
-        -1 for one that is gone, which must have been lifted; None when all kept theirs.
+        -1 for one that is gone, which must have been detached; None when all kept theirs.
         """
-        lifted, rows, settled = self._placed(), checked_rows(rows, len(scene)), native_scene(scene)
-        renumbered = check_renumbered(renumbered, lifted, len(scene))
-        self._lifted = self._drawn = None
-        status = self._library.decogs_view_settle(
+        detached, rows, committed = self._loaded(), checked_rows(rows, len(scene)), native_scene(scene)
+        renumbered = check_renumbered(renumbered, detached, len(scene))
+        self._detached = self._drawn = None
+        status = self._library.decogs_view_commit(
             self._kernel.handle,
             self._handle,
-            ctypes.byref(settled),
+            ctypes.byref(committed),
             address(rows),
             len(rows),
             address(renumbered),
-            len(lifted),
+            len(detached),
         )
         self._check(status)
-        self._lifted = np.zeros(len(scene), np.bool_)
+        self._detached = np.zeros(len(scene), np.bool_)
 
     def centres(self) -> FloatArray:
-        """Projected centres (N, 2) of the scene at rest, in pixels; NaN where a Gaussian is not drawn."""
-        centres = np.empty((len(self._placed()), 2), np.float32)
+        """Projected centres (N, 2) of the static scene, in pixels; NaN where a Gaussian is not drawn."""
+        centres = np.empty((len(self._loaded()), 2), np.float32)
         self._library.decogs_view_centres(self._handle, len(centres), address(centres))
         return centres
 
-    def _placed(self) -> NDArray[np.bool_]:
-        """Which Gaussians of the scene are lifted."""
-        if self._lifted is None:
+    def _loaded(self) -> NDArray[np.bool_]:
+        """Which Gaussians of the scene are detached."""
+        if self._detached is None:
             raise ValueError("the last scene was refused; place one first")
-        return self._lifted
+        return self._detached
 
     def _check(self, status: int) -> None:
         check_drawn(status, self.camera.width, self.camera.height)
@@ -233,7 +233,7 @@ class FixedView:
     def _checked_of(self, moving: Splats, rows: RowArray) -> RowArray:
         if len(moving) != len(rows):
             raise ValueError(f"{len(moving)} Gaussians for {len(rows)} rows")
-        return checked_rows(rows, len(self._placed()) + _MOST_NEW)
+        return checked_rows(rows, len(self._loaded()) + _MOST_NEW)
 
     def _check_marks(self, marks: NDArray[np.bool_] | None) -> None:
         size = (self.camera.height, self.camera.width)

@@ -28,13 +28,13 @@ class IncrementalViews:
     def show(self, scene: Splats) -> None:
         """Shows the whole scene, whatever was shown before."""
         for view in self.views:
-            view.place(scene)
-            view.refresh()
+            view.set_scene(scene)
+            view.redraw()
 
     def detach(self, rows: NDArray[np.int64]) -> None:
         """Takes Gaussians out of the static part, as training does."""
         for view in self.views:
-            view.lift(rows)
+            view.detach(rows)
 
     def update(
         self, scene: Splats, trained: NDArray[np.int64], before: NDArray[np.int64], after: NDArray[np.int64]
@@ -48,5 +48,5 @@ class IncrementalViews:
         new = np.flatnonzero(~np.isin(after, before, assume_unique=True))
         rows = np.concatenate([np.setdiff1d(renumbered[trained], [-1]), new])
         for view in self.views:
-            view.settle(scene, rows, renumbered)
-            view.refresh()
+            view.commit(scene, rows, renumbered)
+            view.redraw()

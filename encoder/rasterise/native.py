@@ -100,9 +100,9 @@ def training_library() -> ctypes.CDLL:
     library.decogs_view_create.restype = handle
     library.decogs_view_create.argtypes = [pointer(NativeCamera)]
     library.decogs_view_destroy.argtypes = [handle]
-    library.decogs_view_place.argtypes = [handle, handle, pointer(NativeScene)]
-    library.decogs_view_lift.restype = check_memory
-    library.decogs_view_lift.argtypes = [handle, handle, ctypes.c_int64]
+    library.decogs_view_set_scene.argtypes = [handle, handle, pointer(NativeScene)]
+    library.decogs_view_detach.restype = check_memory
+    library.decogs_view_detach.argtypes = [handle, handle, ctypes.c_int64]
     library.decogs_view_draw.argtypes = [handle, handle, pointer(NativeScene), handle, pointer(NativePlanes), handle]
     library.decogs_view_backward.restype = check_memory
     library.decogs_view_backward.argtypes = [
@@ -112,7 +112,7 @@ def training_library() -> ctypes.CDLL:
         pointer(NativeCotangents),
         pointer(NativeGradients),
     ]
-    library.decogs_view_settle.argtypes = [
+    library.decogs_view_commit.argtypes = [
         handle,
         handle,
         pointer(NativeScene),
@@ -121,8 +121,8 @@ def training_library() -> ctypes.CDLL:
         handle,
         ctypes.c_int64,
     ]
-    library.decogs_view_refresh.restype = check_memory
-    library.decogs_view_refresh.argtypes = [handle, handle, handle, pointer(NativePlanes), handle, ctypes.c_int64]
+    library.decogs_view_redraw.restype = check_memory
+    library.decogs_view_redraw.argtypes = [handle, handle, handle, pointer(NativePlanes), handle, ctypes.c_int64]
     library.decogs_view_centres.argtypes = [handle, ctypes.c_int64, handle]
     library.decogs_loss.restype = check_memory
     library.decogs_loss.argtypes = [handle, pointer(_LossInput), ctypes.c_void_p, pointer(_LossSums)]

@@ -415,9 +415,9 @@ class _DeltaTraining:
 
     def _open_gate(self, work: _Working, scene: Splats) -> None:
         """Ablation: steps every Gaussian from here on, with the momentum of previous frames."""
-        others = np.setdiff1d(np.arange(len(scene)), work.lifted)
+        others = np.setdiff1d(np.arange(len(scene)), work.detached)
         for view in self._watch:
-            view.lift(others)
+            view.detach(others)
         work.admit(others, take_splats(scene, others), self._stream.ungated)
 
     def _result(self, work: _Working) -> TrainedFrame:
@@ -458,7 +458,7 @@ class _Working:
     def __init__(self, scene: Splats, rows: NDArray[np.int64], kernel: TrainingKernel, settings: FrameSettings) -> None:
         self._population = self._next_row = len(scene)
         self._prune_opacity = settings.prune_opacity
-        self.lifted = self.rows = rows
+        self.detached = self.rows = rows
         new = OPTIMISERS.get(settings.optimiser)
         self.optimiser = new(take_splats(scene, rows), kernel, beta1=settings.beta1, beta2=settings.beta2)
         self.selected = np.ones(len(rows), bool)
@@ -471,7 +471,7 @@ class _Working:
     @property
     def population(self) -> int:
         """Current number of Gaussians in the scene."""
-        return self._population - len(self.lifted) + len(self.rows)
+        return self._population - len(self.detached) + len(self.rows)
 
     def show(self, means: FloatArray, quaternions: FloatArray) -> None:
         self.shown = replace(self.base, means=means, quaternions=quaternions)
@@ -498,7 +498,7 @@ class _Working:
         order = np.argsort(joined)
         self.rows = joined[order]
         self.selected = np.concatenate([self.selected, np.zeros(len(rows), bool)])[order]
-        self.lifted = np.sort(np.concatenate([self.lifted, rows]))
+        self.detached = np.sort(np.concatenate([self.detached, rows]))
         self.optimiser.append(splats)
         self.optimiser.keep(order)
         if momentum is not None:
@@ -521,14 +521,14 @@ class _Working:
         return TrainedFrame(
             self.rows[old],
             take_splats(self.shown, old),
-            np.setdiff1d(self.lifted, self.rows),
+            np.setdiff1d(self.detached, self.rows),
             take_splats(self.shown, ~old & self.lasting()),
         )
 
     def unchanged(self, scene: Splats) -> TrainedFrame:
         """The frame without any change to the ``scene``."""
         nothing = empty_splats(scene.sh_degree)
-        return TrainedFrame(self.lifted, take_splats(scene, self.lifted), np.zeros(0, np.int64), nothing)
+        return TrainedFrame(self.detached, take_splats(scene, self.detached), np.zeros(0, np.int64), nothing)
 
     def _resized(self) -> None:
         self.shown, self.gradients = self.base, gradients_like(self.base)

@@ -73,9 +73,9 @@ class SparseStep:
         self.gradients = gradients_like(self.optimiser.splats)
         self.target = np.random.default_rng(1).random((3, camera.height, camera.width), dtype=np.float32)
         self.view: FixedView = fixed_view(kernel, camera)
-        self.view.place(splats)
-        self.view.refresh()
-        self.view.lift(rows)
+        self.view.set_scene(splats)
+        self.view.redraw()
+        self.view.detach(rows)
         self.parts = (self.draw, self.loss, self.backward, self.adam)
 
     def draw(self) -> None:

@@ -40,9 +40,9 @@ class SparseStep:
         self.rows, self.moving = rows, take_splats(splats, rows)
         self.target = np.random.default_rng(1).random((3, camera.height, camera.width), dtype=np.float32)
         self.view = FixedView(kernel, camera)
-        self.view.place(splats)
-        self.view.refresh()
-        self.view.lift(self.rows)
+        self.view.set_scene(splats)
+        self.view.redraw()
+        self.view.detach(self.rows)
         self.gradients = gradients_like(self.moving)
 
     def __call__(self) -> None:

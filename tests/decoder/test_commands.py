@@ -16,7 +16,7 @@ from decogs.codec.lattice import dequantise
 from decogs.decoder import decode, export, info, render_view
 from decogs.decoder.commands import decode_main, export_main, info_main
 from decogs.decoder.picture_output import linear_light, to_8bit
-from decogs.decoder.rasterise.resting_view import RestingView
+from decogs.decoder.rasterise.incremental_view import IncrementalView
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 
@@ -122,13 +122,13 @@ def test_video_and_exr_show_the_same(small_stream, tmp_path: Path) -> None:
 
 def test_an_unchanged_scene_is_not_rendered_twice(small_stream, tmp_path: Path, monkeypatch) -> None:
     drawn = []
-    refresh = RestingView.refresh
+    redraw = IncrementalView.redraw
 
-    def counting(view: RestingView) -> int:
-        drawn.append(refresh(view))
+    def counting(view: IncrementalView) -> int:
+        drawn.append(redraw(view))
         return drawn[-1]
 
-    monkeypatch.setattr(RestingView, "refresh", counting)
+    monkeypatch.setattr(IncrementalView, "redraw", counting)
     decode(small_stream.path, tmp_path / "o", view="cam00")
     assert [tiles > 0 for tiles in drawn] == [kind != "skip" for kind in small_stream.kinds]
 

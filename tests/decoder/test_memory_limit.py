@@ -114,23 +114,23 @@ def test_what_does_not_fit_is_refused_before_it_is_drawn(tmp_path: Path, how: st
 
 
 def test_pairs_are_counted_where_a_few_change(tmp_path: Path) -> None:
-    """A resting view refuses a change that brings too many, and must be placed anew afterwards."""
-    from decogs.decoder.rasterise.resting_view import RestingView
+    """An incremental view refuses a change that brings too many, and must be given its scene anew afterwards."""
+    from decogs.decoder.rasterise.incremental_view import IncrementalView
 
     with open_stream(write_covering(tmp_path / "s.dgs", 40, 64)) as opened:
         scene, camera = next(opened.frames()).splats, opened.header.cameras[0]
-    view, nothing = RestingView(camera, (0, 0, 0), threads=1), np.zeros(0, np.int64)
+    view, nothing = IncrementalView(camera, (0, 0, 0), threads=1), np.zeros(0, np.int64)
     view.allow(16 * 60)
-    view.place(scene)
+    view.set_scene(scene)
     with pytest.raises(UsageError, match=r"64x64 is covered too many times .* \(`max_memory`\)"):
         view.change(nothing, scene, np.arange(40, 80), population=80)
     with pytest.raises(ValueError, match="place one first"):
-        view.refresh()
-    view.place(scene)
-    assert view.refresh() == 16
+        view.redraw()
+    view.set_scene(scene)
+    assert view.redraw() == 16
     view.allow(16 * 39)
     with pytest.raises(UsageError, match="covered too many times"):
-        view.place(scene)
+        view.set_scene(scene)
 
 
 def test_a_limit_that_follows_from_the_memory_says_so(small_stream) -> None:

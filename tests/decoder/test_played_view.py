@@ -20,7 +20,7 @@ from decogs.codec.syntax import Coded, write_delta, write_key, write_skip
 from decogs.decoder import open_stream, render_view
 from decogs.decoder.played_view import PlayedView
 from decogs.decoder.rasterise import Rendering
-from decogs.decoder.rasterise.resting_view import RestingView
+from decogs.decoder.rasterise.incremental_view import IncrementalView
 from decogs.formats.cameras import Camera
 from decogs.formats.container import PACKET_OVERHEAD, PacketKind, StreamWriter
 from decogs.formats.cursor import Cursor
@@ -253,8 +253,8 @@ def test_pictures_cannot_be_written(tmp_path: Path) -> None:
 def test_changes_that_do_not_fit_are_refused() -> None:
     scene = some_splats(np.random.default_rng(1), 5)
     none = np.zeros(0, np.int64)
-    view = RestingView(CAMERAS[0], (0.0, 0.0, 0.0), threads=1)
-    view.place(scene)
+    view = IncrementalView(CAMERAS[0], (0.0, 0.0, 0.0), threads=1)
+    view.set_scene(scene)
     with pytest.raises(ValueError, match="ascend"):
         view.change(np.array([3, 1]), scene, np.arange(5), population=5)
     with pytest.raises(ValueError, match="in the scene"):

@@ -13,8 +13,8 @@ import pytest
 
 import rasterise_cases as cases
 from decogs.decoder.rasterise import render
+from decogs.decoder.rasterise.incremental_view import IncrementalView
 from decogs.decoder.rasterise.native import INSTRUCTION_SETS, render_planes
-from decogs.decoder.rasterise.resting_view import RestingView
 from decogs.formats.cameras import Camera, scale_camera
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import Splats, empty_splats, join_splats, take_splats
@@ -235,7 +235,7 @@ def test_a_scene_that_covers_the_picture_thousands_of_times_is_refused() -> None
     splats = Splats(*(np.repeat(value, count, axis=0).astype(np.float32) for value in row))
     wide = Camera("wide", 4096, 4096, 4e3, 4e3, 2048.0, 2048.0, np.eye(4))
     with pytest.raises(UsageError, match="4096x4096 is covered too many times"):
-        RestingView(wide, (0.0, 0.0, 0.0)).place(splats)
+        IncrementalView(wide, (0.0, 0.0, 0.0)).set_scene(splats)
     with pytest.raises(UsageError, match="4096x4096 is covered too many times by the scene's Gaussians; choose a smal"):
         render(splats, wide)
     assert render(splats, scale_camera(wide, 1 / 64)).alpha.min() > 0.9, "and the renderer is as good as new"

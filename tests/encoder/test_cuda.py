@@ -304,8 +304,8 @@ def test_nothing_to_draw(backend: Backend) -> None:
     np.testing.assert_allclose(picture.rgb, np.broadcast_to(np.array([[[0.2]], [[0.4]], [[0.6]]]), (3, 61, 83)))
     assert len(kernel.backward(nothing, picture.rgb).means) == 0
     view = fixed_view(kernel, CAMERA)
-    view.place(nothing)
-    assert view.refresh().shape == (2, 0)
+    view.set_scene(nothing)
+    assert view.redraw().shape == (2, 0)
     view.draw(nothing, np.zeros(0, np.int64))
     assert not view.rgb.any()
     assert not view.met.any()
@@ -316,24 +316,24 @@ def test_nothing_to_draw(backend: Backend) -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_view_lives_as_the_native_one_does(backend: Backend, seed: int) -> None:
-    """Frames of random lifts, moves, removals and additions, the calls of the training loop, side by side."""
+    """Frames of random detaches, moves, removals and additions, the calls of the training loop, side by side."""
     rng = np.random.default_rng(seed)
     scene, picture = small_scene(seed), backend.picture
     kernels = (TrainingKernel(1), backend.make())
     views = [fixed_view(kernel, CAMERA) for kernel in kernels]
     for view in views:
-        view.place(scene)
+        view.set_scene(scene)
     for share in (0.1, 0.0, 0.5):
         marks = rng.random((61, 83)) < 0.3
-        weights = [view.refresh(marks) for view in views]
+        weights = [view.redraw(marks) for view in views]
         for row in range(2):  # of pixels' alphas: the sum may have one more at the threshold
             assert np.abs(weights[1][row] - weights[0][row]).max() <= picture * weights[0][row].max() + 2 * THRESHOLD
             assert np.abs(weights[1][row] - weights[0][row]).sum() <= 2e-3 * weights[0][row].sum() + 4 * THRESHOLD
         assert_same_view(views, picture)
-        lifted = rows = np.flatnonzero(rng.random(len(scene)) < share)
+        detached = rows = np.flatnonzero(rng.random(len(scene)) < share)
         moving = take_splats(scene, rows)
         for view in views:
-            view.lift(lifted)
+            view.detach(detached)
         for step in range(3):
             if step == 2:  # some are taken away, others come
                 stay = rng.random(len(rows)) < 0.7
@@ -346,15 +346,15 @@ def test_a_view_lives_as_the_native_one_does(backend: Backend, seed: int) -> Non
             native_met, met = (view.met.astype(bool) for view in views)
             assert (met | ~native_met).all()
             assert_same_steps(views, rng, backend)
-        scene, rows, renumbered = settled(scene, lifted, moving, rows)
+        scene, rows, renumbered = committed(scene, detached, moving, rows)
         for view in views:
-            view.settle(scene, rows, renumbered)
+            view.commit(scene, rows, renumbered)
         expected, found = (view.centres() for view in views)
         both = np.isfinite(expected) & np.isfinite(found)
         assert both.any()
         np.testing.assert_allclose(found[both], expected[both], rtol=1e-5, atol=1e-3)
     for view in views:
-        view.refresh()
+        view.redraw()
     assert_same_view(views, picture)
     assert_same_picture(views[1].rgb, kernels[0].forward(scene, CAMERA).rgb, picture)
 
@@ -364,15 +364,15 @@ def jittered(splats: Splats, rng: np.random.Generator) -> Splats:
     return Splats(*(np.ascontiguousarray(a + rng.normal(0, 0.05, a.shape), np.float32) for a in values))
 
 
-def settled(
-    scene: Splats, lifted: np.ndarray, moving: Splats, rows: np.ndarray
+def committed(
+    scene: Splats, detached: np.ndarray, moving: Splats, rows: np.ndarray
 ) -> tuple[Splats, np.ndarray, np.ndarray]:
-    """The scene after a frame, the rows in it that were lifted or are new, and the old rows' new numbers."""
+    """The scene after a frame, the rows in it that were detached or are new, and the old rows' new numbers."""
     old = rows < len(scene)
     grown = join_splats(scene, take_splats(moving, ~old))
     for name in FIELDS[:-1]:
         getattr(grown, name)[rows] = getattr(moving, name)
-    stays = np.setdiff1d(np.arange(len(grown)), np.setdiff1d(lifted, rows))
+    stays = np.setdiff1d(np.arange(len(grown)), np.setdiff1d(detached, rows))
     renumbered = np.full(len(grown), -1, np.int64)
     renumbered[stays] = np.arange(len(stays))
     return take_splats(grown, stays), renumbered[rows], renumbered[: len(scene)]
@@ -405,10 +405,10 @@ def assert_same_steps(views: list[FixedView], rng: np.random.Generator, backend:
 def test_only_tiles_that_change_are_drawn_again() -> None:
     stand_in, scene = StandIn(), small_scene(1)
     view = fixed_view(CudaKernel(1, device="cpu", gsplat=stand_in), CAMERA)
-    view.place(scene)
-    view.refresh()
+    view.set_scene(scene)
+    view.redraw()
     rows = np.array([17], np.int64)
-    view.lift(rows)
+    view.detach(rows)
     before, moved = view.met.size, take_splats(scene, rows)
     moved.means[:, 0] += 1.0
     for expected in ("where it was and is", "where it is"):
@@ -419,13 +419,13 @@ def test_only_tiles_that_change_are_drawn_again() -> None:
     assert before == view.met.sum()
 
 
-@pytest.mark.parametrize("lifted", [np.arange(30), np.arange(30, 60)])
-def test_equal_depths_keep_the_scenes_order(backend: Backend, lifted: np.ndarray) -> None:
+@pytest.mark.parametrize("detached", [np.arange(30), np.arange(30, 60)])
+def test_equal_depths_keep_the_scenes_order(backend: Backend, detached: np.ndarray) -> None:
     case = cases.CASES["clones"]()  # rows 30 to 59 at the depths of rows 0 to 29
     view = fixed_view(backend.make(), case.camera)
-    view.place(case.splats)
-    view.lift(lifted)
-    view.draw(take_splats(case.splats, lifted), lifted)
+    view.set_scene(case.splats)
+    view.detach(detached)
+    view.draw(take_splats(case.splats, detached), detached)
     expected = TrainingKernel(1).forward(case.splats, case.camera).rgb
     assert_same_picture(view.rgb, expected, backend.picture)
 
@@ -433,17 +433,17 @@ def test_equal_depths_keep_the_scenes_order(backend: Backend, lifted: np.ndarray
 def test_the_next_frame_brings_its_own_targets(backend: Backend) -> None:
     scene, rows = small_scene(4), np.arange(20)
     view = fixed_view(backend.make(), CAMERA)
-    view.place(scene)
+    view.set_scene(scene)
     target, values = np.zeros((3, 61, 83), np.float32), []
     for level in (0.0, 0.5):
         target[:] = level  # the same array, as a reader that has only one would bring
-        view.refresh()
-        view.lift(rows)
+        view.redraw()
+        view.detach(rows)
         view.draw(take_splats(scene, rows), rows)
         values.append(view.loss(target, l1_scale=1.0, ssim_scale=0.0).total)
         expected = TrainingKernel(1).loss(view.rgb, target, l1_scale=1.0, ssim_scale=0.0, tiles=view.met)[0].total
         assert values[-1] == pytest.approx(expected, rel=1e-5)
-        view.settle(scene, rows)
+        view.commit(scene, rows)
     assert values[0] != values[1]
 
 
@@ -515,20 +515,20 @@ def test_the_fused_loss_on_a_gpu_is_its_twin(size: tuple[int, int], ssim_scale: 
 def test_misuse_is_refused_as_by_the_native_view() -> None:
     kernel, scene = CudaKernel(1, device="cpu", gsplat=StandIn()), small_scene(2)
     view = fixed_view(kernel, CAMERA)
-    view.place(scene)
+    view.set_scene(scene)
     with pytest.raises(ValueError, match="ascend"):
-        view.lift(np.array([3, 1], np.int64))
+        view.detach(np.array([3, 1], np.int64))
     with pytest.raises(ValueError, match="in the scene"):
-        view.lift(np.array([len(scene)], np.int64))
+        view.detach(np.array([len(scene)], np.int64))
     with pytest.raises(ValueError, match="draw before"):
         view.backward()
     with pytest.raises(ValueError, match="marks"):
-        view.refresh(np.zeros((3, 3), bool))
+        view.redraw(np.zeros((3, 3), bool))
     with pytest.raises(ValueError, match="rows"):
         view.draw(scene, np.array([1], np.int64))
     with pytest.raises(ValueError, match="new numbers"):
-        view.settle(scene, np.zeros(0, np.int64), np.zeros(3, np.int64))
-    view.lift(np.arange(3))
+        view.commit(scene, np.zeros(0, np.int64), np.zeros(3, np.int64))
+    view.detach(np.arange(3))
     view.draw(take_splats(scene, np.arange(3)), np.arange(3))
     with pytest.raises(ValueError, match="the draw's loss or a cotangent"):
         view.backward()

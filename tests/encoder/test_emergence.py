@@ -207,8 +207,8 @@ def trained(kernel: TrainingKernel, wall: Splats, shown: Splats, emergence: Emer
     box = (np.full(3, -3.0), np.full(3, 3.0))
     watch = [FixedView(kernel, view.pinhole) for view in views]
     for watching in watch:
-        watching.place(wall)
-        watching.refresh()
+        watching.set_scene(wall)
+        watching.redraw()
     trainer = delta_trainer(kernel, views, watch, settings, box=box)
     selected = np.abs(wall.means[:, 0]) < 0.1
     frame = train(

@@ -29,7 +29,7 @@ def jittered(splats: Splats, rng: np.random.Generator, size: float) -> Splats:
 
 
 def with_rows(scene: Splats, rows: np.ndarray, moving: Splats) -> Splats:
-    """The whole scene that ``moving`` at ``rows`` stands for; lifted rows left out must have been hidden before."""
+    """The whole scene that ``moving`` at ``rows`` stands for; detached rows left out must have been hidden before."""
     grown = join_splats(scene, take_splats(moving, np.arange(int((rows < len(scene)).sum()), len(rows))))
     for name in FIELDS[:-1]:
         getattr(grown, name)[rows] = getattr(moving, name)
@@ -44,18 +44,18 @@ def hidden(scene: Splats, rows: np.ndarray) -> Splats:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_draws_and_gradients_are_the_dense_ones_bit_for_bit(seed: int) -> None:
-    """Frames of random lifts, moves, removals and additions; the set of moving Gaussians changes between draws too."""
+    """Random detached rows, moves, removals and additions; the set of moving Gaussians changes between draws too."""
     rng = np.random.default_rng(seed)
     scene = small_scene(seed)
     kernel, dense = TrainingKernel(2), TrainingKernel(1)
     view = FixedView(kernel, CAMERA)
-    view.place(scene)
+    view.set_scene(scene)
     for share in (0.05, 0.0, 0.3, 1.0, 0.1):
-        weights = view.refresh()
+        weights = view.redraw()
         assert_shows(view, scene, dense, depth=True)
         assert np.array_equal(weights, fresh_weights(scene, None))
-        rows = lifted = np.flatnonzero(rng.random(len(scene)) < share)
-        view.lift(lifted)
+        rows = detached = np.flatnonzero(rng.random(len(scene)) < share)
+        view.detach(detached)
         moving = take_splats(scene, rows)
         for step in range(4):
             if step == 2:  # some are taken away, others come
@@ -64,19 +64,19 @@ def test_draws_and_gradients_are_the_dense_ones_bit_for_bit(seed: int) -> None:
                 moving = join_splats(take_splats(moving, stay), new)
                 rows = np.concatenate([rows[stay], np.arange(len(scene), len(scene) + len(new))])
             moving = jittered(moving, rng, 0.05)
-            now = with_rows(hidden(scene, lifted), rows, moving)
+            now = with_rows(hidden(scene, detached), rows, moving)
             view.draw(moving, rows, depth=step == 3)
             assert_shows(view, now, dense, depth=step == 3)
             cotangent = rng.normal(size=view.rgb.shape).astype(np.float32)
             sparse, whole = view.backward(cotangent), dense.backward(now, cotangent)
             for name in FIELDS:
                 assert np.array_equal(getattr(sparse, name), getattr(whole, name)[rows]), name
-        gone = np.setdiff1d(lifted, rows)
+        gone = np.setdiff1d(detached, rows)
         stays = np.setdiff1d(np.arange(len(now)), gone)
         scene = take_splats(now, stays)
         renumbered = np.full(len(now), -1, np.int64)
         renumbered[stays] = np.arange(len(stays))
-        view.settle(scene, renumbered[rows], renumbered[: len(now) - len(new)] if len(gone) else None)
+        view.commit(scene, renumbered[rows], renumbered[: len(now) - len(new)] if len(gone) else None)
 
 
 def assert_shows(view: FixedView, scene: Splats, dense: TrainingKernel, *, depth: bool) -> None:
@@ -91,8 +91,8 @@ def assert_shows(view: FixedView, scene: Splats, dense: TrainingKernel, *, depth
 def fresh_weights(scene: Splats, marks: np.ndarray | None) -> np.ndarray:
     """Weights of a view that has no history."""
     view = FixedView(TrainingKernel(1), CAMERA)
-    view.place(scene)
-    return view.refresh(marks)
+    view.set_scene(scene)
+    return view.redraw(marks)
 
 
 @pytest.mark.parametrize("name", ["degree-0", "around", "stack", "crowd", "clamped-colours"])
@@ -101,8 +101,8 @@ def test_weights_are_the_textbooks(name: str) -> None:
     book = cases.textbook(case)
     marks = np.random.default_rng(4).random((case.camera.height, case.camera.width)) < 0.3
     view = FixedView(TrainingKernel(2), case.camera)
-    view.place(case.splats)
-    weights = view.refresh(marks)
+    view.set_scene(case.splats)
+    weights = view.redraw(marks)
     for got, counted in zip(weights, (np.ones_like(marks), marks), strict=True):
         expected = (book.weights * counted).sum((1, 2))
         slack = (book.doubtful & counted).sum()  # a doubtful pixel's weight may be there or not
@@ -112,19 +112,19 @@ def test_weights_are_the_textbooks(name: str) -> None:
 def test_marks_are_weighed_whatever_was_drawn_before() -> None:
     scene, rng = small_scene(3), np.random.default_rng(3)
     view = FixedView(TrainingKernel(2), CAMERA)
-    view.place(scene)
+    view.set_scene(scene)
     for share in (0.0, 0.01, 0.5, 1.0):
         marks = rng.random((CAMERA.height, CAMERA.width)) < share
-        assert np.array_equal(view.refresh(marks), fresh_weights(scene, marks))
+        assert np.array_equal(view.redraw(marks), fresh_weights(scene, marks))
 
 
 def test_only_tiles_that_change_are_drawn_again() -> None:
     scene = small_scene(1)
     view = FixedView(TrainingKernel(1), CAMERA)
-    view.place(scene)
-    view.refresh()
+    view.set_scene(scene)
+    view.redraw()
     rows = np.array([17], np.int64)
-    view.lift(rows)
+    view.detach(rows)
     view.rgb[:] = -1
     view.draw(take_splats(scene, rows), rows)
     tiles = view.met.reshape(-(-CAMERA.height // 16), -(-CAMERA.width // 16)).astype(bool)
@@ -160,9 +160,9 @@ def test_the_loss_of_what_was_drawn_leads_back_as_its_gradient_does() -> None:
     rng, scene, rows = np.random.default_rng(6), small_scene(6), np.arange(0, 300, 9)
     kernel = TrainingKernel(2)
     view = FixedView(kernel, CAMERA)
-    view.place(scene)
-    view.refresh()
-    view.lift(rows)
+    view.set_scene(scene)
+    view.redraw()
+    view.detach(rows)
     target, weight = rng.random(view.rgb.shape).astype(np.float32), rng.random(view.depth.shape).astype(np.float32)
     given = {"l1_scale": 0.8, "ssim_scale": 0.2, "l1_weight": weight, "focus": weight}
     for _ in range(2):
@@ -180,20 +180,20 @@ def test_the_loss_of_what_was_drawn_leads_back_as_its_gradient_does() -> None:
 def test_misuse_is_refused() -> None:
     view = FixedView(TrainingKernel(1), CAMERA)
     scene = small_scene(2)
-    view.place(scene)
+    view.set_scene(scene)
     with pytest.raises(ValueError, match="ascend"):
-        view.lift(np.array([3, 1], np.int64))
+        view.detach(np.array([3, 1], np.int64))
     with pytest.raises(ValueError, match="in the scene"):
-        view.lift(np.array([len(scene)], np.int64))
+        view.detach(np.array([len(scene)], np.int64))
     with pytest.raises(ValueError, match="int64"):
-        view.lift(np.array([1], np.int32))  # type: ignore[arg-type]
+        view.detach(np.array([1], np.int32))  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="draw before"):
         view.backward(view.rgb)
     with pytest.raises(ValueError, match="marks"):
-        view.refresh(np.zeros((3, 3), bool))
+        view.redraw(np.zeros((3, 3), bool))
     with pytest.raises(ValueError, match="rows"):
         view.draw(scene, np.array([1], np.int64))
     with pytest.raises(ValueError, match="new numbers"):
-        view.settle(scene, np.zeros(0, np.int64), np.zeros(3, np.int64))
+        view.commit(scene, np.zeros(0, np.int64), np.zeros(3, np.int64))
     with pytest.raises(ValueError, match="tiles"):
         TrainingKernel(1).loss(view.rgb, view.rgb, l1_scale=1, ssim_scale=1, tiles=np.zeros(3, np.uint8))

@@ -49,8 +49,8 @@ class Case:
         kernel = TrainingKernel(threads)
         watch = [FixedView(kernel, view.pinhole) for view in self.ingest.views]
         for view in watch:
-            view.place(self.scene)
-            view.refresh()
+            view.set_scene(self.scene)
+            view.redraw()
         return delta_trainer(kernel, self.ingest.views, watch, settings, box=BOX, seed=seed, threads=threads)
 
     def train(
@@ -200,7 +200,7 @@ def test_the_cache_may_be_carried_from_frame_to_frame(case: Case) -> None:
         given = (case.selected, case.pictures, case.masks(everywhere=True), np.zeros_like(case.scene.means))
         train(trainer, case.scene, *given, frame=1)
         for view in trainer.context.static_views:
-            view.settle(case.scene, np.flatnonzero(case.selected))
+            view.commit(case.scene, np.flatnonzero(case.selected))
         frame = train(trainer, case.scene, *given, frame=2, settings=replace(settings, cache_iterations=0))
         assert (frame.values.means != case.scene.means[frame.kept]).any() == moved
 
@@ -214,8 +214,8 @@ def test_a_frame_is_trained_alike_whatever_was_trained_before(case: Case, settin
         trained = train(trainer, case.scene, *given, frame=frame)
         results.append(bits(trained.values) + bits(trained.added))
         for view in trainer.context.static_views:
-            view.settle(case.scene, np.flatnonzero(case.selected))
-            view.refresh()
+            view.commit(case.scene, np.flatnonzero(case.selected))
+            view.redraw()
     assert results[0] == results[2] != results[1]
 
 
@@ -232,8 +232,8 @@ def test_what_is_trained_is_what_a_whole_rendering_trains(case: Case) -> None:
     frame = train(trainer, case.scene, case.selected, case.pictures, case.masks(everywhere=True), motion, frame=1)
     now, kernel = applied(case.scene, frame), TrainingKernel(1)
     for view, watching in zip(case.ingest.views, trainer.context.static_views, strict=True):
-        watching.settle(now, np.flatnonzero(case.selected))
-        watching.refresh()
+        watching.commit(now, np.flatnonzero(case.selected))
+        watching.redraw()
         np.testing.assert_array_equal(watching.rgb, kernel.forward(now, view.pinhole).rgb)
 
 
@@ -248,7 +248,7 @@ def test_without_the_gate_everything_moves_and_momentum_lasts(case: Case) -> Non
         moved = (frame.values.means != case.scene.means).any(axis=1)
         assert moved[~case.selected].mean() > 0.8  # the wall reaches a little beyond what the cameras see
         for view in trainer.context.static_views:
-            view.place(case.scene)
+            view.set_scene(case.scene)
         if forget:
             trainer.ungated = None
         results.append(bits(train(trainer, case.scene, *given, frame=2).values))

@@ -216,8 +216,8 @@ def test_reports_agree_with_the_stream(moving: Any) -> None:
     assert [report.selected for report in moving.report.frames] == shares
     for report in moving.report.frames:
         assert all(seconds >= 0 for seconds in report.seconds.values())
-    assert set(moving.report.frames[0].seconds) == {"first_points", "keyframe", "write", "settle", "measure"}
-    assert set(moving.report.frames[1].seconds) == {"masks", "selection", "training", "write", "settle", "measure"}
+    assert set(moving.report.frames[0].seconds) == {"first_points", "keyframe", "write", "commit", "measure"}
+    assert set(moving.report.frames[1].seconds) == {"masks", "selection", "training", "write", "commit", "measure"}
     assert not moving.report.interrupted
 
 
@@ -336,16 +336,16 @@ def test_a_frame_without_changes_costs_its_masks_and_nothing_else(
     encode: Any, still_rig: Path, still: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def never(*_: Any, **__: Any) -> None:
-        raise AssertionError("a still frame was drawn, weighed, trained or settled")
+        raise AssertionError("a still frame was drawn, weighed, trained or committed")
 
-    for name in ("lift", "draw", "backward", "settle"):
+    for name in ("detach", "draw", "backward", "commit"):
         monkeypatch.setattr(FixedView, name, never)
-    refreshed: list[object] = []
-    refresh = FixedView.refresh
-    monkeypatch.setattr(FixedView, "refresh", lambda view, *a: (refreshed.append(view), refresh(view, *a))[1])
+    redrawn: list[object] = []
+    redraw = FixedView.redraw
+    monkeypatch.setattr(FixedView, "redraw", lambda view, *a: (redrawn.append(view), redraw(view, *a))[1])
     again = encode(still_rig, keyframe=still.path)
     assert [set(report.seconds) for report in again.report.frames[1:]] == [{"masks", "write", "measure"}] * 3
-    assert len(refreshed) == len(set(map(id, refreshed))), "for the keyframe, and never again"
+    assert len(redrawn) == len(set(map(id, redrawn))), "for the keyframe, and never again"
 
 
 @pytest.mark.slow

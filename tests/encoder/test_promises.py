@@ -139,7 +139,7 @@ def test_the_masks_remember_what_was_trained_and_whether_it_moved(
     frame: Any = SimpleNamespace(training=[])
     change = Change([SimpleNamespace(dilated=None)], np.ones(3, bool))  # type: ignore[list-item]
     now = FrameInWork(frame, frame, {}, change, before, Stopwatch())
-    StreamState.settle(stub, now, np.arange(3), effects)
+    StreamState.commit(stub, now, np.arange(3), effects)
     assert told == (["motion" in effects] if changed else [])
 
 

@@ -92,7 +92,7 @@ def clip(frames: int, needs: Callable[[int], float], noise: float = 0.0) -> list
         if needs(frame):
             left = control.deadline(seconds) - time.perf_counter()
             seconds["training"] = min(needs(frame), max(left, 0.05)) * float(np.exp(random.normal(0, noise)))
-            seconds |= {"write": 0.08, "settle": 0.04}
+            seconds |= {"write": 0.08, "commit": 0.04}
         seconds["measure"] = 5.0
         control.took(seconds)
         spent.append(seconds)
@@ -132,7 +132,7 @@ def held_clip(frames: int, masks: float, least: float) -> tuple[list[float], lis
         if not held[-1]:
             seconds["training"] = max(control.deadline(seconds) - time.perf_counter(), least)
             trained.append(seconds["training"])
-            seconds |= {"write": 0.08, "settle": 0.04}
+            seconds |= {"write": 0.08, "commit": 0.04}
         control.took(seconds, held=held[-1])
         spent.append(counted_seconds(seconds))
     return spent, held, trained

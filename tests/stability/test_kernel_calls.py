@@ -15,7 +15,7 @@ import pytest
 
 import rasterise_cases as cases
 from decogs.decoder.rasterise import native, render
-from decogs.decoder.rasterise.resting_view import RestingView
+from decogs.decoder.rasterise.incremental_view import IncrementalView
 from decogs.encoder.rasterise import FixedView, TrainingKernel
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import take_splats
@@ -29,23 +29,23 @@ def rows(*numbers: int) -> np.ndarray:
     return np.array(numbers, np.int64)
 
 
-def changed(renumbered: np.ndarray | None, population: int, *, lifted: np.ndarray) -> None:
-    view = RestingView(CAMERA, (0, 0, 0), threads=1)
-    view.place(SCENE)
-    view.change(lifted, take_splats(SCENE, lifted[:0]), lifted[:0], population=population, renumbered=renumbered)
-    view.refresh()
+def changed(renumbered: np.ndarray | None, population: int, *, detached: np.ndarray) -> None:
+    view = IncrementalView(CAMERA, (0, 0, 0), threads=1)
+    view.set_scene(SCENE)
+    view.change(detached, take_splats(SCENE, detached[:0]), detached[:0], population=population, renumbered=renumbered)
+    view.redraw()
 
 
-def settled(renumbered: np.ndarray | None, population: int, *, lifted: np.ndarray) -> None:
+def committed(renumbered: np.ndarray | None, population: int, *, detached: np.ndarray) -> None:
     view = FixedView(TrainingKernel(1), CAMERA)
-    view.place(SCENE)
-    view.lift(lifted[:1])
-    view.lift(lifted[1:])
-    view.settle(take_splats(SCENE, np.arange(population) % 6), lifted[:0], renumbered)
-    view.refresh()
+    view.set_scene(SCENE)
+    view.detach(detached[:1])
+    view.detach(detached[1:])
+    view.commit(take_splats(SCENE, np.arange(population) % 6), detached[:0], renumbered)
+    view.redraw()
 
 
-@pytest.mark.parametrize("change", [changed, settled])
+@pytest.mark.parametrize("change", [changed, committed])
 @pytest.mark.parametrize(
     ("renumbered", "population"),
     [
@@ -59,20 +59,20 @@ def settled(renumbered: np.ndarray | None, population: int, *, lifted: np.ndarra
         (rows(0, -1, 1, -1, 2, 3).astype(np.int32), 6),
         (None, 5),
     ],
-    ids=["not lifted", "turned round", "twice", "moved up", "outside", "below -1", "too few", "int32", "none"],
+    ids=["not detached", "turned round", "twice", "moved up", "outside", "below -1", "too few", "int32", "none"],
 )
 def test_new_numbers_that_the_kernel_cannot_use_are_refused(
     change: Callable[..., None], renumbered: np.ndarray | None, population: int
 ) -> None:
     with pytest.raises(ValueError, match=r"number|-1"):
-        change(renumbered, population, lifted=rows(1, 3))
-    change(rows(0, -1, 1, -1, 2, 3), 4, lifted=rows(1, 3))
-    change(None, 6, lifted=rows(1, 3))
+        change(renumbered, population, detached=rows(1, 3))
+    change(rows(0, -1, 1, -1, 2, 3), 4, detached=rows(1, 3))
+    change(None, 6, detached=rows(1, 3))
 
 
 def test_rows_outside_the_scene_are_refused() -> None:
     view = FixedView(TrainingKernel(1), CAMERA)
-    view.place(SCENE)
+    view.set_scene(SCENE)
     with pytest.raises(ValueError, match="rows must ascend"):
         view.draw(take_splats(SCENE, rows(0)), rows(1 << 40))
     kernel = TrainingKernel(1)

@@ -64,16 +64,16 @@ def ordinary_scenes(draw: st.DrawFn) -> cases.Case:
 
 
 def everything(case: cases.Case, threads: int) -> list[np.ndarray]:
-    """Pictures, gradients, and what a fixed view makes of them, whole and with a third of the Gaussians lifted."""
+    """Pictures, gradients, and what a fixed view makes of them, whole and with a third of the Gaussians detached."""
     kernel, planes = TrainingKernel(threads), cases.cotangents(case)
     gradients = kernel_gradients(case, planes, threads)
     view, third = FixedView(kernel, case.camera), np.arange(0, len(case.splats), 3)
-    view.place(case.splats)
-    weights = view.refresh(planes[1] > 0)
-    view.lift(third)
+    view.set_scene(case.splats)
+    weights = view.redraw(planes[1] > 0)
+    view.detach(third)
     view.draw(take_splats(case.splats, third), third)
-    lifted = view.backward(planes[0])
-    some = [getattr(g, name) for g in (gradients, lifted) for name in (*FIELDS, "view")]
+    detached = view.backward(planes[0])
+    some = [getattr(g, name) for g in (gradients, detached) for name in (*FIELDS, "view")]
     return [*render_planes(case.splats, case.camera, case.background, threads), weights, view.rgb.copy(), *some]
 
 

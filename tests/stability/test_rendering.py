@@ -214,8 +214,8 @@ def test_pictures_of_one_pixel_and_of_prime_sides(size: tuple[int, int]) -> None
     case = cases.Case(cases.scene(7, 25, 1), cases.pinhole(*size, 0.8 * max(size)))
     check(case)
     view = FixedView(TrainingKernel(1), case.camera)
-    view.place(case.splats)
-    view.refresh()
+    view.set_scene(case.splats)
+    view.redraw()
     np.testing.assert_array_equal(view.rgb, render_planes(case.splats, case.camera, (0, 0, 0), 1)[0])
 
 
@@ -229,9 +229,9 @@ def test_no_gaussians_at_all(degree: int) -> None:
     kernel.forward(nothing, camera)
     assert len(kernel.backward(nothing, np.ones((3, 7, 19), np.float32)).means) == 0
     view = FixedView(kernel, camera)
-    view.place(nothing)
-    assert view.refresh(np.ones((7, 19), bool)).shape == (2, 0)
-    view.lift(np.zeros(0, np.int64))
+    view.set_scene(nothing)
+    assert view.redraw(np.ones((7, 19), bool)).shape == (2, 0)
+    view.detach(np.zeros(0, np.int64))
     view.draw(nothing, np.zeros(0, np.int64))
     assert not view.rgb.any()
 

@@ -1,5 +1,5 @@
 // The decoder's renderer behind a plain C interface; the signatures are mirrored in native.py.
-#include "resting_view.h"
+#include "incremental_view.h"
 
 using namespace decogs;
 
@@ -11,7 +11,7 @@ struct Renderer {
     TileLists lists;
 };
 Renderer& renderer_of(void* handle) { return *static_cast<Renderer*>(handle); }
-RestingView& view_of(void* handle) { return *static_cast<RestingView*>(handle); }
+IncrementalView& view_of(void* handle) { return *static_cast<IncrementalView*>(handle); }
 }  // namespace
 
 extern "C" {
@@ -42,30 +42,30 @@ int decogs_render(void* handle, const Scene* scene, const Camera* camera, const 
     });
 }
 
-void* decogs_resting_create(const Camera* camera) {
-    return created([&] { return new RestingView(*camera); });
+void* decogs_incremental_create(const Camera* camera) {
+    return created([&] { return new IncrementalView(*camera); });
 }
 
-void decogs_resting_allow(void* view, uint64_t max_pairs) { view_of(view).allow(max_pairs); }
+void decogs_incremental_allow(void* view, uint64_t max_pairs) { view_of(view).allow(max_pairs); }
 
-void decogs_resting_destroy(void* view) { delete static_cast<RestingView*>(view); }
+void decogs_incremental_destroy(void* view) { delete static_cast<IncrementalView*>(view); }
 
-int decogs_resting_place(void* handle, void* view, const Scene* scene) {
+int decogs_incremental_set_scene(void* handle, void* view, const Scene* scene) {
     Renderer& renderer = renderer_of(handle);
-    return status_of([&] { view_of(view).place(renderer.pool, renderer.binner, *scene); });
+    return status_of([&] { view_of(view).set_scene(renderer.pool, renderer.binner, *scene); });
 }
 
 // Lifts `gone_count` Gaussians, `gone`, and settles `rows` as the Gaussians of `changed`.
-int decogs_resting_change(void* handle, void* view, const int64_t* gone, int64_t gone_count, const Scene* changed, const int64_t* rows,
+int decogs_incremental_change(void* handle, void* view, const int64_t* gone, int64_t gone_count, const Scene* changed, const int64_t* rows,
                            int64_t population, const int64_t* renumbered, int64_t before) {
     return status_of([&] {
-        view_of(view).lift(gone, gone_count);
-        view_of(view).settle(renderer_of(handle).pool, *changed, nullptr, rows, changed->count, population, renumbered, before);
+        view_of(view).detach(gone, gone_count);
+        view_of(view).commit(renderer_of(handle).pool, *changed, nullptr, rows, changed->count, population, renumbered, before);
     });
 }
 
 // `redrawn` receives how many tiles were.
-int decogs_resting_refresh(void* handle, void* view, const Planes* planes, const Picture* to, int64_t* redrawn) {
-    return status_of([&] { *redrawn = view_of(view).refresh(renderer_of(handle).pool, *planes, *to); });
+int decogs_incremental_redraw(void* handle, void* view, const Planes* planes, const Picture* to, int64_t* redrawn) {
+    return status_of([&] { *redrawn = view_of(view).redraw(renderer_of(handle).pool, *planes, *to); });
 }
 }

@@ -1,10 +1,10 @@
 // A fixed camera's picture of a scene of which few Gaussians change: everything that stays is kept from draw to draw and from
 // frame to frame (docs/METHOD.md, "Incremental views").
 //
-// Chosen: a resting view (resting_view.h) whose lifted Gaussians are drawn as they change; a draw projects them alone, merges
-// them with the lists of the tiles they meet, and composites those tiles and the ones they met at the last draw. Order,
-// arithmetic and so every bit are those of a whole rendering.
-// Rejected: collapsing what rests in front of and behind the lifted ones into one layer (1e-3 off, wrong when they leave
+// Chosen: an incremental view (incremental_view.h) whose detached Gaussians are drawn as they change; a draw projects them
+// alone, merges them with the lists of the tiles they meet, and composites those tiles and the ones they met at the last draw.
+// Order, arithmetic and so every bit are those of a whole rendering.
+// Rejected: collapsing static Gaussians in front of and behind the detached ones into one layer (1e-3 off, wrong when they leave
 // their range of depths), and one bit per Gaussian in otherwise whole renderings (projection and binning then cost as much as
 // all the rest).
 #pragma once
@@ -12,7 +12,7 @@
 #include <array>
 
 #include "backward.h"
-#include "resting_view.h"
+#include "incremental_view.h"
 
 namespace decogs {
 
@@ -55,20 +55,20 @@ struct Weigher {
     }
 };
 
-class FixedView : public RestingView {
+class FixedView : public IncrementalView {
  public:
-    explicit FixedView(const Camera& camera) : RestingView(camera), shown_(tiles_.size()) {}
+    explicit FixedView(const Camera& camera) : IncrementalView(camera), shown_(tiles_.size()) {}
 
-    void place(Pool& pool, Binner& binner, const Scene& scene) {
-        RestingView::place(pool, binner, scene);
+    void set_scene(Pool& pool, Binner& binner, const Scene& scene) {
+        IncrementalView::set_scene(pool, binner, scene);
         std::fill(shown_.begin(), shown_.end(), Shown());
     }
 
-    void lift(const int64_t* rows, int64_t count) {
-        for (uint32_t t : RestingView::lift(rows, count)) shown_[t].moved = true;
+    void detach(const int64_t* rows, int64_t count) {
+        for (uint32_t t : IncrementalView::detach(rows, count)) shown_[t].moved = true;
     }
 
-    // Draws `moving`, the lifted Gaussians as they are now and perhaps new ones, which are the scene's `rows` (ascending), and
+    // Draws `moving`, the detached Gaussians as they are now and perhaps new ones, which are the scene's `rows` (ascending), and
     // with them every tile that they meet or met at the last draw. `met` receives one byte per tile: whether they meet it.
     void draw(Pool& pool, const Scene& moving, const int64_t* rows, const Planes& out, uint8_t* met) {
         bring(pool, moving, nullptr, rows, moving.count);
@@ -93,14 +93,14 @@ class FixedView : public RestingView {
         backward_scene(pool, moving, camera_, {projected_.data(), first_pair_.data()}, moments_.data(), out);
     }
 
-    void settle(Pool& pool, const Scene& scene, const int64_t* rows, int64_t count, const int64_t* renumbered, int64_t before) {
-        RestingView::settle(pool, scene, rows, rows, count, scene.count, renumbered, before);
+    void commit(Pool& pool, const Scene& scene, const int64_t* rows, int64_t count, const int64_t* renumbered, int64_t before) {
+        IncrementalView::commit(pool, scene, rows, rows, count, scene.count, renumbered, before);
         for (Shown& shown : shown_) shown.moved = false;
     }
 
-    // Redraws the tiles that do not show the scene at rest and, with `weights` (2, count), weighs every Gaussian: in all and
+    // Redraws the tiles that do not show the static scene and, with `weights` (2, count), weighs every Gaussian: in all and
     // over the marked pixels (`marks`, one byte per pixel; null: none).
-    void refresh(Pool& pool, const uint8_t* marks, const Planes& out, float* weights, int64_t count) {
+    void redraw(Pool& pool, const uint8_t* marks, const Planes& out, float* weights, int64_t count) {
         line_up([&](int t) { return marks && any_marked(marks, t); });
         for (int t : active_) shown_[t].shallow = false;
         in_all_.resize(lists_.entries.size());
@@ -109,7 +109,7 @@ class FixedView : public RestingView {
         if (weights) add_weights(marks, weights, count);
     }
 
-    // Projected centres, (count, 2) pixels, of the scene at rest; not-a-number where not drawn.
+    // Projected centres, (count, 2) pixels, of the static scene; not-a-number where not drawn.
     void centres(int64_t count, float* to) const {
         for (int64_t i = 0; i < count; ++i) {
             const Projected& g = lists_.projected[i];
@@ -120,7 +120,7 @@ class FixedView : public RestingView {
 
  private:
     struct Shown {  // of a tile
-        bool moved = false;   // the picture shows, or lacks, Gaussians that are lifted
+        bool moved = false;   // the picture shows, or lacks, Gaussians that are detached
         bool shallow = true;  // was last drawn without depth
     };
 
@@ -135,7 +135,7 @@ class FixedView : public RestingView {
         weigher.start(camera_, t % lists_.columns, t / lists_.columns);
         find_blocks(t);
         composite_tile(lists_, camera_, t, out, nullptr, weigher);
-        for (uint32_t e = begin; e < end; ++e) tiles_[t].resting[e - begin].weight = in_all_[e];
+        for (uint32_t e = begin; e < end; ++e) tiles_[t].statics[e - begin].weight = in_all_[e];
     }
 
     bool any_marked(const uint8_t* marks, int t) const {
@@ -148,7 +148,7 @@ class FixedView : public RestingView {
     void add_weights(const uint8_t* marks, float* weights, int64_t count) const {
         std::fill(weights, weights + 2 * count, 0.0f);
         for (const Tile& tile : tiles_)
-            for (const Resting& r : tile.resting) weights[r.gaussian] += r.weight;
+            for (const Static& r : tile.statics) weights[r.gaussian] += r.weight;
         if (!marks) return;
         for (int t : active_)
             for (uint32_t e = lists_.first_entry[t]; e < lists_.first_entry[t + 1]; ++e) weights[count + lists_.entries[e].gaussian] += marked_[e];

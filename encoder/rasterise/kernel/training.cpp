@@ -52,13 +52,13 @@ void* decogs_view_create(const Camera* camera) {
 
 void decogs_view_destroy(void* view) { delete static_cast<FixedView*>(view); }
 
-int decogs_view_place(void* handle, void* view, const Scene* scene) {
+int decogs_view_set_scene(void* handle, void* view, const Scene* scene) {
     Trainer& t = trainer_of(handle);
-    return status_of([&] { view_of(view).place(t.pool, t.binner, *scene); });
+    return status_of([&] { view_of(view).set_scene(t.pool, t.binner, *scene); });
 }
 
-int decogs_view_lift(void* view, const int64_t* rows, int64_t count) {
-    return status_of([&] { view_of(view).lift(rows, count); });
+int decogs_view_detach(void* view, const int64_t* rows, int64_t count) {
+    return status_of([&] { view_of(view).detach(rows, count); });
 }
 
 int decogs_view_draw(void* handle, void* view, const Scene* moving, const int64_t* rows, const Planes* out, uint8_t* met) {
@@ -69,13 +69,13 @@ int decogs_view_backward(void* handle, void* view, const Scene* moving, const Co
     return status_of([&] { view_of(view).backward(trainer_of(handle).pool, *moving, *cotangents, *out); });
 }
 
-int decogs_view_settle(void* handle, void* view, const Scene* scene, const int64_t* rows, int64_t count, const int64_t* renumbered,
+int decogs_view_commit(void* handle, void* view, const Scene* scene, const int64_t* rows, int64_t count, const int64_t* renumbered,
                        int64_t before) {
-    return status_of([&] { view_of(view).settle(trainer_of(handle).pool, *scene, rows, count, renumbered, before); });
+    return status_of([&] { view_of(view).commit(trainer_of(handle).pool, *scene, rows, count, renumbered, before); });
 }
 
-int decogs_view_refresh(void* handle, void* view, const uint8_t* marks, const Planes* out, float* weights, int64_t count) {
-    return status_of([&] { view_of(view).refresh(trainer_of(handle).pool, marks, *out, weights, count); });
+int decogs_view_redraw(void* handle, void* view, const uint8_t* marks, const Planes* out, float* weights, int64_t count) {
+    return status_of([&] { view_of(view).redraw(trainer_of(handle).pool, marks, *out, weights, count); });
 }
 
 void decogs_view_centres(void* view, int64_t count, float* to) { view_of(view).centres(count, to); }

@@ -1,10 +1,10 @@
-// A fixed camera's picture of a scene of which few Gaussians change from one frame to the next: what rests keeps its place in
-// the picture, its ellipse and its tiles.
+// A fixed camera's picture of a scene of which few Gaussians change from one frame to the next: a static Gaussian keeps its
+// place in the picture, its ellipse and its tiles.
 //
-// Chosen: every tile keeps the list of the Gaussians that rest in it, front to back. Gaussians that are about to change are
-// lifted out of these lists and merged into them again as they are afterwards; only tiles that lost or got one are drawn
+// Chosen: every tile keeps the list of the Gaussians that are static in it, front to back. Gaussians that are about to change are
+// taken out of these lists and merged into them again as they are afterwards; only tiles that lost or got one are drawn
 // again. Order, arithmetic and so every bit are those of a whole rendering. The encoder's view (fixed_view.h there) draws
-// lifted Gaussians too.
+// detached Gaussians too.
 // Rejected: comparing the tiles' lists of two whole renderings (projection and binning cost as much as what it saves).
 #pragma once
 
@@ -31,9 +31,9 @@ inline void finish_tile(const Camera& cam, int x0, int y0, const Planes& planes,
     }
 }
 
-class RestingView {
+class IncrementalView {
  public:
-    explicit RestingView(const Camera& camera) : camera_(camera) {
+    explicit IncrementalView(const Camera& camera) : camera_(camera) {
         lists_.columns = (camera.width + kTile - 1) / kTile;
         lists_.rows = (camera.height + kTile - 1) / kTile;
         tiles_.resize(lists_.tiles());
@@ -42,41 +42,41 @@ class RestingView {
     // The most pairs of a tile and a Gaussian from now on; TooManyPairs is thrown above.
     void allow(uint64_t max_pairs) { max_pairs_ = max_pairs; }
 
-    // Starts anew with a whole scene, all of it at rest.
-    void place(Pool& pool, Binner& binner, const Scene& scene) {
+    // Starts anew with a whole scene, all of it static.
+    void set_scene(Pool& pool, Binner& binner, const Scene& scene) {
         for (Tile& tile : tiles_) tile = Tile();
         binner.run(pool, scene, camera_, lists_, max_pairs_);
         for (int t = 0; t < lists_.tiles(); ++t) {
-            tiles_[t].resting.reserve(lists_.first_entry[t + 1] - lists_.first_entry[t]);
+            tiles_[t].statics.reserve(lists_.first_entry[t + 1] - lists_.first_entry[t]);
             for (uint32_t e = lists_.first_entry[t]; e < lists_.first_entry[t + 1]; ++e) {
                 const uint32_t g = lists_.entries[e].gaussian;
-                tiles_[t].resting.push_back({depth_key(lists_.projected[g].depth), g, 0.0f, -1});
+                tiles_[t].statics.push_back({depth_key(lists_.projected[g].depth), g, 0.0f, -1});
             }
         }
     }
 
-    // Takes Gaussians out of the tiles they rest in: from now on they are what changes. Returns these tiles, ascending.
-    std::vector<uint32_t> lift(const int64_t* rows, int64_t count) {
-        std::vector<uint8_t> lifted(lists_.projected.size(), 0);
+    // Takes Gaussians out of their tiles: from now on they are what changes. Returns these tiles, ascending.
+    std::vector<uint32_t> detach(const int64_t* rows, int64_t count) {
+        std::vector<uint8_t> detached(lists_.projected.size(), 0);
         std::vector<uint32_t> left;
         for (int64_t i = 0; i < count; ++i) {
-            lifted[rows[i]] = 1;
+            detached[rows[i]] = 1;
             touch(lists_.projected[rows[i]], lists_.columns, lists_.rows, left);
         }
         std::sort(left.begin(), left.end());
         left.erase(std::unique(left.begin(), left.end()), left.end());
         for (uint32_t t : left) {
-            auto& resting = tiles_[t].resting;
-            resting.erase(std::remove_if(resting.begin(), resting.end(), [&](const Resting& r) { return lifted[r.gaussian] != 0; }), resting.end());
+            auto& statics = tiles_[t].statics;
+            statics.erase(std::remove_if(statics.begin(), statics.end(), [&](const Static& r) { return detached[r.gaussian] != 0; }), statics.end());
             tiles_[t].stale = true;
         }
         return left;
     }
 
-    // All is at rest again: of the `population` Gaussians from now on, `rows` (ascending) were lifted or are new, and are the
+    // Everything is static again: of the `population` Gaussians from now on, `rows` (ascending) were detached or are new, and are the
     // rows `from` of `scene` (null: all of it, in order). `renumbered` gives the new row of each of the `before` old ones, -1
-    // for those that are gone, which were lifted; null: all keep theirs.
-    void settle(Pool& pool, const Scene& scene, const int64_t* from, const int64_t* rows, int64_t count, int64_t population,
+    // for those that are gone, which were detached; null: all keep theirs.
+    void commit(Pool& pool, const Scene& scene, const int64_t* from, const int64_t* rows, int64_t count, int64_t population,
                 const int64_t* renumbered, int64_t before) {
         if (renumbered) renumber(renumbered, before);
         lists_.projected.resize(population);
@@ -84,18 +84,18 @@ class RestingView {
         for (int t = 0; t < lists_.tiles(); ++t) {
             Tile& tile = tiles_[t];
             if (first_arrival_[t + 1] == first_arrival_[t]) continue;
-            std::vector<Resting> merged;
-            merged.reserve(tile.resting.size() + first_arrival_[t + 1] - first_arrival_[t]);
+            std::vector<Static> merged;
+            merged.reserve(tile.statics.size() + first_arrival_[t + 1] - first_arrival_[t]);
             each_in_order(
-                t, rows, [&](const Resting& r) { merged.push_back(r); },
+                t, rows, [&](const Static& r) { merged.push_back(r); },
                 [&](const Arrival& a) { merged.push_back({a.depth, static_cast<uint32_t>(rows[a.index]), 0.0f, -1}); });
-            tile.resting.swap(merged);
+            tile.statics.swap(merged);
             tile.stale = true;
         }
     }
 
-    // Redraws the tiles that do not show the scene at rest; returns how many there were.
-    int64_t refresh(Pool& pool, const Planes& planes, const Picture& to) {
+    // Redraws the tiles that do not show the static scene; returns how many there were.
+    int64_t redraw(Pool& pool, const Planes& planes, const Picture& to) {
         line_up([](int) { return false; });
         each_active(pool, [&](int t) {
             find_blocks(t);
@@ -106,14 +106,14 @@ class RestingView {
     }
 
  protected:
-    struct Resting {
+    struct Static {
         uint32_t depth, gaussian;
         float weight;    // over the tile, for who weighs it
         int32_t blocks;  // of the tile that its ellipse meets; -1: not known yet
     };
     struct Tile {
-        std::vector<Resting> resting;  // front to back; equal depths in the scene's order
-        bool stale = true;             // the picture is not that of the scene at rest
+        std::vector<Static> statics;  // front to back; equal depths in the scene's order
+        bool stale = true;             // the picture is not that of the static scene
     };
     struct Arrival {  // of a Gaussian that was just projected, in a tile
         uint32_t depth, index, pair;
@@ -126,9 +126,9 @@ class RestingView {
         pairs_of_.resize(count);
         const int chunks = static_cast<int>((count + kChunk - 1) / kChunk);
         chunk_tiles_.resize(std::max<size_t>(chunk_tiles_.size(), chunks));
-        uint64_t resting = 0;
-        for (const Tile& tile : tiles_) resting += tile.resting.size();
-        count_.restart(resting, max_pairs_);
+        uint64_t statics = 0;
+        for (const Tile& tile : tiles_) statics += tile.statics.size();
+        count_.restart(statics, max_pairs_);
         pool.run(chunks, [&](int chunk) {
             const int64_t begin = static_cast<int64_t>(chunk) * kChunk, end = std::min<int64_t>(count, begin + kChunk);
             chunk_tiles_[chunk].clear();
@@ -169,12 +169,12 @@ class RestingView {
                 arrivals_[cursor_[tile_of_pair_[pair]]++] = {k.depth, k.gaussian, pair};
     }
 
-    // Walks a tile's resting Gaussians and arrivals together, front to back.
+    // Walks a tile's static Gaussians and arrivals together, front to back.
     template <class OnResting, class OnArrival>
     void each_in_order(int t, const int64_t* rows, const OnResting& on_resting, const OnArrival& on_arrival) const {
         uint32_t a = first_arrival_[t];
         const uint32_t end = first_arrival_[t + 1];
-        for (const Resting& r : tiles_[t].resting) {
+        for (const Static& r : tiles_[t].statics) {
             for (; a < end; ++a) {
                 const Arrival& next = arrivals_[a];
                 if (next.depth > r.depth || (next.depth == r.depth && rows[next.index] > static_cast<int64_t>(r.gaussian))) break;
@@ -189,18 +189,18 @@ class RestingView {
     void merge(const int64_t* rows) {
         lists_.first_entry.assign(lists_.tiles() + 1, 0);
         for (int t : active_)
-            lists_.first_entry[t + 1] = static_cast<uint32_t>(tiles_[t].resting.size()) + first_arrival_[t + 1] - first_arrival_[t];
+            lists_.first_entry[t + 1] = static_cast<uint32_t>(tiles_[t].statics.size()) + first_arrival_[t + 1] - first_arrival_[t];
         for (int t = 0; t < lists_.tiles(); ++t) lists_.first_entry[t + 1] += lists_.first_entry[t];
         lists_.entries.resize(lists_.first_entry[lists_.tiles()]);
         for (int t : active_) {
             Entry* to = lists_.entries.data() + lists_.first_entry[t];
             each_in_order(
-                t, rows, [&](const Resting& r) { *to++ = {r.gaussian, kNoPair, r.blocks}; },
+                t, rows, [&](const Static& r) { *to++ = {r.gaussian, kNoPair, r.blocks}; },
                 [&](const Arrival& a) { *to++ = {static_cast<uint32_t>(rows[a.index]), a.pair, -1}; });
         }
     }
 
-    // The tiles that do not show the scene at rest, and those that are `wanted`, become active: their lists are ready, and
+    // The tiles that do not show the static scene, and those that are `wanted`, become active: their lists are ready, and
     // what is drawn of them from now on shows it.
     template <class Wanted>
     void line_up(const Wanted& wanted) {
@@ -223,11 +223,11 @@ class RestingView {
         });
     }
 
-    // Which blocks of a tile the ellipses at rest in it meet, for all draws to come.
+    // Which blocks of a tile the ellipses static in it meet, for all draws to come.
     void find_blocks(int t) {
         const TileCorners corners = block_corners(t % lists_.columns, t / lists_.columns);
         Entry* entry = lists_.entries.data() + lists_.first_entry[t];
-        for (Resting& r : tiles_[t].resting) {
+        for (Static& r : tiles_[t].statics) {
             if (r.blocks < 0) r.blocks = blocks_met(lists_.projected[r.gaussian], corners.x, corners.y);
             (entry++)->blocks = r.blocks;
         }
@@ -237,7 +237,7 @@ class RestingView {
         for (int64_t i = 0; i < before; ++i)
             if (renumbered[i] >= 0) lists_.projected[renumbered[i]] = lists_.projected[i];
         for (Tile& tile : tiles_)
-            for (Resting& r : tile.resting) r.gaussian = static_cast<uint32_t>(renumbered[r.gaussian]);
+            for (Static& r : tile.statics) r.gaussian = static_cast<uint32_t>(renumbered[r.gaussian]);
     }
 
     Camera camera_;

@@ -1,7 +1,7 @@
 """A fixed camera's picture, kept up to date while few Gaussians of its scene change from frame to frame.
 
-What rests is neither projected, nor sorted, nor drawn again; pictures have the bits of ``render``. Design and rejected
-alternatives: kernel/resting_view.h. Training builds on the same kernel, see ``decogs.encoder.rasterise``.
+Static Gaussians are neither projected, nor sorted, nor drawn again; pictures have the bits of ``render``. Design and
+rejected alternatives: kernel/incremental_view.h. Training builds on the same kernel, see ``decogs.encoder.rasterise``.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from .native import (
 )
 
 
-class RestingView:
-    """The picture of a pinhole ``camera``: ``place`` a scene, then ``change`` it frame by frame; ``refresh`` draws.
+class IncrementalView:
+    """The picture of a pinhole ``camera``: ``set_scene``, then ``change`` frame by frame; ``redraw`` draws.
 
-    After a scene that was refused (UsageError, MemoryError) the next call must be ``place``.
+    After a scene that was refused (UsageError, MemoryError) the next call must be ``set_scene``.
 
-    ``image`` (H, W, 3), ``alpha`` and ``depth`` (H, W) are those of a Rendering, as of the last ``refresh``: the same
+    ``image`` (H, W, 3), ``alpha`` and ``depth`` (H, W) are those of a Rendering, as of the last ``redraw``: the same
     read-only arrays all the time, whose pixels change. ``threads`` 0 means all processors.
     """
 
@@ -58,53 +58,53 @@ class RestingView:
         self.image, self.alpha, self.depth = _seen(image), _seen(alpha), _seen(depth)
         self._population: int | None = 0
         self._max_pairs = MAX_PAIRS
-        self._handle = checked_handle(self._library.decogs_resting_create(ctypes.byref(native_camera(camera))))
+        self._handle = checked_handle(self._library.decogs_incremental_create(ctypes.byref(native_camera(camera))))
 
     def __del__(self) -> None:
         if hasattr(self, "_handle"):
-            self._library.decogs_resting_destroy(self._handle)
+            self._library.decogs_incremental_destroy(self._handle)
 
     def allow(self, max_pairs: int) -> None:
         """From now on, scenes with more than ``max_pairs`` of a 16x16 tile and a Gaussian that meet are refused."""
         self._max_pairs = min(max_pairs, MAX_PAIRS)
-        self._library.decogs_resting_allow(self._handle, self._max_pairs)
+        self._library.decogs_incremental_allow(self._handle, self._max_pairs)
 
-    def place(self, scene: Splats) -> None:
+    def set_scene(self, scene: Splats) -> None:
         """Starts anew with a whole scene (N Gaussians)."""
         placed = native_scene(scene)
         self._population = None
-        self._check(self._run(self._library.decogs_resting_place, ctypes.byref(placed)))
+        self._check(self._run(self._library.decogs_incremental_set_scene, ctypes.byref(placed)))
         self._population = len(scene)
 
     def change(
         self,
-        lifted: RowArray,
+        detached: RowArray,
         changed: Splats,
         rows: RowArray,
         *,
         population: int,
         renumbered: RowArray | None = None,
     ) -> None:
-        """Takes the rows ``lifted`` out of the scene and puts ``changed`` (M Gaussians) in at ``rows`` (M,).
+        """Takes the rows ``detached`` out of the scene and puts ``changed`` (M Gaussians) in at ``rows`` (M,).
 
         Both ascend; ``rows`` are those of the scene of ``population`` Gaussians that it is then. ``renumbered`` (N,)
-        gives every former row's new one, in the same order and none above the former, -1 for lifted ones that are gone;
-        None when all kept theirs.
+        gives every former row's new one, in the same order and none above the former, -1 for detached ones that are
+        gone; None when all kept theirs.
         """
-        before = self._placed()
-        lifted, rows = checked_rows(lifted, before), checked_rows(rows, population)
+        before = self._loaded()
+        detached, rows = checked_rows(detached, before), checked_rows(rows, population)
         if len(changed) != len(rows):
             raise ValueError(f"{len(changed)} Gaussians for {len(rows)} rows")
         gone = np.zeros(before, np.bool_)
-        gone[lifted] = True
+        gone[detached] = True
         renumbered = check_renumbered(renumbered, gone, population)
-        settled = native_scene(changed)
+        committed = native_scene(changed)
         self._population = None
         status = self._run(
-            self._library.decogs_resting_change,
-            lifted.ctypes.data,
-            len(lifted),
-            ctypes.byref(settled),
+            self._library.decogs_incremental_change,
+            detached.ctypes.data,
+            len(detached),
+            ctypes.byref(committed),
             rows.ctypes.data,
             population,
             None if renumbered is None else renumbered.ctypes.data,
@@ -113,19 +113,19 @@ class RestingView:
         self._check(status)
         self._population = population
 
-    def refresh(self) -> int:
+    def redraw(self) -> int:
         """Redraws the 16x16 tiles that do not show the scene; returns how many there were."""
-        self._placed()
+        self._loaded()
         drawn = ctypes.c_int64()
         self._run(
-            self._library.decogs_resting_refresh,
+            self._library.decogs_incremental_redraw,
             ctypes.byref(self._planes),
             ctypes.byref(self._picture),
             ctypes.byref(drawn),
         )
         return drawn.value
 
-    def _placed(self) -> int:
+    def _loaded(self) -> int:
         if self._population is None:
             raise ValueError("the last scene was refused; place one first")
         return self._population
