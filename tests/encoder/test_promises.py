@@ -183,9 +183,10 @@ def test_a_seed_needs_a_second_view_that_ends_there_as_well() -> None:
     random = np.random.default_rng(2)
     both, alone = random.uniform(0, 0.001, (20, 3)), random.uniform(5, 5.001, (20, 3))
 
-    def found(points: np.ndarray) -> _Found:
-        count = len(points)
-        return _Found(points, np.zeros((count, 3), np.float32), np.full(count, 0.01), np.zeros(count, np.float32))
-
-    kept = _confirmed([found(np.concatenate([both[:10], alone])), found(both[10:]), found(alone[:0])], 1)
+    points = np.concatenate([both[:10], alone, both[10:]])
+    views = np.repeat([0, 1], [30, 10])
+    count = len(points)
+    kept = _confirmed(
+        _Found(points, views, np.zeros((count, 3), np.float32), np.full(count, 0.01), np.zeros(count, np.float32)), 1
+    )
     assert sorted(map(tuple, kept.points)) == sorted(map(tuple, both))
