@@ -13,6 +13,7 @@ import decogs.encoder.analysis.view_dependence as view_dependence
 from decogs.codec.state import Attributes
 from decogs.decoder import open_stream
 from decogs.encoder import encode
+from decogs.encoder.analysis import EffectChoice
 from decogs.encoder.analysis.view_dependence import LEAST_SHOWN, as_far_as_shown
 
 COUNT = 1000
@@ -45,14 +46,18 @@ def test_a_degree_that_hardly_any_gaussian_shows_goes(shares: tuple[int, ...], d
         assert getattr(shown, name) is getattr(values, name)
 
 
-@pytest.mark.parametrize(("effects", "degree"), [("auto", 0), ("motion,view_dependence", 1)])
+@pytest.mark.parametrize(
+    ("effects", "degree"),
+    [(EffectChoice("auto"), 0), (EffectChoice("none", {"motion", "view_dependence"}), 1)],
+    ids=["auto", "named"],
+)
 def test_only_auto_asks_the_keyframe(
     moving_rig: Path,
     tiny_rig: Any,
     tiny_settings: Any,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    effects: str,
+    effects: EffectChoice,
     degree: int,
 ) -> None:
     """Were all of the tiny rig's harmonics too few. An encode cut off goes on with the degree it began with."""
