@@ -104,7 +104,7 @@ def _decode(parser: Parser, options: argparse.Namespace) -> None:
             options.output,
             view=options.view,
             camera=options.camera,
-            frames=None if options.frames is None else frame_range(options.frames),
+            frames=frame_range(options.frames),
             scale=options.scale,
             background=options.background,
             undistorted=options.undistorted,
@@ -130,7 +130,7 @@ def _export(parser: Parser, options: argparse.Namespace) -> None:
         report = export(
             options.stream,
             options.output,
-            frames=None if options.frames is None else frame_range(options.frames),
+            frames=frame_range(options.frames),
             up_axis=options.up_axis,
             strict=options.strict,
             max_memory=options.max_memory,

@@ -151,7 +151,7 @@ def _encode(parser: Parser, options: argparse.Namespace) -> int:
             rig,
             sys.stdout.buffer if piped else options.output,
             options.settings,
-            frames=None if options.frames is None else frame_range(options.frames),
+            frames=frame_range(options.frames),
             scale=options.scale,
             holdout=options.holdout,
             switches=Switches(options.method, names(options.ablate), options.selection),

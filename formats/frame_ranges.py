@@ -18,11 +18,13 @@ def frame_slice(frames: Frames) -> slice:
     return slice(frames.start, frames.stop, frames.step) if isinstance(frames, range) else frames or slice(None)
 
 
-def frame_range(text: str) -> slice:
+def frame_range(text: str | None) -> slice | None:
     """A range of frames as the user writes it: "A:B", half-open as in Python, each end may be missing or negative.
 
-    Raises UsageError for anything else.
+    None, all of them, for an option that was not given. Raises UsageError for anything else.
     """
+    if text is None:
+        return None
     ends = _RANGE.fullmatch(text)
     if ends is None:
         raise UsageError(f"frames {text!r} are no range; write A:B, half-open as in Python, such as 0:10 or -5:")

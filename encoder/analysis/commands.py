@@ -45,7 +45,7 @@ def _analyze(parser: Parser, options: argparse.Namespace) -> None:
     with progress("looking", "step") as on_step:
         analysis = analyse(
             rig,
-            frames=None if options.frames is None else frame_range(options.frames),
+            frames=frame_range(options.frames),
             holdout=options.holdout,
             threads=options.threads,
             on_step=on_step,

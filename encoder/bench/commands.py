@@ -72,7 +72,7 @@ def _bench(parser: Parser, options: argparse.Namespace, given: Sequence[str]) ->
         options.output,
         BenchOptions(
             holdout=options.holdout or (),
-            frames=None if options.frames is None else frame_range(options.frames),
+            frames=frame_range(options.frames),
             scale=options.scale,
             preset=options.settings,
             threads=options.threads,

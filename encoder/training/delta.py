@@ -400,7 +400,7 @@ class _DeltaTraining:
             new = [index for index in probe if index not in searched]
             searched |= {index: self._search_view(work, index, losses[index].target, masks[index]) for index in new}
             with side_by_side(self._threads) as each:
-                misses |= zip(new, each(missed, map(searched.__getitem__, new), repeat(settings)), strict=False)
+                misses |= zip(new, each(missed, map(searched.__getitem__, new), repeat(settings)), strict=True)
             if not worth_a_search(list(misses.values()), settings):
                 return empty_splats(work.base.sh_degree)
         fewer = replace(settings, max_rays=max(1, round(rays * settings.max_rays)))
