@@ -79,7 +79,7 @@ class WorkClock:
             (
                 emergence._Search,
                 "along_rays",
-                lambda _, search, rays: len(search._looks) * (800 + 20 * len(rays.pixels)),
+                lambda _, search, rays: len(search._views) * (800 + 20 * len(rays.pixels)),
             ),
             (MaskMemory, "_mask", lambda _, memory, now, *rest: 0.02 * now[0].size),
             (MaskMemory, "trained", lambda _, memory, now, *rest, **more: 0.02 * sum(each[0].size for each in now)),

@@ -67,7 +67,7 @@ def hidden_scene(tiny_rig: Any) -> Splats:
 
 def watching(splats: Splats, camera: Camera) -> FixedView:
     view = FixedView(TrainingKernel(1), camera)
-    view.place(splats)
+    view.set_scene(splats)
     return view
 
 
