@@ -29,44 +29,81 @@ def bench_main(arguments: Sequence[str] | None = None) -> int:
     curve = kinds.add_parser(
         "curve", help="what accuracy costs in time: presets and single settings, the Pareto front, a page to explore"
     )
+    views = kinds.add_parser("views", help="viewpoints where no camera stood: every camera left out in turn")
     for kind in (paper, choices, rates, effects, curve):
-        _add_options(kind)
+        _add_options(kind, frames="all")
+        _add_options_of_variants(kind)
+    _add_options(views, frames="the first alone")
+    views.add_argument(
+        "--cameras", default="all", metavar="C", help="all, a number of them, evenly spread, or names with commas"
+    )
     given = frames_joined(arguments)
     return run(parser, lambda: _bench(parser, parser.parse_args(given), given))
 
 
-def _add_options(parser: argparse.ArgumentParser) -> None:
+def _add_options(parser: argparse.ArgumentParser, *, frames: str) -> None:
     parser.add_argument("rigs", nargs="+", metavar="RIG", help="the rigs' folders")
     parser.add_argument("-o", "--output", required=True, metavar="OUTPUT", help="folder of the report")
+    parser.add_argument("--frames", metavar="A:B", help=f"half-open, as in Python: 0:10, 5:, -3: (default: {frames})")
+    parser.add_argument("--scale", type=number, default=1.0, metavar="S", help="size of the pictures")
+    parser.add_argument(
+        "--preset", dest="settings", default="standard", metavar="P", help="what encodes start from (default standard)"
+    )
+    parser.add_argument("--threads", type=number_of_threads, default=0, metavar="N", help="default: all processors")
+    parser.add_argument("--seed", type=whole_number, default=0, metavar="N", help="of all runs (default 0)")
+    parser.add_argument("--any-code", action="store_true", help="take results that other code made")
+
+
+def _add_options_of_variants(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--holdout",
         action="append",
         metavar="CAM",
         help="camera to measure on (repeatable: means over all; default: the rig's own, or cam00)",
     )
-    parser.add_argument("--frames", metavar="A:B", help="half-open, as in Python: 0:10, 5:, -3: (default: all)")
-    parser.add_argument("--scale", type=number, default=1.0, metavar="S", help="size of the pictures")
-    parser.add_argument(
-        "--preset",
-        dest="settings",
-        default="standard",
-        metavar="P",
-        help="what variants start from (default standard)",
-    )
     parser.add_argument(
         "--only", default="", metavar="PARTS", help="run for these tables only (with commas); none: no run"
     )
-    parser.add_argument("--threads", type=number_of_threads, default=0, metavar="N", help="default: all processors")
-    parser.add_argument("--seed", type=whole_number, default=0, metavar="N", help="of all runs (default 0)")
-    parser.add_argument("--any-code", action="store_true", help="take results that other code made")
     parser.add_argument("--keep-streams", action="store_true", help="leave the .dgs files in OUTPUT/streams")
 
 
 def _bench(parser: Parser, options: argparse.Namespace, given: Sequence[str]) -> None:
+    report = _views_report if options.kind == "views" else _report_of_variants
+    print(report(parser, options, _command(given, [*options.rigs, options.output])))
+
+
+def _views_report(parser: Parser, options: argparse.Namespace, command: str) -> Path:
+    from .left_out import LeftOutOptions
+    from .left_out_report import make_views_report
+
+    return make_views_report(
+        options.rigs,
+        options.output,
+        LeftOutOptions(
+            cameras=_cameras(options.cameras),
+            frames=frame_range(options.frames),
+            scale=options.scale,
+            settings=options.settings,
+            threads=options.threads,
+            seed=options.seed,
+            any_code=options.any_code,
+        ),
+        command=command,
+        terminal=sys.stderr,
+    )
+
+
+def _cameras(text: str) -> int | list[str] | None:
+    if text == "all":
+        return None
+    return int(text) if text.isdecimal() else text.split(",")
+
+
+def _report_of_variants(parser: Parser, options: argparse.Namespace, command: str) -> Path:
     from .report import PLANS, make_report
     from .runs import BenchOptions
 
-    path = make_report(
+    return make_report(
         PLANS[options.kind],
         options.rigs,
         options.output,
@@ -81,11 +118,10 @@ def _bench(parser: Parser, options: argparse.Namespace, given: Sequence[str]) ->
             keep_streams=options.keep_streams,
         ),
         only=[part for part in options.only.split(",") if part],
-        command=_command(given, [*options.rigs, options.output]),
+        command=command,
         terminal=sys.stderr,
         on_warning=warn_as(parser),
     )
-    print(path)
 
 
 def _command(given: Sequence[str], folders: Sequence[str]) -> str:

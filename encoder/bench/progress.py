@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, TextIO
 
 from .runs import Run
@@ -40,7 +41,10 @@ class BenchProgress:
             self._bar.update(1)
 
     def finished(self, run: Run) -> None:
+        self.measured(run.rig, run.variant, [frame.psnr for frame in run.frames if frame.psnr is not None])
+
+    def measured(self, rig: str, variant: str, psnr: Sequence[float]) -> None:
+        """A line of what an encode is worth: the mean of its frames' PSNR, dB."""
         if self._bar is not None:
-            known = [frame.psnr for frame in run.frames if frame.psnr is not None]
-            mean = math.fsum(known) / len(known) if known else math.nan
-            self._bar.write(f"{run.rig} {run.variant}: {len(run.frames)} frames, {mean:.2f} dB", file=self._terminal)
+            mean = math.fsum(psnr) / len(psnr) if psnr else math.nan
+            self._bar.write(f"{rig} {variant}: {len(psnr)} frames, {mean:.2f} dB", file=self._terminal)
