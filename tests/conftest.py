@@ -16,5 +16,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 with contextlib.suppress(ImportError):  # the wheel is checked in an environment without it
     import hypothesis
 
-    hypothesis.settings.register_profile("decogs", deadline=None)
+    # A few draws each time; `pytest --hypothesis-profile=thorough` and `make fuzz` take many.
+    hypothesis.settings.register_profile("decogs", deadline=None, max_examples=30)
+    hypothesis.settings.register_profile("thorough", deadline=None, max_examples=300)
     hypothesis.settings.load_profile("decogs")

@@ -8,7 +8,7 @@ import json
 import struct
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,7 @@ from decogs.decoder import info
 from decogs.decoder.commands import decode_main, export_main, info_main
 from decogs.decoder.following import follow_stream
 from decogs.decoder.stream import open_stream
-from decogs.encoder import encode
+from decogs.encoder import PRESETS, encode
 from decogs.formats.cameras import Camera
 from decogs.formats.container import (
     FRAME_KINDS,
@@ -141,6 +141,19 @@ def product_hashes(state: State, header: StreamHeader, corrections: Corrections)
 
 DECODERS = {"plain": by_the_plain_decoder, "product": by_the_product}
 Decoder = Callable[[bytes, dict[str, int]], Outcome]
+LARGE = {"good/gaps-of-three-bytes", "limits/zstd-single-segment-12-mib"}
+"""Vectors that the plain decoder, lists of integers on purpose, takes ten seconds for."""
+
+
+def by_both(names: list[str]) -> list[Any]:
+    """Each decoder with each of the vectors."""
+    return [
+        pytest.param(
+            decode, name, id=f"{who}-{name}", marks=[pytest.mark.slow] if who == "plain" and name in LARGE else []
+        )
+        for who, decode in DECODERS.items()
+        for name in names
+    ]
 
 
 def check(outcome: Outcome, expected: dict[str, Any], data: bytes) -> None:
@@ -165,8 +178,7 @@ def end_of(data: bytes, failure: dict[str, Any]) -> int:
     return failure["offset"] + 24 + length
 
 
-@pytest.mark.parametrize("name", sorted(EXPECTED))
-@pytest.mark.parametrize("decode", DECODERS.values(), ids=DECODERS)
+@pytest.mark.parametrize(("decode", "name"), by_both(sorted(EXPECTED)))
 def test_a_vector_has_its_outcome(decode: Decoder, name: str) -> None:
     expected, data = EXPECTED[name], vector(name)
     check(decode(data, expected.get("limits", {})), expected, data)
@@ -191,8 +203,7 @@ def test_the_suite_is_small_and_has_every_reason_code() -> None:
     assert {expected["failure"]["reason"] for expected in EXPECTED.values() if expected["failure"]} == ALL_REASONS
 
 
-@pytest.mark.parametrize("name", [name for name in GOOD if name.startswith("good/")])
-@pytest.mark.parametrize("decode", DECODERS.values(), ids=DECODERS)
+@pytest.mark.parametrize(("decode", "name"), by_both([name for name in GOOD if name.startswith("good/")]))
 def test_a_stream_cut_after_a_packet_is_a_shorter_stream(decode: Decoder, name: str) -> None:
     data, frames = vector(name), 0
     for packet in iterate_packets(io.BytesIO(data)):
@@ -283,9 +294,11 @@ def test_what_the_product_writes_the_plain_decoder_reads(seed: int) -> None:
 
 
 def test_what_the_encoder_makes_the_plain_decoder_reads(tmp_path: Path) -> None:
-    """The sample rig, small; the third frame is a keyframe that refers to the first."""
+    """The sample rig, small and of few Gaussians; the third frame is a keyframe that refers to the first."""
     rig, path = Path(__file__).parents[1] / "demo" / "workbench", tmp_path / "encoded.dgs"
-    encode(rig, path, "draft", frames=slice(3), scale=0.1, segment=2)
+    live = PRESETS["live"]
+    few = replace(live, keyframe=replace(live.keyframe, iterations=60, settle_iterations=30, cap=800))
+    encode(rig, path, few, frames=slice(3), scale=0.1, segment=2)
     product = by_the_product(path.read_bytes(), {})
     assert (product.reason, len(product.frames), product.indexes) == (None, 3, (True,))
     assert by_the_plain_decoder(path.read_bytes(), {}) == product

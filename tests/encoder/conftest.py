@@ -214,7 +214,7 @@ Encode = Callable[..., Encoded]
 
 def _encode(output: Path, rig: Path, **options: Any) -> Encoded:
     chosen: dict[str, Any] = {
-        "settings": TINY, "holdout": [HELD_OUT], "seed": 0, "threads": 2, "scale": 1.0, "on_frame": None,
+        "settings": TINY, "holdout": [HELD_OUT], "seed": 0, "threads": 1, "scale": 1.0, "on_frame": None,
         "start": 0, "stop": None, "on_keyframe_step": None, "keyframe": None, "resume": False,
     } | options  # fmt: skip
     opened = open_rig(rig)

@@ -545,6 +545,7 @@ def test_misuse_is_refused_as_by_the_native_view() -> None:
         kernel.centres(3)
 
 
+@pytest.mark.slow
 def test_a_whole_encode_runs_on_it(
     backend: Backend, encode: Any, moving_rig: Path, tiny_settings: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

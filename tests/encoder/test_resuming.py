@@ -311,16 +311,23 @@ def check_killed(
     return left
 
 
+def after(frames: int) -> Callable[[subprocess.Popen[str], Path], None]:
+    """Waits for so many frames of the log, those that were there already counted."""
+
+    def wait(child: subprocess.Popen[str], log: Path) -> None:
+        while child.poll() is None and log.read_text().count('"event": "frame"') < frames:
+            time.sleep(0.002)
+
+    return wait
+
+
+def test_killed(long_rig: Path, tmp_path: Path) -> None:
+    """After 3 of the 10 frames."""
+    assert all(frames >= 3 for frames in check_killed(long_rig, tmp_path, [after(3)]))
+
+
+@pytest.mark.slow
 def test_killed_twice(long_rig: Path, tmp_path: Path) -> None:
-    """After 3 and after 6 of the 10 frames, those that were there already counted."""
-
-    def after(frames: int) -> Callable[[subprocess.Popen[str], Path], None]:
-        def wait(child: subprocess.Popen[str], log: Path) -> None:
-            while child.poll() is None and log.read_text().count('"event": "frame"') < frames:
-                time.sleep(0.002)
-
-        return wait
-
     left = check_killed(long_rig, tmp_path, [after(3), after(6)])
     assert left == sorted(left)
     assert all(frames >= 3 for frames in left)

@@ -63,23 +63,20 @@ def test_a_rig_of_which_one_video_hides_frames_is_refused(tmp_path: Path, make: 
         open_rig(rig)
 
 
-@pytest.mark.parametrize(
-    ("primaries", "transfer", "said"),
-    [(9, 16, "PQ, BT.2020"), (9, 18, "HLG, BT.2020"), (1, 8, "linear light"), (12, 13, "Display P3"), (1, 1, "")],
-)
-def test_colours_that_are_not_srgb_are_warned_of(
-    tmp_path: Path, make: Any, primaries: int, transfer: int, said: str
-) -> None:
+def test_colours_that_are_not_srgb_are_warned_of(tmp_path: Path, make: Any) -> None:
     rig = make.n3dv(tmp_path / "rig")
-    for path in rig.glob("*.mp4"):
-        path.write_bytes(coloured(path.read_bytes(), primaries, transfer))
-    opened = open_rig(rig)
-    assert [pictures[0].shape for _, pictures in read_frames(opened, 0, 1)], "it can still be read"
-    if said:
-        (warning,) = opened.warnings
-        assert f"cam00.mp4 and 2 more: its colours are tagged {said} and are taken for sRGB's" in warning
-    else:
-        assert opened.warnings == ()
+    recorded = {path: path.read_bytes() for path in rig.glob("*.mp4")}
+    tags = ((9, 16, "PQ, BT.2020"), (9, 18, "HLG, BT.2020"), (1, 8, "linear light"), (12, 13, "Display P3"), (1, 1, ""))
+    for primaries, transfer, said in tags:
+        for path, data in recorded.items():
+            path.write_bytes(coloured(data, primaries, transfer))
+        opened = open_rig(rig)
+        expected = f"cam00.mp4 and 2 more: its colours are tagged {said} and are taken for sRGB's" if said else ""
+        assert len(opened.warnings) == bool(said)
+        assert expected in "".join(opened.warnings)
+        # FFmpeg 8 takes seconds for the first picture of another gamut: one of them stands for all.
+        if primaries == 12:
+            assert [picture.shape for _, (picture,) in read_frames(opened, 0, 1, names=["cam00"])]
 
 
 def test_matroska_says_its_colours_before_its_first_cluster(tmp_path: Path) -> None:

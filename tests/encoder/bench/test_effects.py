@@ -16,6 +16,7 @@ pytestmark = pytest.mark.usefixtures("short_presets")
 OPTIONS = BenchOptions(holdout=("cam02",), preset="tiny", threads=2)
 
 
+@pytest.mark.slow
 def test_what_is_wrongly_left_out_is_measured_and_what_is_not_called_for_is_not(
     three_frames: Path, tmp_path: Path
 ) -> None:

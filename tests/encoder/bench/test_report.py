@@ -85,6 +85,7 @@ def linked_files(markdown: str) -> set[str]:
     return set(re.findall(r"\]\(([^)]+)\)", markdown))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(importlib.util.find_spec("matplotlib") is None, reason="plots need the extra 'bench'")
 def test_the_papers_report(
     three_frames: Path, tmp_path: Path, encoded: list[str], capfd: pytest.CaptureFixture[str]
@@ -196,6 +197,7 @@ def test_a_variant_that_cannot_be_trained_is_said_and_the_others_go_on(
     assert json.loads((tmp_path / "small.json").read_text())["rigs"]["three"]["failures"]
 
 
+@pytest.mark.slow
 def test_rivals_keep_the_frames_of_the_finest_stream(
     three_frames: Path, tmp_path: Path, encoded: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -265,6 +267,7 @@ def test_rates_are_drawn(three_frames: Path, tmp_path: Path, monkeypatch: pytest
     assert "pictures/three-rates.png" in linked_files(text)
 
 
+@pytest.mark.slow
 def test_choices_need_no_plots(three_frames: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     find = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "matplotlib" else find(name))
@@ -344,6 +347,7 @@ def test_the_plotting_library_is_loaded_for_plots_only() -> None:
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
 
 
+@pytest.mark.slow
 def test_several_rigs_in_one_report(three_frames: Path, still_rig: Path, tmp_path: Path) -> None:
     path = make_report(SMALL, [three_frames, still_rig], tmp_path, OPTIONS)
     text = path.read_text()

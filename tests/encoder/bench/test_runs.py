@@ -138,6 +138,7 @@ def test_a_damaged_file_counts_as_no_run(bench: RigBench) -> None:
     assert bench.find(PRESET) is not None
 
 
+@pytest.mark.slow
 def test_every_second_frame_and_the_last_one(three_frames: Path, tmp_path: Path) -> None:
     bench = RigBench(three_frames, tmp_path, OPTIONS)
     assert [frame.frame for frame in bench.run(replace(PRESET, stride=2)).frames] == [0, 2]
