@@ -113,7 +113,7 @@ def encode(
             curve = open_files.enter_context(ConvergenceLog(convergence_log, append=resume))
         told = Observers([*observers, *([] if progress is None else [progress])])
         if wanted is not None:
-            chosen = _with_effects(chosen, wanted, rig, holdout, span, threads, told)
+            chosen = _with_effects(chosen, wanted, rig, holdout, span, threads, told, tell)
         if corrections is not None:
             chosen = replace(chosen, corrections=corrections)
         if chosen.corrections.lens:
@@ -190,6 +190,7 @@ def _with_effects(
     span: range,
     threads: int,
     told: EncodeObserver,
+    tell: OnWarning,
 ) -> EncodeSettings:
     """The settings with the effects that are wanted, of which the rig may have to be looked at."""
     require_sparse(settings, f"`effects` {wanted}", "has none of them")
@@ -197,6 +198,8 @@ def _with_effects(
     def decisions() -> Sequence[Decision]:
         look = slice(span.start, span.stop)
         found = analyse(rig, frames=look, holdout=holdout, threads=threads, on_step=told.look_step)
+        for warning in found.check.warnings():
+            tell(warning)
         told.looked({decision.effect: decision.cameras for decision in found.decisions if decision.detected})
         return found.decisions
 

@@ -6,7 +6,7 @@ import math
 import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -16,8 +16,10 @@ from decogs.formats.rigs import Rig, open_rig
 from decogs.formats.threads import thread_count
 
 from ..input.ingest import frame_span
+from ..parallel import side_by_side
 from . import EFFECTS
 from .effect import Decision, Evidence, Span
+from .rig_check import RigCheck, check_rig
 from .rig_statistics import OnStep, RigStatistics, gather_statistics
 
 
@@ -31,7 +33,10 @@ class Finding:
 
 @dataclass(frozen=True)
 class Analysis:
-    """Result of an analysis: a finding for every effect, in the order of EFFECTS; ``seconds``: its duration."""
+    """Result of an analysis: a finding for every effect, in the order of EFFECTS, and what the rig is good for.
+
+    ``seconds``: its duration.
+    """
 
     path: str
     layout: str
@@ -39,6 +44,7 @@ class Analysis:
     frame_count: int
     stats: RigStatistics
     findings: tuple[Finding, ...]
+    check: RigCheck
     seconds: float
 
     @property
@@ -47,7 +53,7 @@ class Analysis:
         return tuple(finding.decision for finding in self.findings)
 
     def table(self) -> Iterator[str]:
-        """A table for the user: the rig, then one row per effect."""
+        """A table for the user: the rig, one row per effect, the verdict on the rig, and one row per camera."""
         stats = self.stats
         thinned = f", 1 in {stats.step} looked at" if stats.step > 1 else ""
         sizes = " and ".join(sorted({f"{camera.width}x{camera.height}" for camera in stats.cameras}))
@@ -59,6 +65,8 @@ class Analysis:
         widths = [max(len(row[column]) for row in rows) for column in range(len(_HEADINGS))]
         for row in rows:
             yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        yield ""
+        yield from self.check.table()
 
     def to_json(self) -> dict[str, Any]:
         """The same with every figure per camera and frame; None where nothing could be determined."""
@@ -73,6 +81,8 @@ class Analysis:
             "sizes": {camera.name: [camera.width, camera.height] for camera in stats.cameras},
             "seconds": round(self.seconds, 3),
             "effects": [_finding_json(stats, finding) for finding in self.findings],
+            "expected": self.check.expected,
+            "checks": {each.camera: _plain(asdict(each)) for each in self.check.cameras},
         }
 
 
@@ -99,8 +109,10 @@ def analyse(
     for effect in EFFECTS:
         evidence = effect.evidence(stats)
         findings.append(Finding(evidence, effect.decide(stats, evidence)))
+    with side_by_side(thread_count(threads)) as each:
+        check = check_rig(stats, each)
     seconds = time.perf_counter() - began
-    return Analysis(str(rig.path), rig.layout, tuple(holdout), len(span), stats, tuple(findings), seconds)
+    return Analysis(str(rig.path), rig.layout, tuple(holdout), len(span), stats, tuple(findings), check, seconds)
 
 
 _HEADINGS = ("effect", "called for", "sure", "evidence", "counts from", "cameras", "frames", "cost")

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from itertools import pairwise
+from typing import Any
 
 import cv2
 import numpy as np
@@ -89,12 +90,19 @@ def change_maps(before: U8, now: U8, noise: float) -> ChangeMaps:
     """Changes from one picture (H, W, 3) to the next; ``noise``: deviation of one picture in 8-bit levels."""
     limit = max(CHANGE_LEVELS, CHANGE_NOISE * noise)
     differences = cv2.absdiff(cv2.blur(now, (3, 3)), cv2.blur(before, (3, 3)))
-    changed = np.asarray(differences.max(axis=2) > limit)
+    changed = largest_channel(differences) > limit
     if not changed.any():
         return ChangeMaps(changed, changed)
     left_over, energy = _left_over(before, now)
     least = max(_RESTRUCTURED_LEVELS, CHANGE_NOISE * noise) ** 2
     return ChangeMaps(changed, changed & (left_over > least) & (left_over > _UNEXPLAINED * energy))
+
+
+def largest_channel(picture: NDArray[Any]) -> U8:
+    """The largest of the channels of every pixel (H, W); numpy's own reduction over so short an axis takes ten times as
+    long."""
+    red, green, blue = cv2.split(picture)
+    return np.asarray(cv2.max(cv2.max(red, green), blue), np.uint8)
 
 
 def _slow_shares(pictures: U8, noise: float) -> F64:

@@ -50,6 +50,8 @@ def _analyze(parser: Parser, options: argparse.Namespace) -> None:
             threads=options.threads,
             on_step=on_step,
         )
+    for warning in analysis.check.warnings():
+        warn_as(parser)(warning)
     document = json.dumps(analysis.to_json(), indent=1) + "\n"
     tell("\n".join(analysis.table()), to_stderr=options.json == "-")
     if options.json == "-":

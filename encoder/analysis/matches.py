@@ -47,7 +47,9 @@ class Matches:
 
 
 @dataclass(frozen=True)
-class _Features:
+class Features:
+    """A picture's features: pixels (N, 2), rays x/z and y/z (N, 2), descriptors (N, 128)."""
+
     pixels: F64
     rays: F64
     descriptors: NDArray[np.float32]
@@ -55,9 +57,9 @@ class _Features:
 
 def find_matches(cameras: Sequence[Camera], pictures: Sequence[U8], each: Callable[..., Iterator[Any]]) -> Matches:
     """Matches between every camera and the few whose optical axes are nearest to its own."""
-    features: list[_Features] = list(each(_features, cameras, pictures))
-    pairs = _neighbouring(cameras)
-    return Matches(tuple(each(lambda pair: _matched(pair[0], pair[1], features[pair[0]], features[pair[1]]), pairs)))
+    features: list[Features] = list(each(features_of, cameras, pictures))
+    pairs = neighbouring(cameras)
+    return Matches(tuple(each(lambda pair: matched(pair[0], pair[1], features[pair[0]], features[pair[1]]), pairs)))
 
 
 def sampson_distances(first: F64, second: F64, rotations: Sequence[F64], baseline: F64) -> F64:
@@ -75,22 +77,24 @@ def sampson_distances(first: F64, second: F64, rotations: Sequence[F64], baselin
     return np.asarray((there * lines).sum(axis=1) / np.sqrt(slope / 2 + 1e-12))
 
 
-def _features(camera: Camera, picture: U8) -> _Features:
+def features_of(camera: Camera, picture: U8, mask: U8 | None = None) -> Features:
+    """SIFT features of a picture (H, W, 3), where ``mask`` (H, W) is not 0."""
     keypoints, descriptors = cv2.SIFT_create(_FEATURES).detectAndCompute(  # type: ignore[attr-defined]
-        cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), None
+        cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), mask
     )
     if descriptors is None:
-        return _Features(np.empty((0, 2)), np.empty((0, 2)), np.empty((0, 128), np.float32))
+        return Features(np.empty((0, 2)), np.empty((0, 2)), np.empty((0, 128), np.float32))
     pixels = np.array([keypoint.pt for keypoint in keypoints]) + 0.5
     straight = undistort_pixels(camera, pixels)
     rays = (straight - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
     # Square roots of shares compare better than the descriptors themselves (Arandjelovic and Zisserman, RootSIFT).
     roots = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-9))
     known = np.isfinite(rays).all(axis=1)
-    return _Features(pixels[known], rays[known], roots[known].astype(np.float32))
+    return Features(pixels[known], rays[known], roots[known].astype(np.float32))
 
 
-def _neighbouring(cameras: Sequence[Camera]) -> list[tuple[int, int]]:
+def neighbouring(cameras: Sequence[Camera]) -> list[tuple[int, int]]:
+    """Pairs of cameras, each with the few whose optical axes are nearest to its own."""
     axes = np.array([camera.world_to_camera[2, :3] for camera in cameras])
     angles = np.arccos(np.clip(axes @ axes.T, -1, 1))
     pairs = set()
@@ -100,7 +104,8 @@ def _neighbouring(cameras: Sequence[Camera]) -> list[tuple[int, int]]:
     return sorted(pairs)
 
 
-def _matched(first: int, second: int, here: _Features, there: _Features) -> PairMatches:
+def matched(first: int, second: int, here: Features, there: Features) -> PairMatches:
+    """Matches of two pictures, of the cameras ``first`` and ``second``: mutual ones, clearly better than the next."""
     rows, columns = _mutual(here.descriptors, there.descriptors)
     return PairMatches(first, second, here.pixels[rows], there.pixels[columns], here.rays[rows], there.rays[columns])
 

@@ -43,6 +43,9 @@ MOST_PIXELS = 352 * 264
 MOST_BYTES = 256 << 20
 """Memory for the pictures of all cameras; a clip that needs more is thinned to every n-th frame."""
 
+MOST_NOISE_FRAMES = 8
+"""Frames whose noise is measured: a sensor's noise lasts, and one picture tells it to a few per cent."""
+
 
 @dataclass(frozen=True)
 class RigStatistics:
@@ -102,7 +105,7 @@ def gather_statistics(
         paths = [steps.over(path) for path in each(camera_path, seen.pictures)]
         steady = each(without_drift, seen.pictures, light.curves())
         noise = _of_resting(seen.noise, paths)
-        changes = [steps.over(found) for found in each(_changes, steady, seen.pictures, _typical(noise), paths)]
+        changes = [steps.over(found) for found in each(_changes, steady, seen.pictures, typical_noise(noise), paths)]
     return RigStatistics(
         cameras, scales, tuple(chosen), chosen.step, tuple(seen.pictures), noise, seen.above_white, seen.brightest,
         light, tuple(paths), tuple(shares for shares, _ in changes), tuple(came for _, came in changes), matches,
@@ -151,6 +154,7 @@ def _read(rig: Rig, cameras: Sequence[Camera], chosen: range, each: Each, steps:
     noise, above, brightest = (np.full(shape, np.nan) for _ in range(3))
     before: list[F32] = []
     wanted = {frame: column for column, frame in enumerate(chosen)}
+    noisy = _noise_columns(len(chosen))
     for frame, now in read_frames(rig, chosen[0], chosen[-1] + 1, names=[camera.name for camera in cameras]):
         if frame not in wanted:
             continue
@@ -160,12 +164,17 @@ def _read(rig: Rig, cameras: Sequence[Camera], chosen: range, each: Each, steps:
             if now[row].dtype != np.uint8:
                 above[row, column] = float((now[row] > 1).any(axis=2).mean())
                 brightest[row, column] = float(now[row].max())
-        sparse = [_sparse(picture) for picture in now]
-        if before:
+        sparse = list(each(_sparse, now)) if {column, column + 1} & noisy else []
+        if column in noisy:
             noise[:, column] = list(each(picture_noise, before, sparse))
         before = sparse
         steps.over(None)
     return _Seen(pictures, noise, above, brightest)
+
+
+def _noise_columns(frames: int) -> set[int]:
+    """The frames whose noise is measured against the frame before, evenly spread over the clip."""
+    return {int(column) for column in np.linspace(1, frames - 1, min(frames - 1, MOST_NOISE_FRAMES)).round()}
 
 
 def _small(picture: Picture, camera: Camera) -> U8:
@@ -188,7 +197,7 @@ def _of_resting(noise: F64, paths: Sequence[CameraPath]) -> F64:
     return np.asarray(np.where(shakes[:, None], np.nan, noise))
 
 
-def _typical(noise: F64) -> F64:
+def typical_noise(noise: F64) -> F64:
     """Each camera's median over the frames (cameras,); where it is undetermined, the median of all; 0 when none is."""
     known = noise[np.isfinite(noise)]
     overall = float(np.median(known)) if known.size else 0.0

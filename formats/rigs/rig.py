@@ -109,8 +109,8 @@ def _warnings(sources: Sequence[FrameSource]) -> Iterator[str]:
     coded = [source for source in sources if isinstance(source, VideoSource) and source.colours]
     if coded:
         yield (
-            f"{coded[0].path}{_more(coded)}: its colours are tagged {coded[0].colours} and are taken for sRGB's; "
-            "convert the videos to BT.709 for right ones"
+            f"{coded[0].path}{_more(coded)}: its colours are tagged {coded[0].colours}, and FFmpeg, by its version, "
+            "takes them for sRGB's or converts them its own way; convert the videos to BT.709 for right ones"
         )
 
 

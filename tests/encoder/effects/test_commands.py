@@ -28,14 +28,17 @@ def test_a_rig_becomes_a_table_and_a_document(
     assert printed.err == "", "quiet in a pipe"
     lines = printed.out.splitlines()
     assert lines[0].startswith(f"{moving_rig}: 4 cameras, 4 frames, at 64x48, in ")
-    assert [line.split()[0] for line in lines[2:]] == [effect.name for effect in EFFECTS]
+    assert [line.split()[0] for line in lines[2 : 2 + len(EFFECTS)]] == [effect.name for effect in EFFECTS]
+    assert [line.split()[0] for line in lines[-5:]] == ["camera", "cam00", "cam01", "cam03", "cam04"]
     document = json.loads(out.read_text())
     assert document["cameras"] == ["cam00", "cam01", "cam03", "cam04"]
     assert document["held_out"] == ["cam02"]
-    for row, line in zip(document["effects"], lines[2:], strict=True):
+    for row, line in zip(document["effects"], lines[2 : 2 + len(EFFECTS)], strict=True):
         assert line.split()[1] == ("yes" if row["detected"] else "no")
         assert line.endswith(row["cost"])
         assert {len(values) for values in row["values"].values()} == {4}
+    assert document["checks"].keys() == {"cam00", "cam01", "cam03", "cam04"}
+    assert all(0 <= check["seen_by_two"] <= check["seen_by_one"] <= 1 for check in document["checks"].values())
     assert [path.name for path in tmp_path.iterdir()] == ["analysis.json"]
 
 
@@ -43,7 +46,7 @@ def test_the_document_goes_to_stdout(moving_rig: Path, capfd: pytest.CaptureFixt
     assert analyze_main([str(moving_rig), "--json", "-"]) == 0
     printed = capfd.readouterr()
     assert told(json.loads(printed.out)) == told(analyse(moving_rig).to_json())
-    assert len(printed.err.splitlines()) == 2 + len(EFFECTS)
+    assert len(printed.err.splitlines()) == 2 + len(EFFECTS) + 8, "a verdict and a line for each camera"
 
 
 def test_threads_change_nothing(moving_rig: Path) -> None:

@@ -1,0 +1,194 @@
+"""Whether a camera stands, looks and records as its calibration says: the others' points, seen by it.
+
+A point that two other cameras triangulate must fall on its own match in the camera's picture. One match alone proves
+nothing; an offset that many share is the camera's fault. Distances from epipolar lines do not suffice: in a row of
+cameras they hardly change when one of them turns along the row.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.formats.cameras import Camera, camera_centre, in_camera, turned
+
+from ..numerics import tukey
+from .matches import Matches, PairMatches, sampson_distances
+
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+NEAR_LINE = 3.0
+"""Largest distance of a believed match from its epipolar line, in pixels."""
+NARROWEST, WIDEST = math.radians(2), math.radians(50)
+"""Angles between two rays within which they place a point: below, depth is a guess; above, surfaces look different."""
+_TURNED = 0.4
+"""Degrees from which a camera counts as turned ..."""
+_TURNED_PIXELS = 2.5
+"""... if they are so many pixels: matches are not exact."""
+_FEWEST = 12
+"""Matches that a judgement needs."""
+_FEWEST_OF_PAIR = 20
+"""Matches of a pair of cameras that tell where its epipolar lines are."""
+_FEWEST_CAMERAS = 4
+"""Of three that disagree, any may be the one."""
+_PLAUSIBLE = 0.12
+"""Largest offset of a right match, in focal lengths: seven degrees."""
+_NEAREST = 0.003
+"""Reach of the last rounds' weights, in focal lengths: about a pixel."""
+_ROUNDS = 16
+_UNEXPLAINED = 0.35
+"""Largest median of what a turn leaves of the offsets, in shares of the turn."""
+_PLAUSIBLE_DISTANCE = 15.0
+"""Largest distance of a right match from its line, in pixels: a camera turned by three degrees."""
+_NEARER = 0.3
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """A camera's matched features: pixels (N, 2), rays x/z and y/z (N, 2)."""
+
+    pixels: F64
+    rays: F64
+
+
+def turns(cameras: Sequence[Camera], matches: Matches) -> F64:
+    """How far (cameras,) each one is turned against its calibration, in degrees; NaN if undetermined.
+
+    A camera that is moved seems turned. One whose absence makes the others agree is set aside before they are judged.
+    """
+    left = set(range(len(cameras)))
+    misplaced: dict[int, float] = {}
+    found = _turns(cameras, matches, left)
+    while len(left) > _FEWEST_CAMERAS:
+        suspects = [camera for camera in sorted(left) if is_turned(cameras[camera], found.get(camera, math.nan))]
+        if not suspects:
+            break
+        without = {camera: _turns(cameras, matches, left - {camera}) for camera in suspects}
+        worst = min(suspects, key=lambda camera: sum(without[camera].values()))
+        left.remove(worst)
+        misplaced[worst], found = found[worst], without[worst]
+    found |= misplaced
+    return np.array([found.get(camera, np.nan) for camera in range(len(cameras))])
+
+
+def _turns(cameras: Sequence[Camera], matches: Matches, left: set[int]) -> dict[int, float]:
+    """The turns of the cameras ``left``, judged by each other; without those that are undetermined."""
+    turns = {camera: _turn(cameras, matches, camera, left - {camera}) for camera in sorted(left)}
+    return {camera: turn for camera, turn in turns.items() if not math.isnan(turn)}
+
+
+def is_turned(camera: Camera, turn: float) -> bool:
+    """Whether a turn, in degrees, counts; NaN does not."""
+    return turn >= max(_TURNED, math.degrees(_TURNED_PIXELS / camera.fx))
+
+
+def epipolar_residuals(cameras: Sequence[Camera], matches: Matches) -> F64:
+    """Distance (cameras,) of matches from their epipolar lines in a camera's best pair, in pixels; NaN without matches.
+
+    Wrong matches lie anywhere: of those that could be right, the nearer third tells.
+    """
+    found = np.full(len(cameras), np.nan)
+    for pair in matches.pairs:
+        distances = np.abs(epipolar_distances(cameras, pair))
+        possible = distances[distances < _PLAUSIBLE_DISTANCE]
+        if len(possible) >= _FEWEST_OF_PAIR:
+            for camera in (pair.first, pair.second):
+                found[camera] = np.fmin(found[camera], float(np.quantile(possible, _NEARER)))
+    return found
+
+
+def epipolar_distances(cameras: Sequence[Camera], pair: PairMatches) -> F64:
+    """Distances (N,) of a pair's matches from their epipolar lines, in pixels, signed."""
+    return _sampson(cameras[pair.first], cameras[pair.second], pair.first_rays, pair.second_rays)
+
+
+def reprojections(cameras: Sequence[Camera], matches: Matches, camera: int, others: set[int]) -> tuple[F64, F64]:
+    """A camera's matched rays x/z, y/z (N, 2), and how far (N, 2) from them lie the points that others triangulate."""
+    pairs = {other: pair for pair in matches.pairs for other in _partner(pair, camera) if other in others}
+    rays, offsets = [np.empty((0, 2))], [np.empty((0, 2))]
+    for one, two in combinations(sorted(pairs), 2):
+        rows_one, rows_two = _in_both(_own(pairs[one], camera), _own(pairs[two], camera))
+        here, there = _own(pairs[one], one).rays[rows_one], _own(pairs[two], two).rays[rows_two]
+        points, good = triangulated(cameras[one], cameras[two], here, there)
+        x, y, depth = np.moveaxis(in_camera(cameras[camera], points), -1, 0)
+        good &= depth > 0
+        seen = np.stack([x[good], y[good]], axis=1) / depth[good, None]
+        own = _own(pairs[one], camera).rays[rows_one][good]
+        possible = np.abs(own - seen).max(axis=1) < _PLAUSIBLE
+        rays.append(own[possible])
+        offsets.append((own - seen)[possible])
+    return np.concatenate(rays), np.concatenate(offsets)
+
+
+def triangulated(one: Camera, two: Camera, here: F64, there: F64) -> tuple[F64, NDArray[np.bool_]]:
+    """Points (N, 3) nearest to pairs of rays x/z, y/z (N, 2), and whether they are to be believed.
+
+    They are where the rays meet before both cameras, at an angle that tells the depth. The middle of the shortest
+    segment between the rays.
+    """
+    centres = camera_centre(one), camera_centre(two)
+    rays = [
+        turned(camera.world_to_camera[:3, :3].T, np.concatenate([seen, np.ones((len(seen), 1))], axis=1))
+        for camera, seen in ((one, here), (two, there))
+    ]
+    a, b = (ray / np.linalg.norm(ray, axis=1, keepdims=True) for ray in rays)
+    baseline = centres[1] - centres[0]
+    cosine = (a * b).sum(axis=1)
+    apart = np.maximum(1 - cosine**2, 1e-12)
+    along_a, along_b = (a * baseline).sum(axis=1), (b * baseline).sum(axis=1)
+    reach_a, reach_b = (along_a - cosine * along_b) / apart, (cosine * along_a - along_b) / apart
+    points = (centres[0] + reach_a[:, None] * a + centres[1] + reach_b[:, None] * b) / 2
+    angle = np.arccos(np.clip(cosine, -1, 1))
+    near = np.abs(_sampson(one, two, here, there)) < NEAR_LINE
+    good = near & (reach_a > 0) & (reach_b > 0) & (angle > NARROWEST) & (angle < WIDEST)
+    return points, good
+
+
+def _turn(cameras: Sequence[Camera], matches: Matches, camera: int, others: set[int]) -> float:
+    """The rotation that explains most offsets, in degrees: a turn by w moves a ray r by w x r."""
+    rays, offsets = reprojections(cameras, matches, camera, others)
+    if len(rays) < _FEWEST:
+        return math.nan
+    x, y = rays.T
+    rows = np.stack([[x * y, -1 - x * x, y], [1 + y * y, -x * y, -x]], axis=0).transpose(2, 0, 1)
+    turn, reach = np.zeros(3), _PLAUSIBLE
+    for _ in range(_ROUNDS):
+        missed = offsets - rows @ turn
+        weight = tukey(np.linalg.norm(missed, axis=1), reach)[:, None, None]
+        normal = np.einsum("nij,nik->jk", rows * weight, rows) + 1e-9 * np.eye(3)
+        turn = np.linalg.solve(normal, np.einsum("nij,ni->j", rows * weight, offsets))
+        reach = max(0.7 * reach, _NEAREST)
+    size = float(np.linalg.norm(turn))
+    missed = np.linalg.norm(offsets - rows @ turn, axis=1)
+    # A turn that leaves most offsets as they were is the mean of wrong matches.
+    believed = float(np.median(missed)) < _UNEXPLAINED * size or not is_turned(cameras[camera], math.degrees(size))
+    return math.degrees(size) if believed else math.nan
+
+
+def _sampson(one: Camera, two: Camera, here: F64, there: F64) -> F64:
+    rotations = [camera.world_to_camera[:3, :3] for camera in (one, two)]
+    return sampson_distances(here, there, rotations, camera_centre(one) - camera_centre(two)) * one.fx
+
+
+def _partner(pair: PairMatches, camera: int) -> Iterator[int]:
+    if camera in (pair.first, pair.second):
+        yield pair.first + pair.second - camera
+
+
+def _own(pair: PairMatches, camera: int) -> _Seen:
+    if camera == pair.first:
+        return _Seen(pair.first_pixels, pair.first_rays)
+    return _Seen(pair.second_pixels, pair.second_rays)
+
+
+def _in_both(one: _Seen, two: _Seen) -> tuple[I64, I64]:
+    """Rows of the features that both have: the same pixels of one picture."""
+    first, second = (np.ascontiguousarray(seen.pixels).view(np.complex128).ravel() for seen in (one, two))
+    _, rows_one, rows_two = np.intersect1d(first, second, return_indices=True)
+    return np.asarray(rows_one, np.int64), np.asarray(rows_two, np.int64)

@@ -1,0 +1,205 @@
+"""What can be expected of a rig before an hour is spent on it: what its cameras see together, whether they agree."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.formats.cameras import Camera, camera_centre, in_picture, project, ray_slopes, turned
+
+from .matches import Matches
+from .reprojection import WIDEST, epipolar_residuals, is_turned, triangulated, turns
+from .rig_statistics import RigStatistics, typical_noise
+from .synchrony import delays
+
+F64 = NDArray[np.float64]
+
+RIGHT, ROUGH, WRONG = "right", "rough", "wrong"
+"""What new views between the cameras can be expected to look: right; right in the main, details blurred; not right."""
+_EXPECTED = {
+    RIGHT: "new views between the cameras can be expected to look right",
+    ROUGH: "new views between the cameras can be expected to look right in the main, with blurred and broken details",
+    WRONG: "new views cannot be expected to look right",
+}
+_SEEN_RIGHT, _SEEN_ROUGH = 0.7, 0.35
+"""Least share of a camera's pixels that two others see."""
+_GAP_RIGHT, _GAP_ROUGH = math.radians(20), math.radians(45)
+"""Largest angle to the nearest camera that sees the same surface."""
+_BESIDE = 0.5
+"""Least distance of a misplaced camera's matches from their epipolar lines, in pixels ..."""
+_TIMES_USUAL = 4.0
+"""... and in multiples of the other cameras' median."""
+_GRID = 16, 12
+"""Columns and rows of the pixels that stand for a picture."""
+_FEWEST = 25
+"""Triangulated points from which a camera's depths are known."""
+
+
+@dataclass(frozen=True)
+class CameraCheck:
+    """One camera. ``seen_by_one``, ``seen_by_two``: shares of its pixels whose surface so many others see from an angle
+    that tells the depth and still looks alike. ``gap``: median angle, degrees, to the nearest of them; NaN without any.
+    ``residual``: median distance, pixels, of matches from their epipolar lines; ``turned``: degrees against the
+    calibration, as the others' points say; both NaN where matches are too few. ``late``: frames behind the others; NaN
+    where too little moves to tell.
+    """
+
+    camera: str
+    seen_by_one: float
+    seen_by_two: float
+    gap: float
+    residual: float
+    turned: float
+    late: float
+    misplaced: bool
+
+
+@dataclass(frozen=True)
+class RigCheck:
+    """The cameras, and what to expect: RIGHT, ROUGH or WRONG; None for fewer than three cameras."""
+
+    cameras: tuple[CameraCheck, ...]
+    expected: str | None
+
+    def warnings(self) -> Iterator[str]:
+        """What the user should know before encoding, one line each."""
+        for camera in self.cameras:
+            if camera.misplaced:
+                how = f"turned by {camera.turned:.1f} degrees" if math.isfinite(camera.turned) else "misplaced"
+                yield (
+                    f"{camera.camera} seems {how} against its calibration: its matches lie beside where the other "
+                    "cameras place them; calibrate again, or leave it out"
+                )
+            if camera.late in (-1, 1):
+                how, theirs = ("late", "last") if camera.late > 0 else ("early", "next")
+                yield (
+                    f"{camera.camera} seems a frame {how}: what moves in it matches the others' {theirs} frame; shift "
+                    "its frames, or leave it out"
+                )
+        if self.expected == WRONG:
+            yield f"{_EXPECTED[WRONG]}: {self._why()}; add cameras between them"
+
+    def table(self) -> Iterator[str]:
+        """For the user: the verdict, and a row per camera."""
+        if self.expected is not None:
+            yield f"{_EXPECTED[self.expected]}: {self._why()}"
+        yield "camera                seen by one  by two  nearest view  epipolar residual     turned  late"
+        for each in self.cameras:
+            figures = (
+                (each.seen_by_one, 11, ".0%", ""),
+                (each.seen_by_two, 6, ".0%", ""),
+                (each.gap, 12, ".0f", " deg"),
+                (each.residual, 17, ".2f", " px"),
+                (each.turned, 9, ".2f", " deg"),
+                (each.late, 4, ".0f", ""),
+            )
+            cells = [f"{_or_none(value, as_text, unit):>{width}}" for value, width, as_text, unit in figures]
+            yield "  ".join([f"{each.camera:<20}", *cells])
+
+    def _why(self) -> str:
+        shares = [each.seen_by_two for each in self.cameras]
+        gap = np.nanmedian([each.gap for each in self.cameras]) if self._gaps else math.nan
+        near = f", from {gap:.0f} degrees beside at the nearest" if self._gaps else ""
+        return f"two other cameras see {np.median(shares):.0%} of what a camera sees{near}"
+
+    @property
+    def _gaps(self) -> bool:
+        return any(math.isfinite(each.gap) for each in self.cameras)
+
+
+def check_rig(stats: RigStatistics, each: Callable[..., Iterator[Any]] = map) -> RigCheck:
+    """Judges a rig by its calibration, the matches of its first pictures, and those of what moves."""
+    late = np.full(len(stats.cameras), np.nan)
+    if stats.step == 1:
+        moving = np.array([changes.restructured for changes in stats.changes])
+        late = delays(stats.cameras, stats.pictures, moving, typical_noise(stats.noise).tolist(), each)
+    return judged(stats.cameras, stats.matches, late)
+
+
+def judged(cameras: Sequence[Camera], matches: Matches, late: F64) -> RigCheck:
+    """The check by the matches of the cameras' first pictures; ``late`` (cameras,) in frames, NaN where unknown."""
+    residuals, turned_by = epipolar_residuals(cameras, matches), turns(cameras, matches)
+    known = residuals[np.isfinite(residuals)]
+    usual = float(np.median(known)) if len(known) else math.nan
+    checks = []
+    for row, camera in enumerate(cameras):
+        by_one, by_two, gap = _coverage(cameras, matches, row)
+        beside = residuals[row] >= max(_BESIDE, _TIMES_USUAL * usual)
+        misplaced = is_turned(camera, turned_by[row]) if math.isfinite(turned_by[row]) else beside
+        checks.append(
+            CameraCheck(
+                camera.name,
+                seen_by_one=by_one,
+                seen_by_two=by_two,
+                gap=gap,
+                residual=float(residuals[row]),
+                turned=float(turned_by[row]),
+                late=float(late[row]),
+                misplaced=bool(misplaced),
+            )
+        )
+    return RigCheck(tuple(checks), _expected(checks))
+
+
+def _expected(checks: Sequence[CameraCheck]) -> str | None:
+    if len(checks) < 3:
+        return None
+    seen = float(np.median([check.seen_by_two for check in checks]))
+    gaps = [check.gap for check in checks if math.isfinite(check.gap)]
+    gap = math.radians(float(np.median(gaps))) if len(gaps) * 2 > len(checks) else math.inf
+    if seen >= _SEEN_RIGHT and gap <= _GAP_RIGHT:
+        return RIGHT
+    return ROUGH if seen >= _SEEN_ROUGH and gap <= _GAP_ROUGH else WRONG
+
+
+def _coverage(cameras: Sequence[Camera], matches: Matches, row: int) -> tuple[float, float, float]:
+    """Shares of a camera's pixels that one and two others see well, and the median angle to the nearest, degrees."""
+    points = _surface(cameras, matches, row)
+    if points is None:
+        return 0.0, 0.0, math.nan
+    own = points - camera_centre(cameras[row])
+    angles = np.full((len(cameras), len(points)), np.inf)
+    for other, camera in enumerate(cameras):
+        if other == row:
+            continue
+        theirs = points - camera_centre(camera)
+        cosine = (own * theirs).sum(axis=1) / (np.linalg.norm(own, axis=1) * np.linalg.norm(theirs, axis=1))
+        seen = in_picture(camera, *project(camera, points))
+        angles[other, seen] = np.arccos(np.clip(cosine[seen], -1, 1))
+    count = (angles < WIDEST).sum(axis=0)
+    nearest = angles.min(axis=0)
+    finite = nearest[np.isfinite(nearest)]
+    gap = math.degrees(float(np.median(finite))) if len(finite) else math.nan
+    return float((count >= 1).mean()), float((count >= 2).mean()), gap
+
+
+def _surface(cameras: Sequence[Camera], matches: Matches, row: int) -> F64 | None:
+    """World points (N, 3) behind a grid of a camera's pixels, as deep as the triangulated match nearest to each."""
+    pixels, depths = [np.empty((0, 2))], [np.empty(0)]
+    for pair in matches.pairs:
+        if row not in (pair.first, pair.second):
+            continue
+        points, good = triangulated(cameras[pair.first], cameras[pair.second], pair.first_rays, pair.second_rays)
+        pixels.append((pair.first_pixels if row == pair.first else pair.second_pixels)[good])
+        depths.append(project(cameras[row], points[good])[2])
+    at, depth = np.concatenate(pixels), np.concatenate(depths)
+    if len(at) < _FEWEST:
+        return None
+    camera = cameras[row]
+    columns, rows = (
+        (np.arange(n) + 0.5) / n * size for n, size in zip(_GRID, (camera.width, camera.height), strict=True)
+    )
+    grid = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+    behind = depth[np.argmin(((grid[:, None] - at[None]) ** 2).sum(axis=2), axis=1)]
+    x, y = ray_slopes(camera, grid[:, 0], grid[:, 1])
+    rotation, translation = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
+    return turned(rotation.T, np.stack([x, y, np.ones_like(x)], axis=1) * behind[:, None] - translation)
+
+
+def _or_none(value: float, specification: str, unit: str) -> str:
+    return f"{value:{specification}}{unit}" if math.isfinite(value) else "-"

@@ -1,0 +1,91 @@
+"""Whether all cameras record the same moments: what moves must match the neighbours' pictures of the same frame.
+
+Features on moving things are matched between neighbours, one of them a frame earlier, in the same frame, and a frame
+later. A camera is late where most of its neighbours agree with its next frame better than with its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.formats.cameras import Camera
+
+from ..change.masks import dilate
+from .changes import change_maps
+from .matches import Features, features_of, matched, neighbouring
+from .reprojection import epipolar_distances
+
+F64 = NDArray[np.float64]
+U8 = NDArray[np.uint8]
+
+LAGS = (-1, 0, 1)
+_MOMENTS = 2
+"""Frames looked at: those in which most moves."""
+_NEAR = 1.5
+"""Distance from the epipolar line, in pixels, at which a match speaks for nothing."""
+_CLEARLY = 1.25
+"""A lag counts whose matches agree so many times as well as those of the same frame."""
+_FEWEST = 15.0
+"""Matches on the line that a lag needs."""
+
+
+def delays(
+    cameras: Sequence[Camera],
+    pictures: Sequence[U8],
+    moving: F64,
+    noise: Sequence[float],
+    each: Callable[..., Iterator[Any]],
+) -> F64:
+    """By how many frames (cameras,) each one is late, -1, 0 or 1; NaN where too little moves to tell.
+
+    ``pictures``: of successive frames, (F, H, W, 3) each. ``moving`` (cameras, F): how much moves; ``noise``: levels.
+    """
+    agreement = np.zeros((len(cameras), len(LAGS)))
+    ballots = np.zeros((len(cameras), len(LAGS)))
+    pairs = neighbouring(cameras)
+    for moment in _moments(moving):
+        seen = list(each(partial(_around, moment), cameras, pictures, noise))
+        for one, two in pairs:
+            found = _agreement(cameras, one, two, seen[one], seen[two])
+            for camera, lags in ((two, found), (one, found[::-1])):
+                agreement[camera] += lags
+                ballots[camera, int(np.argmax(lags))] += float(lags.max() >= _CLEARLY * lags[LAGS.index(0)])
+    return np.array([_delay(lags, votes) for lags, votes in zip(agreement, ballots, strict=True)])
+
+
+def _delay(agreement: F64, ballots: F64) -> float:
+    best = int(np.argmax(agreement))
+    if agreement[best] < _FEWEST:
+        return np.nan
+    clear = agreement[best] >= _CLEARLY * agreement[LAGS.index(0)] and ballots[best] * 2 > ballots.sum()
+    return float(LAGS[best]) if clear else 0.0
+
+
+def _moments(moving: F64) -> list[int]:
+    """The frames, none the first or last, in which most moves over all cameras."""
+    most = np.nanmean(np.nan_to_num(moving[:, 1:-1]), axis=0) if moving.shape[1] > 2 else np.empty(0)
+    found = np.argsort(-most, kind="stable")[:_MOMENTS]
+    return [int(frame) + 1 for frame in found if most[frame] > 0]
+
+
+def _around(moment: int, camera: Camera, pictures: U8, noise: float) -> list[Features]:
+    """Features of what moves, in the frame before a moment, in its own, and in the next."""
+    before, now, after = pictures[moment - 1 : moment + 2]
+    moves = change_maps(before, now, noise).restructured | change_maps(now, after, noise).restructured
+    mask = np.asarray(dilate(moves, 2), np.uint8)
+    return [features_of(camera, picture, mask) for picture in (before, now, after)]
+
+
+def _agreement(cameras: Sequence[Camera], one: int, two: int, here: list[Features], there: list[Features]) -> F64:
+    """How well (lags,) the first camera's moment fits the second's frame before, its own, and its next."""
+    found = []
+    for lag in range(len(LAGS)):
+        pair = matched(one, two, here[LAGS.index(0)], there[lag])
+        distances = np.abs(epipolar_distances(cameras, pair))
+        found.append(float(np.maximum(1 - distances / _NEAR, 0).sum()))
+    return np.array(found)

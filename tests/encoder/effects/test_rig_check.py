@@ -1,0 +1,139 @@
+"""The verdict on a rig: cameras that are turned or late are named and no others; what new views can look like."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from decogs.encoder.analysis.matches import Matches, PairMatches, neighbouring
+from decogs.encoder.analysis.rig_check import RIGHT, WRONG, judged
+from decogs.encoder.analysis.synchrony import delays
+from decogs.formats.cameras import Camera, project
+
+WIDTH, HEIGHT, FOCAL = 352, 264, 300.0
+
+
+def looking_in(degrees: Sequence[float], height: float = 0.0) -> list[Camera]:
+    """Cameras on a circle of radius 4 around the origin, which they look at."""
+    cameras = []
+    for number, angle in enumerate(np.radians(degrees)):
+        forward = np.array([-math.sin(angle), height * (-1) ** number / 4, math.cos(angle)])
+        forward /= np.linalg.norm(forward)
+        right = np.cross([0.0, 1.0, 0.0], forward)
+        right /= np.linalg.norm(right)
+        pose = np.eye(4)
+        pose[:3, :3] = np.stack([right, np.cross(forward, right), forward])
+        pose[2, 3] = 4.0
+        cameras.append(Camera(f"cam{number:02d}", WIDTH, HEIGHT, FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2, pose))
+    return cameras
+
+
+def matches_of(cameras: Sequence[Camera], wrong: float = 0.2) -> Matches:
+    """What matching finds of 300 points: one pixel in all pairs of a camera, .3 pixels of noise, and wrong ones."""
+    rng = np.random.default_rng(3)
+    points = rng.uniform(-1, 1, (300, 3)) * [1.2, 1.0, 1.2]
+    seen = [np.stack(project(camera, points)[:2], axis=1) + rng.normal(0, 0.3, (300, 2)) for camera in cameras]
+    pairs = []
+    for one, two in neighbouring(cameras):
+        rows, partners = np.arange(300), np.arange(300)
+        mistaken = rng.random(300) < wrong
+        partners[mistaken] = rng.permutation(partners[mistaken])
+        pixels = seen[one][rows], seen[two][partners]
+        rays = [(side - [WIDTH / 2, HEIGHT / 2]) / FOCAL for side in pixels]
+        pairs.append(PairMatches(one, two, *pixels, *rays))
+    return Matches(tuple(pairs))
+
+
+def turned_by_a_degree(camera: Camera, axis: int) -> Camera:
+    rotation = cv2.Rodrigues(np.radians(np.eye(3)[axis]))[0]
+    pose = camera.world_to_camera.copy()
+    pose[:3] = rotation @ pose[:3]
+    return replace(camera, world_to_camera=pose)
+
+
+ARC, AROUND = np.arange(7) * 9.0, np.arange(12) * 30.0
+UNKNOWN = np.full(12, np.nan)
+
+
+@pytest.mark.parametrize("degrees", [ARC, AROUND], ids=["arc", "around"])
+def test_a_rig_as_calibrated_is_not_warned_of(degrees: np.ndarray) -> None:
+    cameras = looking_in(degrees, height=1.0)
+    check = judged(cameras, matches_of(cameras), UNKNOWN)
+    assert list(check.warnings()) == []
+    # Noise of .3 pixels at a focal length of 300 is .06 degrees for one match; depths known from one side add to it.
+    assert not any(camera.turned > 0.2 for camera in check.cameras)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2], ids=["tilted", "panned", "rolled"])
+@pytest.mark.parametrize("degrees", [ARC, AROUND], ids=["arc", "around"])
+def test_a_camera_turned_by_a_degree_is_named_and_no_other(degrees: np.ndarray, axis: int) -> None:
+    """In an arc, too, where a pan moves matches along their epipolar lines."""
+    cameras = looking_in(degrees, height=1.0)
+    found = matches_of(cameras)
+    cameras[3] = turned_by_a_degree(cameras[3], axis)
+    check = judged(cameras, found, UNKNOWN)
+    assert [camera.camera for camera in check.cameras if camera.misplaced] == ["cam03"]
+    assert check.cameras[3].turned == pytest.approx(1.0, abs=0.15)
+    (warning,) = check.warnings()
+    assert warning.startswith("cam03 seems turned by 1.0 degrees") or warning.startswith("cam03 seems turned by 0.9")
+
+
+def test_two_cameras_may_be_turned() -> None:
+    cameras = looking_in(np.arange(10) * 9.0, height=1.0)
+    found = matches_of(cameras)
+    for number in (2, 7):
+        cameras[number] = turned_by_a_degree(cameras[number], 0)
+    check = judged(cameras, found, UNKNOWN)
+    assert [camera.camera for camera in check.cameras if camera.misplaced] == ["cam02", "cam07"]
+
+
+def test_neighbours_see_what_a_camera_sees_and_cameras_wide_apart_do_not() -> None:
+    near = looking_in(ARC)
+    check = judged(near, matches_of(near), UNKNOWN)
+    assert check.expected == RIGHT
+    assert all(camera.seen_by_two > 0.7 for camera in check.cameras)
+    # Cameras stand 9 degrees apart as seen from the middle of the points, which reach a third of the way to them.
+    assert all(6 < camera.gap < 13 for camera in check.cameras)
+    apart = looking_in([0.0, 90.0, 180.0, 270.0])
+    check = judged(apart, matches_of(apart), UNKNOWN)
+    assert check.expected == WRONG
+    (warning,) = check.warnings()
+    assert warning.startswith("new views cannot be expected to look right: two other cameras see 0%")
+    assert judged(apart[:2], Matches(()), UNKNOWN).expected is None
+
+
+def moving_wall(late: dict[int, int]) -> tuple[list[Camera], list[np.ndarray]]:
+    """Five cameras in a row before a wall whose pattern rises by 3 pixels a frame, across their epipolar lines."""
+    rng = np.random.default_rng(1)
+    blobs = cv2.GaussianBlur(rng.uniform(0, 255, (600, 700, 3)).astype(np.float32), (0, 0), 2.0)
+    wall = np.clip((blobs - 127) * 6 + 127, 0, 255).astype(np.uint8)
+    cameras, pictures = [], []
+    for number in range(5):
+        pose = np.eye(4)
+        pose[0, 3] = -0.4 * number
+        cameras.append(Camera(f"cam{number:02d}", WIDTH, HEIGHT, FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2, pose))
+        left, shown = round(0.4 * number * FOCAL / 3), [100 + 3 * (frame - late.get(number, 0)) for frame in range(6)]
+        pictures.append(np.stack([wall[top : top + HEIGHT, left : left + WIDTH] for top in shown]))
+    return cameras, pictures
+
+
+@pytest.mark.parametrize("late", [{}, {2: 1}, {2: -1}, {0: 1}, {1: 1, 3: -1}])
+def test_a_camera_that_is_a_frame_late_is_named_and_no_other(late: dict[int, int]) -> None:
+    cameras, pictures = moving_wall(late)
+    found = delays(cameras, pictures, np.ones((5, 6)), [0.0] * 5, map)
+    assert found.tolist() == [float(late.get(number, 0)) for number in range(5)]
+    check = judged(cameras, Matches(()), found)
+    named = [warning.split(" ")[0] for warning in check.warnings() if " a frame " in warning]
+    assert named == [cameras[number].name for number in sorted(late)]
+
+
+def test_nothing_is_said_of_delays_where_nothing_moves() -> None:
+    cameras, pictures = moving_wall({2: 1})
+    still = [np.repeat(of_camera[:1], 6, axis=0) for of_camera in pictures]
+    assert np.isnan(delays(cameras, still, np.zeros((5, 6)), [0.0] * 5, map)).all()
+    assert np.isnan(delays(cameras, [of_camera[:2] for of_camera in pictures], np.ones((5, 2)), [0.0] * 5, map)).all()
