@@ -6,6 +6,7 @@ later. A camera is late where most of its neighbours agree with its next frame b
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any
@@ -31,7 +32,9 @@ _NEAR = 1.5
 _CLEARLY = 1.25
 """A lag counts whose matches agree so many times as well as those of the same frame."""
 _FEWEST = 15.0
-"""Matches on the line that a lag needs."""
+"""Matches on the line that a judgement needs."""
+_BEYOND_CHANCE = 3.0
+"""A lag counts if it has more matches on the line than the same frame by so many deviations of their number."""
 
 
 def delays(
@@ -62,7 +65,9 @@ def _delay(agreement: F64, ballots: F64) -> float:
     best = int(np.argmax(agreement))
     if agreement[best] < _FEWEST:
         return np.nan
-    clear = agreement[best] >= _CLEARLY * agreement[LAGS.index(0)] and ballots[best] * 2 > ballots.sum()
+    same = agreement[LAGS.index(0)]
+    more = max(_CLEARLY * same, same + _BEYOND_CHANCE * math.sqrt(same + agreement[best]))
+    clear = agreement[best] >= more and ballots[best] * 2 > ballots.sum()
     return float(LAGS[best]) if clear else 0.0
 
 
