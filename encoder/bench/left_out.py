@@ -167,7 +167,8 @@ class RigViewpoints:
     def _measure(
         self, header: StreamHeader, scene: Splats, surfaces: Surfaces, name: str, recorded: BytePicture
     ) -> tuple[dict[str, Any], BytePicture]:
-        cameras = [scale_camera(camera, self.options.scale) for camera in self.rig.cameras]
+        # The header's cameras, as a viewer takes them: the rig's have no near planes and see their own housings.
+        cameras = [scale_camera(camera, self.options.scale) for camera in header.cameras]
         camera = next(camera for camera in cameras if camera.name == name)
         others = [other for other in cameras if other.name != name]
         decoded = to_8bit(render_view(header, scene, camera, threads=self._threads).image)

@@ -136,6 +136,24 @@ def test_the_whole_report(
     assert json.loads((folder / "views.json").read_text())["rigs"][three_frames.name].keys() == figures.keys()
 
 
+def test_cameras_are_the_streams_with_their_near_planes(
+    three_frames: Path, tmp_path: Path, left: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A rig's own camera has none: it would look at its housing from inside, where a viewer does not."""
+    drawn: list[Camera] = []
+    render = left_out.render_view
+
+    def observed(header: StreamHeader, scene: Splats, view: Camera, **options: Any) -> Any:
+        drawn.append(view)
+        assert view.near == header.near_planes[view.name] > 0
+        return render(header, scene, view, **options)
+
+    monkeypatch.setattr(left_out, "render_view", observed)
+    options = left_out.LeftOutOptions(cameras=1, settings="tiny", threads=1)
+    left_out.RigViewpoints(three_frames, tmp_path, options).run("cam00")
+    assert [camera.name for camera in drawn] == ["cam00"]
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
