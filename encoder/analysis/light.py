@@ -23,11 +23,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.cameras import Camera, camera_centre
+from decogs.formats.cameras import Camera
 from decogs.formats.colour import linear_from_srgb
 from decogs.formats.splats import logit
 
-from .matches import Matches, PairMatches, sampson_distances
+from .matches import NEAR_LINE, Matches, PairMatches
 
 F64 = NDArray[np.float64]
 F32 = NDArray[np.float32]
@@ -50,8 +50,6 @@ _MOST_CLIPPED = 0.1
 """Largest clipped share of these."""
 _MOST_SHARED = 100
 """Most points of a pair of cameras: the median of so many has an eighth of the noise of one."""
-_NEAR_LINE = 3.0
-"""Largest distance of an inlier from its epipolar line, in pixels, with room for uncalibrated distortion."""
 _DIFFERENT = 0.2
 """Share of a camera's points at either end that may deviate."""
 _FEW = 20
@@ -201,11 +199,7 @@ def _seen_overall(shares: F64, overall: F64) -> F64:
 
 
 def _believed(cameras: Sequence[Camera], pair: PairMatches) -> tuple[I64, I64, F64, F64]:
-    both = cameras[pair.first], cameras[pair.second]
-    rotations = [camera.world_to_camera[:3, :3] for camera in both]
-    baseline = camera_centre(both[0]) - camera_centre(both[1])
-    distances = sampson_distances(pair.first_rays, pair.second_rays, rotations, baseline) * both[0].fx
-    near = np.flatnonzero(np.abs(distances) < _NEAR_LINE)
+    near = np.flatnonzero(np.abs(pair.epipolar_distances(cameras)) < NEAR_LINE)
     near = near[:: math.ceil(len(near) / _MOST_SHARED) or 1]
     numbers = [np.full(len(near), number, np.int64) for number in (pair.first, pair.second)]
     return numbers[0], numbers[1], pair.first_pixels[near], pair.second_pixels[near]

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.decoder.lens import undistort_pixels
-from decogs.formats.cameras import Camera
+from decogs.formats.cameras import Camera, camera_centre
 
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
@@ -20,6 +20,8 @@ _FEATURES = 800
 _NEIGHBOURS = 4
 _WIDEST_ANGLE = 1.0
 """Angle between optical axes, in radians, beyond which SIFT hardly matches."""
+NEAR_LINE = 3.0
+"""Largest distance of a believed match from its epipolar line, in pixels, with room for uncalibrated distortion."""
 _RATIO = 0.8
 """Lowe's ratio: largest distance of the best match over the second best."""
 
@@ -37,6 +39,10 @@ class PairMatches:
     second_pixels: F64
     first_rays: F64
     second_rays: F64
+
+    def epipolar_distances(self, cameras: Sequence[Camera]) -> F64:
+        """Distances (N,) of the matches from their epipolar lines, in pixels of the first camera, signed."""
+        return epipolar_distances(cameras[self.first], cameras[self.second], self.first_rays, self.second_rays)
 
 
 @dataclass(frozen=True)
@@ -60,6 +66,12 @@ def find_matches(cameras: Sequence[Camera], pictures: Sequence[U8], each: Callab
     features: list[Features] = list(each(features_of, cameras, pictures))
     pairs = neighbouring(cameras)
     return Matches(tuple(each(lambda pair: matched(pair[0], pair[1], features[pair[0]], features[pair[1]]), pairs)))
+
+
+def epipolar_distances(one: Camera, two: Camera, here: F64, there: F64) -> F64:
+    """Signed distances (N,), in the first camera's pixels, of matched rays x/z, y/z (N, 2) from epipolar lines."""
+    rotations = [camera.world_to_camera[:3, :3] for camera in (one, two)]
+    return sampson_distances(here, there, rotations, camera_centre(one) - camera_centre(two)) * one.fx
 
 
 def sampson_distances(first: F64, second: F64, rotations: Sequence[F64], baseline: F64) -> F64:

@@ -18,13 +18,11 @@ from numpy.typing import NDArray
 from decogs.formats.cameras import Camera, camera_centre, in_camera, turned
 
 from ..numerics import tukey
-from .matches import Matches, PairMatches, sampson_distances
+from .matches import NEAR_LINE, Matches, PairMatches, epipolar_distances
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
-NEAR_LINE = 3.0
-"""Largest distance of a believed match from its epipolar line, in pixels."""
 NARROWEST, WIDEST = math.radians(2), math.radians(50)
 """Angles between two rays within which they place a point: below, depth is a guess; above, surfaces look different."""
 _TURNED = 0.4
@@ -95,17 +93,12 @@ def epipolar_residuals(cameras: Sequence[Camera], matches: Matches) -> F64:
     """
     found = np.full(len(cameras), np.nan)
     for pair in matches.pairs:
-        distances = np.abs(epipolar_distances(cameras, pair))
+        distances = np.abs(pair.epipolar_distances(cameras))
         possible = distances[distances < _PLAUSIBLE_DISTANCE]
         if len(possible) >= _FEWEST_OF_PAIR:
             for camera in (pair.first, pair.second):
                 found[camera] = np.fmin(found[camera], float(np.quantile(possible, _NEARER)))
     return found
-
-
-def epipolar_distances(cameras: Sequence[Camera], pair: PairMatches) -> F64:
-    """Distances (N,) of a pair's matches from their epipolar lines, in pixels, signed."""
-    return _sampson(cameras[pair.first], cameras[pair.second], pair.first_rays, pair.second_rays)
 
 
 def reprojections(cameras: Sequence[Camera], matches: Matches, camera: int, others: set[int]) -> tuple[F64, F64]:
@@ -145,7 +138,7 @@ def triangulated(one: Camera, two: Camera, here: F64, there: F64) -> tuple[F64, 
     reach_a, reach_b = (along_a - cosine * along_b) / apart, (cosine * along_a - along_b) / apart
     points = (centres[0] + reach_a[:, None] * a + centres[1] + reach_b[:, None] * b) / 2
     angle = np.arccos(np.clip(cosine, -1, 1))
-    near = np.abs(_sampson(one, two, here, there)) < NEAR_LINE
+    near = np.abs(epipolar_distances(one, two, here, there)) < NEAR_LINE
     good = near & (reach_a > 0) & (reach_b > 0) & (angle > NARROWEST) & (angle < WIDEST)
     return points, good
 
@@ -169,11 +162,6 @@ def _turn(cameras: Sequence[Camera], matches: Matches, camera: int, others: set[
     # A turn that leaves most offsets as they were is the mean of wrong matches.
     believed = float(np.median(missed)) < _UNEXPLAINED * size or not is_turned(cameras[camera], math.degrees(size))
     return math.degrees(size) if believed else math.nan
-
-
-def _sampson(one: Camera, two: Camera, here: F64, there: F64) -> F64:
-    rotations = [camera.world_to_camera[:3, :3] for camera in (one, two)]
-    return sampson_distances(here, there, rotations, camera_centre(one) - camera_centre(two)) * one.fx
 
 
 def _partner(pair: PairMatches, camera: int) -> Iterator[int]:

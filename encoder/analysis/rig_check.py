@@ -103,13 +103,9 @@ class RigCheck:
 
     def _why(self) -> str:
         shares = [each.seen_by_two for each in self.cameras]
-        gap = np.nanmedian([each.gap for each in self.cameras]) if self._gaps else math.nan
-        near = f", from {gap:.0f} degrees beside at the nearest" if self._gaps else ""
+        gaps = [each.gap for each in self.cameras if math.isfinite(each.gap)]
+        near = f", from {np.median(gaps):.0f} degrees beside at the nearest" if gaps else ""
         return f"two other cameras see {np.median(shares):.0%} of what a camera sees{near}"
-
-    @property
-    def _gaps(self) -> bool:
-        return any(math.isfinite(each.gap) for each in self.cameras)
 
 
 def check_rig(stats: RigStatistics, each: Callable[..., Iterator[Any]] = map) -> RigCheck:

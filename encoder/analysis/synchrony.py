@@ -19,7 +19,6 @@ from decogs.formats.cameras import Camera
 from ..change.masks import dilate
 from .changes import change_maps
 from .matches import Features, features_of, matched, neighbouring
-from .reprojection import epipolar_distances
 
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
@@ -91,6 +90,6 @@ def _agreement(cameras: Sequence[Camera], one: int, two: int, here: list[Feature
     found = []
     for lag in range(len(LAGS)):
         pair = matched(one, two, here[LAGS.index(0)], there[lag])
-        distances = np.abs(epipolar_distances(cameras, pair))
+        distances = np.abs(pair.epipolar_distances(cameras))
         found.append(float(np.maximum(1 - distances / _NEAR, 0).sum()))
     return np.array(found)

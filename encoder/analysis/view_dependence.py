@@ -21,12 +21,11 @@ import cv2
 import numpy as np
 
 from decogs.codec.state import Attributes
-from decogs.formats.cameras import camera_centre
 from decogs.formats.splats import sh_degree_of
 
 from ..numerics import bilinear
 from .effect import F64, Decision, Evidence, cameras_beyond, confidence, decided, spans
-from .matches import U8, PairMatches, sampson_distances
+from .matches import U8, PairMatches
 from .rig_statistics import RigStatistics
 
 if TYPE_CHECKING:
@@ -103,11 +102,7 @@ def as_far_as_shown(values: Attributes) -> Attributes:
 
 def _differences(stats: RigStatistics, pair: PairMatches, first: U8 | F64, second: U8 | F64) -> F64:
     """Differences in colour, in levels, of a pair's inlier matches, beyond their common difference."""
-    cameras = stats.cameras[pair.first], stats.cameras[pair.second]
-    rotations = [camera.world_to_camera[:3, :3] for camera in cameras]
-    baseline = camera_centre(cameras[0]) - camera_centre(cameras[1])
-    distance = sampson_distances(pair.first_rays, pair.second_rays, rotations, baseline) * cameras[0].fx
-    near = np.abs(distance) < _NEAR_LINE
+    near = np.abs(pair.epipolar_distances(stats.cameras)) < _NEAR_LINE
     if not near.any():
         return np.empty(0)
     here = bilinear(first, *pair.first_pixels[near].T).astype(np.float64)

@@ -7,9 +7,7 @@ reports made before and after a change are then about the same pixels. Remove OU
 
 from __future__ import annotations
 
-import json
 import os
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone
@@ -41,7 +39,7 @@ from .machine import code_version, machine_facts
 from .metrics import BytePicture, Mask, psnr, square_error_map
 from .regions import held_out_pictures
 from .rounding import rounded
-from .runs import digest, document
+from .runs import digest, document, read_document, result_name
 from .surfaces import Surfaces, in_two, midway
 
 REFERENCE = "standard"
@@ -115,7 +113,7 @@ class RigViewpoints:
     def __init__(self, rig_dir: str | os.PathLike[str], output: Path, options: LeftOutOptions) -> None:
         """Raises RigError and UsageError for a rig or options that cannot be measured; nothing is trained yet."""
         self.rig = open_rig(rig_dir)
-        self.name = re.sub(r"[^\w.-]+", "_", self.rig.path.resolve().name) or "rig"
+        self.name = result_name(self.rig)
         self.options = options
         self.settings = preset(options.settings) if isinstance(options.settings, str) else options.settings
         self.frames = frame_span(self.rig, slice(1) if options.frames is None else options.frames)
@@ -131,7 +129,7 @@ class RigViewpoints:
 
     def find(self, camera: str) -> LeftOut | None:
         """The result that an earlier report left, or None."""
-        found = _read(self.file_of(camera))
+        found = read_document(self.file_of(camera), LeftOut, LeftOutFrame)
         return found if found and (self.options.any_code or found.code == code_version()) else None
 
     def file_of(self, camera: str) -> Path:
@@ -264,13 +262,3 @@ def _chosen(names: list[str], wanted: int | Sequence[str] | None) -> list[str]:
 
 def _darkened(picture: BytePicture, seen: Mask) -> BytePicture:
     return np.where(seen[..., None], picture, picture * _UNSEEN).astype(np.uint8)
-
-
-def _read(path: Path) -> LeftOut | None:
-    """A result from its JSON file; None when it is not there, damaged, or of another format."""
-    try:
-        values = json.loads(path.read_text("utf-8"))
-        values["frames"] = [LeftOutFrame(**frame) for frame in values["frames"]]
-        return LeftOut(**values)
-    except (OSError, ValueError, TypeError, KeyError):
-        return None

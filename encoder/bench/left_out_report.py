@@ -18,6 +18,7 @@ from ..output.reports import FrameReport
 from .left_out import LeftOut, LeftOutOptions, RigViewpoints
 from .machine import code_version, machine_facts
 from .progress import BenchProgress
+from .runs import check_names
 from .tables import markdown, mean, number
 
 NAME = "views"
@@ -89,10 +90,7 @@ def make_views_report(
     if folder.exists() and not folder.is_dir():
         raise UsageError(f"{folder}: is a file; name a folder for the report")
     rigs = [RigViewpoints(rig_dir, folder, options) for rig_dir in rig_dirs]
-    names = [rig.name for rig in rigs]
-    for rig in rigs:
-        if names.count(rig.name) > 1:
-            raise UsageError(f"{rig.rig.path}: another rig has the same name; give each its own report")
+    check_names([rig.rig for rig in rigs])
     written = [Output("output", folder / f"{NAME}{suffix}", grows=True) for suffix in (".md", ".json")]
     check_outputs(written, [file for rig in rigs for file in files_of(rig.rig)])
     folder.mkdir(parents=True, exist_ok=True)

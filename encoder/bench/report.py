@@ -28,7 +28,7 @@ from .precision import find_precision, measure_precision
 from .progress import BenchProgress
 from .rival_runs import find_rival, point_of_rival, rival_file, run_rival
 from .rivals.sequences import Rival
-from .runs import KEYFRAME, BenchOptions, RigBench
+from .runs import KEYFRAME, BenchOptions, RigBench, check_names
 from .tables import NOT_RUN, figures
 from .trade import trade_document
 from .trade_page import trade_page
@@ -87,7 +87,7 @@ def make_report(
     if folder.exists() and not folder.is_dir():
         raise UsageError(f"{folder}: is a file; name a folder for the report")
     results = [RigResults(RigBench(rig_dir, folder, options)) for rig_dir in rig_dirs]
-    _check_names([result.bench for result in results])
+    check_names([result.bench.rig for result in results])
     written = [Output("output", folder / f"{plan.name}{suffix}", grows=True) for suffix in (".md", ".json", ".html")]
     check_outputs(written, [file for result in results for file in files_of(result.bench.rig)])
     folder.mkdir(parents=True, exist_ok=True)
@@ -125,17 +125,6 @@ def _wanted(plan: Plan, only: Sequence[str]) -> list[Variant]:
             raise UsageError(f"`only` {key}: there is no such part; choose from {', '.join(sets)}, {NONE}")
     chosen = [variants for key, variants in sets.items() if not only or key in only]
     return [variant for variants in chosen for variant in variants]
-
-
-def _check_names(benches: Sequence[RigBench]) -> None:
-    """Results are kept by the name of the rig's folder."""
-    seen: dict[str, RigBench] = {}
-    for bench in benches:
-        if bench.name in seen:
-            raise UsageError(
-                f"{bench.rig.path}: {seen[bench.name].rig.path} has the same name; give each its own report"
-            )
-        seen[bench.name] = bench
 
 
 def _run_missing(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -18,7 +17,7 @@ from .machine import code_version
 from .measuring import FrameQuality
 from .rivals.sequences import Frames, Rival, SceneFrame, Sizes
 from .rounding import rounded
-from .runs import RigBench, Run, digest, document
+from .runs import RigBench, Run, digest, document, read_document
 from .tables import mean
 from .variants import Variant
 
@@ -134,12 +133,7 @@ def run_rival(
 
 def read_rival(path: Path) -> RivalRun | None:
     """A rival's run from its JSON file; None when the file is not there or damaged or of another format."""
-    try:
-        values = json.loads(path.read_text("utf-8"))
-        values["frames"] = [RivalFrame(**frame) for frame in values["frames"]]
-        return RivalRun(**values)
-    except (OSError, ValueError, TypeError, KeyError):
-        return None
+    return read_document(path, RivalRun, RivalFrame)
 
 
 def _frames_of(stream: Stream) -> Frames:

@@ -18,7 +18,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from datetime import datetime, timezone
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import cv2
 import numpy as np
@@ -54,6 +54,8 @@ from .variants import Variant, settings_of
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
+
+R = TypeVar("R")
 
 FORMAT = 1
 """Of the JSON files; raise it when what is measured changes."""
@@ -152,7 +154,7 @@ class RigBench:
             raise UsageError(f"`seed` {options.seed}: give a number of at least 0")
         settings_of(KEYFRAME, options.preset)
         self.rig = open_rig(rig_dir)
-        self.name = re.sub(r"[^\w.-]+", "_", self.rig.path.resolve().name) or "rig"
+        self.name = result_name(self.rig)
         self.options = options
         self.cameras = _held_out(self.rig, options.holdout)
         self.frames = frame_span(self.rig, options.frames)
@@ -434,12 +436,32 @@ def document(run: DataclassInstance) -> str:
 
 def read_run(path: Path) -> Run | None:
     """A run from its JSON file; None when the file is damaged or of another format."""
+    return read_document(path, Run, RunFrame)
+
+
+def read_document(path: Path, kind: type[R], frame_kind: type[DataclassInstance]) -> R | None:
+    """What ``document`` wrote, with its ``frames``; None when the file is not there, damaged, or of another format."""
     try:
         values = json.loads(path.read_text("utf-8"))
-        values["frames"] = [RunFrame(**frame) for frame in values["frames"]]
-        return Run(**values)
+        values["frames"] = [frame_kind(**frame) for frame in values["frames"]]
+        return kind(**values)
     except (OSError, ValueError, TypeError, KeyError):
         return None
+
+
+def result_name(rig: Rig) -> str:
+    """The name that a rig's results are kept by: its folder's, as part of file names."""
+    return re.sub(r"[^\w.-]+", "_", rig.path.resolve().name) or "rig"
+
+
+def check_names(rigs: Sequence[Rig]) -> None:
+    """Raises UsageError when two rigs' results would be kept by one name."""
+    seen: dict[str, Rig] = {}
+    for rig in rigs:
+        name = result_name(rig)
+        if name in seen:
+            raise UsageError(f"{rig.path}: {seen[name].path} has the same name; give each its own report")
+        seen[name] = rig
 
 
 def _frame(index: int, cost: FrameReport, looks: FrameQuality) -> RunFrame:
