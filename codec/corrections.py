@@ -98,6 +98,12 @@ Corrections = Mapping[str, Correction]
 """A frame's corrections by camera."""
 
 
+def with_colours(correction: Correction, colours: Correction) -> Correction:
+    """The correction of a camera whose ``colours`` differ from the scene's in every frame."""
+    added = {name: getattr(correction, name) + getattr(colours, name) for name in ("exposure", "red", "blue")}
+    return replace(correction, **added)
+
+
 def turn(yaw: float, pitch: float, roll: float) -> NDArray[np.float64]:
     """Ry(yaw) Rx(pitch) Rz(roll), radians; (3, 3), written out so that no BLAS decides the last bits."""
     (cy, sy), (cp, sp), (cr, sr) = ((math.cos(angle), math.sin(angle)) for angle in (yaw, pitch, roll))

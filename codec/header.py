@@ -17,7 +17,7 @@ from decogs.formats.errors import StreamError
 from decogs.formats.reasons import Reason
 from decogs.formats.rotations import is_orthonormal
 
-from .corrections import EFFECT_FIELDS, CorrectedCameras
+from .corrections import EFFECT_FIELDS, LARGEST, CorrectedCameras, Correction, Corrections
 from .lattice import Lattice, Vector
 
 MAX_HEADER_BYTES = 1 << 20
@@ -34,7 +34,7 @@ _RIGID_TOLERANCE = 1e-2
 EFFECTS = frozenset(
     {
         *("motion", "appearance_change", "emergence", "disappearance", "view_dependence", "lens_distortion"),
-        *EFFECT_FIELDS,
+        *("colour_mismatch", *EFFECT_FIELDS),
     }
 )
 """Effects a 1.0 decoder reproduces; a stream that names another one asks for more than this decoder can do."""
@@ -53,8 +53,9 @@ class StreamHeader:
 
     ``cameras``: the rig's, held-out ones included, which ``held_out`` names; ``fps`` None when unknown;
     ``first_frame``: the rig's index of the stream's frame 0; ``background``: the colour trained against,
-    display-referred RGB; ``corrected``: the cameras whose faults every frame tells; ``settings``: the encoder's own,
-    for people, never needed for decoding.
+    display-referred RGB; ``corrected``: the cameras whose faults every frame tells; ``camera_colours``: by camera, how
+    its exposure, red and blue differ from the scene's in every frame; ``settings``: the encoder's own, for people,
+    never needed for decoding.
     """
 
     cameras: tuple[Camera, ...]
@@ -72,11 +73,17 @@ class StreamHeader:
     writer: str = "decogs"
     settings: Mapping[str, Any] = field(default_factory=dict)
     corrected: CorrectedCameras = field(default_factory=CorrectedCameras)
+    camera_colours: Corrections = field(default_factory=dict)
 
     @property
     def near_planes(self) -> dict[str, float]:
         """Near plane of every camera by name, world units."""
         return {camera.name: camera.near for camera in self.cameras}
+
+    def camera_effects(self, name: str) -> tuple[str, ...]:
+        """The effects in which a camera's pictures differ from the scene's own."""
+        constant = ("colour_mismatch",) if name in self.camera_colours else ()
+        return (*constant, *self.corrected.of(name))
 
     @property
     def coefficients(self) -> int:
@@ -88,7 +95,7 @@ class StreamHeader:
         document = {
             "axes": self.axes,
             "background": _floats(self.background),
-            "cameras": [_camera_document(camera) for camera in self.cameras],
+            "cameras": [_camera_document(camera, self.camera_colours.get(camera.name)) for camera in self.cameras],
             **({"corrected": _corrected_document(self.corrected)} if self.corrected.effects else {}),
             "effects": list(self.effects),
             "first_frame": self.first_frame,
@@ -133,6 +140,7 @@ class StreamHeader:
             writer=fields.text("writer"),
             settings=fields.settings("settings"),
             corrected=_corrected(fields) if fields.has("corrected") else CorrectedCameras(),
+            camera_colours=_camera_colours(fields),
         )
         names = [camera.name for camera in header.cameras]
         if len(set(names)) != len(names):
@@ -140,6 +148,7 @@ class StreamHeader:
         if not set(header.held_out) <= set(names):
             _refuse("held_out names a camera that the stream does not have")
         _check_corrected(header)
+        _check_colours(header)
         unknown = sorted(set(header.effects) - EFFECTS)
         if unknown:
             _refuse(f"this decoder does not know the effect {unknown[0]!r}", Reason.UNSUPPORTED_EFFECT)
@@ -196,6 +205,13 @@ class _Fields:
         if len(values) not in counts:
             self._refuse(name, f"has {len(values)} numbers")
         return tuple(self._number(name, value, low, high) for value in values)
+
+    def integers(self, name: str, count: int, largest: int) -> tuple[int, ...]:
+        """So many, none of a larger magnitude."""
+        values = self.list(name, count, count)
+        if any(type(value) is not int or abs(value) > largest for value in values):
+            self._refuse(name, f"holds no {count} integers of magnitude at most {largest}")
+        return tuple(values)
 
     def vector(self, name: str, low: float, high: float) -> Vector:
         x, y, z = self.numbers(name, (3,), low, high)
@@ -277,8 +293,9 @@ def _floats(values: Any) -> list[float]:
     return [float(value) for value in values]
 
 
-def _camera_document(camera: Camera) -> dict[str, Any]:
+def _camera_document(camera: Camera, colours: Correction | None) -> dict[str, Any]:
     return {
+        **({} if colours is None else {"colours": [colours.exposure, colours.red, colours.blue]}),
         "cx": float(camera.cx),
         "cy": float(camera.cy),
         "distortion": _floats(camera.distortion),
@@ -346,6 +363,24 @@ def _check_corrected(header: StreamHeader) -> None:
             _refuse(f"effects and corrected disagree on {effect}")
         if len(set(names)) != len(names) or not set(names) <= seen:
             _refuse(f"corrected.{effect} names a camera twice, or one that training did not see")
+
+
+def _camera_colours(fields: _Fields) -> dict[str, Correction]:
+    """Of the cameras that have them: exposure, red and blue."""
+    found = {}
+    for number, document in enumerate(fields.list("cameras", 1, MAX_CAMERAS)):
+        camera = _Fields(document, f"cameras[{number}].")
+        if camera.has("colours"):
+            found[camera.name("name")] = Correction(*camera.integers("colours", 3, LARGEST))
+    return found
+
+
+def _check_colours(header: StreamHeader) -> None:
+    """Colours are there where the effect is named, and not of a camera that training did not see."""
+    if bool(header.camera_colours) != ("colour_mismatch" in header.effects):
+        _refuse("effects and the cameras' colours disagree on colour_mismatch")
+    if set(header.camera_colours) & set(header.held_out):
+        _refuse("a camera that training did not see has colours")
 
 
 def _lattice_document(lattice: Lattice) -> dict[str, Any]:

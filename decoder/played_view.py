@@ -73,7 +73,7 @@ class PlayedView:
         return self._rendering
 
     def _correction_in(self, frame: DecodedFrame) -> Correction | None:
-        return None if self._canonical else correction_of(self._wanted, frame.corrections)
+        return None if self._canonical else correction_of(self._header, self._wanted, frame.corrections)
 
     def _coloured(self, seen: Rendering) -> Rendering:
         if self._correction is None:

@@ -163,9 +163,7 @@ class StreamInfo:
                         "height": camera.height,
                         "distortion_model": camera.distortion_model,
                         "held_out": camera.name in header.held_out,
-                        "corrected": [
-                            e for e in header.corrected.effects if camera.name in getattr(header.corrected, e)
-                        ],
+                        "corrected": list(header.camera_effects(camera.name)),
                     }
                     for camera in header.cameras
                 ],

@@ -56,8 +56,9 @@ def summary_lines(facts: StreamInfo) -> Iterator[str]:
 def _coded_effects(name: str, header: StreamHeader) -> str:
     """What the frames tell of a camera, beside its calibration."""
     if name in header.held_out:
-        return ", held out" + (", its own faults unknown: shown canonical" if header.corrected.effects else "")
-    return "".join(f", {effect.replace('_', ' ')}" for effect in header.corrected.of(name))
+        corrects = header.corrected.effects or header.camera_colours
+        return ", held out" + (", its own faults unknown: shown canonical" if corrects else "")
+    return "".join(f", {effect.replace('_', ' ')}" for effect in header.camera_effects(name))
 
 
 def byte_lines(facts: StreamInfo) -> Iterator[str]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from decogs.codec.corrections import Correction, Corrections
+from decogs.codec.corrections import Correction, Corrections, with_colours
 from decogs.codec.header import StreamHeader
 from decogs.formats.cameras import Camera, as_pinhole, scale_camera
 from decogs.formats.errors import UsageError
@@ -47,7 +47,7 @@ def render_view(
     """
     from .rasterise import render
 
-    correction = correction_of(view, corrections)
+    correction = correction_of(header, view, corrections)
     plan = view_plan(header, view, scale=scale, undistorted=undistorted, correction=correction, max_memory=max_memory)
     background = header.background if background is None else background
     pairs = max_pairs(header, len(splats), plan, max_memory)
@@ -68,9 +68,14 @@ def camera_of(header: StreamHeader, view: str | Camera) -> Camera:
     raise UsageError(f"there is no camera {view!r} in this stream; it has {listed}")
 
 
-def correction_of(view: str | Camera, corrections: Corrections | None) -> Correction | None:
-    """That of a rig camera, by name; None where nothing is corrected."""
-    return None if corrections is None or not isinstance(view, str) else corrections.get(view)
+def correction_of(header: StreamHeader, view: str | Camera, corrections: Corrections | None) -> Correction | None:
+    """That of a rig camera, by name, in a frame with these ``corrections``; None where nothing is corrected."""
+    if corrections is None or not isinstance(view, str):
+        return None
+    colours = header.camera_colours.get(view)
+    if colours is None:
+        return corrections.get(view)
+    return with_colours(corrections.get(view, Correction()), colours)
 
 
 def view_plan(

@@ -73,7 +73,7 @@ class StreamEncoder:
         watch, state = self._begin(frame), self._state
         key, lattice = self._first_frame(frame, watch, on_step)
         state.scene = state.new_scene(frame.index, lattice, sh_degree_of(key.coefficients))
-        splats = dequantise(key, lattice)
+        splats, frame = dequantise(key, lattice), state.compensation.matched(frame)
         state.compensation.see(splats)
         frame, corrections = state.compensation.find(frame, splats, state.views, watch)
         state.compensation.begin(corrections)
@@ -87,7 +87,7 @@ class StreamEncoder:
     def encode_next(self, frame: RigFrame) -> FrameReport:
         """Compensates, detects, trains, codes and reports the next frame."""
         watch, state = self._begin(frame), self._state
-        index = frame.index - state.scene.header.first_frame
+        index, frame = frame.index - state.scene.header.first_frame, state.compensation.matched(frame)
         compensated, corrections = state.compensation.find(frame, state.scene.splats, state.views, watch)
         returned = state.return_from_flash(compensated, watch)
         now = state.detect(frame, compensated, corrections, watch)
@@ -139,6 +139,7 @@ class StreamEncoder:
         if state.source is not None:
             state.source.check(state.ingest, frame.index)
             state.ingest.set_near_planes(state.source.header.near_planes)
+            state.compensation.colours = state.source.header.camera_colours
             return state.source.state, state.source.header.lattice
         return train_first_frame(
             state.kernel,
@@ -148,7 +149,7 @@ class StreamEncoder:
             watch,
             seed=state.seed,
             threads=state.threads,
-            corrector=state.compensation.corrector,
+            compensation=state.compensation,
             stopping=self._stopping(),
             on_step=on_step,
         )

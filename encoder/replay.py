@@ -34,7 +34,7 @@ class Replayed:
 
 
 def take_over(state: StreamState, left: Interrupted, span: range) -> None:
-    """Takes header and near planes of what an earlier encode left of frames ``span``.
+    """Takes header, near planes and cameras' colours of what an earlier encode left of frames ``span``.
 
     Raises UsageError unless it is the beginning of this encode.
     """
@@ -44,6 +44,7 @@ def take_over(state: StreamState, left: Interrupted, span: range) -> None:
         header = source.header
     near = header.near_planes
     state.ingest.set_near_planes({camera.name: near.get(camera.name, 0.0) for camera in state.ingest.rig.cameras})
+    state.compensation.colours = header.camera_colours
     state.scene = state.new_scene(first, header.lattice, header.sh_degree)
     left.check(state.scene.header, len(span))
     if source is not None:
@@ -53,6 +54,7 @@ def take_over(state: StreamState, left: Interrupted, span: range) -> None:
 
 def replay(state: StreamState, frame: RigFrame, packet: Packet, watch: Stopwatch) -> Replayed:
     """Takes a packet for its frame as the encode that wrote it did."""
+    frame = state.compensation.matched(frame)
     corrections, body = split_payload(packet, state.scene.header.corrected)
     compensated = state.compensation.undo(frame, corrections)
     written = Written(packet, payload_costs(body, state.scene.header.coefficients))

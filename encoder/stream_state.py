@@ -84,6 +84,7 @@ class StreamState:
             sh_degree=sh_degree,
             seed=self.seed,
             corrected=self.compensation.cameras,
+            colours=self.compensation.colours,
             inherited=None if self.source is None else self.source.settings,
         )
         return CodedScene(header, self._output, level=self.settings.zstd_level, segment=self.settings.segment)

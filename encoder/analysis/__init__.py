@@ -13,6 +13,7 @@ from ..settings.effects import EFFECT_NAMES, FRAME_EFFECTS, PRESET_EFFECTS
 from .appearance_change import AppearanceChange
 from .building import AUTO, EffectChoice, disable, with_effects
 from .camera_shake import CameraShake
+from .colour_mismatch import ColourMismatch
 from .disappearance import Disappearance
 from .effect import Decision, Effect, Evidence
 from .emergence import Emergence
@@ -48,6 +49,7 @@ EFFECTS: tuple[Effect, ...] = (
     AppearanceChange(),
     Emergence(),
     Disappearance(),
+    ColourMismatch(),
     ExposureDrift(),
     WhiteBalanceDrift(),
     CameraShake(),

@@ -97,10 +97,27 @@ class Light:
     gains: F64
     odds: F64
 
+    @property
+    def drifts(self) -> NDArray[np.bool_]:
+        """Which cameras (C,) drift."""
+        return np.asarray(
+            (_peaks(self.exposure) >= EXPOSURE_LIMIT) | (_peaks(self.white_balance) >= WHITE_BALANCE_LIMIT)
+        )
+
     def curves(self) -> list[F32 | None]:
         """Per camera, the curves (F, 3, 256) that undo its own drift; None for a camera that does not drift."""
-        drifts = (_peaks(self.exposure) >= EXPOSURE_LIMIT) | (_peaks(self.white_balance) >= WHITE_BALANCE_LIMIT)
-        return [_curves(odds) if drift else None for odds, drift in zip(self.odds, drifts, strict=True)]
+        return [_curves(odds) if drift else None for odds, drift in zip(self.odds, self.drifts, strict=True)]
+
+
+@dataclass(frozen=True)
+class Mismatch:
+    """The cameras' gains against the median camera in the first frame, log, (cameras, 3) as those of `Light`.
+
+    ``shares``: sizes of the gain that 80 % of a camera's points share; NaN if undetermined.
+    """
+
+    gains: F64
+    shares: F64
 
 
 def without_drift(pictures: U8, curves: F32 | None) -> U8:
@@ -168,7 +185,7 @@ def own_light(points: SharedPoints, lights: Sequence[F64], overall: Sequence[F64
 
     ``lights``: of each, `light_at` its `SharedPoints.pixels_of`; ``overall``: of each, `light_overall`.
     """
-    changes = _change_differences(points, lights)
+    changes = _differences(points, [light - light[:1] for light in lights])
     shape = len(lights), changes.shape[0], 6
     gains, shares = np.zeros(shape), np.full(shape, np.nan)
     shares[:, :1] = 0
@@ -182,6 +199,17 @@ def own_light(points: SharedPoints, lights: Sequence[F64], overall: Sequence[F64
     nothing = np.isnan(shares[:, 1:, 0]).all(axis=1) if shape[1] > 1 else np.zeros(len(lights), bool)
     exposure[nothing], balance[nothing] = np.nan, np.nan
     return Light(exposure, balance, gains[..., _LIGHT], gains[..., _ODDS])
+
+
+def mismatch(points: SharedPoints, lights: Sequence[F64]) -> Mismatch:
+    """How the cameras' light differs at the points that they share, in the first frame.
+
+    ``lights``: of each, `light_at` its `SharedPoints.pixels_of`.
+    """
+    differences = _differences(points, [light[:1] for light in lights])[0]
+    known = np.isfinite(differences).all(axis=1)
+    gains, shares = _solved(points.first[known], points.second[known], differences[known], len(lights))
+    return Mismatch(gains[:, _LIGHT], shares[:, _LIGHT])
 
 
 def _seen_overall(shares: F64, overall: F64) -> F64:
@@ -205,16 +233,13 @@ def _believed(cameras: Sequence[Camera], pair: PairMatches) -> tuple[I64, I64, F
     return numbers[0], numbers[1], pair.first_pixels[near], pair.second_pixels[near]
 
 
-def _change_differences(points: SharedPoints, lights: Sequence[F64]) -> F64:
-    """Difference between the changes of a point's value in its first and its second camera, (F, N, 6)."""
-    frames = lights[0].shape[0]
+def _differences(points: SharedPoints, values: Sequence[F64]) -> F64:
+    """Difference of a point's values (F, N, 6) in its first and its second camera, from each camera's of its points."""
+    frames = values[0].shape[0]
     sides = np.full((2, frames, len(points.first), 6), np.nan)
-    for camera, light in enumerate(lights):
-        changes, firsts = light - light[:1], int((points.first == camera).sum())
-        sides[0][:, points.first == camera], sides[1][:, points.second == camera] = (
-            changes[:, :firsts],
-            changes[:, firsts:],
-        )
+    for camera, own in enumerate(values):
+        firsts = int((points.first == camera).sum())
+        sides[0][:, points.first == camera], sides[1][:, points.second == camera] = own[:, :firsts], own[:, firsts:]
     return np.asarray(sides[0] - sides[1])
 
 

@@ -27,7 +27,7 @@ from ..parallel import Each, side_by_side
 from .arrivals import Arrivals, camera_arrivals
 from .arrivals import undetermined as undetermined_arrivals
 from .changes import ChangeShares, change_maps
-from .light import Light, light_at, light_overall, own_light, shared_points, without_drift
+from .light import Light, Mismatch, light_at, light_overall, mismatch, own_light, shared_points, without_drift
 from .matches import Matches, find_matches
 from .registration import CameraPath, camera_path
 
@@ -67,6 +67,7 @@ class RigStatistics:
     above_white: F64
     brightest: F64
     light: Light
+    mismatch: Mismatch
     paths: tuple[CameraPath, ...]
     changes: tuple[ChangeShares, ...]
     arrivals: tuple[Arrivals, ...]
@@ -108,7 +109,8 @@ def gather_statistics(
         changes = [steps.over(found) for found in each(_changes, steady, seen.pictures, typical_noise(noise), paths)]
     return RigStatistics(
         cameras, scales, tuple(chosen), chosen.step, tuple(seen.pictures), noise, seen.above_white, seen.brightest,
-        light, tuple(paths), tuple(shares for shares, _ in changes), tuple(came for _, came in changes), matches,
+        light, mismatch(points, lights), tuple(paths),
+        tuple(shares for shares, _ in changes), tuple(came for _, came in changes), matches,
     )  # fmt: skip
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from decogs.codec.corrections import CorrectedCameras
+from decogs.codec.corrections import CorrectedCameras, Corrections
 from decogs.codec.header import StreamHeader
 from decogs.codec.lattice import Lattice
 from decogs.decoder.lens import is_distorted
@@ -24,11 +24,13 @@ def stream_header(
     sh_degree: int,
     seed: int,
     corrected: CorrectedCameras,
+    colours: Corrections,
     inherited: Mapping[str, Any] | None,
 ) -> StreamHeader:
     """The header of a stream whose first frame is the rig's ``first``.
 
-    ``corrected``: cameras whose faults are compensated. ``inherited``: settings of an imported keyframe, which made it.
+    ``corrected``: cameras whose faults are compensated. ``colours``: how those of cameras differ from the
+    scene's in every frame. ``inherited``: settings of an imported keyframe, which made it.
     """
     rig, document = ingest.rig, settings.as_document() | dict(inherited or {})
     return StreamHeader(
@@ -37,12 +39,17 @@ def stream_header(
         sh_degree=sh_degree,
         fps=rig.fps,
         first_frame=first,
-        effects=(*_carried(settings, rig, sh_degree), *corrected.effects),
+        effects=(
+            *_carried(settings, rig, sh_degree),
+            *(("colour_mismatch",) if colours else ()),
+            *corrected.effects,
+        ),
         held_out=tuple(view.camera.name for view in ingest.held_out_views),
         source_text=rig.source_text,
         licence=rig.licence,
         settings={"seed": seed, "scale": ingest.scale, **document},
         corrected=corrected,
+        camera_colours=colours,
     )
 
 

@@ -26,6 +26,7 @@ from .cloud import (
     join,
     look_from_all,
     neighbour_distances,
+    shown_in,
     spread_to_count,
     take,
     thin_candidates,
@@ -75,13 +76,15 @@ class FirstPoints:
     """The initial points of training.
 
     ``xyz`` (P, 3) world; ``rgb`` (P, 3) 0..1; ``spacing`` (P,) world units, the size one point has to cover (mean
-    distance to its three nearest, within bounds); ``confidence`` (P,) 0..1, 0.05 for a guess.
+    distance to its three nearest, within bounds); ``confidence`` (P,) 0..1, 0.05 for a guess. ``seen`` (V, P): the
+    views in which the surface was confirmed where the point lies.
     """
 
     xyz: NDArray[np.float32]
     rgb: NDArray[np.float32]
     spacing: NDArray[np.float32]
     confidence: NDArray[np.float32]
+    seen: NDArray[np.bool_]
 
 
 def first_points(
@@ -151,7 +154,7 @@ def _first_points(
     room = cap - len(cloud)
     if len(filling) > room:
         filling = take(filling, np.sort(random.permutation(len(filling))[:room]))
-    return _finish(join([cloud, filling]), pixels)
+    return _finish(join([cloud, filling]), pixels, all_depths)
 
 
 def _scales(cameras: Sequence[Camera], each: float, together: float) -> list[float]:
@@ -232,11 +235,12 @@ def _choose(proposed: Cloud, all_depths: Sequence[ViewDepths], most: int) -> tup
     return take(replace(cloud, rgb=sight.rgb), (sight.through <= 1) | (2 * sight.through <= sight.in_place)), pixels
 
 
-def _finish(cloud: Cloud, pixels: float) -> FirstPoints:
+def _finish(cloud: Cloud, pixels: float, all_depths: Sequence[ViewDepths]) -> FirstPoints:
     usual = cloud.spacing * np.float32(pixels)
     return FirstPoints(
         xyz=cloud.xyz.astype(np.float32),
         rgb=np.clip(cloud.rgb, 0, 1).astype(np.float32),
         spacing=np.clip(neighbour_distances(cloud.xyz), np.float32(0.5) * usual, 3 * usual),
         confidence=cloud.confidence,
+        seen=np.stack([shown_in(view_depths, cloud.xyz) for view_depths in all_depths]),
     )

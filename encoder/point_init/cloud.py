@@ -16,6 +16,9 @@ from .views import Array, SweepView, inside, project
 _SEEN_THROUGH = 0.04
 """Relative depth by which a point lies in front of a view's surface if that view sees through it."""
 
+_ON_SURFACE = 0.02
+"""Relative difference of depth within which a point is what a view shows, and its colour there the point's."""
+
 _CLOSEST = 0.7
 """Least useful distance between points, in pixels."""
 _TRIALS = 10
@@ -149,6 +152,14 @@ def look_from_all(cloud: Cloud, all_depths: Sequence[ViewDepths]) -> Sight:
         in_place += here
         rgb[here] += view_depths.view.picture[row[here], column[here]]
     return Sight(through, in_place, rgb / (1 + in_place[:, None]).astype(np.float32))
+
+
+def shown_in(view_depths: ViewDepths, xyz: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Points (P,) that lie on the surface confirmed in a view."""
+    if view_depths.confirmed is None:
+        return np.zeros(len(xyz), bool)
+    ratio, _, _ = depth_ratio(view_depths.view, view_depths.confirmed, xyz)
+    return np.asarray(np.abs(ratio - 1) <= _ON_SURFACE)
 
 
 def too_near(cloud: Cloud, all_depths: Sequence[ViewDepths], share: float) -> NDArray[np.bool_]:

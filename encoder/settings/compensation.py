@@ -12,9 +12,11 @@ class CorrectionSettings:
 
     ``exposure``, ``white_balance``: cameras in which these drift. ``shake``: cameras that turn about their centre.
     ``lens``: what the calibration does not know of a lens, as OpenCV's k1, by camera.
+    ``match_colours``: whether constant differences of exposure and white balance between all cameras are taken out.
     """
 
     exposure: tuple[str, ...] = ()
     white_balance: tuple[str, ...] = ()
     shake: tuple[str, ...] = ()
     lens: Mapping[str, float] = field(default_factory=dict)
+    match_colours: bool = False

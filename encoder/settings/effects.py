@@ -5,7 +5,7 @@ from __future__ import annotations
 FRAME_EFFECTS = ("motion", "appearance_change", "emergence", "disappearance")
 """What a frame may call for; every frame is asked anew."""
 
-CAMERA_EFFECTS = ("exposure_drift", "white_balance_drift", "camera_shake", "lens_distortion")
+CAMERA_EFFECTS = ("colour_mismatch", "exposure_drift", "white_balance_drift", "camera_shake", "lens_distortion")
 """Faults of single cameras, undone before anything else is looked at."""
 
 EFFECT_NAMES = (*FRAME_EFFECTS, *CAMERA_EFFECTS, "view_dependence", "sensor_noise", "high_dynamic_range")

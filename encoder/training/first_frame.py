@@ -11,7 +11,7 @@ from decogs.formats.errors import RigError
 from decogs.formats.splats import FloatArray
 
 from ..analysis.view_dependence import as_far_as_shown
-from ..input.compensation import Corrector
+from ..input.compensation.stream import Compensation
 from ..input.dropouts import BLACK, blankness
 from ..input.ingest import Ingest, RigFrame, View
 from ..output.reports import OnKeyframeStep
@@ -32,11 +32,11 @@ def train_first_frame(
     *,
     seed: int,
     threads: int,
-    corrector: Corrector | None,
+    compensation: Compensation,
     stopping: StoppingRule,
     on_step: OnKeyframeStep | None,
 ) -> tuple[State, Lattice]:
-    """The keyframe's Gaussians and their lattice; sets the near planes of the ingest.
+    """The keyframe's Gaussians and their lattice; sets the ingest's near planes and the cameras' colours.
 
     If a camera shakes, a short training finds its pose, and the search for first points runs again. With detection per
     frame, view dependence is detected here. Raises RigError for a black picture and TrainingError for failed training.
@@ -55,8 +55,10 @@ def train_first_frame(
         ingest.place_near_planes(points.xyz)
         return points
 
+    corrector = compensation.corrector
     with watch.stage("first_points"):
         points = points_of(frame.training)
+        frame = compensation.match_colours(frame, points.xyz, points.seen)
     if corrector is not None and corrector.cameras.camera_shake:
         with watch.stage("scouting"):
             scouted = scouted_pictures(

@@ -14,6 +14,7 @@ from good_vectors import (
     COMPRESSED_CHECKED,
     LAST_ID,
     PLANES_OF_140,
+    coloured_header,
     corrected_header,
     faults,
     moving,
@@ -251,6 +252,30 @@ def damaged_corrections() -> Iterator[Vector]:
         broken = deepcopy(stream)
         broken.add(SKIP, 1, payload)
         yield broken.broken(f"damaged/{name}", reason_in(name))
+
+
+def damaged_colours() -> Iterator[Vector]:
+    document = coloured_header()
+
+    def of_camera(number: int, colours: Any) -> bytes:
+        cameras = deepcopy(document["cameras"])
+        cameras[number]["colours"] = colours
+        return canonical({**document, "cameras": cameras})
+
+    wrong = {
+        "no-list": of_camera(0, {"exposure": 1}),
+        "two-numbers": of_camera(0, [1, 2]),
+        "four-numbers": of_camera(0, [1, 2, 3, 4]),
+        "fraction": of_camera(0, [1.0, 2, 3]),
+        "truth": of_camera(0, [True, 2, 3]),
+        "too-large": of_camera(0, [0, 32_768, 0]),
+        "too-small": of_camera(0, [0, 0, -32_768]),
+        "held-out-camera": of_camera(3, [1, 2, 3]),
+        "effect-not-named": canonical({**document, "effects": ["exposure_drift"]}),
+        "absent": canonical({**corrected_header(), "effects": [*corrected_header()["effects"], "colour_mismatch"]}),
+    }
+    for name, payload in wrong.items():
+        yield with_header(f"damaged/bad-header-colours-{name}", payload, "bad-header")
 
 
 def with_header(name: str, payload: bytes, reason: str | None) -> Vector:

@@ -376,6 +376,36 @@ def good_corrections() -> Iterator[Vector]:
     yield opened(document={**example_header(), "corrected": {}}).good("good/corrections-of-nothing")
 
 
+def coloured_header() -> dict[str, Any]:
+    """Four cameras: three have colours of their own, of which one is corrected in every frame too; one is held out."""
+    document = corrected_header()
+    colours = {"a": [32_767, -32_767, 0], "b": [0, 0, 0], "c": [-410, 12, 7]}
+    cameras = [
+        {**camera, **({"colours": colours[camera["name"]]} if camera["name"] in colours else {})}
+        for camera in document["cameras"]
+    ]
+    return {
+        **document,
+        "cameras": cameras,
+        "effects": ["colour_mismatch", "exposure_drift"],
+        "corrected": {"exposure_drift": ["a"]},
+    }
+
+
+def good_colours() -> Iterator[Vector]:
+    """Colours of cameras in the header: with corrections of one, and where no frame has any."""
+    stream = Stream(document=coloured_header())
+    stream.corrections = {"a": {"exposure": 32_767}}
+    stream.key(stream.state(scene(33, 3, stream.width)))
+    stream.corrections = {"a": {"exposure": -5}}
+    stream.skip()
+    stream.finish()
+    yield stream.good("good/colours-and-corrections", indexes=[True])
+
+    alone = {name: value for name, value in coloured_header().items() if name != "corrected"}
+    yield opened(document={**alone, "effects": ["colour_mismatch"]}).good("good/colours-alone")
+
+
 def faults(first: int) -> dict[str, dict[str, int]]:
     """Numbers of `corrected_header`, counted up from the first."""
     return {

@@ -16,8 +16,15 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from damaged_vectors import damaged_blocks, damaged_containers, damaged_corrections, damaged_headers, damaged_payloads
-from good_vectors import good_containers, good_corrections, good_payloads, good_states
+from damaged_vectors import (
+    damaged_blocks,
+    damaged_colours,
+    damaged_containers,
+    damaged_corrections,
+    damaged_headers,
+    damaged_payloads,
+)
+from good_vectors import good_colours, good_containers, good_corrections, good_payloads, good_states
 from limit_vectors import limits_of_headers, limits_of_streams
 from plain_header import Header
 from plain_state import State, digest, floats
@@ -42,11 +49,13 @@ def vectors() -> Iterator[Vector]:
     yield from good_payloads()
     yield from good_states()
     yield from good_corrections()
+    yield from good_colours()
     yield from damaged_containers()
     yield from damaged_headers()
     yield from damaged_payloads()
     yield from damaged_blocks()
     yield from damaged_corrections()
+    yield from damaged_colours()
     yield from limits_of_headers()
     yield from limits_of_streams()
 

@@ -23,7 +23,15 @@ CORRECTIONS = {
     "camera_shake": ["yaw", "pitch", "roll"],
 }
 EFFECTS = {
-    *("motion", "appearance_change", "emergence", "disappearance", "view_dependence", "lens_distortion"),
+    *(
+        "motion",
+        "appearance_change",
+        "emergence",
+        "disappearance",
+        "view_dependence",
+        "lens_distortion",
+        "colour_mismatch",
+    ),
     *CORRECTIONS,
 }
 COEFFICIENTS = {"none": (0,), "opencv": (4, 5, 8), "fisheye": (4,)}

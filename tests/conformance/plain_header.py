@@ -139,6 +139,9 @@ def check_header(header: dict[str, Any]) -> None:
     expect(is_names(header["effects"]))
     expect(is_names(header["held_out"]) and set(header["held_out"]) <= set(names))
     check_corrected(header, set(names) - set(header["held_out"]))
+    coloured = {camera["name"] for camera in cameras if "colours" in camera}
+    expect(not coloured & set(header["held_out"]))
+    expect(bool(coloured) == ("colour_mismatch" in header["effects"]))
     for text in ("axes", "units", "source_text", "licence", "writer"):
         expect(isinstance(header[text], str) and len(header[text]) <= 65_536)
     expect(isinstance(header["settings"], dict))
@@ -168,6 +171,9 @@ def check_camera(camera: Any) -> None:
     expect(isinstance(rows, list) and len(rows) == 3 and all(is_vector(row, 4, -1e12, 1e12) for row in rows))
     check_rotation([row[:3] for row in rows])
     expect(is_number(camera.get("near", 0), 0, 1e12))
+    colours = camera.get("colours", [0, 0, 0])
+    expect(isinstance(colours, list) and len(colours) == 3)
+    expect(all(is_integer(number, -32_767, 32_767) for number in colours))
 
 
 def check_rotation(r: list[list[float]]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -88,6 +88,7 @@ def scene_at(frame: int) -> Splats:
 class _Lookup:
     cameras: tuple[Camera, ...]
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    camera_colours: Mapping[str, Correction] = field(default_factory=dict)
 
 
 class TinyRig:

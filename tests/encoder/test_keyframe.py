@@ -61,7 +61,7 @@ def points(count: int = 400, seed: int = 3) -> FirstPoints:
 
 def first_points(xyz: np.ndarray, rgb: np.ndarray, spacing: np.ndarray) -> FirstPoints:
     """With full confidence."""
-    return FirstPoints(xyz, rgb, spacing, np.ones(len(xyz), np.float32))
+    return FirstPoints(xyz, rgb, spacing, np.ones(len(xyz), np.float32), np.zeros((0, len(xyz)), bool))
 
 
 def trained(case: Case, settings: KeyframeSettings = SHORT, *, seed: int = 0, first: FirstPoints | None = None) -> Any:

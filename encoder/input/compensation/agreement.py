@@ -138,6 +138,20 @@ def agreeing_shifts(views: Sequence[View], pictures: Sequence[FloatArray], draw:
     return [OddsShift(*map(np.array, zip(*of_view, strict=True))) for of_view in zip(*solved, strict=True)]
 
 
+def shifts_of_points(values: FloatArray, seen: NDArray[np.bool_]) -> tuple[F64, NDArray[np.bool_]]:
+    """The shift (V, 3) of every view's odds, up to one common shift a channel, and which views (V,) share enough.
+
+    ``values`` (V, P, 3): colours of points that the views see where ``seen`` (V, P).
+    """
+    shifts, enough = np.zeros((len(values), 3)), np.ones(len(values), bool)
+    for channel in range(3):
+        told = seen & tells(values[..., channel])
+        told &= told.sum(axis=0) > 1
+        enough &= told.sum(axis=1) >= _FEW
+        shifts[:, channel] = [shift for shift, _ in _channel_shifts(values[..., channel], told)]
+    return shifts, enough
+
+
 def _depth(picture: RenderedPicture) -> FloatArray:
     """Depth (H, W) of what the view sees, NaN where that is not opaque."""
     assert picture.depth is not None

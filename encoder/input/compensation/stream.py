@@ -16,6 +16,8 @@ from ...settings.compensation import CorrectionSettings
 from ...stopwatch import Stopwatch
 from ..ingest import Ingest, RigFrame
 from . import Corrector, corrector_of
+from .colour import without_odds
+from .matching import colours_at
 
 _STAGE = "corrections"
 
@@ -25,6 +27,9 @@ class Compensation:
 
     def __init__(self, ingest: Ingest, kernel: TrainingKernel, settings: CorrectionSettings) -> None:
         self._ingest, self._kernel = ingest, kernel
+        self._matches_colours = settings.match_colours
+        self.colours: Corrections = {}
+        """How each camera's colours differ from the scene's in every frame; the header says it."""
         self._corrector: Corrector | None = corrector_of(ingest.views, settings)
 
     @property
@@ -36,6 +41,25 @@ class Compensation:
     def cameras(self) -> CorrectedCameras:
         """What the stream's header says of it."""
         return CorrectedCameras() if self._corrector is None else self._corrector.cameras
+
+    def match_colours(self, frame: RigFrame, xyz: FloatArray, seen: NDArray[np.bool_]) -> RigFrame:
+        """The first frame, its cameras' colours matched, if that is enabled, at points (P, 3) that the views show where
+        ``seen`` (V, P)."""
+        if self._matches_colours:
+            self.colours = colours_at(self._ingest.views, frame.training, xyz, seen)
+        return self.matched(frame)
+
+    def matched(self, frame: RigFrame) -> RigFrame:
+        """The frame without the constant differences between its cameras' colours; the same object if there are
+        none."""
+        if not self.colours:
+            return frame
+        views = zip(self._ingest.views, frame.training, strict=True)
+        pictures = [
+            without_odds(picture, self.colours[view.camera.name].odds) if view.camera.name in self.colours else picture
+            for view, picture in views
+        ]
+        return replace(frame, training=pictures)
 
     def see(self, scene: Splats) -> None:
         """Takes the keyframe's scene, on which cameras are compared from then on."""

@@ -18,13 +18,14 @@ TOLD = (
     "appearance_change",
     "emergence",
     "disappearance",
+    "colour_mismatch",
     "exposure_drift",
     "white_balance_drift",
     "camera_shake",
     "lens_distortion",
 )
 NOT_SURE = ("view_dependence",)
-OF_CAMERAS = ("exposure_drift", "white_balance_drift", "camera_shake", "lens_distortion")
+OF_CAMERAS = ("colour_mismatch", "exposure_drift", "white_balance_drift", "camera_shake", "lens_distortion")
 
 
 def decision_of(rig: Any, effect: str) -> Any:

@@ -21,7 +21,7 @@ SAMPLE = Path(__file__).resolve().parents[2] / "demo" / "workbench"
 HELD_OUT, *CAMERAS = NAMES = [f"cam{index:02d}" for index in range(7)]
 FRAMES = 6
 LATER = (1, FRAMES - 1)
-OF_CAMERAS = ("exposure_drift", "white_balance_drift", "camera_shake", "lens_distortion")
+OF_CAMERAS = ("colour_mismatch", "exposure_drift", "white_balance_drift", "camera_shake", "lens_distortion")
 Shown = Callable[[str, int, np.ndarray], np.ndarray]
 
 
@@ -38,6 +38,12 @@ def faulty(name: str, frame: int, picture: np.ndarray) -> np.ndarray:
     return picture
 
 
+def unlike(name: str, frame: int, picture: np.ndarray) -> np.ndarray:
+    """cam02 is darker by a tenth in every frame, cam05 warmer."""
+    gains = {"cam02": [0.9, 0.9, 0.9], "cam05": [1.08, 1, 0.93]}
+    return picture * np.float32(gains.get(name, [1, 1, 1]))
+
+
 def lit(name: str, frame: int, picture: np.ndarray) -> np.ndarray:
     """All cameras see it grow brighter by 4% a frame."""
     return picture * 1.04**frame
@@ -50,10 +56,18 @@ def as_recorded(name: str, frame: int, picture: np.ndarray) -> np.ndarray:
 CLIPS: dict[str, tuple[bool, Shown]] = {
     "moving": (True, as_recorded),
     "faulty": (True, faulty),
+    "unlike": (True, unlike),
     "lit": (False, lit),
     "still": (False, as_recorded),
 }
 """Whether the scene moves, as it does in the sample, or stays at its first frame; and what is done to the pictures."""
+
+
+BLAMED = {
+    "faulty": {"exposure_drift": {"cam01"}, "white_balance_drift": {"cam02"}, "camera_shake": {"cam03"}},
+    "unlike": {"colour_mismatch": {"cam02", "cam05"}},
+}
+"""The cameras of the effects that are cameras' faults."""
 
 
 def write_clip(folder: Path, moves: bool, change: Shown) -> None:
@@ -107,10 +121,12 @@ def test_every_effect_is_found_where_it_is_and_nowhere_else(clip: tuple[str, Ana
         del found["appearance_change"], expected["appearance_change"]
     assert found == expected
     blamed = {effect: set(decisions[effect].cameras) for effect in OF_CAMERAS}
-    to_blame = {"exposure_drift": {"cam01"}, "white_balance_drift": {"cam02"}, "camera_shake": {"cam03"}}
-    assert blamed == {effect: to_blame.get(effect, set()) if name == "faulty" else set() for effect in OF_CAMERAS}
+    to_blame = BLAMED.get(name, {})
+    assert blamed == {effect: to_blame.get(effect, set()) for effect in OF_CAMERAS}
     for effect, decision in decisions.items():
-        if decision.detected and effect in ("motion", "appearance_change", *to_blame):
+        if effect == "colour_mismatch":
+            assert decision.frames == (((0, FRAMES - 1),) if decision.detected else ())
+        elif decision.detected and effect in ("motion", "appearance_change", *to_blame):
             assert abs(decision.frames[0][0] - LATER[0]) <= 1
             assert abs(decision.frames[-1][1] - LATER[1]) <= 1
         assert HELD_OUT not in decision.cameras
