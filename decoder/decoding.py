@@ -16,7 +16,7 @@ from decogs.formats.frame_ranges import Frames
 
 from .following import DEFAULT_IDLE, GrowingStream, follow_stream
 from .frame import DecodedFrame
-from .frame_choice import OnWarning, coming_frames, damage_to, open_chosen
+from .frame_choice import OnWarning, check_output, coming_frames, damage_to, open_chosen
 from .free_camera import read_free_cameras
 from .limits import DEFAULT_MAX_MEMORY
 from .picture_output import open_sink
@@ -78,6 +78,7 @@ def decode(
     appeared one by one.
     """
     _check_colour(background)
+    check_output(output, stream=stream, camera=camera)
     show = _Show(scale, background, undistorted, threads, canonical, max_memory)
     if follow or not isinstance(stream, (str, os.PathLike)):
         on_damage = damage_to(on_warning)

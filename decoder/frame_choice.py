@@ -6,9 +6,11 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 from decogs.formats.errors import UsageError
 from decogs.formats.frame_ranges import Frames, frame_slice
+from decogs.formats.outputs import Output, check_outputs
 
 from .damage import OnDamage
 from .stream import Stream, open_stream
@@ -32,6 +34,14 @@ def open_chosen(
     with open_stream(path, strict=strict, max_memory=max_memory, on_damage=damage_to(on_warning)) as stream:
         _warn_of_tail(stream, on_warning)
         yield stream, _chosen_frames(stream, frames)
+
+
+def check_output(output: str | os.PathLike[str], **read: object) -> None:
+    """Raises UsageError when ``output`` is one of the files that are ``read``, by parameter; others are no files."""
+    files = [
+        (Path(file), f"is read, as `{name}`") for name, file in read.items() if isinstance(file, (str, os.PathLike))
+    ]
+    check_outputs([Output("output", Path(output))], files)
 
 
 def damage_to(on_warning: OnWarning | None) -> OnDamage:

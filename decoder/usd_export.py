@@ -27,7 +27,7 @@ from decogs.formats.usd import (
     check_usd_request,
 )
 
-from .frame_choice import OnWarning, open_chosen
+from .frame_choice import OnWarning, check_output, open_chosen
 from .limits import DEFAULT_MAX_MEMORY
 from .picture_output import DEFAULT_FPS
 
@@ -94,6 +94,7 @@ def export(
     ``on_frame(done, all)`` counts both readings, ``on_warning(text)`` is called for damage. Raises UsageError,
     StreamError or OSError.
     """
+    check_output(output, stream=stream)
     with open_chosen(stream, frames, strict=strict, max_memory=max_memory, on_warning=on_warning) as (opened, chosen):
         header = opened.header
         done = 0

@@ -44,7 +44,7 @@ _PARAMETERS = {
     "detect_per_frame": "`effects`",
     "corrections": "`effects`",
     "corrected": "`effects`",
-    "frame": "`settings`",
+    "frame": "`settings` or `ablate`",
     "keyframe": "`settings`",
 }
 """What asked for a setting that differs, by the beginning of its name in the header; the first that fits."""

@@ -153,8 +153,7 @@ class _KeyframeTraining:
         self._target = self._target_watch()
         self._kept_back = [_kept_back(view, c) for view, c in zip(views, counted, strict=True)]
         self._optimiser = OPTIMISERS.get(settings.optimiser)(splats_from_points(points, settings), kernel)
-        self._gradients = gradients_like(self._optimiser.splats)
-        self._view_gradients = ViewGradients(len(self._optimiser.splats))
+        self._renew_gradients()
         self._order = view_order(len(views), random)
         self._values: list[float] = []
 
@@ -205,7 +204,7 @@ class _KeyframeTraining:
                     waited += 1
         if step < settings.iterations and not self._is_good_enough:
             self._optimiser = best_optimiser
-            self._gradients = gradients_like(best_optimiser.splats)
+            self._renew_gradients()
         return step
 
     def _settle_on_lattice(self, steps: int, on_step: OnStep | None) -> Lattice:
@@ -333,6 +332,10 @@ class _KeyframeTraining:
         self._optimiser.keep(np.concatenate([keep, np.ones(len(parents), bool)]))
         if not len(self._optimiser.splats):
             raise TrainingError("every Gaussian became transparent; the pictures and poses contradict each other")
+        self._renew_gradients()
+
+    def _renew_gradients(self) -> None:
+        """Room for those of as many Gaussians as there are now."""
         self._gradients = gradients_like(self._optimiser.splats)
         self._view_gradients = ViewGradients(len(self._optimiser.splats))
 

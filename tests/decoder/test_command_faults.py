@@ -7,6 +7,7 @@ import json
 import os
 import re
 import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import numpy as np
 import pytest
 
 from decogs.codec.header import StreamHeader
@@ -294,3 +296,23 @@ def test_an_error_can_be_said_in_the_users_words() -> None:
     ):
         raise StreamError("x", "`r` 5: too little", packet=3)
     assert caught.value.packet == 3
+
+
+@pytest.mark.parametrize("name", ["k.usda", "k.mp4", "pose.exr"])
+def test_no_input_is_written_over(small_stream, tmp_path: Path, capsys, name: str) -> None:
+    """Streams and pose files may have any name, that of an output's kind too."""
+    (tmp_path / "here").mkdir()
+    given = tmp_path / "here" / name
+    if name == "pose.exr":
+        camera = {"width": 8, "height": 6, "fx": 8, "fy": 8, "cx": 4, "cy": 3, "world_to_camera": np.eye(4).tolist()}
+        given.write_text(json.dumps({"name": "free", **camera}))
+        arguments = [str(small_stream.path), "--camera", str(given), "-o", str(given), "--frames", ":1"]
+    else:
+        shutil.copyfile(small_stream.path, given)
+        arguments = [str(given), "-o", str(given)] + (["--view", "cam00"] if name == "k.mp4" else [])
+    before = given.read_bytes()
+    assert (export_main if name == "k.usda" else decode_main)(arguments) == 2
+    parameter = "--camera" if name == "pose.exr" else "`stream`"
+    assert f"{name}: is read, as {parameter}; name another file" in capsys.readouterr().err
+    assert given.read_bytes() == before
+    assert list(given.parent.iterdir()) == [given]

@@ -152,6 +152,21 @@ def test_an_early_stop_goes_back_to_the_best_state(case: Case, monkeypatch: pyte
     assert len(kept & later) < len(kept) / 2, "what no camera sees stays where it is"
 
 
+def test_an_early_stop_goes_back_over_growth_and_settles(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The best state has fewer Gaussians than the last one; it ended in a traceback."""
+    counts: list[int] = []
+
+    def scored(self: _KeyframeTraining, step: int) -> float:
+        counts.append(len(self._optimiser.splats))
+        return -float(len(counts))
+
+    monkeypatch.setattr(_KeyframeTraining, "validation_psnr", scored)
+    growing = replace(SHORT, validation_every=10, patience=1, grow_to=1.0, grow_gradient=0.0, cap=10_000)
+    result = trained(case, growing)
+    assert counts[0] < counts[1]
+    assert len(result.splats) <= counts[0]
+
+
 def test_without_kept_back_tiles_there_is_no_stop(case: Case) -> None:
     result = trained(case, replace(SHORT, validation_fraction=0.0, patience=1))
     assert result.steps == SHORT.iterations

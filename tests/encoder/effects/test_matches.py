@@ -12,7 +12,7 @@ import pytest
 from decogs.decoder.lens import distort_pixels
 from decogs.encoder.analysis.effect import Evidence
 from decogs.encoder.analysis.lens_distortion import LensDistortion
-from decogs.encoder.analysis.light import light_at, light_overall, own_light, shared_points
+from decogs.encoder.analysis.light import light_at, light_overall, mismatch, own_light, shared_points
 from decogs.encoder.analysis.matches import find_matches
 from decogs.encoder.analysis.rig_statistics import RigStatistics
 from decogs.encoder.analysis.view_dependence import ViewDependence
@@ -37,6 +37,7 @@ def statistics_of(cameras: list[Camera], pictures: list[np.ndarray]) -> RigStati
         above_white=untold,
         brightest=untold,
         light=own_light(points, lights, [light_overall(picture[None]) for picture in pictures]),
+        mismatch=mismatch(points, lights),
         paths=(),
         changes=(),
         arrivals=(),
