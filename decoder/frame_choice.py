@@ -54,7 +54,7 @@ def coming_frames(frames: Frames) -> slice:
     wanted = frame_slice(frames)
     start, stop = wanted.start or 0, wanted.stop
     if wanted.step not in (None, 1) or start < 0 or (stop is not None and stop <= start):
-        raise UsageError("frames of a stream that still grows are A:B with 0 <= A < B, or A:, one after the other")
+        raise UsageError("`frames` of a stream that still grows: give consecutive ones that count from its start")
     most = sys.maxsize  # what islice takes; no stream has so many
     return slice(min(start, most), None if stop is None else min(stop, most))
 
@@ -67,7 +67,7 @@ def _chosen_frames(stream: Stream, frames: Frames) -> range:
     start, stop, _ = wanted.indices(stream.frame_count)
     if start >= stop:
         what = "it has no frame" if not stream.frame_count else f"it has frames 0:{stream.frame_count}"
-        raise UsageError(f"{stream.path}: nothing to decode, {what}; choose others with frames A:B")
+        raise UsageError(f"{stream.path}: nothing to decode, {what}; choose other `frames`")
     return range(start, stop)
 
 

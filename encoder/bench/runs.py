@@ -159,7 +159,7 @@ class RigBench:
         self.cameras = _held_out(self.rig, options.holdout)
         self.frames = frame_span(self.rig, options.frames)
         if len(self.frames) < 2:
-            raise UsageError(f"{self.rig.path}: a report compares frames; give at least 2 with `frames` A:B")
+            raise UsageError(f"{self.rig.path}: a report compares frames; give `frames` of at least 2")
         Ingest(self.rig, holdout=self.cameras, scale=options.scale)
         self._threads = thread_count(options.threads)
         self.runs_folder, self._streams = output / "runs", output / "streams"

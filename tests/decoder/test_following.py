@@ -209,7 +209,7 @@ def test_a_range_ends_without_waiting_for_more(small_stream: Any, whole: Path, t
     assert (tmp_path / "live" / "cam00_000002.png").read_bytes() == (whole / "cam00_000002.png").read_bytes()
     assert warnings == []
     for frames in (slice(-2, None), slice(-1), range(3, 3), slice(0, 4, 2)):
-        with pytest.raises(UsageError, match="frames of a stream that still grows are A:B"):
+        with pytest.raises(UsageError, match="`frames` of a stream that still grows: give consecutive ones"):
             decode(tmp_path / "new.dgs", tmp_path / "live", frames=frames, **options)
 
 

@@ -114,3 +114,9 @@ def test_a_pixel_in_focus_outweighs_one_outside() -> None:
     inside, outside = np.abs(gradient[:, MASK]), np.abs(gradient[:, ~MASK])
     np.testing.assert_allclose(outside, 0.2 / IMAGE.size, rtol=1e-5)
     np.testing.assert_allclose(inside, 0.2 / IMAGE.size + 0.8 / (3 * MASK.sum()), rtol=1e-5)
+
+
+def test_emphasis_is_the_weight_of_a_pixel_in_focus_over_that_in_the_mean_of_the_picture() -> None:
+    loss = focus_loss(TARGET, MASK, None, FocusWeights(dissimilarity=0.0, whole=0.2, focus=0.8))
+    _, gradient = evaluated(loss)
+    np.testing.assert_allclose(np.abs(gradient[:, MASK]) * IMAGE.size, loss.emphasis, rtol=1e-5)

@@ -53,6 +53,23 @@ def test_changes_are_judged_by_what_they_do_to_the_loss_and_not_by_their_size() 
         assert (values[~idle] != getattr(moved, name)[~idle]).all(), "what is worth it goes on"
 
 
+def test_what_is_new_goes_on_however_little_it_does() -> None:
+    """It was not there before the frame: nothing can be taken back, and nothing is held."""
+    start = some_splats(1)
+    optimiser, gradients = trained(start, some_splats(2))
+    old = np.arange(COUNT) < 40
+    before = Splats(*(array.copy() for array in vars(optimiser.splats).values()))
+    for name, array in vars(start).items():
+        getattr(before, name)[old] = array[old]
+    revert_insignificant(optimiser, before, old, worth=1e9)
+    moved = Splats(*(array.copy() for array in vars(optimiser.splats).values()))
+    optimiser.step(gradients, RATES)
+    for name in ("means", "log_scales", "opacity_logits", "sh"):
+        changed = getattr(optimiser.splats, name) != getattr(moved, name)
+        assert changed[~old].all()
+        assert not changed[old].any()
+
+
 def test_no_change_is_taken_back_when_nothing_is_too_little() -> None:
     start = some_splats(1)
     optimiser, _ = trained(start, some_splats(2))

@@ -306,7 +306,7 @@ def refused(tmp_path: Path, three_frames: Path, capfd: pytest.CaptureFixture[str
         (["--only", "speed"], "--only speed: there is no such part; choose from beta, "),
         (["--holdout", "cam9"], "--holdout cam9: "),
         (["--frames", "2:1"], "--frames: "),
-        (["--frames", "-1:"], "give at least 2 with --frames A:B"),
+        (["--frames", "-1:"], "give --frames of at least 2"),
         (["--seed", "-1"], "--seed -1: "),
         (["--scale", "0"], "--scale 0: "),
         (["--threads", "-2"], "no number of threads"),

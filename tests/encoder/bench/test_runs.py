@@ -200,7 +200,7 @@ def test_a_rig_without_cam00_needs_a_name(tiny_rig: Any, tmp_path: Path) -> None
     ("change", "message"),
     [
         ({"holdout": ["cam9"]}, "`holdout` cam9: .* has no such camera; it has cam00, cam01"),
-        ({"frames": slice(0, 1)}, "give at least 2 with `frames` A:B"),
+        ({"frames": slice(0, 1)}, "give `frames` of at least 2"),
         ({"frames": slice(7, None)}, "`frames`: "),
         ({"scale": 0.0}, "`scale` 0: "),
         ({"seed": -1}, "`seed` -1: "),
