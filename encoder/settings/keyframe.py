@@ -14,7 +14,8 @@ class KeyframeSettings:
     ``iterations``: steps. More is slower and, up to early stopping, better. ``cap``: Gaussians at most. More is slower
     and larger. ``sh_degree``: higher is slower and larger, better where views disagree.
     ``dissimilarity``: lambda of 3DGS's loss. ``start_opacity``: of the first Gaussians. ``start_size``: their sigma in
-    units of the point spacing.
+    units of the point spacing. ``guess_opacity``, ``guess_size``: the same of points that no view confirms, which stand
+    for what is not known: large and faint ones spread over it, small and opaque ones leave holes that needles fill.
     ``grow_from``, ``grow_to``: shares of the schedule between which Gaussians are added, every ``grow_every`` steps,
     where the mean view gradient reaches ``grow_gradient``. Lower adds more, up to the cap, and is slower.
     ``prune_opacity``: Gaussians below it are removed.
@@ -35,6 +36,8 @@ class KeyframeSettings:
     dissimilarity: float = 0.2
     start_opacity: float = 0.2
     start_size: float = 0.5
+    guess_opacity: float = 0.1
+    guess_size: float = 1.0
     grow_from: float = 0.15
     grow_to: float = 0.6
     grow_every: int = 100

@@ -63,18 +63,24 @@ def scene_extent(views: Sequence[View]) -> float:
 
 
 def splats_from_points(points: FirstPoints, settings: KeyframeSettings) -> Splats:
-    """One round Gaussian per first point, of its colour and of a size in proportion to the points' spacing."""
+    """One round Gaussian per first point, of its colour and of a size in proportion to the points' spacing.
+
+    Points that no view confirms get a size and an opacity of their own.
+    """
     count, coefficients = len(points.xyz), (settings.sh_degree + 1) ** 2
+    confirmed = points.seen.any(axis=0)
+    sizes = np.where(confirmed, settings.start_size, settings.guess_size).astype(np.float32)
+    opacities = np.where(confirmed, settings.start_opacity, settings.guess_opacity)
     sh = np.zeros((count, coefficients, 3), np.float32)
     sh[:, 0] = (points.rgb - 0.5) / SH_C0
     quaternions = np.zeros((count, 4), np.float32)
     quaternions[:, 0] = 1.0
-    log_scales = np.log(np.maximum(points.spacing * settings.start_size, 1e-12), dtype=np.float32)
+    log_scales = np.log(np.maximum(points.spacing * sizes, 1e-12), dtype=np.float32)
     return Splats(
         np.ascontiguousarray(points.xyz, np.float32),
         np.repeat(log_scales[:, None], 3, axis=1),
         quaternions,
-        np.full(count, logit(settings.start_opacity), np.float32),
+        np.asarray(logit(opacities), np.float32),
         sh,
     )
 

@@ -61,7 +61,7 @@ def points(count: int = 400, seed: int = 3) -> FirstPoints:
 
 def first_points(xyz: np.ndarray, rgb: np.ndarray, spacing: np.ndarray) -> FirstPoints:
     """With full confidence."""
-    return FirstPoints(xyz, rgb, spacing, np.ones(len(xyz), np.float32), np.zeros((0, len(xyz)), bool))
+    return FirstPoints(xyz, rgb, spacing, np.ones(len(xyz), np.float32), np.ones((1, len(xyz)), bool))
 
 
 def trained(case: Case, settings: KeyframeSettings = SHORT, *, seed: int = 0, first: FirstPoints | None = None) -> Any:
@@ -350,3 +350,13 @@ def test_extent_is_1_1_times_the_farthest_camera_from_their_middle(case: Case) -
     centres = np.array([camera_centre(view.pinhole) for view in case.views])
     farthest = max(np.linalg.norm(centre - centres.mean(axis=0)) for centre in centres)
     assert scene_extent(case.views) == pytest.approx(1.1 * farthest)
+
+
+def test_points_that_no_view_confirms_have_a_size_and_an_opacity_of_their_own() -> None:
+    given = replace(points(3), seen=np.array([[True, False, False], [True, True, False]]))
+    splats = splats_from_points(given, replace(SHORT, guess_size=4.0, guess_opacity=0.03))
+    np.testing.assert_allclose(
+        np.exp(splats.log_scales[:, 0]), given.spacing * [SHORT.start_size, SHORT.start_size, 4.0], rtol=1e-6
+    )
+    expected = [SHORT.start_opacity, SHORT.start_opacity, 0.03]
+    np.testing.assert_allclose(1 / (1 + np.exp(-splats.opacity_logits)), expected, rtol=1e-6)
