@@ -53,8 +53,8 @@ class VideoSource:
     times: NDArray[np.float64] | None = field(default=None, repr=False, compare=False)
     colours: str = ""
 
-    def read(self, start: int, stop: int) -> Generator[Picture, None, None]:
-        """Frames start (inclusive) to stop (exclusive), RGB uint8; earlier ones are passed over, never seeked.
+    def read(self, start: int, stop: int, step: int = 1) -> Generator[Picture, None, None]:
+        """Every step-th frame from start (inclusive) to stop (exclusive), RGB uint8; others are passed over.
 
         Raises RigError if the video ends early, drops a frame, or changes its size.
         """
@@ -69,7 +69,7 @@ class VideoSource:
                         f"{self.frame_count} frames; re-encode it, or stop before frame {index}"
                     )
                 self._check_time(index, capture.get(cv2.CAP_PROP_POS_MSEC))
-                if index >= start:
+                if index >= start and (index - start) % step == 0:
                     yield self._retrieve(capture, index)
         finally:
             capture.release()
@@ -97,7 +97,7 @@ class VideoSource:
                 f"{self.path}: frame {index} is {bgr.shape[1]} x {bgr.shape[0]} pixels, the video started with "
                 f"{self.width} x {self.height}; re-encode it to one size"
             )
-        return np.ascontiguousarray(bgr[:, :, ::-1], np.uint8)
+        return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), np.uint8)
 
 
 def open_video(path: Path) -> VideoSource:

@@ -59,9 +59,9 @@ class RetimedSource:
     def frame_count(self) -> int:
         return self.order[0] + len(self.order)
 
-    def read(self, start: int, stop: int) -> Generator[Picture, None, None]:
+    def read(self, start: int, stop: int, step: int = 1) -> Generator[Picture, None, None]:
         """Frames ``start`` to ``stop``, counted as they are shown; pictures wait in memory where the order turns."""
-        wanted = [self._index(shown) for shown in range(start, stop)]
+        wanted = [self._index(shown) for shown in range(start, stop, step)]
         waiting: dict[int, Picture] = {}
         due = 0
         for index, picture in enumerate(self.source.read(min(wanted), max(wanted) + 1), min(wanted)) if wanted else ():

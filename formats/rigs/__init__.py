@@ -120,9 +120,9 @@ def _read_colmap(folder: Path, model: Path) -> Rig:
 
 
 def read_frames(
-    rig: Rig, start: int = 0, stop: int | None = None, *, names: Sequence[str] | None = None
+    rig: Rig, start: int = 0, stop: int | None = None, *, step: int = 1, names: Sequence[str] | None = None
 ) -> Iterator[tuple[int, list[Picture]]]:
-    """Frames start (inclusive) to stop (exclusive): the frame's index and one picture of every camera in ``names``.
+    """Every step-th frame from start (inclusive) to stop (exclusive): its index, a picture of each camera in ``names``.
 
     Pictures come in the order of ``names`` (default: all cameras); other cameras are never opened. One frame of each
     camera is held at a time; files are read strictly in sequence, also to reach ``start``. Cameras are decoded side by
@@ -137,16 +137,14 @@ def read_frames(
     if unknown:
         raise UsageError(f"{rig.path}: no camera {unknown[0]!r}; there are {', '.join(rows)}")
     chosen = [(rig.cameras[rows[name]], rig.sources[rows[name]]) for name in wanted]
-    return _frames_in_step(chosen, start, stop)
+    return _frames_in_step(chosen, range(start, stop, step))
 
 
-def _frames_in_step(
-    chosen: list[tuple[Camera, FrameSource]], start: int, stop: int
-) -> Iterator[tuple[int, list[Picture]]]:
-    readers = [source.read(start, stop) for _, source in chosen]
+def _frames_in_step(chosen: list[tuple[Camera, FrameSource]], frames: range) -> Iterator[tuple[int, list[Picture]]]:
+    readers = [source.read(frames.start, frames.stop, frames.step) for _, source in chosen]
     pool = ThreadPoolExecutor(max_workers=max(1, min(len(chosen), os.cpu_count() or 1)))
     try:
-        for index in range(start, stop):
+        for index in frames:
             pending = [
                 pool.submit(_next_picture, camera, source, reader, index)
                 for (camera, source), reader in zip(chosen, readers, strict=True)

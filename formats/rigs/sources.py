@@ -44,8 +44,8 @@ class FrameSource(Protocol):
         """Frames per second; None when it is unknown."""
         ...
 
-    def read(self, start: int, stop: int) -> Generator[Picture, None, None]:
-        """Frames start (inclusive) to stop (exclusive). Raises RigError naming file and frame."""
+    def read(self, start: int, stop: int, step: int = 1) -> Generator[Picture, None, None]:
+        """Every step-th frame from start (inclusive) to stop (exclusive). Raises RigError naming file and frame."""
         ...
 
 
@@ -66,8 +66,8 @@ class PictureSource:
     def fps(self) -> float | None:
         return None
 
-    def read(self, start: int, stop: int) -> Generator[Picture, None, None]:
-        for file in self.files[start:stop]:
+    def read(self, start: int, stop: int, step: int = 1) -> Generator[Picture, None, None]:
+        for file in self.files[start:stop:step]:
             picture = read_picture(file)
             if picture.shape != (self.height, self.width, 3):
                 raise RigError(

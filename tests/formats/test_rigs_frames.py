@@ -26,8 +26,8 @@ class CountingSource:
     def __getattr__(self, name: str) -> Any:
         return getattr(self.inner, name)
 
-    def read(self, start: int, stop: int) -> Iterator[Picture]:
-        for index, picture in enumerate(self.inner.read(start, stop), start=start):
+    def read(self, start: int, stop: int, step: int = 1) -> Iterator[Picture]:
+        for index, picture in zip(range(start, stop, step), self.inner.read(start, stop, step), strict=False):
             self.decoded.append(index)
             yield picture
 
@@ -61,6 +61,17 @@ def test_range_is_half_open(tmp_path: Path, make: Any) -> None:
     assert [index for index, _ in read_frames(rig, 3)] == [3, 4]
 
 
+def test_every_other_frame(tmp_path: Path, make: Any) -> None:
+    rig, sources = counting(open_rig(make.n3dv(tmp_path)))
+    whole = [pictures for _, pictures in read_frames(rig)]
+    for source in sources:
+        source.decoded.clear()
+    some = list(read_frames(rig, 1, 5, step=2))
+    assert [index for index, _ in some] == [1, 3]
+    np.testing.assert_array_equal([pictures for _, pictures in some], [whole[1], whole[3]])
+    assert [source.decoded for source in sources] == [[1, 3]] * 3
+
+
 def test_other_cameras_are_never_opened(tmp_path: Path, make: Any) -> None:
     rig = open_rig(make.n3dv(tmp_path))
     whole = [pictures for _, pictures in read_frames(rig)]
@@ -76,9 +87,9 @@ def test_a_reader_given_up_early_closes_its_files(tmp_path: Path, make: Any) -> 
     class ClosingSource(CountingSource):
         closed: bool = False
 
-        def read(self, start: int, stop: int) -> Iterator[Picture]:
+        def read(self, start: int, stop: int, step: int = 1) -> Iterator[Picture]:
             try:
-                yield from super().read(start, stop)
+                yield from super().read(start, stop, step)
             finally:
                 self.closed = True
 

@@ -74,6 +74,10 @@ def test_start_is_reached_by_passing_over_never_by_seeking(tmp_path: Path, make:
     part = list(source.read(5, 7))
     assert capture_log == ["grab"] * 6 + ["retrieve", "grab", "retrieve"]
     np.testing.assert_array_equal(part, whole[5:7])
+    capture_log.clear()
+    some = list(source.read(2, 7, 3))
+    assert capture_log == ["grab"] * 3 + ["retrieve"] + ["grab"] * 3 + ["retrieve", "grab"]
+    np.testing.assert_array_equal(some, [whole[2], whole[5]])
 
 
 def test_only_what_is_asked_for_is_decoded(tmp_path: Path, make: Any, capture_log: list[str]) -> None:
