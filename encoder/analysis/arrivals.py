@@ -120,23 +120,24 @@ def _paths(maps: Sequence[ChangeMaps]) -> list[_Path]:
     shape = maps[0].restructured.shape
     parents = [0]  # union-find over the areas of all steps: the path of each; 0: none
     pixels, numbers, steps = ([np.zeros(0, np.int64)] for _ in range(3))
-    before = np.zeros(shape, np.int64)
+    before, now = (np.zeros(shape[0] * shape[1], np.int64) for _ in range(2))
     for step, each in enumerate(maps):
         grown = cv2.dilate(each.restructured.view(np.uint8), _SQUARE)
         count, labels = cv2.connectedComponents(grown, connectivity=8)
-        now = np.where(labels > 0, labels + len(parents) - 1, 0)
+        here = np.flatnonzero(grown.view(np.bool_))
+        old, new = before[here], labels.ravel()[here] + np.int64(len(parents) - 1)
         parents.extend(range(len(parents), len(parents) + count - 1))
-        here = np.flatnonzero(now)
-        old, new = before.ravel()[here], now.ravel()[here]
         # A pair as one number: sorting pairs takes several times as long.
         both = np.unique((old * len(parents) + new)[old > 0])
         for pair in both.tolist():
             old_root, new_root = (_root(parents, number) for number in divmod(pair, len(parents)))
             parents[new_root] = old_root
+        now.fill(0)
+        now[here] = new
+        before, now = now, before
         pixels.append(here)
-        numbers.append(now.ravel()[here])
+        numbers.append(new)
         steps.append(np.full(len(here), step))
-        before = now
     roots = np.array([_root(parents, number) for number in range(len(parents))])
     return _grouped(shape, np.concatenate(pixels), np.concatenate(steps), roots[np.concatenate(numbers)])
 
@@ -225,7 +226,7 @@ def _side(first: F32, last: F32) -> int:
 def _edges(picture: U8) -> F32:
     smooth = cv2.GaussianBlur(picture, (0, 0), 1.0).astype(np.float32)
     across, down = cv2.Scharr(smooth, cv2.CV_32F, 1, 0), cv2.Scharr(smooth, cv2.CV_32F, 0, 1)
-    return np.asarray(cv2.sqrt(across * across + down * down).max(axis=2))
+    return largest_channel(np.asarray(cv2.magnitude(across, down), np.float32))
 
 
 def _settled(pictures: U8, place: BoolArray) -> int:

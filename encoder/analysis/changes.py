@@ -9,8 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -19,7 +20,9 @@ from numpy.typing import NDArray
 from ..change.masks import BoolArray, dilate
 
 F64 = NDArray[np.float64]
+F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
+P = TypeVar("P", bound="np.integer[Any] | np.floating[Any]")
 
 CHANGE_LEVELS = 4.0
 """Smallest change of a 3 x 3 mean that counts, in 8-bit levels; at least CHANGE_NOISE times the camera's noise."""
@@ -88,9 +91,44 @@ class ChangeShares:
 
 def change_maps(before: U8, now: U8, noise: float) -> ChangeMaps:
     """Changes from one picture (H, W, 3) to the next; ``noise``: deviation of one picture in 8-bit levels."""
+    return _change_maps(_Look(before), _Look(now), noise)
+
+
+def successive_changes(pictures: U8, noise: float) -> list[ChangeMaps]:
+    """The `change_maps` of each picture (F, H, W, 3) and the one before it."""
+    return [_change_maps(before, now, noise) for before, now in pairwise(map(_Look, pictures))]
+
+
+@dataclass(frozen=True)
+class _Look:
+    """A picture (H, W, 3) and what is compared of it, each worked out once: with the last picture and with the next."""
+
+    picture: U8
+
+    @cached_property
+    def smooth(self) -> U8:
+        return np.asarray(cv2.blur(self.picture, (3, 3)), np.uint8)
+
+    @cached_property
+    def grey(self) -> U8:
+        return np.asarray(cv2.cvtColor(self.picture, cv2.COLOR_RGB2GRAY), np.uint8)
+
+    @cached_property
+    def mean(self) -> F32:
+        return np.asarray(cv2.boxFilter(self.grey, cv2.CV_32F, _WINDOW), np.float32)
+
+    @cached_property
+    def square(self) -> F32:
+        return np.asarray(cv2.sqrBoxFilter(self.grey, cv2.CV_32F, _WINDOW), np.float32)
+
+    @cached_property
+    def variance(self) -> F32:
+        return np.asarray(self.square - self.mean * self.mean)
+
+
+def _change_maps(before: _Look, now: _Look, noise: float) -> ChangeMaps:
     limit = max(CHANGE_LEVELS, CHANGE_NOISE * noise)
-    differences = cv2.absdiff(cv2.blur(now, (3, 3)), cv2.blur(before, (3, 3)))
-    changed = largest_channel(differences) > limit
+    changed = largest_channel(cv2.absdiff(now.smooth, before.smooth)) > limit
     if not changed.any():
         return ChangeMaps(changed, changed)
     left_over, energy = _left_over(before, now)
@@ -98,11 +136,11 @@ def change_maps(before: U8, now: U8, noise: float) -> ChangeMaps:
     return ChangeMaps(changed, changed & (left_over > least) & (left_over > _UNEXPLAINED * energy))
 
 
-def largest_channel(picture: NDArray[Any]) -> U8:
+def largest_channel(picture: NDArray[P]) -> NDArray[P]:
     """The largest of the channels of every pixel (H, W); numpy's own reduction over so short an axis takes ten times as
     long."""
     red, green, blue = cv2.split(picture)
-    return np.asarray(cv2.max(cv2.max(red, green), blue), np.uint8)
+    return np.asarray(cv2.max(cv2.max(red, green), blue), picture.dtype)
 
 
 def _slow_shares(pictures: U8, noise: float) -> F64:
@@ -110,9 +148,11 @@ def _slow_shares(pictures: U8, noise: float) -> F64:
     shares = np.zeros((2, len(pictures)))
     shares[:, 0] = np.nan
     last = len(pictures) - 1
+    now = _Look(pictures[0])
     for end in sorted({*range(SLOW_FRAMES, last + 1, SLOW_FRAMES), last}) if last >= SLOW_FRAMES else ():
         span = pictures[end - SLOW_FRAMES : end + 1]
-        maps = change_maps(span[0], span[-1], noise)
+        before, now = now if end % SLOW_FRAMES == 0 else _Look(span[0]), _Look(span[-1])
+        maps = _change_maps(before, now, noise)
         near = maps.near()
         alone = maps.changed & ~near
         if not alone.any():
@@ -125,13 +165,10 @@ def _slow_shares(pictures: U8, noise: float) -> F64:
     return shares
 
 
-def _left_over(before: U8, now: U8) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _left_over(before: _Look, now: _Look) -> tuple[F32, F32]:
     """Mean squared residual of affine fits in the window around each pixel, and mean squared change."""
-    a, b = (cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY).astype(np.float32) for picture in (before, now))
-    mean_a, mean_b = cv2.blur(a, _WINDOW), cv2.blur(b, _WINDOW)
-    square_a, square_b, product = cv2.blur(a * a, _WINDOW), cv2.blur(b * b, _WINDOW), cv2.blur(a * b, _WINDOW)
-    var_a, var_b = square_a - mean_a * mean_a, square_b - mean_b * mean_b
+    product = cv2.blur(cv2.multiply(before.grey, now.grey, dtype=cv2.CV_32F), _WINDOW)
     # The negative of a pattern counts as different content.
-    common = np.maximum(product - mean_a * mean_b, 0) ** 2
-    left_over = np.maximum(var_b - common / (var_a + 1), var_a - common / (var_b + 1))
-    return left_over, square_a + square_b - 2 * product
+    common = np.maximum(product - before.mean * now.mean, 0) ** 2
+    left_over = np.maximum(now.variance - common / (before.variance + 1), before.variance - common / (now.variance + 1))
+    return left_over, before.square + now.square - 2 * product

@@ -22,7 +22,7 @@ from decogs.formats.cameras import Camera, camera_centre
 from ..change.masks import BoolArray
 from ..numerics import tukey
 from .effect import F64, Decision, Evidence, cameras_beyond, decided, spans
-from .matches import PairMatches, sampson_distances
+from .matches import PairMatches, essential_matrices, sampson_distances
 from .rig_statistics import RigStatistics
 
 if TYPE_CHECKING:
@@ -135,16 +135,24 @@ class _Fit:
     pairs: Sequence[PairMatches]
 
     def __post_init__(self) -> None:
-        self._rotations = [camera.world_to_camera[:3, :3] for camera in self.cameras]
-        self._centres = [camera_centre(camera) for camera in self.cameras]
-        self._weights = [np.ones(len(pair.first_rays)) for pair in self.pairs]
+        sizes = [len(pair.first_rays) for pair in self.pairs]
+        self._first, self._second = (np.array([getattr(p, s) for p in self.pairs], int) for s in ("first", "second"))
+        self._pair = np.repeat(np.arange(len(sizes)), sizes)
+        self._ends = np.cumsum(sizes)
+        self._first_rays, self._second_rays = (
+            np.concatenate([np.empty((0, 2)), *(getattr(pair, side) for pair in self.pairs)])
+            for side in ("first_rays", "second_rays")
+        )
+        self._rotations = np.array([camera.world_to_camera[:3, :3] for camera in self.cameras])
+        centres = np.array([camera_centre(camera) for camera in self.cameras])
+        self._baselines = centres[self._first] - centres[self._second]
+        self._focal_lengths = np.array([camera.fx for camera in self.cameras])[self._first][self._pair]
+        self._weights = np.ones(len(self._pair))
 
     def matches_of_cameras(self) -> NDArray[np.int64]:
         """Matches of each camera that still have weight."""
-        met = np.zeros(len(self.cameras), np.int64)
-        for pair, weights in zip(self.pairs, self._weights, strict=True):
-            met[[pair.first, pair.second]] += int((weights > 0).sum())
-        return met
+        kept, count = self._pair[self._weights > 0], len(self.cameras)
+        return np.bincount(self._first[kept], minlength=count) + np.bincount(self._second[kept], minlength=count)
 
     def radii(self) -> F64:
         """The radius of each camera, in its focal lengths, within which nearly all of its matches lie."""
@@ -159,12 +167,12 @@ class _Fit:
         unknowns = np.zeros((len(self.cameras), _UNKNOWNS))
         scales = np.tile([_K1_PRIOR, *[_ROTATION_PRIOR] * 3], len(self.cameras))
         for turn in range(_ROUNDS):
-            missed = [self._missed(pair, unknowns) for pair in self.pairs]
+            missed = self._missed(unknowns[self._first], unknowns[self._second])
             reach = _FIRST_REACH * _SHRINKS**turn
-            sizes = np.abs(np.concatenate(missed))
+            sizes = np.abs(missed)
             near = sizes[sizes < max(reach, 4.0)]
             deviation = max(_LEAST_DEVIATION, 1.5 * float(np.median(near)) if len(near) else 0.0)
-            self._weights = [tukey(each, max(reach, 4 * deviation)) for each in missed]
+            self._weights = tukey(missed, max(reach, 4 * deviation))
             normal, gradient = self._normal_equations(unknowns, missed)
             prior = (deviation / scales) ** 2
             normal[np.diag_indices_from(normal)] += prior
@@ -172,32 +180,43 @@ class _Fit:
         spread = np.sqrt(np.diag(np.linalg.inv(normal))) * deviation
         return unknowns[:, 0], spread.reshape(unknowns.shape)[:, 0]
 
-    def _normal_equations(self, unknowns: F64, missed: Sequence[F64]) -> tuple[F64, F64]:
+    def _normal_equations(self, unknowns: F64, missed: F64) -> tuple[F64, F64]:
         size = unknowns.size
         normal, gradient = np.zeros((size, size)), np.zeros(size)
-        for pair, residual, weights in zip(self.pairs, missed, self._weights, strict=True):
-            columns = [_UNKNOWNS * camera + k for camera in (pair.first, pair.second) for k in range(_UNKNOWNS)]
-            slopes = np.empty((len(residual), len(columns)))
-            for column, index in enumerate(columns):
-                moved = unknowns.copy()
-                moved.flat[index] += _STEP
-                slopes[:, column] = (self._missed(pair, moved) - residual) / _STEP
-            weighted = slopes * weights[:, None]
-            normal[np.ix_(columns, columns)] += np.einsum("ni,nj->ij", weighted, slopes)
-            gradient[columns] += np.einsum("ni,n->i", weighted, residual)
+        slopes = self._slopes(unknowns, missed)
+        weighted = slopes * self._weights[:, None]
+        for pair, end in enumerate(self._ends):
+            rows = slice(end - len(self.pairs[pair].first_rays), end)
+            sides = self._first[pair], self._second[pair]
+            columns = [_UNKNOWNS * camera + k for camera in sides for k in range(_UNKNOWNS)]
+            normal[np.ix_(columns, columns)] += weighted[rows].T @ slopes[rows]
+            gradient[columns] += missed[rows] @ weighted[rows]
         return normal, gradient
 
-    def _missed(self, pair: PairMatches, unknowns: F64) -> F64:
-        turned = [cv2.Rodrigues(unknowns[k, 1:])[0] @ self._rotations[k] for k in (pair.first, pair.second)]
-        first = _straightened(pair.first_rays, unknowns[pair.first, 0])
-        second = _straightened(pair.second_rays, unknowns[pair.second, 0])
-        baseline = self._centres[pair.first] - self._centres[pair.second]
-        return sampson_distances(first, second, turned, baseline) * self.cameras[pair.first].fx
+    def _slopes(self, unknowns: F64, missed: F64) -> F64:
+        """How fast the distances (M,) grow with the unknowns (M, 8) of each match's first and second camera."""
+        slopes = np.empty((len(missed), 2 * _UNKNOWNS))
+        for column in range(2 * _UNKNOWNS):
+            sides = unknowns[self._first], unknowns[self._second]
+            sides[column // _UNKNOWNS][:, column % _UNKNOWNS] += _STEP
+            slopes[:, column] = (self._missed(*sides) - missed) / _STEP
+        return slopes
+
+    def _missed(self, first: F64, second: F64) -> F64:
+        """Distances (M,) of all matches, in pixels, by the unknowns (pairs, 4) of the pairs' cameras."""
+        one, two = (
+            np.array([cv2.Rodrigues(turn)[0] for turn in unknowns[:, 1:]]) @ self._rotations[cameras]
+            for unknowns, cameras in ((first, self._first), (second, self._second))
+        )
+        essential = essential_matrices(one, two, self._baselines)[self._pair]
+        here = _straightened(self._first_rays, first[self._pair, 0])
+        there = _straightened(self._second_rays, second[self._pair, 0])
+        return np.asarray(sampson_distances(here, there, essential) * self._focal_lengths)
 
 
-def _straightened(rays: F64, k1: float) -> F64:
-    """Undistorted rays (N, 2) by fixed-point iteration, which converges for k1 r^2 well below 1."""
+def _straightened(rays: F64, k1: F64) -> F64:
+    """Rays (N, 2) undistorted by k1 (N,), by fixed-point iteration, which converges for k1 r^2 well below 1."""
     straight = rays
     for _ in range(5):
-        straight = rays / np.maximum(1 + k1 * (straight**2).sum(axis=1, keepdims=True), 0.2)
+        straight = rays / np.maximum(1 + k1 * (straight[:, 0] ** 2 + straight[:, 1] ** 2), 0.2)[:, None]
     return straight

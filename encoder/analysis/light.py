@@ -44,7 +44,7 @@ WHITE_BALANCE_LIMIT = 0.02
 FRAME_LIMIT = 0.01
 """Gain from which a frame of a drifting camera counts: half a level at mid-grey; a median over many points."""
 
-_AROUND = np.mgrid[-4:5:2, -4:5:2].reshape(2, 1, -1)
+_AROUND = np.mgrid[-4:5:2, -4:5:2].reshape(2, -1, 1)
 """Pixels around a point for averaging: reduces noise and the effect of half a pixel of misplacement."""
 _MOST_CLIPPED = 0.1
 """Largest clipped share of these."""
@@ -60,7 +60,7 @@ _OVERALL = 0.5
 """Least change of the median of a camera's pixels over its gain: a quarter of the pixels may deviate."""
 _COMPARABLE = 3
 """Cameras that a median needs: of two that differ, either may be the one that drifts."""
-_LINEAR: F32 = linear_from_srgb(np.arange(256) / 255).astype(np.float32)
+_LINEAR: F64 = linear_from_srgb(np.arange(256) / 255)
 _CLIPPED = 5
 """Levels from either end of the scale within which a value tells nothing of the light."""
 _ROUNDS = 12
@@ -149,15 +149,18 @@ def light_at(pictures: U8, pixels: F64) -> F64:
     found = np.full((len(pictures), len(pixels), 6), np.nan)
     height, width = pictures.shape[1:3]
     row, column = (
-        np.clip(np.floor(pixels[:, axis, None]).astype(np.int64) + shift, 0, size - 1)
+        np.clip(np.floor(pixels[:, axis]).astype(np.int64) + shift, 0, size - 1)
         for axis, size, shift in ((1, height, _AROUND[0]), (0, width, _AROUND[1]))
     )
+    places = row * width + column
     for index, picture in enumerate(pictures):
-        around = picture[row, column]
-        clipped = ((around < _CLIPPED) | (around > 255 - _CLIPPED)).any(axis=2).mean(axis=1)
+        around = picture.reshape(-1, 3).take(places, axis=0)
+        # Below black, 8 bits go on from white: both ends are one comparison.
+        ends = (around - np.uint8(_CLIPPED)) > 255 - 2 * _CLIPPED
+        clipped = (ends[..., 0] | ends[..., 1] | ends[..., 2]).mean(axis=0)
         known = clipped <= _MOST_CLIPPED
-        red, green, blue = np.log(_LINEAR[around[known]].mean(axis=1, dtype=np.float64)).T
-        value = around[known].mean(axis=1, dtype=np.float64) / 255
+        red, green, blue = np.log(_LINEAR.take(around).mean(axis=0)[known]).T
+        value = around.mean(axis=0)[known] / 255
         light = np.stack([(red + green + blue) / 3, red - green, blue - green], axis=1)
         found[index, known] = np.concatenate([light, logit(value)], axis=1)
     return found

@@ -17,6 +17,8 @@ F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
 
 _FEATURES = 800
+_SURROUNDINGS = 16
+"""Pixels around a masked feature that describe it."""
 _NEIGHBOURS = 4
 _WIDEST_ANGLE = 1.0
 """Angle between optical axes, in radians, beyond which SIFT hardly matches."""
@@ -71,38 +73,65 @@ def find_matches(cameras: Sequence[Camera], pictures: Sequence[U8], each: Callab
 def epipolar_distances(one: Camera, two: Camera, here: F64, there: F64) -> F64:
     """Signed distances (N,), in the first camera's pixels, of matched rays x/z, y/z (N, 2) from epipolar lines."""
     rotations = [camera.world_to_camera[:3, :3] for camera in (one, two)]
-    return sampson_distances(here, there, rotations, camera_centre(one) - camera_centre(two)) * one.fx
+    essential = essential_matrices(rotations[0], rotations[1], camera_centre(one) - camera_centre(two))
+    return sampson_distances(here, there, essential) * one.fx
 
 
-def sampson_distances(first: F64, second: F64, rotations: Sequence[F64], baseline: F64) -> F64:
+def essential_matrices(first: F64, second: F64, baselines: F64) -> F64:
+    """Essential matrices (..., 3, 3) of pairs of cameras, from rays of the first to lines among those of the second.
+
+    ``first``, ``second`` (..., 3, 3): world to camera; ``baselines`` (..., 3): centre of the first minus that of the
+    second, world units.
+    """
+    towards = baselines / np.maximum(np.linalg.norm(baselines, axis=-1, keepdims=True), 1e-12)
+    x, y, z = np.moveaxis((second @ towards[..., None])[..., 0], -1, 0)
+    zero = np.zeros_like(x)
+    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 3, 3)
+    return np.asarray(cross @ second @ np.swapaxes(first, -1, -2))
+
+
+def sampson_distances(first: F64, second: F64, essential: F64) -> F64:
     """Signed Sampson distances (N,) of matches (N, 2) of rays x/z, y/z, in focal lengths.
 
-    ``rotations``: world to camera, of both; ``baseline``: centre of the first minus that of the second, world units.
+    ``essential`` (3, 3), or (N, 3, 3) for matches of several pairs of cameras.
     Source: Hartley and Zisserman, Multiple View Geometry, 11.4.3 (Sampson distance).
     """
-    relative = rotations[1] @ rotations[0].T
-    x, y, z = rotations[1] @ baseline / max(float(np.linalg.norm(baseline)), 1e-12)
-    essential = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ relative
-    here, there = (np.concatenate([rays, np.ones((len(rays), 1))], axis=1) for rays in (first, second))
-    lines, back = here @ essential.T, there @ essential
-    slope = (lines[:, :2] ** 2).sum(axis=1) + (back[:, :2] ** 2).sum(axis=1)
-    return np.asarray((there * lines).sum(axis=1) / np.sqrt(slope / 2 + 1e-12))
+    rows = np.moveaxis(essential.reshape(-1, 3, 3), 0, -1)
+    (x, y), (u, v) = first.T, second.T
+    line, back = rows[:, 0] * x + rows[:, 1] * y + rows[:, 2], rows[0] * u + rows[1] * v + rows[2]
+    slope = line[0] ** 2 + line[1] ** 2 + back[0] ** 2 + back[1] ** 2
+    return np.asarray((line[0] * u + line[1] * v + line[2]) / np.sqrt(slope / 2 + 1e-12))
 
 
 def features_of(camera: Camera, picture: U8, mask: U8 | None = None) -> Features:
     """SIFT features of a picture (H, W, 3), where ``mask`` (H, W) is not 0."""
-    keypoints, descriptors = cv2.SIFT_create(_FEATURES).detectAndCompute(  # type: ignore[attr-defined]
-        cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), mask
-    )
+    grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
+    window = (slice(None), slice(None)) if mask is None else _window(mask)
+    keypoints: Sequence[cv2.KeyPoint] = ()
+    descriptors = None
+    if grey[window].size:
+        within = None if mask is None else np.ascontiguousarray(mask[window])
+        keypoints, descriptors = cv2.SIFT_create(_FEATURES).detectAndCompute(grey[window], within)  # type: ignore[attr-defined]
     if descriptors is None:
         return Features(np.empty((0, 2)), np.empty((0, 2)), np.empty((0, 128), np.float32))
-    pixels = np.array([keypoint.pt for keypoint in keypoints]) + 0.5
+    corner = [window[1].start or 0, window[0].start or 0]
+    pixels = np.array([keypoint.pt for keypoint in keypoints]) + corner + 0.5
     straight = undistort_pixels(camera, pixels)
     rays = (straight - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
     # Square roots of shares compare better than the descriptors themselves (Arandjelovic and Zisserman, RootSIFT).
     roots = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-9))
     known = np.isfinite(rays).all(axis=1)
     return Features(pixels[known], rays[known], roots[known].astype(np.float32))
+
+
+def _window(mask: U8) -> tuple[slice, slice]:
+    """Rows and columns where a mask (H, W) is not 0, and those that describe features there; none of an empty mask."""
+    x, y, width, height = cv2.boundingRect(mask)
+    rows, columns = (
+        slice(max(0, begin - _SURROUNDINGS), begin + size + _SURROUNDINGS) if size else slice(0, 0)
+        for begin, size in ((y, height), (x, width))
+    )
+    return rows, columns
 
 
 def neighbouring(cameras: Sequence[Camera]) -> list[tuple[int, int]]:
@@ -126,13 +155,11 @@ def _mutual(here: NDArray[np.float32], there: NDArray[np.float32]) -> tuple[NDAr
     """Rows that are each other's best match, and clearly better than the second best."""
     if len(here) < 2 or len(there) < 2:
         return np.empty(0, np.int64), np.empty(0, np.int64)
-    matcher = cv2.BFMatcher(cv2.NORM_L2)
-    back = np.array([match.trainIdx for match in matcher.match(there, here)])
-    forth = matcher.knnMatch(here, there, k=2)
-    found = [
-        (best.queryIdx, best.trainIdx)
-        for best, second in forth
-        if best.distance < _RATIO * second.distance and back[best.trainIdx] == best.queryIdx
-    ]
-    rows = np.array(found, np.int64).reshape(-1, 2)
-    return rows[:, 0], rows[:, 1]
+    # Descriptors have length 1, so that squared distances are 2 less twice the products; OpenCV's matcher takes ten
+    # times as long as one product of matrices.
+    products = here @ there.T
+    rows, best, back = np.arange(len(here)), products.argmax(axis=1), products.argmax(axis=0)
+    nearest = np.maximum(1 - products[rows, best], 0)
+    products[rows, best] = -np.inf
+    found = np.flatnonzero((nearest < _RATIO**2 * (1 - products.max(axis=1))) & (back[best] == rows))
+    return found, best[found]

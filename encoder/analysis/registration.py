@@ -25,10 +25,14 @@ changes an edge of 100 levels, two pixels wide, by 5 levels."""
 _MOST_CORNERS, _CORNER_QUALITY, _CORNER_DISTANCE = 1000, 0.02, 7
 _PARTS, _CORNERS_PER_PART = (5, 4), 10
 _FEWEST = 12
-_WINDOW, _LEVELS = (15, 15), 2
+_WINDOW, _LEVELS = (15, 15), (1, 2)
+"""Halvings of the picture in the search; more where fewer do not tell, and right away where they just did not."""
+_UNTIL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
+"""Steps of a corner's search, and the step in pixels that ends it: a third of what counts, for a single corner."""
 _STILL_SHARE = 0.3
 _ALIKE = 0.5
 _ROUNDS = 8
+_COMPLEX = np.array([1, 1j])
 _SMALLEST_SPREAD = 0.02
 """Least spread of displacements, in pixels: that of noise."""
 
@@ -60,17 +64,28 @@ def camera_path(pictures: U8) -> CameraPath:
     if len(corners) < _FEWEST:
         return CameraPath(displacement, transforms)
     displacement[0] = 0.0
-    centre = np.array([(pictures.shape[2] - 1) / 2, (pictures.shape[1] - 1) / 2])
     for index in range(1, count):
-        found, status, _ = cv2.calcOpticalFlowPyrLK(
-            first, _normalised(pictures[index]), corners, None, winSize=_WINDOW, maxLevel=_LEVELS
-        )  # type: ignore[call-overload]
-        kept = status.ravel() == 1
-        if kept.sum() >= _FEWEST:
-            at = corners[kept, 0].astype(np.float64) - centre
-            transforms[index], displacement[index] = _similarity(at, (found - corners)[kept, 0].astype(np.float64))
-            transforms[index, :, 2] += centre - transforms[index, :, :2] @ centre
+        now = _normalised(pictures[index])
+        for levels in _LEVELS if np.isfinite(displacement[index - 1]) else _LEVELS[1:]:
+            transforms[index], displacement[index] = _tracked(first, now, corners, levels)
+            if np.isfinite(displacement[index]):
+                break
     return CameraPath(displacement, transforms)
+
+
+def _tracked(first: U8, now: U8, corners: F32, levels: int) -> tuple[F64, float]:
+    """The similarity (2, 3) from the first picture to another, and its displacement."""
+    found, status, _ = cv2.calcOpticalFlowPyrLK(
+        first, now, corners, None, winSize=_WINDOW, maxLevel=levels, criteria=_UNTIL
+    )  # type: ignore[call-overload]
+    kept = status.ravel() == 1
+    if kept.sum() < _FEWEST:
+        return np.eye(2, 3), np.nan
+    centre = np.array([(first.shape[1] - 1) / 2, (first.shape[0] - 1) / 2])
+    at = corners[kept, 0].astype(np.float64) - centre
+    transform, displacement = _similarity(at, (found - corners)[kept, 0].astype(np.float64))
+    transform[:, 2] += centre - transform[:, :2] @ centre
+    return transform, displacement
 
 
 def _corners(picture: U8) -> F32:
@@ -87,31 +102,35 @@ def _corners(picture: U8) -> F32:
 
 def _normalised(picture: U8) -> U8:
     """Luminance with local mean and contrast taken out, around 128."""
-    grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY).astype(np.float32)
-    centred = grey - cv2.blur(grey, (13, 13))
+    grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
+    centred = grey - cv2.boxFilter(grey, cv2.CV_32F, (13, 13))
     contrast = cv2.sqrt(cv2.blur(centred * centred, (13, 13)) + 9)
     return np.asarray(np.clip(centred / contrast * 40 + 128, 0, 255), np.uint8)
 
 
 def _similarity(at: F64, moved: F64) -> tuple[F64, float]:
-    """The similarity (2, 3) that most displacements (N, 2) agree with, and its size in pixels over these places."""
-    rows = np.zeros((len(at), 2, 4))
-    rows[:, 0, 0] = rows[:, 1, 1] = 1
-    rows[:, 0, 2], rows[:, 1, 2] = -at[:, 1], at[:, 0]
-    rows[:, :, 3] = at
-    scale = float(np.abs(at).max()) or 1.0
-    rows[:, :, 2:] /= scale
-    x = np.array([*np.median(moved, axis=0), 0.0, 0.0])
+    """The similarity (2, 3) that most displacements (N, 2) agree with, and its size in pixels over these places.
+
+    Places and displacements are complex numbers, so that turning and growing are one factor.
+    """
+    places, moves = at @ _COMPLEX, moved @ _COMPLEX
+    shift = complex(np.median(moved[:, 0]), np.median(moved[:, 1]))
+    fitted = np.full(len(at), shift)
+    factor = 0j
     for _ in range(_ROUNDS):
-        missed = np.linalg.norm(moved - rows @ x, axis=1)
+        missed = np.abs(moves - fitted)
         spread = max(1.5 * float(np.median(missed)), _SMALLEST_SPREAD)
         weight = np.maximum(0.0, 1 - (missed / (4 * spread)) ** 2)
-        weighted = rows * weight[:, None, None]
-        normal = np.einsum("nij,nik->jk", weighted, rows) + 1e-6 * np.eye(4)
-        x = np.linalg.solve(normal, np.einsum("nij,ni->j", weighted, moved))
-    moves = rows @ x
-    size = float(np.sqrt((moves**2).sum(axis=1).mean()))
-    still = float(np.quantile(np.linalg.norm(moved, axis=1), _STILL_SHARE))
-    alike = np.median(np.linalg.norm(moved - moves, axis=1)) <= max(_ALIKE * size, SHAKE_LIMIT)
-    turn, grow = x[2:] / scale
-    return np.array([[1 + grow, -turn, x[0]], [turn, 1 + grow, x[1]]]), min(size, still) if alike else np.nan
+        whole = weight.sum()
+        middle, mean = (weight @ places) / whole, (weight @ moves) / whole
+        around = places - middle
+        weighted = weight * around.conj()
+        factor = (weighted @ (moves - mean)) / max((weighted @ around).real, 1e-6)
+        shift = mean - factor * middle
+        fitted = shift + factor * places
+    size = float(np.sqrt((np.abs(fitted) ** 2).mean()))
+    still = float(np.quantile(np.abs(moves), _STILL_SHARE))
+    alike = np.median(np.abs(moves - fitted)) <= max(_ALIKE * size, SHAKE_LIMIT)
+    grow, turn = factor.real, factor.imag
+    transform = np.array([[1 + grow, -turn, shift.real], [turn, 1 + grow, shift.imag]])
+    return transform, min(size, still) if alike else np.nan

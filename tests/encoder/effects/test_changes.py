@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from decogs.encoder.analysis.changes import ChangeShares, change_maps
+from decogs.encoder.analysis.changes import ChangeShares, change_maps, successive_changes
 
 
 def shares(before: np.ndarray, now: np.ndarray, noise: float = 1.0) -> tuple[float, float, float]:
@@ -28,6 +28,15 @@ def test_noise_is_no_change(texture: np.ndarray, with_noise: Callable[..., np.nd
     changed, restructured, _ = shares(with_noise(texture, 1), with_noise(texture, 2))
     assert changed < 1e-4
     assert restructured == 0
+
+
+def test_successive_changes_are_those_of_each_pair(texture: np.ndarray, with_noise: Callable[..., np.ndarray]) -> None:
+    pictures = np.stack([with_noise(with_square(texture, 40 + 4 * step), step) for step in range(4)])
+    for found, (before, now) in zip(successive_changes(pictures, 1.0), pairwise(pictures), strict=True):
+        expected = change_maps(before, now, 1.0)
+        np.testing.assert_array_equal(found.changed, expected.changed)
+        np.testing.assert_array_equal(found.restructured, expected.restructured)
+        assert expected.restructured.any()
 
 
 def test_stronger_noise_needs_to_be_known(texture: np.ndarray, with_noise: Callable[..., np.ndarray]) -> None:

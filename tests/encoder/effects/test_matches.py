@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -13,7 +14,7 @@ from decogs.decoder.lens import distort_pixels
 from decogs.encoder.analysis.effect import Evidence
 from decogs.encoder.analysis.lens_distortion import LensDistortion
 from decogs.encoder.analysis.light import light_at, light_overall, mismatch, own_light, shared_points
-from decogs.encoder.analysis.matches import find_matches
+from decogs.encoder.analysis.matches import features_of, find_matches, matched
 from decogs.encoder.analysis.rig_statistics import RigStatistics
 from decogs.encoder.analysis.view_dependence import ViewDependence
 from decogs.formats.cameras import Camera
@@ -107,3 +108,34 @@ def test_sheen_depends_on_the_view(plane_views: Callable[..., Views]) -> None:
     matte, shiny = (ViewDependence().evidence(statistics_of(cameras, seen)).peak for seen in (pictures, glossy))
     assert decision(ViewDependence(), (cameras, glossy)).detected
     assert shiny > 1.5 * matte
+
+
+def test_matches_are_those_of_opencvs_matcher(plane_views: Callable[..., Views]) -> None:
+    """Mutual nearest neighbours whose distance is below 0.8 of the second nearest's."""
+    cameras, pictures = plane_views()
+    one, two = (features_of(camera, picture) for camera, picture in zip(cameras[:2], pictures[:2], strict=True))
+    matcher = cv2.BFMatcher(cv2.NORM_L2)
+    back = {match.queryIdx: match.trainIdx for match in matcher.match(two.descriptors, one.descriptors)}
+    expected = [
+        (best.queryIdx, best.trainIdx)
+        for best, second in matcher.knnMatch(one.descriptors, two.descriptors, k=2)
+        if best.distance < 0.8 * second.distance and back[best.trainIdx] == best.queryIdx
+    ]
+    assert len(expected) > 30
+    pair = matched(0, 1, one, two)
+    np.testing.assert_array_equal(pair.first_pixels, one.pixels[[row for row, _ in expected]])
+    np.testing.assert_array_equal(pair.second_pixels, two.pixels[[row for _, row in expected]])
+
+
+def test_features_of_a_part_lie_in_it(plane_views: Callable[..., Views]) -> None:
+    """With most of the whole picture's there, to a tenth of a pixel, and weaker ones. An empty mask has none."""
+    cameras, pictures = plane_views()
+    mask = np.zeros(pictures[0].shape[:2], np.uint8)
+    mask[30:90, 50:110] = 1
+    whole, part = features_of(cameras[0], pictures[0]), features_of(cameras[0], pictures[0], mask)
+    inside = [mask[tuple(np.floor(each.pixels[:, ::-1]).astype(int).T)] == 1 for each in (whole, part)]
+    assert inside[1].all()
+    apart = np.linalg.norm(whole.pixels[inside[0], None] - part.pixels[None], axis=2).min(axis=1)
+    assert 10 < len(apart) < len(part.pixels)
+    assert np.mean(apart < 0.1) > 0.8
+    assert not len(features_of(cameras[0], pictures[0], np.zeros_like(mask)).pixels)
