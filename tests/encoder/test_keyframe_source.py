@@ -150,7 +150,7 @@ def test_a_refined_keyframe_is_the_same_scene_on_a_finer_lattice(moving: Any) ->
     for name, array in vars(before).items():
         # Steps divided by a power of two: every value is exactly the same.
         np.testing.assert_array_equal(getattr(after, name), array)
-    assert (finer.state.means == 8 * source.state.means).all()
+    assert (finer.state.means == 8 * source.state.means.astype(np.int32)).all()
     np.testing.assert_array_equal(finer.state.ids, source.state.ids)
     with pytest.raises(UsageError, match="does not fit"):
         source.refined(1 << 30)
