@@ -98,6 +98,11 @@ Corrections = Mapping[str, Correction]
 """A frame's corrections by camera."""
 
 
+def whole_steps(value: float, step: float) -> int:
+    """The nearest number of steps that the block can hold."""
+    return max(-LARGEST, min(LARGEST, round(value / step)))
+
+
 def with_colours(correction: Correction, colours: Correction) -> Correction:
     """The correction of a camera whose ``colours`` differ from the scene's in every frame."""
     added = {name: getattr(correction, name) + getattr(colours, name) for name in ("exposure", "red", "blue")}

@@ -34,7 +34,8 @@ _RIGID_TOLERANCE = 1e-2
 EFFECTS = frozenset(
     {
         *("motion", "appearance_change", "emergence", "disappearance", "view_dependence", "lens_distortion"),
-        *("colour_mismatch", *EFFECT_FIELDS),
+        "colour_mismatch",
+        *EFFECT_FIELDS,
     }
 )
 """Effects a 1.0 decoder reproduces; a stream that names another one asks for more than this decoder can do."""

@@ -37,7 +37,7 @@ class ColourMismatch:
             evidence,
             counts=different,
             frames=one_span(stats, np.ones(len(stats.frames), bool)),
-            reason=f"nearly all of a picture differs from other cameras' by a gain of {evidence.peak:.1f} % or more",
+            reason=f"nearly all of a picture shares a gain of up to {evidence.peak:.1f} % against other cameras",
             cost="3 numbers per camera in the header; one multiplication per pixel",
             figures={
                 "gain": {stats.names[k]: np.exp(stats.mismatch.gains[k]).tolist() for k in different.nonzero()[0]}

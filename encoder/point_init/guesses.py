@@ -15,7 +15,7 @@ from .views import Array, SweepView, floats, inside, pixel_rays, project
 CELL = 8
 """Side, in pixels, of picture cells, each of which gets a point."""
 _APART = 2.4
-"""Distance between guesses over that between confirmed points: their places are not known well enough for more."""
+"""Distance between guesses over that between confirmed points: more of them would not know their places better."""
 _BELIEVED = 0.5
 """Share of the guesses at the unconfirmed depth of the view's own sweep, where it is plausible."""
 _SCATTER, _WIDE_SCATTER = 0.05, 0.5

@@ -1,7 +1,8 @@
 """The keyframe: 3D Gaussian Splatting on the training views of one frame (Kerbl 2023).
 
 Chosen, measured on `workbench` with cam00 held out (figures in the README): a dense cloud from the
-rig itself, small first Gaussians of opacity 0.2, rates above 3DGS's that fall to a fifth by the end, SH raised step
+rig itself, small first Gaussians of opacity 0.2 (larger
+and fainter where no view confirms a point), rates above 3DGS's that fall to a fifth by the end, SH raised step
 by step. A dozen views overfit, so a few 16x16 pixel tiles of every training view are left out of the loss and say
 when to stop: nothing outside the training views is needed. Rejected: dropping random Gaussians (-0.5 dB at 10 %),
 opacity or scale penalties (no gain), MCMC noise (no gain). Opacity resets were not tried.

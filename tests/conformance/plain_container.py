@@ -23,15 +23,8 @@ CORRECTIONS = {
     "camera_shake": ["yaw", "pitch", "roll"],
 }
 EFFECTS = {
-    *(
-        "motion",
-        "appearance_change",
-        "emergence",
-        "disappearance",
-        "view_dependence",
-        "lens_distortion",
-        "colour_mismatch",
-    ),
+    *("motion", "appearance_change", "emergence", "disappearance", "view_dependence", "lens_distortion"),
+    "colour_mismatch",
     *CORRECTIONS,
 }
 COEFFICIENTS = {"none": (0,), "opencv": (4, 5, 8), "fisheye": (4,)}

@@ -19,6 +19,7 @@ import decogs.encoder.coding.coded_scene as coded_scene
 from decogs.codec.corrections import Correction
 from decogs.codec.state import State
 from decogs.decoder.picture_output import to_8bit
+from decogs.decoder.stream import open_stream
 from decogs.decoder.views import render_view
 from decogs.encoder import EncodeReport, EncodeSettings, FrameReport
 from decogs.encoder.input.imported_keyframe import read_keyframe
@@ -208,6 +209,13 @@ class Encoded:
     @property
     def data(self) -> bytes:
         return self.path.read_bytes()
+
+    def cut_off(self, frames: int, more: int = 0) -> bytes:
+        """What an encode that was killed after so many frames, and ``more`` bytes of the next one, has left."""
+        with open_stream(self.path) as stream:
+            sizes = [frame.packet_bytes for frame in stream.frames()]
+        data = self.data
+        return data[: data.index(b"DGSP\x02") + sum(sizes[:frames]) + more]
 
 
 Encode = Callable[..., Encoded]

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.codec.corrections import ANGLE_STEP, COLOUR_STEP, LARGEST, CorrectedCameras, Correction, Corrections
+from decogs.codec.corrections import ANGLE_STEP, COLOUR_STEP, CorrectedCameras, Correction, Corrections, whole_steps
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import FloatArray
 
@@ -236,12 +236,12 @@ class Corrector:
             green = float((precision * shift).sum() / max(float(precision.sum()), 1e-12))
         yaw, pitch, roll = angles_of(fault.rotation)
         return Correction(
-            _steps(green, COLOUR_STEP) if drifts else 0,
-            _steps(red - green, COLOUR_STEP) if unbalanced else 0,
-            _steps(blue - green, COLOUR_STEP) if unbalanced else 0,
-            _steps(yaw, ANGLE_STEP),
-            _steps(pitch, ANGLE_STEP),
-            _steps(roll, ANGLE_STEP),
+            whole_steps(green, COLOUR_STEP) if drifts else 0,
+            whole_steps(red - green, COLOUR_STEP) if unbalanced else 0,
+            whole_steps(blue - green, COLOUR_STEP) if unbalanced else 0,
+            whole_steps(yaw, ANGLE_STEP),
+            whole_steps(pitch, ANGLE_STEP),
+            whole_steps(roll, ANGLE_STEP),
         )
 
 
@@ -278,10 +278,6 @@ def _light_of(shifts: F64) -> F64:
         left = np.where(median == 0, 0, 1 - np.square(chance / median))
     red, green, blue = median * np.maximum(left, 0)
     return np.array([red + green, green, blue + green])
-
-
-def _steps(value: float, step: float) -> int:
-    return max(-LARGEST, min(LARGEST, round(value / step)))
 
 
 def _of_the_others(shifts: Mapping[str, F64], name: str) -> F64:

@@ -5,8 +5,8 @@ which Gaussians can show every camera its own colours. The differences are found
 views confirm at one place whatever their brightness, and taken out of every frame's pictures. The header keeps them, so
 that a rig camera's decoded view has the colours that it recorded.
 
-Chosen over estimates while the keyframe is trained, as for drift: by the time its depths are good, the haze is there
-(`panoptic_basketball`, four cameras left out: 25.4 dB as recorded, 26.9 estimated in training, 27.3 at first points).
+Chosen over estimates while the keyframe is trained, as for drift: as good (`panoptic_basketball`, four cameras left
+out: 25.3 dB as recorded, 26.9 either way), in 67 CPU-s instead of 81, without bytes in every frame.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.codec.corrections import COLOUR_STEP, LARGEST, Correction, Corrections
+from decogs.codec.corrections import COLOUR_STEP, Correction, Corrections, whole_steps
 from decogs.formats.cameras import project
 from decogs.formats.splats import FloatArray
 
@@ -58,8 +58,4 @@ def _colours(view: View, picture: FloatArray, points: NDArray[np.float64]) -> Fl
 
 def _correction(shift: NDArray[np.float64]) -> Correction:
     red, green, blue = shift.tolist()
-    return Correction(_steps(green), _steps(red - green), _steps(blue - green))
-
-
-def _steps(value: float) -> int:
-    return max(-LARGEST, min(LARGEST, round(value / COLOUR_STEP)))
+    return Correction(*(whole_steps(value, COLOUR_STEP) for value in (green, red - green, blue - green)))
