@@ -16,6 +16,13 @@ from decogs.formats.errors import UsageError
 RNG = np.random.default_rng(7)
 
 
+@pytest.fixture(autouse=True)
+def fresh_numbers() -> None:
+    """Each test has its own, whichever ran before it in its process: one in many draws makes a speck out of noise."""
+    global RNG
+    RNG = np.random.default_rng(7)
+
+
 def levels(picture: np.ndarray) -> np.ndarray:
     """8-bit levels as a planar picture in 0..1, as the rig readers make it."""
     return picture.astype(np.float32) / np.float32(255)
