@@ -131,7 +131,7 @@ class _DeltaTraining:
         self._draw_probes(work)
         if self._squared_error(pictures, masks) > _DIVERGED * before:
             return replace(work.unchanged(scene), rejected=True), schedule
-        return replace(self._result(work), hurried=schedule.hurry > 1), schedule
+        return replace(self._result(work), hurried=schedule.is_cut_short), schedule
 
     def _probes(self) -> list[int]:
         """A sample of the used views for measuring errors: every third, fewer when time is short."""
