@@ -5,9 +5,9 @@ The rasteriser knows pinhole cameras only. A picture of a distorted camera is un
 sees and resampled to the camera's own pixels (``Redistortion``), so that it can be laid over the original video.
 
 Models, in normalised coordinates (x/z, y/z), with r the undistorted radius: "opencv" (Brown-Conrady with tangential
-and rational terms) and "fisheye" (Kannala-Brandt); formulas and coefficient order are those of OpenCV's calib3d
-documentation, against whose ``projectPoints`` the tests compare. OpenCV counts pixels from the centre of the first
-one, this project from its corner: only here, at the border to ``cv2.remap``, half a pixel is taken off.
+and rational terms) and "fisheye" (Kannala-Brandt), with the coefficients in OpenCV's order. OpenCV bends; straightening
+is done here, because OpenCV's own misses directions that these lenses see (DESIGN.md has figures). OpenCV counts pixels
+from the centre of the first one, this project from its corner: only here is half a pixel taken off and put back.
 
 Both models fold: beyond some radius the polynomial turns back and far directions would appear a second time inside the
 picture. Directions past that radius are outside the lens's reach, not mapped.
@@ -16,12 +16,12 @@ picture. Directions past that radius are outside the lens's reach, not mapped.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
+from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 from decogs.formats.cameras import Camera, as_pinhole, ray_slopes
@@ -48,10 +48,7 @@ class Lens(Protocol):
     """One lens model with its coefficients, in normalised coordinates."""
 
     reach: float
-
-    def distort(self, x: F64, y: F64) -> tuple[F64, F64]:
-        """Where the lens puts an undistorted direction; meaningless at radii past ``reach``."""
-        ...
+    """Radius of the farthest undistorted direction: past it the model turns back."""
 
     def undistort(self, x: F64, y: F64) -> tuple[F64, F64]:
         """The undistorted direction of a distorted point; NaN where the lens puts no direction."""
@@ -64,50 +61,26 @@ class BrownConradyLens:
     def __init__(self, coefficients: tuple[float, ...]) -> None:
         k1, k2, p1, p2, k3, k4, k5, k6 = (*coefficients, *([0.0] * (8 - len(coefficients))))
         self._tangential = p1, p2
-        self._numerator = np.polynomial.Polynomial([1.0, k1, k2, k3])
-        self._denominator = np.polynomial.Polynomial([1.0, k4, k5, k6]) if any((k4, k5, k6)) else None
+        self._numerator = Polynomial([1.0, k1, k2, k3]).trim()
+        self._denominator = Polynomial([1.0, k4, k5, k6]).trim()
+        self._slopes = self._numerator.deriv(), self._denominator.deriv()
         self.reach = self._radius_of_fold()
-        self._farthest = self._farthest_image()
 
     def _radius_of_fold(self) -> float:
         """Smallest radius at which the distorted radius stops growing (or has a pole), ignoring tangential terms.
 
         With s = r^2 and r_d = r N(s) / D(s), dr_d/dr has the sign of (N + 2 s N') D - 2 s N D'.
         """
-        n = self._numerator
-        d = self._denominator if self._denominator is not None else np.polynomial.Polynomial([1.0])
-        two_s = np.polynomial.Polynomial([0.0, 2.0])
-        growth: np.polynomial.Polynomial = (n + two_s * n.deriv()) * d - two_s * n * d.deriv()
-        return math.sqrt(_first_positive_root(growth, d))
-
-    def _farthest_image(self) -> float:
-        """No direction within ``reach`` is put farther from the centre than this."""
-        if math.isinf(self.reach):
-            return math.inf
-        with np.errstate(all="ignore"):
-            radial, _ = self._radial(np.array([self.reach**2]))
-        tangential = 3 * (abs(self._tangential[0]) + abs(self._tangential[1])) * self.reach**2
-        return float(self.reach * abs(radial[0]) + tangential)
+        n, d, two_s = self._numerator, self._denominator, Polynomial([0.0, 2.0])
+        n_slope, d_slope = self._slopes
+        return math.sqrt(_first_positive_root((n + two_s * n_slope) * d - two_s * n * d_slope, d))
 
     def _radial(self, s: F64) -> tuple[F64, F64]:
         """Radial factor R(s) and its derivative by s = r^2."""
-        n = self._numerator
-        value, slope = _horner(n.coef, s), _horner(n.deriv().coef, s)
-        if self._denominator is None:
-            return value, slope
-        d = self._denominator
-        below, slope_below = _horner(d.coef, s), _horner(d.deriv().coef, s)
-        return value / below, (slope - value / below * slope_below) / below
-
-    def distort(self, x: F64, y: F64) -> tuple[F64, F64]:
-        """Where the lens puts points x, y of the plane at depth 1, by OpenCV's model."""
-        p1, p2 = self._tangential
-        s = x * x + y * y
-        radial, _ = self._radial(s)
-        return (
-            x * radial + 2 * p1 * x * y + p2 * (s + 2 * x * x),
-            y * radial + p1 * (s + 2 * y * y) + 2 * p2 * x * y,
-        )
+        n_slope, d_slope = self._slopes
+        below = self._denominator(s)
+        value = self._numerator(s) / below
+        return value, (n_slope(s) - value * d_slope(s)) / below
 
     def undistort(self, x: F64, y: F64) -> tuple[F64, F64]:
         """Newton's method with the exact (symmetric) Jacobian, from the distorted point itself.
@@ -116,26 +89,22 @@ class BrownConradyLens:
         monotonically to the first root, which is the one on this side of the fold.
         """
         p1, p2 = self._tangential
-        beyond = np.hypot(x, y) > self._farthest
-        u, v = np.where(beyond, np.nan, x), np.where(beyond, np.nan, y)
-        for _ in range(_NEWTON_STEPS):
-            s = u * u + v * v
+        u, v = x, y
+        for steps_left in reversed(range(_NEWTON_STEPS + 1)):
+            s, uv2 = u * u + v * v, 2 * u * v
             radial, slope = self._radial(s)
-            uv2 = 2 * u * v
             error_u = u * radial + p1 * uv2 + p2 * (s + 2 * u * u) - x
             error_v = v * radial + p1 * (s + 2 * v * v) + p2 * uv2 - y
+            missed_by = np.abs(error_u) + np.abs(error_v)
+            if not steps_left or not np.any(missed_by > _CONVERGED):
+                break
             uu = radial + 2 * u * u * slope + 2 * p1 * v + 6 * p2 * u
             vv = radial + 2 * v * v * slope + 6 * p1 * v + 2 * p2 * u
             off = uv2 * slope + 2 * p1 * u + 2 * p2 * v
             determinant = uu * vv - off * off
-            step_u = (vv * error_u - off * error_v) / determinant
-            step_v = (uu * error_v - off * error_u) / determinant
-            u -= step_u
-            v -= step_v
-            if not np.any(np.abs(step_u) + np.abs(step_v) > _CONVERGED):
-                break
-        again_x, again_y = self.distort(u, v)
-        found = (np.hypot(again_x - x, again_y - y) < _SAME) & (u * u + v * v < self.reach**2)
+            u = u - (vv * error_u - off * error_v) / determinant
+            v = v - (uu * error_v - off * error_u) / determinant
+        found = (missed_by < _SAME) & (s < self.reach**2)
         return np.where(found, u, np.nan), np.where(found, v, np.nan)
 
 
@@ -144,39 +113,29 @@ class FisheyeLens:
 
     def __init__(self, coefficients: tuple[float, ...]) -> None:
         k1, k2, k3, k4 = coefficients
-        self._polynomial = np.polynomial.Polynomial([1.0, k1, k2, k3, k4])
-        slope = np.polynomial.Polynomial([1.0, 3 * k1, 5 * k2, 7 * k3, 9 * k4])
+        self._factor = Polynomial([1.0, k1, k2, k3, k4]).trim()
+        self._slope = Polynomial([1.0, 3 * k1, 5 * k2, 7 * k3, 9 * k4]).trim()
         # A pinhole cannot see 90 degrees off its axis, whatever the lens can.
-        self._widest_angle = min(math.sqrt(_first_positive_root(slope)), np.pi / 2 - 1e-3)
-        self._slope = slope
+        self._widest_angle = min(math.sqrt(_first_positive_root(self._slope)), np.pi / 2 - 1e-3)
         self.reach = math.tan(self._widest_angle)
-
-    def distort(self, x: F64, y: F64) -> tuple[F64, F64]:
-        """Where the lens puts points x, y of the plane at depth 1, by OpenCV's fisheye model."""
-        radius = np.hypot(x, y)
-        angle = np.arctan(radius)
-        bent = angle * _horner(self._polynomial.coef, angle * angle)
-        factor = np.divide(bent, radius, out=np.ones_like(radius), where=radius > 0)
-        return x * factor, y * factor
 
     def undistort(self, x: F64, y: F64) -> tuple[F64, F64]:
         """Newton's method on the angle alone; the direction around the axis does not change."""
         bent = np.hypot(x, y)
         angle = np.minimum(bent, self._widest_angle)
-        for _ in range(_NEWTON_STEPS):
+        for steps_left in reversed(range(_NEWTON_STEPS + 1)):
             square = angle * angle
-            step = (angle * _horner(self._polynomial.coef, square) - bent) / _horner(self._slope.coef, square)
-            angle = np.clip(angle - step, 0.0, self._widest_angle)
-            if not np.any(np.abs(step) > _CONVERGED):
+            error = angle * self._factor(square) - bent
+            if not steps_left or not np.any(np.abs(error) > _CONVERGED):
                 break
-        found = np.abs(angle * _horner(self._polynomial.coef, angle * angle) - bent) < _SAME
+            angle = np.clip(angle - error / self._slope(square), 0.0, self._widest_angle)
         factor = np.divide(np.tan(angle), bent, out=np.ones_like(bent), where=bent > 0)
-        factor[~found] = np.nan
+        factor[~(np.abs(error) < _SAME)] = np.nan
         return x * factor, y * factor
 
 
-_CONVERGED = 1e-9
-"""Newton stops at steps this small: 1e-6 pixels at a focal length of 1000."""
+_CONVERGED = 1e-12
+"""Newton stops this close to the distorted point: 1e-9 pixels at a focal length of 1000."""
 
 _NEWTON_STEPS = 15
 """Enough right at the fold, where a step only halves the error: 1e-5 of the radius, 1e-10 of its image."""
@@ -215,20 +174,23 @@ def distort_pixels(camera: Camera, pixels: F64) -> F64:
 
     Both pictures share size and intrinsics (``as_pinhole(camera)``); pixel centres at .5. NaN past the lens's reach.
     """
-    if not is_distorted(camera):
+    if not is_distorted(camera) or not pixels.size:
         return np.array(pixels, dtype=np.float64)
     lens = lens_of(camera)
     x, y = ray_slopes(camera, pixels[..., 0], pixels[..., 1])
-    return _in_pixels(camera, *_bent(lens, x, y))
+    rays = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 1, 3)
+    in_place = np.zeros(3)  # the rays are in the camera's own axes already
+    bent, _ = _opencv_model(camera).projectPoints(
+        rays, in_place, in_place, _opencv_matrix(camera), np.array(camera.distortion, np.float64)
+    )
+    return np.where((x * x + y * y < lens.reach**2)[..., None], bent.reshape(pixels.shape) + 0.5, np.nan)
 
 
 def undistort_pixels(camera: Camera, pixels: F64) -> F64:
     """Where points of the distorted picture lie in the pinhole one: (..., 2) to (..., 2); see ``distort_pixels``."""
     if not is_distorted(camera):
         return np.array(pixels, dtype=np.float64)
-    x, y = ray_slopes(camera, pixels[..., 0], pixels[..., 1])
-    with np.errstate(all="ignore"):
-        return _in_pixels(camera, *lens_of(camera).undistort(x, y))
+    return np.stack(_straightened(camera, lens_of(camera), pixels[..., 0], pixels[..., 1]), axis=-1)
 
 
 class Undistortion:
@@ -340,11 +302,17 @@ def _redistortion(
     """Window to render and maps into it, cached by intrinsics (poses do not matter): a preview asks every frame."""
     camera = Camera("", width, height, fx, fy, cx, cy, np.eye(4), model, distortion)
     lens = lens_of(camera)
-    u, v = _mapped(camera, lens.undistort, camera)
+    u, v = np.empty((height, width)), np.empty((height, width))
+    for first in range(0, height, _ROWS):
+        rows = slice(first, min(first + _ROWS, height))
+        centres = np.meshgrid(np.arange(width) + 0.5, np.arange(rows.start, rows.stop) + 0.5)
+        u[rows], v[rows] = _straightened(camera, lens, *centres)
     (left, right), (top, bottom) = _range(u, width), _range(v, height)
-    u -= left
-    v -= top
-    return _Plan(_Window(left, top, right, bottom), _for_remap(u, v, _within(u, v, right - left, bottom - top)))
+    u -= left + 0.5
+    v -= top + 0.5
+    inside = _within(u, v, right - left, bottom - top)
+    u[~inside] = v[~inside] = 0.0
+    return _Plan(_Window(left, top, right, bottom), (u.astype(np.float32), v.astype(np.float32), inside))
 
 
 def _range(positions: F64, size: int) -> tuple[int, int]:
@@ -369,55 +337,48 @@ def _shifted(camera: Camera, window: _Window) -> Camera:
 
 
 def _undistortion_maps(camera: Camera, pinhole: Camera) -> Maps:
-    if not is_distorted(camera):
-        u, v = _mapped(pinhole, lambda x, y: (x, y), camera)
-    else:
-        lens = lens_of(camera)
-        u, v = _mapped(pinhole, lambda x, y: _bent(lens, x, y), camera)
-    return _for_remap(u, v, _within(u, v, camera.width, camera.height))
+    """Where each pixel of ``pinhole`` was recorded by ``camera``."""
+    import cv2
 
-
-def _mapped(source: Camera, through: Callable[[F64, F64], tuple[F64, F64]], target: Camera) -> tuple[F64, F64]:
-    """Pixel centres of ``source``, taken through a map of normalised coordinates, in pixels of ``target``."""
-    u = np.empty((source.height, source.width))
-    v = np.empty_like(u)
-    x = (np.arange(source.width) + 0.5 - source.cx) / source.fx
-    y = (np.arange(source.height) + 0.5 - source.cy) / source.fy
-    with np.errstate(all="ignore"):
-        for top in range(0, source.height, _ROWS):
-            rows = slice(top, min(top + _ROWS, source.height))
-            grid_x, grid_y = np.meshgrid(x, y[rows])
-            to_x, to_y = through(grid_x, grid_y)
-            u[rows] = to_x * target.fx + target.cx
-            v[rows] = to_y * target.fy + target.cy
-    return u, v
-
-
-def _bent(lens: Lens, x: F64, y: F64) -> tuple[F64, F64]:
-    """The lens's distorted points, NaN past its reach."""
-    with np.errstate(all="ignore"):
-        bent_x, bent_y = lens.distort(x, y)
-    beyond = x * x + y * y >= lens.reach**2
-    return np.where(beyond, np.nan, bent_x), np.where(beyond, np.nan, bent_y)
-
-
-def _in_pixels(camera: Camera, x: F64, y: F64) -> F64:
-    return np.stack([x * camera.fx + camera.cx, y * camera.fy + camera.cy], axis=-1)
-
-
-def _within(u: F64, v: F64, width: int, height: int) -> NDArray[np.bool_]:
-    """Positions inside the picture (False for NaN)."""
-    with np.errstate(invalid="ignore"):
-        return np.asarray((u >= 0) & (u <= width) & (v >= 0) & (v <= height))
-
-
-def _for_remap(u: F64, v: F64, inside: NDArray[np.bool_]) -> Maps:
-    """Maps as ``cv2.remap`` wants them: float32, from the centre of the first pixel; outside ones parked at 0."""
-    return (
-        np.where(inside, u - 0.5, 0.0).astype(np.float32),
-        np.where(inside, v - 0.5, 0.0).astype(np.float32),
-        inside,
+    distorted = is_distorted(camera)
+    reach = lens_of(camera).reach if distorted else math.inf
+    u, v = _opencv_model(camera).initUndistortRectifyMap(
+        _opencv_matrix(camera),
+        np.array(camera.distortion, np.float64) if distorted else np.zeros(4),
+        np.eye(3),
+        _opencv_matrix(pinhole),
+        (pinhole.width, pinhole.height),
+        cv2.CV_32FC1,
     )
+    x, y = ray_slopes(pinhole, np.arange(pinhole.width) + 0.5, np.arange(pinhole.height) + 0.5)
+    inside = _within(u, v, camera.width, camera.height) & (x * x + (y * y)[:, None] < reach**2)
+    u[~inside] = v[~inside] = 0.0
+    return u, v, inside
+
+
+def _opencv_model(camera: Camera) -> Any:
+    """The part of OpenCV that has the functions of the camera's model."""
+    import cv2
+
+    return cv2.fisheye if is_distorted(camera) and camera.distortion_model == "fisheye" else cv2
+
+
+def _opencv_matrix(camera: Camera) -> F64:
+    """The intrinsics, for pixels counted from the centre of the first one."""
+    return np.array([[camera.fx, 0.0, camera.cx - 0.5], [0.0, camera.fy, camera.cy - 0.5], [0.0, 0.0, 1.0]])
+
+
+def _straightened(camera: Camera, lens: Lens, u: F64, v: F64) -> tuple[F64, F64]:
+    """Pixels of the pinhole picture that see what the distorted one has at u, v; NaN where the lens puts nothing."""
+    with np.errstate(all="ignore"):
+        x, y = lens.undistort(*ray_slopes(camera, u, v))
+        return x * camera.fx + camera.cx, y * camera.fy + camera.cy
+
+
+def _within(u: NDArray[Any], v: NDArray[Any], width: int, height: int) -> NDArray[np.bool_]:
+    """Whether positions, from the centre of the first pixel, are inside the picture (False for NaN)."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray((u >= -0.5) & (u <= width - 0.5) & (v >= -0.5) & (v <= height - 0.5))
 
 
 def _resampled(image: PictureArray, maps: Maps, outside: Any, *, nearest: bool = False) -> PictureArray:
@@ -432,16 +393,7 @@ def _resampled(image: PictureArray, maps: Maps, outside: Any, *, nearest: bool =
     return result  # type: ignore[no-any-return]
 
 
-def _horner(coefficients: Any, at: F64) -> F64:
-    """Polynomial with coefficients in rising order."""
-    value = np.full_like(at, coefficients[-1])
-    for coefficient in coefficients[-2::-1]:
-        value *= at
-        value += coefficient
-    return value
-
-
-def _first_positive_root(*polynomials: np.polynomial.Polynomial) -> float:
+def _first_positive_root(*polynomials: Polynomial) -> float:
     """Smallest real root above zero of any of them; infinite when there is none."""
     roots = np.concatenate([p.trim().roots() for p in polynomials])
     real = roots.real[(np.abs(roots.imag) <= 1e-9 * np.abs(roots.real)) & (roots.real > 0)]

@@ -96,6 +96,63 @@ def test_undistorting_points_inverts_opencv_projection(camera: Camera) -> None:
     np.testing.assert_allclose(undistort_pixels(camera, distorted), pixels, rtol=0, atol=1e-5)
 
 
+@pytest.mark.parametrize(
+    ("camera", "reach"),
+    [
+        (FOLDED, 1 / np.sqrt(3 * 0.287)),
+        (replace(BARREL, distortion=(-0.45, 0.25, 0.0, 0.0, -0.08)), 1.192),
+        # Stereographic, 2 tan(angle / 2): 85 degrees come to a radius of 1.83; OpenCV's inverse stops at pi / 2.
+        (replace(FISHEYE, distortion=(1 / 12, 1 / 120, 17 / 20160, 31 / 362880)), np.tan(np.radians(85.5))),
+    ],
+    ids=["one coefficient", "strong barrel", "stereographic"],
+)
+def test_points_close_to_the_edge_of_what_a_lens_sees_are_found(camera: Camera, reach: float) -> None:
+    turn = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    for share in (0.9, 0.97, 0.99):
+        slopes = share * reach * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+        pixels = slopes * [camera.fx, camera.fy] + [camera.cx, camera.cy]
+        distorted = projected_by_opencv(camera, directions_of(camera, pixels))
+        np.testing.assert_allclose(distort_pixels(camera, pixels), distorted, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(undistort_pixels(camera, distorted), pixels, rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("camera", "farthest"),
+    [
+        (FOLDED, 2 / 3 / np.sqrt(3 * 0.287)),  # r (1 - 0.287 r^2) where its slope is 0
+        (replace(FISHEYE, distortion=(-0.2, 0.0, 0.0, 0.0)), 2 / 3 / np.sqrt(3 * 0.2)),  # the same of the angle
+    ],
+    ids=lambda value: value.name if isinstance(value, Camera) else "",
+)
+def test_points_that_a_lens_never_shows_have_no_direction(camera: Camera, farthest: float) -> None:
+    radius = farthest * np.linspace(1.001, 1.5, 500)[:, None] * [camera.fx, camera.fy]
+    for slopes in ([1.0, 0.0], [-0.6, 0.8]):
+        assert np.isnan(undistort_pixels(camera, radius * slopes + [camera.cx, camera.cy])).all()
+        assert np.isfinite(undistort_pixels(camera, 0.998 * radius[:1] * slopes + [camera.cx, camera.cy])).all()
+
+
+def test_no_points_are_no_points() -> None:
+    for camera in (BARREL, FISHEYE):
+        assert distort_pixels(camera, np.empty((0, 2))).shape == (0, 2)
+        assert undistort_pixels(camera, np.empty((0, 2))).shape == (0, 2)
+
+
+@LENSES
+@pytest.mark.parametrize("shift", [0.0, 3.25])
+def test_undistortion_looks_where_the_lens_puts_each_pixel(camera: Camera, shift: float) -> None:
+    """A picture whose values are its own coordinates, through a pinhole of another principal point too.
+
+    Tolerance: OpenCV's cubic kernel bends a ramp by up to 0.03, and rounds positions to 1/32 pixel.
+    """
+    pinhole = replace(as_pinhole(camera), cx=camera.cx + shift, cy=camera.cy - shift)
+    v, u = np.mgrid[: camera.height, : camera.width].astype(np.float32) + np.float32(0.5)
+    found = Undistortion(camera, pinhole).apply(np.stack([u, v], axis=-1))
+    expected = distort_pixels(camera, np.stack([u - shift, v + shift], axis=-1).astype(np.float64))
+    inner = np.all((expected > 2) & (expected < [camera.width - 2, camera.height - 2]), axis=-1)
+    assert inner.mean() > 0.5
+    np.testing.assert_allclose(found[inner], expected[inner], rtol=0, atol=0.07)
+
+
 def test_points_of_an_undistorted_camera_stay() -> None:
     for camera in (as_pinhole(BARREL), replace(BARREL, distortion=(0.0, 0.0, 0.0, 0.0))):
         assert not is_distorted(camera)
