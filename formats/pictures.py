@@ -2,10 +2,16 @@
 
 A damaged file is refused before its decoder sees it where that is cheap (PNG checksums, JPEG end marker, EXR chunk
 table): the decoders print to the terminal or hand out half a picture instead of failing.
+
+Headers are walked here because no library does it as cheaply and as quietly. OpenCV cannot stop at one (7 to 24 ms for
+a picture of 1345x1008 instead of 0.03 to 0.13) and prints what is wrong with a damaged file; OpenEXR prints too when
+pixels are missing, and does not tell where the chunk table begins. Pillow would be 7.1 MB more to download, passes 165
+of 182 cut JPEGs unless it decodes them, and refuses sizes by a limit of the whole process.
 """
 
 from __future__ import annotations
 
+import math
 import struct
 import zlib
 from pathlib import Path
@@ -24,6 +30,9 @@ PICTURE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".exr"})
 
 MAX_PIXELS = 1 << 28
 """No picture larger than this is decoded: a few header bytes must not be able to claim all memory."""
+
+MAX_EXR_SAMPLES = 4 * MAX_PIXELS
+"""Numbers in all channels and parts of an EXR, which are decoded together: 4 GiB of floats."""
 
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
@@ -195,6 +204,7 @@ def _check_exr_chunks(path: Path, data: bytes) -> None:
 
 
 def _read_exr(path: Path, data: bytes, width: int, height: int) -> NDArray[np.float32]:
+    _check_exr_samples(path)
     try:
         _check_exr_chunks(path, data)
     except (struct.error, IndexError, ValueError):
@@ -211,6 +221,24 @@ def _read_exr(path: Path, data: bytes, width: int, height: int) -> NDArray[np.fl
             "clamp them or write the picture again"
         )
     return picture
+
+
+def _check_exr_samples(path: Path) -> None:
+    """Everything is decoded, not only the colours of the first part: its sum must not be able to claim all memory."""
+    import OpenEXR
+
+    try:
+        headers = [part.header for part in OpenEXR.File(str(path), header_only=True).parts]
+        samples = sum(len(header["channels"]) * _area(*header["dataWindow"]) for header in headers)
+    except Exception:  # as in _exr_channels
+        raise _damaged(path, "the EXR header is damaged") from None
+    if samples > MAX_EXR_SAMPLES:
+        raise RigError(f"{path}: holds {samples} numbers in all its channels and parts; write it as plain RGB")
+
+
+def _area(first: NDArray[np.int32], last: NDArray[np.int32]) -> int:
+    """Pixels in a window, both corners included."""
+    return math.prod(int(end) - int(start) + 1 for start, end in zip(first, last, strict=True))
 
 
 def _exr_channels(path: Path) -> NDArray[np.float32]:

@@ -149,6 +149,27 @@ def test_absurd_sizes_are_refused_before_decoding(tmp_path: Path) -> None:
         read_picture(tmp_path / "a.exr")
 
 
+def test_an_exr_that_is_much_larger_than_its_picture_is_refused_before_decoding(tmp_path: Path) -> None:
+    """All channels and all parts are decoded, so their sum is what must be bounded."""
+    path = tmp_path / "a.exr"
+    small, large = np.ones((2, 3), np.float16), struct.pack("<4i", 0, 0, 16383, 16383)
+    many = dict.fromkeys("RGBXY", small)
+    OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}, many).write(str(path))
+    path.write_bytes(path.read_bytes().replace(struct.pack("<4i", 0, 0, 2, 1), large))
+    with pytest.raises(RigError, match=r"a\.exr: holds 1342177280 numbers in all its channels and parts"):
+        read_picture(path)
+    display = (np.zeros(2, np.int32), np.full(2, 9, np.int32))
+    parts = [
+        OpenEXR.Part({"name": "colours", "displayWindow": display}, dict.fromkeys("RGB", small[:1])),
+        OpenEXR.Part({"name": "more", "displayWindow": display}, many),
+    ]
+    OpenEXR.File(parts).write(str(path))
+    assert read_picture(path).shape == (10, 10, 3)
+    path.write_bytes(path.read_bytes().replace(struct.pack("<4i", 0, 0, 2, 1), large))
+    with pytest.raises(RigError, match=r"a\.exr: holds 1342177289 numbers in all its channels and parts"):
+        read_picture(path)
+
+
 def test_flipped_bytes_never_leak_another_exception(tmp_path: Path) -> None:
     for suffix in (".png", ".jpg", ".exr"):
         data = whole_file(suffix, tmp_path)
