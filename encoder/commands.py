@@ -65,8 +65,8 @@ def encode_main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--effects",
         metavar="E",
-        help="auto (default): analyse the rig as decogs-analyze does and enable the effects that scene and frames call "
-        "for; all; none; or names with commas; -NAME disables one: auto,-camera_shake",
+        help="auto (default): analyse the rig as decogs-analyze does and enable the effects detected in it and in each "
+        "frame; all; none; or names with commas; -NAME disables one: auto,-camera_shake",
     )
     parser.add_argument(
         "--keyframe", metavar="OTHER.DGS", help="start from the keyframe of an earlier encode of this rig"
@@ -199,12 +199,12 @@ def _asked(bytes_per_frame: float, option: str, value: float) -> tuple[float, di
 def _summary(report: EncodeReport) -> list[str]:
     frames = report.frames
     if not frames:
-        return [f"{report.output}: all {report.resumed} frames are there already, {report.total_bytes} bytes"]
+        return [f"{report.output}: all {report.resumed} frames were already encoded, {report.total_bytes} bytes"]
     lines = [f"{report.output}: {len(frames)} frame{'s'[: len(frames) > 1]}, {report.total_bytes} bytes"]
     if report.resumed is not None:
-        lines[0] += f"; {report.resumed or 'none'} of them were there already"
+        lines[0] += f"; {report.resumed or 'none'} of them were already encoded"
     if report.interrupted:
-        lines[0] += f"; stopped early by Ctrl-C, after frame {frames[-1].frame}: the stream is whole up to there"
+        lines[0] += f"; interrupted by Ctrl-C after frame {frames[-1].frame}: the stream is complete up to it"
     held = [f.held_out_psnr for f in frames if f.held_out_psnr is not None]
     if held:
         lines.append(f"held-out PSNR  first {held[0]:.2f}  mean {_mean(held):.2f}  last {held[-1]:.2f} dB")
@@ -225,12 +225,12 @@ def _left_out(report: EncodeReport) -> list[str]:
     for frame in report.frames:
         for left_out in frame.left_out.items():
             frames.setdefault(left_out, []).append(frame.frame)
-    return [f"camera {name} shows {why}: left out of {_frames(at)}" for (name, why), at in frames.items()]
+    return [f"camera {name} was left out of {_frames(at)}: its picture is {why}" for (name, why), at in frames.items()]
 
 
 def _rejected(report: EncodeReport) -> str:
     at = [frame.frame for frame in report.frames if frame.rejected]
-    return f"training diverged in {_frames(at)}, so the scene was kept; lower the learning rates" if at else ""
+    return f"training diverged in {_frames(at)}, so the previous scene was kept; lower the learning rates" if at else ""
 
 
 def _uncorrected(report: EncodeReport) -> list[str]:
@@ -268,8 +268,8 @@ def _missed_budget(report: EncodeReport) -> str:
     if budget is None or (over := over_budget(sizes, budget)) <= TOLERANCE:
         return ""
     return (
-        f"frames after the first take {_mean(sizes):.0f} bytes (mean), {over:.0%} more than the {budget:.0f} asked "
-        "for; ask for more, or lower --quality, --scale or --preset"
+        f"frames after the first take {_mean(sizes):.0f} bytes (mean), {over:.0%} more than the budget of "
+        f"{budget:.0f}; raise the budget, or lower --quality, --scale or --preset"
     )
 
 
@@ -282,9 +282,9 @@ def _missed_time(report: EncodeReport) -> str:
         return ""
     took, trained = _mean([counted_seconds(f) for f in frames]), _mean([f.get("training", 0.0) for f in frames])
     return (
-        f"frames after the first take {took:.3g} s (mean), {over:.0%} more than the {budget:.3g} asked for; "
-        f"{took - trained:.3g} s of that are masks, selection and coding, whose time is fixed; ask for more, or "
-        "lower --scale or --preset"
+        f"frames after the first take {took:.3g} s (mean), {over:.0%} more than the budget of {budget:.3g}; "
+        f"masks, selection and coding take a fixed {took - trained:.3g} s of it; raise the budget, or lower --scale "
+        "or --preset"
     )
 
 

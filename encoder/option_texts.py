@@ -33,7 +33,7 @@ def seconds_per_frame(text: str) -> float:
     except ValueError:
         seconds = math.nan
     if not (math.isfinite(seconds) and seconds > 0):
-        raise UsageError(f"--time-budget {text}: that is no time; write 1.5s/frame or 500ms/frame")
+        raise UsageError(f"--time-budget {text}: not a duration; write 1.5s/frame or 500ms/frame")
     return seconds
 
 

@@ -35,7 +35,7 @@ def with_targets(settings: EncodeSettings, targets: Targets) -> EncodeSettings:
     given = {"quality": targets.quality, "bytes_per_frame": targets.bytes_per_frame}
     lossy = [name for name, value in given.items() if value is not None]
     if targets.lossless and lossy:
-        raise UsageError(f"`lossless`: `{lossy[0]}` asks for less than everything; drop one of the two")
+        raise UsageError(f"`lossless`: `{lossy[0]}` codes less than every change; drop one of the two")
     if targets.lossless:
         settings = with_lossless(settings)
     if targets.quality is not None:

@@ -55,7 +55,7 @@ class Analysis:
     def table(self) -> Iterator[str]:
         """A table for the user: the rig, one row per effect, the verdict on the rig, and one row per camera."""
         stats = self.stats
-        thinned = f", 1 in {stats.step} looked at" if stats.step > 1 else ""
+        thinned = f", 1 in {stats.step} analysed" if stats.step > 1 else ""
         sizes = " and ".join(sorted({f"{camera.width}x{camera.height}" for camera in stats.cameras}))
         yield (
             f"{self.path}: {len(stats.cameras)} cameras, {self.frame_count} frames{thinned}, at {sizes}, "
@@ -115,7 +115,7 @@ def analyse(
     return Analysis(str(rig.path), rig.layout, tuple(holdout), len(span), stats, tuple(findings), check, seconds)
 
 
-_HEADINGS = ("effect", "called for", "sure", "evidence", "counts from", "cameras", "frames", "cost")
+_HEADINGS = ("effect", "detected", "confidence", "evidence", "threshold", "cameras", "frames", "cost")
 
 
 def _row(stats: RigStatistics, finding: Finding) -> tuple[str, ...]:

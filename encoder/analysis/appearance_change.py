@@ -30,7 +30,7 @@ class AppearanceChange:
         changed, alone, share = _away_from_motion(stats, "changed", "near")
         _, _, slow = _away_from_motion(stats, "slow_changed", "slow_near")
         details = {"changed": changed * 100, "alone": alone * 100, "slow": slow * 100}
-        return Evidence(np.fmax(share, slow) * 100, "% of change", LIMIT * 100, details)
+        return Evidence(np.fmax(share, slow) * 100, "% away from motion", LIMIT * 100, details)
 
     def decide(self, stats: RigStatistics, evidence: Evidence) -> Decision:
         area = float(np.nan_to_num(evidence.details["alone"]).max())
@@ -38,8 +38,8 @@ class AppearanceChange:
             stats,
             self,
             evidence,
-            reason=f"up to {area:.2g} % of a picture changes from one frame to the next, in place and away from motion",
-            cost="colours and opacities of what changes: 9 kB and 1.3 CPU-s a frame (measured on candle)",
+            reason=f"up to {area:.2g} % of a picture changes between two frames, in place and away from motion",
+            cost="training and coding of colours and opacities: 9 kB and 1.3 CPU-s a frame (measured on candle)",
             figures={"alone_percent": area},
         )
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .effect import Decision, Evidence, cameras_beyond, decided, one_span
+from .effect import Decision, Evidence, cameras_beyond, decided, one_span, stated
 from .registration import SHAKE_LIMIT
 from .rig_statistics import RigStatistics
 
@@ -33,7 +33,11 @@ class CameraShake:
             evidence,
             counts=shaking,
             frames=one_span(stats, np.any(evidence.reached[shaking], axis=0)),
-            reason=f"a still background moves by up to {evidence.peak:.2f} px ({largest:.2f} px of the rig's pictures)",
+            reason=stated(
+                evidence,
+                f"the static background shifts by up to {evidence.peak:.2f} px ({largest:.2f} px at full resolution)",
+                "no camera's background can be registered to its first frame",
+            ),
             cost=f"3 angles per shaking camera and frame, about {6 * shaking.sum()} bytes a frame (estimated); a pose "
             "gradient in every training step of these cameras",
             figures={

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .effect import Decision, Evidence, cameras_beyond, decided, one_span
+from .effect import Decision, Evidence, cameras_beyond, decided, one_span, stated
 from .light import EXPOSURE_LIMIT
 from .rig_statistics import RigStatistics
 
@@ -37,7 +37,11 @@ class ColourMismatch:
             evidence,
             counts=different,
             frames=one_span(stats, np.ones(len(stats.frames), bool)),
-            reason=f"nearly all of a picture shares a gain of up to {evidence.peak:.1f} % against other cameras",
+            reason=stated(
+                evidence,
+                f"gain against the other cameras is up to {evidence.peak:.1f} %, uniform over a camera's picture",
+                "too few points are shared by three cameras",
+            ),
             cost="3 numbers per camera in the header; one multiplication per pixel",
             figures={
                 "gain": {stats.names[k]: np.exp(stats.mismatch.gains[k]).tolist() for k in different.nonzero()[0]}

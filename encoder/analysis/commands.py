@@ -15,16 +15,14 @@ from decogs.formats.rigs import files_of, open_rig
 
 
 def analyze_main(arguments: Sequence[str] | None = None) -> int:
-    """``decogs-analyze``: which effects a rig calls for."""
+    """``decogs-analyze``: the effects of a rig, and what to expect of it."""
     parser = Parser(
         prog="decogs-analyze",
-        description="Look at a rig before encoding it: which effects it calls for, where, when, and what they cost.",
-        epilog="Looks at small pictures of all cameras but the held-out ones; a long clip is thinned to fit 256 MiB.",
+        description="Analyse a rig before encoding: its effects with cameras, frames and cost, and its coverage.",
+        epilog="Pictures are downscaled, long clips subsampled to fit 256 MiB. Held-out cameras are excluded.",
     )
     parser.add_argument("rig_dir", help="the rig's folder, or one calibration file or folder inside it")
-    parser.add_argument(
-        "--holdout", action="append", default=[], metavar="CAM", help="a camera not to look at (repeatable)"
-    )
+    parser.add_argument("--holdout", action="append", default=[], metavar="CAM", help="exclude a camera (repeatable)")
     parser.add_argument("--frames", metavar="A:B", help="half-open, as in Python: 0:10, 5:, -3: (default: all)")
     parser.add_argument(
         "--json", metavar="FILE", help="write every figure, per camera and frame; - for stdout (the table: stderr)"
@@ -42,7 +40,7 @@ def _analyze(parser: Parser, options: argparse.Namespace) -> None:
     to_file = options.json is not None and options.json != "-"
     if to_file:
         check_outputs([Output("json", Path(options.json), grows=True)], files_of(rig))
-    with progress("looking", "step") as on_step:
+    with progress("analysing", "step") as on_step:
         analysis = analyse(
             rig,
             frames=frame_range(options.frames),

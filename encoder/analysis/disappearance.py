@@ -22,15 +22,15 @@ class Disappearance:
 
     def evidence(self, stats: RigStatistics) -> Evidence:
         values = np.stack([arrivals.left for arrivals in stats.arrivals])
-        return Evidence(none_without_motion(stats, values), "% left only", IMBALANCE)
+        return Evidence(none_without_motion(stats, values), "% imbalance", IMBALANCE)
 
     def decide(self, stats: RigStatistics, evidence: Evidence) -> Decision:
         return decide_by_vote(
             stats,
             self,
             evidence,
-            what="show at their start what is gone at their end and went nowhere in the picture",
-            cost="pruning in these frames: nothing to train, 1 bit a Gaussian before coding (estimated)",
+            what="an object vanishes without arriving at another place",
+            cost="pruning: no training, 1 bit per Gaussian before entropy coding (estimated)",
         )
 
     def enabled(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:

@@ -144,6 +144,11 @@ def in_doubt(stats: RigStatistics, evidence: Evidence) -> bool:
     return len(stats.frames) > 1 and not np.isfinite(evidence.peak)
 
 
+def stated(evidence: Evidence, known: str, unknown: str) -> str:
+    """A decision's reason: ``known``, or why the evidence is undetermined."""
+    return known if np.isfinite(evidence.peak) else f"undetermined: {unknown}"
+
+
 def decided(
     stats: RigStatistics,
     effect: Effect,
@@ -168,6 +173,6 @@ def decided(
         cameras=tuple(name for name, count in zip(stats.names, counts, strict=True) if count),
         frames=frames if detected else (),
         reason=reason,
-        cost=cost if detected else "nothing",
+        cost=cost if detected else "none",
         figures=figures or {},
     )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .effect import F64, Decision, Effect, Evidence, confidence, decided, seen_together, spans
+from .effect import F64, Decision, Effect, Evidence, confidence, decided, seen_together, spans, stated
 from .motion import Motion
 from .rig_statistics import RigStatistics
 
@@ -30,15 +30,15 @@ class Emergence:
 
     def evidence(self, stats: RigStatistics) -> Evidence:
         values = np.stack([arrivals.arrived for arrivals in stats.arrivals])
-        return Evidence(none_without_motion(stats, values), "% arrived only", IMBALANCE)
+        return Evidence(none_without_motion(stats, values), "% imbalance", IMBALANCE)
 
     def decide(self, stats: RigStatistics, evidence: Evidence) -> Decision:
         return decide_by_vote(
             stats,
             self,
             evidence,
-            what="show at their end what was not there at their start and came from nowhere in the picture",
-            cost="seeding and densification in these frames: a few tenths of a CPU-s and kB a frame (estimated)",
+            what="an object appears without leaving another place",
+            cost="seeding and densification: a few tenths of a CPU-s and of a kB a frame (estimated)",
         )
 
     def enabled(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
@@ -73,7 +73,7 @@ def decide_by_vote(stats: RigStatistics, effect: Effect, evidence: Evidence, *, 
         evidence,
         counts=np.asarray((evidence.reached & frames).any(axis=1)),
         frames=spans(stats, frames),
-        reason=f"{votes} of {len(stats.cameras)} cameras {what}; {known} could tell",
+        reason=stated(evidence, f"{what} in {votes} of {known} conclusive cameras", "no camera is conclusive"),
         cost=cost,
         sure=max(confidence(evidence), 0.5) * sure if known else 0.0,
         figures=figures,

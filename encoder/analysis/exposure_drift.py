@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .effect import Decision, Evidence, cameras_beyond, decided, one_span
+from .effect import Decision, Evidence, cameras_beyond, decided, one_span, stated
 from .light import EXPOSURE_LIMIT, FRAME_LIMIT
 from .rig_statistics import RigStatistics
 
@@ -33,7 +33,11 @@ class ExposureDrift:
             evidence,
             counts=drifting,
             frames=one_span(stats, np.any(np.abs(gains[drifting]) >= FRAME_LIMIT, axis=0)),
-            reason=f"nearly all of a picture shares a gain of up to {evidence.peak:.1f} % of its own",
+            reason=stated(
+                evidence,
+                f"exposure drifts by up to {evidence.peak:.1f} %, uniformly over a camera's picture",
+                "too few points are shared by three cameras",
+            ),
             cost=f"1 number per camera and frame, about {2 * drifting.sum()} bytes a frame (estimated); "
             "one multiplication per pixel",
             figures={"gain": {stats.names[k]: np.exp(gains[k]).tolist() for k in np.flatnonzero(drifting)}},

@@ -35,10 +35,10 @@ class HighDynamicRange:
             evidence,
             counts=beyond,
             frames=spans(stats, np.any(evidence.reached, axis=0)),
-            reason=f"{evidence.peak:.3g} % of a picture lies beyond white, up to {brightest:.4g} times it"
+            reason=f"{evidence.peak:.3g} % of a picture exceeds white, by a factor of up to {brightest:.4g}"
             if known
-            else "8-bit pictures end at white",
-            cost="clipped at white as long as the format keeps display-referred colours: nothing",
+            else "8-bit pictures cannot exceed white",
+            cost="no bytes; colours are clipped at white, because a stream is display-referred",
             figures={"brightest": brightest},
         )
 

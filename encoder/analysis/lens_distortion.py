@@ -21,7 +21,7 @@ from decogs.formats.cameras import Camera, camera_centre
 
 from ..change.masks import BoolArray
 from ..numerics import tukey
-from .effect import F64, Decision, Evidence, cameras_beyond, decided, spans
+from .effect import F64, Decision, Evidence, cameras_beyond, decided, spans, stated
 from .matches import PairMatches, essential_matrices, sampson_distances
 from .rig_statistics import RigStatistics
 
@@ -71,8 +71,8 @@ class LensDistortion:
             evidence,
             counts=cameras_beyond(evidence),
             frames=spans(stats, np.ones(len(stats.frames), bool)),
-            reason=_reason(stats, evidence, uncalibrated),
-            cost="one resampling of every picture read, 2 ms at 352x264 (estimated); nothing to send but the lens",
+            reason=stated(evidence, _reason(stats, evidence, uncalibrated), "too few points are seen by two cameras"),
+            cost="resampling of every picture, 2 ms at 352x264 (estimated); only the lens is coded",
             figures={"k1": {stats.names[k]: float(details["k1"][k]) for k in np.flatnonzero(uncalibrated)}},
         )
 
@@ -89,14 +89,12 @@ def _surely(pixels: F64, deviation: F64) -> F64:
 
 
 def _reason(stats: RigStatistics, evidence: Evidence, uncalibrated: BoolArray) -> str:
-    if not np.isfinite(evidence.peak):
-        return "too few points are seen by two cameras to tell"
-    text = f"lenses bend by up to {evidence.peak:.1f} px"
+    text = f"a lens displaces pixels by up to {evidence.peak:.1f} px"
     if uncalibrated.any():
         k1 = evidence.details["k1"][:, 0]
         named = ", ".join(f"{stats.names[k]} k1 {k1[k]:+.3f}" for k in np.flatnonzero(uncalibrated))
-        return f"{text}; beyond the calibration: {named}"
-    return f"{text}, by the calibration" if cameras_beyond(evidence).any() else text
+        return f"{text}; the calibration misses {named}"
+    return f"{text}, as calibrated" if cameras_beyond(evidence).any() else text
 
 
 def _calibrated(camera: Camera) -> float:

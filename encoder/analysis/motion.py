@@ -56,8 +56,8 @@ class Motion:
             stats,
             self,
             evidence,
-            reason=f"up to {area:.2g} % of a picture holds content in one frame that light does not make of the last's",
-            cost="positions and rotations of what moves: 12 kB and 0.9 CPU-s a frame (measured on workbench)",
+            reason=f"up to {area:.2g} % of a picture is restructured between two frames; light cannot explain it",
+            cost="training and coding of positions and rotations: 12 kB and 0.9 CPU-s a frame (measured on workbench)",
             figures={"restructured_percent": area},
         )
 
@@ -90,7 +90,7 @@ def decide_by_change(
         evidence,
         counts=np.any((evidence.reached & frames) | doubt, axis=1),
         frames=spans(stats, frames, gap=PAUSE),
-        reason="every camera shakes: undetermined, assumed" if doubt else reason,
+        reason="undetermined, so assumed: every camera shakes" if doubt else reason,
         cost=cost,
         figures=figures,
     )

@@ -22,9 +22,9 @@ F64 = NDArray[np.float64]
 RIGHT, ROUGH, WRONG = "right", "rough", "wrong"
 """What new views between the cameras can be expected to look: right; right in the main, details blurred; not right."""
 _EXPECTED = {
-    RIGHT: "new views between the cameras can be expected to look right",
-    ROUGH: "new views between the cameras can be expected to look right in the main, with blurred and broken details",
-    WRONG: "new views cannot be expected to look right",
+    RIGHT: "new views between the cameras should look right",
+    ROUGH: "new views between the cameras should look right on the whole, with blurred or broken details",
+    WRONG: "new views between the cameras will not look right",
 }
 _SEEN_RIGHT, _SEEN_ROUGH = 0.7, 0.35
 """Least share of a camera's pixels that two others see."""
@@ -70,25 +70,25 @@ class RigCheck:
         """What the user should know before encoding, one line each."""
         for camera in self.cameras:
             if camera.misplaced:
-                how = f"turned by {camera.turned:.1f} degrees" if math.isfinite(camera.turned) else "misplaced"
+                how = f"rotated by {camera.turned:.1f} degrees" if math.isfinite(camera.turned) else "misplaced"
                 yield (
-                    f"{camera.camera} seems {how} against its calibration: its matches lie beside where the other "
-                    "cameras place them; calibrate again, or leave it out"
+                    f"camera {camera.camera} appears {how} against its calibration: its matches do not fit the other "
+                    "cameras' poses; calibrate it again, or leave it out"
                 )
             if camera.late in (-1, 1):
-                how, theirs = ("late", "last") if camera.late > 0 else ("early", "next")
+                how, theirs = ("late", "previous") if camera.late > 0 else ("early", "next")
                 yield (
-                    f"{camera.camera} seems a frame {how}: what moves in it matches the others' {theirs} frame; shift "
-                    "its frames, or leave it out"
+                    f"camera {camera.camera} appears one frame {how}: its motion matches the other cameras' {theirs} "
+                    "frame; shift its frames, or leave it out"
                 )
         if self.expected == WRONG:
-            yield f"{_EXPECTED[WRONG]}: {self._why()}; add cameras between them"
+            yield f"{_EXPECTED[WRONG]}: {self._why()}; add cameras in between"
 
     def table(self) -> Iterator[str]:
         """For the user: the verdict, and a row per camera."""
         if self.expected is not None:
             yield f"{_EXPECTED[self.expected]}: {self._why()}"
-        yield "camera                seen by one  by two  nearest view  epipolar residual     turned  late"
+        yield "camera                seen by one  by two  nearest view  epipolar residual    rotated  frames late"
         for each in self.cameras:
             figures = (
                 (each.seen_by_one, 11, ".0%", ""),
@@ -96,7 +96,7 @@ class RigCheck:
                 (each.gap, 12, ".0f", " deg"),
                 (each.residual, 17, ".2f", " px"),
                 (each.turned, 9, ".2f", " deg"),
-                (each.late, 4, ".0f", ""),
+                (each.late, 11, ".0f", ""),
             )
             cells = [f"{_or_none(value, as_text, unit):>{width}}" for value, width, as_text, unit in figures]
             yield "  ".join([f"{each.camera:<20}", *cells])
@@ -104,8 +104,8 @@ class RigCheck:
     def _why(self) -> str:
         shares = [each.seen_by_two for each in self.cameras]
         gaps = [each.gap for each in self.cameras if math.isfinite(each.gap)]
-        near = f", from {np.median(gaps):.0f} degrees beside at the nearest" if gaps else ""
-        return f"two other cameras see {np.median(shares):.0%} of what a camera sees{near}"
+        near = f"; the nearest view is {np.median(gaps):.0f} degrees away" if gaps else ""
+        return f"two other cameras see {np.median(shares):.0%} of a camera's pixels{near} (medians)"
 
 
 def check_rig(stats: RigStatistics, each: Callable[..., Iterator[Any]] = map) -> RigCheck:

@@ -137,7 +137,7 @@ def _small_cameras(rig: Rig, holdout: Sequence[str]) -> tuple[tuple[Camera, ...]
     check_held_out(rig, holdout)
     kept = [camera for camera in rig.cameras if camera.name not in holdout]
     if not kept:
-        raise UsageError(f"{rig.path}: every camera is held out; leave some to look at")
+        raise UsageError(f"{rig.path}: every camera is held out; leave at least one")
     scales = tuple(min(1.0, math.sqrt(MOST_PIXELS / (camera.width * camera.height))) for camera in kept)
     return tuple(scale_camera(camera, scale) for camera, scale in zip(kept, scales, strict=True)), scales
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .effect import Decision, Evidence, cameras_beyond, decided, spans
+from .effect import Decision, Evidence, cameras_beyond, decided, spans, stated
 from .rig_statistics import RigStatistics
 
 if TYPE_CHECKING:
@@ -36,8 +36,12 @@ class SensorNoise:
             evidence,
             counts=noisy,
             frames=spans(stats, np.ones(len(stats.frames), bool)),
-            reason=f"pictures of one camera deviate by up to {evidence.peak:.2f} levels of 255 where nothing changes",
-            cost=f"nothing to send; no mask threshold below {thresholds.max():.1f} levels",
+            reason=stated(
+                evidence,
+                f"static pixels have noise of up to {evidence.peak:.2f} levels of 255 (standard deviation)",
+                "no static pixels in two successive frames",
+            ),
+            cost=f"no bytes; a mask threshold of at least {thresholds.max():.1f} levels in the noisiest camera",
             figures={"least_threshold": {name: float(t) for name, t in zip(stats.names, thresholds, strict=True)}},
         )
 

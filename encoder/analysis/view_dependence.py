@@ -75,10 +75,10 @@ class ViewDependence:
             evidence,
             counts=beyond if known else np.ones(len(stats.cameras), bool),
             frames=spans(stats, np.ones(len(stats.frames), bool)),
-            reason=f"a tenth of what two views share differs by {evidence.peak:.1f} levels or more: gloss, or slant"
+            reason=f"a tenth of the shared points differ by {evidence.peak:.1f} levels or more: gloss, or slant"
             if known
-            else "too few points are seen by two cameras to tell: taken for granted",
-            cost="9 more numbers a Gaussian to train at SH degree 1; the stream has them where the keyframe keeps some",
+            else "undetermined, so assumed: too few points are seen by two cameras",
+            cost="9 more parameters per Gaussian to train (SH degree 1); coded only if the keyframe keeps some",
             sure=min(_AT_MOST, confidence(evidence)) if beyond.any() or not known else confidence(evidence),
         )
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .effect import Decision, Evidence, cameras_beyond, decided, one_span
+from .effect import Decision, Evidence, cameras_beyond, decided, one_span, stated
 from .light import FRAME_LIMIT, WHITE_BALANCE_LIMIT
 from .rig_statistics import RigStatistics
 
@@ -33,7 +33,11 @@ class WhiteBalanceDrift:
             evidence,
             counts=drifting,
             frames=one_span(stats, np.any(np.abs(gains[drifting]) >= FRAME_LIMIT, axis=(0, 2))),
-            reason=f"nearly all of a picture shares a gain of up to {evidence.peak:.1f} % of red or blue against green",
+            reason=stated(
+                evidence,
+                f"red or blue drifts by up to {evidence.peak:.1f} % against green, uniformly over a camera's picture",
+                "too few points are shared by three cameras",
+            ),
             cost=f"2 numbers per camera and frame, about {4 * drifting.sum()} bytes a frame (estimated); "
             "two multiplications per pixel",
             figures={"red_blue": {stats.names[k]: np.exp(gains[k]).tolist() for k in np.flatnonzero(drifting)}},

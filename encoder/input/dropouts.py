@@ -18,7 +18,7 @@ import numpy as np
 
 from decogs.formats.splats import FloatArray
 
-BLACK, BLANK, FROZEN = "black", "one colour all over", "the picture before it again"
+BLACK, BLANK, FROZEN = "black", "of a single colour", "a repeat of the previous one"
 """Why a picture is left out."""
 
 _SPREAD = 10 / 255

@@ -96,7 +96,7 @@ def read_keyframe(path: str | os.PathLike[str]) -> KeyframeSource:
     try:
         with open_stream(path, strict=False) as stream:
             if not stream.frame_count:
-                raise UsageError(f"`keyframe` {path}: it holds no frame; give a stream with at least its first one")
+                raise UsageError(f"`keyframe` {path}: the stream has no frame; give one with at least a keyframe")
             return KeyframeSource(Path(path), stream.header, next(stream.frames(0, 1)).state)
     except OSError as error:
         raise UsageError(f"`keyframe` {path}: {error.strerror}; give the .dgs file of an earlier encode") from error

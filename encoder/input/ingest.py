@@ -77,7 +77,7 @@ class Ingest:
         self._names = [name for name in names if name not in holdout]
         self._held_names = [name for name in names if name in holdout]
         if not self._names:
-            raise UsageError(f"{rig.path}: every camera is held out; leave some to train on")
+            raise UsageError(f"{rig.path}: every camera is held out; leave at least one to train on")
         cameras = {camera.name: scale_camera(camera, scale) for camera in rig.cameras}
         _check_near_origin(rig, [cameras[name] for name in names])
         self._plans = {name: Undistortion(cameras[name]) for name in names}
@@ -150,7 +150,7 @@ def frame_span(rig: Rig, frames: Frames) -> range:
     if not len(chosen):
         raise UsageError(f"`frames`: {rig.path} has frames 0 to {rig.frame_count - 1}; the range holds none of them")
     if chosen.step != 1:
-        raise UsageError("`frames`: give consecutive ones, without a step")
+        raise UsageError("`frames`: give consecutive frames, without a step")
     return chosen
 
 
@@ -158,7 +158,7 @@ def _with_lenses(rig: Rig, lens: Mapping[str, float]) -> Rig:
     """The rig with what was found of its lenses in their distortion models."""
     unknown = sorted(set(lens) - {camera.name for camera in rig.cameras})
     if unknown:
-        raise UsageError(f"{rig.path}: there is no camera {unknown[0]} whose lens could be corrected")
+        raise UsageError(f"{rig.path}: there is no camera {unknown[0]}, so its lens cannot be corrected")
     cameras = (with_k1(camera, lens[camera.name]) if camera.name in lens else camera for camera in rig.cameras)
     return replace(rig, cameras=tuple(cameras))
 
@@ -169,14 +169,14 @@ def _check_near_origin(rig: Rig, cameras: Sequence[Camera]) -> None:
     far, apart = np.linalg.norm(centres, axis=1).max(), np.linalg.norm(np.ptp(centres, axis=0))
     if 0 < apart < _LEAST_APART:
         raise RigError(
-            f"{rig.path}: the cameras are only {apart:.3g} units apart, too little for the steps that positions are "
-            "stored in; scale the calibration up, to metres for instance"
+            f"{rig.path}: the cameras are only {apart:.3g} units apart, too little for the quantisation of positions; "
+            "scale the calibration up, for instance to metres"
         )
     pixels = far * _ROUNDING * max(max(camera.fx, camera.fy) for camera in cameras)
     if apart > 0 and pixels > _SHOWS * apart:
         raise RigError(
-            f"{rig.path}: the cameras are {far:.3g} units from the world's origin and {apart:.3g} apart, so positions "
-            f"in 32 bits would be off by {pixels / apart:.1f} pixels; move the calibration's origin to the rig"
+            f"{rig.path}: the cameras are {far:.3g} units from the world's origin and {apart:.3g} apart, so 32-bit "
+            f"positions would be off by {pixels / apart:.1f} pixels; move the calibration's origin to the rig"
         )
 
 

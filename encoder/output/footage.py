@@ -39,6 +39,6 @@ def warning_of(source: str, frame: int, cameras: Sequence[str]) -> str:
     """One line for the user; ``source``: where the scene comes from."""
     more = f" and {len(cameras) - 1} more cameras" if len(cameras) > 1 else ""
     return (
-        f"{source}: its scene shows nothing of what {cameras[0]}{more} recorded in frame {frame}; "
-        "is it of other footage than the rig's?"
+        f"{source}: the scene does not match frame {frame} of camera {cameras[0]}{more}; "
+        "was it encoded from other footage?"
     )

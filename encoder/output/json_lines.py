@@ -56,4 +56,4 @@ class JsonLines:
             self._refuse(error)
 
     def _refuse(self, error: OSError) -> None:
-        raise UsageError(f"{self._said}: {error.strerror}; make room, or name a file elsewhere") from error
+        raise UsageError(f"{self._said}: {error.strerror}; free space, or name a file elsewhere") from error

@@ -32,13 +32,13 @@ class TerminalProgress(EncodeObserver):
 
     def look_step(self, step: int, steps: int) -> None:
         if self._terminal:
-            bar = self._bar or self._open_bar("looking", steps, "step")
+            bar = self._bar or self._open_bar("analysing", steps, "step")
             bar.update(step - bar.n)
 
     def looked(self, detected: Mapping[str, Sequence[str]]) -> None:
         self._close_bar()
         if self._terminal:
-            print("calls for " + (", ".join(detected) or "nothing"), file=self._terminal)
+            print("effects: " + (", ".join(detected) or "none"), file=self._terminal)
 
     def started(self, facts: Mapping[str, Any]) -> None:
         first, stop = facts["frames"]

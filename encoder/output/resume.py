@@ -75,7 +75,7 @@ class Interrupted:
             asked = next((f" ({asked})" for start, asked in _PARAMETERS.items() if name.startswith(start)), "")
             self._refuse(f"was begun with {name} {_short(was)}, this encode has {_short(now)}{asked}")
         if len(self.entries) > frames:
-            self._refuse(f"holds {len(self.entries)} frames already, this encode has {frames}")
+            self._refuse(f"already holds {len(self.entries)} frames, this encode has {frames}")
 
     def check_keyframe(self, *, same: bool) -> None:
         """Raises UsageError when the stream does not begin with the keyframe that was given."""
@@ -109,7 +109,7 @@ def check_resumable(settings: EncodeSettings) -> None:
     }
     for name, is_kept in kept.items():
         if is_kept:
-            raise UsageError(f"`resume`: {name} keeps something of training that no stream has; drop one of the two")
+            raise UsageError(f"`resume`: {name} keeps training state that a stream does not hold; drop one of the two")
 
 
 def _read(path: Path) -> Interrupted | None:

@@ -154,7 +154,7 @@ class FileOutput(StreamOutput):
             yield
         except OSError as error:
             self._failed = True
-            raise UsageError(f"{self.growing}: {error.strerror}; make room, then go on with `resume`") from error
+            raise UsageError(f"{self.growing}: {error.strerror}; free space, then continue with `resume`") from error
 
 
 class PipeOutput(StreamOutput):
@@ -204,7 +204,7 @@ def open_output(output: Path | BinaryIO, *, resume: bool = False) -> StreamOutpu
     if isinstance(output, Path) and not is_device(output):
         return FileOutput(output, resume=resume)
     if resume:
-        raise UsageError("`resume`: a pipe cannot be gone on with; name a file with `output`")
+        raise UsageError("`resume`: a pipe cannot be resumed; name a file with `output`")
     return PipeOutput(output.open("wb"), output) if isinstance(output, Path) else PipeOutput(output)
 
 

@@ -89,6 +89,6 @@ def _check_shows(frame: RigFrame, views: Sequence[View]) -> None:
         if blankness(picture) == BLACK:
             name = view.camera.name
             raise RigError(
-                f"camera {name} is black in frame {frame.index}, and a keyframe cannot be trained on that; begin at a "
-                f"later frame (`frames`) or keep the camera out (`holdout` {name})"
+                f"camera {name} is black in frame {frame.index}; a keyframe needs every camera: start at a "
+                f"later frame (`frames`) or hold the camera out (`holdout` {name})"
             )

@@ -107,7 +107,7 @@ def train_keyframe(
     later frames. Raises TrainingError without points or when the loss stops being finite.
     """
     if not len(points.xyz):
-        raise TrainingError("there are no first points to train from; check the poses, or give the rig COLMAP points")
+        raise TrainingError("point initialisation found no points; check the poses, or give the rig COLMAP points")
     random = np.random.default_rng(seed)
     training = _KeyframeTraining(kernel, views, pictures, points, settings, lattice_scale, random, corrector, stopping)
     return training.run(on_step)
@@ -179,11 +179,11 @@ class _KeyframeTraining:
         count = len(self._views)
         rounds = [sum(self._values[i : i + count]) for i in range(0, len(self._values) - count + 1, count)]
         if not len(splats):
-            raise TrainingError("training has left no Gaussian that a camera sees; lower the learning rates")
+            raise TrainingError("no camera sees a Gaussian after training; lower the learning rates")
         if len(rounds) > 1 and rounds[-1] >= rounds[0]:
             raise TrainingError(
-                f"the keyframe's loss went from {rounds[0] / count:.3f} to {rounds[-1] / count:.3f}, so training has "
-                "diverged; lower the learning rates"
+                f"the keyframe's training diverged, with a loss from {rounds[0] / count:.3f} to "
+                f"{rounds[-1] / count:.3f}; lower the learning rates"
             )
 
     def _train(self, on_step: OnStep | None) -> int:

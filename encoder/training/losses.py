@@ -59,7 +59,7 @@ class PhotometricLoss:
 def require_finite(value: LossValue, camera: Camera) -> None:
     """Raises TrainingError for a later frame's loss that is not finite."""
     if not math.isfinite(value.total):
-        raise TrainingError(f"the loss of camera {camera.name} is {value.total}; lower the rates")
+        raise TrainingError(f"the loss of camera {camera.name} is {value.total}; lower the learning rates")
 
 
 def whole_picture_loss(target: FloatArray, counted: FloatArray | None, dissimilarity: float) -> PhotometricLoss:

@@ -106,9 +106,7 @@ class TransformationCache:
         if v_means.shape != (self._placed, 3) or v_quaternions.shape != (self._placed, 4):
             raise ValueError(f"gradients {v_means.shape}, {v_quaternions.shape} for {self._placed} Gaussians")
         if np.isnan(v_means).any() or np.isnan(v_quaternions).any():
-            raise TrainingError(
-                "a gradient handed to the transformation cache is not a number; lower the learning rate"
-            )
+            raise TrainingError("a gradient of the transformation cache is NaN; lower the learning rate")
         self._has_moved, self._has_gradients = False, True
         return self._kernel.backward(v_means, v_quaternions)
 
@@ -210,7 +208,7 @@ def _checked(means: FloatArray, quaternions: FloatArray) -> tuple[FloatArray, Fl
     if means.ndim != 2 or means.shape[1] != 3 or quaternions.shape != (len(means), 4):
         raise ValueError(f"means (M, 3) and quaternions (M, 4) wanted, not {means.shape} and {quaternions.shape}")
     if not (np.isfinite(means).all() and np.isfinite(quaternions).all()):
-        raise TrainingError("a Gaussian handed to the transformation cache has a value that is not finite")
+        raise TrainingError("a Gaussian in the transformation cache has a value that is not finite")
     return np.ascontiguousarray(means, np.float32), np.ascontiguousarray(quaternions, np.float32)
 
 

@@ -111,9 +111,9 @@ def test_resuming_says_what_was_there(
         assert output.read_bytes() == moving.data
         said.append(capfd.readouterr().out.splitlines()[0])
     assert said == [
-        f"{output}: 4 frames, {len(moving.data)} bytes; none of them were there already",
-        f"{output}: 4 frames, {len(moving.data)} bytes; 4 of them were there already",
-        f"{output}: all 4 frames are there already, {len(moving.data)} bytes",
+        f"{output}: 4 frames, {len(moving.data)} bytes; none of them were already encoded",
+        f"{output}: 4 frames, {len(moving.data)} bytes; 4 of them were already encoded",
+        f"{output}: all 4 frames were already encoded, {len(moving.data)} bytes",
     ]
 
 
@@ -151,7 +151,7 @@ def test_switches_reach_the_encoder(moving: Any, dense: Any, moving_rig: Path, t
         (["--scale", "nan"], "--scale nan"),
         (["--scale", "half"], "--scale: 'half' is no number"),
         (["--holdout", "cam9"], "--holdout cam9: "),
-        ([o for i in range(5) for o in ("--holdout", f"cam0{i}")], "every camera is held out; leave some"),
+        ([o for i in range(5) for o in ("--holdout", f"cam0{i}")], "every camera is held out; leave at least one"),
         (["--preset", "nope"], "--preset nope: there is no such preset; choose from live, draft, standard"),
         (["--method", "nope"], "--method nope: there is no such method; choose from decogs, 3dgstream"),
         (["--ablate", "select,x"], "--ablate x: there is no such part; choose from select, focus, gate"),
@@ -167,7 +167,7 @@ def test_switches_reach_the_encoder(moving: Any, dense: Any, moving_rig: Path, t
         (["--threads", "-2"], "no number of threads"),
         (["--log", "/no/such/folder/log"], "--log /no/such/folder/log: No such file or directory"),
         (["--quality", "-9"], "--quality -9: give a number from 0"),
-        (["--quality", "9", "--lossless"], "--lossless: --quality asks for less than everything"),
+        (["--quality", "9", "--lossless"], "--lossless: --quality codes less than every change"),
         (["--bitrate", "9", "--max-mb-per-frame", "9"], "are one budget in two units"),
         (["--segment", "99999999999999999999"], "--segment: '99999999999999999999' is no whole number of at most 18"),
         (
@@ -323,7 +323,7 @@ def test_ctrl_c_leaves_a_shorter_stream_and_says_so(moving_rig: Path, tmp_path: 
     ended = interrupted(moving_rig, output, 20, ENDLESS, "frame")
     assert ended.returncode == 130
     assert f"{output}: 1 frame, " in ended.stdout
-    assert "stopped early by Ctrl-C, after frame 0: the stream is whole up to there" in ended.stdout
+    assert "interrupted by Ctrl-C after frame 0: the stream is complete up to it" in ended.stdout
     assert ended.stderr == ""
     with open_stream(output) as stream:
         assert stream.complete

@@ -57,8 +57,8 @@ def test_auto_looks_at_the_rig_first_and_builds_what_it_calls_for(
     assert not {"motion", "appearance_change", "emergence", "disappearance"} & look["detected"].keys()
     assert tiny_rig.held_out not in {name for names in look["detected"].values() for name in names}
     assert start["settings"]["detect_per_frame"] is True, "a frame may still bring what the clip did not show"
-    assert "looking" in screen.getvalue()
-    assert "calls for " in screen.getvalue()
+    assert "analysing" in screen.getvalue()
+    assert "effects: " in screen.getvalue()
     with pytest.raises(UsageError, match="3dgstream has none of them"):
         encode_rig(still_rig, output, settings=tiny_settings, switches=Switches("3dgstream"), effects="auto")
 
@@ -175,9 +175,9 @@ def test_the_method_of_the_settings_holds_unless_another_is_asked_for(
         ({"targets": Targets(quality=float("nan"))}, "`quality` nan: give a number from 0"),
         (
             {"targets": Targets(quality=30, lossless=True)},
-            "`lossless`: `quality` asks for less than everything; drop one",
+            "`lossless`: `quality` codes less than every change; drop one",
         ),
-        ({"targets": Targets(bytes_per_frame=900, lossless=True)}, "`lossless`: `bytes_per_frame` asks for less"),
+        ({"targets": Targets(bytes_per_frame=900, lossless=True)}, "`lossless`: `bytes_per_frame` codes less"),
         ({"targets": Targets(bytes_per_frame=0)}, "`bytes_per_frame` 0: that is 0 bytes a frame; give at least 1"),
         ({"targets": Targets(bytes_per_frame=float("inf"))}, "`bytes_per_frame` inf: that is inf bytes a frame"),
         (
@@ -195,7 +195,7 @@ def test_the_method_of_the_settings_holds_unless_another_is_asked_for(
             {"switches": Switches("3dgstream"), "targets": Targets(time_budget=1)},
             "`time_budget`: `method` 3dgstream trains a fixed number of steps",
         ),
-        ({"frames": slice(0, 4, 2)}, "`frames`: give consecutive ones, without a step"),
+        ({"frames": slice(0, 4, 2)}, "`frames`: give consecutive frames, without a step"),
         ({"frames": range(7, 9)}, "`frames`: .* has frames 0 to 3; the range holds none of them"),
         ({"holdout": "cam01"}, r"`holdout` cam01: give a list of names, such as \['cam01'\]"),
         ({"threads": 5000}, "`threads` 5000"),
@@ -211,7 +211,7 @@ def test_impossible_options_are_refused(
 
 
 def test_a_pipe_cannot_be_resumed(moving_rig: Path, tiny_settings: Any) -> None:
-    with pytest.raises(UsageError, match="`resume`: a pipe cannot be gone on with; name a file"):
+    with pytest.raises(UsageError, match="`resume`: a pipe cannot be resumed; name a file"):
         encode_rig(moving_rig, io.BytesIO(), settings=tiny_settings, resume=True)
 
 

@@ -318,7 +318,7 @@ def test_the_lattice_is_as_coarse_as_asked_for(case: Case) -> None:
 
 
 def test_what_cannot_be_trained_is_said_in_one_line(case: Case) -> None:
-    with pytest.raises(TrainingError, match="no first points"):
+    with pytest.raises(TrainingError, match="point initialisation found no points"):
         trained(case, first=points(0))
     broken = [np.full_like(picture, np.nan) for picture in case.pictures]
     with pytest.raises(

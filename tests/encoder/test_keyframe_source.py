@@ -129,7 +129,7 @@ def test_a_refusal_leaves_nothing(encode: Any, moving: Any, moving_rig: Path, tm
 def test_what_holds_no_keyframe_is_refused(moving: Any, tmp_path: Path) -> None:
     key = packets(moving.path)[PacketKind.KEY]
     (tmp_path / "header.dgs").write_bytes(moving.data[: key.offset])
-    with pytest.raises(UsageError, match=r"`keyframe` .*header\.dgs: it holds no frame; give a stream with at least"):
+    with pytest.raises(UsageError, match=r"`keyframe` .*header\.dgs: the stream has no frame; give one with at least"):
         read_keyframe(tmp_path / "header.dgs")
     with pytest.raises(UsageError, match=r"`keyframe` .*none\.dgs: No such file or directory; give the \.dgs file"):
         read_keyframe(tmp_path / "none.dgs")

@@ -489,7 +489,7 @@ def test_frame_ranges_are_pythons(moving_rig: Path) -> None:
         with pytest.raises(UsageError, match=r"`frames`: .* has frames 0 to 3; the range holds none of them"):
             frame_span(rig, frames)
     for frames in (slice(None, None, 2), slice(None, None, -1)):
-        with pytest.raises(UsageError, match="give consecutive ones"):
+        with pytest.raises(UsageError, match="give consecutive frames"):
             frame_span(rig, frames)
 
 

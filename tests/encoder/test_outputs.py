@@ -154,7 +154,7 @@ def test_a_named_pipe_is_written_into(encode: Any, moving: Any, moving_rig: Path
     reader.join(10)
     assert got == [moving.data]
     assert (report.output, pipe.is_fifo()) == (pipe, True)
-    with pytest.raises(UsageError, match="`resume`: a pipe cannot be gone on with"):
+    with pytest.raises(UsageError, match="`resume`: a pipe cannot be resumed"):
         encode(moving_rig, output=pipe, resume=True)
 
 
@@ -186,7 +186,9 @@ def test_a_full_disk_is_named_with_what_to_do_and_what_is_there_stays(
             return super().write(kind, frame, payload, **options)
 
     monkeypatch.setattr(stream_output, "StreamWriter", Full)
-    with pytest.raises(UsageError, match=r"x\.dgs\.part: No space left on device; make room, then go on with `resume`"):
+    with pytest.raises(
+        UsageError, match=r"x\.dgs\.part: No space left on device; free space, then continue with `resume`"
+    ):
         encode(moving_rig, output=tmp_path / "x.dgs", keyframe=moving.path)
     left = contents(tmp_path).get("x.dgs.part", b"")
     assert moving.data.startswith(left)
@@ -201,7 +203,7 @@ def test_a_log_that_cannot_be_written_is_named(
     moving: Any, moving_rig: Path, tiny_rig: Any, tiny_settings: Any, tmp_path: Path, option: str
 ) -> None:
     given = {"holdout": [tiny_rig.held_out], "settings": tiny_settings, "keyframe": moving.path, option: "/dev/full"}
-    with pytest.raises(UsageError, match=f"^`{option}` /dev/full: No space left on device; make room"):
+    with pytest.raises(UsageError, match=f"^`{option}` /dev/full: No space left on device; free space"):
         encode_rig(moving_rig, tmp_path / "x.dgs", **given)
 
 
@@ -266,6 +268,4 @@ def test_resuming_or_beginning_with_other_footage_is_warned_of(
                 (tmp_path / f"{output.name}.part").write_bytes(moving.data[: moving.data.index(b"DGSP", 100) + header])
             encode_rig(rig, output, on_warning=told.append, **given, **options)
             assert len(told) == expected
-            assert all(
-                "its scene shows nothing of what cam01 and 1 more cameras recorded in frame 0" in t for t in told
-            )
+            assert all("the scene does not match frame 0 of camera cam01 and 1 more cameras" in t for t in told)

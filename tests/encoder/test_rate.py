@@ -281,7 +281,7 @@ def test_a_budget_that_cannot_be_met_is_told(
     assert encode_main([*arguments, "1e-5"]) == 0
     warning = capfd.readouterr().err
     assert warning.startswith("decogs-encode: warning: frames after the first take ")
-    assert "% more than the 10 asked for; ask for more, or lower" in warning
+    assert "% more than the budget of 10; raise the budget, or lower" in warning
     assert warning.count("\n") == 1
 
 

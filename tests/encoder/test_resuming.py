@@ -175,7 +175,7 @@ def test_more_frames_can_be_added(encode: Any, moving: Any, moving_rig: Path, tm
         ({"holdout": ["cam03"]}, r"was begun with held_out \[\"cam02\"\], this encode has \[\"cam03\"\]"),
         ({"scale": 0.5}, "was begun with scale 1.0, this encode has 0.5"),
         ({"frames": slice(1, 4)}, "was begun with first_frame 0, this encode has 1"),
-        ({"frames": slice(1)}, "holds 2 frames already, this encode has 1"),
+        ({"frames": slice(1)}, "already holds 2 frames, this encode has 1"),
         ({"segment": 2}, "was begun with segment 0, this encode has 2"),
         ({"switches": Switches("3dgstream")}, 'was begun with method "decogs", this encode has "3dgstream"'),
         (
@@ -185,7 +185,7 @@ def test_more_frames_can_be_added(encode: Any, moving: Any, moving_rig: Path, tm
         ({"targets": Targets(51)}, r"was begun with lattice_scale .*\(`quality`\); give the same options"),
         (
             {"switches": Switches(ablate=["gate"])},
-            "`resume`: `ablate` gate keeps something of training that no stream has",
+            "`resume`: `ablate` gate keeps training state that a stream does not hold",
         ),
     ],
 )
@@ -206,7 +206,7 @@ def test_a_carried_cache_and_another_keyframe_are_refused(
 ) -> None:
     output = part(tmp_path, moving.data[: ends(moving.path)[2]])
     carried = replace(tiny_settings, frame=replace(tiny_settings.frame, carry_cache=True))
-    with pytest.raises(UsageError, match="`resume`: the carried cache keeps"):
+    with pytest.raises(UsageError, match="`resume`: the carried cache keeps training state"):
         encode(moving_rig, output=output, resume=True, settings=carried)
     other = replace(tiny_settings, keyframe=replace(tiny_settings.keyframe, iterations=60))
     keyframe = encode(moving_rig, settings=other, stop=1).path

@@ -62,7 +62,7 @@ def test_times_are_read(text: str, seconds: float) -> None:
     "text", ["", "s", "0", "-1s", "1h", "1s/second", "inf", "nan", "1,5", "1s 2", "1.5/framed", "\u0663s", "1_0"]
 )
 def test_what_is_no_time_is_refused(text: str) -> None:
-    with pytest.raises(UsageError, match=r"that is no time; write 1\.5s/frame or 500ms/frame"):
+    with pytest.raises(UsageError, match=r"not a duration; write 1\.5s/frame or 500ms/frame"):
         seconds_per_frame(text)
 
 
@@ -338,12 +338,12 @@ def test_a_time_that_cannot_be_met_is_told(
     assert encode_main([*arguments, "1000"]) == 0
     assert capfd.readouterr().err == ""
     assert encode_main([*arguments, "1us/frame"]) == 2
-    assert "--time-budget 1us/frame: that is no time" in capfd.readouterr().err
+    assert "--time-budget 1us/frame: not a duration" in capfd.readouterr().err
     assert encode_main([*arguments, "0.1ms/frame"]) == 0
     warning = capfd.readouterr().err
     assert warning.startswith("decogs-encode: warning: frames after the first take ")
-    assert "% more than the 0.0001 asked for; " in warning
-    assert "are masks, selection and coding, whose time is fixed" in warning
+    assert "% more than the budget of 0.0001; " in warning
+    assert "masks, selection and coding take a fixed" in warning
     assert warning.count("\n") == 1
     with open_stream(tmp_path / "x.dgs") as stream:
         assert len(list(stream.frames())) == 4

@@ -404,7 +404,7 @@ def test_values_that_are_not_numbers_are_refused() -> None:
     cache.place(means, quaternions)
     moved, turned = cache.moved()
     turned[0, 0] = np.nan
-    with pytest.raises(TrainingError, match="not a number"):
+    with pytest.raises(TrainingError, match="is NaN"):
         cache.backward(moved, turned)
 
 

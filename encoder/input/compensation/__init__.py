@@ -186,7 +186,7 @@ class Corrector:
     def _known(self, names: Sequence[str]) -> tuple[str, ...]:
         for name in names:
             if name not in self._views:
-                raise UsageError(f"camera {name} cannot be corrected: it is none of those trained on")
+                raise UsageError(f"camera {name} cannot be compensated: it is not a training camera")
         return tuple(name for name in self._views if name in names)
 
     def _measured(self, name: str, recorded: Sequence[FloatArray], show: Show) -> _Fault:

@@ -184,13 +184,13 @@ def test_a_variant_that_cannot_be_trained_is_said_and_the_others_go_on(
 
     def failing(ingest: Any, output: Path, *arguments: Any, **options: Any) -> Any:
         if "paper-rule" in output.name:
-            raise TrainingError("the loss of camera cam01 is nan; lower the rates")
+            raise TrainingError("the loss of camera cam01 is nan; lower the learning rates")
         return encode_stream(ingest, output, *arguments, **options)
 
     monkeypatch.setattr(runs, "encode_stream", failing)
     said: list[str] = []
     path = make_report(SMALL, [three_frames], tmp_path, OPTIONS, on_warning=said.append)
-    assert said == ["three paper-rule: the loss of camera cam01 is nan; lower the rates"]
+    assert said == ["three paper-rule: the loss of camera cam01 is nan; lower the learning rates"]
     assert "| the paper's | – | – | failed |" in path.read_text()
     assert "paper-rule failed: the loss of camera cam01 is nan" in path.read_text()
     assert "`three-plain-" in path.read_text()

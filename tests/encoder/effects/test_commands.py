@@ -81,7 +81,7 @@ def test_a_clip_beyond_the_memory_is_thinned(moving_rig: Path, monkeypatch: pyte
     assert (analysis.stats.frames, analysis.stats.step) == ((0, 2), 2)
     motion = next(f.decision for f in analysis.findings if f.decision.effect == "motion")
     assert motion.frames == ((1, 2),)
-    assert "4 frames, 1 in 2 looked at" in next(iter(analysis.table()))
+    assert "4 frames, 1 in 2 analysed" in next(iter(analysis.table()))
 
 
 @pytest.mark.parametrize(

@@ -95,7 +95,7 @@ def test_views_that_agree_rule_it_out(plane_views: Callable[..., Views]) -> None
     stats = statistics_of(*plane_views())
     agreeing = Evidence(np.full((5, 1), 1.5), "levels", 4.0)
     found = ViewDependence().decide(stats, agreeing)
-    assert (found.detected, found.cost) == (False, "nothing")
+    assert (found.detected, found.cost) == (False, "none")
     assert found.confidence > 0.8
 
 

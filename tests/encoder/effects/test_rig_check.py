@@ -80,7 +80,7 @@ def test_a_camera_turned_by_a_degree_is_named_and_no_other(degrees: np.ndarray, 
     assert [camera.camera for camera in check.cameras if camera.misplaced] == ["cam03"]
     assert check.cameras[3].turned == pytest.approx(1.0, abs=0.15)
     (warning,) = check.warnings()
-    assert warning.startswith("cam03 seems turned by 1.0 degrees") or warning.startswith("cam03 seems turned by 0.9")
+    assert warning.startswith(("camera cam03 appears rotated by 1.0 degrees", "camera cam03 appears rotated by 0.9"))
 
 
 def test_two_cameras_may_be_turned() -> None:
@@ -103,7 +103,7 @@ def test_neighbours_see_what_a_camera_sees_and_cameras_wide_apart_do_not() -> No
     check = judged(apart, matches_of(apart), UNKNOWN)
     assert check.expected == WRONG
     (warning,) = check.warnings()
-    assert warning.startswith("new views cannot be expected to look right: two other cameras see 0%")
+    assert warning.startswith("new views between the cameras will not look right: two other cameras see 0%")
     assert judged(apart[:2], Matches(()), UNKNOWN).expected is None
 
 
@@ -128,7 +128,7 @@ def test_a_camera_that_is_a_frame_late_is_named_and_no_other(late: dict[int, int
     found = delays(cameras, pictures, np.ones((5, 6)), [0.0] * 5, map)
     assert found.tolist() == [float(late.get(number, 0)) for number in range(5)]
     check = judged(cameras, Matches(()), found)
-    named = [warning.split(" ")[0] for warning in check.warnings() if " a frame " in warning]
+    named = [warning.split(" ")[1] for warning in check.warnings() if " one frame " in warning]
     assert named == [cameras[number].name for number in sorted(late)]
 
 

@@ -45,7 +45,7 @@ def test_an_effect_is_found_where_it_is_and_nowhere_else(
         assert abs(decision.frames[0][0] - true_frames[0]) <= 1
         assert abs(decision.frames[-1][1] - true_frames[1]) <= 1
     else:
-        assert (decision.cameras, decision.frames, decision.cost) == ((), (), "nothing")
+        assert (decision.cameras, decision.frames, decision.cost) == ((), (), "none")
 
 
 @pytest.mark.parametrize("effect", OF_CAMERAS)
