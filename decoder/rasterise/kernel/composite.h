@@ -1,4 +1,5 @@
-// Front-to-back compositing of one tile, a 4x4 block of pixels at a time (Kerbl 2023, equation 3).
+// Front-to-back alpha compositing of one tile, per 4x4 block of pixels: C = sum_i T_i alpha_i c_i with transmittance
+// T_i = prod_{j<i} (1 - alpha_j) (Kerbl 2023, equation 3).
 #pragma once
 
 #include "tiles.h"
@@ -7,11 +8,11 @@ namespace decogs {
 
 constexpr int kBlocks = 16;  // 4x4 pixel blocks per tile, 4x4 of them
 
-// What the backward pass needs of the forward pass; one slot of 16 lanes per block, 16 blocks per tile.
+// State that the backward pass reads: one slot of 16 lanes per block, 16 blocks per tile.
 struct Trace {
-    std::vector<float> transmittance;
-    std::vector<int32_t> last;     // one past the last entry of the tile's list that the pixel drew
-    std::vector<uint16_t> blocks;  // per entry: which blocks of the tile the ellipse meets
+    std::vector<float> transmittance;  // per pixel, behind its last entry
+    std::vector<int32_t> last;     // per pixel: one past the last composited entry of the tile's list
+    std::vector<uint16_t> blocks;  // per entry: bit mask of the blocks that its ellipse overlaps
 
     void resize(const TileLists& lists) {
         transmittance.resize(static_cast<size_t>(lists.tiles()) * kBlocks * kLanes);
@@ -20,14 +21,14 @@ struct Trace {
     }
 };
 
-struct Planes {  // planar pictures, (channels, height, width); null where not wanted
+struct Planes {  // planar pictures, (channels, height, width); alpha and depth may be null
     float* rgb;
     float* alpha;
     float* depth;
     float background[3];
 };
 
-struct Block {  // pixel centres of a block and which of its pixels lie inside the picture
+struct Block {  // pixel centres of a block, and the mask of its pixels inside the picture
     F x, y;
     M inside;
     int x0, y0;
@@ -64,7 +65,7 @@ DECOGS_INLINE F read_block(const float* plane, const Block& block, const Camera&
     return load(lanes);
 }
 
-// The centres of the first pixels of a tile's blocks, a lane per block.
+// Centres of the upper left pixel of a tile's blocks, one lane per block.
 struct TileCorners {
     F x, y;
 };
@@ -78,29 +79,29 @@ DECOGS_INLINE TileCorners block_corners(int tile_x, int tile_y) {
     return {load(x), load(y)};
 }
 
-// The bits of the blocks of a tile that the drawn ellipse meets.
+// Bit mask of the tile's blocks that the ellipse overlaps.
 DECOGS_INLINE uint16_t blocks_met(const Projected& g, const F& corner_x, const F& corner_y) {
     return static_cast<uint16_t>(bits(smallest_exponent(g, corner_x, corner_y, 3.0f) <= g.cut));
 }
 
-constexpr uint32_t kAhead = 16;  // how many entries ahead an ellipse, which lies anywhere in memory, is asked for
-constexpr int kBatch = 256;  // entries at a time: their ellipses stay in the first-level cache
+constexpr uint32_t kAhead = 16;  // prefetch distance in entries: ellipses are scattered in memory
+constexpr int kBatch = 256;  // entries per batch: their ellipses fit into the L1 cache
 
-// What a block has gathered so far, front to back.
+// Compositing state of a block; `live`: pixels not finished yet.
 struct Gathered {
     F transmittance, rgb[3], depth;
     M live;
     I last;
 };
 
-// What may be told of every weight (alpha times transmittance, per pixel of a block) as a tile is drawn.
+// Observer of the compositing weights alpha T, per pixel of a block. This one ignores them.
 struct Unwatched {
     void begin(int) {}
     void note(int, int, const F&) {}
     void end(uint32_t, int) {}
 };
 
-// Adds to block `b` the ellipses `drawn` of the batch that begins at entry `base` of the tile's list.
+// Composites onto block `b` the ellipses `drawn` of the batch that begins at entry `base` of the tile's list.
 template <bool kDepth, class Watch>
 DECOGS_INLINE void composite_block(Gathered& to, const Block& block, int b, const Projected* batch, const uint16_t* drawn, int count, int base,
                                    Watch& watch) {
@@ -128,7 +129,7 @@ DECOGS_INLINE void composite_block(Gathered& to, const Block& block, int b, cons
     to = now;
 }
 
-// Draws one tile. With a trace, remembers what the backward pass needs; `watch` hears of the entries, a batch at a time.
+// Draws one tile. A trace records the state for the backward pass; `watch` observes the weights, batch by batch.
 template <class Watch>
 inline void composite_tile(const TileLists& lists, const Camera& cam, int tile, const Planes& out, Trace* trace, Watch& watch) {
     const int tile_x = tile % lists.columns, tile_y = tile / lists.columns;
@@ -192,7 +193,7 @@ inline void composite_tile(const TileLists& lists, const Camera& cam, int tile, 
     composite_tile(lists, cam, tile, out, trace, nobody);
 }
 
-// A picture of the whole scene.
+// Draws the whole scene.
 inline void render_picture(Pool& pool, Binner& binner, const Scene& scene, const Camera& cam, const Planes& out, TileLists& lists,
                            Trace* trace, uint64_t max_pairs = kMaxPairs) {
     binner.run(pool, scene, cam, lists, max_pairs);

@@ -16,8 +16,7 @@ IncrementalView& view_of(void* handle) { return *static_cast<IncrementalView*>(h
 
 extern "C" {
 
-// 2 when this machine runs the AVX-512 build, 1 the AVX2 build, 0 only the base build. Asked of the base build, which
-// every machine can load.
+// The best build for this processor: 2 AVX-512, 1 AVX2, 0 base. The base build answers, since every machine can load it.
 int decogs_instruction_set() {
 #if defined(__x86_64__)
     __builtin_cpu_init();
@@ -55,7 +54,7 @@ int decogs_incremental_set_scene(void* handle, void* view, const Scene* scene) {
     return status_of([&] { view_of(view).set_scene(renderer.pool, renderer.binner, *scene); });
 }
 
-// Lifts `gone_count` Gaussians, `gone`, and settles `rows` as the Gaussians of `changed`.
+// Detaches the `gone_count` Gaussians `gone` and commits the Gaussians of `changed` as `rows`.
 int decogs_incremental_change(void* handle, void* view, const int64_t* gone, int64_t gone_count, const Scene* changed, const int64_t* rows,
                            int64_t population, const int64_t* renumbered, int64_t before) {
     return status_of([&] {
@@ -64,7 +63,7 @@ int decogs_incremental_change(void* handle, void* view, const int64_t* gone, int
     });
 }
 
-// `redrawn` receives how many tiles were.
+// `redrawn`: number of redrawn tiles.
 int decogs_incremental_redraw(void* handle, void* view, const Planes* planes, const Picture* to, int64_t* redrawn) {
     return status_of([&] { *redrawn = view_of(view).redraw(renderer_of(handle).pool, *planes, *to); });
 }

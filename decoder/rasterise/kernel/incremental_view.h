@@ -1,24 +1,23 @@
-// A fixed camera's picture of a scene of which few Gaussians change from one frame to the next: a static Gaussian keeps its
-// place in the picture, its ellipse and its tiles.
+// Incremental rendering by a fixed camera of a scene of which few Gaussians change per frame. A static Gaussian keeps its
+// projection and its tiles.
 //
-// Chosen: every tile keeps the list of the Gaussians that are static in it, front to back. Gaussians that are about to change are
-// taken out of these lists and merged into them again as they are afterwards; only tiles that lost or got one are drawn
-// again. Order, arithmetic and so every bit are those of a whole rendering. The encoder's view (fixed_view.h there) draws
-// detached Gaussians too.
-// Rejected: comparing the tiles' lists of two whole renderings (projection and binning cost as much as what it saves).
+// Chosen: every tile keeps the depth-sorted list of its static Gaussians. Changing Gaussians are detached from these lists
+// and merged into them again with their new values; only tiles that lost or gained one are redrawn. Order and arithmetic are
+// those of a full rendering, and so is every bit. The encoder's view (fixed_view.h there) also draws detached Gaussians.
+// Rejected: comparing the tile lists of two full renderings (projection and binning cost as much as redrawing saves).
 #pragma once
 
 #include "composite.h"
 
 namespace decogs {
 
-// A picture as it is handed out, beside the planes that the kernel composites.
+// The output picture; the kernel composites into planes.
 struct Picture {
     float* image;  // (height, width, 3)
-    float* depth;  // (height, width): mean of what the pixel shows, 0 where that is nothing
+    float* depth;  // (height, width): depth / alpha, 0 where alpha is 0
 };
 
-// Brings the picture up to date with the planes in one tile.
+// Copies one tile of the planes to the picture.
 inline void finish_tile(const Camera& cam, int x0, int y0, const Planes& planes, const Picture& to) {
     const int64_t plane = static_cast<int64_t>(cam.width) * cam.height;
     const int columns = std::min(kTile, cam.width - x0);
@@ -39,10 +38,10 @@ class IncrementalView {
         tiles_.resize(lists_.tiles());
     }
 
-    // The most pairs of a tile and a Gaussian from now on; TooManyPairs is thrown above.
+    // Limits the (tile, Gaussian) pairs; more throw TooManyPairs.
     void allow(uint64_t max_pairs) { max_pairs_ = max_pairs; }
 
-    // Starts anew with a whole scene, all of it static.
+    // Loads a whole scene as static.
     void set_scene(Pool& pool, Binner& binner, const Scene& scene) {
         for (Tile& tile : tiles_) tile = Tile();
         binner.run(pool, scene, camera_, lists_, max_pairs_);
@@ -55,7 +54,7 @@ class IncrementalView {
         }
     }
 
-    // Takes Gaussians out of their tiles: from now on they are what changes. Returns these tiles, ascending.
+    // Detaches Gaussians from their tiles, so that they may change. Returns these tiles, ascending.
     std::vector<uint32_t> detach(const int64_t* rows, int64_t count) {
         std::vector<uint8_t> detached(lists_.projected.size(), 0);
         std::vector<uint32_t> left;
@@ -73,9 +72,9 @@ class IncrementalView {
         return left;
     }
 
-    // Everything is static again: of the `population` Gaussians from now on, `rows` (ascending) were detached or are new, and are the
-    // rows `from` of `scene` (null: all of it, in order). `renumbered` gives the new row of each of the `before` old ones, -1
-    // for those that are gone, which were detached; null: all keep theirs.
+    // Makes all of the now `population` Gaussians static. `rows` (ascending) were detached or are new; their values are the rows
+    // `from` of `scene` (null: all of it, in order). `renumbered`: the new row of each of the `before` old ones, -1 for removed
+    // ones, which were detached; null: rows keep their numbers.
     void commit(Pool& pool, const Scene& scene, const int64_t* from, const int64_t* rows, int64_t count, int64_t population,
                 const int64_t* renumbered, int64_t before) {
         if (renumbered) renumber(renumbered, before);
@@ -94,7 +93,7 @@ class IncrementalView {
         }
     }
 
-    // Redraws the tiles that do not show the static scene; returns how many there were.
+    // Redraws stale tiles; returns their number.
     int64_t redraw(Pool& pool, const Planes& planes, const Picture& to) {
         line_up([](int) { return false; });
         each_active(pool, [&](int t) {
@@ -108,18 +107,18 @@ class IncrementalView {
  protected:
     struct Static {
         uint32_t depth, gaussian;
-        float weight;    // over the tile, for who weighs it
-        int32_t blocks;  // of the tile that its ellipse meets; -1: not known yet
+        float weight;    // sum of alpha T over the tile, if weighed
+        int32_t blocks;  // bit mask of the blocks that its ellipse overlaps; -1: not computed yet
     };
     struct Tile {
-        std::vector<Static> statics;  // front to back; equal depths in the scene's order
-        bool stale = true;             // the picture is not that of the static scene
+        std::vector<Static> statics;  // by depth; equal depths in the scene's order
+        bool stale = true;             // the picture does not show the static scene
     };
-    struct Arrival {  // of a Gaussian that was just projected, in a tile
+    struct Arrival {  // a newly projected Gaussian in a tile
         uint32_t depth, index, pair;
     };
 
-    // Projects the scene's rows `from` (null: all) into the places `to`, and sorts them into the tiles they meet.
+    // Projects the scene's rows `from` (null: all) as rows `to`, and bins them: radix sort by depth, counting sort by tile.
     void bring(Pool& pool, const Scene& scene, const int64_t* from, const int64_t* to, int64_t count) {
         if (count && static_cast<int64_t>(lists_.projected.size()) <= to[count - 1]) lists_.projected.resize(to[count - 1] + 1);
         projected_.resize((count + kLanes - 1) / kLanes * kLanes);
@@ -169,7 +168,7 @@ class IncrementalView {
                 arrivals_[cursor_[tile_of_pair_[pair]]++] = {k.depth, k.gaussian, pair};
     }
 
-    // Walks a tile's static Gaussians and arrivals together, front to back.
+    // Merges a tile's static Gaussians and arrivals by depth.
     template <class OnResting, class OnArrival>
     void each_in_order(int t, const int64_t* rows, const OnResting& on_resting, const OnArrival& on_arrival) const {
         uint32_t a = first_arrival_[t];
@@ -185,7 +184,7 @@ class IncrementalView {
         for (; a < end; ++a) on_arrival(arrivals_[a]);
     }
 
-    // The lists of the active tiles, ready to be drawn.
+    // Builds the lists of the active tiles.
     void merge(const int64_t* rows) {
         lists_.first_entry.assign(lists_.tiles() + 1, 0);
         for (int t : active_)
@@ -200,8 +199,7 @@ class IncrementalView {
         }
     }
 
-    // The tiles that do not show the static scene, and those that are `wanted`, become active: their lists are ready, and
-    // what is drawn of them from now on shows it.
+    // Activates stale and `wanted` tiles for a redraw of the static scene, and builds their lists.
     template <class Wanted>
     void line_up(const Wanted& wanted) {
         active_.clear();
@@ -223,7 +221,7 @@ class IncrementalView {
         });
     }
 
-    // Which blocks of a tile the ellipses static in it meet, for all draws to come.
+    // Computes the block masks of a tile's static ellipses once, for all later draws.
     void find_blocks(int t) {
         const TileCorners corners = block_corners(t % lists_.columns, t / lists_.columns);
         Entry* entry = lists_.entries.data() + lists_.first_entry[t];
@@ -245,7 +243,7 @@ class IncrementalView {
     TileLists lists_;  // `projected` of the whole scene; entries of the active tiles only
     std::vector<Tile> tiles_;
     std::vector<int> active_;
-    // What was brought last.
+    // Buffers of the last `bring`.
     std::vector<Projected> projected_;
     std::vector<uint32_t> pairs_of_, first_pair_, tile_of_pair_, first_arrival_, cursor_;
     std::vector<std::vector<uint32_t>> chunk_tiles_;

@@ -1,8 +1,8 @@
-// A small pool of sleeping threads. Work is a number of independent tasks; which thread runs which task never changes
-// a result, because tasks write to places of their own.
+// A pool of sleeping threads for independent tasks. Tasks write to separate memory, so that results do not depend on which
+// thread runs which task.
 //
-// An exception in a task (memory that runs out) ends the run: the first one is thrown again on the calling thread once no
-// thread works any more. A forked child has none of its parent's threads; the pool starts its own there.
+// An exception in a task (out of memory) ends the run; the first one is rethrown on the calling thread once all threads are
+// idle. A forked child has none of its parent's threads; the pool starts new ones there.
 #pragma once
 
 #include <unistd.h>
@@ -26,12 +26,12 @@ class Pool {
     Pool(const Pool&) = delete;
     Pool& operator=(const Pool&) = delete;
     ~Pool() {
-        if (process_ == getpid()) delete crew_;  // the threads of a parent cannot be waited for
+        if (process_ == getpid()) delete crew_;  // a parent's threads cannot be joined
     }
 
     int threads() const { return threads_; }
 
-    // Calls task(i) for every i in [0, count), on this thread and the sleeping ones.
+    // Calls task(i) for every i in [0, count), on this thread and the pool's.
     void run(int count, const std::function<void(int)>& task) {
         if (process_ != getpid()) {
             crew_ = new Crew(threads_);
@@ -48,7 +48,7 @@ class Pool {
             try {
                 for (int i = 1; i < threads; ++i) workers_.emplace_back([this] { work(); });
             } catch (const std::system_error&) {
-                // No more threads are to be had: those that are there do the work.
+                // The system refuses more threads: work with those that exist.
             }
         }
         ~Crew() {
@@ -76,7 +76,7 @@ class Pool {
             for (int i = std::min(static_cast<int>(workers_.size()), count - 1); i > 0; --i) wake_.notify_one();
             drain(task, count);
             std::unique_lock<std::mutex> lock(mutex_);
-            busy_ -= std::exchange(wanted_, 0);  // who has not woken yet may sleep on: nothing is left to begin
+            busy_ -= std::exchange(wanted_, 0);  // workers that still sleep may stay so: no task is left
             done_.wait(lock, [this] { return busy_ == 0; });
             task_ = nullptr;
             if (failure_) std::rethrow_exception(std::exchange(failure_, nullptr));
@@ -87,7 +87,7 @@ class Pool {
             try {
                 for (int i; (i = next_.fetch_add(1)) < count;) task(i);
             } catch (...) {
-                next_.store(count);  // what is left need not be begun
+                next_.store(count);  // skip the remaining tasks
                 std::lock_guard<std::mutex> lock(mutex_);
                 if (!failure_) failure_ = std::current_exception();
             }
@@ -116,7 +116,7 @@ class Pool {
         const std::function<void(int)>* task_ = nullptr;
         std::exception_ptr failure_;
         std::atomic<int> next_{0};
-        int count_ = 0, wanted_ = 0, busy_ = 0;  // workers that are still to wake; those that are, or still to wake
+        int count_ = 0, wanted_ = 0, busy_ = 0;  // workers still to wake; workers awake or still to wake
         bool stop_ = false;
     };
 
@@ -125,15 +125,15 @@ class Pool {
     pid_t process_;
 };
 
-// What a call of the C interface says of its work; mirrored in native.py.
+// Status of a call of the C interface; mirrored in native.py.
 enum Status { kDone = 0, kCovered = 1, kNoMemory = 2 };
 
-// The picture is covered so many times that its tile lists would not fit.
+// Gaussians overlap so many tiles that the tile lists would exceed the limit.
 struct TooManyPairs : std::exception {
     const char* what() const noexcept override { return "too many pairs of a tile and a Gaussian"; }
 };
 
-// Does the work, and lets no exception out: the caller is not C++.
+// Turns exceptions into a status: the caller is not C++.
 template <class Work>
 int status_of(const Work& work) noexcept {
     try {
@@ -146,7 +146,7 @@ int status_of(const Work& work) noexcept {
     return kDone;
 }
 
-// What `make` creates, or null when memory is short.
+// The object that `make` creates; null if memory runs out.
 template <class Make>
 void* created(const Make& make) noexcept {
     try {

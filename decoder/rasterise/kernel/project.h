@@ -1,5 +1,5 @@
-// Sixteen Gaussians at a time from world to picture: EWA splatting (Zwicker 2001; Kerbl 2023, section 4) with the
-// opacity compensation of the 2D low-pass filter (Yu 2024, Mip-Splatting, equation 9).
+// Projection of Gaussians, sixteen at a time: EWA splatting, Sigma' = J W Sigma W^T J^T (Zwicker 2001; Kerbl 2023, equation
+// 5), with the opacity compensation of the 2D low-pass filter (Yu 2024, Mip-Splatting, equation 9).
 #pragma once
 
 #include <algorithm>
@@ -10,10 +10,10 @@
 namespace decogs {
 
 constexpr float kBlur = 0.3f;               // low-pass filter, variance in square pixels
-constexpr float kAlphaMin = 1.0f / 255.0f;  // fainter contributions are not drawn
+constexpr float kAlphaMin = 1.0f / 255.0f;  // contributions below this alpha are skipped
 constexpr float kAlphaMax = 0.99f;
-constexpr float kTransmittanceMin = 1e-4f;  // a pixel is finished before it would fall below this
-constexpr float kClosest = 0.5f;            // a Gaussian nearer than this many of its largest sigma is not drawn
+constexpr float kTransmittanceMin = 1e-4f;  // a pixel ends before its transmittance falls below this
+constexpr float kClosest = 0.5f;            // a Gaussian is culled if nearer than this multiple of its largest sigma
 constexpr float kLog2E = 1.44269504088896341f;
 constexpr int kTile = 16;
 
@@ -21,7 +21,7 @@ struct Camera {  // mirrored by ctypes in native.py
     float rotation[9];
     float translation[3];
     float centre[3];
-    float origin[3];  // taken from positions before all else; translation and centre are as seen from there
+    float origin[3];  // subtracted from positions first; translation and centre are relative to it
     float fx, fy, cx, cy, near;
     int32_t width, height;
 };
@@ -29,7 +29,7 @@ struct Camera {  // mirrored by ctypes in native.py
 struct Scene {  // mirrored by ctypes in native.py
     int64_t count;
     int32_t sh_coefficients;  // stored per channel
-    int32_t sh_degree;        // evaluated, at most what is stored
+    int32_t sh_degree;        // evaluated; at most the stored one
     const float* means;
     const float* log_scales;
     const float* quaternions;
@@ -37,15 +37,15 @@ struct Scene {  // mirrored by ctypes in native.py
     const float* sh;
 };
 
-// One Gaussian on the picture: it fades as 2^-exponent with exponent(dx, dy) = (p dx + q dy)^2 + (r dy)^2, a Cholesky
-// form that needs no cancellation however thin the ellipse is.
+// A projected Gaussian: alpha = opacity 2^-exponent with exponent(dx, dy) = (p dx + q dy)^2 + (r dy)^2, the Cholesky form of
+// the conic. As a sum of squares it suffers no cancellation, however thin the ellipse is.
 struct alignas(64) Projected {
     float x, y, p, q, r;
     float opacity;
-    float cut;  // exponent at which alpha falls to kAlphaMin; not drawn at all when <= 0
+    float cut;  // exponent at which alpha falls to kAlphaMin; culled when <= 0
     float depth;
     float rgb[3];
-    float extent_x, extent_y;  // half size of the box around the drawn ellipse, pixels
+    float extent_x, extent_y;  // half extents of the ellipse's bounding box, pixels
     float pad[3];
 };
 static_assert(sizeof(Projected) == 64, "one cache line each");
@@ -62,8 +62,8 @@ DECOGS_INLINE F gather(const float* array, const int64_t* rows, int stride, int 
     return load(lanes);
 }
 
-// Sixteen rows of an array turned into `count` columns, a lane per row, and back; four by four, since single values cost
-// as much each as four.
+// Transposes sixteen rows of an array to `count` columns, one lane per row, and back, in 4x4 parts: a load of four values
+// costs as much as a load of one.
 inline void load_columns(const float* array, const int64_t* rows, int stride, int count, F* columns) {
     int k = 0;
 #if defined(__SSE4_1__)
@@ -94,7 +94,7 @@ inline void store_columns(float* array, const int64_t* rows, int rows_used, int 
     for (; k < count; ++k) scatter(array, rows, rows_used, stride, k, columns[k]);
 }
 
-// Spherical-harmonics basis values of unit directions, in the order 3DGS stores its coefficients.
+// Spherical-harmonics basis of unit directions, in 3DGS's order of coefficients.
 DECOGS_INLINE void sh_basis(int degree, const F& x, const F& y, const F& z, F* basis) {
     basis[0] = splat(0.28209479177387814f);
     if (degree < 1) return;
@@ -118,20 +118,20 @@ DECOGS_INLINE void sh_basis(int degree, const F& x, const F& y, const F& z, F* b
     basis[15] = x * (xx - yy * 3.0f) * -0.5900435899266435f;
 }
 
-// Everything between a group's stored values and its ellipses, kept for the way back.
+// Intermediate values of the projection of sixteen Gaussians; the backward pass reads them again.
 struct Group {
     F x, y, z;           // camera coordinates
-    F kx, ky;            // x/z and y/z held inside a widened field of view, as EWA needs
-    M free_x, free_y;    // where that bound does not bind
+    F kx, ky;            // x/z and y/z clamped to a widened field of view, as EWA needs
+    M free_x, free_y;    // where the clamp is inactive
     F rot[9];            // rotation of the unit quaternion
-    F unit[4], norm;     // unit quaternion and the stored one's norm
+    F unit[4], norm;     // unit quaternion, and the norm of the stored one
     F scale[3];
     F t[6];              // J W, 2x3
     F tr[6];             // J W R, 2x3
     F m[6];              // J W R S, 2x3
     F n[3];              // cross product of its rows
-    F a0, b0, c0, det0;  // covariance before the low-pass filter
-    F a, c, det;         // and after it (b does not change)
+    F a0, b0, c0, det0;  // 2D covariance (a b; b c) and its determinant before the low-pass filter
+    F a, c, det;         // and after it (b is unchanged)
     F sigmoid, compensation;
     F mean2d_x, mean2d_y;
 };
@@ -150,7 +150,7 @@ DECOGS_INLINE Group project_group(const Scene& scene, const Camera& cam, const i
     F q[4];
     for (int k = 0; k < 4; ++k) q[k] = gather(scene.quaternions, rows, 4, k);
     F square = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3], enlarged = splat(1.0f);
-    const M huge = square > 1e36f;  // the square of its length overflows, or is about to
+    const M huge = square > 1e36f;  // the squared norm overflows, or nearly
     if (any(huge)) {
         for (int k = 0; k < 4; ++k) q[k] = select(huge, q[k] * 0x1p-66f, q[k]);
         square = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
@@ -158,7 +158,7 @@ DECOGS_INLINE Group project_group(const Scene& scene, const Camera& cam, const i
     }
     const F length = sqrt(square);
     g.norm = length * enlarged;
-    const M turned = length > 1e-18f;  // a zero quaternion stands for no rotation
+    const M turned = length > 1e-18f;  // a zero quaternion is the identity
     for (int k = 0; k < 4; ++k) g.unit[k] = select(turned, q[k] / length, splat(k == 0 ? 1.0f : 0.0f));
     const F &qw = g.unit[0], &qx = g.unit[1], &qy = g.unit[2], &qz = g.unit[3];
     g.rot[0] = 1.0f - (qy * qy + qz * qz) * 2.0f;
@@ -171,7 +171,7 @@ DECOGS_INLINE Group project_group(const Scene& scene, const Camera& cam, const i
     g.rot[7] = (qy * qz + qw * qx) * 2.0f;
     g.rot[8] = 1.0f - (qx * qx + qy * qy) * 2.0f;
 
-    // The linearisation breaks down far outside the picture: hold the ray inside 15 % of its size around it.
+    // The Jacobian diverges far outside the picture: clamp the ray to 15 % of the picture's size around it, as 3DGS does.
     const float low_x = (-0.15f * cam.width - cam.cx) / cam.fx, high_x = (1.15f * cam.width - cam.cx) / cam.fx;
     const float low_y = (-0.15f * cam.height - cam.cy) / cam.fy, high_y = (1.15f * cam.height - cam.cy) / cam.fy;
     const F ray_x = g.x * inverse_z, ray_y = g.y * inverse_z;
@@ -194,7 +194,7 @@ DECOGS_INLINE Group project_group(const Scene& scene, const Camera& cam, const i
     g.a0 = m[0] * m[0] + m[1] * m[1] + m[2] * m[2];
     g.b0 = m[0] * m[3] + m[1] * m[4] + m[2] * m[5];
     g.c0 = m[3] * m[3] + m[4] * m[4] + m[5] * m[5];
-    // Lagrange's identity: the determinant is a sum of squares, so a thin ellipse loses no digits to a c - b b.
+    // Lagrange's identity: |m0|^2 |m1|^2 - (m0 . m1)^2 = |m0 x m1|^2, without the cancellation of a c - b^2 for thin ellipses.
     g.n[0] = m[1] * m[5] - m[2] * m[4];
     g.n[1] = m[2] * m[3] - m[0] * m[5];
     g.n[2] = m[0] * m[4] - m[1] * m[3];
@@ -209,9 +209,9 @@ DECOGS_INLINE Group project_group(const Scene& scene, const Camera& cam, const i
     return g;
 }
 
-constexpr float kFold = 1.38629436111989062f;  // 2 ln 2: a Gaussian fades as 2^-(u^2 + v^2) = exp(-kFold / 2 (u^2 + v^2))
+constexpr float kFold = 1.38629436111989062f;  // 2 ln 2: 2^-(u^2 + v^2) = exp(-kFold / 2 (u^2 + v^2))
 
-// The offset (dx, dy) in the ellipse's own coordinates is u = p dx + q dy, v = r dy: a Cholesky form of its conic.
+// Cholesky factor of the conic: u = p dx + q dy, v = r dy.
 struct Ellipse {
     F p, q, r;
 };
@@ -225,7 +225,7 @@ DECOGS_INLINE Ellipse ellipse_of(const Group& g) {
     return e;
 }
 
-// Unit vectors from the camera to the group's centres; returns their lengths.
+// Unit view directions from the camera to the means; returns the distances.
 DECOGS_INLINE F view_directions(const Scene& scene, const Camera& cam, const int64_t* rows, F* direction) {
     for (int k = 0; k < 3; ++k) direction[k] = (gather(scene.means, rows, 3, k) - cam.origin[k]) - cam.centre[k];
     const F length = sqrt(direction[0] * direction[0] + direction[1] * direction[1] + direction[2] * direction[2]);
@@ -233,7 +233,7 @@ DECOGS_INLINE F view_directions(const Scene& scene, const Camera& cam, const int
     return length;
 }
 
-// Projects rows[0..16) and writes their ellipses to out[0..16).
+// Projects the Gaussians rows[0..16) to out[0..16).
 inline void project_rows(const Scene& scene, const Camera& cam, const int64_t* rows, Projected* out) {
     const Group g = project_group(scene, cam, rows);
     const F opacity = g.sigmoid * g.compensation;
@@ -241,7 +241,7 @@ inline void project_rows(const Scene& scene, const Camera& cam, const int64_t* r
     const F cut = log(max(opacity * 255.0f, 1e-30f));
     const F reach = max(cut, 0.0f) * 2.0f;
     const F extent_x = sqrt(reach * g.a), extent_y = sqrt(reach * g.c);
-    // Comparisons are written so that anything not a number fails them.
+    // Every comparison is false for NaN, so that such a Gaussian is culled.
     const M drawn = (g.z > 0.0f) & (g.z >= cam.near) & (g.z >= largest * kClosest) & (cut > 0.0f) & (g.mean2d_x + extent_x > 0.0f) &
                     (g.mean2d_x - extent_x < static_cast<float>(cam.width)) & (g.mean2d_y + extent_y > 0.0f) &
                     (g.mean2d_y - extent_y < static_cast<float>(cam.height)) & (g.det > 0.0f) & (extent_x < 1e9f) &

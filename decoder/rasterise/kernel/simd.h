@@ -35,11 +35,11 @@ struct I {
     NativeI v[kParts];
 };
 #if defined(__AVX512F__)
-struct M {  // a truth value per lane
+struct M {  // a mask per lane
     __mmask16 bits;
 };
 #else
-struct M {  // a truth value per lane: -1 or 0
+struct M {  // a mask per lane: -1 or 0
     NativeI v[kParts];
 };
 #endif
@@ -56,7 +56,7 @@ DECOGS_INLINE I splati(int32_t x) {
     DECOGS_EACH r.v[p] = x - NativeI{};
     return r;
 }
-// One native vector at a time: copied as a whole, a compiler may split them differently and wait for its own stores.
+// Copies one native vector at a time: a compiler may split a whole copy differently and stall on store forwarding.
 DECOGS_INLINE F load(const float* a) {
     F r;
     DECOGS_EACH std::memcpy(&r.v[p], a + p * DECOGS_NATIVE, sizeof r.v[p]);
@@ -81,7 +81,7 @@ DECOGS_INLINE I loadi(const int32_t* a) {
 DECOGS_INLINE void store(float* a, const F& x) { DECOGS_EACH std::memcpy(a + p * DECOGS_NATIVE, &x.v[p], sizeof x.v[p]); }
 DECOGS_INLINE void storei(int32_t* a, const I& x) { DECOGS_EACH std::memcpy(a + p * DECOGS_NATIVE, &x.v[p], sizeof x.v[p]); }
 
-// The same for an array that ends after `left` values; zero beyond.
+// Loads from an array that ends after `left` values; zero beyond.
 DECOGS_INLINE F load_some(const float* a, int64_t left) {
     if (left >= kLanes) return load(a);
     float lanes[kLanes] = {0};
@@ -138,8 +138,8 @@ DECOGS_INLINE I shift_right(const I& a, int n) {  // arithmetic
     return r;
 }
 
-// Comparisons (false for anything not a number), masks and selection. Instructions by name where the compiler would
-// spend several; each does what the plain loop at the end says.
+// Comparisons (false for NaN), masks and selection. Intrinsics where a compiler would need several instructions; each
+// matches the plain loop at the end.
 #if defined(__AVX512F__)
 #define DECOGS_COMPARE(op, code)                                                                              \
     DECOGS_INLINE M operator op(const F& a, const F& b) {                                                     \

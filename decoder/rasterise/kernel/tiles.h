@@ -1,8 +1,8 @@
-// Which Gaussians each 16x16 tile draws, front to back.
+// Binning: the list of Gaussians of each 16x16 tile, front to back.
 //
-// Chosen: one stable radix sort of all drawn Gaussians by depth, then every tile's list is filled in that order, so lists
-// come out sorted and equal depths keep the order of the scene. Rejected: sorting each tile's list (more work in all,
-// since a Gaussian is sorted once per tile), and the box of three sigma (twice as many pairs as the exact ellipse test).
+// Chosen: one stable radix sort of all visible Gaussians by depth, then one counting sort by tile that keeps this order, so
+// that lists are sorted and equal depths keep the scene's order. Rejected: a sort per tile (a Gaussian is sorted once for
+// each of its tiles), and the bounding box of three sigma (twice as many pairs as the exact ellipse test).
 #pragma once
 
 #include <algorithm>
@@ -14,28 +14,29 @@
 namespace decogs {
 
 constexpr uint32_t kNoPair = UINT32_MAX;
-constexpr uint64_t kMaxPairs = 1u << 27;  // of a tile and a Gaussian in one picture, whatever memory is allowed
+constexpr uint64_t kMaxPairs = 1u << 27;  // (tile, Gaussian) pairs of one picture, whatever the memory budget
 
 struct Entry {
     uint32_t gaussian;
-    uint32_t pair;  // where this (tile, Gaussian) pair writes its gradient, or kNoPair: pairs of one Gaussian are consecutive
-    int32_t blocks = -1;  // the bits of the tile's blocks that the ellipse meets, if known already
+    uint32_t pair;  // slot of the pair's gradient, or kNoPair; pairs of one Gaussian are consecutive
+    int32_t blocks = -1;  // bit mask of the tile's blocks that the ellipse overlaps; -1: not computed yet
 };
 
 struct TileLists {
     int columns = 0, rows = 0;
-    std::vector<Projected> projected;   // one per Gaussian of the scene
-    std::vector<uint32_t> first_pair;   // one per Gaussian, and the total behind them
+    std::vector<Projected> projected;   // per Gaussian of the scene
+    std::vector<uint32_t> first_pair;   // per Gaussian, exclusive prefix sum; the total is last
     std::vector<uint32_t> tile_of_pair;
-    std::vector<uint32_t> first_entry;  // one per tile, and the total behind them
+    std::vector<uint32_t> first_entry;  // per tile, exclusive prefix sum; the total is last
     std::vector<Entry> entries;
 
     int tiles() const { return columns * rows; }
 };
 
-constexpr int kChunk = 1024;  // Gaussians per task; fixed, so that results do not depend on the number of threads
+constexpr int kChunk = 1024;  // Gaussians per task; fixed, so that results are independent of the number of threads
 
-// Smallest exponent inside the rectangle [x0, x0+size] x [y0, y0+size] in each lane, less a bound on its rounding error.
+// Minimum of the exponent over the rectangle [x0, x0+size] x [y0, y0+size], per lane, minus a bound on its rounding error:
+// never above the true minimum, so that no overlapping tile is missed.
 DECOGS_INLINE F smallest_exponent(const Projected& g, const F& x0, const F& y0, float size) {
     const F lx = x0 - g.x, hx = lx + size, ly = y0 - g.y, hy = ly + size;
     const float aa = g.p * g.p, ab = g.p * g.q, cc = g.q * g.q + g.r * g.r;
@@ -55,13 +56,13 @@ struct Key {
     uint32_t depth, gaussian;
 };
 
-DECOGS_INLINE uint32_t depth_key(float depth) {  // drawn depths are positive, so their bits sort like the numbers
+DECOGS_INLINE uint32_t depth_key(float depth) {  // depths are positive, and positive floats sort like their bit patterns
     uint32_t bits;
     std::memcpy(&bits, &depth, 4);
     return bits;
 }
 
-// Stable: least significant digit first; digits that all keys share are skipped.
+// Stable LSD radix sort with digits of 11 bits; a digit that all keys share is skipped.
 inline void sort_by_depth(std::vector<Key>& keys, std::vector<Key>& scratch) {
     scratch.resize(keys.size());
     for (int shift = 0; shift < 32; shift += 11) {
@@ -79,7 +80,7 @@ inline void sort_by_depth(std::vector<Key>& keys, std::vector<Key>& scratch) {
     }
 }
 
-// Appends the tiles that the drawn ellipse meets; returns how many.
+// Appends the tiles that the ellipse overlaps; returns their number.
 inline uint32_t touch(const Projected& g, int columns, int rows, std::vector<uint32_t>& tiles) {
     if (!(g.cut > 0.0f)) return 0;
     const float ex = g.extent_x * 1.0001f + 0.01f, ey = g.extent_y * 1.0001f + 0.01f;
@@ -94,7 +95,7 @@ inline uint32_t touch(const Projected& g, int columns, int rows, std::vector<uin
     }
     const size_t before = tiles.size();
     for (int by = y0; by <= y1; by += 4)
-        for (int bx = x0; bx <= x1; bx += 4) {  // sixteen tiles in one test
+        for (int bx = x0; bx <= x1; bx += 4) {  // 4x4 tiles per test
             float cx[kLanes], cy[kLanes];
             for (int i = 0; i < kLanes; ++i) {
                 cx[i] = static_cast<float>((bx + i % 4) * kTile) + 0.5f;
@@ -108,8 +109,8 @@ inline uint32_t touch(const Projected& g, int columns, int rows, std::vector<uin
     return static_cast<uint32_t>(tiles.size() - before);
 }
 
-// Counts the pairs that threads find together; a stream of a stranger can hold millions of Gaussians that each fill the
-// picture, and counting must stop before memory does.
+// Counts pairs across threads. A hostile stream can hold millions of Gaussians that each fill the picture: binning must
+// stop before memory runs out.
 class PairCount {
  public:
     void restart(uint64_t pairs, uint64_t limit) {

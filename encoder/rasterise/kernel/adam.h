@@ -1,4 +1,4 @@
-// Adam (Kingma 2015) on chosen rows only: the others keep value and moments, bit for bit.
+// Adam (Kingma 2015, algorithm 1) on selected rows; all others keep value and moments, bit for bit.
 #pragma once
 
 #include <cmath>
@@ -11,10 +11,10 @@ namespace decogs {
 
 struct AdamStep {  // mirrored by ctypes
     float beta1, beta2, epsilon;
-    float correction1, correction2;  // 1 - beta^t of the step
+    float correction1, correction2;  // bias corrections 1 - beta^t
 };
 
-// One step on `count` consecutive values; rates[k] is the rate of value k, repeating every `columns`.
+// One step on `count` consecutive values; rates[k] is the learning rate of value k, with period `columns`.
 inline void adam_run(const AdamStep& step, int64_t count, int columns, const float* rates, float* value, const float* gradient,
                      float* first, float* second) {
     const float first_scale = 1.0f / step.correction1, root = 1.0f / std::sqrt(step.correction2);
@@ -29,7 +29,7 @@ inline void adam_run(const AdamStep& step, int64_t count, int columns, const flo
         store(value + k, load(value + k) - load(rates + column) * (m * first_scale) / (sqrt(v) * root + step.epsilon));
         column = (column + kLanes) % columns;
     }
-    for (; k < count; ++k) {  // the same on single values
+    for (; k < count; ++k) {  // the tail, one value at a time
         const float g = gradient[k];
         first[k] = first[k] * step.beta1 + g * (1.0f - step.beta1);
         second[k] = second[k] * step.beta2 + g * g * (1.0f - step.beta2);
@@ -46,7 +46,7 @@ inline void adam_rows(Pool& pool, const AdamStep& step, int64_t row_count, const
     for (size_t k = 0; k < repeated.size(); ++k) repeated[k] = rates[k % columns];
     pool.run(static_cast<int>((row_count + kRows - 1) / kRows), [&](int task) {
         const int64_t end = std::min(row_count, (task + 1) * kRows);
-        for (int64_t r = task * kRows, next; r < end; r = next) {  // rows that follow one another are one run of values
+        for (int64_t r = task * kRows, next; r < end; r = next) {  // consecutive rows are one run of values
             next = rows ? r + 1 : end;
             while (next < end && rows[next] == rows[next - 1] + 1) ++next;
             const int64_t at = (rows ? rows[r] : r) * columns;

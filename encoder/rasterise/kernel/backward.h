@@ -1,16 +1,17 @@
-// The way back through compositing and projection.
+// Backward pass through compositing and projection.
 //
-// Compositing runs back to front in normalised form: with S the colour of everything behind, already divided by the
-// transmittance in front of it, S <- S + alpha (d - S), gradient of alpha = T (d - S), T <- T / (1 - alpha). One scalar per
-// pixel, and no difference of large sums. Every (tile, Gaussian) pair writes its moments to a slot of its own and each
-// Gaussian adds up its slots in order: the gradients do not depend on the number of threads.
+// Compositing is traversed back to front in normalised form. With d = dL/dC . c of the Gaussian's colour c, and S the same of
+// everything behind it divided by the transmittance in front of that: T <- T / (1 - alpha), dL/dalpha = T (d - S),
+// S <- S + alpha (d - S). S is one scalar per pixel, and no large sums are subtracted. Every (tile, Gaussian) pair writes its
+// moments to its own slot, and each Gaussian sums its slots in order: gradient accumulation does not depend on the number of
+// threads.
 #pragma once
 
 #include "composite.h"
 
 namespace decogs {
 
-struct Cotangents {  // planar, like the pictures; alpha and depth may be null
+struct Cotangents {  // dL/d(picture), planar; alpha and depth may be null
     const float* rgb;
     const float* alpha;
     const float* depth;
@@ -23,26 +24,25 @@ struct Gradients {  // one row per Gaussian
     float* quaternions;
     float* opacity_logits;
     float* sh;
-    float* view;  // length of the gradient of the projected centre, in pixels
+    float* view;  // norm of the gradient of the projected mean, per pixel (densification)
 };
 
-// What a pair adds up over its pixels: g = alpha * gradient of alpha against the ellipse's own coordinates, in which a
-// needle is a circle (offsets in pixels would lose the digits of its squared length to cancellation), and weight *
-// cotangent.
+// Sums of a pair over its pixels: of g = alpha dL/dalpha with moments of (u, v), and of alpha T times the cotangent. In the
+// coordinates (u, v) every ellipse is a circle; pixel offsets would lose the digits of a thin one to cancellation.
 constexpr int kMoments = 12;  // g, g u, g v, g u u, g u v, g v v, red, green, blue, depth, 2 unused
 
-struct BlockBack {  // a block's pixels on the way back
+struct BlockBack {  // state of a block's pixels; `behind` is S
     F x, y, transmittance, behind, rgb[3], depth;
     I last;
-    int32_t newest;  // one past the last entry that any pixel of the block drew
+    int32_t newest;  // one past the last entry that any pixel of the block composited
 };
 
-// An entry without a pair (kNoPair) is of a Gaussian whose gradient nobody asks for.
+// An entry without a pair (kNoPair) is a static Gaussian, which needs no gradient.
 template <bool kDepth>
 inline void backward_tile_of(const TileLists& lists, const Trace& trace, const Camera& cam, int tile, const Cotangents& ct, float* moments) {
     const int tile_x = tile % lists.columns, tile_y = tile / lists.columns;
     const uint32_t first = lists.first_entry[tile], count = lists.first_entry[tile + 1] - first;
-    // What lies in front of the foremost wanted one has no part in any wanted gradient.
+    // Entries in front of the first one with a pair affect no wanted gradient.
     uint32_t foremost = 0;
     while (foremost < count && lists.entries[first + foremost].pair == kNoPair) ++foremost;
     if (foremost == count) return;
@@ -124,7 +124,7 @@ inline void backward_tile(const TileLists& lists, const Trace& trace, const Came
         backward_tile_of<false>(lists, trace, cam, tile, ct, moments);
 }
 
-// Gradient of the unit directions through the spherical harmonics: adds dL/d(x, y, z) for one coefficient's dL/dbasis.
+// Gradient of the view direction: adds sum_k v[k] d basis[k] / d(x, y, z) to v_dir, with v = dL/dbasis.
 DECOGS_INLINE void sh_backward(int degree, const F& x, const F& y, const F& z, const F* v, F* v_dir) {
     F &vx = v_dir[0], &vy = v_dir[1], &vz = v_dir[2];
     if (degree < 1) return;
@@ -156,13 +156,13 @@ DECOGS_INLINE void sh_backward(int degree, const F& x, const F& y, const F& z, c
     vz = vz + c14 * (xx - yy);
 }
 
-// What the forward pass knows of each of the scene's Gaussians: its ellipse and where its pairs lie.
+// The forward pass's ellipses, and each Gaussian's range of pairs.
 struct Drawn {
     const Projected* projected;
     const uint32_t* first_pair;
 };
 
-// Adds up the pair moments of Gaussian `row`; returns whether it was drawn.
+// Sums the pair moments of Gaussian `row`; returns whether it has pairs.
 inline bool gather_moments(const Drawn& drawn, const float* moments, int64_t row, float* total) {
     std::memset(total, 0, kMoments * sizeof(float));
     const uint32_t begin = drawn.first_pair[row], end = drawn.first_pair[row + 1];
@@ -171,7 +171,7 @@ inline bool gather_moments(const Drawn& drawn, const float* moments, int64_t row
     return end > begin;
 }
 
-// Gradients of sixteen consecutive Gaussians from their moments.
+// Gradients of sixteen consecutive Gaussians, from their moments.
 inline void backward_group(const Scene& scene, const Camera& cam, const Drawn& forward, const float* moments, int64_t base,
                            const Gradients& out) {
     const int used = static_cast<int>(std::min<int64_t>(kLanes, scene.count - base));
@@ -201,20 +201,20 @@ inline void backward_group(const Scene& scene, const Camera& cam, const Drawn& f
     const F zero = splat(0.0f);
     F total[kMoments];
     for (int k = 0; k < kMoments; ++k) total[k] = load(lanes[k]);
-    // A lane that was not drawn has zero moments; keep whatever its projection holds (0/0, infinities) out of its gradients.
+    // The projection of a culled lane may hold NaN or infinity: mask it, although its moments are zero.
     float cuts[kLanes];
     for (int i = 0; i < kLanes; ++i) cuts[i] = forward.projected[rows[i]].cut;
     const M on = load(cuts) > 0.0f;
 
-    // The conic is kFold A^T A with (u, v) = A (dx, dy), A = (p q; 0 r). Its gradient gives the covariance's: A^T B A, of
-    // which -g/2 is the filtered determinant's part in the opacity compensation sqrt(det0 / det).
+    // The conic is kFold A^T A with (u, v) = A (dx, dy), A = (p q; 0 r). dL/dcovariance = A^T B A; the term
+    // -g/2 of B is the filtered determinant's part in the opacity compensation sqrt(det0 / det).
     const Ellipse a = ellipse_of(g);
     const F v_x2d = a.p * total[1] * kFold, v_y2d = (a.q * total[1] + a.r * total[2]) * kFold;
     const float square = 0.5f * kFold * kFold;
     const F determinant = total[0] * (0.5f * kFold);
     const F b_uu = total[3] * square - determinant, b_uv = total[4] * square, b_vv = total[5] * square - determinant;
 
-    // covariance = M M^T with M = T R S; det0 = |n|^2 with n the cross product of the rows of M.
+    // Covariance = M M^T with M = T R S, T = J W; det0 = |n|^2 with n the cross product of the rows of M.
     const F *m = g.m, *n = g.n;
     const F f = total[0] / g.det0;
     F v_tr[6];
@@ -235,7 +235,7 @@ inline void backward_group(const Scene& scene, const Camera& cam, const Drawn& f
         for (int k = 0; k < 3; ++k)
             v_t[3 * i + k] = v_tr[3 * i] * g.rot[3 * k] + v_tr[3 * i + 1] * g.rot[3 * k + 1] + v_tr[3 * i + 2] * g.rot[3 * k + 2];
 
-    // Rotation matrix to unit quaternion to stored quaternion.
+    // Rotation matrix -> unit quaternion -> stored quaternion.
     const F &qw = g.unit[0], &qx = g.unit[1], &qy = g.unit[2], &qz = g.unit[3];
     const F* r = v_rot;
     F v_q[4];
@@ -248,7 +248,7 @@ inline void backward_group(const Scene& scene, const Camera& cam, const Drawn& f
     for (int k = 0; k < 4; ++k)
         scatter(out.quaternions, rows, used, 4, k, select(turned, (v_q[k] - along * g.unit[k]) / g.norm, zero));
 
-    // Jacobian of the projection, and the centre itself.
+    // Mean: through the Jacobian J and through the projected mean.
     const float* w = cam.rotation;
     F v_j[4];  // j00, j02, j11, j12
     v_j[0] = v_t[0] * w[0] + v_t[1] * w[1] + v_t[2] * w[2];
@@ -266,7 +266,7 @@ inline void backward_group(const Scene& scene, const Camera& cam, const Drawn& f
     F v_mean[3];
     for (int k = 0; k < 3; ++k) v_mean[k] = v_cam[0] * w[k] + v_cam[1] * w[3 + k] + v_cam[2] * w[6 + k];
 
-    // Colour.
+    // Colour: SH coefficients, and the mean through the view direction.
     F direction[3] = {splat(0.5f), splat(0.5f), splat(0.5f)}, length = splat(1.0f), basis[16];
     if (scene.sh_degree > 0) length = view_directions(scene, cam, rows, direction);
     for (F& d : direction) d = select(on, d, splat(0.5f));
@@ -299,7 +299,7 @@ inline void backward_group(const Scene& scene, const Camera& cam, const Drawn& f
     if (out.view) scatter(out.view, rows, used, 1, 0, select(on, sqrt(v_x2d * v_x2d + v_y2d * v_y2d), zero));
 }
 
-// Gradients of the whole scene, a chunk of Gaussians per task.
+// Gradients of the whole scene, one chunk of Gaussians per task.
 inline void backward_scene(Pool& pool, const Scene& scene, const Camera& cam, const Drawn& forward, const float* moments, const Gradients& out) {
     const int chunks = static_cast<int>((scene.count + kChunk - 1) / kChunk);
     pool.run(chunks, [&](int chunk) {

@@ -1,12 +1,11 @@
-// A fixed camera's picture of a scene of which few Gaussians change: everything that stays is kept from draw to draw and from
-// frame to frame (docs/METHOD.md, "Incremental views").
+// Differentiable rendering by a fixed camera of a scene of which few Gaussians change (docs/METHOD.md, "Incremental views").
 //
-// Chosen: an incremental view (incremental_view.h) whose detached Gaussians are drawn as they change; a draw projects them
-// alone, merges them with the lists of the tiles they meet, and composites those tiles and the ones they met at the last draw.
-// Order, arithmetic and so every bit are those of a whole rendering.
-// Rejected: collapsing static Gaussians in front of and behind the detached ones into one layer (1e-3 off, wrong when they leave
-// their range of depths), and one bit per Gaussian in otherwise whole renderings (projection and binning then cost as much as
-// all the rest).
+// Chosen: an incremental view (incremental_view.h) that also draws its detached Gaussians. A draw projects only these, merges
+// them into the lists of the tiles they overlap, and composites these tiles and those they overlapped at the last draw. Order
+// and arithmetic are those of a full rendering, and so is every bit.
+// Rejected: one layer each for the static Gaussians in front of and behind the detached ones (1e-3 off, and wrong once these
+// leave their range of depths), and full renderings with a bit per Gaussian (projection and binning then cost as much as all
+// the rest).
 #pragma once
 
 #include <array>
@@ -16,7 +15,7 @@
 
 namespace decogs {
 
-// Sums of every Gaussian's weight (alpha times transmittance) over a tile: in all, and over the marked pixels.
+// Sums of every Gaussian's weight alpha T over a tile: of all pixels, and of marked ones.
 struct Weigher {
     const uint8_t* marks = nullptr;  // one per pixel, or null
     float* in_all = nullptr;         // one per entry
@@ -68,8 +67,8 @@ class FixedView : public IncrementalView {
         for (uint32_t t : IncrementalView::detach(rows, count)) shown_[t].moved = true;
     }
 
-    // Draws `moving`, the detached Gaussians as they are now and perhaps new ones, which are the scene's `rows` (ascending), and
-    // with them every tile that they meet or met at the last draw. `met` receives one byte per tile: whether they meet it.
+    // Draws `moving`, the current values of the detached Gaussians and of new ones, as the scene's `rows` (ascending): all tiles
+    // that they overlap, or overlapped at the last draw. `met` (one byte per tile): whether they overlap it now.
     void draw(Pool& pool, const Scene& moving, const int64_t* rows, const Planes& out, uint8_t* met) {
         bring(pool, moving, nullptr, rows, moving.count);
         active_.clear();
@@ -86,7 +85,7 @@ class FixedView : public IncrementalView {
         each_active(pool, [&](int t) { composite_tile(lists_, camera_, t, out, &trace_); });
     }
 
-    // Gradients of the last draw's `moving`.
+    // Gradients of `moving` through the last draw.
     void backward(Pool& pool, const Scene& moving, const Cotangents& cotangents, const Gradients& out) {
         moments_.resize(tile_of_pair_.size() * kMoments);
         each_active(pool, [&](int t) { backward_tile(lists_, trace_, camera_, t, cotangents, moments_.data()); });
@@ -98,8 +97,8 @@ class FixedView : public IncrementalView {
         for (Shown& shown : shown_) shown.moved = false;
     }
 
-    // Redraws the tiles that do not show the static scene and, with `weights` (2, count), weighs every Gaussian: in all and
-    // over the marked pixels (`marks`, one byte per pixel; null: none).
+    // Redraws stale tiles. `weights` (2, count) receives every Gaussian's sum of alpha T over all pixels and over marked ones
+    // (`marks`, one byte per pixel; null: none).
     void redraw(Pool& pool, const uint8_t* marks, const Planes& out, float* weights, int64_t count) {
         line_up([&](int t) { return marks && any_marked(marks, t); });
         for (int t : active_) shown_[t].shallow = false;
@@ -109,7 +108,7 @@ class FixedView : public IncrementalView {
         if (weights) add_weights(marks, weights, count);
     }
 
-    // Projected centres, (count, 2) pixels, of the static scene; not-a-number where not drawn.
+    // Projected means (count, 2) of the static scene, in pixels; NaN where culled.
     void centres(int64_t count, float* to) const {
         for (int64_t i = 0; i < count; ++i) {
             const Projected& g = lists_.projected[i];
@@ -119,9 +118,9 @@ class FixedView : public IncrementalView {
     }
 
  private:
-    struct Shown {  // of a tile
-        bool moved = false;   // the picture shows, or lacks, Gaussians that are detached
-        bool shallow = true;  // was last drawn without depth
+    struct Shown {  // state of a tile's picture
+        bool moved = false;   // detached Gaussians are shown or missing
+        bool shallow = true;  // last drawn without depth
     };
 
     void weigh(int t, const uint8_t* marks, const Planes& out) {
@@ -130,7 +129,7 @@ class FixedView : public IncrementalView {
         weigher.in_all = in_all_.data();
         weigher.marked = marked_.data();
         const uint32_t begin = lists_.first_entry[t], end = lists_.first_entry[t + 1];
-        std::fill(in_all_.begin() + begin, in_all_.begin() + end, 0.0f);  // what lies behind a full tile is never come to
+        std::fill(in_all_.begin() + begin, in_all_.begin() + end, 0.0f);  // entries behind opaque ones are not visited
         std::fill(marked_.begin() + begin, marked_.begin() + end, 0.0f);
         weigher.start(camera_, t % lists_.columns, t / lists_.columns);
         find_blocks(t);

@@ -1,6 +1,6 @@
-// L1 and structural similarity of a picture against its target, with the gradient, in one pass over planar pictures.
+// Photometric loss and gradient, l1_scale L1 + ssim_scale (1 - SSIM), in one pass over planar pictures.
 //
-// SSIM (Wang 2004): 11x11 Gaussian window of sigma 1.5, zero outside the picture, C1 = 0.01^2, C2 = 0.03^2, as 3DGS uses it.
+// SSIM (Wang 2004) as in 3DGS: 11x11 Gaussian window with sigma 1.5, zero padding, C1 = 0.01^2, C2 = 0.03^2.
 #pragma once
 
 #include <algorithm>
@@ -16,9 +16,9 @@ struct LossInput {  // mirrored by ctypes
     const float* image;     // (3, H, W)
     const float* target;    // (3, H, W)
     const float* l1_weight; // (H, W), multiplies |image - target|; null: everywhere 1
-    const float* focus;     // (H, W) multiplies both pictures before SSIM and weighs its map; null: everywhere 1
-    const uint8_t* tiles;   // one per 16x16 tile: where the loss is wanted; null: everywhere
-    float l1_scale;         // factors that turn the weighted sums into the loss
+    const float* focus;     // (H, W), multiplies both pictures before SSIM, and weights its map; null: everywhere 1
+    const uint8_t* tiles;   // per 16x16 tile: whether its loss is wanted; null: everywhere
+    float l1_scale;         // factors of the weighted sums
     float ssim_scale;
     int32_t width, height;
 };
@@ -34,8 +34,8 @@ struct Region {
 
 class Loss {
    public:
-    // Writes the gradient of l1_scale * l1 + ssim_scale * ssim to `gradient`, (3, H, W), at the wanted pixels. It is exact
-    // there: the SSIM windows that reach beyond the wanted tiles are evaluated as well.
+    // Writes the gradient (3, H, W) of l1_scale * l1 + ssim_scale * ssim at the wanted pixels. It is exact there: SSIM windows
+    // that extend beyond the wanted tiles are evaluated too.
     LossSums run(Pool& pool, const LossInput& in, float* gradient) {
         width_ = in.width;
         height_ = in.height;
@@ -54,7 +54,7 @@ class Loss {
    private:
     static constexpr int kRadius = 5, kTaps = 11, kBand = 64, kStrip = 128, kMargin = 16, kRow = kStrip + 2 * kMargin;
 
-    // The wanted tiles as rectangles: runs along rows of tiles, joined with the run above when they begin and end together.
+    // Rectangles of wanted tiles: runs along a row of tiles, merged with the run above if they have the same ends.
     void find_regions(const uint8_t* tiles) {
         regions_.clear();
         if (!tiles) {
@@ -83,7 +83,7 @@ class Loss {
         regions_.push_back(run);
     }
 
-    // What a task works on: SSIM's derivatives in the statistics of its region and of the margin its windows need.
+    // A task's buffers: derivatives of SSIM by its window statistics, over the region and the margin of its windows.
     struct Maps {
         int x0, y0, stride;
         std::vector<float> field[3];
@@ -111,8 +111,8 @@ class Loss {
         return taps;  // centre outwards
     }
 
-    // Blurs `kCount` fields of columns [x0, x1) of the rows [y0, y1). fill(y, from, to, row) writes columns [from, to) of
-    // row y of field k to row[k * kRow]..., take(y, blurred) receives every row, field k at blurred + k * kStrip.
+    // Separable Gaussian blur of `kCount` fields over columns [x0, x1) of rows [y0, y1). fill(y, from, to, row) writes columns
+    // [from, to) of row y of field k to row[k * kRow]...; take(y, blurred) receives each row, field k at blurred + k * kStrip.
     template <int kCount, class Fill, class Take>
     void blur_strip(int y0, int y1, int x0, int x1, const Fill& fill, const Take& take) const {
         alignas(64) float ring[kTaps][kCount][kStrip] = {};
@@ -173,13 +173,13 @@ class Loss {
         }
     }
 
-    // Partial derivatives of 1 - SSIM in the window's statistics of the image: mean, mean square, mean product. Returns the
-    // sum of focus (1 - SSIM) over the region itself.
+    // Partial derivatives of 1 - SSIM by the image's window statistics: mean, mean square, mean product. Returns the sum of
+    // focus (1 - SSIM) over the region.
     double statistics(const LossInput& in, int channel, const Region& wide, const Region& own, Maps& maps) const {
         const auto fill = [&](int y, int from, int to, float* row) {
             focused_row(in, in.image, channel, y, from, to, row);
             focused_row(in, in.target, channel, y, from, to, row + kRow);
-            for (int x = 0; x < to - from; x += kLanes) {  // past `to` both pictures are zero, up to the end of the row
+            for (int x = 0; x < to - from; x += kLanes) {  // beyond `to` both pictures are zero
                 const F a = load(row + x), b = load(row + kRow + x);
                 store(row + 2 * kRow + x, a * a + b * b);
                 store(row + 3 * kRow + x, a * b);
@@ -209,7 +209,7 @@ class Loss {
             const F d1 = means + c1, d2 = (squares - means) + c2;
             const F inverse = 1.0f / (d1 * d2), similarity = n1 * n2 * inverse;
             const F inverse1 = inverse * d2, inverse2 = inverse * d1;
-            // 1 - SSIM: signs turned, weighted.
+            // Derivatives of focus (1 - SSIM), hence the negated signs.
             const F to_ab = weight * n1 * inverse * -2.0f;
             const F to_squares = weight * similarity * inverse2;
             const F to_mean = weight * (mb * (n1 - n2) * inverse * 2.0f + similarity * ma * (inverse1 - inverse2) * 2.0f);
@@ -233,7 +233,7 @@ class Loss {
         return values;
     }
 
-    // The gradient of the region, and its sum of l1_weight |image - target|.
+    // Gradient over the region; returns its sum of l1_weight |image - target|.
     double derivatives(const LossInput& in, float* gradient, int channel, const Region& r, Maps& maps) const {
         const auto fill = [&](int y, int from, int to, float* row) {
             for (int k = 0; k < 3; ++k) std::memcpy(row + k * kRow, maps.at(k, from, y), sizeof(float) * (to - from));
@@ -250,7 +250,7 @@ class Loss {
         return l1;
     }
 
-    // The gradient of columns [x0, x1) of a row, and what the row adds to L1.
+    // Gradient of columns [x0, x1) of a row; returns the row's share of L1.
     double finish(const LossInput& in, float* gradient, int channel, int y, int x0, int x1, const float* blurred) const {
         const size_t pixel = static_cast<size_t>(y) * width_, line = static_cast<size_t>(channel) * height_ + y;
         const F zero = splat(0.0f), one = splat(1.0f);

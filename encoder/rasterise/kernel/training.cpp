@@ -33,7 +33,7 @@ int decogs_forward(void* handle, const Scene* scene, const Camera* camera, const
     return status_of([&] { render_picture(t.pool, t.binner, *scene, *camera, *out, t.lists, &t.trace); });
 }
 
-// Gradients of the last decogs_forward.
+// Gradients through the last decogs_forward.
 int decogs_backward(void* handle, const Scene* scene, const Camera* camera, const Cotangents* cotangents, const Gradients* out) {
     Trainer& t = trainer_of(handle);
     return status_of([&] {
@@ -92,7 +92,7 @@ int decogs_adam(void* handle, const AdamStep* step, int64_t row_count, const int
     });
 }
 
-// The projected centres, (count, 2) pixels, and depths, (count,), of the last decogs_forward; not-a-number where not drawn.
+// Projected means (count, 2), in pixels, and depths (count,) of the last decogs_forward; NaN where culled.
 void decogs_centres(void* handle, int64_t count, float* centres, float* depths) {
     const Trainer& t = trainer_of(handle);
     for (int64_t i = 0; i < count; ++i) {

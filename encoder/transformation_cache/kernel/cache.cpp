@@ -16,7 +16,7 @@ void* decogs_cache_create(const CacheShape* shape, int threads) {
 
 void decogs_cache_destroy(void* handle) { delete static_cast<Cache*>(handle); }
 
-// `entries` receives how many there are.
+// `entries`: number of table entries read.
 int decogs_cache_place(void* handle, int64_t count, const float* means, int64_t* entries) {
     return status_of([&] { *entries = cache_of(handle).place(count, means); });
 }

@@ -1,7 +1,7 @@
-// One cache: the placed Gaussians, the buffers between the passes, and the passes themselves.
+// Neural transformation cache (3DGStream, Sun 2024): hash grid and MLP, forward, backward and Adam.
 //
-// Work is cut by level and by chunk, never by thread, and every sum has one order: results depend neither on the number
-// of threads nor on the instruction set.
+// Work is divided by level and by chunk, never by thread, and every sum has a fixed order: results are independent of the
+// number of threads and of the instruction set.
 #pragma once
 
 #include "adam.h"
@@ -20,11 +20,11 @@ struct CacheShape {  // mirrored by ctypes
     float translation_scale, gradient_limit;
 };
 
-struct Trained {  // values under Adam, and their moments; mirrored by ctypes
+struct Trained {  // parameters and Adam's moments; mirrored by ctypes
     float *value, *first, *second;
 };
 
-struct Moved {  // what the way back needs of sixteen Gaussians
+struct Moved {  // state of sixteen Gaussians for the backward pass
     Quaternions base, turn;
     F turn_norm;
 };
@@ -48,7 +48,7 @@ class Cache {
           head_gradient_(network_.size),
           pool_(threads) {}
 
-    // Fixes the points at which the grid is read; returns the number of entries read.
+    // Fixes the points at which the grid is sampled; returns the number of table entries read.
     int64_t place(int64_t count, const float* means) {
         inside_.clear();
         for (auto& axis : points_.at) axis.clear();
@@ -88,7 +88,7 @@ class Cache {
             for (uint32_t entry : levels_[level].entries) *to++ = (int64_t{level} << grid_.table_log2) + entry;
     }
 
-    // Base values of the Gaussians to move, all of them. Normalised in float64: the nearest float, and no overflow.
+    // Base values of all Gaussians. Quaternions are normalised in float64: correctly rounded, and without overflow.
     void base(int64_t count, const float* means, const float* quaternions) {
         means_.assign(means, means + 3 * count);
         units_.resize(4 * count);
@@ -98,7 +98,7 @@ class Cache {
                 const float* q = quaternions + 4 * i;
                 const double w = q[0], x = q[1], y = q[2], z = q[3];
                 const double norm = std::sqrt(w * w + x * x + y * y + z * z);
-                const bool turned = norm > kLeastNorm;  // a zero quaternion stands for no rotation, as in the rasteriser
+                const bool turned = norm > kLeastNorm;  // a zero quaternion is the identity, as in the rasteriser
                 for (int k = 0; k < 4; ++k)
                     units_[4 * i + k] = turned ? static_cast<float>(q[k] / norm) : k == 0 ? 1.0f : 0.0f;
                 norms_[i] = static_cast<float>(norm);
@@ -110,7 +110,7 @@ class Cache {
         pool_.run(grid_.levels, [&](int level) { read_features(level, values); });
     }
 
-    // Network and transformation, from the features as last read.
+    // MLP and transformation, from the features as last read.
     void moved(const float* head, float* means, float* quaternions) {
         std::copy(means_.begin(), means_.end(), means);
         std::copy(units_.begin(), units_.end(), quaternions);
@@ -132,7 +132,7 @@ class Cache {
         });
     }
 
-    // Gathers the parameters' gradients and writes those of the base values.
+    // Accumulates the parameters' gradients and writes those of the base values.
     void backward(const float* v_means, const float* v_quaternions, float* v_base_means, float* v_base_quaternions) {
         const int64_t count = static_cast<int64_t>(norms_.size());
         const float limit = gradient_limit_;
@@ -180,13 +180,13 @@ class Cache {
         std::copy(head_gradient_.data(), head_gradient_.data() + network_.size, head);
     }
 
-    // One Adam step. A level's gradient is gathered, spent and its features read anew while its rows are at hand.
+    // One Adam step. Each level accumulates its gradient, takes the step and reads its features while its rows are in cache.
     void step(const AdamStep& adam, float rate, const Trained& rows, const Trained& head) {
         const std::vector<float> rates(1 + kLanes, rate);
         pool_.run(grid_.levels, [&](int level) {
             const size_t values = levels_[level].entries.size() * grid_.features;
             const int64_t at = levels_[level].first_row * grid_.features;
-            static thread_local std::vector<float> gradient;  // kept: fresh memory of this size costs as much as the step
+            static thread_local std::vector<float> gradient;  // reused: allocating it costs as much as the step
             gradient.assign(values, 0.0f);
             scatter_level(levels_[level], grid_.features, v_features(level), gradient.data());
             adam_run(adam, values, 1, rates.data(), rows.value + at, gradient.data(), rows.first + at, rows.second + at);
@@ -208,7 +208,7 @@ class Cache {
         read_level(levels_[level], grid_.features, values + levels_[level].first_row * grid_.features, features(level));
     }
 
-    // The blocks of one chunk: work(first row, number of rows).
+    // Calls work(first row, number of rows) for the blocks of one chunk.
     template <class Work>
     void for_blocks(int chunk, const Work& work) const {
         const int64_t end = std::min<int64_t>(points_.padded, (chunk + int64_t{1}) * kChunk);
@@ -216,7 +216,7 @@ class Cache {
             work(begin, static_cast<int>(std::min<int64_t>(kBlock, end - begin)));
     }
 
-    // Features, level by level, become the network's inputs, row by row; and back.
+    // Transposes level-major features to the MLP's row-major inputs, and back.
     void gather_inputs(int64_t begin, int rows, float* to) {
         const int64_t width = network_.layers.front().given_padded(), count = grid_.features;
         for (int level = 0; level < grid_.levels; ++level) {
@@ -234,7 +234,7 @@ class Cache {
     }
 
     static void copy_features(int64_t count, const float* from, float* to) {
-        if (count == 4)  // of known size it is one move
+        if (count == 4)  // a known size compiles to one move
             std::memcpy(to, from, 4 * sizeof(float));
         else
             std::copy(from, from + count, to);
@@ -255,8 +255,8 @@ class Cache {
         store_columns(quaternions, rows, lanes_used(base), 4, 4, multiply(kept.base, kept.turn).c);
     }
 
-    // Cotangents of the network's outputs, v_out (16, padded outputs); those of the unit base quaternions replace those
-    // of the moved ones in `v_quaternions`.
+    // Cotangents v_out (16, padded outputs) of the MLP's outputs. In `v_quaternions`, cotangents of the unit base quaternions
+    // replace those of the moved ones.
     void move_group_back(int64_t base, const float* v_means, float* v_quaternions, float* v_out) {
         const int64_t* rows = &inside_[base];
         const int used = lanes_used(base);
@@ -266,7 +266,7 @@ class Cache {
         Quaternions v_moved;
         load_columns(v_means, rows, 3, 3, v);
         load_columns(v_quaternions, rows, 4, 4, v_moved.c);
-        // The transpose of a product by a quaternion is the product by its conjugate.
+        // The adjoint of multiplication by a quaternion is multiplication by its conjugate.
         const Quaternions v_unit_turn = multiply(conjugate(kept.base), v_moved);
         const Quaternions v_turn = through_norm(kept.turn, kept.turn_norm, kept.turn_norm > kTiny, v_unit_turn);
         for (int k = 0; k < 3; ++k) v[k] = select(real, v[k] * translation_scale_, splat(0.0f));
@@ -284,7 +284,7 @@ class Cache {
         load_columns(v_quaternions, rows, 4, 4, v.c);
         const F norm = gather(norms_.data(), rows, 1, 0);
         v = through_norm(unit, norm, norm > static_cast<float>(kLeastNorm), v);
-        const float limit = gradient_limit_;  // a tiny norm makes a huge gradient
+        const float limit = gradient_limit_;  // the gradient grows as 1 / norm
         for (F& c : v.c) c = min(max(c, -limit), limit);
         store_columns(v_quaternions, rows, used, 4, 4, v.c);
     }
@@ -301,7 +301,7 @@ class Cache {
     std::vector<LevelReading> levels_;
     std::vector<float> means_, units_, norms_;        // of all Gaussians, (M, 3), (M, 4), (M,)
     std::vector<float> features_, v_features_;        // (levels, padded, features)
-    std::vector<Floats> hidden_;                      // what each hidden layer gave, (padded, out)
+    std::vector<Floats> hidden_;                      // activations of each hidden layer, (padded, out)
     std::vector<Moved> moved_;                        // (padded / 16,)
     Floats head_, transposed_, partial_, head_gradient_;
     Pool pool_;

@@ -1,9 +1,8 @@
-// The multi-resolution hash grid (Instant-NGP, Mueller 2022), read at fixed points.
+// Multi-resolution hash grid (Instant-NGP, Mueller 2022), sampled at fixed points.
 //
-// Which entries a point reads, and with what trilinear weights, is settled once, when points are placed. From then on
-// only the entries that some point reads exist: each level numbers its own in the table's order, and values, gradients
-// and moments are rows in that order, level after level. Features are kept level by level as well, (levels, padded,
-// features), so that a level's rows stay in the processor's cache while they are read.
+// Placing computes each point's table entries and trilinear weights once. Only entries that a point reads are stored: each
+// level numbers its own in the table's order, and values, gradients and moments are rows in this order, level after level.
+// Features are level-major, (levels, padded, features), so that a level's rows stay in cache while they are read.
 #pragma once
 
 #include <algorithm>
@@ -22,19 +21,19 @@ struct Grid {
     std::vector<int32_t> resolutions;  // vertices along each side of the box, per level
 };
 
-struct Points {  // in the unit cube, x, y and z apart; the last one is repeated to fill whole groups of lanes
+struct Points {  // in the unit cube, one array per axis; the last point is repeated to fill a group of lanes
     int64_t count = 0, padded = 0;
     std::vector<double> at[3];
 };
 
 struct LevelReading {
-    std::vector<uint32_t> rows;      // (padded, 8): the level's row that each corner reads
-    std::vector<float> fractions;    // (padded / 16, 3, 16): where in its cell a point is
+    std::vector<uint32_t> rows;      // (padded, 8): the level's row of each corner
+    std::vector<float> fractions;    // (padded / 16, 3, 16): a point's position in its cell, 0..1
     std::vector<uint32_t> entries;   // the table's entry of each row, ascending
     int64_t first_row = 0;           // of this level among all levels' rows
 };
 
-// A vertex's entry in a level's table: x fastest where all vertices fit, hashed (Mueller 2022, equation 4) where not.
+// A vertex's entry in a level's table: dense, x fastest, if all vertices fit; else hashed (Mueller 2022, equation 4).
 inline uint32_t table_entry(const Grid& grid, uint32_t resolution, uint32_t x, uint32_t y, uint32_t z) {
     const uint64_t table = uint64_t{1} << grid.table_log2, side = resolution;
     if (side * side <= table && side * side * side <= table) return x + resolution * (y + resolution * z);
@@ -69,7 +68,7 @@ inline void place_level(const Grid& grid, int level, const Points& points, Level
     for (uint32_t& row : reading.rows) row = row_of[row];
 }
 
-// The features of one row or point: one vector where their number is known, any number of values where it is not (0).
+// Features of one row or point: a vector if their number is a template argument, else (0) an array.
 template <int kFeatures>
 struct Features {
     typedef float Vector __attribute__((vector_size(4 * kFeatures)));
@@ -95,7 +94,7 @@ struct Features<0> {
     DECOGS_INLINE void store(float* a) const { std::copy(sum, sum + count, a); }
 };
 
-// Trilinear weights of sixteen points, to[k][i] that of corner k of point i.
+// Trilinear weights of sixteen points; to[k][i]: corner k of point i.
 DECOGS_INLINE void corner_weights(const float* fractions, float to[kCorners][kLanes]) {
     F side[3][2];
     for (int axis = 0; axis < 3; ++axis) {
@@ -105,7 +104,7 @@ DECOGS_INLINE void corner_weights(const float* fractions, float to[kCorners][kLa
     for (int k = 0; k < kCorners; ++k) store(to[k], side[0][k & 1] * side[1][k >> 1 & 1] * side[2][k >> 2]);
 }
 
-// work(point, its eight rows, weights) for all points in turn; weights[k * kLanes] is that of corner k.
+// Calls work(point, its eight rows, weights) for each point; weights[k * kLanes]: corner k.
 template <class Work>
 DECOGS_INLINE void for_points(const LevelReading& reading, const Work& work) {
     alignas(64) float weights[kCorners][kLanes];
@@ -116,7 +115,7 @@ DECOGS_INLINE void for_points(const LevelReading& reading, const Work& work) {
     }
 }
 
-// One level's features (padded, features) of all points, from the level's rows of `values`.
+// Interpolates one level's features (padded, features) at all points from the level's rows of `values`.
 template <int kFeatures>
 inline void read_level_of(const LevelReading& reading, int features, const float* values, float* to) {
     if (kFeatures) features = kFeatures;
@@ -128,7 +127,7 @@ inline void read_level_of(const LevelReading& reading, int features, const float
     });
 }
 
-// The way back: adds to the level's rows of `gradient` what they fed into the features, point after point.
+// Accumulates the features' cotangents into the level's rows of `gradient`, point by point.
 template <int kFeatures>
 inline void scatter_level_of(const LevelReading& reading, int features, const float* v_features, float* gradient) {
     if (kFeatures) features = kFeatures;

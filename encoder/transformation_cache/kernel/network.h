@@ -1,6 +1,5 @@
-// The cache's multi-layer perceptron: hidden layers with ReLU, a linear last layer. Its parameters are one array: layer by
-// layer the matrix (out, given), then the bias (out,), with out and given rounded up to sixteen and zero there. Zero
-// parameters with zero gradients stay zero under Adam, so the padding never shows.
+// The cache's MLP: hidden layers with ReLU, a linear output layer. Parameters are one array: per layer the matrix (out, given),
+// then the bias (out,), zero-padded to multiples of sixteen. The padding has zero gradients, so Adam keeps it zero.
 #pragma once
 
 #include <cstdint>
@@ -10,18 +9,18 @@
 
 namespace decogs {
 
-// A function of its own: amid other code a compiler runs out of registers in the loops that take the time.
+// Not inlined: compilers run out of registers when the hot loops are part of a larger function.
 #define DECOGS_APART inline __attribute__((noinline))
 
 constexpr int kOutputs = 7;  // translation 3, rotation 4
-constexpr int kBlock = 64;   // rows that go through all layers together: few enough to stay in cache with the weights
-constexpr int kChunk = 512;  // rows whose gradients are summed together; part of the results' definition
+constexpr int kBlock = 64;   // rows that pass all layers together: they fit into cache with the weights
+constexpr int kChunk = 512;  // rows per gradient sum; fixes the order of sums, and so the bits
 
 inline int padded(int count) { return (count + kLanes - 1) / kLanes * kLanes; }
 
 struct Layer {
     int given, out;
-    int64_t matrix, bias;  // where they begin
+    int64_t matrix, bias;  // offsets in the parameters
     int given_padded() const { return padded(given); }
     int out_padded() const { return padded(out); }
 };
@@ -41,7 +40,7 @@ struct Network {
         }
     }
 
-    // The matrices transposed, (given, out), each in the place of its original.
+    // Transposes the matrices to (given, out), at the same offsets.
     void transpose(const float* head, float* to) const {
         for (const Layer& layer : layers)
             for (int j = 0; j < layer.out_padded(); ++j)
@@ -51,7 +50,7 @@ struct Network {
     }
 };
 
-// One layer on `rows` rows, a multiple of four: to (rows, out) from x (rows, given).
+// Forward pass of one layer on `rows` rows, a multiple of four: x (rows, given) to `to` (rows, out).
 DECOGS_APART void layer_forward(const Layer& layer, bool last, const float* head, const float* transposed, int rows,
                                 const float* x, float* to) {
     const int64_t given = layer.given_padded(), out = layer.out_padded();
@@ -68,7 +67,7 @@ DECOGS_APART void layer_forward(const Layer& layer, bool last, const float* head
         });
 }
 
-// Adds to `gradient`, laid out like the parameters, that of one layer for inputs x (rows, given) and cotangents v (rows, out).
+// Accumulates a layer's parameter gradient from inputs x (rows, given) and cotangents v (rows, out).
 DECOGS_APART void layer_gradient(const Layer& layer, int rows, const float* x, const float* v, float* gradient) {
     const int64_t given = layer.given_padded(), out = layer.out_padded();
     float *matrix = gradient + layer.matrix, *bias = gradient + layer.bias;
@@ -82,8 +81,8 @@ DECOGS_APART void layer_gradient(const Layer& layer, int rows, const float* x, c
     }
 }
 
-// Cotangents of a layer's inputs, to (rows, given), from those of its outputs, v (rows, out). Inputs that a ReLU gave, not
-// null, pass the cotangent on where they are positive.
+// Backward pass of one layer: cotangents `to` (rows, given) of its inputs from v (rows, out) of its outputs. `relu`, if not
+// null: the inputs, a ReLU's outputs; cotangents pass where these are positive.
 DECOGS_APART void layer_backward(const Layer& layer, const float* head, int rows, const float* v, const float* relu,
                                  float* to) {
     const int64_t given = layer.given_padded(), out = layer.out_padded();

@@ -1,5 +1,5 @@
-// Products of small dense matrices, four rows by two vectors of columns at a time in registers. Every value is one sum in
-// the order of the inner index, whatever the vectors' width: all instruction sets give the same bits.
+// Small dense matrix products with register tiles of four rows by two vectors of columns. Every value is one sum in the
+// order of the inner index, whatever the vector width: all instruction sets give the same bits.
 #pragma once
 
 #include <cstdint>
@@ -9,7 +9,7 @@
 
 namespace decogs {
 
-constexpr int kTileRows = 4;  // with two vectors of columns, as many as sixteen registers hold
+constexpr int kTileRows = 4;  // with two vectors of columns, the largest tile for sixteen registers
 
 DECOGS_INLINE NativeF load_native(const float* a) {
     NativeF r;
@@ -18,7 +18,7 @@ DECOGS_INLINE NativeF load_native(const float* a) {
 }
 DECOGS_INLINE void store_native(float* a, const NativeF& x) { std::memcpy(a, &x, sizeof x); }
 
-// Floats, all zero at first, that begin at a cache line: vectors of them that straddle two cost a quarter more.
+// Zero-initialised floats, aligned to a cache line: loads that straddle two lines cost a quarter more.
 class Floats {
    public:
     explicit Floats(int64_t count = 0) { assign(count); }

@@ -1,4 +1,4 @@
-// From the network's outputs to moved Gaussians and back, sixteen at a time: mu' = mu + scale * shift,
+// Applies the MLP's outputs to Gaussians, sixteen at a time, and its backward pass: mu' = mu + scale * shift,
 // q' = normalise(q) (x) normalise(turn) (DecoGS stage 1; 3DGStream, equation 5). Quaternions wxyz.
 #pragma once
 
@@ -6,7 +6,7 @@
 
 namespace decogs {
 
-constexpr float kTiny = 1e-30f;  // a rotation shorter than this is none
+constexpr float kTiny = 1e-30f;  // a quaternion with a smaller norm is the identity
 
 struct Quaternions {
     F c[4];
@@ -14,7 +14,7 @@ struct Quaternions {
 
 DECOGS_INLINE Quaternions conjugate(const Quaternions& q) { return {{q.c[0], -q.c[1], -q.c[2], -q.c[3]}}; }
 
-DECOGS_INLINE Quaternions multiply(const Quaternions& a, const Quaternions& b) {  // Hamilton's product
+DECOGS_INLINE Quaternions multiply(const Quaternions& a, const Quaternions& b) {  // Hamilton product
     const F *p = a.c, *q = b.c;
     return {{
         p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3],
@@ -28,7 +28,7 @@ DECOGS_INLINE F dot(const Quaternions& a, const Quaternions& b) {
     return a.c[0] * b.c[0] + a.c[1] * b.c[1] + a.c[2] * b.c[2] + a.c[3] * b.c[3];
 }
 
-// Unit quaternions and the norms they had. No overflow and no division by zero: (nearly) zero ones become the identity.
+// Unit quaternions and their former norms, without overflow or division by zero; (nearly) zero ones become the identity.
 DECOGS_INLINE Quaternions normalise(const Quaternions& q, F& norm) {
     F size = splat(kTiny);
     for (const F& c : q.c) size = max(size, max(c, -c));
@@ -40,7 +40,7 @@ DECOGS_INLINE Quaternions normalise(const Quaternions& q, F& norm) {
     return unit;
 }
 
-// Cotangents of quaternions from those of their unit versions; zero where there was no rotation to normalise.
+// Cotangents of quaternions from those of their unit quaternions: (v - u (u . v)) / norm; zero where not usable.
 DECOGS_INLINE Quaternions through_norm(const Quaternions& unit, const F& norm, const M& usable, const Quaternions& v) {
     const F along = dot(unit, v);
     Quaternions r;
