@@ -54,7 +54,7 @@ class ByteTable:
     """Bytes on disk by frame and purpose: ``rows[i][j]`` are frame i's of ``purposes[j]``, those that occur.
 
     ``around``: what belongs to no frame (prologue, header packet, index, end) or is damaged. ``totals`` has the sum of
-    each column, ``around`` counted as the container's, so that it adds up to the file's ``total``.
+    each column, ``around`` counted as the container's, so that it adds up to the file's bytes.
     """
 
     purposes: tuple[str, ...]
@@ -67,11 +67,6 @@ class ByteTable:
         """The sum of each column in bytes, ``around`` counted as the container's."""
         columns = [sum(column) for column in zip(*self.rows, strict=True)] or [0] * len(self.purposes)
         return (*columns[:-1], columns[-1] + self.around)
-
-    @property
-    def total(self) -> int:
-        """The file's bytes."""
-        return sum(self.totals)
 
     @property
     def means(self) -> dict[str, tuple[float, ...]]:

@@ -71,11 +71,6 @@ class Census:
     newborn: Splats
 
 
-def blender_script() -> Path:
-    """The script to run in Blender that imports an export with the colour and opacity of every splat."""
-    return Path(__file__).with_name("blender_attach_colours.py")
-
-
 def export(
     stream: str | os.PathLike[str],
     output: str | os.PathLike[str],

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .effect import Decision, Evidence
+from .effect import Decision, Effect, Evidence
 from .motion import decide_by_change
 from .rig_statistics import F64, RigStatistics
 
@@ -20,7 +20,7 @@ _LEAST_SHARE = 0.001
 """Share of a picture below which a change is a speck: 93 pixels of 352 x 264."""
 
 
-class AppearanceChange:
+class AppearanceChange(Effect):
     """Evidence: share of the changed pixels away from motion; near it, shadows belong to the motion. Changes too slow
     to detect between successive frames are detected over several."""
 
@@ -42,9 +42,6 @@ class AppearanceChange:
             cost="training and coding of colours and opacities: 9 kB and 1.3 CPU-s a frame (measured on candle)",
             figures={"alone_percent": area},
         )
-
-    def enabled(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
-        return settings
 
     def disabled(self, settings: EncodeSettings) -> EncodeSettings:
         """Colours and opacities stay as they are."""

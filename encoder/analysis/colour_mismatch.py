@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .effect import Decision, Evidence, cameras_beyond, decided, one_span, stated
+from .effect import Decision, Evidence, cameras_beyond, decided, stated
 from .light import EXPOSURE_LIMIT
 from .rig_statistics import RigStatistics
 
@@ -36,7 +36,6 @@ class ColourMismatch:
             self,
             evidence,
             counts=different,
-            frames=one_span(stats, np.ones(len(stats.frames), bool)),
             reason=stated(
                 evidence,
                 f"gain against the other cameras is up to {evidence.peak:.1f} %, uniform over a camera's picture",

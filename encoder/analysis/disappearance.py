@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .effect import Decision, Evidence
+from .effect import Decision, Effect, Evidence
 from .emergence import IMBALANCE, decide_by_vote, none_without_motion
 from .rig_statistics import RigStatistics
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from ..settings.encode import EncodeSettings
 
 
-class Disappearance:
+class Disappearance(Effect):
     """Something that is gone in the end."""
 
     name = "disappearance"
@@ -32,9 +32,6 @@ class Disappearance:
             what="an object vanishes without arriving at another place",
             cost="pruning: no training, 1 bit per Gaussian before entropy coding (estimated)",
         )
-
-    def enabled(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
-        return settings
 
     def disabled(self, settings: EncodeSettings) -> EncodeSettings:
         """Transparent Gaussians stay."""

@@ -87,8 +87,8 @@ class Effect(Protocol):
         ...
 
     def enabled(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
-        """Settings of an encode that has the effect, for the cameras of the decision."""
-        ...
+        """Settings of an encode that has the effect, for the cameras of the decision; the same unless overridden."""
+        return settings
 
     def disabled(self, settings: EncodeSettings) -> EncodeSettings:
         """Settings of an encode, or of a frame, that does nothing for the effect."""
@@ -155,17 +155,20 @@ def decided(
     evidence: Evidence,
     *,
     counts: BoolArray,
-    frames: tuple[Span, ...],
+    frames: tuple[Span, ...] | None = None,
     reason: str,
     cost: str,
     sure: float | None = None,
     figures: Mapping[str, Any] | None = None,
 ) -> Decision:
-    """The decision for an effect that is called for when any camera ``counts`` (cameras,).
+    """The decision for an effect that is detected if any camera ``counts`` (cameras,).
 
-    Other decisions have no cameras, frames and cost. ``sure``: the confidence, if not that of the evidence.
+    Other decisions have no cameras, frames and cost. ``frames``: all if not given. ``sure``: the confidence, if not
+    that of the evidence.
     """
     detected = bool(counts.any())
+    if frames is None:
+        frames = ((stats.frames[0], stats.frames[-1]),)
     return Decision(
         effect=effect.name,
         detected=detected,

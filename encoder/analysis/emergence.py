@@ -23,7 +23,7 @@ _LEAST_SHARE = 0.25
 """Least share of cameras with the evidence: an object that enters one picture merely moves in the others."""
 
 
-class Emergence:
+class Emergence(Effect):
     """Something that is there in the end and was not before."""
 
     name = "emergence"
@@ -40,9 +40,6 @@ class Emergence:
             what="an object appears without leaving another place",
             cost="seeding and densification: a few tenths of a CPU-s and of a kB a frame (estimated)",
         )
-
-    def enabled(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
-        return settings
 
     def disabled(self, settings: EncodeSettings) -> EncodeSettings:
         """Neither the search for emerging objects nor densification."""

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .effect import Decision, Evidence, cameras_beyond, decided, spans
+from .effect import Decision, Effect, Evidence, cameras_beyond, decided, spans
 from .rig_statistics import RigStatistics
 
 if TYPE_CHECKING:
@@ -16,8 +16,8 @@ _TRACE = 0.01
 """Per cent of a picture's pixels: ten at 352 x 264, fewer are a glint."""
 
 
-class HighDynamicRange:
-    """Pictures brighter than white."""
+class HighDynamicRange(Effect):
+    """Pictures brighter than white; reported only, since a stream is display-referred and clipped at white."""
 
     name = "high_dynamic_range"
 
@@ -41,10 +41,6 @@ class HighDynamicRange:
             cost="no bytes; colours are clipped at white, because a stream is display-referred",
             figures={"brightest": brightest},
         )
-
-    def enabled(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
-        """Reported only: a stream has display-referred colours, clipped at white."""
-        return settings
 
     def disabled(self, settings: EncodeSettings) -> EncodeSettings:
         return settings

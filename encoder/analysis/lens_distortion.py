@@ -21,7 +21,7 @@ from decogs.formats.cameras import Camera, camera_centre
 
 from ..change.masks import BoolArray
 from ..numerics import tukey
-from .effect import F64, Decision, Evidence, cameras_beyond, decided, spans, stated
+from .effect import F64, Decision, Evidence, cameras_beyond, decided, stated
 from .matches import PairMatches, essential_matrices, sampson_distances
 from .rig_statistics import RigStatistics
 
@@ -70,7 +70,6 @@ class LensDistortion:
             self,
             evidence,
             counts=cameras_beyond(evidence),
-            frames=spans(stats, np.ones(len(stats.frames), bool)),
             reason=stated(evidence, _reason(stats, evidence, uncalibrated), "too few points are seen by two cameras"),
             cost="resampling of every picture, 2 ms at 352x264 (estimated); only the lens is coded",
             figures={"k1": {stats.names[k]: float(details["k1"][k]) for k in np.flatnonzero(uncalibrated)}},

@@ -31,7 +31,7 @@ _LIGHT_ITERATIONS = 0.6
 CPU-s a frame instead of 1.7 and loses .02 dB where light changes."""
 
 
-class Motion:
+class Motion(Effect):
     """Evidence: restructured share of the changed pixels around restructured ones.
 
     A moving body and the edges of its shadow are restructured. Under a change of light alone, the few restructured
@@ -60,9 +60,6 @@ class Motion:
             cost="training and coding of positions and rotations: 12 kB and 0.9 CPU-s a frame (measured on workbench)",
             figures={"restructured_percent": area},
         )
-
-    def enabled(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
-        return settings
 
     def disabled(self, settings: EncodeSettings) -> EncodeSettings:
         """No warm start, no training of geometry; a lower significance threshold and fewer steps for light alone."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .effect import Decision, Evidence, cameras_beyond, decided, spans, stated
+from .effect import Decision, Evidence, cameras_beyond, decided, stated
 from .rig_statistics import RigStatistics
 
 if TYPE_CHECKING:
@@ -35,7 +35,6 @@ class SensorNoise:
             self,
             evidence,
             counts=noisy,
-            frames=spans(stats, np.ones(len(stats.frames), bool)),
             reason=stated(
                 evidence,
                 f"static pixels have noise of up to {evidence.peak:.2f} levels of 255 (standard deviation)",

@@ -24,7 +24,7 @@ from decogs.codec.state import Attributes
 from decogs.formats.splats import sh_degree_of
 
 from ..numerics import bilinear
-from .effect import F64, Decision, Evidence, cameras_beyond, confidence, decided, spans
+from .effect import F64, Decision, Effect, Evidence, cameras_beyond, confidence, decided
 from .matches import U8, PairMatches
 from .rig_statistics import RigStatistics
 
@@ -47,7 +47,7 @@ LEAST_SHOWN = 0.01
 """Least share of a keyframe's Gaussians with harmonics of a degree or above for the stream to have that degree."""
 
 
-class ViewDependence:
+class ViewDependence(Effect):
     """Colour that depends on where it is seen from."""
 
     name = "view_dependence"
@@ -74,16 +74,12 @@ class ViewDependence:
             self,
             evidence,
             counts=beyond if known else np.ones(len(stats.cameras), bool),
-            frames=spans(stats, np.ones(len(stats.frames), bool)),
             reason=f"a tenth of the shared points differ by {evidence.peak:.1f} levels or more: gloss, or slant"
             if known
             else "undetermined, so assumed: too few points are seen by two cameras",
             cost="9 more parameters per Gaussian to train (SH degree 1); coded only if the keyframe keeps some",
             sure=min(_AT_MOST, confidence(evidence)) if beyond.any() or not known else confidence(evidence),
         )
-
-    def enabled(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
-        return settings
 
     def disabled(self, settings: EncodeSettings) -> EncodeSettings:
         """One colour for all directions."""

@@ -38,12 +38,11 @@ DYNAMIC_RANGE = 12.0
 class Regions:
     """Pixels (H, W) that never change and pixels that clearly do; the rest counts as neither.
 
-    ``shipped``: the rig's own true masks. ``about``: where they come from, for the report.
+    ``about``: where they come from, for the report.
     """
 
     static: Mask
     dynamic: Mask
-    shipped: bool
     about: str
 
 
@@ -62,7 +61,6 @@ def find_regions(rig: Rig, camera: str, frames: range, scale: float) -> Regions:
         return Regions(
             _truth(static, rig, camera, scale),
             _truth(changing, rig, camera, scale),
-            True,
             f"the rig's own true masks, {static.name} and {changing.name}",
         )
     return recorded_regions(held_out_pictures(rig, camera, frames, scale))
@@ -85,7 +83,7 @@ def recorded_regions(pictures: Iterator[BytePicture]) -> Regions:
         f"determined from the recorded frames: static where the 3x3 mean spans at most {STATIC_RANGE:g} levels within "
         f"{STATIC_MARGIN} pixels, dynamic where it spans more than {DYNAMIC_RANGE:g}"
     )
-    return Regions(~touched, span > DYNAMIC_RANGE, False, about)
+    return Regions(~touched, span > DYNAMIC_RANGE, about)
 
 
 def static_column(regions: Regions, picture: BytePicture) -> int:

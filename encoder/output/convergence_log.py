@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from types import TracebackType
 
 from .json_lines import JsonLines
 
 
-class ConvergenceLog:
+class ConvergenceLog(JsonLines):
     """Writes one JSON object per training step to ``path``, those of a frame when it is over.
 
     ``frame``: the rig's index; ``seconds``: since the frame's pictures were decoded; ``stage``: "keyframe", "settle"
@@ -20,20 +19,12 @@ class ConvergenceLog:
     """
 
     def __init__(self, path: Path, *, append: bool = False) -> None:
+        super().__init__(path, "convergence_log", append=append)
         self._frame, self._began = 0, 0.0
-        self._lines = JsonLines(path, "convergence_log", append=append)
-
-    def __enter__(self) -> ConvergenceLog:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._lines.__exit__(kind, error, trace)
 
     def begin(self, frame: int) -> None:
         """Tells that a frame's pictures are there; what the frame before it wrote can be read from now on."""
-        self._lines.flush()
+        self.flush()
         self._frame, self._began = frame, time.perf_counter()
 
     def step(self, stage: str, iteration: int, loss: float) -> None:
@@ -45,4 +36,4 @@ class ConvergenceLog:
             "seconds": round(time.perf_counter() - self._began, 6),
             "loss": loss,
         }
-        self._lines.write(record)
+        self.write(record)

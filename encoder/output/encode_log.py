@@ -6,7 +6,6 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from .json_lines import JsonLines
@@ -14,7 +13,7 @@ from .observer import EncodeObserver
 from .reports import FrameReport
 
 
-class EncodeLog(EncodeObserver):
+class EncodeLog(JsonLines, EncodeObserver):
     """Writes one JSON object per line to ``path``, as things happen; a context manager.
 
     "look": what the rig calls for, where it was looked at; "start"; one "frame" per frame: the fields of FrameReport,
@@ -22,16 +21,8 @@ class EncodeLog(EncodeObserver):
     """
 
     def __init__(self, path: Path, *, append: bool = False) -> None:
+        super().__init__(path, "log", append=append)
         self._began = time.perf_counter()
-        self._lines = JsonLines(path, "log", append=append)
-
-    def __enter__(self) -> EncodeLog:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._lines.__exit__(kind, error, trace)
 
     def looked(self, detected: Mapping[str, Sequence[str]]) -> None:
         self._write({"event": "look", "detected": {effect: list(names) for effect, names in detected.items()}})
@@ -49,5 +40,5 @@ class EncodeLog(EncodeObserver):
         return round(time.perf_counter() - self._began, 3)
 
     def _write(self, record: dict[str, Any]) -> None:
-        self._lines.write(record)
-        self._lines.flush()
+        self.write(record)
+        self.flush()

@@ -6,10 +6,12 @@ import json
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, TypeVar
 
 from decogs.formats.errors import UsageError
 from decogs.formats.outputs import open_in_place
+
+S = TypeVar("S", bound="JsonLines")
 
 
 class JsonLines:
@@ -27,7 +29,7 @@ class JsonLines:
         except UsageError as error:
             raise UsageError(f"`{parameter}` {error}") from None
 
-    def __enter__(self) -> JsonLines:
+    def __enter__(self: S) -> S:
         return self
 
     def __exit__(

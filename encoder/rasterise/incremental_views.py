@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.splats import FloatArray, Splats
+from decogs.formats.splats import Splats
 
 from .fixed_view import FixedView
 
@@ -20,10 +20,6 @@ class IncrementalViews:
 
     def __init__(self, views: Sequence[FixedView]) -> None:
         self.views = list(views)
-
-    def pictures(self) -> list[FloatArray]:
-        """What every view shows, (3, H, W)."""
-        return [view.rgb for view in self.views]
 
     def show(self, scene: Splats) -> None:
         """Shows the whole scene, whatever was shown before."""

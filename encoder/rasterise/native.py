@@ -30,15 +30,8 @@ _TILE = 16
 """Side of the kernel's tiles (kernel/project.h)."""
 
 
-class NativeCotangents(ctypes.Structure):
+class NativeCotangents(NativePlanes):
     """Gradients of a loss with respect to a rendering, as the kernel reads them."""
-
-    _fields_ = [
-        ("rgb", ctypes.c_void_p),
-        ("alpha", ctypes.c_void_p),
-        ("depth", ctypes.c_void_p),
-        ("background", ctypes.c_float * 3),
-    ]
 
 
 class NativeGradients(ctypes.Structure):

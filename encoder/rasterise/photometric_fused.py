@@ -22,7 +22,6 @@ from torch import Tensor
 from .photometric import TAPS, LossSums
 
 TILE = 16
-_REACH = len(TAPS) // 2
 _WINDOW = [float(tap) for tap in TAPS / TAPS.sum()]
 
 

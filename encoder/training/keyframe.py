@@ -25,7 +25,7 @@ from decogs.formats.splats import SH_C0, FloatArray, Splats, logit, sigmoid, tak
 from ..input.compensation import Corrector
 from ..input.ingest import View
 from ..point_init import FirstPoints
-from ..psnr import mean_psnr, psnr_of
+from ..psnr import psnr_of
 from ..rasterise import RenderedPicture, TrainingKernel, gradients_like
 from ..settings.keyframe import KeyframeSettings
 from ..settings.optimiser import LearningRates
@@ -49,12 +49,11 @@ OnStep = Callable[[int, int, float], None]
 
 @dataclass(frozen=True)
 class TrainedKeyframe:
-    """The trained scene, its lattice and how training went: steps run, PSNR of its pictures."""
+    """The trained scene, its lattice, and the steps of training."""
 
     splats: Splats
     lattice: Lattice
     steps: int
-    training_psnr: float
 
 
 def scene_extent(views: Sequence[View]) -> float:
@@ -172,7 +171,7 @@ class _KeyframeTraining:
         if not seen.all():
             splats = take_splats(splats, seen)
         self._check_learnt(splats)
-        return TrainedKeyframe(splats, lattice, steps, self._training_psnr(splats))
+        return TrainedKeyframe(splats, lattice, steps)
 
     def _check_learnt(self, splats: Splats) -> None:
         """Raises TrainingError when training has diverged: no Gaussian is visible, or the loss has not fallen."""
@@ -364,9 +363,6 @@ class _KeyframeTraining:
             self._kernel.forward(splats, view.pinhole)
             seen |= np.isfinite(self._kernel.centres(len(splats))[1])
         return seen
-
-    def _training_psnr(self, splats: Splats) -> float:
-        return mean_psnr(self._kernel, splats, self._views, [loss.target for loss in self._losses])
 
 
 def _counted(view: View, share: float, random: np.random.Generator) -> FloatArray | None:

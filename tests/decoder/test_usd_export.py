@@ -10,7 +10,8 @@ import pytest
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdValidation
 
-from decogs.decoder.usd_export import ExportFrame, blender_script, export_usd, take_census, usd_splats
+from decogs.decoder import usd_export
+from decogs.decoder.usd_export import ExportFrame, export_usd, take_census, usd_splats
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import SH_C0, Splats, join_splats, take_splats
@@ -245,6 +246,7 @@ def test_indices_that_do_not_rise_and_ids_that_repeat_are_refused() -> None:
 
 
 def test_the_blender_script_is_shipped_and_compiles() -> None:
-    source = blender_script().read_text(encoding="utf-8")
-    compile(source, str(blender_script()), "exec")
+    script = Path(usd_export.__file__).with_name("blender_attach_colours.py")
+    source = script.read_text(encoding="utf-8")
+    compile(source, str(script), "exec")
     assert '"displayColor"' in source

@@ -29,8 +29,6 @@ class Pool {
         if (process_ == getpid()) delete crew_;  // a parent's threads cannot be joined
     }
 
-    int threads() const { return threads_; }
-
     // Calls task(i) for every i in [0, count), on this thread and the pool's.
     void run(int count, const std::function<void(int)>& task) {
         if (process_ != getpid()) {

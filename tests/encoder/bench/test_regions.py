@@ -29,7 +29,6 @@ def test_recorded_changes_by_their_span() -> None:
     regions = recorded_regions(
         iter(clip({(5, 5): (100, 106, 100), (5, 20): (100, 107, 112), (14, 12): (87, 100, 100)}))
     )
-    assert not regions.shipped
     assert regions.static[5, 5]
     assert not regions.dynamic[5, 5]
     assert not regions.static[5, 20], "12 levels are no longer static"
@@ -67,7 +66,6 @@ def rig_with_truth(three_frames: Path, tiny_rig: Any, tmp_path: Path) -> Path:
 
 def test_the_rigs_own_masks_come_first(rig_with_truth: Path) -> None:
     regions = find_regions(open_rig(rig_with_truth), "cam02", range(3), 1.0)
-    assert regions.shipped
     assert "static_cam02.png" in regions.about
     assert regions.static[:, :32].all()
     assert not regions.static[:, 32:].any()
@@ -79,7 +77,6 @@ def test_the_rigs_own_masks_come_first(rig_with_truth: Path) -> None:
 
 def test_a_camera_without_masks_is_judged_by_its_pictures(rig_with_truth: Path) -> None:
     regions = find_regions(open_rig(rig_with_truth), "cam01", range(3), 1.0)
-    assert not regions.shipped
     assert "determined from the recorded frames" in regions.about
     assert regions.dynamic.any(), "the square moves"
     assert regions.static.any(), "the wall stays"
