@@ -24,7 +24,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
-from decogs.formats.cameras import Camera, as_pinhole, ray_slopes
+from decogs.formats.cameras import Camera, as_pinhole, is_distorted, ray_slopes
 from decogs.formats.errors import UsageError
 
 F64 = NDArray[np.float64]
@@ -142,11 +142,6 @@ _NEWTON_STEPS = 15
 
 _SAME = 1e-6
 """A direction is found when the lens puts it back this close: 0.001 pixels at a focal length of 1000."""
-
-
-def is_distorted(camera: Camera) -> bool:
-    """Whether the camera's lens bends anything: it has a model and a coefficient other than zero."""
-    return camera.distortion_model != "none" and any(camera.distortion)
 
 
 def with_k1(camera: Camera, k1: float) -> Camera:
@@ -360,7 +355,7 @@ def _opencv_model(camera: Camera) -> Any:
     """The part of OpenCV that has the functions of the camera's model."""
     import cv2
 
-    return cv2.fisheye if is_distorted(camera) and camera.distortion_model == "fisheye" else cv2
+    return cv2.fisheye if camera.distortion_model == "fisheye" else cv2
 
 
 def _opencv_matrix(camera: Camera) -> F64:

@@ -12,12 +12,12 @@ import numpy as np
 
 from decogs.codec.corrections import Correction, Corrections, with_colours
 from decogs.codec.header import StreamHeader
-from decogs.formats.cameras import Camera, as_pinhole, scale_camera
+from decogs.formats.cameras import Camera, as_pinhole, is_distorted, scale_camera
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import Splats
 
 from .camera_corrections import as_it_stood, with_recorded_colours
-from .lens import Redistortion, is_distorted
+from .lens import Redistortion
 from .limits import MAX_PICTURE_PIXELS, check_picture, pairs_within
 
 if TYPE_CHECKING:

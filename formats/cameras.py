@@ -97,6 +97,11 @@ def scale_camera(camera: Camera, scale: float) -> Camera:
     )
 
 
+def is_distorted(camera: Camera) -> bool:
+    """Whether the camera's lens bends anything. A fisheye does without coefficients, too: it is equidistant then."""
+    return camera.distortion_model == "fisheye" or any(camera.distortion)
+
+
 def as_pinhole(camera: Camera) -> Camera:
     """The same camera without its lens distortion: what training renders and the undistorted picture shows."""
     return replace(camera, distortion_model="none", distortion=())

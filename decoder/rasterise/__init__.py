@@ -14,7 +14,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from decogs.formats.cameras import Camera
+from decogs.formats.cameras import Camera, is_distorted
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import FloatArray, Splats
 
@@ -52,7 +52,7 @@ def render(
         if not finite.all():
             bad = len(splats) - int(finite.reshape(len(splats), -1).all(axis=1).sum())
             raise UsageError(f"{field.name} of {bad} of {len(splats)} Gaussians are not finite; take those out first")
-    if camera.distortion_model != "none" and any(camera.distortion):
+    if is_distorted(camera):
         raise UsageError(
             f"camera {camera.name}: render through its pinhole and re-apply the lens distortion afterwards"
         )

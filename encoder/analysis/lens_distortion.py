@@ -16,8 +16,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.decoder.lens import distort_pixels, is_distorted
-from decogs.formats.cameras import Camera, camera_centre
+from decogs.decoder.lens import distort_pixels
+from decogs.formats.cameras import Camera, camera_centre, is_distorted
 
 from ..change.masks import BoolArray
 from ..numerics import tukey

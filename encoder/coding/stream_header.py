@@ -8,7 +8,7 @@ from typing import Any
 from decogs.codec.corrections import CorrectedCameras, Corrections
 from decogs.codec.header import StreamHeader
 from decogs.codec.lattice import Lattice
-from decogs.decoder.lens import is_distorted
+from decogs.formats.cameras import is_distorted
 from decogs.formats.rigs import Rig
 
 from ..input.ingest import Ingest

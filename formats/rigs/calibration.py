@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..cameras import MAX_SIDE, Camera, DistortionModel, turned
+from ..cameras import MAX_SIDE, Camera, DistortionModel, as_pinhole, is_distorted, turned
 from ..errors import RigError
 from ..rotations import is_orthonormal
 
@@ -71,7 +71,7 @@ def calibrated_camera(
     distortion: tuple[float, ...],
     where: str,
 ) -> Camera:
-    """A camera with its intrinsics (fx, fy, cx, cy in pixels) checked; coefficients that are all zero are dropped.
+    """A camera with its intrinsics (fx, fy, cx, cy in pixels) checked; a model that bends nothing is dropped.
 
     Raises RigError, starting with ``where``, on values no camera has.
     """
@@ -85,6 +85,5 @@ def calibrated_camera(
         raise RigError(f"{where}: focal lengths {fx:g}, {fy:g} are not usable; calibrate the camera again")
     if max(abs(cx - width / 2), abs(cy - height / 2)) > 10 * max(width, height):
         raise RigError(f"{where}: principal point {cx:g}, {cy:g} is far off the picture; calibrate the camera again")
-    if not any(distortion):
-        distortion_model, distortion = "none", ()
-    return Camera(name, width, height, fx, fy, cx, cy, world_to_camera, distortion_model, distortion)
+    camera = Camera(name, width, height, fx, fy, cx, cy, world_to_camera, distortion_model, distortion)
+    return camera if is_distorted(camera) else as_pinhole(camera)

@@ -14,11 +14,10 @@ from decogs.decoder.lens import (
     Undistortion,
     covering_pinhole,
     distort_pixels,
-    is_distorted,
     undistort,
     undistort_pixels,
 )
-from decogs.formats.cameras import Camera, as_pinhole
+from decogs.formats.cameras import Camera, as_pinhole, is_distorted
 from decogs.formats.errors import UsageError
 
 BARREL = Camera(
@@ -158,6 +157,13 @@ def test_points_of_an_undistorted_camera_stay() -> None:
         assert not is_distorted(camera)
         np.testing.assert_array_equal(distort_pixels(camera, grid(camera)), grid(camera))
         np.testing.assert_array_equal(undistort_pixels(camera, grid(camera)), grid(camera))
+
+
+def test_a_fisheye_without_coefficients_is_equidistant() -> None:
+    camera = replace(FISHEYE, distortion=(0.0, 0.0, 0.0, 0.0))
+    assert is_distorted(camera)
+    distorted = distort_pixels(camera, np.array([[camera.cx + camera.fx, camera.cy]]))  # 45 degrees off the axis
+    np.testing.assert_allclose(distorted, [[camera.cx + np.pi / 4 * camera.fx, camera.cy]], rtol=0, atol=1e-9)
 
 
 @LENSES

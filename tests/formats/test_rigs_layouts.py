@@ -234,6 +234,16 @@ def test_nerfstudio_fisheye_and_own_intrinsics(tmp_path: Path, make: Any) -> Non
     assert rig.cameras[1].distortion == (0.1, -0.02, 0.25, 0.125)
 
 
+@pytest.mark.parametrize(("model", "kept"), [("OPENCV", "none"), ("OPENCV_FISHEYE", "fisheye")])
+def test_coefficients_of_zero_make_a_pinhole_but_an_equidistant_fisheye(
+    tmp_path: Path, make: Any, model: str, kept: str
+) -> None:
+    values = make.transforms_values([f"{name}.mp4" for name in NAMES])
+    values["frames"][1] |= {"camera_model": model} | dict.fromkeys(("k1", "k2", "k3", "k4", "p1", "p2"), 0)
+    camera = open_rig(make.nerfstudio(tmp_path, values)).cameras[1]
+    assert (camera.distortion_model, camera.distortion) == (kept, (0, 0, 0, 0) if kept == "fisheye" else ())
+
+
 def test_rig_json_and_its_pixel_convention(tmp_path: Path, make: Any) -> None:
     rig = open_rig(make.rig_json(tmp_path))
     assert (rig.layout, [camera.name for camera in rig.cameras]) == ("rig.json", NAMES)
