@@ -39,6 +39,9 @@ MOST = 0.5
 _SPREADS = 0.3
 """Least share that faint light must reach of the area away from other changes, itself at least this share of the
 picture. The shading of a moving object stays near it."""
+_SPREADING, _WHERE_SPREADING = 0.5, 0.75
+"""Thresholds in units of the usual one for faint light: for whether it spreads, since noise never reaches much of a
+picture at once, and for a picture over which it does."""
 _LIGHT_WINDOW = 7
 """Side, in pixels, of the window that averages faint light: noise shrinks by this factor, light does not."""
 
@@ -229,9 +232,11 @@ class MaskMemory:
         if settings.residual and changed.any():
             raw |= _without_lines(difference_mask(now, shown, settings.residual) & changed)
         around, refining = self._grown(raw), refine_until > self._frame
-        threshold = max(settings.light_threshold, noise / _LIGHT_WINDOW)
-        if settings.light_threshold and (self._only_light or _light_spreads(now, reference, around, threshold)):
-            faint = faint_light_mask(now, reference, threshold)
+        threshold, faintest = settings.light_threshold, noise / _LIGHT_WINDOW
+        spreads = threshold > 0 and _light_spreads(now, reference, around, max(_SPREADING * threshold, faintest))
+        if threshold and (spreads or self._only_light):
+            threshold *= _WHERE_SPREADING if spreads else 1
+            faint = faint_light_mask(now, reference, max(threshold, faintest))
             around = self._grown(raw | without_specks(faint, settings.speck_area))
         return FrameMask(raw, around | refining, refining & ~around)
 

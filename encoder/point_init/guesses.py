@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from .cloud import Cloud, ViewDepths, empty_cloud, join, look_from_all, take, too_near
+from .depth_filling import fill_depths
 from .frusta import DepthRange, rig_size
-from .views import Array, SweepView, floats, inside, pixel_rays, project
+from .views import Array, SweepView, inside, pixel_rays, project
 
 CELL = 8
 """Side, in pixels, of picture cells, each of which gets a point."""
@@ -18,7 +18,7 @@ _APART = 2.4
 """Distance between guesses over that between confirmed points: more of them would not know their places better."""
 _BELIEVED = 0.5
 """Share of the guesses at the unconfirmed depth of the view's own sweep, where it is plausible."""
-_SCATTER, _WIDE_SCATTER = 0.05, 0.5
+_SCATTER, _WIDE_SCATTER = 0.02, 0.5
 """Relative standard deviation of the depth of the other guesses around that of known points near them: in a view in
 which enough is confirmed, and in one in which nothing is."""
 _ENOUGH = 0.4
@@ -59,28 +59,6 @@ def cell_counts(view: SweepView, xyz: NDArray[np.float64]) -> NDArray[np.int64]:
     columns, rows = -(-view.width // CELL), -(-view.height // CELL)
     cell = np.round(v[visible]).astype(np.int64) // CELL * columns + np.round(u[visible]).astype(np.int64) // CELL
     return np.bincount(cell, minlength=rows * columns).reshape(rows, columns)
-
-
-def fill_depths(known: Array) -> Array:
-    """Known inverse depths (H, W; 0: unknown) spread into the gaps, the far ones a little stronger; (H, W).
-
-    Push-pull interpolation: unknown pixels get the mean of growing surroundings, up to the first known pixel.
-    """
-    weight = np.where(known > 0, 1 / np.maximum(known, 1e-12), 0).astype(np.float32)
-    weight /= max(float(weight.max()), 1e-12)
-    levels: list[tuple[Array, Array]] = [(known * weight, weight)]
-    while min(levels[-1][0].shape) > 1 and (levels[-1][1] <= 1e-6).any():
-        values, weights = levels[-1]
-        size = (max(1, values.shape[1] // 2), max(1, values.shape[0] // 2))
-        halves = [cv2.resize(whole, size, interpolation=cv2.INTER_AREA) for whole in (values, weights)]
-        levels.append((floats(halves[0]), floats(halves[1])))
-    values, weights = levels[-1]
-    filled = np.full(values.shape, float(values.sum() / max(float(weights.sum()), 1e-12)), np.float32)
-    for values, weights in reversed(levels):
-        filled = floats(cv2.resize(filled, values.shape[::-1], interpolation=cv2.INTER_LINEAR))
-        enough = weights > 1e-6
-        filled[enough] = values[enough] / weights[enough]
-    return np.asarray(filled)
 
 
 def projected_depths(view: SweepView, xyz: NDArray[np.float64]) -> Array:

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from decogs.encoder.point_init import FirstPoints, first_points
 from decogs.encoder.point_init.agreement import agree
 from decogs.encoder.point_init.cloud import Cloud, ViewDepths, neighbour_distances, spread_to_count, too_near
+from decogs.encoder.point_init.depth_filling import fill_depths
 from decogs.encoder.point_init.frusta import DepthRange, shared_depths
-from decogs.encoder.point_init.guesses import fill_depths
 from decogs.encoder.point_init.plane_sweep import DepthMap, choose_planes, sweep
 from decogs.encoder.point_init.views import make_view
 from decogs.formats.cameras import Camera, camera_centre
@@ -285,6 +285,25 @@ def test_neighbour_distances_equal_those_of_all_pairs() -> None:
     apart = np.sort(np.linalg.norm(xyz[:, None] - xyz[None], axis=-1), axis=1)[:, 1:4].mean(axis=1)
     np.testing.assert_allclose(neighbour_distances(xyz), apart, rtol=1e-3)  # float32 of coordinates in -1..1
     assert neighbour_distances(xyz[:1]).tolist() == [0.0]
+
+
+def test_walls_go_on_as_planes_beyond_what_is_known() -> None:
+    """A plane's inverse depth is linear in the picture: half of it tells the rest, up to the bounds of nearness."""
+    v, u = np.mgrid[:80, :100].astype(np.float32)
+    wall = 0.2 + 0.002 * u + 0.001 * v
+    filled = fill_depths(np.where(u < 50, wall, 0).astype(np.float32))
+    nearest = 1.1 * np.quantile(wall[:, :50], 0.99)
+    np.testing.assert_allclose(filled, np.minimum(wall, nearest), rtol=1e-3)
+
+
+def test_single_wrong_depths_do_not_spread() -> None:
+    v, u = np.mgrid[:90, :120].astype(np.float32)
+    wall = 0.2 + 0.0005 * u
+    known = np.where(v > 45, wall, 0).astype(np.float32)
+    known[10, 20] = known[12, 80] = 0.9
+    filled = fill_depths(known)
+    unknown = known == 0
+    np.testing.assert_allclose(filled[unknown], wall[unknown], rtol=0.02)
 
 
 def test_gaps_between_known_depths_are_filled_and_known_ones_kept() -> None:

@@ -1,0 +1,109 @@
+"""Depths where a view has none, continued from the surfaces around.
+
+Chosen: known depths continue as planes. A plane of the world has an inverse depth that is linear in the pixel's
+coordinates, so that walls, floors and table tops go on beyond where two views see them. Rejected: the nearest known
+depths as they are (walls bend towards the camera, single wrong points spread over a curtain; figures in
+encoder/DESIGN.md, "Keyframe").
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from .views import Array, floats
+
+F64 = NDArray[np.float64]
+
+_WINDOW = 0.05
+"""Half the side of the window in which a plane is fitted, in units of the picture's width."""
+_FLAT = 0.01
+"""Largest deviation of a window's inverse depths from their plane, relative to their mean: beyond it lies an edge."""
+_FILLED = 0.15
+"""Least share of a window's pixels with known depths."""
+_LEAST_PLANES = 100
+"""Pixels with a plane below which known depths continue as they are."""
+_RIDGE = 1e-3
+"""Weight against slopes that few pixels in a row cannot tell, relative to the window's own spread."""
+_NEARER, _FARTHER = 1.1, 0.95
+"""Bounds of continued inverse depths, in units of the nearest and the farthest hundredth of the known ones."""
+
+
+def fill_depths(known: Array) -> Array:
+    """Known inverse depths (H, W; 0: unknown), those of the planes around where there are none; (H, W).
+
+    The far planes count a little stronger: behind the edge of a thing the background goes on.
+    """
+    planes, flat = _local_planes(known)
+    if np.count_nonzero(flat) < _LEAST_PLANES:
+        return _push_pull(known[..., None], _weights(known))[..., 0]
+    planes = _push_pull(planes, np.where(flat, _weights(known), 0))
+    u, v = _coordinates(known.shape)
+    nearest, farthest = np.percentile(known[known > 0], [99, 1])
+    continued = floats(planes[..., 0] * u + planes[..., 1] * v + planes[..., 2])
+    return np.where(known > 0, known, np.clip(continued, floats(_FARTHER * farthest), floats(_NEARER * nearest)))
+
+
+def _weights(known: Array) -> Array:
+    weights = np.divide(1, known, out=np.zeros_like(known), where=known > 0)
+    return np.asarray(weights / max(float(weights.max()), 1e-12))
+
+
+def _coordinates(shape: tuple[int, ...]) -> tuple[F64, F64]:
+    """Columns (1, W) and rows (H, 1) from the middle of the picture, in units of its width."""
+    height, width = shape
+    return (np.arange(width)[None] - width / 2) / width, (np.arange(height)[:, None] - height / 2) / width
+
+
+def _local_planes(known: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Planes (a, b, c), (H, W, 3), of inverse depth a u + b v + c fitted to a window around every pixel.
+
+    Also the pixels (H, W) that have a known depth and a window that is flat.
+    """
+    u, v = _coordinates(known.shape)
+    reach = max(3, round(_WINDOW * known.shape[1]))
+    there, depth = (known > 0).astype(np.float64), known.astype(np.float64)
+    share = np.maximum(_window_mean(there, reach), 1e-9)
+
+    def mean(values: F64) -> F64:
+        return _window_mean(values * there, reach) / share
+
+    mean_u, mean_v, middle = mean(u + 0 * v), mean(v + 0 * u), mean(depth)
+    ridge = _RIDGE * (reach / known.shape[1]) ** 2
+    uu, vv = mean(u * u + 0 * v) - mean_u**2 + ridge, mean(v * v + 0 * u) - mean_v**2 + ridge
+    uv, ud, vd = mean(u * v) - mean_u * mean_v, mean(u * depth) - mean_u * middle, mean(v * depth) - mean_v * middle
+    determinant = uu * vv - uv * uv
+    a, b = (vv * ud - uv * vd) / determinant, (uu * vd - uv * ud) / determinant
+    left = np.maximum(mean(depth * depth) - middle**2 - a * ud - b * vd, 0)
+    flat = (known > 0) & (share > _FILLED) & (np.sqrt(left) < _FLAT * middle)
+    return np.stack([a, b, middle - a * mean_u - b * mean_v], axis=-1).astype(np.float32), flat
+
+
+def _window_mean(values: F64, reach: int) -> F64:
+    return np.asarray(cv2.boxFilter(values, cv2.CV_64F, (2 * reach + 1,) * 2, borderType=cv2.BORDER_CONSTANT))
+
+
+def _push_pull(values: Array, weights: Array) -> Array:
+    """Values (H, W, C) of pixels with weights (H, W) above 0, spread into the gaps between them.
+
+    Push-pull interpolation: a gap gets the weighted mean of growing surroundings, up to the first with any value.
+    """
+    levels = [(values * weights[..., None], weights)]
+    while min(levels[-1][1].shape) > 1 and (levels[-1][1] <= 1e-6).any():
+        size = tuple(max(1, side // 2) for side in levels[-1][1].shape[::-1])
+        halves = (cv2.resize(whole, size, interpolation=cv2.INTER_AREA) for whole in levels[-1])
+        levels.append((_like(next(halves), values), floats(next(halves))))
+    total, weight = levels[-1]
+    filled = np.empty_like(total)
+    filled[:] = total.sum(axis=(0, 1)) / max(float(weight.sum()), 1e-12)
+    for total, weight in reversed(levels):
+        filled = _like(cv2.resize(filled, weight.shape[::-1], interpolation=cv2.INTER_LINEAR), values)
+        enough = weight > 1e-6
+        filled[enough] = total[enough] / weight[enough, None]
+    return filled
+
+
+def _like(resized: NDArray[np.generic], values: Array) -> Array:
+    """OpenCV's result (H, W) or (H, W, C) with its channels."""
+    return floats(resized).reshape(*resized.shape[:2], values.shape[2])
