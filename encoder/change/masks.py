@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import cv2
@@ -51,7 +51,7 @@ class FrameMask:
     """One view's masks, bool (H, W): ``raw`` is where the picture changed, ``dilated`` the region of interest.
 
     The region of interest covers the changed pixels, faint light, their surroundings, and ``refined``, pixels that
-    changed some frames ago (None: no pixels). ``faint`` has those of faint light alone (None: no pixels).
+    changed some frames ago (None: no pixels).
 
     ``lost``: reason why the picture does not show its frame (`input.dropouts`), with empty masks; "" otherwise.
     """
@@ -60,7 +60,6 @@ class FrameMask:
     dilated: BoolArray
     refined: BoolArray | None = None
     lost: str = ""
-    faint: BoolArray | None = None
 
     @property
     def refines(self) -> bool:
@@ -71,12 +70,6 @@ class FrameMask:
     def changing(self) -> BoolArray:
         """The region of interest without pixels that are only being refined."""
         return self.dilated if self.refined is None else self.dilated & ~self.refined
-
-    def without_faint_light(self) -> FrameMask:
-        """The same masks without the pixels of faint light alone; unchanged where there are no others."""
-        if self.faint is None or not (rest := self.dilated & ~self.faint).any():
-            return self
-        return replace(self, dilated=rest, faint=None)
 
 
 def showing(masks: Sequence[FrameMask]) -> list[int]:
@@ -239,15 +232,13 @@ class MaskMemory:
         if settings.residual and changed.any():
             raw |= _without_lines(difference_mask(now, shown, settings.residual) & changed)
         around, refining = self._grown(raw), refine_until > self._frame
-        clear, faint = around, None
         threshold, faintest = settings.light_threshold, noise / _LIGHT_WINDOW
         spreads = threshold > 0 and _light_spreads(now, reference, around, max(_SPREADING * threshold, faintest))
         if threshold and (spreads or self._only_light):
             threshold *= _WHERE_SPREADING if spreads else 1
-            lit = faint_light_mask(now, reference, max(threshold, faintest))
-            around = self._grown(raw | without_specks(lit, settings.speck_area))
-            faint = around & ~(clear | refining)
-        return FrameMask(raw, around | refining, refining & ~around, faint=faint)
+            faint = faint_light_mask(now, reference, max(threshold, faintest))
+            around = self._grown(raw | without_specks(faint, settings.speck_area))
+        return FrameMask(raw, around | refining, refining & ~around)
 
     def _noise(self, now: FloatArray, reference: FloatArray) -> float:
         """Levels below which a difference may be noise; 0 where most of the picture clearly changed."""

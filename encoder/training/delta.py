@@ -159,10 +159,9 @@ class _DeltaTraining:
         if not self._settings.adaptive_iterations.usual_miss:
             return 1.0
         self._draw_probes(work)
-        # Faint light is no reason for fewer steps of what moves.
-        clear = [mask.without_faint_light() for mask in masks]
-        errors = self._errors([loss.target for loss in losses], clear)
-        return iteration_factor(self._settings.adaptive_iterations, errors)
+        return iteration_factor(
+            self._settings.adaptive_iterations, self._errors([loss.target for loss in losses], masks)
+        )
 
     def _start_warm(self, work: _Working, motion: FloatArray) -> None:
         share = np.float32(self._settings.warm_start)
