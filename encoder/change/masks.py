@@ -39,9 +39,9 @@ MOST = 0.5
 _SPREADS = 0.3
 """Least share that faint light must reach of the area away from other changes, itself at least this share of the
 picture. The shading of a moving object stays near it."""
-_SPREADING, _WHERE_SPREADING = 0.5, 0.75
-"""Thresholds in units of the usual one for faint light: for whether it spreads, since noise never reaches much of a
-picture at once, and for a picture over which it does."""
+_EVERYWHERE, _FAINTEST = 0.75, 0.5
+"""Share of that area beyond which light changes everywhere, and the threshold for it in units of the usual one: noise
+never reaches most of a picture at once, and what it changes everywhere shows most."""
 _LIGHT_WINDOW = 7
 """Side, in pixels, of the window that averages faint light: noise shrinks by this factor, light does not."""
 
@@ -134,13 +134,19 @@ def _without_lines(mask: BoolArray) -> BoolArray:
     return opened
 
 
-def _light_spreads(now: FloatArray, reference: FloatArray, around: BoolArray, threshold: float) -> bool:
-    """Whether faint light, too slow to count as a change, reached much of the area not ``around`` other changes."""
+def _light_reach(
+    now: FloatArray, reference: FloatArray, around: BoolArray, thresholds: tuple[float, ...]
+) -> list[float]:
+    """Share of the area not ``around`` other changes that faint light, too slow to count as one, changed.
+
+    One for each of ``thresholds``, levels.
+    """
     height, width = (max(1, size // _LIGHT_WINDOW) for size in around.shape)
     shrink = partial(cv2.resize, dsize=(width, height), interpolation=cv2.INTER_AREA)
     away = shrink((~around).astype(np.float32)) > 0.99
     changes = np.abs([shrink(plane) for plane in now - reference]).max(axis=0)
-    return bool((changes[away] > threshold / 255).sum() > _SPREADS * max(away.sum(), _SPREADS * away.size))
+    area = max(away.sum(), _SPREADS * away.size)
+    return [float((changes[away] > threshold / 255).sum() / area) for threshold in thresholds]
 
 
 class MaskMemory:
@@ -232,13 +238,22 @@ class MaskMemory:
         if settings.residual and changed.any():
             raw |= _without_lines(difference_mask(now, shown, settings.residual) & changed)
         around, refining = self._grown(raw), refine_until > self._frame
-        threshold, faintest = settings.light_threshold, noise / _LIGHT_WINDOW
-        spreads = threshold > 0 and _light_spreads(now, reference, around, max(_SPREADING * threshold, faintest))
-        if threshold and (spreads or self._only_light):
-            threshold *= _WHERE_SPREADING if spreads else 1
-            faint = faint_light_mask(now, reference, max(threshold, faintest))
+        threshold = self._light_threshold(now, reference, around, noise / _LIGHT_WINDOW)
+        if threshold:
+            faint = faint_light_mask(now, reference, threshold)
             around = self._grown(raw | without_specks(faint, settings.speck_area))
         return FrameMask(raw, around | refining, refining & ~around)
+
+    def _light_threshold(self, now: FloatArray, reference: FloatArray, around: BoolArray, noise: float) -> float:
+        """Levels from which faint light counts, at least its ``noise``; 0 where none does."""
+        if not self._settings.light_threshold:
+            return 0.0
+        usual = max(self._settings.light_threshold, noise)
+        least = max(_FAINTEST * self._settings.light_threshold, noise)
+        spread, faintly = _light_reach(now, reference, around, (usual, least))
+        if faintly > _EVERYWHERE:
+            return least
+        return usual if self._only_light or spread > _SPREADS else 0.0
 
     def _noise(self, now: FloatArray, reference: FloatArray) -> float:
         """Levels below which a difference may be noise; 0 where most of the picture clearly changed."""

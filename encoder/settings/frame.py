@@ -28,8 +28,8 @@ class MaskSettings:
     ``refine_frames``: disocclusion refinement. Pixels that changed by more than ``refine_threshold`` levels as
     something moved stay in the region of interest for so many more frames. More is slower.
     ``light_threshold``: levels by which the mean over a small window must change to count as well, after a frame in
-    which light alone changed and, at three quarters of it, where light changes much of the picture. Lower selects
-    more; 0 turns it off.
+    which light alone changed and where light changes much of the picture, and at half of it where light changes nearly
+    all of it. Lower selects more; 0 turns it off.
     """
 
     threshold: float = 25.0
