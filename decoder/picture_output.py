@@ -5,7 +5,7 @@ output                  what is written
 ======================  ==============================================================================
 a folder (no suffix)    ``<view>_<frame>.png``, one per frame, names that sort
 ``x.png``, ``x.exr``    that file for a single frame, ``x_<frame>.png`` and so on for several
-``x_%06d.exr``          one file per frame, the frame's index in place of the pattern (.png as well)
+``x_####.exr``          one file per frame, its index in place of the pattern (``decogs.formats.frame_names``)
 ``x.mp4``               a video (MPEG-4 Part 2, the one MP4 coder of OpenCV's free wheels) at the stream's frame rate
 ======================  ==============================================================================
 
@@ -35,6 +35,7 @@ from numpy.typing import NDArray
 
 from decogs.formats.colour import linear_from_srgb
 from decogs.formats.errors import UsageError, check_utf8
+from decogs.formats.frame_names import names_of_frames
 from decogs.formats.quiet import quiet_opencv
 
 if TYPE_CHECKING:
@@ -49,7 +50,6 @@ NOTHING_SEEN = 1e10
 _OTHER_PICTURES = frozenset(
     {".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".gif", ".webp", ".hdr", ".avi", ".mov", ".mkv", ".webm", ".m4v"}
 )
-_PATTERN = re.compile(r"%(0[1-9])?d")
 _LONGEST_VIEW = 200
 """Bytes of a view's name in a file name, which may have 255 in all."""
 
@@ -231,6 +231,8 @@ def _plan(
     output: str | os.PathLike[str], target: Path, view: str, frames: int | None, fps: float
 ) -> tuple[Callable[[Path], PictureSink], Path]:
     """How to make the sink in a staging folder, and the folder that its files are to be moved to."""
+    if str(output) == "-":
+        raise UsageError("-: pictures are files of their own and no pipe; name a folder, or a .png, .exr or .mp4 file")
     suffix = "" if str(output).endswith(("/", os.sep)) or target.is_dir() else target.suffix.lower()
     if suffix in _OTHER_PICTURES:
         raise UsageError(f"{target}: {suffix} is not written; name a folder (PNG), or a .png, .exr or .mp4 file")
@@ -250,7 +252,7 @@ def _plan(
         else:
             _save_exr(path, rendering, fps=fps)
 
-    name_of = _numbered(target, frames)
+    name_of = names_of_frames(target, frames)
     return lambda folder: _Files(name_of, save, folder), target.parent
 
 
@@ -262,18 +264,6 @@ def _safe(view: str) -> str:
     except UnicodeEncodeError:  # names of files are ASCII here
         safe = re.sub(r"[^\w.-]+", "_", safe, flags=re.ASCII)
     return safe.encode()[:_LONGEST_VIEW].decode(errors="ignore") or "view"
-
-
-def _numbered(target: Path, frames: int | None) -> Callable[[int], str]:
-    """The file name of each frame, from a pattern, a plain name for one frame, or a plain name to be numbered."""
-    patterns = len(_PATTERN.findall(target.name))
-    if patterns > 1:
-        raise UsageError(f"{target}: has {patterns} places for the frame's number; give one, such as x_%06d.png")
-    if patterns:
-        return lambda frame: _PATTERN.sub(lambda found: f"{frame:{found[1] or ''}d}", target.name)
-    if frames == 1:
-        return lambda _: target.name
-    return lambda frame: f"{target.stem}_{frame:06d}{target.suffix}"
 
 
 def _existing_folder(folder: Path) -> Path:

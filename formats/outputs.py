@@ -12,10 +12,12 @@ from __future__ import annotations
 
 import fcntl
 import os
+import shutil
 import stat
+import tempfile
 import time
-from collections.abc import Iterable, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -205,6 +207,27 @@ def write_whole(path: Path, data: bytes) -> None:
             raise
 
 
+@contextmanager
+def staged_files(folder: Path) -> Iterator[Path]:
+    """A hidden folder beside ``folder`` to write files into, all of which are moved there when the block ends well.
+
+    Folders that are missing are made then. Otherwise nothing is left. Raises UsageError for what cannot be written.
+    """
+    try:
+        staging = Path(tempfile.mkdtemp(prefix=".decogs-", dir=_existing_folder(folder)))
+    except OSError as error:
+        raise UsageError(f"{folder}: cannot be written to ({error.strerror}); choose another output") from None
+    try:
+        yield staging
+        folder.mkdir(parents=True, exist_ok=True)
+        for file in sorted(staging.iterdir()):
+            os.replace(file, folder / file.name)
+    except OSError as error:
+        raise UsageError(f"{folder}: cannot be written to ({error.strerror}); choose another output") from None
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+
+
 def open_in_place(path: Path, *, append: bool = False) -> BinaryIO:
     """A text that others read while its lines are written: locked, and emptied or, by ``append``, gone on with.
 
@@ -236,6 +259,13 @@ def _lock(number: int) -> None:
         raise
     except OSError:
         pass  # Some network file systems have no locks.
+
+
+def _existing_folder(folder: Path) -> Path:
+    """The folder itself or its nearest ancestor that exists: the same disk, so that files can be renamed into place."""
+    while not folder.exists() and folder != folder.parent:
+        folder = folder.parent
+    return folder
 
 
 def _sync_folder(folder: Path) -> None:

@@ -32,3 +32,30 @@ def rotation_matrices(quaternions: Any, xp: ModuleType = np) -> Any:
     unit = xp.where(norm > 1e-18, quaternions / xp.where(norm > 1e-18, norm, xp.ones_like(norm)), identity)
     rows = rotation_rows(unit[:, 0], unit[:, 1], unit[:, 2], unit[:, 3])
     return xp.stack([xp.stack(row, -1) for row in rows], -2)
+
+
+def quaternion_of(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The unit quaternion wxyz (4,) of a rotation matrix (3, 3).
+
+    Source: Bar-Itzhack 2000; the eigenvector of the largest eigenvalue, whatever the angle. Components that are 0
+    up to rounding are exactly that, and so is a 1.
+    """
+    m = rotation
+    k = np.array(
+        [
+            [m[0, 0] + m[1, 1] + m[2, 2], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]],
+            [m[2, 1] - m[1, 2], m[0, 0] - m[1, 1] - m[2, 2], m[1, 0] + m[0, 1], m[2, 0] + m[0, 2]],
+            [m[0, 2] - m[2, 0], m[1, 0] + m[0, 1], m[1, 1] - m[0, 0] - m[2, 2], m[2, 1] + m[1, 2]],
+            [m[1, 0] - m[0, 1], m[2, 0] + m[0, 2], m[2, 1] + m[1, 2], m[2, 2] - m[0, 0] - m[1, 1]],
+        ]
+    )
+    quaternion = np.round(np.linalg.eigh(k)[1][:, -1], 15)
+    largest = quaternion[np.abs(quaternion).argmax()]
+    return np.asarray(quaternion * np.sign(largest))
+
+
+def quaternion_products(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The rotation ``first`` (4,) after each of ``second`` (N, 4), wxyz; norms multiply."""
+    w, x, y, z = first
+    of_second = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
+    return np.asarray(second @ of_second.T)

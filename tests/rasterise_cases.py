@@ -22,9 +22,9 @@ from decogs.decoder.rasterise.reference import (
     CLOSEST,
     TRANSMITTANCE_MIN,
     render_reference,
-    sh_basis,
 )
 from decogs.formats.cameras import Camera, camera_centre
+from decogs.formats.spherical_harmonics import sh_basis
 from decogs.formats.splats import Splats, join_splats, take_splats
 
 ROUNDING = 2.0**-24

@@ -14,6 +14,7 @@ import numpy as np
 
 from decogs.formats.cameras import Camera, camera_centre
 from decogs.formats.rotations import rotation_matrices
+from decogs.formats.spherical_harmonics import sh_basis
 
 BLUR = 0.3
 """Variance of the low-pass filter, square pixels (Kerbl 2023)."""
@@ -22,31 +23,6 @@ ALPHA_MAX = 0.99
 TRANSMITTANCE_MIN = 1e-4
 CLOSEST = 0.5
 """A Gaussian nearer than this many of its largest sigma is not drawn: the linearisation means nothing there."""
-
-
-def sh_basis(xp: ModuleType, degree: int, directions: Any) -> Any:
-    """Spherical-harmonics basis (N, (degree+1)**2) of unit directions (N, 3), in 3DGS's order and signs."""
-    x, y, z = directions[:, 0], directions[:, 1], directions[:, 2]
-    xx, yy, zz = x * x, y * y, z * z
-    basis = [
-        0.28209479177387814 * xp.ones_like(x),
-        -0.4886025119029199 * y,
-        0.4886025119029199 * z,
-        -0.4886025119029199 * x,
-        1.0925484305920792 * x * y,
-        -1.0925484305920792 * y * z,
-        0.31539156525252005 * (2 * zz - xx - yy),
-        -1.0925484305920792 * x * z,
-        0.5462742152960396 * (xx - yy),
-        -0.5900435899266435 * y * (3 * xx - yy),
-        2.890611442640554 * x * y * z,
-        -0.4570457994644658 * y * (4 * zz - xx - yy),
-        0.3731763325901154 * z * (2 * zz - 3 * xx - 3 * yy),
-        -0.4570457994644658 * x * (4 * zz - xx - yy),
-        1.445305721320277 * z * (xx - yy),
-        -0.5900435899266435 * x * (xx - 3 * yy),
-    ]
-    return xp.stack(basis[: (degree + 1) ** 2], -1)
 
 
 def _clamp(xp: ModuleType, value: Any, low: float, high: float) -> Any:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from decogs.formats.splat_files.ply import Ply
+from decogs.formats.splat_files.splat import Splat
+from decogs.formats.splat_files.spz import Spz
+
 from .rivals.float_arrays import FloatArrays, FloatDeltas
-from .rivals.ply import Ply
 from .rivals.sequences import FilePerFrame, Rival, WithoutDirections
-from .rivals.splat import Splat
 from .rivals.splat4d import Splat4d
-from .rivals.spz import Spz
 from .variants import Question, Variant
 
 RATE_POINTS = tuple(

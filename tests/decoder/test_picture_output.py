@@ -81,8 +81,11 @@ def test_names_of_single_files(tmp_path: Path, suffix: str) -> None:
     write(tmp_path / f"some{suffix}", [7, 8])
     write(tmp_path / f"f_%04d{suffix}", [12])
     write(tmp_path / f"g_%d_x{suffix}", [12])
+    write(tmp_path / f"h_####{suffix}", [3, 12])
+    write(tmp_path / f"i.$F3{suffix}", [12])
     assert names_in(tmp_path) == sorted(
-        f"{name}{suffix}" for name in ("one", "some_000007", "some_000008", "f_0012", "g_12_x")
+        f"{name}{suffix}"
+        for name in ("one", "some_000007", "some_000008", "f_0012", "g_12_x", "h_0003", "h_0012", "i.012")
     )
 
 
@@ -150,6 +153,13 @@ def test_an_error_leaves_the_earlier_video_as_it_was(tmp_path: Path) -> None:
     assert (tmp_path / "x.mp4").read_bytes() == b"earlier"
     write(tmp_path / "x.mp4", [0])
     assert (tmp_path / "x.mp4").read_bytes() != b"earlier"
+
+
+def test_pictures_are_no_pipe(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UsageError, match="no pipe; name a folder"):
+        write(Path("-"), [0])
+    assert names_in(tmp_path) == []
 
 
 def test_outputs_that_cannot_be(tmp_path: Path) -> None:

@@ -23,12 +23,12 @@ from torch import Tensor
 
 import decogs.encoder.stream_state as stream_state
 import rasterise_cases as cases
-from decogs.decoder.rasterise.reference import sh_basis
 from decogs.encoder.rasterise import FixedView, SplatGradients, TrainingKernel, fixed_view, training_kernel
 from decogs.encoder.rasterise.cuda import CudaKernel, missing_for_cuda
 from decogs.encoder.rasterise.photometric import TiledLoss, photometric_loss
 from decogs.formats.errors import UsageError
 from decogs.formats.rotations import rotation_matrices
+from decogs.formats.spherical_harmonics import sh_basis
 from decogs.formats.splats import Splats, empty_splats, join_splats, take_splats
 
 FIELDS = ("means", "log_scales", "quaternions", "opacity_logits", "sh", "view")

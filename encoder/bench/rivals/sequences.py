@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from decogs.codec.state import Rows
-from decogs.formats.splats import FloatArray, Splats, logit, sigmoid
+from decogs.formats.splats import Splats
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,26 +112,6 @@ def write_numbered(folder: Path, suffix: str, files: Iterator[bytes]) -> Sizes:
 def numbered(folder: Path, suffix: str) -> list[Path]:
     """The files that ``write_numbered`` wrote."""
     return sorted(folder.glob(f"frame_*{suffix}"))
-
-
-def logits(opacities: FloatArray) -> FloatArray:
-    """Opacity logits of opacities from 0 to 1, both of which stay finite."""
-    return np.asarray(logit(np.clip(opacities.astype(np.float64), 1e-6, 1 - 1e-6)), np.float32)
-
-
-def opacities(splats: Splats) -> FloatArray:
-    return sigmoid(splats.opacity_logits.astype(np.float64)).astype(np.float32)
-
-
-def unit_rotations(splats: Splats) -> FloatArray:
-    """Unit quaternions wxyz, (N, 4)."""
-    values = splats.quaternions.astype(np.float64)
-    return np.asarray(values / np.linalg.norm(values, axis=1, keepdims=True), np.float32)
-
-
-def to_bytes(values: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
-    """The nearest integers, 0 to 255."""
-    return np.clip(np.rint(values), 0, 255).astype(np.uint8)
 
 
 def _degree_0(splats: Splats) -> Splats:

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from decogs.codec.state import Rows
 from decogs.formats.errors import UsageError
+from decogs.formats.splat_files.splat import Splat, records
 from decogs.formats.splats import Splats
 
 from .sequences import Frames, Sizes
-from .splat import Splat, records
 
 _STREAM, _FIRST, _DECODED = "scene.splat4d", "first.splat4d", "decoded.splat"
 

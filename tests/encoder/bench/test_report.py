@@ -26,12 +26,12 @@ from decogs.encoder.bench.rates import CURVES
 from decogs.encoder.bench.report import CHOICES, NONE, PAPER, RATES, make_report
 from decogs.encoder.bench.rivals import splat4d
 from decogs.encoder.bench.rivals.float_arrays import FloatDeltas
-from decogs.encoder.bench.rivals.ply import Ply
 from decogs.encoder.bench.rivals.sequences import FilePerFrame, Rival
-from decogs.encoder.bench.rivals.spz import Spz
 from decogs.encoder.bench.runs import BenchOptions
 from decogs.encoder.bench.variants import Question, Variant
 from decogs.formats.errors import TrainingError, UsageError
+from decogs.formats.splat_files.ply import Ply
+from decogs.formats.splat_files.spz import Spz
 
 pytestmark = pytest.mark.usefixtures("short_presets")
 

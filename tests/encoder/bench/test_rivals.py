@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import gzip
 import stat
-import struct
 import sys
 from dataclasses import astuple
 from pathlib import Path
@@ -14,12 +12,12 @@ import pytest
 
 from decogs.encoder.bench.rivals import splat4d
 from decogs.encoder.bench.rivals.float_arrays import FloatArrays, FloatDeltas
-from decogs.encoder.bench.rivals.ply import Ply
 from decogs.encoder.bench.rivals.sequences import Coder, FilePerFrame, FrameFormat, SceneFrame, WithoutDirections
-from decogs.encoder.bench.rivals.splat import RECORD, Splat
 from decogs.encoder.bench.rivals.splat4d import Splat4d, of_one_length
-from decogs.encoder.bench.rivals.spz import Spz
 from decogs.formats.errors import UsageError
+from decogs.formats.splat_files.ply import Ply
+from decogs.formats.splat_files.splat import RECORD, Splat
+from decogs.formats.splat_files.spz import Spz
 from decogs.formats.splats import Splats, join_splats, take_splats
 
 
@@ -52,10 +50,6 @@ def assert_equal(found: Splats, expected: Splats) -> None:
         np.testing.assert_array_equal(a, b)
 
 
-def unit(quaternions: np.ndarray) -> np.ndarray:
-    return quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
-
-
 @pytest.mark.parametrize("coder", [FilePerFrame(FloatArrays()), FilePerFrame(Ply()), FloatDeltas()], ids=repr)
 def test_lossless_rivals_bring_back_every_bit(coder: Coder, tmp_path: Path) -> None:
     frames = a_sequence()
@@ -84,116 +78,6 @@ def test_files_per_frame_are_counted_as_they_lie_on_disk(file_format: FrameForma
     lengths = [len(file_format.encode(frame.splats)) for frame in frames]
     assert (sizes.first, sizes.total) == (lengths[0], sum(lengths))
     assert [len(found) for found in coder.read(tmp_path)] == [6, 7, 7]
-
-
-def test_ply_has_inrias_columns() -> None:
-    splats = some_splats(2, 4)
-    header, _, body = Ply().encode(splats).partition(b"end_header\n")
-    names = [line.split()[-1] for line in header.decode().splitlines() if line.startswith("property float")]
-    rows = np.frombuffer(body, "<f4").reshape(2, len(names))
-    assert header.startswith(b"ply\nformat binary_little_endian 1.0\nelement vertex 2\n")
-    assert len(names) == 17 + 9
-    by_name = dict(zip(names, rows.T, strict=True))
-    np.testing.assert_array_equal(by_name["f_rest_0"], splats.sh[:, 1, 0])
-    np.testing.assert_array_equal(by_name["f_rest_1"], splats.sh[:, 2, 0], "red first, then green")
-    np.testing.assert_array_equal(by_name["f_rest_3"], splats.sh[:, 1, 1])
-    np.testing.assert_array_equal(by_name["rot_0"], splats.quaternions[:, 0])
-    np.testing.assert_array_equal(by_name["scale_2"], splats.log_scales[:, 2])
-    np.testing.assert_array_equal(by_name["nx"], 0)
-
-
-HALF = 2.0**-0.5
-SPZ_SPLATS = Splats(
-    np.array([[1.0, -0.5, 2.0**-12]], np.float32),
-    np.array([[-10.0, -5.0, -4.03]], np.float32),
-    # Twice a turn of 90 degrees around -z: w and z are equally large, and the first of x, y, z, w leads.
-    np.array([[2.0, 0.0, 0.0, -2.0]], np.float32),
-    np.array([0.0], np.float32),
-    np.array([[[0.0, 1.0, -9.0], [0.5, -0.5, 0.25], [0.03, 0.0, 0.0], [0.0, 0.0, 2.0]]], np.float32),
-)
-SPZ_BYTES = b"".join(
-    (
-        # NGSP, version 3, one Gaussian, degree 1, 12 fraction bits, no flags.
-        struct.pack("<4sIIBBBB", b"NGSP", 3, 1, 1, 12, 0, 0),
-        # 1 = 4096, -0.5 = -2048, 2^-12 = 1, 24 bits each.
-        bytes([0x00, 0x10, 0x00, 0x00, 0xF8, 0xFF, 0x01, 0x00, 0x00]),
-        # Opacity 0.5 = 127.5, to the even one.
-        bytes([128]),
-        # 127.5 to the even one; 1 * 0.15 * 255 + 127.5 = 165.75; below 0.
-        bytes([128, 166, 0]),
-        # (x + 10) * 16: 0; 80; 95.52.
-        bytes([0, 80, 96]),
-        # Largest: z (number 2), made positive; x = y = 0: sign 0, magnitude 0; but for the sign of the others, w turns
-        # negative: sign 1, magnitude 511 of 1/sqrt(2). 2 << 30 | 1 << 9 | 511.
-        struct.pack("<I", 2 << 30 | 1 << 9 | 511),
-        # x * 128 + 128 to the nearest multiple of 8: 192, 64, 160; 131.84 = 132 goes up to 136; 128; above 255.
-        bytes([192, 64, 160, 136, 128, 128, 128, 128, 255]),
-    )
-)
-
-
-def test_spz_writes_the_bytes_of_its_description() -> None:
-    assert gzip.decompress(Spz().encode(SPZ_SPLATS)) == SPZ_BYTES
-
-
-def test_spz_reads_the_bytes_of_its_description() -> None:
-    found = Spz().decode(gzip.compress(SPZ_BYTES))
-    np.testing.assert_array_equal(found.means, SPZ_SPLATS.means)
-    np.testing.assert_array_equal(found.log_scales, np.float32([[-10, -5, -4]]))
-    np.testing.assert_allclose(found.quaternions, [[-HALF, 0, 0, HALF]], atol=1e-7)
-    np.testing.assert_allclose(found.opacity_logits, [np.log(128 / 127)], rtol=1e-4)
-    colour = [0.5 / 255 / 0.15, (166 / 255 - 0.5) / 0.15, -0.5 / 0.15]
-    np.testing.assert_allclose(found.sh[0, 0], colour, rtol=1e-5)
-    np.testing.assert_array_equal(found.sh[0, 1:], np.float32([[0.5, -0.5, 0.25], [0.0625, 0, 0], [0, 0, 127 / 128]]))
-
-
-@pytest.mark.parametrize("coefficients", [1, 4, 9, 16])
-@pytest.mark.parametrize(("fraction_bits", "sh1_bits", "sh_rest_bits"), [(12, 5, 4), (14, 8, 8), (8, 3, 3)])
-def test_spz_stays_within_half_a_step(coefficients: int, fraction_bits: int, sh1_bits: int, sh_rest_bits: int) -> None:
-    splats = some_splats(500, coefficients)
-    spz = Spz(fraction_bits, sh1_bits, sh_rest_bits)
-    found = spz.decode(spz.encode(splats))
-    rounding = 1e-6
-    assert np.abs(found.means - splats.means).max() <= 0.5**fraction_bits / 2 + rounding
-    assert np.abs(found.log_scales - splats.log_scales).max() <= 1 / 32 + rounding
-    # A component's step is 1/sqrt(2)/511; the fourth follows from three and is at least a half.
-    turned = np.abs((unit(found.quaternions) * unit(splats.quaternions)).sum(axis=1))
-    assert np.degrees(2 * np.arccos(np.minimum(turned, 1))).max() < 0.3
-    assert np.abs(found.sh[:, 0] - splats.sh[:, 0]).max() <= 1 / 255 / 0.15 / 2 + rounding
-    bits = np.where(np.arange(coefficients - 1) < 3, sh1_bits, sh_rest_bits)[:, None]
-    # Half a bucket, on top of half a 128th; the topmost bucket ends below 1.
-    bound = (2.0 ** (8 - bits) / 2 + 0.5) / 128 + rounding
-    assert (np.abs(found.sh[:, 1:] - splats.sh[:, 1:]) <= bound).all()
-
-
-def test_spz_puts_what_lies_outside_at_the_end() -> None:
-    far = Splats(np.float32([[1e6, -1e6, 0]]), *astuple(SPZ_SPLATS)[1:])
-    found = Spz().decode(Spz().encode(far))
-    np.testing.assert_allclose(found.means, [[2048, -2048, 0]], rtol=1e-6)
-
-
-def test_fewer_bits_of_spz_are_fewer_bytes() -> None:
-    splats = some_splats(500, 4)
-    sizes = [len(Spz(*bits).encode(splats)) for bits in ((14, 8, 8), (12, 5, 4), (10, 4, 3), (8, 3, 3))]
-    assert sizes == sorted(sizes, reverse=True)
-    assert len(set(sizes)) == 4
-
-
-def test_splat_keeps_places_and_sizes_and_drops_directions() -> None:
-    splats = some_splats(500, 4)
-    data = Splat().encode(splats)
-    assert len(data) == 500 * 32
-    found = Splat().decode(data)
-    np.testing.assert_array_equal(found.means, splats.means)
-    np.testing.assert_allclose(found.log_scales, splats.log_scales, atol=1e-6)
-    assert found.sh.shape == (500, 1, 3)
-    # A level of 255 of display colour, which is 0.282 of the coefficient.
-    assert np.abs(found.sh[:, 0] - splats.sh[:, 0]).max() <= 0.5 / 255 / 0.2820948 + 1e-6
-    turned = np.abs((unit(found.quaternions) * unit(splats.quaternions)).sum(axis=1))
-    # Half a step of 1/128 in each of four components.
-    assert np.degrees(2 * np.arccos(np.minimum(turned, 1))).max() < 2
-    opacities = [1 / (1 + np.exp(-s.opacity_logits)) for s in (found, splats)]
-    assert np.abs(opacities[0] - opacities[1]).max() <= 0.5 / 255 + 1e-6
 
 
 def test_without_directions_only_degree_0_is_kept(tmp_path: Path) -> None:

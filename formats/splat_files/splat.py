@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.splats import SH_C0, Splats
-
-from .sequences import logits, opacities, to_bytes, unit_rotations
+from ..splats import SH_C0, Splats
+from . import Extremes
+from .quantised import logits, opacities, to_bytes, unit_rotations
 
 RECORD = np.dtype(
     [("mean", "<f4", 3), ("scale", "<f4", 3), ("colour", "u1", 3), ("opacity", "u1"), ("rotation", "u1", 4)]
@@ -19,9 +19,22 @@ RECORD = np.dtype(
 
 @dataclass(frozen=True)
 class Splat:
-    """One frame: float32 places and sizes, 8 bits for colour, opacity and quaternion. Source: antimatter15/splat."""
+    """One frame: float32 places and sizes, 8 bits for colour, opacity and quaternion. Source: antimatter15/splat.
 
+    It is a table without a header, which has no place to state ``compensated``.
+    """
+
+    compensated: bool = False
     suffix: ClassVar[str] = ".splat"
+    up: ClassVar[Literal["Y", "-Y"]] = "-Y"
+
+    def fitted(self, extremes: Extremes) -> tuple[Splat, list[str]]:
+        left_out = []
+        if self.compensated:
+            left_out.append("the compensation of opacity cannot be stated, so that small Gaussians show too strong")
+        if extremes.sh_degree:
+            left_out.append(f"view dependence (SH degree {extremes.sh_degree}) has no place and is left out")
+        return self, left_out
 
     def encode(self, splats: Splats) -> bytes:
         return records(splats).tobytes()
@@ -50,3 +63,6 @@ def records(splats: Splats) -> NDArray[np.void]:
     table["opacity"] = to_bytes(opacities(splats) * 255)
     table["rotation"] = to_bytes(unit_rotations(splats) * 128 + 128)
     return table
+
+
+Format = Splat

@@ -3,20 +3,31 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 
-from decogs.formats.splats import Splats
+from ..splats import Splats
+from . import Extremes
 
 _HEADER_END = b"end_header\n"
+_COMPENSATED = "comment SplatRenderMode: mip"
+"""As gsplat (its pull request 1036) and Brush state it."""
 
 
 @dataclass(frozen=True)
 class Ply:
-    """One frame; lossless. Source: INRIA gaussian-splatting, ``GaussianModel.save_ply``."""
+    """One frame; lossless. Source: INRIA gaussian-splatting, ``GaussianModel.save_ply``.
 
+    Up is -Y: the files hold worlds as COLMAP leaves them, and viewers (SuperSplat, splat-transform) turn them over.
+    """
+
+    compensated: bool = False
     suffix: ClassVar[str] = ".ply"
+    up: ClassVar[Literal["Y", "-Y"]] = "-Y"
+
+    def fitted(self, extremes: Extremes) -> tuple[Ply, list[str]]:
+        return self, []
 
     def encode(self, splats: Splats) -> bytes:
         count, rest = len(splats), splats.sh.shape[1] - 1
@@ -29,7 +40,7 @@ class Ply:
             splats.log_scales,
             splats.quaternions,
         ]
-        return _header(count, rest) + np.concatenate(columns, axis=1).astype("<f4").tobytes()
+        return self._header(count, rest) + np.concatenate(columns, axis=1).astype("<f4").tobytes()
 
     def decode(self, data: bytes) -> Splats:
         start = data.index(_HEADER_END) + len(_HEADER_END)
@@ -44,10 +55,13 @@ class Ply:
         arrays = (means, log_scales, quaternions, opacity_logits[:, 0], sh)
         return Splats(*(np.ascontiguousarray(array, np.float32) for array in arrays))
 
+    def _header(self, count: int, rest: int) -> bytes:
+        names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"]
+        names += [f"f_rest_{i}" for i in range(3 * rest)]
+        names += ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
+        comments = [_COMPENSATED] if self.compensated else []
+        lines = ["ply", "format binary_little_endian 1.0", *comments, f"element vertex {count}"]
+        return "\n".join([*lines, *(f"property float {name}" for name in names)]).encode() + b"\n" + _HEADER_END
 
-def _header(count: int, rest: int) -> bytes:
-    names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"]
-    names += [f"f_rest_{i}" for i in range(3 * rest)]
-    names += ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
-    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {count}"]
-    return "\n".join([*lines, *(f"property float {name}" for name in names)]).encode() + b"\n" + _HEADER_END
+
+Format = Ply
