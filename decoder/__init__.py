@@ -7,10 +7,10 @@ loaded when it is used.
 
 from .damage import Damage, DamageWarning
 from .decoding import DecodeReport, decode
+from .exporting import ExportReport, export
 from .frame import DecodedFrame
 from .stream import Stream, open_stream
 from .stream_info import StreamInfo, info
-from .usd_export import export
 from .views import render_view
 
 __all__ = [
@@ -18,6 +18,7 @@ __all__ = [
     "DamageWarning",
     "DecodeReport",
     "DecodedFrame",
+    "ExportReport",
     "Stream",
     "StreamInfo",
     "decode",

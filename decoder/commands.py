@@ -1,13 +1,14 @@
 """The decoder's commands: decogs-decode, decogs-export and decogs-info.
 
 Only arguments and what is printed; the work is done by ``decode``, ``export`` and ``info`` of ``decogs.decoder``.
-SIGTERM and SIGHUP end a command that writes pictures or USD as soon as it has removed what is not whole.
+SIGTERM and SIGHUP end a command that writes files as soon as it has removed what is not whole.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import sys
 import time
 from collections.abc import Sequence
 
@@ -24,8 +25,11 @@ from decogs.formats.command_line import (
     standard_input,
     tell,
     warn_as,
+    whole_number,
 )
+from decogs.formats.errors import UsageError
 from decogs.formats.frame_ranges import frame_range
+from decogs.formats.up_direction import UPS
 
 from .limits import DEFAULT_MAX_MEMORY
 
@@ -36,7 +40,8 @@ def decode_main(arguments: Sequence[str] | None = None) -> int:
         prog="decogs-decode",
         description="Decode a view of a .dgs stream to pictures, one per encoded frame.",
         epilog="OUTPUT chooses the kind: a folder (PNG files), or a name ending in .png, .exr or .mp4; "
-        "x_%%06d.exr numbers files by frame. A pose file is described in decogs.decoder.free_camera.",
+        "x_####.exr, x_%%04d.exr and x_$F4.exr number files by frame. A pose file is described in "
+        "decogs.decoder.free_camera.",
     )
     parser.add_argument("stream", help="the .dgs file; - for stdin")
     parser.add_argument("-o", "--output", required=True, metavar="OUTPUT", help="folder, .png, .exr or .mp4 to write")
@@ -67,16 +72,33 @@ def decode_main(arguments: Sequence[str] | None = None) -> int:
 
 
 def export_main(arguments: Sequence[str] | None = None) -> int:
-    """``decogs-export``: frames of a stream as a USD file."""
-    parser = Parser(prog="decogs-export", description="Export a .dgs stream as USD, for Blender, Houdini, usdview.")
+    """``decogs-export``: frames of a stream as a USD file, or as files of Gaussians."""
+    parser = Parser(
+        prog="decogs-export",
+        description="Export a .dgs stream as USD for Blender, Houdini, usdview, or as splats for viewers.",
+        epilog="OUTPUT's ending chooses: .usdc, .usda, .usd and .usdz hold all frames; .ply, .spz, .splat and .glb "
+        "one each, numbered by x_####.ply, x_%%04d.ply or 'x_$F4.ply'. docs/exports.md says what suits which program.",
+    )
     parser.add_argument("stream", help="the .dgs file")
-    parser.add_argument("-o", "--output", required=True, metavar="OUTPUT", help="the .usdc or .usda file to write")
+    parser.add_argument("-o", "--output", required=True, metavar="OUTPUT", help="the file or files; - for stdout")
     _add_frames(parser)
     _add_trust(parser)
     parser.add_argument(
-        "--up-axis", choices=("Y", "Z"), default="Y", help="which world axis is up; nothing is rotated (default Y)"
+        "--up",
+        choices=UPS,
+        default="auto",
+        help="the world's up, turned to what the format has for it; auto: as the cameras tell (default)",
     )
-    return run(parser, lambda: _export(parser, parser.parse_args(frames_joined(arguments))), cleans_up=True)
+    parser.add_argument(
+        "--first-frame", type=whole_number, default=0, metavar="N", help="number of the stream's frame 0 (default 0)"
+    )
+    parser.add_argument("--fps", type=number, metavar="F", help="frames per second (default: the stream's)")
+    parser.add_argument(
+        "--scale-to-metres", type=number, default=1.0, metavar="F", help="metres of a world unit (default 1)"
+    )
+    parser.add_argument("--format", metavar="KIND", help="with -o -: which kind of file, such as ply")
+    parser.add_argument("--spz-version", type=int, choices=(2, 3, 4), help="of a .spz (default 3)")
+    return run(parser, lambda: _export(parser, parser.parse_args(_joined(arguments))), cleans_up=True)
 
 
 def info_main(arguments: Sequence[str] | None = None) -> int:
@@ -124,23 +146,35 @@ def _decode(parser: Parser, options: argparse.Namespace) -> None:
 
 
 def _export(parser: Parser, options: argparse.Namespace) -> None:
-    from .usd_export import export
+    from .exporting import export
 
+    piped = options.output == "-"
+    if piped and sys.stdout.isatty():
+        raise UsageError("-o -: the file would go to the terminal; redirect it, or name a file")
     with progress("exporting") as on_frame:
         report = export(
             options.stream,
-            options.output,
+            sys.stdout.buffer if piped else options.output,
             frames=frame_range(options.frames),
-            up_axis=options.up_axis,
+            up=options.up,
+            first_frame=options.first_frame,
+            fps=options.fps,
+            scale_to_metres=options.scale_to_metres,
+            format=options.format,
+            spz_version=options.spz_version,
             strict=options.strict,
             max_memory=options.max_memory,
             on_frame=on_frame,
             on_warning=warn_as(parser),
         )
-    tell(
-        f"{options.output}: {counted(report.frame_count, 'frame')}, {report.static_count} static and "
-        f"{report.dynamic_count} dynamic Gaussians, {size_text(report.file_bytes)}"
-    )
+    parts = [counted(report.frame_count, "frame")]
+    if report.static_count is not None:
+        parts.append(f"{report.static_count} static and {report.dynamic_count} dynamic Gaussians")
+    if report.file_count > 1:
+        parts.append(counted(report.file_count, "file"))
+    up = "nothing turned" if report.up is None else f"the world's up, {report.up}, is {report.up_in_file} there"
+    parts += [size_text(report.file_bytes), up]
+    tell(f"{options.output}: {', '.join(parts)}", to_stderr=piped)
 
 
 def _info(options: argparse.Namespace) -> None:
@@ -153,6 +187,12 @@ def _info(options: argparse.Namespace) -> None:
         tell(json.dumps(facts.to_json(), indent=2))
     else:
         tell("\n".join(byte_lines(facts) if options.bytes else summary_lines(facts)))
+
+
+def _joined(arguments: Sequence[str] | None) -> list[str]:
+    """Joins "--up" with its value as well: argparse takes "-Y" for an option of its own."""
+    given = iter(frames_joined(arguments))
+    return [f"--up={next(given, '')}" if argument == "--up" else argument for argument in given]
 
 
 def _add_frames(parser: argparse.ArgumentParser) -> None:

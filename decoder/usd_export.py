@@ -6,7 +6,6 @@ few copies of one frame (and, for a .usda, the whole file).
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,19 +16,15 @@ from numpy.typing import NDArray
 from decogs.formats.cameras import Camera
 from decogs.formats.colour import linear_from_srgb
 from decogs.formats.errors import UsageError
-from decogs.formats.frame_ranges import Frames
+from decogs.formats.similarity import NO_CHANGE, Similarity
+from decogs.formats.splat_files.quantised import unit_rotations
 from decogs.formats.splats import SH_C0, Splats, empty_splats, join_splats, sigmoid, take_splats
 from decogs.formats.usd import (
     DEFAULT_PROTOTYPE_RADIUS,
-    UpAxis,
     UsdSplats,
     UsdWriter,
     check_usd_request,
 )
-
-from .frame_choice import OnWarning, check_output, open_chosen
-from .limits import DEFAULT_MAX_MEMORY
-from .picture_output import DEFAULT_FPS
 
 Ids = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -47,8 +42,8 @@ class ExportFrame:
 
 
 @dataclass(frozen=True)
-class ExportReport:
-    """What an export wrote: frames, Gaussians that never and that ever change, bytes of the file."""
+class UsdReport:
+    """What a USD file holds: frames, Gaussians that never and that ever change; and its bytes."""
 
     frame_count: int
     static_count: int
@@ -71,68 +66,27 @@ class Census:
     newborn: Splats
 
 
-def export(
-    stream: str | os.PathLike[str],
-    output: str | os.PathLike[str],
-    *,
-    frames: Frames = None,
-    up_axis: UpAxis = "Y",
-    strict: bool = False,
-    max_memory: int = DEFAULT_MAX_MEMORY,
-    on_frame: Callable[[int, int], None] | None = None,
-    on_warning: OnWarning | None = None,
-) -> ExportReport:
-    """Writes a range of frames as one USD file (.usdc, .usda), described in ``decogs.formats.usd``.
-
-    ``frames``: consecutive ones, as a slice or a range; None for all. ``up_axis`` states which axis of the world is up;
-    nothing is rotated. ``strict`` and ``max_memory`` (bytes) are those of ``open_stream``. The frames are read twice;
-    ``on_frame(done, all)`` counts both readings, ``on_warning(text)`` is called for damage. Raises UsageError,
-    StreamError or OSError.
-    """
-    check_output(output, stream=stream)
-    with open_chosen(stream, frames, strict=strict, max_memory=max_memory, on_warning=on_warning) as (opened, chosen):
-        header = opened.header
-        done = 0
-
-        def read_again() -> Iterator[ExportFrame]:
-            nonlocal done
-            for frame in opened.frames(chosen.start, chosen.stop):
-                yield ExportFrame(frame.index, frame.state.ids, frame.splats)
-                done += 1
-                if on_frame is not None:
-                    on_frame(done, 2 * len(chosen))
-
-        return export_usd(
-            read_again,
-            Path(output),
-            fps=header.fps or DEFAULT_FPS,
-            cameras=header.cameras,
-            up_axis=up_axis,
-            documentation=" ".join(text for text in (header.source_text, header.licence) if text),
-        )
-
-
 def export_usd(
     frames: Callable[[], Iterable[ExportFrame]],
     path: str | Path,
     *,
     fps: float,
     cameras: Sequence[Camera] = (),
-    up_axis: UpAxis = "Y",
+    root: Similarity = NO_CHANGE,
     prototype_radius: float = DEFAULT_PROTOTYPE_RADIUS,
     documentation: str = "",
-) -> ExportReport:
+) -> UsdReport:
     """A stream of decoded frames as USD: /World/Static, /World/Dynamic, their points, and the rig's cameras.
 
     ``frames`` is called twice and gives the same frames both times, indices rising; indices become time codes.
-    ``prototype_radius`` is the size of a drawn ellipsoid in standard deviations. ``up_axis`` states which axis of the
-    world is up; nothing is rotated. ``documentation`` goes into the file (source and licence of the footage).
+    ``prototype_radius`` is the size of a drawn ellipsoid in standard deviations. ``root`` brings the world to Y up and
+    metres. ``documentation`` goes into the file (source and licence of the footage).
 
     A group without Gaussians is left out. Raises UsageError for a name that is not USD's, without frames, and when the
     file cannot be written; a file of that name is only ever replaced by a complete one.
     """
     path = Path(path)
-    check_usd_request(path, fps=fps, up_axis=up_axis, prototype_radius=prototype_radius)
+    check_usd_request(path, fps=fps, prototype_radius=prototype_radius)
     census = take_census(frames())
     if not census.frames:
         raise UsageError(f"{path}: there is no frame to export; choose frames that the stream has")
@@ -140,7 +94,7 @@ def export_usd(
         path,
         fps=fps,
         frames=(census.frames[0], census.frames[-1]),
-        up_axis=up_axis,
+        root=root,
         prototype_radius=prototype_radius,
         documentation=documentation,
     ) as usd:
@@ -152,7 +106,7 @@ def export_usd(
             usd.add_group(DYNAMIC_GROUP, census.dynamic_ids)
             for index, splats, alive in follow_dynamic(census, frames()):
                 usd.write_frame(DYNAMIC_GROUP, index, splats, alive)
-    return ExportReport(len(census.frames), len(census.static_ids), len(census.dynamic_ids), path.stat().st_size)
+    return UsdReport(len(census.frames), len(census.static_ids), len(census.dynamic_ids), path.stat().st_size)
 
 
 def take_census(frames: Iterable[ExportFrame]) -> Census:
@@ -215,13 +169,10 @@ def follow_dynamic(census: Census, frames: Iterable[ExportFrame]) -> Iterator[tu
 
 def usd_splats(splats: Splats) -> UsdSplats:
     """Activated values of stored ones: scales, opacities, unit quaternions, and the linear view-independent colour."""
-    norms = np.linalg.norm(splats.quaternions.astype(np.float64), axis=1, keepdims=True)
-    rotations = np.divide(splats.quaternions, norms, out=np.zeros(splats.quaternions.shape), where=norms > 0)
-    rotations[norms[:, 0] == 0] = (1.0, 0.0, 0.0, 0.0)
     colours = np.clip(0.5 + SH_C0 * splats.sh[:, 0], 0.0, 1.0).astype(np.float64)
     return UsdSplats(
         positions=splats.means,
-        rotations=rotations.astype(np.float32),
+        rotations=unit_rotations(splats),
         scales=np.exp(splats.log_scales),
         colours=linear_from_srgb(colours).astype(np.float32),
         opacities=sigmoid(splats.opacity_logits),

@@ -1,8 +1,8 @@
-"""Splats over time as USD (.usdc, .usda, .usd): point instancers that today's DCCs draw, and a points prim beside each.
+"""Splats over time as USD: point instancers that today's DCCs draw, and a points prim beside each.
 
 Layout, every array in world units and in one fixed order per group::
 
-    /World                   Xform, default prim
+    /World                   Xform, default prim, a component; turns the world's up to Y, and scales it to metres
     /World/<Group>           PointInstancer: positions, orientations, scales, ids, displayColor, displayOpacity
     /World/<Group>/Splat     its prototype, a Sphere of radius k: an instance is the ellipsoid at k sigma
     /World/<Group>Points     Points in the same order: displayColor, displayOpacity, splatId; width 0
@@ -10,6 +10,9 @@ Layout, every array in world units and in one fixed order per group::
 
 Choices, and why:
 
+* *The root turns.* A file always has Y up and metres, which every program understands in the same way; what the world
+  has is brought there by one transform on /World, and no array has other values for it. Rejected: stating ``upAxis``
+  and ``metersPerUnit`` instead (neither -Y nor a turned world can be stated, and programs differ in heeding units).
 * *Groups.* Gaussians that never change go to one group without a single time sample, the others to a second one. Crate
   files do not compress float arrays, so this is what keeps a file proportional to motion.
 * *Fixed order, invisible ids.* A group holds every Gaussian that lives at any of its frames, always in the same rows;
@@ -37,11 +40,12 @@ import glob
 import os
 import resource
 import tempfile
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,11 +53,10 @@ from numpy.typing import NDArray
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError, check_utf8
 from decogs.formats.rotations import rotation_rows
+from decogs.formats.similarity import NO_CHANGE, Similarity
 from decogs.formats.splats import FloatArray
 
-UpAxis = Literal["Y", "Z"]
-
-USD_SUFFIXES = (".usdc", ".usda", ".usd")
+USD_SUFFIXES = (".usdc", ".usda", ".usd", ".usdz")
 
 DEFAULT_PROTOTYPE_RADIUS = 1.5
 """Standard deviations at which an ellipsoid is drawn. A flat disc of sqrt(2) sigma carries as much opacity as the whole
@@ -66,6 +69,8 @@ _NEAR, _FAR = 0.01, 10_000.0
 _FLUSH_BYTES = 64 << 20
 _INT32_MAX = 2**31 - 1
 _PROBE_BYTES = 1 << 20
+_A_TIME = time.mktime((1980, 1, 1, 12, 0, 0, 0, 1, 0))
+"""The earliest day that an archive can state, by the clock that it states it in."""
 _OF_USD = 2 * 10**9
 """Bytes of address space in which a stream of 84 kB is exported; in 1.2e9 OpenUSD ends the process."""
 
@@ -198,9 +203,9 @@ class UsdWriter:
     Use as a context manager: leaving it normally saves and renames, leaving it by an exception removes the file.
     Crate files are flushed as they grow, so that memory stays flat in the number of frames (.usda cannot be).
 
-    ``frames`` is the first and last time code; ``fps`` becomes both frames and time codes per second. ``up_axis`` only
-    states which axis of the world points up, nothing is rotated. Raises UsageError for a name that is not USD's, for
-    numbers out of range, and when the file cannot be written.
+    ``frames`` is the first and last time code; ``fps`` becomes both frames and time codes per second. ``root`` brings
+    the world to Y up and metres. A .usdz is packed from a crate file at the end. Raises UsageError for a name that is
+    not USD's, for numbers out of range, and when the file cannot be written.
     """
 
     def __init__(
@@ -209,33 +214,41 @@ class UsdWriter:
         *,
         fps: float,
         frames: tuple[int, int],
-        up_axis: UpAxis = "Y",
+        root: Similarity = NO_CHANGE,
         prototype_radius: float = DEFAULT_PROTOTYPE_RADIUS,
         documentation: str = "",
     ) -> None:
         self.path = Path(path)
-        check_usd_request(self.path, fps=fps, up_axis=up_axis, prototype_radius=prototype_radius)
-        self._partial = self.path.with_name(f".{self.path.stem}.{os.getpid()}.partial{self.path.suffix.lower()}")
+        check_usd_request(self.path, fps=fps, prototype_radius=prototype_radius)
+        suffix = self.path.suffix.lower()
+        self._packed = suffix == ".usdz"
+        self._partial = self.path.with_name(
+            f".{self.path.stem}.{os.getpid()}.partial{'.usdc' if self._packed else suffix}"
+        )
         self._frames = frames
         self._radius = float(prototype_radius)
         self._groups: dict[str, _Group] = {}
         self._unsaved = 0
-        self._stage = self._create(float(fps), up_axis, documentation)
+        self._stage = self._create(float(fps), root, documentation)
 
-    def _create(self, fps: float, up_axis: UpAxis, documentation: str) -> Any:
-        from pxr import Tf, Usd, UsdGeom
+    def _create(self, fps: float, root: Similarity, documentation: str) -> Any:
+        from pxr import Gf, Kind, Tf, Usd, UsdGeom
 
         try:
             stage = Usd.Stage.CreateNew(str(self._partial))
         except Tf.ErrorException as error:
             raise self._unwritable(error) from error
-        UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y if up_axis == "Y" else UsdGeom.Tokens.z)
+        UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
         UsdGeom.SetStageMetersPerUnit(stage, 1.0)
         stage.SetTimeCodesPerSecond(fps)
         stage.SetFramesPerSecond(fps)
         stage.SetStartTimeCode(self._frames[0])
         stage.SetEndTimeCode(self._frames[1])
-        stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/World").GetPrim())
+        world = UsdGeom.Xform.Define(stage, "/World")
+        Usd.ModelAPI(world).SetKind(Kind.Tokens.component)
+        if not root.is_identity:
+            world.AddTransformOp().Set(Gf.Matrix4d(root.matrix.T.tolist()))
+        stage.SetDefaultPrim(world.GetPrim())
         if documentation:
             stage.GetRootLayer().documentation = documentation
         return stage
@@ -302,7 +315,7 @@ class UsdWriter:
             if kind is None:
                 self._save()
                 self._close()
-                os.replace(self._partial, self.path)
+                os.replace(self._package() if self._packed else self._partial, self.path)
         except OSError as failure:
             raise UsageError(f"{self.path}: cannot be written ({failure.strerror})") from failure
         finally:
@@ -311,12 +324,27 @@ class UsdWriter:
             for left in self.path.parent.glob(f"{glob.escape(self._partial.stem)}.*"):
                 left.unlink(missing_ok=True)
 
+    def _package(self) -> Path:
+        """The crate file in a .usdz of its own, still beside the final name."""
+        from pxr import Tf, UsdUtils
+
+        package = self._partial.with_suffix(".usdz")
+        # The archive keeps the file's time, and the same export shall have the same bytes.
+        os.utime(self._partial, (_A_TIME, _A_TIME))
+        try:
+            packed = UsdUtils.CreateNewUsdzPackage(str(self._partial), str(package), f"{self.path.stem}.usdc")
+        except Tf.ErrorException as error:
+            raise self._unwritable(error) from error
+        if not packed:
+            raise UsageError(f"{self.path}: OpenUSD could not pack the file; write .usdc instead")
+        return package
+
     def _close(self) -> None:
         self._groups.clear()
         self._stage = None
 
 
-def check_usd_request(path: Path, *, fps: float, up_axis: str, prototype_radius: float) -> None:
+def check_usd_request(path: Path, *, fps: float, prototype_radius: float) -> None:
     """Raises UsageError for a USD file that could not be written as asked; cheap, for use before long work."""
     check_utf8(path)
     _check_memory(path)
@@ -328,8 +356,6 @@ def check_usd_request(path: Path, *, fps: float, up_axis: str, prototype_radius:
         raise UsageError(f"{path}: is a folder; give the name of a file")
     if not (np.isfinite(fps) and fps > 0):
         raise UsageError(f"{path}: {fps} frames per second; USD needs a positive rate")
-    if up_axis not in ("Y", "Z"):
-        raise UsageError(f"{path}: up axis {up_axis!r}; USD knows Y and Z")
     if not (np.isfinite(prototype_radius) and prototype_radius > 0):
         raise UsageError(f"{path}: prototype radius {prototype_radius}; give a positive number of standard deviations")
 

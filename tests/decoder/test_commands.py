@@ -147,7 +147,7 @@ def test_export_writes_usd(small_stream, tmp_path: Path, capsys) -> None:
     assert "3 frames" in capsys.readouterr().out
     stage = Usd.Stage.Open(str(tmp_path / "s.usda"))
     assert (stage.GetStartTimeCode(), stage.GetEndTimeCode(), stage.GetFramesPerSecond()) == (1, 3, 25)
-    report = export(small_stream.path, tmp_path / "again.usdc", frames=slice(0, 2), up_axis="Z")
+    report = export(small_stream.path, tmp_path / "again.usdc", frames=slice(0, 2), up="Z")
     assert (report.frame_count, report.dynamic_count, report.static_count) == (2, 10, 50)
 
 

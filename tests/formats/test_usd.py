@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdValidation
 
-from decogs.formats.cameras import Camera
+from decogs.formats.cameras import Camera, camera_centre
 from decogs.formats.errors import UsageError
+from decogs.formats.similarity import Similarity
+from decogs.formats.up_direction import AXES, turn_between
 from decogs.formats.usd import UsdSplats, UsdWriter, splat_extent
 
 
@@ -51,7 +53,7 @@ def validation_errors(stage: Usd.Stage) -> list[str]:
     return [error.GetMessage() for error in UsdValidation.ValidationContext(validators).Validate(stage)]
 
 
-@pytest.mark.parametrize("suffix", [".usdc", ".usda", ".usd"])
+@pytest.mark.parametrize("suffix", [".usdc", ".usda", ".usd", ".usdz"])
 def test_every_suffix_is_valid_and_carries_units_and_time(tmp_path: Path, suffix: str) -> None:
     stage = write(
         tmp_path / f"a{suffix}", [some_splats(5), some_splats(5, 1)], cameras=(some_camera(),), documentation="CC BY"
@@ -73,12 +75,21 @@ def test_validation_does_find_faults(tmp_path: Path) -> None:
     assert validation_errors(stage) != []
 
 
-def test_up_axis_is_stated_and_nothing_is_rotated(tmp_path: Path) -> None:
+def test_the_root_turns_and_scales_all_and_no_array_does(tmp_path: Path) -> None:
     splats = some_splats(4)
-    stage = write(tmp_path / "z.usdc", [splats], up_axis="Z")
-    assert UsdGeom.GetStageUpAxis(stage) == "Z"
-    world = UsdGeom.Xformable(stage.GetPrimAtPath("/World/Splats")).ComputeLocalToWorldTransform(0)
-    assert world == Gf.Matrix4d(1)
+    by = Similarity(turn_between(AXES["Z"], AXES["Y"]), 0.5)
+    stage = write(tmp_path / "z.usdc", [splats], root=by, cameras=(some_camera(),))
+    assert validation_errors(stage) == []
+    assert UsdGeom.GetStageUpAxis(stage) == "Y"
+    instancer = stage.GetPrimAtPath("/World/Splats")
+    positions = UsdGeom.PointInstancer(instancer).GetPositionsAttr().Get()
+    np.testing.assert_array_equal(np.array(positions), splats.positions)
+    for path in ("Splats", "SplatsPoints"):
+        placed = UsdGeom.Xformable(stage.GetPrimAtPath(f"/World/{path}")).ComputeLocalToWorldTransform(0)
+        np.testing.assert_allclose(placed.Transform(Gf.Vec3d(1, 2, 3)), [0.5, 1.5, -1], atol=1e-12)
+    there = UsdGeom.Xformable(stage.GetPrimAtPath("/World/Cameras/cam00")).ComputeLocalToWorldTransform(0)
+    place = there.Transform(Gf.Vec3d(0))
+    np.testing.assert_allclose(place, 0.5 * by.rotation @ camera_centre(some_camera()), atol=1e-12)
 
 
 def test_extent_equals_what_usd_computes(tmp_path: Path) -> None:
@@ -214,12 +225,11 @@ def test_a_failed_export_leaves_the_old_file_and_nothing_else(tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("name", "options", "says"),
     [
-        ("a.usdz", {}, "choose one of these endings"),
+        ("a.obj", {}, "choose one of these endings"),
         ("a", {}, "choose one of these endings"),
         ("missing/a.usdc", {}, "folder does not exist"),
         ("a.usdc", {"fps": 0.0}, "positive rate"),
         ("a.usdc", {"fps": float("nan")}, "positive rate"),
-        ("a.usdc", {"up_axis": "X"}, "knows Y and Z"),
         ("a.usdc", {"prototype_radius": -1.0}, "positive number"),
     ],
 )
