@@ -24,12 +24,17 @@ from decogs.formats.usd import (
     UsdSplats,
     UsdWriter,
     check_usd_request,
+    just_before,
 )
 
 Ids = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-STATIC_GROUP, DYNAMIC_GROUP = "Static", "Dynamic"
+STATIC_GROUP, RESTING_GROUP, DYNAMIC_GROUP = "Static", "Resting", "Dynamic"
+
+SEGMENT = 8
+"""Frames for which the rows of the groups stay. A segment writes one more frame than it has, and what rests in it once:
+fewer frames write that more often, more frames write more rows that move for a few of them."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +62,8 @@ class Census:
 
     Static: alive in every frame and never changed; ``static`` are their values. Dynamic: every other Gaussian that is
     ever alive; ``newborn`` are their values when they first appear. SH is cut to degree 0.
+
+    ``touched``: for each `SEGMENT` of frames, who changes, appears or vanishes from its first frame to the next one's.
     """
 
     frames: tuple[int, ...]
@@ -64,6 +71,7 @@ class Census:
     static: Splats
     dynamic_ids: Ids
     newborn: Splats
+    touched: tuple[Ids, ...]
 
 
 def export_usd(
@@ -103,9 +111,7 @@ def export_usd(
             usd.add_group(STATIC_GROUP, census.static_ids)
             usd.write_frame(STATIC_GROUP, census.frames[0], usd_splats(census.static))
         if len(census.dynamic_ids):
-            usd.add_group(DYNAMIC_GROUP, census.dynamic_ids)
-            for index, splats, alive in follow_dynamic(census, frames()):
-                usd.write_frame(DYNAMIC_GROUP, index, splats, alive)
+            _write_dynamic(usd, census, frames())
     return UsdReport(len(census.frames), len(census.static_ids), len(census.dynamic_ids), path.stat().st_size)
 
 
@@ -116,10 +122,14 @@ def take_census(frames: Iterable[ExportFrame]) -> Census:
     """
     indices: list[int] = []
     previous: ExportFrame | None = None
-    known_ids, dynamic = np.zeros(0, np.int64), np.zeros(0, np.int64)
+    known_ids = np.zeros(0, np.int64)
     known: Splats | None = None
+    touched: list[Ids] = []
     for raw in frames:
         _check_order(indices, raw.index)
+        # The step to the first frame of a segment belongs to the one before.
+        if not touched or (len(indices) > 1 and (len(indices) - 1) % SEGMENT == 0):
+            touched.append(np.zeros(0, np.int64))
         indices.append(raw.index)
         if previous is not None and raw.splats is previous.splats and raw.ids is previous.ids:
             continue
@@ -127,44 +137,110 @@ def take_census(frames: Iterable[ExportFrame]) -> Census:
         if previous is None or known is None:
             known_ids, known = frame.ids, frame.splats
         else:
-            dynamic = np.union1d(dynamic, _touched(previous, frame))
+            touched[-1] = np.union1d(touched[-1], _touched(previous, frame))
             fresh = ~np.isin(frame.ids, known_ids, assume_unique=True)
             if fresh.any():
                 known_ids = np.concatenate([known_ids, frame.ids[fresh]])
                 known = join_splats(known, take_splats(frame.splats, fresh))
         previous = frame
     if known is None:
-        return Census((), known_ids, empty_splats(0), dynamic, empty_splats(0))
+        return Census((), known_ids, empty_splats(0), known_ids, empty_splats(0), ())
     order = np.argsort(known_ids)
     known_ids, known = known_ids[order], take_splats(known, order)
-    changes = np.isin(known_ids, dynamic, assume_unique=True)
+    changes = np.isin(known_ids, np.concatenate(touched))
     return Census(
         tuple(indices),
         known_ids[~changes],
         take_splats(known, ~changes),
         known_ids[changes],
         take_splats(known, changes),
+        tuple(touched),
     )
 
 
-def follow_dynamic(census: Census, frames: Iterable[ExportFrame]) -> Iterator[tuple[int, UsdSplats, Mask]]:
-    """Second reading: at every frame (index, the dynamic Gaussians' values in census order, which of them are alive).
+@dataclass(frozen=True)
+class Rows:
+    """A group's rows at a time: stable ids, values, which are alive, and until when nothing changes, if known."""
 
-    A Gaussian has its first values before it appears and its last ones after it vanished. Arrays that did not change
-    are the same objects as before.
+    group: str
+    time: float
+    ids: Ids
+    splats: UsdSplats
+    alive: Mask
+    until: float | None = None
+
+
+def follow_dynamic(census: Census, frames: Iterable[ExportFrame]) -> Iterator[Rows]:
+    """Second reading: the Gaussians that ever change, segment by segment, those that rest in it apart from the others.
+
+    A Gaussian has its first values before it appears and its last ones after it vanished, within a segment. A segment
+    ends just before the next one's first frame, with the values of that frame. Arrays that did not change are the same
+    objects as before.
     """
-    ids = census.dynamic_ids
-    values = usd_splats(census.newborn)
-    current = census.newborn
-    alive = np.zeros(len(ids), np.bool_)
-    previous: ExportFrame | None = None
-    for frame in frames:
-        if previous is None or frame.splats is not previous.splats or frame.ids is not previous.ids:
-            alive, rows, slots = _rows_of(ids, frame.ids)
-            moved = _placed(current, take_splats(_degree_0(frame.splats), rows), slots)
-            values, current = usd_splats(moved), moved
-            previous = frame
-        yield frame.index, values, alive
+    moving: _Moving | None = None
+    rested = 0
+    for number, frame in enumerate(frames):
+        if moving is not None:
+            moving.show(frame)
+        if number % SEGMENT == 0:
+            if moving is not None:
+                yield moving.rows(just_before(frame.index))
+            segment, following = number // SEGMENT, number + SEGMENT
+            # The last frame, alone in a segment, has none after it.
+            ids = census.touched[segment] if segment < len(census.touched) else np.zeros(0, np.int64)
+            if len(census.frames) > SEGMENT:
+                until = just_before(census.frames[following]) if following < len(census.frames) else None
+                resting = np.setdiff1d(np.intersect1d(census.dynamic_ids, frame.ids), ids)
+                if len(resting) == rested:
+                    # As many rows as before would be interpolated with them: one of them counts as moving.
+                    ids, resting = np.union1d(ids, resting[:1]), resting[1:]
+                rested = len(resting)
+                yield _at_rest(frame, resting, until)
+            moving = _Moving(ids, _at_places(census, ids))
+            moving.show(frame)
+        assert moving is not None
+        yield moving.rows(frame.index)
+
+
+class _Moving:
+    """The Gaussians of a segment that change in it, from frame to frame; those that are not alive keep their values."""
+
+    def __init__(self, ids: Ids, newborn: Splats) -> None:
+        self._ids, self._current = ids, newborn
+        self._values, self._alive = usd_splats(newborn), np.zeros(len(ids), np.bool_)
+        self._shown: ExportFrame | None = None
+
+    def show(self, frame: ExportFrame) -> None:
+        before, self._shown = self._shown, frame
+        if before is None or frame.splats is not before.splats or frame.ids is not before.ids:
+            self._alive, rows, slots = _rows_of(self._ids, frame.ids)
+            self._current = _placed(self._current, take_splats(_degree_0(frame.splats), rows), slots)
+            self._values = usd_splats(self._current)
+
+    def rows(self, time: float) -> Rows:
+        return Rows(DYNAMIC_GROUP, time, self._ids, self._values, self._alive)
+
+
+def _at_rest(frame: ExportFrame, ids: Ids, until: float | None) -> Rows:
+    """Who is alive throughout a segment and changes in another one only."""
+    alive, rows, _ = _rows_of(ids, frame.ids)
+    return Rows(RESTING_GROUP, frame.index, ids, usd_splats(take_splats(_degree_0(frame.splats), rows)), alive, until)
+
+
+def _at_places(census: Census, ids: Ids) -> Splats:
+    """The first values of some of those who ever change."""
+    return take_splats(census.newborn, np.searchsorted(census.dynamic_ids, ids))
+
+
+def _write_dynamic(usd: UsdWriter, census: Census, frames: Iterable[ExportFrame]) -> None:
+    largest, present = int(census.dynamic_ids.max()), dict[str, Ids]()
+    for rows in follow_dynamic(census, frames):
+        if rows.group not in present:
+            usd.add_group(rows.group, rows.ids, largest_id=largest)
+        elif rows.ids is not present[rows.group]:
+            usd.regroup(rows.group, rows.ids)
+        present[rows.group] = rows.ids
+        usd.write_frame(rows.group, rows.time, rows.splats, rows.alive, until=rows.until)
 
 
 def usd_splats(splats: Splats) -> UsdSplats:

@@ -5,7 +5,7 @@ Layout, every array in world units and in one fixed order per group::
     /World                   Xform, default prim, a component; turns the world's up to Y, and scales it to metres
     /World/<Group>           PointInstancer: positions, orientations, scales, ids, displayColor, displayOpacity
     /World/<Group>/Splat     its prototype, a Sphere of radius k: an instance is the ellipsoid at k sigma
-    /World/<Group>Points     Points in the same order: displayColor, displayOpacity, splatId; width 0
+    /World/<Group>Points     Points in the same order: displayColor, displayOpacity, splatId; widths 0
     /World/Cameras/<name>    one Camera for every camera of the rig
 
 Choices, and why:
@@ -15,10 +15,15 @@ Choices, and why:
   and ``metersPerUnit`` instead (neither -Y nor a turned world can be stated, and programs differ in heeding units).
 * *Groups.* Gaussians that never change go to one group without a single time sample, the others to a second one. Crate
   files do not compress float arrays, so this is what keeps a file proportional to motion.
-* *Fixed order, invisible ids.* A group holds every Gaussian that lives at any of its frames, always in the same rows;
-  one that is not alive is listed in ``invisibleIds``. Changing array lengths would be smaller where births and deaths
-  dominate, but readers could no longer interpolate between frames (no motion blur), and every attribute, ids included,
-  would need a sample whenever the count changes. The price: rows of the dead are written too.
+* *Fixed order, invisible ids.* A group holds every Gaussian that lives at any frame of a segment, always in the same
+  rows; one that is not alive is listed in ``invisibleIds``. Arrays whose length changes in every frame would be smaller
+  where births and deaths dominate, but readers could not interpolate between frames (no motion blur), and every
+  attribute, ids included, would need a sample whenever the count changes.
+* *Segments.* Whoever writes may give a group other rows from a frame on (`UsdWriter.regroup`): all attributes have
+  samples there, and just before it the rows until then are written as they are at that frame, so that interpolation is
+  right up to there. Without, every row that ever changes would be written in every frame, and a file would grow with
+  the square of the take. Rejected: a prim a segment with animated visibility (Blender shows them all at once), value
+  clips (many files, no .usdz, no pipe).
 * *Samples only where something changes.* An attribute's default is its first value. The first change writes the old
   value one frame earlier and then the new one, so that interpolation holds still until there.
 * *Points beside the instancer.* Blender drops every primvar of an instancer and keeps those of points (float, int,
@@ -67,6 +72,8 @@ _APERTURE = 0.36
 
 _NEAR, _FAR = 0.01, 10_000.0
 _FLUSH_BYTES = 64 << 20
+_A_MOMENT = 2.0**-10
+"""Of a frame: shorter than any shutter's samples are apart, and exact in a time code of any length."""
 _INT32_MAX = 2**31 - 1
 _PROBE_BYTES = 1 << 20
 _A_TIME = time.mktime((1980, 1, 1, 12, 0, 0, 0, 1, 0))
@@ -109,33 +116,38 @@ class _Track:
         self._attribute = attribute
         self._convert = convert
         self._value: NDArray[Any] | None = None
-        self._seen = 0
-        self._written: int | None = None
+        self._seen = 0.0
+        self._written: float | None = None
 
-    def push(self, frame: int, value: NDArray[Any]) -> int:
-        """The value at ``frame`` (frames in rising order); returns the bytes handed to USD."""
+    def push(self, time: float, value: NDArray[Any], until: float | None = None) -> int:
+        """The value at ``time`` (times in rising order), and ``until`` then; returns the bytes handed to USD."""
         before, last = self._value, self._seen
-        self._seen = frame
+        self._seen = time if until is None else until
         if before is not None and (before is value or np.array_equal(before, value)):
             return 0
         written = self._convert(value)
         self._value = value
+        bytes_out = value.nbytes
         if before is None:
             self._attribute.Set(written)
-            return value.nbytes
-        bytes_out = value.nbytes
-        if self._written is None or self._written < last:
-            self._attribute.Set(self._convert(before), last)
-            bytes_out += before.nbytes
-        self._attribute.Set(written, frame)
-        self._written = frame
+        else:
+            if self._written is None or self._written < last:
+                self._attribute.Set(self._convert(before), last)
+                bytes_out += before.nbytes
+            self._attribute.Set(written, time)
+            self._written = time
+        if until is not None:
+            self._attribute.Set(written, until)
+            self._written = until
         return bytes_out
 
 
 class _Group:
     """One instancer with its points, and the attributes of both that may change."""
 
-    def __init__(self, stage: Any, name: str, ids: NDArray[np.int64], prototype_radius: float) -> None:
+    def __init__(
+        self, stage: Any, name: str, ids: NDArray[np.int64], prototype_radius: float, *, short_ids: bool
+    ) -> None:
         from pxr import Gf, Sdf, UsdGeom, Vt
 
         path = f"/World/{name}"
@@ -144,27 +156,23 @@ class _Group:
         prototype.CreateRadiusAttr(prototype_radius)
         prototype.CreateExtentAttr([Gf.Vec3f(-prototype_radius), Gf.Vec3f(prototype_radius)])
         instancer.CreatePrototypesRel().SetTargets([prototype.GetPath()])
-        instancer.CreateProtoIndicesAttr(Vt.IntArray.FromNumpy(np.zeros(len(ids), np.int32)))
-        instancer.CreateIdsAttr(Vt.Int64Array.FromNumpy(ids))
-
         points = UsdGeom.Points.Define(stage, f"{path}Points")
         points.CreatePurposeAttr(UsdGeom.Tokens.render)
-        points.CreateWidthsAttr(Vt.FloatArray.FromNumpy(np.zeros(1, np.float32)))
-        points.SetWidthsInterpolation(UsdGeom.Tokens.constant)
+        widths = points.CreateWidthsAttr()
+        points.SetWidthsInterpolation(UsdGeom.Tokens.vertex)
 
         def primvar(prim: Any, key: str, kind: Any) -> Any:
             return UsdGeom.PrimvarsAPI(prim).CreatePrimvar(key, kind, UsdGeom.Tokens.vertex).GetAttr()
 
-        if len(ids) == 0 or 0 <= int(ids.min()) <= int(ids.max()) <= _INT32_MAX:
-            numbers = Vt.IntArray.FromNumpy(ids.astype(np.int32))
-            for prim in (instancer, points):
-                primvar(prim, "splatId", Sdf.ValueTypeNames.IntArray).Set(numbers)
-
         colour, opacity = Sdf.ValueTypeNames.Color3fArray, Sdf.ValueTypeNames.FloatArray
         vectors, floats, integers = Vt.Vec3fArray.FromNumpy, Vt.FloatArray.FromNumpy, Vt.Int64Array.FromNumpy
+        numbers = Vt.IntArray.FromNumpy
         self.ids = ids
         self._radius = prototype_radius
         self._tracks = {
+            "ids": _Track(instancer.CreateIdsAttr(), integers),
+            "prototypes": _Track(instancer.CreateProtoIndicesAttr(), numbers),
+            "widths": _Track(widths, floats),
             "positions": _Track(instancer.CreatePositionsAttr(), vectors),
             "rotations": _Track(instancer.CreateOrientationsAttr(), _quath_array),
             "scales": _Track(instancer.CreateScalesAttr(), vectors),
@@ -177,11 +185,21 @@ class _Group:
             "points_opacities": _Track(primvar(points, "displayOpacity", opacity), floats),
             "points_extent": _Track(points.CreateExtentAttr(), vectors),
         }
+        if short_ids:
+            for key, prim in (("short_ids", instancer), ("points_short_ids", points)):
+                self._tracks[key] = _Track(primvar(prim, "splatId", Sdf.ValueTypeNames.IntArray), numbers)
 
-    def push(self, frame: int, splats: UsdSplats, alive: NDArray[np.bool_]) -> int:
-        """The group at ``frame``; returns the bytes handed to USD, an upper bound of what the file grows by."""
+    def push(self, time: float, splats: UsdSplats, alive: NDArray[np.bool_], until: float | None) -> int:
+        """The group at ``time``; returns the bytes handed to USD, an upper bound of what the file grows by."""
         shown = splats if alive.all() else UsdSplats(*(value[alive] for value in vars(splats).values()))
+        count = len(self.ids)
+        short_ids = self.ids.astype(np.int32)
         values: dict[str, NDArray[Any]] = {
+            "ids": self.ids,
+            "short_ids": short_ids,
+            "points_short_ids": short_ids,
+            "prototypes": np.zeros(count, np.int32),
+            "widths": np.zeros(count, np.float32),
             "positions": splats.positions,
             "rotations": splats.rotations,
             "scales": splats.scales,
@@ -192,9 +210,18 @@ class _Group:
             "points": splats.positions,
             "points_colours": splats.colours,
             "points_opacities": splats.opacities if alive.all() else np.where(alive, splats.opacities, np.float32(0)),
-            "points_extent": np.stack([splats.positions.min(axis=0), splats.positions.max(axis=0)]),
+            "points_extent": _box(splats.positions),
         }
-        return sum(self._tracks[key].push(frame, value) for key, value in values.items())
+        # Boxes always have two corners, between which readers interpolate.
+        return sum(
+            track.push(time, values[key], until if key.endswith("extent") else None)
+            for key, track in self._tracks.items()
+        )
+
+
+def _box(positions: FloatArray) -> FloatArray:
+    """The box around points, (2, 3); at the origin where there are none."""
+    return np.stack([positions.min(axis=0), positions.max(axis=0)]) if len(positions) else np.zeros((2, 3), np.float32)
 
 
 class UsdWriter:
@@ -274,20 +301,37 @@ class UsdWriter:
             _define_camera(self._stage, path, camera)
         return paths
 
-    def add_group(self, name: str, ids: NDArray[np.int64]) -> None:
-        """Opens /World/<name> and its points for these stable ids, (N,), all different; at least one."""
-        if len(ids) == 0:
-            raise ValueError(f"group {name} has no Gaussians")
-        self._groups[name] = _Group(self._stage, name, np.ascontiguousarray(ids, np.int64), self._radius)
+    def add_group(self, name: str, ids: NDArray[np.int64], *, largest_id: int | None = None) -> None:
+        """Opens /World/<name> and its points for these stable ids, (N,), all different and none negative.
 
-    def write_frame(self, name: str, frame: int, splats: UsdSplats, alive: NDArray[np.bool_] | None = None) -> None:
-        """The group's rows at ``frame``, frames in rising order; ``alive`` (N,) hides the rows that do not exist then.
+        ``largest_id``: of any that the group will have, when `regroup` gives it others.
+        """
+        ids = np.ascontiguousarray(ids, np.int64)
+        largest = int(ids.max(initial=0)) if largest_id is None else largest_id
+        self._groups[name] = _Group(self._stage, name, ids, self._radius, short_ids=largest <= _INT32_MAX)
 
-        The first frame becomes the default value. The arrays are kept to compare with: do not change them afterwards.
+    def regroup(self, name: str, ids: NDArray[np.int64]) -> None:
+        """Other stable ids for a group, from its next frame on; write the present ones `just_before` that first."""
+        self._groups[name].ids = np.ascontiguousarray(ids, np.int64)
+
+    def write_frame(
+        self,
+        name: str,
+        time: float,
+        splats: UsdSplats,
+        alive: NDArray[np.bool_] | None = None,
+        *,
+        until: float | None = None,
+    ) -> None:
+        """The group's rows at ``time``, times in rising order; ``alive`` (N,) hides the rows that do not exist then.
+
+        The first frame becomes the default value. ``until``: the time up to which nothing of the group will change; it
+        then gets another number of rows, so that readers, which interpolate arrays of equal length only, hold it until
+        there. The arrays are kept to compare with: do not change them afterwards.
         """
         group = self._groups[name]
         shown = np.ones(len(group.ids), np.bool_) if alive is None else alive
-        self._unsaved += group.push(frame, splats, shown)
+        self._unsaved += group.push(time, splats, shown, until)
         if self._unsaved >= _FLUSH_BYTES:
             self._save()
 
@@ -342,6 +386,11 @@ class UsdWriter:
     def _close(self) -> None:
         self._groups.clear()
         self._stage = None
+
+
+def just_before(frame: int) -> float:
+    """The time at which the rows of a segment end that the next one, from ``frame`` on, has others for."""
+    return frame - _A_MOMENT
 
 
 def check_usd_request(path: Path, *, fps: float, prototype_radius: float) -> None:

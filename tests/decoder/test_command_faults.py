@@ -185,7 +185,7 @@ def test_a_signal_leaves_nothing_behind(small_stream, tmp_path: Path, kind: str,
     program = f"""
 import signal, sys, time, {module} as patched
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # ignored by what runs under nohup
-def wait(*arguments):
+def wait(*arguments, **options):
     print("waiting", flush=True)
     time.sleep(60)
 patched.{kept}.{method} = wait

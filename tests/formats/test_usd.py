@@ -136,7 +136,7 @@ def test_points_carry_only_what_blender_reads(tmp_path: Path) -> None:
         "primvars:splatId": "int[]",
     }
     assert UsdGeom.Points(points).GetPurposeAttr().Get() == "render"
-    assert list(UsdGeom.Points(points).GetWidthsAttr().Get()) == [0.0]
+    assert list(UsdGeom.Points(points).GetWidthsAttr().Get()) == [0.0] * 6
 
 
 def test_ids_beyond_int32_stay_exact_and_drop_the_short_copy(tmp_path: Path) -> None:
