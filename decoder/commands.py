@@ -40,7 +40,7 @@ def decode_main(arguments: Sequence[str] | None = None) -> int:
         prog="decogs-decode",
         description="Decode a view of a .dgs stream to pictures, one per encoded frame.",
         epilog="OUTPUT chooses the kind: a folder (PNG files), or a name ending in .png, .exr or .mp4; "
-        "x_####.exr, x_%%04d.exr and x_$F4.exr number files by frame. A pose file is described in "
+        "x_####.exr, x_%04d.exr and x_$F4.exr number files by frame. A pose file is described in "
         "decogs.decoder.free_camera.",
     )
     parser.add_argument("stream", help="the .dgs file; - for stdin")
@@ -77,7 +77,7 @@ def export_main(arguments: Sequence[str] | None = None) -> int:
         prog="decogs-export",
         description="Export a .dgs stream as USD for Blender, Houdini, usdview, or as splats for viewers.",
         epilog="OUTPUT's ending chooses: .usdc, .usda, .usd and .usdz hold all frames; .ply, .spz, .splat and .glb "
-        "one each, numbered by x_####.ply, x_%%04d.ply or 'x_$F4.ply'. docs/exports.md says what suits which program.",
+        "one each, numbered by x_####.ply, x_%04d.ply or 'x_$F4.ply'. docs/exports.md says what suits which program.",
     )
     parser.add_argument("stream", help="the .dgs file")
     parser.add_argument("-o", "--output", required=True, metavar="OUTPUT", help="the file or files; - for stdout")

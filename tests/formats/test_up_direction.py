@@ -72,6 +72,16 @@ def test_cameras_that_roll_have_their_mean_up() -> None:
     assert angle(up_of(cameras), mean / np.linalg.norm(mean)) < 1e-4
 
 
+def test_cameras_that_roll_near_an_axis_have_that() -> None:
+    rolls = (25.0, -20, 20, -20, 0, 20, -20, 20, -10)
+    places = [camera.world_to_camera for camera in an_arc(np.eye(3))]
+    places = [-(pose[:3, :3].T @ pose[:3, 3]) * [1, 1, 0.4] for pose in places]
+    cameras = [looking(place, np.zeros(3), AXES["Z"], roll) for place, roll in zip(places, rolls, strict=True)]
+    mean = np.mean([-camera.world_to_camera[1, :3] for camera in cameras], axis=0)
+    assert 5 < angle(mean / np.linalg.norm(mean), AXES["Z"]) < 15
+    np.testing.assert_array_equal(up_of(cameras), AXES["Z"])
+
+
 def test_cameras_that_do_not_tell_are_taken_for_colmaps() -> None:
     one = looking(np.array([0.0, -4, 0]), np.zeros(3), AXES["Z"])
     other = looking(np.array([0.0, -4, 0]), np.zeros(3), AXES["-Z"])
