@@ -42,7 +42,7 @@ def decode_main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("-o", "--output", required=True, metavar="OUTPUT", help="folder, .png, .exr or .mp4 to write")
     view = parser.add_mutually_exclusive_group(required=True)
     view.add_argument("--view", metavar="CAM", help="a camera of the rig, by name (decogs-info lists them)")
-    view.add_argument("--camera", metavar="POSE.JSON", help="a free camera, or a path of one camera per frame")
+    view.add_argument("--camera", metavar="POSE.JSON", help="a free camera, or a path of them (docs/cameras.md)")
     _add_frames(parser)
     _add_trust(parser)
     parser.add_argument("--scale", type=number, default=1.0, metavar="S", help="size of the pictures (default 1)")

@@ -17,7 +17,8 @@ Pixels are measured from the picture's top left corner: the centre of the first 
 a picture is (width / 2, height / 2). There is no lens distortion.
 
 A camera path is a list of such objects, all of one size: entry t is the camera of frame t, whichever frames are
-decoded.
+decoded. When every entry has a ``"frame"``, the path has a time of its own: entry k is picture k and shows that frame
+of the stream, the nearest one to a fraction. Frames may repeat (bullet time), be skipped, and run backwards.
 """
 
 from __future__ import annotations
@@ -25,8 +26,9 @@ from __future__ import annotations
 import json
 import math
 import os
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,22 +36,26 @@ from numpy.typing import NDArray
 from decogs.formats.cameras import MAX_SIDE, Camera
 from decogs.formats.errors import UsageError
 
+from .camera_path import CameraPath
+
 MAX_FILE_BYTES = 64 << 20
 FREE_CAMERA_NAME = "camera"
 
 _LENS_FIELDS = frozenset({"width", "height", "fx", "fy", "fov_y", "cx", "cy"})
 _POSE_FIELDS = ({"world_to_camera"}, {"camera_to_world"}, {"position", "look_at", "up"})
-_FIELDS = _LENS_FIELDS.union(*_POSE_FIELDS)
+_TIME = "frame"
+_FIELDS = _LENS_FIELDS.union({_TIME}, *_POSE_FIELDS)
 _RIGID_TOLERANCE = 1e-3
 _LARGEST = 1e12
+_Read = TypeVar("_Read")
 
 
 class _Wrong(Exception):
     """What is wrong with one camera; the reader adds the file and the entry."""
 
 
-def read_free_cameras(path: str | os.PathLike[str]) -> tuple[Camera, ...]:
-    """The cameras in a pose file: one for every frame of the scene alike, or a path with one per frame.
+def read_free_cameras(path: str | os.PathLike[str]) -> CameraPath:
+    """The cameras in a pose file: one for every frame of the scene alike, or a path, with times of its own or without.
 
     Raises UsageError, naming the file, the entry and the field, when anything is missing, unknown or impossible.
     """
@@ -58,16 +64,21 @@ def read_free_cameras(path: str | os.PathLike[str]) -> tuple[Camera, ...]:
     if not entries:
         raise UsageError(f"{path}: the camera path is empty; list one camera per frame")
     listed = isinstance(data, list)
-    cameras = [_named_camera(entry, f"{path}: camera {t}" if listed else f"{path}") for t, entry in enumerate(entries)]
+    places = [f"{path}: camera {t}" if listed else f"{path}" for t in range(len(entries))]
+    cameras = [_of_entry(_camera, entry, where) for entry, where in zip(entries, places, strict=True)]
+    times = [_of_entry(_time, entry, where) for entry, where in zip(entries, places, strict=True)]
     sizes = {(camera.width, camera.height) for camera in cameras}
     if len(sizes) > 1:
         raise UsageError(f"{path}: the cameras of a path must have one size, not {len(sizes)} different ones")
-    return tuple(cameras)
+    given = tuple(time for time in times if time is not None)
+    if given and len(given) < len(times):
+        raise UsageError(f"{places[times.index(None)]}: has no frame, and others have; give every entry one, or none")
+    return CameraPath(tuple(cameras), given or None, source=f"{path}")
 
 
-def _named_camera(entry: Any, where: str) -> Camera:
+def _of_entry(read: Callable[[Any], _Read], entry: Any, where: str) -> _Read:
     try:
-        return _camera(entry)
+        return read(entry)
     except _Wrong as wrong:
         raise UsageError(f"{where}: {wrong}") from None
 
@@ -96,6 +107,15 @@ def _camera(entry: Any) -> Camera:
     cx = _number(entry, "cx") if "cx" in entry else width / 2
     cy = _number(entry, "cy") if "cy" in entry else height / 2
     return Camera(FREE_CAMERA_NAME, width, height, fx, fy, cx, cy, _world_to_camera(entry))
+
+
+def _time(entry: dict[str, Any]) -> float | None:
+    if _TIME not in entry:
+        return None
+    time = _number(entry, _TIME)
+    if time < 0:
+        raise _Wrong(f"frame is {time:g}; frames count from 0")
+    return time
 
 
 def _focal_lengths(entry: dict[str, Any], height: int) -> tuple[float, float]:

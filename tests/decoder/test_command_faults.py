@@ -242,7 +242,7 @@ def test_a_pose_file_may_be_a_pipe_and_is_read_to_its_bound(tmp_path: Path) -> N
     read, write = os.pipe()
     os.write(write, json.dumps(pose).encode())
     os.close(write)
-    assert read_free_cameras(f"/dev/fd/{read}")[0].width == 4
+    assert read_free_cameras(f"/dev/fd/{read}").cameras[0].width == 4
     os.close(read)
 
 

@@ -15,6 +15,7 @@ import decogs.decoder
 from decogs.codec.lattice import dequantise
 from decogs.decoder import decode, export, info, render_view
 from decogs.decoder.commands import decode_main, export_main, info_main
+from decogs.decoder.free_camera import read_free_cameras
 from decogs.decoder.picture_output import linear_light, to_8bit
 from decogs.decoder.rasterise.incremental_view import IncrementalView
 from decogs.formats.cameras import Camera
@@ -97,6 +98,32 @@ def test_a_camera_path_has_one_camera_per_frame_of_the_stream(small_stream, tmp_
     with pytest.raises(UsageError, match="7 cameras and none for frame 7"):
         decode(small_stream.path, tmp_path / "late", camera=tmp_path / "path.json")
     assert not (tmp_path / "late").exists()
+
+
+def test_a_path_with_times_shows_their_frames(small_stream, tmp_path: Path) -> None:
+    """Bullet time around frame 3, back to frame 1, slow on from there, and across a keyframe."""
+    times = [3, 3, 3, 1, 1.25, 1.5, 1.75, 4.2, 0]
+    entries = [POSE | {"position": [k / 20, 0, 0], "frame": time} for k, time in enumerate(times)]
+    (tmp_path / "path.json").write_text(json.dumps(entries))
+    report = decode(small_stream.path, tmp_path / "o", camera=tmp_path / "path.json")
+    assert report.frame_count == len(times)
+    cameras = read_free_cameras(tmp_path / "path.json").cameras
+    for k, frame in enumerate([3, 3, 3, 1, 1, 2, 2, 4, 0]):
+        picture = read_png(tmp_path / "o" / f"camera_{k:06d}.png")
+        np.testing.assert_array_equal(picture, expected_picture(small_stream, frame, cameras[k]))
+    decode(small_stream.path, tmp_path / "some", camera=tmp_path / "path.json", frames=slice(5, 7))
+    assert sorted(os.listdir(tmp_path / "some")) == ["camera_000005.png", "camera_000006.png"]
+    five = "camera_000005.png"
+    np.testing.assert_array_equal(read_png(tmp_path / "some" / five), read_png(tmp_path / "o" / five))
+
+
+def test_a_path_with_times_needs_the_whole_stream(small_stream, tmp_path: Path) -> None:
+    (tmp_path / "path.json").write_text(json.dumps([POSE | {"frame": 0}]))
+    with pytest.raises(UsageError, match=r"path\.json: has times of its own"):
+        decode(small_stream.path, tmp_path / "o", camera=tmp_path / "path.json", follow=True)
+    with pytest.raises(UsageError, match=r"path\.json: nothing to decode, it has pictures 0:1"):
+        decode(small_stream.path, tmp_path / "o", camera=tmp_path / "path.json", frames=slice(1, 2))
+    assert not (tmp_path / "o").exists()
 
 
 def test_video_and_exr_show_the_same(small_stream, tmp_path: Path) -> None:
