@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, Union
+from typing import BinaryIO, Union
 
 from decogs.codec.header import StreamHeader
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 from decogs.formats.frame_ranges import Frames
 
-from .camera_path import CameraPath, camera_of_frame, shown_frames
+from .camera_path import CameraPath, shown_frames
+from .compositing import Ids, static_ids
 from .following import DEFAULT_IDLE, GrowingStream, follow_stream
-from .frame import DecodedFrame
 from .frame_choice import (
     OnWarning,
     check_output,
@@ -29,12 +30,10 @@ from .frame_choice import (
 )
 from .free_camera import read_free_cameras
 from .limits import DEFAULT_MAX_MEMORY
-from .picture_output import open_sink
+from .picture_output import PictureSink, open_sink
+from .shots import Shot, Show, asked_for, first_view, pictures, shots_by_frame, with_layers
 from .stream import Stream
-from .views import camera_of, render_view, scaled_view
-
-if TYPE_CHECKING:
-    from .rasterise import Rendering
+from .views import camera_of, scaled_view
 
 Cameras = Union[str, "os.PathLike[str]", Camera, Sequence[Camera], CameraPath]
 """A file of cameras, one camera for every frame, one per frame, or a path."""
@@ -94,7 +93,7 @@ def decode(
     """
     _check_colour(background)
     check_output(output, stream=stream, camera=camera)
-    show = _Show(scale, background, undistorted, threads, canonical, max_memory)
+    show = Show(scale, background, undistorted, threads, canonical, max_memory)
     if follow or not isinstance(stream, (str, os.PathLike)):
         on_damage = damage_to(on_warning)
         with follow_stream(stream, idle=idle, strict=strict, on_damage=on_damage, max_memory=max_memory) as growing:
@@ -103,34 +102,14 @@ def decode(
     with open_chosen(stream, None, strict=strict, max_memory=max_memory, on_warning=on_warning) as (opened, _):
         wanted = _wanted(opened.header, view, camera)
         chosen, shots = _chosen_shots(opened, wanted, frames)
-        first = scaled_view(camera_of(opened.header, _first_view(wanted)), scale)
+        first = scaled_view(camera_of(opened.header, first_view(wanted)), scale)
         with open_sink(output, view=first.name, frames=len(chosen), fps=_rate(opened.header, wanted)) as sink:
-            for done, (shot, picture) in enumerate(_pictures(opened.header, shots, wanted, show), start=1):
-                sink.write(shot.number, picture)
+            static = static_ids(opened.frames()) if sink.has_layers else None
+            taken = _taken(opened.header, shots(sink.has_layers), wanted, show, sink, static)
+            for done, _ in enumerate(taken, start=1):
                 if on_frame is not None:
                     on_frame(done, len(chosen))
     return DecodeReport(Path(output), first.name, len(chosen), first.width, first.height)
-
-
-@dataclass(frozen=True)
-class _Show:
-    """How pictures are rendered, whatever they show."""
-
-    scale: float
-    background: Colour | None
-    undistorted: bool
-    threads: int
-    canonical: bool
-    max_memory: int
-
-
-@dataclass(frozen=True)
-class _Shot:
-    """One picture to be taken: its number in the output, the frame it shows, and the view it shows it from."""
-
-    number: int
-    frame: DecodedFrame
-    view: str | Camera
 
 
 def _decode_growing(
@@ -138,7 +117,7 @@ def _decode_growing(
     output: str | os.PathLike[str],
     wanted: str | CameraPath,
     chosen: slice,
-    show: _Show,
+    show: Show,
     on_frame: OnFrame | None,
     on_warning: OnWarning | None,
 ) -> DecodeReport:
@@ -146,11 +125,10 @@ def _decode_growing(
         raise UsageError(
             f"{wanted.source}: has times of its own, which need the whole stream; decode its file when done"
         )
-    first, done = scaled_view(camera_of(stream.header, _first_view(wanted)), show.scale), 0
+    first, done = scaled_view(camera_of(stream.header, first_view(wanted)), show.scale), 0
     with open_sink(output, view=first.name, frames=None, fps=_rate(stream.header, wanted)) as sink:
-        shots = _shots_by_frame(islice(stream.frames(), chosen.start, chosen.stop), wanted)
-        for shot, picture in _pictures(stream.header, shots, wanted, show):
-            sink.write(shot.number, picture)
+        shots = shots_by_frame(islice(stream.frames(), chosen.start, chosen.stop), wanted)
+        for _ in _taken(stream.header, shots, wanted, show, sink, None):
             done += 1
             if on_frame is not None:
                 on_frame(done, 0)
@@ -163,46 +141,57 @@ def _decode_growing(
     return DecodeReport(Path(output), first.name, done, first.width, first.height)
 
 
-def _chosen_shots(stream: Stream, wanted: str | CameraPath, frames: Frames) -> tuple[range, Iterator[_Shot]]:
-    """The numbers of the pictures asked for, and the pictures to be taken."""
+def _chosen_shots(
+    stream: Stream, wanted: str | CameraPath, frames: Frames
+) -> tuple[range, Callable[[bool], Iterator[Shot]]]:
+    """The numbers of the pictures asked for, and those to be taken: with a neighbour on each side, or without."""
     if isinstance(wanted, CameraPath) and wanted.times is not None:
-        shown = shown_frames(wanted, stream.frame_count)
-        chosen = chosen_pictures(wanted.source, len(shown), frames)
-        coming = frames_in_any_order(stream, (shown[number] for number in chosen))
-        return chosen, (
-            _Shot(number, frame, wanted.cameras[number]) for number, frame in zip(chosen, coming, strict=True)
-        )
+        path, shown = wanted, shown_frames(wanted, stream.frame_count)
+        chosen = chosen_pictures(path.source, len(shown), frames)
+
+        def by_entry(neighbours: bool) -> Iterator[Shot]:
+            numbers = _widened(chosen, len(shown)) if neighbours else chosen
+            coming = frames_in_any_order(stream, (shown[number] for number in numbers))
+            return (Shot(number, frame, path.cameras[number]) for number, frame in zip(numbers, coming, strict=True))
+
+        return chosen, lambda neighbours: asked_for(by_entry(neighbours), chosen)
     chosen = chosen_frames(stream, frames)
-    return chosen, _shots_by_frame(stream.frames(chosen.start, chosen.stop), wanted)
+
+    def by_frame(neighbours: bool) -> Iterator[Shot]:
+        numbers = _widened(chosen, min(stream.frame_count, _cameras_for(wanted))) if neighbours else chosen
+        return shots_by_frame(stream.frames(numbers.start, numbers.stop), wanted)
+
+    return chosen, lambda neighbours: asked_for(by_frame(neighbours), chosen)
 
 
-def _shots_by_frame(frames: Iterator[DecodedFrame], wanted: str | CameraPath) -> Iterator[_Shot]:
-    """One picture of every frame, which gives it its number."""
-    for frame in frames:
-        if isinstance(wanted, CameraPath) and len(wanted.cameras) > 1:
-            yield _Shot(frame.index, frame, camera_of_frame(wanted.cameras, frame.index))
-        else:
-            yield _Shot(frame.index, frame, _first_view(wanted))
+def _widened(chosen: range, count: int) -> range:
+    return range(max(0, chosen.start - 1), max(chosen.stop, min(count, chosen.stop + 1)))
 
 
-def _pictures(
-    header: StreamHeader, shots: Iterator[_Shot], wanted: str | CameraPath, show: _Show
-) -> Iterator[tuple[_Shot, Rendering]]:
-    """Shot by shot what the camera sees; of a fixed camera's picture, only what changed is rendered again."""
-    from .played_view import PlayedView
-
-    how = {name: value for name, value in vars(show).items() if name != "canonical"}
-    is_fixed = isinstance(wanted, str) or len(wanted.cameras) == 1
-    fixed = PlayedView(header, _first_view(wanted), **vars(show)) if is_fixed else None
-    for shot in shots:
-        if fixed is not None:
-            yield shot, fixed.show(shot.frame)
-        else:
-            yield shot, render_view(header, shot.frame.splats, shot.view, **how)
+def _cameras_for(wanted: str | CameraPath) -> int:
+    """How many frames have a camera."""
+    if isinstance(wanted, str) or len(wanted.cameras) == 1:
+        return sys.maxsize
+    return len(wanted.cameras)
 
 
-def _first_view(wanted: str | CameraPath) -> str | Camera:
-    return wanted if isinstance(wanted, str) else wanted.cameras[0]
+def _taken(
+    header: StreamHeader,
+    shots: Iterator[Shot],
+    wanted: str | CameraPath,
+    show: Show,
+    sink: PictureSink,
+    static: Ids | None,
+) -> Iterator[Shot]:
+    """Writes the picture of every shot asked for, with its layers where the output holds some."""
+    if sink.has_layers:
+        for shot, picture, layers in with_layers(header, shots, wanted, show, static):
+            sink.write(shot.number, picture, layers)
+            yield shot
+    else:
+        for shot, picture in pictures(header, shots, wanted, show):
+            sink.write(shot.number, picture)
+            yield shot
 
 
 def _rate(header: StreamHeader, wanted: str | CameraPath) -> float | None:

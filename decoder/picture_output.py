@@ -9,9 +9,7 @@ a folder (no suffix)    ``<view>_<frame>.png``, one per frame, names that sort
 ``x.mp4``               a video (MPEG-4 Part 2, the one MP4 coder of OpenCV's free wheels) at the stream's frame rate
 ======================  ==============================================================================
 
-PNG and MP4 hold the display-referred picture rounded to 8 bit. EXR holds linear light (the sRGB transfer function
-undone, Rec. 709 primaries) as half R, G, B and A, premultiplied, and float Z, the depth along the view axis in world
-units, 1e10 where nothing is seen.
+PNG and MP4 hold the display-referred picture rounded to 8 bit. EXR is for compositing: ``decogs.decoder.exr_output``.
 
 Everything is written into a hidden folder beside the output and moved to its name at the end: an error or an
 interruption leaves nothing under the output's name and nothing of what stood there before is touched. Only when a
@@ -33,18 +31,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.colour import linear_from_srgb
 from decogs.formats.errors import UsageError, check_utf8
 from decogs.formats.quiet import quiet_opencv
+
+from .exr_output import Layers, save_exr
 
 if TYPE_CHECKING:
     from .rasterise import Rendering
 
 DEFAULT_FPS = 30.0
 """Frame rate of a video of a stream that does not know its own."""
-
-NOTHING_SEEN = 1e10
-"""Depth written to EXR where no splat is: far behind everything, as compositing programs expect."""
 
 _OTHER_PICTURES = frozenset(
     {".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".gif", ".webp", ".hdr", ".avi", ".mov", ".mkv", ".webm", ".m4v"}
@@ -61,10 +57,15 @@ _PNG_EFFORT = 3
 
 
 class PictureSink(ABC):
-    """Takes the frames of one view in order; ``finish`` completes what was written."""
+    """Takes the frames of one view in order; ``finish`` completes what was written.
+
+    ``has_layers``: whether ``write`` wants the layers of the picture, too.
+    """
+
+    has_layers = False
 
     @abstractmethod
-    def write(self, frame: int, rendering: Rendering) -> None:
+    def write(self, frame: int, rendering: Rendering, layers: Layers | None = None) -> None:
         """Adds the picture of the frame with this index."""
 
     @abstractmethod
@@ -105,22 +106,32 @@ def to_8bit(image: NDArray[Any]) -> NDArray[np.uint8]:
     return rounded
 
 
-def linear_light(image: NDArray[Any]) -> NDArray[np.float32]:
-    """sRGB-coded values to linear light (IEC 61966-2-1), continued above 1 and, mirrored, below 0."""
-    return np.asarray(np.copysign(linear_from_srgb(np.abs(image, dtype=np.float32)), image), dtype=np.float32)
-
-
 class _Files(PictureSink):
-    """One file per frame, by a function that writes it."""
+    """One PNG per frame."""
 
-    def __init__(self, name_of: Callable[[int], str], save: Callable[[Path, Rendering], None], folder: Path) -> None:
-        self._name_of, self._save, self._folder = name_of, save, folder
+    def __init__(self, name_of: Callable[[int], str], folder: Path) -> None:
+        self._name_of, self._folder = name_of, folder
 
-    def write(self, frame: int, rendering: Rendering) -> None:
-        self._save(self._folder / self._name_of(frame), rendering)
+    def write(self, frame: int, rendering: Rendering, layers: Layers | None = None) -> None:
+        _save_png(self._folder / self._name_of(frame), rendering)
 
     def finish(self) -> None:
         """Every file is complete as soon as it is written."""
+
+
+class _ExrFiles(_Files):
+    """One EXR per frame, with its layers."""
+
+    has_layers = True
+
+    def __init__(self, name_of: Callable[[int], str], folder: Path, fps: float) -> None:
+        super().__init__(name_of, folder)
+        self._fps = fps
+
+    def write(self, frame: int, rendering: Rendering, layers: Layers | None = None) -> None:
+        if layers is None:
+            raise ValueError("an EXR needs the layers of its picture")
+        save_exr(self._folder / self._name_of(frame), rendering, layers, fps=self._fps)
 
 
 class _OneByOne(PictureSink):
@@ -128,9 +139,10 @@ class _OneByOne(PictureSink):
 
     def __init__(self, files: _Files, staging: Path, folder: Path) -> None:
         self._files, self._staging, self._folder = files, staging, folder
+        self.has_layers = files.has_layers
 
-    def write(self, frame: int, rendering: Rendering) -> None:
-        self._files.write(frame, rendering)
+    def write(self, frame: int, rendering: Rendering, layers: Layers | None = None) -> None:
+        self._files.write(frame, rendering, layers)
         _publish(self._staging, self._folder)
 
     def finish(self) -> None:
@@ -144,7 +156,7 @@ class _Video(PictureSink):
         self._path, self._fps, self._frames = path, fps, 0
         self._writer: Any = None
 
-    def write(self, frame: int, rendering: Rendering) -> None:
+    def write(self, frame: int, rendering: Rendering, layers: Layers | None = None) -> None:
         picture = to_8bit(rendering.image)
         height, width = picture.shape[:2]
         picture = np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
@@ -202,31 +214,6 @@ def _save_png(path: Path, rendering: Rendering) -> None:
         ) from None
 
 
-def _save_exr(path: Path, rendering: Rendering, *, fps: float) -> None:
-    import OpenEXR
-
-    rgb = np.clip(linear_light(rendering.image), -65504.0, 65504.0).astype(np.float16)
-    alpha = rendering.alpha.astype(np.float16)
-    depth = np.where((rendering.alpha > 0) & (rendering.depth > 0), rendering.depth, np.float32(NOTHING_SEEN)).astype(
-        np.float32
-    )
-    channels = {"R": rgb[..., 0], "G": rgb[..., 1], "B": rgb[..., 2], "A": alpha, "Z": depth}
-    header = {
-        "type": OpenEXR.scanlineimage,
-        "compression": OpenEXR.ZIP_COMPRESSION,
-        "chromaticities": (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329),
-        "decogs:colour": "linear light, Rec. 709 primaries; the sRGB transfer function of the display-referred scene "
-        "was undone after compositing over the background",
-        "decogs:depth": f"along the view axis, world units; {NOTHING_SEEN:g} where nothing is seen",
-        "decogs:fps": f"{fps:g}",
-    }
-    try:
-        with OpenEXR.File(header, {name: np.ascontiguousarray(plane) for name, plane in channels.items()}) as file:
-            file.write(str(path))
-    except RuntimeError as error:
-        raise UsageError(f"{path.name}: the EXR cannot be written ({error}); choose another output") from None
-
-
 def _plan(
     output: str | os.PathLike[str], target: Path, view: str, frames: int | None, fps: float
 ) -> tuple[Callable[[Path], PictureSink], Path]:
@@ -242,16 +229,11 @@ def _plan(
         if target.exists() and not target.is_dir():
             raise UsageError(f"{target}: is a file, not a folder; name a folder (PNG), or a .png, .exr or .mp4 file")
         safe = _safe(view)
-        return lambda folder: _Files(lambda frame: f"{safe}_{frame:06d}.png", _save_png, folder), target
-
-    def save(path: Path, rendering: Rendering) -> None:
-        if suffix == ".png":
-            _save_png(path, rendering)
-        else:
-            _save_exr(path, rendering, fps=fps)
-
+        return lambda folder: _Files(lambda frame: f"{safe}_{frame:06d}.png", folder), target
     name_of = _numbered(target, frames)
-    return lambda folder: _Files(name_of, save, folder), target.parent
+    if suffix == ".exr":
+        return lambda folder: _ExrFiles(name_of, folder, fps), target.parent
+    return lambda folder: _Files(name_of, folder), target.parent
 
 
 def _safe(view: str) -> str:

@@ -15,8 +15,9 @@ import decogs.decoder
 from decogs.codec.lattice import dequantise
 from decogs.decoder import decode, export, info, render_view
 from decogs.decoder.commands import decode_main, export_main, info_main
+from decogs.decoder.exr_output import coverage, linear_light
 from decogs.decoder.free_camera import read_free_cameras
-from decogs.decoder.picture_output import linear_light, to_8bit
+from decogs.decoder.picture_output import to_8bit
 from decogs.decoder.rasterise.incremental_view import IncrementalView
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
@@ -143,8 +144,12 @@ def test_video_and_exr_show_the_same(small_stream, tmp_path: Path) -> None:
         small_stream.header, dequantise(small_stream.states[1], small_stream.header.lattice), "cam01"
     )
     with OpenEXR.File(str(tmp_path / "f_0001.exr"), separate_channels=True) as file:
-        red = np.array(file.channels()["R"].pixels)
-    np.testing.assert_allclose(red, linear_light(rendering.image[..., 0]), rtol=2**-11, atol=1e-7)
+        red, alpha = (np.array(file.channels()[name].pixels, np.float64) for name in "RA")
+    covered = coverage(rendering.alpha)
+    over = red + (1 - covered) * linear_light(np.array([small_stream.header.background[0]], np.float32))
+    # Half precision of a colour below 1.
+    np.testing.assert_allclose(over, linear_light(rendering.image[..., 0]), atol=2**-11)
+    np.testing.assert_allclose(alpha, covered, atol=2**-11)
 
 
 def test_an_unchanged_scene_is_not_rendered_twice(small_stream, tmp_path: Path, monkeypatch) -> None:
