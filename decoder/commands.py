@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import time
 from collections.abc import Sequence
+from pathlib import Path
 
 from decogs.formats.command_line import (
     Parser,
@@ -25,6 +27,7 @@ from decogs.formats.command_line import (
     tell,
     warn_as,
 )
+from decogs.formats.errors import UsageError
 from decogs.formats.frame_ranges import frame_range
 
 from .limits import DEFAULT_MAX_MEMORY
@@ -35,11 +38,12 @@ def decode_main(arguments: Sequence[str] | None = None) -> int:
     parser = Parser(
         prog="decogs-decode",
         description="Decode a view of a .dgs stream to pictures, one per encoded frame.",
-        epilog="OUTPUT chooses the kind: a folder (PNG files), or a name ending in .png, .exr or .mp4; "
-        "x_%%06d.exr numbers files by frame. A pose file is described in decogs.decoder.free_camera.",
+        epilog="OUTPUT chooses the kind: a folder (PNG files), or a name ending in .png, .exr, .mp4, .mov, .y4m or "
+        ".rgb; x_%%06d.exr numbers files by frame; - writes Y4M to stdout. A pose file is described in "
+        "decogs.decoder.free_camera.",
     )
     parser.add_argument("stream", help="the .dgs file; - for stdin")
-    parser.add_argument("-o", "--output", required=True, metavar="OUTPUT", help="folder, .png, .exr or .mp4 to write")
+    parser.add_argument("-o", "--output", required=True, metavar="OUTPUT", help="folder or file to write, - for stdout")
     view = parser.add_mutually_exclusive_group(required=True)
     view.add_argument("--view", metavar="CAM", help="a camera of the rig, by name (decogs-info lists them)")
     view.add_argument("--camera", metavar="POSE.JSON", help="a free camera, or a path of them (docs/cameras.md)")
@@ -53,6 +57,10 @@ def decode_main(arguments: Sequence[str] | None = None) -> int:
         action="store_true",
         help="the scene's own colours and the calibrated pose, not the exposure, white balance and shake recorded",
     )
+    parser.add_argument("--codec", choices=("h264", "hevc", "prores"), help="of a video (.mp4: h264, .mov: prores)")
+    parser.add_argument("--crf", type=number, metavar="Q", help="quality of H.264 and HEVC, 0 (best) to 51 (default 4)")
+    parser.add_argument("--chroma", choices=("420", "444"), help="of H.264 and HEVC: 420 plays in browsers (default)")
+    parser.add_argument("--audio", metavar="FILE", help="the video's sound; frame 0 is its beginning")
     parser.add_argument("--threads", type=number_of_threads, default=0, metavar="N", help="default: all processors")
     parser.add_argument(
         "--follow", action="store_true", help="decode frames as an encoder writes them; name the file it will become"
@@ -96,12 +104,18 @@ def info_main(arguments: Sequence[str] | None = None) -> int:
 def _decode(parser: Parser, options: argparse.Namespace) -> None:
     from .decoding import decode
     from .following import DEFAULT_IDLE
+    from .video_output import VideoSettings
 
     started = time.perf_counter()
+    piped = options.output == "-"
+    if piped and sys.stdout.isatty():
+        raise UsageError("-o -: this is a terminal; pipe the video into a program, or name a file")
+    audio = None if options.audio is None else Path(options.audio)
     with progress("decoding") as on_frame:
         report = decode(
             standard_input() if options.stream == "-" else options.stream,
-            options.output,
+            sys.stdout.buffer if piped else options.output,
+            video=VideoSettings(options.codec, options.crf, options.chroma, audio),
             view=options.view,
             camera=options.camera,
             frames=frame_range(options.frames),
@@ -119,7 +133,8 @@ def _decode(parser: Parser, options: argparse.Namespace) -> None:
         )
     tell(
         f"{options.output}: {counted(report.frame_count, 'frame')} of {report.view}, "
-        f"{report.width}x{report.height}, in {time.perf_counter() - started:.1f} s"
+        f"{report.width}x{report.height}, in {time.perf_counter() - started:.1f} s",
+        to_stderr=piped,
     )
 
 

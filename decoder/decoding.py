@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import BinaryIO, Union
@@ -30,9 +30,10 @@ from .frame_choice import (
 )
 from .free_camera import read_free_cameras
 from .limits import DEFAULT_MAX_MEMORY
-from .picture_output import PictureSink, open_sink
+from .picture_output import DEFAULT_FPS, PictureSink, open_sink
 from .shots import Shot, Show, asked_for, first_view, pictures, shots_by_frame, with_layers
 from .stream import Stream
+from .video_output import VideoSettings
 from .views import camera_of, scaled_view
 
 Cameras = Union[str, "os.PathLike[str]", Camera, Sequence[Camera], CameraPath]
@@ -55,7 +56,7 @@ class DecodeReport:
 
 def decode(
     stream: str | os.PathLike[str] | BinaryIO,
-    output: str | os.PathLike[str],
+    output: str | os.PathLike[str] | BinaryIO,
     *,
     view: str | None = None,
     camera: Cameras | None = None,
@@ -69,6 +70,7 @@ def decode(
     max_memory: int = DEFAULT_MAX_MEMORY,
     follow: bool = False,
     idle: float = DEFAULT_IDLE,
+    video: VideoSettings = VideoSettings(),  # noqa: B008 (frozen)
     on_frame: OnFrame | None = None,
     on_warning: OnWarning | None = None,
 ) -> DecodeReport:
@@ -82,7 +84,9 @@ def decode(
     through the calibrated pose, where the stream signals exposure, white balance or shake of the camera; otherwise what
     it recorded. ``strict`` and ``max_memory`` (bytes) are those of ``open_stream``: without ``strict``, damaged frames
     show the last good one.
-    ``on_frame(done, all)`` reports progress, ``all`` being 0 while nobody knows, and ``on_warning(text)`` damage.
+    ``video`` says how a video is encoded, and which audio it has. An ``output`` that is an open file takes uncompressed
+    video. ``on_frame(done, all)`` reports progress, ``all`` being 0 while nobody knows, and ``on_warning(text)`` damage
+    and a video that is not as good as it could be.
 
     ``follow``: each picture as soon as its packet is complete in the file that an encoder is writing as ``stream``
     (``decogs.decoder.following``), until the stream ends or nothing came for ``idle`` seconds; files of single pictures
@@ -92,32 +96,38 @@ def decode(
     appeared one by one.
     """
     _check_colour(background)
-    check_output(output, stream=stream, camera=camera)
+    if isinstance(output, (str, os.PathLike)):
+        check_output(output, stream=stream, camera=camera, audio=video.audio)
     show = Show(scale, background, undistorted, threads, canonical, max_memory)
     if follow or not isinstance(stream, (str, os.PathLike)):
         on_damage = damage_to(on_warning)
         with follow_stream(stream, idle=idle, strict=strict, on_damage=on_damage, max_memory=max_memory) as growing:
             wanted = _wanted(growing.header, view, camera)
-            return _decode_growing(growing, output, wanted, coming_frames(frames), show, on_frame, on_warning)
+            return _decode_growing(growing, output, wanted, coming_frames(frames), show, video, on_frame, on_warning)
     with open_chosen(stream, None, strict=strict, max_memory=max_memory, on_warning=on_warning) as (opened, _):
         wanted = _wanted(opened.header, view, camera)
         chosen, shots = _chosen_shots(opened, wanted, frames)
         first = scaled_view(camera_of(opened.header, first_view(wanted)), scale)
-        with open_sink(output, view=first.name, frames=len(chosen), fps=_rate(opened.header, wanted)) as sink:
+        fps = _rate(opened.header, wanted)
+        sound = replace(video, begin=chosen.start / (fps or DEFAULT_FPS))
+        with open_sink(
+            output, view=first.name, frames=len(chosen), fps=fps, video=sound, on_warning=on_warning
+        ) as sink:
             static = static_ids(opened.frames()) if sink.has_layers else None
             taken = _taken(opened.header, shots(sink.has_layers), wanted, show, sink, static)
             for done, _ in enumerate(taken, start=1):
                 if on_frame is not None:
                     on_frame(done, len(chosen))
-    return DecodeReport(Path(output), first.name, len(chosen), first.width, first.height)
+    return DecodeReport(_path(output), first.name, len(chosen), first.width, first.height)
 
 
 def _decode_growing(
     stream: GrowingStream,
-    output: str | os.PathLike[str],
+    output: str | os.PathLike[str] | BinaryIO,
     wanted: str | CameraPath,
     chosen: slice,
     show: Show,
+    video: VideoSettings,
     on_frame: OnFrame | None,
     on_warning: OnWarning | None,
 ) -> DecodeReport:
@@ -126,7 +136,9 @@ def _decode_growing(
             f"{wanted.source}: has times of its own, which need the whole stream; decode its file when done"
         )
     first, done = scaled_view(camera_of(stream.header, first_view(wanted)), show.scale), 0
-    with open_sink(output, view=first.name, frames=None, fps=_rate(stream.header, wanted)) as sink:
+    fps = _rate(stream.header, wanted)
+    sound = replace(video, begin=chosen.start / (fps or DEFAULT_FPS))
+    with open_sink(output, view=first.name, frames=None, fps=fps, video=sound, on_warning=on_warning) as sink:
         shots = shots_by_frame(islice(stream.frames(), chosen.start, chosen.stop), wanted)
         for _ in _taken(stream.header, shots, wanted, show, sink, None):
             done += 1
@@ -138,7 +150,7 @@ def _decode_growing(
             raise UsageError(f"{stream.name}: nothing to decode, no such frame came{cut}")
     if on_warning is not None and not stream.ended and (chosen.stop is None or chosen.start + done < chosen.stop):
         on_warning(f"{stream.name}: nothing more came, and no end packet; {done} pictures were written")
-    return DecodeReport(Path(output), first.name, done, first.width, first.height)
+    return DecodeReport(_path(output), first.name, done, first.width, first.height)
 
 
 def _chosen_shots(
@@ -192,6 +204,10 @@ def _taken(
         for shot, picture in pictures(header, shots, wanted, show):
             sink.write(shot.number, picture)
             yield shot
+
+
+def _path(output: str | os.PathLike[str] | BinaryIO) -> Path:
+    return Path(output) if isinstance(output, (str, os.PathLike)) else Path("-")
 
 
 def _rate(header: StreamHeader, wanted: str | CameraPath) -> float | None:

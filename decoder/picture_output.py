@@ -1,4 +1,4 @@
-"""Writes decoded frames as pictures: a folder of PNG, single PNG or EXR files, or an MP4, chosen by the output's name.
+"""Writes decoded frames as pictures: a folder of PNG, single PNG or EXR files, or a video, chosen by the output's name.
 
 ======================  ==============================================================================
 output                  what is written
@@ -6,10 +6,13 @@ output                  what is written
 a folder (no suffix)    ``<view>_<frame>.png``, one per frame, names that sort
 ``x.png``, ``x.exr``    that file for a single frame, ``x_<frame>.png`` and so on for several
 ``x_%06d.exr``          one file per frame, the frame's index in place of the pattern (.png as well)
-``x.mp4``               a video (MPEG-4 Part 2, the one MP4 coder of OpenCV's free wheels) at the stream's frame rate
+``x.mp4``, ``x.mov``    a video at the stream's frame rate, see ``decogs.decoder.video_output``; without its extra
+                        an MP4 of MPEG-4 Part 2, the one MP4 coder of OpenCV's free wheels, with a warning
+``x.y4m``, ``x.rgb``    uncompressed video, see ``decogs.decoder.raw_video``; an open file takes Y4M
 ======================  ==============================================================================
 
-PNG and MP4 hold the display-referred picture rounded to 8 bit. EXR is for compositing: ``decogs.decoder.exr_output``.
+PNG and videos hold the display-referred picture rounded to 8 bit. EXR is for compositing, see
+``decogs.decoder.exr_output``.
 
 Everything is written into a hidden folder beside the output and moved to its name at the end: an error or an
 interruption leaves nothing under the output's name and nothing of what stood there before is touched. Only when a
@@ -26,7 +29,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,22 +38,27 @@ from decogs.formats.errors import UsageError, check_utf8
 from decogs.formats.quiet import quiet_opencv
 
 from .exr_output import Layers, save_exr
+from .raw_video import RawVideo
+from .video_output import CODECS, Movie, VideoSettings, check_settings, has_ffmpeg
 
 if TYPE_CHECKING:
     from .rasterise import Rendering
+
+OnWarning = Callable[[str], None]
 
 DEFAULT_FPS = 30.0
 """Frame rate of a video of a stream that does not know its own."""
 
 _OTHER_PICTURES = frozenset(
-    {".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".gif", ".webp", ".hdr", ".avi", ".mov", ".mkv", ".webm", ".m4v"}
+    {".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".gif", ".webp", ".hdr", ".avi", ".mkv", ".webm", ".m4v"}
 )
+_RAW = frozenset({".y4m", ".rgb"})
 _PATTERN = re.compile(r"%(0[1-9])?d")
 _LONGEST_VIEW = 200
 """Bytes of a view's name in a file name, which may have 255 in all."""
 
 _SLOWEST, _FASTEST = 0.01, 1000.0
-"""Frames per second that every MP4 coder takes; its time stamps have 16 bits of fraction."""
+"""Frames per second that every video coder takes; its time stamps have 16 bits of fraction."""
 
 _PNG_EFFORT = 3
 """zlib level of PNG files: a little larger than the default's, three times as fast."""
@@ -75,16 +83,28 @@ class PictureSink(ABC):
 
 @contextmanager
 def open_sink(
-    output: str | os.PathLike[str], *, view: str, frames: int | None, fps: float | None
+    output: str | os.PathLike[str] | BinaryIO,
+    *,
+    view: str,
+    frames: int | None,
+    fps: float | None,
+    video: VideoSettings = VideoSettings(),  # noqa: B008 (frozen)
+    on_warning: OnWarning | None = None,
 ) -> Iterator[PictureSink]:
     """A sink for ``frames`` pictures of ``view``, whose files appear under ``output`` when the block ends well.
 
-    ``frames`` None: nobody knows how many will come. Files of single pictures then appear each as soon as it is whole.
+    An open file takes uncompressed video as it comes. ``video``: how a video is encoded. ``frames`` None: nobody knows
+    how many will come. Files of single pictures then appear each as soon as it is whole.
 
     Raises UsageError when the output's kind is unknown or it cannot be written.
     """
+    if not isinstance(output, (str, os.PathLike)):
+        check_settings("", video)
+        yield _Raw(RawVideo(output, fps or DEFAULT_FPS, y4m=True), None)
+        output.flush()
+        return
     target = Path(output)
-    create, folder = _plan(output, target, view, frames, fps or DEFAULT_FPS)
+    create, folder = _plan(output, target, view, frames, fps or DEFAULT_FPS, video, on_warning)
     try:
         staging = Path(tempfile.mkdtemp(prefix=".decogs-", dir=_existing_folder(target.parent)))
     except OSError as error:
@@ -149,17 +169,43 @@ class _OneByOne(PictureSink):
         """Every file is in place already."""
 
 
+class _Movie(PictureSink):
+    """A video by FFmpeg. 4:2:0 needs even sizes: an odd picture repeats its last row or column."""
+
+    def __init__(self, path: Path, fps: float, settings: VideoSettings) -> None:
+        _check_rate(path, fps)
+        self._movie = Movie(path, fps, settings)
+
+    def write(self, frame: int, rendering: Rendering, layers: Layers | None = None) -> None:
+        self._movie.write(_even(to_8bit(rendering.image)))
+
+    def finish(self) -> None:
+        self._movie.finish()
+
+
+class _Raw(PictureSink):
+    """Uncompressed video; closes the file where it is its own."""
+
+    def __init__(self, video: RawVideo, own: BinaryIO | None) -> None:
+        self._video, self._own = video, own
+
+    def write(self, frame: int, rendering: Rendering, layers: Layers | None = None) -> None:
+        self._video.write(to_8bit(rendering.image))
+
+    def finish(self) -> None:
+        if self._own is not None:
+            self._own.close()
+
+
 class _Video(PictureSink):
-    """An MP4. Its coder needs even sizes: an odd picture repeats its last row or column, nothing is cut off."""
+    """An MP4 by OpenCV, whose coder needs even sizes: an odd picture repeats its last row or column."""
 
     def __init__(self, path: Path, fps: float) -> None:
         self._path, self._fps, self._frames = path, fps, 0
         self._writer: Any = None
 
     def write(self, frame: int, rendering: Rendering, layers: Layers | None = None) -> None:
-        picture = to_8bit(rendering.image)
-        height, width = picture.shape[:2]
-        picture = np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+        picture = _even(to_8bit(rendering.image))
         if self._writer is None:
             self._writer = self._open(picture.shape[1], picture.shape[0])
         with quiet_opencv():
@@ -186,11 +232,7 @@ class _Video(PictureSink):
     def _open(self, width: int, height: int) -> Any:
         import cv2
 
-        if not _SLOWEST <= self._fps <= _FASTEST:
-            raise UsageError(
-                f"{self._path.name}: an MP4 cannot have the stream's {self._fps:g} frames per second; "
-                "write PNG to a folder"
-            )
+        _check_rate(self._path, self._fps)
         with quiet_opencv():
             fourcc = cv2.VideoWriter.fourcc(*"mp4v")
             writer = cv2.VideoWriter(str(self._path), fourcc, self._fps, (width, height))
@@ -199,6 +241,18 @@ class _Video(PictureSink):
                 f"{self._path.name}: OpenCV cannot write an MP4 of {width}x{height} pixels here; write PNG to a folder"
             )
         return writer
+
+
+def _even(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    height, width = picture.shape[:2]
+    return np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+
+
+def _check_rate(path: Path, fps: float) -> None:
+    if not _SLOWEST <= fps <= _FASTEST:
+        raise UsageError(
+            f"{path.name}: a video cannot have the stream's {fps:g} frames per second; write PNG to a folder"
+        )
 
 
 def _save_png(path: Path, rendering: Rendering) -> None:
@@ -215,25 +269,49 @@ def _save_png(path: Path, rendering: Rendering) -> None:
 
 
 def _plan(
-    output: str | os.PathLike[str], target: Path, view: str, frames: int | None, fps: float
+    output: str | os.PathLike[str],
+    target: Path,
+    view: str,
+    frames: int | None,
+    fps: float,
+    video: VideoSettings,
+    on_warning: OnWarning | None,
 ) -> tuple[Callable[[Path], PictureSink], Path]:
     """How to make the sink in a staging folder, and the folder that its files are to be moved to."""
     suffix = "" if str(output).endswith(("/", os.sep)) or target.is_dir() else target.suffix.lower()
     if suffix in _OTHER_PICTURES:
-        raise UsageError(f"{target}: {suffix} is not written; name a folder (PNG), or a .png, .exr or .mp4 file")
-    if suffix in (".mp4", ".exr"):
+        raise UsageError(
+            f"{target}: {suffix} is not written; name a folder (PNG), or a .png, .exr, .mp4, .mov or .y4m file"
+        )
+    check_settings(suffix, video)
+    if suffix in (".mp4", ".mov", ".exr"):
         check_utf8(target)
-    if suffix == ".mp4":
+    if suffix in CODECS:
+        if has_ffmpeg():
+            return lambda folder: _Movie(folder / target.name, fps, video), target.parent
+        if on_warning is not None:
+            on_warning(
+                f"{target}: is MPEG-4 Part 2, which browsers do not play; pip install 'decogs[video]' writes H.264"
+            )
         return lambda folder: _Video(folder / target.name, fps), target.parent
+    if suffix in _RAW:
+        return lambda folder: _raw_file(folder / target.name, fps), target.parent
     if suffix not in (".png", ".exr"):
         if target.exists() and not target.is_dir():
-            raise UsageError(f"{target}: is a file, not a folder; name a folder (PNG), or a .png, .exr or .mp4 file")
+            raise UsageError(
+                f"{target}: is a file, not a folder; name a folder (PNG), or a .png, .exr, .mp4, .mov or .y4m file"
+            )
         safe = _safe(view)
         return lambda folder: _Files(lambda frame: f"{safe}_{frame:06d}.png", folder), target
     name_of = _numbered(target, frames)
     if suffix == ".exr":
         return lambda folder: _ExrFiles(name_of, folder, fps), target.parent
     return lambda folder: _Files(name_of, folder), target.parent
+
+
+def _raw_file(path: Path, fps: float) -> _Raw:
+    file = path.open("wb")
+    return _Raw(RawVideo(file, fps, y4m=path.suffix.lower() == ".y4m"), file)
 
 
 def _safe(view: str) -> str:
