@@ -9,6 +9,9 @@ from dataclasses import dataclass
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 
+DEFAULT_FPS = 30.0
+"""Frame rate of a stream that does not know its own."""
+
 
 @dataclass(frozen=True)
 class CameraPath:
@@ -23,6 +26,20 @@ class CameraPath:
     times: tuple[float, ...] | None = None
     fps: float | None = None
     source: str = "the camera path"
+
+
+@dataclass(frozen=True)
+class ToFilm:
+    """What a path may need to know of the stream it films: its cameras, and its frames; both None where unknown."""
+
+    cameras: tuple[Camera, ...]
+    fps: float | None = None
+    frame_count: int | None = None
+
+    def frame_at(self, seconds: float) -> float:
+        """The frame that plays at a time from the stream's beginning; the first and the last one hold."""
+        frame = max(0.0, seconds * (self.fps or DEFAULT_FPS))
+        return frame if self.frame_count is None else min(frame, float(self.frame_count - 1))
 
 
 def shown_frames(path: CameraPath, frame_count: int) -> list[int]:

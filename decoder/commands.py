@@ -46,7 +46,9 @@ def decode_main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("-o", "--output", required=True, metavar="OUTPUT", help="folder or file to write, - for stdout")
     view = parser.add_mutually_exclusive_group(required=True)
     view.add_argument("--view", metavar="CAM", help="a camera of the rig, by name (decogs-info lists them)")
-    view.add_argument("--camera", metavar="POSE.JSON", help="a free camera, or a path of them (docs/cameras.md)")
+    view.add_argument(
+        "--camera", metavar="FILE", help="a free camera or a path of them: pose.json, nerfstudio, USD (docs/cameras.md)"
+    )
     _add_frames(parser)
     _add_trust(parser)
     parser.add_argument("--scale", type=number, default=1.0, metavar="S", help="size of the pictures (default 1)")

@@ -15,7 +15,8 @@ from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 from decogs.formats.frame_ranges import Frames
 
-from .camera_path import CameraPath, shown_frames
+from .camera_files import camera_file, read_camera_file
+from .camera_path import DEFAULT_FPS, CameraPath, ToFilm, shown_frames
 from .compositing import Ids, static_ids
 from .following import DEFAULT_IDLE, GrowingStream, follow_stream
 from .frame_choice import (
@@ -28,9 +29,8 @@ from .frame_choice import (
     frames_in_any_order,
     open_chosen,
 )
-from .free_camera import read_free_cameras
 from .limits import DEFAULT_MAX_MEMORY
-from .picture_output import DEFAULT_FPS, PictureSink, open_sink
+from .picture_output import PictureSink, open_sink
 from .shots import Shot, Show, asked_for, first_view, pictures, shots_by_frame, with_layers
 from .stream import Stream
 from .video_output import VideoSettings
@@ -97,15 +97,16 @@ def decode(
     """
     _check_colour(background)
     if isinstance(output, (str, os.PathLike)):
-        check_output(output, stream=stream, camera=camera, audio=video.audio)
+        named = camera_file(camera)[0] if isinstance(camera, (str, os.PathLike)) else None
+        check_output(output, stream=stream, camera=named, audio=video.audio)
     show = Show(scale, background, undistorted, threads, canonical, max_memory)
     if follow or not isinstance(stream, (str, os.PathLike)):
         on_damage = damage_to(on_warning)
         with follow_stream(stream, idle=idle, strict=strict, on_damage=on_damage, max_memory=max_memory) as growing:
-            wanted = _wanted(growing.header, view, camera)
+            wanted = _wanted(growing.header, view, camera, None)
             return _decode_growing(growing, output, wanted, coming_frames(frames), show, video, on_frame, on_warning)
     with open_chosen(stream, None, strict=strict, max_memory=max_memory, on_warning=on_warning) as (opened, _):
-        wanted = _wanted(opened.header, view, camera)
+        wanted = _wanted(opened.header, view, camera, opened.frame_count)
         chosen, shots = _chosen_shots(opened, wanted, frames)
         first = scaled_view(camera_of(opened.header, first_view(wanted)), scale)
         fps = _rate(opened.header, wanted)
@@ -216,9 +217,7 @@ def _rate(header: StreamHeader, wanted: str | CameraPath) -> float | None:
 
 
 def _wanted(
-    header: StreamHeader,
-    view: str | None,
-    camera: str | os.PathLike[str] | Camera | Sequence[Camera] | CameraPath | None,
+    header: StreamHeader, view: str | None, camera: Cameras | None, frame_count: int | None
 ) -> str | CameraPath:
     """The rig camera's name, or the free camera or camera path asked for."""
     if (view is None) == (camera is None):
@@ -231,7 +230,7 @@ def _wanted(
     if isinstance(camera, Camera):
         return CameraPath((camera,))
     if isinstance(camera, (str, os.PathLike)):
-        return read_free_cameras(camera)
+        return read_camera_file(camera, ToFilm(header.cameras, header.fps, frame_count))
     if not camera:
         raise UsageError("the camera path is empty; list one camera per frame")
     return CameraPath(tuple(camera))

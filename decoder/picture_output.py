@@ -37,6 +37,7 @@ from numpy.typing import NDArray
 from decogs.formats.errors import UsageError, check_utf8
 from decogs.formats.quiet import quiet_opencv
 
+from .camera_path import DEFAULT_FPS as DEFAULT_FPS
 from .exr_output import Layers, save_exr
 from .raw_video import RawVideo
 from .video_output import CODECS, Movie, VideoSettings, check_settings, has_ffmpeg
@@ -45,9 +46,6 @@ if TYPE_CHECKING:
     from .rasterise import Rendering
 
 OnWarning = Callable[[str], None]
-
-DEFAULT_FPS = 30.0
-"""Frame rate of a video of a stream that does not know its own."""
 
 _OTHER_PICTURES = frozenset(
     {".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".gif", ".webp", ".hdr", ".avi", ".mkv", ".webm", ".m4v"}
