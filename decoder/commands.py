@@ -49,6 +49,8 @@ def decode_main(arguments: Sequence[str] | None = None) -> int:
     view.add_argument(
         "--camera", metavar="FILE", help="a free camera or a path of them: pose.json, nerfstudio, USD (docs/cameras.md)"
     )
+    view.add_argument("--orbit", dest="move", action="store_const", const="orbit", help="a swing around the scene")
+    view.add_argument("--spiral", dest="move", action="store_const", const="spiral", help="small circles before it")
     _add_frames(parser)
     _add_trust(parser)
     parser.add_argument("--scale", type=number, default=1.0, metavar="S", help="size of the pictures (default 1)")
@@ -120,6 +122,7 @@ def _decode(parser: Parser, options: argparse.Namespace) -> None:
             video=VideoSettings(options.codec, options.crf, options.chroma, audio),
             view=options.view,
             camera=options.camera,
+            move=options.move,
             frames=frame_range(options.frames),
             scale=options.scale,
             background=options.background,

@@ -16,6 +16,7 @@ from decogs.formats.errors import UsageError
 from decogs.formats.frame_ranges import Frames
 
 from .camera_files import camera_file, read_camera_file
+from .camera_moves import Move, camera_move
 from .camera_path import DEFAULT_FPS, CameraPath, ToFilm, shown_frames
 from .compositing import Ids, static_ids
 from .following import DEFAULT_IDLE, GrowingStream, follow_stream
@@ -60,6 +61,7 @@ def decode(
     *,
     view: str | None = None,
     camera: Cameras | None = None,
+    move: Move | None = None,
     frames: Frames = None,
     scale: float = 1.0,
     background: Colour | None = None,
@@ -77,9 +79,10 @@ def decode(
     """Writes the pictures of one view of a stream, one per encoded frame, or one per entry of a path with times.
 
     ``view`` names a camera of the rig; ``camera`` is a file of cameras, a Camera, a list of them with one per frame of
-    the stream, or a CameraPath. ``output`` chooses the kind of file, see ``decogs.decoder.picture_output``. ``frames``:
-    those of the stream, or the pictures of a path with times; consecutive ones, as a slice or a range; None for all.
-    ``background``: display-referred RGB in 0..1, the stream's when None.
+    the stream, or a CameraPath; ``move`` is one made from the rig, "orbit" or "spiral". ``output`` chooses the kind of
+    file, see ``decogs.decoder.picture_output``. ``frames``: those of the stream, or the pictures of a path with times;
+    consecutive ones, as a slice or a range; None for all. ``background``: display-referred RGB in 0..1, the stream's
+    when None.
     ``undistorted``: without the rig camera's lens distortion. ``canonical``: in the scene's own colours and
     through the calibrated pose, where the stream signals exposure, white balance or shake of the camera; otherwise what
     it recorded. ``strict`` and ``max_memory`` (bytes) are those of ``open_stream``: without ``strict``, damaged frames
@@ -103,10 +106,10 @@ def decode(
     if follow or not isinstance(stream, (str, os.PathLike)):
         on_damage = damage_to(on_warning)
         with follow_stream(stream, idle=idle, strict=strict, on_damage=on_damage, max_memory=max_memory) as growing:
-            wanted = _wanted(growing.header, view, camera, None)
+            wanted = _wanted(growing.header, view, camera, move, None)
             return _decode_growing(growing, output, wanted, coming_frames(frames), show, video, on_frame, on_warning)
     with open_chosen(stream, None, strict=strict, max_memory=max_memory, on_warning=on_warning) as (opened, _):
-        wanted = _wanted(opened.header, view, camera, opened.frame_count)
+        wanted = _wanted(opened.header, view, camera, move, opened.frame_count)
         chosen, shots = _chosen_shots(opened, wanted, frames)
         first = scaled_view(camera_of(opened.header, first_view(wanted)), scale)
         fps = _rate(opened.header, wanted)
@@ -217,20 +220,23 @@ def _rate(header: StreamHeader, wanted: str | CameraPath) -> float | None:
 
 
 def _wanted(
-    header: StreamHeader, view: str | None, camera: Cameras | None, frame_count: int | None
+    header: StreamHeader, view: str | None, camera: Cameras | None, move: Move | None, frame_count: int | None
 ) -> str | CameraPath:
     """The rig camera's name, or the free camera or camera path asked for."""
-    if (view is None) == (camera is None):
+    if [view, camera, move].count(None) != 2:
         names = ", ".join(rig_camera.name for rig_camera in header.cameras[:40])
         raise UsageError(f"choose one view: a camera of the rig ({names}), or a free camera from a pose file")
+    film = ToFilm(header.cameras, header.fps, frame_count)
     if view is not None:
         return view
+    if move is not None:
+        return camera_move(move, film)
     if isinstance(camera, CameraPath):
         return camera
     if isinstance(camera, Camera):
         return CameraPath((camera,))
     if isinstance(camera, (str, os.PathLike)):
-        return read_camera_file(camera, ToFilm(header.cameras, header.fps, frame_count))
+        return read_camera_file(camera, film)
     if not camera:
         raise UsageError("the camera path is empty; list one camera per frame")
     return CameraPath(tuple(camera))
