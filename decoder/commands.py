@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from decogs.formats.command_line import (
     Parser,
@@ -31,6 +32,9 @@ from decogs.formats.errors import UsageError
 from decogs.formats.frame_ranges import frame_range
 
 from .limits import DEFAULT_MAX_MEMORY
+
+if TYPE_CHECKING:
+    from .layouts import Layout
 
 
 def decode_main(arguments: Sequence[str] | None = None) -> int:
@@ -55,6 +59,9 @@ def decode_main(arguments: Sequence[str] | None = None) -> int:
     _add_trust(parser)
     parser.add_argument("--scale", type=number, default=1.0, metavar="S", help="size of the pictures (default 1)")
     parser.add_argument("--background", type=_colour, metavar="R,G,B", help="0 to 1 each (default: the stream's)")
+    layout = parser.add_mutually_exclusive_group()
+    layout.add_argument("--stereo", type=number, metavar="BASELINE", help="two eyes side by side, world units apart")
+    layout.add_argument("--equirectangular", action="store_true", help="360 degrees around the camera's place")
     parser.add_argument("--undistorted", action="store_true", help="leave out the rig camera's lens distortion")
     parser.add_argument(
         "--canonical",
@@ -119,6 +126,7 @@ def _decode(parser: Parser, options: argparse.Namespace) -> None:
         report = decode(
             standard_input() if options.stream == "-" else options.stream,
             sys.stdout.buffer if piped else options.output,
+            layout=_layout(options),
             video=VideoSettings(options.codec, options.crf, options.chroma, audio),
             view=options.view,
             camera=options.camera,
@@ -141,6 +149,14 @@ def _decode(parser: Parser, options: argparse.Namespace) -> None:
         f"{report.width}x{report.height}, in {time.perf_counter() - started:.1f} s",
         to_stderr=piped,
     )
+
+
+def _layout(options: argparse.Namespace) -> Layout | None:
+    from .layouts import Equirectangular, Stereo
+
+    if options.equirectangular:
+        return Equirectangular()
+    return None if options.stereo is None else Stereo(options.stereo)
 
 
 def _export(parser: Parser, options: argparse.Namespace) -> None:

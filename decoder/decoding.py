@@ -30,12 +30,12 @@ from .frame_choice import (
     frames_in_any_order,
     open_chosen,
 )
+from .layouts import Layout
 from .limits import DEFAULT_MAX_MEMORY
 from .picture_output import PictureSink, open_sink
-from .shots import Shot, Show, asked_for, first_view, pictures, shots_by_frame, with_layers
+from .shots import Shot, Show, asked_for, picture_camera, pictures, shots_by_frame, with_layers
 from .stream import Stream
 from .video_output import VideoSettings
-from .views import camera_of, scaled_view
 
 Cameras = Union[str, "os.PathLike[str]", Camera, Sequence[Camera], CameraPath]
 """A file of cameras, one camera for every frame, one per frame, or a path."""
@@ -72,6 +72,7 @@ def decode(
     max_memory: int = DEFAULT_MAX_MEMORY,
     follow: bool = False,
     idle: float = DEFAULT_IDLE,
+    layout: Layout | None = None,
     video: VideoSettings = VideoSettings(),  # noqa: B008 (frozen)
     on_frame: OnFrame | None = None,
     on_warning: OnWarning | None = None,
@@ -86,10 +87,10 @@ def decode(
     ``undistorted``: without the rig camera's lens distortion. ``canonical``: in the scene's own colours and
     through the calibrated pose, where the stream signals exposure, white balance or shake of the camera; otherwise what
     it recorded. ``strict`` and ``max_memory`` (bytes) are those of ``open_stream``: without ``strict``, damaged frames
-    show the last good one.
-    ``video`` says how a video is encoded, and which audio it has. An ``output`` that is an open file takes uncompressed
-    video. ``on_frame(done, all)`` reports progress, ``all`` being 0 while nobody knows, and ``on_warning(text)`` damage
-    and a video that is not as good as it could be.
+    show the last good one. ``layout``: a picture of several renderings (``decogs.decoder.layouts``). ``video`` says how
+    a video is encoded, and which audio it has. An ``output`` that is an open file takes uncompressed video.
+    ``on_frame(done, all)`` reports progress, ``all`` being 0 while nobody knows, and ``on_warning(text)`` damage and a
+    video that is not as good as it could be.
 
     ``follow``: each picture as soon as its packet is complete in the file that an encoder is writing as ``stream``
     (``decogs.decoder.following``), until the stream ends or nothing came for ``idle`` seconds; files of single pictures
@@ -102,7 +103,9 @@ def decode(
     if isinstance(output, (str, os.PathLike)):
         named = camera_file(camera)[0] if isinstance(camera, (str, os.PathLike)) else None
         check_output(output, stream=stream, camera=named, audio=video.audio)
-    show = Show(scale, background, undistorted, threads, canonical, max_memory)
+    show = Show(scale, background, undistorted, threads, canonical, max_memory, layout)
+    if layout is not None:
+        layout.check()
     if follow or not isinstance(stream, (str, os.PathLike)):
         on_damage = damage_to(on_warning)
         with follow_stream(stream, idle=idle, strict=strict, on_damage=on_damage, max_memory=max_memory) as growing:
@@ -111,7 +114,7 @@ def decode(
     with open_chosen(stream, None, strict=strict, max_memory=max_memory, on_warning=on_warning) as (opened, _):
         wanted = _wanted(opened.header, view, camera, move, opened.frame_count)
         chosen, shots = _chosen_shots(opened, wanted, frames)
-        first = scaled_view(camera_of(opened.header, first_view(wanted)), scale)
+        first = picture_camera(opened.header, wanted, show)
         fps = _rate(opened.header, wanted)
         sound = replace(video, begin=chosen.start / (fps or DEFAULT_FPS))
         with open_sink(
@@ -139,7 +142,7 @@ def _decode_growing(
         raise UsageError(
             f"{wanted.source}: has times of its own, which need the whole stream; decode its file when done"
         )
-    first, done = scaled_view(camera_of(stream.header, first_view(wanted)), show.scale), 0
+    first, done = picture_camera(stream.header, wanted, show), 0
     fps = _rate(stream.header, wanted)
     sound = replace(video, begin=chosen.start / (fps or DEFAULT_FPS))
     with open_sink(output, view=first.name, frames=None, fps=fps, video=sound, on_warning=on_warning) as sink:
@@ -200,6 +203,8 @@ def _taken(
     static: Ids | None,
 ) -> Iterator[Shot]:
     """Writes the picture of every shot asked for, with its layers where the output holds some."""
+    if sink.has_layers and show.layout is not None:
+        raise UsageError("a stereo or 360 degree picture is no EXR; write PNG or a video")
     if sink.has_layers:
         for shot, picture, layers in with_layers(header, shots, wanted, show, static):
             sink.write(shot.number, picture, layers)

@@ -5,18 +5,30 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from decogs.codec.corrections import Correction
 from decogs.codec.header import StreamHeader
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import FloatArray
 
+from .camera_corrections import with_recorded_colours
 from .camera_path import CameraPath, camera_of_frame
 from .compositing import Ids, dynamic_part, motion_to
 from .exr_output import Layers
 from .frame import DecodedFrame
-from .views import correction_of, max_pairs, recorded_colour, render_view, standing_camera, view_plan
+from .layouts import Layout
+from .limits import check_picture
+from .views import (
+    camera_of,
+    correction_of,
+    max_pairs,
+    recorded_colour,
+    render_view,
+    scaled_view,
+    standing_camera,
+    view_plan,
+)
 
 if TYPE_CHECKING:
     from .rasterise import Rendering
@@ -32,6 +44,12 @@ class Show:
     threads: int
     canonical: bool
     max_memory: int
+    layout: Layout | None = None
+
+    @property
+    def of_view(self) -> dict[str, Any]:
+        """What ``render_view`` and ``PlayedView`` both take."""
+        return {name: value for name, value in vars(self).items() if name not in ("canonical", "layout")}
 
 
 @dataclass(frozen=True)
@@ -72,14 +90,35 @@ def pictures(
     """Shot by shot what the camera sees; of a fixed camera's picture, only what changed is rendered again."""
     from .played_view import PlayedView
 
-    how = {name: value for name, value in vars(show).items() if name != "canonical"}
+    if show.layout is not None:
+        yield from ((shot, _laid_out(header, shot, show, show.layout)) for shot in shots)
+        return
     is_fixed = isinstance(wanted, str) or len(wanted.cameras) == 1
-    fixed = PlayedView(header, first_view(wanted), **vars(show)) if is_fixed else None
+    fixed = PlayedView(header, first_view(wanted), **show.of_view, canonical=show.canonical) if is_fixed else None
     for shot in shots:
         if fixed is not None:
             yield shot, fixed.show(shot.frame)
         else:
-            yield shot, render_view(header, shot.frame.splats, shot.view, **how)
+            yield shot, render_view(header, shot.frame.splats, shot.view, **show.of_view)
+
+
+def picture_camera(header: StreamHeader, wanted: str | CameraPath, show: Show) -> Camera:
+    """A camera of the name and size of every picture; raises UsageError when that is no size a picture can have."""
+    camera = scaled_view(camera_of(header, first_view(wanted)), show.scale)
+    if show.layout is None:
+        return camera
+    whole = show.layout.picture_of(camera)
+    check_picture(whole, show.max_memory, lens=True, layers=True)  # a layout's own tables and sums
+    return whole
+
+
+def _laid_out(header: StreamHeader, shot: Shot, show: Show, layout: Layout) -> Rendering:
+    """The picture of several renderings, with what the view's camera recorded of colours."""
+    correction = _correction(header, shot, show)
+    camera = standing_camera(header, shot.view, scale=show.scale, undistorted=show.undistorted, correction=correction)
+    how = show.of_view | {"scale": 1.0, "undistorted": False}
+    seen = layout.render(header, shot.frame.splats, camera, how)
+    return seen if correction is None else with_recorded_colours(seen, correction)
 
 
 def with_layers(
@@ -111,6 +150,7 @@ def _layers(
 ) -> Layers:
     correction = _correction(header, shot, show)
     plan = view_plan(header, shot.view, scale=show.scale, undistorted=show.undistorted, correction=correction)
+    check_picture(plan.camera, show.max_memory, lens=not plan.is_identity, rendered=plan.render_camera, layers=True)
     pairs = max_pairs(header, len(shot.frame.state), plan, show.max_memory)
 
     def motion(other: Shot | None) -> FloatArray | None:
