@@ -12,7 +12,7 @@ from typing import BinaryIO, Union
 
 from decogs.codec.header import StreamHeader
 from decogs.formats.cameras import Camera
-from decogs.formats.errors import UsageError
+from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.frame_ranges import Frames
 
 from .camera_files import camera_file, read_camera_file
@@ -120,7 +120,7 @@ def decode(
         with open_sink(
             output, view=first.name, frames=len(chosen), fps=fps, video=sound, on_warning=on_warning
         ) as sink:
-            static = static_ids(opened.frames()) if sink.has_layers else None
+            static = _static(opened, on_warning) if sink.has_layers else None
             taken = _taken(opened.header, shots(sink.has_layers), wanted, show, sink, static)
             for done, _ in enumerate(taken, start=1):
                 if on_frame is not None:
@@ -181,6 +181,16 @@ def _chosen_shots(
         return shots_by_frame(stream.frames(numbers.start, numbers.stop), wanted)
 
     return chosen, lambda neighbours: asked_for(by_frame(neighbours), chosen)
+
+
+def _static(stream: Stream, on_warning: OnWarning | None) -> Ids | None:
+    """Ids of what never changes; None, with a warning, where damage that is an error hides it."""
+    try:
+        return static_ids(stream.frames())
+    except StreamError as error:
+        if on_warning is not None:
+            on_warning(f"dynamic.A is left out, which needs every frame: {error}")
+        return None
 
 
 def _widened(chosen: range, count: int) -> range:

@@ -180,6 +180,21 @@ def test_a_lone_gaussian_moves_by_its_pixels(tmp_path: Path) -> None:
     np.testing.assert_array_equal(channels_of(tmp_path / "one.exr")["backward.u"], one["backward.u"])
 
 
+def test_damage_elsewhere_costs_the_dynamic_part_only(small_stream, tmp_path: Path) -> None:
+    """Strictly read, frames 0 and 1 are whole; what ever changes is not known when frame 5 is not."""
+    data = bytearray(small_stream.path.read_bytes())
+    at = -1
+    for _ in range(7):  # the header's packet, then those of frames 0 to 5
+        at = data.index(b"DGSP", at + 1)
+    data[at + 40] ^= 255
+    small_stream.path.write_bytes(data)
+    said: list[str] = []
+    decode(small_stream.path, tmp_path / "f_%d.exr", view="cam00", frames=slice(2), strict=True, on_warning=said.append)
+    assert len(said) == 1
+    assert said[0].startswith("dynamic.A is left out")
+    assert "dynamic.A" not in channels_of(tmp_path / "f_1.exr")
+
+
 def test_a_followed_stream_has_no_dynamic_part(small_stream, tmp_path: Path) -> None:
     decode(small_stream.path, tmp_path / "f_%d.exr", view="cam00", follow=True, idle=0.1)
     seen = channels_of(tmp_path / "f_7.exr")

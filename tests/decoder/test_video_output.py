@@ -208,6 +208,16 @@ def test_y4m_and_rgb_are_the_pngs(small_stream, tmp_path: Path) -> None:
     assert piped.getvalue() == (tmp_path / "x.y4m").read_bytes()
 
 
+def test_a_pipe_gets_the_video_and_nothing_else(
+    small_stream, tmp_path: Path, capsysbinary: pytest.CaptureFixture[bytes]
+) -> None:
+    decode(small_stream.path, tmp_path / "x.y4m", view="cam00")
+    assert decode_main([str(small_stream.path), "--view", "cam00", "-o", "-"]) == 0
+    printed = capsysbinary.readouterr()
+    assert printed.out == (tmp_path / "x.y4m").read_bytes()
+    assert b"8 frames of cam00" in printed.err
+
+
 def test_ffmpeg_reads_the_y4m(small_stream, tmp_path: Path) -> None:
     decode(small_stream.path, tmp_path / "x.y4m", view="cam00")
     with av.open(str(tmp_path / "x.y4m")) as container:
