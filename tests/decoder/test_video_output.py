@@ -29,13 +29,18 @@ def pngs(stream: Path, folder: Path, view: str = "cam00") -> list[np.ndarray]:
 
 
 def frames_of(video: Path) -> list[np.ndarray]:
-    """RGB by the tags of the file: BT.709, limited range."""
+    """RGB by the tags of the file: BT.709, limited range.
+
+    PyAV before 18 takes BT.601 after all, unless something differs between source and destination: the range does.
+    """
     with av.open(str(video)) as container:
         stream = container.streams.video[0]
         frames = list(container.decode(stream))
         assert {(frame.colorspace, frame.color_range) for frame in frames} == {(1, 1)}
         return [
-            frame.reformat(format="rgb24", src_colorspace="ITU709", src_color_range="MPEG").to_ndarray()
+            frame.reformat(
+                format="rgb24", src_colorspace="ITU709", src_color_range="MPEG", dst_color_range="JPEG"
+            ).to_ndarray()
             for frame in frames
         ]
 
