@@ -11,6 +11,8 @@ import json
 import sys
 import time
 from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from decogs.formats.command_line import (
     Parser,
@@ -33,31 +35,45 @@ from decogs.formats.up_direction import UPS
 
 from .limits import DEFAULT_MAX_MEMORY
 
+if TYPE_CHECKING:
+    from .layouts import Layout
+
 
 def decode_main(arguments: Sequence[str] | None = None) -> int:
     """``decogs-decode``: pictures of any view of any frames."""
     parser = Parser(
         prog="decogs-decode",
         description="Decode a view of a .dgs stream to pictures, one per encoded frame.",
-        epilog="OUTPUT chooses the kind: a folder (PNG files), or a name ending in .png, .exr or .mp4; "
-        "x_####.exr, x_%04d.exr and x_$F4.exr number files by frame. A pose file is described in "
-        "decogs.decoder.free_camera.",
+        epilog="OUTPUT chooses the kind: a folder (PNG files), or a name ending in .png, .exr, .mp4, .mov, .y4m or "
+        ".rgb; x_####.exr, x_%04d.exr and x_$F4.exr number files by frame; - writes Y4M to stdout. A pose file is "
+        "described in decogs.decoder.free_camera.",
     )
     parser.add_argument("stream", help="the .dgs file; - for stdin")
-    parser.add_argument("-o", "--output", required=True, metavar="OUTPUT", help="folder, .png, .exr or .mp4 to write")
+    parser.add_argument("-o", "--output", required=True, metavar="OUTPUT", help="folder or file to write, - for stdout")
     view = parser.add_mutually_exclusive_group(required=True)
     view.add_argument("--view", metavar="CAM", help="a camera of the rig, by name (decogs-info lists them)")
-    view.add_argument("--camera", metavar="POSE.JSON", help="a free camera, or a path of one camera per frame")
+    view.add_argument(
+        "--camera", metavar="FILE", help="a free camera or a path of them: pose.json, nerfstudio, USD (docs/cameras.md)"
+    )
+    view.add_argument("--orbit", dest="move", action="store_const", const="orbit", help="a swing around the scene")
+    view.add_argument("--spiral", dest="move", action="store_const", const="spiral", help="small circles before it")
     _add_frames(parser)
     _add_trust(parser)
     parser.add_argument("--scale", type=number, default=1.0, metavar="S", help="size of the pictures (default 1)")
     parser.add_argument("--background", type=_colour, metavar="R,G,B", help="0 to 1 each (default: the stream's)")
+    layout = parser.add_mutually_exclusive_group()
+    layout.add_argument("--stereo", type=number, metavar="BASELINE", help="two eyes side by side, world units apart")
+    layout.add_argument("--equirectangular", action="store_true", help="360 degrees around the camera's place")
     parser.add_argument("--undistorted", action="store_true", help="leave out the rig camera's lens distortion")
     parser.add_argument(
         "--canonical",
         action="store_true",
         help="the scene's own colours and the calibrated pose, not the exposure, white balance and shake recorded",
     )
+    parser.add_argument("--codec", choices=("h264", "hevc", "prores"), help="of a video (.mp4: h264, .mov: prores)")
+    parser.add_argument("--crf", type=number, metavar="Q", help="quality of H.264 and HEVC, 0 (best) to 51 (default 4)")
+    parser.add_argument("--chroma", choices=("420", "444"), help="of H.264 and HEVC: 420 plays in browsers (default)")
+    parser.add_argument("--audio", metavar="FILE", help="the video's sound; frame 0 is its beginning")
     parser.add_argument("--threads", type=number_of_threads, default=0, metavar="N", help="default: all processors")
     parser.add_argument(
         "--follow", action="store_true", help="decode frames as an encoder writes them; name the file it will become"
@@ -118,14 +134,22 @@ def info_main(arguments: Sequence[str] | None = None) -> int:
 def _decode(parser: Parser, options: argparse.Namespace) -> None:
     from .decoding import decode
     from .following import DEFAULT_IDLE
+    from .video_output import VideoSettings
 
     started = time.perf_counter()
+    piped = options.output == "-"
+    if piped and sys.stdout.isatty():
+        raise UsageError("-o -: this is a terminal; pipe the video into a program, or name a file")
+    audio = None if options.audio is None else Path(options.audio)
     with progress("decoding") as on_frame:
         report = decode(
             standard_input() if options.stream == "-" else options.stream,
-            options.output,
+            sys.stdout.buffer if piped else options.output,
+            layout=_layout(options),
+            video=VideoSettings(options.codec, options.crf, options.chroma, audio),
             view=options.view,
             camera=options.camera,
+            move=options.move,
             frames=frame_range(options.frames),
             scale=options.scale,
             background=options.background,
@@ -141,8 +165,17 @@ def _decode(parser: Parser, options: argparse.Namespace) -> None:
         )
     tell(
         f"{options.output}: {counted(report.frame_count, 'frame')} of {report.view}, "
-        f"{report.width}x{report.height}, in {time.perf_counter() - started:.1f} s"
+        f"{report.width}x{report.height}, in {time.perf_counter() - started:.1f} s",
+        to_stderr=piped,
     )
+
+
+def _layout(options: argparse.Namespace) -> Layout | None:
+    from .layouts import Equirectangular, Stereo
+
+    if options.equirectangular:
+        return Equirectangular()
+    return None if options.stereo is None else Stereo(options.stereo)
 
 
 def _export(parser: Parser, options: argparse.Namespace) -> None:

@@ -3,27 +3,42 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import BinaryIO, Union
 
 from decogs.codec.header import StreamHeader
 from decogs.formats.cameras import Camera
-from decogs.formats.errors import UsageError
+from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.frame_ranges import Frames
 
+from .camera_files import camera_file, read_camera_file
+from .camera_moves import Move, camera_move
+from .camera_path import DEFAULT_FPS, CameraPath, ToFilm, shown_frames
+from .compositing import Ids, static_ids
 from .following import DEFAULT_IDLE, GrowingStream, follow_stream
-from .frame import DecodedFrame
-from .frame_choice import OnWarning, check_output, coming_frames, damage_to, open_chosen
-from .free_camera import read_free_cameras
+from .frame_choice import (
+    OnWarning,
+    check_output,
+    chosen_frames,
+    chosen_pictures,
+    coming_frames,
+    damage_to,
+    frames_in_any_order,
+    open_chosen,
+)
+from .layouts import Layout
 from .limits import DEFAULT_MAX_MEMORY
-from .picture_output import open_sink
-from .views import camera_of, render_view, scaled_view
+from .picture_output import PictureSink, open_sink
+from .shots import Shot, Show, asked_for, picture_camera, pictures, shots_by_frame, with_layers
+from .stream import Stream
+from .video_output import VideoSettings
 
-if TYPE_CHECKING:
-    from .rasterise import Rendering
+Cameras = Union[str, "os.PathLike[str]", Camera, Sequence[Camera], CameraPath]
+"""A file of cameras, one camera for every frame, one per frame, or a path."""
 
 Colour = tuple[float, float, float]
 OnFrame = Callable[[int, int], None]
@@ -42,10 +57,11 @@ class DecodeReport:
 
 def decode(
     stream: str | os.PathLike[str] | BinaryIO,
-    output: str | os.PathLike[str],
+    output: str | os.PathLike[str] | BinaryIO,
     *,
     view: str | None = None,
-    camera: str | os.PathLike[str] | Camera | Sequence[Camera] | None = None,
+    camera: Cameras | None = None,
+    move: Move | None = None,
     frames: Frames = None,
     scale: float = 1.0,
     background: Colour | None = None,
@@ -56,19 +72,25 @@ def decode(
     max_memory: int = DEFAULT_MAX_MEMORY,
     follow: bool = False,
     idle: float = DEFAULT_IDLE,
+    layout: Layout | None = None,
+    video: VideoSettings = VideoSettings(),  # noqa: B008 (frozen)
     on_frame: OnFrame | None = None,
     on_warning: OnWarning | None = None,
 ) -> DecodeReport:
-    """Writes the pictures of one view of a stream, one per encoded frame.
+    """Writes the pictures of one view of a stream, one per encoded frame, or one per entry of a path with times.
 
-    ``view`` names a camera of the rig; ``camera`` is a pose file, a Camera, or a list of them with one per frame of the
-    stream. ``output`` chooses the kind of file, see ``decogs.decoder.picture_output``. ``frames``:
+    ``view`` names a camera of the rig; ``camera`` is a file of cameras, a Camera, a list of them with one per frame of
+    the stream, or a CameraPath; ``move`` is one made from the rig, "orbit" or "spiral". ``output`` chooses the kind of
+    file, see ``decogs.decoder.picture_output``. ``frames``: those of the stream, or the pictures of a path with times;
     consecutive ones, as a slice or a range; None for all. ``background``: display-referred RGB in 0..1, the stream's
-    when None. ``undistorted``: without the rig camera's lens distortion. ``canonical``: in the scene's own colours and
+    when None.
+    ``undistorted``: without the rig camera's lens distortion. ``canonical``: in the scene's own colours and
     through the calibrated pose, where the stream signals exposure, white balance or shake of the camera; otherwise what
     it recorded. ``strict`` and ``max_memory`` (bytes) are those of ``open_stream``: without ``strict``, damaged frames
-    show the last good one.
-    ``on_frame(done, all)`` reports progress, ``all`` being 0 while nobody knows, and ``on_warning(text)`` damage.
+    show the last good one. ``layout``: a picture of several renderings (``decogs.decoder.layouts``). ``video`` says how
+    a video is encoded, and which audio it has. An ``output`` that is an open file takes uncompressed video.
+    ``on_frame(done, all)`` reports progress, ``all`` being 0 while nobody knows, and ``on_warning(text)`` damage and a
+    video that is not as good as it could be.
 
     ``follow``: each picture as soon as its packet is complete in the file that an encoder is writing as ``stream``
     (``decogs.decoder.following``), until the stream ends or nothing came for ``idle`` seconds; files of single pictures
@@ -78,51 +100,54 @@ def decode(
     appeared one by one.
     """
     _check_colour(background)
-    check_output(output, stream=stream, camera=camera)
-    show = _Show(scale, background, undistorted, threads, canonical, max_memory)
+    if isinstance(output, (str, os.PathLike)):
+        named = camera_file(camera)[0] if isinstance(camera, (str, os.PathLike)) else None
+        check_output(output, stream=stream, camera=named, audio=video.audio)
+    show = Show(scale, background, undistorted, threads, canonical, max_memory, layout)
+    if layout is not None:
+        layout.check()
     if follow or not isinstance(stream, (str, os.PathLike)):
         on_damage = damage_to(on_warning)
         with follow_stream(stream, idle=idle, strict=strict, on_damage=on_damage, max_memory=max_memory) as growing:
-            views = _views(growing.header, view, camera)
-            return _decode_growing(growing, output, views, coming_frames(frames), show, on_frame, on_warning)
-    with open_chosen(stream, frames, strict=strict, max_memory=max_memory, on_warning=on_warning) as (opened, chosen):
-        views = _views(opened.header, view, camera)
-        first = scaled_view(camera_of(opened.header, views[0]), scale)
-        with open_sink(output, view=first.name, frames=len(chosen), fps=opened.header.fps) as sink:
-            coming = opened.frames(chosen.start, chosen.stop)
-            for done, (frame, picture) in enumerate(_pictures(opened.header, coming, views, show), start=1):
-                sink.write(frame.index, picture)
+            wanted = _wanted(growing.header, view, camera, move, None)
+            return _decode_growing(growing, output, wanted, coming_frames(frames), show, video, on_frame, on_warning)
+    with open_chosen(stream, None, strict=strict, max_memory=max_memory, on_warning=on_warning) as (opened, _):
+        wanted = _wanted(opened.header, view, camera, move, opened.frame_count)
+        chosen, shots = _chosen_shots(opened, wanted, frames)
+        first = picture_camera(opened.header, wanted, show)
+        fps = _rate(opened.header, wanted)
+        sound = replace(video, begin=chosen.start / (fps or DEFAULT_FPS))
+        with open_sink(
+            output, view=first.name, frames=len(chosen), fps=fps, video=sound, on_warning=on_warning
+        ) as sink:
+            static = _static(opened, on_warning) if sink.has_layers else None
+            taken = _taken(opened.header, shots(sink.has_layers), wanted, show, sink, static)
+            for done, _ in enumerate(taken, start=1):
                 if on_frame is not None:
                     on_frame(done, len(chosen))
-    return DecodeReport(Path(output), first.name, len(chosen), first.width, first.height)
-
-
-@dataclass(frozen=True)
-class _Show:
-    """How pictures are rendered, whatever they show."""
-
-    scale: float
-    background: Colour | None
-    undistorted: bool
-    threads: int
-    canonical: bool
-    max_memory: int
+    return DecodeReport(_path(output), first.name, len(chosen), first.width, first.height)
 
 
 def _decode_growing(
     stream: GrowingStream,
-    output: str | os.PathLike[str],
-    views: Sequence[str | Camera],
+    output: str | os.PathLike[str] | BinaryIO,
+    wanted: str | CameraPath,
     chosen: slice,
-    show: _Show,
+    show: Show,
+    video: VideoSettings,
     on_frame: OnFrame | None,
     on_warning: OnWarning | None,
 ) -> DecodeReport:
-    first, done = scaled_view(camera_of(stream.header, views[0]), show.scale), 0
-    with open_sink(output, view=first.name, frames=None, fps=stream.header.fps) as sink:
-        coming = islice(stream.frames(), chosen.start, chosen.stop)
-        for frame, picture in _pictures(stream.header, coming, views, show):
-            sink.write(frame.index, picture)
+    if isinstance(wanted, CameraPath) and wanted.times is not None:
+        raise UsageError(
+            f"{wanted.source}: has times of its own, which need the whole stream; decode its file when done"
+        )
+    first, done = picture_camera(stream.header, wanted, show), 0
+    fps = _rate(stream.header, wanted)
+    sound = replace(video, begin=chosen.start / (fps or DEFAULT_FPS))
+    with open_sink(output, view=first.name, frames=None, fps=fps, video=sound, on_warning=on_warning) as sink:
+        shots = shots_by_frame(islice(stream.frames(), chosen.start, chosen.stop), wanted)
+        for _ in _taken(stream.header, shots, wanted, show, sink, None):
             done += 1
             if on_frame is not None:
                 on_frame(done, 0)
@@ -132,49 +157,104 @@ def _decode_growing(
             raise UsageError(f"{stream.name}: nothing to decode, no such frame came{cut}")
     if on_warning is not None and not stream.ended and (chosen.stop is None or chosen.start + done < chosen.stop):
         on_warning(f"{stream.name}: nothing more came, and no end packet; {done} pictures were written")
-    return DecodeReport(Path(output), first.name, done, first.width, first.height)
+    return DecodeReport(_path(output), first.name, done, first.width, first.height)
 
 
-def _pictures(
-    header: StreamHeader, frames: Iterator[DecodedFrame], views: Sequence[str | Camera], show: _Show
-) -> Iterator[tuple[DecodedFrame, Rendering]]:
-    """Frame by frame what the camera sees; of a fixed camera's picture, only what changed is rendered again."""
-    from .played_view import PlayedView
+def _chosen_shots(
+    stream: Stream, wanted: str | CameraPath, frames: Frames
+) -> tuple[range, Callable[[bool], Iterator[Shot]]]:
+    """The numbers of the pictures asked for, and those to be taken: with a neighbour on each side, or without."""
+    if isinstance(wanted, CameraPath) and wanted.times is not None:
+        path, shown = wanted, shown_frames(wanted, stream.frame_count)
+        chosen = chosen_pictures(path.source, len(shown), frames)
 
-    how = {name: value for name, value in vars(show).items() if name != "canonical"}
-    fixed = PlayedView(header, views[0], **vars(show)) if len(views) == 1 else None
-    for frame in frames:
-        if fixed is not None:
-            yield frame, fixed.show(frame)
-        else:
-            yield frame, render_view(header, frame.splats, _view_of(views, frame.index), **how)
+        def by_entry(neighbours: bool) -> Iterator[Shot]:
+            numbers = _widened(chosen, len(shown)) if neighbours else chosen
+            coming = frames_in_any_order(stream, (shown[number] for number in numbers))
+            return (Shot(number, frame, path.cameras[number]) for number, frame in zip(numbers, coming, strict=True))
+
+        return chosen, lambda neighbours: asked_for(by_entry(neighbours), chosen)
+    chosen = chosen_frames(stream, frames)
+
+    def by_frame(neighbours: bool) -> Iterator[Shot]:
+        numbers = _widened(chosen, min(stream.frame_count, _cameras_for(wanted))) if neighbours else chosen
+        return shots_by_frame(stream.frames(numbers.start, numbers.stop), wanted)
+
+    return chosen, lambda neighbours: asked_for(by_frame(neighbours), chosen)
 
 
-def _view_of(path: Sequence[str | Camera], frame: int) -> str | Camera:
-    if frame >= len(path):
-        raise UsageError(
-            f"the camera path has {len(path)} cameras and none for frame {frame}; "
-            "list one per frame of the stream, or a single one for all"
-        )
-    return path[frame]
+def _static(stream: Stream, on_warning: OnWarning | None) -> Ids | None:
+    """Ids of what never changes; None, with a warning, where damage that is an error hides it."""
+    try:
+        return static_ids(stream.frames())
+    except StreamError as error:
+        if on_warning is not None:
+            on_warning(f"dynamic.A is left out, which needs every frame: {error}")
+        return None
 
 
-def _views(
-    header: StreamHeader, view: str | None, camera: str | os.PathLike[str] | Camera | Sequence[Camera] | None
-) -> Sequence[str | Camera]:
-    """The rig camera's name, the free camera, or the camera path asked for."""
-    if (view is None) == (camera is None):
+def _widened(chosen: range, count: int) -> range:
+    return range(max(0, chosen.start - 1), max(chosen.stop, min(count, chosen.stop + 1)))
+
+
+def _cameras_for(wanted: str | CameraPath) -> int:
+    """How many frames have a camera."""
+    if isinstance(wanted, str) or len(wanted.cameras) == 1:
+        return sys.maxsize
+    return len(wanted.cameras)
+
+
+def _taken(
+    header: StreamHeader,
+    shots: Iterator[Shot],
+    wanted: str | CameraPath,
+    show: Show,
+    sink: PictureSink,
+    static: Ids | None,
+) -> Iterator[Shot]:
+    """Writes the picture of every shot asked for, with its layers where the output holds some."""
+    if sink.has_layers and show.layout is not None:
+        raise UsageError("a stereo or 360 degree picture is no EXR; write PNG or a video")
+    if sink.has_layers:
+        for shot, picture, layers in with_layers(header, shots, wanted, show, static):
+            sink.write(shot.number, picture, layers)
+            yield shot
+    else:
+        for shot, picture in pictures(header, shots, wanted, show):
+            sink.write(shot.number, picture)
+            yield shot
+
+
+def _path(output: str | os.PathLike[str] | BinaryIO) -> Path:
+    return Path(output) if isinstance(output, (str, os.PathLike)) else Path("-")
+
+
+def _rate(header: StreamHeader, wanted: str | CameraPath) -> float | None:
+    """Pictures per second: the path's own, or the stream's frames."""
+    return header.fps if isinstance(wanted, str) or wanted.fps is None else wanted.fps
+
+
+def _wanted(
+    header: StreamHeader, view: str | None, camera: Cameras | None, move: Move | None, frame_count: int | None
+) -> str | CameraPath:
+    """The rig camera's name, or the free camera or camera path asked for."""
+    if [view, camera, move].count(None) != 2:
         names = ", ".join(rig_camera.name for rig_camera in header.cameras[:40])
         raise UsageError(f"choose one view: a camera of the rig ({names}), or a free camera from a pose file")
+    film = ToFilm(header.cameras, header.fps, frame_count)
     if view is not None:
-        return (view,)
+        return view
+    if move is not None:
+        return camera_move(move, film)
+    if isinstance(camera, CameraPath):
+        return camera
     if isinstance(camera, Camera):
-        return (camera,)
+        return CameraPath((camera,))
     if isinstance(camera, (str, os.PathLike)):
-        return read_free_cameras(camera)
+        return read_camera_file(camera, film)
     if not camera:
         raise UsageError("the camera path is empty; list one camera per frame")
-    return tuple(camera)
+    return CameraPath(tuple(camera))
 
 
 def _check_colour(colour: Colour | None) -> None:

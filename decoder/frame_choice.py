@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from decogs.formats.frame_ranges import Frames, frame_slice
 from decogs.formats.outputs import Output, check_outputs
 
 from .damage import OnDamage
+from .frame import DecodedFrame
 from .stream import Stream, open_stream
 
 OnWarning = Callable[[str], None]
@@ -33,7 +34,7 @@ def open_chosen(
     """
     with open_stream(path, strict=strict, max_memory=max_memory, on_damage=damage_to(on_warning)) as stream:
         _warn_of_tail(stream, on_warning)
-        yield stream, _chosen_frames(stream, frames)
+        yield stream, chosen_frames(stream, frames)
 
 
 def check_output(output: str | os.PathLike[str], **read: object) -> None:
@@ -59,15 +60,36 @@ def coming_frames(frames: Frames) -> slice:
     return slice(min(start, most), None if stop is None else min(stop, most))
 
 
-def _chosen_frames(stream: Stream, frames: Frames) -> range:
+def chosen_frames(stream: Stream, frames: Frames) -> range:
     """The frames asked for as a range of this stream's, by Python's slicing rules; raises UsageError when none is."""
+    what = "it has no frame" if not stream.frame_count else f"it has frames 0:{stream.frame_count}"
+    return _chosen(frames, stream.frame_count, f"{stream.path}: nothing to decode, {what}")
+
+
+def chosen_pictures(source: str, count: int, frames: Frames) -> range:
+    """The pictures asked for of a camera path that has ``count`` and times of its own."""
+    return _chosen(frames, count, f"{source}: nothing to decode, it has pictures 0:{count}")
+
+
+def frames_in_any_order(stream: Stream, wanted: Iterable[int]) -> Iterator[DecodedFrame]:
+    """The frames asked for, one by one. A later one is reached by decoding on, an earlier one from its keyframe."""
+    frame: DecodedFrame | None = None
+    for index in wanted:
+        if frame is None or index < frame.index:
+            coming = stream.frames(index)
+            frame = next(coming)
+        while frame.index < index:
+            frame = next(coming)
+        yield frame
+
+
+def _chosen(frames: Frames, count: int, nothing: str) -> range:
     wanted = frame_slice(frames)
     if wanted.step not in (None, 1):
         raise UsageError("frames are decoded one after the other; a step is not possible")
-    start, stop, _ = wanted.indices(stream.frame_count)
+    start, stop, _ = wanted.indices(count)
     if start >= stop:
-        what = "it has no frame" if not stream.frame_count else f"it has frames 0:{stream.frame_count}"
-        raise UsageError(f"{stream.path}: nothing to decode, {what}; choose other `frames`")
+        raise UsageError(f"{nothing}; choose other `frames`")
     return range(start, stop)
 
 

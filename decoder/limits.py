@@ -32,6 +32,9 @@ _RENDERED_BYTES, _WRITTEN_BYTES, _LENS_BYTES = 36, 60, 64
 """What a pixel takes: of the pinhole picture while it is rendered (colours and depth, planar and interleaved), of the
 view's own while it is converted and written, and of a view with a lens besides (its tables, and what makes them)."""
 
+_LAYER_BYTES = 50
+"""What a pixel takes besides while layers of it are rendered and kept: 130 in all were measured for an EXR."""
+
 _COPIES_SHOWN, _PROJECTED_BYTES = 8, 160
 """While a picture is rendered a Gaussian takes this many times its bytes in a state, and so many in the renderer."""
 
@@ -55,12 +58,15 @@ def gaussians_within(max_memory: int, coefficients: int, max_gaussians: int) -> 
     return min(max_gaussians, max_memory // (_COPIES * _state_bytes(coefficients)))
 
 
-def check_picture(camera: Camera, max_memory: int, *, lens: bool, rendered: Camera | None = None) -> None:
+def check_picture(
+    camera: Camera, max_memory: int, *, lens: bool, rendered: Camera | None = None, layers: bool = False
+) -> None:
     """Raises UsageError when the picture of ``camera`` does not fit, made from that of ``rendered``, if that is known.
 
-    ``lens``: whether the way from there needs tables.
+    ``lens``: whether the way from there needs tables. ``layers``: whether motion and the like come with it.
     """
-    if _picture_bytes(camera, lens, rendered or camera) > max_memory:
+    beside = _LAYER_BYTES * camera.width * camera.height * layers
+    if _picture_bytes(camera, lens, rendered or camera) + beside > max_memory:
         raise UsageError(
             f"camera {camera.name!r}: a picture of {camera.width}x{camera.height} needs more than the memory allowed; "
             "choose a smaller scale or more memory (`max_memory`)"

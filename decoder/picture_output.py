@@ -1,4 +1,4 @@
-"""Writes decoded frames as pictures: a folder of PNG, single PNG or EXR files, or an MP4, chosen by the output's name.
+"""Writes decoded frames as pictures: a folder of PNG, single PNG or EXR files, or a video, chosen by the output's name.
 
 ======================  ==============================================================================
 output                  what is written
@@ -6,12 +6,13 @@ output                  what is written
 a folder (no suffix)    ``<view>_<frame>.png``, one per frame, names that sort
 ``x.png``, ``x.exr``    that file for a single frame, ``x_<frame>.png`` and so on for several
 ``x_####.exr``          one file per frame, its index in place of the pattern (``decogs.formats.frame_names``)
-``x.mp4``               a video (MPEG-4 Part 2, the one MP4 coder of OpenCV's free wheels) at the stream's frame rate
+``x.mp4``, ``x.mov``    a video at the stream's frame rate, see ``decogs.decoder.video_output``; without its extra
+                        an MP4 of MPEG-4 Part 2, the one MP4 coder of OpenCV's free wheels, with a warning
+``x.y4m``, ``x.rgb``    uncompressed video, see ``decogs.decoder.raw_video``; an open file takes Y4M
 ======================  ==============================================================================
 
-PNG and MP4 hold the display-referred picture rounded to 8 bit. EXR holds linear light (the sRGB transfer function
-undone, Rec. 709 primaries) as half R, G, B and A, premultiplied, and float Z, the depth along the view axis in world
-units, 1e10 where nothing is seen.
+PNG and videos hold the display-referred picture rounded to 8 bit. EXR is for compositing, see
+``decogs.decoder.exr_output``.
 
 Everything is written into a hidden folder beside the output and moved to its name at the end: an error or an
 interruption leaves nothing under the output's name and nothing of what stood there before is touched. Only when a
@@ -28,43 +29,49 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.colour import linear_from_srgb
 from decogs.formats.errors import UsageError, check_utf8
 from decogs.formats.frame_names import names_of_frames
 from decogs.formats.quiet import quiet_opencv
 
+from .camera_path import DEFAULT_FPS as DEFAULT_FPS
+from .exr_output import Layers, save_exr
+from .raw_video import RawVideo
+from .video_output import CODECS, Movie, VideoSettings, check_settings, has_ffmpeg
+
 if TYPE_CHECKING:
     from .rasterise import Rendering
 
-DEFAULT_FPS = 30.0
-"""Frame rate of a video of a stream that does not know its own."""
-
-NOTHING_SEEN = 1e10
-"""Depth written to EXR where no splat is: far behind everything, as compositing programs expect."""
+OnWarning = Callable[[str], None]
 
 _OTHER_PICTURES = frozenset(
-    {".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".gif", ".webp", ".hdr", ".avi", ".mov", ".mkv", ".webm", ".m4v"}
+    {".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".gif", ".webp", ".hdr", ".avi", ".mkv", ".webm", ".m4v"}
 )
+_RAW = frozenset({".y4m", ".rgb"})
 _LONGEST_VIEW = 200
 """Bytes of a view's name in a file name, which may have 255 in all."""
 
 _SLOWEST, _FASTEST = 0.01, 1000.0
-"""Frames per second that every MP4 coder takes; its time stamps have 16 bits of fraction."""
+"""Frames per second that every video coder takes; its time stamps have 16 bits of fraction."""
 
 _PNG_EFFORT = 3
 """zlib level of PNG files: a little larger than the default's, three times as fast."""
 
 
 class PictureSink(ABC):
-    """Takes the frames of one view in order; ``finish`` completes what was written."""
+    """Takes the frames of one view in order; ``finish`` completes what was written.
+
+    ``has_layers``: whether ``write`` wants the layers of the picture, too.
+    """
+
+    has_layers = False
 
     @abstractmethod
-    def write(self, frame: int, rendering: Rendering) -> None:
+    def write(self, frame: int, rendering: Rendering, layers: Layers | None = None) -> None:
         """Adds the picture of the frame with this index."""
 
     @abstractmethod
@@ -74,16 +81,28 @@ class PictureSink(ABC):
 
 @contextmanager
 def open_sink(
-    output: str | os.PathLike[str], *, view: str, frames: int | None, fps: float | None
+    output: str | os.PathLike[str] | BinaryIO,
+    *,
+    view: str,
+    frames: int | None,
+    fps: float | None,
+    video: VideoSettings = VideoSettings(),  # noqa: B008 (frozen)
+    on_warning: OnWarning | None = None,
 ) -> Iterator[PictureSink]:
     """A sink for ``frames`` pictures of ``view``, whose files appear under ``output`` when the block ends well.
 
-    ``frames`` None: nobody knows how many will come. Files of single pictures then appear each as soon as it is whole.
+    An open file takes uncompressed video as it comes. ``video``: how a video is encoded. ``frames`` None: nobody knows
+    how many will come. Files of single pictures then appear each as soon as it is whole.
 
     Raises UsageError when the output's kind is unknown or it cannot be written.
     """
+    if not isinstance(output, (str, os.PathLike)):
+        check_settings("", video)
+        yield _Raw(RawVideo(output, fps or DEFAULT_FPS, y4m=True), None)
+        output.flush()
+        return
     target = Path(output)
-    create, folder = _plan(output, target, view, frames, fps or DEFAULT_FPS)
+    create, folder = _plan(output, target, view, frames, fps or DEFAULT_FPS, video, on_warning)
     try:
         staging = Path(tempfile.mkdtemp(prefix=".decogs-", dir=_existing_folder(target.parent)))
     except OSError as error:
@@ -105,22 +124,32 @@ def to_8bit(image: NDArray[Any]) -> NDArray[np.uint8]:
     return rounded
 
 
-def linear_light(image: NDArray[Any]) -> NDArray[np.float32]:
-    """sRGB-coded values to linear light (IEC 61966-2-1), continued above 1 and, mirrored, below 0."""
-    return np.asarray(np.copysign(linear_from_srgb(np.abs(image, dtype=np.float32)), image), dtype=np.float32)
-
-
 class _Files(PictureSink):
-    """One file per frame, by a function that writes it."""
+    """One PNG per frame."""
 
-    def __init__(self, name_of: Callable[[int], str], save: Callable[[Path, Rendering], None], folder: Path) -> None:
-        self._name_of, self._save, self._folder = name_of, save, folder
+    def __init__(self, name_of: Callable[[int], str], folder: Path) -> None:
+        self._name_of, self._folder = name_of, folder
 
-    def write(self, frame: int, rendering: Rendering) -> None:
-        self._save(self._folder / self._name_of(frame), rendering)
+    def write(self, frame: int, rendering: Rendering, layers: Layers | None = None) -> None:
+        _save_png(self._folder / self._name_of(frame), rendering)
 
     def finish(self) -> None:
         """Every file is complete as soon as it is written."""
+
+
+class _ExrFiles(_Files):
+    """One EXR per frame, with its layers."""
+
+    has_layers = True
+
+    def __init__(self, name_of: Callable[[int], str], folder: Path, fps: float) -> None:
+        super().__init__(name_of, folder)
+        self._fps = fps
+
+    def write(self, frame: int, rendering: Rendering, layers: Layers | None = None) -> None:
+        if layers is None:
+            raise ValueError("an EXR needs the layers of its picture")
+        save_exr(self._folder / self._name_of(frame), rendering, layers, fps=self._fps)
 
 
 class _OneByOne(PictureSink):
@@ -128,26 +157,53 @@ class _OneByOne(PictureSink):
 
     def __init__(self, files: _Files, staging: Path, folder: Path) -> None:
         self._files, self._staging, self._folder = files, staging, folder
+        self.has_layers = files.has_layers
 
-    def write(self, frame: int, rendering: Rendering) -> None:
-        self._files.write(frame, rendering)
+    def write(self, frame: int, rendering: Rendering, layers: Layers | None = None) -> None:
+        self._files.write(frame, rendering, layers)
         _publish(self._staging, self._folder)
 
     def finish(self) -> None:
         """Every file is in place already."""
 
 
+class _Movie(PictureSink):
+    """A video by FFmpeg. 4:2:0 needs even sizes: an odd picture repeats its last row or column."""
+
+    def __init__(self, path: Path, fps: float, settings: VideoSettings) -> None:
+        _check_rate(path, fps)
+        self._movie = Movie(path, fps, settings)
+
+    def write(self, frame: int, rendering: Rendering, layers: Layers | None = None) -> None:
+        self._movie.write(_even(to_8bit(rendering.image)))
+
+    def finish(self) -> None:
+        self._movie.finish()
+
+
+class _Raw(PictureSink):
+    """Uncompressed video; closes the file where it is its own."""
+
+    def __init__(self, video: RawVideo, own: BinaryIO | None) -> None:
+        self._video, self._own = video, own
+
+    def write(self, frame: int, rendering: Rendering, layers: Layers | None = None) -> None:
+        self._video.write(to_8bit(rendering.image))
+
+    def finish(self) -> None:
+        if self._own is not None:
+            self._own.close()
+
+
 class _Video(PictureSink):
-    """An MP4. Its coder needs even sizes: an odd picture repeats its last row or column, nothing is cut off."""
+    """An MP4 by OpenCV, whose coder needs even sizes: an odd picture repeats its last row or column."""
 
     def __init__(self, path: Path, fps: float) -> None:
         self._path, self._fps, self._frames = path, fps, 0
         self._writer: Any = None
 
-    def write(self, frame: int, rendering: Rendering) -> None:
-        picture = to_8bit(rendering.image)
-        height, width = picture.shape[:2]
-        picture = np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+    def write(self, frame: int, rendering: Rendering, layers: Layers | None = None) -> None:
+        picture = _even(to_8bit(rendering.image))
         if self._writer is None:
             self._writer = self._open(picture.shape[1], picture.shape[0])
         with quiet_opencv():
@@ -174,11 +230,7 @@ class _Video(PictureSink):
     def _open(self, width: int, height: int) -> Any:
         import cv2
 
-        if not _SLOWEST <= self._fps <= _FASTEST:
-            raise UsageError(
-                f"{self._path.name}: an MP4 cannot have the stream's {self._fps:g} frames per second; "
-                "write PNG to a folder"
-            )
+        _check_rate(self._path, self._fps)
         with quiet_opencv():
             fourcc = cv2.VideoWriter.fourcc(*"mp4v")
             writer = cv2.VideoWriter(str(self._path), fourcc, self._fps, (width, height))
@@ -187,6 +239,18 @@ class _Video(PictureSink):
                 f"{self._path.name}: OpenCV cannot write an MP4 of {width}x{height} pixels here; write PNG to a folder"
             )
         return writer
+
+
+def _even(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    height, width = picture.shape[:2]
+    return np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+
+
+def _check_rate(path: Path, fps: float) -> None:
+    if not _SLOWEST <= fps <= _FASTEST:
+        raise UsageError(
+            f"{path.name}: a video cannot have the stream's {fps:g} frames per second; write PNG to a folder"
+        )
 
 
 def _save_png(path: Path, rendering: Rendering) -> None:
@@ -202,58 +266,54 @@ def _save_png(path: Path, rendering: Rendering) -> None:
         ) from None
 
 
-def _save_exr(path: Path, rendering: Rendering, *, fps: float) -> None:
-    import OpenEXR
-
-    rgb = np.clip(linear_light(rendering.image), -65504.0, 65504.0).astype(np.float16)
-    alpha = rendering.alpha.astype(np.float16)
-    depth = np.where((rendering.alpha > 0) & (rendering.depth > 0), rendering.depth, np.float32(NOTHING_SEEN)).astype(
-        np.float32
-    )
-    channels = {"R": rgb[..., 0], "G": rgb[..., 1], "B": rgb[..., 2], "A": alpha, "Z": depth}
-    header = {
-        "type": OpenEXR.scanlineimage,
-        "compression": OpenEXR.ZIP_COMPRESSION,
-        "chromaticities": (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329),
-        "decogs:colour": "linear light, Rec. 709 primaries; the sRGB transfer function of the display-referred scene "
-        "was undone after compositing over the background",
-        "decogs:depth": f"along the view axis, world units; {NOTHING_SEEN:g} where nothing is seen",
-        "decogs:fps": f"{fps:g}",
-    }
-    try:
-        with OpenEXR.File(header, {name: np.ascontiguousarray(plane) for name, plane in channels.items()}) as file:
-            file.write(str(path))
-    except RuntimeError as error:
-        raise UsageError(f"{path.name}: the EXR cannot be written ({error}); choose another output") from None
-
-
 def _plan(
-    output: str | os.PathLike[str], target: Path, view: str, frames: int | None, fps: float
+    output: str | os.PathLike[str],
+    target: Path,
+    view: str,
+    frames: int | None,
+    fps: float,
+    video: VideoSettings,
+    on_warning: OnWarning | None,
 ) -> tuple[Callable[[Path], PictureSink], Path]:
     """How to make the sink in a staging folder, and the folder that its files are to be moved to."""
     if str(output) == "-":
-        raise UsageError("-: pictures are files of their own and no pipe; name a folder, or a .png, .exr or .mp4 file")
+        raise UsageError(
+            "-: give an open binary file for a pipe, or name a folder, a .png, .exr, .mp4, .mov or .y4m file"
+        )
     suffix = "" if str(output).endswith(("/", os.sep)) or target.is_dir() else target.suffix.lower()
     if suffix in _OTHER_PICTURES:
-        raise UsageError(f"{target}: {suffix} is not written; name a folder (PNG), or a .png, .exr or .mp4 file")
-    if suffix in (".mp4", ".exr"):
+        raise UsageError(
+            f"{target}: {suffix} is not written; name a folder (PNG), or a .png, .exr, .mp4, .mov or .y4m file"
+        )
+    check_settings(suffix, video)
+    if suffix in (".mp4", ".mov", ".exr"):
         check_utf8(target)
-    if suffix == ".mp4":
+    if suffix in CODECS:
+        if has_ffmpeg():
+            return lambda folder: _Movie(folder / target.name, fps, video), target.parent
+        if on_warning is not None:
+            on_warning(
+                f"{target}: is MPEG-4 Part 2, which browsers do not play; pip install 'decogs[video]' writes H.264"
+            )
         return lambda folder: _Video(folder / target.name, fps), target.parent
+    if suffix in _RAW:
+        return lambda folder: _raw_file(folder / target.name, fps), target.parent
     if suffix not in (".png", ".exr"):
         if target.exists() and not target.is_dir():
-            raise UsageError(f"{target}: is a file, not a folder; name a folder (PNG), or a .png, .exr or .mp4 file")
+            raise UsageError(
+                f"{target}: is a file, not a folder; name a folder (PNG), or a .png, .exr, .mp4, .mov or .y4m file"
+            )
         safe = _safe(view)
-        return lambda folder: _Files(lambda frame: f"{safe}_{frame:06d}.png", _save_png, folder), target
-
-    def save(path: Path, rendering: Rendering) -> None:
-        if suffix == ".png":
-            _save_png(path, rendering)
-        else:
-            _save_exr(path, rendering, fps=fps)
-
+        return lambda folder: _Files(lambda frame: f"{safe}_{frame:06d}.png", folder), target
     name_of = names_of_frames(target, frames)
-    return lambda folder: _Files(name_of, save, folder), target.parent
+    if suffix == ".exr":
+        return lambda folder: _ExrFiles(name_of, folder, fps), target.parent
+    return lambda folder: _Files(name_of, folder), target.parent
+
+
+def _raw_file(path: Path, fps: float) -> _Raw:
+    file = path.open("wb")
+    return _Raw(RawVideo(file, fps, y4m=path.suffix.lower() == ".y4m"), file)
 
 
 def _safe(view: str) -> str:

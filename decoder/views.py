@@ -16,7 +16,7 @@ from decogs.formats.cameras import Camera, as_pinhole, is_distorted, scale_camer
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import Splats
 
-from .camera_corrections import as_it_stood, with_recorded_colours
+from .camera_corrections import as_it_stood, with_odds, with_recorded_colours
 from .lens import Redistortion
 from .limits import MAX_PICTURE_PIXELS, check_picture, pairs_within
 
@@ -88,10 +88,7 @@ def view_plan(
     max_memory: int | None = None,
 ) -> Redistortion:
     """What to render for the view that ``render_view`` takes, and the way from there to its own pixels."""
-    camera = scaled_view(camera_of(header, view), scale)
-    if correction is not None:
-        camera = as_it_stood(camera, correction)
-    camera = as_pinhole(camera) if undistorted else camera
+    camera = standing_camera(header, view, scale=scale, undistorted=undistorted, correction=correction)
     lens = is_distorted(camera)
     if max_memory is not None:
         check_picture(camera, max_memory, lens=lens)  # before its tables are made
@@ -99,6 +96,24 @@ def view_plan(
     if max_memory is not None:
         check_picture(camera, max_memory, lens=lens, rendered=plan.render_camera)
     return plan
+
+
+def standing_camera(
+    header: StreamHeader, view: str | Camera, *, scale: float, undistorted: bool, correction: Correction | None = None
+) -> Camera:
+    """The camera of the picture that ``render_view`` makes, its lens included."""
+    camera = scaled_view(camera_of(header, view), scale)
+    if correction is not None:
+        camera = as_it_stood(camera, correction)
+    return as_pinhole(camera) if undistorted else camera
+
+
+def recorded_colour(colour: tuple[float, float, float], correction: Correction | None) -> tuple[float, float, float]:
+    """A colour of the scene as the corrected camera recorded it."""
+    if correction is None or not correction.is_coloured:
+        return colour
+    red, green, blue = with_odds(np.asarray(colour, np.float32), correction.odds).tolist()
+    return red, green, blue
 
 
 def max_pairs(header: StreamHeader, gaussians: int, plan: Redistortion, max_memory: int | None) -> int:

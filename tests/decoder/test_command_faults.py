@@ -22,8 +22,9 @@ import pytest
 
 from decogs.codec.header import StreamHeader
 from decogs.decoder import decode
+from decogs.decoder.camera_fields import MAX_FILE_BYTES
 from decogs.decoder.commands import decode_main, export_main
-from decogs.decoder.free_camera import MAX_FILE_BYTES, read_free_cameras
+from decogs.decoder.free_camera import read_free_cameras
 from decogs.formats.command_line import Parser, reworded, run, warn_as
 from decogs.formats.container import StreamWriter
 from decogs.formats.errors import StreamError, UsageError
@@ -242,7 +243,7 @@ def test_a_pose_file_may_be_a_pipe_and_is_read_to_its_bound(tmp_path: Path) -> N
     read, write = os.pipe()
     os.write(write, json.dumps(pose).encode())
     os.close(write)
-    assert read_free_cameras(f"/dev/fd/{read}")[0].width == 4
+    assert read_free_cameras(f"/dev/fd/{read}").cameras[0].width == 4
     os.close(read)
 
 

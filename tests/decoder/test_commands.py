@@ -15,7 +15,9 @@ import decogs.decoder
 from decogs.codec.lattice import dequantise
 from decogs.decoder import decode, export, info, render_view
 from decogs.decoder.commands import decode_main, export_main, info_main
-from decogs.decoder.picture_output import linear_light, to_8bit
+from decogs.decoder.exr_output import coverage, linear_light
+from decogs.decoder.free_camera import read_free_cameras
+from decogs.decoder.picture_output import to_8bit
 from decogs.decoder.rasterise.incremental_view import IncrementalView
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
@@ -99,6 +101,32 @@ def test_a_camera_path_has_one_camera_per_frame_of_the_stream(small_stream, tmp_
     assert not (tmp_path / "late").exists()
 
 
+def test_a_path_with_times_shows_their_frames(small_stream, tmp_path: Path) -> None:
+    """Bullet time around frame 3, back to frame 1, slow on from there, and across a keyframe."""
+    times = [3, 3, 3, 1, 1.25, 1.5, 1.75, 4.2, 0]
+    entries = [POSE | {"position": [k / 20, 0, 0], "frame": time} for k, time in enumerate(times)]
+    (tmp_path / "path.json").write_text(json.dumps(entries))
+    report = decode(small_stream.path, tmp_path / "o", camera=tmp_path / "path.json")
+    assert report.frame_count == len(times)
+    cameras = read_free_cameras(tmp_path / "path.json").cameras
+    for k, frame in enumerate([3, 3, 3, 1, 1, 2, 2, 4, 0]):
+        picture = read_png(tmp_path / "o" / f"camera_{k:06d}.png")
+        np.testing.assert_array_equal(picture, expected_picture(small_stream, frame, cameras[k]))
+    decode(small_stream.path, tmp_path / "some", camera=tmp_path / "path.json", frames=slice(5, 7))
+    assert sorted(os.listdir(tmp_path / "some")) == ["camera_000005.png", "camera_000006.png"]
+    five = "camera_000005.png"
+    np.testing.assert_array_equal(read_png(tmp_path / "some" / five), read_png(tmp_path / "o" / five))
+
+
+def test_a_path_with_times_needs_the_whole_stream(small_stream, tmp_path: Path) -> None:
+    (tmp_path / "path.json").write_text(json.dumps([POSE | {"frame": 0}]))
+    with pytest.raises(UsageError, match=r"path\.json: has times of its own"):
+        decode(small_stream.path, tmp_path / "o", camera=tmp_path / "path.json", follow=True)
+    with pytest.raises(UsageError, match=r"path\.json: nothing to decode, it has pictures 0:1"):
+        decode(small_stream.path, tmp_path / "o", camera=tmp_path / "path.json", frames=slice(1, 2))
+    assert not (tmp_path / "o").exists()
+
+
 def test_video_and_exr_show_the_same(small_stream, tmp_path: Path) -> None:
     assert decode_main([str(small_stream.path), "--view", "cam01", "-o", str(tmp_path / "x.mp4")]) == 0
     video = cv2.VideoCapture(str(tmp_path / "x.mp4"))
@@ -116,8 +144,12 @@ def test_video_and_exr_show_the_same(small_stream, tmp_path: Path) -> None:
         small_stream.header, dequantise(small_stream.states[1], small_stream.header.lattice), "cam01"
     )
     with OpenEXR.File(str(tmp_path / "f_0001.exr"), separate_channels=True) as file:
-        red = np.array(file.channels()["R"].pixels)
-    np.testing.assert_allclose(red, linear_light(rendering.image[..., 0]), rtol=2**-11, atol=1e-7)
+        red, alpha = (np.array(file.channels()[name].pixels, np.float64) for name in "RA")
+    covered = coverage(rendering.alpha)
+    over = red + (1 - covered) * linear_light(np.array([small_stream.header.background[0]], np.float32))
+    # Half precision of a colour below 1.
+    np.testing.assert_allclose(over, linear_light(rendering.image[..., 0]), atol=2**-11)
+    np.testing.assert_allclose(alpha, covered, atol=2**-11)
 
 
 def test_an_unchanged_scene_is_not_rendered_twice(small_stream, tmp_path: Path, monkeypatch) -> None:
@@ -244,7 +276,7 @@ def test_errors_are_one_line_and_exit_code_2(small_stream, tmp_path: Path, capsy
     broken.write_bytes(data)
     for arguments, message in (
         ([scene, "--view", "cam9", "-o", out], "no camera 'cam9' in this stream; it has cam00, cam01, wide"),
-        ([scene, "-o", out], "one of the arguments --view --camera is required"),
+        ([scene, "-o", out], "one of the arguments --view --camera --orbit --spiral is required"),
         ([scene, "--view", "cam00"], "required: -o/--output"),
         ([scene, "--view", "cam00", "--camera", "x", "-o", out], "not allowed with"),
         ([scene, "--camera", str(tmp_path / "no.json"), "-o", out], "no.json: cannot be read"),

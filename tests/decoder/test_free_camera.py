@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from decogs.decoder.camera_path import CameraPath, shown_frames
 from decogs.decoder.free_camera import read_free_cameras
 from decogs.formats.cameras import camera_centre
 from decogs.formats.errors import UsageError
@@ -17,10 +18,14 @@ LENS: dict[str, Any] = {"width": 640, "height": 360, "fx": 500.0}
 LOOK: dict[str, Any] = {"position": [1, 2, 3], "look_at": [1, 2, 8], "up": [0, -1, 0]}
 
 
-def read(folder: Path, content: Any) -> Any:
+def read_path(folder: Path, content: Any) -> CameraPath:
     path = folder / "pose.json"
     path.write_text(content if isinstance(content, str) else json.dumps(content))
     return read_free_cameras(path)
+
+
+def read(folder: Path, content: Any) -> Any:
+    return read_path(folder, content).cameras
 
 
 def test_looking_along_z_with_y_down_is_the_identity_rotation(tmp_path: Path) -> None:
@@ -66,6 +71,20 @@ def test_a_list_is_a_camera_path(tmp_path: Path) -> None:
     np.testing.assert_allclose([camera_centre(c)[0] for c in cameras], [0, 1, 2], atol=1e-12)
 
 
+def test_entries_may_have_times_and_show_the_nearest_frame(tmp_path: Path) -> None:
+    times = [2, 2, 0.4, 0.5, 0.6, 1.49]
+    path = read_path(tmp_path, [LENS | LOOK | {"frame": time} for time in times])
+    assert path.times == tuple(times)
+    assert shown_frames(path, 3) == [2, 2, 0, 1, 1, 1]
+    assert read_path(tmp_path, [LENS | LOOK]).times is None
+
+
+def test_a_time_outside_the_stream_is_named(tmp_path: Path) -> None:
+    path = read_path(tmp_path, [LENS | LOOK | {"frame": time} for time in (0, 2.5)])
+    with pytest.raises(UsageError, match=r"pose.json: camera 1 shows frame 2\.5, and the stream has frames 0 to 2"):
+        shown_frames(path, 3)
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [
@@ -97,6 +116,9 @@ def test_a_list_is_a_camera_path(tmp_path: Path) -> None:
         (LENS | {"world_to_camera": np.diag([1, 2, 1, 1]).tolist()}, "not rigid"),
         (LENS | {"camera_to_world": np.eye(3).tolist()}, "4 by 4 numbers"),
         ([LENS | LOOK, LENS | LOOK | {"width": 32}], "one size"),
+        ([LENS | LOOK | {"frame": 1}, LENS | LOOK], "camera 1: has no frame"),
+        ([LENS | LOOK | {"frame": -1}], "camera 0: frame is -1"),
+        ([LENS | LOOK | {"frame": "1"}], "frame must be a number"),
         ([LENS | LOOK, LENS], "camera 1: give the pose"),
     ],
 )

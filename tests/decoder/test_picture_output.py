@@ -7,11 +7,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import OpenEXR
 import pytest
 
-from decogs.decoder.picture_output import NOTHING_SEEN, linear_light, open_sink, to_8bit
+from decogs.decoder.exr_output import Layers, linear_light
+from decogs.decoder.picture_output import open_sink, to_8bit
 from decogs.decoder.rasterise import Rendering
+from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 
 
@@ -24,10 +25,13 @@ def frame_of(seed: int, width: int = 32, height: int = 24) -> Rendering:
     return Rendering(np.stack(planes, -1).astype(np.float32), alpha, np.full((height, width), 4.5, np.float32))
 
 
+LAYERS = Layers(Camera("cam00", 32, 24, 30.0, 30.0, 16.0, 12.0, np.eye(4)), (0.0, 0.0, 0.0))
+
+
 def write(output: Path | str, frames: list[int], *, fps: float | None = 25.0, view: str = "cam00") -> None:
     with open_sink(output, view=view, frames=len(frames), fps=fps) as sink:
         for frame in frames:
-            sink.write(frame, frame_of(frame))
+            sink.write(frame, frame_of(frame), LAYERS if sink.has_layers else None)
 
 
 def read_png(path: Path) -> np.ndarray:
@@ -89,24 +93,6 @@ def test_names_of_single_files(tmp_path: Path, suffix: str) -> None:
     )
 
 
-def test_exr_holds_linear_light_alpha_and_depth(tmp_path: Path) -> None:
-    write(tmp_path / "x.exr", [5])
-    rendering = frame_of(5)
-    with OpenEXR.File(str(tmp_path / "x.exr"), separate_channels=True) as file:
-        pixels = {name: channel.pixels for name, channel in file.channels().items()}
-        header = dict(file.header())
-    assert {name: str(plane.dtype) for name, plane in pixels.items()} == {
-        "R": "float16", "G": "float16", "B": "float16", "A": "float16", "Z": "float32",
-    }  # fmt: skip
-    # Half precision: 11 significant bits.
-    for k, name in enumerate("RGB"):
-        np.testing.assert_allclose(pixels[name], linear_light(rendering.image[..., k]), rtol=2**-11, atol=1e-7)
-    np.testing.assert_array_equal(pixels["A"], rendering.alpha)
-    np.testing.assert_array_equal(pixels["Z"][:, 1:], 4.5)
-    np.testing.assert_array_equal(pixels["Z"][:, 0], np.float32(NOTHING_SEEN))
-    assert "linear light" in header["decogs:colour"]
-
-
 @pytest.mark.parametrize("size", [(32, 24), (51, 33)])
 def test_mp4_shows_every_frame_at_the_streams_rate(tmp_path: Path, size: tuple[int, int]) -> None:
     with open_sink(tmp_path / "x.mp4", view="cam00", frames=6, fps=29.97) as sink:
@@ -138,7 +124,7 @@ def test_mp4_of_a_stream_without_a_rate(tmp_path: Path) -> None:
 def test_an_error_leaves_nothing_behind(tmp_path: Path, output: str, error: type[BaseException]) -> None:
     def interrupted() -> None:
         with open_sink(tmp_path / output, view="cam00", frames=5, fps=25.0) as sink:
-            sink.write(0, frame_of(0))
+            sink.write(0, frame_of(0), LAYERS)
             raise error("stop")
 
     with pytest.raises(error):
@@ -155,9 +141,9 @@ def test_an_error_leaves_the_earlier_video_as_it_was(tmp_path: Path) -> None:
     assert (tmp_path / "x.mp4").read_bytes() != b"earlier"
 
 
-def test_pictures_are_no_pipe(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_pipe_is_an_open_file_and_no_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(UsageError, match="no pipe; name a folder"):
+    with pytest.raises(UsageError, match="open binary file for a pipe"):
         write(Path("-"), [0])
     assert names_in(tmp_path) == []
 

@@ -1,0 +1,276 @@
+"""Videos through FFmpeg (PyAV, the extra ``decogs[video]``): H.264 and HEVC, ProRes, with sound.
+
+==========  ===========================  =========================================================
+name        codec, the default first     pixels
+==========  ===========================  =========================================================
+``x.mp4``   h264, hevc                   8 bit, 4:2:0; browsers play h264
+``x.mov``   prores, hevc, h264           ProRes 4444 without alpha, 10 bit; HEVC 10 bit
+==========  ===========================  =========================================================
+
+Colours are BT.709, limited range, and tagged so. 4:2:0 has a quarter of the colour samples, which no quality setting
+brings back: of small, colourful pictures it keeps 37 dB at best. ``chroma`` "444" keeps them all, and browsers do not
+play it.
+
+Licences: PyAV is BSD-3-Clause. Its wheels hold FFmpeg (LGPL-3.0) and x264 and x265 (GPL-2.0-or-later), which make these
+videos; nothing of it comes with decogs. Who passes on a bundle with that wheel passes on GPL software. Patents on
+H.264, HEVC and AAC are another matter again, where they hold.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.formats.errors import UsageError
+
+Codec = Literal["h264", "hevc", "prores"]
+Chroma = Literal["420", "444"]
+
+CODECS: dict[str, tuple[Codec, ...]] = {".mp4": ("h264", "hevc"), ".mov": ("prores", "hevc", "h264")}
+"""What each kind of file may hold, its default first."""
+
+DEFAULT_CRF = 4.0
+"""Constant rate factor: 4:4:4 has 45 dB and more against the PNGs then, 4:2:0 what it can within half a dB."""
+
+_ENCODERS: dict[Codec, tuple[str, ...]] = {
+    "h264": ("libx264", "libopenh264"),
+    "hevc": ("libx265",),
+    "prores": ("prores_ks",),
+}
+_THREADS = 4
+"""Whatever the machine has: x264's and x265's bytes depend on it."""
+_BT709 = 1
+_LIMITED = 1
+_SAMPLE_RATE = 48_000
+_SOUND_BITS = 256_000
+_BLOCK = 1024
+
+
+@dataclass(frozen=True)
+class VideoSettings:
+    """How a video is encoded; None: by the file's kind. ``begin``: seconds of ``audio`` before the first picture."""
+
+    codec: Codec | None = None
+    crf: float | None = None
+    chroma: Chroma | None = None
+    audio: Path | None = None
+    begin: float = 0.0
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether nothing was asked for that only FFmpeg can do."""
+        return self.codec is None and self.crf is None and self.chroma is None and self.audio is None
+
+
+def has_ffmpeg() -> bool:
+    """Whether PyAV is installed."""
+    from importlib.util import find_spec
+
+    return find_spec("av") is not None
+
+
+def check_settings(suffix: str, settings: VideoSettings) -> None:
+    """Raises UsageError for what a file of this suffix cannot be; any but .mp4 and .mov is no video of FFmpeg's."""
+    if suffix not in CODECS:
+        if not settings.is_plain:
+            raise UsageError("`codec`, `crf`, `chroma` and `audio` are for videos; name the output .mp4 or .mov")
+        return
+    if settings.codec is not None and settings.codec not in CODECS[suffix]:
+        raise UsageError(f"`codec` {settings.codec}: a {suffix} file holds {' or '.join(CODECS[suffix])}")
+    codec = settings.codec or CODECS[suffix][0]
+    if settings.crf is not None and (codec == "prores" or not 0 <= settings.crf <= 51):
+        raise UsageError(
+            f"`crf` {settings.crf:g}: " + ("ProRes has none" if codec == "prores" else "give 0 (best) to 51 (smallest)")
+        )
+    if settings.chroma == "420" and codec == "prores":
+        raise UsageError("`chroma` 420: ProRes is written as 4444; leave it out, or choose another `codec`")
+    if not has_ffmpeg() and not (suffix == ".mp4" and settings.is_plain):
+        raise UsageError(f"this {suffix} file needs FFmpeg: pip install 'decogs[video]', or write PNG to a folder")
+
+
+class Movie:
+    """A video file that takes pictures in order, and the sound beside them."""
+
+    def __init__(self, path: Path, fps: float, settings: VideoSettings) -> None:
+        import av
+
+        self._path, self._settings = path, settings
+        self._rate = Fraction(fps).limit_denominator(1001)
+        self._codec: Codec = settings.codec or CODECS[path.suffix.lower()][0]
+        self._stream: Any = None
+        self._reformatter = av.video.reformatter.VideoReformatter()
+        self._sound: _Sound | None = None
+        self._pictures = 0
+        with _explained(path):
+            self._container = av.open(str(path), "w", format=path.suffix[1:].lower(), options=_faststart(path))
+
+    def write(self, picture: NDArray[np.uint8]) -> None:
+        """Adds a display-referred picture (H, W, 3); all have one size."""
+        import av
+
+        if self._stream is None:
+            self._begin(picture.shape[1], picture.shape[0])
+        with _explained(self._path):
+            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")
+            frame = self._reformatter.reformat(
+                frame,
+                format=self._stream.pix_fmt,
+                dst_colorspace="ITU709",
+                dst_color_range="MPEG",
+                interpolation="LANCZOS",
+            )
+            frame.pts, frame.time_base = self._pictures, 1 / self._rate
+            self._container.mux(self._stream.encode(frame))
+        self._pictures += 1
+        if self._sound is not None:
+            self._sound.until(self._pictures / self._rate)
+
+    def finish(self) -> None:
+        """Writes what the encoders hold back, and closes the file."""
+        if self._stream is None:
+            raise UsageError(f"{self._path.name}: a video needs at least one frame")
+        with _explained(self._path):
+            self._container.mux(self._stream.encode(None))
+            if self._sound is not None:
+                self._sound.finish()
+            self._container.close()
+
+    def _begin(self, width: int, height: int) -> None:
+        with _explained(self._path):
+            stream = self._container.add_stream(_encoder(self._codec, self._path), rate=self._rate)
+        stream.pix_fmt = self._pixels()
+        # 4:2:0 needs even sizes: an odd picture repeats its last row or column.
+        stream.width, stream.height = width, height
+        context = stream.codec_context
+        context.color_range, context.colorspace, context.color_primaries, context.color_trc = (
+            _LIMITED, _BT709, _BT709, _BT709,
+        )  # fmt: skip
+        context.thread_count = _THREADS
+        context.time_base = 1 / self._rate
+        stream.options = self._options(stream.codec_context.name, width * height * float(self._rate))
+        self._stream = stream
+        if self._settings.audio is not None:
+            self._sound = _Sound(self._settings.audio, self._settings.begin, self._container)
+
+    def _pixels(self) -> str:
+        if self._codec == "prores":
+            return "yuv444p10le"
+        full = self._settings.chroma == "444"
+        return ("yuv444p" if full else "yuv420p") + ("10le" if self._codec == "hevc" else "")
+
+    def _options(self, encoder: str, pixels_per_second: float) -> dict[str, str]:
+        crf = DEFAULT_CRF if self._settings.crf is None else self._settings.crf
+        if encoder == "libx265":
+            return {"crf": f"{crf:g}", "tag": "hvc1", "x265-params": f"log-level=none:pools={_THREADS}:frame-threads=2"}
+        if encoder == "libx264":
+            return {"crf": f"{crf:g}", "preset": "medium"}
+        if encoder == "libopenh264":  # has no constant quality: bits for each pixel, as x264 takes them at this factor
+            return {"b": str(int(pixels_per_second * 8 * 2 ** (-crf / 6)))}
+        return {"profile": "4444", "vendor": "apl0"}
+
+
+class _Sound:
+    """The sound of a file from some second on, as AAC, in step with the pictures."""
+
+    def __init__(self, path: Path, begin: float, container: Any) -> None:
+        import av
+
+        self._path, self._container, self._written = path, container, 0
+        with _explained(path, "cannot be read as audio"):
+            self._input = av.open(str(path))
+            if not self._input.streams.audio:
+                raise UsageError(f"{path}: has no sound; name an audio file, or leave out `audio`")
+            self._output = container.add_stream("aac", rate=_SAMPLE_RATE, layout="stereo")
+        self._output.bit_rate = _SOUND_BITS
+        self._waiting = np.zeros((2, 0), np.float32)
+        self._blocks = self._samples(round(begin * _SAMPLE_RATE))
+
+    def until(self, seconds: Fraction) -> None:
+        """Writes what is heard up to there, as far as the file goes."""
+        end = round(seconds * _SAMPLE_RATE)
+        while self._written < end:
+            wanted = min(_BLOCK, end - self._written)
+            while self._waiting.shape[1] < wanted:
+                block = next(self._blocks, None)
+                if block is None:
+                    break
+                self._waiting = np.concatenate([self._waiting, block], axis=1)
+            taken, self._waiting = self._waiting[:, :wanted], self._waiting[:, wanted:]
+            if not taken.shape[1]:
+                return
+            self._encode(taken)
+
+    def finish(self) -> None:
+        """Writes what the encoder holds back."""
+        self._container.mux(self._output.encode(None))
+        self._input.close()
+
+    def _encode(self, samples: NDArray[np.float32]) -> None:
+        import av
+
+        frame = av.AudioFrame.from_ndarray(np.ascontiguousarray(samples), format="fltp", layout="stereo")
+        frame.sample_rate, frame.pts, frame.time_base = _SAMPLE_RATE, self._written, Fraction(1, _SAMPLE_RATE)
+        self._container.mux(self._output.encode(frame))
+        self._written += samples.shape[1]
+
+    def _samples(self, skipped: int) -> Iterator[NDArray[np.float32]]:
+        """Stereo samples (2, N), without the first ``skipped``."""
+        import av
+
+        resampler = av.AudioResampler(format="fltp", layout="stereo", rate=_SAMPLE_RATE)
+        with _explained(self._path, "cannot be read as audio"):
+            for frame in self._input.decode(audio=0):
+                for resampled in resampler.resample(frame):
+                    block = resampled.to_ndarray()
+                    if skipped < block.shape[1]:
+                        yield block[:, skipped:]
+                    skipped = max(0, skipped - block.shape[1])
+
+
+class _explained:
+    """What FFmpeg says of a file, as one line of ours."""
+
+    def __init__(self, path: Path, what: str = "cannot be written") -> None:
+        self._path, self._what = path, what
+
+    def __enter__(self) -> None:
+        """Nothing to prepare."""
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        import av
+
+        if isinstance(error, (av.FFmpegError, ValueError)) and not isinstance(error, UsageError):
+            said = getattr(error, "strerror", None) or str(error)
+            name = self._path if "read" in self._what else self._path.name
+            raise UsageError(f"{name}: {self._what} ({said}); choose another file") from None
+
+
+def _encoder(codec: Codec, path: Path) -> str:
+    import av
+
+    for name in _ENCODERS[codec]:
+        if name in av.codecs_available and _encodes(name):
+            return name
+    raise UsageError(f"{path.name}: this FFmpeg has no encoder for {codec}; choose another `codec`, or write PNG")
+
+
+def _encodes(name: str) -> bool:
+    import av
+
+    try:
+        av.Codec(name, "w")
+    except ValueError:
+        return False
+    return True
+
+
+def _faststart(path: Path) -> dict[str, str]:
+    """What is needed to play comes first in the file, so that browsers can begin; the same bytes on every machine."""
+    return {"movflags": "+faststart", "fflags": "+bitexact"} if os.fspath(path) else {}
