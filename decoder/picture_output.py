@@ -23,8 +23,6 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
-import tempfile
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -36,6 +34,7 @@ from numpy.typing import NDArray
 
 from decogs.formats.errors import UsageError, check_utf8
 from decogs.formats.frame_names import names_of_frames
+from decogs.formats.outputs import publish_files, staged_files
 from decogs.formats.quiet import quiet_opencv
 
 from .camera_path import DEFAULT_FPS as DEFAULT_FPS
@@ -103,19 +102,12 @@ def open_sink(
         return
     target = Path(output)
     create, folder = _plan(output, target, view, frames, fps or DEFAULT_FPS, video, on_warning)
-    try:
-        staging = Path(tempfile.mkdtemp(prefix=".decogs-", dir=_existing_folder(target.parent)))
-    except OSError as error:
-        raise UsageError(f"{target}: cannot be written there ({error.strerror}); choose another output") from None
-    try:
+    with staged_files(folder) as staging:
         sink = create(staging)
         if frames is None and isinstance(sink, _Files):
             sink = _OneByOne(sink, staging, folder)
         yield sink
         sink.finish()
-        _publish(staging, folder)
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)
 
 
 def to_8bit(image: NDArray[Any]) -> NDArray[np.uint8]:
@@ -161,7 +153,7 @@ class _OneByOne(PictureSink):
 
     def write(self, frame: int, rendering: Rendering, layers: Layers | None = None) -> None:
         self._files.write(frame, rendering, layers)
-        _publish(self._staging, self._folder)
+        publish_files(self._staging, self._folder)
 
     def finish(self) -> None:
         """Every file is in place already."""
@@ -324,20 +316,3 @@ def _safe(view: str) -> str:
     except UnicodeEncodeError:  # names of files are ASCII here
         safe = re.sub(r"[^\w.-]+", "_", safe, flags=re.ASCII)
     return safe.encode()[:_LONGEST_VIEW].decode(errors="ignore") or "view"
-
-
-def _existing_folder(folder: Path) -> Path:
-    """The folder itself or its nearest ancestor that exists: the same disk, so that files can be renamed into place."""
-    while not folder.exists() and folder != folder.parent:
-        folder = folder.parent
-    return folder
-
-
-def _publish(staging: Path, folder: Path) -> None:
-    """Moves the finished files into place, making folders that are missing."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for file in sorted(staging.iterdir()):
-            os.replace(file, folder / file.name)
-    except OSError as error:
-        raise UsageError(f"{folder}: cannot be written ({error.strerror}); choose another output") from None

@@ -219,13 +219,19 @@ def staged_files(folder: Path) -> Iterator[Path]:
         raise UsageError(f"{folder}: cannot be written to ({error.strerror}); choose another output") from None
     try:
         yield staging
+        publish_files(staging, folder)
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+
+
+def publish_files(staging: Path, folder: Path) -> None:
+    """Moves what is in ``staging`` into ``folder``, made if it is missing. Raises UsageError where that fails."""
+    try:
         folder.mkdir(parents=True, exist_ok=True)
         for file in sorted(staging.iterdir()):
             os.replace(file, folder / file.name)
     except OSError as error:
         raise UsageError(f"{folder}: cannot be written to ({error.strerror}); choose another output") from None
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)
 
 
 def open_in_place(path: Path, *, append: bool = False) -> BinaryIO:
