@@ -32,6 +32,7 @@ from decogs.formats.command_line import (
 from decogs.formats.errors import UsageError
 from decogs.formats.frame_ranges import frame_range
 from decogs.formats.up_direction import UPS
+from decogs.formats.usd_prims import FLAVOURS
 
 from .limits import DEFAULT_MAX_MEMORY
 
@@ -114,6 +115,11 @@ def export_main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--format", metavar="KIND", help="with -o -: which kind of file, such as ply")
     parser.add_argument("--spz-version", type=int, choices=(2, 3, 4), help="of a .spz (default 3)")
+    parser.add_argument(
+        "--prim",
+        choices=FLAVOURS,
+        help="USD: ellipsoids that all draw (instancer, default), ParticleField3DGaussianSplat (splat), or both",
+    )
     return run(parser, lambda: _export(parser, parser.parse_args(_joined(arguments))), cleans_up=True)
 
 
@@ -195,6 +201,7 @@ def _export(parser: Parser, options: argparse.Namespace) -> None:
             scale_to_metres=options.scale_to_metres,
             format=options.format,
             spz_version=options.spz_version,
+            prim=options.prim,
             strict=options.strict,
             max_memory=options.max_memory,
             on_frame=on_frame,

@@ -6,6 +6,7 @@ and ``decogs.formats.usd``; formats of Gaussians are ``decogs.formats.splat_file
 
 from __future__ import annotations
 
+import hashlib
 import os
 import tempfile
 from collections.abc import Callable, Iterator
@@ -26,6 +27,7 @@ from decogs.formats.splat_files.spz import SpzVersion
 from decogs.formats.splats import Splats
 from decogs.formats.up_direction import AXES, UPS, Up, Vector, turn_between, up_text, up_vector
 from decogs.formats.usd import USD_SUFFIXES
+from decogs.formats.usd_prims import FLAVOURS, Flavour
 
 from .frame_choice import OnWarning, open_chosen
 from .limits import DEFAULT_MAX_MEMORY
@@ -36,6 +38,7 @@ OnFrame = Callable[[int, int], None]
 
 _LAST_NUMBER = 2**31 - 1
 _CHUNK = 1 << 20
+_VERSION_DIGITS = 12
 
 
 @dataclass(frozen=True)
@@ -66,6 +69,7 @@ class _Plan:
     fps: float | None
     scale: float
     spz_version: SpzVersion | None
+    prim: Flavour
     on_frame: OnFrame | None
     on_warning: OnWarning | None
 
@@ -81,6 +85,7 @@ def export(
     scale_to_metres: float = 1.0,
     format: str | None = None,
     spz_version: SpzVersion | None = None,
+    prim: Flavour | None = None,
     strict: bool = False,
     max_memory: int = DEFAULT_MAX_MEMORY,
     on_frame: OnFrame | None = None,
@@ -93,7 +98,8 @@ def export(
     for all. ``up``: the world's up, which is turned to what the format has for it (``decogs.formats.up_direction``).
     ``first_frame``: the number of the stream's frame 0, in names and as USD's time code. ``fps``: the stream's by
     default. ``scale_to_metres``: metres of a world unit; positions and sizes are multiplied by it. ``spz_version``: 2,
-    3 or 4. ``strict`` and ``max_memory`` (bytes) are those of ``open_stream``. The frames are read twice, and
+    3 or 4. ``prim``: how USD shows Gaussians: "instancer" (default), "splat" or
+    "both". ``strict`` and ``max_memory`` (bytes) are those of ``open_stream``. The frames are read twice, and
     ``on_frame(done, all)`` counts both readings; ``on_warning(text)`` is told of damage and of what is left out.
 
     Raises UsageError, StreamError or OSError; no file is then left or replaced.
@@ -108,7 +114,12 @@ def export(
         raise UsageError(f"`fps` {fps:g}: give a positive number of frames per second")
     if spz_version is not None and suffix != ".spz":
         raise UsageError(f"`spz_version` {spz_version}: the output is a {suffix}; name a .spz, or leave it out")
-    plan = _Plan(target, suffix, up, first_frame, fps, scale_to_metres, spz_version, on_frame, on_warning)
+    if prim is not None and suffix not in USD_SUFFIXES:
+        raise UsageError(f"`prim` {prim}: the output is a {suffix}; name a .usdc, or leave it out")
+    if prim is not None and prim not in FLAVOURS:
+        raise UsageError(f"`prim` {prim}: no such kind of prim; choose from {', '.join(FLAVOURS)}")
+    flavour: Flavour = prim or "instancer"
+    plan = _Plan(target, suffix, up, first_frame, fps, scale_to_metres, spz_version, flavour, on_frame, on_warning)
     with open_chosen(stream, frames, strict=strict, max_memory=max_memory, on_warning=on_warning) as (opened, chosen):
         if not 0 <= first_frame <= _LAST_NUMBER - chosen.stop:
             raise UsageError(f"`first_frame` {first_frame}: give a number from 0 on")
@@ -116,7 +127,7 @@ def export(
         names = _names(target, suffix, numbers)
         check_outputs([Output("output", name) for name in names], [(Path(stream), "is read, as `stream`")])
         if suffix in USD_SUFFIXES:
-            return _export_usd(plan, opened, chosen)
+            return _export_usd(plan, opened, chosen, Path(stream))
         return _export_splats(plan, opened, chosen, names)
 
 
@@ -172,11 +183,32 @@ def _similarity(plan: _Plan, header: StreamHeader, to: str) -> tuple[Similarity,
     return Similarity(rotation, plan.scale), up
 
 
-def _export_usd(plan: _Plan, stream: Stream, chosen: range) -> ExportReport:
+def _asset(source: Path) -> tuple[str, str]:
+    """Name and version of what a stream shows: its file's name, and the beginning of its bytes' SHA-256.
+
+    The same stream is the same version, and one that was encoded again is another.
+    """
+    digest = hashlib.sha256()
+    with source.open("rb") as file:
+        while chunk := file.read(_CHUNK):
+            digest.update(chunk)
+    # A name need not be text that USD can hold.
+    return source.stem.encode("utf-8", "replace").decode(), digest.hexdigest()[:_VERSION_DIGITS]
+
+
+def _documentation(header: StreamHeader, name: str) -> str:
+    """What the footage is and who may use it, as the stream says; or at least what this file is."""
+    said = " ".join(text for text in (header.source_text, header.licence) if text)
+    own = f"{name}: free-viewpoint video as 3D Gaussians, from {len(header.cameras)} cameras, by {header.writer}."
+    return f"{own} {said}" if said else own
+
+
+def _export_usd(plan: _Plan, stream: Stream, chosen: range, source: Path) -> ExportReport:
     from .usd_export import ExportFrame, export_usd
 
     header, done = stream.header, 0
     root, up = _similarity(plan, header, "Y")
+    asset = _asset(source)
 
     def read_again() -> Iterator[ExportFrame]:
         nonlocal done
@@ -193,7 +225,9 @@ def _export_usd(plan: _Plan, stream: Stream, chosen: range) -> ExportReport:
             fps=plan.fps or header.fps or DEFAULT_FPS,
             cameras=header.cameras,
             root=root,
-            documentation=" ".join(text for text in (header.source_text, header.licence) if text),
+            flavour=plan.prim,
+            asset=asset,
+            documentation=_documentation(header, asset[0]),
         )
         return ExportReport(
             report.frame_count,

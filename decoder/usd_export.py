@@ -19,13 +19,8 @@ from decogs.formats.errors import UsageError
 from decogs.formats.similarity import NO_CHANGE, Similarity
 from decogs.formats.splat_files.quantised import unit_rotations
 from decogs.formats.splats import SH_C0, Splats, empty_splats, join_splats, sigmoid, take_splats
-from decogs.formats.usd import (
-    DEFAULT_PROTOTYPE_RADIUS,
-    UsdSplats,
-    UsdWriter,
-    check_usd_request,
-    just_before,
-)
+from decogs.formats.usd import DEFAULT_PROTOTYPE_RADIUS, UsdWriter, check_usd_request, just_before
+from decogs.formats.usd_prims import Flavour, UsdSplats
 
 Ids = NDArray[np.int64]
 Mask = NDArray[np.bool_]
@@ -61,7 +56,7 @@ class Census:
     """Who lives and who changes over all frames of an export; id arrays sorted, splats in the same order.
 
     Static: alive in every frame and never changed; ``static`` are their values. Dynamic: every other Gaussian that is
-    ever alive; ``newborn`` are their values when they first appear. SH is cut to degree 0.
+    ever alive; ``newborn`` are their values when they first appear. SH is cut to what the prims can hold.
 
     ``touched``: for each `SEGMENT` of frames, who changes, appears or vanishes from its first frame to the next one's.
     """
@@ -83,19 +78,22 @@ def export_usd(
     root: Similarity = NO_CHANGE,
     prototype_radius: float = DEFAULT_PROTOTYPE_RADIUS,
     documentation: str = "",
+    flavour: Flavour = "instancer",
+    asset: tuple[str, str] | None = None,
 ) -> UsdReport:
     """A stream of decoded frames as USD: /World/Static, /World/Dynamic, their points, and the rig's cameras.
 
     ``frames`` is called twice and gives the same frames both times, indices rising; indices become time codes.
     ``prototype_radius`` is the size of a drawn ellipsoid in standard deviations. ``root`` brings the world to Y up and
-    metres. ``documentation`` goes into the file (source and licence of the footage).
+    metres. ``documentation`` goes into the file (source and licence of the footage). ``flavour``: as instancers with
+    points, as splat prims, which hold all SH, or as both. ``asset``: name and version, for asset managers.
 
     A group without Gaussians is left out. Raises UsageError for a name that is not USD's, without frames, and when the
     file cannot be written; a file of that name is only ever replaced by a complete one.
     """
     path = Path(path)
     check_usd_request(path, fps=fps, prototype_radius=prototype_radius)
-    census = take_census(frames())
+    census = take_census(frames(), view_dependent=flavour != "instancer")
     if not census.frames:
         raise UsageError(f"{path}: there is no frame to export; choose frames that the stream has")
     with UsdWriter(
@@ -105,6 +103,8 @@ def export_usd(
         root=root,
         prototype_radius=prototype_radius,
         documentation=documentation,
+        flavour=flavour,
+        asset=asset,
     ) as usd:
         usd.add_cameras(cameras)
         if len(census.static_ids):
@@ -115,10 +115,11 @@ def export_usd(
     return UsdReport(len(census.frames), len(census.static_ids), len(census.dynamic_ids), path.stat().st_size)
 
 
-def take_census(frames: Iterable[ExportFrame]) -> Census:
+def take_census(frames: Iterable[ExportFrame], *, view_dependent: bool = False) -> Census:
     """First reading: which stable ids change, appear or vanish. Values are compared bit for bit as stored.
 
-    Raises ValueError when indices do not rise or an id occurs twice in a frame.
+    ``view_dependent``: SH beyond degree 0 count and are kept, as splat prims can hold them. Raises
+    ValueError when indices do not rise or an id occurs twice in a frame.
     """
     indices: list[int] = []
     previous: ExportFrame | None = None
@@ -133,7 +134,7 @@ def take_census(frames: Iterable[ExportFrame]) -> Census:
         indices.append(raw.index)
         if previous is not None and raw.splats is previous.splats and raw.ids is previous.ids:
             continue
-        frame = _sorted_by_id(raw)
+        frame = _sorted_by_id(raw, view_dependent=view_dependent)
         if previous is None or known is None:
             known_ids, known = frame.ids, frame.splats
         else:
@@ -195,7 +196,7 @@ def follow_dynamic(census: Census, frames: Iterable[ExportFrame]) -> Iterator[Ro
                     # As many rows as before would be interpolated with them: one of them counts as moving.
                     ids, resting = np.union1d(ids, resting[:1]), resting[1:]
                 rested = len(resting)
-                yield _at_rest(frame, resting, until)
+                yield _at_rest(frame, resting, census.newborn, until)
             moving = _Moving(ids, _at_places(census, ids))
             moving.show(frame)
         assert moving is not None
@@ -214,17 +215,18 @@ class _Moving:
         before, self._shown = self._shown, frame
         if before is None or frame.splats is not before.splats or frame.ids is not before.ids:
             self._alive, rows, slots = _rows_of(self._ids, frame.ids)
-            self._current = _placed(self._current, take_splats(_degree_0(frame.splats), rows), slots)
+            self._current = _placed(self._current, take_splats(_cut(frame.splats, self._current), rows), slots)
             self._values = usd_splats(self._current)
 
     def rows(self, time: float) -> Rows:
         return Rows(DYNAMIC_GROUP, time, self._ids, self._values, self._alive)
 
 
-def _at_rest(frame: ExportFrame, ids: Ids, until: float | None) -> Rows:
+def _at_rest(frame: ExportFrame, ids: Ids, newborn: Splats, until: float | None) -> Rows:
     """Who is alive throughout a segment and changes in another one only."""
     alive, rows, _ = _rows_of(ids, frame.ids)
-    return Rows(RESTING_GROUP, frame.index, ids, usd_splats(take_splats(_degree_0(frame.splats), rows)), alive, until)
+    splats = usd_splats(take_splats(_cut(frame.splats, newborn), rows))
+    return Rows(RESTING_GROUP, frame.index, ids, splats, alive, until)
 
 
 def _at_places(census: Census, ids: Ids) -> Splats:
@@ -244,7 +246,7 @@ def _write_dynamic(usd: UsdWriter, census: Census, frames: Iterable[ExportFrame]
 
 
 def usd_splats(splats: Splats) -> UsdSplats:
-    """Activated values of stored ones: scales, opacities, unit quaternions, and the linear view-independent colour."""
+    """Activated values of stored ones: scales, opacities, unit quaternions, linear view-independent colour; and SH."""
     colours = np.clip(0.5 + SH_C0 * splats.sh[:, 0], 0.0, 1.0).astype(np.float64)
     return UsdSplats(
         positions=splats.means,
@@ -252,6 +254,7 @@ def usd_splats(splats: Splats) -> UsdSplats:
         scales=np.exp(splats.log_scales),
         colours=linear_from_srgb(colours).astype(np.float32),
         opacities=sigmoid(splats.opacity_logits),
+        sh=splats.sh,
     )
 
 
@@ -260,18 +263,20 @@ def _check_order(indices: list[int], index: int) -> None:
         raise ValueError(f"frame {index} follows frame {indices[-1]}; indices must rise")
 
 
-def _degree_0(splats: Splats) -> Splats:
-    """The splats without view dependence, which USD's display colour cannot hold; arrays are shared, not copied."""
-    return Splats(splats.means, splats.log_scales, splats.quaternions, splats.opacity_logits, splats.sh[:, :1])
+def _cut(splats: Splats, like: Splats) -> Splats:
+    """The splats with as much view dependence as ``like`` has; arrays are shared, not copied."""
+    sh = splats.sh[:, : like.sh.shape[1]]
+    return Splats(splats.means, splats.log_scales, splats.quaternions, splats.opacity_logits, sh)
 
 
-def _sorted_by_id(frame: ExportFrame) -> ExportFrame:
-    """The same frame, ids rising, SH cut to degree 0."""
+def _sorted_by_id(frame: ExportFrame, *, view_dependent: bool) -> ExportFrame:
+    """The same frame, ids rising; without view dependence, SH are cut to degree 0."""
     order = np.argsort(frame.ids, kind="stable")
     ids = frame.ids[order]
     if (ids[1:] == ids[:-1]).any():
         raise ValueError(f"frame {frame.index} has an id twice")
-    return ExportFrame(frame.index, ids, take_splats(_degree_0(frame.splats), order))
+    splats = frame.splats if view_dependent else _cut(frame.splats, empty_splats(0))
+    return ExportFrame(frame.index, ids, take_splats(splats, order))
 
 
 def _touched(before: ExportFrame, after: ExportFrame) -> Ids:

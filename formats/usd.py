@@ -1,4 +1,4 @@
-"""Splats over time as USD: point instancers that today's DCCs draw, and a points prim beside each.
+"""Splats over time as USD: point instancers that today's DCCs draw, with points beside each; splat prims; or both.
 
 Layout, every array in world units and in one fixed order per group::
 
@@ -6,6 +6,7 @@ Layout, every array in world units and in one fixed order per group::
     /World/<Group>           PointInstancer: positions, orientations, scales, ids, displayColor, displayOpacity
     /World/<Group>/Splat     its prototype, a Sphere of radius k: an instance is the ellipsoid at k sigma
     /World/<Group>Points     Points in the same order: displayColor, displayOpacity, splatId; widths 0
+    /World/<Group>Splats     ParticleField3DGaussianSplat: positions, orientations, scales, opacities, SH, splatId
     /World/Cameras/<name>    one Camera for every camera of the rig
 
 Choices, and why:
@@ -30,11 +31,18 @@ Choices, and why:
   color3f; a half, double or int64 primvar would end its import of the later ones): this prim carries colour and
   opacity there. Its purpose is "render" and its width 0: imported by default, never drawn over the instances. A row
   that is not alive has opacity 0.
+* *Splat prims* hold what the decoder has, in single precision and with all of its SH, since a file of them is for
+  programs that draw Gaussians. Every array of a group has its length at every time, as readers demand, so a row that is
+  not alive stays with opacity 0, and fades from one frame to the next where readers interpolate. Half precision was
+  rejected: 2^-11 of ten metres is half a centimetre. At each frame the values are the decoder's bits.
+* *Both flavours* in one file: splats have the purpose "render" and name the instancers, of purpose "proxy", as what
+  stands in for them. Rejected: a variant set (no importer lets one choose), two sets without a purpose (drawn twice).
 * *No material.* Hydra renderers use displayColor and displayOpacity of each instance by themselves. A material that
   reads its opacity from displayOpacity makes everything invisible in Blender.
 * *Colours* are linear, as displayColor asks: the sRGB transfer function is undone for the view-independent colour. View
-  dependence (SH degree 1 to 3) and lens distortion have no place in these prims and are left out.
-* *Orientations* are half precision (quath) because Blender ignores the float attribute ``orientationsf``.
+  dependence (SH degree 1 to 3) has no place in instancers and lens distortion none in USD; they are left out. Splat
+  prims say that the colours of their SH are sRGB-coded.
+* *Orientations* of instancers are half precision (quath) because Blender ignores the float attribute ``orientationsf``.
 
 Source of the facts: OpenUSD 26.11 schemas, and imports into Blender 4.5 and 5.0.
 """
@@ -46,7 +54,7 @@ import os
 import resource
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -57,9 +65,8 @@ from numpy.typing import NDArray
 
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError, check_utf8
-from decogs.formats.rotations import rotation_rows
 from decogs.formats.similarity import NO_CHANGE, Similarity
-from decogs.formats.splats import FloatArray
+from decogs.formats.usd_prims import Flavour, InstancerPrims, Prims, SplatPrims, UsdSplats
 
 USD_SUFFIXES = (".usdc", ".usda", ".usd", ".usdz")
 
@@ -82,146 +89,12 @@ _OF_USD = 2 * 10**9
 """Bytes of address space in which a stream of 84 kB is exported; in 1.2e9 OpenUSD ends the process."""
 
 
-@dataclass(frozen=True)
-class UsdSplats:
-    """What a group shows at one frame, float32, one row per Gaussian; all rows of the group, alive or not.
-
-    positions (N, 3) and scales (N, 3) (standard deviations) in world units; rotations (N, 4) unit quaternions wxyz;
-    colours (N, 3) linear; opacities (N,) 0 to 1.
-    """
-
-    positions: FloatArray
-    rotations: FloatArray
-    scales: FloatArray
-    colours: FloatArray
-    opacities: FloatArray
-
-
-def splat_extent(splats: UsdSplats, radius: float) -> FloatArray:
-    """Box around the instances, (2, 3): each the box around a cube of half side ``radius``, as UsdGeom computes it.
-
-    A group without rows has the empty box at the origin.
-    """
-    if len(splats.positions) == 0:
-        return np.zeros((2, 3), np.float32)
-    rotation = np.array(rotation_rows(*splats.rotations.T))
-    half = radius * np.einsum("ijn,nj->ni", np.abs(rotation), splats.scales)
-    return np.stack([(splats.positions - half).min(axis=0), (splats.positions + half).max(axis=0)]).astype(np.float32)
-
-
-class _Track:
-    """One attribute over time: a default from the first value, samples from the first change on, none that repeats."""
-
-    def __init__(self, attribute: Any, convert: Callable[[NDArray[Any]], Any]) -> None:
-        self._attribute = attribute
-        self._convert = convert
-        self._value: NDArray[Any] | None = None
-        self._seen = 0.0
-        self._written: float | None = None
-
-    def push(self, time: float, value: NDArray[Any], until: float | None = None) -> int:
-        """The value at ``time`` (times in rising order), and ``until`` then; returns the bytes handed to USD."""
-        before, last = self._value, self._seen
-        self._seen = time if until is None else until
-        if before is not None and (before is value or np.array_equal(before, value)):
-            return 0
-        written = self._convert(value)
-        self._value = value
-        bytes_out = value.nbytes
-        if before is None:
-            self._attribute.Set(written)
-        else:
-            if self._written is None or self._written < last:
-                self._attribute.Set(self._convert(before), last)
-                bytes_out += before.nbytes
-            self._attribute.Set(written, time)
-            self._written = time
-        if until is not None:
-            self._attribute.Set(written, until)
-            self._written = until
-        return bytes_out
-
-
+@dataclass
 class _Group:
-    """One instancer with its points, and the attributes of both that may change."""
+    """The stable ids of a group's rows, and the prims that show them."""
 
-    def __init__(
-        self, stage: Any, name: str, ids: NDArray[np.int64], prototype_radius: float, *, short_ids: bool
-    ) -> None:
-        from pxr import Gf, Sdf, UsdGeom, Vt
-
-        path = f"/World/{name}"
-        instancer = UsdGeom.PointInstancer.Define(stage, path)
-        prototype = UsdGeom.Sphere.Define(stage, f"{path}/Splat")
-        prototype.CreateRadiusAttr(prototype_radius)
-        prototype.CreateExtentAttr([Gf.Vec3f(-prototype_radius), Gf.Vec3f(prototype_radius)])
-        instancer.CreatePrototypesRel().SetTargets([prototype.GetPath()])
-        points = UsdGeom.Points.Define(stage, f"{path}Points")
-        points.CreatePurposeAttr(UsdGeom.Tokens.render)
-        widths = points.CreateWidthsAttr()
-        points.SetWidthsInterpolation(UsdGeom.Tokens.vertex)
-
-        def primvar(prim: Any, key: str, kind: Any) -> Any:
-            return UsdGeom.PrimvarsAPI(prim).CreatePrimvar(key, kind, UsdGeom.Tokens.vertex).GetAttr()
-
-        colour, opacity = Sdf.ValueTypeNames.Color3fArray, Sdf.ValueTypeNames.FloatArray
-        vectors, floats, integers = Vt.Vec3fArray.FromNumpy, Vt.FloatArray.FromNumpy, Vt.Int64Array.FromNumpy
-        numbers = Vt.IntArray.FromNumpy
-        self.ids = ids
-        self._radius = prototype_radius
-        self._tracks = {
-            "ids": _Track(instancer.CreateIdsAttr(), integers),
-            "prototypes": _Track(instancer.CreateProtoIndicesAttr(), numbers),
-            "widths": _Track(widths, floats),
-            "positions": _Track(instancer.CreatePositionsAttr(), vectors),
-            "rotations": _Track(instancer.CreateOrientationsAttr(), _quath_array),
-            "scales": _Track(instancer.CreateScalesAttr(), vectors),
-            "colours": _Track(primvar(instancer, "displayColor", colour), vectors),
-            "opacities": _Track(primvar(instancer, "displayOpacity", opacity), floats),
-            "invisible": _Track(instancer.CreateInvisibleIdsAttr(), integers),
-            "extent": _Track(instancer.CreateExtentAttr(), vectors),
-            "points": _Track(points.CreatePointsAttr(), vectors),
-            "points_colours": _Track(primvar(points, "displayColor", colour), vectors),
-            "points_opacities": _Track(primvar(points, "displayOpacity", opacity), floats),
-            "points_extent": _Track(points.CreateExtentAttr(), vectors),
-        }
-        if short_ids:
-            for key, prim in (("short_ids", instancer), ("points_short_ids", points)):
-                self._tracks[key] = _Track(primvar(prim, "splatId", Sdf.ValueTypeNames.IntArray), numbers)
-
-    def push(self, time: float, splats: UsdSplats, alive: NDArray[np.bool_], until: float | None) -> int:
-        """The group at ``time``; returns the bytes handed to USD, an upper bound of what the file grows by."""
-        shown = splats if alive.all() else UsdSplats(*(value[alive] for value in vars(splats).values()))
-        count = len(self.ids)
-        short_ids = self.ids.astype(np.int32)
-        values: dict[str, NDArray[Any]] = {
-            "ids": self.ids,
-            "short_ids": short_ids,
-            "points_short_ids": short_ids,
-            "prototypes": np.zeros(count, np.int32),
-            "widths": np.zeros(count, np.float32),
-            "positions": splats.positions,
-            "rotations": splats.rotations,
-            "scales": splats.scales,
-            "colours": splats.colours,
-            "opacities": splats.opacities,
-            "invisible": self.ids[~alive],
-            "extent": splat_extent(shown, self._radius),
-            "points": splats.positions,
-            "points_colours": splats.colours,
-            "points_opacities": splats.opacities if alive.all() else np.where(alive, splats.opacities, np.float32(0)),
-            "points_extent": _box(splats.positions),
-        }
-        # Boxes always have two corners, between which readers interpolate.
-        return sum(
-            track.push(time, values[key], until if key.endswith("extent") else None)
-            for key, track in self._tracks.items()
-        )
-
-
-def _box(positions: FloatArray) -> FloatArray:
-    """The box around points, (2, 3); at the origin where there are none."""
-    return np.stack([positions.min(axis=0), positions.max(axis=0)]) if len(positions) else np.zeros((2, 3), np.float32)
+    ids: NDArray[np.int64]
+    prims: tuple[Prims, ...]
 
 
 class UsdWriter:
@@ -232,7 +105,8 @@ class UsdWriter:
 
     ``frames`` is the first and last time code; ``fps`` becomes both frames and time codes per second. ``root`` brings
     the world to Y up and metres. A .usdz is packed from a crate file at the end. Raises UsageError for a name that is
-    not USD's, for numbers out of range, and when the file cannot be written.
+    not USD's, for numbers out of range, and when the file cannot be written. ``flavour``: which prims show a group.
+    ``asset``: name and version, for asset managers.
     """
 
     def __init__(
@@ -244,6 +118,8 @@ class UsdWriter:
         root: Similarity = NO_CHANGE,
         prototype_radius: float = DEFAULT_PROTOTYPE_RADIUS,
         documentation: str = "",
+        flavour: Flavour = "instancer",
+        asset: tuple[str, str] | None = None,
     ) -> None:
         self.path = Path(path)
         check_usd_request(self.path, fps=fps, prototype_radius=prototype_radius)
@@ -254,11 +130,12 @@ class UsdWriter:
         )
         self._frames = frames
         self._radius = float(prototype_radius)
+        self._flavour = flavour
         self._groups: dict[str, _Group] = {}
         self._unsaved = 0
-        self._stage = self._create(float(fps), root, documentation)
+        self._stage = self._create(float(fps), root, documentation, asset)
 
-    def _create(self, fps: float, root: Similarity, documentation: str) -> Any:
+    def _create(self, fps: float, root: Similarity, documentation: str, asset: tuple[str, str] | None) -> Any:
         from pxr import Gf, Kind, Tf, Usd, UsdGeom
 
         try:
@@ -272,7 +149,11 @@ class UsdWriter:
         stage.SetStartTimeCode(self._frames[0])
         stage.SetEndTimeCode(self._frames[1])
         world = UsdGeom.Xform.Define(stage, "/World")
-        Usd.ModelAPI(world).SetKind(Kind.Tokens.component)
+        model = Usd.ModelAPI(world)
+        model.SetKind(Kind.Tokens.component)
+        if asset is not None:
+            model.SetAssetName(asset[0])
+            model.SetAssetVersion(asset[1])
         if not root.is_identity:
             world.AddTransformOp().Set(Gf.Matrix4d(root.matrix.T.tolist()))
         stage.SetDefaultPrim(world.GetPrim())
@@ -302,13 +183,20 @@ class UsdWriter:
         return paths
 
     def add_group(self, name: str, ids: NDArray[np.int64], *, largest_id: int | None = None) -> None:
-        """Opens /World/<name> and its points for these stable ids, (N,), all different and none negative.
+        """Opens a group for these stable ids, (N,), all different and none negative: the prims of the flavour.
 
         ``largest_id``: of any that the group will have, when `regroup` gives it others.
         """
         ids = np.ascontiguousarray(ids, np.int64)
         largest = int(ids.max(initial=0)) if largest_id is None else largest_id
-        self._groups[name] = _Group(self._stage, name, ids, self._radius, short_ids=largest <= _INT32_MAX)
+        short_ids, both = largest <= _INT32_MAX, self._flavour == "both"
+        prims: list[Prims] = []
+        if self._flavour != "splat":
+            prims.append(InstancerPrims(self._stage, name, self._radius, short_ids=short_ids, stand_in=both))
+        if self._flavour != "instancer":
+            stand_in = f"/World/{name}" if both else None
+            prims.append(SplatPrims(self._stage, name, short_ids=short_ids, stand_in_of=stand_in))
+        self._groups[name] = _Group(ids, tuple(prims))
 
     def regroup(self, name: str, ids: NDArray[np.int64]) -> None:
         """Other stable ids for a group, from its next frame on; write the present ones `just_before` that first."""
@@ -331,7 +219,7 @@ class UsdWriter:
         """
         group = self._groups[name]
         shown = np.ones(len(group.ids), np.bool_) if alive is None else alive
-        self._unsaved += group.push(time, splats, shown, until)
+        self._unsaved += sum(prims.push(time, group.ids, splats, shown, until) for prims in group.prims)
         if self._unsaved >= _FLUSH_BYTES:
             self._save()
 
@@ -436,13 +324,6 @@ def _reason(error: Exception) -> str:
     """The last line of what OpenUSD says, without its source location."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return lines[-1].rpartition("' -- ")[2].strip("' ") if lines else type(error).__name__
-
-
-def _quath_array(rotations: NDArray[Any]) -> Any:
-    """Quaternions (N, 4) wxyz as half precision; pxr takes rows with the real part last."""
-    from pxr import Vt
-
-    return Vt.QuathArray.FromNumpy(np.ascontiguousarray(np.roll(rotations, -1, axis=1).astype(np.float16)))
 
 
 def _define_camera(stage: Any, path: str, camera: Camera) -> None:

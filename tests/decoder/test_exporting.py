@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import re
 import sys
@@ -16,6 +17,7 @@ from pxr import Gf, Usd, UsdGeom, UsdValidation
 
 from decogs.decoder import export, open_stream, render_view
 from decogs.decoder.commands import export_main
+from decogs.decoder.stream import read_header
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 from decogs.formats.similarity import Similarity, transformed_splats
@@ -129,6 +131,23 @@ def test_usd_without_a_turn_has_no_transform(small_stream: Any, tmp_path: Path) 
         stage = Usd.Stage.Open(str(tmp_path / f"{number}.usdc"))
         assert UsdGeom.Xformable(stage.GetPrimAtPath("/World")).GetOrderedXformOps() == []
         assert report.up == (None if up == "none" else "Y")
+
+
+@pytest.mark.parametrize("said", [True, False])
+def test_usd_says_what_it_is(small_stream: Any, tmp_path: Path, said: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    if not said:
+        monkeypatch.setattr(
+            "decogs.decoder.stream.read_header",
+            lambda *given: replace(read_header(*given), source_text="", licence=""),
+        )
+    export(small_stream.path, tmp_path / "other.usdc")
+    stage = Usd.Stage.Open(str(tmp_path / "other.usdc"))
+    model = Usd.ModelAPI(stage.GetDefaultPrim())
+    assert model.GetAssetName() == "scene"
+    assert model.GetAssetVersion() == hashlib.sha256(small_stream.path.read_bytes()).hexdigest()[:12]
+    text = stage.GetRootLayer().documentation
+    assert text.startswith("scene: free-viewpoint video as 3D Gaussians, from 3 cameras")
+    assert text.endswith("CC0") == said
 
 
 def test_a_usdz_is_the_same_each_time(small_stream: Any, tmp_path: Path) -> None:

@@ -13,7 +13,8 @@ from decogs.formats.cameras import Camera, camera_centre
 from decogs.formats.errors import UsageError
 from decogs.formats.similarity import Similarity
 from decogs.formats.up_direction import AXES, turn_between
-from decogs.formats.usd import UsdSplats, UsdWriter, splat_extent
+from decogs.formats.usd import UsdWriter
+from decogs.formats.usd_prims import UsdSplats, splat_extent
 
 
 def some_splats(count: int, seed: int = 0) -> UsdSplats:
