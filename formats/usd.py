@@ -25,6 +25,8 @@ Choices, and why:
   right up to there. Without, every row that ever changes would be written in every frame, and a file would grow with
   the square of the take. Rejected: a prim a segment with animated visibility (Blender shows them all at once), value
   clips (many files, no .usdz, no pipe).
+* *Never without rows at first.* Validators look at an attribute's default and its earliest sample: a group that gets rows
+  later has its first ones from the beginning, hidden; one that never does is not written.
 * *Samples only where something changes.* An attribute's default is its first value. The first change writes the old
   value one frame earlier and then the new one, so that interpolation holds still until there.
 * *Points beside the instancer.* Blender drops every primvar of an instancer and keeps those of points (float, int,
@@ -79,8 +81,6 @@ _APERTURE = 0.36
 
 _NEAR, _FAR = 0.01, 10_000.0
 _FLUSH_BYTES = 64 << 20
-_A_MOMENT = 2.0**-10
-"""Of a frame: shorter than any shutter's samples are apart, and exact in a time code of any length."""
 _INT32_MAX = 2**31 - 1
 _PROBE_BYTES = 1 << 20
 _A_TIME = time.mktime((1980, 1, 1, 12, 0, 0, 0, 1, 0))
@@ -274,11 +274,6 @@ class UsdWriter:
     def _close(self) -> None:
         self._groups.clear()
         self._stage = None
-
-
-def just_before(frame: int) -> float:
-    """The time at which the rows of a segment end that the next one, from ``frame`` on, has others for."""
-    return frame - _A_MOMENT
 
 
 def check_usd_request(path: Path, *, fps: float, prototype_radius: float) -> None:

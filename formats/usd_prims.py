@@ -6,9 +6,10 @@ file, and why.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,12 @@ COMPENSATION = (
     "opacity * sqrt(det(C) / det(C + 0.3 I)), C the projected covariance in square pixels, C + 0.3 I what is drawn"
 )
 """How the decoder dims what is smaller than a pixel (Mip-Splatting), in words for whoever opens a file."""
+
+_A_MOMENT = 2.0**-10
+"""Of a frame: shorter than any shutter's samples are apart, and exact in a time code of any length."""
+
+_NOWHERE = np.repeat(np.array([[1], [-1]], np.float32) * np.finfo(np.float32).max, 3, axis=1)
+"""The box of nothing, as OpenUSD has it: its corners the wrong way round, as far apart as can be."""
 
 _DISPLAY_SRGB = "srgb_rec709_display"
 """The colour that SH give is coded, and blended so. OpenUSD's own list has scene-referred names only; this one is the
@@ -49,13 +56,18 @@ class UsdSplats:
     sh: FloatArray | None = None
 
 
+def just_before(frame: float) -> float:
+    """The time at which the rows of a segment end that the next one, from ``frame`` on, has others for."""
+    return frame - _A_MOMENT
+
+
 def splat_extent(splats: UsdSplats, radius: float) -> FloatArray:
     """Box around the instances, (2, 3): each the box around a cube of half side ``radius``, as UsdGeom computes it.
 
-    A group without rows has the empty box at the origin.
+    A group without rows has USD's box of nothing.
     """
     if len(splats.positions) == 0:
-        return np.zeros((2, 3), np.float32)
+        return _NOWHERE
     rotation = np.array(rotation_rows(*splats.rotations.T))
     half = radius * np.einsum("ijn,nj->ni", np.abs(rotation), splats.scales)
     return np.stack([(splats.positions - half).min(axis=0), (splats.positions + half).max(axis=0)]).astype(np.float32)
@@ -108,33 +120,81 @@ class _Track:
         self._attribute.Set(self._convert(value))
 
 
-class Prims(Protocol):
-    """What a group is in one flavour."""
+Values = dict[str, NDArray[Any]]
+
+
+class Prims(ABC):
+    """What a group is in one flavour, and its attributes that may change.
+
+    It is there if the group ever has rows, and has its first ones before that, too, hidden: validators take prims
+    without rows for broken, and look at the default and at the earliest sample.
+    """
+
+    def __init__(self) -> None:
+        self._tracks: dict[str, _Track] = {}
+        self._awaited_since: float | None = None
 
     def push(
         self, time: float, ids: NDArray[np.int64], splats: UsdSplats, alive: NDArray[np.bool_], until: float | None
     ) -> int:
         """The group at ``time``; returns the bytes handed to USD, an upper bound of what the file grows by."""
+        if not self._tracks and len(ids) == 0:
+            self._awaited_since = time if self._awaited_since is None else self._awaited_since
+            return 0
+        values = self._values(ids, splats, alive)
+        if self._tracks:
+            return self._push(time, values, until)
+        self._tracks = self._define(splats)
+        if self._awaited_since is None:
+            return self._push(time, values, until)
+        hidden = self._values(ids, splats, np.zeros(len(ids), np.bool_))
+        size = sum(self._push(earlier, hidden, None) for earlier in (self._awaited_since, just_before(time)))
+        size += self._push(time, values, until)
+        for key, track in self._tracks.items():
+            track.set_default(values[key])
+        return size
+
+    def _push(self, time: float, values: Values, until: float | None) -> int:
+        # Boxes always have two corners, between which readers interpolate.
+        return sum(
+            track.push(time, values[key], until if key.endswith("extent") else None)
+            for key, track in self._tracks.items()
+        )
+
+    @abstractmethod
+    def _define(self, splats: UsdSplats) -> dict[str, _Track]:
+        """The prims with all that never changes, and the attributes that may."""
+
+    @abstractmethod
+    def _values(self, ids: NDArray[np.int64], splats: UsdSplats, alive: NDArray[np.bool_]) -> Values:
+        """What these attributes are to be, by the same names."""
 
 
-class InstancerPrims:
-    """One instancer with its points, and the attributes of both that may change.
+class InstancerPrims(Prims):
+    """One instancer with its points.
 
     ``stand_in``: the instancer is what is shown instead of splats while working.
     """
 
     def __init__(self, stage: Any, name: str, prototype_radius: float, *, short_ids: bool, stand_in: bool) -> None:
+        super().__init__()
+        self._stage = stage
+        self._path = f"/World/{name}"
+        self._radius = prototype_radius
+        self._short_ids = short_ids
+        self._stand_in = stand_in
+
+    def _define(self, splats: UsdSplats) -> dict[str, _Track]:
         from pxr import Gf, Sdf, UsdGeom, Vt
 
-        path = f"/World/{name}"
-        instancer = UsdGeom.PointInstancer.Define(stage, path)
-        if stand_in:
+        instancer = UsdGeom.PointInstancer.Define(self._stage, self._path)
+        if self._stand_in:
             instancer.CreatePurposeAttr(UsdGeom.Tokens.proxy)
-        prototype = UsdGeom.Sphere.Define(stage, f"{path}/Splat")
-        prototype.CreateRadiusAttr(prototype_radius)
-        prototype.CreateExtentAttr([Gf.Vec3f(-prototype_radius), Gf.Vec3f(prototype_radius)])
+        prototype = UsdGeom.Sphere.Define(self._stage, f"{self._path}/Splat")
+        prototype.CreateRadiusAttr(self._radius)
+        prototype.CreateExtentAttr([Gf.Vec3f(-self._radius), Gf.Vec3f(self._radius)])
         instancer.CreatePrototypesRel().SetTargets([prototype.GetPath()])
-        points = UsdGeom.Points.Define(stage, f"{path}Points")
+        points = UsdGeom.Points.Define(self._stage, f"{self._path}Points")
         points.CreatePurposeAttr(UsdGeom.Tokens.render)
         widths = points.CreateWidthsAttr()
         points.SetWidthsInterpolation(UsdGeom.Tokens.vertex)
@@ -142,8 +202,7 @@ class InstancerPrims:
         colour, opacity = Sdf.ValueTypeNames.Color3fArray, Sdf.ValueTypeNames.FloatArray
         vectors, floats, integers = Vt.Vec3fArray.FromNumpy, Vt.FloatArray.FromNumpy, Vt.Int64Array.FromNumpy
         numbers = Vt.IntArray.FromNumpy
-        self._radius = prototype_radius
-        self._tracks = {
+        tracks = {
             "ids": _Track(instancer.CreateIdsAttr(), integers),
             "prototypes": _Track(instancer.CreateProtoIndicesAttr(), numbers),
             "widths": _Track(widths, floats),
@@ -159,16 +218,14 @@ class InstancerPrims:
             "points_opacities": _Track(_primvar(points, "displayOpacity", opacity), floats),
             "points_extent": _Track(points.CreateExtentAttr(), vectors),
         }
-        if short_ids:
+        if self._short_ids:
             for key, prim in (("short_ids", instancer), ("points_short_ids", points)):
-                self._tracks[key] = _Track(_primvar(prim, "splatId", Sdf.ValueTypeNames.IntArray), numbers)
+                tracks[key] = _Track(_primvar(prim, "splatId", Sdf.ValueTypeNames.IntArray), numbers)
+        return tracks
 
-    def push(
-        self, time: float, ids: NDArray[np.int64], splats: UsdSplats, alive: NDArray[np.bool_], until: float | None
-    ) -> int:
-        """The group at ``time``; returns the bytes handed to USD, an upper bound of what the file grows by."""
+    def _values(self, ids: NDArray[np.int64], splats: UsdSplats, alive: NDArray[np.bool_]) -> Values:
         count, short_ids = len(ids), ids.astype(np.int32)
-        values: dict[str, NDArray[Any]] = {
+        return {
             "ids": ids,
             "short_ids": short_ids,
             "points_short_ids": short_ids,
@@ -186,65 +243,22 @@ class InstancerPrims:
             "points_opacities": _shown_opacities(splats, alive),
             "points_extent": _box(splats.positions),
         }
-        # Boxes always have two corners, between which readers interpolate.
-        return sum(
-            track.push(time, values[key], until if key.endswith("extent") else None)
-            for key, track in self._tracks.items()
-        )
 
 
-class SplatPrims:
-    """One ParticleField3DGaussianSplat, and its attributes that may change.
-
-    It is there from the first time on at which the group has rows: a splat prim without any is not valid, and its
-    default is that value. A row that is not alive has opacity 0.
-    """
+class SplatPrims(Prims):
+    """One ParticleField3DGaussianSplat. A row that is not alive has opacity 0."""
 
     def __init__(self, stage: Any, name: str, *, short_ids: bool, stand_in_of: str | None) -> None:
+        super().__init__()
         self._stage = stage
         self._path = f"/World/{name}Splats"
         self._short_ids = short_ids
         self._stand_in_of = stand_in_of
-        self._tracks: dict[str, _Track] = {}
-        self._awaited: list[tuple[float, dict[str, NDArray[Any]]]] = []
 
-    def push(
-        self, time: float, ids: NDArray[np.int64], splats: UsdSplats, alive: NDArray[np.bool_], until: float | None
-    ) -> int:
-        """The group at ``time``; returns the bytes handed to USD, an upper bound of what the file grows by."""
-        if splats.sh is None:
-            raise ValueError("splats without `sh` cannot be written as splat prims")
-        values: dict[str, NDArray[Any]] = {
-            "positions": splats.positions,
-            "rotations": splats.rotations,
-            "scales": splats.scales,
-            "opacities": _shown_opacities(splats, alive),
-            "sh": splats.sh.reshape(-1, 3),
-            "short_ids": ids.astype(np.int32),
-            "extent": _extent_of(splats, alive, _SPLAT_SIGMAS),
-        }
-        if self._tracks:
-            return self._push(time, values, until)
-        if len(ids) == 0:
-            self._awaited = [*self._awaited[:1], (time, values)]
-            return 0
-        self._tracks = self._define(splats.sh.shape[1])
-        size = sum(self._push(earlier, nobody, None) for earlier, nobody in self._awaited)
-        size += self._push(time, values, until)
-        for key, track in self._tracks.items():
-            track.set_default(values[key])
-        self._awaited.clear()
-        return size
-
-    def _push(self, time: float, values: dict[str, NDArray[Any]], until: float | None) -> int:
-        # Boxes always have two corners, between which readers interpolate.
-        return sum(
-            track.push(time, values[key], until if key == "extent" else None) for key, track in self._tracks.items()
-        )
-
-    def _define(self, coefficients: int) -> dict[str, _Track]:
+    def _define(self, splats: UsdSplats) -> dict[str, _Track]:
         from pxr import Sdf, Usd, UsdGeom, UsdVol, Vt
 
+        coefficients = _sh_of(splats).shape[1]
         field = UsdVol.ParticleField3DGaussianSplat.Define(self._stage, self._path)
         prim = field.GetPrim()
         # The order and the projection that the decoder has, which are the schema's defaults, too.
@@ -275,6 +289,23 @@ class SplatPrims:
             tracks["short_ids"] = _Track(ids, Vt.IntArray.FromNumpy)
         return tracks
 
+    def _values(self, ids: NDArray[np.int64], splats: UsdSplats, alive: NDArray[np.bool_]) -> Values:
+        return {
+            "positions": splats.positions,
+            "rotations": splats.rotations,
+            "scales": splats.scales,
+            "opacities": _shown_opacities(splats, alive),
+            "sh": _sh_of(splats).reshape(-1, 3),
+            "short_ids": ids.astype(np.int32),
+            "extent": _extent_of(splats, alive, _SPLAT_SIGMAS),
+        }
+
+
+def _sh_of(splats: UsdSplats) -> FloatArray:
+    if splats.sh is None:
+        raise ValueError("splats without `sh` cannot be written as splat prims")
+    return splats.sh
+
 
 def _primvar(prim: Any, key: str, kind: Any) -> Any:
     from pxr import UsdGeom
@@ -293,8 +324,8 @@ def _extent_of(splats: UsdSplats, alive: NDArray[np.bool_], radius: float) -> Fl
 
 
 def _box(positions: FloatArray) -> FloatArray:
-    """The box around points, (2, 3); at the origin where there are none."""
-    return np.stack([positions.min(axis=0), positions.max(axis=0)]) if len(positions) else np.zeros((2, 3), np.float32)
+    """The box around points, (2, 3)."""
+    return np.stack([positions.min(axis=0), positions.max(axis=0)]) if len(positions) else _NOWHERE
 
 
 def _quath_array(rotations: NDArray[Any]) -> Any:

@@ -34,8 +34,10 @@ def exported(
 
 
 def instancers(stage: Usd.Stage) -> list[UsdGeom.PointInstancer]:
-    prims = [stage.GetPrimAtPath(f"/World/{name}") for name in ("Static", "Resting", "Dynamic")]
-    return [UsdGeom.PointInstancer(prim) for prim in prims if prim]
+    order = ("Static", "Resting", "Dynamic")
+    prims = [prim for prim in stage.GetPrimAtPath("/World").GetChildren() if prim.IsA(UsdGeom.PointInstancer)]
+    prims.sort(key=lambda prim: order.index(prim.GetName().rstrip("0123456789")))
+    return [UsdGeom.PointInstancer(prim) for prim in prims]
 
 
 def visible(stage: Usd.Stage, frame: float) -> dict[int, tuple[NDArray[np.float64], ...]]:
@@ -119,7 +121,8 @@ def test_the_points_beside_match_the_instances_row_by_row(exported: tuple[list[E
             np.testing.assert_array_equal(np.array(primvars.GetPrimvar("splatId").Get(frame.index)), ids)
             assert len(UsdGeom.Points(points).GetWidthsAttr().Get(frame.index)) == len(ids)
             assert len(instancer.GetProtoIndicesAttr().Get(frame.index)) == len(ids)
-            alive = np.isin(ids, frame.ids)
+            alive = ~np.isin(ids, instancer.GetInvisibleIdsAttr().Get(frame.index))
+            assert np.isin(ids[alive], frame.ids).all()
             positions = np.array(UsdGeom.Points(points).GetPointsAttr().Get(frame.index))
             np.testing.assert_array_equal(positions, np.array(instancer.GetPositionsAttr().Get(frame.index)))
             opacity = np.array(primvars.GetPrimvar("displayOpacity").Get(frame.index))
@@ -153,11 +156,13 @@ def test_half_way_between_frames_everything_is_half_way(exported: tuple[list[Exp
             np.testing.assert_allclose(now[identity][0], (here.astype(float) + there) / 2, atol=bound)
 
 
-@pytest.mark.parametrize(("everywhere", "frames", "most"), [(False, (10, 80), 8.2), (True, (80, 160), 2.1)])
+@pytest.mark.parametrize(
+    ("everywhere", "frames", "most"), [(False, (10, 80), 8.2), (True, (10, 80), 8.2), (True, (80, 160), 2.1)]
+)
 def test_a_file_grows_with_the_take_and_not_with_its_square(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, everywhere: bool, frames: tuple[int, int], most: float
 ) -> None:
-    """Where motion is everywhere, that holds from the length on in which it has come past all."""
+    """Even where motion comes past everything, and what has moved rests again."""
     take = a_long_take(frames[1], everywhere=everywhere)
 
     def growth() -> float:
@@ -170,22 +175,35 @@ def test_a_file_grows_with_the_take_and_not_with_its_square(
 
 
 def test_rows_that_rest_are_written_once_a_segment(tmp_path: Path) -> None:
-    take = a_long_take(3 * usd_export.SEGMENT, everywhere=True)
+    """And once for as many segments as they rest for: that of 2, of 4, as long as the take is longer."""
+    take = a_long_take(6 * usd_export.SEGMENT, everywhere=True)
     export_usd(replay(take), tmp_path / "a.usdc", fps=30)
     stage = Usd.Stage.Open(str(tmp_path / "a.usdc"))
-    resting = UsdGeom.PointInstancer(stage.GetPrimAtPath("/World/Resting"))
-    length = usd_export.SEGMENT
-    assert resting.GetPositionsAttr().GetTimeSamples() == [0, length, 2 * length]
-    rows = [len(resting.GetIdsAttr().Get(time)) for time in range(3 * length)]
-    assert rows[0] != rows[length] != rows[2 * length], "or readers would interpolate"
-    for start in range(0, 3 * length, length):
-        assert len(set(rows[start : start + length])) == 1
-        here, late = (np.array(resting.GetOrientationsAttr().Get(start + t)) for t in (0, length - 0.01))
-        np.testing.assert_array_equal(here, late)
+    shortest = usd_export.SEGMENT
+    for name, length in (("Resting", shortest), (f"Resting{2 * shortest}", 2 * shortest), ("Resting16", 16)):
+        resting = UsdGeom.PointInstancer(stage.GetPrimAtPath(f"/World/{name}"))
+        starts = list(range(0, len(take), length))
+        assert resting.GetPositionsAttr().GetTimeSamples() == starts
+        rows = [len(resting.GetIdsAttr().Get(time)) for time in range(len(take))]
+        assert all(rows[before] != rows[after] for before, after in itertools.pairwise(starts)), (
+            "or readers interpolate"
+        )
+        for start in starts:
+            assert len(set(rows[start : start + length])) == 1
+            here, late = (np.array(resting.GetOrientationsAttr().Get(start + t)) for t in (0, length - 0.01))
+            np.testing.assert_array_equal(here, late)
+    assert not stage.GetPrimAtPath(f"/World/Resting{8 * shortest}"), "the take is shorter"
     for frame in take:
         assert sorted(visible(stage, frame.index)) == sorted(frame.ids.tolist())
     validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
     assert [e.GetMessage() for e in UsdValidation.ValidationContext(validators).Validate(stage)] == []
+
+
+def test_longer_segments_write_less(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    take = a_long_take(80, everywhere=True)
+    nested = export_usd(replay(take), tmp_path / "a.usdc", fps=30).file_bytes
+    monkeypatch.setattr(usd_export, "NEST", 1000)
+    assert nested < 0.85 * export_usd(replay(take), tmp_path / "a.usdc", fps=30).file_bytes
 
 
 def test_the_extents_are_those_that_usd_computes(exported: tuple[list[ExportFrame], Usd.Stage]) -> None:
