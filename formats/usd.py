@@ -25,8 +25,8 @@ Choices, and why:
   right up to there. Without, every row that ever changes would be written in every frame, and a file would grow with
   the square of the take. Rejected: a prim a segment with animated visibility (Blender shows them all at once), value
   clips (many files, no .usdz, no pipe).
-* *Never without rows at first.* Validators look at an attribute's default and its earliest sample: a group that gets rows
-  later has its first ones from the beginning, hidden; one that never does is not written.
+* *Never without rows at first.* Validators look at an attribute's default and its earliest sample: a group that gets
+  rows later has its first ones from the beginning, hidden; one that never does is not written.
 * *Samples only where something changes.* An attribute's default is its first value. The first change writes the old
   value one frame earlier and then the new one, so that interpolation holds still until there.
 * *Points beside the instancer.* Blender drops every primvar of an instancer and keeps those of points (float, int,
