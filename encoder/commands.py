@@ -69,7 +69,10 @@ def encode_main(arguments: Sequence[str] | None = None) -> int:
         "frame; all; none; or names with commas; -NAME disables one: auto,-camera_shake",
     )
     parser.add_argument(
-        "--keyframe", metavar="OTHER.DGS", help="start from the keyframe of an earlier encode of this rig"
+        "--keyframe",
+        metavar="FILE",
+        help="start from the keyframe of an earlier encode of this rig (.dgs), or from another trainer's Gaussians "
+        "(.ply, .spz)",
     )
     parser.add_argument(
         "--segment",

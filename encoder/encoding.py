@@ -19,6 +19,7 @@ from decogs.formats.threads import thread_count
 from .analysis import Decision, EffectChoice, with_effects
 from .analysis.analyse import analyse
 from .input.imported_keyframe import KeyframeSource, read_keyframe
+from .input.imported_splats import SplatSource, is_splat_file, read_splat_source
 from .input.ingest import Ingest, frame_span
 from .output.convergence_log import ConvergenceLog
 from .output.encode_log import EncodeLog
@@ -33,6 +34,8 @@ from .stream import encode_stream
 from .switches import Switches, with_switches
 from .targets import Targets, with_targets
 from .training.methods import FRAME_METHODS, require_sparse
+
+_Source = KeyframeSource | SplatSource
 
 
 def encode(
@@ -71,9 +74,10 @@ def encode(
     the settings. ``effects``: what is built of the effects (`EffectChoice`), or one of its bases; None is "auto" for a
     named preset, and for settings what they say; the baseline has none. ``corrections``: cameras whose faults are
     known, instead of those that ``effects`` finds. ``keyframe``: an earlier stream of the same rig, first frame and
-    held-out cameras whose keyframe is taken as it is. ``segment``: frames from one keyframe to the next; later ones are
-    coded as differences from the first. ``resume``: go on with what an encode with the same options left in ``output``
-    + ".part", or as a shorter stream; the file gets the bytes of one that was not cut off.
+    held-out cameras whose keyframe is taken as it is; or another trainer's .ply or .spz. ``segment``: frames
+    from one keyframe to the next; later ones are coded as differences from the first. ``resume``: go on with what an
+    encode with the same options left in ``output`` + ".part", or as a shorter stream; the file gets the bytes of one
+    that was not cut off.
 
     Resources: ``seed``: the same one gives the same bytes, except with a time budget. ``threads``: 0 means all
     processors; the stream does not depend on it. ``device``: "cuda" takes gsplat and gives other bits every time;
@@ -91,7 +95,7 @@ def encode(
     if seed < 0:
         raise UsageError(f"`seed` {seed}: give a number of at least 0")
     chosen = _settings(settings, switches, targets, segment)
-    source = None if keyframe is None else read_keyframe(keyframe)
+    source = None if keyframe is None else _read_source(keyframe)
     if not isinstance(rig, Rig):
         rig = open_rig(rig)
     tell = on_warning or (lambda text: None)
@@ -158,7 +162,7 @@ def encode(
 
 
 def _check_outputs(
-    stream: Path | BinaryIO, log: Path | None, convergence_log: Path | None, rig: Rig, source: KeyframeSource | None
+    stream: Path | BinaryIO, log: Path | None, convergence_log: Path | None, rig: Rig, source: _Source | None
 ) -> None:
     """Raises UsageError when the encode would write over something it reads, or twice into one file."""
     outputs = [Output("output", stream, grows=True)]
@@ -166,6 +170,10 @@ def _check_outputs(
     outputs += [Output(name, path) for name, path in logs.items() if path is not None]
     read = [] if source is None else [(source.path, "is read, as `keyframe`")]
     check_outputs(outputs, [*files_of(rig), *read])
+
+
+def _read_source(path: str | os.PathLike[str]) -> _Source:
+    return read_splat_source(path) if is_splat_file(path) else read_keyframe(path)
 
 
 def _settings(

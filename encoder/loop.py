@@ -19,18 +19,20 @@ from .change.detection import Change
 from .coding.coded_scene import Written
 from .coding.time_control import TimeControl
 from .input.imported_keyframe import KeyframeSource
+from .input.imported_splats import SplatSource
 from .input.ingest import Ingest, RigFrame
 from .output.convergence_log import ConvergenceLog
 from .output.frame_report import FrameReporter
 from .output.reports import FrameReport, OnKeyframeStep, OnWarning
 from .output.resume import Interrupted
 from .output.stream_output import StreamOutput
-from .replay import replay, take_over
+from .replay import replay, splats_taken_over, take_over
 from .settings.encode import EncodeSettings
 from .settings.frame import FrameSettings
 from .stopwatch import Stopwatch
 from .stream_state import FrameInWork, StreamState
 from .training.first_frame import train_first_frame
+from .training.imported_splats import import_splats
 from .training.method import FrameInput, TrainedFrame
 from .training.schedule import StoppingRule
 
@@ -38,7 +40,8 @@ from .training.schedule import StoppingRule
 class StreamEncoder:
     """Encodes frames one after the other into an open stream; ``keyframe`` is one to begin with, untrained.
 
-    ``convergence`` takes the loss of every step of training, ``on_warning`` what the user should know at once.
+    ``keyframe`` may be a file of Gaussians, which is made one. ``convergence`` takes the loss of every step of
+    training, ``on_warning`` what the user should know at once.
     """
 
     def __init__(
@@ -49,13 +52,15 @@ class StreamEncoder:
         *,
         seed: int,
         threads: int,
-        keyframe: KeyframeSource | None = None,
+        keyframe: KeyframeSource | SplatSource | None = None,
         device: str = "auto",
         convergence: ConvergenceLog | None = None,
         on_warning: OnWarning | None = None,
     ) -> None:
-        self._settings, self._convergence = settings, convergence
-        self._state = StreamState(ingest, settings, output, keyframe, seed=seed, threads=threads, device=device)
+        self._settings, self._convergence, self._on_warning = settings, convergence, on_warning
+        self._splats = keyframe if isinstance(keyframe, SplatSource) else None
+        source = keyframe if isinstance(keyframe, KeyframeSource) else None
+        self._state = StreamState(ingest, settings, output, source, seed=seed, threads=threads, device=device)
         self._reporter = FrameReporter(ingest, self._state.kernel, self._state.views, on_warning, threads=threads)
         self._time = None if settings.time_budget is None else TimeControl(settings.time_budget)
 
@@ -110,6 +115,9 @@ class StreamEncoder:
 
     def take_over(self, left: Interrupted, span: range) -> None:
         """Goes on from what an earlier encode left; raises UsageError unless it is the beginning of this one."""
+        if self._splats is not None:
+            # Turn and lattice were found from pictures; that the file is the same, its digest in the header tells.
+            self._state.source = splats_taken_over(self._splats, left)
         take_over(self._state, left, span)
 
     def replay(self, frame: RigFrame, packet: Packet, origin: str = "") -> FrameReport:
@@ -136,6 +144,13 @@ class StreamEncoder:
 
     def _first_frame(self, frame: RigFrame, watch: Stopwatch, on_step: OnKeyframeStep | None) -> tuple[State, Lattice]:
         state = self._state
+        if self._splats is not None:
+            with watch.stage("import"):
+                imported = import_splats(state.kernel, state.ingest, frame, self._settings, self._splats)
+            state.source = imported.source
+            if self._on_warning is not None:
+                for text in imported.warnings:
+                    self._on_warning(text)
         if state.source is not None:
             state.source.check(state.ingest, frame.index)
             state.ingest.set_near_planes(state.source.header.near_planes)

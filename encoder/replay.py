@@ -5,7 +5,7 @@ Training's result is in the frame's packet; everything else that later frames ne
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -17,6 +17,8 @@ from decogs.formats.container import Packet, PacketKind
 
 from .change.detection import Change
 from .coding.coded_scene import Written
+from .input.imported_keyframe import KeyframeSource
+from .input.imported_splats import SplatSource
 from .input.ingest import RigFrame
 from .output.resume import Interrupted
 from .stopwatch import Stopwatch
@@ -50,6 +52,13 @@ def take_over(state: StreamState, left: Interrupted, span: range) -> None:
     if source is not None:
         key = reconstruct(None, next(left.packets()), state.scene.header)
         left.check_keyframe(same=digest(key) == digest(source.state))
+
+
+def splats_taken_over(source: SplatSource, left: Interrupted) -> KeyframeSource:
+    """What an earlier encode made of a file's Gaussians; that it was this file, `take_over` sees by the header."""
+    made = reconstruct(None, next(left.packets()), left.header)
+    settings = {**left.header.settings, "keyframe": source.document}
+    return KeyframeSource(source.path, replace(left.header, settings=settings), made)
 
 
 def replay(state: StreamState, frame: RigFrame, packet: Packet, watch: Stopwatch) -> Replayed:

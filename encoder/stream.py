@@ -10,6 +10,7 @@ from decogs.formats.container import Packet
 from decogs.formats.errors import DecogsError
 
 from .input.imported_keyframe import KeyframeSource
+from .input.imported_splats import SplatSource
 from .input.ingest import Ingest
 from .loop import StreamEncoder
 from .output.convergence_log import ConvergenceLog
@@ -28,7 +29,7 @@ def encode_stream(
     *,
     seed: int,
     threads: int,
-    keyframe: KeyframeSource | None = None,
+    keyframe: KeyframeSource | SplatSource | None = None,
     device: str = "auto",
     resume: bool = False,
     on_frame: OnFrame | None = None,
@@ -39,10 +40,10 @@ def encode_stream(
     """Encodes frames ``span`` of the rig to ``output``; Ctrl-C after the keyframe ends the stream early but whole.
 
     ``output``: a path, an open file that takes bytes, such as a pipe, or one that was taken already, for ``resume`` if
-    that is asked for. ``keyframe``: an earlier stream's, to begin with instead of training one; UsageError when it
-    does not fit the rig. ``resume``: go on with what an earlier encode left, in ``output`` + ".part" or as a shorter
-    stream; the result has the bytes of one that was not cut off, but for a time budget, with which no two encodes have
-    the same. ``convergence`` takes the loss of every step.
+    that is asked for. ``keyframe``: an earlier stream's, or a file's Gaussians, to begin with instead of training
+    one; UsageError when it does not fit the rig. ``resume``: go on with what an earlier encode left, in ``output`` +
+    ".part" or as a shorter stream; the result has the bytes of one that was not cut off, but for a time budget, with
+    which no two encodes have the same. ``convergence`` takes the loss of every step.
     Raises DecogsError for unusable input; complete frames then remain in ``output`` + ".part", and the message says so.
     """
     with output if isinstance(output, StreamOutput) else open_output(output, resume=resume) as target:

@@ -1,0 +1,48 @@
+"""Another trainer's Gaussians, a .ply or .spz, as the keyframe to begin with.
+
+Their trainer's renderer is told by the file: those without `comment SplatRenderMode: mip`, or .spz's flag
+"antialiased", were trained without the compensation of opacity that ours has.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from decogs.codec.state import DEFAULT_MAX_GAUSSIANS
+from decogs.formats.errors import UsageError
+from decogs.formats.splat_files.reading import READABLE, SplatFile, read_splats
+
+
+@dataclass(frozen=True)
+class SplatSource:
+    """A file of Gaussians and what it holds."""
+
+    path: Path
+    file: SplatFile
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """What the stream's header says of the keyframe's origin: the file's name and what is in it."""
+        held = hashlib.sha256()
+        for values in vars(self.file.splats).values():
+            held.update(np.ascontiguousarray(values).tobytes())
+        return {"compensated": self.file.compensated, "file": self.path.name, "sha256": held.hexdigest()}
+
+
+def is_splat_file(path: str | os.PathLike[str]) -> bool:
+    """Whether a keyframe of this name is a file of Gaussians, not a stream."""
+    return Path(path).suffix.lower() in READABLE
+
+
+def read_splat_source(path: str | os.PathLike[str]) -> SplatSource:
+    """The file's Gaussians; raises UsageError for what cannot be read, and for more than decoders take."""
+    try:
+        return SplatSource(Path(path), read_splats(path, max_gaussians=DEFAULT_MAX_GAUSSIANS))
+    except UsageError as error:
+        raise UsageError(f"`keyframe` {error}") from None

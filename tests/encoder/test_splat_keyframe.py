@@ -1,0 +1,180 @@
+"""Another trainer's Gaussians as the keyframe: in the rig's world, on a lattice, compensated, and gone on with."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from decogs.codec.lattice import dequantise
+from decogs.decoder import export
+from decogs.decoder.rasterise.reference import BLUR
+from decogs.decoder.stream import open_stream
+from decogs.encoder import encode
+from decogs.encoder.training.imported_splats import MOST_LOST, with_compensation
+from decogs.formats.cameras import Camera
+from decogs.formats.errors import UsageError
+from decogs.formats.splat_files.ply import Ply
+from decogs.formats.splats import Splats, sigmoid
+
+OURS = b"comment SplatRenderMode: mip\n"
+
+
+@pytest.fixture(scope="module")
+def exported(moving: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The moving stream's keyframe as decogs-export writes it, turned upright."""
+    folder = tmp_path_factory.mktemp("exported")
+    for name in ("scene.ply", "scene.spz"):
+        export(moving.path, folder / name, frames=range(0, 1))
+    return folder
+
+
+@pytest.fixture
+def begin(moving_rig: Path, tiny_settings: Any, tiny_rig: Any, tmp_path: Path) -> Any:
+    def run(keyframe: Path, **options: Any) -> Any:
+        warnings: list[str] = []
+        options = {"frames": range(0, 1), "holdout": [tiny_rig.held_out], "threads": 1} | options
+        rig, output = options.pop("rig", moving_rig), options.pop("output", tmp_path / "out.dgs")
+        report = encode(rig, output, tiny_settings, keyframe=keyframe, on_warning=warnings.append, **options)
+        return report, warnings
+
+    return run
+
+
+@pytest.mark.parametrize("name", ["scene.ply", "scene.spz"])
+def test_an_exported_keyframe_comes_back(begin: Any, moving: Any, exported: Path, name: str) -> None:
+    """Within the .1 dB that a lattice may cost; what comes after it is trained as ever."""
+    report, warnings = begin(exported / name, frames=range(0, 2))
+    was = moving.report.frames
+    assert report.frames[0].training_psnr > was[0].training_psnr - MOST_LOST
+    assert report.frames[1].training_psnr > was[1].training_psnr - 5 * MOST_LOST
+    assert report.frames[1].kind == "delta"
+    assert not any("antialiasing" in text or "does not match" in text for text in warnings)
+
+
+@pytest.mark.parametrize("up", ["none", "-Z", "X"])
+def test_the_world_stands_as_the_pictures_show(begin: Any, moving: Any, tmp_path: Path, up: Any) -> None:
+    """As the rig has it, without a word; turned in a way that is none of ours, the footage check says so."""
+    path = tmp_path / "scene.ply"
+    export(moving.path, path, frames=range(0, 1), up=up)
+    report, warnings = begin(path)
+    if up == "none":
+        assert report.frames[0].training_psnr > moving.report.frames[0].training_psnr - MOST_LOST
+        assert warnings == []
+    else:
+        assert any("does not match frame 0" in text for text in warnings)
+
+
+def first_splats(path: Path) -> tuple[Splats, Any]:
+    with open_stream(path) as stream:
+        frame = next(stream.frames(0, 1))
+        return dequantise(frame.state, stream.header.lattice), stream.header
+
+
+def test_gaussians_off_the_lattice_get_one_that_costs_little(
+    begin: Any, moving: Any, tmp_path: Path, tiny_settings: Any
+) -> None:
+    """Nothing was trained to be rounded: values lie anywhere, quaternions have any length."""
+    splats, _ = first_splats(moving.path)
+    random = np.random.default_rng(1)
+    away = replace(
+        splats,
+        log_scales=(splats.log_scales + random.uniform(-0.09, 0.09, splats.log_scales.shape)).astype(np.float32),
+        quaternions=(splats.quaternions * random.uniform(0.1, 9, (len(splats), 1))).astype(np.float32),
+        sh=(splats.sh + random.uniform(-0.04, 0.04, splats.sh.shape)).astype(np.float32),
+    )
+    path, output = tmp_path / "scene.ply", tmp_path / "out.dgs"
+    path.write_bytes(Ply(compensated=True).encode(away))
+    report, warnings = begin(path)
+    _, header = first_splats(output)
+    assert warnings == []
+    assert header.settings["keyframe"]["file"] == "scene.ply"
+    assert header.lattice.log_scales < 0.18 * tiny_settings.lattice_scale * 1.01
+    assert header.settings["lattice_scale"] <= tiny_settings.lattice_scale
+    assert all(camera.near > 0 for camera in header.cameras)
+    assert report.frames[0].training_psnr > 20
+
+
+def test_strangers_without_compensation_are_made_up_for_and_told(begin: Any, exported: Path, tmp_path: Path) -> None:
+    path = tmp_path / "stranger.ply"
+    path.write_bytes((exported / "scene.ply").read_bytes().replace(OURS, b""))
+    _, warnings = begin(path)
+    assert sum("antialiasing" in text for text in warnings) == 1
+
+
+def test_opacity_and_size_make_up_for_the_filter() -> None:
+    """Round Gaussians on the axis: sigma squared of s pixels loses sqrt(det) = s / (s + .3)."""
+    camera = Camera("a", 100, 100, 50.0, 50.0, 50.0, 50.0, np.eye(4))
+    depth, variances, opacity = 5.0, np.array([0.1, 1.0, 30.0]), np.array([0.2, 0.5, 0.95])
+    splats = Splats(
+        np.tile(np.float32([0, 0, depth]), (3, 1)),
+        np.tile(np.log(np.sqrt(variances) * depth / 50)[:, None], (1, 3)).astype(np.float32),
+        np.tile(np.float32([3, 0, 0, 0]), (3, 1)),
+        np.log(opacity / (1 - opacity)).astype(np.float32),
+        np.zeros((3, 1, 3), np.float32),
+    )
+    found = with_compensation(splats, [camera, camera])
+    loss = variances / (variances + BLUR)
+    np.testing.assert_allclose(sigmoid(found.opacity_logits), opacity / loss, rtol=1e-4)
+    np.testing.assert_allclose(found.log_scales, splats.log_scales, atol=1e-6)
+    # What opacity alone cannot make up for: opacity times area is what it was with the filter.
+    bright = replace(splats, opacity_logits=np.full(3, np.log(9), np.float32))
+    found = with_compensation(bright, [camera])
+    small = np.array([True, True, False])
+    np.testing.assert_allclose(sigmoid(found.opacity_logits)[small], 0.99, rtol=1e-4)
+    area = np.exp(2 * (found.log_scales - bright.log_scales)[:, 0]) * variances * sigmoid(found.opacity_logits)
+    np.testing.assert_allclose(area, 0.9 * (variances + BLUR), rtol=1e-3)
+    unseen = with_compensation(replace(splats, means=-splats.means), [camera])
+    np.testing.assert_array_equal(unseen.opacity_logits, splats.opacity_logits)
+
+
+def test_gaussians_that_cannot_be_are_left_out_and_told(begin: Any, moving: Any, tmp_path: Path) -> None:
+    splats, _ = first_splats(moving.path)
+    splats.means[5, 0], splats.opacity_logits[9], splats.means[7, 1] = np.nan, np.inf, 3e20
+    path = tmp_path / "scene.ply"
+    path.write_bytes(Ply(compensated=True).encode(splats))
+    _, warnings = begin(path)
+    assert [text.partition(": ")[2][:17] for text in warnings] == ["2 of its Gaussian", "1 of its Gaussian"]
+    assert len(first_splats(tmp_path / "out.dgs")[0]) == len(splats) - 3
+
+
+def test_other_footage_is_told(begin: Any, exported: Path, moving_rig: Path, tiny_rig: Any, tmp_path: Path) -> None:
+    rig = tiny_rig.poisoned(moving_rig, tmp_path / "rig", "cam03")
+    _, warnings = begin(exported / "scene.ply", rig=rig)
+    assert any("does not match frame 0 of camera cam03" in text for text in warnings)
+
+
+def test_an_encode_that_was_cut_off_goes_on_to_the_same_bytes(
+    begin: Any, exported: Path, tmp_path: Path, moving_rig: Path
+) -> None:
+    whole, part = tmp_path / "whole.dgs", tmp_path / "cut.dgs"
+    begin(exported / "scene.ply", output=whole, frames=range(0, 3))
+    begin(exported / "scene.ply", output=part, frames=range(0, 2))
+    data = part.read_bytes()
+    part.unlink()
+    Path(f"{part}.part").write_bytes(data)
+    with pytest.raises(UsageError, match="keyframe"):
+        begin(exported / "scene.spz", output=part, frames=range(0, 3), resume=True)
+    begin(exported / "scene.ply", output=part, frames=range(0, 3), resume=True)
+    assert part.read_bytes() == whole.read_bytes()
+
+
+def test_what_is_no_keyframe_is_one_line(begin: Any, tmp_path: Path, exported: Path) -> None:
+    one = Ply(True).decode((exported / "scene.ply").read_bytes())
+    heap = replace(one, means=np.zeros_like(one.means))
+    for name, data, says in (
+        ("a.ply", b"ply\n", "no end of its header"),
+        ("b.spz", b"zzz", "is no .spz"),
+        ("c.ply", Ply(True).encode(heap), "in one place"),
+    ):
+        path = tmp_path / name
+        path.write_bytes(data)
+        with pytest.raises(UsageError, match=says) as caught:
+            begin(path)
+        assert str(caught.value).startswith("`keyframe` ")
+        assert "\n" not in str(caught.value)
+    with pytest.raises(UsageError, match="is read, as `keyframe`"):
+        begin(exported / "scene.ply", output=exported / "scene.ply")
