@@ -8,6 +8,7 @@ from .encoding import encode
 from .output.observer import EncodeObserver
 from .output.progress import TerminalProgress
 from .output.reports import EncodeReport, FrameReport
+from .packing import PackReport, pack
 from .settings.compensation import CorrectionSettings
 from .settings.encode import EncodeSettings
 from .settings.presets import PRESETS
@@ -22,8 +23,10 @@ __all__ = [
     "EncodeReport",
     "EncodeSettings",
     "FrameReport",
+    "PackReport",
     "Switches",
     "Targets",
     "TerminalProgress",
     "encode",
+    "pack",
 ]

@@ -9,11 +9,14 @@ from typing import TYPE_CHECKING
 
 from decogs.formats.command_line import (
     Parser,
+    counted,
     frames_joined,
     number,
     number_of_threads,
+    progress,
     reworded,
     run,
+    size_text,
     tell,
     warn_as,
     whole_number,
@@ -133,6 +136,52 @@ def encode_main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--log", metavar="FILE", help="write each frame's figures as JSON lines")
     parser.add_argument("--convergence-log", metavar="FILE", help="write the loss of every training step as JSON lines")
     return run(parser, lambda: _encode(parser, parser.parse_args(frames_joined(arguments))))
+
+
+def pack_main(arguments: Sequence[str] | None = None) -> int:
+    """``decogs-pack``: files of Gaussians, one a frame, to a .dgs stream."""
+    parser = Parser(
+        prog="decogs-pack",
+        description="Code a sequence of .ply or .spz files of 3D Gaussians, one a frame, as a stream.",
+    )
+    parser.add_argument("files", metavar="NAME_####.PLY", help="the files' name; ####, %%04d or $F4 stands for numbers")
+    parser.add_argument("-o", "--output", required=True, metavar="SCENE.DGS", help="the stream to write; - for stdout")
+    parser.add_argument("--fps", type=number, metavar="F", help="frames per second (default: none is stated)")
+    exactness = parser.add_mutually_exclusive_group()
+    exactness.add_argument(
+        "--quality",
+        type=number,
+        default=50.0,
+        metavar="Q",
+        help="0 (smallest) to 100 (most exact), default 50; 25 less double the lattice's steps",
+    )
+    exactness.add_argument(
+        "--lossless", action="store_true", help="code every change, exact to the lattice of --quality 100"
+    )
+    parser.add_argument("--segment", type=whole_number, default=0, metavar="N", help="insert a keyframe every N frames")
+    return run(parser, lambda: _pack(parser, parser.parse_args(arguments)))
+
+
+def _pack(parser: Parser, options: argparse.Namespace) -> int:
+    from .packing import pack
+
+    piped = options.output == "-"
+    if piped and sys.stdout.isatty():
+        raise UsageError("-o -: the stream would go to the terminal; redirect it, or name a file")
+    with progress("packing") as on_frame:
+        report = pack(
+            options.files,
+            sys.stdout.buffer if piped else options.output,
+            fps=options.fps,
+            quality=options.quality,
+            lossless=options.lossless,
+            segment=options.segment,
+            on_frame=on_frame,
+            on_warning=warn_as(parser),
+        )
+    frames, size = counted(len(report.frame_bytes), "frame"), size_text(report.total_bytes)
+    tell(f"{options.output}: {frames}, {size}; the files have {size_text(report.read_bytes)}", to_stderr=piped)
+    return 0
 
 
 def _encode(parser: Parser, options: argparse.Namespace) -> int:

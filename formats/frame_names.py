@@ -13,6 +13,8 @@ A name without any is that of a single file; where several are written, ``_`` an
 
 from __future__ import annotations
 
+import itertools
+import os
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -41,6 +43,30 @@ def names_of_frames(path: Path, frames: int | None) -> Callable[[int], str]:
     if frames == 1:
         return lambda _: path.name
     return lambda frame: f"{path.stem}_{frame:0{_DIGITS}d}{path.suffix}"
+
+
+def numbered_files(path: Path) -> list[tuple[int, Path]]:
+    """The files there are of a numbered name, and their numbers, in order; they follow on each other.
+
+    Raises UsageError for a name without a place for the number, where there is none of them, or where one is missing.
+    """
+    if not is_numbered(path):
+        raise UsageError(f"{path}: has no place for the frame's number; name the files like x_####{path.suffix}")
+    place = _PLACE.search(path.name)
+    assert place is not None
+    before, after = re.escape(path.name[: place.start()]), re.escape(path.name[place.end() :])
+    pattern = re.compile(f"{before}([0-9]{{{_width(place)},18}}){after}")
+    try:
+        names = os.listdir(path.parent)
+    except OSError as error:
+        raise UsageError(f"{path.parent}: {error.strerror}; give a folder with the files") from error
+    found = sorted((int(match[1]), path.with_name(name)) for name in names if (match := pattern.fullmatch(name)))
+    if not found:
+        raise UsageError(f"{path}: there is no such file; check the name")
+    for (number, name), (following, _) in itertools.pairwise(found):
+        if following != number + 1:
+            raise UsageError(f"{path}: after {name.name} comes number {following}; give every frame once")
+    return found
 
 
 def _width(place: re.Match[str]) -> int:

@@ -17,7 +17,7 @@ import pytest
 from decogs.decoder.commands import decode_main, export_main, info_main
 from decogs.encoder import PRESETS, EncodeSettings
 from decogs.encoder.analysis.commands import analyze_main
-from decogs.encoder.commands import encode_main
+from decogs.encoder.commands import encode_main, pack_main
 from decogs.encoder.settings.frame import SignificanceSettings
 
 ROOT = Path(__file__).parents[2]
@@ -29,6 +29,7 @@ MAINS: dict[str, Callable[[list[str]], int]] = {
     "decogs-decode": decode_main,
     "decogs-export": export_main,
     "decogs-info": info_main,
+    "decogs-pack": pack_main,
 }
 LONGEST_README = 110
 
