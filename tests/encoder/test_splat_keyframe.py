@@ -38,7 +38,8 @@ def begin(moving_rig: Path, tiny_settings: Any, tiny_rig: Any, tmp_path: Path) -
         warnings: list[str] = []
         options = {"frames": range(0, 1), "holdout": [tiny_rig.held_out], "threads": 1} | options
         rig, output = options.pop("rig", moving_rig), options.pop("output", tmp_path / "out.dgs")
-        report = encode(rig, output, tiny_settings, keyframe=keyframe, on_warning=warnings.append, **options)
+        settings = options.pop("settings", tiny_settings)
+        report = encode(rig, output, settings, keyframe=keyframe, on_warning=warnings.append, **options)
         return report, warnings
 
     return run
@@ -96,6 +97,20 @@ def test_gaussians_off_the_lattice_get_one_that_costs_little(
     assert header.settings["lattice_scale"] <= tiny_settings.lattice_scale
     assert all(camera.near > 0 for camera in header.cameras)
     assert report.frames[0].training_psnr > 20
+
+
+def test_steps_that_would_show_are_halved(
+    begin: Any, moving: Any, exported: Path, tiny_settings: Any, tmp_path: Path
+) -> None:
+    """Sixteen times the steps that the keyframe was trained to: rounding to them alone costs decibels."""
+    report, warnings = begin(exported / "scene.ply", settings=replace(tiny_settings, lattice_scale=16.0))
+    _, header = first_splats(tmp_path / "out.dgs")
+    scale = header.settings["lattice_scale"]
+    assert scale in (0.5, 1.0, 2.0, 4.0, 8.0)
+    assert header.lattice.log_scales == pytest.approx(0.18 * scale)
+    was = moving.report.frames[0].training_psnr
+    assert report.frames[0].training_psnr > was - MOST_LOST - 0.02
+    assert not any("the lattice costs" in text for text in warnings)
 
 
 def test_strangers_without_compensation_are_made_up_for_and_told(begin: Any, exported: Path, tmp_path: Path) -> None:
