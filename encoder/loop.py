@@ -32,9 +32,9 @@ from .settings.frame import FrameSettings
 from .stopwatch import Stopwatch
 from .stream_state import FrameInWork, StreamState
 from .training.first_frame import train_first_frame
-from .training.imported_splats import import_splats
 from .training.method import FrameInput, TrainedFrame
 from .training.schedule import StoppingRule
+from .training.splat_keyframe import import_splats
 
 
 class StreamEncoder:

@@ -30,7 +30,7 @@ from decogs.formats.splat_files.reading import SplatFile, read_splats
 from decogs.formats.splats import Splats, take_splats
 
 from .coding.coded_scene import CodedScene
-from .input.matching import Rows, mutual_nearest
+from .input.row_matching import Rows, mutual_nearest
 from .output.reports import OnWarning
 from .output.stream_output import open_output
 from .training.method import TrainedFrame

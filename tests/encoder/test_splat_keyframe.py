@@ -14,7 +14,7 @@ from decogs.decoder import export
 from decogs.decoder.rasterise.reference import BLUR
 from decogs.decoder.stream import open_stream
 from decogs.encoder import encode
-from decogs.encoder.training.imported_splats import MOST_LOST, with_compensation
+from decogs.encoder.training.splat_keyframe import MOST_LOST, with_compensation
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 from decogs.formats.splat_files.ply import Ply
