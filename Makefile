@@ -3,6 +3,7 @@
 #   PIP_ARGS  more options for pip, such as an index make setup PIP_ARGS="--index-url ..."
 #   RIGS      the rigs of the report                 make report RIGS="rig_a rig_b"
 #   FUZZ_ARGS more options for make fuzz             make fuzz FUZZ_ARGS="--seed 2 --inputs 1000000"
+#   BLENDER   the Blender of make blender-test        make blender-test BLENDER=5.2.3 BLENDER_PYTHON=python3.13
 #   BENCH_ARGS  more options for decogs-bench        make report BENCH_ARGS="--frames :10"
 
 PYTHON ?= python3
@@ -25,16 +26,22 @@ USER_READY := $(USER_VENV)/ready
 INSTALLS := pyproject.toml setup.py constraints.txt
 KERNEL_SOURCES := $(wildcard decoder/rasterise/kernel/* encoder/*/kernel/*)
 
+# Blender as a Python module: 4.2 to 5.0 fit Python 3.11, 5.1 and 5.2 fit 3.13.
+BLENDER ?= 4.5.15
+BLENDER_PYTHON ?= python3.11
+BLENDER_ENV = build/blender-$(BLENDER)
+BLENDER_ADDON := build/decogs-blender.zip
+
 # A second environment that holds only the built wheel, without torch.
 DIST := build/dist
 WHEEL_ENV := build/wheel-env
 
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
-.PHONY: help setup demo test lint type layers wheel wheel-check unit slow soak fuzz bench report clean
+.PHONY: help setup demo test lint type layers wheel wheel-check unit slow soak fuzz bench report blender-addon blender-test clean
 
 help: ## list what can be made
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-13s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 setup: $(READY) ## create .venv with decogs (editable) and the development tools
 
@@ -116,6 +123,18 @@ report: $(READY) ## the paper's tables, our choices, rate against distortion, ac
 	$(BIN)/decogs-bench effects $(EFFECT_RIGS) -o report --frames :20 --preset draft $(BENCH_ARGS)
 	$(BIN)/decogs-bench curve $(RATE_RIGS) -o report --frames :8 $(BENCH_ARGS)
 	$(BIN)/python tests/bench/archive.py report
+
+blender-addon: ## pack the Blender extension as build/decogs-blender.zip; Python's standard library is enough
+	$(PYTHON) blender/build.py $(BLENDER_ADDON)
+
+# Not part of `make test`: 380 MB to download once, and minutes of rendering.
+blender-test: $(READY) blender-addon $(BLENDER_ENV)/ready ## render with that extension in a Blender of its own, against decoded pictures
+	$(BIN)/python tests/blender/render.py $(BLENDER_ENV)/bin/python $(BLENDER_ADDON) build/blender-test
+
+$(BLENDER_ENV)/ready:
+	$(BLENDER_PYTHON) -m venv $(BLENDER_ENV)
+	$(BLENDER_ENV)/bin/python -m pip install $(PIP_ARGS) --quiet --no-compile "bpy==$(BLENDER)" zstandard
+	@touch $@
 
 clean: ## remove what was built and every cache; environments and demo/ stay
 	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache $(READY) $(USER_READY)

@@ -295,10 +295,3 @@ def test_indices_that_do_not_rise_and_ids_that_repeat_are_refused() -> None:
         take_census([first, first])
     with pytest.raises(ValueError, match="id twice"):
         take_census([ExportFrame(0, np.zeros(40, np.int64), first.splats)])
-
-
-def test_the_blender_script_is_shipped_and_compiles() -> None:
-    script = Path(usd_export.__file__).with_name("blender_attach_colours.py")
-    source = script.read_text(encoding="utf-8")
-    compile(source, str(script), "exec")
-    assert '"displayColor"' in source

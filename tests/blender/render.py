@@ -1,0 +1,100 @@
+"""`make blender-test`: the Blender extension in a Blender of its own, against decoded pictures. Minutes, no GPU.
+
+    python tests/blender/render.py PYTHON EXTENSION.zip FOLDER
+
+PYTHON is one with bpy. Encodes the sample rig at half size, decodes the first and the last frame, and has
+`in_blender.py` render them. The limits: 25 dB, a mean level within 3, a camera upright within 15 degrees.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.decoder import decode, export, open_stream
+from decogs.encoder import encode
+
+RIG = Path(__file__).parents[1] / "demo" / "workbench"
+FRAMES = 4
+LEAST_DB, LEAST_UP = 25.0, np.cos(np.radians(15))
+
+
+def picture(path: Path) -> NDArray[np.float64]:
+    read = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    assert read is not None, f"{path}: is no picture"
+    return read.astype(np.float64)
+
+
+def compare(name: str, rendered: Path, decoded: Path, most_levels: float = 3.0) -> None:
+    ours, theirs = picture(rendered), picture(decoded)
+    error = float(((ours - theirs) ** 2).mean())
+    decibels, levels = 10 * np.log10(255**2 / error), ours.mean() - theirs.mean()
+    print(f"{name:12} {decibels:.2f} dB, mean level {levels:+.2f}")
+    assert decibels >= LEAST_DB, f"{rendered}: {decibels:.2f} dB against {decoded}"
+    assert abs(levels) <= most_levels, f"{rendered}: {levels:+.2f} levels from {decoded}"
+
+
+def check(facts: dict[str, Any], stream: Path, folder: Path) -> None:
+    with open_stream(stream) as opened:
+        last = opened.frame_count - 1
+        states = {frame.index: frame.state for frame in opened.frames()}
+        rate = opened.header.fps
+    assert facts["range"] == [101, 101 + last, rate], facts["range"]
+    assert facts["view"][0] == "Raw"
+    assert max(up[2] for up in facts["ups"]) >= LEAST_UP, facts["ups"]
+    # The window of a module is no viewport: what is evaluated there is what renders have, or the viewport's fraction.
+    assert 0 < facts["instances"] <= len(states[0]), facts["instances"]
+    np.testing.assert_array_equal(np.load(folder / "ids.npy"), states[last].ids)
+    assert facts["reopened"] == [len(states[0]), ""], facts["reopened"]
+    damaged, missing, no_zstandard = facts["complaints"]
+    for complaint in facts["complaints"]:
+        assert complaint.startswith("Error: ")
+        assert len(complaint.strip().splitlines()) == 1, complaint
+    assert "half.dgs" in damaged
+    assert "missing.dgs" in missing
+    assert "zstandard" in no_zstandard
+    assert 1 <= facts["damaged"] <= last, "what is left of a damaged stream is shown"
+    assert facts["usd_rate"] == rate
+
+
+def main(python: str, extension: str, folder: str) -> None:
+    out = Path(folder).resolve()
+    shutil.rmtree(out, ignore_errors=True)
+    out.mkdir(parents=True)
+    stream, usd = out / "sample.dgs", out / "sample.usdc"
+    encode(RIG, stream, settings="live", frames=slice(0, FRAMES), scale=0.5)
+    decode(stream, out / "decoded", view="cam00", undistorted=True, canonical=True)
+    export(stream, usd)
+    script = Path(__file__).with_name("in_blender.py")
+    settings = out / "blender-settings"
+    subprocess.run(
+        [python, str(script), str(Path(extension).resolve()), str(stream), str(usd), str(out)],
+        env=os.environ | {"BLENDER_USER_RESOURCES": str(settings)},
+        check=True,
+        stdout=(out / "blender.log").open("w"),
+        stderr=subprocess.STDOUT,
+    )
+    facts = json.loads((out / "facts.json").read_text())
+    print(f"Blender {facts['version']}, numpy {facts['numpy']}; seconds to change the frame {facts['seconds']}, ")
+    print(f"to render {facts['render_seconds']}; instances in the viewport {facts['instances']}")
+    check(facts, stream, out)
+    decoded = sorted((out / "decoded").iterdir())
+    compare("first frame", out / "stream_0.png", decoded[0])
+    compare("last frame", out / "stream_1.png", decoded[-1])
+    # Without the low-pass filter, which a USD import does not get, small Gaussians leave gaps.
+    compare("USD", out / "usd.png", decoded[0], most_levels=4.0)
+    for complaint in facts["complaints"]:
+        print(complaint.strip())
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
