@@ -66,7 +66,7 @@ class ImportDecogs(bpy.types.Operator, ImportHelper):  # type: ignore[misc]
     )
 
     def execute(self, context: Any) -> set[str]:
-        told = timeline.told()
+        timeline.forget()
         # The file may be another one by now.
         timeline.close(self.filepath)
         try:
@@ -84,7 +84,7 @@ class ImportDecogs(bpy.types.Operator, ImportHelper):  # type: ignore[misc]
         # Cycles reads a mesh while the timeline may already fill the next frame's.
         context.scene.render.use_lock_interface = True
         timeline.show_all(context.scene)
-        for damage in timeline.told() - told:
+        for damage in timeline.told():
             self.report({"WARNING"}, damage)
         self.report({"INFO"}, f"{Path(self.filepath).name}: {playback.frame_count} frames, {len(first.ids)} Gaussians")
         return {"FINISHED"}

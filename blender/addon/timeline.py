@@ -138,9 +138,14 @@ def one_line(error: BaseException, path: str) -> str:
     return " ".join(str(error).split()) or type(error).__name__
 
 
-def told() -> set[str]:
-    """What was wrong with streams so far, damage that is concealed included."""
-    return set(_told)
+def told() -> list[str]:
+    """What was wrong with streams since ``forget``, damage that is concealed included."""
+    return sorted(_told)
+
+
+def forget() -> None:
+    """From now on everything is told once more."""
+    _told.clear()
 
 
 def warn(text: str) -> None:
