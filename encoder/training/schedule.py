@@ -35,10 +35,6 @@ OnLoss = Callable[[str, int, float], None]
 LEAST_STEPS = 12
 """Least steps of a stage, however late it is: fewer have no effect and cost hardly less."""
 
-_ENOUGH_STEPS = 20
-"""Steps from which a frame counts as finished, although its schedule has more. `live` has 30 and more. Frames that take
-up what such ones left undone have more Gaussians to train, thus fewer steps, and quality falls from frame to frame."""
-
 _CLEARLY = np.float32(25 / 255)
 """Colour error from which a pixel is clearly missed: the paper's tau, applied to the rendering."""
 
@@ -111,8 +107,8 @@ class StepSchedule:
 
     @property
     def is_cut_short(self) -> bool:
-        """Whether a deadline left too few steps to follow what moved."""
-        return self._deadline is not None and len(self._seconds) < _ENOUGH_STEPS and self.hurry > 1
+        """Whether a deadline left only the least steps, too few to follow what moved."""
+        return self._deadline is not None and len(self._seconds) <= LEAST_STEPS and self.hurry > 1
 
     @property
     def steps_seconds(self) -> tuple[float, float]:

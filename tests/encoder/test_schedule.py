@@ -137,11 +137,11 @@ def test_strides_tell_how_great_the_hurry_is(clock: Clock) -> None:
     assert schedule.hurry == pytest.approx(10, rel=0.05)
 
 
-@pytest.mark.parametrize(("seconds", "cut_short"), [(0.15, True), (0.25, False), (10.0, False)])
+@pytest.mark.parametrize(("seconds", "cut_short"), [(0.1, True), (0.25, False), (10.0, False)])
 def test_too_few_steps_leave_a_frame_unfinished_and_a_shorter_schedule_does_not(
     clock: Clock, seconds: float, cut_short: bool
 ) -> None:
-    """With 15 steps of 150 a frame is cut short; with 25 it is finished, though hurried; so is one with all."""
+    """With the least steps of 150 a frame is cut short; with 25 it is finished, though hurried; so is one with all."""
     schedule = StepSchedule(SCHEDULE, clock.now + seconds)
     run(schedule, lambda step: setattr(clock, "now", clock.now + 0.01))
     assert schedule.is_cut_short == cut_short
