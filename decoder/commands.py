@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,6 +20,7 @@ from decogs.formats.command_line import (
     number,
     number_of_bytes,
     number_of_threads,
+    path_or_pipe,
     progress,
     run,
     size_text,
@@ -29,7 +29,6 @@ from decogs.formats.command_line import (
     warn_as,
     whole_number,
 )
-from decogs.formats.errors import UsageError
 from decogs.formats.frame_ranges import frame_range
 from decogs.formats.up_direction import UPS
 from decogs.formats.usd_prims import FLAVOURS
@@ -143,14 +142,12 @@ def _decode(parser: Parser, options: argparse.Namespace) -> None:
     from .video_output import VideoSettings
 
     started = time.perf_counter()
-    piped = options.output == "-"
-    if piped and sys.stdout.isatty():
-        raise UsageError("-o -: this is a terminal; pipe the video into a program, or name a file")
+    output = path_or_pipe(options.output, "the video")
     audio = None if options.audio is None else Path(options.audio)
     with progress("decoding") as on_frame:
         report = decode(
             standard_input() if options.stream == "-" else options.stream,
-            sys.stdout.buffer if piped else options.output,
+            output,
             layout=_layout(options),
             video=VideoSettings(options.codec, options.crf, options.chroma, audio),
             view=options.view,
@@ -172,7 +169,7 @@ def _decode(parser: Parser, options: argparse.Namespace) -> None:
     tell(
         f"{options.output}: {counted(report.frame_count, 'frame')} of {report.view}, "
         f"{report.width}x{report.height}, in {time.perf_counter() - started:.1f} s",
-        to_stderr=piped,
+        to_stderr=options.output == "-",
     )
 
 
@@ -187,13 +184,11 @@ def _layout(options: argparse.Namespace) -> Layout | None:
 def _export(parser: Parser, options: argparse.Namespace) -> None:
     from .exporting import export
 
-    piped = options.output == "-"
-    if piped and sys.stdout.isatty():
-        raise UsageError("-o -: the file would go to the terminal; redirect it, or name a file")
+    output = path_or_pipe(options.output, "the file")
     with progress("exporting") as on_frame:
         report = export(
             options.stream,
-            sys.stdout.buffer if piped else options.output,
+            output,
             frames=frame_range(options.frames),
             up=options.up,
             first_frame=options.first_frame,
@@ -214,7 +209,7 @@ def _export(parser: Parser, options: argparse.Namespace) -> None:
         parts.append(counted(report.file_count, "file"))
     up = "nothing turned" if report.up is None else f"the world's up, {report.up}, is {report.up_in_file} there"
     parts += [size_text(report.file_bytes), up]
-    tell(f"{options.output}: {', '.join(parts)}", to_stderr=piped)
+    tell(f"{options.output}: {', '.join(parts)}", to_stderr=options.output == "-")
 
 
 def _info(options: argparse.Namespace) -> None:

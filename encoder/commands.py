@@ -13,6 +13,7 @@ from decogs.formats.command_line import (
     frames_joined,
     number,
     number_of_threads,
+    path_or_pipe,
     progress,
     reworded,
     run,
@@ -165,13 +166,11 @@ def pack_main(arguments: Sequence[str] | None = None) -> int:
 def _pack(parser: Parser, options: argparse.Namespace) -> int:
     from .packing import pack
 
-    piped = options.output == "-"
-    if piped and sys.stdout.isatty():
-        raise UsageError("-o -: the stream would go to the terminal; redirect it, or name a file")
+    output = path_or_pipe(options.output, "the stream")
     with progress("packing") as on_frame:
         report = pack(
             options.files,
-            sys.stdout.buffer if piped else options.output,
+            output,
             fps=options.fps,
             quality=options.quality,
             lossless=options.lossless,
@@ -180,7 +179,10 @@ def _pack(parser: Parser, options: argparse.Namespace) -> int:
             on_warning=warn_as(parser),
         )
     frames, size = counted(len(report.frame_bytes), "frame"), size_text(report.total_bytes)
-    tell(f"{options.output}: {frames}, {size}; the files have {size_text(report.read_bytes)}", to_stderr=piped)
+    tell(
+        f"{options.output}: {frames}, {size}; the files have {size_text(report.read_bytes)}",
+        to_stderr=options.output == "-",
+    )
     return 0
 
 
@@ -191,9 +193,7 @@ def _encode(parser: Parser, options: argparse.Namespace) -> int:
     from .switches import Switches
     from .targets import Targets
 
-    piped = options.output == "-"
-    if piped and sys.stdout.isatty():
-        raise UsageError("-o -: the stream would go to the terminal; redirect it, or name a file")
+    output = path_or_pipe(options.output, "the stream")
     rig, bytes_per_frame, words = _budget(options)
     seconds = None if options.time_budget is None else seconds_per_frame(options.time_budget)
     if seconds is not None:
@@ -201,7 +201,7 @@ def _encode(parser: Parser, options: argparse.Namespace) -> int:
     with reworded(words), TerminalProgress(sys.stderr) as progress:
         report = encode(
             rig,
-            sys.stdout.buffer if piped else options.output,
+            output,
             options.settings,
             frames=frame_range(options.frames),
             scale=options.scale,
@@ -220,7 +220,7 @@ def _encode(parser: Parser, options: argparse.Namespace) -> int:
             progress=progress,
             on_warning=warn_as(parser),
         )
-    tell("\n".join(_summary(report)), to_stderr=piped)
+    tell("\n".join(_summary(report)), to_stderr=options.output == "-")
     warnings = [*_left_out(report), _rejected(report), *_uncorrected(report), _overlooked(report)]
     warnings += [_missed_budget(report), _missed_time(report)]
     for warning in filter(None, warnings):

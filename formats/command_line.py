@@ -197,6 +197,20 @@ def standard_input() -> BinaryIO:
     return sys.stdin.buffer
 
 
+def path_or_pipe(output: str, what: str) -> str | BinaryIO:
+    """Where a command writes: the path as given, or for ``-`` the bytes of standard output.
+
+    Raises UsageError for a terminal, which ``what`` must not go to, and where standard output is closed.
+    """
+    if output != "-":
+        return output
+    if sys.stdout is None:
+        raise UsageError("-o -: standard output is closed; pipe it into a program, or name a file")
+    if sys.stdout.isatty():
+        raise UsageError(f"-o -: {what} would go to the terminal; redirect it, or name a file")
+    return sys.stdout.buffer
+
+
 @contextmanager
 def progress(what: str, unit: str = "frame") -> Iterator[OnFrame]:
     """A progress bar on stderr when that is a terminal; silent otherwise. Called with units done and units in all."""

@@ -26,18 +26,7 @@ from decogs.formats.splat_files.splat import Splat
 from decogs.formats.splat_files.spz import Spz
 from decogs.formats.splats import Splats, empty_splats
 from decogs.formats.up_direction import AXES, turn_between
-
-
-def some_splats(count: int, coefficients: int, seed: int = 0) -> Splats:
-    random = np.random.default_rng(seed)
-    values = (
-        random.normal(size=(count, 3)),
-        random.uniform(-8, 1, (count, 3)),
-        random.normal(size=(count, 4)),
-        random.uniform(-5, 5, count),
-        random.uniform(-0.9, 0.9, (count, coefficients, 3)),
-    )
-    return Splats(*(np.ascontiguousarray(value, np.float32) for value in values))
+from random_splats import random_splats
 
 
 def unit(quaternions: np.ndarray) -> np.ndarray:
@@ -45,7 +34,7 @@ def unit(quaternions: np.ndarray) -> np.ndarray:
 
 
 def test_ply_has_inrias_columns() -> None:
-    splats = some_splats(2, 4)
+    splats = random_splats(2, 4)
     header, _, body = Ply().encode(splats).partition(b"end_header\n")
     names = [line.split()[-1] for line in header.decode().splitlines() if line.startswith("property float")]
     rows = np.frombuffer(body, "<f4").reshape(2, len(names))
@@ -108,7 +97,7 @@ def test_spz_reads_the_bytes_of_its_description() -> None:
 @pytest.mark.parametrize("coefficients", [1, 4, 9, 16])
 @pytest.mark.parametrize(("fraction_bits", "sh1_bits", "sh_rest_bits"), [(12, 5, 4), (14, 8, 8), (8, 3, 3)])
 def test_spz_stays_within_half_a_step(coefficients: int, fraction_bits: int, sh1_bits: int, sh_rest_bits: int) -> None:
-    splats = some_splats(500, coefficients)
+    splats = random_splats(500, coefficients)
     spz = Spz(fraction_bits, sh1_bits, sh_rest_bits)
     found = spz.decode(spz.encode(splats))
     rounding = 1e-6
@@ -131,14 +120,14 @@ def test_spz_puts_what_lies_outside_at_the_end() -> None:
 
 
 def test_fewer_bits_of_spz_are_fewer_bytes() -> None:
-    splats = some_splats(500, 4)
+    splats = random_splats(500, 4)
     sizes = [len(Spz(*bits).encode(splats)) for bits in ((14, 8, 8), (12, 5, 4), (10, 4, 3), (8, 3, 3))]
     assert sizes == sorted(sizes, reverse=True)
     assert len(set(sizes)) == 4
 
 
 def test_splat_keeps_places_and_sizes_and_drops_directions() -> None:
-    splats = some_splats(500, 4)
+    splats = random_splats(500, 4)
     data = Splat().encode(splats)
     assert len(data) == 500 * 32
     found = Splat().decode(data)
@@ -175,7 +164,7 @@ def test_spz_4_is_a_header_two_sizes_a_stream_and_the_streams() -> None:
 
 def test_spz_2_has_x_y_and_z_of_a_rotation() -> None:
     turns = np.float32([[-0.5, 0.5, -0.5, 0.5], [1, 0, 0, 0]])
-    splats = replace(some_splats(2, 1), quaternions=turns)
+    splats = replace(random_splats(2, 1), quaternions=turns)
     raw = gzip.decompress(Spz(version=2).encode(splats))
     # w is made positive; 127.5 * x + 127.5 is 63.75, 191.25 and 63.75, and for no rotation 127.5, to the even one.
     assert raw[-6:] == bytes([64, 191, 64, 128, 128, 128])
@@ -196,12 +185,12 @@ def test_spz_has_as_many_fraction_bits_as_the_farthest_leaves(farthest: float, b
     form, left_out = Spz().fitted(Extremes(1, 1, farthest, 1))
     assert isinstance(form, Spz)
     assert (form.fraction_bits, form.sh1_bits, form.sh_rest_bits, left_out) == (bits, 8, 8, [])
-    splats = replace(some_splats(1, 1), means=np.float32([[farthest, -farthest, 0]]))
+    splats = replace(random_splats(1, 1), means=np.float32([[farthest, -farthest, 0]]))
     np.testing.assert_allclose(form.decode(form.encode(splats)).means, splats.means, atol=0.5**bits / 2 * 1.01)
 
 
 def test_ply_states_the_compensation_in_a_comment_and_nothing_else_changes() -> None:
-    splats = some_splats(3, 4)
+    splats = random_splats(3, 4)
     plain, stated = (Ply(compensated=state).encode(splats) for state in (False, True))
     assert stated.replace(b"comment SplatRenderMode: mip\n", b"") == plain != stated
     assert stated.startswith(b"ply\nformat binary_little_endian 1.0\ncomment ")
@@ -232,7 +221,7 @@ def read_glb(data: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
 @pytest.mark.parametrize("coefficients", [1, 4, 9, 16])
 def test_glb_has_the_extensions_attributes(coefficients: int) -> None:
     """Scales and opacities are activated in float32 and quaternions normalised: a few units in the last place."""
-    splats = some_splats(7, coefficients)
+    splats = random_splats(7, coefficients)
     document, arrays = read_glb(Glb().encode(splats))
     prefix = "KHR_gaussian_splatting:"
     assert document["extensionsUsed"] == ["KHR_gaussian_splatting"]
@@ -257,7 +246,7 @@ def test_glb_has_the_extensions_attributes(coefficients: int) -> None:
 
 
 def test_glb_comes_back_and_states_the_compensation() -> None:
-    splats = some_splats(50, 16)
+    splats = random_splats(50, 16)
     data = Glb(compensated=True).encode(splats)
     found = Glb().decode(data)
     np.testing.assert_array_equal(found.means, splats.means)
@@ -318,7 +307,7 @@ def test_splat_transform_reads_the_same_where_it_is_installed(form: SplatFormat,
     Tolerances: float32 of another implementation's logarithms and divisions.
     """
     assert SPLAT_TRANSFORM is not None
-    splats = some_splats(400, 1 if isinstance(form, Splat) else 16)
+    splats = random_splats(400, 1 if isinstance(form, Splat) else 16)
     source, target = tmp_path / f"a{form.suffix}", tmp_path / "read.ply"
     source.write_bytes(form.encode(splats))
     subprocess.run([SPLAT_TRANSFORM, str(source), str(target)], check=True, capture_output=True)

@@ -19,28 +19,17 @@ from decogs.formats.splat_files.ply import Ply
 from decogs.formats.splat_files.splat import RECORD, Splat
 from decogs.formats.splat_files.spz import Spz
 from decogs.formats.splats import Splats, join_splats, take_splats
-
-
-def some_splats(count: int, coefficients: int, seed: int = 0) -> Splats:
-    random = np.random.default_rng(seed)
-    values = (
-        random.normal(size=(count, 3)),
-        random.uniform(-8, 1, (count, 3)),
-        random.normal(size=(count, 4)),
-        random.uniform(-5, 5, count),
-        random.uniform(-0.9, 0.9, (count, coefficients, 3)),
-    )
-    return Splats(*(np.ascontiguousarray(value, np.float32) for value in values))
+from random_splats import random_splats
 
 
 def a_sequence() -> list[SceneFrame]:
     """Some move, one goes, two come, and in the last frame nothing changes."""
-    first = some_splats(6, 4)
+    first = random_splats(6, 4)
     moved = Splats(*(array.copy() for array in astuple(first)))
     moved.means[[1, 4]] += 0.25
     moved.sh[4, 2] += 0.5
     stays = [0, 1, 2, 4, 5]
-    second = join_splats(take_splats(moved, np.array(stays)), some_splats(2, 4, seed=1))
+    second = join_splats(take_splats(moved, np.array(stays)), random_splats(2, 4, seed=1))
     ids = np.array([*(10 + row for row in stays), 20, 21])
     return [SceneFrame(np.arange(10, 16), first), SceneFrame(ids, second), SceneFrame(ids, second)]
 
