@@ -1,0 +1,121 @@
+/**
+ * What the decoder hands to everything that draws: the stream's header, and the scene of one frame.
+ *
+ * Names are those of formats/SPEC.md in camel case. Everything here is plain data, so that it crosses from a worker to
+ * the page as it is.
+ */
+
+/** Kinds of frames, as packets name them (SPEC section 3). */
+export type FrameKind = "key" | "delta" | "skip";
+
+/** A camera of the rig (SPEC section 4). Lengths in pixels; the picture's top left corner is (0, 0). */
+export interface RigCamera {
+  readonly name: string;
+  readonly width: number;
+  readonly height: number;
+  readonly fx: number;
+  readonly fy: number;
+  readonly cx: number;
+  readonly cy: number;
+  readonly distortionModel: "none" | "opencv" | "fisheye";
+  readonly distortion: readonly number[];
+  /** Three rows of four: a rotation and a translation; camera axes x right, y down, z forward. */
+  readonly worldToCamera: readonly (readonly number[])[];
+  /** Nothing nearer than this depth is drawn in this view. */
+  readonly near: number;
+}
+
+/** Steps of the lattice that coded integers lie on (SPEC sections 4 and 5). */
+export interface Lattice {
+  readonly origin: readonly number[];
+  readonly means: readonly number[];
+  readonly logScales: number;
+  readonly quaternions: number;
+  readonly opacityLogits: number;
+  readonly shDc: number;
+  readonly shRest: number;
+}
+
+/** The header packet (SPEC section 4), as far as a viewer needs it. */
+export interface StreamHeader {
+  readonly cameras: readonly RigCamera[];
+  readonly lattice: Lattice;
+  readonly shDegree: number;
+  /** Frames per second; null when the stream does not say. */
+  readonly fps: number | null;
+  /** The source's index of frame 0. */
+  readonly firstFrame: number;
+  /** Display-referred red, green, blue behind the scene. */
+  readonly background: readonly number[];
+  readonly effects: readonly string[];
+  readonly heldOut: readonly string[];
+}
+
+/** What is known of a frame without decoding it: from the index packet, or from packet headers seen so far. */
+export interface FrameEntry {
+  readonly kind: FrameKind;
+  /** Bytes on disk, the packet's own header and checksums included. */
+  readonly bytes: number;
+}
+
+/** Stored values of all Gaussians (SPEC section 5), row by row. Scales, opacities and colours are not activated yet. */
+export interface Gaussians {
+  /** Number of Gaussians; arrays may be longer. */
+  readonly count: number;
+  /** count x 3, world units. */
+  readonly means: Float32Array;
+  /** count x 3, natural logarithms of world units. */
+  readonly logScales: Float32Array;
+  /** count x 4, w x y z, of any norm. */
+  readonly quaternions: Float32Array;
+  /** count. */
+  readonly opacityLogits: Float32Array;
+  /** count x (shDegree + 1)^2 x 3, spherical harmonics of colour; colour = 0.5 + SH(direction). */
+  readonly sh: Float32Array;
+}
+
+/** The scene of one frame, and what its packet changed. Arrays belong to the decoder and change with the next frame. */
+export interface SceneFrame {
+  /** Counted from 0. */
+  readonly frame: number;
+  /** null where the packet is damaged: then the scene is that of the last good frame. */
+  readonly kind: FrameKind | null;
+  readonly bytes: number;
+  /** What is wrong with this frame, one sentence with the reason code of SPEC section 9; null when nothing is. */
+  readonly damage: string | null;
+  readonly gaussians: Gaussians;
+  /**
+   * Rows whose stored values differ from the frame that the decoder gave before this one, in rising order; null when
+   * rows moved or the frame before was not the one that this builds on, so that all must be taken as changed.
+   */
+  readonly changedRows: Uint32Array | null;
+  /** Gaussians that this frame's packet changed, added and removed: 0 of all for a frame that only repeats. */
+  readonly changed: number;
+  readonly added: number;
+  readonly removed: number;
+}
+
+/** Encoder's figures of a frame, where the stream carries a METRICS packet for it. */
+export interface FrameMetrics {
+  readonly psnr: number | null;
+}
+
+/** A stream that is open: bytes come as they are needed. All methods reject with a StreamError. */
+export interface SceneStream {
+  readonly header: StreamHeader;
+  /** Frames known so far; grows while the source grows. */
+  readonly frames: readonly FrameEntry[];
+  /** Whether the end of the stream was seen: false while a source still grows. */
+  readonly complete: boolean;
+  /** Figures by frame, for those that have any. */
+  readonly metrics: ReadonlyMap<number, FrameMetrics>;
+  /** Bytes read from the source so far. */
+  readonly bytesRead: number;
+  /** The scene at a frame. Going one frame on costs one packet; going elsewhere reads and decodes from its keyframe. */
+  frame(index: number, signal?: AbortSignal): Promise<SceneFrame>;
+  /** Reads bytes of the coming frames ahead, within the window that bounds memory. */
+  prefetch(from: number): Promise<void>;
+  /** Looks whether the source has grown; resolves to whether it has. */
+  refresh(): Promise<boolean>;
+  close(): void;
+}
