@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -29,6 +30,7 @@ from decogs.formats.command_line import (
     warn_as,
     whole_number,
 )
+from decogs.formats.errors import UsageError
 from decogs.formats.frame_ranges import frame_range
 from decogs.formats.up_direction import UPS
 from decogs.formats.usd_prims import FLAVOURS
@@ -187,7 +189,7 @@ def _export(parser: Parser, options: argparse.Namespace) -> None:
     output = path_or_pipe(options.output, "the file")
     with progress("exporting") as on_frame:
         report = export(
-            options.stream,
+            _file(options.stream),
             output,
             frames=frame_range(options.frames),
             up=options.up,
@@ -217,11 +219,20 @@ def _info(options: argparse.Namespace) -> None:
     from .stream_info_text import byte_lines, summary_lines
 
     with progress("reading") as on_frame:
-        facts = info(options.stream, strict=options.strict, max_memory=options.max_memory, on_frame=on_frame)
+        facts = info(_file(options.stream), strict=options.strict, max_memory=options.max_memory, on_frame=on_frame)
     if options.json:
         tell(json.dumps(facts.to_json(), indent=2))
     else:
         tell("\n".join(byte_lines(facts) if options.bytes else summary_lines(facts)))
+
+
+def _file(stream: str) -> str:
+    """A stream that is read more than once, or from its end on; raises UsageError for a pipe."""
+    if stream == "-" and not os.path.exists(stream):
+        raise UsageError(
+            "-: a pipe cannot be seeked; write the stream to a file first, or decode it with decogs-decode -"
+        )
+    return stream
 
 
 def _joined(arguments: Sequence[str] | None) -> list[str]:

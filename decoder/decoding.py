@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -14,6 +14,7 @@ from decogs.codec.header import StreamHeader
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.frame_ranges import Frames
+from decogs.formats.outputs import Output, check_outputs
 
 from .camera_files import camera_file, read_camera_file
 from .camera_moves import Move, camera_move
@@ -22,11 +23,11 @@ from .compositing import Ids, static_ids
 from .following import DEFAULT_IDLE, GrowingStream, follow_stream
 from .frame_choice import (
     OnWarning,
-    check_output,
     chosen_frames,
     chosen_pictures,
     coming_frames,
     damage_to,
+    files_read,
     frames_in_any_order,
     open_chosen,
 )
@@ -100,9 +101,9 @@ def decode(
     appeared one by one.
     """
     _check_colour(background)
-    if isinstance(output, (str, os.PathLike)):
-        named = camera_file(camera)[0] if isinstance(camera, (str, os.PathLike)) else None
-        check_output(output, stream=stream, camera=named, audio=video.audio)
+    named = camera_file(camera)[0] if isinstance(camera, (str, os.PathLike)) else None
+    read = files_read(stream=stream, camera=named, audio=video.audio)
+    check_outputs([Output("output", Path(output) if isinstance(output, (str, os.PathLike)) else output)], read)
     show = Show(scale, background, undistorted, threads, canonical, max_memory, layout)
     if layout is not None:
         layout.check()
@@ -110,7 +111,8 @@ def decode(
         on_damage = damage_to(on_warning)
         with follow_stream(stream, idle=idle, strict=strict, on_damage=on_damage, max_memory=max_memory) as growing:
             wanted = _wanted(growing.header, view, camera, move, None)
-            return _decode_growing(growing, output, wanted, coming_frames(frames), show, video, on_frame, on_warning)
+            chosen_slice = coming_frames(frames)
+            return _decode_growing(growing, output, wanted, chosen_slice, show, video, read, on_frame, on_warning)
     with open_chosen(stream, None, strict=strict, max_memory=max_memory, on_warning=on_warning) as (opened, _):
         wanted = _wanted(opened.header, view, camera, move, opened.frame_count)
         chosen, shots = _chosen_shots(opened, wanted, frames)
@@ -120,6 +122,7 @@ def decode(
         with open_sink(
             output, view=first.name, frames=len(chosen), fps=fps, video=sound, on_warning=on_warning
         ) as sink:
+            _check_files(sink, chosen, read)
             static = _static(opened, on_warning) if sink.has_layers else None
             taken = _taken(opened.header, shots(sink.has_layers), wanted, show, sink, static)
             for done, _ in enumerate(taken, start=1):
@@ -135,6 +138,7 @@ def _decode_growing(
     chosen: slice,
     show: Show,
     video: VideoSettings,
+    read: list[tuple[Path, str]],
     on_frame: OnFrame | None,
     on_warning: OnWarning | None,
 ) -> DecodeReport:
@@ -147,7 +151,8 @@ def _decode_growing(
     sound = replace(video, begin=chosen.start / (fps or DEFAULT_FPS))
     with open_sink(output, view=first.name, frames=None, fps=fps, video=sound, on_warning=on_warning) as sink:
         shots = shots_by_frame(islice(stream.frames(), chosen.start, chosen.stop), wanted)
-        for _ in _taken(stream.header, shots, wanted, show, sink, None):
+        coming = _unread(shots, sink, read)
+        for _ in _taken(stream.header, coming, wanted, show, sink, None):
             done += 1
             if on_frame is not None:
                 on_frame(done, 0)
@@ -223,6 +228,19 @@ def _taken(
         for shot, picture in pictures(header, shots, wanted, show):
             sink.write(shot.number, picture)
             yield shot
+
+
+def _check_files(sink: PictureSink, numbers: Iterable[int], read: list[tuple[Path, str]]) -> None:
+    """Raises UsageError where the picture of one of these numbers would be written over what is read."""
+    if sink.file_of is not None:
+        check_outputs([Output("output", sink.file_of(number)) for number in numbers], read)
+
+
+def _unread(shots: Iterator[Shot], sink: PictureSink, read: list[tuple[Path, str]]) -> Iterator[Shot]:
+    """The shots as they come, each checked by `_check_files`."""
+    for shot in shots:
+        _check_files(sink, [shot.number], read)
+        yield shot
 
 
 def _path(output: str | os.PathLike[str] | BinaryIO) -> Path:

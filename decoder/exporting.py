@@ -20,7 +20,7 @@ from decogs.codec.header import StreamHeader
 from decogs.formats.errors import UsageError
 from decogs.formats.frame_names import is_numbered, names_of_frames
 from decogs.formats.frame_ranges import Frames
-from decogs.formats.outputs import Output, check_outputs, staged_files
+from decogs.formats.outputs import Output, check_outputs, errors_named, staged_files
 from decogs.formats.similarity import Similarity, transformed_splats
 from decogs.formats.splat_files import Extremes, SplatFormat, splat_formats
 from decogs.formats.splat_files.spz import SpzVersion
@@ -125,7 +125,8 @@ def export(
             raise UsageError(f"`first_frame` {first_frame}: give a number from 0 on")
         numbers = [first_frame + frame for frame in chosen]
         names = _names(target, suffix, numbers)
-        check_outputs([Output("output", name) for name in names], [(Path(stream), "is read, as `stream`")])
+        outputs = [Output("output", name) for name in names] or [Output("output", target)]
+        check_outputs(outputs, [(Path(stream), "is read, as `stream`")])
         if suffix in USD_SUFFIXES:
             return _export_usd(plan, opened, chosen, Path(stream))
         return _export_splats(plan, opened, chosen, names)
@@ -134,8 +135,14 @@ def export(
 def _write_all(file: BinaryIO, data: bytes) -> None:
     """A pipe that is not buffered may take a part, the last one before its reader is gone."""
     left = memoryview(data)
-    while left:
-        left = left[file.write(left) :]
+    with errors_named("standard output"):
+        while left:
+            left = left[file.write(left) :]
+
+
+def _flush(file: BinaryIO) -> None:
+    with errors_named("standard output"):
+        file.flush()
 
 
 def _suffix(target: Path | BinaryIO, format: str | None) -> str:
@@ -248,7 +255,7 @@ def _export_usd(plan: _Plan, stream: Stream, chosen: range, source: Path) -> Exp
         with path.open("rb") as file:
             while chunk := file.read(_CHUNK):
                 _write_all(plan.output, chunk)
-    plan.output.flush()
+    _flush(plan.output)
     return report
 
 
@@ -263,11 +270,12 @@ def _export_splats(plan: _Plan, stream: Stream, chosen: range, names: list[Path]
         for data in files:
             size += len(data)
             _write_all(plan.output, data)
-        plan.output.flush()
+        _flush(plan.output)
     else:
         with staged_files(plan.output.parent) as staging:
             for name, data in zip(names, files, strict=True):
-                size += (staging / name.name).write_bytes(data)
+                with errors_named(str(name)):
+                    size += (staging / name.name).write_bytes(data)
     said = None if up is None else up_text(up)
     return ExportReport(len(chosen), len(chosen), size, said, form.up)
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from decogs.formats.errors import UsageError
 from decogs.formats.frame_ranges import Frames, frame_slice
-from decogs.formats.outputs import Output, check_outputs
 
 from .damage import OnDamage
 from .frame import DecodedFrame
@@ -37,12 +36,16 @@ def open_chosen(
         yield stream, chosen_frames(stream, frames)
 
 
-def check_output(output: str | os.PathLike[str], **read: object) -> None:
-    """Raises UsageError when ``output`` is one of the files that are ``read``, by parameter; others are no files."""
-    files = [
-        (Path(file), f"is read, as `{name}`") for name, file in read.items() if isinstance(file, (str, os.PathLike))
-    ]
-    check_outputs([Output("output", Path(output))], files)
+def files_read(**read: object) -> list[tuple[Path, str]]:
+    """Those of the parameters that are files, or open ones that lie on a disk, and what each is called."""
+    found = []
+    for name, file in read.items():
+        if isinstance(file, (str, os.PathLike)):
+            found.append((Path(file), f"is read, as `{name}`"))
+        elif hasattr(file, "fileno"):
+            with suppress(OSError):  # as it lies in memory
+                found.append((Path(f"/dev/fd/{file.fileno()}"), f"is read, as `{name}`"))
+    return found
 
 
 def damage_to(on_warning: OnWarning | None) -> OnDamage:

@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 
 from decogs.formats.errors import UsageError, check_utf8
 from decogs.formats.frame_names import names_of_frames
-from decogs.formats.outputs import publish_files, staged_files
+from decogs.formats.outputs import errors_named, publish_files, staged_files
 from decogs.formats.quiet import quiet_opencv
 
 from .camera_path import DEFAULT_FPS as DEFAULT_FPS
@@ -64,10 +64,12 @@ _PNG_EFFORT = 3
 class PictureSink(ABC):
     """Takes the frames of one view in order; ``finish`` completes what was written.
 
-    ``has_layers``: whether ``write`` wants the layers of the picture, too.
+    ``has_layers``: whether ``write`` wants the layers of the picture, too. ``file_of``: where the picture of a frame
+    will lie, when each has a file of its own.
     """
 
     has_layers = False
+    file_of: Callable[[int], Path] | None = None
 
     @abstractmethod
     def write(self, frame: int, rendering: Rendering, layers: Layers | None = None) -> None:
@@ -97,8 +99,8 @@ def open_sink(
     """
     if not isinstance(output, (str, os.PathLike)):
         check_settings("", video)
-        yield _Raw(RawVideo(output, fps or DEFAULT_FPS, y4m=True), None)
-        output.flush()
+        yield (raw := _Raw(output, "standard output", fps or DEFAULT_FPS, y4m=True))
+        raw.flush()
         return
     target = Path(output)
     create, folder = _plan(output, target, view, frames, fps or DEFAULT_FPS, video, on_warning)
@@ -106,6 +108,9 @@ def open_sink(
         sink = create(staging)
         if frames is None and isinstance(sink, _Files):
             sink = _OneByOne(sink, staging, folder)
+        if isinstance(sink, (_Files, _OneByOne)):
+            name_of = sink.name_of
+            sink.file_of = lambda frame: folder / name_of(frame)
         yield sink
         sink.finish()
 
@@ -120,10 +125,10 @@ class _Files(PictureSink):
     """One PNG per frame."""
 
     def __init__(self, name_of: Callable[[int], str], folder: Path) -> None:
-        self._name_of, self._folder = name_of, folder
+        self.name_of, self._folder = name_of, folder
 
     def write(self, frame: int, rendering: Rendering, layers: Layers | None = None) -> None:
-        _save_png(self._folder / self._name_of(frame), rendering)
+        _save_png(self._folder / self.name_of(frame), rendering)
 
     def finish(self) -> None:
         """Every file is complete as soon as it is written."""
@@ -141,7 +146,7 @@ class _ExrFiles(_Files):
     def write(self, frame: int, rendering: Rendering, layers: Layers | None = None) -> None:
         if layers is None:
             raise ValueError("an EXR needs the layers of its picture")
-        save_exr(self._folder / self._name_of(frame), rendering, layers, fps=self._fps)
+        save_exr(self._folder / self.name_of(frame), rendering, layers, fps=self._fps)
 
 
 class _OneByOne(PictureSink):
@@ -149,7 +154,7 @@ class _OneByOne(PictureSink):
 
     def __init__(self, files: _Files, staging: Path, folder: Path) -> None:
         self._files, self._staging, self._folder = files, staging, folder
-        self.has_layers = files.has_layers
+        self.has_layers, self.name_of = files.has_layers, files.name_of
 
     def write(self, frame: int, rendering: Rendering, layers: Layers | None = None) -> None:
         self._files.write(frame, rendering, layers)
@@ -174,17 +179,23 @@ class _Movie(PictureSink):
 
 
 class _Raw(PictureSink):
-    """Uncompressed video; closes the file where it is its own."""
+    """Uncompressed video; ``name`` is what an error calls the file."""
 
-    def __init__(self, video: RawVideo, own: BinaryIO | None) -> None:
-        self._video, self._own = video, own
+    def __init__(self, file: BinaryIO, name: str, fps: float, *, y4m: bool) -> None:
+        self._file, self._name, self._video = file, name, RawVideo(file, fps, y4m=y4m)
 
     def write(self, frame: int, rendering: Rendering, layers: Layers | None = None) -> None:
-        self._video.write(to_8bit(rendering.image))
+        with errors_named(self._name):
+            self._video.write(to_8bit(rendering.image))
+
+    def flush(self) -> None:
+        """Hands on what is buffered."""
+        with errors_named(self._name):
+            self._file.flush()
 
     def finish(self) -> None:
-        if self._own is not None:
-            self._own.close()
+        with errors_named(self._name):
+            self._file.close()
 
 
 class _Video(PictureSink):
@@ -289,7 +300,7 @@ def _plan(
             )
         return lambda folder: _Video(folder / target.name, fps), target.parent
     if suffix in _RAW:
-        return lambda folder: _raw_file(folder / target.name, fps), target.parent
+        return lambda folder: _raw_file(folder / target.name, target, fps), target.parent
     if suffix not in (".png", ".exr"):
         if target.exists() and not target.is_dir():
             raise UsageError(
@@ -303,9 +314,8 @@ def _plan(
     return lambda folder: _Files(name_of, folder), target.parent
 
 
-def _raw_file(path: Path, fps: float) -> _Raw:
-    file = path.open("wb")
-    return _Raw(RawVideo(file, fps, y4m=path.suffix.lower() == ".y4m"), file)
+def _raw_file(path: Path, target: Path, fps: float) -> _Raw:
+    return _Raw(path.open("wb"), str(target), fps, y4m=path.suffix.lower() == ".y4m")
 
 
 def _safe(view: str) -> str:

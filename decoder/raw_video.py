@@ -32,12 +32,17 @@ class RawVideo:
             self._file.write(np.ascontiguousarray(picture).tobytes())
             return
         if not self._begun:
-            rate, (height, width) = Fraction(self._fps).limit_denominator(1001), picture.shape[:2]
+            rate, (height, width) = _ratio(self._fps), picture.shape[:2]
             self._file.write(
                 f"YUV4MPEG2 W{width} H{height} F{rate.numerator}:{rate.denominator} Ip A1:1 C444\n".encode()
             )
             self._begun = True
         self._file.write(b"FRAME\n" + to_ycbcr(picture).tobytes())
+
+
+def _ratio(fps: float) -> Fraction:
+    """A rate in small numbers, none of which is 0."""
+    return Fraction(fps).limit_denominator(1001) if fps >= 1 else 1 / Fraction(1 / fps).limit_denominator(1001)
 
 
 def to_ycbcr(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -108,7 +108,7 @@ def run(parser: Parser, command: Callable[[], int | None], *, cleans_up: bool = 
     except OSError as error:
         where = error.filename or (None if _stdout_takes_it() else "standard output")
         what = f"{where}: {error.strerror}" if where else error.strerror or str(error)
-        if error.errno == errno.ENOSPC:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
             what += "; make room, or write elsewhere"
         return _say(f"{program}: error: {what}", USER_ERROR)
     except Exception as error:

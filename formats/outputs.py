@@ -73,6 +73,16 @@ def check_outputs(outputs: Sequence[Output], inputs: Iterable[tuple[Path, str]])
         taken |= {place: f"`{output.parameter}` is written there, too" for _, place in places}
 
 
+@contextmanager
+def errors_named(name: str) -> Iterator[None]:
+    """What a disk, a pipe or a device does not take is said with the name of what was written there."""
+    try:
+        yield
+    except OSError as error:
+        error.filename = name
+        raise
+
+
 def part_of(output: Path) -> Path:
     """The file that an output grows in: beside the file that ``output`` names, through symbolic links."""
     target = resolved(output)

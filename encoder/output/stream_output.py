@@ -10,14 +10,14 @@ from __future__ import annotations
 import shutil
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO
 
 from decogs.formats.container import StreamWriter
 from decogs.formats.errors import UsageError
-from decogs.formats.outputs import GrowingFile, is_device
+from decogs.formats.outputs import GrowingFile, errors_named, is_device
 
 from .resume import Interrupted, find_interrupted
 
@@ -169,31 +169,26 @@ class PipeOutput(StreamOutput):
         return self._name
 
     def begin(self, header: bytes) -> None:
-        with self._named():
+        with self._named:
             self.writer = StreamWriter(self._file, header)
 
     def write(self, kind: int, frame: int, payload: bytes) -> int:
-        with self._named():
+        with self._named:
             return super().write(kind, frame, payload)
 
     def close(self, frames: int) -> None:
         if self.writer is not None and len(self.writer.entries) == frames > 0:
-            with self._named():
+            with self._named:
                 self.writer.finish()
 
     def release(self) -> None:
         if self._name != Path("-"):
-            with self._named():
+            with self._named:
                 self._file.close()
 
-    @contextmanager
-    def _named(self) -> Iterator[None]:
-        """What the pipe or device does not take is said with its name."""
-        try:
-            yield
-        except OSError as error:
-            error.filename = "standard output" if self._name == Path("-") else str(self._name)
-            raise
+    @property
+    def _named(self) -> AbstractContextManager[None]:
+        return errors_named("standard output" if self._name == Path("-") else str(self._name))
 
 
 def open_output(output: Path | BinaryIO, *, resume: bool = False) -> StreamOutput:

@@ -317,3 +317,83 @@ def test_no_input_is_written_over(small_stream, tmp_path: Path, capsys, name: st
     assert f"{name}: is read, as {parameter}; name another file" in capsys.readouterr().err
     assert given.read_bytes() == before
     assert list(given.parent.iterdir()) == [given]
+
+
+@pytest.mark.parametrize("follow", [False, True])
+@pytest.mark.parametrize(
+    ("named", "output"),
+    [
+        ("cam00_000002.png", ""),
+        ("x_0002.png", "x_####.png"),
+        ("x_000002.exr", "x.exr"),
+        ("sub/../cam00_000002.png", "."),
+    ],
+)
+def test_no_input_is_written_over_by_the_file_of_a_frame(
+    small_stream, tmp_path: Path, named: str, output: str, follow: bool
+) -> None:
+    folder = tmp_path / "here"
+    (folder / "sub").mkdir(parents=True)
+    shutil.copyfile(small_stream.path, folder / named)
+    options = {"follow": True, "idle": 0.1} if follow else {}
+    with pytest.raises(UsageError, match=r"`output` .*2\.(png|exr): is read, as `stream`; name another file"):
+        decode(folder / named, f"{folder}/{output}", view="cam00", frames=slice(1, 4), **options)
+    assert (folder / named).read_bytes() == small_stream.path.read_bytes()
+    there = {path.name for path in folder.iterdir()} - {"sub", Path(named).name}
+    assert len(there) <= follow, "those that are shown as they come stay"
+
+
+@pytest.mark.parametrize("kind", ["decode", "export"])
+def test_standard_output_that_is_the_stream_is_refused(small_stream, tmp_path: Path, kind: str) -> None:
+    given = ["--view", "cam00"] if kind == "decode" else ["--format", "ply", "--frames", ":1"]
+    before = small_stream.path.read_bytes()
+    program = [sys.executable, "-c", RUN, f"{kind}_main", str(small_stream.path), *given, "-o", "-"]
+    with small_stream.path.open("r+b") as same:
+        ended = subprocess.run(program, stdout=same, stderr=subprocess.PIPE, check=False)
+    assert "-o -: is read, as `stream`; name another file" in one_line(ended)
+    assert small_stream.path.read_bytes() == before
+
+
+def test_a_stream_from_standard_input_is_not_written_over(small_stream) -> None:
+    moved = small_stream.path.rename(small_stream.path.with_suffix(".y4m"))
+    before = moved.read_bytes()
+    with moved.open("rb") as given:
+        said = one_line(command("decode", "-", "--view", "cam00", "-o", moved, stdin=given))
+    assert "scene.y4m: is read, as `stream`; name another file" in said
+    assert moved.read_bytes() == before
+
+
+@pytest.mark.parametrize("output", ["x.y4m", "x.rgb", "x_####.ply", "x_####.spz", "x_####.glb"])
+def test_a_file_that_the_disk_does_not_take_is_named(small_stream, tmp_path: Path, output: str) -> None:
+    """A limit on the size of files stands for the disk's."""
+    kind, given = ("decode", ["--view", "cam00"]) if output[1] == "." else ("export", [])
+
+    def short() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
+
+    said = one_line(command(kind, small_stream.path, *given, "-o", tmp_path / output, preexec_fn=short))
+    assert output.replace("####", "0000") in said
+    assert "File too large; make room, or write elsewhere" in said
+    assert os.listdir(tmp_path) == ["scene.dgs"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "given"),
+    [
+        ("decode", ["--view", "cam00"]),
+        ("export", ["--format", "spz", "--frames", ":1"]),
+        ("export", ["--format", "usdc"]),
+    ],
+)
+def test_standard_output_that_takes_no_bytes_is_named(small_stream, kind: str, given: list[str]) -> None:
+    program = [sys.executable, "-c", RUN, f"{kind}_main", str(small_stream.path), *given, "-o", "-"]
+    with open("/dev/full", "wb") as full:
+        ended = subprocess.run(program, stdout=full, stderr=subprocess.PIPE, check=False)
+    assert "standard output: No space left on device; make room, or write elsewhere" in one_line(ended)
+
+
+@pytest.mark.parametrize("kind", ["export", "info"])
+def test_a_pipe_where_a_file_is_needed_is_said(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    given = ["-o", "x.ply"] if kind == "export" else []
+    assert "-: a pipe cannot be seeked; write the stream to a file first" in one_line(command(kind, "-", *given))

@@ -249,3 +249,11 @@ def test_an_odd_picture_is_not_cut(tmp_path: Path) -> None:
     frames = frames_of(tmp_path / "x.mp4")
     assert frames[0].shape == (34, 52, 3)
     assert psnr([to_8bit(image)], frames[:1]) > 40
+
+
+@pytest.mark.parametrize(("fps", "stated"), [(1e-6, "1:1000000"), (0.001, "1:1000"), (1e6, "1000000:1")])
+def test_a_rate_of_y4m_is_never_nothing(fps: float, stated: str) -> None:
+    """yuv4mpeg(5): both numbers of a rate are positive; a stream may state any."""
+    file = io.BytesIO()
+    RawVideo(file, fps, y4m=True).write(np.zeros((1, 1, 3), np.uint8))
+    assert f" F{stated} ".encode() in file.getvalue()
