@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from decogs.formats.cameras import MAX_SIDE, Camera
 from decogs.formats.errors import UsageError
+from decogs.formats.openusd import load_openusd
 
 from .camera_fields import pose_of
 from .camera_path import CameraPath, ToFilm
@@ -33,6 +34,7 @@ _Y_FROM_Z_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 
 def usd_camera_path(path: Path, name: str | None, film: ToFilm) -> CameraPath:
     """The camera called ``name`` (its prim's name or path), or the only one there; raises UsageError for no such."""
+    load_openusd()
     from pxr import Tf, Usd, UsdGeom
 
     if not path.is_file():

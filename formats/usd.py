@@ -67,6 +67,7 @@ from numpy.typing import NDArray
 
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError, check_utf8
+from decogs.formats.openusd import load_openusd
 from decogs.formats.similarity import NO_CHANGE, Similarity
 from decogs.formats.usd_prims import Flavour, InstancerPrims, Prims, SplatPrims, UsdSplats
 
@@ -133,7 +134,12 @@ class UsdWriter:
         self._flavour = flavour
         self._groups: dict[str, _Group] = {}
         self._unsaved = 0
-        self._stage = self._create(float(fps), root, documentation, asset)
+        load_openusd()
+        try:
+            self._stage = self._create(float(fps), root, documentation, asset)
+        except BaseException:
+            self._clear()
+            raise
 
     def _create(self, fps: float, root: Similarity, documentation: str, asset: tuple[str, str] | None) -> Any:
         from pxr import Gf, Kind, Tf, Usd, UsdGeom
@@ -252,9 +258,12 @@ class UsdWriter:
             raise UsageError(f"{self.path}: cannot be written ({failure.strerror})") from failure
         finally:
             self._close()
-            # What OpenUSD itself was writing when it failed bears the same name with another ending.
-            for left in self.path.parent.glob(f"{glob.escape(self._partial.stem)}.*"):
-                left.unlink(missing_ok=True)
+            self._clear()
+
+    def _clear(self) -> None:
+        # What OpenUSD itself was writing when it failed bears the same name with another ending.
+        for left in self.path.parent.glob(f"{glob.escape(self._partial.stem)}.*"):
+            left.unlink(missing_ok=True)
 
     def _package(self) -> Path:
         """The crate file in a .usdz of its own, still beside the final name."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -256,3 +258,44 @@ def test_crate_is_of_a_version_that_older_readers_open(tmp_path: Path) -> None:
     assert head[:8] == b"PXR-USDC"
     assert tuple(head[8:11]) <= (0, 8, 0)
     assert Sdf.Layer.FindOrOpen(str(tmp_path / "a.usdc")).GetFileFormat().formatId == "usdc"
+
+
+PROGRAM = """
+import os, signal, sys, threading, time
+from pathlib import Path
+from decogs.formats.usd import UsdWriter
+
+def ended(number, frame):
+    raise SystemExit(7)
+
+signal.signal(signal.SIGTERM, ended)
+{when}
+try:
+    UsdWriter(Path(sys.argv[1]), fps=25, frames=(0, 1))
+finally:
+    print(sorted(name for name in sys.modules if name in ("pxr.Sdf", "pxr.UsdGeom")))
+"""
+
+
+@pytest.mark.parametrize(
+    "when",
+    [
+        # While a module of OpenUSD looks for its texts, in C++, which prints and forgets what is raised there.
+        "class Told:\n"
+        "    def find_spec(self, name, *_):\n"
+        "        if name == 'pxr.Sdf.__DOC': os.kill(os.getpid(), signal.SIGTERM)\n"
+        "sys.meta_path.insert(0, Told())",
+        # While the new file is given its first metadata.
+        "from pxr import UsdGeom\n"
+        "def told(*_): os.kill(os.getpid(), signal.SIGTERM); time.sleep(5)\n"
+        "UsdGeom.SetStageUpAxis = told",
+    ],
+    ids=["while it is loaded", "while the file is made"],
+)
+def test_a_signal_ends_it_whenever_it_comes_and_leaves_nothing(tmp_path: Path, when: str) -> None:
+    ended = subprocess.run(
+        [sys.executable, "-c", PROGRAM.format(when=when), str(tmp_path / "x.usda")], capture_output=True, check=False
+    )
+    assert (ended.returncode, ended.stderr) == (7, b"")
+    assert ended.stdout == b"['pxr.Sdf', 'pxr.UsdGeom']\n"
+    assert list(tmp_path.iterdir()) == []
