@@ -160,7 +160,7 @@ def pack_main(arguments: Sequence[str] | None = None) -> int:
         "--lossless", action="store_true", help="code every change, exact to the lattice of --quality 100"
     )
     parser.add_argument("--segment", type=whole_number, default=0, metavar="N", help="insert a keyframe every N frames")
-    return run(parser, lambda: _pack(parser, parser.parse_args(arguments)))
+    return run(parser, lambda: _pack(parser, parser.parse_args(arguments)), cleans_up=True)
 
 
 def _pack(parser: Parser, options: argparse.Namespace) -> int:

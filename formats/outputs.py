@@ -122,8 +122,8 @@ class GrowingFile:
     ``publish`` closes it; what it holds by then stays, an empty one is removed.
     """
 
-    def __init__(self, output: Path, *, leftover: Leftover = "refused") -> None:
-        """Raises UsageError for what cannot be written or is being written."""
+    def __init__(self, output: Path, *, leftover: Leftover = "refused", resumable: bool = True) -> None:
+        """Raises UsageError for what cannot be written or is being written; ``resumable``: whether that advises it."""
         self.output, self.path = resolved(output), part_of(output)
         self._check()
         self.file = self._locked()
@@ -133,7 +133,9 @@ class GrowingFile:
             self.file.close()
             self._refuse(
                 self.path,
-                "an encode that was cut off left it; `resume` goes on with it, or delete it to start over",
+                "an encode that was cut off left it; `resume` goes on with it, or delete it to start over"
+                if resumable
+                else "a command that was cut off left it; delete it, unless an encode is to go on with it",
             )
 
     @property

@@ -85,11 +85,13 @@ class FileOutput(StreamOutput):
 
     ``resume``: a ``NAME.part`` that is there is gone on with. Raises UsageError when it is there without, when it
     cannot be written, or is being written by another encode; so does every method when the disk is full.
+    ``resumable``: whether what is left of it can be gone on with, which errors then say.
     """
 
-    def __init__(self, output: Path, *, resume: bool = False) -> None:
+    def __init__(self, output: Path, *, resume: bool = False, resumable: bool = True) -> None:
         super().__init__()
-        self._output, self._growing = output, GrowingFile(output, leftover="kept" if resume else "refused")
+        self._output, self._resumable = output, resumable
+        self._growing = GrowingFile(output, leftover="kept" if resume else "refused", resumable=resumable)
         self._left: Interrupted | None = None
         self._failed = False
 
@@ -154,7 +156,8 @@ class FileOutput(StreamOutput):
             yield
         except OSError as error:
             self._failed = True
-            raise UsageError(f"{self.growing}: {error.strerror}; free space, then continue with `resume`") from error
+            then = "then continue with `resume`" if self._resumable else "or name a file elsewhere"
+            raise UsageError(f"{self.growing}: {error.strerror}; free space, {then}") from error
 
 
 class PipeOutput(StreamOutput):
@@ -191,13 +194,13 @@ class PipeOutput(StreamOutput):
         return errors_named("standard output" if self._name == Path("-") else str(self._name))
 
 
-def open_output(output: Path | BinaryIO, *, resume: bool = False) -> StreamOutput:
+def open_output(output: Path | BinaryIO, *, resume: bool = False, resumable: bool = True) -> StreamOutput:
     """Takes the output of an encode, before anything long is done; a named pipe is written into as it is.
 
     Raises UsageError as `FileOutput` does, and when ``resume`` asks for what no pipe can.
     """
     if isinstance(output, Path) and not is_device(output):
-        return FileOutput(output, resume=resume)
+        return FileOutput(output, resume=resume, resumable=resumable)
     if resume:
         raise UsageError("`resume`: a pipe cannot be resumed; name a file with `output`")
     return PipeOutput(output.open("wb"), output) if isinstance(output, Path) else PipeOutput(output)

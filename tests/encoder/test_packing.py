@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import resource
+import signal
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -192,3 +196,55 @@ def test_mutual_nearest_is_what_trying_all_pairs_finds() -> None:
         assert rows.tolist() == wanted
         assert others.tolist() == there[wanted].tolist()
     assert len(mutual_nearest(first[:0], second, 1.0)[0]) == 0
+
+
+def test_what_a_killed_command_left_is_told_without_resume(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """There is no such option; an encode may still need what is there."""
+    files = write(tmp_path, [a_scene()])
+    (tmp_path / "x.dgs.part").write_bytes(b"the beginning of an encode")
+    assert pack_main([files, "-o", str(tmp_path / "x.dgs")]) == 2
+    said = capsys.readouterr().err
+    assert "x.dgs.part: a command that was cut off left it; delete it" in said
+    assert "resume" not in said
+    assert (tmp_path / "x.dgs.part").read_bytes() == b"the beginning of an encode"
+
+
+@pytest.mark.parametrize("ended_by", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+def test_a_signal_leaves_nothing_of_a_stream(tmp_path: Path, ended_by: signal.Signals) -> None:
+    """The command waits in the midst of its second frame."""
+    program = """
+import signal, sys, time
+from decogs.encoder import commands, packing
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # ignored by what runs under nohup
+signal.signal(signal.SIGINT, signal.default_int_handler)
+def wait(*arguments):
+    print("waiting", flush=True)
+    time.sleep(60)
+packing._Packing._next = wait
+sys.exit(commands.pack_main())
+"""
+    files = write(tmp_path, [a_scene(), a_scene()])
+    arguments = [sys.executable, "-c", program, files, "-o", str(tmp_path / "x.dgs")]
+    with subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"waiting\n"
+        assert (tmp_path / "x.dgs.part").exists()
+        process.send_signal(ended_by)
+        process.communicate(timeout=60)
+    assert process.returncode == (130 if ended_by == signal.SIGINT else -ended_by)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a_0000.ply", "a_0001.ply"]
+
+
+def test_a_full_disk_is_told_without_resume(tmp_path: Path) -> None:
+    """A limit on the size of files stands for the disk's."""
+    program = "import sys; from decogs.encoder import commands; sys.exit(commands.pack_main())"
+    files = write(tmp_path, [a_scene()])
+
+    def short() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (3000, 3000))
+
+    arguments = [sys.executable, "-c", program, files, "-o", str(tmp_path / "x.dgs")]
+    ended = subprocess.run(arguments, capture_output=True, preexec_fn=short, check=False)
+    assert ended.returncode == 2
+    assert b"x.dgs.part: File too large; free space, or name a file elsewhere" in ended.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["a_0000.ply"]
