@@ -32,6 +32,9 @@ if TYPE_CHECKING:
 WIDEST = 8192
 """Pixels across an equirectangular picture."""
 
+_WIDEST_EYES = 1e12
+"""As far from the origin as a camera file may put a camera."""
+
 _OVERLAP = 0.1
 """Of a face's half width, to either side of an edge, in which one face is blended into the next."""
 
@@ -47,8 +50,11 @@ class Stereo:
 
     def check(self) -> None:
         """Raises UsageError for a baseline that is none."""
-        if not (np.isfinite(self.baseline) and self.baseline > 0):
-            raise UsageError(f"`stereo` {self.baseline:g}: give the distance of the eyes in world units, above 0")
+        if not 0 < self.baseline <= _WIDEST_EYES:
+            raise UsageError(
+                f"`stereo` {self.baseline:g}: give the distance of the eyes in world units, "
+                f"above 0 and at most {_WIDEST_EYES:g}"
+            )
 
     def picture_of(self, camera: Camera) -> Camera:
         """A camera of the picture's size."""

@@ -184,7 +184,8 @@ class _Sound:
 
         self._path, self._container, self._written = path, container, 0
         with _explained(path, "cannot be read as audio"):
-            self._input = av.open(str(path))
+            # FFmpeg would take "concat:a.wav" or an address for what it is in its own language.
+            self._input = av.open(f"file:{path}")
             if not self._input.streams.audio:
                 raise UsageError(f"{path}: has no sound; name an audio file, or leave out `audio`")
             self._output = container.add_stream("aac", rate=_SAMPLE_RATE, layout="stereo")
@@ -209,7 +210,8 @@ class _Sound:
 
     def finish(self) -> None:
         """Writes what the encoder holds back."""
-        self._container.mux(self._output.encode(None))
+        with _explained(self._path, "cannot be read as audio"):
+            self._container.mux(self._output.encode(None))
         self._input.close()
 
     def _encode(self, samples: NDArray[np.float32]) -> None:
@@ -217,7 +219,8 @@ class _Sound:
 
         frame = av.AudioFrame.from_ndarray(np.ascontiguousarray(samples), format="fltp", layout="stereo")
         frame.sample_rate, frame.pts, frame.time_base = _SAMPLE_RATE, self._written, Fraction(1, _SAMPLE_RATE)
-        self._container.mux(self._output.encode(frame))
+        with _explained(self._path, "cannot be read as audio"):  # samples that are no numbers
+            self._container.mux(self._output.encode(frame))
         self._written += samples.shape[1]
 
     def _samples(self, skipped: int) -> Iterator[NDArray[np.float32]]:

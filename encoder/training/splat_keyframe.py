@@ -18,7 +18,7 @@ from decogs.codec.keyframes import keyframe_state
 from decogs.codec.lattice import Lattice, default_lattice, dequantise, quantise, robust_extent
 from decogs.codec.state import Attributes
 from decogs.formats.cameras import Camera, scale_camera
-from decogs.formats.errors import UsageError
+from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.rotations import rotation_matrices
 from decogs.formats.similarity import NO_CHANGE, Similarity, transformed_splats
 from decogs.formats.splats import Splats, logit, sh_degree_of, sigmoid, take_splats
@@ -87,6 +87,12 @@ def import_splats(
         held_out=tuple(view.camera.name for view in ingest.held_out_views),
         settings={"keyframe": source.document, "lattice_scale": scale},
     )
+    try:
+        header.to_bytes()
+    except StreamError:
+        raise UsageError(
+            f"`keyframe` {source.path}: a stream cannot hold a scene of {extent:.3g} units; scale it to metres"
+        ) from None
     told = tuple(f"`keyframe` {source.path}: {text}" for text in warnings)
     return ImportedSplats(KeyframeSource(source.path, header, state), told)
 

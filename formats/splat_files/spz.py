@@ -184,7 +184,9 @@ def _gunzipped(data: bytes, most: int) -> tuple[_Head, bytes]:
     except zlib.error:
         raise UsageError("is damaged: its gzip cannot be unpacked; export it again") from None
     if len(raw) < size:
-        raise UsageError(f"is cut off: {head.count} Gaussians take {size} bytes, and {len(raw)} are there")
+        raise UsageError(
+            f"is cut off: {head.count} Gaussians take {size} bytes, and {len(raw)} are there; export it again"
+        )
     return head, raw
 
 

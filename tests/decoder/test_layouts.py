@@ -102,6 +102,7 @@ def test_what_cannot_be(small_stream, tmp_path) -> None:
     for layout, options, message in (
         (Stereo(0.0), {"output": "x.png"}, "`stereo` 0: give"),
         (Stereo(float("nan")), {"output": "x.png"}, "`stereo` nan"),
+        (Stereo(1e308), {"output": "x.png"}, "at most 1e.12"),
         (Stereo(0.1), {"output": "x.exr"}, "is no EXR"),
         (Equirectangular(), {"output": "x.png", "scale": 30}, "8192 is the limit"),
     ):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import struct
 import wave
 from fractions import Fraction
 from pathlib import Path
@@ -257,3 +258,25 @@ def test_a_rate_of_y4m_is_never_nothing(fps: float, stated: str) -> None:
     file = io.BytesIO()
     RawVideo(file, fps, y4m=True).write(np.zeros((1, 1, 3), np.uint8))
     assert f" F{stated} ".encode() in file.getvalue()
+
+
+def test_sound_that_is_no_numbers_is_one_line(small_stream, tmp_path: Path) -> None:
+    """A WAV of IEEE floats (format 3), all NaN: FFmpeg reads it, and AAC has no code for it."""
+    samples = np.full(48_000, np.nan, "<f4").tobytes()
+    form = struct.pack("<HHIIHH", 3, 1, 48_000, 4 * 48_000, 4, 32)
+    chunks = b"WAVEfmt " + struct.pack("<I", len(form)) + form + b"data" + struct.pack("<I", len(samples)) + samples
+    (tmp_path / "nan.wav").write_bytes(b"RIFF" + struct.pack("<I", len(chunks)) + chunks)
+    with pytest.raises(UsageError, match=r"nan\.wav: cannot be read as audio"):
+        decode(small_stream.path, tmp_path / "x.mp4", view="cam00", video=VideoSettings(audio=tmp_path / "nan.wav"))
+    assert not (tmp_path / "x.mp4").exists()
+
+
+def test_audio_is_a_file_and_no_address_of_ffmpegs(
+    small_stream, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_tone(tmp_path / "tone.wav", 1)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UsageError, match=r"concat:tone\.wav: cannot be read as audio .No such file"):
+        decode(small_stream.path, "x.mp4", view="cam00", video=VideoSettings(audio=Path("concat:tone.wav")))
+    (tmp_path / "concat:tone.wav").write_bytes((tmp_path / "tone.wav").read_bytes())
+    decode(small_stream.path, "x.mp4", view="cam00", video=VideoSettings(audio=Path("concat:tone.wav")))

@@ -193,3 +193,12 @@ def test_what_is_no_keyframe_is_one_line(begin: Any, tmp_path: Path, exported: P
         assert "\n" not in str(caught.value)
     with pytest.raises(UsageError, match="is read, as `keyframe`"):
         begin(exported / "scene.ply", output=exported / "scene.ply")
+
+
+def test_a_world_too_large_for_a_stream_is_one_line(begin: Any, tmp_path: Path, exported: Path) -> None:
+    """Positions of 1e37: what is wrong is said of the file, not of a header that nobody has seen."""
+    one = Ply(True).decode((exported / "scene.ply").read_bytes())
+    (tmp_path / "far.ply").write_bytes(Ply(True).encode(replace(one, means=one.means * np.float32(1e37))))
+    with pytest.raises(UsageError, match=r"`keyframe` .*far\.ply: a stream cannot hold a scene of .* units"):
+        begin(tmp_path / "far.ply")
+    assert not list(tmp_path.glob("out*"))
