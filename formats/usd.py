@@ -65,11 +65,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.cameras import Camera
-from decogs.formats.errors import UsageError, check_utf8
-from decogs.formats.openusd import load_openusd
-from decogs.formats.similarity import NO_CHANGE, Similarity
-from decogs.formats.usd_prims import Flavour, InstancerPrims, Prims, SplatPrims, UsdSplats
+from .cameras import Camera
+from .errors import UsageError, check_utf8
+from .openusd import load_openusd
+from .similarity import NO_CHANGE, Similarity
+from .usd_prims import Flavour, InstancerPrims, Prims, SplatPrims, UsdSplats
 
 USD_SUFFIXES = (".usdc", ".usda", ".usd", ".usdz")
 

@@ -14,8 +14,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.rotations import rotation_rows
-from decogs.formats.splats import FloatArray
+from .rotations import rotation_rows
+from .splats import FloatArray
 
 Flavour = Literal["instancer", "splat", "both"]
 FLAVOURS: tuple[Flavour, ...] = ("instancer", "splat", "both")

@@ -2,7 +2,7 @@
 
 Every effect is a module with one class that implements the protocol of ``effect.py``: ``evidence`` derives figures per
 camera and frame from the rig's statistics, ``decide`` a decision with its reason and cost from these, ``enabled`` and
-``disabled`` the settings of an encode (`building`). A new effect is a new module and an entry in ``EFFECTS``; an effect
+``disabled`` the settings of an encode (`building`). A new effect is a new module and an entry in ``every_effect.py``; an effect
 that a decoder has to know has its coded form in `codec`. ``rig_statistics.py`` makes the measurements that effects
 share: gains of light (``light.py``), camera motion (``registration.py``), changes from frame to frame (``changes.py``),
 points that neighbouring cameras share (``matches.py``). ``frame_effects.py`` detects effects of one frame of one view,
@@ -10,22 +10,11 @@ in milliseconds, for the encoder's loop. ``DESIGN.md`` has measurements and reje
 """
 
 from ..settings.effects import EFFECT_NAMES, FRAME_EFFECTS, PRESET_EFFECTS
-from .appearance_change import AppearanceChange
 from .building import AUTO, EffectChoice, disable, with_effects
-from .camera_shake import CameraShake
-from .colour_mismatch import ColourMismatch
-from .disappearance import Disappearance
 from .effect import Decision, Effect, Evidence
-from .emergence import Emergence
-from .exposure_drift import ExposureDrift
+from .every_effect import EFFECTS
 from .frame_effects import frame_effects
-from .high_dynamic_range import HighDynamicRange
-from .lens_distortion import LensDistortion
-from .motion import Motion
 from .rig_statistics import RigStatistics, gather_statistics
-from .sensor_noise import SensorNoise
-from .view_dependence import ViewDependence
-from .white_balance_drift import WhiteBalanceDrift
 
 __all__ = [
     "AUTO",
@@ -43,19 +32,3 @@ __all__ = [
     "gather_statistics",
     "with_effects",
 ]
-
-EFFECTS: tuple[Effect, ...] = (
-    Motion(),
-    AppearanceChange(),
-    Emergence(),
-    Disappearance(),
-    ColourMismatch(),
-    ExposureDrift(),
-    WhiteBalanceDrift(),
-    CameraShake(),
-    LensDistortion(),
-    ViewDependence(),
-    SensorNoise(),
-    HighDynamicRange(),
-)
-"""All effects, in the order in which they are shown."""

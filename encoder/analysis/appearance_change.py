@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..settings.encode import EncodeSettings
 from .effect import Decision, Effect, Evidence
 from .motion import decide_by_change
 from .rig_statistics import F64, RigStatistics
 
-if TYPE_CHECKING:
-    from ..settings.encode import EncodeSettings
 LIMIT = 0.2
 """Share of a change away from motion: the geometric mean of its values for shadows of moving objects and for light."""
 

@@ -11,15 +11,13 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 from decogs.formats.errors import UsageError
 
 from ..settings.effects import CAMERA_EFFECTS, EFFECT_BASES, EFFECT_NAMES, FRAME_EFFECTS
+from ..settings.encode import EncodeSettings
 from .effect import Decision
-
-if TYPE_CHECKING:
-    from ..settings.encode import EncodeSettings
+from .every_effect import EFFECTS
 
 AUTO, ALL, NONE = EFFECT_BASES
 
@@ -66,8 +64,6 @@ def with_effects(
     ``cameras``: names of all that train, for an effect that is wanted where the scene does not call for it.
     ``decisions``: of the rig (`analysis.analyse`), called only if the wanted effects depend on them.
     """
-    from . import EFFECTS
-
     fixed = wanted.base != AUTO and not set(wanted.names(())) - {*FRAME_EFFECTS, "view_dependence"}
     found = {} if fixed else {decision.effect: decision for decision in decisions()}
     names = wanted.names([name for name, decision in found.items() if decision.detected])
@@ -92,8 +88,6 @@ def _is_common(decision: Decision, cameras: Sequence[str]) -> bool:
 
 def disable(settings: EncodeSettings, names: Collection[str]) -> EncodeSettings:
     """``settings`` without the effects of these names, for a frame that does not call for them."""
-    from . import EFFECTS
-
     for effect in EFFECTS:
         if effect.name in names:
             settings = effect.disabled(settings)

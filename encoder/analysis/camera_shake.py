@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..settings.encode import EncodeSettings
 from .effect import Decision, Evidence, cameras_beyond, decided, one_span, stated
 from .registration import SHAKE_LIMIT
 from .rig_statistics import RigStatistics
-
-if TYPE_CHECKING:
-    from ..settings.encode import EncodeSettings
 
 
 class CameraShake:

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..settings.encode import EncodeSettings
 from .effect import Decision, Effect, Evidence
 from .emergence import IMBALANCE, decide_by_vote, none_without_motion
 from .rig_statistics import RigStatistics
-
-if TYPE_CHECKING:
-    from ..settings.encode import EncodeSettings
 
 
 class Disappearance(Effect):

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..settings.encode import EncodeSettings
 from .rig_statistics import RigStatistics
-
-if TYPE_CHECKING:
-    from ..settings.encode import EncodeSettings
 
 F64 = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from ..settings.encode import EncodeSettings
 from .effect import F64, Decision, Effect, Evidence, confidence, decided, seen_together, spans, stated
 from .motion import Motion
 from .rig_statistics import RigStatistics
-
-if TYPE_CHECKING:
-    from ..settings.encode import EncodeSettings
 
 IMBALANCE = 60.0
 """Least imbalance of arrivals and departures, in per cent: an object that moves towards a camera grows and arrives

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from ..settings.encode import EncodeSettings
 from .effect import Decision, Effect, Evidence, cameras_beyond, decided, spans
 from .rig_statistics import RigStatistics
-
-if TYPE_CHECKING:
-    from ..settings.encode import EncodeSettings
 
 _TRACE = 0.01
 """Per cent of a picture's pixels: ten at 352 x 264, fewer are a glint."""

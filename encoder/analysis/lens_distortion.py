@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -21,12 +20,10 @@ from decogs.formats.cameras import Camera, camera_centre, is_distorted
 
 from ..change.masks import BoolArray
 from ..numerics import tukey
+from ..settings.encode import EncodeSettings
 from .effect import F64, Decision, Evidence, cameras_beyond, decided, stated
 from .matches import PairMatches, essential_matrices, sampson_distances
 from .rig_statistics import RigStatistics
-
-if TYPE_CHECKING:
-    from ..settings.encode import EncodeSettings
 
 _LIMIT = 1.0
 """Least displacement that counts, in pixels of the analysed size: three times SIFT's accuracy. Beyond the calibration,

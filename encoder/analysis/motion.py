@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from ..settings.encode import EncodeSettings
 from .changes import WINDOW_PIXELS
 from .effect import Decision, Effect, Evidence, decided, in_doubt, seen_together, spans
 from .rig_statistics import RigStatistics
-
-if TYPE_CHECKING:
-    from ..settings.encode import EncodeSettings
 
 LIMIT = 0.15
 """Restructured share of nearby changes: the geometric mean of its values for light alone and for motion."""

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..settings.encode import EncodeSettings
 from .effect import Decision, Evidence, cameras_beyond, decided, stated
 from .rig_statistics import RigStatistics
-
-if TYPE_CHECKING:
-    from ..settings.encode import EncodeSettings
 
 _ROUNDING = 0.3
 """Deviation of rounding to 8 bits, in levels: 1 / sqrt 12, rounded up."""

@@ -15,7 +15,6 @@ to compare the tiles left out of the loss (twice the time, and two trainings dif
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -24,12 +23,10 @@ from decogs.codec.state import Attributes
 from decogs.formats.splats import sh_degree_of
 
 from ..numerics import bilinear
+from ..settings.encode import EncodeSettings
 from .effect import F64, Decision, Effect, Evidence, cameras_beyond, confidence, decided
 from .matches import U8, PairMatches
 from .rig_statistics import RigStatistics
-
-if TYPE_CHECKING:
-    from ..settings.encode import EncodeSettings
 
 _LIMIT = 4.0
 """Levels of 255: the same as the smallest change between frames that counts."""
