@@ -52,7 +52,7 @@ def write_values(values: IntArray, group: str, level: int) -> bytes:
 
 
 def read_group(cursor: Cursor, group: str, n: int, channels: int, *, values: bool) -> Integers:
-    """The integers (n, channels) of one group; ``values`` tells new rows from residuals of existing ones.
+    """The integers (n, channels) of one group; ``values``: of new rows, else residuals of existing ones.
 
     Raises StreamError "unsupported-mode", "bad-payload" or "bad-compression".
     """

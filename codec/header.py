@@ -54,8 +54,8 @@ class StreamHeader:
 
     ``cameras``: the rig's, held-out ones included, which ``held_out`` names; ``fps`` None when unknown;
     ``first_frame``: the rig's index of the stream's frame 0; ``background``: the colour trained against,
-    display-referred RGB; ``corrected``: the cameras whose faults every frame tells; ``camera_colours``: by camera, how
-    its exposure, red and blue differ from the scene's in every frame; ``settings``: the encoder's own, for people,
+    display-referred RGB; ``corrected``: the cameras whose corrections every frame codes; ``camera_colours``: by camera,
+    how its exposure, red and blue differ from the scene's in every frame; ``settings``: the encoder's own, for people,
     never needed for decoding.
     """
 

@@ -35,7 +35,7 @@ def parsed_json(path: Path) -> Any:
     """A JSON file's content; raises UsageError for one that is none, too large, or cannot be read."""
     try:
         with path.open("rb") as file:
-            data = file.read(MAX_FILE_BYTES + 1)  # what a device or a pipe holds, its size does not tell
+            data = file.read(MAX_FILE_BYTES + 1)  # devices and pipes have no size
         if len(data) > MAX_FILE_BYTES:
             raise UsageError(f"{path}: is larger than {MAX_FILE_BYTES >> 20} MB; that is no camera file")
         return json.loads(data.decode("utf-8"))

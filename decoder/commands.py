@@ -22,11 +22,11 @@ from decogs.formats.command_line import (
     number_of_bytes,
     number_of_threads,
     path_or_pipe,
+    print_text,
     progress,
     run,
     size_text,
     standard_input,
-    tell,
     warn_as,
     whole_number,
 )
@@ -68,7 +68,7 @@ def decode_main(arguments: Sequence[str] | None = None) -> int:
     layout.add_argument("--equirectangular", action="store_true", help="360 degrees around the camera's place")
     parser.add_argument("--undistorted", action="store_true", help="leave out the rig camera's lens distortion")
     parser.add_argument(
-        "--canonical",
+        "--drift-free",
         action="store_true",
         help="the scene's own colours and the calibrated pose, not the exposure, white balance and shake recorded",
     )
@@ -105,7 +105,7 @@ def export_main(arguments: Sequence[str] | None = None) -> int:
         "--up",
         choices=UPS,
         default="auto",
-        help="the world's up, turned to what the format has for it; auto: as the cameras tell (default)",
+        help="the world's up, turned to what the format has for it; auto: from the cameras (default)",
     )
     parser.add_argument(
         "--first-frame", type=whole_number, default=0, metavar="N", help="number of the stream's frame 0 (default 0)"
@@ -159,7 +159,7 @@ def _decode(parser: Parser, options: argparse.Namespace) -> None:
             scale=options.scale,
             background=options.background,
             undistorted=options.undistorted,
-            canonical=options.canonical,
+            drift_free=options.drift_free,
             threads=options.threads,
             strict=options.strict,
             max_memory=options.max_memory,
@@ -168,7 +168,7 @@ def _decode(parser: Parser, options: argparse.Namespace) -> None:
             on_frame=on_frame,
             on_warning=warn_as(parser),
         )
-    tell(
+    print_text(
         f"{options.output}: {counted(report.frame_count, 'frame')} of {report.view}, "
         f"{report.width}x{report.height}, in {time.perf_counter() - started:.1f} s",
         to_stderr=options.output == "-",
@@ -211,7 +211,7 @@ def _export(parser: Parser, options: argparse.Namespace) -> None:
         parts.append(counted(report.file_count, "file"))
     up = "nothing turned" if report.up is None else f"the world's up, {report.up}, is {report.up_in_file} there"
     parts += [size_text(report.file_bytes), up]
-    tell(f"{options.output}: {', '.join(parts)}", to_stderr=options.output == "-")
+    print_text(f"{options.output}: {', '.join(parts)}", to_stderr=options.output == "-")
 
 
 def _info(options: argparse.Namespace) -> None:
@@ -221,9 +221,9 @@ def _info(options: argparse.Namespace) -> None:
     with progress("reading") as on_frame:
         facts = info(_file(options.stream), strict=options.strict, max_memory=options.max_memory, on_frame=on_frame)
     if options.json:
-        tell(json.dumps(facts.to_json(), indent=2))
+        print_text(json.dumps(facts.to_json(), indent=2))
     else:
-        tell("\n".join(byte_lines(facts) if options.bytes else summary_lines(facts)))
+        print_text("\n".join(byte_lines(facts) if options.bytes else summary_lines(facts)))
 
 
 def _file(stream: str) -> str:

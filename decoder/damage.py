@@ -50,18 +50,18 @@ class Concealment:
         """``name``: the stream's, for messages. Without ``on_damage``, a DamageWarning is issued."""
         self._name, self.strict = name, strict
         self._on_damage = _warn if on_damage is None else on_damage
-        self._told: set[tuple[int | None, str, range]] = set()
+        self._reported: set[tuple[int | None, str, range]] = set()
 
     def allows(self, error: StreamError) -> bool:
         """Whether to go on in spite of what is wrong."""
         return not self.strict and is_damage(error)
 
-    def tell(self, damage: Damage) -> None:
+    def report(self, damage: Damage) -> None:
         """Each damaged place is reported once, however often it is read."""
         _name(damage.error, self._name)
         place = damage.error.offset, damage.error.reason, damage.frames
-        if place not in self._told:
-            self._told.add(place)
+        if place not in self._reported:
+            self._reported.add(place)
             self._on_damage(damage)
 
 

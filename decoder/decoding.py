@@ -67,7 +67,7 @@ def decode(
     scale: float = 1.0,
     background: Colour | None = None,
     undistorted: bool = False,
-    canonical: bool = False,
+    drift_free: bool = False,
     threads: int = 0,
     strict: bool = False,
     max_memory: int = DEFAULT_MAX_MEMORY,
@@ -85,7 +85,7 @@ def decode(
     file, see ``decogs.decoder.picture_output``. ``frames``: those of the stream, or the pictures of a path with times;
     consecutive ones, as a slice or a range; None for all. ``background``: display-referred RGB in 0..1, the stream's
     when None.
-    ``undistorted``: without the rig camera's lens distortion. ``canonical``: in the scene's own colours and
+    ``undistorted``: without the rig camera's lens distortion. ``drift_free``: in the scene's own colours and
     through the calibrated pose, where the stream signals exposure, white balance or shake of the camera; otherwise what
     it recorded. ``strict`` and ``max_memory`` (bytes) are those of ``open_stream``: without ``strict``, damaged frames
     show the last good one. ``layout``: a picture of several renderings (``decogs.decoder.layouts``). ``video`` says how
@@ -104,7 +104,7 @@ def decode(
     named = camera_file(camera)[0] if isinstance(camera, (str, os.PathLike)) else None
     read = files_read(stream=stream, camera=named, audio=video.audio)
     check_outputs([Output("output", Path(output) if isinstance(output, (str, os.PathLike)) else output)], read)
-    show = Show(scale, background, undistorted, threads, canonical, max_memory, layout)
+    show = Show(scale, background, undistorted, threads, drift_free, max_memory, layout)
     if layout is not None:
         layout.check()
     if follow or not isinstance(stream, (str, os.PathLike)):

@@ -46,7 +46,7 @@ class ExportReport:
     """What an export wrote: frames, files and their bytes together.
 
     ``up``: the world's up, as an axis or three components, and ``up_in_file`` what it was turned to; None where nothing
-    was. ``static_count``, ``dynamic_count``: Gaussians that never and that ever change, which only USD tells apart.
+    was. ``static_count``, ``dynamic_count``: Gaussians that never and that ever change, which only USD separates.
     """
 
     frame_count: int
@@ -100,7 +100,8 @@ def export(
     default. ``scale_to_metres``: metres of a world unit; positions and sizes are multiplied by it. ``spz_version``: 2,
     3 or 4. ``prim``: how USD shows Gaussians: "instancer" (default), "splat" or
     "both". ``strict`` and ``max_memory`` (bytes) are those of ``open_stream``. The frames are read twice, and
-    ``on_frame(done, all)`` counts both readings; ``on_warning(text)`` is told of damage and of what is left out.
+    ``on_frame(done, all)`` counts both readings; ``on_warning(text)`` is called for damage and for losses of the
+    format.
 
     Raises UsageError, StreamError or OSError; no file is then left or replaced.
     """
@@ -310,8 +311,8 @@ def _with(extremes: Extremes, splats: Splats, frame: int) -> Extremes:
         if not np.isfinite(values).all():
             raise UsageError(f"frame {frame}: {name} of a Gaussian are not finite; choose another `scale_to_metres`")
     return Extremes(
-        min(extremes.fewest, len(splats)),
-        max(extremes.most, len(splats)),
+        min(extremes.smallest, len(splats)),
+        max(extremes.largest, len(splats)),
         max(extremes.farthest, float(np.abs(splats.means).max(initial=0))),
         extremes.sh_degree,
     )

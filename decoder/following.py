@@ -51,7 +51,7 @@ _Found = TypeVar("_Found")
 class GrowingStream:
     """A stream that may still grow. Build one with ``follow_stream``.
 
-    ``header`` is there from the beginning; ``ended`` tells whether the end packet has come, ``frame_count`` how many
+    ``header`` is there from the beginning; ``ended``: whether the end packet has come, ``frame_count`` how many
     frames have, those included that are lost, and ``unfinished_bytes`` how much of a packet at the tail when no more
     comes.
     """
@@ -130,21 +130,21 @@ class GrowingStream:
     def _lost_before(
         self, packet: Packet | None, before: DecodedFrame | None, errors: list[StreamError]
     ) -> Iterator[DecodedFrame]:
-        """The frames between the last one shown and the one ``packet`` tells of, held; says what was damaged there."""
+        """The frames between the last one shown and the one ``packet`` implies, held; says what was damaged there."""
         expected = 0 if before is None else before.index + 1
-        lost = range(expected, expected if packet is None else _frames_told(packet))
+        lost = range(expected, expected if packet is None else _frames_declared(packet))
         if before is None and errors and (lost or packet is None):
             raise errors[0]
         self._lost_frames += len(lost)
         check_lost(self._lost_frames, lost.stop - self._lost_frames)
         if before is None or not lost:
             for error in errors:
-                self._concealment.tell(Damage(error))
+                self._concealment.report(Damage(error))
             return
         onward = packet is not None and packet.kind in _BUILDING_ON
         found = [Damage(error, lost, before.shows, onward) for error in errors]
         for damage in found:
-            self._concealment.tell(damage)
+            self._concealment.report(damage)
         for index in lost:
             yield before.held(index, found[0])
 
@@ -159,7 +159,7 @@ class GrowingStream:
                 raise
             lost = range(packet.frame, packet.frame + 1)
             damage = Damage(self._accepted(error), lost, before.shows, onward=True)
-            self._concealment.tell(damage)
+            self._concealment.report(damage)
             return before.held(packet.frame, damage)
 
     def _decoded(self, packet: Packet, before: DecodedFrame | None) -> DecodedFrame:
@@ -219,7 +219,7 @@ class GrowingStream:
             raise StreamError(Reason.TRUNCATED, "the file was cut back meanwhile; follow it again", offset=place)
 
 
-def _frames_told(packet: Packet) -> int:
+def _frames_declared(packet: Packet) -> int:
     """How many frames there were before this packet of a frame, or the end packet, by its own account."""
     return packet.frame if packet.kind in FRAME_KINDS else end_fields(packet)[0]
 

@@ -35,9 +35,9 @@ class DecodedFrame:
 
     ``index`` counts frames from 0; ``kind`` is KEY, DELTA or SKIP; ``packet_bytes`` are its bytes on disk, container
     overhead included; ``state`` is the scene as lattice integers with ids, checked against the encoder's digest;
-    ``corrections`` tell of the cameras that the header names how their pictures differ from the scene; ``changes`` how
-    many Gaussians the frame touched, added and removed. A keyframe adds all of them, unless it refers to the first one,
-    against which it then counts.
+    ``corrections`` are those of the cameras that the header names: how their pictures differ from the scene;
+    ``changes`` how many Gaussians the frame touched, added and removed. A keyframe adds all of them, unless it refers
+    to the first one, against which it then counts.
 
     ``concealed`` is None, unless the frame could not be reconstructed: then it is what is wrong, ``kind`` is None,
     ``packet_bytes`` 0, and the scene that of the last good frame.

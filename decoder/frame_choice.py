@@ -49,7 +49,7 @@ def files_read(**read: object) -> list[tuple[Path, str]]:
 
 
 def damage_to(on_warning: OnWarning | None) -> OnDamage:
-    """Tells ``on_warning``, if there is one, of each damage in one line."""
+    """Calls ``on_warning``, if there is one, with one line for each damage."""
     return lambda damage: None if on_warning is None else on_warning(str(damage))
 
 

@@ -16,7 +16,7 @@ DEFAULT_MAX_MEMORY = 4 << 30
 MAX_PICTURE_PIXELS = 1 << 26
 """No larger picture is rendered (8192 x 8192): a few header bytes must not be able to claim all memory."""
 
-_PAYLOAD_SHARE = 6
+_PAYLOAD_DIVISOR = 6
 """A payload may take this fraction of the memory: all that a delta can say of the scene that fits, uncompressed."""
 
 _COPIES = 15
@@ -25,7 +25,7 @@ and what is there in passing.
 
 The largest files that pass take up to 80 % of the limit (``tests/decoder/test_damage.py``)."""
 
-_FRAME_SHARE, _FRAME_BYTES = 16, 256
+_FRAME_DIVISOR, _FRAME_BYTES = 16, 256
 """The fraction of the memory for knowing where frames lie, and what one costs: 240 bytes, the index packet included."""
 
 _RENDERED_BYTES, _WRITTEN_BYTES, _LENS_BYTES = 36, 60, 64
@@ -45,12 +45,12 @@ rest where all of it changes."""
 
 def payload_within(max_memory: int) -> int:
     """The largest payload that is read, in bytes."""
-    return min(MAX_PAYLOAD, max_memory // _PAYLOAD_SHARE)
+    return min(MAX_PAYLOAD, max_memory // _PAYLOAD_DIVISOR)
 
 
 def frames_within(max_memory: int) -> int:
     """How many frames a stream may have whose places are all known at once."""
-    return max_memory // _FRAME_SHARE // _FRAME_BYTES
+    return max_memory // _FRAME_DIVISOR // _FRAME_BYTES
 
 
 def gaussians_within(max_memory: int, coefficients: int, max_gaussians: int) -> int:

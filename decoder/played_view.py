@@ -27,7 +27,7 @@ class PlayedView:
 
     Any frame may come next: after a seek or at a keyframe the whole picture is rendered, otherwise what changed, unless
     the camera was turned in between. A camera of the rig shows what it recorded, or the scene's own colours through its
-    calibrated pose when ``canonical``.
+    calibrated pose when ``drift_free``.
     """
 
     def __init__(
@@ -39,10 +39,10 @@ class PlayedView:
         background: tuple[float, float, float] | None = None,
         undistorted: bool = False,
         threads: int = 0,
-        canonical: bool = False,
+        drift_free: bool = False,
         max_memory: int | None = None,
     ) -> None:
-        self._header, self._wanted, self._canonical, self._max_memory = header, view, canonical, max_memory
+        self._header, self._wanted, self._drift_free, self._max_memory = header, view, drift_free, max_memory
         self._scale, self._undistorted, self._threads = scale, undistorted, threads
         self._background = header.background if background is None else background
         self._shown: State | None = None
@@ -73,7 +73,7 @@ class PlayedView:
         return self._rendering
 
     def _correction_in(self, frame: DecodedFrame) -> Correction | None:
-        return None if self._canonical else correction_of(self._header, self._wanted, frame.corrections)
+        return None if self._drift_free else correction_of(self._header, self._wanted, frame.corrections)
 
     def _coloured(self, seen: Rendering) -> Rendering:
         if self._correction is None:

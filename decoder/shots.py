@@ -42,21 +42,21 @@ class Show:
     background: tuple[float, float, float] | None
     undistorted: bool
     threads: int
-    canonical: bool
+    drift_free: bool
     max_memory: int
     layout: Layout | None = None
 
     @property
     def of_view(self) -> dict[str, Any]:
         """What ``render_view`` and ``PlayedView`` both take."""
-        return {name: value for name, value in vars(self).items() if name not in ("canonical", "layout")}
+        return {name: value for name, value in vars(self).items() if name not in ("drift_free", "layout")}
 
 
 @dataclass(frozen=True)
 class Shot:
     """One picture to be taken: its number in the output, the frame it shows, and the view it shows it from.
 
-    ``is_asked_for`` is False for one that is only there to tell its neighbour where everything moves.
+    ``is_asked_for`` is False for one that is only there for its neighbour's motion vectors.
     """
 
     number: int
@@ -94,7 +94,7 @@ def pictures(
         yield from ((shot, _laid_out(header, shot, show, show.layout)) for shot in shots)
         return
     is_fixed = isinstance(wanted, str) or len(wanted.cameras) == 1
-    fixed = PlayedView(header, first_view(wanted), **show.of_view, canonical=show.canonical) if is_fixed else None
+    fixed = PlayedView(header, first_view(wanted), **show.of_view, drift_free=show.drift_free) if is_fixed else None
     for shot in shots:
         if fixed is not None:
             yield shot, fixed.show(shot.frame)
@@ -170,4 +170,4 @@ def _layers(
 
 
 def _correction(header: StreamHeader, shot: Shot, show: Show) -> Correction | None:
-    return None if show.canonical else correction_of(header, shot.view, shot.frame.corrections)
+    return None if show.drift_free else correction_of(header, shot.view, shot.frame.corrections)

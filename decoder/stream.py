@@ -37,7 +37,7 @@ from .limits import DEFAULT_MAX_MEMORY, frames_within, gaussians_within, limits_
 class Stream:
     """An open .dgs file; a context manager. Build one with ``open_stream``.
 
-    ``header`` is the stream's header, ``version`` (major, minor) its bitstream's; ``complete`` tells whether the stream
+    ``header`` is the stream's header, ``version`` (major, minor) its bitstream's; ``complete``: whether the stream
     was finished, ``unfinished_bytes`` how much of an incomplete packet lies at its tail. Iterators of ``frames`` are
     independent of each other.
     """
@@ -74,7 +74,7 @@ class Stream:
             self._limits |= {self._max_gaussians} - {max_gaussians}
             self._first: State | None = None
         for error in self._survey.harmless():
-            self._concealment.tell(Damage(error))
+            self._concealment.report(Damage(error))
 
     def __enter__(self) -> Stream:
         return self
@@ -151,7 +151,7 @@ class Stream:
                 resumes = self._survey.keyframe_after(index)
                 lost = range(index, self.frame_count if resumes is None else resumes)
                 damage = Damage(error, lost, before.shows)
-                self._concealment.tell(damage)
+                self._concealment.report(damage)
         return before.held(index, damage)
 
     def _decoded(self, packet: Packet, before: DecodedFrame | None) -> DecodedFrame:
@@ -191,15 +191,15 @@ class Stream:
     def _pass_over_index(self, error: StreamError) -> None:
         """From now on frames lie where the packet headers are; ``error``: what is wrong with the index."""
         self._survey = self._without_index()
-        self._concealment.tell(Damage(error))
+        self._concealment.report(Damage(error))
         for found in self._survey.harmless():
-            self._concealment.tell(Damage(found))
+            self._concealment.report(Damage(found))
 
     def _pass_over(self, error: StreamError) -> None:
         """Damage before a frame's packet, in one that holds no frame."""
         if not self._concealment.allows(error):
             raise error
-        self._concealment.tell(Damage(error))
+        self._concealment.report(Damage(error))
 
     def _nothing_to_hold(self, frame: int) -> StreamError:
         key = self._survey.keyframe_after(frame)
@@ -216,15 +216,17 @@ class Stream:
             if index is not None:
                 return survey(index, complete=True)
             entries = scan_index(self._file, max_frames=max_frames)
-            reader, frames_told = self._reader(entries[-1].offset if entries else 0), 0
+            reader, frames_declared = self._reader(entries[-1].offset if entries else 0), 0
             while (packet := reader.next()) is not None:
                 if packet.kind == PacketKind.END:
-                    frames_told, _ = end_fields(packet)
+                    frames_declared, _ = end_fields(packet)
                     if self._concealment.strict:
                         check_count(packet, len(entries))
             unfinished = reader.pending
             if not unfinished or self._concealment.strict or reader.resynchronise() is None:
-                return survey(entries, complete=reader.ended, unfinished_bytes=unfinished, frames_told=frames_told)
+                return survey(
+                    entries, complete=reader.ended, unfinished_bytes=unfinished, frames_declared=frames_declared
+                )
         except StreamError as error:
             if not self._concealment.allows(error):
                 raise
@@ -264,9 +266,9 @@ def open_stream(
     """Opens a .dgs file; reads its header and where its frames lie, not the frames.
 
     ``strict`` makes damage an error, wherever it is met, and a file that stops inside a packet too. Otherwise the
-    complete frames of such a file can be decoded (``unfinished_bytes`` tells), damaged frames hold the last good one,
-    and ``on_damage`` is called for every damaged place; when it is None, a DamageWarning is issued. What no reader can
-    conceal is an error all the same: a damaged header, another version, a limit.
+    complete frames of such a file can be decoded (``unfinished_bytes`` counts the rest), damaged frames hold the last
+    good one, and ``on_damage`` is called for every damaged place; when it is None, a DamageWarning is issued. What no
+    reader can conceal is an error all the same: a damaged header, another version, a limit.
 
     ``max_memory`` bounds in bytes what decoding a stream can take beyond the program itself and up to 60 MB for the
     text of its header, ``max_gaussians`` its scene.

@@ -38,7 +38,7 @@ class FrameInfo:
     refers_to_first: bool
 
     @property
-    def share_touched(self) -> float:
+    def touched_fraction(self) -> float:
         """Touched, added and removed Gaussians as a share of those that are there."""
         return min(1.0, (self.touched + self.added + self.removed) / max(1, self.gaussians))
 
@@ -126,7 +126,7 @@ class StreamInfo:
             "bytes_per_frame_without_first_key": _mean(sum(frame.bytes for frame in later), len(later)),
             "mean_key_bytes": _mean(sum(keys), len(keys)),
             "mean_delta_bytes": _mean(sum(deltas), len(deltas)),
-            "mean_share_touched": _mean(sum(frame.share_touched for frame in others), len(others)),
+            "mean_touched_fraction": _mean(sum(frame.touched_fraction for frame in others), len(others)),
             "bytes_by_purpose": dict(zip(table.purposes, table.totals, strict=True)),
         }
 
@@ -186,7 +186,7 @@ class StreamInfo:
                 }
                 for damage in self.damage
             ],
-            "frames": [vars(frame) | {"share_touched": frame.share_touched} for frame in self.frames],
+            "frames": [vars(frame) | {"touched_fraction": frame.touched_fraction} for frame in self.frames],
             "totals": self.totals,
             "bytes": self.byte_table.to_json(),
         }

@@ -47,17 +47,17 @@ def summary_lines(facts: StreamInfo) -> Iterator[str]:
     yield f"  without the first key   {_number(totals['bytes_per_frame_without_first_key'])}"
     yield f"  mean delta              {_number(totals['mean_delta_bytes'])}"
     yield f"  mean keyframe           {_number(totals['mean_key_bytes'])}"
-    if totals["mean_share_touched"] is not None:
-        yield f"share touched, mean       {totals['mean_share_touched']:.2%}"
+    if totals["mean_touched_fraction"] is not None:
+        yield f"share touched, mean       {totals['mean_touched_fraction']:.2%}"
     for purpose, count in sorted(totals["bytes_by_purpose"].items(), key=lambda item: -item[1]):
         yield f"bytes of {purpose:<22} {count:>10}  {count / max(1, facts.file_bytes):6.1%}"
 
 
 def _coded_effects(name: str, header: StreamHeader) -> str:
-    """What the frames tell of a camera, beside its calibration."""
+    """Corrections of a camera that frames code, beside its calibration."""
     if name in header.held_out:
         corrects = header.corrected.effects or header.camera_colours
-        return ", held out" + (", its own faults unknown: shown canonical" if corrects else "")
+        return ", held out" + (", its own drift is unknown: shown drift-free" if corrects else "")
     return "".join(f", {effect.replace('_', ' ')}" for effect in header.camera_effects(name))
 
 
@@ -90,7 +90,7 @@ def _row(frame: FrameInfo) -> str:
     kind = frame.kind + "*" * frame.refers_to_first
     return (
         f"{frame.index:>6} {kind:<5} {frame.bytes:>10} {frame.gaussians:>10} {frame.touched:>9} "
-        f"{frame.added:>7} {frame.removed:>7} {frame.share_touched:>7.2%}"
+        f"{frame.added:>7} {frame.removed:>7} {frame.touched_fraction:>7.2%}"
     )
 
 

@@ -14,11 +14,11 @@ from decogs.formats.command_line import (
     number,
     number_of_threads,
     path_or_pipe,
+    print_text,
     progress,
     reworded,
     run,
     size_text,
-    tell,
     warn_as,
     whole_number,
 )
@@ -179,7 +179,7 @@ def _pack(parser: Parser, options: argparse.Namespace) -> int:
             on_warning=warn_as(parser),
         )
     frames, size = counted(len(report.frame_bytes), "frame"), size_text(report.total_bytes)
-    tell(
+    print_text(
         f"{options.output}: {frames}, {size}; the files have {size_text(report.read_bytes)}",
         to_stderr=options.output == "-",
     )
@@ -220,7 +220,7 @@ def _encode(parser: Parser, options: argparse.Namespace) -> int:
             progress=progress,
             on_warning=warn_as(parser),
         )
-    tell("\n".join(_summary(report)), to_stderr=options.output == "-")
+    print_text("\n".join(_summary(report)), to_stderr=options.output == "-")
     warnings = [*_left_out(report), _rejected(report), *_uncorrected(report), _overlooked(report)]
     warnings += [_missed_budget(report), _missed_time(report)]
     for warning in filter(None, warnings):

@@ -71,10 +71,10 @@ def encode(
     trained on, above 0 and at most 4. ``holdout``: names of cameras kept out of training and measured on.
 
     Method: ``switches``: the method of later frames and its parts; ``targets``: quality, bytes and time; both on top of
-    the settings. ``effects``: what is built of the effects (`EffectChoice`), or one of its bases; None is "auto" for a
-    named preset, and for settings what they say; the baseline has none. ``corrections``: cameras whose faults are
-    known, instead of those that ``effects`` finds. ``keyframe``: an earlier stream of the same rig, first frame and
-    held-out cameras whose keyframe is taken as it is; or another trainer's .ply or .spz. ``segment``: frames
+    the settings. ``effects``: those to enable (`EffectChoice`), or one of its bases; None is "auto" for a
+    named preset, and for settings what they say; the baseline has none. ``corrections``: cameras whose drift
+    is known, instead of those that ``effects`` detects. ``keyframe``: an earlier stream of the same rig, first frame
+    and held-out cameras whose keyframe is taken as it is; or another trainer's .ply or .spz. ``segment``: frames
     from one keyframe to the next; later ones are coded as differences from the first. ``resume``: go on with what an
     encode with the same options left in ``output`` + ".part", or as a shorter stream; the file gets the bytes of one
     that was not cut off.
@@ -98,9 +98,9 @@ def encode(
     source = None if keyframe is None else _read_source(keyframe)
     if not isinstance(rig, Rig):
         rig = open_rig(rig)
-    tell = on_warning or (lambda text: None)
+    warn = on_warning or (lambda text: None)
     for warning in rig.warnings:
-        tell(warning)
+        warn(warning)
     span = frame_span(rig, frames)
     if effects is None and isinstance(settings, str) and not FRAME_METHODS.get(chosen.method).dense:
         effects = "auto"
@@ -115,14 +115,14 @@ def encode(
         curve = None
         if convergence_log is not None:
             curve = open_files.enter_context(ConvergenceLog(convergence_log, append=resume))
-        told = Observers([*observers, *([] if progress is None else [progress])])
+        observer = Observers([*observers, *([] if progress is None else [progress])])
         if wanted is not None:
-            chosen = _with_effects(chosen, wanted, rig, holdout, span, threads, told, tell)
+            chosen = _with_effects(chosen, wanted, rig, holdout, span, threads, observer, warn)
         if corrections is not None:
             chosen = replace(chosen, corrections=corrections)
         if chosen.corrections.lens:
             ingest = Ingest(rig, holdout=holdout, scale=scale, lens=chosen.corrections.lens)
-        told.started(
+        observer.started(
             {
                 "rig": str(rig.path),
                 "layout": rig.layout,
@@ -145,12 +145,12 @@ def encode(
             keyframe=source,
             device=device,
             resume=resume,
-            on_frame=told.frame,
-            on_keyframe_step=told.keyframe_step,
+            on_frame=observer.frame,
+            on_keyframe_step=observer.keyframe_step,
             convergence=curve,
-            on_warning=tell,
+            on_warning=warn,
         )
-        told.finished(
+        observer.finished(
             {
                 "output": str(report.output),
                 "bytes": report.total_bytes,
@@ -197,18 +197,18 @@ def _with_effects(
     holdout: Sequence[str],
     span: range,
     threads: int,
-    told: EncodeObserver,
-    tell: OnWarning,
+    observer: EncodeObserver,
+    warn: OnWarning,
 ) -> EncodeSettings:
     """The settings with the effects that are wanted, of which the rig may have to be looked at."""
     require_sparse(settings, f"`effects` {wanted}", "has none of them")
 
     def decisions() -> Sequence[Decision]:
         look = slice(span.start, span.stop)
-        found = analyse(rig, frames=look, holdout=holdout, threads=threads, on_step=told.look_step)
+        found = analyse(rig, frames=look, holdout=holdout, threads=threads, on_step=observer.look_step)
         for warning in found.check.warnings():
-            tell(warning)
-        told.looked({decision.effect: decision.cameras for decision in found.decisions if decision.detected})
+            warn(warning)
+        observer.looked({decision.effect: decision.cameras for decision in found.decisions if decision.detected})
         return found.decisions
 
     cameras = [camera.name for camera in rig.cameras if camera.name not in holdout]

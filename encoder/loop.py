@@ -116,7 +116,7 @@ class StreamEncoder:
     def take_over(self, left: Interrupted, span: range) -> None:
         """Goes on from what an earlier encode left; raises UsageError unless it is the beginning of this one."""
         if self._splats is not None:
-            # Turn and lattice were found from pictures; that the file is the same, its digest in the header tells.
+            # Rotation and lattice were found from pictures; the digest in the header identifies the file.
             self._state.source = splats_taken_over(self._splats, left)
         take_over(self._state, left, span)
 
@@ -170,7 +170,7 @@ class StreamEncoder:
         )
 
     def _is_held(self, watch: Stopwatch) -> bool:
-        """Whether a frame that calls for training gets none, so that a later one has time enough."""
+        """Whether a frame that needs training gets none, so that a later one has enough time."""
         return self._time is not None and self._time.holds(watch.seconds, self._state.trainer.min_seconds)
 
     def _trained(self, now: FrameInWork, index: int, settings: FrameSettings) -> TrainedFrame:

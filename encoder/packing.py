@@ -82,13 +82,13 @@ def pack(
     target = Path(output) if isinstance(output, (str, os.PathLike)) else output
     inputs = [path for _, path in named]
     check_outputs([Output("output", target, grows=True)], [(path, "is read") for path in inputs])
-    tell = on_warning or (lambda text: None)
+    warn = on_warning or (lambda text: None)
     sizes: list[int] = []
     with open_output(target, resumable=False) as stream:
         try:
             packing, file = None, None
             for index, path in enumerate(inputs):
-                file = _read(path, tell, first=index == 0)
+                file = _read(path, warn, first=index == 0)
                 if packing is None:
                     header = _header(path, file, scale, fps=fps, first=named[0][0])
                     packing = _Packing(CodedScene(header, stream, level=_LEVEL, segment=segment), exact=lossless)
@@ -188,12 +188,12 @@ def _checked_scale(quality: float, fps: float | None, segment: int, frames: int,
     return float(_NEUTRAL_SCALE * 2 ** ((_NEUTRAL - (100.0 if lossless else quality)) / _PER_OCTAVE))
 
 
-def _read(path: Path, tell: OnWarning, *, first: bool) -> SplatFile:
+def _read(path: Path, warn: OnWarning, *, first: bool) -> SplatFile:
     file = read_splats(path, max_gaussians=DEFAULT_MAX_GAUSSIANS)
     if file.left_out:
-        tell(f"{path}: {file.left_out} of its Gaussians have values that are not finite, and are left out")
+        warn(f"{path}: {file.left_out} of its Gaussians have values that are not finite, and are left out")
     if first and not file.compensated:
-        tell(
+        warn(
             f"{path}: does not say that it was trained with antialiasing (Mip-Splatting), which our renderer has: "
             "Gaussians smaller than a pixel are shown fainter than by its own"
         )

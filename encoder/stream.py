@@ -1,4 +1,4 @@
-"""A range of a rig's frames encoded into one output: begun, gone on with, interrupted or finished."""
+"""A range of a rig's frames encoded into one output: begun, continued, interrupted or finished."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def encode_stream(
             for frame in ahead(frames) if threads > 1 else frames:
                 packet = next(packets, None)
                 if packet is not None:
-                    # The first and the last tell whether the pictures are those that it was made from.
+                    # The first and the last show whether the pictures are those that it was made from.
                     report = encoder.replay(frame, packet, origin if len(reports) in (0, last) else "")
                 elif not reports:
                     report = encoder.encode_key(frame, on_keyframe_step)

@@ -153,7 +153,7 @@ class StreamState:
     ) -> list[str]:
         """Takes what later frames need to know of this one, whose state stands; returns what compensation is ended.
 
-        ``trained``: rows that were, or None. ``effects``: those that it called for. ``held``: it waits for time; what
+        ``trained``: rows that were, or None. ``effects``: those that were enabled. ``held``: it waits for time; what
         moves is taken to move on. ``hurried``: what the scene now clearly misses is still to be done.
         """
         scene, pictures, masks = self.scene, now.compensated.training, now.change.masks

@@ -28,7 +28,7 @@ _PARAMETER = re.compile("`([a-z_]+)`")
 """How a library's texts name a parameter: it knows no options."""
 
 OnFrame = Callable[[int, int], None]
-"""Told of progress: units done and units in all, 0 while nobody knows."""
+"""Called with progress: units done and units in all, 0 while nobody knows."""
 
 
 class Parser(argparse.ArgumentParser):
@@ -228,7 +228,7 @@ def progress(what: str, unit: str = "frame") -> Iterator[OnFrame]:
         yield show
 
 
-def tell(text: str, *, to_stderr: bool = False) -> None:
+def print_text(text: str, *, to_stderr: bool = False) -> None:
     """Prints; what keeps the standard stream from being written is said with its name."""
     try:
         print(text, file=sys.stderr if to_stderr else sys.stdout, flush=True)

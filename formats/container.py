@@ -349,9 +349,9 @@ def check_frame(packet: Packet, expected: int) -> None:
 
 def check_count(end: Packet, frames: int) -> None:
     """The end packet counts the frames before it; raises StreamError("index-mismatch") when it does not."""
-    told, _ = end_fields(end)
-    if told != frames:
-        message = f"the end packet counts {told} frames, {frames} came"
+    declared, _ = end_fields(end)
+    if declared != frames:
+        message = f"the end packet counts {declared} frames, {frames} came"
         raise StreamError(Reason.INDEX_MISMATCH, message, packet=end.ordinal, offset=end.offset)
 
 

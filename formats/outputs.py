@@ -26,7 +26,7 @@ from typing import BinaryIO, Literal
 from .errors import UsageError
 
 Leftover = Literal["refused", "kept", "dropped"]
-"""What becomes of the ``NAME.part`` that an interrupted process left: an error, gone on with, or begun anew."""
+"""What becomes of the ``NAME.part`` that an interrupted process left: an error, continued, or replaced."""
 
 _Place = tuple[int, int] | str
 
@@ -247,7 +247,7 @@ def publish_files(staging: Path, folder: Path) -> None:
 
 
 def open_in_place(path: Path, *, append: bool = False) -> BinaryIO:
-    """A text that others read while its lines are written: locked, and emptied or, by ``append``, gone on with.
+    """A text that others read while its lines are written: locked, and emptied or, by ``append``, continued.
 
     Raises UsageError when another process is writing it, OSError when it cannot be written.
     """

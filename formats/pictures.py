@@ -5,7 +5,7 @@ table): the decoders print to the terminal or hand out half a picture instead of
 
 Headers are walked here because no library does it as cheaply and as quietly. OpenCV cannot stop at one (7 to 24 ms for
 a picture of 1345x1008 instead of 0.03 to 0.13) and prints what is wrong with a damaged file; OpenEXR prints too when
-pixels are missing, and does not tell where the chunk table begins. Pillow would be 7.1 MB more to download, passes 165
+pixels are missing, and does not give the chunk table's place. Pillow would be 7.1 MB more to download, passes 165
 of 182 cut JPEGs unless it decodes them, and refuses sizes by a limit of the whole process.
 """
 

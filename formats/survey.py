@@ -14,7 +14,7 @@ from .reasons import DAMAGE, Reason
 MAX_LOST_FRAMES = 1 << 16
 """How many frames may be missing from a stream in all: a few bytes must not be able to claim millions."""
 
-_LOST_AT_LEAST, _LOST_FOR_EACH = 1 << 10, 1 << 6
+_MIN_LOST, _LOST_FOR_EACH = 1 << 10, 1 << 6
 """What a stream may miss whatever is found of it, and besides for each frame that is: a file of a few frames must not
 be able to claim hours of pictures that all show the same."""
 
@@ -24,7 +24,7 @@ MAX_DAMAGED_PLACES = 1 << 12
 
 @dataclass(frozen=True)
 class Survey:
-    """The frames of a stream, and its damage as far as packet headers tell.
+    """The frames of a stream, and its damage as far as packet headers show it.
 
     ``entries``: the frame packets there are, frame indices rising; a frame below ``frame_count`` without an entry is
     lost. ``complete``: whether the stream was finished. ``unfinished_bytes``: those of an incomplete packet at the
@@ -81,9 +81,9 @@ def survey(
     complete: bool,
     unfinished_bytes: int = 0,
     damage: Iterable[StreamError] = (),
-    frames_told: int = 0,
+    frames_declared: int = 0,
 ) -> Survey:
-    """A survey whose frames are checked for their order; ``frames_told`` by the end packet.
+    """A survey whose frames are checked for their order; ``frames_declared`` by the end packet.
 
     Raises StreamError "frame-order", or "too-large" when more frames are missing than a reader conceals.
     """
@@ -92,14 +92,14 @@ def survey(
         if after.frame <= before.frame:
             message = f"frame {after.frame} comes after frame {before.frame}"
             raise StreamError(Reason.FRAME_ORDER, message, offset=after.offset)
-    frame_count = max(entries[-1].frame + 1 if entries else 0, frames_told)
+    frame_count = max(entries[-1].frame + 1 if entries else 0, frames_declared)
     check_lost(frame_count - len(entries), len(entries))
     return Survey(entries, frame_count, complete, unfinished_bytes, tuple(damage))
 
 
 def lost_frames_within(found: int) -> int:
     """How many frames may be missing from a stream of which ``found`` are there."""
-    return min(MAX_LOST_FRAMES, _LOST_AT_LEAST + _LOST_FOR_EACH * found)
+    return min(MAX_LOST_FRAMES, _MIN_LOST + _LOST_FOR_EACH * found)
 
 
 def check_lost(frames: int, found: int) -> None:
@@ -176,11 +176,11 @@ class _Search:
         self._max_frames = max_frames
         self._entries: list[IndexEntry] = []
         self._damage: list[StreamError] = []
-        self._frames_told = 0
+        self._frames_declared = 0
 
     def packet(self, packet: Packet) -> None:
         if packet.kind == PacketKind.END:
-            self._frames_told = end_fields(packet)[0]
+            self._frames_declared = end_fields(packet)[0]
         if packet.kind not in FRAME_KINDS:
             return
         if self._entries and packet.frame <= self._entries[-1].frame:
@@ -202,7 +202,7 @@ class _Search:
             complete=complete,
             unfinished_bytes=unfinished_bytes,
             damage=self._damage,
-            frames_told=self._frames_told,
+            frames_declared=self._frames_declared,
         )
 
 

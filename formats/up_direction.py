@@ -33,7 +33,7 @@ AXES: dict[str, Vector] = {
 }
 
 _NEAR_AN_AXIS, _NEAR_AN_AXIS_BY_THE_MEAN = np.cos(np.radians(5)), np.cos(np.radians(15))
-_MOST_ROLL = np.sin(np.radians(8))
+_MAX_ROLL = np.sin(np.radians(8))
 """Root mean square of the cameras' roll beyond which no common horizon is there to go by; of rigs on tripods it was
 1 to 3 degrees, of hand-placed ones that look down steeply 9 to 16."""
 _SPREAD = 0.17
@@ -41,7 +41,7 @@ _SPREAD = 0.17
 
 
 def up_of(cameras: Sequence[Camera]) -> Vector:
-    """The world's up, a unit vector, as the cameras tell it; -Y, as in COLMAP's worlds, where they do not."""
+    """The world's up, a unit vector, from the cameras; -Y, as in COLMAP's worlds, where they leave it open."""
     rotations = np.array([camera.world_to_camera[:3, :3] for camera in cameras]).reshape(-1, 3, 3)
     mean = -rotations[:, 1].sum(axis=0)
     if np.linalg.norm(mean) < 1e-6 * max(1, len(rotations)):
@@ -92,7 +92,7 @@ def _level_with(x_axes: NDArray[np.float64], mean_up: Vector) -> Vector | None:
     _, spread, directions = np.linalg.svd(x_axes, full_matrices=True)
     spread = np.append(spread, np.zeros(3 - len(spread))) / np.sqrt(len(x_axes))
     if spread[1] > _SPREAD:
-        if spread[2] > _MOST_ROLL:
+        if spread[2] > _MAX_ROLL:
             return None
         up = directions[2] if directions[2] @ mean_up > 0 else -directions[2]
     else:

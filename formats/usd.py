@@ -302,7 +302,7 @@ def check_usd_request(path: Path, *, fps: float, prototype_radius: float) -> Non
 
 
 def _check_memory(path: Path) -> None:
-    """Raises UsageError where OpenUSD would end the process: it cannot tell that the system gives it no memory."""
+    """Raises UsageError where OpenUSD would end the process: it does not notice that the system gives it no memory."""
     allowed, _ = resource.getrlimit(resource.RLIMIT_AS)
     if allowed != resource.RLIM_INFINITY and allowed < _OF_USD:
         raise UsageError(

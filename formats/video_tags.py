@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-_MOST_BYTES = 64 << 20
+_MAX_BYTES = 64 << 20
 """Of a table of contents: hours of video have a tenth of that."""
 _CLUSTER = b"\x1f\x43\xb6\x75"
 _MATROSKA_HEAD = 1 << 20
@@ -59,7 +59,7 @@ def _contents(path: Path) -> bytes:
                 break
             if kind == b"moov":
                 file.seek(at + head)
-                return file.read(min(size - head, _MOST_BYTES))
+                return file.read(min(size - head, _MAX_BYTES))
             at += size
     return b""
 

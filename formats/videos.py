@@ -175,7 +175,7 @@ def _utf8_name(path: Path) -> str:
 
 
 def _check_can_open(path: Path) -> None:
-    """Says why a file cannot even be opened, which OpenCV does not tell."""
+    """Says why a file cannot even be opened, which OpenCV does not report."""
     try:
         for file in [path.open("rb") for _ in range(_FILES_PER_VIDEO)]:
             file.close()

@@ -40,7 +40,7 @@ class ImportDecogs(bpy.types.Operator, ImportHelper):  # type: ignore[misc]
     up: bpy.props.EnumProperty(  # type: ignore[valid-type]
         name="Up",
         items=[(up, up, "") for up in _UPS],
-        description="Which way is up in the stream; it becomes Z. auto: as the cameras tell; none: nothing is turned",
+        description="Which way is up in the stream; it becomes Z. auto: from the cameras; none: nothing is turned",
     )
     metres: bpy.props.FloatProperty(  # type: ignore[valid-type]
         name="Metres per unit", default=1.0, min=1e-6, soft_max=1e3, description="How long one unit of the stream is"
@@ -72,7 +72,7 @@ class ImportDecogs(bpy.types.Operator, ImportHelper):  # type: ignore[misc]
         try:
             playback = timeline.playback(self.filepath)
             first = playback.frame(0)
-        except Exception as error:  # Whatever is wrong is told in one line: a traceback helps no artist.
+        except Exception as error:  # Every error is one line: a traceback helps no artist.
             timeline.close(self.filepath)
             self.report({"ERROR"}, timeline.one_line(error, self.filepath))
             return {"CANCELLED"}
@@ -84,7 +84,7 @@ class ImportDecogs(bpy.types.Operator, ImportHelper):  # type: ignore[misc]
         # Cycles reads a mesh while the timeline may already fill the next frame's.
         context.scene.render.use_lock_interface = True
         timeline.show_all(context.scene)
-        for damage in timeline.told():
+        for damage in timeline.faults():
             self.report({"WARNING"}, damage)
         self.report({"INFO"}, f"{Path(self.filepath).name}: {playback.frame_count} frames, {len(first.ids)} Gaussians")
         return {"FINISHED"}

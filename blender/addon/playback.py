@@ -72,7 +72,7 @@ class Playback:
     """An open stream whose frames are asked for in any order.
 
     Going on is one step; going back decodes from the keyframe before, unless the frame is among those that are kept
-    (256 MB of them). ``on_damage`` is told of every damaged place once. Raises what ``open_stream`` and ``frames``
+    (256 MB of them). ``on_damage`` is called once for every damaged place. Raises what ``open_stream`` and ``frames``
     raise.
     """
 

@@ -28,7 +28,7 @@ _ATTRIBUTES = {
 
 _open: dict[str, Playback] = {}
 """Streams by their path; those of the file that is loaded."""
-_told: set[str] = set()
+_reported: set[str] = set()
 
 
 class DecogsStream(bpy.types.PropertyGroup):  # type: ignore[misc]
@@ -138,20 +138,20 @@ def one_line(error: BaseException, path: str) -> str:
     return " ".join(str(error).split()) or type(error).__name__
 
 
-def told() -> list[str]:
+def faults() -> list[str]:
     """What was wrong with streams since ``forget``, damage that is concealed included."""
-    return sorted(_told)
+    return sorted(_reported)
 
 
 def forget() -> None:
-    """From now on everything is told once more."""
-    _told.clear()
+    """From now on every fault is reported once more."""
+    _reported.clear()
 
 
 def warn(text: str) -> None:
     """To the console, once in a session."""
-    if text not in _told:
-        _told.add(text)
+    if text not in _reported:
+        _reported.add(text)
         print(f"decogs: {text}", file=sys.stderr)
 
 
@@ -182,7 +182,7 @@ def _before_render(scene: Any, _depsgraph: Any = None) -> None:
 @persistent  # type: ignore[untyped-decorator]
 def _another_file(*_: Any) -> None:
     close()
-    _told.clear()
+    _reported.clear()
 
 
 _CLASSES = (DecogsStream, DECOGS_PT_stream)

@@ -117,7 +117,7 @@ def _place(item: Any) -> Any:
 
 
 def _rate(points: Any) -> float | None:
-    """Time codes per second of the file that the points came from; None where it cannot be told."""
+    """Time codes per second of the file that the points came from; None if unknown."""
     files = [m.cache_file for m in points.modifiers if m.type == "MESH_SEQUENCE_CACHE" and m.cache_file]
     if not files:
         return None

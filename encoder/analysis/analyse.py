@@ -94,7 +94,7 @@ def analyse(
     threads: int = 0,
     on_step: OnStep = lambda done, total: None,
 ) -> Analysis:
-    """Looks at a rig before anything is trained, and decides which effects it calls for.
+    """Analyses a rig before anything is trained, and decides which effects are detected.
 
     ``rig``: its folder or calibration file, or the rig itself. ``frames``: consecutive ones, as a slice or a range; all
     when None. ``holdout``: names of cameras to leave out.

@@ -14,7 +14,7 @@ from .rig_statistics import F64, RigStatistics
 LIMIT = 0.2
 """Share of a change away from motion: the geometric mean of its values for shadows of moving objects and for light."""
 
-_LEAST_SHARE = 0.001
+_MIN_FRACTION = 0.001
 """Share of a picture below which a change is a speck: 93 pixels of 352 x 264."""
 
 
@@ -52,5 +52,5 @@ def _away_from_motion(stats: RigStatistics, *names: str) -> tuple[F64, F64, F64]
     changed, near = (np.stack([getattr(shares, name) for shares in stats.changes]) for name in names)
     alone = changed - near
     share = alone / np.maximum(changed, 1e-9)
-    share[alone < _LEAST_SHARE] = 0
+    share[alone < _MIN_FRACTION] = 0
     return changed, alone, share

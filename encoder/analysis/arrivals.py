@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..change.masks import BoolArray
-from .changes import NEAR_SHARE, WINDOW_PIXELS, ChangeMaps, change_maps, largest_channel
+from .changes import NEAR_FRACTION, WINDOW_PIXELS, ChangeMaps, change_maps, largest_channel
 
 F64 = NDArray[np.float64]
 F32 = NDArray[np.float32]
@@ -202,7 +202,7 @@ def _differences(pictures: U8, maps: Sequence[ChangeMaps], path: _Path, noise: f
 
 def _around(area: BoolArray) -> tuple[slice, slice]:
     """Rows and columns of an area and its surroundings, as far as nearby changes may reach."""
-    margin = round(2 * NEAR_SHARE * area.shape[1]) + math.isqrt(WINDOW_PIXELS)
+    margin = round(2 * NEAR_FRACTION * area.shape[1]) + math.isqrt(WINDOW_PIXELS)
     spans = [np.flatnonzero(area.any(axis=axis)) for axis in (1, 0)]
     rows, columns = (slice(max(0, int(span[0]) - margin), int(span[-1]) + 1 + margin) for span in spans)
     return rows, columns

@@ -1,4 +1,4 @@
-"""The effects that an encode enables: those that a scene calls for, or those that the user requests.
+"""The effects that an encode enables: the detected ones, or those that the user requests.
 
 Chosen: an effect, in its own file, changes settings and nothing else; training depends on settings only. So a disabled
 effect costs nothing, a stream's header lists the enabled ones, and one frame's choice is the same change of its
@@ -26,8 +26,8 @@ AUTO, ALL, NONE = EFFECT_BASES
 class EffectChoice:
     """The requested effects: a base, and names of effects added to it and dropped from it.
 
-    ``base``: "auto" is what the scene calls for, for which the rig is analysed first, for seconds, and what each frame
-    calls for; "all" every effect; "none" no effect. Raises UsageError for another base or an unknown name.
+    ``base``: "auto" enables the detected effects, of the rig (whose analysis takes seconds) and of each frame;
+    "all" every effect; "none" no effect. Raises UsageError for another base or an unknown name.
     """
 
     base: str
@@ -61,7 +61,7 @@ def with_effects(
 ) -> EncodeSettings:
     """``settings`` with exactly the wanted effects; their ``effects`` list those that change the settings.
 
-    ``cameras``: names of all that train, for an effect that is wanted where the scene does not call for it.
+    ``cameras``: names of all that train, for an effect that is requested though it is not detected.
     ``decisions``: of the rig (`analysis.analyse`), called only if the wanted effects depend on them.
     """
     fixed = wanted.base != AUTO and not set(wanted.names(())) - {*FRAME_EFFECTS, "view_dependence"}
@@ -87,7 +87,7 @@ def _is_common(decision: Decision, cameras: Sequence[str]) -> bool:
 
 
 def disable(settings: EncodeSettings, names: Collection[str]) -> EncodeSettings:
-    """``settings`` without the effects of these names, for a frame that does not call for them."""
+    """``settings`` without the effects of these names, for a frame in which they are not detected."""
     for effect in EFFECTS:
         if effect.name in names:
             settings = effect.disabled(settings)

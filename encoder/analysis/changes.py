@@ -34,9 +34,9 @@ _WINDOW = (7, 7)
 WINDOW_PIXELS = 49
 SLOW_FRAMES = 4
 """Frames over which slow light is detected, which changes by less than CHANGE_LEVELS per frame."""
-_LEAST_PART = 0.5
+_MIN_PART = 0.5
 """Least part of a frame in such a change, relative to an even distribution over the frames."""
-NEAR_SHARE = 0.0355
+NEAR_FRACTION = 0.0355
 """Radius around restructured pixels within which a change belongs to them, as a share of the picture's width: the
 dilation of the encoder's masks."""
 
@@ -53,7 +53,7 @@ class ChangeMaps:
 
         ``width``: of the whole picture, if the maps are of a part.
         """
-        return self.changed & dilate(self.restructured, round(NEAR_SHARE * (width or self.changed.shape[1])))
+        return self.changed & dilate(self.restructured, round(NEAR_FRACTION * (width or self.changed.shape[1])))
 
 
 @dataclass(frozen=True)
@@ -160,7 +160,7 @@ def _slow_shares(pictures: U8, noise: float) -> F64:
         values = span[:, alone].astype(np.float32)
         whole = values[-1] - values[0]
         parts = np.array([float(((after - before) * whole).sum()) for before, after in pairwise(values)])
-        takes_part = parts >= _LEAST_PART / SLOW_FRAMES * float((whole * whole).sum())
+        takes_part = parts >= _MIN_PART / SLOW_FRAMES * float((whole * whole).sum())
         shares[:, 1 + end - SLOW_FRAMES + np.flatnonzero(takes_part)] = [[maps.changed.mean()], [near.mean()]]
     return shares
 

@@ -7,7 +7,7 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from decogs.formats.command_line import Parser, frames_joined, number_of_threads, progress, run, tell, warn_as
+from decogs.formats.command_line import Parser, frames_joined, number_of_threads, print_text, progress, run, warn_as
 from decogs.formats.errors import UsageError
 from decogs.formats.frame_ranges import frame_range
 from decogs.formats.outputs import Output, check_outputs, is_device, write_whole
@@ -51,9 +51,9 @@ def _analyze(parser: Parser, options: argparse.Namespace) -> None:
     for warning in analysis.check.warnings():
         warn_as(parser)(warning)
     document = json.dumps(analysis.to_json(), indent=1) + "\n"
-    tell("\n".join(analysis.table()), to_stderr=options.json == "-")
+    print_text("\n".join(analysis.table()), to_stderr=options.json == "-")
     if options.json == "-":
-        tell(document.rstrip("\n"))
+        print_text(document.rstrip("\n"))
     elif to_file:
         _write(Path(options.json), document)
 

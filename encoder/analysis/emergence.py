@@ -17,7 +17,7 @@ IMBALANCE = 60.0
 """Least imbalance of arrivals and departures, in per cent: an object that moves towards a camera grows and arrives
 larger than it left; 60 % is four times as large."""
 _MOTION = Motion()
-_LEAST_SHARE = 0.25
+_MIN_FRACTION = 0.25
 """Least share of cameras with the evidence: an object that enters one picture merely moves in the others."""
 
 
@@ -54,12 +54,12 @@ def none_without_motion(stats: RigStatistics, values: F64) -> F64:
 
 
 def decide_by_vote(stats: RigStatistics, effect: Effect, evidence: Evidence, *, what: str, cost: str) -> Decision:
-    """Called for if a quarter of the cameras agree, at least two; confidence falls with undetermined cameras."""
-    needed = max(2, math.ceil(_LEAST_SHARE * len(stats.cameras)))
+    """Detected if a quarter of the cameras agree, at least two; confidence falls with undetermined cameras."""
+    needed = max(2, math.ceil(_MIN_FRACTION * len(stats.cameras)))
     frames = seen_together(evidence, needed)
     votes = int(np.any(evidence.reached, axis=1).sum())
     known = int(np.isfinite(evidence.values).any(axis=1).sum())
-    figures: dict[str, Any] = {"cameras_that_tell": known, "cameras_that_see_it": votes}
+    figures: dict[str, Any] = {"cameras_determined": known, "cameras_that_see_it": votes}
     detected = bool(frames.any())
     sure = (votes if detected else known - votes) / len(stats.cameras)
     return decided(

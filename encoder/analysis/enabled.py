@@ -20,7 +20,7 @@ def enabled_effects(
     *,
     threads: int = 1,
 ) -> tuple[tuple[str, ...], EncodeSettings]:
-    """The names of ``settings``' effects that a frame calls for, and the settings without the others.
+    """The names of ``settings``' effects that are detected in a frame, and the settings without the others.
 
     ``pictures``, ``references``: those of the frame, (3, H, W) each.
     """

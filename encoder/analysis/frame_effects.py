@@ -21,9 +21,9 @@ from ..change.noise import picture_noise
 from ..parallel import side_by_side
 from . import appearance_change, motion
 from .changes import WINDOW_PIXELS, change_maps
-from .rig_statistics import MOST_PIXELS
+from .rig_statistics import MAX_PIXELS
 
-_LEAST_CHANGED = 4 * WINDOW_PIXELS
+_MIN_CHANGED = 4 * WINDOW_PIXELS
 """Least changed pixels of all views for a frame to be clear."""
 
 
@@ -79,13 +79,13 @@ def frame_effects(
         return FrameEffects(motion=False, appearance_change=False)
     # All views together count as one more, since views may be unclear one by one.
     together = _Pixels(*(sum(getattr(view, field.name) for view in views) for field in fields(_Pixels)))
-    moves = together.changed < _LEAST_CHANGED or any(view.moves for view in (*views, together))
+    moves = together.changed < _MIN_CHANGED or any(view.moves for view in (*views, together))
     lit = any(v.changed - v.near >= appearance_change.LIMIT * max(v.changed, 1) for v in views)
     return FrameEffects(motion=moves, appearance_change=lit or not moves)
 
 
 def _pixels(current: FloatArray, previous: FloatArray, mask: FrameMask) -> _Pixels:
-    scale = min(1.0, math.sqrt(MOST_PIXELS / mask.raw.size))
+    scale = min(1.0, math.sqrt(MAX_PIXELS / mask.raw.size))
     part = _bounds(mask)
     maps = change_maps(
         _small(previous[:, part[0], part[1]], scale),

@@ -31,13 +31,13 @@ it is that at the radius within which nine of ten matches lie: the fit has no da
 _RADIUS_QUANTILE = 0.9
 _SURE = 3.0
 """Deviations of the fit, subtracted from its result for a lower bound of the distortion."""
-_LEAST_MATCHES = 30
-_LEAST_SHARE = 0.5
+_MIN_MATCHES = 30
+_MIN_FRACTION = 0.5
 """Least share of a camera's matches near their epipolar lines after the fit; by chance one in ten wrong matches is."""
 _UNKNOWNS = 4
 _ROUNDS = 12
 _FIRST_REACH, _SHRINKS = 20.0, 0.7
-_LEAST_DEVIATION = 0.3
+_MIN_DEVIATION = 0.3
 """SIFT's accuracy, in pixels."""
 _ROTATION_PRIOR = np.radians(0.15)
 _K1_PRIOR = 0.3
@@ -111,11 +111,11 @@ def _beyond_calibration(stats: RigStatistics) -> tuple[F64, F64, F64]:
     beyond, error, k1 = (np.full(count, np.nan) for _ in range(3))
     fit = _Fit(stats.cameras, stats.matches.pairs)
     met = fit.matches_of_cameras()
-    if met.max(initial=0) < _LEAST_MATCHES:
+    if met.max(initial=0) < _MIN_MATCHES:
         return beyond, error, k1
     found, deviation = fit.solve()
     kept = fit.matches_of_cameras()
-    known = (kept >= _LEAST_MATCHES) & (kept >= _LEAST_SHARE * met)
+    known = (kept >= _MIN_MATCHES) & (kept >= _MIN_FRACTION * met)
     pixels = np.array([camera.fx for camera in stats.cameras]) * fit.radii() ** 3
     beyond[known], error[known], k1[known] = (found * pixels)[known], (deviation * pixels)[known], found[known]
     return beyond, error, k1
@@ -165,7 +165,7 @@ class _Fit:
             reach = _FIRST_REACH * _SHRINKS**turn
             sizes = np.abs(missed)
             near = sizes[sizes < max(reach, 4.0)]
-            deviation = max(_LEAST_DEVIATION, 1.5 * float(np.median(near)) if len(near) else 0.0)
+            deviation = max(_MIN_DEVIATION, 1.5 * float(np.median(near)) if len(near) else 0.0)
             self._weights = tukey(missed, max(reach, 4 * deviation))
             normal, gradient = self._normal_equations(unknowns, missed)
             prior = (deviation / scales) ** 2

@@ -46,9 +46,9 @@ FRAME_LIMIT = 0.01
 
 _AROUND = np.mgrid[-4:5:2, -4:5:2].reshape(2, -1, 1)
 """Pixels around a point for averaging: reduces noise and the effect of half a pixel of misplacement."""
-_MOST_CLIPPED = 0.1
+_MAX_CLIPPED = 0.1
 """Largest clipped share of these."""
-_MOST_SHARED = 100
+_MAX_SHARED = 100
 """Most points of a pair of cameras: the median of so many has an eighth of the noise of one."""
 _DIFFERENT = 0.2
 """Share of a camera's points at either end that may deviate."""
@@ -62,7 +62,7 @@ _COMPARABLE = 3
 """Cameras that a median needs: of two that differ, either may be the one that drifts."""
 _LINEAR: F64 = linear_from_srgb(np.arange(256) / 255)
 _CLIPPED = 5
-"""Levels from either end of the scale within which a value tells nothing of the light."""
+"""Levels from either end of the scale within which a value is no measure of the light."""
 _ROUNDS = 12
 _SMALLEST = 0.002
 """Deviation of a log ratio below which all weigh alike: a fifth of what noise does to the mean of a window."""
@@ -158,7 +158,7 @@ def light_at(pictures: U8, pixels: F64) -> F64:
         # Below black, 8 bits go on from white: both ends are one comparison.
         ends = (around - np.uint8(_CLIPPED)) > 255 - 2 * _CLIPPED
         clipped = (ends[..., 0] | ends[..., 1] | ends[..., 2]).mean(axis=0)
-        known = clipped <= _MOST_CLIPPED
+        known = clipped <= _MAX_CLIPPED
         red, green, blue = np.log(_LINEAR.take(around).mean(axis=0)[known]).T
         value = around.mean(axis=0)[known] / 255
         light = np.stack([(red + green + blue) / 3, red - green, blue - green], axis=1)
@@ -231,7 +231,7 @@ def _seen_overall(shares: F64, overall: F64) -> F64:
 
 def _believed(cameras: Sequence[Camera], pair: PairMatches) -> tuple[I64, I64, F64, F64]:
     near = np.flatnonzero(np.abs(pair.epipolar_distances(cameras)) < NEAR_LINE)
-    near = near[:: math.ceil(len(near) / _MOST_SHARED) or 1]
+    near = near[:: math.ceil(len(near) / _MAX_SHARED) or 1]
     numbers = [np.full(len(near), number, np.int64) for number in (pair.first, pair.second)]
     return numbers[0], numbers[1], pair.first_pixels[near], pair.second_pixels[near]
 

@@ -76,7 +76,7 @@ class Motion(Effect):
 def decide_by_change(
     stats: RigStatistics, effect: Effect, evidence: Evidence, *, reason: str, cost: str, figures: Mapping[str, Any]
 ) -> Decision:
-    """Called for in frames with evidence in two cameras, and in all frames if every camera shakes."""
+    """Detected in frames with evidence in two cameras, and in all frames if every camera shakes."""
     doubt = in_doubt(stats, evidence)
     frames = np.full(len(stats.frames), doubt) | seen_together(evidence)
     return decided(

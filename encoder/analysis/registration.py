@@ -22,14 +22,15 @@ SHAKE_LIMIT = 0.1
 """Least displacement that counts, in pixels of the analysed size: ten times that of a static picture with noise. It
 changes an edge of 100 levels, two pixels wide, by 5 levels."""
 
-_MOST_CORNERS, _CORNER_QUALITY, _CORNER_DISTANCE = 1000, 0.02, 7
+_MAX_CORNERS, _CORNER_QUALITY, _CORNER_DISTANCE = 1000, 0.02, 7
 _PARTS, _CORNERS_PER_PART = (5, 4), 10
 _FEWEST = 12
 _WINDOW, _LEVELS = (15, 15), (1, 2)
-"""Halvings of the picture in the search; more where fewer do not tell, and right away where they just did not."""
+"""Halvings of the picture in the search; more where fewer leave it undetermined, and at once after a frame that needed
+more."""
 _UNTIL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
 """Steps of a corner's search, and the step in pixels that ends it: a third of what counts, for a single corner."""
-_STILL_SHARE = 0.3
+_STILL_FRACTION = 0.3
 _ALIKE = 0.5
 _ROUNDS = 8
 _COMPLEX = np.array([1, 1j])
@@ -90,7 +91,7 @@ def _tracked(first: U8, now: U8, corners: F32, levels: int) -> tuple[F64, float]
 
 def _corners(picture: U8) -> F32:
     """The strongest corners (N, 1, 2) of every part of the picture, so that no single texture dominates."""
-    found = cv2.goodFeaturesToTrack(picture, _MOST_CORNERS, _CORNER_QUALITY, _CORNER_DISTANCE)
+    found = cv2.goodFeaturesToTrack(picture, _MAX_CORNERS, _CORNER_QUALITY, _CORNER_DISTANCE)
     if found is None:
         return np.empty((0, 1, 2), np.float32)
     height, width = picture.shape
@@ -129,7 +130,7 @@ def _similarity(at: F64, moved: F64) -> tuple[F64, float]:
         shift = mean - factor * middle
         fitted = shift + factor * places
     size = float(np.sqrt((np.abs(fitted) ** 2).mean()))
-    still = float(np.quantile(np.abs(moves), _STILL_SHARE))
+    still = float(np.quantile(np.abs(moves), _STILL_FRACTION))
     alike = np.median(np.abs(moves - fitted)) <= max(_ALIKE * size, SHAKE_LIMIT)
     grow, turn = factor.real, factor.imag
     transform = np.array([[1 + grow, -turn, shift.real], [turn, 1 + grow, shift.imag]])

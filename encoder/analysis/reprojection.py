@@ -32,7 +32,7 @@ _TURNED_PIXELS = 2.5
 _FEWEST = 12
 """Matches that a judgement needs."""
 _FEWEST_OF_PAIR = 20
-"""Matches of a pair of cameras that tell where its epipolar lines are."""
+"""Matches of a pair of cameras from which its epipolar lines are estimated."""
 _FEWEST_CAMERAS = 4
 """Of three that disagree, any may be the one."""
 _PLAUSIBLE = 0.12
@@ -89,7 +89,7 @@ def is_turned(camera: Camera, turn: float) -> bool:
 def epipolar_residuals(cameras: Sequence[Camera], matches: Matches) -> F64:
     """Distance (cameras,) of matches from their epipolar lines in a camera's best pair, in pixels; NaN without matches.
 
-    Wrong matches lie anywhere: of those that could be right, the nearer third tells.
+    Wrong matches lie anywhere: of those that could be right, the nearer third decides.
     """
     found = np.full(len(cameras), np.nan)
     for pair in matches.pairs:
@@ -122,7 +122,7 @@ def reprojections(cameras: Sequence[Camera], matches: Matches, camera: int, othe
 def triangulated(one: Camera, two: Camera, here: F64, there: F64) -> tuple[F64, NDArray[np.bool_]]:
     """Points (N, 3) nearest to pairs of rays x/z, y/z (N, 2), and whether they are to be believed.
 
-    They are where the rays meet before both cameras, at an angle that tells the depth. The middle of the shortest
+    They are where the rays meet before both cameras, at an angle that gives the depth. The middle of the shortest
     segment between the rays.
     """
     centres = camera_centre(one), camera_centre(two)

@@ -43,10 +43,10 @@ _FEWEST = 25
 @dataclass(frozen=True)
 class CameraCheck:
     """One camera. ``seen_by_one``, ``seen_by_two``: shares of its pixels whose surface so many others see from an angle
-    that tells the depth and still looks alike. ``gap``: median angle, degrees, to the nearest of them; NaN without any.
+    that gives the depth and still looks alike. ``gap``: median angle, degrees, to the nearest of them; NaN without any.
     ``residual``: distance, pixels, of the nearer matches of its best pair from their epipolar lines; ``turned``:
     degrees against the calibration, as the others' points say; both NaN where matches are too few. ``late``: frames
-    behind the others; NaN where too little moves to tell.
+    behind the others; NaN where too little moves.
     """
 
     camera: str

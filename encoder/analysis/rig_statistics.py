@@ -1,7 +1,7 @@
 """Statistics of a rig: small pictures of the training cameras, and the measurements that effects share.
 
 One pass over the frames; held-out cameras are never opened. Pictures are small and 8-bit, so that a clip fits into
-MOST_BYTES. Of a longer clip every n-th frame is analysed; the others are passed over.
+MAX_BYTES. Of a longer clip every n-th frame is analysed; the others are passed over.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ U8 = NDArray[np.uint8]
 T = TypeVar("T")
 OnStep = Callable[[int, int], None]
 
-MOST_PIXELS = 352 * 264
+MAX_PIXELS = 352 * 264
 """Size of analysed pictures, in pixels; smaller ones stay as they are."""
 
-MOST_BYTES = 256 << 20
+MAX_BYTES = 256 << 20
 """Memory for the pictures of all cameras; a clip that needs more is thinned to every n-th frame."""
 
-MOST_NOISE_FRAMES = 8
-"""Frames whose noise is measured: a sensor's noise lasts, and one picture tells it to a few per cent."""
+MAX_NOISE_FRAMES = 8
+"""Frames whose noise is measured: a sensor's noise lasts, and one picture gives it to a few per cent."""
 
 
 @dataclass(frozen=True)
@@ -138,14 +138,14 @@ def _small_cameras(rig: Rig, holdout: Sequence[str]) -> tuple[tuple[Camera, ...]
     kept = [camera for camera in rig.cameras if camera.name not in holdout]
     if not kept:
         raise UsageError(f"{rig.path}: every camera is held out; leave at least one")
-    scales = tuple(min(1.0, math.sqrt(MOST_PIXELS / (camera.width * camera.height))) for camera in kept)
+    scales = tuple(min(1.0, math.sqrt(MAX_PIXELS / (camera.width * camera.height))) for camera in kept)
     return tuple(scale_camera(camera, scale) for camera, scale in zip(kept, scales, strict=True)), scales
 
 
 def _thinned(span: range, cameras: Sequence[Camera]) -> range:
-    """Every n-th frame, so that the pictures of all cameras fit MOST_BYTES; two frames at least."""
+    """Every n-th frame, so that the pictures of all cameras fit MAX_BYTES; two frames at least."""
     frame_bytes = sum(camera.width * camera.height * 3 for camera in cameras)
-    most = max(2, MOST_BYTES // frame_bytes)
+    most = max(2, MAX_BYTES // frame_bytes)
     return span[:: math.ceil(len(span) / most)]
 
 
@@ -173,7 +173,7 @@ def _read(rig: Rig, cameras: Sequence[Camera], chosen: range, each: Each, steps:
 
 def _noise_columns(frames: int) -> set[int]:
     """The frames whose noise is measured against the frame before, evenly spread over the clip."""
-    return {int(column) for column in np.linspace(1, frames - 1, min(frames - 1, MOST_NOISE_FRAMES)).round()}
+    return {int(column) for column in np.linspace(1, frames - 1, min(frames - 1, MAX_NOISE_FRAMES)).round()}
 
 
 def _small(picture: Picture, camera: Camera) -> U8:
@@ -188,7 +188,7 @@ def _small(picture: Picture, camera: Camera) -> U8:
 
 def _sparse(picture: Picture) -> F32:
     """Pixels on a grid, as they are: averaging them would hide the camera's noise."""
-    stride = max(1, round(math.sqrt(picture.shape[0] * picture.shape[1] / MOST_PIXELS)))
+    stride = max(1, round(math.sqrt(picture.shape[0] * picture.shape[1] / MAX_PIXELS)))
     return display_referred(np.ascontiguousarray(picture[::stride, ::stride].transpose(2, 0, 1)))
 
 

@@ -38,12 +38,12 @@ class SensorNoise:
                 "no static pixels in two successive frames",
             ),
             cost=f"no bytes; a mask threshold of at least {thresholds.max():.1f} levels in the noisiest camera",
-            figures={"least_threshold": {name: float(t) for name, t in zip(stats.names, thresholds, strict=True)}},
+            figures={"min_threshold": {name: float(t) for name, t in zip(stats.names, thresholds, strict=True)}},
         )
 
     def enabled(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
         """No camera's threshold lies within its own noise; where none would, there is nothing to look for."""
-        if max(decision.figures["least_threshold"].values()) <= settings.frame.masks.threshold:
+        if max(decision.figures["min_threshold"].values()) <= settings.frame.masks.threshold:
             return self.disabled(settings)
         masks = replace(settings.frame.masks, noise_multiple=float(_MULTIPLE))
         return replace(settings, frame=replace(settings.frame, masks=masks))

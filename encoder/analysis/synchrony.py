@@ -43,7 +43,7 @@ def delays(
     noise: Sequence[float],
     each: Callable[..., Iterator[Any]],
 ) -> F64:
-    """By how many frames (cameras,) each one is late, -1, 0 or 1; NaN where too little moves to tell.
+    """By how many frames (cameras,) each one is late, -1, 0 or 1; NaN where too little moves.
 
     ``pictures``: of successive frames, (F, H, W, 3) each. ``moving`` (cameras, F): how much moves; ``noise``: levels.
     """

@@ -8,7 +8,7 @@ matte wall (in the tests) disagrees by 11 levels, a matte rendering of `workbenc
 
 **The keyframe decides then.** It is trained with the preset's harmonics, and rounding (`training/keyframe.py`) keeps
 the visible ones: on three synthetic rigs 2 to 3 of a thousand Gaussians keep any, on a recorded dome 119.
-Below ``LEAST_SHOWN`` the stream has none, and later frames train none. Rejected: a second training without harmonics,
+Below ``MIN_SHOWN`` the stream has none, and later frames train none. Rejected: a second training without harmonics,
 to compare the tiles left out of the loss (twice the time, and two trainings differ by more than that by chance).
 """
 
@@ -34,13 +34,13 @@ _QUANTILE = 0.9
 """Quantile of the matches' differences: gloss is a small part of a scene."""
 _NEAR_LINE = 1.5
 """Largest distance of an inlier from its epipolar line, in pixels."""
-_LEAST_MATCHES = 30
+_MIN_MATCHES = 30
 _SMOOTHING = 2.0
 """Deviation, in pixels, of the smoothing before the comparison: finer detail depends on resampling."""
 _DARK = 8.0
 """Levels added before logarithms, which limits the weight of noise in dark pixels."""
-_AT_MOST = 0.5
-LEAST_SHOWN = 0.01
+_MAX_CONFIDENCE = 0.5
+MIN_SHOWN = 0.01
 """Least share of a keyframe's Gaussians with harmonics of a degree or above for the stream to have that degree."""
 
 
@@ -59,7 +59,7 @@ class ViewDependence(Effect):
         values = np.full((len(stats.cameras), len(stats.frames)), np.nan)
         for row, each in enumerate(found):
             levels = np.concatenate(each) if each else np.empty(0)
-            if len(levels) >= _LEAST_MATCHES:
+            if len(levels) >= _MIN_MATCHES:
                 values[row, 0] = np.quantile(levels, _QUANTILE)
         return Evidence(values, "levels", _LIMIT)
 
@@ -75,7 +75,7 @@ class ViewDependence(Effect):
             if known
             else "undetermined, so assumed: too few points are seen by two cameras",
             cost="9 more parameters per Gaussian to train (SH degree 1); coded only if the keyframe keeps some",
-            sure=min(_AT_MOST, confidence(evidence)) if beyond.any() or not known else confidence(evidence),
+            sure=min(_MAX_CONFIDENCE, confidence(evidence)) if beyond.any() or not known else confidence(evidence),
         )
 
     def disabled(self, settings: EncodeSettings) -> EncodeSettings:
@@ -88,7 +88,7 @@ class ViewDependence(Effect):
 def as_far_as_shown(values: Attributes) -> Attributes:
     """A keyframe's rounded ``values`` without the SH degrees that hardly any Gaussian uses."""
     degree = sh_degree_of(values.coefficients)
-    while degree and values.sh[:, degree**2 :].any(axis=(1, 2)).sum() < LEAST_SHOWN * len(values):
+    while degree and values.sh[:, degree**2 :].any(axis=(1, 2)).sum() < MIN_SHOWN * len(values):
         degree -= 1
     return replace(values, sh=np.ascontiguousarray(values.sh[:, : (degree + 1) ** 2]))
 

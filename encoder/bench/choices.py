@@ -90,8 +90,8 @@ QUESTIONS = (
         "cache",
         "Neural transformation cache",
         "None, anew in every frame, or carried over; with and without the warm start; at its rate and at five times. "
-        "Stage 1 takes the preset's cache_iterations, stage 2 its joint_iterations. With a cache no change is judged "
-        "by its worth, so that those rows have more bytes.",
+        "Stage 1 takes the preset's cache_iterations, stage 2 its joint_iterations. With a cache no change is reverted "
+        "as insignificant, so that those rows have more bytes.",
         _caches(),
         _BOTH,
     ),
@@ -206,7 +206,7 @@ QUESTIONS = (
     ),
     Question(
         "mending",
-        "How long what has clearly changed is mended",
+        "How long clearly changed pixels are refined",
         "For so many frames it stays in the region of interest, for Gaussians with that share of their weight there.",
         (
             Variant("mend0", "never", {"frame.masks.refine_frames": 0}),
@@ -224,7 +224,7 @@ QUESTIONS = (
     Question(
         "faint-light",
         "From what change on light counts, after a frame in which only light changed",
-        "In 8-bit levels of the mean over 7 x 7 pixels; with the effects that are called for.",
+        "In 8-bit levels of the mean over 7 x 7 pixels; with the detected effects.",
         tuple(
             Variant(
                 f"light{t:g}",
@@ -289,7 +289,7 @@ QUESTIONS = (
     ),
     Question(
         "worth",
-        "What a change must be worth",
+        "Significance threshold",
         "By how much it must move a picture's summed loss to be sent; 0 sends everything. The first row sends "
         "everything on a lattice 128 times as fine, which is as good as floats: what significance and rounding cost.",
         (
@@ -304,7 +304,7 @@ QUESTIONS = (
     Question(
         "hold-at",
         "When changes are judged",
-        "The share of stage 2 after which those that are worth too little are taken back.",
+        "The share of stage 2 after which insignificant changes are reverted.",
         tuple(Variant(f"hold{h:g}", f"{h:g}", {"frame.significance.decide_at": h}) for h in (0.5, 0.6, 0.75)),
         _BOTH,
     ),

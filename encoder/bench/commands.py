@@ -25,7 +25,7 @@ def bench_main(arguments: Sequence[str] | None = None) -> int:
     )
     choices = kinds.add_parser("choices", help="what the paper leaves open and every default, one table per question")
     rates = kinds.add_parser("rates", help="rate and distortion: several rates, and other ways to keep the same frames")
-    effects = kinds.add_parser("effects", help="effects as called for, all, none, and each one wrongly left out")
+    effects = kinds.add_parser("effects", help="detected effects, all, none, and each one wrongly disabled")
     curve = kinds.add_parser(
         "curve", help="what accuracy costs in time: presets and single settings, the Pareto front, a page to explore"
     )

@@ -1,4 +1,4 @@
-"""How the loss falls inside a frame: what training is worth at any moment of it, the median over a stream's frames."""
+"""How the loss falls inside a frame: the gain of training at any moment, the median over a stream's frames."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Course:
 
 @dataclass
 class Recording:
-    """What an encode tells of its losses: the log to give it, and the log's lines once it is over."""
+    """The losses that an encode logs: the log to give it, and the log's lines once it is over."""
 
     log: ConvergenceLog
     lines: list[str] = field(default_factory=list)
@@ -56,7 +56,7 @@ def recorded_course() -> Iterator[Recording]:
 
 
 def course(lines: Sequence[str], views: int) -> Course | None:
-    """The course that a log's lines tell of; None when no later frame was trained for a step of every view.
+    """The course in a log's lines; None when no later frame was trained for a step of every view.
 
     Frames stop at different steps: it goes as far as at least half of the frames do, and only those count.
     """

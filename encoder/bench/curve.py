@@ -67,7 +67,7 @@ QUESTIONS = (
     Question(
         "quality",
         "Quantisation",
-        "`--quality`: the lattice and what a change must be worth, each with a keyframe of its own.",
+        "`--quality`: lattice and significance threshold, each with a keyframe of its own.",
         RATE_POINTS,
         _COLUMNS,
     ),

@@ -1,4 +1,4 @@
-"""What effects cost and what they are worth: built as called for, all of them, none, and each one wrongly left out."""
+"""What effects cost and what they gain: the detected ones, all, none, and each one wrongly disabled."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from .plans import RigResults
 from .tables import NOTHING, markdown, mean_of, number
 from .variants import Question, Variant
 
-AUTO = Variant("effects-auto", "as called for (auto)", effects=EffectChoice("auto"))
+AUTO = Variant("effects-auto", "detected (auto)", effects=EffectChoice("auto"))
 ALL = Variant("effects-all", "all", effects=EffectChoice("all"))
 NONE = Variant("effects-none", "none", effects=EffectChoice("none"))
 WITHOUT = {
@@ -23,7 +23,7 @@ WITHOUT = {
 QUESTIONS = (
     Question(
         "effects",
-        "Only the effects that the scene calls for",
+        "Only the detected effects",
         "`--effects auto`, the default, against all of them in every frame. Where a camera is corrected, and where SH "
         "beyond degree 0 is left out, the row has a keyframe of its own.",
         (AUTO, ALL, NONE),
@@ -46,7 +46,7 @@ def matrix(results: Sequence[RigResults]) -> list[str]:
         "## What a scene loses without an effect",
         "",
         "PSNR of the held-out view once its colours are brought to the recording's, dB against auto: whole picture / "
-        "dynamic region. “not called for”: the same run as auto.",
+        "dynamic region. “not detected”: the same run as auto.",
         "",
         *markdown(["without", *(result.bench.name for result in results)], rows),
         "",
@@ -58,7 +58,7 @@ def _loss(result: RigResults, variant: Variant) -> str:
     if run is None or auto is None:
         return NOTHING
     if bench.key(variant) == bench.key(AUTO):
-        return "not called for"
+        return "not detected"
     return " / ".join(_change(mean_of(run, name), mean_of(auto, name)) for name in ("psnr_aligned", "psnr_dynamic"))
 
 

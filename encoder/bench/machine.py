@@ -29,7 +29,8 @@ def machine_facts() -> dict[str, Any]:
 
 
 def load() -> float:
-    """Processes that ran or waited for a processor in the last minute, on average; 0 where the system cannot tell."""
+    """Processes that ran or waited for a processor in the last minute, on average; 0 where the system does not report
+    it."""
     return round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else 0.0
 
 

@@ -6,7 +6,7 @@ from ..analysis import EffectChoice
 from .variants import Question, Times, Variant
 
 DECOGS = Variant("decogs", "DecoGS, all effects in every frame")
-DECOGS_AUTO = Variant("decogs-auto", "DecoGS, effects as called for (the default)", effects=EffectChoice("auto"))
+DECOGS_AUTO = Variant("decogs-auto", "DecoGS, detected effects (the default)", effects=EffectChoice("auto"))
 DECOGS_PAPER = Variant("decogs-paper", "DecoGS, the paper's recipe (preset paper)", preset="paper")
 BASELINE = Variant("3dgstream", "3DGStream baseline, dense", method="3dgstream")
 METHODS = (DECOGS_AUTO, DECOGS, DECOGS_PAPER, BASELINE)
@@ -20,7 +20,7 @@ TAUS = (10.0, 25.0, 50.0)
 RADII = (0.5, 1.0, 2.0)
 STRIDES = (1, 5, 10)
 SWEEP_FRAMES = 16
-"""Nine runs a rig: the first frames tell as much."""
+"""Nine runs a rig: the first frames suffice."""
 
 _COST = ("seconds", "cpu", "fps", "megabytes", "megabytes_all", "selected")
 _BRIEF = ("psnr", "psnr_dynamic", "psnr_static", "last_dynamic", "mtv", "selected", "cpu", "megabytes")

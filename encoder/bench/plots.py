@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLOURS = ("#0072b2", "#e69f00", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#000000")
-"""Told apart by colour-blind eyes, too (Okabe and Ito)."""
+"""Distinct for colour-blind eyes, too (Okabe and Ito)."""
 _MARKERS = "os^Dv*P"
 _TRADED = tuple(cost for cost in COSTS if cost.key in ("cpu", "kilobytes", "decode_fps"))
 _DEVIATION = 12

@@ -44,7 +44,7 @@ class BenchProgress:
         self.measured(run.rig, run.variant, [frame.psnr for frame in run.frames if frame.psnr is not None])
 
     def measured(self, rig: str, variant: str, psnr: Sequence[float]) -> None:
-        """A line of what an encode is worth: the mean of its frames' PSNR, dB."""
+        """A line on an encode's quality: the mean of its frames' PSNR, dB."""
         if self._bar is not None:
             mean = math.fsum(psnr) / len(psnr) if psnr else math.nan
             self._bar.write(f"{rig} {variant}: {len(psnr)} frames, {mean:.2f} dB", file=self._terminal)

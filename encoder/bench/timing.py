@@ -1,6 +1,6 @@
 """A rig played in another timing, which the encoder takes like any other: every k-th frame, there and back, faster.
 
-Chosen: an order of the recorded frames, so that one rig tells of slow and fast, steady and turning motion with the same
+Chosen: an order of the recorded frames, so that one rig covers slow and fast, steady and turning motion with the same
 pictures and the same truth. Rejected: rendered variants of each rig (other pictures, so that rows do not compare).
 """
 

@@ -41,7 +41,7 @@ class BeforeFlash:
 
     def is_over(self, pictures: Sequence[FloatArray]) -> bool:
         """Whether the pictures (3, H, W) of a frame match those before the flash."""
-        return self.masks.share_changed(pictures) < _AS_BEFORE
+        return self.masks.changed_fraction(pictures) < _AS_BEFORE
 
     def stays(self, frame: int) -> bool:
         """Whether the light counts as permanent."""

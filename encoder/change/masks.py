@@ -206,7 +206,7 @@ class MaskMemory:
         masks = [FrameMask(each, each) for each in everywhere]
         return [_left_out(mask, why) if why else mask for mask, why in zip(masks, self._lost, strict=True)]
 
-    def share_changed(self, current: Sequence[FloatArray]) -> float:
+    def changed_fraction(self, current: Sequence[FloatArray]) -> float:
         """Share of pixels, median over the views, that differ from the reference."""
         threshold, pairs = self._settings.threshold, zip(current, self._references, strict=True)
         return float(np.median([difference_mask(now, reference, threshold).mean() for now, reference in pairs]))

@@ -20,11 +20,11 @@ F64 = NDArray[np.float64]
 
 _DETAIL = np.array([[0, -0.25, 0], [-0.25, 1, -0.25], [0, -0.25, 0]], np.float32)
 _TILE = 16
-_MOST_TILES = 300
+_MAX_TILES = 300
 _QUIETEST = 0.25
 """Least share of tiles with only noise and light; motion covers at most the others."""
 _CLIPPED = 3
-_MOST_CLIPPED = 0.1
+_MAX_CLIPPED = 0.1
 _UNEVEN = 1.5
 """Largest ratio of the picture's noise to that of its quietest tiles: video coding smooths flat tiles."""
 _OF_CHANGE = 2.0
@@ -79,7 +79,7 @@ def _across_light(before: FloatArray, now: FloatArray) -> float:
     a, b = _tiles(before), _tiles(now)
     channels = len(before)
     clipped = ((np.minimum(a, b) < _CLIPPED) | (np.maximum(a, b) > 255 - _CLIPPED)).mean(axis=(0, 1))
-    usable = np.tile(clipped.reshape(channels, -1).mean(axis=0) < _MOST_CLIPPED, channels)
+    usable = np.tile(clipped.reshape(channels, -1).mean(axis=0) < _MAX_CLIPPED, channels)
     if not usable.any():
         return math.inf
     a, b = (np.compress(usable, side, axis=2) for side in (a, b))
@@ -98,7 +98,7 @@ def _tiles(picture: FloatArray) -> FloatArray:
     """Square tiles (side, side, C * N) of the picture (C, H, W), spread over it, in levels."""
     channels, height, width = picture.shape
     rows, columns = height // _TILE, width // _TILE
-    step = max(1, math.isqrt(rows * columns // _MOST_TILES))
+    step = max(1, math.isqrt(rows * columns // _MAX_TILES))
     whole = picture[:, : rows * _TILE, : columns * _TILE].reshape(channels, rows, _TILE, columns, _TILE)
     some = whole[:, ::step, :, ::step].transpose(2, 4, 0, 1, 3)
     # Tiles last: sums over a tile's pixels are then sums of long rows.

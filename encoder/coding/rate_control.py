@@ -1,11 +1,11 @@
 """How many bytes a stream may take: a scale of qualities, and a budget that later frames keep on average.
 
-Chosen: one knob, the significance threshold, which the requantisation steps go along with.
-It is moved after every frame by a model of a single number: how much there is to tell, from the last packets' sizes.
-They are all it knows, and the stream holds them, so that an encode that was cut off goes on with the same bytes; the
-clip's length is not known to it, so that frames can be added. Rejected: two passes (twice the time, and none for a live
-rig); coding a frame again until it fits (training is what costs); the worth alone (a frame of workbench then takes at
-most 20 kB, whatever the budget).
+Chosen: one knob, the significance threshold; the requantisation steps follow it. After every frame, a model of a single
+number moves it: a frame's content (its size at the settings' own threshold), estimated from past packets. The model has
+no other input. A stream holds those sizes, so a resumed encode has the same bytes. The model does not know the clip's
+length, so frames can be added. Rejected: two passes (twice the time, and none for a live rig); coding a frame again
+until it fits (training is the cost); the threshold alone (a frame of workbench then takes at most 20 kB, whatever the
+budget).
 """
 
 from __future__ import annotations
@@ -30,33 +30,32 @@ TOLERANCE = 0.05
 """By which share of the budget the mean of a clip may be off; a miss is reported beyond it."""
 
 _QUALITIES_PER_OCTAVE = 16.0
-_STEP_SHARE = 0.25
-"""Lattice steps grow with this power of the worth: a keyframe's bytes and loss then go along with a later frame's. So
-does what changes are rounded to."""
+_STEP_EXPONENT = 0.25
+"""Lattice steps and requantisation steps grow with this power of the threshold: bytes and loss of keyframes then change
+together with those of later frames."""
 
 _RESPONSE = 0.5
-"""Bytes fall with this power of the worth: measured .41 to .65 (report/budgets.md). Up to four times as steep, or
+"""Bytes fall with this power of the threshold: measured .41 to .65 (report/budgets.md). Up to four times as steep, or
 however flat, the control still settles."""
 _HORIZON = 12
-"""Frames over which what was saved or overspent is made up for: fewer follow the budget closer, more are steadier."""
+"""Frames over which savings and overspends are made up for: fewer follow the budget closer, more are steadier."""
 _MEMORY = 0.5
 """Share of the estimate that a new packet does not change: a frame's bytes are noisy."""
 _TARGET_RANGE = (0.8, 2.0)
-"""A single frame's aim, in budgets: what was saved in a still scene is not thrown at the first frame that moves, and
-what one overspent is paid back gently: what later frames leave out, the next ones must tell again."""
+"""Bounds of a single frame's aim, in budgets: the savings of a still scene are not spent on the first frame that moves,
+and an overspend is paid back gently, because later frames must code changes that were reverted."""
 _OCTAVES = 8.0
-"""The worth stays between 1/256 (next to nothing is taken back) and 256 times the preset's."""
+"""The threshold stays between 1/256 (next to nothing is reverted) and 256 times the preset's."""
 _OCTAVE_STEPS = 32
-"""Worths lie on a grid that far apart, so that the last bit of a logarithm, which machines differ in, tells nothing."""
+"""Steps of the threshold per octave: on this grid, the last bit of a logarithm, which differs by machine, is lost."""
 
 
 def with_quality(settings: EncodeSettings, quality: float) -> EncodeSettings:
     """The same settings at a quality of 0 to 100; raises UsageError beyond.
 
-    50 is the settings as they are. 16 less, and a change must be worth twice as much to be sent, the lattice's
-    steps are 2^(1/4) times as coarse, and a bit of the keyframe must be worth 2^(1/2) times as much (it is weighed
-    against squares). Settings that code every change (``paper``, ``3dgstream``) follow with the keyframe and the
-    lattice only.
+    50 is the settings as they are. Every 16 points lower double the significance threshold, make the lattice's steps
+    2^(1/4) times as coarse, and raise the keyframe's ``rd_lambda`` by 2^(1/2) (it weighs bits against squares).
+    Settings that code every change (``paper``, ``3dgstream``) follow with the keyframe and the lattice only.
     """
     if not 0 <= quality <= 100:
         raise UsageError(f"`quality` {quality:g}: give a number from 0 (smallest) to 100 (most exact)")
@@ -64,17 +63,17 @@ def with_quality(settings: EncodeSettings, quality: float) -> EncodeSettings:
     significance = replace(
         settings.frame.significance, threshold=_rounded(settings.frame.significance.threshold * factor)
     )
-    keyframe = replace(settings.keyframe, rd_lambda=_rounded(settings.keyframe.rd_lambda * factor ** (2 * _STEP_SHARE)))
+    rd_lambda = _rounded(settings.keyframe.rd_lambda * factor ** (2 * _STEP_EXPONENT))
     return replace(
         settings,
-        keyframe=keyframe,
-        lattice_scale=_rounded(settings.lattice_scale * factor**_STEP_SHARE),
+        keyframe=replace(settings.keyframe, rd_lambda=rd_lambda),
+        lattice_scale=_rounded(settings.lattice_scale * factor**_STEP_EXPONENT),
         frame=replace(settings.frame, significance=significance),
     )
 
 
 def with_lossless(settings: EncodeSettings) -> EncodeSettings:
-    """The same settings with every change written as it was trained, exact to the lattice, however little it shows."""
+    """The same settings with every change coded, however small, and exact to the lattice."""
     significance = replace(settings.frame.significance, threshold=0.0, requantisation=RequantisationSteps())
     return replace(settings, frame=replace(settings.frame, significance=significance))
 
@@ -82,7 +81,7 @@ def with_lossless(settings: EncodeSettings) -> EncodeSettings:
 def with_budget(settings: EncodeSettings, bytes_per_frame: float) -> EncodeSettings:
     """The same settings held to ``bytes_per_frame``, the mean of the frames after the first.
 
-    Raises UsageError for what is no budget, and where every change is sent.
+    Raises UsageError for a number that is no budget, and for settings that code every change.
     """
     asked = f"`bytes_per_frame` {bytes_per_frame:g}"
     if not (math.isfinite(bytes_per_frame) and bytes_per_frame >= 1):
@@ -99,10 +98,9 @@ def over_budget(sizes: Sequence[int], frame_budget: float) -> float:
 
 
 class RateControl(Protocol):
-    """Keeps later frames to a mean of so many bytes, by what changes must be worth to be coded.
+    """Keeps later frames to a mean of so many bytes by their significance threshold.
 
-    It learns from the packets alone, which a stream holds, so that an encode that was cut off goes on with the same
-    bytes.
+    It learns from the packets alone, which a stream holds, so that a resumed encode has the same bytes.
     """
 
     def significance(self, settings: SignificanceSettings, /) -> SignificanceSettings:
@@ -115,11 +113,11 @@ class RateControl(Protocol):
 
 
 class ContentRateControl:
-    """What changes must be worth, in units of the settings', for later frames to keep to a mean of ``budget`` bytes.
+    """Multiplies the settings' significance threshold so that later frames keep to a mean of ``budget`` bytes.
 
-    ``segment``: frames from one keyframe to the next, or 0. Keyframes after the first count as frames, and what
-    they take beyond the budget is paid by the other frames of their segment, evenly: a clip of whole segments is even.
-    Rejected: saving up for them (nothing tells what they will take; on workbench it doubles from one to the next).
+    ``segment``: frames from one keyframe to the next, or 0. Keyframes after the first count as frames. The other frames
+    of their segment pay evenly for their bytes beyond the budget, so a clip of whole segments meets it. Rejected:
+    saving up for them (their size is unknown; on workbench it doubles from one to the next).
     """
 
     def __init__(self, budget: float, segment: int) -> None:
@@ -130,24 +128,24 @@ class ContentRateControl:
         self._octaves = 0.0
 
     @property
-    def worth(self) -> float:
-        """For the next frame; 1 is the settings'."""
+    def factor(self) -> float:
+        """Of the significance threshold, for the next frame."""
         return float(2.0**self._octaves)
 
     def significance(self, settings: SignificanceSettings) -> SignificanceSettings:
-        """The settings for the next frame: its worth, and a requantisation to match."""
+        """The settings for the next frame: its threshold, and requantisation steps to match."""
         steps = {
-            name: max(1, round(_rounded(step * self.worth**_STEP_SHARE)))
+            name: max(1, round(_rounded(step * self.factor**_STEP_EXPONENT)))
             for name, step in vars(settings.requantisation).items()
         }
         return replace(
-            settings, threshold=_rounded(settings.threshold * self.worth), requantisation=RequantisationSteps(**steps)
+            settings, threshold=_rounded(settings.threshold * self.factor), requantisation=RequantisationSteps(**steps)
         )
 
     def wrote(self, kind: int, size: int) -> None:
         """Learns from a packet after the first keyframe's: ``size`` in bytes on disk.
 
-        Keyframes and frames without a change say nothing of what a delta takes.
+        Keyframes and frames without a change give no estimate of a delta's size.
         """
         self._frames += 1
         self._spent += size
@@ -174,7 +172,7 @@ class ContentRateControl:
 
 
 def _rounded(value: float) -> float:
-    """To six digits: a power's last bit is not the same on every machine, and the stream's header tells the value."""
+    """To six digits: a power's last bit is not the same on every machine, and the stream's header has the value."""
     return float(f"{value:.6g}")
 
 

@@ -29,7 +29,7 @@ def stream_header(
 ) -> StreamHeader:
     """The header of a stream whose first frame is the rig's ``first``.
 
-    ``corrected``: cameras whose faults are compensated. ``colours``: how those of cameras differ from the
+    ``corrected``: cameras whose drift is compensated. ``colours``: how those of cameras differ from the
     scene's in every frame. ``inherited``: settings of an imported keyframe, which made it.
     """
     rig, document = ingest.rig, settings.as_document() | dict(inherited or {})

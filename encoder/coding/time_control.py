@@ -6,7 +6,7 @@ for the next one's; what masks, selection and writing leave is for training, whi
 overspent is carried over. A frame whose time would not do for the least training is held, and the next one has its time
 as well: few steps in every frame lose what moves, and each frame begins with the errors of the last. As for
 bytes (`rate_control`), the clip's length is not known to it. Rejected: processor seconds (a rig that records waits for
-no processor); the keyframe in the budget (nothing tells how many frames are to pay for it).
+no processor); the keyframe in the budget (the number of frames that are to pay for it is unknown).
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ _HORIZON = 6
 """Frames over which what was saved or overspent is made up for."""
 _ALLOWANCE_RANGE = (0.5, 2.0)
 """A single frame's time, in budgets: what was saved in a still scene is not thrown at the first frame that moves."""
-_MOST_HELD = 7
+_MAX_HELD = 7
 """Frames held in a row, a quarter of a second: a longer freeze shows nothing of what happens; a miss is reported."""
-_MOST_OWED = 2.0
+_MAX_OWED = 2.0
 """Budgets that frames may have overspent before one is held for that alone."""
 _MEMORY = 0.7
 """Share of the estimate of what a frame takes beyond its deadline that a new frame does not change."""
 _AFTER_TRAINING = ("write", "commit")
 _UNCOUNTED = "measure"
 _FIXED = "trains a fixed number of steps"
-_LEAST_SECONDS, _MOST_SECONDS = 1e-4, 1e6
-"""Of a frame's time: what a clock tells apart, and twelve days."""
+_MIN_SECONDS, _MAX_SECONDS = 1e-4, 1e6
+"""Bounds of a frame's time: a clock's resolution, and twelve days."""
 
 
 def with_time_budget(settings: EncodeSettings, seconds: float) -> EncodeSettings:
@@ -46,10 +46,8 @@ def with_time_budget(settings: EncodeSettings, seconds: float) -> EncodeSettings
 
     Raises UsageError beyond what a clock can tell, and for a dense method, whose schedule is fixed.
     """
-    if not _LEAST_SECONDS <= seconds <= _MOST_SECONDS:
-        raise UsageError(
-            f"`time_budget` {seconds:g}: give from {_LEAST_SECONDS:g} to {_MOST_SECONDS:g} seconds a frame"
-        )
+    if not _MIN_SECONDS <= seconds <= _MAX_SECONDS:
+        raise UsageError(f"`time_budget` {seconds:g}: give from {_MIN_SECONDS:g} to {_MAX_SECONDS:g} seconds a frame")
     require_sparse(settings, "`time_budget`", _FIXED)
     return replace(settings, time_budget=seconds)
 
@@ -93,7 +91,7 @@ class TimeControl:
 
         ``seconds``: what the frame has taken so far, by stage; ``least``: what training takes at least, in seconds.
         """
-        if self._held >= _MOST_HELD:
+        if self._held >= _MAX_HELD:
             return False
         there = max(self._budget + self._kept, self._allowance())
         return self._owes_much() or there < counted_seconds(seconds) + least + (self._after or 0.0)
@@ -127,7 +125,7 @@ class TimeControl:
             self._beyond = _MEMORY * past + (1 - _MEMORY) * beyond
 
     def _owes_much(self) -> bool:
-        return self._saved < -_MOST_OWED * self._budget
+        return self._saved < -_MAX_OWED * self._budget
 
     def _allowance(self) -> float:
         """Seconds for the next frame: its own budget, what held frames kept for it, and a share of what was saved."""

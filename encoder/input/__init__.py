@@ -1,1 +1,1 @@
-"""From a rig's footage to what training takes: pictures, faults of single cameras, an imported keyframe."""
+"""From a rig's footage to what training takes: pictures, compensation of camera drift, an imported keyframe."""

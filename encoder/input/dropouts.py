@@ -24,7 +24,7 @@ BLACK, BLANK, FROZEN = "black", "of a single colour", "a repeat of the previous 
 _SPREAD = 10 / 255
 """Noise of three levels, more than any sensor's in the dark, keeps 98 % of a blank picture's pixels inside this."""
 _LOOKED_AT = 2000
-"""Pixels, evenly spread, that tell as much as all of them."""
+"""Pixels, evenly spread, that suffice for the decision."""
 
 
 def blankness(picture: FloatArray) -> str:

@@ -1,6 +1,6 @@
 """Another trainer's Gaussians, a .ply or .spz, as the keyframe to begin with.
 
-Their trainer's renderer is told by the file: those without `comment SplatRenderMode: mip`, or .spz's flag
+The file states its trainer's renderer: those without `comment SplatRenderMode: mip`, or .spz's flag
 "antialiased", were trained without the compensation of opacity that ours has.
 """
 

@@ -21,7 +21,7 @@ from decogs.formats.frame_ranges import Frames, frame_slice
 from decogs.formats.rigs import Rig, read_frames
 from decogs.formats.splats import FloatArray
 
-NEAR_SHARE = 0.1
+NEAR_FRACTION = 0.1
 """Near plane of a rig camera as a share of the median depth it sees: beyond any housing, before any subject."""
 
 
@@ -29,7 +29,7 @@ _ROUNDING = 2.0**-24
 """Of a float32 position, relative to its distance from the world's origin."""
 _SHOWS = 0.5
 """Pixels."""
-_LEAST_APART = 1e-6
+_MIN_APART = 1e-6
 """World units between the outermost cameras. Steps of a lattice end at 1e-12, a five thousandth of what is seen; a
 thousandth of this loses 4 dB without a word."""
 
@@ -92,12 +92,12 @@ class Ingest:
         return tuple(replace(camera, near=self._near[camera.name]) for camera in self.rig.cameras)
 
     def place_near_planes(self, xyz: FloatArray) -> None:
-        """Gives every camera a near plane at NEAR_SHARE of the median depth of the points (P, 3) it sees.
+        """Gives every camera a near plane at NEAR_FRACTION of the median depth of the points (P, 3) it sees.
 
         Geometry only, found by the training views: a held-out camera's pictures play no part.
         """
         self.set_near_planes(
-            {name: NEAR_SHARE * _median_depth(plan.pinhole, xyz) for name, plan in self._plans.items()}
+            {name: NEAR_FRACTION * _median_depth(plan.pinhole, xyz) for name, plan in self._plans.items()}
         )
 
     def set_near_planes(self, near: Mapping[str, float]) -> None:
@@ -167,7 +167,7 @@ def _check_near_origin(rig: Rig, cameras: Sequence[Camera]) -> None:
     """Raises RigError when a rounding of a position would show, seen from as far as the cameras are apart."""
     centres = np.array([camera_centre(camera) for camera in cameras])
     far, apart = np.linalg.norm(centres, axis=1).max(), np.linalg.norm(np.ptp(centres, axis=0))
-    if 0 < apart < _LEAST_APART:
+    if 0 < apart < _MIN_APART:
         raise RigError(
             f"{rig.path}: the cameras are only {apart:.3g} units apart, too little for the quantisation of positions; "
             "scale the calibration up, for instance to metres"

@@ -1,4 +1,4 @@
-"""The loss inside each frame against time: what an encode is worth at any moment of it, as JSON lines."""
+"""The loss inside each frame against time: its quality at any moment, as JSON lines."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class ConvergenceLog(JsonLines):
         self._frame, self._began = 0, 0.0
 
     def begin(self, frame: int) -> None:
-        """Tells that a frame's pictures are there; what the frame before it wrote can be read from now on."""
+        """Begins a frame, whose pictures are there; lines of the frame before it can be read from now on."""
         self.flush()
         self._frame, self._began = frame, time.perf_counter()
 

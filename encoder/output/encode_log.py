@@ -16,7 +16,7 @@ from .reports import FrameReport
 class EncodeLog(JsonLines, EncodeObserver):
     """Writes one JSON object per line to ``path``, as things happen; a context manager.
 
-    "look": what the rig calls for, where it was looked at; "start"; one "frame" per frame: the fields of FrameReport,
+    "look": the detected effects, if the rig was analysed; "start"; one "frame" per frame: the fields of FrameReport,
     and ``elapsed`` seconds; "end". ``append``: after what is there. Raises UsageError when it cannot be written.
     """
 

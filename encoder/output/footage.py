@@ -1,4 +1,4 @@
-"""Whether a scene that an earlier encode made is of these pictures: other footage would be gone on with unnoticed."""
+"""Whether a scene that an earlier encode made is of these pictures: other footage would be continued unnoticed."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ S = TypeVar("S", bound="JsonLines")
 
 
 class JsonLines:
-    """One JSON object per line in ``path``, begun anew or, by ``append``, gone on with.
+    """One JSON object per line in ``path``, new or, by ``append``, continued.
 
     ``parameter``: what asked for it. Every method raises UsageError, which names both, when it cannot be written.
     """

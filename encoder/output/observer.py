@@ -1,4 +1,4 @@
-"""Whom an encode tells of its progress."""
+"""Observers of an encode's progress."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from .reports import FrameReport
 
 
 class EncodeObserver:
-    """Is told how an encode goes on; a class of one's own overrides what it wants to know. Here nothing is done."""
+    """Observes an encode: a subclass overrides the events that it needs. Here they do nothing."""
 
     def look_step(self, step: int, steps: int) -> None:
         """A step of the look at the rig is done: ``step`` of ``steps``."""
 
     def looked(self, detected: Mapping[str, Sequence[str]]) -> None:
-        """The rig was looked at: ``detected`` has each effect that it calls for, with the names of its cameras."""
+        """The rig was analysed: ``detected`` has each detected effect with the names of its cameras."""
 
     def started(self, facts: Mapping[str, Any]) -> None:
         """The first frame is begun: the rig's facts and the settings, as plain JSON values.
@@ -34,7 +34,7 @@ class EncodeObserver:
 
 
 class Observers(EncodeObserver):
-    """Several observers as one, told in their order."""
+    """Several observers as one, called in their order."""
 
     def __init__(self, observers: Sequence[EncodeObserver]) -> None:
         self._observers = tuple(observers)

@@ -1,4 +1,4 @@
-"""An encode that was cut off, gone on with: what is there of its stream, and whether it fits.
+"""Resuming an interrupted encode: the stream that it left, and whether it fits this encode.
 
 Chosen: no file beside the stream. Keyframe, lattice and near planes are the stream's own, and every whole frame is
 replayed by the loop: all that encoding it did but for the training, whose result is in the packet. Nothing random is

@@ -83,7 +83,7 @@ class StreamOutput(ABC):
 class FileOutput(StreamOutput):
     """A file, taken from now on: it must be said before the training, which takes minutes, that it cannot be written.
 
-    ``resume``: a ``NAME.part`` that is there is gone on with. Raises UsageError when it is there without, when it
+    ``resume``: a ``NAME.part`` that is there is continued. Raises UsageError when it is there without, when it
     cannot be written, or is being written by another encode; so does every method when the disk is full.
     ``resumable``: whether what is left of it can be gone on with, which errors then say.
     """
@@ -104,7 +104,7 @@ class FileOutput(StreamOutput):
         return self._growing.path
 
     def take_left(self) -> Interrupted | None:
-        """What an earlier encode left of it, gone on with at the first packet after it."""
+        """What an earlier encode left of it, continued at the first packet after it."""
         self._left = find_interrupted(self._growing.output, self.growing)
         return self._left
 
@@ -161,7 +161,7 @@ class FileOutput(StreamOutput):
 
 
 class PipeOutput(StreamOutput):
-    """A pipe, or any other file that only takes bytes; what was interrupted inside a packet cannot be mended."""
+    """A pipe, or any other file that only takes bytes; a packet cut off in the middle cannot be completed."""
 
     def __init__(self, file: BinaryIO, name: Path = Path("-")) -> None:
         super().__init__()

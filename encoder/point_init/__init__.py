@@ -42,12 +42,12 @@ __all__ = ["FirstPoints", "KnownPoints", "first_points"]
 _FINE_PIXELS, _ALL_FINE_PIXELS = 250_000, 2_000_000
 _COARSE_PIXELS = 14_000
 """Largest pictures of the sweeps, in pixels: one view's, all views' together, one view's in the coarse sweep."""
-_MOST_PLANES = 128
+_MAX_PLANES = 128
 _MATCHED, _COMPARED = 4, 8
 """Neighbours for matching, and for checking the consistency of depths."""
 _SURPLUS = 3.0
 """Candidates per point of the cap from which points are chosen."""
-_CONFIRMED_SHARE = 0.85
+_CONFIRMED_FRACTION = 0.85
 """Share of the room that confirmed points may take at first; the rest is for guesses."""
 _COARSE_CONFIDENCE = 0.5
 """Confidence in points of the coarse sweep alone, relative to those of the fine one."""
@@ -128,7 +128,7 @@ def _first_points(
     given = _known_cloud(known, fine)
     if rig_size(fine) <= 0 and not len(given):
         raise TrainingError(
-            "training cameras in one place tell nothing of depth: use cameras in two places, or a rig with known points"
+            "training cameras in one place give no depth: use cameras in two places, or a rig with known points"
         )
 
     shared = shared_depths(coarse)
@@ -146,7 +146,7 @@ def _first_points(
     proposed = join(clouds)
     proposed = take(proposed, ~too_near(proposed, all_depths, _CLEAR))
 
-    most = max(1, round(cap * _CONFIRMED_SHARE))
+    most = max(1, round(cap * _CONFIRMED_FRACTION))
     cloud, pixels = _choose(proposed, all_depths, most)
     filling = guess_points(cloud, all_depths, pixels, random)
     if cap - len(filling) > most and len(cloud) < len(proposed):
@@ -176,7 +176,7 @@ def _sweep_all(
         depths, matched = ranges[i], [views[j] for j in neighbours[i][:_MATCHED]]
         if depths is None or not matched:
             return None
-        return sweep(views[i], matched, choose_planes(views[i], matched, depths, _MOST_PLANES))
+        return sweep(views[i], matched, choose_planes(views[i], matched, depths, _MAX_PLANES))
 
     def candidates(i: int) -> Candidates:
         own = maps[i]

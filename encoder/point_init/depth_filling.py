@@ -22,10 +22,10 @@ _FLAT = 0.01
 """Largest deviation of a window's inverse depths from their plane, relative to their mean: beyond it lies an edge."""
 _FILLED = 0.15
 """Least share of a window's pixels with known depths."""
-_LEAST_PLANES = 100
+_MIN_PLANES = 100
 """Pixels with a plane below which known depths continue as they are."""
 _RIDGE = 1e-3
-"""Weight against slopes that few pixels in a row cannot tell, relative to the window's own spread."""
+"""Weight against slopes that few pixels in a row leave undetermined, relative to the window's own spread."""
 _NEARER, _FARTHER = 1.1, 0.95
 """Bounds of continued inverse depths, in units of the nearest and the farthest hundredth of the known ones."""
 
@@ -36,7 +36,7 @@ def fill_depths(known: Array) -> Array:
     The far planes count a little stronger: behind the edge of a thing the background goes on.
     """
     planes, flat = _local_planes(known)
-    if np.count_nonzero(flat) < _LEAST_PLANES:
+    if np.count_nonzero(flat) < _MIN_PLANES:
         return _push_pull(known[..., None], _weights(known))[..., 0]
     planes = _push_pull(planes, np.where(flat, _weights(known), 0))
     u, v = _coordinates(known.shape)

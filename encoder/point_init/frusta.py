@@ -14,9 +14,9 @@ RAY_GRID = (12, 9)
 _DEPTHS = 64
 _WIDEST_RANGE = 400.0
 """Ratio of farthest to nearest depth searched, in a rig whose views overlap up to infinity."""
-_SHARE = 0.1
+_MIN_OVERLAP = 0.1
 """Least share of a view's pixels that another view sees at a shared depth."""
-_WORTH = 0.25
+_PEAK_FRACTION = 0.25
 _FEWEST_POINTS = 200
 """Least points in a view for its depth range to come from them."""
 
@@ -44,7 +44,7 @@ def rig_size(views: Sequence[SweepView]) -> float:
     return float(np.linalg.norm(centres[:, None] - centres[None], axis=-1).max())
 
 
-def angle_worth(degrees: NDArray[np.floating]) -> NDArray[np.float64]:
+def angle_weight(degrees: NDArray[np.floating]) -> NDArray[np.float64]:
     """Usefulness for matching of this angle between two views' rays to a point: 1 from 6 to 16 degrees, 0 at 0.
 
     Smaller angles hardly constrain depth; under larger ones the pictures differ.
@@ -56,9 +56,9 @@ def angle_worth(degrees: NDArray[np.floating]) -> NDArray[np.float64]:
 def shared_depths(views: Sequence[SweepView]) -> list[DepthRange | None]:
     """For every view the depths at which other views see a fair part of the same space; None if there are none.
 
-    Nearest: where the worth for matching (best other view of each pixel, see ``angle_worth``) reaches a quarter of its
-    largest value; closer up, cameras beside each other look past one another or under very different angles. Farthest:
-    where the last of the shared space is, up to "infinity" (20 times the rig's size).
+    Nearest: where the weight for matching (best other view of each pixel, see ``angle_weight``) reaches a quarter of
+    its largest value; closer up, cameras beside each other look past one another or under very different angles.
+    Farthest: where the last of the shared space is, up to "infinity" (20 times the rig's size).
     """
     size = rig_size(views)
     if size <= 0:
@@ -68,16 +68,16 @@ def shared_depths(views: Sequence[SweepView]) -> list[DepthRange | None]:
     for i, view in enumerate(views):
         xyz = view.centre + ray_grid(view)[None] * depths[:, None, None]
         seen = np.zeros(xyz.shape[:2], bool)
-        worth = np.zeros(xyz.shape[:2])
+        weight = np.zeros(xyz.shape[:2])
         for j, other in enumerate(views):
             if j != i:
                 u, v, _ = project(other, xyz)
                 visible = inside(other, u, v)
                 seen |= visible
-                np.maximum(worth, visible * angle_worth(_angles(xyz, view, other)), out=worth)
-        shared = seen.mean(axis=1) >= _SHARE
-        worth_at = worth.mean(axis=1)
-        shared &= (worth_at >= _WORTH * worth_at.max()) | (np.arange(_DEPTHS) > worth_at.argmax())
+                np.maximum(weight, visible * angle_weight(_angles(xyz, view, other)), out=weight)
+        shared = seen.mean(axis=1) >= _MIN_OVERLAP
+        weight_at = weight.mean(axis=1)
+        shared &= (weight_at >= _PEAK_FRACTION * weight_at.max()) | (np.arange(_DEPTHS) > weight_at.argmax())
         found = np.flatnonzero(shared)
         ranges.append(DepthRange(float(depths[found[0]]), float(depths[found[-1]])) if found.size else None)
     return ranges
@@ -96,23 +96,23 @@ def choose_neighbours(
 ) -> list[list[int]]:
     """For every view up to ``count`` others to match it with, best first.
 
-    ``samples``: per view world points (S, 3) it may be looking at. Worth: the share of these the other view sees under
+    ``samples``: per view world points (S, 3) it may be looking at. Weight: the share of these the other view sees under
     a helpful angle; views in the same direction as one already chosen count less: they are occluded together.
     """
     chosen_of_all: list[list[int]] = []
     for i, view in enumerate(views):
         xyz = samples[i]
-        worth = np.zeros(len(views))
+        weight = np.zeros(len(views))
         for j, other in enumerate(views):
             if j == i or not len(xyz):
                 continue
             u, v, _ = project(other, xyz)
-            worth[j] = np.mean(angle_worth(_angles(xyz, view, other)) * inside(other, u, v))
+            weight[j] = np.mean(angle_weight(_angles(xyz, view, other)) * inside(other, u, v))
         directions = np.array([other.centre - view.centre for other in views])
         directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-12)
         chosen: list[int] = []
-        floor = 0.02 * worth.max(initial=0.0)
-        left = worth.copy()
+        floor = 0.02 * weight.max(initial=0.0)
+        left = weight.copy()
         while len(chosen) < count and left.max() > max(floor, 1e-6):
             best = int(left.argmax())
             chosen.append(best)

@@ -25,7 +25,7 @@ _ENOUGH = 0.4
 """Sufficient share of confirmed pixels."""
 _CONFIDENCE = 0.05
 _FEW_KNOWN = 0.01
-"""Share of a view's pixels with confirmed depths below which points of other views tell its depths."""
+"""Share of a view's pixels with confirmed depths below which points of other views give its depths."""
 _WITHOUT_POINTS = 20_000
 """Total number of guesses without any confirmed point."""
 _CLEAR = 0.9

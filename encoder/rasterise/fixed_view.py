@@ -36,7 +36,7 @@ from .native import (
     training_library,
 )
 
-_MOST_NEW = 1 << 22
+_MAX_NEW = 1 << 22
 """How far behind the scene's last Gaussian new ones are numbered at most; the kernel holds a place for each number."""
 
 
@@ -233,7 +233,7 @@ class FixedView:
     def _checked_of(self, moving: Splats, rows: RowArray) -> RowArray:
         if len(moving) != len(rows):
             raise ValueError(f"{len(moving)} Gaussians for {len(rows)} rows")
-        return checked_rows(rows, len(self._loaded()) + _MOST_NEW)
+        return checked_rows(rows, len(self._loaded()) + _MAX_NEW)
 
     def _check_marks(self, marks: NDArray[np.bool_] | None) -> None:
         size = (self.camera.height, self.camera.width)

@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class CorrectionSettings:
-    """The cameras whose faults are taken out of their pictures, by name; every one named is a little slower.
+    """The cameras whose drift is compensated, by name. Each one is a little slower.
 
-    ``exposure``, ``white_balance``: cameras in which these drift. ``shake``: cameras that turn about their centre.
-    ``lens``: what the calibration does not know of a lens, as OpenCV's k1, by camera.
-    ``match_colours``: whether constant differences of exposure and white balance between all cameras are taken out.
+    ``exposure``, ``white_balance``: cameras in which these drift. ``shake``: cameras that rotate about their centre.
+    ``lens``: distortion that the calibration lacks, as OpenCV's k1, by camera.
+    ``match_colours``: whether constant differences of exposure and white balance between cameras are compensated.
     """
 
     exposure: tuple[str, ...] = ()

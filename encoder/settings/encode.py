@@ -15,7 +15,7 @@ from .keyframe import KeyframeSettings
 from .threedgstream import BaselineSettings
 
 _UNUSED = {"decogs": "baseline", "3dgstream": "frame"}
-"""Settings that a method does not look at; a method of another package has no use for the baseline's either."""
+"""Settings that a method does not read; methods of other packages do not read the baseline's."""
 
 _USUAL = (
     ("", "rate_control", "content"),
@@ -41,9 +41,9 @@ class EncodeSettings:
     is less exact; None codes what ``frame.significance`` says.
     ``time_budget``: mean seconds of the frames after the first. Higher is slower; None runs the whole schedule.
     ``target_psnr``: dB at which a frame's training stops. Higher is slower; None runs the whole schedule.
-    ``effects``: those that are enabled. Fewer is faster and smaller. ``detect_per_frame``: each frame enables only
-    those that its own pictures call for, and the keyframe limits view dependence to what its pictures show. That is
-    faster.
+    ``effects``: the enabled ones. Fewer is faster and smaller. ``detect_per_frame``: each frame enables only
+    those that are detected in its own pictures, and the keyframe limits view dependence to what its pictures show. That
+    is faster.
     ``corrections``: cameras whose drift is compensated.
     """
 
@@ -70,8 +70,8 @@ class EncodeSettings:
     def as_document(self) -> dict[str, Any]:
         """The settings as plain JSON values, for the stream's header and the log; without the other method's.
 
-        No budget, target, correction or choice of effects is no entry: a stream begun before there were any can still
-        be gone on with.
+        Unset budgets, targets, corrections and choices of effects are omitted, so streams started without such settings
+        can still be resumed.
         """
         document: dict[str, Any] = json.loads(json.dumps(asdict(self)))
         del document[_UNUSED.get(self.method, "baseline")]

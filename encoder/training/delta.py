@@ -34,7 +34,7 @@ from .losses import PhotometricLoss, focus_loss, require_finite, whole_picture_l
 from .method import FrameInput, TrainedFrame, TrainingContext
 from .optimiser import OPTIMISERS, Optimiser
 from .schedule import (
-    LEAST_STEPS,
+    MIN_STEPS,
     SearchTime,
     StepSchedule,
     TargetWatch,
@@ -50,10 +50,10 @@ from .warm_start import shared_displacements
 _DIVERGED = 1.5
 """Training that raises the squared error in focus by this factor (1.8 dB) has diverged; normally the error falls."""
 
-_MOST_PROBES = 4
+_MAX_PROBES = 4
 """Views whose error is measured when time is short: each is rendered twice, which takes as long as a step."""
 
-_MOST_HASTE = 3.0
+_MAX_HASTE = 3.0
 """Largest factor of the rates when a deadline leaves few steps, which must still cover the motion."""
 
 
@@ -81,7 +81,7 @@ class DeltaTrainer:
         if frame.stopping.deadline is not None:
             self.step_seconds, steps = schedule.steps_seconds
             spent = time.perf_counter() - began
-            self.min_seconds = spent - training.searching - steps + LEAST_STEPS * self.step_seconds
+            self.min_seconds = spent - training.searching - steps + MIN_STEPS * self.step_seconds
         return result
 
     def _cache_of(self, settings: FrameSettings) -> TransformationCache | None:
@@ -101,7 +101,7 @@ class _DeltaTraining:
         context = stream.context
         self._stream, self._frame, self._cache = stream, frame, cache
         self._kernel, self._views, self._watch = context.kernel, context.views, context.static_views
-        self._threads, self._extent, self._most = context.threads, context.extent, context.max_gaussians
+        self._threads, self._extent, self._max_gaussians = context.threads, context.extent, context.max_gaussians
         self._settings, self._stopping = frame.settings, frame.stopping
         self._short = frame.stopping.deadline is not None and (
             stream.step_seconds * frame.settings.joint_iterations > frame.stopping.deadline - time.perf_counter()
@@ -135,7 +135,7 @@ class _DeltaTraining:
 
     def _probes(self) -> list[int]:
         """A sample of the used views for measuring errors: every third, fewer when time is short."""
-        return self._used[:: max(3, -(-len(self._used) // _MOST_PROBES)) if self._short else 3]
+        return self._used[:: max(3, -(-len(self._used) // _MAX_PROBES)) if self._short else 3]
 
     def _errors(self, pictures: Sequence[FloatArray], masks: Sequence[FrameMask]) -> list[FloatArray]:
         """Errors of some views' renderings in focus, (3, pixels) each, colours 0 to 1."""
@@ -184,7 +184,7 @@ class _DeltaTraining:
                 break
             work.show(*cache.moved())
             gradients = self._gradients(work, losses, index)
-            self._tell("cache", step)
+            self._report_loss("cache", step)
             cache.backward(gradients.means, gradients.quaternions)
             cache.step()
             if 3 * schedule.position >= 2 * iterations:
@@ -201,12 +201,12 @@ class _DeltaTraining:
         masks: Sequence[FrameMask],
     ) -> StepSchedule:
         """Trains the Gaussians' own values, with the cache if there is one; without it, includes densification."""
-        settings, worth = self._settings, self._settings.significance.threshold
+        settings, threshold = self._settings, self._settings.significance.threshold
         rates = replace(settings.rates, means=settings.rates.means * self._extent)
         gathered, self._values = ViewGradients(len(work.rows)), []
         grow_from, grow_at = settings.joint_iterations // 4, settings.joint_iterations // 2
         decide_at = max(grow_at + 1, round(settings.significance.decide_at * settings.joint_iterations))
-        judged = self._cache is not None or worth == 0
+        judged = self._cache is not None or threshold == 0
         factor = self._iteration_factor(work, losses, masks)
         schedule = StepSchedule(settings.joint_iterations, self._stopping.deadline, factor=factor)
         target = self._target(losses, masks)
@@ -220,7 +220,7 @@ class _DeltaTraining:
                 self._search_emerging(work, losses, masks, schedule)
                 gathered = ViewGradients(len(work.rows))
             gradients = self._gradients(work, losses, index)
-            self._tell("joint", step)
+            self._report_loss("joint", step)
             if grow_from <= schedule.position < grow_at:
                 self._gather(gathered, gradients, losses, index)
             if self._cache is not None:
@@ -228,7 +228,7 @@ class _DeltaTraining:
             if schedule.reaches(decide_at) and not judged:
                 before, old, judged = work.before(scene), work.rows < len(scene), True
                 revert_insignificant(
-                    work.optimiser, before, old, worth * picture_weight([losses[i] for i in self._used])
+                    work.optimiser, before, old, threshold * picture_weight([losses[i] for i in self._used])
                 )
                 if target is not None:
                     target.restart()
@@ -239,12 +239,12 @@ class _DeltaTraining:
             if schedule.position > grow_at and self._has_fallen_flat(step):
                 break
             late = settings.late_decay ** max(0.0, 2 * schedule.position / settings.joint_iterations - 1)
-            work.optimiser.step(gradients, rates.scaled(late * min(schedule.hurry**0.5, _MOST_HASTE)))
+            work.optimiser.step(gradients, rates.scaled(late * min(schedule.hurry**0.5, _MAX_HASTE)))
             schedule.step()
         self._show(work)
         return schedule
 
-    def _tell(self, stage: str, step: int) -> None:
+    def _report_loss(self, stage: str, step: int) -> None:
         if self._stopping.on_loss is not None:
             self._stopping.on_loss(stage, step, self._values[-1])
 
@@ -305,7 +305,8 @@ class _DeltaTraining:
         """Densifies ``work`` where gradients are large and prunes transparent Gaussians."""
         settings = self._settings
         faint = work.selected & (sigmoid(work.base.opacity_logits) < settings.prune_opacity)
-        room = min(int(settings.grow_fraction * work.selected.sum()), self._most - work.population + int(faint.sum()))
+        room = self._max_gaussians - work.population + int(faint.sum())
+        room = min(int(settings.grow_fraction * work.selected.sum()), room)
         grows = room > 0 and self._grow(work, view_gradients, masks, work.selected & ~faint, room)
         work.remove(np.flatnonzero(faint))
         if grows or faint.any():

@@ -19,7 +19,7 @@ from ..point_init import FirstPoints, first_points
 from ..rasterise import TrainingKernel
 from ..settings.encode import EncodeSettings
 from ..stopwatch import Stopwatch
-from .keyframe import scouted_pictures, train_keyframe
+from .keyframe import prealigned_pictures, train_keyframe
 from .schedule import StoppingRule
 
 
@@ -60,11 +60,11 @@ def train_first_frame(
         points = points_of(frame.training)
         frame = compensation.match_colours(frame, points.xyz, points.seen)
     if corrector is not None and corrector.cameras.camera_shake:
-        with watch.stage("scouting"):
-            scouted = scouted_pictures(
+        with watch.stage("pre-alignment"):
+            prealigned = prealigned_pictures(
                 kernel, ingest.views, frame.training, points, settings.keyframe, corrector, seed=seed
             )
-            points = points_of(scouted)
+            points = points_of(prealigned)
     with watch.stage("keyframe"):
         trained = train_keyframe(
             kernel,

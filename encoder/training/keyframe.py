@@ -37,11 +37,11 @@ from .significance import cheapest, picture_weight
 from .view_order import view_order
 
 _CORRECT_EVERY, _CORRECT_FROM, _CORRECT_TO = 0.04, 0.05, 0.6
-"""Shares of the schedule: cameras' faults are found anew so often, from here on, until there; by then the scene's depth
-and the poses of turned cameras are known."""
+"""Shares of the schedule: interval, begin and end of the estimates of camera drift. At the end, the scene's depth and
+the poses of rotated cameras are known."""
 
-_SCOUTING = 100
-"""Steps after which a turned camera's pose is known to a twentieth of a pixel."""
+_PREALIGNMENT_STEPS = 100
+"""Steps after which a rotated camera's pose is known to a twentieth of a pixel."""
 
 OnStep = Callable[[int, int, float], None]
 """Called with the step (from 1), the number of steps planned and the training loss."""
@@ -101,7 +101,7 @@ def train_keyframe(
     """Trains the first frame's Gaussians on ``pictures`` (3, H, W) of ``views``; the same seed gives the same bits.
 
     ``lattice_scale``: how coarse the lattice is to be, in units of the default one's steps. ``corrector``: of the
-    cameras whose faults are found, and taken out of their pictures, on the way. ``stopping``: a target in the whole
+    cameras whose drift is estimated and compensated during training. ``stopping``: a target in the whole
     pictures, but for the tiles kept out of the loss, ends training before the settings' iterations; deadlines are for
     later frames. Raises TrainingError without points or when the loss stops being finite.
     """
@@ -112,7 +112,7 @@ def train_keyframe(
     return training.run(on_step)
 
 
-def scouted_pictures(
+def prealigned_pictures(
     kernel: TrainingKernel,
     views: Sequence[View],
     pictures: Sequence[FloatArray],
@@ -122,15 +122,15 @@ def scouted_pictures(
     *,
     seed: int,
 ) -> list[FloatArray]:
-    """The pictures without their cameras' faults, as estimated by a short training.
+    """The pictures with their cameras' drift compensated, as estimated by a short training.
 
-    For a second search for first points: pictures of a turned camera match no others to the pixel.
+    For a second point initialisation: pictures of a rotated camera match no others to the pixel.
     """
-    short = replace(settings, iterations=_SCOUTING, validation_fraction=0.0, settle_iterations=0)
+    short = replace(settings, iterations=_PREALIGNMENT_STEPS, validation_fraction=0.0, settle_iterations=0)
     random = np.random.default_rng(seed)
     training = _KeyframeTraining(kernel, views, pictures, points, short, 1.0, random, corrector, WHOLE)
     training.run(None)
-    return training.canonical(corrector, _SCOUTING)
+    return training.compensated(corrector, _PREALIGNMENT_STEPS)
 
 
 class _KeyframeTraining:
@@ -193,7 +193,7 @@ class _KeyframeTraining:
             if self._corrector is not None and self._corrects_at(step):
                 self._correct(self._corrector, step)
             loss = self._step(step)
-            self._tell("keyframe", step, loss)
+            self._report_loss("keyframe", step, loss)
             step += 1
             if on_step:
                 on_step(step, self._planned, loss)
@@ -226,7 +226,7 @@ class _KeyframeTraining:
             if more == 2 * total // 3:
                 self._fix(("means",), quantise(self._optimiser.splats, lattice), lattice)
             loss = self._step(self._settings.iterations)
-            self._tell("settle", more, loss)
+            self._report_loss("settle", more, loss)
             if on_step:
                 on_step(min(self._planned, steps + 1 + more), self._planned, loss)
         return lattice
@@ -278,7 +278,7 @@ class _KeyframeTraining:
         self._densify(step)
         return value.total
 
-    def _tell(self, stage: str, step: int, loss: float) -> None:
+    def _report_loss(self, stage: str, step: int, loss: float) -> None:
         if self._stopping.on_loss is not None:
             self._stopping.on_loss(stage, step, loss)
 
@@ -288,13 +288,13 @@ class _KeyframeTraining:
         return step % every == 0 and _CORRECT_FROM <= step / iterations <= _CORRECT_TO
 
     def _correct(self, corrector: Corrector, step: int) -> None:
-        """Replaces the target pictures by ones without the cameras' faults, estimated against the scene so far."""
-        pictures = self.canonical(corrector, step)
+        """Replaces the target pictures by compensated ones; drift is estimated against the scene so far."""
+        pictures = self.compensated(corrector, step)
         self._losses = [replace(loss, target=target) for loss, target in zip(self._losses, pictures, strict=True)]
         self._target = self._target_watch()
 
-    def canonical(self, corrector: Corrector, step: int) -> list[FloatArray]:
-        """The recorded pictures without the cameras' faults, estimated against the scene so far."""
+    def compensated(self, corrector: Corrector, step: int) -> list[FloatArray]:
+        """The recorded pictures, compensated for drift that is estimated against the scene so far."""
 
         def draw(number: int) -> RenderedPicture:
             camera = self._views[number].pinhole

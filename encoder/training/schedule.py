@@ -32,17 +32,17 @@ from ..settings.frame import IterationSettings
 OnLoss = Callable[[str, int, float], None]
 """Called with the stage, the iteration within it (from 0) and the loss of the view that it drew."""
 
-LEAST_STEPS = 12
+MIN_STEPS = 12
 """Least steps of a stage, however late it is: fewer have no effect and cost hardly less."""
 
 _CLEARLY = np.float32(25 / 255)
 """Colour error from which a pixel is clearly missed: the paper's tau, applied to the rendering."""
 
-_SEARCH_SHARE = 0.1
+_SEARCH_FRACTION = 0.1
 """Mean share of training time for the search for emerging objects when time is short."""
-LEAST_SEARCH = 1 / 16
+MIN_SEARCH = 1 / 16
 """Share of a whole search below which it finds nothing."""
-_LEAST_SEARCHED = 8
+_MIN_SEARCHED = 8
 """Least views of a useful search: four views must miss a point."""
 
 
@@ -108,7 +108,7 @@ class StepSchedule:
     @property
     def is_cut_short(self) -> bool:
         """Whether a deadline left only the least steps, too few to follow what moved."""
-        return self._deadline is not None and len(self._seconds) <= LEAST_STEPS and self.hurry > 1
+        return self._deadline is not None and len(self._seconds) <= MIN_STEPS and self.hurry > 1
 
     @property
     def steps_seconds(self) -> tuple[float, float]:
@@ -143,7 +143,7 @@ class StepSchedule:
         self._began = now
         # The median ignores a single slow step with a search for emerging objects.
         fitting = round((deadline - now) / max(median(self._seconds), 1e-9))
-        more = max(fitting, LEAST_STEPS - len(self._seconds), 0)
+        more = max(fitting, MIN_STEPS - len(self._seconds), 0)
         left = self._iterations - self.position
         return max(self._own_stride, left / (1 + more))
 
@@ -165,12 +165,12 @@ class SearchTime:
         ``guess``: estimated seconds of a whole search, used before the first one.
         """
         whole = guess if self._whole is None else self._whole
-        smallest = LEAST_SEARCH * whole
+        smallest = MIN_SEARCH * whole
         if left > 0:
-            self._credit = min(self._credit + _SEARCH_SHARE * left, max(left, smallest))
+            self._credit = min(self._credit + _SEARCH_FRACTION * left, max(left, smallest))
         if self._credit <= 0 or (self._whole is not None and self._credit < smallest):
             return 0.0
-        return min(1.0, max(LEAST_SEARCH, self._credit / max(whole, 1e-9)))
+        return min(1.0, max(MIN_SEARCH, self._credit / max(whole, 1e-9)))
 
     def took(self, seconds: float, share: float) -> None:
         """Records the duration of a ``share`` of a search."""
@@ -188,7 +188,7 @@ def search_of(share: float, views: int) -> tuple[int, float]:
 
     Every ray is compared with every view.
     """
-    looked = max(min(_LEAST_SEARCHED, views), min(views, round(views * math.sqrt(share))))
+    looked = max(min(_MIN_SEARCHED, views), min(views, round(views * math.sqrt(share))))
     return looked, min(1.0, share * views / max(1, looked))
 
 
@@ -205,7 +205,7 @@ class TargetWatch:
         self._rows = [None if region is None else np.flatnonzero(region) for region in regions]
         self._targets = [_pixels(picture, rows) for picture, rows in zip(pictures, self._rows, strict=True)]
         values = sum(target.size for target in self._targets)
-        self._most = values * 10.0 ** (-target_psnr / 10) if values else -1.0
+        self._max_squares = values * 10.0 ** (-target_psnr / 10) if values else -1.0
         self.restart()
 
     def restart(self) -> None:
@@ -216,7 +216,7 @@ class TargetWatch:
         """Takes a rendering of view ``index``; whether the last renderings of all views reach the target."""
         difference = np.clip(_pixels(shown, self._rows[index]), 0, 1) - self._targets[index]
         self._squares[index] = float(np.square(difference).sum(dtype=np.float64))
-        return bool(self._squares.sum() <= self._most)
+        return bool(self._squares.sum() <= self._max_squares)
 
 
 def _pixels(picture: FloatArray, rows: NDArray[np.int64] | None) -> FloatArray:

@@ -2,8 +2,8 @@
 
 Chosen: a dead zone inside the training loop, in units of the picture's loss. A change of one stored number moves the
 loss by its size times the gradient (root mean square over steps and views, from Adam's moments). Late in stage 2,
-numbers whose change moves the summed loss of a picture by less than ``worth`` return to the decoder's values and stay
-there; the remaining steps train the others around them. The remaining changes are coded in coarser steps than the
+numbers whose change moves the summed loss of a picture by less than the threshold return to the decoder's values and
+stay there; the remaining steps train the others around them. The remaining changes are coded in coarser steps than the
 lattice's, so that few and small integers remain.
 
 Measured on workbench (DESIGN.md): 12 kB a frame instead of 100 unrounded, for .2 dB where things move. Rejected: a
@@ -37,17 +37,17 @@ def picture_weight(losses: Sequence[PhotometricLoss]) -> float:
     return float(np.mean([loss.emphasis / loss.target[0].size for loss in losses]))
 
 
-def revert_insignificant(optimiser: Optimiser, before: Splats, old: NDArray[np.bool_], worth: float) -> None:
-    """Reverts and holds the changes since ``before`` that are worth too little.
+def revert_insignificant(optimiser: Optimiser, before: Splats, old: NDArray[np.bool_], threshold: float) -> None:
+    """Reverts and holds the changes since ``before`` below the significance threshold.
 
-    ``before`` (M) has the optimiser's rows. Rows that are not ``old`` (M,) are new and keep their values. ``worth`` is
-    in units of the loss.
+    ``before`` (M) has the optimiser's rows. Rows that are not ``old`` (M,) are new and keep their values. ``threshold``
+    is in units of the loss.
     """
     _keep_scale(optimiser.splats.quaternions, before.quaternions)
     held = {}
     for name in ATTRIBUTES:
         values, was = getattr(optimiser.splats, name), getattr(before, name)
-        idle = optimiser.gradient_size(name) * np.abs(values - was) < np.float32(worth)
+        idle = optimiser.gradient_size(name) * np.abs(values - was) < np.float32(threshold)
         idle[~old] = False
         np.copyto(values, was, where=idle)
         held[name] = idle

@@ -32,13 +32,13 @@ from ..psnr import mean_psnr
 from ..rasterise import TrainingKernel
 from ..settings.encode import EncodeSettings
 
-MOST_LOST = 0.1
+MAX_LOST = 0.1
 """dB of the first frame's training views that rounding may cost."""
 _HALVINGS = 5
 _HALF_A_TURN = Similarity(np.diag([1.0, -1.0, -1.0]))
 _BLUR = 0.3
 """Variance of the low-pass filter, square pixels (Kerbl 2023)."""
-_MOST_OPACITY = 0.99
+_MAX_OPACITY = 0.99
 _ROWS = 1 << 16
 _LARGEST_INTEGER = float(1 << 30)
 
@@ -76,7 +76,7 @@ def import_splats(
             "opacities and sizes were raised to make up for it; train with antialiasing where you can"
         )
     points, lattice, scale, lost = _on_lattice(kernel, ingest, frame, settings, splats)
-    if lost > MOST_LOST:
+    if lost > MAX_LOST:
         warnings.append(f"the lattice costs {lost:.2f} dB of frame {frame.index}; raise `quality`")
     state, _ = keyframe_state(points)
     header = StreamHeader(
@@ -93,8 +93,8 @@ def import_splats(
         raise UsageError(
             f"`keyframe` {source.path}: a stream cannot hold a scene of {extent:.3g} units; scale it to metres"
         ) from None
-    told = tuple(f"`keyframe` {source.path}: {text}" for text in warnings)
-    return ImportedSplats(KeyframeSource(source.path, header, state), told)
+    texts = tuple(f"`keyframe` {source.path}: {text}" for text in warnings)
+    return ImportedSplats(KeyframeSource(source.path, header, state), texts)
 
 
 def with_compensation(splats: Splats, cameras: Sequence[Camera]) -> Splats:
@@ -115,9 +115,9 @@ def with_compensation(splats: Splats, cameras: Sequence[Camera]) -> Splats:
     opacities = sigmoid(splats.opacity_logits.astype(np.float64))
     wanted = opacities / factors
     # One that is already nearer to 1 stays there.
-    raised = np.clip(np.maximum(opacities, np.minimum(wanted, _MOST_OPACITY)), 1e-12, 1 - 1e-12)
+    raised = np.clip(np.maximum(opacities, np.minimum(wanted, _MAX_OPACITY)), 1e-12, 1 - 1e-12)
     logits = np.where(raised > opacities, logit(raised), splats.opacity_logits)
-    growth = 0.5 * np.log(np.maximum(wanted / np.maximum(opacities, _MOST_OPACITY), 1))
+    growth = 0.5 * np.log(np.maximum(wanted / np.maximum(opacities, _MAX_OPACITY), 1))
     return replace(
         splats,
         opacity_logits=np.asarray(logits, np.float32),
@@ -182,7 +182,7 @@ def _on_lattice(
         points = quantise(splats, lattice)
         points = as_far_as_shown(points) if settings.detect_per_frame else points
         lost = whole - mean_psnr(kernel, dequantise(points, lattice), ingest.views, frame.training)
-        if lost <= MOST_LOST:
+        if lost <= MAX_LOST:
             break
     return points, lattice, scale, lost
 

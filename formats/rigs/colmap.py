@@ -215,10 +215,10 @@ class _Bytes:
     def integers(self, layout: str) -> tuple[int, ...]:
         return tuple(int(value) for value in self.take(layout))
 
-    def count(self, least_bytes: int) -> int:
+    def count(self, min_bytes: int) -> int:
         """A number of records, each at least so long; refused if the file cannot hold them."""
         (count,) = self.integers("<Q")
-        self.need(count * least_bytes)
+        self.need(count * min_bytes)
         return count
 
     def name(self) -> str:

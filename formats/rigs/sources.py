@@ -77,7 +77,7 @@ class PictureSource:
             yield picture
 
     def frame_numbers(self) -> list[int] | None:
-        """The last number in each file name, or None if a name has none; tells a frame that is missing in between."""
+        """The last number in each file name, or None if a name has none; shows a frame that is missing in between."""
         found = [re.findall(r"[0-9]+", file.stem) for file in self.files]
         return [int(numbers[-1]) for numbers in found] if all(found) else None
 

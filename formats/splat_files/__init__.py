@@ -22,8 +22,8 @@ from ..splats import Splats
 class Extremes:
     """What all frames of an export stay within: numbers of Gaussians, the largest coordinate's magnitude, SH degree."""
 
-    fewest: int
-    most: int
+    smallest: int
+    largest: int
     farthest: float
     sh_degree: int
 
@@ -64,5 +64,5 @@ def splat_formats() -> Mapping[str, Callable[..., SplatFormat]]:
 
 def needs_gaussians(extremes: Extremes, suffix: str) -> None:
     """Raises UsageError where a format without Gaussians is no file to its readers."""
-    if not extremes.fewest:
+    if not extremes.smallest:
         raise UsageError(f"a frame has no Gaussians, and no program reads a {suffix} without any; write .ply instead")

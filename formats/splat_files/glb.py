@@ -38,7 +38,7 @@ class Glb:
 
     def fitted(self, extremes: Extremes) -> tuple[Glb, list[str]]:
         needs_gaussians(extremes, self.suffix)
-        size = extremes.most * 4 * (12 + 3 * (extremes.sh_degree + 1) ** 2)
+        size = extremes.largest * 4 * (12 + 3 * (extremes.sh_degree + 1) ** 2)
         if size + _OF_HEADERS >= 1 << 32:
             raise UsageError(f"a frame takes {size / 1e9:.1f} GB, and a .glb at most 4.29; write .ply")
         return self, []

@@ -80,7 +80,7 @@ class Ply:
         return "\n".join([*lines, *(f"property float {name}" for name in names)]).encode() + b"\n" + _HEADER_END
 
 
-def parse_ply(data: bytes, most: int) -> tuple[Splats, bool]:
+def parse_ply(data: bytes, max_gaussians: int) -> tuple[Splats, bool]:
     """A file's Gaussians, at most so many, and whether it says that they are drawn with compensation.
 
     Colours may be f_dc or, as nerfstudio can write them, red, green and blue of 8 bits. Raises UsageError, without the
@@ -97,8 +97,8 @@ def parse_ply(data: bytes, most: int) -> tuple[Splats, bool]:
     if vertices is None:
         raise UsageError('has no element "vertex"; export it as a .ply of 3D Gaussians')
     _check_properties(vertices.names)
-    if vertices.count > most:
-        raise UsageError(f"holds {vertices.count} Gaussians, and at most {most} are read; remove some")
+    if vertices.count > max_gaussians:
+        raise UsageError(f"holds {vertices.count} Gaussians, and at most {max_gaussians} are read; remove some")
     if vertices.bytes > len(data) - start:
         raise UsageError(
             f"is cut off: {vertices.count} Gaussians take {vertices.bytes} bytes, and {max(0, len(data) - start)} "

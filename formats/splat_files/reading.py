@@ -19,7 +19,7 @@ from ..splats import Splats, take_splats
 from .ply import parse_ply
 from .spz import parse_spz
 
-_MOST_BYTES_EACH = 1024
+_MAX_BYTES_EACH = 1024
 """Of a Gaussian in a file: four times what 3DGS writes, for properties that mean nothing here."""
 _LARGEST_HEADER = 1 << 20
 
@@ -54,7 +54,7 @@ def read_splats(path: str | os.PathLike[str], *, max_gaussians: int) -> SplatFil
     suffix = path.suffix.lower()
     if suffix not in _PARSERS:
         raise UsageError(f"{path}: Gaussians are read from {' and '.join(READABLE)}; give such a file")
-    data = _bytes_of(path, max_gaussians * _MOST_BYTES_EACH + _LARGEST_HEADER)
+    data = _bytes_of(path, max_gaussians * _MAX_BYTES_EACH + _LARGEST_HEADER)
     try:
         splats, compensated = _PARSERS[suffix](data, max_gaussians)
         finite = _finite(splats)
@@ -66,14 +66,14 @@ def read_splats(path: str | os.PathLike[str], *, max_gaussians: int) -> SplatFil
     return SplatFile(take_splats(splats, finite) if left_out else splats, compensated, _UPS[suffix], left_out)
 
 
-def _bytes_of(path: Path, most: int) -> bytes:
+def _bytes_of(path: Path, max_bytes: int) -> bytes:
     try:
         if not path.is_file():
             raise UsageError(f"{path}: is no file; give a .ply or .spz")
         with path.open("rb") as file:
             size = os.fstat(file.fileno()).st_size
-            if size > most:
-                raise UsageError(f"{path}: has {size} bytes, and at most {most} are read; remove Gaussians")
+            if size > max_bytes:
+                raise UsageError(f"{path}: has {size} bytes, and at most {max_bytes} are read; remove Gaussians")
             return file.read(size)
     except OSError as error:
         raise UsageError(f"{path}: {error.strerror}; give a .ply or .spz that can be read") from error

@@ -72,7 +72,7 @@ def main(python: str, extension: str, folder: str) -> None:
     out.mkdir(parents=True)
     stream, usd = out / "sample.dgs", out / "sample.usdc"
     encode(RIG, stream, settings="live", frames=slice(0, FRAMES), scale=0.5)
-    decode(stream, out / "decoded", view="cam00", undistorted=True, canonical=True)
+    decode(stream, out / "decoded", view="cam00", undistorted=True, drift_free=True)
     export(stream, usd)
     script = Path(__file__).with_name("in_blender.py")
     settings = out / "blender-settings"

@@ -259,7 +259,7 @@ def test_info_tells_keyframes_that_refer_to_the_first(segmented_stream, capsys) 
         len(np.setdiff1d(first.ids, last.ids)),
     )
     assert 0 < key["touched"] < len(last)
-    assert key["share_touched"] < facts["frames"][0]["share_touched"] == 1
+    assert key["touched_fraction"] < facts["frames"][0]["touched_fraction"] == 1
     assert {"index", "removed", "added.means"} <= set(key["bytes_by_purpose"])
     assert info_main([str(segmented_stream.path)]) == 0
     printed = capsys.readouterr().out

@@ -210,11 +210,11 @@ def test_a_played_view_shows_what_a_camera_recorded(tmp_path: Path, options: dic
     with open_stream(corrected_stream(tmp_path / "faults.dgs", np.random.default_rng(3))) as stream:
         for camera in CAMERAS:
             recorded = PlayedView(stream.header, camera.name, **options)
-            canonical = PlayedView(stream.header, camera.name, canonical=True, **options)
+            drift_free = PlayedView(stream.header, camera.name, drift_free=True, **options)
             for frame in [*stream.frames(), *stream.frames(2, 4)]:
                 whole = render_view(stream.header, frame.splats, camera.name, corrections=frame.corrections, **options)
                 assert_same(recorded.show(frame), whole)
-                assert_same(canonical.show(frame), render_view(stream.header, frame.splats, camera.name, **options))
+                assert_same(drift_free.show(frame), render_view(stream.header, frame.splats, camera.name, **options))
 
 
 def test_only_a_new_pose_is_rendered_anew(tmp_path: Path) -> None:

@@ -126,10 +126,10 @@ def test_a_decoder_shows_what_a_camera_recorded_or_the_scene(matched: Any, unlik
         header, frame = stream.header, next(stream.frames())
     for name in ("cam00", "cam01"):
         shown = {}
-        for canonical in (False, True):
-            folder = tmp_path / f"{name}-{canonical}"
-            decode(matched.path, folder, view=name, canonical=canonical, frames=slice(1))
-            shown[canonical] = read_picture(next(folder.iterdir())).astype(np.float32) / 255
+        for drift_free in (False, True):
+            folder = tmp_path / f"{name}-{drift_free}"
+            decode(matched.path, folder, view=name, drift_free=drift_free, frames=slice(1))
+            shown[drift_free] = read_picture(next(folder.iterdir())).astype(np.float32) / 255
         plain = render_view(header, frame.splats, name).image
         np.testing.assert_allclose(shown[True], np.clip(plain, 0, 1), atol=0.51 / 255)
         recorded = with_odds(plain, header.camera_colours[name].odds)

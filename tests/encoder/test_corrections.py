@@ -21,9 +21,9 @@ from decogs.decoder.stream import open_stream
 from decogs.decoder.views import render_view
 from decogs.encoder.input.compensation import Corrector, corrector_of
 from decogs.encoder.input.compensation.agreement import agreeing_shifts
+from decogs.encoder.input.compensation.benefit import Benefit
 from decogs.encoder.input.compensation.colour import odds_shift, without_odds
 from decogs.encoder.input.compensation.shake import angles_of, turn_of, unturned
-from decogs.encoder.input.compensation.worth import Worth
 from decogs.encoder.input.ingest import Ingest, View
 from decogs.encoder.rasterise import HostPicture, RenderedPicture
 from decogs.encoder.settings.compensation import CorrectionSettings
@@ -197,8 +197,8 @@ def test_a_camera_is_corrected_for_what_it_is_named(
         assert set(found) == {"cam01"}
         numbers = np.array([found["cam01"].exposure, found["cam01"].red, found["cam01"].blue])
         np.testing.assert_allclose(numbers * COLOUR_STEP, expected, atol=0.02)
-        canonical = corrector.undo(pictures, found)
-        assert all(canonical[i] is pictures[i] for i in range(len(views)) if i != 1)
+        drift_free = corrector.undo(pictures, found)
+        assert all(drift_free[i] is pictures[i] for i in range(len(views)) if i != 1)
 
 
 LIGHT = np.array([-0.5, -0.6, -0.75])
@@ -255,11 +255,11 @@ def test_a_correction_pays_where_the_scene_agrees_with_it() -> None:
     odds: Any = tuple(np.exp(SHIFT))
     right = without_odds(recorded, odds)
     for corrected, left, pays in ((right, recorded, True), (recorded, right, False), (recorded, recorded, True)):
-        worth = Worth()
+        benefit = Benefit()
         for _ in range(3):
-            worth.saw(corrected, left, shown, changed)
-        assert worth.pays is pays
-    mixed = Worth()
+            benefit.saw(corrected, left, shown, changed)
+        assert benefit.pays is pays
+    mixed = Benefit()
     half = np.where(changed, recorded, right)
     for _ in range(3):
         mixed.saw(half, np.where(changed, right, recorded), shown, changed)
@@ -381,13 +381,13 @@ def test_a_decoder_shows_what_a_camera_recorded(corrected: Any, faulty_rig: Path
     with open_stream(corrected.path) as stream:
         told = [frame.corrections for frame in stream.frames()]
     for name in ("cam00", "cam04"):
-        for canonical in (False, True):
-            folder = tmp_path / f"{name}-{canonical}"
-            decode(corrected.path, folder, view=name, canonical=canonical)
+        for drift_free in (False, True):
+            folder = tmp_path / f"{name}-{drift_free}"
+            decode(corrected.path, folder, view=name, drift_free=drift_free)
             for frame, path in enumerate(sorted(folder.iterdir())):
                 video = read_picture(faulty_rig / name / f"{frame:04d}.png")
                 left = odds_shift(*(planar(picture / np.float32(255)) for picture in (video, read_picture(path))))
-                expected = np.log(told[frame][name].odds) if canonical else 0
+                expected = np.log(told[frame][name].odds) if drift_free else 0
                 # The scene is a crude one: whole pictures of it are up to .11 off what the shared points tell.
                 np.testing.assert_allclose(left.shift, expected, atol=0.12)
 
@@ -432,7 +432,7 @@ def test_segments_and_given_keyframes_carry_corrections(
         assert next(ours.frames(2)).refers_to_first
 
 
-def test_the_dense_baseline_sees_canonical_pictures(
+def test_the_dense_baseline_sees_compensated_pictures(
     encode: Any, faulty_rig: Path, settings: Any, corrected: Any
 ) -> None:
     dense = encode(faulty_rig, settings=replace(settings, method="3dgstream"), keyframe=corrected.path, stop=2)

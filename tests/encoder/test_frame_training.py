@@ -16,7 +16,7 @@ from decogs.encoder.settings.cache import CacheSettings
 from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings, IterationSettings
 from decogs.encoder.training.delta import DeltaTrainer
 from decogs.encoder.training.method import TrainedFrame
-from decogs.encoder.training.schedule import LEAST_STEPS, StoppingRule
+from decogs.encoder.training.schedule import MIN_STEPS, StoppingRule
 from decogs.formats.errors import TrainingError
 from decogs.formats.rigs import open_rig
 from decogs.formats.splats import Splats, take_splats
@@ -310,5 +310,5 @@ def test_a_deadline_gone_by_leaves_the_least_of_every_stage(case: Case, settings
     settings = replace(settings, cache_iterations=60, joint_iterations=60)
     frame = case.train(settings, stopping=stopping)
     stages = ["joint"] if settings.cache is None else ["cache", "joint"]
-    assert told == [(stage, step) for stage in stages for step in range(LEAST_STEPS)]
+    assert told == [(stage, step) for stage in stages for step in range(MIN_STEPS)]
     assert error(case, applied(case.scene, frame)) < error(case, case.scene)

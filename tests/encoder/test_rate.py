@@ -55,9 +55,9 @@ def test_16_less_is_worth_twice_as_much_and_coarser_by_a_fourth_root_of_two() ->
         assert settings.keyframe.rd_lambda == pytest.approx(bit * lattice**2, rel=1e-5)  # six digits
         keyframe, frame = replace(settings.keyframe, rd_lambda=bit), replace(settings.frame, significance=significance)
         assert replace(settings, lattice_scale=1.0, keyframe=keyframe, frame=frame) == standard
-    worths = [with_quality(standard, quality).frame.significance.threshold for quality in range(101)]
-    assert worths == sorted(worths, reverse=True)
-    assert len(set(worths)) == 101
+    thresholds = [with_quality(standard, quality).frame.significance.threshold for quality in range(101)]
+    assert thresholds == sorted(thresholds, reverse=True)
+    assert len(set(thresholds)) == 101
 
 
 @pytest.mark.parametrize("settings", [PRESETS["paper"], with_method(PRESETS["standard"], "3dgstream")])
@@ -71,21 +71,22 @@ def test_where_every_change_is_sent_the_lattice_follows(settings: EncodeSettings
 
 
 def response(exponent: float, content: Content, noise: float = 0.0) -> Callable[[int, float], int]:
-    """What a frame takes at a worth: content * worth^-exponent, in budgets, with noise of that size in log."""
+    """A frame's bytes at a factor of the threshold: content * factor^-exponent, in budgets, with noise of that size in
+    log."""
     random = np.random.default_rng(3)
-    return lambda frame, worth: round(
-        BUDGET * content(frame) * worth**-exponent * float(np.exp(random.normal(0, noise)))
+    return lambda frame, factor: round(
+        BUDGET * content(frame) * factor**-exponent * float(np.exp(random.normal(0, noise)))
     )
 
 
 def controlled(frames: int, answer: Callable[[int, float], int]) -> tuple[list[int], list[float]]:
-    """Sizes and worths of a clip's later frames."""
-    control, sizes, worths = ContentRateControl(BUDGET, 0), [], []
+    """Sizes and factors of a clip's later frames."""
+    control, sizes, factors = ContentRateControl(BUDGET, 0), [], []
     for frame in range(frames):
-        worths.append(control.worth)
-        sizes.append(answer(frame, control.worth))
+        factors.append(control.factor)
+        sizes.append(answer(frame, control.factor))
         control.wrote(PacketKind.DELTA, sizes[-1])
-    return sizes, worths
+    return sizes, factors
 
 
 def doubling(frame: int) -> float:
@@ -101,22 +102,22 @@ def test_a_clip_keeps_its_budget_although_motion_doubles_in_its_middle(exponent:
 
 @pytest.mark.parametrize("exponent", [0.3, 0.6, 1.0])
 def test_frames_settle_at_the_budget(exponent: float) -> None:
-    sizes, worths = controlled(60, response(exponent, lambda frame: 3.0))
-    assert np.abs(np.array(sizes[40:]) / BUDGET - 1).max() < 0.03, "the grid of worths is 1/32 octave"
-    assert worths[0] == 1
-    assert worths[-1] == pytest.approx(3.0 ** (1 / exponent), rel=0.05)
+    sizes, factors = controlled(60, response(exponent, lambda frame: 3.0))
+    assert np.abs(np.array(sizes[40:]) / BUDGET - 1).max() < 0.03, "the grid of factors is 1/32 octave"
+    assert factors[0] == 1
+    assert factors[-1] == pytest.approx(3.0 ** (1 / exponent), rel=0.05)
 
 
-@pytest.mark.parametrize(("content", "worth"), [(1e-4, 1 / 256), (1e4, 256)])
-def test_the_worth_is_bounded(content: float, worth: float) -> None:
-    sizes, worths = controlled(40, response(0.6, lambda frame: content))
-    assert worths[-1] == worth
+@pytest.mark.parametrize(("content", "factor"), [(1e-4, 1 / 256), (1e4, 256)])
+def test_the_threshold_is_bounded(content: float, factor: float) -> None:
+    sizes, factors = controlled(40, response(0.6, lambda frame: content))
+    assert factors[-1] == factor
     assert (over_budget(sizes, BUDGET) > TOLERANCE) == (content > 1)
 
 
 def test_changes_are_rounded_more_coarsely_the_more_they_must_be_worth() -> None:
     settings = PRESETS["standard"].frame.significance
-    for size, worth in (
+    for size, threshold in (
         (BUDGET, settings.threshold),
         (BUDGET * 100, 256 * settings.threshold),
         (1, settings.threshold / 256),
@@ -126,9 +127,9 @@ def test_changes_are_rounded_more_coarsely_the_more_they_must_be_worth() -> None
             control.wrote(PacketKind.DELTA, size)
         significance = control.significance(settings)
         assert significance == replace(
-            settings, threshold=pytest.approx(worth, rel=1e-5), requantisation=significance.requantisation
+            settings, threshold=pytest.approx(threshold, rel=1e-5), requantisation=significance.requantisation
         )
-        factor = (worth / settings.threshold) ** 0.25
+        factor = (threshold / settings.threshold) ** 0.25
         for name, step in vars(settings.requantisation).items():
             assert getattr(significance.requantisation, name) == max(1, round(factor * step))
 
@@ -140,7 +141,7 @@ def test_what_a_still_scene_saves_is_not_thrown_at_its_first_motion() -> None:
         if 10 <= frame < 30:
             control.wrote(PacketKind.SKIP, 50)
             continue
-        sizes.append(answer(frame, control.worth))
+        sizes.append(answer(frame, control.factor))
         control.wrote(PacketKind.DELTA, sizes[-1])
     assert max(sizes) < 3 * BUDGET
     assert (sum(sizes) + 20 * 50) / 60 == pytest.approx(BUDGET, rel=TOLERANCE)
@@ -152,7 +153,7 @@ def test_the_frames_of_a_segment_pay_for_its_keyframe_evenly(key: float) -> None
     answer = response(0.6, lambda frame: 1.0)
     for frame in range(1, 60):
         opens = frame % 10 == 0
-        sizes.append(round(key * BUDGET) if opens else answer(frame, control.worth))
+        sizes.append(round(key * BUDGET) if opens else answer(frame, control.factor))
         control.wrote(PacketKind.KEY if opens else PacketKind.DELTA, sizes[-1])
     for end in (29, 39, 49, 59):
         assert np.mean(sizes[:end]) == pytest.approx(BUDGET, rel=TOLERANCE)
@@ -161,12 +162,12 @@ def test_the_frames_of_a_segment_pay_for_its_keyframe_evenly(key: float) -> None
 
 
 def test_it_knows_nothing_but_sizes() -> None:
-    """The same packets, the same worths: what an encode that goes on relies on."""
+    """The same packets, the same factors: what an encode that goes on relies on."""
     answer = response(0.6, doubling, noise=0.3)
-    sizes, worths = controlled(30, answer)
+    sizes, factors = controlled(30, answer)
     again = ContentRateControl(BUDGET, 0)
-    for size, worth in zip(sizes, worths, strict=True):
-        assert again.worth == worth
+    for size, factor in zip(sizes, factors, strict=True):
+        assert again.factor == factor
         again.wrote(PacketKind.DELTA, size)
 
 

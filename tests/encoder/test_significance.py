@@ -42,7 +42,7 @@ def test_changes_are_judged_by_what_they_do_to_the_loss_and_not_by_their_size() 
     optimiser, gradients = trained(start, sizes)
     old = np.arange(COUNT) < 40
     moved = Splats(*(array.copy() for array in vars(optimiser.splats).values()))
-    revert_insignificant(optimiser, start, old, worth=0.01)  # between .1 * .03 and 1 * .03
+    revert_insignificant(optimiser, start, old, threshold=0.01)  # between .1 * .03 and 1 * .03
     for _ in range(5):
         optimiser.step(gradients, RATES)
     for name in ("means", "log_scales", "opacity_logits", "sh"):
@@ -61,7 +61,7 @@ def test_what_is_new_goes_on_however_little_it_does() -> None:
     before = Splats(*(array.copy() for array in vars(optimiser.splats).values()))
     for name, array in vars(start).items():
         getattr(before, name)[old] = array[old]
-    revert_insignificant(optimiser, before, old, worth=1e9)
+    revert_insignificant(optimiser, before, old, threshold=1e9)
     moved = Splats(*(array.copy() for array in vars(optimiser.splats).values()))
     optimiser.step(gradients, RATES)
     for name in ("means", "log_scales", "opacity_logits", "sh"):
@@ -74,7 +74,7 @@ def test_no_change_is_taken_back_when_nothing_is_too_little() -> None:
     start = some_splats(1)
     optimiser, _ = trained(start, some_splats(2))
     moved = optimiser.splats.means.copy()
-    revert_insignificant(optimiser, start, np.ones(COUNT, bool), worth=0.0)
+    revert_insignificant(optimiser, start, np.ones(COUNT, bool), threshold=0.0)
     np.testing.assert_array_equal(optimiser.splats.means, moved)
 
 
@@ -82,7 +82,7 @@ def test_quaternions_keep_the_rotation_they_were_trained_to() -> None:
     start = some_splats(1)
     optimiser, _ = trained(start, some_splats(2))
     moved = optimiser.splats.quaternions.copy()
-    revert_insignificant(optimiser, start, np.ones(COUNT, bool), worth=0.0)
+    revert_insignificant(optimiser, start, np.ones(COUNT, bool), threshold=0.0)
     now = optimiser.splats.quaternions
     # The same up to scale, in float32: a rounding of 6e-8 in each component.
     cosines = (now * moved).sum(axis=1) / np.linalg.norm(now, axis=1) / np.linalg.norm(moved, axis=1)

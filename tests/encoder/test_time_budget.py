@@ -33,7 +33,7 @@ from decogs.encoder.settings.frame import SignificanceSettings
 from decogs.encoder.settings.optimiser import LearningRates
 from decogs.encoder.switches import with_method
 from decogs.encoder.training.delta import DeltaTrainer
-from decogs.encoder.training.schedule import LEAST_STEPS
+from decogs.encoder.training.schedule import MIN_STEPS
 from decogs.formats.errors import UsageError
 from packets import iterate_packets
 
@@ -223,7 +223,7 @@ def test_a_clip_keeps_its_time_and_its_changes_are_still_judged(
     assert np.mean(spent) == pytest.approx(0.3, rel=TIME_TOLERANCE)
     assert len(judged) == 12
     steps = steps_of(tmp_path / "any")
-    assert all(LEAST_STEPS <= steps[frame] < 60 for frame in range(1, 13))
+    assert all(MIN_STEPS <= steps[frame] < 60 for frame in range(1, 13))
     with open_stream(output) as stream:
         assert stream.complete
         assert stream.header.settings["time_budget"] == 0.3
@@ -313,7 +313,7 @@ def test_few_steps_still_get_as_far_as_things_move(
     factors.clear()
     encode_rig(restless_rig, tmp_path / "x.dgs", **given, targets=Targets(time_budget=0.22))
     # 12 to 20 steps instead of 60: strides of 3 to 5.
-    assert 1.5 < max(factors) <= frame_training._MOST_HASTE
+    assert 1.5 < max(factors) <= frame_training._MAX_HASTE
 
 
 def test_time_enough_gives_the_states_of_no_budget(

@@ -43,7 +43,7 @@ class FloatArrays:
 class FloatDeltas:
     """The first frame whole; of each later one the numbers of the rows that differ, and their new float32 values.
 
-    Rows that go and rows that come are told apart; what is the same to the bit costs nothing.
+    Removed and added rows are distinct; rows that are the same to the bit cost nothing.
     """
 
     level: int = 19

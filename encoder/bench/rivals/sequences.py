@@ -15,7 +15,7 @@ from decogs.formats.splats import Splats
 
 @dataclass(frozen=True, eq=False)
 class SceneFrame:
-    """One frame as decoded: stored values, and the strictly increasing ids (N,) that tell Gaussians over time."""
+    """One frame as decoded: stored values, and the strictly increasing ids (N,) that identify Gaussians over time."""
 
     ids: Rows
     splats: Splats
@@ -34,7 +34,7 @@ class Sizes:
 
 
 class Coder(Protocol):
-    """A way to keep a sequence; its ``repr`` tells its settings."""
+    """A way to keep a sequence; its ``repr`` shows its settings."""
 
     def missing(self) -> str | None:
         """Why it cannot be tried here ("not installed"); None when it can."""

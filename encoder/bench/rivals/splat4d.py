@@ -40,7 +40,7 @@ class Splat4d:
         return None if _command() else "not installed"
 
     def write(self, frames: Frames, folder: Path) -> Sizes:
-        """The first frame's bytes are those of a file of that frame alone: the whole one does not tell them apart."""
+        """The first frame's bytes are those of a file of that frame alone: the whole one does not separate them."""
         series, alone = folder / "series", folder / "alone"
         series.mkdir()
         alone.mkdir()

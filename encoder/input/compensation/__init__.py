@@ -1,13 +1,13 @@
-"""Cameras' own faults taken out of their pictures, right after ingest, so that the scene is kept without them.
+"""Compensation of camera drift in the pictures, right after ingest, so that the scene is free of it.
 
-What masks, selection and training see is canonical: the scene's own colours, from the calibrated poses. A frame's
-packet says what was taken out of it, and a decoder puts it back to show what a camera recorded. Nothing here runs, and
+Masks, selection and training see compensated pictures: the scene's own colours, from the calibrated poses. A frame's
+packet codes its corrections, and a decoder applies them to show a camera's view as recorded. Nothing here runs, and
 nothing is allocated, unless a camera is named.
 
-What cameras share is the scene's light and stays in their pictures (`analysis/light.py` has the rule): a later frame's
-shifts are those that differ from camera to camera at the same points of the scene. The cameras that are not named tell
-what is neutral; where all are, their median does, as far as it is more than what so many cameras that drift each by
-itself have in common by chance.
+A change that all cameras share is the scene's light and stays in their pictures (`analysis/light.py` has the rule). A
+later frame's shifts are those that differ from camera to camera at the same points of the scene. The cameras that are
+not named define neutral. Where all are named, their median does, as far as it exceeds the median that so many cameras
+have by chance, each drifting by itself.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from decogs.formats.splats import FloatArray
 from ...settings.compensation import CorrectionSettings
 from ..ingest import View
 from .agreement import DrawView, SharedSurface, agreeing_shifts, shared_changes, shared_surface
+from .benefit import Benefit, on_grid
 from .colour import OddsShift, odds_shift, without_odds
 from .shake import angles_of, turn_of, unturned
-from .worth import Worth, on_grid
 
 __all__ = ["CorrectionSettings", "Corrector", "corrector_of"]
 
@@ -38,7 +38,7 @@ Show = Callable[[int], FloatArray]
 """The scene through the training view of that number, (3, H, W)."""
 
 _KINDS = {"colours": ("exposure", "red", "blue"), "shake": ("yaw", "pitch", "roll")}
-"""What is judged apart of a correction, and its numbers."""
+"""Parts of a correction that are judged separately, and their numbers."""
 
 _CHANCE = 2.6
 """Deviations of the median of many cameras that drift each by itself within which it is chance, at 99 %."""
@@ -46,7 +46,7 @@ _FEW = 3.5
 """What that grows by over one less than the cameras' number: within a tenth of Student's t from 4 cameras on."""
 
 _ALTERNATIONS = 2
-"""Pose and colours are found in turn, each with the other taken out."""
+"""Pose and colours are estimated in turn, each with the other compensated."""
 
 
 def corrector_of(views: Sequence[View], settings: CorrectionSettings) -> Corrector | None:
@@ -60,7 +60,7 @@ def corrector_of(views: Sequence[View], settings: CorrectionSettings) -> Correct
 
 
 class Corrector:
-    """Finds and undoes the faults of the named cameras. ``cameras`` is what the stream's header says of it."""
+    """Estimates and compensates the drift of the named cameras. ``cameras``: the stream header's entry."""
 
     def __init__(self, views: Sequence[View], settings: CorrectionSettings) -> None:
         self._views = {view.camera.name: (number, view) for number, view in enumerate(views)}
@@ -69,7 +69,7 @@ class Corrector:
         self._named = [name for name in self._views if self.cameras.of(name)]
         self._has_colours = bool(self.cameras.exposure_drift or self.cameras.white_balance_drift)
         self._first: Corrections = {}
-        self._worths: dict[tuple[str, str], Worth] = {}
+        self._benefits: dict[tuple[str, str], Benefit] = {}
         self._dropped: set[tuple[str, str]] = set()
         nowhere = np.zeros((len(views), 0), np.int64)
         self._surface = SharedSurface(nowhere, nowhere, nowhere > 0)
@@ -80,7 +80,7 @@ class Corrector:
             self._surface = shared_surface([view for _, view in self._views.values()], draw)
 
     def find(self, recorded: Sequence[FloatArray], show: Show) -> Corrections:
-        """The faults of a frame's ``recorded`` pictures (3, H, W) against the scene as ``show`` gives it.
+        """Corrections of a frame's ``recorded`` pictures (3, H, W) against the scene as ``show`` draws it.
 
         ``see`` comes first.
         """
@@ -91,14 +91,14 @@ class Corrector:
             straight[number] = unturned(recorded[number], view.pinhole, rotations[name])
         shifts = self._own_shifts(straight, show) if self._has_colours else {}
         found = {
-            name: self._correction(name, _Fault(shifts.get(name, _NO_SHIFT), rotations[name])) for name in self._named
+            name: self._correction(name, _Drift(shifts.get(name, _NO_SHIFT), rotations[name])) for name in self._named
         }
         for name, kind in self._dropped:
             found[name] = self._as_at_first(name, kind, found[name])
         return found
 
     def begin(self, corrections: Corrections) -> None:
-        """Takes those of the first frame, which stay where later ones do not pay."""
+        """Takes the first frame's corrections, which stay where later ones are dropped."""
         self._first = corrections
 
     def judge(
@@ -108,7 +108,7 @@ class Corrector:
         show: Show,
         changed: Sequence[NDArray[np.bool_]],
     ) -> list[str]:
-        """What is not corrected any more after this frame, such as "cam04: colours"; ``show``: the scene as trained.
+        """Corrections dropped after this frame, such as "cam04: colours". ``show``: the scene as trained.
 
         ``changed``: where every view's picture changed, (H, W). A scene that has not followed its light yet misses
         every camera by it; what the other cameras miss in common is therefore no camera's loss.
@@ -122,29 +122,29 @@ class Corrector:
                 if (name, kind) in self._dropped or left_out == correction:
                     continue
                 corrected, left = (
-                    on_grid(self._canonical(name, recorded[number], each)) for each in (correction, left_out)
+                    on_grid(self._compensated(name, recorded[number], each)) for each in (correction, left_out)
                 )
                 shown = on_grid(show(number))
                 if self._has_colours:
                     left_behind = left_behind or self._left_behind(recorded, corrections, show)
                     shown = without_odds(shown, _odds_of(-_of_the_others(left_behind, name)))
-                worth = self._worths.setdefault((name, kind), Worth())
-                worth.saw(corrected, left, shown, on_grid(changed[number]))
-                if not worth.pays:
+                benefit = self._benefits.setdefault((name, kind), Benefit())
+                benefit.saw(corrected, left, shown, on_grid(changed[number]))
+                if not benefit.pays:
                     self._dropped.add((name, kind))
         return [f"{name}: {kind}" for name, kind in sorted(self._dropped - before)]
 
     def _left_behind(self, recorded: Sequence[FloatArray], corrections: Corrections, show: Show) -> dict[str, F64]:
-        """How far every camera's picture, corrected, is from the scene, as shifts (3,) of the odds."""
+        """Shift (3,) of the odds from the scene to every camera's corrected picture."""
         return {
             name: odds_shift(
-                self._canonical(name, recorded[number], corrections.get(name, Correction())), show(number), view.valid
+                self._compensated(name, recorded[number], corrections.get(name, Correction())), show(number), view.valid
             ).shift
             for name, (number, view) in self._views.items()
         }
 
     def find_jointly(self, recorded: Sequence[FloatArray], draw: DrawView) -> Corrections:
-        """The same while the scene is in the making, and has taken some of the faults for its own.
+        """Corrections while the scene is being trained and has absorbed some of the drift.
 
         What is neutral is determined by the cameras that are not named, by their median; where none is left, it is
         the mean of all.
@@ -155,23 +155,23 @@ class Corrector:
             rotations[name] = self._measured(name, recorded, lambda number: draw(number).rgb).rotation
             straight[number] = unturned(recorded[number], view.pinhole, rotations[name])
         if not self._has_colours:
-            return {name: self._correction(name, _Fault(_NO_SHIFT, rotations[name])) for name in self._named}
+            return {name: self._correction(name, _Drift(_NO_SHIFT, rotations[name])) for name in self._named}
         views = [view for _, view in self._views.values()]
         colours = dict(zip(self._views, agreeing_shifts(views, straight, draw), strict=True))
         offset = self._neutral({name: colour.shift for name, colour in colours.items()}, _mean)
         return {
-            name: self._correction(name, _Fault(colours[name].without(offset), rotations[name])) for name in self._named
+            name: self._correction(name, _Drift(colours[name].without(offset), rotations[name])) for name in self._named
         }
 
     def undo(self, recorded: Sequence[FloatArray], corrections: Corrections) -> list[FloatArray]:
-        """The pictures without the faults; those of other cameras are the very objects."""
-        canonical = list(recorded)
+        """The compensated pictures; those of other cameras are the very objects."""
+        compensated = list(recorded)
         for name, correction in corrections.items():
             number, _ = self._views[name]
-            canonical[number] = self._canonical(name, canonical[number], correction)
-        return canonical
+            compensated[number] = self._compensated(name, compensated[number], correction)
+        return compensated
 
-    def _canonical(self, name: str, picture: FloatArray, correction: Correction) -> FloatArray:
+    def _compensated(self, name: str, picture: FloatArray, correction: Correction) -> FloatArray:
         if correction.is_coloured:
             picture = without_odds(picture, correction.odds)
         if correction.is_turned:
@@ -189,21 +189,21 @@ class Corrector:
                 raise UsageError(f"camera {name} cannot be compensated: it is not a training camera")
         return tuple(name for name in self._views if name in names)
 
-    def _measured(self, name: str, recorded: Sequence[FloatArray], show: Show) -> _Fault:
+    def _measured(self, name: str, recorded: Sequence[FloatArray], show: Show) -> _Drift:
         number, view = self._views[name]
         picture, shown = recorded[number], show(number)
         colour = odds_shift(picture, shown, view.valid) if self._has_colours else _NO_SHIFT
         if name not in self.cameras.camera_shake:
-            return _Fault(colour, np.eye(3))
+            return _Drift(colour, np.eye(3))
         rotation = np.eye(3)
         for _ in range(_ALTERNATIONS if self._has_colours else 1):
             rotation = turn_of(without_odds(picture, _odds_of(colour.shift)), shown, view.pinhole, view.valid)
             if self._has_colours:
                 colour = odds_shift(unturned(picture, view.pinhole, rotation), shown, view.valid)
-        return _Fault(colour, rotation)
+        return _Drift(colour, rotation)
 
     def _own_shifts(self, pictures: Sequence[FloatArray], show: Show) -> dict[str, OddsShift]:
-        """How the pictures' colours differ from the scene's beyond what the scene's light does, by camera."""
+        """Shifts of the pictures' colours against the scene's, without the scene's change of light, by camera."""
         shown = [show(number) for number in range(len(pictures))]
         changes = shared_changes(self._surface, pictures, shown)
         names, total = list(self._views), changes.shifts + changes.common
@@ -215,26 +215,26 @@ class Corrector:
         return {name: OddsShift(own[name] - light if name in own else alone[name] - rest, np.ones(3)) for name in names}
 
     def _shifts_of_pictures(self, pictures: Sequence[FloatArray], shown: Sequence[FloatArray]) -> dict[str, F64]:
-        """How whole pictures differ from what is shown: for cameras that share too little with others."""
+        """Shifts of whole pictures against the rendered ones, for cameras that share too little with others."""
         return {
             name: odds_shift(pictures[number], shown[number], view.valid).shift
             for name, (number, view) in self._views.items()
         }
 
     def _neutral(self, shifts: dict[str, F64], of_all: Callable[[F64], F64]) -> F64:
-        """The shift (3,) that is none; ``of_all``: of the shifts (cameras, 3) where every camera is named."""
+        """The neutral shift (3,). ``of_all``: of the shifts (cameras, 3) where every camera is named."""
         exposure = _of_others(shifts, self.cameras.exposure_drift, of_all)
         balance = _of_others(shifts, self.cameras.white_balance_drift, of_all)
         return np.asarray(exposure[1] + balance - balance[1])
 
-    def _correction(self, name: str, fault: _Fault) -> Correction:
+    def _correction(self, name: str, drift: _Drift) -> Correction:
         """The numbers of the effects for which the camera is named."""
-        shift, precision = fault.colour
+        shift, precision = drift.colour
         drifts, unbalanced = name in self.cameras.exposure_drift, name in self.cameras.white_balance_drift
         red, green, blue = shift.tolist()
         if not unbalanced:
             green = float((precision * shift).sum() / max(float(precision.sum()), 1e-12))
-        yaw, pitch, roll = angles_of(fault.rotation)
+        yaw, pitch, roll = angles_of(drift.rotation)
         return Correction(
             whole_steps(green, COLOUR_STEP) if drifts else 0,
             whole_steps(red - green, COLOUR_STEP) if unbalanced else 0,
@@ -245,8 +245,8 @@ class Corrector:
         )
 
 
-class _Fault(NamedTuple):
-    """A camera's fault as measured: the shift of its colours' odds, and its turn (3, 3)."""
+class _Drift(NamedTuple):
+    """A camera's measured drift: the shift of its colours' odds, and its rotation (3, 3)."""
 
     colour: OddsShift
     rotation: F64
@@ -266,7 +266,7 @@ def _mean(shifts: F64) -> F64:
 
 
 def _light_of(shifts: F64) -> F64:
-    """The light's part (3,) of shifts (cameras, 3): their median, less the more of it may be chance."""
+    """The light's part (3,) of shifts (cameras, 3): their median, shrunk by what may be chance."""
     if len(shifts) < 2:
         return np.zeros(3)
     # Exposure and white balance drift each by itself.
@@ -281,7 +281,7 @@ def _light_of(shifts: F64) -> F64:
 
 
 def _of_the_others(shifts: Mapping[str, F64], name: str) -> F64:
-    """The median shift (3,) of the cameras but ``name``; none where one other camera cannot tell."""
+    """The median shift (3,) of the cameras but ``name``; 0 where there is only one, which is no majority."""
     others = [shift for other, shift in shifts.items() if other != name]
     return np.median(others, axis=0) if len(others) > 1 else np.zeros(3)
 

@@ -1,14 +1,12 @@
-"""Exposure and white balance of all cameras at once, from what they see in common: points of the scene's surface.
+"""Exposure and white balance of all cameras at once, from points of the scene's surface that several cameras see.
 
-A scene in training takes the faults of the very pictures it is trained on for its own, and more so where neighbouring
-cameras share them: measured against its renderings, an error that is smooth along the rig hardly shrinks from one
-measurement to the next. So while a keyframe is in the making only its depth is used. Points of its surface are looked
-up in every picture that sees them, and the shifts of all cameras under which the colours agree best are solved for
-directly.
+A scene in training absorbs errors of its training pictures, above all errors that neighbouring cameras share. An error
+that is smooth along the rig therefore hardly shrinks when it is measured against the scene's renderings. So only the
+depth of an unfinished keyframe is used. Points of its surface are looked up in every picture that sees them, and the
+shifts of all cameras under which the colours agree best are solved for directly.
 
-In later frames the same is done with what a picture differs by from the scene as it is shown before the frame: the
-light may have changed, at every point in its own way, but for all cameras alike. What a point's light did is eliminated
-with it, and what is left is the cameras' own.
+Later frames compare each picture with the scene before the frame. Light may have changed differently at every point,
+but it changed alike for all cameras. Each point's change of light is eliminated, and the cameras' own drift remains.
 """
 
 from __future__ import annotations
@@ -27,7 +25,7 @@ from decogs.formats.splats import FloatArray, logit
 from ...numerics import bilinear
 from ...rasterise import RenderedPicture
 from ..ingest import View
-from .colour import OddsShift, tells, tukey_weights
+from .colour import OddsShift, tukey_weights, unclipped
 
 F64 = NDArray[np.float64]
 
@@ -105,7 +103,7 @@ def shared_changes(
         for side in (pictures, shown)
     )
     for channel in range(3):
-        known = surface.seen & tells(now[..., channel]) & tells(before[..., channel])
+        known = surface.seen & unclipped(now[..., channel]) & unclipped(before[..., channel])
         known &= known.sum(axis=0) > 1
         enough[:, channel] = known.sum(axis=1) >= _FEW
         if not enough[:, channel].any():
@@ -134,7 +132,7 @@ def agreeing_shifts(views: Sequence[View], pictures: Sequence[FloatArray], draw:
         for view, picture, depth in zip(views, pictures, depths, strict=True)
     ]
     values, known = np.stack([colours for colours, _ in seen]), np.stack([there for _, there in seen])
-    solved = [_channel_shifts(values[..., channel], known & tells(values[..., channel])) for channel in range(3)]
+    solved = [_channel_shifts(values[..., channel], known & unclipped(values[..., channel])) for channel in range(3)]
     return [OddsShift(*map(np.array, zip(*of_view, strict=True))) for of_view in zip(*solved, strict=True)]
 
 
@@ -145,10 +143,10 @@ def shifts_of_points(values: FloatArray, seen: NDArray[np.bool_]) -> tuple[F64, 
     """
     shifts, enough = np.zeros((len(values), 3)), np.ones(len(values), bool)
     for channel in range(3):
-        told = seen & tells(values[..., channel])
-        told &= told.sum(axis=0) > 1
-        enough &= told.sum(axis=1) >= _FEW
-        shifts[:, channel] = [shift for shift, _ in _channel_shifts(values[..., channel], told)]
+        valid = seen & unclipped(values[..., channel])
+        valid &= valid.sum(axis=0) > 1
+        enough &= valid.sum(axis=1) >= _FEW
+        shifts[:, channel] = [shift for shift, _ in _channel_shifts(values[..., channel], valid)]
     return shifts, enough
 
 

@@ -1,4 +1,4 @@
-"""Exposure and white balance of a camera: how the odds of its colours differ from the scene's, per channel.
+"""Exposure and white balance of a camera as shifts of its colours' odds against the scene's, per channel.
 
 A gain on light before a display's curve, which nobody knows, is within 0.02 dB of a factor on the odds v / (1 - v) of
 the coded value (encoder/DESIGN.md): black and white stay, nothing is clipped, and the inverse is the same with
@@ -19,14 +19,14 @@ from ...numerics import tukey
 
 _DARKEST, _BRIGHTEST = 6 / 255, 249 / 255
 
-_MOST_PIXELS = 40_000
-"""A regular grid of about so many pixels tells enough: the mean's own noise is then below 0.1 of an 8-bit level."""
+_MAX_PIXELS = 40_000
+"""A regular grid of about so many pixels suffices: the mean's own noise is then below 0.1 of an 8-bit level."""
 
 _ROUNDS = 8
 _TUKEY = 4.685
 """Tukey's biweight at 95 % efficiency, in standard deviations."""
 
-_LEAST_SPREAD = 2 / 255
+_MIN_SPREAD = 2 / 255
 _MEDIAN_OF = 4000
 """Residuals whose median is taken, which gives it to two per cent."""
 
@@ -45,16 +45,16 @@ class OddsShift(NamedTuple):
 def odds_shift(recorded: FloatArray, shown: FloatArray, valid: FloatArray | None = None) -> OddsShift:
     """How far the odds of ``recorded`` are from those of ``shown``, both (3, H, W), whatever moves between the two.
 
-    ``valid`` (H, W) is 0 where nothing was recorded. Channels that tell nothing get 0.
+    ``valid`` (H, W) is 0 where nothing was recorded. Undetermined channels get 0.
     """
-    step = max(1, round(np.sqrt(shown[0].size / _MOST_PIXELS)))
+    step = max(1, round(np.sqrt(shown[0].size / _MAX_PIXELS)))
     grid = np.s_[::step, ::step]
     known = None if valid is None else valid[grid] > 0
     pairs = [_channel_shift(recorded[channel][grid], shown[channel][grid], known) for channel in range(len(shown))]
     return OddsShift(np.array([shift for shift, _ in pairs]), np.array([precision for _, precision in pairs]))
 
 
-def tells(values: FloatArray) -> NDArray[np.bool_]:
+def unclipped(values: FloatArray) -> NDArray[np.bool_]:
     """Where colour values are neither clipped nor next to noise."""
     return np.asarray((values > _DARKEST) & (values < _BRIGHTEST))
 
@@ -62,7 +62,7 @@ def tells(values: FloatArray) -> NDArray[np.bool_]:
 def tukey_weights(residuals: FloatArray) -> FloatArray:
     """Tukey's biweight of residuals in picture units, by their own spread: 1 for none, 0 for what does not belong."""
     some = residuals.ravel()[:: max(1, residuals.size // _MEDIAN_OF)]
-    spread = max(1.4826 * float(np.median(np.abs(some))), _LEAST_SPREAD)
+    spread = max(1.4826 * float(np.median(np.abs(some))), _MIN_SPREAD)
     return tukey(residuals, _TUKEY * spread)
 
 
@@ -75,7 +75,7 @@ def without_odds(picture: FloatArray, odds: tuple[float, float, float]) -> Float
 
 def _channel_shift(recorded: FloatArray, shown: FloatArray, known: NDArray[np.bool_] | None) -> tuple[float, float]:
     """Gauss-Newton on the corrected picture; weighed by the scene's value, so that recorded noise has no bias."""
-    inside = tells(recorded) & tells(shown)
+    inside = unclipped(recorded) & unclipped(shown)
     if known is not None:
         inside &= known
     if not inside.any():

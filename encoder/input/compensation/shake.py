@@ -1,6 +1,6 @@
 """A camera that turns about its centre: its pose in a frame, and the picture as the calibrated pose would have it.
 
-A turn moves pixels by a homography, whatever the scene's depth, so that the picture can be put right exactly. The pose
+A turn moves pixels by a homography, whatever the scene's depth, so the picture can be compensated exactly. The pose
 is found by Gauss-Newton on the gradients of the rendered view, coarse to fine, with robust weights (Lucas and Kanade
 1981).
 """
@@ -21,7 +21,7 @@ from .colour import tukey_weights
 F64 = NDArray[np.float64]
 
 _LEVELS = (0.25, 0.5, 1.0)
-_MOST_PIXELS = 200_000
+_MAX_PIXELS = 200_000
 """The finest level has at most so many: a hundredth of a pixel is found there, which is enough in larger pictures."""
 
 _ROUNDS = 4
@@ -54,7 +54,7 @@ def turn_of(recorded: FloatArray, shown: FloatArray, camera: Camera, valid: Floa
 
     Both (3, H, W) of the pinhole ``camera``, of like colours. ``valid`` (H, W) is 0 where nothing was recorded.
     """
-    rotation, finest = np.eye(3), min(1.0, np.sqrt(_MOST_PIXELS / shown[0].size))
+    rotation, finest = np.eye(3), min(1.0, np.sqrt(_MAX_PIXELS / shown[0].size))
     for level in _LEVELS:
         small = scale_camera(camera, level * finest)
         if level < 1 and min(small.width, small.height) < _SMALLEST_SIDE:

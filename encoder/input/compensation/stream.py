@@ -1,4 +1,4 @@
-"""Compensation along a stream: what is found in each frame, and whether it pays."""
+"""Compensation of camera drift along a stream: each frame's corrections, and whether they help."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ _STAGE = "corrections"
 
 
 class Compensation:
-    """Takes the faults of the named cameras out of every frame's pictures; without such cameras it does nothing."""
+    """Compensates the named cameras' drift in every frame's pictures; without such cameras it does nothing."""
 
     def __init__(self, ingest: Ingest, kernel: TrainingKernel, settings: CorrectionSettings) -> None:
         self._ingest, self._kernel = ingest, kernel
         self._matches_colours = settings.match_colours
         self.colours: Corrections = {}
-        """How each camera's colours differ from the scene's in every frame; the header says it."""
+        """How each camera's colours differ from the scene's in every frame; the header has it."""
         self._corrector: Corrector | None = corrector_of(ingest.views, settings)
 
     @property
     def corrector(self) -> Corrector | None:
-        """Finds and undoes the faults; None where no camera is named."""
+        """Estimates and compensates drift; None where no camera is named."""
         return self._corrector
 
     @property
     def cameras(self) -> CorrectedCameras:
-        """What the stream's header says of it."""
+        """The corrected cameras, as the stream's header lists them."""
         return CorrectedCameras() if self._corrector is None else self._corrector.cameras
 
     def match_colours(self, frame: RigFrame, xyz: FloatArray, seen: NDArray[np.bool_]) -> RigFrame:
@@ -68,14 +68,14 @@ class Compensation:
             self._corrector.see(lambda number: self._kernel.forward(scene, views[number].pinhole, depth=True))
 
     def begin(self, corrections: Corrections) -> None:
-        """Takes the first frame's, which stay where later ones do not pay."""
+        """Takes the first frame's corrections, which stay where later ones are dropped."""
         if self._corrector is not None:
             self._corrector.begin(corrections)
 
     def find(
         self, frame: RigFrame, scene: Splats, views: IncrementalViews, watch: Stopwatch
     ) -> tuple[RigFrame, Corrections]:
-        """The compensated frame, and its cameras' faults against the ``scene`` before it.
+        """The compensated frame, and its corrections against the ``scene`` before it.
 
         ``views`` show that scene; where there are none, it is rendered.
         """
@@ -106,7 +106,7 @@ class Compensation:
         views: IncrementalViews,
         watch: Stopwatch,
     ) -> list[str]:
-        """What is not compensated any more after this frame, such as "cam04: colours" (`Corrector.judge`).
+        """Corrections dropped after this frame, such as "cam04: colours" (`Corrector.judge`).
 
         ``recorded``: the frame's pictures (3, H, W); ``changed``: where each changed, (H, W), no view: judge nothing.
         """

@@ -113,8 +113,8 @@ def test_a_fixed_choice_does_not_look_at_the_rig() -> None:
 
 @pytest.mark.parametrize("name", [*CAMERA_EFFECTS, "sensor_noise", "view_dependence", *FRAME_EFFECTS])
 def test_every_effect_can_be_left_out(name: str) -> None:
-    everything = built("all", decisions(*EFFECT_NAMES, k1={"cam01": -0.1}, least_threshold={"cam01": 12.0}))
-    without = built(f"-{name}", decisions(*EFFECT_NAMES, k1={"cam01": -0.1}, least_threshold={"cam01": 12.0}))
+    everything = built("all", decisions(*EFFECT_NAMES, k1={"cam01": -0.1}, min_threshold={"cam01": 12.0}))
+    without = built(f"-{name}", decisions(*EFFECT_NAMES, k1={"cam01": -0.1}, min_threshold={"cam01": 12.0}))
     assert name not in without.effects
     assert without != replace(everything, effects=without.effects), "leaving it out changes what is done"
 

@@ -14,10 +14,10 @@ from decogs.codec.state import Attributes
 from decogs.decoder import open_stream
 from decogs.encoder import encode
 from decogs.encoder.analysis import EffectChoice
-from decogs.encoder.analysis.view_dependence import LEAST_SHOWN, as_far_as_shown
+from decogs.encoder.analysis.view_dependence import MIN_SHOWN, as_far_as_shown
 
 COUNT = 1000
-FEW, ENOUGH = round(LEAST_SHOWN * COUNT) - 1, round(LEAST_SHOWN * COUNT)
+FEW, ENOUGH = round(MIN_SHOWN * COUNT) - 1, round(MIN_SHOWN * COUNT)
 
 
 def keyframe_with(shares: tuple[int, ...]) -> Attributes:
@@ -61,7 +61,7 @@ def test_only_auto_asks_the_keyframe(
     degree: int,
 ) -> None:
     """Were all of the tiny rig's harmonics too few. An encode cut off goes on with the degree it began with."""
-    monkeypatch.setattr(view_dependence, "LEAST_SHOWN", 2.0)
+    monkeypatch.setattr(view_dependence, "MIN_SHOWN", 2.0)
     output, again = tmp_path / "scene.dgs", tmp_path / "again.dgs"
     options = {"holdout": [tiny_rig.held_out], "settings": tiny_settings, "effects": effects}
     encode(moving_rig, output, **options)

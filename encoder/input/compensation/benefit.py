@@ -1,9 +1,8 @@
-"""Whether a correction pays: what the training pictures gain by it, against leaving it out.
+"""Benefit of a correction: how much nearer the training pictures are to the trained scene with it than without.
 
-A correction that is right brings a camera's picture nearer to what the trained scene shows, since that agrees with the
-other cameras. One that takes the scene's own light out of a picture takes it away from the scene. So after every frame
-both pictures, with the correction and with that of the first frame instead, are compared with the scene, apart on
-pixels that changed and on those that did not.
+A right correction brings a camera's picture nearer to the trained scene, which agrees with the other cameras. A wrong
+one removes the scene's own light from a picture, and so from the scene. After every frame, two pictures are compared
+with the scene: with the correction, and with the first frame's instead. Changed and unchanged pixels count separately.
 """
 
 from __future__ import annotations
@@ -18,24 +17,24 @@ from decogs.formats.splats import FloatArray
 
 F64 = NDArray[np.float64]
 
-_MOST_PIXELS = 40_000
+_MAX_PIXELS = 40_000
 _LARGEST = 25 / 255
-"""Error beyond which all count alike: what training has not followed says nothing of a correction."""
+"""Error beyond which all count alike: pixels that training has not followed give no evidence."""
 _MEMORY = 0.9
-"""Share of what was known that counts a frame later: some ten frames decide."""
+"""Share of earlier sums that remains a frame later: some ten frames decide."""
 _FRAMES = 2
-"""Frames that must have been seen: the first one is trained on what is then left out."""
+"""Frames needed for a decision: the first one is trained without the alternative."""
 _BLOCK = 8
-"""Pixels across of what counts as one observation: what training has not followed is wrong over whole patches."""
+"""Pixels across of one observation: where training has not followed, whole patches are wrong."""
 _SURE = 4.0
-"""Deviations of the mean of these by which it must be a loss."""
+"""Standard deviations of the mean by which a loss counts."""
 _TOLERANCE = 0.01
-"""Share of the error by which it must be one, too: less is the scene's own error, seen in very many pixels."""
+"""Share of the error by which a loss counts: a smaller one is the scene's own error over very many pixels."""
 
 
 @dataclass
-class Worth:
-    """What one correction of one camera gained in the frames so far, by blocks: on unchanged and on changed pixels.
+class Benefit:
+    """Gain of one correction of one camera over the frames so far, in blocks, on unchanged and on changed pixels.
 
     Arrays (2,): sums of the ``gained`` squared error, of its ``squares`` and of the ``error`` without the correction,
     over so many ``blocks``.
@@ -66,7 +65,7 @@ class Worth:
 
     @property
     def pays(self) -> bool:
-        """Whether it made neither kind of pixels worse, as far as they tell."""
+        """Whether it made neither kind of pixels significantly worse."""
         surely = self.gained < -_SURE * np.sqrt(self.squares)
         clearly = self.gained < -_TOLERANCE * self.error
         return self.frames < _FRAMES or not bool((surely & clearly).any())
@@ -80,6 +79,6 @@ def _block_sums(values: F64) -> F64:
 
 
 def on_grid(picture: NDArray[Any]) -> NDArray[Any]:
-    """The picture (..., H, W) on a regular grid of its pixels, many enough to tell."""
-    step = max(1, round(np.sqrt(picture.shape[-2] * picture.shape[-1] / _MOST_PIXELS)))
+    """The picture (..., H, W) on a regular grid of its pixels, at most ``_MAX_PIXELS``."""
+    step = max(1, round(np.sqrt(picture.shape[-2] * picture.shape[-1] / _MAX_PIXELS)))
     return picture[..., ::step, ::step]
