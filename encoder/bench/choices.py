@@ -22,27 +22,20 @@ _FAST_CACHE = CacheSettings(learning_rate=1e-2)
 
 
 def _caches() -> tuple[Variant, ...]:
-    rows = [Variant(f"cache-none-warm{w:g}", f"none, warm start {w:g}", _cache(None, False, w)) for w in (0.0, 0.9)]
+    rows = [Variant(f"cache-none-warm{w:g}", f"none, warm start {w:g}", _cache(None, w)) for w in (0.0, 0.9)]
     kinds = (
         ("", "3DGStream's", CacheSettings()),
         ("-fast", "rate x 5", _FAST_CACHE),
     )
     for suffix, words, cache in kinds:
-        for carry in (False, True):
-            for warm in (0.0, 0.9):
-                kept = "carried" if carry else "fresh"
-                rows.append(
-                    Variant(
-                        f"cache-{kept}{suffix}-warm{warm:g}",
-                        f"{words}, {kept}, warm start {warm:g}",
-                        _cache(cache, carry, warm),
-                    )
-                )
+        for warm in (0.0, 0.9):
+            name = f"cache-fresh{suffix}-warm{warm:g}"
+            rows.append(Variant(name, f"{words}, warm start {warm:g}", _cache(cache, warm)))
     return tuple(rows)
 
 
-def _cache(cache: CacheSettings | None, carry: bool, warm: float) -> dict[str, object]:
-    return {"frame.cache": cache, "frame.carry_cache": carry, "frame.warm_start": warm}
+def _cache(cache: CacheSettings | None, warm: float) -> dict[str, object]:
+    return {"frame.cache": cache, "frame.warm_start": warm}
 
 
 QUESTIONS = (
@@ -89,7 +82,7 @@ QUESTIONS = (
     Question(
         "cache",
         "Neural transformation cache",
-        "None, anew in every frame, or carried over; with and without the warm start; at its rate and at five times. "
+        "None, or anew in every frame; with and without the warm start; at its rate and at five times. "
         "Stage 1 takes the preset's cache_iterations, stage 2 its joint_iterations. With a cache no change is reverted "
         "as insignificant, so that those rows have more bytes.",
         _caches(),
@@ -104,9 +97,9 @@ QUESTIONS = (
             Variant(f"{timing}-{name}", f"{timing.replace('-', ' ')}, {words}", settings, timing=timing)
             for timing in TIMINGS
             for name, words, settings in (
-                ("cold", "no cache, no warm start", _cache(None, False, 0.0)),
-                ("warm", "no cache, warm start 0.9", _cache(None, False, 0.9)),
-                ("cache", "cache, no warm start", _cache(CacheSettings(), False, 0.0)),
+                ("cold", "no cache, no warm start", _cache(None, 0.0)),
+                ("warm", "no cache, warm start 0.9", _cache(None, 0.9)),
+                ("cache", "cache, no warm start", _cache(CacheSettings(), 0.0)),
             )
         ),
         (("psnr", "psnr_dynamic", "psnr_static", "last_dynamic", "mtv", "selected", "cpu", "megabytes"),),
@@ -132,13 +125,6 @@ QUESTIONS = (
             )
             for usual, least in ((0.0, 1.0), (0.1, 1.0), (0.15, 0.6), (0.15, 1.0), (0.25, 1.0))
         ),
-        _BOTH,
-    ),
-    Question(
-        "early-stop",
-        "Stopping early",
-        "Stage 2 ends once a round through all views lowers the loss by less than this share.",
-        tuple(Variant(f"flat{f:g}", f"{f:g}", {"frame.flat": f}) for f in (0.0, 0.01, 0.03, 0.1)),
         _BOTH,
     ),
     Question(

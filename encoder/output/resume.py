@@ -103,13 +103,10 @@ def check_resumable(settings: EncodeSettings) -> None:
     """Raises UsageError for settings that keep something from frame to frame that is not in the stream."""
     if "frame" not in settings.as_document():
         return
-    kept = {
-        "the carried cache": settings.frame.carry_cache and settings.frame.cache is not None,
-        "`ablate` gate": "gate" in settings.frame.ablated,
-    }
-    for name, is_kept in kept.items():
-        if is_kept:
-            raise UsageError(f"`resume`: {name} keeps training state that a stream does not hold; drop one of the two")
+    if "gate" in settings.frame.ablated:
+        raise UsageError(
+            "`resume`: `ablate` gate keeps training state that a stream does not hold; drop one of the two"
+        )
 
 
 def _read(path: Path) -> Interrupted | None:

@@ -155,8 +155,8 @@ class FrameSettings:
     """How a later frame is trained. The defaults are the paper's where it gives a number.
 
     ``cache_iterations``, ``joint_iterations``: steps of stage 1 and stage 2. More is slower and follows faster motion.
-    ``cache``: the neural transformation cache; None leaves stage 1 out. ``carry_cache``: its weights are kept from
-    frame to frame.
+    ``cache``: the neural transformation cache; None leaves stage 1 out. It starts anew
+    in every frame.
     ``warm_start``: share of the last displacement to begin with, 0 to 1: the median over the ``warm_neighbours``
     nearest selected Gaussians.
     ``grow_gradient``: the paper's tau_d. Lower adds more. ``grow_fraction``: most additions of one frame, as a share
@@ -164,8 +164,6 @@ class FrameSettings:
     ``rates``: of stage 2, ``means`` in units of the rig's extent. Over its second half they fall to ``late_decay`` of
     that. ``beta1``, ``beta2``: Adam's decay rates in stage 2.
     ``adaptive_iterations``: how the iterations follow from what a frame misses.
-    ``flat``: early stopping. After its half, stage 2 ends once a round through all views lowers their loss by less than
-    this share. Higher is faster; 0 turns it off.
     ``significance``: which changes are coded, without a cache. ``emergence``: how new objects are seeded.
     ``ablated``: parts of the method that are left out (`switches.without`).
     ``optimiser``, ``densification``: names in OPTIMISERS and DENSIFICATIONS.
@@ -174,7 +172,6 @@ class FrameSettings:
     masks: MaskSettings = field(default_factory=MaskSettings)
     selection: SelectionSettings = field(default_factory=SelectionSettings)
     cache: CacheSettings | None = field(default_factory=CacheSettings)
-    carry_cache: bool = False
     cache_iterations: int = 150
     joint_iterations: int = 100
     warm_start: float = 0.0
@@ -188,7 +185,6 @@ class FrameSettings:
     beta1: float = 0.9
     beta2: float = 0.999
     adaptive_iterations: IterationSettings = field(default_factory=IterationSettings)
-    flat: float = 0.0
     significance: SignificanceSettings = field(default_factory=SignificanceSettings)
     emergence: EmergenceSettings = field(default_factory=EmergenceSettings)
     ablated: tuple[str, ...] = ()

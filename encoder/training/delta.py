@@ -120,8 +120,7 @@ class _DeltaTraining:
         work = _Working(scene, np.flatnonzero(self._frame.selected), self._kernel, self._settings)
         self._start_warm(work, self._frame.motion[work.rows])
         if self._cache is not None:
-            if not self._settings.carry_cache:
-                self._cache.restart()
+            self._cache.restart()
             self._cache.place(work.base.means, work.base.quaternions)
             self._densify(work, self._stage1(work, losses, self._cache), masks)
             self._add_emerging(work, losses, masks, self._used)
@@ -236,8 +235,6 @@ class _DeltaTraining:
                 if judged:
                     break
                 schedule.skip_to(decide_at)
-            if schedule.position > grow_at and self._has_fallen_flat(step):
-                break
             late = settings.late_decay ** max(0.0, 2 * schedule.position / settings.joint_iterations - 1)
             work.optimiser.step(gradients, rates.scaled(late * min(schedule.hurry**0.5, _MAX_HASTE)))
             schedule.step()
@@ -253,14 +250,6 @@ class _DeltaTraining:
             return None
         regions = [_focus(view, mask) for view, mask in zip(self._views, masks, strict=True)]
         return TargetWatch(self._stopping.target_psnr, [loss.target for loss in losses], regions)
-
-    def _has_fallen_flat(self, step: int) -> bool:
-        """Whether the round of views that ends here hardly lowered the loss."""
-        count = len(self._used)
-        if not self._settings.flat or (step + 1) % count or len(self._values) < 2 * count:
-            return False
-        before, now = sum(self._values[-2 * count : -count]), sum(self._values[-count:])
-        return now > (1 - self._settings.flat) * before
 
     def _show(self, work: _Working) -> None:
         """Shows the base values, moved by the cache if there is one."""

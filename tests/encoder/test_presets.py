@@ -101,7 +101,6 @@ def test_paper_holds_the_papers_numbers() -> None:
     assert (paper.selection.rule, paper.selection.min_views) == ("paper", 2)
     assert (paper.cache_iterations, paper.joint_iterations) == (150, 100)
     assert (paper.grow_gradient, paper.focus.dissimilarity) == (1e-4, 0.2)
-    assert not paper.carry_cache
     assert paper.warm_start == 0
     cache = paper.cache
     assert cache is not None

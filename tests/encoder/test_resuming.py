@@ -201,13 +201,10 @@ def test_other_options_are_refused_and_nothing_is_touched(
     assert (tmp_path / "scene.dgs.part").read_bytes() == data
 
 
-def test_a_carried_cache_and_another_keyframe_are_refused(
+def test_another_keyframe_is_refused(
     encode: Any, moving: Any, moving_rig: Path, tiny_settings: Any, tmp_path: Path
 ) -> None:
     output = part(tmp_path, moving.data[: ends(moving.path)[2]])
-    carried = replace(tiny_settings, frame=replace(tiny_settings.frame, carry_cache=True))
-    with pytest.raises(UsageError, match="`resume`: the carried cache keeps training state"):
-        encode(moving_rig, output=output, resume=True, settings=carried)
     other = replace(tiny_settings, keyframe=replace(tiny_settings.keyframe, iterations=60))
     keyframe = encode(moving_rig, settings=other, stop=1).path
     with pytest.raises(UsageError, match=r"scene\.dgs\.part (was begun with|begins with another keyframe)"):
