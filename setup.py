@@ -88,8 +88,8 @@ class BuildKernels(build_ext):
 
 def of_this_machine() -> str:
     """The widest set that it runs, by the flags that Linux tells."""
-    told = re.search(r"^flags\s*:(.*)$", Path("/proc/cpuinfo").read_text(), re.MULTILINE)
-    flags = set(told[1].split()) if told else set()
+    listed = re.search(r"^flags\s*:(.*)$", Path("/proc/cpuinfo").read_text(), re.MULTILINE)
+    flags = set(listed[1].split()) if listed else set()
     runs = ["base", *(name for name, needed in NEEDED_FLAGS.items() if needed <= flags)]
     return runs[-1]
 

@@ -57,34 +57,50 @@ def decode_main(arguments: Sequence[str] | None = None) -> int:
     view.add_argument(
         "--camera", metavar="FILE", help="a free camera or a path of them: pose.json, nerfstudio, USD (docs/cameras.md)"
     )
-    view.add_argument("--orbit", dest="move", action="store_const", const="orbit", help="a swing around the scene")
-    view.add_argument("--spiral", dest="move", action="store_const", const="spiral", help="small circles before it")
+    view.add_argument(
+        "--orbit", dest="move", action="store_const", const="orbit", help="a camera move: an arc around the scene"
+    )
+    view.add_argument(
+        "--spiral",
+        dest="move",
+        action="store_const",
+        const="spiral",
+        help="a camera move: small circles before the scene",
+    )
     _add_frames(parser)
     _add_trust(parser)
-    parser.add_argument("--scale", type=number, default=1.0, metavar="S", help="size of the pictures (default 1)")
-    parser.add_argument("--background", type=_colour, metavar="R,G,B", help="0 to 1 each (default: the stream's)")
+    parser.add_argument("--scale", type=number, default=1.0, metavar="S", help="scale of the picture size (default 1)")
+    parser.add_argument(
+        "--background", type=_colour, metavar="R,G,B", help="background colour, 0 to 1 each (default: the stream's)"
+    )
     layout = parser.add_mutually_exclusive_group()
-    layout.add_argument("--stereo", type=number, metavar="BASELINE", help="two eyes side by side, world units apart")
-    layout.add_argument("--equirectangular", action="store_true", help="360 degrees around the camera's place")
+    layout.add_argument(
+        "--stereo", type=number, metavar="BASELINE", help="stereo pairs side by side; BASELINE in world units"
+    )
+    layout.add_argument("--equirectangular", action="store_true", help="360 degrees around the camera's position")
     parser.add_argument("--undistorted", action="store_true", help="leave out the rig camera's lens distortion")
     parser.add_argument(
         "--drift-free",
         action="store_true",
-        help="the scene's own colours and the calibrated pose, not the exposure, white balance and shake recorded",
+        help="rig cameras without their drift: the scene's own colours, the calibrated pose",
     )
-    parser.add_argument("--codec", choices=("h264", "hevc", "prores"), help="of a video (.mp4: h264, .mov: prores)")
+    parser.add_argument(
+        "--codec", choices=("h264", "hevc", "prores"), help="video codec (default: h264 for .mp4, prores for .mov)"
+    )
     parser.add_argument("--crf", type=number, metavar="Q", help="quality of H.264 and HEVC, 0 (best) to 51 (default 4)")
-    parser.add_argument("--chroma", choices=("420", "444"), help="of H.264 and HEVC: 420 plays in browsers (default)")
-    parser.add_argument("--audio", metavar="FILE", help="the video's sound; frame 0 is its beginning")
+    parser.add_argument(
+        "--chroma", choices=("420", "444"), help="chroma of H.264 and HEVC: 420 plays in browsers (default)"
+    )
+    parser.add_argument("--audio", metavar="FILE", help="sound for the video, from frame 0 on")
     parser.add_argument("--threads", type=number_of_threads, default=0, metavar="N", help="default: all processors")
     parser.add_argument(
-        "--follow", action="store_true", help="decode frames as an encoder writes them; name the file it will become"
+        "--follow", action="store_true", help="decode frames while an encoder writes them; give the stream's final name"
     )
     parser.add_argument(
         "--idle",
         type=number,
         metavar="S",
-        help="with --follow: stop when nothing came for S seconds (default 600)",
+        help="with --follow: stop after S seconds without data (default 600)",
     )
     return run(parser, lambda: _decode(parser, parser.parse_args(frames_joined(arguments))), cleans_up=True)
 
@@ -105,21 +121,21 @@ def export_main(arguments: Sequence[str] | None = None) -> int:
         "--up",
         choices=UPS,
         default="auto",
-        help="the world's up, turned to what the format has for it; auto: from the cameras (default)",
+        help="the world's up direction, rotated to the format's; auto: from the cameras (default)",
     )
     parser.add_argument(
-        "--first-frame", type=whole_number, default=0, metavar="N", help="number of the stream's frame 0 (default 0)"
+        "--first-frame", type=whole_number, default=0, metavar="N", help="number that frame 0 gets (default 0)"
     )
     parser.add_argument("--fps", type=number, metavar="F", help="frames per second (default: the stream's)")
     parser.add_argument(
         "--scale-to-metres", type=number, default=1.0, metavar="F", help="metres of a world unit (default 1)"
     )
-    parser.add_argument("--format", metavar="KIND", help="with -o -: which kind of file, such as ply")
-    parser.add_argument("--spz-version", type=int, choices=(2, 3, 4), help="of a .spz (default 3)")
+    parser.add_argument("--format", metavar="KIND", help="with -o -: kind of file, such as ply")
+    parser.add_argument("--spz-version", type=int, choices=(2, 3, 4), help="version of .spz files (default 3)")
     parser.add_argument(
         "--prim",
         choices=FLAVOURS,
-        help="USD: ellipsoids that all draw (instancer, default), ParticleField3DGaussianSplat (splat), or both",
+        help="USD: ellipsoids, for all programs (instancer, default), ParticleField3DGaussianSplat (splat), or both",
     )
     return run(parser, lambda: _export(parser, parser.parse_args(_joined(arguments))), cleans_up=True)
 
@@ -132,7 +148,7 @@ def info_main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--bytes",
         action="store_true",
-        help="print where every byte goes instead: frame by frame, attribute by attribute",
+        help="print bytes instead, by frame and attribute",
     )
     _add_trust(parser)
     return run(parser, lambda: _info(parser.parse_args(frames_joined(arguments))))
@@ -254,7 +270,7 @@ def _add_trust(parser: argparse.ArgumentParser) -> None:
         type=number_of_bytes,
         default=DEFAULT_MAX_MEMORY,
         metavar="SIZE",
-        help="what a stream may claim, such as 512M or 2G (default 4G)",
+        help="limit of memory for stream and pictures, such as 512M or 2G (default 4G)",
     )
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import BinaryIO, Union
 
 from decogs.codec.header import StreamHeader
+from decogs.formats.callbacks import OnProgress, OnWarning
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.frame_ranges import Frames
@@ -22,7 +23,6 @@ from .camera_path import DEFAULT_FPS, CameraPath, ToFilm, shown_frames
 from .compositing import Ids, static_ids
 from .following import DEFAULT_IDLE, GrowingStream, follow_stream
 from .frame_choice import (
-    OnWarning,
     chosen_frames,
     chosen_pictures,
     coming_frames,
@@ -42,7 +42,6 @@ Cameras = Union[str, "os.PathLike[str]", Camera, Sequence[Camera], CameraPath]
 """A file of cameras, one camera for every frame, one per frame, or a path."""
 
 Colour = tuple[float, float, float]
-OnFrame = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -75,7 +74,7 @@ def decode(
     idle: float = DEFAULT_IDLE,
     layout: Layout | None = None,
     video: VideoSettings = VideoSettings(),  # noqa: B008 (frozen)
-    on_frame: OnFrame | None = None,
+    on_frame: OnProgress | None = None,
     on_warning: OnWarning | None = None,
 ) -> DecodeReport:
     """Writes the pictures of one view of a stream, one per encoded frame, or one per entry of a path with times.
@@ -139,7 +138,7 @@ def _decode_growing(
     show: Show,
     video: VideoSettings,
     read: list[tuple[Path, str]],
-    on_frame: OnFrame | None,
+    on_frame: OnProgress | None,
     on_warning: OnWarning | None,
 ) -> DecodeReport:
     if isinstance(wanted, CameraPath) and wanted.times is not None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import os
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -17,6 +17,7 @@ from typing import BinaryIO
 import numpy as np
 
 from decogs.codec.header import StreamHeader
+from decogs.formats.callbacks import OnProgress, OnWarning
 from decogs.formats.errors import UsageError
 from decogs.formats.frame_names import is_numbered, names_of_frames
 from decogs.formats.frame_ranges import Frames
@@ -29,12 +30,10 @@ from decogs.formats.up_direction import AXES, UPS, Up, Vector, turn_between, up_
 from decogs.formats.usd import USD_SUFFIXES
 from decogs.formats.usd_prims import FLAVOURS, Flavour
 
-from .frame_choice import OnWarning, open_chosen
+from .frame_choice import open_chosen
 from .limits import DEFAULT_MAX_MEMORY
 from .picture_output import DEFAULT_FPS
 from .stream import Stream
-
-OnFrame = Callable[[int, int], None]
 
 _LAST_NUMBER = 2**31 - 1
 _CHUNK = 1 << 20
@@ -70,7 +69,7 @@ class _Plan:
     scale: float
     spz_version: SpzVersion | None
     prim: Flavour
-    on_frame: OnFrame | None
+    on_frame: OnProgress | None
     on_warning: OnWarning | None
 
 
@@ -88,7 +87,7 @@ def export(
     prim: Flavour | None = None,
     strict: bool = False,
     max_memory: int = DEFAULT_MAX_MEMORY,
-    on_frame: OnFrame | None = None,
+    on_frame: OnProgress | None = None,
     on_warning: OnWarning | None = None,
 ) -> ExportReport:
     """Writes frames of a stream: one USD file (.usdc, .usda, .usd, .usdz), or Gaussians (.ply, .spz, .splat, .glb).

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from decogs.formats.callbacks import OnWarning
 from decogs.formats.errors import UsageError
 from decogs.formats.frame_ranges import Frames, frame_slice
 
 from .damage import OnDamage
 from .frame import DecodedFrame
 from .stream import Stream, open_stream
-
-OnWarning = Callable[[str], None]
 
 
 @contextmanager

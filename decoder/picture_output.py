@@ -32,6 +32,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.formats.callbacks import OnWarning
 from decogs.formats.errors import UsageError, check_utf8
 from decogs.formats.frame_names import names_of_frames
 from decogs.formats.outputs import errors_named, publish_files, staged_files
@@ -45,7 +46,6 @@ from .video_output import CODECS, Movie, VideoSettings, check_settings, has_ffmp
 if TYPE_CHECKING:
     from .rasterise import Rendering
 
-OnWarning = Callable[[str], None]
 
 _OTHER_PICTURES = frozenset(
     {".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".gif", ".webp", ".hdr", ".avi", ".mkv", ".webm", ".m4v"}

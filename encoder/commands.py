@@ -41,7 +41,9 @@ def encode_main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("rig_dir", help="the rig's folder, or one calibration file or folder inside it")
     parser.add_argument("-o", "--output", required=True, metavar="SCENE.DGS", help="the stream to write; - for stdout")
     parser.add_argument("--frames", metavar="A:B", help="half-open, as in Python: 0:10, 5:, -3: (default: all)")
-    parser.add_argument("--scale", type=number, default=1.0, metavar="S", help="size of the pictures trained on")
+    parser.add_argument(
+        "--scale", type=number, default=1.0, metavar="S", help="scale of the training pictures (default 1)"
+    )
     parser.add_argument(
         "--holdout", action="append", default=[], metavar="CAM", help="keep a camera out of training (repeatable)"
     )
@@ -143,18 +145,20 @@ def pack_main(arguments: Sequence[str] | None = None) -> int:
     """``decogs-pack``: files of Gaussians, one a frame, to a .dgs stream."""
     parser = Parser(
         prog="decogs-pack",
-        description="Code a sequence of .ply or .spz files of 3D Gaussians, one a frame, as a stream.",
+        description="Code a sequence of .ply or .spz files of 3D Gaussians, one file per frame, as a stream.",
     )
-    parser.add_argument("files", metavar="NAME_####.PLY", help="the files' name; ####, %%04d or $F4 stands for numbers")
+    parser.add_argument(
+        "files", metavar="NAME_####.PLY", help="the files' names, with ####, %%04d or $F4 for the number"
+    )
     parser.add_argument("-o", "--output", required=True, metavar="SCENE.DGS", help="the stream to write; - for stdout")
-    parser.add_argument("--fps", type=number, metavar="F", help="frames per second (default: none is stated)")
+    parser.add_argument("--fps", type=number, metavar="F", help="frames per second (default: not stated)")
     exactness = parser.add_mutually_exclusive_group()
     exactness.add_argument(
         "--quality",
         type=number,
         default=50.0,
         metavar="Q",
-        help="0 (smallest) to 100 (most exact), default 50; 25 less double the lattice's steps",
+        help="0 (smallest) to 100 (most exact), default 50; every 25 points lower double the lattice's steps",
     )
     exactness.add_argument(
         "--lossless", action="store_true", help="code every change, exact to the lattice of --quality 100"

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO, Literal
 
+from decogs.formats.callbacks import OnWarning
 from decogs.formats.container import MAX_FRAME
 from decogs.formats.errors import UsageError
 from decogs.formats.frame_ranges import Frames
@@ -24,7 +25,7 @@ from .input.ingest import Ingest, frame_span
 from .output.convergence_log import ConvergenceLog
 from .output.encode_log import EncodeLog
 from .output.observer import EncodeObserver, Observers
-from .output.reports import EncodeReport, OnWarning
+from .output.reports import EncodeReport
 from .output.stream_output import open_output
 from .rasterise import check_device
 from .settings.compensation import CorrectionSettings

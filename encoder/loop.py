@@ -11,6 +11,7 @@ import numpy as np
 
 from decogs.codec.lattice import Lattice, default_lattice, dequantise
 from decogs.codec.state import State
+from decogs.formats.callbacks import OnWarning
 from decogs.formats.container import Packet
 from decogs.formats.errors import RigError, StreamError
 from decogs.formats.splats import sh_degree_of
@@ -23,7 +24,7 @@ from .input.imported_splats import SplatSource
 from .input.ingest import Ingest, RigFrame
 from .output.convergence_log import ConvergenceLog
 from .output.frame_report import FrameReporter
-from .output.reports import FrameReport, OnKeyframeStep, OnWarning
+from .output.reports import FrameReport, OnKeyframeStep
 from .output.resume import Interrupted
 from .output.stream_output import StreamOutput
 from .replay import replay, splats_taken_over, take_over

@@ -8,7 +8,6 @@ files have none: one is made up, named "overview", that looks at the first frame
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import BinaryIO, Literal
@@ -21,6 +20,7 @@ from decogs.codec.keyframes import keyframe_state
 from decogs.codec.lattice import Lattice, Vector, default_lattice, quantise, robust_extent
 from decogs.codec.morton import morton_order
 from decogs.codec.state import DEFAULT_MAX_GAUSSIANS
+from decogs.formats.callbacks import OnProgress, OnWarning
 from decogs.formats.cameras import Camera
 from decogs.formats.container import MAX_FRAME
 from decogs.formats.errors import StreamError, TrainingError, UsageError
@@ -31,11 +31,8 @@ from decogs.formats.splats import Splats, take_splats
 
 from .coding.coded_scene import CodedScene
 from .input.row_matching import Rows, mutual_nearest
-from .output.reports import OnWarning
 from .output.stream_output import open_output
 from .training.method import TrainedFrame
-
-OnFrame = Callable[[int, int], None]
 
 _NEUTRAL, _PER_OCTAVE, _NEUTRAL_SCALE = 50.0, 25.0, 0.5
 _HYSTERESIS = 0.75
@@ -64,7 +61,7 @@ def pack(
     quality: float = _NEUTRAL,
     lossless: bool = False,
     segment: int = 0,
-    on_frame: OnFrame | None = None,
+    on_frame: OnProgress | None = None,
     on_warning: OnWarning | None = None,
 ) -> PackReport:
     """Codes .ply or .spz files, one a frame, as a .dgs stream.

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
+from decogs.formats.callbacks import OnWarning
 from decogs.formats.container import Packet
 from decogs.formats.errors import DecogsError
 
@@ -14,7 +15,7 @@ from .input.imported_splats import SplatSource
 from .input.ingest import Ingest
 from .loop import StreamEncoder
 from .output.convergence_log import ConvergenceLog
-from .output.reports import EncodeReport, FrameReport, OnFrame, OnKeyframeStep, OnWarning
+from .output.reports import EncodeReport, FrameReport, OnFrame, OnKeyframeStep
 from .output.resume import Interrupted, check_resumable
 from .output.stream_output import FileOutput, StreamOutput, open_output
 from .parallel import ahead

@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from typing import Any, BinaryIO, NoReturn
 
+from .callbacks import OnProgress
 from .errors import DecogsError, UsageError
 
 USER_ERROR = 2
@@ -26,9 +27,6 @@ _BROKEN_PIPE = 141
 _CONTROL = re.compile("[\x00-\x1f\x7f-\x9f]+")
 _PARAMETER = re.compile("`([a-z_]+)`")
 """How a library's texts name a parameter: it knows no options."""
-
-OnFrame = Callable[[int, int], None]
-"""Called with progress: units done and units in all, 0 while nobody knows."""
 
 
 class Parser(argparse.ArgumentParser):
@@ -212,7 +210,7 @@ def path_or_pipe(output: str, what: str) -> str | BinaryIO:
 
 
 @contextmanager
-def progress(what: str, unit: str = "frame") -> Iterator[OnFrame]:
+def progress(what: str, unit: str = "frame") -> Iterator[OnProgress]:
     """A progress bar on stderr when that is a terminal; silent otherwise. Called with units done and units in all."""
     if not sys.stderr.isatty():
         yield lambda done, total: None

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from decogs.formats.callbacks import OnProgress
 from decogs.formats.frame_ranges import Frames
 from decogs.formats.rigs import Rig, open_rig
 from decogs.formats.threads import thread_count
@@ -20,7 +21,7 @@ from ..parallel import side_by_side
 from . import EFFECTS
 from .effect import Decision, Evidence, Span
 from .rig_check import RigCheck, check_rig
-from .rig_statistics import OnStep, RigStatistics, gather_statistics
+from .rig_statistics import RigStatistics, gather_statistics
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,7 @@ def analyse(
     frames: Frames = None,
     holdout: Sequence[str] = (),
     threads: int = 0,
-    on_step: OnStep = lambda done, total: None,
+    on_step: OnProgress = lambda done, total: None,
 ) -> Analysis:
     """Analyses a rig before anything is trained, and decides which effects are detected.
 

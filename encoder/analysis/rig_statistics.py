@@ -7,7 +7,7 @@ MAX_BYTES. Of a longer clip every n-th frame is analysed; the others are passed 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.formats.callbacks import OnProgress
 from decogs.formats.cameras import Camera, scale_camera
 from decogs.formats.errors import UsageError
 from decogs.formats.pictures import Picture
@@ -34,7 +35,6 @@ F64 = NDArray[np.float64]
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
 T = TypeVar("T")
-OnStep = Callable[[int, int], None]
 
 MAX_PIXELS = 352 * 264
 """Size of analysed pictures, in pixels; smaller ones stay as they are."""
@@ -84,7 +84,7 @@ def gather_statistics(
     holdout: Sequence[str] = (),
     frames: range | None = None,
     threads: int = 0,
-    on_step: OnStep = lambda done, total: None,
+    on_step: OnProgress = lambda done, total: None,
 ) -> RigStatistics:
     """Measures the frames (default: all) of every camera except the held-out ones.
 
@@ -124,7 +124,7 @@ class _Seen:
 class _Steps:
     """Counts steps done for whoever shows progress."""
 
-    def __init__(self, total: int, on_step: OnStep) -> None:
+    def __init__(self, total: int, on_step: OnProgress) -> None:
         self._done, self._total, self._on_step = 0, total, on_step
 
     def over(self, result: T) -> T:

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, TextIO
 
+from decogs.formats.callbacks import OnWarning
 from decogs.formats.errors import TrainingError, UsageError
 from decogs.formats.outputs import Output, check_outputs, write_whole
 from decogs.formats.rigs import files_of
@@ -33,8 +34,6 @@ from .tables import NOT_RUN, figures
 from .trade import trade_document
 from .trade_page import trade_page
 from .variants import Variant
-
-OnWarning = Callable[[str], None]
 
 NONE = "none"
 """For ``only``: nothing is run, the report is written from what is there."""

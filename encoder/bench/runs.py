@@ -414,7 +414,7 @@ class RigBench:
         words += ["--seed", str(options.seed), "--threads", str(self._threads)]
         scale = self._training_scale(variant)
         words += [] if scale == 1 else ["--scale", f"{scale:g}"]
-        words += [] if variant.method == "decogs" else ["--method", variant.method]
+        words += [] if variant.method == EncodeSettings().method else ["--method", variant.method]
         words += ["--ablate", ",".join(variant.ablate)] if variant.ablate else []
         words += ["--selection", variant.selection] if variant.selection else []
         words += [] if variant.quality is None else ["--quality", f"{variant.quality:g}"]

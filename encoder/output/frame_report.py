@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from decogs.formats.callbacks import OnWarning
 from decogs.formats.container import Packet, PacketKind
 from decogs.formats.splats import FloatArray, Splats
 
@@ -14,7 +15,7 @@ from ..psnr import mean_picture_psnr, mean_psnr
 from ..rasterise import IncrementalViews, TrainingKernel
 from ..stopwatch import Stopwatch
 from .footage import strange_cameras, warning_of
-from .reports import FrameReport, OnWarning
+from .reports import FrameReport
 
 _STAGE = "measure"
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 OnFrame = Callable[["FrameReport"], None]
-OnWarning = Callable[[str], None]
 OnKeyframeStep = Callable[[int, int, float], None]
+"""Called with the step (from 1), the number of steps planned and the training loss."""
 
 
 @dataclass(frozen=True)

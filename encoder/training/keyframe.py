@@ -10,7 +10,7 @@ opacity or scale penalties (no gain), MCMC noise (no gain). Opacity resets were 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,6 +24,7 @@ from decogs.formats.splats import SH_C0, FloatArray, Splats, logit, sigmoid, tak
 
 from ..input.compensation import Corrector
 from ..input.ingest import View
+from ..output.reports import OnKeyframeStep
 from ..point_init import FirstPoints
 from ..psnr import psnr_of
 from ..rasterise import RenderedPicture, TrainingKernel, gradients_like
@@ -42,9 +43,6 @@ the poses of rotated cameras are known."""
 
 _PREALIGNMENT_STEPS = 100
 """Steps after which a rotated camera's pose is known to a twentieth of a pixel."""
-
-OnStep = Callable[[int, int, float], None]
-"""Called with the step (from 1), the number of steps planned and the training loss."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +93,7 @@ def train_keyframe(
     seed: int,
     lattice_scale: float = 1.0,
     corrector: Corrector | None = None,
-    on_step: OnStep | None = None,
+    on_step: OnKeyframeStep | None = None,
     stopping: StoppingRule = WHOLE,
 ) -> TrainedKeyframe:
     """Trains the first frame's Gaussians on ``pictures`` (3, H, W) of ``views``; the same seed gives the same bits.
@@ -163,7 +161,7 @@ class _KeyframeTraining:
         self._order = view_order(len(views), random)
         self._values: list[float] = []
 
-    def run(self, on_step: OnStep | None) -> TrainedKeyframe:
+    def run(self, on_step: OnKeyframeStep | None) -> TrainedKeyframe:
         steps = self._train(on_step)
         lattice = self._settle_on_lattice(steps, on_step)
         splats = self._optimiser.splats
@@ -185,7 +183,7 @@ class _KeyframeTraining:
                 f"{rounds[-1] / count:.3f}; lower the learning rates"
             )
 
-    def _train(self, on_step: OnStep | None) -> int:
+    def _train(self, on_step: OnKeyframeStep | None) -> int:
         """Trains until schedule, target or stop, which goes back to the best; returns the steps."""
         settings = self._settings
         best, best_optimiser, waited, step = -np.inf, self._optimiser, 0, 0
@@ -213,7 +211,7 @@ class _KeyframeTraining:
             self._renew_gradients()
         return step
 
-    def _settle_on_lattice(self, steps: int, on_step: OnStep | None) -> Lattice:
+    def _settle_on_lattice(self, steps: int, on_step: OnKeyframeStep | None) -> Lattice:
         """Rounds one attribute after the other to the coarse lattice and trains the others around them."""
         total = self._settings.settle_iterations
         extent, centre = robust_extent(self._optimiser.splats.means)
