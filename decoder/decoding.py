@@ -110,8 +110,17 @@ def decode(
         on_damage = damage_to(on_warning)
         with follow_stream(stream, idle=idle, strict=strict, on_damage=on_damage, max_memory=max_memory) as growing:
             wanted = _wanted(growing.header, view, camera, move, None)
-            chosen_slice = coming_frames(frames)
-            return _decode_growing(growing, output, wanted, chosen_slice, show, video, read, on_frame, on_warning)
+            return _decode_growing(
+                growing,
+                output,
+                wanted,
+                coming_frames(frames),
+                show=show,
+                video=video,
+                read=read,
+                on_frame=on_frame,
+                on_warning=on_warning,
+            )
     with open_chosen(stream, None, strict=strict, max_memory=max_memory, on_warning=on_warning) as (opened, _):
         wanted = _wanted(opened.header, view, camera, move, opened.frame_count)
         chosen, shots = _chosen_shots(opened, wanted, frames)
@@ -135,6 +144,7 @@ def _decode_growing(
     output: str | os.PathLike[str] | BinaryIO,
     wanted: str | CameraPath,
     chosen: slice,
+    *,
     show: Show,
     video: VideoSettings,
     read: list[tuple[Path, str]],

@@ -118,7 +118,9 @@ def encode(
             curve = open_files.enter_context(ConvergenceLog(convergence_log, append=resume))
         observer = Observers([*observers, *([] if progress is None else [progress])])
         if wanted is not None:
-            chosen = _with_effects(chosen, wanted, rig, holdout, span, threads, observer, warn)
+            chosen = _with_effects(
+                chosen, wanted, rig, holdout=holdout, span=span, threads=threads, observer=observer, warn=warn
+            )
         if corrections is not None:
             chosen = replace(chosen, corrections=corrections)
         if chosen.corrections.lens:
@@ -195,13 +197,14 @@ def _with_effects(
     settings: EncodeSettings,
     wanted: EffectChoice,
     rig: Rig,
+    *,
     holdout: Sequence[str],
     span: range,
     threads: int,
     observer: EncodeObserver,
     warn: OnWarning,
 ) -> EncodeSettings:
-    """The settings with the effects that are wanted, of which the rig may have to be looked at."""
+    """The settings with the requested effects, for which the rig may have to be analysed."""
     require_sparse(settings, f"`effects` {wanted}", "has none of them")
 
     def decisions() -> Sequence[Decision]:

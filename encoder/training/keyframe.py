@@ -106,7 +106,17 @@ def train_keyframe(
     if not len(points.xyz):
         raise TrainingError("point initialisation found no points; check the poses, or give the rig COLMAP points")
     random = np.random.default_rng(seed)
-    training = _KeyframeTraining(kernel, views, pictures, points, settings, lattice_scale, random, corrector, stopping)
+    training = _KeyframeTraining(
+        kernel,
+        views,
+        pictures,
+        points,
+        settings,
+        random=random,
+        corrector=corrector,
+        lattice_scale=lattice_scale,
+        stopping=stopping,
+    )
     return training.run(on_step)
 
 
@@ -126,7 +136,7 @@ def prealigned_pictures(
     """
     short = replace(settings, iterations=_PREALIGNMENT_STEPS, validation_fraction=0.0, settle_iterations=0)
     random = np.random.default_rng(seed)
-    training = _KeyframeTraining(kernel, views, pictures, points, short, 1.0, random, corrector, WHOLE)
+    training = _KeyframeTraining(kernel, views, pictures, points, short, random=random, corrector=corrector)
     training.run(None)
     return training.compensated(corrector, _PREALIGNMENT_STEPS)
 
@@ -139,10 +149,11 @@ class _KeyframeTraining:
         pictures: Sequence[FloatArray],
         points: FirstPoints,
         settings: KeyframeSettings,
-        lattice_scale: float,
+        *,
         random: np.random.Generator,
         corrector: Corrector | None,
-        stopping: StoppingRule,
+        lattice_scale: float = 1.0,
+        stopping: StoppingRule = WHOLE,
     ) -> None:
         self._kernel, self._views, self._settings, self._random = kernel, views, settings, random
         self._recorded, self._corrector = pictures, corrector

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -16,7 +17,8 @@ import pytest
 from decogs.encoder.analysis.analyse import Analysis, analyse
 from decogs.formats.cameras import Camera, camera_centre
 
-RIGS = Path(__file__).resolve().parents[4] / "shared" / "data" / "rigs"
+_SHARED = Path(os.environ.get("DECOGS_SHARED", Path(__file__).resolve().parents[4] / "shared"))
+RIGS = _SHARED / "data" / "rigs"
 
 
 @dataclass(frozen=True)
