@@ -89,7 +89,7 @@ class GrowingStream:
         Every frame's checksums and state digest are verified. A frame that is damaged, and those after it up to the
         next keyframe, are the last good frame once more, ``concealed``; when there is none, or the stream is followed
         strictly, damage raises StreamError. How many frames a damaged place has cost only the next intact packet of a
-        frame tells, or the end packet: these frames come, and the place is reported, together with that.
+        frame shows, or the end packet: these frames come, and the place is reported, together with that.
         """
         shown: DecodedFrame | None = None
         with self._errors_named():

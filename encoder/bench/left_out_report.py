@@ -185,8 +185,8 @@ def _how(results: dict[str, list[LeftOut]]) -> list[str]:
         f"- Code {', '.join(sorted(codes))}; seed {', '.join(map(str, sorted(seeds)))}; one encode for each camera.",
         "- The camera left out never reaches training. Its view is decoded from the file at its own size, lens "
         "included, rounded to 8 bit and compared with what it recorded. PSNR in dB, means over the frames.",
-        "- Seen by two: over the pixels whose surface at least two training cameras see, which tells looking between "
-        "the cameras from looking beyond the rig; elsewhere: over the others. The surfaces are those of the same "
+        "- Seen by two: over the pixels whose surface at least two training cameras see; elsewhere: over the others. "
+        "So views between the cameras are apart from views beyond the rig. The surfaces are those of the same "
         "frames encoded with all cameras (references/), which only measures.",
         "- Haze: opacity before the first surface, mean over the picture; beside: from a viewpoint midway to the "
         "nearest camera. Floaters: Gaussians that make it: they end before nine tenths of the way to the surface.",
