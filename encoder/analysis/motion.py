@@ -21,8 +21,8 @@ PAUSE = 2
 
 _LIGHT_THRESHOLD = 0.4
 """Factor of the significance threshold where light alone changes: many Gaussians change, each of them hardly
-visibly. candle: .0033 / .0052 / .0104 (this is .0068 of standard's .017) give 12.1 /
-10.8 / 8.0 kB a frame and, where light changes, 31.91 / 31.94 / 31.89 dB."""
+visibly. candle: .036 / .056 / .112 (this is .072 of standard's .18) give 12.1 / 10.8 /
+8.0 kB a frame and, where light changes, 31.91 / 31.94 / 31.89 dB."""
 
 _LIGHT_ITERATIONS = 0.6
 """Smallest factor of a frame's iterations where light alone changes (`IterationSettings.min_factor`): candle takes 1.3

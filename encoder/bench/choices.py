@@ -276,14 +276,11 @@ QUESTIONS = (
     Question(
         "worth",
         "Significance threshold",
-        "By how much it must move a picture's summed loss to be sent; 0 sends everything. The first row sends "
+        "By how many millionths it must move a picture's mean loss to be sent; 0 sends everything. The first row sends "
         "everything on a lattice 128 times as fine, which is as good as floats: what significance and rounding cost.",
         (
             Variant("exact", "everything, unrounded", {"frame.significance": SignificanceSettings()}, refined=128),
-            *(
-                Variant(f"worth{w:g}", f"{w:g}", {"frame.significance.threshold": w})
-                for w in (0.0, 0.008, 0.017, 0.034)
-            ),
+            *(Variant(f"worth{w:g}", f"{w:g}", {"frame.significance.threshold": w}) for w in (0.0, 0.09, 0.18, 0.36)),
         ),
         _BOTH,
     ),

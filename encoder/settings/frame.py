@@ -139,8 +139,8 @@ class RequantisationSteps:
 class SignificanceSettings:
     """Which changes are significant enough to be coded, and how coarsely.
 
-    ``threshold``: a change is coded if it moves the loss of a picture, summed over its pixels, by at least this (1: one
-    pixel from black to white). Higher is smaller and less exact; 0 codes every change.
+    ``threshold``: a change is coded if it moves the mean loss of a picture by at least so many millionths (1: one pixel
+    of a million from black to white). Higher is smaller and less exact; 0 codes every change.
     ``decide_at``: share of stage 2 after which insignificant changes are reverted, once.
     ``requantisation``: step sizes of the changes that are coded.
     """
@@ -163,6 +163,7 @@ class FrameSettings:
     of the selected Gaussians. More is slower and larger. ``prune_opacity``: Gaussians below it are removed.
     ``rates``: of stage 2, ``means`` in units of the rig's extent. Over its second half they fall to ``late_decay`` of
     that. ``beta1``, ``beta2``: Adam's decay rates in stage 2.
+    ``max_stretch``: largest ratio of a Gaussian's largest to its middle size that stage 2 may bring about; 0: any.
     ``adaptive_iterations``: how the iterations follow from what a frame misses.
     ``significance``: which changes are coded, without a cache. ``emergence``: how new objects are seeded.
     ``ablated``: parts of the method that are left out (`switches.without`).
@@ -184,6 +185,7 @@ class FrameSettings:
     late_decay: float = 0.2
     beta1: float = 0.9
     beta2: float = 0.999
+    max_stretch: float = 0.0
     adaptive_iterations: IterationSettings = field(default_factory=IterationSettings)
     significance: SignificanceSettings = field(default_factory=SignificanceSettings)
     emergence: EmergenceSettings = field(default_factory=EmergenceSettings)

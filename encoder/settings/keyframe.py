@@ -19,6 +19,8 @@ class KeyframeSettings:
     ``grow_from``, ``grow_to``: shares of the schedule between which Gaussians are added, every ``grow_every`` steps,
     where the mean view gradient reaches ``grow_gradient``. Lower adds more, up to the cap, and is slower.
     ``prune_opacity``: Gaussians below it are removed.
+    ``max_stretch``: largest ratio of a Gaussian's largest to its middle size; 0: any. Lower makes fewer needles, which
+    look wrong from elsewhere, and more Gaussians along edges.
     ``validation_fraction``: share of the 16x16 tiles that are kept out of the loss for early stopping; 0 turns it off.
     They are checked every ``validation_every`` steps; training stops after ``patience`` checks without a new best.
     ``rates``: step sizes, ``means`` in units of the rig's extent. Those of positions fall to ``means_decay`` over the
@@ -26,7 +28,7 @@ class KeyframeSettings:
     ``settle_iterations``: steps in which rotations and colours, then sizes, then positions are fixed on the lattice
     while the rest adapts. More is slower.
     ``rd_lambda``: the rate-distortion trade-off of rotations and view-dependent colours: squared change of a picture's
-    summed loss (1: one pixel from black to white) per bit. Higher is smaller and less exact; 0 rounds to the nearest.
+    mean loss, in millionths, per bit. Higher is smaller and less exact; 0 rounds to the nearest.
     ``optimiser``, ``densification``: names in OPTIMISERS and DENSIFICATIONS.
     """
 
@@ -43,6 +45,7 @@ class KeyframeSettings:
     grow_every: int = 100
     grow_gradient: float = 2e-4
     prune_opacity: float = 0.005
+    max_stretch: float = 10.0
     validation_fraction: float = 0.02
     validation_every: int = 100
     patience: int = 4
@@ -50,6 +53,6 @@ class KeyframeSettings:
     means_decay: float = 0.05
     late_decay: float = 0.2
     settle_iterations: int = 300
-    rd_lambda: float = 2e-5
+    rd_lambda: float = 2.3e-3
     optimiser: str = "adam"
     densification: str = "clone-split"

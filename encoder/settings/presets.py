@@ -51,9 +51,10 @@ _LIVE = EncodeSettings(
         grow_fraction=0.01,
         beta1=0.7,
         beta2=0.99,
+        max_stretch=4.0,
         adaptive_iterations=IterationSettings(usual_miss=0.15),
         significance=SignificanceSettings(
-            threshold=0.017,
+            threshold=0.18,
             decide_at=0.5,
             requantisation=RequantisationSteps(
                 means=1, log_scales=1, quaternions=2, opacity_logits=3, sh_dc=2, sh_rest=1
@@ -78,7 +79,7 @@ _ARCHIVE = _better(
         "joint_iterations": 400,
         "grow_fraction": 0.02,
         "significance": SignificanceSettings(
-            threshold=0.005,
+            threshold=0.054,
             decide_at=0.5,
             requantisation=RequantisationSteps(
                 means=1, log_scales=1, quaternions=1, opacity_logits=2, sh_dc=1, sh_rest=1

@@ -44,6 +44,7 @@ from .schedule import (
 )
 from .seeding import SearchView, missed, seeds, worth_a_search
 from .significance import picture_weight, revert_insignificant
+from .stretch import step_unstretched
 from .view_order import view_order
 from .warm_start import shared_displacements
 
@@ -236,7 +237,8 @@ class _DeltaTraining:
                     break
                 schedule.skip_to(decide_at)
             late = settings.late_decay ** max(0.0, 2 * schedule.position / settings.joint_iterations - 1)
-            work.optimiser.step(gradients, rates.scaled(late * min(schedule.hurry**0.5, _MAX_HASTE)))
+            rates_now = rates.scaled(late * min(schedule.hurry**0.5, _MAX_HASTE))
+            step_unstretched(work.optimiser, gradients, rates_now, settings.max_stretch)
             schedule.step()
         self._show(work)
         return schedule

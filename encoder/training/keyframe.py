@@ -35,6 +35,7 @@ from .losses import whole_picture_loss
 from .optimiser import OPTIMISERS
 from .schedule import WHOLE, StoppingRule, TargetWatch
 from .significance import cheapest, picture_weight
+from .stretch import step_unstretched
 from .view_order import view_order
 
 _CORRECT_EVERY, _CORRECT_FROM, _CORRECT_TO = 0.04, 0.05, 0.6
@@ -283,7 +284,9 @@ class _KeyframeTraining:
         self._values.append(value.total)
         self._kernel.backward(splats, out=self._gradients)
         self._view_gradients.add(self._gradients.view, camera.width, camera.height)
-        self._optimiser.step(self._gradients, self._rates(step / self._settings.iterations))
+        step_unstretched(
+            self._optimiser, self._gradients, self._rates(step / self._settings.iterations), self._settings.max_stretch
+        )
         self._densify(step)
         return value.total
 

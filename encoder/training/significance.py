@@ -1,15 +1,17 @@
 """Significance of changes: hardly visible ones are reverted while training can still compensate for them.
 
-Chosen: a dead zone inside the training loop, in units of the picture's loss. A change of one stored number moves the
+Chosen: a dead zone inside the training loop, in millionths of a picture's loss. A change of one stored number moves the
 loss by its size times the gradient (root mean square over steps and views, from Adam's moments). Late in stage 2,
-numbers whose change moves the summed loss of a picture by less than the threshold return to the decoder's values and
+numbers whose change moves the mean loss of a picture by less than the threshold return to the decoder's values and
 stay there; the remaining steps train the others around them. The remaining changes are coded in coarser steps than the
 lattice's, so that few and small integers remain.
 
 Measured on workbench (DESIGN.md): 12 kB a frame instead of 100 unrounded, for .2 dB where things move. Rejected: a
 dead zone in lattice steps (at the same dynamic PSNR twice the bytes: it spares the sharp and the faint alike); a raised
 epsilon in Adam, the prototype's lever (75th percentile: 19 % fewer bytes for .6 dB); predicted motion (5 % of the
-positions' bytes: the rest of motion after training is noise, which neighbours do not predict).
+positions' bytes: the rest of motion after training is noise, which neighbours do not predict); a threshold in pixels
+(at half the size of the pictures the same scene lost 2 dB where things move: PSNR is a mean over the picture, so what a
+change is worth is a share of it).
 """
 
 from __future__ import annotations
@@ -33,8 +35,8 @@ _COMMONEST = 256
 
 
 def picture_weight(losses: Sequence[PhotometricLoss]) -> float:
-    """Scale from a loss summed over pixels to these losses, which are means, mostly over a focus."""
-    return float(np.mean([loss.emphasis / loss.target[0].size for loss in losses]))
+    """Scale from millionths of a whole picture's mean loss to these losses, which are means mostly over a focus."""
+    return 1e-6 * float(np.mean([loss.emphasis for loss in losses]))
 
 
 def revert_insignificant(optimiser: Optimiser, before: Splats, old: NDArray[np.bool_], threshold: float) -> None:

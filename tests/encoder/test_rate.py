@@ -178,7 +178,7 @@ def test_it_knows_nothing_but_sizes() -> None:
 def economical(tiny_settings: EncodeSettings) -> EncodeSettings:
     """The tiny settings with changes judged, as the presets do."""
     significance = SignificanceSettings(
-        threshold=0.02, decide_at=0.5, requantisation=RequantisationSteps(means=3, log_scales=3, sh_dc=2)
+        threshold=6.5, decide_at=0.5, requantisation=RequantisationSteps(means=3, log_scales=3, sh_dc=2)
     )
     frame = replace(tiny_settings.frame, cache=None, joint_iterations=20, grow_fraction=0.0, significance=significance)
     return replace(tiny_settings, frame=frame)
@@ -238,7 +238,7 @@ def test_options_become_settings(
     assert settings(bytes_per_frame=2000)["frame_budget"] == 2000
     both = settings(bytes_per_frame=2000, quality=34)
     assert both["frame_budget"] == 2000
-    assert both["frame"]["significance"]["threshold"] == 0.04
+    assert both["frame"]["significance"]["threshold"] == 13.0
     assert settings(lossless=True) == with_lossless(economical).as_document()
 
 

@@ -147,30 +147,25 @@ def test_static_gaussians_are_bit_identical_from_first_to_last(long_encode: tupl
         np.testing.assert_array_equal(getattr(last, name)[after], getattr(first, name)[before])
 
 
-def slope_and_error(psnr: list[float]) -> tuple[float, float]:
-    """Slope of a line through the means of the square's rounds, dB a round, and its standard error.
+MAX_FALL = 0.25
+"""dB in 800 frames. Three seeds: -.04, -.05, -.20 of what is trained, -.09, -.06, -.05 of the view left out. A frame's
+sensor noise moves the mean of a round by some hundredths. Without the limit on stretch (`training/stretch.py`) 40 steps
+a frame lose .97 and 2.2 dB."""
+
+
+def fall(psnr: list[float]) -> float:
+    """What a line through the means of the square's rounds falls, dB, from its sixth round to its last.
 
     The first five rounds are left out: until then the scene grows.
     """
     rounds = np.array(psnr[5 * PERIOD :]).reshape(-1, PERIOD).mean(axis=1)
-    (slope, level), ((variance, _), _) = np.polyfit(np.arange(len(rounds)), rounds, 1, cov=True)
-    error = float(np.sqrt(variance))
-    print(f"{level:.2f} dB, {slope * len(rounds):+.3f} dB over {len(rounds)} rounds, +- {error * len(rounds):.3f}")
-    return float(slope), error
+    slope, level = np.polyfit(np.arange(len(rounds)), rounds, 1)
+    print(f"{level:.2f} dB, {slope * len(rounds):+.3f} dB over {len(rounds)} rounds")
+    return -float(slope) * len(rounds)
 
 
 @pytest.mark.soak
-def test_quality_of_what_is_trained_has_no_slope(long_encode: tuple[Path, Observed]) -> None:
-    """It is flat within twice its standard error, or rises."""
-    slope, error = slope_and_error(long_encode[1].training_psnr)
-    assert slope > -2 * error
-
-
-@pytest.mark.soak
-@pytest.mark.xfail(reason="four views of 32x24 pixels are fitted by more Gaussians than they have pixels")
-def test_quality_of_the_view_left_out_has_no_slope(long_encode: tuple[Path, Observed]) -> None:
-    """Falls by .2 dB in 800 frames with this seed, 0 and 1.3 with two others, while the trained views gain: each round
-    fits the views a little closer. Before first points changed: rose by .1 with this seed, fell by 1.0 with another.
-    """
-    slope, error = slope_and_error(long_encode[1].psnr)
-    assert slope > -2 * error
+@pytest.mark.parametrize("views", ["trained", "left out"])
+def test_a_thousand_frames_lose_no_quality(long_encode: tuple[Path, Observed], views: str) -> None:
+    _, seen = long_encode
+    assert fall(seen.training_psnr if views == "trained" else seen.psnr) < MAX_FALL

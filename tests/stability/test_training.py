@@ -347,7 +347,7 @@ def test_an_exposure_jump_of_two_stops(
 
 def test_one_training_view_without_points_ends_with_a_clear_line(noisy_rig: Any, tmp_path: Path, settings: Any) -> None:
     rig = noisy_rig([0, 1], cameras=1)
-    with pytest.raises(TrainingError, match="training cameras in one place tell nothing of depth") as raised:
+    with pytest.raises(TrainingError, match="training cameras in one place give no depth") as raised:
         encode_rig(rig, tmp_path / "x.dgs", settings=settings)
     assert "\n" not in str(raised.value)
     assert not (tmp_path / "x.dgs").exists()
