@@ -72,6 +72,11 @@ export interface Gaussians {
   readonly opacityLogits: Float32Array;
   /** count x (shDegree + 1)^2 x 3, spherical harmonics of colour; colour = 0.5 + SH(direction). */
   readonly sh: Float32Array;
+  /**
+   * count, where the decoder keeps it: the frame whose packet last changed or added each row; that of the keyframe for
+   * rows untouched since. It goes with the rows, so that it is right after a seek, too.
+   */
+  readonly lastChanged?: Int32Array;
 }
 
 /** The scene of one frame, and what its packet changed. Arrays belong to the decoder and change with the next frame. */

@@ -1,0 +1,16 @@
+/** The worker: decodes, packs and sorts, so that the page stays free to draw and to answer. */
+import { createStream } from "../stream/index";
+import type { FromWorker, ToWorker } from "../messages";
+import { StreamWorker } from "./stream_worker";
+
+const scope = self as unknown as {
+  postMessage(message: FromWorker, transfer: Transferable[]): void;
+  onmessage: ((event: MessageEvent<ToWorker>) => void) | null;
+};
+
+const worker = new StreamWorker(createStream, (message, transfer = []) => {
+  scope.postMessage(message, transfer);
+});
+scope.onmessage = (event) => {
+  worker.receive(event.data);
+};
