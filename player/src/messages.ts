@@ -5,13 +5,13 @@
  * worker answers with what to upload and in which order to draw. Messages are answered in their order, so that an order
  * always belongs to the frame sent last.
  */
-import type { FrameKind, StreamHeader } from "./scene";
+import type { CameraCorrection, FrameKind, StreamHeader } from "./scene";
 
 /** Depth of a point along the view: x, y, z weights and an offset, the last row of world-to-camera. */
 export type DepthRow = readonly [number, number, number, number];
 
 export type ToWorker =
-  | { readonly type: "open"; readonly source: string }
+  | { readonly type: "open"; readonly source: string; readonly follow: boolean }
   /** Show a frame; the answer is a "frame" or a "failed" message with the same `request`. */
   | { readonly type: "show"; readonly frame: number; readonly request: number }
   /** Look from elsewhere; answered by an "order", with `serial` of the last of several views. */
@@ -32,7 +32,8 @@ export interface FrameTable {
   readonly bytes: Uint32Array;
 }
 
-export const FRAME_KINDS: readonly FrameKind[] = ["key", "delta", "skip"];
+/** null: a frame whose packet is lost. */
+export const FRAME_KINDS: readonly (FrameKind | null)[] = ["key", "delta", "skip", null];
 
 /** How a Gaussian lies in the data textures (worker/packing.ts). */
 export interface TextureLayout {
@@ -87,6 +88,8 @@ export interface FrameInfo {
   readonly removed: number;
   readonly decodeMs: number;
   readonly packMs: number;
+  /** What this frame tells of cameras, by name (SPEC section 6, "Corrections"). */
+  readonly corrections: ReadonlyMap<string, CameraCorrection>;
 }
 
 export type FromWorker =
@@ -105,6 +108,8 @@ export type FromWorker =
       readonly frames: FrameTable | null;
       /** Encoder's PSNR by frame, what is new of it. */
       readonly psnr: readonly (readonly [number, number])[];
+      /** What is wrong with the stream as a whole. */
+      readonly notices: readonly string[];
     }
   | {
       readonly type: "frame";

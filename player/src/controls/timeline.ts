@@ -120,7 +120,7 @@ export class Timeline {
     if (frame !== this.hovered) {
       this.hovered = frame;
       const psnr = frames.psnr.get(frame);
-      const told = [timeText(frame / fps), `frame ${frame}`, frames.kind(frame), bytesText(frames.bytes[frame])];
+      const told = [timeText(frame / fps), `frame ${frame}`, frames.kind(frame) ?? "lost", bytesText(frames.bytes[frame])];
       if (psnr !== undefined) told.push(`${psnr.toFixed(2)} dB`);
       this.tip.textContent = told.join("  ·  ");
     }

@@ -93,8 +93,9 @@ export class WebGlRenderer implements Renderer {
     this.gl.getExtension("WEBGL_lose_context")?.loseContext();
   }
 
-  private setCamera({ uniform }: Program, camera: PinholeCamera): void {
+  private setCamera(program: Program, camera: PinholeCamera): void {
     const { gl } = this;
+    const uniform = (name: string): WebGLUniformLocation | null => program.uniform(name);
     const [x, y, z] = camera.worldToCamera as readonly (readonly [number, number, number, number])[];
     const centre = [0, 1, 2].map((axis) => -(x[axis] * x[3] + y[axis] * y[3] + z[axis] * z[3]));
     const columns = [0, 1, 2].flatMap((axis) => [x[axis], y[axis], z[axis]]);

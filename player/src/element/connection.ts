@@ -23,7 +23,7 @@ export class FrameColumns {
     this.count = count;
   }
 
-  kind(frame: number): FrameKind {
+  kind(frame: number): FrameKind | null {
     return FRAME_KINDS[this.kinds[frame]];
   }
 

@@ -52,6 +52,7 @@ export class DecogsPlayer extends HTMLElement {
   private lastTick = 0;
   private followTimer = 0;
   private pausedByHiding = false;
+  private notice: string | null = null;
   private startAt: { pose: Pose; lens: Lens } | null = null;
   private readonly resized = new ResizeObserver(() => {
     this.stage?.touch();
@@ -309,14 +310,16 @@ export class DecogsPlayer extends HTMLElement {
         this.fail(message);
       },
     );
-    this.connection.send({ type: "open", source: new URL(this.src, document.baseURI).href });
+    const follow = this.hasAttribute("follow");
+    this.connection.send({ type: "open", source: new URL(this.src, document.baseURI).href, follow });
   }
 
   private closeStream(): void {
     clearTimeout(this.followTimer);
     this.connection?.close();
     this.connection = null;
-    this.header = this.info = this.error = null;
+    this.header = this.info = this.error = this.notice = null;
+    this.warn();
     this.frames = new FrameColumns();
     this.requested = this.seekRequest = this.cameraIndex = -1;
     this.bytesRead = 0;
@@ -349,6 +352,8 @@ export class DecogsPlayer extends HTMLElement {
         if (message.frames !== null) this.frames.append(message.frames);
         for (const [frame, psnr] of message.psnr) this.frames.psnr.set(frame, psnr);
         this.grown(message.complete);
+        this.notice = message.notices.at(-1) ?? null;
+        this.warn();
         this.tell("progress");
         break;
       case "frame":
@@ -399,7 +404,7 @@ export class DecogsPlayer extends HTMLElement {
     const { playback, frames } = this;
     const longer = frames.count !== playback.frameCount;
     playback.frameCount = frames.count;
-    playback.complete = complete || !this.hasAttribute("follow");
+    playback.complete = complete;
     if (longer) this.tell("durationchange");
     this.panels.refresh();
   }
@@ -413,7 +418,7 @@ export class DecogsPlayer extends HTMLElement {
     this.stage?.load(update, draw);
     this.drawn = { count: draw.count, sortMs: draw.sortMs };
     this.recycle(draw.order, update?.base, update?.rest, update?.heat, update?.rows);
-    this.panels.warn(info.damage);
+    this.warn();
     if (first) {
       this.panels.loading(false);
       this.poster_.hidden = true;
@@ -463,9 +468,14 @@ export class DecogsPlayer extends HTMLElement {
   private fail(message: string): void {
     this.error = message;
     this.panels.loading(false);
-    this.panels.warn(message);
+    this.warn();
     this.pause();
     this.tell("error");
+  }
+
+  /** Says the worst of what is wrong, as long as it is. */
+  private warn(): void {
+    this.panels.warn(this.error ?? this.info?.damage ?? this.notice);
   }
 
   private showPoster(address: string | null): void {

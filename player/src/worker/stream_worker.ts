@@ -1,12 +1,12 @@
 /** Answers the page's messages from an open stream. Knows no browser, so that tests drive it in Node. */
 import type { SceneFrame, SceneStream } from "../scene";
-import { FRAME_KINDS, type DepthRow, type DrawOrder, type FrameTable, type FromWorker, type ToWorker } from "../messages";
+import { FRAME_KINDS, type DepthRow, type DrawOrder, type FrameInfo, type FrameTable, type FromWorker, type SceneUpdate, type ToWorker } from "../messages";
 import { Buffers } from "./buffers";
 import { DepthSorter } from "./depth_order";
 import { PackedScene } from "./packed_scene";
 import { textureLayout } from "./packing";
 
-export type OpenStream = (source: string) => Promise<SceneStream>;
+export type OpenStream = (source: string, options: { readonly follow: boolean }) => Promise<SceneStream>;
 export type Send = (message: FromWorker, transfer?: Transferable[]) => void;
 
 const EMPTY_ORDER: DrawOrder = { order: new Uint32Array(0), count: 0, sortMs: 0, serial: 0 };
@@ -18,7 +18,7 @@ export class StreamWorker {
   private view: { readonly depth: DepthRow; readonly serial: number } | null = null;
   private readonly buffers = new Buffers();
   private readonly sorter = new DepthSorter();
-  private told = { frames: 0, metrics: 0, bytesRead: 0, complete: false };
+  private told = { frames: 0, metrics: 0, bytesRead: 0, complete: false, notices: 0 };
   private wanted: { frame: number; request: number } | null = null;
   private abort: AbortController | null = null;
   private busy = false;
@@ -32,7 +32,7 @@ export class StreamWorker {
   receive(message: ToWorker): void {
     switch (message.type) {
       case "open":
-        void this.open(message.source);
+        void this.open(message.source, message.follow);
         return;
       case "show":
         this.wanted = message;
@@ -60,9 +60,9 @@ export class StreamWorker {
     }
   }
 
-  private async open(source: string): Promise<void> {
+  private async open(source: string, follow: boolean): Promise<void> {
     try {
-      const stream = await this.openStream(source);
+      const stream = await this.openStream(source, { follow });
       const { header, complete } = stream;
       const layout = textureLayout(header.shDegree);
       this.stream = stream;
@@ -94,10 +94,7 @@ export class StreamWorker {
         const packedAt = performance.now();
         this.frame = scene;
         const draw = this.sorted();
-        const { kind, bytes, damage, changed, added, removed } = scene;
-        const counts = { count: scene.gaussians.count, changed, added, removed };
-        const times = { decodeMs: decoded - begun, packMs: packedAt - decoded };
-        const info = { frame: scene.frame, kind, bytes, damage, ...counts, ...times };
+        const info = infoOf(scene, decoded - begun, packedAt - decoded);
         this.send({ type: "frame", request, info, update, draw }, transfers(draw, update));
         this.tellProgress();
         void this.prefetch(stream, frame + 1);
@@ -132,8 +129,7 @@ export class StreamWorker {
     if (this.frame === null || this.packed === null) return;
     const update = this.packed.whole();
     const draw = this.sorted();
-    const { frame, kind, bytes, damage, changed, added, removed, gaussians } = this.frame;
-    const info = { frame, kind, bytes, damage, changed, added, removed, count: gaussians.count, decodeMs: 0, packMs: 0 };
+    const info = infoOf(this.frame, 0, 0);
     this.send({ type: "frame", request: -1, info, update, draw }, transfers(draw, update));
   }
 
@@ -164,11 +160,11 @@ export class StreamWorker {
     if (stream === null) return;
     const psnr = this.newMetrics(stream);
     const frames = this.newFrames();
-    const { bytesRead, complete } = stream;
-    if (frames === null && psnr.length === 0 && told.bytesRead === bytesRead && told.complete === complete) return;
-    told.bytesRead = bytesRead;
-    told.complete = complete;
-    this.send({ type: "progress", bytesRead, complete, frames, psnr });
+    const { bytesRead, complete, notices } = stream;
+    const same = told.bytesRead === bytesRead && told.complete === complete && told.notices === notices.length;
+    if (frames === null && psnr.length === 0 && same) return;
+    Object.assign(told, { bytesRead, complete, notices: notices.length });
+    this.send({ type: "progress", bytesRead, complete, frames, psnr, notices });
   }
 
   private newFrames(): FrameTable | null {
@@ -189,7 +185,13 @@ export class StreamWorker {
   }
 }
 
-function transfers(draw: DrawOrder, update: FromWorkerUpdate): Transferable[] {
+function infoOf(scene: SceneFrame, decodeMs: number, packMs: number): FrameInfo {
+  const { frame, kind, bytes, damage, changed, added, removed, corrections } = scene;
+  const { count } = scene.gaussians;
+  return { frame, kind, bytes, damage, count, changed, added, removed, decodeMs, packMs, corrections };
+}
+
+function transfers(draw: DrawOrder, update: SceneUpdate | null): Transferable[] {
   const buffers = new Set<ArrayBufferLike>();
   if (draw !== EMPTY_ORDER) buffers.add(draw.order.buffer);
   if (update !== null) {
@@ -199,8 +201,6 @@ function transfers(draw: DrawOrder, update: FromWorkerUpdate): Transferable[] {
   }
   return [...buffers] as ArrayBuffer[];
 }
-
-type FromWorkerUpdate = Extract<FromWorker, { type: "frame" }>["update"];
 
 function sentence(error: unknown): string {
   return error instanceof Error ? error.message : String(error);
