@@ -9,6 +9,11 @@ export default tseslint.config(
       // Typed arrays are read at computed places everywhere; tsc knows their values to be numbers.
       "@typescript-eslint/no-non-null-assertion": "off",
       "@typescript-eslint/restrict-template-expressions": ["error", { allowNumber: true }],
+      // Node's runner waits for its tests itself.
+      "@typescript-eslint/no-floating-promises": [
+        "error",
+        { allowForKnownSafeCalls: [{ from: "package", name: ["test", "suite", "before", "after"], package: "node:test" }] },
+      ],
     },
   },
   { files: ["**/*.mjs", "**/*.js"], extends: [tseslint.configs.disableTypeChecked] },
