@@ -8,6 +8,11 @@ export default tseslint.config(
     rules: {
       // Typed arrays are read at computed places everywhere; tsc knows their values to be numbers.
       "@typescript-eslint/no-non-null-assertion": "off",
+      // Node's runner awaits tests itself.
+      "@typescript-eslint/no-floating-promises": [
+        "error",
+        { allowForKnownSafeCalls: [{ from: "package", package: "node:test", name: ["test", "before", "after"] }] },
+      ],
       "@typescript-eslint/restrict-template-expressions": ["error", { allowNumber: true }],
       // Node's runner waits for its tests itself.
       "@typescript-eslint/no-floating-promises": [
