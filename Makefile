@@ -41,7 +41,7 @@ WHEEL_ENV := build/wheel-env
 
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
-.PHONY: help setup demo test lint type layers wheel wheel-check unit player player-wasm player-test slow soak fuzz bench report \
+.PHONY: help setup demo test lint type layers wheel wheel-check unit player player-wasm player-check slow soak fuzz bench report \
 	blender-addon blender-test clean
 
 help: ## list what can be made
@@ -75,7 +75,7 @@ $(USER_READY): $(INSTALLS) $(KERNEL_SOURCES) | $(USER_BIN)/python
 demo: $(USER_READY) ## encode the sample rig, decode its held-out view, export USD, in .venv-user
 	$(USER_BIN)/python tests/demo/demo.py
 
-test: lint type layers wheel-check player-test unit ## every check; what continuous integration runs
+test: lint type layers wheel-check player-check unit ## every check; what continuous integration runs
 
 lint: $(READY) ## ruff: rules and formatting
 	$(BIN)/ruff check .
@@ -108,10 +108,11 @@ $(ZIG_ENV)/ready:
 	$(ZIG_ENV)/bin/python -m pip install $(PIP_ARGS) --quiet --no-compile ziglang==0.17.0
 	@touch $@
 
-player-test: ## check types and rules of the player, and its unit tests, where Node and its packages are there
-	@if ! command -v node > /dev/null; then echo 'player-test: skipped, Node is not installed'; \
-	elif [ ! -d player/node_modules ]; then echo 'player-test: skipped, player/node_modules is missing (make player gets it)'; \
-	else cd player && npm run --silent check && npm run --silent test; fi
+# Its unit tests are among pytest's, and skipped where these are missing.
+player-check: ## types and rules of the player, where Node and its packages are there
+	@if ! command -v node > /dev/null; then echo 'player-check: skipped, Node is not installed'; \
+	elif [ ! -d player/node_modules ]; then echo 'player-check: skipped, player/node_modules is missing (make player gets it)'; \
+	else cd player && npm run --silent check; fi
 
 slow: $(READY) ## longer twins of tests that are in `make test`, and those that need larger rigs (CONTRIBUTING.md)
 	$(BIN)/pytest -m slow -n auto --dist worksteal

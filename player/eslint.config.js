@@ -11,14 +11,9 @@ export default tseslint.config(
       // Node's runner awaits tests itself.
       "@typescript-eslint/no-floating-promises": [
         "error",
-        { allowForKnownSafeCalls: [{ from: "package", package: "node:test", name: ["test", "before", "after"] }] },
+        { allowForKnownSafeCalls: [{ from: "package", package: "node:test", name: ["test", "suite", "before", "after"] }] },
       ],
       "@typescript-eslint/restrict-template-expressions": ["error", { allowNumber: true }],
-      // Node's runner waits for its tests itself.
-      "@typescript-eslint/no-floating-promises": [
-        "error",
-        { allowForKnownSafeCalls: [{ from: "package", name: ["test", "suite", "before", "after"], package: "node:test" }] },
-      ],
     },
   },
   { files: ["**/*.mjs", "**/*.js"], extends: [tseslint.configs.disableTypeChecked] },

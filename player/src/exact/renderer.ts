@@ -113,15 +113,24 @@ export class ExactRenderer {
   }
 
   private placeScene(gaussians: Gaussians, shDegree: number): void {
-    const { count } = gaussians;
+    const { count, order } = gaussians;
     const colours = 3 * (shDegree + 1) ** 2;
     const at = found(this.kernel.exact_scene(count, shDegree));
     const room = new Float32Array(this.kernel.memory.buffer, at, count * (GEOMETRY + colours));
-    room.set(gaussians.means.subarray(0, 3 * count), 0);
-    room.set(gaussians.logScales.subarray(0, 3 * count), 3 * count);
-    room.set(gaussians.quaternions.subarray(0, 4 * count), 6 * count);
-    room.set(gaussians.opacityLogits.subarray(0, count), 10 * count);
-    room.set(gaussians.sh.subarray(0, colours * count), GEOMETRY * count);
+    // Of Gaussians at equal depth the one that comes first in the stream is in front.
+    let to = 0;
+    const parts: readonly (readonly [Float32Array, number])[] = [
+      [gaussians.means, 3],
+      [gaussians.logScales, 3],
+      [gaussians.quaternions, 4],
+      [gaussians.opacityLogits, 1],
+      [gaussians.sh, colours],
+    ];
+    for (const [values, width] of parts) {
+      if (order === null) room.set(values.subarray(0, width * count), to);
+      else gather(values, width, order, room.subarray(to, to + width * count));
+      to += width * count;
+    }
   }
 
   private placeCamera(camera: ExactCamera): void {
@@ -175,6 +184,14 @@ export function cameraFloats(camera: ExactCamera): number[] {
 function turned(rotation: readonly (readonly number[])[], vector: readonly number[]): number[] {
   const [x, y, z] = vector as [number, number, number];
   return rotation.map((row) => x * row[0] + y * row[1] + z * row[2]);
+}
+
+/** Rows of `width` floats from their places. */
+function gather(values: Float32Array, width: number, order: Uint32Array, room: Float32Array): void {
+  let to = 0;
+  for (let row = 0; to < room.length; row++) {
+    for (let from = width * order[row], end = from + width; from < end; from++) room[to++] = values[from];
+  }
 }
 
 function found(address: number): number {

@@ -47,6 +47,7 @@ function alike(count: number, logScale: number, behind = 0): Gaussians {
     quaternions: Float32Array.from({ length: 4 * count }, (_, at) => (at % 4 === 0 ? 1 : 0)),
     opacityLogits: new Float32Array(count).fill(8),
     sh: new Float32Array(3 * count),
+    order: null,
   };
 }
 
@@ -79,6 +80,7 @@ suite("the native kernel's pictures", { skip: folder === undefined && "pytest te
         quaternions: take(4),
         opacityLogits: take(1),
         sh: take(3 * (shDegree + 1) ** 2),
+        order: null,
       };
       assert.equal(at, values.length);
       const planes = exact.planes(gaussians, shDegree, camera, background);
@@ -97,6 +99,16 @@ test("a scene of nothing is the background", () => {
   const pixels = exact.draw(alike(0, 0), 0, camera, [1, 0.5, 0]);
   assert.deepEqual([...pixels.subarray(0, 4)], [255, 128, 0, 255]);
   assert.equal(pixels.length, 4 * 64 * 48);
+});
+
+test("Gaussians are taken in the stream's order, wherever the decoder keeps them", () => {
+  const scene = alike(2, -1);
+  scene.sh.set([1, 1, 1], 0);
+  const middle = 4 * (24 * 64 + 32);
+  const first = (order: Uint32Array | null) => exact.draw({ ...scene, order }, 0, camera, [0, 0, 0])[middle];
+  const [bright, grey] = [first(Uint32Array.of(0, 1)), first(Uint32Array.of(1, 0))];
+  assert.equal(first(null), bright);
+  assert.ok(bright > grey + 50);
 });
 
 test("a picture that is covered too many times is refused, and the next one drawn", () => {
