@@ -43,7 +43,7 @@ export function markup(): string {
   <div class="timeline" role="slider" tabindex="0" aria-label="Time" aria-valuemin="0" aria-valuemax="0" aria-valuenow="0"></div>
   <div class="row">
     <button class="play" type="button" aria-label="Play">${icon("play")}</button>
-    <output class="time" aria-hidden="true"></output>
+    <span class="time" aria-hidden="true"><span class="now-at"></span><span class="of"></span></span>
     <span class="space"></span>
     <span class="cameras" role="group" aria-label="Camera">
       <button type="button" name="previous" aria-label="Camera before">${icon("previous")}</button>

@@ -160,7 +160,7 @@ export class Navigation {
 
   private circle(right: number, down: number, share: number): void {
     const { axes, centre } = this.pose;
-    const turned = this.turned(axes, -right, down, share);
+    const turned = this.turned(axes, right, down, share);
     // The pivot stays where it is in the picture: the same camera coordinates, the other axes.
     const inCamera = applied(axes, minus(this.pivot, centre));
     this.pose = { axes: turned, centre: minus(this.pivot, applied(transposed(turned), inCamera)) };

@@ -185,8 +185,8 @@ export class Panels {
       play.setAttribute("aria-label", text);
     }
     this.part(".start").hidden = player.controls || !player.paused || player.info === null;
-    const time = player.header === null ? "" : `${timeText(player.currentTime)} / ${timeText(player.duration)}`;
-    this.part(".time").textContent = time;
+    this.part(".now-at").textContent = player.header === null ? "" : timeText(player.currentTime);
+    this.part(".of").textContent = player.header === null ? "" : ` / ${timeText(player.duration)}`;
     this.updateCameras();
     this.select("overlay").value = player.overlay;
     this.select("rate").value = String(player.playbackRate);

@@ -6,6 +6,8 @@ import type { DecogsPlayer } from "../element/player";
 import { bytesText, timeText } from "./time_text";
 
 const SMALLEST_PACKET = 24;
+/** Of a bar, in pixels of the page. */
+const WIDEST = 12;
 
 export class Timeline {
   private readonly canvas = document.createElement("canvas");
@@ -46,24 +48,36 @@ export class Timeline {
     if (state === this.drawnState || width === 0) return;
     this.drawnState = state;
     [canvas.width, canvas.height] = [width, height];
-    this.draw(canvas.getContext("2d")!, width, height, colours);
+    this.draw(canvas.getContext("2d")!, width, height, ratio, colours);
     const time = timeText(player.currentTime);
     track.setAttribute("aria-valuemax", String(Math.max(0, count - 1)));
     track.setAttribute("aria-valuenow", String(frame));
     track.setAttribute("aria-valuetext", count > 0 ? `${time}, frame ${frame} of ${count}` : "nothing yet");
   }
 
-  private draw(context: CanvasRenderingContext2D, width: number, height: number, colours: CSSStyleDeclaration): void {
+  private draw(
+    context: CanvasRenderingContext2D,
+    width: number,
+    height: number,
+    ratio: number,
+    colours: CSSStyleDeclaration,
+  ): void {
     const { frames, currentFrame } = this.player;
     const { count } = frames;
     if (count === 0) return;
     const [ink, accent] = [colours.color, colours.getPropertyValue("--accent")];
     const columns = Math.min(count, Math.floor(width / 2));
     const step = width / columns;
-    const gap = step > 6 ? Math.min(2, step / 4) : step > 3 ? 1 : 0;
+    const gap = step > 3 ? Math.max(1, step - WIDEST * ratio, Math.min(2 * ratio, step / 4)) : 0;
     let most = SMALLEST_PACKET;
     for (let frame = 0; frame < count; frame++) most = Math.max(most, frames.bytes[frame]);
     const span = Math.log2(most / SMALLEST_PACKET) || 1;
+    const base = Math.max(1, Math.round(2 * ratio));
+    context.fillStyle = ink;
+    context.globalAlpha = 0.18;
+    context.fillRect(0, height - base, width, base);
+    context.globalAlpha = 0.6;
+    context.fillRect(0, height - base, ((currentFrame + 0.5) / count) * width, base);
     for (let column = 0; column < columns; column++) {
       const from = Math.floor((column * count) / columns);
       const to = Math.floor(((column + 1) * count) / columns);
@@ -73,7 +87,7 @@ export class Timeline {
         key ||= frames.kinds[frame] === 0;
       }
       const share = Math.max(0, Math.log2(Math.max(bytes, 1) / SMALLEST_PACKET)) / span;
-      const bar = Math.max(0.1, share) * height;
+      const bar = Math.max(base, share * height);
       context.globalAlpha = from <= currentFrame ? 0.95 : key ? 0.55 : 0.3;
       context.fillStyle = key ? accent : ink;
       context.fillRect(column * step + gap / 2, height - bar, step - gap, bar);
@@ -82,7 +96,7 @@ export class Timeline {
     context.globalAlpha = 1;
     context.fillStyle = ink;
     const head = ((currentFrame + 0.5) / count) * width;
-    context.fillRect(Math.round(head - 1), 0, 2, height);
+    context.fillRect(Math.round(head - ratio), 0, Math.round(2 * ratio), height);
   }
 
   private drawPsnr(context: CanvasRenderingContext2D, width: number, height: number, colour: string): void {

@@ -2,7 +2,7 @@
 export const STYLE = /* css */ `
 :host {
   --accent: #ff9d4d; --line: #6cc6ff;
-  --panel: rgb(17 19 23 / .82); --ink: #f1f3f6; --soft: #a9b1bd; --edge: rgb(255 255 255 / .1); --hover: rgb(255 255 255 / .1);
+  color-scheme: dark light; --panel: rgb(17 19 23 / .84); --ink: #f1f3f6; --soft: #a9b1bd; --edge: rgb(255 255 255 / .1); --hover: rgb(255 255 255 / .1);
   display: block; position: relative; overflow: hidden; width: 100%; aspect-ratio: 16 / 9; background: #000;
   font: 13px/1.4 system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", sans-serif; color: var(--ink);
   user-select: none; -webkit-user-select: none; outline: none; container-type: inline-size;
@@ -75,7 +75,9 @@ dl { margin: 0; display: grid; }
   select { max-width: 92px; }
   .menu { left: 8px; right: 8px; width: auto; bottom: calc(116px + env(safe-area-inset-bottom, 0px)); }
   .menu select { max-width: 170px; }
-  .figures { top: 8px; right: 8px; } .legend { top: 8px; left: 8px; }
+  .figures { top: 8px; right: 8px; }
+  .legend { top: auto; left: 8px; bottom: calc(124px + env(safe-area-inset-bottom, 0px)); max-width: calc(100% - 44px); }
+  .of { display: none; }
 }
 @media (prefers-reduced-motion: reduce) { .bar { transition: none; } .spinner { animation-duration: 4s; } }
 `;

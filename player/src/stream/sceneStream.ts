@@ -6,9 +6,12 @@ import { startZstd } from "../entropy/zstd";
 import type { PacketHeader } from "../container/packets";
 import type { FrameEntry, FrameMetrics, SceneFrame, SceneStream, StreamHeader } from "../scene";
 import { Decoder, type FramePacket, type Step } from "../state/decoder";
+import { BlobFeed } from "./blob";
+import { CachedSource } from "./cache";
 import { Changes } from "./changes";
 import { leadsTo, readFramePacket } from "./framePackets";
 import { FrameTable } from "./frameTable";
+import { HttpFeed } from "./http";
 import { readMetricsPayload } from "./metrics";
 import { readIndexAtEnd, readOpening, type Opening } from "./opening";
 import { MemorySource, type ByteSource } from "./sources";
@@ -36,17 +39,32 @@ const NOTHING: Omit<Step, "corrections"> = { places: new Uint32Array(0), changed
 /** How long decoding goes on without letting messages in, so that it can be aborted. */
 const BUSY_MS = 20;
 
-/** Opens a stream: reads its header packet, and begins to look for the index. Rejects with a StreamError. */
-export async function createStream(
-  source: ByteSource | ArrayBuffer | Uint8Array,
-  options: StreamOptions = {},
-): Promise<SceneStream> {
-  const bytes = source instanceof ArrayBuffer || source instanceof Uint8Array ? new MemorySource(source) : source;
+/** An address, a file that was chosen or dropped, bytes, or a source of one's own. */
+export type StreamSource = string | URL | Blob | ArrayBuffer | Uint8Array | ByteSource;
+
+/**
+ * Opens a stream: reads its header packet and the first frame's packet header, and begins to look for the index.
+ * Rejects with a StreamError.
+ */
+export async function createStream(source: StreamSource, options: StreamOptions = {}): Promise<SceneStream> {
+  const bytes = sourceOf(source, options);
   const limits = { ...DEFAULT_LIMITS, ...options.limits };
-  const [opening] = await Promise.all([readOpening(bytes, limits, options.signal), startZstd()]);
-  const stream = new OpenStream(bytes, opening, limits, options.follow ?? false);
-  await stream.findFirst(options.signal);
-  return stream;
+  try {
+    const [opening] = await Promise.all([readOpening(bytes, limits, options.signal), startZstd()]);
+    const stream = new OpenStream(bytes, opening, limits, options.follow ?? false);
+    await stream.findFirst(options.signal);
+    return stream;
+  } catch (error) {
+    bytes.close();
+    throw error;
+  }
+}
+
+function sourceOf(source: StreamSource, { follow = false }: StreamOptions): ByteSource {
+  if (typeof source === "string" || source instanceof URL) return new CachedSource(new HttpFeed(String(source), follow));
+  if (source instanceof Blob) return new CachedSource(new BlobFeed(source));
+  if (source instanceof ArrayBuffer || source instanceof Uint8Array) return new MemorySource(source);
+  return source;
 }
 
 /** The frame that was shown last, and what its packet did. */
@@ -153,8 +171,11 @@ class OpenStream implements SceneStream {
   }
 
   private async readIndex(): Promise<void> {
-    this.indexed = await readIndexAtEnd(this.source, this.opening, this.limits);
-    if (this.indexed === null && this.source.isLocal) await this.walkTo(Infinity);
+    // Where the whole file lies before its end, going there would read it.
+    if (this.source.access !== "sequential") {
+      this.indexed = await readIndexAtEnd(this.source, this.opening, this.limits);
+    }
+    if (this.indexed === null && this.source.access === "local") await this.walkTo(Infinity);
   }
 
   /** Finds frames without the index, up to so many or up to an offset; the walk is one, whoever needs it. */

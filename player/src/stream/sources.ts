@@ -1,18 +1,23 @@
 /** Where a stream's bytes come from. */
 
-/** Bytes by their offset. All methods reject with a StreamError where bytes cannot be had. */
+/**
+ * What reading costs: nothing worth saving ("local"), what is read ("ranges"), or all that lies before as well
+ * ("sequential").
+ */
+export type Access = "local" | "ranges" | "sequential";
+
+/** Bytes by their offset. Methods reject with a StreamError where bytes cannot be had, and with the signal's reason. */
 export interface ByteSource {
   /** For messages. */
   readonly name: string;
+  readonly access: Access;
   /** Bytes that are there, as far as that is known without reading on; null when it is not. */
   readonly size: number | null;
-  /** Whether reading all of it costs little. */
-  readonly isLocal: boolean;
   /** Bytes that came from outside so far. */
   readonly bytesRead: number;
   /** Bytes from an offset on; fewer, or none, where the source ends. Whoever gets them does not write to them. */
   read(offset: number, length: number, signal?: AbortSignal): Promise<Uint8Array>;
-  /** Makes later reads within this range quick, as far as memory is allowed to be used for it. */
+  /** Makes later reads within this range quick, as far as memory may be used for it; gives up what it did before. */
   prefetch(offset: number, length: number): Promise<void>;
   /** Looks whether the source has grown; resolves to whether it has. */
   refresh(): Promise<boolean>;
@@ -21,8 +26,8 @@ export interface ByteSource {
 
 /** Bytes in memory. */
 export class MemorySource implements ByteSource {
-  readonly name = "stream";
-  readonly isLocal = true;
+  readonly name = "the stream";
+  readonly access = "local";
   private readonly bytes: Uint8Array;
 
   constructor(bytes: Uint8Array | ArrayBuffer) {

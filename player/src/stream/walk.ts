@@ -93,16 +93,16 @@ export class Walk {
     const header = readPacketHeader(head, this.limits.payloadBytes);
     checkPlace(header.kind, false);
     const bytes = PACKET_OVERHEAD + header.length;
-    if (!(await this.isThere(this.offset + bytes, signal))) return this.unfinishedPacket(signal);
+    if (!(await this.isThere(bytes, signal))) return this.unfinishedPacket(signal);
     await this.pass({ ...header, offset: this.offset }, signal);
     this.offset += bytes;
     this.stopsInside = false;
     return "on";
   }
 
-  private async isThere(end: number, signal?: AbortSignal): Promise<boolean> {
-    if (this.source.size !== null) return end <= this.source.size;
-    return (await this.source.read(end - 1, 1, signal)).length === 1;
+  private async isThere(bytes: number, signal?: AbortSignal): Promise<boolean> {
+    if (this.source.size !== null) return this.offset + bytes <= this.source.size;
+    return (await this.source.read(this.offset, bytes, signal)).length === bytes;
   }
 
   /** Inside a packet that will not become whole, another may start: then bytes are missing. */

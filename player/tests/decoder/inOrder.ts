@@ -143,7 +143,13 @@ export function hashes(decoder: Decoder, step: Pick<Step, "corrections">, header
   };
 }
 
-export function floatsHash(decoder: Pick<Decoder, "gaussians">, places: Uint32Array): string {
+/** The hash of a frame's floats, in the order of its rows. */
+export function hashOf({ gaussians }: Pick<Decoder, "gaussians">): string {
+  const places = gaussians.order ?? Uint32Array.from({ length: gaussians.count }, (_, row) => row);
+  return floatsHash({ gaussians }, places);
+}
+
+function floatsHash(decoder: Pick<Decoder, "gaussians">, places: Uint32Array): string {
   const { means, logScales, quaternions, opacityLogits, sh, count } = decoder.gaussians;
   const arrays: [Float32Array, number][] = [
     [means, 3],

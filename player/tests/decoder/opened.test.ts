@@ -3,16 +3,10 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { StreamError, createStream } from "../../src/stream/index";
-import type { SceneFrame } from "../../src/scene";
-import { floatsHash } from "./inOrder";
+import { hashOf } from "./inOrder";
 import { EXPECTED, GOOD, vector } from "./vectors";
 
 const WITHIN_LIMITS = GOOD.filter((name) => EXPECTED[name].limits === undefined);
-
-function hashOf({ gaussians }: SceneFrame): string {
-  const places = gaussians.order ?? Uint32Array.from({ length: gaussians.count }, (_, row) => row);
-  return floatsHash({ gaussians }, places);
-}
 
 for (const name of WITHIN_LIMITS) {
   test(`${name}, in order and backwards`, async () => {
