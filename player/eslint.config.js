@@ -11,7 +11,7 @@ export default tseslint.config(
       // Node's runner awaits tests itself.
       "@typescript-eslint/no-floating-promises": [
         "error",
-        { allowForKnownSafeCalls: [{ from: "package", package: "node:test", name: ["test", "before", "after"] }] },
+        { allowForKnownSafeCalls: [{ from: "package", package: "node:test", name: ["test", "suite", "before", "after"] }] },
       ],
       "@typescript-eslint/restrict-template-expressions": ["error", { allowNumber: true }],
     },
