@@ -41,7 +41,7 @@ WHEEL_ENV := build/wheel-env
 
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
-.PHONY: help setup demo test lint type layers wheel wheel-check unit player player-wasm player-check slow soak fuzz bench report \
+.PHONY: help setup demo test lint type layers wheel wheel-check unit player player-wasm player-check test-browser slow soak fuzz bench report \
 	blender-addon blender-test clean
 
 help: ## list what can be made
@@ -113,6 +113,10 @@ player-check: ## types and rules of the player, where Node and its packages are 
 	@if ! command -v node > /dev/null; then echo 'player-check: skipped, Node is not installed'; \
 	elif [ ! -d player/node_modules ]; then echo 'player-check: skipped, player/node_modules is missing (make player gets it)'; \
 	else cd player && npm run --silent check; fi
+
+# Skipped, saying so, where Node, the player's packages or Chromium are missing. DECOGS_CHROMIUM names one that lies elsewhere.
+test-browser: $(READY) ## the player in a Chromium without a window: pictures against decogs-decode, seeking, growing files, controls
+	$(BIN)/pytest -m browser tests/player
 
 slow: $(READY) ## longer twins of tests that are in `make test`, and those that need larger rigs (CONTRIBUTING.md)
 	$(BIN)/pytest -m slow -n auto --dist worksteal

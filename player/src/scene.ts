@@ -143,6 +143,8 @@ export interface SceneStream {
   readonly frames: readonly FrameEntry[];
   /** Whether the end of the stream was seen: false while a source still grows. */
   readonly complete: boolean;
+  /** Whether all that is there was seen, and it has no end: more may come, or the stream is cut off. */
+  readonly waits: boolean;
   /** Figures by frame, for those that have any. */
   readonly metrics: ReadonlyMap<number, FrameMetrics>;
   /** Bytes read from the source so far. */

@@ -117,6 +117,7 @@ export class Navigation {
   /** Moves on by some seconds; whether the view has changed. */
   step(seconds: number): boolean {
     const before = this.pose;
+    if (length(this.flight) > 0) this.begin();
     if (this.jump !== null) this.fly(this.jump, seconds);
     else {
       this.glide(this.calm ? 1 : 1 - Math.exp(-seconds / GLIDE));

@@ -48,6 +48,8 @@ export class DecogsPlayer extends HTMLElement {
   private requested = -1;
   private requests = 0;
   private seekRequest = -1;
+  /** A frame asked for that is not known yet; -1 for none. */
+  private seekLater = -1;
   private ticking = 0;
   private lastTick = 0;
   private followTimer = 0;
@@ -321,7 +323,7 @@ export class DecogsPlayer extends HTMLElement {
     this.header = this.info = this.error = this.notice = null;
     this.warn();
     this.frames = new FrameColumns();
-    this.requested = this.seekRequest = this.cameraIndex = -1;
+    this.requested = this.seekRequest = this.seekLater = this.cameraIndex = -1;
     this.bytesRead = 0;
     Object.assign(this.playback, { playing: false, ended: false, position: 0, frameCount: 0, complete: false });
     this.panels.refresh();
@@ -406,6 +408,7 @@ export class DecogsPlayer extends HTMLElement {
     playback.frameCount = frames.count;
     playback.complete = complete;
     if (longer) this.tell("durationchange");
+    if (this.seekLater >= 0 && (this.seekLater < frames.count || complete)) this.seekFrame(this.seekLater);
     this.panels.refresh();
   }
 
@@ -451,6 +454,7 @@ export class DecogsPlayer extends HTMLElement {
   private seekFrame(frame: number): void {
     const { playback } = this;
     if (this.header === null || !Number.isFinite(frame)) return;
+    this.seekLater = frame >= playback.frameCount && !playback.complete ? frame : -1;
     playback.position = Math.max(0, Math.min(frame, playback.frameCount - 1));
     playback.ended = false;
     this.tell("seeking");

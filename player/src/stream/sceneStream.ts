@@ -116,6 +116,10 @@ class OpenStream implements SceneStream {
     return this.indexed !== null || this.walk.ended;
   }
 
+  get waits(): boolean {
+    return this.indexed === null && this.walk.waits;
+  }
+
   get bytesRead(): number {
     return this.source.bytesRead;
   }

@@ -36,6 +36,8 @@ type Progress = "on" | "waiting" | "ended";
 export class Walk {
   /** Whether the end packet was passed. */
   ended = false;
+  /** Whether there was nothing more to walk along, but no end packet either. */
+  waits = false;
   /** Damage that costs no frame as far as is known. */
   readonly notices: StreamError[] = [];
   /** Whether what is there ends inside a packet. */
@@ -61,7 +63,9 @@ export class Walk {
   async until(frames: number, offset: number, signal?: AbortSignal): Promise<void> {
     while (this.table.length < frames && this.offset < offset) {
       signal?.throwIfAborted();
-      if ((await this.step(signal)) !== "on") return;
+      const progress = await this.step(signal);
+      this.waits = progress === "waiting";
+      if (progress !== "on") return;
     }
   }
 

@@ -23,6 +23,7 @@ export class StreamWorker {
   private abort: AbortController | null = null;
   private busy = false;
   private sortDue = false;
+  private follow = false;
 
   constructor(
     private readonly openStream: OpenStream,
@@ -63,7 +64,9 @@ export class StreamWorker {
   private async open(source: string, follow: boolean): Promise<void> {
     try {
       const stream = await this.openStream(source, { follow });
-      const { header, complete } = stream;
+      const { header } = stream;
+      this.follow = follow;
+      const complete = this.isComplete(stream);
       const layout = textureLayout(header.shDegree);
       this.stream = stream;
       this.packed = new PackedScene(layout, this.buffers);
@@ -160,11 +163,17 @@ export class StreamWorker {
     if (stream === null) return;
     const psnr = this.newMetrics(stream);
     const frames = this.newFrames();
-    const { bytesRead, complete, notices } = stream;
+    const { bytesRead, notices } = stream;
+    const complete = this.isComplete(stream);
     const same = told.bytesRead === bytesRead && told.complete === complete && told.notices === notices.length;
     if (frames === null && psnr.length === 0 && same) return;
     Object.assign(told, { bytesRead, complete, notices: notices.length });
     this.send({ type: "progress", bytesRead, complete, frames, psnr, notices });
+  }
+
+  /** Whether no more frames will come. */
+  private isComplete(stream: SceneStream): boolean {
+    return stream.complete || (stream.waits && !this.follow);
   }
 
   private newFrames(): FrameTable | null {
