@@ -5,7 +5,7 @@ import { Fields } from "../container/fields";
 import type { Limits } from "../container/limits";
 import type { CameraCorrection, FrameKind, Gaussians, StreamHeader } from "../scene";
 import { allRows } from "../entropy/indexSets";
-import { forgetColumns } from "../entropy/planes";
+import { forgetColumns, type Columns } from "../entropy/planes";
 import { readCorrections } from "./corrections";
 import { combine, sumOfHashes, addModulo } from "./digest";
 import { channelsOf } from "./groups";
@@ -202,16 +202,12 @@ function changeState(
   // Beyond the last place until the digest is verified: the removed ones may have to stay.
   const behind = rowsBetween(state.count, state.count + added);
   state.write(behind, ids, values);
-  const lastId = added > 0 ? idOf(ids, added - 1) : lastKeptId(state, removed);
-  if (lastId >= nextId) {
-    state.change(touched, residuals, -1);
-    state.sum = sum;
-    refuse("bad-payload", "the next id is not above all ids");
-  }
   try {
+    const lastId = added > 0 ? idOf(ids, added - 1) : lastKeptId(state, removed);
+    if (lastId >= nextId) refuse("bad-payload", "the next id is not above all ids");
     checkDigest(state.sum, state.count - removed.length + added, nextId, digest);
   } catch (error) {
-    state.change(touched, residuals, -1);
+    state.change(touched, residuals.map(negated));
     state.sum = sum;
     throw error;
   }
@@ -222,6 +218,11 @@ function changeState(
   });
   state.nextId = nextId;
   return { places: { touched, taken }, moved };
+}
+
+/** What undoes residuals, modulo 2^32. */
+function negated(columns: Columns | null): Columns | null {
+  return columns?.map((residual) => -residual) ?? null;
 }
 
 function idOf({ low, high }: Ids, i: number): bigint {

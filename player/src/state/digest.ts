@@ -51,7 +51,7 @@ export function addSums({ low, high }: Forms, place: number, ofLow: number, ofHi
   high[place] += ofHigh + Math.floor(sum / TWO_TO_32);
 }
 
-/** So many products of a key's low half and a value below this are summed up exactly. */
+/** So many products of a key's low half and a value below this, or its negative, are summed up exactly: a power of 2. */
 export function largestSummed(terms: number): number {
   return 2 ** (20 - Math.ceil(Math.log2(Math.max(terms, 1))));
 }

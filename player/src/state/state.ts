@@ -19,6 +19,9 @@ const SPARE = 1.125;
 
 /** Rows that all groups are worked on for before the next ones: what one group fetches, the next one finds at hand. */
 const BATCH = 1024;
+const SIGN = -(2 ** 31);
+/** Integers in a line of a processor's cache. */
+const LINE = 16;
 
 /** Ids of listed or added Gaussians, as two numbers of 32 bits each. */
 export interface Ids {
@@ -50,6 +53,9 @@ export class State {
   readonly width: number;
   /** Where the channels of each group start among a place's integers. */
   readonly offsets: readonly number[];
+
+  /** Keeps the compiler from leaving out what `fetch` does. */
+  protected fetched = 0;
 
   constructor(readonly channels: readonly number[]) {
     this.offsets = offsetsOf(channels);
@@ -96,55 +102,76 @@ export class State {
     return this.nextId < ID_END && (this.count === 0 || this.id(this.count - 1) < this.nextId);
   }
 
-  /** Adds residuals to the integers at these places, or takes them off again (SPEC section 7, step 1). */
-  change(places: Uint32Array, residuals: GroupColumns, sign: 1 | -1 = 1): void {
+  /** Adds residuals to the integers at these places (SPEC section 7, step 1). */
+  change(places: Uint32Array, residuals: GroupColumns): void {
     for (let from = 0; from < places.length; from += BATCH) {
       const to = Math.min(from + BATCH, places.length);
+      this.fetch(places, from, to);
       this.sum = addModulo(this.sum, -sumOfHashes(this.forms, places, from, to));
       residuals.forEach((columns, group) => {
-        if (columns !== null) this.changeGroup(group, places, columns, sign, from, to);
+        if (columns !== null) this.changeGroup(group, places, columns, from, to);
       });
       this.sum = addModulo(this.sum, sumOfHashes(this.forms, places, from, to));
     }
   }
 
   /**
+   * Reads a batch's integers and forms once, for nothing but to have them at hand: loads that do not wait for each
+   * other overlap, and a scene is larger than the processor's caches.
+   */
+  private fetch(places: Uint32Array, from: number, to: number): void {
+    const { integers, width } = this;
+    const { low, high } = this.forms;
+    let any = 0;
+    for (let i = from; i < to; i++) {
+      const place = places[i] | 0;
+      any ^= low[place] ^ high[place];
+      const start = Math.imul(place, width);
+      for (let at = start; at < start + width; at += LINE) any ^= integers[at];
+    }
+    this.fetched = any;
+  }
+
+  /**
    * Most of a decoder's time is here. Places are made signed, since indices computed from unsigned numbers are
    * floating-point numbers to the compiler.
    */
-  private changeGroup(
-    group: number,
-    places: Uint32Array,
-    columns: Columns,
-    sign: 1 | -1,
-    from: number,
-    to: number,
-  ): void {
+  private changeGroup(group: number, places: Uint32Array, columns: Columns, from: number, to: number): void {
     const { forms, integers, width } = this;
     const channels = this.channels[group];
     const offset = this.offsets[group];
     const [keysLow, keysHigh] = keysFrom(1 + offset, channels);
     const largest = largestSummed(channels);
+    const beyond = -2 * largest;
     const rows = places.length | 0;
     for (let i = from; i < to; i++) {
       const place = places[i] | 0;
       const start = (Math.imul(place, width) + offset) | 0;
       let ofLow = 0;
       let ofHigh = 0;
+      let odd = 0;
       for (let channel = 0, at = i; channel < channels; channel++, at = (at + rows) | 0) {
-        const residual = Math.imul(columns[at], sign);
+        const residual = columns[at];
         const before = integers[start + channel];
         const after = (before + residual) | 0;
         integers[start + channel] = after;
-        // The signs tell whether the sum wrapped around.
-        if (residual < largest && residual > -largest && ((before ^ after) & (residual ^ after)) >= 0) {
-          ofLow += keysLow[channel] * residual;
-          ofHigh = (ofHigh + Math.imul(keysHigh[channel], residual)) | 0;
-        } else {
-          addDifference(forms, place, 1 + offset + channel, after, before);
-        }
+        ofLow += keysLow[channel] * residual;
+        ofHigh = (ofHigh + Math.imul(keysHigh[channel], residual)) | 0;
+        // Bits are set for a residual that is large, and, by its signs, for a sum that wraps around.
+        odd |= ((residual + largest) & beyond) | ((before ^ after) & (residual ^ after) & SIGN);
       }
-      addSums(forms, place, ofLow, ofHigh);
+      if (odd === 0) addSums(forms, place, ofLow, ofHigh);
+      else this.addOddRow(group, place, columns, i, rows);
+    }
+  }
+
+  /** The form of a row that has changed by what `changeGroup` does not sum up exactly. */
+  private addOddRow(group: number, place: number, columns: Columns, row: number, rows: number): void {
+    const offset = this.offsets[group];
+    for (let channel = 0; channel < this.channels[group]; channel++) {
+      const after = this.integers[place * this.width + offset + channel];
+      const before = (after - columns[channel * rows + row]) | 0;
+      addDifference(this.forms, place, 1 + offset + channel, after, before);
     }
   }
 
