@@ -11,9 +11,20 @@ const scope = self as unknown as {
 const open: OpenStream = async (source, options) =>
   createStream(await (await fetch(source)).arrayBuffer(), options);
 
-const worker = new StreamWorker(open, (message, transfer = []) => {
-  scope.postMessage(message, transfer);
-});
+/** It lies beside this script. */
+const loadKernel = async (): Promise<ArrayBuffer> => {
+  const answer = await fetch(new URL("./decogs-exact.wasm", import.meta.url));
+  if (!answer.ok) throw new Error(`decogs-exact.wasm: HTTP ${answer.status}`);
+  return answer.arrayBuffer();
+};
+
+const worker = new StreamWorker(
+  open,
+  (message, transfer = []) => {
+    scope.postMessage(message, transfer);
+  },
+  loadKernel,
+);
 scope.onmessage = (event) => {
   worker.receive(event.data);
 };
