@@ -64,11 +64,15 @@ export function textureLines(count: number, texels: number): number {
   return Math.max(1, Math.ceil(count / perLine(texels)));
 }
 
-/** What to upload for a frame. `rows` null: everything, from row 0 on; else the rows that these words are of. */
+/**
+ * What to upload for a frame: everything, or a part. Words fill whole lines: of the textures that they become where
+ * everything is sent, of textures of single texels otherwise.
+ */
 export interface SceneUpdate {
   readonly count: number;
-  readonly rows: Uint32Array | null;
-  /** Eight words, two texels, a Gaussian. Where all is sent, this and the next two fill whole lines of their textures. */
+  /** The rows that the words are of; null: all, from row 0 on. */
+  readonly part: { readonly places: Uint32Array; readonly count: number } | null;
+  /** Eight words, two texels, a Gaussian. */
   readonly base: Uint32Array;
   /** Four words a texel; null at degree 0. */
   readonly rest: Uint32Array | null;

@@ -100,8 +100,8 @@ export interface Gaussians {
   /** count x (shDegree + 1)^2 x 3, spherical harmonics of colour; colour = 0.5 + SH(direction). */
   readonly sh: Float32Array;
   /**
-   * count, where the decoder keeps it: the frame whose packet last changed or added each row; that of the keyframe for
-   * rows untouched since. It goes with the rows, so that it is right after a seek, too.
+   * By place, where the decoder keeps it: the frame whose packet last changed or added the Gaussian, that of the
+   * keyframe for those untouched since. So it is right after a seek, too.
    */
   readonly lastChanged?: Int32Array;
   /** The place of each row, for what must take Gaussians in the stream's order; null where places are rows. */

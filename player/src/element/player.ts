@@ -474,7 +474,7 @@ export class DecogsPlayer extends HTMLElement {
     this.info = info;
     this.stage?.load(update, draw);
     this.drawn = { count: draw.count, sortMs: draw.sortMs };
-    this.recycle(draw.order, update?.base, update?.rest, update?.heat, update?.rows);
+    this.recycle(draw.order, update?.base, update?.rest, update?.heat, update?.part?.places);
     this.warn();
     if (first) {
       this.panels.loading(false);

@@ -8,6 +8,7 @@ import type { FrameEntry, FrameMetrics, SceneFrame, SceneStream, StreamHeader } 
 import { Decoder, type FramePacket, type Step } from "../state/decoder";
 import { BlobFeed } from "./blob";
 import { CachedSource } from "./cache";
+import { Ages } from "./ages";
 import { Changes } from "./changes";
 import { leadsTo, readFramePacket } from "./framePackets";
 import { FrameTable } from "./frameTable";
@@ -78,6 +79,7 @@ class OpenStream implements SceneStream {
   readonly metrics = new Map<number, FrameMetrics>();
   private readonly decoder: Decoder;
   private readonly changes = new Changes();
+  private readonly ages = new Ages();
   private readonly walked = new FrameTable();
   private readonly walk: Walk;
   private walking: Promise<unknown> = Promise.resolve();
@@ -254,6 +256,7 @@ class OpenStream implements SceneStream {
       if (packet.kind === "key" && this.decoder.refersToFirst(packet.payload)) await this.needFirst(signal);
       const step = this.decoder.apply(packet, jump);
       this.changes.add(step.places);
+      this.ages.note(frame, packet.kind === "key" ? null : step.places, this.decoder.gaussians.count);
       this.held = null;
       this.shown = { frame, step };
       return this.shown;
@@ -285,7 +288,7 @@ class OpenStream implements SceneStream {
 
   private sceneFrame({ frame, step }: Shown): SceneFrame {
     const { kind, bytes } = this.table.entries[frame];
-    const { gaussians } = this.decoder;
+    const gaussians = { ...this.decoder.gaussians, lastChanged: this.ages.frames };
     const { changed, added, removed, corrections } = step;
     const damage =
       this.held === null ? null : `frame ${frame} shows frame ${this.decoder.frame ?? 0}: ${this.held.sentence}`;

@@ -1,15 +1,12 @@
 /** The worker: decodes, packs and sorts, so that the page stays free to draw and to answer. */
 import { createStream } from "../stream/index";
 import type { FromWorker, ToWorker } from "../messages";
-import { StreamWorker, type OpenStream } from "./stream_worker";
+import { StreamWorker } from "./stream_worker";
 
 const scope = self as unknown as {
   postMessage(message: FromWorker, transfer: Transferable[]): void;
   onmessage: ((event: MessageEvent<ToWorker>) => void) | null;
 };
-
-const open: OpenStream = async (source, options) =>
-  createStream(await (await fetch(source)).arrayBuffer(), options);
 
 /** It lies beside this script. */
 const loadKernel = async (): Promise<ArrayBuffer> => {
@@ -19,7 +16,7 @@ const loadKernel = async (): Promise<ArrayBuffer> => {
 };
 
 const worker = new StreamWorker(
-  open,
+  createStream,
   (message, transfer = []) => {
     scope.postMessage(message, transfer);
   },

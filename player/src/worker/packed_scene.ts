@@ -1,18 +1,22 @@
 /** The scene of the frame shown last, packed for textures, and what of it the page has to be sent. */
 import type { SceneFrame } from "../scene";
-import { perLine, textureLines, type SceneUpdate, type TextureLayout } from "../messages";
+import { TEXTURE_WIDTH, perLine, textureLines, type SceneUpdate, type TextureLayout } from "../messages";
 import type { Buffers } from "./buffers";
-import { Heat } from "./heat";
+import { heatOf } from "./heat";
 import { BASE_WORDS, packBase, packRest } from "./packing";
 
 /** Above this share of changed rows everything is sent: one upload of a whole texture costs less than many rows. */
-const MOST_ROWS = 0;
+const MOST_ROWS = 0.25;
+/** Of rows, beyond those that are there: so that a scene which grows is not sent anew at once. */
+const SPARE = 0.1;
 
 export class PackedScene {
   private count = 0;
   private base = new Uint32Array(0);
   private rest = new Uint32Array(0);
-  private readonly heat = new Heat();
+  private scene: SceneFrame | null = null;
+  /** Rows for which the page's textures have room. */
+  private room = 0;
   private readonly restWords: number;
   private readonly coefficients: number;
 
@@ -30,28 +34,30 @@ export class PackedScene {
     const { gaussians } = frame;
     this.reserve(gaussians.count);
     this.count = gaussians.count;
-    const rows = frame.changedRows === null ? null : withAdded(frame.changedRows, before, gaussians.count);
-    const warm = this.heat.take(frame, rows, before);
+    const rows = frame.changedRows;
+    const moved = frame.frame !== this.scene?.frame; // then the glow of what changed is another one
+    this.scene = frame;
     if (rows === null) {
       for (let row = 0; row < this.count; row++) this.pack(frame, row);
       return this.whole();
     }
     for (const row of rows) this.pack(frame, row);
-    if (rows.length === 0 && before === this.count && !warm) return null;
-    return rows.length > MOST_ROWS * this.count ? this.whole() : this.part(rows);
+    if (rows.length === 0 && before === this.count && !moved) return null;
+    return rows.length > MOST_ROWS * this.count || this.count > this.room ? this.whole() : this.part(rows);
   }
 
   /** Everything, for a page that has nothing yet. */
   whole(): SceneUpdate {
+    this.room = Math.ceil(this.count * (1 + SPARE));
     const base = this.lines(this.base, BASE_WORDS);
     const rest = this.restWords > 0 ? this.lines(this.rest, this.restWords) : null;
-    return { count: this.count, rows: null, base, rest, heat: this.heat.bytes(this.count, this.buffers) };
+    return { count: this.count, part: null, base, rest, heat: heatOf(this.scene!, this.buffers) };
   }
 
-  /** A copy of all rows, as long as the lines of a texture that hold them. */
+  /** A copy of all rows, as long as the lines of a texture that has room for them and some more. */
   private lines(words: Uint32Array, width: number): Uint32Array {
     const texels = width / 4;
-    const copy = this.buffers.words(width * perLine(texels) * textureLines(this.count, texels));
+    const copy = this.buffers.words(width * perLine(texels) * textureLines(this.room, texels));
     copy.set(words.subarray(0, width * this.count));
     return copy;
   }
@@ -59,7 +65,10 @@ export class PackedScene {
   private part(rows: Uint32Array): SceneUpdate {
     const base = gathered(this.base, BASE_WORDS, rows, this.buffers);
     const rest = this.restWords > 0 ? gathered(this.rest, this.restWords, rows, this.buffers) : null;
-    return { count: this.count, rows, base, rest, heat: this.heat.bytes(this.count, this.buffers) };
+    const places = this.buffers.words(TEXTURE_WIDTH * textureLines(rows.length, 1));
+    places.set(rows);
+    const part = { places, count: rows.length };
+    return { count: this.count, part, base, rest, heat: heatOf(this.scene!, this.buffers) };
   }
 
   private pack(frame: SceneFrame, row: number): void {
@@ -75,19 +84,10 @@ export class PackedScene {
   }
 }
 
-/** Changed rows and those that were not there before. */
-function withAdded(changed: Uint32Array, before: number, count: number): Uint32Array {
-  let known = changed.length;
-  while (known > 0 && changed[known - 1] >= before) known--;
-  if (count <= before) return changed.slice(0, known);
-  const rows = new Uint32Array(known + count - before);
-  rows.set(changed.subarray(0, known));
-  for (let row = before; row < count; row++) rows[known + row - before] = row;
-  return rows;
-}
-
+/** The words of some rows, as long as the lines of a texture of single texels that hold them. */
 function gathered(words: Uint32Array, width: number, rows: Uint32Array, buffers: Buffers): Uint32Array {
-  const part = buffers.words(width * rows.length);
+  const texels = (width / 4) * rows.length;
+  const part = buffers.words(4 * TEXTURE_WIDTH * textureLines(texels, 1));
   let to = 0;
   for (const row of rows) {
     for (let i = 0, from = width * row; i < width; i++) part[to++] = words[from++]!;

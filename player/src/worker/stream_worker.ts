@@ -218,8 +218,8 @@ function transfers(draw: DrawOrder, update: SceneUpdate | null): Transferable[] 
   const buffers = new Set<ArrayBufferLike>();
   if (draw !== EMPTY_ORDER) buffers.add(draw.order.buffer);
   if (update !== null) {
-    for (const array of [update.rows, update.base, update.rest, update.heat]) {
-      if (array !== null) buffers.add(array.buffer);
+    for (const array of [update.part?.places, update.base, update.rest, update.heat]) {
+      if (array) buffers.add(array.buffer);
     }
   }
   return [...buffers] as ArrayBuffer[];
