@@ -5,6 +5,7 @@
  * worker answers with what to upload and in which order to draw. Messages are answered in their order, so that an order
  * always belongs to the frame sent last.
  */
+import type { PinholeCamera } from "./draw/renderer";
 import type { CameraCorrection, FrameKind, StreamHeader } from "./scene";
 
 /** Depth of a point along the view: x, y, z weights and an offset, the last row of world-to-camera. */
@@ -22,7 +23,17 @@ export type ToWorker =
   | { readonly type: "resend" }
   /** Buffers that the page is done with, for the worker to fill again. */
   | { readonly type: "recycle"; readonly buffers: readonly ArrayBuffer[] }
+  /** Draw the scene with the decoder's kernel; answered by an "exact". */
+  | { readonly type: "exact"; readonly camera: PinholeCamera }
   | { readonly type: "close" };
+
+/** A picture that the decoder's kernel drew, RGBA. */
+export interface ExactPicture {
+  readonly width: number;
+  readonly height: number;
+  readonly pixels: Uint8ClampedArray<ArrayBuffer>;
+  readonly drawMs: number;
+}
 
 /** Frames known from `from` on, as columns, since an hour of video has a hundred thousand of them. */
 export interface FrameTable {
@@ -125,5 +136,7 @@ export type FromWorker =
     }
   | { readonly type: "order"; readonly draw: DrawOrder }
   | { readonly type: "refreshed"; readonly grown: boolean }
+  /** `picture` null: there is none, and `problem` says why, if something is wrong. */
+  | { readonly type: "exact"; readonly picture: ExactPicture | null; readonly problem: string | null }
   /** `request` null: the stream cannot be opened at all. */
   | { readonly type: "failed"; readonly request: number | null; readonly message: string };

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import json
 import subprocess
 from pathlib import Path
 
@@ -27,3 +28,13 @@ def test_the_page_is_what_the_sources_build(tmp_path: Path) -> None:
 def test_what_browsers_load_is_small() -> None:
     sizes = {path.name: len(gzip.compress(path.read_bytes(), 9)) for path in PAGE.iterdir()}
     assert sum(sizes.values()) <= MOST_BYTES, sizes
+
+
+def test_licences_of_what_is_bundled_are_with_it() -> None:
+    """Every package that the player needs at run time, and nothing that was not looked at."""
+    said = (PAGE / "licences.txt").read_text("utf-8")
+    needed = json.loads((PLAYER / "package.json").read_text("utf-8")).get("dependencies", {})
+    assert sorted(needed) == ["zstddec"]
+    for package in needed:
+        node()
+        assert (PLAYER / "node_modules" / package / "LICENSE").read_text("utf-8").strip() in said

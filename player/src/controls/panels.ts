@@ -160,6 +160,9 @@ export class Panels {
     this.field("loop").addEventListener("change", ({ target }) => {
       player.loop = (target as HTMLInputElement).checked;
     });
+    this.field("exact").addEventListener("change", ({ target }) => {
+      player.exact = (target as HTMLInputElement).checked;
+    });
     this.field("figures").addEventListener("change", () => {
       this.toggleStatistics();
     });
@@ -191,6 +194,8 @@ export class Panels {
     this.select("overlay").value = player.overlay;
     this.select("rate").value = String(player.playbackRate);
     this.input("loop").checked = player.loop;
+    this.input("exact").checked = player.exact;
+    this.input("exact").disabled = !player.canChooseExact;
     this.input("figures").checked = !this.part(".figures").hidden;
     this.field("menu").setAttribute("aria-expanded", String(!this.part(".menu").hidden));
     this.updateLegend();

@@ -35,5 +35,7 @@ export interface Renderer {
   load(update: SceneUpdate): void;
   order(draw: DrawOrder): void;
   draw(camera: PinholeCamera, overlay: Overlay): void;
+  /** Resolves when the picture asked for last is in the canvas, where that takes longer than `draw`. */
+  settled?(): Promise<void>;
   dispose(): void;
 }

@@ -1,7 +1,8 @@
 /**
  * `<decogs-player src="scene.dgs" controls>`: plays a stream, with the manners of <video>.
  *
- * Attributes: src, controls, autoplay, loop, poster, camera (a name), follow (the stream is still being written).
+ * Attributes: src, controls, autoplay, loop, poster, camera (a name), follow (the stream is still being written),
+ * exact (drawn by the decoder's own kernel, which also draws where WebGL2 is missing).
  * The worker decodes and sorts, the stage draws, the panels are for people; this holds them together.
  */
 import { forgetKeys, looksInto } from "../controls/keys";
@@ -10,10 +11,11 @@ import { Panels } from "../controls/panels";
 import { attachPointer } from "../controls/pointer";
 import { upOf } from "../controls/up_direction";
 import { createRenderer } from "../draw/index";
-import type { Overlay, PinholeCamera } from "../draw/renderer";
+import { ExactCanvas } from "../draw/exact_canvas";
+import type { Overlay, PinholeCamera, Renderer } from "../draw/renderer";
 import { lensOf, poseOf, type Lens, type Pose } from "../geometry/poses";
 import { length, minus } from "../geometry/vectors";
-import type { FrameInfo, FromWorker } from "../messages";
+import type { FrameInfo, FromWorker, TextureLayout } from "../messages";
 import type { StreamHeader } from "../scene";
 import { Connection, FrameColumns } from "./connection";
 import type { PlayerEvent } from "./events";
@@ -25,7 +27,7 @@ const FOLLOW_MS = 1000;
 const LONGEST_STEP = 0.1;
 
 export class DecogsPlayer extends HTMLElement {
-  static readonly observedAttributes = ["src", "controls", "loop", "poster", "camera"];
+  static readonly observedAttributes = ["src", "controls", "loop", "poster", "camera", "exact"];
 
   /** What is known of the stream; null before `loadedmetadata`. */
   header: StreamHeader | null = null;
@@ -41,6 +43,10 @@ export class DecogsPlayer extends HTMLElement {
   stage: Stage | null = null;
 
   private readonly canvas = document.createElement("canvas");
+  private readonly exactCanvas = document.createElement("canvas");
+  private layout: TextureLayout | null = null;
+  private exactly: ExactCanvas | null = null;
+  private fast: Renderer | null = null;
   private readonly poster_ = document.createElement("img");
   private readonly panels: Panels;
   private connection: Connection | null = null;
@@ -70,7 +76,10 @@ export class DecogsPlayer extends HTMLElement {
     this.canvas.className = "picture";
     this.poster_.className = "poster";
     this.poster_.alt = "";
-    root.append(style, this.canvas, this.poster_);
+    // It lies over the other one, which takes what the pointer does.
+    this.exactCanvas.className = "picture exact";
+    this.exactCanvas.hidden = true;
+    root.append(style, this.canvas, this.exactCanvas, this.poster_);
     this.panels = new Panels(this, root);
   }
 
@@ -95,8 +104,9 @@ export class DecogsPlayer extends HTMLElement {
     this.closeStream();
     this.detachPointer?.();
     this.detachPointer = null;
-    this.stage?.renderer.dispose();
-    this.stage = null;
+    this.fast?.dispose();
+    this.exactly?.dispose();
+    this.stage = this.fast = this.exactly = null;
   }
 
   attributeChangedCallback(name: string, before: string | null, value: string | null): void {
@@ -104,6 +114,7 @@ export class DecogsPlayer extends HTMLElement {
     if (name === "src" && this.isConnected) this.open();
     if (name === "loop") this.playback.loop = value !== null;
     if (name === "poster") this.showPoster(value);
+    if (name === "exact") this.chooseRenderer();
     if (name === "camera" && value !== null) this.camera = value;
     this.panels.refresh();
   }
@@ -182,6 +193,17 @@ export class DecogsPlayer extends HTMLElement {
     this.stage.touch();
     this.panels.refresh();
     this.wake();
+  }
+  /** Whether the decoder's own kernel draws: slower, and to the bit what decogs-decode writes. */
+  get exact(): boolean {
+    return this.stage !== null && this.stage.renderer === this.exactly;
+  }
+  set exact(value: boolean) {
+    this.toggleAttribute("exact", value);
+  }
+  /** Whether this browser leaves a choice: without WebGL2 every picture is exact. */
+  get canChooseExact(): boolean {
+    return this.fast !== null;
   }
   /** The name of the rig's camera that is looked through; empty for a free one. */
   get camera(): string {
@@ -320,7 +342,7 @@ export class DecogsPlayer extends HTMLElement {
     clearTimeout(this.followTimer);
     this.connection?.close();
     this.connection = null;
-    this.header = this.info = this.error = this.notice = null;
+    this.header = this.info = this.error = this.notice = this.layout = null;
     this.warn();
     this.frames = new FrameColumns();
     this.requested = this.seekRequest = this.seekLater = this.cameraIndex = -1;
@@ -330,9 +352,13 @@ export class DecogsPlayer extends HTMLElement {
   }
 
   private newStage(): Stage {
-    const renderer = createRenderer(this.canvas, () => this.connection?.send({ type: "resend" }));
+    try {
+      this.fast = createRenderer(this.canvas, () => this.connection?.send({ type: "resend" }));
+    } catch {
+      this.fast = null; // without WebGL2 the kernel draws
+    }
     const stage = new Stage(
-      renderer,
+      this.rightRenderer(),
       () => this.pixels(),
       (depth, serial) => this.connection?.send({ type: "view", depth, serial }),
     );
@@ -342,6 +368,33 @@ export class DecogsPlayer extends HTMLElement {
     };
     this.detachPointer = attachPointer(this.canvas, stage.navigation, moved);
     return stage;
+  }
+
+  private rightRenderer(): Renderer {
+    const exact = this.fast === null || this.hasAttribute("exact");
+    this.exactCanvas.hidden = !exact;
+    if (!exact) return this.fast!;
+    return (this.exactly ??= new ExactCanvas(this.exactCanvas, (camera) => this.connection?.send({ type: "exact", camera })));
+  }
+
+  /** What draws from now on begins with the whole frame. */
+  private chooseRenderer(): void {
+    if (this.stage === null) return;
+    const renderer = this.rightRenderer();
+    if (renderer === this.stage.renderer) return;
+    this.stage.renderer = renderer;
+    if (this.layout !== null) renderer.begin(this.layout, this.header!.background);
+    this.connection?.send({ type: "resend" });
+    this.stage.touch();
+    this.wake();
+  }
+
+  private exactlyDrawn({ picture, problem }: Extract<FromWorker, { type: "exact" }>): void {
+    if (picture === null) this.exactly?.failed();
+    else this.exactly?.show(picture);
+    if (problem === null) return;
+    this.notice = problem;
+    this.warn();
   }
 
   private receive(message: FromWorker): void {
@@ -364,6 +417,9 @@ export class DecogsPlayer extends HTMLElement {
       case "order":
         this.ordered(message);
         break;
+      case "exact":
+        this.exactlyDrawn(message);
+        break;
       case "refreshed":
         this.followSoon();
         break;
@@ -377,6 +433,7 @@ export class DecogsPlayer extends HTMLElement {
     const { header, layout } = message;
     const stage = this.stage!;
     this.header = header;
+    this.layout = layout;
     this.frames.append(message.frames);
     this.playback.fps = header.fps ?? DEFAULT_FPS;
     stage.renderer.begin(layout, header.background);

@@ -28,7 +28,7 @@ export class Stage {
   private answered = 0;
 
   constructor(
-    readonly renderer: Renderer,
+    public renderer: Renderer,
     private readonly sizeOf: () => { readonly width: number; readonly height: number },
     private readonly askOrder: (depth: DepthRow, serial: number) => void,
   ) {}
@@ -92,6 +92,7 @@ export class Stage {
     this.lookFrom(this.navigation.pose);
     while (this.answered < this.serial) await new Promise((done) => setTimeout(done, 5));
     renderer.draw(this.camera(width, height), this.overlay);
+    await renderer.settled?.();
     const blob = new Promise<Blob | null>((done) => {
       renderer.canvas.toBlob(done, "image/png");
     });

@@ -17,6 +17,7 @@ export const STYLE = /* css */ `
 [hidden] { display: none !important; }
 .picture, .poster { position: absolute; inset: 0; width: 100%; height: 100%; }
 .picture { touch-action: none; cursor: grab; }
+.picture.exact { pointer-events: none; }
 .picture:active { cursor: grabbing; }
 .poster { object-fit: contain; pointer-events: none; }
 .controls { position: absolute; inset: 0; pointer-events: none; }

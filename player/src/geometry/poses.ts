@@ -6,17 +6,20 @@ import { applied, cross, dot, length, minus, times, transposed, unit, type Matri
 export interface Pose {
   readonly axes: Matrix;
   readonly centre: Vector;
+  /** Of a camera of the rig that nobody has moved: its very numbers, which the exact picture needs. */
+  readonly given?: readonly (readonly number[])[];
 }
 
 export function poseOf(camera: { readonly worldToCamera: readonly (readonly number[])[] }): Pose {
   const rows = camera.worldToCamera as readonly (readonly [number, number, number, number])[];
   const axes = rows.slice(0, 3).map(([x, y, z]) => [x, y, z] as const) as unknown as Matrix;
   const shift: Vector = [rows[0][3], rows[1][3], rows[2][3]];
-  return { axes, centre: times(applied(transposed(axes), shift), -1) };
+  return { axes, centre: times(applied(transposed(axes), shift), -1), given: rows };
 }
 
 /** Three rows of four. */
-export function worldToCamera({ axes, centre }: Pose): [number, number, number, number][] {
+export function worldToCamera({ axes, centre, given }: Pose): [number, number, number, number][] {
+  if (given !== undefined) return given.map((row) => [row[0], row[1], row[2], row[3]]);
   return axes.map((axis) => [axis[0], axis[1], axis[2], -dot(axis, centre)]);
 }
 
@@ -60,8 +63,9 @@ export function fittedLens(lens: Lens, width: number, height: number): Lens {
     height,
     fx: scale * lens.fx,
     fy: scale * lens.fy,
-    cx: width / 2 + scale * (lens.cx - lens.width / 2),
-    cy: height / 2 + scale * (lens.cy - lens.height / 2),
+    // In this form nothing is rounded where the picture is exactly as large as the camera's.
+    cx: scale * lens.cx + (width - scale * lens.width) / 2,
+    cy: scale * lens.cy + (height - scale * lens.height) / 2,
     near: lens.near,
   };
 }

@@ -8,9 +8,20 @@ const scope = self as unknown as {
   onmessage: ((event: MessageEvent<ToWorker>) => void) | null;
 };
 
-const worker = new StreamWorker(createStream, (message, transfer = []) => {
-  scope.postMessage(message, transfer);
-});
+/** It lies beside this script. */
+const loadKernel = async (): Promise<ArrayBuffer> => {
+  const answer = await fetch(new URL("./decogs-exact.wasm", import.meta.url));
+  if (!answer.ok) throw new Error(`decogs-exact.wasm: HTTP ${answer.status}`);
+  return answer.arrayBuffer();
+};
+
+const worker = new StreamWorker(
+  createStream,
+  (message, transfer = []) => {
+    scope.postMessage(message, transfer);
+  },
+  loadKernel,
+);
 scope.onmessage = (event) => {
   worker.receive(event.data);
 };

@@ -1,8 +1,10 @@
 /** Answers the page's messages from an open stream. Knows no browser, so that tests drive it in Node. */
 import type { SceneFrame, SceneStream } from "../scene";
 import { FRAME_KINDS, type DepthRow, type DrawOrder, type FrameInfo, type FrameTable, type FromWorker, type SceneUpdate, type ToWorker } from "../messages";
+import type { PinholeCamera } from "../draw/renderer";
 import { Buffers } from "./buffers";
 import { DepthSorter } from "./depth_order";
+import { ExactPictures, type LoadKernel } from "./exact_pictures";
 import { PackedScene } from "./packed_scene";
 import { textureLayout } from "./packing";
 
@@ -17,6 +19,7 @@ export class StreamWorker {
   private frame: SceneFrame | null = null;
   private view: { readonly depth: DepthRow; readonly serial: number } | null = null;
   private readonly buffers = new Buffers();
+  private readonly exact: ExactPictures;
   private readonly sorter = new DepthSorter();
   private told = { frames: 0, metrics: 0, bytesRead: 0, complete: false, notices: 0 };
   private wanted: { frame: number; request: number } | null = null;
@@ -28,7 +31,10 @@ export class StreamWorker {
   constructor(
     private readonly openStream: OpenStream,
     private readonly send: Send,
-  ) {}
+    loadKernel: LoadKernel,
+  ) {
+    this.exact = new ExactPictures(loadKernel);
+  }
 
   receive(message: ToWorker): void {
     switch (message.type) {
@@ -53,6 +59,9 @@ export class StreamWorker {
         return;
       case "recycle":
         this.buffers.giveBack(message.buffers);
+        return;
+      case "exact":
+        void this.drawExactly(message.camera);
         return;
       case "close":
         this.abort?.abort();
@@ -134,6 +143,20 @@ export class StreamWorker {
     const draw = this.sorted();
     const info = infoOf(this.frame, 0, 0);
     this.send({ type: "frame", request: -1, info, update, draw }, transfers(draw, update));
+  }
+
+  private async drawExactly(camera: PinholeCamera): Promise<void> {
+    try {
+      const exact = await this.exact.ready();
+      const header = this.stream?.header;
+      const picture =
+        this.frame === null || header === undefined
+          ? null
+          : ExactPictures.draw(exact, this.frame.gaussians, header, camera);
+      this.send({ type: "exact", picture, problem: null }, picture === null ? [] : [picture.pixels.buffer]);
+    } catch (error) {
+      this.send({ type: "exact", picture: null, problem: sentence(error) });
+    }
   }
 
   /** Sorts after the messages that have come already: of several views only the last counts. */
