@@ -2,6 +2,7 @@
 import type { Overlay } from "../draw/renderer";
 import type { DecogsPlayer } from "../element/player";
 import { cameraToLink, poseFile } from "./camera_text";
+import { cameraNote } from "./camera_note";
 import { icon } from "./icons";
 import { markup } from "./markup";
 import { Statistics } from "./statistics";
@@ -73,6 +74,13 @@ export class Panels {
     if (text === this.warning) return;
     this.warning = text;
     this.say(text ?? "", text !== null);
+  }
+
+  /** Says, for a moment, what the picture of the camera that is looked through leaves out. */
+  tellCamera(): void {
+    const { header, camera } = this.player;
+    const note = header === null ? null : cameraNote(header, camera);
+    if (note !== null && this.warning === null) this.say(note, false);
   }
 
   toggleHelp(): void {

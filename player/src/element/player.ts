@@ -256,6 +256,7 @@ export class DecogsPlayer extends HTMLElement {
     this.stage.navigation.goTo(poseOf(camera), lensOf(camera), atOnce);
     this.stage.touch();
     this.cameraMoved();
+    this.panels.tellCamera();
     this.wake();
   }
 

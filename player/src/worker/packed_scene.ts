@@ -41,9 +41,10 @@ export class PackedScene {
       for (let row = 0; row < this.count; row++) this.pack(frame, row);
       return this.whole();
     }
-    for (const row of rows) this.pack(frame, row);
     if (rows.length === 0 && before === this.count && !moved) return null;
-    return rows.length > MOST_ROWS * this.count || this.count > this.room ? this.whole() : this.part(rows);
+    if (rows.length <= MOST_ROWS * this.count && this.count <= this.room) return this.part(frame, rows);
+    for (const row of rows) this.pack(frame, row);
+    return this.whole();
   }
 
   /** Everything, for a page that has nothing yet. */
@@ -62,13 +63,26 @@ export class PackedScene {
     return copy;
   }
 
-  private part(rows: Uint32Array): SceneUpdate {
-    const base = gathered(this.base, BASE_WORDS, rows, this.buffers);
-    const rest = this.restWords > 0 ? gathered(this.rest, this.restWords, rows, this.buffers) : null;
+  /** Packs rows, and copies each while it is still in the cache. */
+  private part(frame: SceneFrame, rows: Uint32Array): SceneUpdate {
+    const { restWords } = this;
+    const base = this.staged(BASE_WORDS * rows.length);
+    const rest = restWords > 0 ? this.staged(restWords * rows.length) : null;
     const places = this.buffers.words(TEXTURE_WIDTH * textureLines(rows.length, 1));
     places.set(rows);
+    for (let i = 0; i < rows.length; i++) {
+      const row = rows[i];
+      this.pack(frame, row);
+      copy(this.base, BASE_WORDS * row, base, BASE_WORDS * i, BASE_WORDS);
+      if (rest !== null) copy(this.rest, restWords * row, rest, restWords * i, restWords);
+    }
     const part = { places, count: rows.length };
-    return { count: this.count, part, base, rest, heat: heatOf(this.scene!, this.buffers) };
+    return { count: this.count, part, base, rest, heat: heatOf(frame, this.buffers) };
+  }
+
+  /** Room for so many words, as long as the lines of a texture of single texels. */
+  private staged(words: number): Uint32Array {
+    return this.buffers.words(4 * TEXTURE_WIDTH * textureLines(words / 4, 1));
   }
 
   private pack(frame: SceneFrame, row: number): void {
@@ -84,15 +98,8 @@ export class PackedScene {
   }
 }
 
-/** The words of some rows, as long as the lines of a texture of single texels that hold them. */
-function gathered(words: Uint32Array, width: number, rows: Uint32Array, buffers: Buffers): Uint32Array {
-  const texels = (width / 4) * rows.length;
-  const part = buffers.words(4 * TEXTURE_WIDTH * textureLines(texels, 1));
-  let to = 0;
-  for (const row of rows) {
-    for (let i = 0, from = width * row; i < width; i++) part[to++] = words[from++]!;
-  }
-  return part;
+function copy(words: Uint32Array, from: number, to: Uint32Array, at: number, count: number): void {
+  for (let i = 0; i < count; i++) to[at + i] = words[from + i];
 }
 
 function grown(words: Uint32Array, length: number): Uint32Array<ArrayBuffer> {
