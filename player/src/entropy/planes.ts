@@ -10,6 +10,32 @@ export type Role = "residuals" | "values";
 /** Integers of a group, channel after channel: that of row i and channel c is at c * rows + i. */
 export type Columns = Int32Array;
 
+/** Columns of up to so many integers in all are written where those of the packet before were. */
+const KEPT = 1 << 22;
+let scratch = new Int32Array(0);
+let scratchUsed = 0;
+
+/**
+ * Columns that were read before are no longer needed: their memory is used again.
+ *
+ * A frame's columns are megabytes that live for milliseconds; setting them aside anew for each packet took as long as
+ * filling them.
+ */
+export function forgetColumns(): void {
+  scratchUsed = 0;
+}
+
+/** Room for so many integers, which hold anything. */
+function newColumns(length: number): Columns {
+  const end = scratchUsed + length;
+  if (end > KEPT) return new Int32Array(length);
+  // Columns that are still in use keep the memory that they have.
+  if (end > scratch.length) scratch = new Int32Array(Math.min(KEPT, 2 * end));
+  const columns = scratch.subarray(scratchUsed, end);
+  scratchUsed = end;
+  return columns;
+}
+
 const MODE = { PLAIN: 0, SUMS: 1, CONSTANTS: 2, MORTON: 3, CHANNEL_BEFORE: 4 } as const;
 
 /** One group of so many channels and rows; `isMeans`: the one that prediction mode 3 is for. */
@@ -30,7 +56,7 @@ export function readGroup(fields: Fields, isMeans: boolean, channels: number, ro
 function readColumns(fields: Fields, channels: number, rows: number): Columns {
   const counts = fields.take(channels);
   const block = readPlanes(fields, counts, 4, rows);
-  const columns = new Int32Array(channels * rows);
+  const columns = newColumns(channels * rows);
   const positions = planePositions(counts, rows);
   for (let c = 0; c < channels; c++) {
     unzigzag(block, positions[c], columns.subarray(c * rows, (c + 1) * rows));
@@ -65,7 +91,9 @@ function planePositions(counts: Uint8Array, rows: number): number[][] {
 function unzigzag(block: Uint8Array, planes: readonly number[], column: Int32Array): void {
   const [p0, p1, p2, p3] = planes;
   const rows = column.length;
-  if (planes.length === 1) {
+  if (planes.length === 0) {
+    column.fill(0);
+  } else if (planes.length === 1) {
     for (let i = 0; i < rows; i++) {
       const code = block[p0 + i];
       column[i] = (code >> 1) ^ -(code & 1);
@@ -80,7 +108,7 @@ function unzigzag(block: Uint8Array, planes: readonly number[], column: Int32Arr
       const code = block[p0 + i] | (block[p1 + i] << 8) | (block[p2 + i] << 16);
       column[i] = (code >> 1) ^ -(code & 1);
     }
-  } else if (planes.length === 4) {
+  } else {
     for (let i = 0; i < rows; i++) {
       const code = block[p0 + i] | (block[p1 + i] << 8) | (block[p2 + i] << 16) | (block[p3 + i] << 24);
       column[i] = (code >>> 1) ^ -(code & 1);

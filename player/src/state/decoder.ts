@@ -5,9 +5,10 @@ import { Fields } from "../container/fields";
 import type { Limits } from "../container/limits";
 import type { CameraCorrection, FrameKind, Gaussians, StreamHeader } from "../scene";
 import { allRows } from "../entropy/indexSets";
+import { forgetColumns, type Columns } from "../entropy/planes";
 import { readCorrections } from "./corrections";
 import { combine, sumOfHashes, addModulo } from "./digest";
-import { channelsOf, GROUPS } from "./groups";
+import { channelsOf } from "./groups";
 import { dequantise, makeRoom, noFloats, type Floats } from "./lattice";
 import {
   consecutiveIds,
@@ -106,6 +107,7 @@ export class Decoder {
     }
     const fields = new Fields(packet.payload);
     const corrections = readCorrections(fields, this.header);
+    forgetColumns();
     return { ...this.reconstruct(packet, fields, state), corrections };
   }
 
@@ -153,6 +155,7 @@ export class Decoder {
     const state = new State(this.channels);
     buildKey(state, head, readKeyBody(fields, head, null, this.channels), digest);
     this.first = state;
+    forgetColumns();
     return state;
   }
 
@@ -171,7 +174,7 @@ function applySkip(state: State, fields: Fields): Omit<Step, "corrections"> {
 
 /** Turns an empty state, or a copy of the first keyframe's, into a keyframe's. */
 function buildKey(state: State, head: KeyHead, { changes, ids, values }: KeyBody, digest: bigint): void {
-  const nothing: Changes = { touched: NO_PLACES, residuals: Array<null>(GROUPS).fill(null), removed: NO_PLACES };
+  const nothing: Changes = { touched: NO_PLACES, residuals: [], removed: NO_PLACES };
   changeState(state, changes ?? nothing, ids, values, head.nextId, digest);
 }
 
@@ -199,16 +202,12 @@ function changeState(
   // Beyond the last place until the digest is verified: the removed ones may have to stay.
   const behind = rowsBetween(state.count, state.count + added);
   state.write(behind, ids, values);
-  const lastId = added > 0 ? idOf(ids, added - 1) : lastKeptId(state, removed);
-  if (lastId >= nextId) {
-    state.change(touched, residuals, -1);
-    state.sum = sum;
-    refuse("bad-payload", "the next id is not above all ids");
-  }
   try {
+    const lastId = added > 0 ? idOf(ids, added - 1) : lastKeptId(state, removed);
+    if (lastId >= nextId) refuse("bad-payload", "the next id is not above all ids");
     checkDigest(state.sum, state.count - removed.length + added, nextId, digest);
   } catch (error) {
-    state.change(touched, residuals, -1);
+    state.change(touched, residuals.map(negated));
     state.sum = sum;
     throw error;
   }
@@ -219,6 +218,11 @@ function changeState(
   });
   state.nextId = nextId;
   return { places: { touched, taken }, moved };
+}
+
+/** What undoes residuals, modulo 2^32. */
+function negated(columns: Columns | null): Columns | null {
+  return columns?.map((residual) => -residual) ?? null;
 }
 
 function idOf({ low, high }: Ids, i: number): bigint {
@@ -256,9 +260,12 @@ function concatenated(...parts: Uint32Array[]): Uint32Array {
 /** Places below the count, each once. */
 function distinct(places: Uint32Array, count: number): Uint32Array {
   const seen = new Uint8Array(count);
-  return places.filter((place) => {
-    if (place >= count || seen[place]) return false;
+  let found = 0;
+  for (let i = 0; i < places.length; i++) {
+    const place = places[i];
+    if (place >= count || seen[place] !== 0) continue;
     seen[place] = 1;
-    return true;
-  });
+    places[found++] = place;
+  }
+  return places.subarray(0, found);
 }

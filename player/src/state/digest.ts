@@ -16,8 +16,8 @@ const TWO_TO_32 = 2 ** 32;
 const SMALL = 2 ** 20;
 
 const KEYS = Array.from({ length: MAX_KEYS }, (_, j) => mix(BigInt(j + 1) * GOLDEN) | 1n);
-const KEYS_LOW = KEYS.map((key) => Number(key & 0xffffffffn));
-const KEYS_HIGH = KEYS.map((key) => Number(key >> 32n) | 0);
+const KEYS_LOW = Float64Array.from(KEYS, (key) => Number(key & 0xffffffffn));
+const KEYS_HIGH = Int32Array.from(KEYS, (key) => Number(key >> 32n) | 0);
 
 /** The linear forms of so many rows, modulo 2^64. */
 export interface Forms {
@@ -41,8 +41,23 @@ export function addModulo(sum: bigint, term: bigint): bigint {
   return (sum + term) & MASK;
 }
 
+/**
+ * Adds to the form at a place what was summed up outside: the values times the low halves of their keys, an exact
+ * float64, and times the high halves, modulo 2^32.
+ */
+export function addSums({ low, high }: Forms, place: number, ofLow: number, ofHigh: number): void {
+  const sum = (low[place] >>> 0) + ofLow;
+  low[place] = sum;
+  high[place] += ofHigh + Math.floor(sum / TWO_TO_32);
+}
+
+/** So many products of a key's low half and a value below this, or its negative, are summed up exactly: a power of 2. */
+export function largestSummed(terms: number): number {
+  return 2 ** (20 - Math.ceil(Math.log2(Math.max(terms, 1))));
+}
+
 /** Adds key times value to the form at a place. */
-export function addProduct({ low, high }: Forms, place: number, key: number, value: number): void {
+function addProduct({ low, high }: Forms, place: number, key: number, value: number): void {
   if (value < SMALL && value > -SMALL) {
     const sum = (low[place] >>> 0) + KEYS_LOW[key] * value;
     low[place] = sum;
@@ -63,46 +78,49 @@ function addLargeProduct(forms: Forms, place: number, key: number, value: number
   forms.high[place] += ((productHigh << 16) | ((product | 0) >>> 16)) + Math.floor(sum / TWO_TO_32);
 }
 
-/** Takes 2^32 times the key off the form at a place, or adds it: what a channel that wraps around differs by. */
-export function addWrap({ high }: Forms, place: number, key: number, upwards: boolean): void {
-  high[place] += upwards ? -KEYS_LOW[key] : KEYS_LOW[key];
+/** Adds key times the difference of two integers, which is up to 2^32. */
+export function addDifference(forms: Forms, place: number, key: number, after: number, before: number): void {
+  addProduct(forms, place, key, (after - before) | 0);
+  const wraps = (after - before - ((after - before) | 0)) / TWO_TO_32;
+  forms.high[place] += wraps * KEYS_LOW[key];
 }
 
-/** Adds the id's product to the form at a place; the id is two numbers of 32 bits. */
+/** Low and high halves of so many keys. */
+export function keysFrom(first: number, count: number): [Float64Array, Int32Array] {
+  return [KEYS_LOW.slice(first, first + count), KEYS_HIGH.slice(first, first + count)];
+}
+
+/** Adds the id's product to the form at a place; the id is two unsigned numbers of 32 bits. */
 export function addId(forms: Forms, place: number, idLow: number, idHigh: number): void {
-  addUnsigned(forms, place, 0, idLow);
+  addDifference(forms, place, 0, idLow, 0);
   forms.high[place] += Math.imul(KEYS_LOW[0], idHigh);
 }
 
-function addUnsigned(forms: Forms, place: number, key: number, value: number): void {
-  addProduct(forms, place, key, value | 0);
-  if (value >= TWO_TO_32 / 2) addWrap(forms, place, key, false);
-}
-
-/** The sum of the hashes of the rows at these places, modulo 2^64. */
-export function sumOfHashes(forms: Forms, places: Uint32Array): bigint {
+/** The sum of the hashes of the rows at these places, of all or of some of them, modulo 2^64. */
+export function sumOfHashes(
+  { low: lows, high: highs }: Forms,
+  places: Uint32Array,
+  from = 0,
+  to = places.length,
+): bigint {
   let sumLow = 0;
   let sumHigh = 0;
-  for (const place of places) {
-    let low = forms.low[place];
-    let high = forms.high[place];
+  for (let i = from; i < to; i++) {
+    let low = lows[places[i]];
+    let high = highs[places[i]];
     // z ^= z >> 30, z *= FIRST_FACTOR
-    let shifted = (low >>> 30) | (high << 2);
+    low ^= (low >>> 30) | (high << 2);
     high ^= high >>> 30;
-    low ^= shifted;
     high = (Math.imul(high, 0x1ce4e5b9) + Math.imul(low, 0xbf58476d) + upperHalf(low, 0x1ce4, 0xe5b9)) | 0;
     low = Math.imul(low, 0x1ce4e5b9);
     // z ^= z >> 27, z *= SECOND_FACTOR
-    shifted = (low >>> 27) | (high << 5);
+    low ^= (low >>> 27) | (high << 5);
     high ^= high >>> 27;
-    low ^= shifted;
     high = (Math.imul(high, 0x133111eb) + Math.imul(low, 0x94d049bb) + upperHalf(low, 0x1331, 0x11eb)) | 0;
     low = Math.imul(low, 0x133111eb);
     // z ^= z >> 31
-    shifted = (low >>> 31) | (high << 1);
-    high ^= high >>> 31;
-    sumLow += (low ^ shifted) >>> 0;
-    sumHigh += high >>> 0;
+    sumLow += (low ^ ((low >>> 31) | (high << 1))) >>> 0;
+    sumHigh += (high ^ (high >>> 31)) >>> 0;
   }
   return (BigInt(sumLow) + (BigInt(sumHigh) << 32n)) & MASK;
 }

@@ -42,6 +42,9 @@ function width(name: keyof Floats, { channels }: State): number {
   return name === "sh" ? channels[GROUP.SH_DC] + channels[GROUP.SH_REST] : channels[group];
 }
 
+/** Places that all groups are put on the lattice for before the next ones, as long as they are at hand. */
+const BATCH = 1024;
+
 /** Puts the integers of these places on the lattice; only the groups that `present` says yes to. */
 export function dequantise(
   state: State,
@@ -50,56 +53,93 @@ export function dequantise(
   places: Uint32Array,
   present: (group: number) => boolean,
 ): void {
-  const { integers, channels } = state;
-  if (present(GROUP.MEANS)) placeMeans(integers[GROUP.MEANS], lattice, floats.means, places);
-  if (present(GROUP.LOG_SCALES)) {
-    limited(integers[GROUP.LOG_SCALES], 3, lattice.logScales, MAX_LOG_SCALE, floats.logScales, places);
-  }
-  if (present(GROUP.QUATERNIONS)) {
-    turn(integers[GROUP.QUATERNIONS], lattice.quaternions, floats.quaternions, places);
-  }
-  if (present(GROUP.OPACITY_LOGITS)) {
-    const step = lattice.opacityLogits;
-    limited(integers[GROUP.OPACITY_LOGITS], 1, step, MAX_OPACITY_LOGIT, floats.opacityLogits, places);
-  }
-  const [dc, rest] = [channels[GROUP.SH_DC], channels[GROUP.SH_REST]];
-  if (present(GROUP.SH_DC)) colour(integers[GROUP.SH_DC], dc, lattice.shDc, floats.sh, dc + rest, 0, places);
-  if (rest > 0 && present(GROUP.SH_REST)) {
-    colour(integers[GROUP.SH_REST], rest, lattice.shRest, floats.sh, dc + rest, dc, places);
+  const writers = state.channels.map((channels, group) =>
+    channels > 0 && present(group) ? writerOf(group, state, lattice, floats) : null,
+  );
+  for (let from = 0; from < places.length; from += BATCH) {
+    const batch = places.subarray(from, from + BATCH);
+    for (const write of writers) write?.(batch);
   }
 }
 
-function placeMeans(integers: Int32Array, { means, origin }: Lattice, floats: Float32Array, places: Uint32Array): void {
+type Writer = (places: Uint32Array) => void;
+
+function writerOf(group: number, state: State, lattice: Lattice, floats: Floats): Writer {
+  const { integers, width } = state;
+  const { logScales, quaternions, opacityLogits, shDc, shRest } = lattice;
+  const from: Channels = { integers, width, offset: state.offsets[group], count: state.channels[group] };
+  const dc = state.channels[GROUP.SH_DC];
+  const all = dc + state.channels[GROUP.SH_REST];
+  switch (group) {
+    case GROUP.MEANS:
+      return (places) => {
+        placeMeans(from, lattice, floats.means, places);
+      };
+    case GROUP.LOG_SCALES:
+      return (places) => {
+        limit(from, logScales, MAX_LOG_SCALE, floats.logScales, places);
+      };
+    case GROUP.QUATERNIONS:
+      return (places) => {
+        turn(from, quaternions, floats.quaternions, places);
+      };
+    case GROUP.OPACITY_LOGITS:
+      return (places) => {
+        limit(from, opacityLogits, MAX_OPACITY_LOGIT, floats.opacityLogits, places);
+      };
+    case GROUP.SH_DC:
+      return (places) => {
+        colour(from, shDc, floats.sh, all, 0, places);
+      };
+    default:
+      return (places) => {
+        colour(from, shRest, floats.sh, all, dc, places);
+      };
+  }
+}
+
+/** A group's channels among all integers of a place. */
+interface Channels {
+  readonly integers: Int32Array;
+  readonly width: number;
+  readonly offset: number;
+  readonly count: number;
+}
+
+function placeMeans(from: Channels, { means, origin }: Lattice, floats: Float32Array, places: Uint32Array): void {
+  const { integers, width, offset } = from;
   const [stepX, stepY, stepZ] = means;
   const [originX, originY, originZ] = origin;
-  for (const place of places) {
-    const at = 3 * place;
-    floats[at] = integers[at] * stepX + originX;
-    floats[at + 1] = integers[at + 1] * stepY + originY;
-    floats[at + 2] = integers[at + 2] * stepZ + originZ;
+  for (let i = 0; i < places.length; i++) {
+    const start = (Math.imul(width, places[i]) + offset) | 0;
+    const at = Math.imul(3, places[i]);
+    floats[at] = integers[start] * stepX + originX;
+    floats[at + 1] = integers[start + 1] * stepY + originY;
+    floats[at + 2] = integers[start + 2] * stepZ + originZ;
   }
 }
 
-function limited(
-  integers: Int32Array,
-  channels: number,
-  step: number,
-  most: number,
-  floats: Float32Array,
-  places: Uint32Array,
-): void {
-  for (const place of places) {
-    for (let at = channels * place; at < channels * (place + 1); at++) {
-      const value = integers[at] * step;
-      floats[at] = value > most ? most : value < -most ? -most : value;
+function limit(from: Channels, step: number, most: number, floats: Float32Array, places: Uint32Array): void {
+  const { integers, width, offset, count } = from;
+  for (let i = 0; i < places.length; i++) {
+    const start = (Math.imul(width, places[i]) + offset) | 0;
+    const at = Math.imul(count, places[i]);
+    for (let channel = 0; channel < count; channel++) {
+      const value = integers[start + channel] * step;
+      floats[at + channel] = value > most ? most : value < -most ? -most : value;
     }
   }
 }
 
-function turn(integers: Int32Array, step: number, floats: Float32Array, places: Uint32Array): void {
-  for (const place of places) {
-    const at = 4 * place;
-    const [w, x, y, z] = [integers[at], integers[at + 1], integers[at + 2], integers[at + 3]];
+function turn(from: Channels, step: number, floats: Float32Array, places: Uint32Array): void {
+  const { integers, width, offset } = from;
+  for (let i = 0; i < places.length; i++) {
+    const start = (Math.imul(width, places[i]) + offset) | 0;
+    const at = Math.imul(4, places[i]);
+    const w = integers[start];
+    const x = integers[start + 1];
+    const y = integers[start + 2];
+    const z = integers[start + 3];
     floats[at] = (w | x | y | z) === 0 ? 1 : w * step;
     floats[at + 1] = x * step;
     floats[at + 2] = y * step;
@@ -107,19 +147,19 @@ function turn(integers: Int32Array, step: number, floats: Float32Array, places: 
   }
 }
 
-/** Spherical harmonics: so many channels from `offset` on of each Gaussian's `width`. */
+/** Spherical harmonics, behind the first `skipped` of a Gaussian's `all`. */
 function colour(
-  integers: Int32Array,
-  channels: number,
+  from: Channels,
   step: number,
   floats: Float32Array,
-  width: number,
-  offset: number,
+  all: number,
+  skipped: number,
   places: Uint32Array,
 ): void {
-  for (const place of places) {
-    const from = channels * place;
-    const to = width * place + offset;
-    for (let channel = 0; channel < channels; channel++) floats[to + channel] = integers[from + channel] * step;
+  const { integers, width, offset, count } = from;
+  for (let i = 0; i < places.length; i++) {
+    const start = (Math.imul(width, places[i]) + offset) | 0;
+    const at = (Math.imul(all, places[i]) + skipped) | 0;
+    for (let channel = 0; channel < count; channel++) floats[at + channel] = integers[start + channel] * step;
   }
 }

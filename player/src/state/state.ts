@@ -1,12 +1,27 @@
 /** The state after a frame: integers on a lattice (SPEC section 5). */
 
 import { ID_END } from "../container/limits";
-import { GROUPS, firstKeys } from "./groups";
-import { addId, addModulo, addProduct, addWrap, sumOfHashes, type Forms } from "./digest";
+import { offsetsOf } from "./groups";
+import {
+  addDifference,
+  addId,
+  addModulo,
+  addSums,
+  keysFrom,
+  largestSummed,
+  sumOfHashes,
+  type Forms,
+} from "./digest";
 import type { Columns } from "../entropy/planes";
 
 /** Room beyond what is there, so that Gaussians that are added rarely move all arrays. */
 const SPARE = 1.125;
+
+/** Rows that all groups are worked on for before the next ones: what one group fetches, the next one finds at hand. */
+const BATCH = 1024;
+const SIGN = -(2 ** 31);
+/** Integers in a line of a processor's cache. */
+const LINE = 16;
 
 /** Ids of listed or added Gaussians, as two numbers of 32 bits each. */
 export interface Ids {
@@ -33,12 +48,18 @@ export class State {
   idsLow = new Uint32Array(0);
   idsHigh = new Uint32Array(0);
   forms: Forms = { low: new Int32Array(0), high: new Int32Array(0) };
-  /** By group: place after place, its channels. */
-  readonly integers: Int32Array[] = Array.from({ length: GROUPS }, () => new Int32Array(0));
-  private readonly keys: readonly number[];
+  /** Place after place, `width` integers each: those of all groups in bit order, so that they are fetched together. */
+  integers = new Int32Array(0);
+  readonly width: number;
+  /** Where the channels of each group start among a place's integers. */
+  readonly offsets: readonly number[];
+
+  /** Keeps the compiler from leaving out what `fetch` does. */
+  protected fetched = 0;
 
   constructor(readonly channels: readonly number[]) {
-    this.keys = firstKeys(channels);
+    this.offsets = offsetsOf(channels);
+    this.width = channels.reduce((sum, count) => sum + count, 0);
   }
 
   /** A copy with room for so many Gaussians. */
@@ -60,9 +81,7 @@ export class State {
     this.idsLow = resized(from.idsLow, count, capacity);
     this.idsHigh = resized(from.idsHigh, count, capacity);
     this.forms = { low: resized(from.forms.low, count, capacity), high: resized(from.forms.high, count, capacity) };
-    this.channels.forEach((channels, group) => {
-      this.integers[group] = resized(from.integers[group], count * channels, capacity * channels);
-    });
+    this.integers = resized(from.integers, count * this.width, capacity * this.width);
   }
 
   placesOf(rows: Uint32Array): Uint32Array {
@@ -83,39 +102,94 @@ export class State {
     return this.nextId < ID_END && (this.count === 0 || this.id(this.count - 1) < this.nextId);
   }
 
-  /** Adds residuals to the integers at these places, or takes them off again (SPEC section 7, step 1). */
-  change(places: Uint32Array, residuals: GroupColumns, sign: 1 | -1 = 1): void {
-    this.sum = addModulo(this.sum, -sumOfHashes(this.forms, places));
-    residuals.forEach((columns, group) => {
-      if (columns === null) return;
-      for (let channel = 0; channel < this.channels[group]; channel++) {
-        const column = columns.subarray(channel * places.length, (channel + 1) * places.length);
-        this.changeChannel(group, channel, places, column, sign);
-      }
-    });
-    this.sum = addModulo(this.sum, sumOfHashes(this.forms, places));
+  /** Adds residuals to the integers at these places (SPEC section 7, step 1). */
+  change(places: Uint32Array, residuals: GroupColumns): void {
+    for (let from = 0; from < places.length; from += BATCH) {
+      const to = Math.min(from + BATCH, places.length);
+      this.fetch(places, from, to);
+      this.sum = addModulo(this.sum, -sumOfHashes(this.forms, places, from, to));
+      residuals.forEach((columns, group) => {
+        if (columns !== null) this.changeGroup(group, places, columns, from, to);
+      });
+      this.sum = addModulo(this.sum, sumOfHashes(this.forms, places, from, to));
+    }
   }
 
-  private changeChannel(group: number, channel: number, places: Uint32Array, column: Int32Array, sign: number): void {
-    const integers = this.integers[group];
+  /**
+   * Reads a batch's integers and forms once, for nothing but to have them at hand: loads that do not wait for each
+   * other overlap, and a scene is larger than the processor's caches.
+   */
+  private fetch(places: Uint32Array, from: number, to: number): void {
+    const { integers, width } = this;
+    const { low, high } = this.forms;
+    let any = 0;
+    for (let i = from; i < to; i++) {
+      const place = places[i] | 0;
+      any ^= low[place] ^ high[place];
+      const start = Math.imul(place, width);
+      for (let at = start; at < start + width; at += LINE) any ^= integers[at];
+    }
+    this.fetched = any;
+  }
+
+  /**
+   * Most of a decoder's time is here. Places are made signed, since indices computed from unsigned numbers are
+   * floating-point numbers to the compiler.
+   */
+  private changeGroup(group: number, places: Uint32Array, columns: Columns, from: number, to: number): void {
+    const { forms, integers, width } = this;
     const channels = this.channels[group];
-    const key = this.keys[group] + channel;
-    const { forms } = this;
-    for (let i = 0; i < places.length; i++) {
-      const residual = (column[i] * sign) | 0;
-      if (residual === 0) continue;
-      const at = places[i] * channels + channel;
-      const exact = integers[at] + residual;
-      const wrapped = exact | 0;
-      integers[at] = wrapped;
-      addProduct(forms, places[i], key, residual);
-      if (wrapped !== exact) addWrap(forms, places[i], key, exact > wrapped);
+    const offset = this.offsets[group];
+    const [keysLow, keysHigh] = keysFrom(1 + offset, channels);
+    const largest = largestSummed(channels);
+    const beyond = -2 * largest;
+    const rows = places.length | 0;
+    for (let i = from; i < to; i++) {
+      const place = places[i] | 0;
+      const start = (Math.imul(place, width) + offset) | 0;
+      let ofLow = 0;
+      let ofHigh = 0;
+      let odd = 0;
+      for (let channel = 0, at = i; channel < channels; channel++, at = (at + rows) | 0) {
+        const residual = columns[at];
+        const before = integers[start + channel];
+        const after = (before + residual) | 0;
+        integers[start + channel] = after;
+        ofLow += keysLow[channel] * residual;
+        ofHigh = (ofHigh + Math.imul(keysHigh[channel], residual)) | 0;
+        // Bits are set for a residual that is large, and, by its signs, for a sum that wraps around.
+        odd |= ((residual + largest) & beyond) | ((before ^ after) & (residual ^ after) & SIGN);
+      }
+      if (odd === 0) addSums(forms, place, ofLow, ofHigh);
+      else this.addOddRow(group, place, columns, i, rows);
+    }
+  }
+
+  /** The form of a row that has changed by what `changeGroup` does not sum up exactly. */
+  private addOddRow(group: number, place: number, columns: Columns, row: number, rows: number): void {
+    const offset = this.offsets[group];
+    for (let channel = 0; channel < this.channels[group]; channel++) {
+      const after = this.integers[place * this.width + offset + channel];
+      const before = (after - columns[channel * rows + row]) | 0;
+      addDifference(this.forms, place, 1 + offset + channel, after, before);
     }
   }
 
   /** Writes Gaussians to places that hold nothing that counts. `sum` grows by their hashes. */
   write(places: Uint32Array, ids: Ids, values: GroupColumns): void {
-    for (let i = 0; i < places.length; i++) {
+    for (let from = 0; from < places.length; from += BATCH) {
+      const to = Math.min(from + BATCH, places.length);
+      this.writeIds(places, ids, from, to);
+      values.forEach((columns, group) => {
+        if (columns === null) this.clearGroup(group, places, from, to);
+        else this.writeGroup(group, places, columns, from, to);
+      });
+      this.sum = addModulo(this.sum, sumOfHashes(this.forms, places, from, to));
+    }
+  }
+
+  private writeIds(places: Uint32Array, ids: Ids, from: number, to: number): void {
+    for (let i = from; i < to; i++) {
       const place = places[i];
       this.idsLow[place] = ids.low[i];
       this.idsHigh[place] = ids.high[i];
@@ -123,12 +197,39 @@ export class State {
       this.forms.high[place] = 0;
       addId(this.forms, place, ids.low[i], ids.high[i]);
     }
-    values.forEach((columns, group) => {
-      for (let channel = 0; channel < this.channels[group]; channel++) {
-        this.writeChannel(group, channel, places, columns);
+  }
+
+  private writeGroup(group: number, places: Uint32Array, columns: Columns, from: number, to: number): void {
+    const { forms, integers, width } = this;
+    const channels = this.channels[group];
+    const offset = this.offsets[group];
+    const [keysLow, keysHigh] = keysFrom(1 + offset, channels);
+    const largest = largestSummed(channels);
+    const rows = places.length | 0;
+    for (let i = from; i < to; i++) {
+      const place = places[i] | 0;
+      const start = (Math.imul(place, width) + offset) | 0;
+      let ofLow = 0;
+      let ofHigh = 0;
+      for (let channel = 0, at = i; channel < channels; channel++, at = (at + rows) | 0) {
+        const value = columns[at];
+        integers[start + channel] = value;
+        if (value < largest && value > -largest) {
+          ofLow += keysLow[channel] * value;
+          ofHigh = (ofHigh + Math.imul(keysHigh[channel], value)) | 0;
+        } else {
+          addDifference(forms, place, 1 + offset + channel, value, 0);
+        }
       }
-    });
-    this.sum = addModulo(this.sum, sumOfHashes(this.forms, places));
+      addSums(forms, place, ofLow, ofHigh);
+    }
+  }
+
+  private clearGroup(group: number, places: Uint32Array, from: number, to: number): void {
+    for (let i = from; i < to; i++) {
+      const start = this.width * places[i] + this.offsets[group];
+      this.integers.fill(0, start, start + this.channels[group]);
+    }
   }
 
   /** Copies the Gaussian at a place to another. */
@@ -137,22 +238,7 @@ export class State {
     this.idsHigh[to] = this.idsHigh[from];
     this.forms.low[to] = this.forms.low[from];
     this.forms.high[to] = this.forms.high[from];
-    this.channels.forEach((channels, group) => {
-      this.integers[group].copyWithin(channels * to, channels * from, channels * (from + 1));
-    });
-  }
-
-  private writeChannel(group: number, channel: number, places: Uint32Array, columns: Columns | null): void {
-    const integers = this.integers[group];
-    const channels = this.channels[group];
-    const key = this.keys[group] + channel;
-    const { forms } = this;
-    const start = channel * places.length;
-    for (let i = 0; i < places.length; i++) {
-      const value = columns === null ? 0 : columns[start + i];
-      integers[places[i] * channels + channel] = value;
-      if (value !== 0) addProduct(forms, places[i], key, value);
-    }
+    this.integers.copyWithin(this.width * to, this.width * from, this.width * (from + 1));
   }
 }
 

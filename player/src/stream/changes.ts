@@ -22,7 +22,10 @@ export class Changes {
 }
 
 function below(places: Uint32Array, count: number): Uint32Array {
-  return places.every((place) => place < count) ? places : places.filter((place) => place < count);
+  for (let i = 0; i < places.length; i++) {
+    if (places[i] >= count) return places.filter((place) => place < count);
+  }
+  return places;
 }
 
 function union(parts: readonly Uint32Array[], count: number): Uint32Array {

@@ -119,9 +119,9 @@ function isRight(payload: Uint8Array, offset: number, entries: readonly IndexEnt
 /** As tests/conformance/README.md defines them. */
 export function hashes(decoder: Decoder, step: Pick<Step, "corrections">, header: StreamHeader): ExpectedFrame {
   const state = decoder.integers!;
-  const { count, channels } = state;
+  const { count, width } = state;
   const places = Uint32Array.from({ length: count }, (_, row) => (state.inOrder ? row : state.order[row]));
-  const rowBytes = 8 + 4 * channels.reduce((sum, width) => sum + width, 0);
+  const rowBytes = 8 + 4 * width;
   const integers = new DataView(new ArrayBuffer(12 + rowBytes * count));
   integers.setBigUint64(0, state.nextId, true);
   integers.setUint32(8, count, true);
@@ -129,9 +129,7 @@ export function hashes(decoder: Decoder, step: Pick<Step, "corrections">, header
     let at = 12 + rowBytes * row;
     integers.setBigUint64(at, state.id(row), true);
     at += 8;
-    channels.forEach((width, group) => {
-      for (let c = 0; c < width; c++, at += 4) integers.setInt32(at, state.integers[group][width * place + c], true);
-    });
+    for (let c = 0; c < width; c++, at += 4) integers.setInt32(at, state.integers[width * place + c], true);
   });
   const corrections = told(step, header);
   return {
