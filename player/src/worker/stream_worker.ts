@@ -2,6 +2,7 @@
 import type { SceneFrame, SceneStream } from "../scene";
 import { FRAME_KINDS, type DepthRow, type DrawOrder, type FrameInfo, type FrameTable, type FromWorker, type SceneUpdate, type ToWorker } from "../messages";
 import type { PinholeCamera } from "../draw/renderer";
+import type { ExactRenderer } from "../exact/renderer";
 import { Buffers } from "./buffers";
 import { DepthSorter } from "./depth_order";
 import { ExactPictures, type LoadKernel } from "./exact_pictures";
@@ -20,6 +21,8 @@ export class StreamWorker {
   private view: { readonly depth: DepthRow; readonly serial: number } | null = null;
   private readonly buffers = new Buffers();
   private readonly exact: ExactPictures;
+  private kernel: ExactRenderer | null = null;
+  private exactCamera: PinholeCamera | null = null;
   private readonly sorter = new DepthSorter();
   private told = { frames: 0, metrics: 0, bytesRead: 0, complete: false, notices: 0 };
   private wanted: { frame: number; request: number } | null = null;
@@ -113,6 +116,7 @@ export class StreamWorker {
       } catch (error) {
         if (!this.abort.signal.aborted) this.send({ type: "failed", request, message: sentence(error) });
       }
+      this.drawHeld();
     }
     this.busy = false;
   }
@@ -145,14 +149,28 @@ export class StreamWorker {
     this.send({ type: "frame", request: -1, info, update, draw }, transfers(draw, update));
   }
 
+  /** Between two frames only: while one is decoded, the scene is neither this nor that. */
   private async drawExactly(camera: PinholeCamera): Promise<void> {
     try {
-      const exact = await this.exact.ready();
+      this.kernel = await this.exact.ready();
+    } catch (error) {
+      this.send({ type: "exact", picture: null, problem: sentence(error) });
+      return;
+    }
+    this.exactCamera = camera;
+    if (!this.busy) this.drawHeld();
+  }
+
+  private drawHeld(): void {
+    const { kernel, exactCamera: camera } = this;
+    if (kernel === null || camera === null) return;
+    this.exactCamera = null;
+    try {
       const header = this.stream?.header;
       const picture =
         this.frame === null || header === undefined
           ? null
-          : ExactPictures.draw(exact, this.frame.gaussians, header, camera);
+          : ExactPictures.draw(kernel, this.frame.gaussians, header, camera);
       this.send({ type: "exact", picture, problem: null }, picture === null ? [] : [picture.pixels.buffer]);
     } catch (error) {
       this.send({ type: "exact", picture: null, problem: sentence(error) });
