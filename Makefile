@@ -32,13 +32,17 @@ BLENDER_PYTHON ?= python3.11
 BLENDER_ENV = build/blender-$(BLENDER)
 BLENDER_ADDON := build/decogs-blender.zip
 
+# The compiler of the player's kernel.
+ZIG_ENV := build/zig
+
 # A second environment that holds only the built wheel, without torch.
 DIST := build/dist
 WHEEL_ENV := build/wheel-env
 
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
-.PHONY: help setup demo test lint type layers wheel wheel-check unit slow soak fuzz bench report blender-addon blender-test clean
+.PHONY: help setup demo test lint type layers wheel wheel-check unit player player-wasm player-check test-browser slow soak fuzz bench report \
+	blender-addon blender-test clean
 
 help: ## list what can be made
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-13s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -71,7 +75,7 @@ $(USER_READY): $(INSTALLS) $(KERNEL_SOURCES) | $(USER_BIN)/python
 demo: $(USER_READY) ## encode the sample rig, decode its held-out view, export USD, in .venv-user
 	$(USER_BIN)/python tests/demo/demo.py
 
-test: lint type layers wheel-check unit ## every check; what continuous integration runs
+test: lint type layers wheel-check player-check unit ## every check; what continuous integration runs
 
 lint: $(READY) ## ruff: rules and formatting
 	$(BIN)/ruff check .
@@ -85,6 +89,34 @@ layers: $(READY) ## import contracts: formats <- codec <- decoder <- encoder
 
 unit: $(READY) ## pytest, a process for each processor
 	$(BIN)/pytest -n auto --dist worksteal
+
+# The built page is committed, since users have no Node: whoever changes player/ builds it anew and commits both.
+player: player/node_modules/ready ## build the page that plays streams, decoder/viewing/page; needs Node 20 or later
+	cd player && npm run --silent check && npm run --silent build
+	@ls -l decoder/viewing/page
+
+player/node_modules/ready: player/package-lock.json
+	cd player && npm ci --no-audit --no-fund
+	@touch $@
+
+# Zig brings the compiler and the C++ library: 100 MB to download once.
+player-wasm: $(ZIG_ENV)/ready ## compile the kernel for that page, decogs-exact.wasm; after changes of decoder/rasterise/kernel
+	$(ZIG_ENV)/bin/python player/exact.py
+
+$(ZIG_ENV)/ready:
+	$(PYTHON) -m venv $(ZIG_ENV)
+	$(ZIG_ENV)/bin/python -m pip install $(PIP_ARGS) --quiet --no-compile ziglang==0.17.0
+	@touch $@
+
+# Its unit tests are among pytest's, and skipped where these are missing.
+player-check: ## types and rules of the player, where Node and its packages are there
+	@if ! command -v node > /dev/null; then echo 'player-check: skipped, Node is not installed'; \
+	elif [ ! -d player/node_modules ]; then echo 'player-check: skipped, player/node_modules is missing (make player gets it)'; \
+	else cd player && npm run --silent check; fi
+
+# Skipped, saying so, where Node, the player's packages or Chromium are missing. DECOGS_CHROMIUM names one that lies elsewhere.
+test-browser: $(READY) ## the player in a Chromium without a window: pictures against decogs-decode, seeking, growing files, controls
+	$(BIN)/pytest -m browser tests/player
 
 slow: $(READY) ## longer twins of tests that are in `make test`, and those that need larger rigs (CONTRIBUTING.md)
 	$(BIN)/pytest -m slow -n auto --dist worksteal

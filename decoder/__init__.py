@@ -1,6 +1,7 @@
 """Opens a .dgs stream, reconstructs any frame, renders any view and exports it; never needs torch.
 
-``decode``, ``export`` and ``info`` do what the commands of those names do, with values for options; ``open_stream`` and
+``decode``, ``export``, ``info`` and ``view`` do what the commands of those names do, with values for options;
+``open_stream`` and
 ``render_view`` are the library below them. What is heavy (OpenCV, OpenEXR, OpenUSD, the rasteriser's kernel) is only
 loaded when it is used.
 """
@@ -11,6 +12,7 @@ from .exporting import ExportReport, export
 from .frame import DecodedFrame
 from .stream import Stream, open_stream
 from .stream_info import StreamInfo, info
+from .viewing.notebook import View, view
 from .views import render_view
 
 __all__ = [
@@ -21,9 +23,11 @@ __all__ = [
     "ExportReport",
     "Stream",
     "StreamInfo",
+    "View",
     "decode",
     "export",
     "info",
     "open_stream",
     "render_view",
+    "view",
 ]

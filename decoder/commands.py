@@ -1,6 +1,7 @@
-"""The decoder's commands: decogs-decode, decogs-export and decogs-info.
+"""The decoder's commands: decogs-decode, decogs-export, decogs-info and decogs-view.
 
-Only arguments and what is printed; the work is done by ``decode``, ``export`` and ``info`` of ``decogs.decoder``.
+Only arguments and what is printed; the work is done by ``decode``, ``export``, ``info`` and ``view`` of
+``decogs.decoder``.
 SIGTERM and SIGHUP end a command that writes files as soon as it has removed what is not whole.
 """
 
@@ -11,6 +12,7 @@ import json
 import os
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -154,6 +156,32 @@ def info_main(arguments: Sequence[str] | None = None) -> int:
     return run(parser, lambda: _info(parser.parse_args(frames_joined(arguments))))
 
 
+def view_main(arguments: Sequence[str] | None = None) -> int:
+    """``decogs-view``: a stream played in the browser, or a folder for a web server that does so."""
+    parser = Parser(
+        prog="decogs-view",
+        description="Play a .dgs stream in the browser, from wherever one likes. Serves it to this machine only.",
+        epilog="With -o nothing is served: OUTPUT is a folder that plays the stream on any static web server.",
+    )
+    parser.add_argument("stream", help="the .dgs file")
+    parser.add_argument("-o", "--output", metavar="OUTPUT", help="write the page and the stream into this folder")
+    parser.add_argument(
+        "--overwrite", action="store_true", help="with -o: into a folder that is there; its other files stay"
+    )
+    parser.add_argument("--no-browser", action="store_true", help="only print the address")
+    parser.add_argument("--port", type=whole_number, default=0, metavar="N", help="default: any that is free")
+    parser.add_argument(
+        "--follow", action="store_true", help="play frames as an encoder writes them; name the file or its .part"
+    )
+    parser.add_argument(
+        "--idle",
+        type=number,
+        metavar="S",
+        help="with --follow: wait S seconds for the stream's beginning (default 600)",
+    )
+    return run(parser, lambda: _view(parser.parse_args(arguments)), cleans_up=True)
+
+
 def _decode(parser: Parser, options: argparse.Namespace) -> None:
     from .decoding import decode
     from .following import DEFAULT_IDLE
@@ -249,6 +277,31 @@ def _file(stream: str) -> str:
             "-: a pipe cannot be seeked; write the stream to a file first, or decode it with decogs-decode -"
         )
     return stream
+
+
+def _view(options: argparse.Namespace) -> None:
+    if options.output is not None:
+        _write_site(options)
+        return
+    from .following import DEFAULT_IDLE
+    from .viewing.notebook import view
+
+    idle = DEFAULT_IDLE if options.idle is None else options.idle
+    browser = False if options.no_browser else None
+    with view(options.stream, port=options.port, follow=options.follow, idle=idle, browser=browser) as served:
+        tell(f"{options.stream}: {served.url} (Ctrl-C ends it)")
+        with suppress(KeyboardInterrupt):
+            served.wait()
+
+
+def _write_site(options: argparse.Namespace) -> None:
+    from .viewing.site import write_site
+
+    if options.follow:
+        raise UsageError("a folder holds a whole stream; leave out `follow`, or wait for the encoder")
+    with progress("writing", "MB") as on_bytes:
+        report = write_site(options.stream, options.output, overwrite=options.overwrite, on_bytes=on_bytes)
+    tell(f"{options.output}: {counted(report.file_count, 'file')}, {size_text(report.file_bytes)}")
 
 
 def _joined(arguments: Sequence[str] | None) -> list[str]:

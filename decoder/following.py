@@ -260,17 +260,31 @@ def follow_stream(
         yield GrowingStream(file, str(stream), idle=idle, strict=strict, on_damage=on_damage, max_memory=max_memory)
 
 
-def _opened(path: Path, idle: float) -> BinaryIO:
-    """The file when it is there, unbuffered, so that what was its end is looked at again."""
-    since = time.monotonic()
+def followed(stream: str | os.PathLike[str]) -> Path:
+    """The name that a growing stream will have when it is whole, given that or ``NAME.part``."""
+    path = Path(stream)
+    return path.with_suffix("") if path.suffix == ".part" else path
+
+
+def open_growing(path: Path) -> BinaryIO:
+    """The file that an encoder writes as ``path``, as far as it is: ``NAME.part`` while it grows, then ``NAME``.
+
+    Unbuffered, so that what was its end is looked at again. Raises FileNotFoundError when neither is there; one that is
+    renamed between the two looks is found the next time.
+    """
     growing = part_of(path)
+    left_over = path.exists() and is_left_over(growing)
+    return open(growing if growing.exists() and not left_over else path, "rb", buffering=0)
+
+
+def _opened(path: Path, idle: float) -> BinaryIO:
+    """The file when it is there."""
+    since = time.monotonic()
     while True:
-        # One that is renamed between the two looks is found the next time.
         with suppress(FileNotFoundError):
-            left_over = path.exists() and is_left_over(growing)
-            return open(growing if growing.exists() and not left_over else path, "rb", buffering=0)
+            return open_growing(path)
         if time.monotonic() - since >= idle:
             raise UsageError(
-                f"{path}: neither it nor {growing.name} is there after {idle:g} s; is the encoder running?"
+                f"{path}: neither it nor {part_of(path).name} is there after {idle:g} s; is the encoder running?"
             )
         time.sleep(_POLL)

@@ -62,6 +62,16 @@ def test_files_that_are_no_modules_are_installed(layer: str, file: str) -> None:
     assert (layer_folder(layer) / file).read_bytes() == (ROOT / layer / file).read_bytes()
 
 
+def test_the_player_is_installed_as_it_was_built() -> None:
+    """Users have no Node: the page comes with the wheel, whole."""
+    built, installed = (folder / "viewing" / "page" for folder in (ROOT / "decoder", layer_folder("decoder")))
+    names = sorted(path.name for path in built.iterdir())
+    assert {"index.html", "decogs-player.js", "decogs-worker.js", "decogs-exact.wasm"} <= set(names)
+    assert sorted(path.name for path in installed.iterdir()) == names
+    for name in names:
+        assert (installed / name).read_bytes() == (built / name).read_bytes()
+
+
 @pytest.mark.parametrize("instruction_set", INSTRUCTION_SETS)
 @pytest.mark.parametrize(
     ("layer", "package", "stem", "function"),
@@ -102,7 +112,7 @@ for name in sys.argv[1:]:
     assert result.returncode == 0, result.stderr
 
 
-@pytest.mark.parametrize("command", ["decogs-decode", "decogs-export", "decogs-info"])
+@pytest.mark.parametrize("command", ["decogs-decode", "decogs-export", "decogs-info", "decogs-view"])
 def test_a_command_explains_itself(command: str) -> None:
     # Not resolved: the commands lie beside the environment's python, which is a link.
     script = Path(sys.executable).parent / command

@@ -23,6 +23,25 @@ export interface RigCamera {
   readonly worldToCamera: readonly (readonly number[])[];
   /** Nothing nearer than this depth is drawn in this view. */
   readonly near: number;
+  /** What this camera's colours differ by in every frame; null where the stream does not say. */
+  readonly colours: CameraColours | null;
+}
+
+/** How a camera recorded colours, in 1/4096 of a natural logarithm (SPEC section 6, "Corrections"). */
+export interface CameraColours {
+  readonly exposure: number;
+  readonly red: number;
+  readonly blue: number;
+}
+
+/**
+ * What one frame tells of a camera: colours, to which the camera's own `colours` are to be added, and its pose in
+ * 1/262144 radians. Numbers that the stream does not tell are 0.
+ */
+export interface CameraCorrection extends CameraColours {
+  readonly yaw: number;
+  readonly pitch: number;
+  readonly roll: number;
 }
 
 /** Steps of the lattice that coded integers lie on (SPEC sections 4 and 5). */
@@ -49,16 +68,24 @@ export interface StreamHeader {
   readonly background: readonly number[];
   readonly effects: readonly string[];
   readonly heldOut: readonly string[];
+  /** By effect, the cameras of which every frame's corrections tell. */
+  readonly corrected: ReadonlyMap<string, readonly string[]>;
 }
 
 /** What is known of a frame without decoding it: from the index packet, or from packet headers seen so far. */
 export interface FrameEntry {
-  readonly kind: FrameKind;
+  /** null for a frame whose packet is lost. */
+  readonly kind: FrameKind | null;
   /** Bytes on disk, the packet's own header and checksums included. */
   readonly bytes: number;
 }
 
-/** Stored values of all Gaussians (SPEC section 5), row by row. Scales, opacities and colours are not activated yet. */
+/**
+ * Stored values of all Gaussians (SPEC section 5). Scales, opacities and colours are not activated yet.
+ *
+ * A Gaussian keeps its place in the arrays for as long as it can: one that is added takes the place of one that was
+ * removed. So places are not the rows of SPEC.md, which close up; `order` tells the two apart.
+ */
 export interface Gaussians {
   /** Number of Gaussians; arrays may be longer. */
   readonly count: number;
@@ -72,6 +99,13 @@ export interface Gaussians {
   readonly opacityLogits: Float32Array;
   /** count x (shDegree + 1)^2 x 3, spherical harmonics of colour; colour = 0.5 + SH(direction). */
   readonly sh: Float32Array;
+  /**
+   * By place, where the decoder keeps it: the frame whose packet last changed or added the Gaussian, that of the
+   * keyframe for those untouched since. So it is right after a seek, too.
+   */
+  readonly lastChanged?: Int32Array;
+  /** The place of each row, for what must take Gaussians in the stream's order; null where places are rows. */
+  readonly order: Uint32Array | null;
 }
 
 /** The scene of one frame, and what its packet changed. Arrays belong to the decoder and change with the next frame. */
@@ -85,14 +119,16 @@ export interface SceneFrame {
   readonly damage: string | null;
   readonly gaussians: Gaussians;
   /**
-   * Rows whose stored values differ from the frame that the decoder gave before this one, in rising order; null when
-   * rows moved or the frame before was not the one that this builds on, so that all must be taken as changed.
+   * Places in the arrays whose values may differ from those of the frame that the decoder gave before this one, places
+   * beyond that one's count included, each once; null when all must be taken as changed.
    */
   readonly changedRows: Uint32Array | null;
   /** Gaussians that this frame's packet changed, added and removed: 0 of all for a frame that only repeats. */
   readonly changed: number;
   readonly added: number;
   readonly removed: number;
+  /** By name, the cameras that this frame tells of; any other camera differs by its `colours` at most. */
+  readonly corrections: ReadonlyMap<string, CameraCorrection>;
 }
 
 /** Encoder's figures of a frame, where the stream carries a METRICS packet for it. */
@@ -107,10 +143,14 @@ export interface SceneStream {
   readonly frames: readonly FrameEntry[];
   /** Whether the end of the stream was seen: false while a source still grows. */
   readonly complete: boolean;
+  /** Whether all that is there was seen, and it has no end: more may come, or the stream is cut off. */
+  readonly waits: boolean;
   /** Figures by frame, for those that have any. */
   readonly metrics: ReadonlyMap<number, FrameMetrics>;
   /** Bytes read from the source so far. */
   readonly bytesRead: number;
+  /** What is wrong with the stream as a whole, each one sentence: damage that costs no frame, an end that is cut off. */
+  readonly notices: readonly string[];
   /** The scene at a frame. Going one frame on costs one packet; going elsewhere reads and decodes from its keyframe. */
   frame(index: number, signal?: AbortSignal): Promise<SceneFrame>;
   /** Reads bytes of the coming frames ahead, within the window that bounds memory. */

@@ -5,6 +5,7 @@ Run by ``make demo``; everything is written to ``demo/`` in the current folder.
 
 from __future__ import annotations
 
+import os
 import shutil
 import sys
 import time
@@ -45,6 +46,7 @@ def main() -> None:
 
     totals = info(stream).totals
     keyframe_seconds, *later_seconds = [sum(frame.seconds.values()) for frame in encoded.frames]
+    viewer = os.path.relpath(Path(sys.executable).with_name("decogs-view"))
     print(f"""
 {stream}: the stream; how its encoding went is in {OUTPUT / "encode.jsonl"}
 {pictures}/: the view of {HELD_OUT}, which was held out of training
@@ -55,7 +57,9 @@ PSNR of {HELD_OUT}     {np.mean(quality):.2f} dB (first frame {quality[0]:.2f}, 
 bytes per frame   {totals["bytes_per_frame"]:,.0f} (keyframe {totals["mean_key_bytes"]:,.0f}, each later frame \
 {totals["bytes_per_frame_without_first_key"]:,.0f})
 seconds per frame {np.mean([keyframe_seconds, *later_seconds]):.1f} (keyframe {keyframe_seconds:.1f}, each later frame \
-{np.mean(later_seconds):.1f}); {decoding_seconds / len(decoded):.2f} to decode and write""")
+{np.mean(later_seconds):.1f}); {decoding_seconds / len(decoded):.2f} to decode and write
+
+To look at it in the browser, from anywhere: {viewer} {stream}""")
 
 
 def psnr(decoded: Picture, recorded: Picture) -> float:

@@ -11,10 +11,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from urllib.request import urlopen
 
 import pytest
 
-from decogs.decoder.commands import decode_main, export_main, info_main
+from decogs.decoder.commands import decode_main, export_main, info_main, view_main
+from decogs.decoder.viewing import notebook
+from decogs.decoder.viewing.notebook import View
 from decogs.encoder import PRESETS, EncodeSettings
 from decogs.encoder.analysis.commands import analyze_main
 from decogs.encoder.commands import encode_main, pack_main
@@ -30,6 +33,7 @@ MAINS: dict[str, Callable[[list[str]], int]] = {
     "decogs-export": export_main,
     "decogs-info": info_main,
     "decogs-pack": pack_main,
+    "decogs-view": view_main,
 }
 LONGEST_README = 110
 
@@ -55,6 +59,9 @@ def at_the_rig(tiny_rig: Any, tiny_settings: EncodeSettings, tmp_path: Path, mon
         keyframe=replace(tiny_settings.keyframe, iterations=20, cap=300, settle_iterations=4),
         frame=replace(tiny_settings.frame, cache=None, significance=SignificanceSettings(threshold=6.5, decide_at=0.5)),
     )
+    # Nobody looks: the address is asked for once, and the command goes on as if it had been interrupted.
+    monkeypatch.setattr(notebook, "open_browser", lambda url: True)
+    monkeypatch.setattr(View, "wait", look_once)
     for name in PRESETS:
         monkeypatch.setitem(PRESETS, name, short)
     monkeypatch.chdir(tmp_path)
@@ -65,6 +72,13 @@ def at_the_rig(tiny_rig: Any, tiny_settings: EncodeSettings, tmp_path: Path, mon
         json.loads(pose[1])
         Path(name).write_text(pose[1])
     return tmp_path
+
+
+def look_once(shown: View) -> None:
+    with urlopen(shown.url) as page:
+        assert b"<decogs-player" in page.read()
+    with urlopen(shown.url + "scene.dgs") as stream:
+        assert stream.read() == Path("scene.dgs").read_bytes()
 
 
 def run_line(line: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -91,7 +105,7 @@ def test_what_is_shown_runs(document: Path, at_the_rig: Path, monkeypatch: pytes
 
 def test_commands_are_found() -> None:
     """The reader above would pass with none."""
-    assert len(commands_of(ROOT / "README.md")) == 5
+    assert len(commands_of(ROOT / "README.md")) == 8
     assert sum(len(commands_of(document)) for document in DOCS) > 25
     assert sum(len(python_of(document)) for document in DOCS) >= 3
 

@@ -3,7 +3,13 @@
 //
 // An exception in a task (out of memory) ends the run; the first one is rethrown on the calling thread once all threads are
 // idle. A forked child has none of its parent's threads; the pool starts new ones there.
+//
+// WebAssembly has neither threads nor exceptions here: serial.h says the same for it.
 #pragma once
+
+#ifdef __wasm__
+#include "serial.h"
+#else
 
 #include <unistd.h>
 
@@ -123,13 +129,14 @@ class Pool {
     pid_t process_;
 };
 
-// Status of a call of the C interface; mirrored in native.py.
+// Status of a call of the C interface; mirrored in native.py and serial.h.
 enum Status { kDone = 0, kCovered = 1, kNoMemory = 2 };
 
 // Gaussians overlap so many tiles that the tile lists would exceed the limit.
 struct TooManyPairs : std::exception {
     const char* what() const noexcept override { return "too many pairs of a tile and a Gaussian"; }
 };
+[[noreturn]] inline void refuse_pairs() { throw TooManyPairs(); }
 
 // Turns exceptions into a status: the caller is not C++.
 template <class Work>
@@ -155,3 +162,4 @@ void* created(const Make& make) noexcept {
 }
 
 }  // namespace decogs
+#endif

@@ -9,6 +9,8 @@
 #include <cstring>
 #if defined(__x86_64__)
 #include <immintrin.h>
+#elif defined(__wasm_simd128__)
+#include <wasm_simd128.h>
 #endif
 
 #if defined(__AVX512F__)
@@ -199,6 +201,8 @@ DECOGS_INLINE unsigned bits(const M& a) {  // bit i: lane i
     DECOGS_EACH r |= static_cast<unsigned>(_mm256_movemask_ps((__m256)a.v[p])) << (8 * p);
 #elif defined(__SSE4_1__)
     DECOGS_EACH r |= static_cast<unsigned>(_mm_movemask_ps((__m128)a.v[p])) << (4 * p);
+#elif defined(__wasm_simd128__)
+    DECOGS_EACH r |= static_cast<unsigned>(wasm_i32x4_bitmask((v128_t)a.v[p])) << (4 * p);
 #else
     DECOGS_EACH for (int i = 0; i < DECOGS_NATIVE; ++i) r |= static_cast<unsigned>(a.v[p][i] & 1) << (DECOGS_NATIVE * p + i);
 #endif
@@ -210,6 +214,8 @@ DECOGS_INLINE F select(const M& mask, const F& a, const F& b) {
     DECOGS_EACH r.v[p] = (NativeF)_mm256_blendv_ps((__m256)b.v[p], (__m256)a.v[p], (__m256)mask.v[p]);
 #elif defined(__SSE4_1__)
     DECOGS_EACH r.v[p] = (NativeF)_mm_blendv_ps((__m128)b.v[p], (__m128)a.v[p], (__m128)mask.v[p]);
+#elif defined(__wasm_simd128__)
+    DECOGS_EACH r.v[p] = (NativeF)wasm_v128_bitselect((v128_t)a.v[p], (v128_t)b.v[p], (v128_t)mask.v[p]);
 #else
     DECOGS_EACH r.v[p] = mask.v[p] ? a.v[p] : b.v[p];
 #endif
@@ -233,6 +239,8 @@ DECOGS_INLINE bool any(const M& mask) {
     return _mm256_movemask_ps((__m256)(mask.v[0] | mask.v[1])) != 0;
 #elif defined(__SSE4_1__)
     return _mm_movemask_ps((__m128)(mask.v[0] | mask.v[1] | mask.v[2] | mask.v[3])) != 0;
+#elif defined(__wasm_simd128__)
+    return wasm_v128_any_true((v128_t)(mask.v[0] | mask.v[1] | mask.v[2] | mask.v[3]));
 #else
     return bits(mask) != 0;
 #endif
@@ -246,6 +254,8 @@ DECOGS_INLINE F min(const F& a, const F& b) {  // a < b ? a : b
     DECOGS_EACH r.v[p] = (NativeF)_mm256_min_ps((__m256)a.v[p], (__m256)b.v[p]);
 #elif defined(__SSE4_1__)
     DECOGS_EACH r.v[p] = (NativeF)_mm_min_ps((__m128)a.v[p], (__m128)b.v[p]);
+#elif defined(__wasm_simd128__)
+    DECOGS_EACH r.v[p] = (NativeF)wasm_f32x4_pmin((v128_t)b.v[p], (v128_t)a.v[p]);
 #else
     r = select(a < b, a, b);
 #endif
@@ -259,6 +269,8 @@ DECOGS_INLINE F max(const F& a, const F& b) {  // a > b ? a : b
     DECOGS_EACH r.v[p] = (NativeF)_mm256_max_ps((__m256)a.v[p], (__m256)b.v[p]);
 #elif defined(__SSE4_1__)
     DECOGS_EACH r.v[p] = (NativeF)_mm_max_ps((__m128)a.v[p], (__m128)b.v[p]);
+#elif defined(__wasm_simd128__)
+    DECOGS_EACH r.v[p] = (NativeF)wasm_f32x4_pmax((v128_t)b.v[p], (v128_t)a.v[p]);
 #else
     r = select(a > b, a, b);
 #endif
@@ -295,6 +307,8 @@ DECOGS_INLINE F sqrt(const F& a) {
     DECOGS_EACH r.v[p] = (NativeF)_mm256_sqrt_ps((__m256)a.v[p]);
 #elif defined(__SSE4_1__)
     DECOGS_EACH r.v[p] = (NativeF)_mm_sqrt_ps((__m128)a.v[p]);
+#elif defined(__wasm_simd128__)
+    DECOGS_EACH r.v[p] = (NativeF)wasm_f32x4_sqrt((v128_t)a.v[p]);
 #else
     DECOGS_EACH for (int i = 0; i < DECOGS_NATIVE; ++i) r.v[p][i] = __builtin_sqrtf(a.v[p][i]);
 #endif

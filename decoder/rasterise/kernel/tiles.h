@@ -119,7 +119,7 @@ class PairCount {
     }
     bool fits_with(uint64_t more) { return pairs_.fetch_add(more) + more <= limit_; }
     void check() const {
-        if (pairs_.load() > limit_) throw TooManyPairs();
+        if (pairs_.load() > limit_) refuse_pairs();
     }
 
  private:

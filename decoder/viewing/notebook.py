@@ -1,0 +1,117 @@
+"""A stream played from Python: in a notebook beneath the cell, otherwise in a browser."""
+
+from __future__ import annotations
+
+import os
+import sys
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..following import DEFAULT_IDLE
+from ..limits import DEFAULT_MAX_MEMORY
+
+if TYPE_CHECKING:
+    from .server import StreamServer
+
+
+class View:
+    """A stream that is being served at ``url``, until ``close``; a context manager. A notebook shows it inline."""
+
+    def __init__(self, server: StreamServer, name: str, width: int | str, height: int) -> None:
+        self._server, self.name, self._width, self._height = server, name, width, height
+
+    @property
+    def url(self) -> str:
+        """Where a browser on this machine finds it."""
+        return self._server.url
+
+    def close(self) -> None:
+        """Ends the server; what a browser has loaded stays there."""
+        self._server.close()
+
+    def wait(self) -> None:
+        """Returns when it is closed: Ctrl-C, or another thread's ``close``."""
+        self._server.wait()
+
+    def __enter__(self) -> View:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        return f"View({self.url!r})"
+
+    def _repr_html_(self) -> str:
+        """What IPython shows for the value of a cell."""
+        size = f'width="{escape(str(self._width))}" height="{self._height}"'
+        return (
+            f'<iframe src="{escape(self.url)}" title="{escape(self.name)}" {size} style="border: 0" '
+            'allow="fullscreen; clipboard-write"></iframe>'
+        )
+
+
+def view(
+    stream: str | os.PathLike[str],
+    *,
+    port: int = 0,
+    follow: bool = False,
+    browser: bool | None = None,
+    width: int | str = "100%",
+    height: int = 540,
+    idle: float = DEFAULT_IDLE,
+) -> View:
+    """Plays a stream: a server of this machine begins, and a notebook's cell or the browser shows its page.
+
+    ``port``: 0 takes one that is free. ``follow``: the stream is still being written; ``stream`` may then be its name
+    or ``NAME.part``, and what is there is played until it is whole. ``browser``: whether to open one; None does where
+    there is a screen and no notebook. ``width`` and ``height``: in a notebook, pixels or, for the width, a share such
+    as "100%". ``idle``: seconds that a stream that is followed is waited for.
+
+    The server knows this stream and nothing else, is bound to 127.0.0.1, and lives until ``close`` or the end of
+    Python. Raises UsageError, StreamError for what is no readable stream, OSError when the file cannot be read.
+    """
+    from .server import serve_stream
+
+    check_header(stream, follow=follow, idle=idle)
+    server = serve_stream(stream, port=port, follow=follow)
+    if has_screen() and not in_notebook() if browser is None else browser:
+        open_browser(server.url)
+    return View(server, Path(stream).name, width, height)
+
+
+def check_header(stream: str | os.PathLike[str], *, follow: bool, idle: float = DEFAULT_IDLE) -> None:
+    """Raises StreamError, UsageError or OSError for what the page could not open; later damage is for it to show.
+
+    ``follow``: waits up to ``idle`` seconds for the file and its header.
+    """
+    from ..following import GrowingStream, follow_stream, followed
+
+    if follow:
+        with follow_stream(followed(stream), idle=idle):
+            return
+    with open(stream, "rb") as file:
+        GrowingStream(file, str(stream), idle=None, strict=False, on_damage=None, max_memory=DEFAULT_MAX_MEMORY)
+
+
+def has_screen() -> bool:
+    """Whether a browser would have a window. Without a screen Python would start one that takes over the terminal."""
+    return sys.platform == "darwin" or any(name in os.environ for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"))
+
+
+def open_browser(url: str) -> bool:
+    """Shows the page in the user's browser; whether one was found."""
+    import webbrowser
+
+    try:
+        return webbrowser.open(url)
+    except webbrowser.Error:
+        return False
+
+
+def in_notebook() -> bool:
+    """Whether this runs in a kernel that shows HTML."""
+    ipython = sys.modules.get("IPython")
+    shell = None if ipython is None else ipython.get_ipython()
+    return shell is not None and type(shell).__name__ not in ("TerminalInteractiveShell", "NoneType")

@@ -1,0 +1,83 @@
+"""The files of the player's page, and its index.html made to play one stream."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import re
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from urllib.parse import quote_from_bytes
+
+from decogs.formats.errors import UsageError
+
+PAGE = Path(__file__).parent / "page"
+INDEX = "index.html"
+
+MEDIA_TYPES = {
+    ".html": "text/html; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".txt": "text/plain; charset=utf-8",
+    ".wasm": "application/wasm",
+}
+OTHER_MEDIA = "application/octet-stream"
+
+_PLACE = 'data-src="scene.dgs"'
+"""In the built index.html, where the stream's address goes."""
+
+
+@dataclass(frozen=True)
+class PageFile:
+    """A file of the page: its name, which is its address, too, and what it holds."""
+
+    name: str
+    data: bytes
+
+    @property
+    def media_type(self) -> str:
+        """What a server tells browsers that it is; they run neither a script nor WebAssembly of another type."""
+        return MEDIA_TYPES.get(Path(self.name).suffix, OTHER_MEDIA)
+
+
+def page_files(stream: str, *, follow: bool = False) -> list[PageFile]:
+    """The page that plays the stream of this file name beside it; index.html is last.
+
+    ``follow``: a stream that still grows. Raises UsageError where the page was not built, or has a file of that name.
+    """
+    try:
+        found = {path.name: path.read_bytes() for path in sorted(PAGE.iterdir())}
+        index = found.pop(INDEX).decode("utf-8")
+    except (OSError, KeyError):
+        raise UsageError(f"{PAGE}: the built player is missing; install decogs anew, or run make player") from None
+    if stream in (*found, INDEX):
+        raise UsageError(f"{stream}: the player's page has a file of that name; rename the stream")
+    source = f'data-src="{escape(address_of(stream))}"' + (" follow" if follow else "")
+    index = index.replace(_PLACE, source)
+    return [*(PageFile(name, data) for name, data in found.items()), PageFile(INDEX, index.encode("utf-8"))]
+
+
+def address_of(name: str) -> str:
+    """A file's name as an address beside the page; "./" keeps a colon in it from naming a scheme."""
+    return "./" + quote_from_bytes(name.encode("utf-8", "surrogateescape"), safe="")
+
+
+def policy_of(index: PageFile) -> str:
+    """What the page may do, for its server to say (Content-Security-Policy): nothing beyond what it brings itself.
+
+    Texts of a stream are a stranger's. The player shows them as text; if it ever failed to, no script would run.
+    """
+    scripts = re.findall(rb"<script[^>]*>(.*?)</script>", index.data, re.DOTALL)
+    hashes = [base64.b64encode(hashlib.sha256(script).digest()).decode() for script in scripts if script]
+    return "; ".join(
+        [
+            "default-src 'none'",
+            "connect-src 'self'",
+            " ".join(["script-src 'self' 'wasm-unsafe-eval'", *(f"'sha256-{value}'" for value in hashes)]),
+            "style-src 'self' 'unsafe-inline'",
+            "img-src 'self' blob: data:",
+            "worker-src 'self' blob:",
+            "base-uri 'none'",
+            "form-action 'none'",
+        ]
+    )

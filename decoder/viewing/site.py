@@ -1,0 +1,84 @@
+"""A folder that plays a stream on any static web server: the page, and the stream under its own name."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+from decogs.formats.errors import UsageError
+from decogs.formats.outputs import staged_files
+
+from .notebook import check_header
+from .page_files import INDEX, page_files
+
+OnBytes = Callable[[int, int], None]
+"""Told of progress: megabytes written and megabytes in all."""
+
+_MEGABYTE = 1_000_000
+
+
+@dataclass(frozen=True)
+class SiteReport:
+    """What was written: the folder, how many files, and their bytes."""
+
+    folder: Path
+    file_count: int
+    file_bytes: int
+
+
+def write_site(
+    stream: str | os.PathLike[str],
+    folder: str | os.PathLike[str],
+    *,
+    overwrite: bool = False,
+    on_bytes: OnBytes | None = None,
+) -> SiteReport:
+    """Writes the page and a copy of the stream into ``folder``, which appears when it is whole.
+
+    An existing folder is written into when it is empty, or when this made it and nothing else was put there; any other
+    one with ``overwrite``, where files of other names stay. Raises UsageError for what cannot be written, or is read,
+    StreamError for what is no readable stream, OSError when the file cannot be read.
+    """
+    source, target = Path(stream), Path(folder)
+    check_header(source, follow=False)
+    files = page_files(source.name)
+    _check_folder(target, source, {file.name for file in files} | {source.name}, overwrite)
+    with source.open("rb") as opened, staged_files(target) as staging:
+        copied = _copy(opened, staging / source.name, on_bytes)
+        for file in files:
+            (staging / file.name).write_bytes(file.data)
+    return SiteReport(target, len(files) + 1, copied + sum(len(file.data) for file in files))
+
+
+def _check_folder(folder: Path, source: Path, names: set[str], overwrite: bool) -> None:
+    if not folder.exists():
+        return
+    if not folder.is_dir():
+        raise UsageError(f"{folder}: is a file; name a folder to write the page into")
+    copy = folder / source.name
+    if copy.exists() and copy.samefile(source):
+        raise UsageError(f"{copy}: is the stream itself; name another folder")
+    there = {path.name for path in folder.iterdir()}
+    if there and not overwrite and not (there <= names and _is_ours(folder / INDEX)):
+        raise UsageError(f"{folder}: holds files already; name a new folder, or write into it with `overwrite`")
+
+
+def _is_ours(index: Path) -> bool:
+    try:
+        return b"<decogs-player" in index.read_bytes()
+    except OSError:
+        return False
+
+
+def _copy(source: BinaryIO, to: Path, on_bytes: OnBytes | None) -> int:
+    """Copies what there is, a megabyte at a time; returns the bytes."""
+    done, size = 0, os.fstat(source.fileno()).st_size
+    with to.open("wb") as copy:
+        while data := source.read(_MEGABYTE):
+            done += copy.write(data)
+            if on_bytes is not None:
+                on_bytes(done // _MEGABYTE, size // _MEGABYTE)
+    return done

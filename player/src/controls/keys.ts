@@ -1,0 +1,127 @@
+/** What keys do. The help panel is made from the same table, so that it cannot say anything else. */
+import type { DecogsPlayer } from "../element/player";
+import type { Vector } from "../geometry/vectors";
+import type { Panels } from "./panels";
+
+interface KeyAction {
+  readonly keys: readonly string[];
+  readonly shown: string;
+  readonly text: string;
+  readonly act: (player: DecogsPlayer, panels: Panels, event: KeyboardEvent) => void;
+}
+
+const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
+
+export const KEY_ACTIONS: readonly KeyAction[] = [
+  {
+    keys: [" ", "k"],
+    shown: "Space",
+    text: "play or pause",
+    act: (player) => {
+      if (player.paused) void player.play();
+      else player.pause();
+    },
+  },
+  {
+    keys: ["ArrowLeft", "ArrowRight"],
+    shown: "← →",
+    text: "a frame back or on; with Shift to a keyframe",
+    act: (player, _, { key, shiftKey }) => {
+      stepFrame(player, key === "ArrowLeft" ? -1 : 1, shiftKey);
+    },
+  },
+  {
+    keys: ["Home", "End"],
+    shown: "Home End",
+    text: "first or last frame",
+    act: (player, _, { key }) => {
+      player.currentFrame = key === "Home" ? 0 : player.frames.count - 1;
+    },
+  },
+  {
+    keys: ["[", "]"],
+    shown: "[ ]",
+    text: "camera before or after",
+    act: (player, _, { key }) => {
+      player.nextCamera(key === "[" ? -1 : 1);
+    },
+  },
+  { keys: ["r"], shown: "R", text: "back to the camera", act: (player) => { player.backToCamera(); } },
+  {
+    keys: ["-", "+", "="],
+    shown: "− +",
+    text: "slower or faster",
+    act: (player, _, { key }) => {
+      const at = SPEEDS.findIndex((speed) => speed >= player.playbackRate);
+      player.playbackRate = SPEEDS[Math.max(0, Math.min(SPEEDS.length - 1, at + (key === "-" ? -1 : 1)))]!;
+    },
+  },
+  { keys: ["l"], shown: "L", text: "loop", act: (player) => { player.loop = !player.loop; } },
+  {
+    keys: ["c"],
+    shown: "C",
+    text: "what changes: off, glow, still against moving",
+    act: (player) => {
+      player.overlay = player.overlay === "none" ? "changes" : player.overlay === "changes" ? "motion" : "none";
+    },
+  },
+  { keys: ["i"], shown: "I", text: "figures", act: (_, panels) => { panels.toggleStatistics(); } },
+  { keys: ["p"], shown: "P", text: "save the picture", act: (_, panels) => { void panels.savePicture(); } },
+  { keys: ["f"], shown: "F", text: "full screen", act: (_, panels) => { panels.toggleFullScreen(); } },
+  { keys: ["?", "h"], shown: "?", text: "this help", act: (_, panels) => { panels.toggleHelp(); } },
+  { keys: ["Escape"], shown: "Esc", text: "close", act: (_, panels) => { panels.closeAll(); } },
+];
+
+/** Directions of flight by the key's place, so that they lie together on every keyboard. */
+const FLIGHT: ReadonlyMap<string, Vector> = new Map<string, Vector>([
+  ["KeyW", [0, 0, 1]],
+  ["KeyS", [0, 0, -1]],
+  ["KeyA", [-1, 0, 0]],
+  ["KeyD", [1, 0, 0]],
+  ["KeyE", [0, 1, 0]],
+  ["KeyQ", [0, -1, 0]],
+]);
+
+const held = new WeakMap<DecogsPlayer, Set<string>>();
+
+/** Does what a key asks for; whether it asked for anything. */
+export function looksInto(player: DecogsPlayer, panels: Panels, event: KeyboardEvent): boolean {
+  if (event.ctrlKey || event.metaKey || event.altKey) return false;
+  if (FLIGHT.has(event.code)) return fly(player, event);
+  if (event.type !== "keydown" || inField(event)) return false;
+  const action = KEY_ACTIONS.find(({ keys }) => keys.includes(event.key) || keys.includes(event.key.toLowerCase()));
+  if (action === undefined) return false;
+  action.act(player, panels, event);
+  return true;
+}
+
+function fly(player: DecogsPlayer, event: KeyboardEvent): boolean {
+  const keys = held.get(player) ?? new Set<string>();
+  held.set(player, keys);
+  if (event.type === "keydown" && !inField(event)) keys.add(event.code);
+  else keys.delete(event.code);
+  const sum: [number, number, number] = [0, 0, 0];
+  const speed = event.shiftKey ? 3 : 1;
+  for (const key of keys) for (const axis of [0, 1, 2] as const) sum[axis] += speed * FLIGHT.get(key)![axis];
+  if (player.stage !== null) player.stage.navigation.flight = sum;
+  player.cameraMoved();
+  return true;
+}
+
+/** Forgets keys whose release another window has seen. */
+export function forgetKeys(player: DecogsPlayer): void {
+  held.delete(player);
+}
+
+function stepFrame(player: DecogsPlayer, direction: -1 | 1, toKeyframe: boolean): void {
+  player.pause();
+  const at = player.currentFrame;
+  player.currentFrame = toKeyframe ? player.frames.keyframe(at, direction) : at + direction;
+}
+
+/** Whether the key belongs to a control that knows what to do with it. */
+function inField(event: KeyboardEvent): boolean {
+  const target = event.composedPath()[0];
+  if (target instanceof HTMLSelectElement) return true;
+  return target instanceof HTMLButtonElement && (event.key === " " || event.key === "Enter");
+}

@@ -1,0 +1,308 @@
+/** The controls over the picture: the bar, its menu, help, figures and notices. They act through the player alone. */
+import type { Overlay } from "../draw/renderer";
+import type { DecogsPlayer } from "../element/player";
+import { cameraToLink, poseFile } from "./camera_text";
+import { cameraNote } from "./camera_note";
+import { icon } from "./icons";
+import { markup } from "./markup";
+import { Statistics } from "./statistics";
+import { Timeline } from "./timeline";
+import { timeText } from "./time_text";
+
+const IDLE_MS = 2600;
+const NOTICE_MS = 2600;
+const SPINNER_AFTER_MS = 250;
+const FREE = "";
+
+const LEGENDS: Readonly<Record<Overlay, string>> = {
+  none: "",
+  changes: '<i class="now"></i>changed in this frame<i class="past"></i>up to 12 frames ago<i class="still"></i>unchanged',
+  motion: '<i class="moving"></i>changed since the keyframe<i class="still"></i>never',
+};
+
+export class Panels {
+  private readonly timeline: Timeline;
+  private readonly statistics: Statistics;
+  private readonly closers: readonly HTMLElement[];
+  private refreshing = false;
+  private camerasOf: unknown = null;
+  private warning: string | null = null;
+  private noticeTimer = 0;
+  private idleTimer = 0;
+  private loadingTimer = 0;
+  private legendOf: Overlay = "none";
+
+  constructor(
+    private readonly player: DecogsPlayer,
+    private readonly root: ShadowRoot,
+  ) {
+    const holder = document.createElement("div");
+    holder.className = "controls";
+    holder.innerHTML = markup();
+    root.append(holder);
+    this.timeline = new Timeline(player, this.part(".timeline"));
+    this.statistics = new Statistics(player, this.part(".figures"));
+    this.closers = [this.part(".menu"), this.part(".help")];
+    this.listen();
+  }
+
+  /** Brings everything in step with the player, once before the next picture however often it is asked for. */
+  refresh(): void {
+    if (this.refreshing) return;
+    this.refreshing = true;
+    requestAnimationFrame(() => {
+      this.refreshing = false;
+      this.update();
+    });
+  }
+
+  tick(now: number): void {
+    this.statistics.tick(now);
+  }
+
+  loading(on: boolean): void {
+    clearTimeout(this.loadingTimer);
+    const show = (): void => {
+      this.part(".veil").hidden = !on;
+    };
+    if (on) this.loadingTimer = window.setTimeout(show, SPINNER_AFTER_MS);
+    else show();
+  }
+
+  /** Says what is wrong for as long as it is; null when nothing is. */
+  warn(text: string | null): void {
+    if (text === this.warning) return;
+    this.warning = text;
+    this.say(text ?? "", text !== null);
+  }
+
+  /** Says, for a moment, what the picture of the camera that is looked through leaves out. */
+  tellCamera(): void {
+    const { header, camera } = this.player;
+    const note = header === null ? null : cameraNote(header, camera);
+    if (note !== null && this.warning === null) this.say(note, false);
+  }
+
+  toggleHelp(): void {
+    this.toggle(".help");
+  }
+
+  toggleStatistics(): void {
+    const panel = this.part(".figures");
+    panel.hidden = !panel.hidden;
+    this.statistics.refresh();
+    this.refresh();
+  }
+
+  closeAll(): void {
+    for (const panel of this.closers) panel.hidden = true;
+    this.refresh();
+  }
+
+  toggleFullScreen(): void {
+    if (document.fullscreenElement === null) void this.player.requestFullscreen();
+    else void document.exitFullscreen();
+  }
+
+  async savePicture(): Promise<void> {
+    try {
+      const link = document.createElement("a");
+      link.href = URL.createObjectURL(await this.player.capture());
+      link.download = `${this.player.camera || "view"}_${String(this.player.currentFrame).padStart(4, "0")}.png`;
+      link.click();
+      setTimeout(() => {
+        URL.revokeObjectURL(link.href);
+      }, 10_000);
+    } catch (error) {
+      this.say(error instanceof Error ? error.message : String(error), false);
+    }
+  }
+
+  private listen(): void {
+    const { player } = this;
+    const playOrPause = (): void => {
+      if (player.paused) void player.play();
+      else player.pause();
+    };
+    this.part(".play").addEventListener("click", playOrPause);
+    this.part(".start").addEventListener("click", playOrPause);
+    this.part(".shut").addEventListener("click", () => {
+      this.toggleHelp();
+    });
+    const actions: Readonly<Record<string, () => void>> = {
+      previous: () => {
+        player.nextCamera(-1);
+      },
+      next: () => {
+        player.nextCamera(1);
+      },
+      menu: () => {
+        this.toggle(".menu");
+      },
+      full: () => {
+        this.toggleFullScreen();
+      },
+      picture: () => void this.savePicture(),
+      pose: () => void this.copyPose(),
+      link: () => void this.copyLink(),
+      help: () => {
+        this.toggleHelp();
+      },
+    };
+    for (const [name, act] of Object.entries(actions)) {
+      this.field(name).addEventListener("click", () => {
+        if (name !== "menu") this.closeAll();
+        act();
+      });
+    }
+    this.select("camera").addEventListener("change", ({ target }) => {
+      const { value } = target as HTMLSelectElement;
+      if (value !== FREE) player.lookThrough(Number(value));
+    });
+    this.select("overlay").addEventListener("change", ({ target }) => {
+      player.overlay = (target as HTMLSelectElement).value as Overlay;
+    });
+    this.select("rate").addEventListener("change", ({ target }) => {
+      player.playbackRate = Number((target as HTMLSelectElement).value);
+    });
+    this.field("loop").addEventListener("change", ({ target }) => {
+      player.loop = (target as HTMLInputElement).checked;
+    });
+    this.field("exact").addEventListener("change", ({ target }) => {
+      player.exact = (target as HTMLInputElement).checked;
+    });
+    this.field("figures").addEventListener("change", () => {
+      this.toggleStatistics();
+    });
+    for (const name of ["pointermove", "pointerdown", "keydown", "focusin"] as const) {
+      player.addEventListener(name, () => {
+        this.awake();
+      });
+    }
+    player.addEventListener("pointerdown", (event) => {
+      const path = event.composedPath();
+      const inside = [...this.closers, this.field("menu")].some((panel) => path.includes(panel));
+      if (!inside) this.closeAll();
+    });
+  }
+
+  private update(): void {
+    const { player } = this;
+    this.root.host.classList.toggle("playing", !player.paused);
+    const [button, text] = player.paused ? (player.ended ? ["replay", "Play again"] : ["play", "Play"]) : ["pause", "Pause"];
+    const play = this.part(".play");
+    if (play.getAttribute("aria-label") !== text) {
+      play.innerHTML = icon(button as "play");
+      play.setAttribute("aria-label", text);
+    }
+    this.part(".start").hidden = player.controls || !player.paused || player.info === null;
+    this.part(".now-at").textContent = player.header === null ? "" : timeText(player.currentTime);
+    this.part(".of").textContent = player.header === null ? "" : ` / ${timeText(player.duration)}`;
+    this.updateCameras();
+    this.select("overlay").value = player.overlay;
+    this.select("rate").value = String(player.playbackRate);
+    this.input("loop").checked = player.loop;
+    this.input("exact").checked = player.exact;
+    this.input("exact").disabled = !player.canChooseExact;
+    this.input("figures").checked = !this.part(".figures").hidden;
+    this.field("menu").setAttribute("aria-expanded", String(!this.part(".menu").hidden));
+    this.updateLegend();
+    this.timeline.refresh();
+  }
+
+  private updateCameras(): void {
+    const { player } = this;
+    const select = this.select("camera");
+    if (player.header !== this.camerasOf) {
+      this.camerasOf = player.header;
+      const free = new Option("free view", FREE, true, true);
+      free.hidden = true;
+      const rig = player.header?.cameras.map(({ name }, index) => {
+        const held = player.header!.heldOut.includes(name) ? " (held out)" : "";
+        return new Option(name + held, String(index));
+      });
+      select.replaceChildren(free, ...(rig ?? []));
+    }
+    const index = player.header?.cameras.findIndex(({ name }) => name === player.camera) ?? -1;
+    select.value = index >= 0 ? String(index) : FREE;
+  }
+
+  private updateLegend(): void {
+    const { overlay } = this.player;
+    if (overlay === this.legendOf) return;
+    this.legendOf = overlay;
+    const legend = this.part(".legend");
+    legend.innerHTML = LEGENDS[overlay];
+    legend.hidden = overlay === "none";
+  }
+
+  private async copyPose(): Promise<void> {
+    const camera = this.player.currentCamera();
+    if (camera !== null) await this.copy(poseFile(camera), "Copied: save it as pose.json for decogs-decode --camera");
+  }
+
+  private async copyLink(): Promise<void> {
+    const { stage, currentFrame } = this.player;
+    if (stage === null) return;
+    const { pose, lens } = stage.navigation;
+    const address = new URL(location.href);
+    address.hash = `camera=${cameraToLink(pose, lens)}&frame=${currentFrame}`;
+    await this.copy(address.href, "Copied: a link to this view and frame");
+  }
+
+  private async copy(text: string, done: string): Promise<void> {
+    try {
+      await navigator.clipboard.writeText(text);
+      this.say(done, false);
+    } catch {
+      // A page without leave for the clipboard (plain http, a frame): the text can be copied by hand.
+      window.prompt("Copy this:", text);
+    }
+  }
+
+  /** A notice; one that does not stay goes by itself, and gives way to a warning that does. */
+  private say(text: string, stays: boolean): void {
+    clearTimeout(this.noticeTimer);
+    const notice = this.part(".notice");
+    notice.textContent = text;
+    notice.hidden = text === "";
+    notice.classList.toggle("warning", stays);
+    if (stays || text === "") return;
+    this.noticeTimer = window.setTimeout(() => {
+      this.say(this.warning ?? "", this.warning !== null);
+    }, NOTICE_MS);
+  }
+
+  private toggle(selector: string): void {
+    const panel = this.part(selector);
+    const hide = !panel.hidden;
+    this.closeAll();
+    panel.hidden = hide;
+    if (!hide) panel.querySelector<HTMLElement>("button, select")?.focus();
+    else this.player.focus();
+    this.refresh();
+  }
+
+  /** The bar shows while something moves, and goes when a playing picture is left alone. */
+  private awake(): void {
+    this.root.host.classList.remove("idle");
+    clearTimeout(this.idleTimer);
+    this.idleTimer = window.setTimeout(() => {
+      const open = this.closers.some((panel) => !panel.hidden);
+      if (!open && !this.player.paused) this.root.host.classList.add("idle");
+    }, IDLE_MS);
+  }
+
+  private part(selector: string): HTMLElement {
+    return this.root.querySelector<HTMLElement>(selector)!;
+  }
+  private field(name: string): HTMLElement {
+    return this.part(`[name="${name}"]`);
+  }
+  private select(name: string): HTMLSelectElement {
+    return this.field(name) as HTMLSelectElement;
+  }
+  private input(name: string): HTMLInputElement {
+    return this.field(name) as HTMLInputElement;
+  }
+}

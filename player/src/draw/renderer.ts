@@ -1,0 +1,41 @@
+/** What draws a scene: WebGL2 here, the decoder's own kernel elsewhere. The element knows no more of either. */
+import type { DrawOrder, SceneUpdate, TextureLayout } from "../messages";
+
+/** A camera without a lens: pixels from the picture's top left corner, axes x right, y down, z forward. */
+export interface PinholeCamera {
+  readonly width: number;
+  readonly height: number;
+  readonly fx: number;
+  readonly fy: number;
+  readonly cx: number;
+  readonly cy: number;
+  /** Three rows of four. */
+  readonly worldToCamera: readonly (readonly number[])[];
+  /** Nothing nearer is drawn. */
+  readonly near: number;
+}
+
+/** What of the stream's knowledge is painted over the scene. */
+export type Overlay = "none" | "changes" | "motion";
+
+export interface DrawTimes {
+  /** Of the frame's textures; of the order; until the picture was there, as far as that can be known. */
+  uploadMs: number;
+  drawMs: number;
+}
+
+export interface Renderer {
+  /** Where pictures appear; `draw` gives it the camera's size. */
+  readonly canvas: HTMLCanvasElement;
+  readonly times: DrawTimes;
+  /** Whether the last picture asked for is not finished yet: another one would only queue up behind it. */
+  readonly busy: boolean;
+  /** Begins a stream: what was loaded is forgotten. */
+  begin(layout: TextureLayout, background: readonly number[]): void;
+  load(update: SceneUpdate): void;
+  order(draw: DrawOrder): void;
+  draw(camera: PinholeCamera, overlay: Overlay): void;
+  /** Resolves when the picture asked for last is in the canvas, where that takes longer than `draw`. */
+  settled?(): Promise<void>;
+  dispose(): void;
+}

@@ -1,0 +1,148 @@
+/** Draws with WebGL2: instanced quads, nearest first, into half floats, and the background behind them. */
+import type { DrawOrder, SceneUpdate, TextureLayout } from "../messages";
+import { Accumulation } from "./accumulation";
+import { GpuClock } from "./gpu_clock";
+import { linked, type Program } from "./program";
+import type { DrawTimes, Overlay, PinholeCamera, Renderer } from "./renderer";
+import { SceneTextures } from "./scene_textures";
+import { FINISH_FRAGMENT_SHADER, SCREEN_VERTEX_SHADER, SPLAT_FRAGMENT_SHADER, splatVertexShader } from "./shaders";
+
+const OVERLAYS: readonly Overlay[] = ["none", "changes", "motion"];
+
+/** What lives on the GPU and is lost with its context. */
+interface Resources {
+  readonly splats: Program;
+  readonly finish: Program;
+  readonly textures: SceneTextures;
+  readonly accumulation: Accumulation;
+  readonly clock: GpuClock;
+  readonly rows: WebGLBuffer;
+}
+
+export class WebGlRenderer implements Renderer {
+  readonly times: DrawTimes = { uploadMs: 0, drawMs: 0 };
+  private readonly gl: WebGL2RenderingContext;
+  private layout: TextureLayout | null = null;
+  private background: readonly number[] = [0, 0, 0];
+  private resources: Resources | null = null;
+  private count = 0;
+
+  /** `onRestored`: the context was lost and is back; everything has to be loaded again. */
+  constructor(
+    readonly canvas: HTMLCanvasElement,
+    private readonly onRestored: () => void,
+  ) {
+    const options = { alpha: false, antialias: false, depth: false, stencil: false } as const;
+    const gl = canvas.getContext("webgl2", { ...options, powerPreference: "high-performance" });
+    if (gl === null) throw new Error("this browser has no WebGL2");
+    this.gl = gl;
+    canvas.addEventListener("webglcontextlost", this.lost);
+    canvas.addEventListener("webglcontextrestored", this.restored);
+  }
+
+  get busy(): boolean {
+    return this.resources?.clock.busy ?? false;
+  }
+
+  begin(layout: TextureLayout, background: readonly number[]): void {
+    this.release();
+    this.layout = layout;
+    this.background = background;
+    this.count = 0;
+    if (!this.gl.isContextLost()) this.resources = this.made(layout);
+  }
+
+  load(update: SceneUpdate): void {
+    const begun = performance.now();
+    this.resources?.textures.load(update);
+    this.times.uploadMs = performance.now() - begun;
+  }
+
+  order(draw: DrawOrder): void {
+    if (this.resources === null) return;
+    const { gl } = this;
+    this.count = draw.count;
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.resources.rows);
+    gl.bufferData(gl.ARRAY_BUFFER, draw.order.subarray(0, draw.count), gl.STREAM_DRAW);
+  }
+
+  draw(camera: PinholeCamera, overlay: Overlay): void {
+    const { gl, canvas, resources } = this;
+    if (resources === null || gl.isContextLost()) return;
+    const { width, height } = camera;
+    if (canvas.width !== width) canvas.width = width;
+    if (canvas.height !== height) canvas.height = height;
+    resources.accumulation.begin(width, height);
+    gl.useProgram(resources.splats.program);
+    this.setCamera(resources.splats, camera);
+    gl.uniform1i(resources.splats.uniform("overlay"), OVERLAYS.indexOf(overlay));
+    resources.textures.bind();
+    gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, this.count);
+    resources.accumulation.end();
+    gl.useProgram(resources.finish.program);
+    gl.viewport(0, 0, width, height);
+    gl.uniform3fv(resources.finish.uniform("background"), this.background);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+    resources.clock.start((ms) => (this.times.drawMs = ms));
+  }
+
+  dispose(): void {
+    this.canvas.removeEventListener("webglcontextlost", this.lost);
+    this.canvas.removeEventListener("webglcontextrestored", this.restored);
+    this.release();
+    this.gl.getExtension("WEBGL_lose_context")?.loseContext();
+  }
+
+  private setCamera(program: Program, camera: PinholeCamera): void {
+    const { gl } = this;
+    const uniform = (name: string): WebGLUniformLocation | null => program.uniform(name);
+    const [x, y, z] = camera.worldToCamera as readonly (readonly [number, number, number, number])[];
+    const centre = [0, 1, 2].map((axis) => -(x[axis] * x[3] + y[axis] * y[3] + z[axis] * z[3]));
+    const columns = [0, 1, 2].flatMap((axis) => [x[axis], y[axis], z[axis]]);
+    gl.uniformMatrix3fv(uniform("rotation"), false, columns);
+    gl.uniform3fv(uniform("centre"), centre);
+    gl.uniform2f(uniform("focal"), camera.fx, camera.fy);
+    gl.uniform2f(uniform("principal"), camera.cx, camera.cy);
+    gl.uniform2f(uniform("size"), camera.width, camera.height);
+    gl.uniform1f(uniform("near"), camera.near);
+  }
+
+  private made(layout: TextureLayout): Resources {
+    const { gl } = this;
+    const splats = linked(gl, splatVertexShader(layout.shDegree, layout.restTexels), SPLAT_FRAGMENT_SHADER);
+    const finish = linked(gl, SCREEN_VERTEX_SHADER, FINISH_FRAGMENT_SHADER);
+    gl.useProgram(splats.program);
+    for (const [unit, name] of ["base", "rest", "heat"].entries()) gl.uniform1i(splats.uniform(name), unit);
+    const rows = gl.createBuffer();
+    gl.bindBuffer(gl.ARRAY_BUFFER, rows);
+    gl.enableVertexAttribArray(0);
+    gl.vertexAttribIPointer(0, 1, gl.UNSIGNED_INT, 0, 0);
+    gl.vertexAttribDivisor(0, 1);
+    const [textures, accumulation, clock] = [new SceneTextures(gl, layout), new Accumulation(gl), new GpuClock(gl)];
+    return { splats, finish, textures, accumulation, clock, rows };
+  }
+
+  private release(): void {
+    if (this.resources === null) return;
+    const { splats, finish, textures, accumulation, clock, rows } = this.resources;
+    clock.stop();
+    textures.dispose();
+    accumulation.dispose();
+    for (const { program } of [splats, finish]) this.gl.deleteProgram(program);
+    this.gl.deleteBuffer(rows);
+    this.resources = null;
+  }
+
+  private readonly lost = (event: Event): void => {
+    event.preventDefault(); // else it is never given back
+    this.resources?.clock.stop();
+    this.resources = null;
+    this.count = 0;
+  };
+
+  private readonly restored = (): void => {
+    if (this.layout === null) return;
+    this.resources = this.made(this.layout);
+    this.onRestored();
+  };
+}

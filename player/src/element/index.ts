@@ -1,0 +1,13 @@
+/** Makes `<decogs-player>` known to the page. */
+import { DecogsPlayer } from "./player";
+
+if (customElements.get("decogs-player") === undefined) customElements.define("decogs-player", DecogsPlayer);
+
+export { DecogsPlayer };
+export { cameraFromLink, cameraToLink, poseFile } from "../controls/camera_text";
+
+declare global {
+  interface HTMLElementTagNameMap {
+    "decogs-player": DecogsPlayer;
+  }
+}

@@ -1,0 +1,54 @@
+/** Time: which frame is due. As with a video, time runs on by the clock, but it waits for a decoder that cannot keep up. */
+
+/** Frames a second where a stream does not say. */
+export const DEFAULT_FPS = 30;
+/** Frames that may be passed over at once to keep up when drawing, not decoding, is slow. */
+const MOST_SKIPPED = 15;
+/** Share of real time that decoding may take before frames are shown one by one, later than they are due. */
+const COMFORTABLE = 0.8;
+
+export class Playback {
+  playing = false;
+  rate = 1;
+  loop = false;
+  ended = false;
+  /** In frames; its whole part is the frame that is due. */
+  position = 0;
+  fps = DEFAULT_FPS;
+  frameCount = 0;
+  /** Whether no more frames will come. */
+  complete = false;
+  private costMs = 0;
+
+  get due(): number {
+    return Math.max(0, Math.min(Math.floor(this.position + 1e-6), this.frameCount - 1));
+  }
+
+  /** Goes on by some seconds from a picture that shows frame `shown`. */
+  advance(seconds: number, shown: number): void {
+    if (!this.playing || this.frameCount === 0) return;
+    const next = this.position + seconds * this.rate * this.fps;
+    const most = shown + this.allowed() + 1 - 1e-3;
+    this.position = next < this.frameCount ? Math.min(next, Math.max(most, this.position)) : next;
+    if (this.position < this.frameCount) return;
+    if (!this.complete) {
+      this.position = this.frameCount - 1e-3; // what comes next is not there yet
+    } else if (this.loop && shown >= 0) {
+      this.position = 0;
+    } else {
+      this.position = Math.max(0, this.frameCount - 1);
+      this.playing = false;
+      this.ended = true;
+    }
+  }
+
+  /** Notes what a frame cost: decoding, packing and sorting, of so many steps. */
+  note(milliseconds: number, steps: number): void {
+    const cost = milliseconds / Math.max(1, steps);
+    this.costMs = this.costMs === 0 ? cost : 0.8 * this.costMs + 0.2 * cost;
+  }
+
+  private allowed(): number {
+    return (this.costMs * this.fps * this.rate) / 1000 < COMFORTABLE ? MOST_SKIPPED : 1;
+  }
+}

@@ -1,0 +1,123 @@
+/**
+ * What is in the picture: the renderer, the camera that a person moves, and when to draw. Nothing is drawn while nothing
+ * changes. On a slow GPU, pictures are smaller while they change, and whole as soon as they rest.
+ */
+import { Navigation } from "../controls/navigation";
+import type { Overlay, PinholeCamera, Renderer } from "../draw/renderer";
+import { fittedLens, worldToCamera } from "../geometry/poses";
+import type { DepthRow, DrawOrder, SceneUpdate } from "../messages";
+
+const SLOW_MS = 45;
+const FAST_MS = 18;
+const SMALLEST = 0.4;
+/** Milliseconds after the last change until the whole picture is drawn. */
+const REST_MS = 160;
+const LARGEST_SIDE = 8192;
+
+export class Stage {
+  readonly navigation = new Navigation();
+  overlay: Overlay = "none";
+  drawnAt: number[] = [];
+  private scale = 1;
+  private dirty = false;
+  private changedAt = 0;
+  private wholeDrawn = false;
+  private count = 0;
+  private asked: DepthRow | null = null;
+  private serial = 0;
+  private answered = 0;
+
+  constructor(
+    public renderer: Renderer,
+    private readonly sizeOf: () => { readonly width: number; readonly height: number },
+    private readonly askOrder: (depth: DepthRow, serial: number) => void,
+  ) {}
+
+  /** Whether the next picture is still to come. */
+  get pending(): boolean {
+    return this.dirty || !this.wholeDrawn;
+  }
+
+  get hasScene(): boolean {
+    return this.count > 0;
+  }
+
+  load(update: SceneUpdate | null, draw: DrawOrder): void {
+    if (update !== null) {
+      this.renderer.load(update);
+      this.count = update.count;
+    }
+    this.order(draw);
+  }
+
+  order(draw: DrawOrder): void {
+    this.answered = Math.max(this.answered, draw.serial);
+    this.renderer.order(draw);
+    this.touch();
+  }
+
+  /** Something to be seen has changed. */
+  touch(): void {
+    this.dirty = true;
+    this.wholeDrawn = false;
+  }
+
+  /** The camera of a picture of so many pixels. */
+  camera(width: number, height: number): PinholeCamera {
+    const lens = fittedLens(this.navigation.lens, width, height);
+    return { ...lens, worldToCamera: worldToCamera(this.navigation.pose) };
+  }
+
+  /** Moves the camera, asks for the order it needs, and draws when there is something new and the GPU is free. */
+  step(now: number, seconds: number, playing: boolean): boolean {
+    const moved = this.navigation.step(seconds);
+    if (moved || playing || this.dirty) this.changedAt = now;
+    if (moved) this.touch();
+    this.lookFrom(this.navigation.pose);
+    const resting = !moved && !playing && now - this.changedAt > REST_MS;
+    if (this.renderer.busy || (!this.dirty && !(resting && !this.wholeDrawn))) return false;
+    this.adapt();
+    const scale = resting ? 1 : this.scale;
+    this.drawNow(scale);
+    this.dirty = false;
+    this.wholeDrawn = scale === 1;
+    this.drawnAt.push(now);
+    while (this.drawnAt[0] < now - 1000) this.drawnAt.shift();
+    return true;
+  }
+
+  /** A picture of the present view of so many pixels, as PNG. */
+  async capture(width: number, height: number): Promise<Blob> {
+    const { renderer } = this;
+    this.lookFrom(this.navigation.pose);
+    while (this.answered < this.serial) await new Promise((done) => setTimeout(done, 5));
+    renderer.draw(this.camera(width, height), this.overlay);
+    await renderer.settled?.();
+    const blob = new Promise<Blob | null>((done) => {
+      renderer.canvas.toBlob(done, "image/png");
+    });
+    this.touch();
+    const picture = await blob;
+    if (picture === null) throw new Error("the picture cannot be saved; try a smaller window");
+    return picture;
+  }
+
+  private lookFrom(pose: Navigation["pose"]): void {
+    const row = worldToCamera(pose)[2];
+    if (this.asked?.every((part, i) => part === row[i]) || this.answered < this.serial) return;
+    this.asked = row;
+    this.askOrder(row, ++this.serial);
+  }
+
+  private drawNow(scale: number): void {
+    const { width, height } = this.sizeOf();
+    const side = (length: number): number => Math.max(1, Math.min(LARGEST_SIDE, Math.round(length * scale)));
+    this.renderer.draw(this.camera(side(width), side(height)), this.overlay);
+  }
+
+  private adapt(): void {
+    const { drawMs } = this.renderer.times;
+    if (drawMs > SLOW_MS) this.scale = Math.max(SMALLEST, this.scale * 0.85);
+    else if (drawMs < FAST_MS) this.scale = Math.min(1, this.scale / 0.9);
+  }
+}

@@ -1,0 +1,271 @@
+/** Frame by frame (SPEC section 7): a packet's payload, and the scene that it leads to. */
+
+import { refuse } from "../container/errors";
+import { Fields } from "../container/fields";
+import type { Limits } from "../container/limits";
+import type { CameraCorrection, FrameKind, Gaussians, StreamHeader } from "../scene";
+import { allRows } from "../entropy/indexSets";
+import { forgetColumns, type Columns } from "../entropy/planes";
+import { readCorrections } from "./corrections";
+import { combine, sumOfHashes, addModulo } from "./digest";
+import { channelsOf } from "./groups";
+import { dequantise, makeRoom, noFloats, type Floats } from "./lattice";
+import {
+  consecutiveIds,
+  readDelta,
+  readKeyBody,
+  readKeyHead,
+  rowsBetween,
+  type Changes,
+  type KeyBody,
+  type KeyHead,
+} from "./payloads";
+import { closeUp, placesForNew } from "./places";
+import { State, type GroupColumns, type Ids } from "./state";
+
+export interface FramePacket {
+  readonly kind: FrameKind;
+  readonly frame: number;
+  readonly payload: Uint8Array;
+}
+
+/** What a packet did to the scene. */
+export interface Step {
+  /** Places whose values may have changed, each once; null for all. */
+  readonly places: Uint32Array | null;
+  readonly changed: number;
+  readonly added: number;
+  readonly removed: number;
+  readonly corrections: ReadonlyMap<string, CameraCorrection>;
+}
+
+const NO_PLACES = new Uint32Array(0);
+const REFERENCE_OFFSET = 20;
+
+/**
+ * The scene, as packets change it. A packet that is refused leaves it as it was: payloads are read whole before they
+ * are applied, and the digest is verified before anything moves or goes.
+ */
+export class Decoder {
+  private readonly channels: readonly number[];
+  private readonly floats: Floats = noFloats();
+  private state: State | null = null;
+  /** The first keyframe's payload, and its state from the time that a keyframe refers to it. */
+  private firstPayload: Uint8Array | null = null;
+  private first: State | null = null;
+
+  constructor(
+    private readonly header: StreamHeader,
+    private readonly limits: Limits,
+  ) {
+    this.channels = channelsOf(header.shDegree);
+  }
+
+  /** The frame whose state this is; null before the first. */
+  get frame(): number | null {
+    return this.state?.frame ?? null;
+  }
+
+  get gaussians(): Gaussians {
+    const count = this.state?.count ?? 0;
+    const order = this.state === null || this.state.inOrder ? null : this.state.order.subarray(0, count);
+    return { count, ...this.floats, order };
+  }
+
+  /** The state, for tests. */
+  get integers(): State | null {
+    return this.state;
+  }
+
+  get hasFirst(): boolean {
+    return this.firstPayload !== null;
+  }
+
+  /** Keeps the first keyframe's payload for keyframes that refer to it. */
+  keepFirst(payload: Uint8Array): void {
+    this.firstPayload ??= payload.slice();
+  }
+
+  /** Whether a key packet refers to the first keyframe. */
+  refersToFirst(payload: Uint8Array): boolean {
+    const fields = new Fields(payload);
+    readCorrections(fields, this.header);
+    fields.take(REFERENCE_OFFSET);
+    return fields.u8() === 1;
+  }
+
+  /**
+   * Goes on with the packet of the next frame, or with any keyframe where frames were passed over (`jump`).
+   * Raises StreamError.
+   */
+  apply(packet: FramePacket, jump = false): Step {
+    const { state } = this;
+    if (packet.kind !== "key" && state === null) refuse("missing-key", `frame ${packet.frame} needs a keyframe before it`);
+    const expected = state === null ? 0 : state.frame + 1;
+    if (packet.frame !== expected && !(jump && packet.kind === "key")) {
+      refuse("frame-order", `frame ${packet.frame} comes where frame ${expected} must`);
+    }
+    const fields = new Fields(packet.payload);
+    const corrections = readCorrections(fields, this.header);
+    forgetColumns();
+    return { ...this.reconstruct(packet, fields, state), corrections };
+  }
+
+  private reconstruct(packet: FramePacket, fields: Fields, state: State | null): Omit<Step, "corrections"> {
+    if (packet.kind === "key" || state === null) return this.applyKey(packet, fields);
+    const step = packet.kind === "delta" ? this.applyDelta(state, fields) : applySkip(state, fields);
+    state.frame = packet.frame;
+    return step;
+  }
+
+  private applyDelta(state: State, fields: Fields): Omit<Step, "corrections"> {
+    const digest = fields.u64();
+    const delta = readDelta(fields, state, this.limits.gaussians);
+    const { added, removed, values } = delta;
+    const ids = consecutiveIds(state.nextId, added);
+    const { places, moved } = changeState(state, delta, ids, values, state.nextId + BigInt(added), digest);
+    this.show(state, places.touched, (group) => delta.residuals[group] !== null);
+    this.show(state, concatenated(places.taken, moved));
+    const all = distinct(concatenated(places.touched, places.taken, moved), state.count);
+    return { places: all, changed: delta.touched.length, added, removed: removed.length };
+  }
+
+  private applyKey(packet: FramePacket, fields: Fields): Omit<Step, "corrections"> {
+    const digest = fields.u64();
+    const head = readKeyHead(fields, this.limits.gaussians);
+    const first = head.refers ? this.firstState() : null;
+    const body = readKeyBody(fields, head, first, this.channels);
+    const state = first === null ? new State(this.channels) : first.copy(first.count + body.ids.low.length);
+    buildKey(state, head, body, digest);
+    state.frame = packet.frame;
+    if (packet.frame === 0) this.keepFirst(packet.payload);
+    this.state = state;
+    this.show(state, allRows(state.count));
+    return { places: null, ...keyCounts(head, body) };
+  }
+
+  private firstState(): State {
+    if (this.first !== null) return this.first;
+    if (this.firstPayload === null) refuse("missing-key", "a keyframe refers to the stream's first one, which is missing");
+    const fields = new Fields(this.firstPayload);
+    readCorrections(fields, this.header);
+    const digest = fields.u64();
+    const head = readKeyHead(fields, this.limits.gaussians);
+    if (head.refers) refuse("missing-key", "the stream's first keyframe refers to itself");
+    const state = new State(this.channels);
+    buildKey(state, head, readKeyBody(fields, head, null, this.channels), digest);
+    this.first = state;
+    forgetColumns();
+    return state;
+  }
+
+  private show(state: State, places: Uint32Array, present: (group: number) => boolean = () => true): void {
+    makeRoom(this.floats, state);
+    dequantise(state, this.header.lattice, this.floats, places, present);
+  }
+}
+
+function applySkip(state: State, fields: Fields): Omit<Step, "corrections"> {
+  const digest = fields.u64();
+  fields.finish();
+  checkDigest(state.sum, state.count, state.nextId, digest);
+  return { places: NO_PLACES, changed: 0, added: 0, removed: 0 };
+}
+
+/** Turns an empty state, or a copy of the first keyframe's, into a keyframe's. */
+function buildKey(state: State, head: KeyHead, { changes, ids, values }: KeyBody, digest: bigint): void {
+  const nothing: Changes = { touched: NO_PLACES, residuals: [], removed: NO_PLACES };
+  changeState(state, changes ?? nothing, ids, values, head.nextId, digest);
+}
+
+interface Changed {
+  readonly places: { readonly touched: Uint32Array; readonly taken: Uint32Array };
+  readonly moved: Uint32Array;
+}
+
+/** Steps 1 to 3 of SPEC section 7; a state whose digest is another afterwards is as before, and refused. */
+function changeState(
+  state: State,
+  { touched: touchedRows, residuals, removed }: Changes,
+  ids: Ids,
+  values: GroupColumns,
+  nextId: bigint,
+  digest: bigint,
+): Changed {
+  const added = ids.low.length;
+  const touched = state.placesOf(touchedRows);
+  const freed = state.placesOf(removed);
+  const { sum } = state;
+  state.reserve(state.count + added);
+  state.change(touched, residuals);
+  state.sum = addModulo(state.sum, -sumOfHashes(state.forms, freed));
+  // Beyond the last place until the digest is verified: the removed ones may have to stay.
+  const behind = rowsBetween(state.count, state.count + added);
+  state.write(behind, ids, values);
+  try {
+    const lastId = added > 0 ? idOf(ids, added - 1) : lastKeptId(state, removed);
+    if (lastId >= nextId) refuse("bad-payload", "the next id is not above all ids");
+    checkDigest(state.sum, state.count - removed.length + added, nextId, digest);
+  } catch (error) {
+    state.change(touched, residuals.map(negated));
+    state.sum = sum;
+    throw error;
+  }
+  const taken = placesForNew(state, freed, added);
+  for (let i = 0; i < added; i++) if (taken[i] !== behind[i]) state.move(behind[i], taken[i]);
+  const moved = closeUp(state, removed, freed, taken, (from, to) => {
+    state.move(from, to);
+  });
+  state.nextId = nextId;
+  return { places: { touched, taken }, moved };
+}
+
+/** What undoes residuals, modulo 2^32. */
+function negated(columns: Columns | null): Columns | null {
+  return columns?.map((residual) => -residual) ?? null;
+}
+
+function idOf({ low, high }: Ids, i: number): bigint {
+  return (BigInt(high[i]) << 32n) | BigInt(low[i]);
+}
+
+/** The id of the last row that is not removed; -1 when none is left. */
+function lastKeptId(state: State, removed: Uint32Array): bigint {
+  let row = state.count - 1;
+  for (let i = removed.length - 1; i >= 0 && removed[i] === row; i--) row--;
+  return row < 0 ? -1n : state.id(row);
+}
+
+function checkDigest(sum: bigint, count: number, nextId: bigint, told: bigint): void {
+  if (combine(sum, count, nextId) !== told) {
+    refuse("digest-mismatch", "the reconstructed state is not the encoder's");
+  }
+}
+
+function keyCounts({ count, refers }: KeyHead, { changes, ids }: KeyBody): Pick<Step, "changed" | "added" | "removed"> {
+  if (!refers || changes === null) return { changed: 0, added: count, removed: 0 };
+  return { changed: changes.touched.length, added: ids.low.length, removed: changes.removed.length };
+}
+
+function concatenated(...parts: Uint32Array[]): Uint32Array {
+  const joined = new Uint32Array(parts.reduce((length, part) => length + part.length, 0));
+  let position = 0;
+  for (const part of parts) {
+    joined.set(part, position);
+    position += part.length;
+  }
+  return joined;
+}
+
+/** Places below the count, each once. */
+function distinct(places: Uint32Array, count: number): Uint32Array {
+  const seen = new Uint8Array(count);
+  let found = 0;
+  for (let i = 0; i < places.length; i++) {
+    const place = places[i];
+    if (place >= count || seen[place] !== 0) continue;
+    seen[place] = 1;
+    places[found++] = place;
+  }
+  return places.subarray(0, found);
+}

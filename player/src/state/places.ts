@@ -1,0 +1,58 @@
+/** Where Gaussians are after a packet took some away and added others. */
+
+import { rowsBetween } from "./payloads";
+import type { State } from "./state";
+
+/** Places for so many new Gaussians: those of the removed ones first, then those beyond the last. */
+export function placesForNew(state: State, freed: Uint32Array, added: number): Uint32Array {
+  const places = rowsBetween(state.count, state.count + added).subarray(0, added);
+  const reused = Math.min(freed.length, added);
+  for (let i = added - 1; i >= reused; i--) places[i] = places[i - reused];
+  places.set(freed.subarray(0, reused));
+  return places;
+}
+
+/**
+ * Closes up the rows behind those removed, appends the new ones, and moves the last Gaussians into places that stay
+ * empty. Returns the places whose Gaussians moved; `moveTo` is told of each.
+ */
+export function closeUp(
+  state: State,
+  removed: Uint32Array,
+  freed: Uint32Array,
+  taken: Uint32Array,
+  move: (from: number, to: number) => void,
+): Uint32Array {
+  const { order } = state;
+  let row = closeRows(order, state.count, removed);
+  for (const place of taken) order[row++] = place;
+  state.count = row;
+  state.inOrder &&= removed.length === 0;
+  return fillHoles(state, freed.subarray(Math.min(freed.length, taken.length)), move);
+}
+
+/** Takes rows out of the order; returns how many are left. */
+function closeRows(order: Uint32Array, count: number, removed: Uint32Array): number {
+  let end = removed.length > 0 ? removed[0] : count;
+  for (let i = 0; i < removed.length; i++) {
+    const from = removed[i] + 1;
+    const to = i + 1 < removed.length ? removed[i + 1] : count;
+    order.copyWithin(end, from, to);
+    end += to - from;
+  }
+  return end;
+}
+
+/** Places below the count must all be taken: Gaussians beyond it move into the holes. */
+function fillHoles(state: State, holes: Uint32Array, move: (from: number, to: number) => void): Uint32Array {
+  const { order, count } = state;
+  const inside = holes.filter((place) => place < count);
+  if (inside.length === 0) return inside;
+  let next = 0;
+  for (let row = 0; next < inside.length; row++) {
+    if (order[row] < count) continue;
+    move(order[row], inside[next]);
+    order[row] = inside[next++];
+  }
+  return inside;
+}

@@ -1,0 +1,91 @@
+/** The packet of a frame, read from where the table says that it lies. */
+
+import { StreamError, refuse } from "../container/errors";
+import type { Limits } from "../container/limits";
+import {
+  KIND,
+  PACKET_HEADER_BYTES,
+  PACKET_OVERHEAD,
+  checkPlace,
+  frameKind,
+  readPacketHeader,
+  readPayload,
+  type PacketHeader,
+} from "../container/packets";
+import type { FramePacket } from "../state/decoder";
+import type { FrameTable } from "./frameTable";
+import type { ByteSource } from "./sources";
+
+/** Told of each METRICS packet behind the frame's own. */
+export type OnMetrics = (header: PacketHeader, payload: Uint8Array) => void;
+
+/** Raises StreamError, located: "index-mismatch" when another packet lies there. */
+export async function readFramePacket(
+  source: ByteSource,
+  table: FrameTable,
+  frame: number,
+  limits: Limits,
+  onMetrics: OnMetrics,
+  signal?: AbortSignal,
+): Promise<FramePacket> {
+  const offset = table.offset(frame);
+  const { kind, bytes } = table.entries[frame];
+  try {
+    const data = await source.read(offset, bytes, signal);
+    const { header, payload } = readPacket(data, limits);
+    const found = frameKind(header.kind);
+    if (found === null || found !== kind || header.frame !== frame) {
+      refuse("index-mismatch", `the index says that frame ${frame} lies elsewhere`);
+    }
+    readMetrics(data.subarray(PACKET_OVERHEAD + header.length), limits, onMetrics);
+    return { kind: found, frame, payload };
+  } catch (error) {
+    throw error instanceof StreamError ? error.at(null, offset) : error;
+  }
+}
+
+function readPacket(data: Uint8Array, limits: Limits): { header: PacketHeader; payload: Uint8Array } {
+  if (data.length < PACKET_HEADER_BYTES) refuse("truncated", "the stream stops inside a packet header");
+  const header = readPacketHeader(data.subarray(0, PACKET_HEADER_BYTES), limits.payloadBytes);
+  checkPlace(header.kind, false);
+  return { header, payload: readPayload(data, header.length) };
+}
+
+/** What is wrong in packets that hold no frame costs none. */
+function readMetrics(data: Uint8Array, limits: Limits, onMetrics: OnMetrics): void {
+  try {
+    for (let rest = data; rest.length > 0; ) {
+      const { header, payload } = readPacket(rest, limits);
+      if (header.kind === KIND.METRICS) onMetrics(header, payload);
+      rest = rest.subarray(PACKET_OVERHEAD + header.length);
+    }
+  } catch (error) {
+    if (!(error instanceof StreamError)) throw error;
+  }
+}
+
+/** Whether the packet headers lead from the frame before, or from the start, to where the table says that one lies. */
+export async function leadsTo(
+  source: ByteSource,
+  table: FrameTable,
+  frame: number,
+  start: number,
+  limits: Limits,
+  signal?: AbortSignal,
+): Promise<boolean> {
+  const end = table.offset(frame);
+  let offset = frame === 0 ? start : table.offset(frame - 1);
+  try {
+    while (offset < end) {
+      const head = await source.read(offset, PACKET_HEADER_BYTES, signal);
+      if (head.length < PACKET_HEADER_BYTES) return false;
+      const header = readPacketHeader(head, limits.payloadBytes);
+      if (frameKind(header.kind) !== null && header.frame !== frame - 1) return false;
+      offset += PACKET_OVERHEAD + header.length;
+    }
+  } catch (error) {
+    if (!(error instanceof StreamError) || error.reason === null) throw error;
+    return false;
+  }
+  return offset === end;
+}

@@ -1,0 +1,318 @@
+/** An open stream: any frame's scene, in any order, from bytes as they are needed. */
+
+import { StreamError, isDamage, type Reason } from "../container/errors";
+import { DEFAULT_LIMITS, type Limits } from "../container/limits";
+import { startZstd } from "../entropy/zstd";
+import type { PacketHeader } from "../container/packets";
+import type { FrameEntry, FrameMetrics, SceneFrame, SceneStream, StreamHeader } from "../scene";
+import { Decoder, type FramePacket, type Step } from "../state/decoder";
+import { BlobFeed } from "./blob";
+import { CachedSource } from "./cache";
+import { Ages } from "./ages";
+import { Changes } from "./changes";
+import { leadsTo, readFramePacket } from "./framePackets";
+import { FrameTable } from "./frameTable";
+import { HttpFeed } from "./http";
+import { readMetricsPayload } from "./metrics";
+import { readIndexAtEnd, readOpening, type Opening } from "./opening";
+import { MemorySource, type ByteSource } from "./sources";
+import { Walk } from "./walk";
+
+export interface StreamOptions {
+  /** Whether the source may still grow: then an end inside a packet is no damage. */
+  readonly follow?: boolean;
+  /** Limits on what is decoded; those of SPEC section 8 when left out. */
+  readonly limits?: Partial<Limits>;
+  readonly signal?: AbortSignal;
+}
+
+/** How many bytes ahead `prefetch` reads. */
+const AHEAD_BYTES = 8 << 20;
+/** What is found where an index that is wrong says that a frame lies. */
+const WRONG_INDEX: ReadonlySet<Reason | null> = new Set<Reason | null>([
+  "index-mismatch",
+  "bad-sync",
+  "bad-header-crc",
+  "truncated",
+  "misplaced-packet",
+]);
+const NOTHING: Omit<Step, "corrections"> = { places: new Uint32Array(0), changed: 0, added: 0, removed: 0 };
+/** How long decoding goes on without letting messages in, so that it can be aborted. */
+const BUSY_MS = 20;
+
+/** An address, a file that was chosen or dropped, bytes, or a source of one's own. */
+export type StreamSource = string | URL | Blob | ArrayBuffer | Uint8Array | ByteSource;
+
+/**
+ * Opens a stream: reads its header packet and the first frame's packet header, and begins to look for the index.
+ * Rejects with a StreamError.
+ */
+export async function createStream(source: StreamSource, options: StreamOptions = {}): Promise<SceneStream> {
+  const bytes = sourceOf(source, options);
+  const limits = { ...DEFAULT_LIMITS, ...options.limits };
+  try {
+    const [opening] = await Promise.all([readOpening(bytes, limits, options.signal), startZstd()]);
+    const stream = new OpenStream(bytes, opening, limits, options.follow ?? false);
+    await stream.findFirst(options.signal);
+    return stream;
+  } catch (error) {
+    bytes.close();
+    throw error;
+  }
+}
+
+function sourceOf(source: StreamSource, { follow = false }: StreamOptions): ByteSource {
+  if (typeof source === "string" || source instanceof URL) return new CachedSource(new HttpFeed(String(source), follow));
+  if (source instanceof Blob) return new CachedSource(new BlobFeed(source));
+  if (source instanceof ArrayBuffer || source instanceof Uint8Array) return new MemorySource(source);
+  return source;
+}
+
+/** The frame that was shown last, and what its packet did. */
+interface Shown {
+  readonly frame: number;
+  readonly step: Step;
+}
+
+class OpenStream implements SceneStream {
+  readonly header: StreamHeader;
+  readonly metrics = new Map<number, FrameMetrics>();
+  private readonly decoder: Decoder;
+  private readonly changes = new Changes();
+  private readonly ages = new Ages();
+  private readonly walked = new FrameTable();
+  private readonly walk: Walk;
+  private walking: Promise<unknown> = Promise.resolve();
+  /** The frames by the index, once that is read; null when there is none that can be used. */
+  private indexed: FrameTable | null = null;
+  private readonly indexRead: Promise<void>;
+  private readonly indexNotices: StreamError[] = [];
+  private shown: Shown | null = null;
+  /** Why the frame before is shown, from a damaged frame on up to the next keyframe. */
+  private held: StreamError | null = null;
+  private turn: Promise<unknown> = Promise.resolve();
+  private busySince = 0;
+  private closed = false;
+
+  constructor(
+    private readonly source: ByteSource,
+    private readonly opening: Opening,
+    private readonly limits: Limits,
+    private readonly follow: boolean,
+  ) {
+    this.header = opening.header;
+    this.decoder = new Decoder(opening.header, limits);
+    this.walk = new Walk(source, this.walked, opening.end, limits, follow, this.onMetrics);
+    this.indexRead = this.readIndex();
+    // Whoever needs the index awaits it.
+    this.indexRead.catch(() => undefined);
+  }
+
+  get frames(): readonly FrameEntry[] {
+    return this.table.entries;
+  }
+
+  get complete(): boolean {
+    return this.indexed !== null || this.walk.ended;
+  }
+
+  get waits(): boolean {
+    return this.indexed === null && this.walk.waits;
+  }
+
+  get bytesRead(): number {
+    return this.source.bytesRead;
+  }
+
+  get notices(): readonly string[] {
+    const errors = this.indexed === null ? [...this.indexNotices, ...this.walk.notices] : this.indexNotices;
+    const notices = errors.map((error) => `${error.sentence}.`);
+    if (this.indexed === null && this.walk.stopsInside && !this.follow) {
+      notices.push("the stream stops inside a packet (truncated): it is cut off, or not finished yet.");
+    }
+    return notices;
+  }
+
+  /** Reads the first frame's packet header, which mostly came along with the header packet. */
+  async findFirst(signal?: AbortSignal): Promise<void> {
+    await this.walkTo(1, signal);
+  }
+
+  frame(index: number, signal?: AbortSignal): Promise<SceneFrame> {
+    return this.inTurn(() => this.show(index, signal));
+  }
+
+  async prefetch(from: number): Promise<void> {
+    await this.indexRead;
+    if (!(await this.isKnown(from))) return;
+    const start = this.table.offset(from);
+    if (start < 0) return;
+    await this.source.prefetch(start, AHEAD_BYTES);
+    await this.walkTo(Infinity, undefined, start + AHEAD_BYTES);
+  }
+
+  refresh(): Promise<boolean> {
+    return this.inTurn(async () => {
+      this.checkOpen();
+      if (this.complete || !(await this.source.refresh())) return false;
+      await this.walkTo(Infinity);
+      return true;
+    });
+  }
+
+  close(): void {
+    this.closed = true;
+    this.source.close();
+  }
+
+  private get table(): FrameTable {
+    return this.indexed ?? this.walked;
+  }
+
+  /** One after the other: there is one state. */
+  private inTurn<T>(work: () => Promise<T>): Promise<T> {
+    const turn = this.turn.then(work);
+    this.turn = turn.catch(() => undefined);
+    return turn;
+  }
+
+  private async readIndex(): Promise<void> {
+    // Where the whole file lies before its end, going there would read it.
+    if (this.source.access !== "sequential") {
+      this.indexed = await readIndexAtEnd(this.source, this.opening, this.limits);
+    }
+    if (this.indexed === null && this.source.access === "local") await this.walkTo(Infinity);
+  }
+
+  /** Finds frames without the index, up to so many or up to an offset; the walk is one, whoever needs it. */
+  private async walkTo(frames: number, signal?: AbortSignal, offset = Infinity): Promise<void> {
+    const walking = this.walking.then(async () => {
+      if (this.indexed === null) await this.walk.until(frames, offset, signal);
+    });
+    this.walking = walking.catch(() => undefined);
+    await walking;
+  }
+
+  private async isKnown(frame: number, signal?: AbortSignal): Promise<boolean> {
+    if (frame >= this.table.length) await this.indexRead;
+    if (frame >= this.table.length) await this.walkTo(frame + 1, signal);
+    return frame < this.table.length;
+  }
+
+  private async show(index: number, signal?: AbortSignal): Promise<SceneFrame> {
+    this.checkOpen();
+    signal?.throwIfAborted();
+    if (!(index >= 0 && (await this.isKnown(index, signal)))) {
+      throw new StreamError(null, `frame ${index} is not in this stream of ${this.table.length} frames`);
+    }
+    this.busySince = performance.now();
+    let shown = this.canStepTo(index) ? this.shown! : await this.jump(index, signal);
+    while (shown.frame < index) shown = await this.stepOn(shown, signal);
+    return this.sceneFrame(shown);
+  }
+
+  /** Whether to go on from the frame that is shown; else a keyframe lies between, or the frame lies before. */
+  private canStepTo(index: number): boolean {
+    if (this.shown === null || index < this.shown.frame) return false;
+    return (this.table.keyAt(index) ?? 0) <= this.shown.frame + 1;
+  }
+
+  /** To the last keyframe up to a frame that can be reconstructed. */
+  private async jump(index: number, signal?: AbortSignal): Promise<Shown> {
+    let failure: StreamError | null = null;
+    for (let key = this.table.keyAt(index); key !== null; key = this.table.keyAt(key - 1)) {
+      try {
+        return await this.decode(key, true, signal);
+      } catch (error) {
+        if (!isDamage(error)) throw error;
+        failure ??= error;
+      }
+    }
+    throw failure ?? this.noKeyBefore(index);
+  }
+
+  private noKeyBefore(index: number): StreamError {
+    const lost = this.table.entries[index].kind === null;
+    return lost ? this.table.cause(index) : new StreamError("missing-key", `frame ${index} needs a keyframe before it`);
+  }
+
+  /** To the next frame; one that is damaged, and those after it up to a keyframe, show the last good one. */
+  private async stepOn(before: Shown, signal?: AbortSignal): Promise<Shown> {
+    const frame = before.frame + 1;
+    const { kind } = this.table.entries[frame];
+    if (this.held === null || kind === "key") {
+      try {
+        if (kind === null) throw this.table.cause(frame);
+        return await this.decode(frame, this.held !== null, signal);
+      } catch (error) {
+        if (!isDamage(error)) throw error;
+        this.held = error;
+      }
+    }
+    this.shown = { frame, step: { ...NOTHING, corrections: before.step.corrections } };
+    return this.shown;
+  }
+
+  private async decode(frame: number, jump: boolean, signal?: AbortSignal): Promise<Shown> {
+    await this.letMessagesIn();
+    const packet = await this.packet(frame, signal);
+    try {
+      if (packet.kind === "key" && this.decoder.refersToFirst(packet.payload)) await this.needFirst(signal);
+      const step = this.decoder.apply(packet, jump);
+      this.changes.add(step.places);
+      this.ages.note(frame, packet.kind === "key" ? null : step.places, this.decoder.gaussians.count);
+      this.held = null;
+      this.shown = { frame, step };
+      return this.shown;
+    } catch (error) {
+      throw error instanceof StreamError ? error.at(null, this.table.offset(frame)) : error;
+    }
+  }
+
+  private async needFirst(signal?: AbortSignal): Promise<void> {
+    if (this.decoder.hasFirst || this.table.entries[0].kind !== "key") return;
+    const { payload } = await this.packet(0, signal);
+    this.decoder.keepFirst(payload);
+  }
+
+  /** A frame's packet; an index that leads astray is given up. */
+  private async packet(frame: number, signal?: AbortSignal): Promise<FramePacket> {
+    const { table } = this;
+    try {
+      return await readFramePacket(this.source, table, frame, this.limits, this.onMetrics, signal);
+    } catch (error) {
+      if (!isDamage(error) || table !== this.indexed || !WRONG_INDEX.has(error.reason)) throw error;
+      if (await leadsTo(this.source, table, frame, this.opening.end, this.limits, signal)) throw error;
+      this.indexed = null;
+      this.indexNotices.push(error);
+      if (!(await this.isKnown(frame, signal)) || this.table.entries[frame].kind === null) throw error;
+      return readFramePacket(this.source, this.table, frame, this.limits, this.onMetrics, signal);
+    }
+  }
+
+  private sceneFrame({ frame, step }: Shown): SceneFrame {
+    const { kind, bytes } = this.table.entries[frame];
+    const gaussians = { ...this.decoder.gaussians, lastChanged: this.ages.frames };
+    const { changed, added, removed, corrections } = step;
+    const damage =
+      this.held === null ? null : `frame ${frame} shows frame ${this.decoder.frame ?? 0}: ${this.held.sentence}`;
+    const changedRows = this.changes.take(gaussians.count);
+    const shownKind = this.held === null ? kind : null;
+    return { frame, kind: shownKind, bytes, damage, gaussians, changedRows, changed, added, removed, corrections };
+  }
+
+  private readonly onMetrics = (header: PacketHeader, payload: Uint8Array): void => {
+    const metrics = readMetricsPayload(payload);
+    if (metrics !== null) this.metrics.set(header.frame, metrics);
+  };
+
+  private async letMessagesIn(): Promise<void> {
+    if (performance.now() - this.busySince < BUSY_MS) return;
+    await new Promise((resolve) => setTimeout(resolve));
+    this.busySince = performance.now();
+  }
+
+  private checkOpen(): void {
+    if (this.closed) throw new StreamError(null, "the stream is closed");
+  }
+}

@@ -1,0 +1,257 @@
+/** Answers the page's messages from an open stream. Knows no browser, so that tests drive it in Node. */
+import type { SceneFrame, SceneStream } from "../scene";
+import { FRAME_KINDS, type DepthRow, type DrawOrder, type FrameInfo, type FrameTable, type FromWorker, type SceneUpdate, type ToWorker } from "../messages";
+import type { PinholeCamera } from "../draw/renderer";
+import type { ExactRenderer } from "../exact/renderer";
+import { Buffers } from "./buffers";
+import { DepthSorter } from "./depth_order";
+import { ExactPictures, type LoadKernel } from "./exact_pictures";
+import { PackedScene } from "./packed_scene";
+import { textureLayout } from "./packing";
+
+export type OpenStream = (source: string, options: { readonly follow: boolean }) => Promise<SceneStream>;
+export type Send = (message: FromWorker, transfer?: Transferable[]) => void;
+
+const EMPTY_ORDER: DrawOrder = { order: new Uint32Array(0), count: 0, sortMs: 0, serial: 0 };
+
+export class StreamWorker {
+  private stream: SceneStream | null = null;
+  private packed: PackedScene | null = null;
+  private frame: SceneFrame | null = null;
+  private view: { readonly depth: DepthRow; readonly serial: number } | null = null;
+  private readonly buffers = new Buffers();
+  private readonly exact: ExactPictures;
+  private kernel: ExactRenderer | null = null;
+  private exactCamera: PinholeCamera | null = null;
+  private readonly sorter = new DepthSorter();
+  private told = { frames: 0, metrics: 0, bytesRead: 0, complete: false, notices: 0 };
+  private wanted: { frame: number; request: number } | null = null;
+  private abort: AbortController | null = null;
+  private busy = false;
+  private sortDue = false;
+  private follow = false;
+
+  constructor(
+    private readonly openStream: OpenStream,
+    private readonly send: Send,
+    loadKernel: LoadKernel,
+  ) {
+    this.exact = new ExactPictures(loadKernel);
+  }
+
+  receive(message: ToWorker): void {
+    switch (message.type) {
+      case "open":
+        void this.open(message.source, message.follow);
+        return;
+      case "show":
+        this.wanted = message;
+        // A frame still on its way that is not the one before is of no use any more.
+        if (this.frame !== null && this.abort !== null && message.frame < this.frame.frame) this.abort.abort();
+        void this.showWanted();
+        return;
+      case "view":
+        this.view = message;
+        this.sortSoon();
+        return;
+      case "refresh":
+        void this.refresh();
+        return;
+      case "resend":
+        this.resend();
+        return;
+      case "recycle":
+        this.buffers.giveBack(message.buffers);
+        return;
+      case "exact":
+        void this.drawExactly(message.camera);
+        return;
+      case "close":
+        this.abort?.abort();
+        this.stream?.close();
+        this.stream = null;
+    }
+  }
+
+  private async open(source: string, follow: boolean): Promise<void> {
+    try {
+      const stream = await this.openStream(source, { follow });
+      const { header } = stream;
+      this.follow = follow;
+      const complete = this.isComplete(stream);
+      const layout = textureLayout(header.shDegree);
+      this.stream = stream;
+      this.packed = new PackedScene(layout, this.buffers);
+      const frames = this.newFrames() ?? { from: 0, kinds: new Uint8Array(0), bytes: new Uint32Array(0) };
+      this.told.complete = complete;
+      this.send({ type: "opened", header, layout, frames, complete });
+      this.tellProgress();
+      void this.showWanted();
+    } catch (error) {
+      this.send({ type: "failed", request: null, message: sentence(error) });
+    }
+  }
+
+  /** Shows the frame asked for last, one at a time: what was asked for meanwhile and is no longer wanted is skipped. */
+  private async showWanted(): Promise<void> {
+    const { stream, packed } = this;
+    if (this.busy || stream === null || packed === null) return;
+    this.busy = true;
+    while (this.wanted !== null) {
+      const { frame, request } = this.wanted;
+      this.wanted = null;
+      this.abort = new AbortController();
+      try {
+        const begun = performance.now();
+        const scene = await stream.frame(frame, this.abort.signal);
+        const decoded = performance.now();
+        const update = packed.take(scene);
+        const packedAt = performance.now();
+        this.frame = scene;
+        const draw = this.sorted();
+        const info = infoOf(scene, decoded - begun, packedAt - decoded);
+        this.send({ type: "frame", request, info, update, draw }, transfers(draw, update));
+        this.tellProgress();
+        void this.prefetch(stream, frame + 1);
+      } catch (error) {
+        if (!this.abort.signal.aborted) this.send({ type: "failed", request, message: sentence(error) });
+      }
+      this.drawHeld();
+    }
+    this.busy = false;
+  }
+
+  private async prefetch(stream: SceneStream, from: number): Promise<void> {
+    try {
+      await stream.prefetch(from);
+      this.tellProgress();
+    } catch {
+      // The frame itself will say what is wrong, when it is due.
+    }
+  }
+
+  private async refresh(): Promise<void> {
+    let grown = false;
+    try {
+      grown = (await this.stream?.refresh()) ?? false;
+    } catch (error) {
+      this.send({ type: "failed", request: null, message: sentence(error) });
+    }
+    this.tellProgress();
+    this.send({ type: "refreshed", grown });
+  }
+
+  private resend(): void {
+    if (this.frame === null || this.packed === null) return;
+    const update = this.packed.whole();
+    const draw = this.sorted();
+    const info = infoOf(this.frame, 0, 0);
+    this.send({ type: "frame", request: -1, info, update, draw }, transfers(draw, update));
+  }
+
+  /** Between two frames only: while one is decoded, the scene is neither this nor that. */
+  private async drawExactly(camera: PinholeCamera): Promise<void> {
+    try {
+      this.kernel = await this.exact.ready();
+    } catch (error) {
+      this.send({ type: "exact", picture: null, problem: sentence(error) });
+      return;
+    }
+    this.exactCamera = camera;
+    if (!this.busy) this.drawHeld();
+  }
+
+  private drawHeld(): void {
+    const { kernel, exactCamera: camera } = this;
+    if (kernel === null || camera === null) return;
+    this.exactCamera = null;
+    try {
+      const header = this.stream?.header;
+      const picture =
+        this.frame === null || header === undefined
+          ? null
+          : ExactPictures.draw(kernel, this.frame.gaussians, header, camera);
+      this.send({ type: "exact", picture, problem: null }, picture === null ? [] : [picture.pixels.buffer]);
+    } catch (error) {
+      this.send({ type: "exact", picture: null, problem: sentence(error) });
+    }
+  }
+
+  /** Sorts after the messages that have come already: of several views only the last counts. */
+  private sortSoon(): void {
+    if (this.sortDue) return;
+    this.sortDue = true;
+    setTimeout(() => {
+      this.sortDue = false;
+      if (this.frame === null) return;
+      const draw = this.sorted();
+      if (draw === EMPTY_ORDER) return;
+      this.send({ type: "order", draw }, transfers(draw, null));
+    });
+  }
+
+  private sorted(): DrawOrder {
+    if (this.frame === null || this.view === null) return EMPTY_ORDER;
+    const begun = performance.now();
+    const { means, count } = this.frame.gaussians;
+    const order = this.buffers.words(count);
+    const drawn = this.sorter.sort(means, count, this.view.depth, order);
+    return { order, count: drawn, sortMs: performance.now() - begun, serial: this.view.serial };
+  }
+
+  private tellProgress(): void {
+    const { stream, told } = this;
+    if (stream === null) return;
+    const psnr = this.newMetrics(stream);
+    const frames = this.newFrames();
+    const { bytesRead, notices } = stream;
+    const complete = this.isComplete(stream);
+    const same = told.bytesRead === bytesRead && told.complete === complete && told.notices === notices.length;
+    if (frames === null && psnr.length === 0 && same) return;
+    Object.assign(told, { bytesRead, complete, notices: notices.length });
+    this.send({ type: "progress", bytesRead, complete, frames, psnr, notices });
+  }
+
+  /** Whether no more frames will come. */
+  private isComplete(stream: SceneStream): boolean {
+    return stream.complete || (stream.waits && !this.follow);
+  }
+
+  private newFrames(): FrameTable | null {
+    const known = this.stream!.frames;
+    const from = this.told.frames;
+    if (known.length <= from) return null;
+    const added = known.slice(from);
+    this.told.frames = known.length;
+    const kinds = Uint8Array.from(added, ({ kind }) => FRAME_KINDS.indexOf(kind));
+    return { from, kinds, bytes: Uint32Array.from(added, ({ bytes }) => bytes) };
+  }
+
+  private newMetrics(stream: SceneStream): readonly (readonly [number, number])[] {
+    if (stream.metrics.size === this.told.metrics) return [];
+    const added = [...stream.metrics].slice(this.told.metrics); // a Map keeps the order in which entries came
+    this.told.metrics = stream.metrics.size;
+    return added.flatMap(([frame, { psnr }]) => (psnr === null ? [] : [[frame, psnr] as const]));
+  }
+}
+
+function infoOf(scene: SceneFrame, decodeMs: number, packMs: number): FrameInfo {
+  const { frame, kind, bytes, damage, changed, added, removed, corrections } = scene;
+  const { count } = scene.gaussians;
+  return { frame, kind, bytes, damage, count, changed, added, removed, decodeMs, packMs, corrections };
+}
+
+function transfers(draw: DrawOrder, update: SceneUpdate | null): Transferable[] {
+  const buffers = new Set<ArrayBufferLike>();
+  if (draw !== EMPTY_ORDER) buffers.add(draw.order.buffer);
+  if (update !== null) {
+    for (const array of [update.part?.places, update.base, update.rest, update.heat]) {
+      if (array) buffers.add(array.buffer);
+    }
+  }
+  return [...buffers] as ArrayBuffer[];
+}
+
+function sentence(error: unknown): string {
+  return error instanceof Error ? error.message : String(error);
+}

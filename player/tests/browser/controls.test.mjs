@@ -1,0 +1,164 @@
+// Hands on: mouse, keys, the bar and its menu, cameras of the rig, overlays, small screens.
+import assert from "node:assert/strict";
+import { after, before, test } from "node:test";
+import { ready, started, until } from "./harness.mjs";
+
+let browser;
+before(async () => (browser = await started()));
+after(() => browser.close());
+
+const state = (page) =>
+  page.evaluate(() => {
+    const player = document.querySelector("decogs-player");
+    const { pose, pivot, up } = player.stage.navigation;
+    return { axes: pose.axes, centre: pose.centre, pivot, up, camera: player.camera, frame: player.currentFrame };
+  });
+const distance = (a, b) => Math.hypot(...a.map((value, i) => value - b[i]));
+const rested = (page) => until(page, "!player.stage.pending && !player.stage.renderer.busy");
+
+async function dragged(page, right, down, button = "left") {
+  await page.mouse.move(300, 120);
+  await page.mouse.down({ button });
+  await page.mouse.move(300 + right, 120 + down, { steps: 4 });
+  await page.mouse.up({ button });
+  await page.waitForTimeout(700);
+}
+
+test("dragging circles the pivot, upright, the near side going with the hand", async () => {
+  const page = await browser.opened("dome", { width: 640, height: 400 });
+  await ready(page);
+  const before = await state(page);
+  await dragged(page, 100, 0);
+  const beside = await state(page);
+  assert.ok(Math.abs(distance(beside.centre, beside.pivot) - distance(before.centre, before.pivot)) < 1e-6);
+  const right = before.axes[0].reduce((sum, part, i) => sum + part * (beside.centre[i] - before.centre[i]), 0);
+  assert.ok(right < 0, "the camera goes left when the hand goes right");
+  assert.equal(beside.camera, "");
+  await dragged(page, 0, 60);
+  const above = await state(page);
+  const height = (of) => of.up.reduce((sum, part, i) => sum + part * of.centre[i], 0);
+  assert.ok(height(above) > height(beside), "the camera rises when the hand goes down");
+  const roll = above.axes[0].reduce((sum, part, i) => sum + part * above.up[i], 0);
+  assert.ok(Math.abs(roll) < 0.02, `the horizon is level: ${roll}`);
+  await page.mouse.wheel(0, -300);
+  await page.waitForTimeout(700);
+  const nearer = await state(page);
+  assert.ok(distance(nearer.centre, nearer.pivot) < 0.95 * distance(above.centre, above.pivot));
+  await dragged(page, 80, 0, "right");
+  const shifted = await state(page);
+  assert.ok(distance(shifted.pivot, nearer.pivot) > 0.01);
+  await page.keyboard.press("r");
+  await page.waitForTimeout(900);
+  const back = await state(page);
+  assert.ok(distance(back.centre, before.centre) < 1e-9);
+  assert.equal(back.camera, before.camera);
+  assert.deepEqual(page.complaints, []);
+  await page.context().close();
+});
+
+test("keys play, step, fly and change cameras", async () => {
+  const page = await browser.opened("long", { width: 640, height: 400 });
+  await ready(page);
+  await page.keyboard.press("ArrowRight");
+  await until(page, "player.info.frame === 1");
+  await page.keyboard.press("Shift+ArrowRight");
+  await until(page, "player.info.frame === 60");
+  await page.keyboard.press("Home");
+  await until(page, "player.info.frame === 0");
+  await page.keyboard.press("]");
+  await until(page, "player.camera === 'off centre'");
+  await page.keyboard.press("[");
+  await until(page, "player.camera === 'cam00'");
+  await page.keyboard.press("Space");
+  await until(page, "!player.paused");
+  await page.keyboard.press("Space");
+  await until(page, "player.paused");
+  await page.waitForTimeout(700); // the jump between the cameras is over
+  const before = await state(page);
+  await page.keyboard.down("w");
+  await page.waitForTimeout(400);
+  await page.keyboard.up("w");
+  await page.waitForTimeout(600);
+  const after = await state(page);
+  const ahead = before.axes[2].reduce((sum, part, i) => sum + part * (after.centre[i] - before.centre[i]), 0);
+  assert.ok(ahead > 0.005, `${ahead}`);
+  await page.keyboard.press("?");
+  await until(page, "!player.shadowRoot.querySelector('.help').hidden");
+  await page.keyboard.press("Escape");
+  await until(page, "player.shadowRoot.querySelector('.help').hidden");
+  await page.context().close();
+});
+
+test("the bar: play, timeline, cameras, menu, and names for screen readers", async () => {
+  const page = await browser.opened("long", { width: 640, height: 400 });
+  await ready(page);
+  await until(page, "player.frames.count === 300");
+  const track = await page.locator(".timeline").boundingBox();
+  await page.mouse.click(track.x + track.width * 0.5, track.y + track.height / 2);
+  await until(page, "player.info.frame === 150");
+  await page.locator("[name=camera]").selectOption({ label: "turned" });
+  await until(page, "player.camera === 'turned'");
+  await page.locator("[name=menu]").click();
+  await page.locator("[name=overlay]").selectOption("changes");
+  await until(page, "player.overlay === 'changes'");
+  await page.locator("[name=figures]").check();
+  await until(page, "player.shadowRoot.querySelector('.figures').textContent.includes('Gaussians')");
+  await page.locator("button.play").click();
+  await until(page, "!player.paused");
+  await page.locator("button.play").click();
+  const unnamed = await page.evaluate(() => {
+    const { shadowRoot } = document.querySelector("decogs-player");
+    const controls = [...shadowRoot.querySelectorAll("button, select, input, [role=slider]")];
+    return controls.filter((each) => !(each.ariaLabel || each.textContent.trim() || each.closest("label"))).length;
+  });
+  assert.equal(unnamed, 0);
+  const slider = await page.locator(".timeline").getAttribute("aria-valuetext");
+  assert.match(slider, /frame \d+ of 300/);
+  await page.context().close();
+});
+
+test("what changed is seen after a seek as after playing", async () => {
+  const page = await browser.opened("long", { width: 200, height: 150 });
+  await ready(page);
+  const heat = async () => {
+    await page.evaluate(() => (document.querySelector("decogs-player").overlay = "changes"));
+    await rested(page);
+    return page.evaluate(async () => (await document.querySelector("decogs-player").capture(200, 150)).size);
+  };
+  await page.evaluate(() => (document.querySelector("decogs-player").currentFrame = 64));
+  await until(page, "player.info.frame === 64");
+  const jumped = await heat();
+  for (const frame of [62, 63, 64]) {
+    await page.evaluate((frame) => (document.querySelector("decogs-player").currentFrame = frame), frame);
+    await until(page, `player.info.frame === ${frame}`);
+  }
+  assert.equal(await heat(), jumped);
+  await page.context().close();
+});
+
+test("nothing sticks out of a phone's screen", async () => {
+  const page = await browser.opened("long", { width: 390, height: 844 });
+  await ready(page);
+  await page.locator("[name=menu]").click();
+  const out = await page.evaluate(() => {
+    const { shadowRoot } = document.querySelector("decogs-player");
+    const shown = [...shadowRoot.querySelectorAll(".panel:not([hidden]), .row > *, .row button")];
+    return shown.filter((each) => {
+      const { left, right, top, bottom } = each.getBoundingClientRect();
+      return left < 0 || top < 0 || right > innerWidth || bottom > innerHeight;
+    }).map((each) => each.className || each.name);
+  });
+  assert.deepEqual(out, []);
+  assert.ok(await page.evaluate(() => document.documentElement.scrollWidth <= innerWidth));
+  await page.context().close();
+});
+
+test("nothing is drawn while nothing changes", async () => {
+  const page = await browser.opened("arc");
+  await ready(page);
+  await rested(page);
+  await page.waitForTimeout(500);
+  const drawn = () => page.evaluate(() => document.querySelector("decogs-player").ticking);
+  assert.equal(await drawn(), 0);
+  await page.context().close();
+});

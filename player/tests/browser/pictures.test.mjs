@@ -1,0 +1,79 @@
+// What is drawn is what decogs-decode draws: trained scenes, every degree of harmonics, cameras of the rig and a free one.
+import assert from "node:assert/strict";
+import { after, before, test } from "node:test";
+import { filed, listed, picture, psnr, ready, show, started } from "./harness.mjs";
+
+const LEAST_DB = 40;
+let browser;
+before(async () => (browser = await started()));
+after(() => browser.close());
+
+const { pictures, pose } = listed();
+for (const { stream, frame, camera, file } of pictures) {
+  test(`${stream}, frame ${frame}, ${camera ?? "a free camera"}`, async (context) => {
+    const page = await browser.opened(stream, camera === null ? {} : { query: `&camera=${encodeURIComponent(camera)}` });
+    await ready(page);
+    await show(page, frame);
+    if (camera === null) await lookFreely(page);
+    const expected = await filed(page, file);
+    const found = await picture(page, expected.width, expected.height);
+    const decibels = psnr(found, expected);
+    context.diagnostic(`${decibels.toFixed(1)} dB`);
+    assert.ok(decibels >= LEAST_DB, `${decibels.toFixed(2)} dB`);
+    assert.deepEqual(page.complaints, []);
+    await page.context().close();
+  });
+}
+
+async function lookFreely(page) {
+  await page.evaluate(({ width, height, fov_y, position, look_at, up }) => {
+    const player = document.querySelector("decogs-player");
+    const minus = (a, b) => a.map((value, i) => value - b[i]);
+    const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+    const unit = (a) => a.map((value) => value / Math.hypot(...a));
+    const forward = unit(minus(look_at, position));
+    const right = unit(cross(forward, up));
+    const focal = height / 2 / Math.tan((fov_y * Math.PI) / 360);
+    const lens = { width, height, fx: focal, fy: focal, cx: width / 2, cy: height / 2, near: 0 };
+    player.lookFrom({ axes: [right, cross(forward, right), forward], centre: position }, lens);
+  }, pose);
+}
+
+test("a camera copied as pose.json is the one in the picture", async () => {
+  const page = await browser.opened("degree1", { query: "&camera=off%20centre" });
+  await ready(page);
+  const text = await page.evaluate(async () => {
+    const { poseFile } = await import("/page/decogs-player.js");
+    return poseFile(document.querySelector("decogs-player").currentCamera(180, 140));
+  });
+  const found = JSON.parse(text);
+  assert.deepEqual([found.width, found.height, found.fx, found.fy, found.cx, found.cy], [180, 140, 130, 142, 70, 80]);
+  const expected = [[1, 0, 0, 0.2], [0, 1, 0, -0.1], [0, 0, 1, 0.5], [0, 0, 0, 1]];
+  found.world_to_camera.flat().forEach((value, i) => assert.ok(Math.abs(value - expected.flat()[i]) < 1e-12));
+  await page.context().close();
+});
+
+test("a link shows the same view", async () => {
+  const page = await browser.opened("degree2", { query: "&camera=turned" });
+  await ready(page);
+  await show(page, 2);
+  const here = await picture(page, 200, 150);
+  const link = await page.evaluate(async () => {
+    const { cameraToLink } = await import("/page/decogs-player.js");
+    const { pose, lens } = document.querySelector("decogs-player").stage.navigation;
+    return `#camera=${cameraToLink(pose, lens)}&frame=2`;
+  });
+  const other = await browser.opened("degree2", { query: link });
+  await ready(other);
+  await other.waitForFunction(() => document.querySelector("decogs-player").info.frame === 2);
+  assert.ok(psnr(await picture(other, 200, 150), here) > 50);
+  for (const each of [page, other]) await each.context().close();
+});
+
+test("a picture on a screen of two device pixels has twice the size", async () => {
+  const page = await browser.opened("arc", { scale: 2 });
+  await ready(page);
+  const { width, height } = await picture(page);
+  assert.deepEqual([width, height], [400, 300]);
+  await page.context().close();
+});

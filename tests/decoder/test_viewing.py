@@ -1,0 +1,341 @@
+"""decogs-view: what its server answers, the folder it writes, and what each refuses."""
+
+from __future__ import annotations
+
+import http.client
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import pytest
+
+from decogs.decoder import view
+from decogs.decoder.commands import view_main
+from decogs.decoder.viewing import notebook, page_files
+from decogs.decoder.viewing.byte_ranges import NoSuchBytes, asked_range
+from decogs.decoder.viewing.server import StreamServer, serve_stream
+from decogs.formats.errors import StreamError, UsageError
+
+COMMAND = Path(sys.executable).parent / "decogs-view"
+
+
+@pytest.fixture
+def served(small_stream: Any) -> Iterator[StreamServer]:
+    with serve_stream(small_stream.path) as server:
+        yield server
+
+
+class Answer:
+    """A response, read to its end."""
+
+    def __init__(self, response: http.client.HTTPResponse) -> None:
+        self.status, self.headers, self.body = response.status, response.headers, response.read()
+
+
+def ask(url: str, path: str = "", method: str = "GET", **headers: str) -> Answer:
+    """``path`` as it stands in the request line; names of headers with _ for -."""
+    place = urlsplit(url)
+    connection = http.client.HTTPConnection(place.hostname or "", place.port, timeout=10)
+    try:
+        connection.putrequest(method, f"/{path}", skip_host="Host" in headers, skip_accept_encoding=True)
+        for name, value in headers.items():
+            connection.putheader(name.replace("_", "-"), value)
+        connection.endheaders()
+        return Answer(connection.getresponse())
+    finally:
+        connection.close()
+
+
+@pytest.mark.parametrize(
+    ("header", "expected"),
+    [
+        (None, None),
+        ("bytes=0-0", range(0, 1)),
+        ("bytes=3-", range(3, 10)),
+        ("bytes=3-5", range(3, 6)),
+        ("bytes=3-99", range(3, 10)),
+        ("bytes=-4", range(6, 10)),
+        ("bytes=-99", range(0, 10)),
+        ("Bytes=9-9", range(9, 10)),
+        ("bytes=5-3", None),
+        ("bytes=-", None),
+        ("bytes=a-b", None),
+        ("bytes=0-1,3-4", None),
+        ("bytes=٣-", None),
+        ("lines=0-1", None),
+        ("bytes=" + "9" * 40 + "-", None),
+    ],
+)
+def test_a_range_is_read_as_the_rfc_has_it(header: str | None, expected: range | None) -> None:
+    assert asked_range(header, 10) == expected
+
+
+@pytest.mark.parametrize(
+    ("header", "size"), [("bytes=10-", 10), ("bytes=10-20", 10), ("bytes=-0", 10), ("bytes=0-", 0)]
+)
+def test_a_range_outside_is_refused(header: str, size: int) -> None:
+    with pytest.raises(NoSuchBytes):
+        asked_range(header, size)
+
+
+def test_the_whole_stream_and_parts_of_it(served: StreamServer, small_stream: Any) -> None:
+    data = small_stream.path.read_bytes()
+    name = small_stream.path.name
+    whole = ask(served.url, name)
+    assert (whole.status, whole.body) == (200, data)
+    assert whole.headers["Content-Type"] == "application/octet-stream"
+    assert whole.headers["Accept-Ranges"] == "bytes"
+    part = ask(served.url, name, Range="bytes=10-29")
+    assert (part.status, part.body) == (206, data[10:30])
+    assert part.headers["Content-Range"] == f"bytes 10-29/{len(data)}"
+    assert part.headers["Content-Length"] == "20"
+    tail = ask(served.url, name, Range="bytes=-5")
+    assert (tail.status, tail.body) == (206, data[-5:])
+    outside = ask(served.url, name, Range=f"bytes={len(data)}-")
+    assert (outside.status, outside.headers["Content-Range"]) == (416, f"bytes */{len(data)}")
+
+
+def test_head_tells_the_same_without_the_bytes(served: StreamServer, small_stream: Any) -> None:
+    name = small_stream.path.name
+    for asked in ({}, {"Range": "bytes=1-3"}, {"Range": "bytes=999999999-"}):
+        get, head = ask(served.url, name, **asked), ask(served.url, name, "HEAD", **asked)
+        assert (head.status, head.body) == (get.status, b"")
+        kept = ("Content-Length", "Content-Range", "ETag", "Content-Type")
+        assert [head.headers[key] for key in kept] == [get.headers[key] for key in kept]
+    assert ask(served.url, name, "POST").status == 501
+
+
+def test_a_part_of_what_the_file_was_before_is_not_given(served: StreamServer, small_stream: Any) -> None:
+    path = small_stream.path
+    before = ask(served.url, path.name)
+    tag, modified = before.headers["ETag"], before.headers["Last-Modified"]
+    for known in (tag, modified):
+        assert ask(served.url, path.name, Range="bytes=1-3", If_Range=known).status == 206
+    assert ask(served.url, path.name, If_None_Match=tag).status == 304
+    path.write_bytes(path.read_bytes() + b"more")
+    os.utime(path, (1, 1))
+    for known in (tag, modified):
+        changed = ask(served.url, path.name, Range="bytes=1-3", If_Range=known)
+        assert (changed.status, len(changed.body)) == (200, path.stat().st_size)
+    assert ask(served.url, path.name, If_None_Match=tag).status == 200
+    path.unlink()
+    assert ask(served.url, path.name).status == 404
+
+
+def test_the_page_and_its_types(served: StreamServer, small_stream: Any) -> None:
+    index = ask(served.url)
+    assert index.headers["Content-Type"].startswith("text/html")
+    assert f'data-src="./{small_stream.path.name}"'.encode() in index.body
+    assert b" follow" not in index.body.partition(b"<decogs-player")[2].partition(b">")[0]
+    assert "script-src 'self' 'wasm-unsafe-eval'" in index.headers["Content-Security-Policy"]
+    assert ask(served.url, "index.html").body == index.body
+    for path in page_files.PAGE.iterdir():
+        if path.name != "index.html":
+            assert ask(served.url, path.name).body == path.read_bytes()
+    assert ask(served.url, "decogs-player.js").headers["Content-Type"].startswith("text/javascript")
+    assert ask(served.url, "decogs-exact.wasm").headers["Content-Type"] == "application/wasm"
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["../secret.txt", "%2e%2e/secret.txt", "secret.txt", "//etc/passwd", "/etc/passwd", "./", "%00", "page/index.html"],
+)
+def test_nothing_else_is_served(served: StreamServer, small_stream: Any, path: str) -> None:
+    small_stream.path.with_name("secret.txt").write_text("secret")
+    answer = ask(served.url, path)
+    assert answer.status == 404
+    assert b"secret" not in answer.body
+
+
+@pytest.mark.parametrize(
+    ("host", "status"),
+    [
+        ("127.0.0.1", 200),
+        ("localhost:8888", 200),
+        ("LOCALHOST:1", 200),
+        ("evil.example", 421),
+        ("127.0.0.1.evil.example", 421),
+        ("localhost@evil.example:80", 421),
+        ("", 421),
+    ],
+)
+def test_a_foreign_name_is_refused(served: StreamServer, host: str, status: int) -> None:
+    assert ask(served.url, Host=host).status == status
+
+
+def test_two_names_or_none_are_refused(served: StreamServer) -> None:
+    place = urlsplit(served.url)
+    for lines in (b"", b"Host: localhost\r\nHost: evil.example\r\n"):
+        with socket.create_connection((place.hostname, place.port), timeout=10) as connection:
+            connection.sendall(b"GET / HTTP/1.1\r\n" + lines + b"Connection: close\r\n\r\n")
+            assert connection.recv(100).startswith(b"HTTP/1.1 421")
+
+
+def test_only_this_machine_is_listened_to(served: StreamServer) -> None:
+    assert served.url.startswith("http://127.0.0.1:")
+    with pytest.raises(OSError, match="refused"):
+        socket.create_connection(("127.0.0.2", urlsplit(served.url).port or 0), timeout=5)
+
+
+def test_a_growing_stream_is_served_as_far_as_it_is(small_stream: Any) -> None:
+    path = small_stream.path
+    data, growing = path.read_bytes(), path.with_name(path.name + ".part")
+    path.unlink()
+    growing.write_bytes(data[:600])
+    with serve_stream(growing, follow=True) as server:
+        assert b" follow" in ask(server.url).body.partition(b"<decogs-player")[2].partition(b">")[0]
+        first = ask(server.url, path.name, Range="bytes=0-999")
+        assert (first.status, first.body) == (206, data[:600])
+        assert first.headers["Content-Range"] == "bytes 0-599/600"
+        assert first.headers["Cache-Control"] == "no-store"
+        assert first.headers["ETag"] is None
+        assert ask(server.url, path.name, Range="bytes=600-").status == 416
+        growing.write_bytes(data)
+        assert ask(server.url, path.name, Range="bytes=600-").body == data[600:]
+        growing.rename(path)
+        assert ask(server.url, path.name).body == data
+
+
+@pytest.mark.parametrize("name", ["a b&<'\".dgs", "häuser #1?.dgs", "http:x.dgs", "100%.dgs"])
+def test_odd_names_reach_the_page_and_the_server(small_stream: Any, tmp_path: Path, name: str) -> None:
+    path = small_stream.path.rename(small_stream.path.with_name(name))
+    with serve_stream(path) as server:
+        from html import unescape
+
+        address = unescape(ask(server.url).body.decode().partition('data-src="')[2].partition('"')[0])
+        assert address.startswith("./")
+        assert ask(server.url, address.removeprefix("./")).body == path.read_bytes()
+
+
+def test_a_stream_of_a_page_files_name_is_refused(small_stream: Any) -> None:
+    path = small_stream.path.rename(small_stream.path.with_name("decogs-player.js"))
+    with pytest.raises(UsageError, match="rename the stream"):
+        serve_stream(path)
+
+
+def test_a_port_that_is_taken_is_said(served: StreamServer, small_stream: Any, capsys: Any) -> None:
+    port = str(urlsplit(served.url).port)
+    assert view_main([str(small_stream.path), "--no-browser", "--port", port]) == 2
+    assert f"--port {port}: Address already in use" in capsys.readouterr().err
+    assert view_main([str(small_stream.path), "--no-browser", "--port", "99999"]) == 2
+
+
+def test_a_damaged_header_is_refused_before_anything_is_served(
+    small_stream: Any, tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def never(*_: object, **__: object) -> None:
+        raise AssertionError("served")
+
+    monkeypatch.setattr("decogs.decoder.viewing.server.serve_stream", never)
+    data = bytearray(small_stream.path.read_bytes())
+    data[60] ^= 255
+    (tmp_path / "bad.dgs").write_bytes(data)
+    (tmp_path / "text.dgs").write_text("no stream")
+    for name in ("bad.dgs", "text.dgs", "missing.dgs"):
+        for more in ([], ["-o", str(tmp_path / "site")], ["--follow", "--idle", "0.1"]):
+            assert view_main([str(tmp_path / name), "--no-browser", *more]) == 2
+            said = capsys.readouterr().err
+            assert said.count("\n") == 1
+            assert name in said
+    assert not (tmp_path / "site").exists()
+    with pytest.raises(StreamError):
+        view(tmp_path / "bad.dgs", browser=False)
+
+
+def test_the_command_prints_the_address_and_ends_quietly(small_stream: Any) -> None:
+    command = [str(COMMAND), str(small_stream.path), "--no-browser"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        url = next(word for word in line.split() if word.startswith("http"))
+        assert ask(url, small_stream.path.name).body == small_stream.path.read_bytes()
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=10)
+    assert (process.returncode, out, err) == (0, "", "")
+
+
+def test_a_browser_is_opened_only_where_asked_for(small_stream: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[str] = []
+    monkeypatch.setattr(notebook, "open_browser", opened.append)
+    for variable in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"):
+        monkeypatch.delenv(variable, raising=False)
+    with view(small_stream.path):
+        assert opened == []
+    monkeypatch.setenv("DISPLAY", ":0")
+    with view(small_stream.path) as shown:
+        assert opened == [shown.url]
+    with view(small_stream.path, browser=False):
+        assert len(opened) == 1
+
+
+def test_a_notebook_shows_the_page_inline(small_stream: Any) -> None:
+    with view(small_stream.path, browser=False, width="50%", height=300) as shown:
+        html = shown._repr_html_()
+        assert f'src="{shown.url}"' in html
+        assert 'width="50%" height="300"' in html
+        url = shown.url
+        assert ask(url).status == 200
+    with pytest.raises(OSError, match="refused"):
+        ask(url)
+    shown.close()
+
+
+def test_a_site_holds_the_page_and_the_stream(small_stream: Any, tmp_path: Path, capsys: Any) -> None:
+    site = tmp_path / "deep" / "site"
+    assert view_main([str(small_stream.path), "-o", str(site)]) == 0
+    names = {path.name for path in page_files.PAGE.iterdir()} | {small_stream.path.name}
+    assert {path.name for path in site.iterdir()} == names
+    assert f"{len(names)} files" in capsys.readouterr().out
+    assert (site / small_stream.path.name).read_bytes() == small_stream.path.read_bytes()
+    assert f'data-src="./{small_stream.path.name}"' in (site / "index.html").read_text()
+    assert site.stat().st_mode & 0o055 == 0o055
+    (site / "index.html").write_text("<decogs-player>old")
+    assert view_main([str(small_stream.path), "-o", str(site)]) == 0
+    assert "old" not in (site / "index.html").read_text()
+
+
+def test_a_folder_of_someone_elses_is_left_alone(small_stream: Any, tmp_path: Path, capsys: Any) -> None:
+    site, stream = tmp_path / "site", str(small_stream.path)
+    site.mkdir()
+    (site / "index.html").write_text("mine")
+    assert view_main([stream, "-o", str(site)]) == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert [path.name for path in site.iterdir()] == ["index.html"]
+    (site / "style.css").write_text("mine")
+    assert view_main([stream, "-o", str(site), "--overwrite"]) == 0
+    assert (site / "style.css").read_text() == "mine"
+    assert "<decogs-player" in (site / "index.html").read_text()
+    assert view_main([stream, "-o", str(site)]) == 2
+    assert view_main([stream, "-o", stream]) == 2
+    assert view_main([str(site / small_stream.path.name), "-o", str(site), "--overwrite"]) == 2
+    assert view_main([stream, "-o", str(tmp_path / "other"), "--follow"]) == 2
+    assert not (tmp_path / "other").exists()
+
+
+def test_a_site_that_cannot_be_written_is_not_begun(
+    small_stream: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> int:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("decogs.decoder.viewing.site._copy", full)
+    before = sorted(tmp_path.rglob("*"))
+    assert view_main([str(small_stream.path), "-o", str(tmp_path / "site")]) == 2
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_twenty_at_once_and_a_slow_one(served: StreamServer, small_stream: Any) -> None:
+    """A connection that says nothing keeps nobody waiting."""
+    place = urlsplit(served.url)
+    with socket.create_connection((place.hostname, place.port)):
+        since = time.monotonic()
+        for _ in range(20):
+            assert ask(served.url, small_stream.path.name).status == 200
+        assert time.monotonic() - since < 5

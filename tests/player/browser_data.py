@@ -1,0 +1,145 @@
+"""Streams and the pictures that decogs-decode makes of them, for the player's browser tests (player/tests/browser).
+
+python tests/player/browser_data.py FOLDER [RIG.dgs ...]
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from decogs.codec.deltas import apply_delta, difference
+from decogs.codec.header import StreamHeader
+from decogs.codec.keyframes import keyframe_state
+from decogs.codec.lattice import default_lattice, quantise
+from decogs.codec.state import take_rows
+from decogs.codec.syntax import write_delta, write_key
+from decogs.decoder.commands import decode_main
+from decogs.formats.cameras import Camera
+from decogs.formats.container import PacketKind, StreamWriter
+from decogs.formats.splats import Splats
+
+CANARY = Path(__file__).parents[1] / "canary"
+POSE = {
+    "width": 200,
+    "height": 150,
+    "fov_y": 50,
+    "position": [0.3, -0.2, 0.1],
+    "look_at": [0, 0, 2],
+    "up": [0.1, -1, 0],
+}
+SEGMENT = 60
+LONG = 300
+
+
+def scene(count: int, degree: int, seed: int) -> Splats:
+    """Gaussians of all shapes before the cameras and about them: needles, discs, faint and nearly opaque ones."""
+    random = np.random.default_rng(seed)
+    values = (
+        random.uniform([-1.6, -1.2, 0.2], [1.6, 1.2, 3.5], (count, 3)),
+        random.uniform(-6, -1.8, (count, 3)),
+        random.normal(size=(count, 4)),
+        random.uniform(-4, 5, count),
+        random.normal(0, 0.35, (count, (degree + 1) ** 2, 3)),
+    )
+    return Splats(*(np.ascontiguousarray(value, np.float32) for value in values))
+
+
+def cameras(near: float = 0.0) -> tuple[Camera, ...]:
+    """Three poses, one with a near plane, one with its principal point off the middle; no lens distortion."""
+    aside = np.eye(4)
+    aside[:3, 3] = [0.2, -0.1, 0.5]
+    turned = np.eye(4)
+    turned[:3, :3] = [[0.8, 0, -0.6], [0, 1, 0], [0.6, 0, 0.8]]
+    return (
+        Camera("cam00", 200, 150, 160.0, 160.0, 100.0, 75.0, np.eye(4), near=near),
+        Camera("off centre", 180, 140, 130.0, 142.0, 70.0, 80.0, aside),
+        Camera("turned", 200, 150, 160.0, 160.0, 100.0, 75.0, turned),
+    )
+
+
+def write_stream(path: Path, count: int, degree: int, frames: int, *, near: float = 0.0) -> list[int]:
+    """A tenth of the Gaussians move in every frame, some come and go; a keyframe begins each segment. Packets' ends."""
+    lattice = default_lattice(2.0)
+    header = StreamHeader(
+        cameras=cameras(near), lattice=lattice, sh_degree=degree, fps=30.0, background=(0.2, 0.3, 0.5)
+    )
+    random = np.random.default_rng(7)
+    state, _ = keyframe_state(quantise(scene(count, degree, 3), lattice))
+    ends = []
+    with path.open("wb") as file:
+        writer = StreamWriter(file, header.to_bytes())
+        for frame in range(frames):
+            payload = write_key(state).payload
+            if frame:
+                rows = np.sort(random.choice(len(state), count // 10, replace=False))
+                now = take_rows(state, rows)
+                now = replace(now, means=now.means + random.integers(-200, 200, (len(rows), 3), dtype=np.int32))
+                young = quantise(scene(3, degree, frame), lattice)
+                delta = difference(state, rows, now, removed=rows[:2] if frame % 3 == 0 else None, added=young)
+                payload = write_delta(state, delta).payload
+                state = apply_delta(state, delta)
+                if frame % SEGMENT == 0:
+                    payload = write_key(state).payload
+            kind = PacketKind.DELTA if frame % SEGMENT else PacketKind.KEY
+            writer.write(kind, frame, payload)
+            ends.append(file.tell())
+        writer.finish()
+    return ends
+
+
+class Pictures:
+    """What decogs-decode makes of cameras and frames, and the list of it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.listed: list[dict[str, Any]] = []
+        (folder / "pose.json").write_text(json.dumps(POSE))
+
+    def take(self, stream: str, frame: int, camera: str | None) -> None:
+        """A view of one frame; ``camera`` None: the free one."""
+        name = f"{stream}_{len(self.listed)}.png"
+        view = ["--camera", f"{self.folder / 'pose.json'}"] if camera is None else ["--view", camera, "--canonical"]
+        choice = ["--frames", f"{frame}:{frame + 1}", "--threads", "1"]
+        output = ["-o", f"{self.folder / name}"]
+        status = decode_main([f"{self.folder / stream}.dgs", *view, *choice, *output])
+        if status:
+            raise SystemExit(status)
+        self.listed.append({"stream": stream, "frame": frame, "camera": camera, "file": name})
+
+
+def main() -> None:
+    folder, *rigs = map(Path, sys.argv[1:])
+    folder.mkdir(parents=True, exist_ok=True)
+    pictures = Pictures(folder)
+    for name in ("arc", "dome", "light"):
+        shutil.copy(CANARY / f"{name}.dgs", folder)
+        pictures.take(name, 0, "cam00")
+    for degree in (1, 2, 3):
+        write_stream(folder / f"degree{degree}.dgs", 1500, degree, 4, near=0.6 if degree == 2 else 0.0)
+        for camera in ("cam00", "off centre"):
+            pictures.take(f"degree{degree}", 3, camera)
+        pictures.take(f"degree{degree}", 2, None)
+    ends = write_stream(folder / "long.dgs", 800, 0, LONG)
+    for frame in (0, 7, 61, 130, 299):
+        pictures.take("long", frame, "cam00")
+    for rig in rigs:
+        shutil.copy(rig, folder / f"{rig.stem}.dgs")
+        for frame in (0, 3):
+            pictures.take(rig.stem, frame, "cam00")
+    whole = (folder / "long.dgs").read_bytes()
+    (folder / "cut.dgs").write_bytes(whole[: ends[100] + 40])
+    damaged = bytearray(whole)
+    damaged[ends[69] + 60] ^= 0x10
+    (folder / "damaged.dgs").write_bytes(damaged)
+    (folder / "list.json").write_text(json.dumps({"pictures": pictures.listed, "ends": ends, "pose": POSE}))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,40 @@
+"""The committed page is what the sources build, and small; building needs Node."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import subprocess
+from pathlib import Path
+
+from decogs.decoder.viewing.page_files import PAGE
+from node import PLAYER, node
+
+MOST_BYTES = 150_000
+"""Scripts and WebAssembly together, gzipped."""
+
+
+def test_the_page_is_what_the_sources_build(tmp_path: Path) -> None:
+    built = tmp_path / "page"
+    run = subprocess.run([node(), str(PLAYER / "build.mjs"), str(built)], capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    expected = {path.name: path.read_bytes() for path in built.iterdir()}
+    found = {path.name: path.read_bytes() for path in PAGE.iterdir() if path.suffix != ".wasm"}
+    assert sorted(found) == sorted(expected), "make player"
+    for name in found:
+        assert found[name] == expected[name], f"{name}: make player"
+
+
+def test_what_browsers_load_is_small() -> None:
+    sizes = {path.name: len(gzip.compress(path.read_bytes(), 9)) for path in PAGE.iterdir()}
+    assert sum(sizes.values()) <= MOST_BYTES, sizes
+
+
+def test_licences_of_what_is_bundled_are_with_it() -> None:
+    """Every package that the player needs at run time, and nothing that was not looked at."""
+    said = (PAGE / "licences.txt").read_text("utf-8")
+    needed = json.loads((PLAYER / "package.json").read_text("utf-8")).get("dependencies", {})
+    assert sorted(needed) == ["zstddec"]
+    for package in needed:
+        node()
+        assert (PLAYER / "node_modules" / package / "LICENSE").read_text("utf-8").strip() in said
