@@ -289,7 +289,7 @@ def _view(options: argparse.Namespace) -> None:
     idle = DEFAULT_IDLE if options.idle is None else options.idle
     browser = False if options.no_browser else None
     with view(options.stream, port=options.port, follow=options.follow, idle=idle, browser=browser) as served:
-        tell(f"{options.stream}: {served.url} (Ctrl-C ends it)")
+        print_text(f"{options.stream}: {served.url} (Ctrl-C ends it)")
         with suppress(KeyboardInterrupt):
             served.wait()
 
@@ -301,7 +301,7 @@ def _write_site(options: argparse.Namespace) -> None:
         raise UsageError("a folder holds a whole stream; leave out `follow`, or wait for the encoder")
     with progress("writing", "MB") as on_bytes:
         report = write_site(options.stream, options.output, overwrite=options.overwrite, on_bytes=on_bytes)
-    tell(f"{options.output}: {counted(report.file_count, 'file')}, {size_text(report.file_bytes)}")
+    print_text(f"{options.output}: {counted(report.file_count, 'file')}, {size_text(report.file_bytes)}")
 
 
 def _joined(arguments: Sequence[str] | None) -> list[str]:
