@@ -20,10 +20,13 @@ from decogs.codec.keyframes import keyframe_state
 from decogs.codec.lattice import default_lattice, quantise
 from decogs.codec.state import take_rows
 from decogs.codec.syntax import write_delta, write_key
+from decogs.decoder import open_stream
+from decogs.decoder.camera_moves import looked_at
 from decogs.decoder.commands import decode_main
-from decogs.formats.cameras import Camera
+from decogs.formats.cameras import Camera, camera_centre
 from decogs.formats.container import PacketKind, StreamWriter
 from decogs.formats.splats import Splats
+from decogs.formats.up_direction import up_of
 
 CANARY = Path(__file__).parents[1] / "canary"
 POSE = {
@@ -100,18 +103,28 @@ class Pictures:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.listed: list[dict[str, Any]] = []
-        (folder / "pose.json").write_text(json.dumps(POSE))
 
-    def take(self, stream: str, frame: int, camera: str | None) -> None:
-        """A view of one frame; ``camera`` None: the free one."""
+    def take(self, stream: str, frame: int, camera: str | None, pose: dict[str, Any] = POSE) -> None:
+        """A view of one frame; ``camera`` None: the free one of ``pose``."""
         name = f"{stream}_{len(self.listed)}.png"
+        (self.folder / "pose.json").write_text(json.dumps(pose))
         view = ["--camera", f"{self.folder / 'pose.json'}"] if camera is None else ["--view", camera, "--canonical"]
         choice = ["--frames", f"{frame}:{frame + 1}", "--threads", "1"]
         output = ["-o", f"{self.folder / name}"]
         status = decode_main([f"{self.folder / stream}.dgs", *view, *choice, *output])
         if status:
             raise SystemExit(status)
-        self.listed.append({"stream": stream, "frame": frame, "camera": camera, "file": name})
+        self.listed.append({"stream": stream, "frame": frame, "camera": camera, "pose": pose, "file": name})
+
+
+def near_to(rig: Path) -> dict[str, Any]:
+    """A free camera between the first two of a rig, that looks at what the rig looks at."""
+    with open_stream(rig) as stream:
+        rig_cameras = stream.header.cameras
+        position = (camera_centre(rig_cameras[0]) + camera_centre(rig_cameras[1])) / 2
+        target, up = looked_at(rig_cameras), up_of(rig_cameras)
+    place = {"position": position.tolist(), "look_at": target.tolist(), "up": up.tolist()}
+    return {"width": 320, "height": 200, "fov_y": 50, **place}
 
 
 def main() -> None:
@@ -133,12 +146,13 @@ def main() -> None:
         shutil.copy(rig, folder / f"{rig.stem}.dgs")
         for frame in (0, 3):
             pictures.take(rig.stem, frame, "cam00")
+        pictures.take(rig.stem, 2, None, near_to(rig))
     whole = (folder / "long.dgs").read_bytes()
     (folder / "cut.dgs").write_bytes(whole[: ends[100] + 40])
     damaged = bytearray(whole)
     damaged[ends[69] + 60] ^= 0x10
     (folder / "damaged.dgs").write_bytes(damaged)
-    (folder / "list.json").write_text(json.dumps({"pictures": pictures.listed, "ends": ends, "pose": POSE}))
+    (folder / "list.json").write_text(json.dumps({"pictures": pictures.listed, "ends": ends}))
 
 
 if __name__ == "__main__":

@@ -8,13 +8,13 @@ let browser;
 before(async () => (browser = await started()));
 after(() => browser.close());
 
-const { pictures, pose } = listed();
-for (const { stream, frame, camera, file } of pictures) {
+const { pictures } = listed();
+for (const { stream, frame, camera, pose, file } of pictures) {
   test(`${stream}, frame ${frame}, ${camera ?? "a free camera"}`, async (context) => {
     const page = await browser.opened(stream, camera === null ? {} : { query: `&camera=${encodeURIComponent(camera)}` });
     await ready(page);
     await show(page, frame);
-    if (camera === null) await lookFreely(page);
+    if (camera === null) await lookFreely(page, pose);
     const expected = await filed(page, file);
     const found = await picture(page, expected.width, expected.height);
     const decibels = psnr(found, expected);
@@ -25,7 +25,7 @@ for (const { stream, frame, camera, file } of pictures) {
   });
 }
 
-async function lookFreely(page) {
+async function lookFreely(page, pose) {
   await page.evaluate(({ width, height, fov_y, position, look_at, up }) => {
     const player = document.querySelector("decogs-player");
     const minus = (a, b) => a.map((value, i) => value - b[i]);
