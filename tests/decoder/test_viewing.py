@@ -251,13 +251,23 @@ def test_a_damaged_header_is_refused_before_anything_is_served(
 
 def test_the_command_prints_the_address_and_ends_quietly(small_stream: Any) -> None:
     command = [str(COMMAND), str(small_stream.path), "--no-browser"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        line = process.stdout.readline()
-        url = next(word for word in line.split() if word.startswith("http"))
-        assert ask(url, small_stream.path.name).body == small_stream.path.read_bytes()
-        process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=10)
+    with subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        # A shell ignores SIGINT for what it starts in the background, and its children inherit that.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    ) as process:
+        try:
+            assert process.stdout is not None
+            line = process.stdout.readline()
+            url = next(word for word in line.split() if word.startswith("http"))
+            assert ask(url, small_stream.path.name).body == small_stream.path.read_bytes()
+            process.send_signal(signal.SIGINT)
+            out, err = process.communicate(timeout=60)
+        finally:
+            process.kill()
     assert (process.returncode, out, err) == (0, "", "")
 
 
