@@ -108,10 +108,11 @@ $(ZIG_ENV)/ready:
 	$(ZIG_ENV)/bin/python -m pip install $(PIP_ARGS) --quiet --no-compile ziglang==0.17.0
 	@touch $@
 
-# Its unit tests are among pytest's, and skipped where these are missing.
-player-check: ## types and rules of the player, where Node and its packages are there
-	@if ! command -v node > /dev/null; then echo 'player-check: skipped, Node is not installed'; \
-	elif [ ! -d player/node_modules ]; then echo 'player-check: skipped, player/node_modules is missing (make player gets it)'; \
+# Its unit tests are among pytest's. Without Node, or where its packages cannot be had (no network), all of them are skipped.
+player-check: ## types and rules of the player, where Node is there; gets the player's packages
+	@if ! command -v npm > /dev/null; then echo 'player-check: skipped, Node is not installed'; \
+	elif ! { [ -d player/node_modules ] || $(MAKE) --silent player/node_modules/ready > /dev/null 2>&1; }; then \
+		rm -rf player/node_modules; echo 'player-check: skipped, the packages of player/ could not be had (make player says why)'; \
 	else cd player && npm run --silent check; fi
 
 # Skipped, saying so, where Node, the player's packages or Chromium are missing. DECOGS_CHROMIUM names one that lies elsewhere.
