@@ -108,7 +108,7 @@ class Pictures:
         """A view of one frame; ``camera`` None: the free one of ``pose``."""
         name = f"{stream}_{len(self.listed)}.png"
         (self.folder / "pose.json").write_text(json.dumps(pose))
-        view = ["--camera", f"{self.folder / 'pose.json'}"] if camera is None else ["--view", camera, "--canonical"]
+        view = ["--camera", f"{self.folder / 'pose.json'}"] if camera is None else ["--view", camera, "--drift-free"]
         choice = ["--frames", f"{frame}:{frame + 1}", "--threads", "1"]
         output = ["-o", f"{self.folder / name}"]
         status = decode_main([f"{self.folder / stream}.dgs", *view, *choice, *output])

@@ -56,6 +56,8 @@ export class DecogsPlayer extends HTMLElement {
   private seekRequest = -1;
   /** A frame asked for that is not known yet; -1 for none. */
   private seekLater = -1;
+  /** Where to begin, asked for before the header had come; the next stream begins there, as with <video>. */
+  private start: { readonly seconds: number } | { readonly frame: number } | null = null;
   private ticking = 0;
   private lastTick = 0;
   private followTimer = 0;
@@ -163,17 +165,20 @@ export class DecogsPlayer extends HTMLElement {
     return this.header === null ? NaN : this.playback.frameCount / this.fps;
   }
   get currentTime(): number {
+    if (this.start !== null) return "seconds" in this.start ? this.start.seconds : this.start.frame / this.fps;
     return this.playback.position / this.fps;
   }
   set currentTime(seconds: number) {
-    this.seekFrame(seconds * this.fps);
+    if (this.header !== null) this.seekFrame(seconds * this.fps);
+    else if (Number.isFinite(seconds)) this.start = { seconds: Math.max(0, seconds) };
   }
   /** The frame that is due, counted from 0. */
   get currentFrame(): number {
-    return this.playback.due;
+    return this.start !== null && "frame" in this.start ? this.start.frame : this.playback.due;
   }
   set currentFrame(frame: number) {
-    this.seekFrame(Math.round(frame));
+    if (this.header !== null) this.seekFrame(Math.round(frame));
+    else if (Number.isFinite(frame)) this.start = { frame: Math.max(0, Math.round(frame)) };
   }
   get playbackRate(): number {
     return this.playback.rate;
@@ -439,8 +444,11 @@ export class DecogsPlayer extends HTMLElement {
     this.playback.fps = header.fps ?? DEFAULT_FPS;
     stage.renderer.begin(layout, header.background);
     this.putCamera(stage, header);
-    this.tell("loadedmetadata");
+    const { start } = this;
+    this.start = null;
     this.grown(message.complete);
+    if (start !== null) this.seekFrame("frame" in start ? start.frame : start.seconds * this.fps);
+    this.tell("loadedmetadata");
     if (this.autoplay) void this.play();
     this.followSoon();
   }

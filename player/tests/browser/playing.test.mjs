@@ -35,6 +35,37 @@ for (const ranges of [true, false]) {
   });
 }
 
+test("a time that is set before the header has come is where playing begins", async () => {
+  const page = await browser.opened("long");
+  await ready(page);
+  for (const name of ["currentTime", "currentFrame"]) {
+    const told = await page.evaluate(async (name) => {
+      const player = document.createElement("decogs-player");
+      player[name] = name === "currentTime" ? 130.5 / 30 : 130;
+      const before = player[name];
+      const seeked = new Promise((done) => player.addEventListener("seeked", done, { once: true }));
+      const metadata = new Promise((done) =>
+        player.addEventListener("loadedmetadata", () => done(Math.floor(player.currentTime * player.fps + 1e-6)), { once: true }),
+      );
+      player.src = document.querySelector("decogs-player").src;
+      document.body.append(player);
+      const atMetadata = await metadata;
+      await seeked;
+      const { frame: shown } = player.info;
+      // What was used up does not count for the next stream.
+      player.src += "?again";
+      const again = player.currentTime;
+      await new Promise((done) => player.addEventListener("loadeddata", done, { once: true }));
+      const next = player.info.frame;
+      player.remove();
+      return { before, shown, atMetadata, again, next };
+    }, name);
+    const before = name === "currentTime" ? 130.5 / 30 : 130;
+    assert.deepEqual(told, { before, shown: 130, atMetadata: 130, again: 0, next: 0 });
+  }
+  await page.context().close();
+});
+
 test("events and properties are those of <video>", async () => {
   const page = await browser.opened("degree1", { query: "&loop" });
   await ready(page);
