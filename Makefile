@@ -100,8 +100,9 @@ player/node_modules/ready: player/package-lock.json
 	@touch $@
 
 # Zig brings the compiler and the C++ library: 100 MB to download once.
-player-wasm: $(ZIG_ENV)/ready ## compile the kernel for that page, decogs-exact.wasm; after changes of decoder/rasterise/kernel
+player-wasm: $(ZIG_ENV)/ready ## compile what is WebAssembly of that page; after changes of decoder/rasterise/kernel or player/src/**/*.c
 	$(ZIG_ENV)/bin/python player/exact.py
+	$(ZIG_ENV)/bin/python player/kernel.py
 
 $(ZIG_ENV)/ready:
 	$(PYTHON) -m venv $(ZIG_ENV)

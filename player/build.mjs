@@ -22,6 +22,7 @@ await build({
   ),
   outdir: folder,
   bundle: true,
+  loader: { ".wasm": "binary" },
   format: "esm",
   target: "es2022",
   minify: true,

@@ -65,7 +65,7 @@ async function bench(path, createStream) {
 try {
   const built = join(folder, "stream.mjs");
   const entry = join(here, "../src/stream/index.ts");
-  await build({ entryPoints: [entry], outfile: built, bundle: true, format: "esm", platform: "node", logLevel: "error" });
+  await build({ entryPoints: [entry], outfile: built, bundle: true, format: "esm", platform: "node", target: "node20", loader: { ".wasm": "binary" }, logLevel: "error" });
   const { createStream } = await import(pathToFileURL(built));
   for (const path of process.argv.slice(2)) console.table([await bench(path, createStream)]);
 } finally {

@@ -21,6 +21,7 @@ try {
     outbase: here,
     outExtension: { ".js": ".mjs" },
     bundle: true,
+    loader: { ".wasm": "binary" },
     format: "esm",
     platform: "node",
     target: "node20",

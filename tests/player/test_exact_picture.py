@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from decogs.decoder import open_stream
 from decogs.decoder.picture_output import to_8bit
@@ -51,11 +52,12 @@ def test_every_float_is_the_native_one(tmp_path: Path) -> None:
     run_player_tests("exact", DECOGS_EXACT_CASES=str(tmp_path))
 
 
-def test_the_compiled_kernel_is_that_of_the_sources() -> None:
+@pytest.mark.parametrize("name", ["exact", "kernel"])
+def test_the_compiled_kernels_are_those_of_the_sources(name: str) -> None:
     """Compiling needs Zig, which few have; what it was compiled of is stated beside its source."""
-    spec = importlib.util.spec_from_file_location("exact", ROOT / "player" / "exact.py")
+    spec = importlib.util.spec_from_file_location(name, ROOT / "player" / f"{name}.py")
     assert spec is not None
     assert spec.loader is not None
-    exact = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(exact)
-    assert exact.STATED.read_text().strip() == exact.digest(), "the kernel changed: make player-wasm"
+    made = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(made)
+    assert made.STATED.read_text().strip() == made.digest(), "the kernel changed: make player-wasm"

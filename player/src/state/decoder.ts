@@ -5,11 +5,9 @@ import { Fields } from "../container/fields";
 import type { Limits } from "../container/limits";
 import type { CameraCorrection, FrameKind, Gaussians, StreamHeader } from "../scene";
 import { allRows } from "../entropy/indexSets";
-import { forgetColumns, type Columns } from "../entropy/planes";
 import { readCorrections } from "./corrections";
-import { combine, sumOfHashes, addModulo } from "./digest";
+import { addModulo, combine } from "./digest";
 import { channelsOf } from "./groups";
-import { dequantise, makeRoom, noFloats, type Floats } from "./lattice";
 import {
   consecutiveIds,
   readDelta,
@@ -21,7 +19,7 @@ import {
   type KeyHead,
 } from "./payloads";
 import { closeUp, placesForNew } from "./places";
-import { State, type GroupColumns, type Ids } from "./state";
+import { State, presence, type Groups, type Ids } from "./state";
 
 export interface FramePacket {
   readonly kind: FrameKind;
@@ -40,7 +38,20 @@ export interface Step {
 }
 
 const NO_PLACES = new Uint32Array(0);
+const ALL_GROUPS = 0b111111;
+/** Room in a keyframe's memory: what the next frames add, and the next keyframe, which is built in it. */
+const ROOM = 1.0625;
 const REFERENCE_OFFSET = 20;
+const NO_FLOATS = new Float32Array(0);
+const NO_GAUSSIANS: Gaussians = {
+  count: 0,
+  means: NO_FLOATS,
+  logScales: NO_FLOATS,
+  quaternions: NO_FLOATS,
+  opacityLogits: NO_FLOATS,
+  sh: NO_FLOATS,
+  order: null,
+};
 
 /**
  * The scene, as packets change it. A packet that is refused leaves it as it was: payloads are read whole before they
@@ -48,8 +59,9 @@ const REFERENCE_OFFSET = 20;
  */
 export class Decoder {
   private readonly channels: readonly number[];
-  private readonly floats: Floats = noFloats();
   private state: State | null = null;
+  /** The state before the last keyframe: the next one is built in its memory. */
+  private spare: State | null = null;
   /** The first keyframe's payload, and its state from the time that a keyframe refers to it. */
   private firstPayload: Uint8Array | null = null;
   private first: State | null = null;
@@ -67,9 +79,10 @@ export class Decoder {
   }
 
   get gaussians(): Gaussians {
-    const count = this.state?.count ?? 0;
-    const order = this.state === null || this.state.inOrder ? null : this.state.order.subarray(0, count);
-    return { count, ...this.floats, order };
+    const { state } = this;
+    if (state === null) return NO_GAUSSIANS;
+    const { count, inOrder, floats } = state;
+    return { count, ...floats, order: inOrder ? null : state.order.subarray(0, count) };
   }
 
   /** The state, for tests. */
@@ -107,7 +120,6 @@ export class Decoder {
     }
     const fields = new Fields(packet.payload);
     const corrections = readCorrections(fields, this.header);
-    forgetColumns();
     return { ...this.reconstruct(packet, fields, state), corrections };
   }
 
@@ -124,8 +136,8 @@ export class Decoder {
     const { added, removed, values } = delta;
     const ids = consecutiveIds(state.nextId, added);
     const { places, moved } = changeState(state, delta, ids, values, state.nextId + BigInt(added), digest);
-    this.show(state, places.touched, (group) => delta.residuals[group] !== null);
-    this.show(state, concatenated(places.taken, moved));
+    state.dequantise(places.touched, presence(delta.residuals));
+    state.dequantise(concatenated(places.taken, moved), ALL_GROUPS);
     const all = distinct(concatenated(places.touched, places.taken, moved), state.count);
     return { places: all, changed: delta.touched.length, added, removed: removed.length };
   }
@@ -135,12 +147,14 @@ export class Decoder {
     const head = readKeyHead(fields, this.limits.gaussians);
     const first = head.refers ? this.firstState() : null;
     const body = readKeyBody(fields, head, first, this.channels);
-    const state = first === null ? new State(this.channels) : first.copy(first.count + body.ids.low.length);
+    const state = this.spareState((first?.count ?? 0) + body.ids.low.length);
+    if (first !== null) state.copyFrom(first);
     buildKey(state, head, body, digest);
     state.frame = packet.frame;
     if (packet.frame === 0) this.keepFirst(packet.payload);
+    this.spare = this.state;
     this.state = state;
-    this.show(state, allRows(state.count));
+    state.dequantise(allRows(state.count), ALL_GROUPS);
     return { places: null, ...keyCounts(head, body) };
   }
 
@@ -152,16 +166,20 @@ export class Decoder {
     const digest = fields.u64();
     const head = readKeyHead(fields, this.limits.gaussians);
     if (head.refers) refuse("missing-key", "the stream's first keyframe refers to itself");
-    const state = new State(this.channels);
+    const state = new State(this.channels, this.header.lattice, head.count);
     buildKey(state, head, readKeyBody(fields, head, null, this.channels), digest);
     this.first = state;
-    forgetColumns();
     return state;
   }
 
-  private show(state: State, places: Uint32Array, present: (group: number) => boolean = () => true): void {
-    makeRoom(this.floats, state);
-    dequantise(state, this.header.lattice, this.floats, places, present);
+  /** An empty state with room for so many Gaussians; as long as it is not this decoder's, it may be spoilt. */
+  private spareState(count: number): State {
+    if (this.spare === null || this.spare.capacity < count) {
+      this.spare = null;
+      this.spare = new State(this.channels, this.header.lattice, Math.ceil(count * ROOM));
+    }
+    this.spare.clear();
+    return this.spare;
   }
 }
 
@@ -188,7 +206,7 @@ function changeState(
   state: State,
   { touched: touchedRows, residuals, removed }: Changes,
   ids: Ids,
-  values: GroupColumns,
+  values: Groups,
   nextId: bigint,
   digest: bigint,
 ): Changed {
@@ -198,7 +216,7 @@ function changeState(
   const { sum } = state;
   state.reserve(state.count + added);
   state.change(touched, residuals);
-  state.sum = addModulo(state.sum, -sumOfHashes(state.forms, freed));
+  state.sum = addModulo(state.sum, -state.sumOfHashes(freed));
   // Beyond the last place until the digest is verified: the removed ones may have to stay.
   const behind = rowsBetween(state.count, state.count + added);
   state.write(behind, ids, values);
@@ -207,7 +225,7 @@ function changeState(
     if (lastId >= nextId) refuse("bad-payload", "the next id is not above all ids");
     checkDigest(state.sum, state.count - removed.length + added, nextId, digest);
   } catch (error) {
-    state.change(touched, residuals.map(negated));
+    state.change(touched, residuals, true);
     state.sum = sum;
     throw error;
   }
@@ -218,11 +236,6 @@ function changeState(
   });
   state.nextId = nextId;
   return { places: { touched, taken }, moved };
-}
-
-/** What undoes residuals, modulo 2^32. */
-function negated(columns: Columns | null): Columns | null {
-  return columns?.map((residual) => -residual) ?? null;
 }
 
 function idOf({ low, high }: Ids, i: number): bigint {

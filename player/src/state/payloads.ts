@@ -7,18 +7,18 @@ import { readVarints } from "../entropy/blocks";
 import { allRows, readIndexSet } from "../entropy/indexSets";
 import { readGroup, type Role } from "../entropy/planes";
 import { GROUP } from "./groups";
-import type { GroupColumns, Ids, State } from "./state";
+import type { Groups, Ids, State } from "./state";
 
 /** How rows of a state change, and which go. */
 export interface Changes {
   readonly touched: Uint32Array;
-  readonly residuals: GroupColumns;
+  readonly residuals: Groups;
   readonly removed: Uint32Array;
 }
 
 export interface Delta extends Changes {
   readonly added: number;
-  readonly values: GroupColumns;
+  readonly values: Groups;
 }
 
 export interface KeyHead {
@@ -34,10 +34,10 @@ export interface KeyHead {
 export interface KeyBody {
   readonly changes: Changes | null;
   readonly ids: Ids;
-  readonly values: GroupColumns;
+  readonly values: Groups;
 }
 
-const NOTHING: GroupColumns = [null, null, null, null, null, null];
+const NOTHING: Groups = [null, null, null, null, null, null];
 
 /** Stands behind the digest. */
 export function readKeyHead(fields: Fields, maxGaussians: number): KeyHead {
@@ -94,7 +94,7 @@ function readChanges(fields: Fields, population: number, channels: readonly numb
 }
 
 /** Presence byte and groups. */
-function readGroups(fields: Fields, channels: readonly number[], rows: number, role: Role): GroupColumns {
+function readGroups(fields: Fields, channels: readonly number[], rows: number, role: Role): Groups {
   const presence = fields.u8();
   if (presence >> 6 || (channels[GROUP.SH_REST] === 0 && presence >> GROUP.SH_REST)) {
     refuse("reserved-bits", "reserved bits of a presence byte are set");
