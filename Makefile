@@ -142,10 +142,11 @@ wheel-check: wheel ## install that wheel without any extra and run it
 fuzz: $(READY) ## hostile streams and payloads, 210 000 of them
 	$(BIN)/python tests/fuzz/run.py $(FUZZ_ARGS)
 
-bench: $(READY) ## time the rasteriser, sparse training steps against dense ones, and decoding
+bench: $(READY) ## time the rasteriser, sparse training steps against dense ones, decoding, and the player
 	$(BIN)/python tests/bench/rasterise.py
 	$(BIN)/python tests/bench/sparse.py
 	$(BIN)/python tests/bench/decode.py
+	$(BIN)/python tests/bench/player.py
 
 # Hours: what is already in report/runs, made by the same code, is not made again.
 report: $(READY) ## the paper's tables, our choices, rate against distortion, accuracy against time, into report/; runs.zip has every run

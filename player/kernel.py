@@ -1,7 +1,7 @@
-"""Builds the player's inner loops as WebAssembly: ``python player/kernel.py [FILE]``.
+"""Builds the player's inner loops as WebAssembly: ``python player/kernel.py``.
 
 Zig is the compiler, as for the exact picture (exact.py); nothing is linked, no C library either. esbuild puts the
-committed file into the worker's script. What it was built of is told by sources.sha256 beside it.
+committed files into the worker's script. What they were built of is told by kernel/sources.sha256.
 """
 
 from __future__ import annotations
@@ -11,10 +11,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-FOLDER = Path(__file__).resolve().parent / "src" / "kernel"
-SOURCE = FOLDER / "kernel.c"
-BUILT = FOLDER / "kernel.wasm"
-STATED = FOLDER / "sources.sha256"
+SRC = Path(__file__).resolve().parent / "src"
+SOURCES = (SRC / "kernel" / "kernel.c", SRC / "worker" / "packing.c")
+STATED = SRC / "kernel" / "sources.sha256"
 ZIG = "0.17.0"
 """Another one may give other bytes, which count the same."""
 
@@ -39,18 +38,17 @@ FLAGS = [
 
 def digest() -> str:
     """Of everything that the kernel is built of: the same as long as nothing of it changes."""
-    return hashlib.sha256("\0".join([ZIG, *FLAGS, SOURCE.read_text("utf-8")]).encode()).hexdigest()
+    return hashlib.sha256("\0".join([ZIG, *FLAGS, *(path.read_text("utf-8") for path in SOURCES)]).encode()).hexdigest()
 
 
-def build(file: Path) -> None:
-    """Compiles the kernel into ``file``."""
-    subprocess.run([sys.executable, "-m", "ziglang", "cc", *FLAGS, str(SOURCE), "-o", str(file)], check=True)
+def build(source: Path) -> None:
+    """Compiles a kernel into the file beside its source."""
+    file = source.with_suffix(".wasm")
+    subprocess.run([sys.executable, "-m", "ziglang", "cc", *FLAGS, str(source), "-o", str(file)], check=True)
     file.chmod(0o644)
 
 
 if __name__ == "__main__":
-    if len(sys.argv) > 1:
-        build(Path(sys.argv[1]))
-    else:
-        build(BUILT)
-        STATED.write_text(digest() + "\n")
+    for path in SOURCES:
+        build(path)
+    STATED.write_text(digest() + "\n")

@@ -12,6 +12,6 @@ export class Ages {
       this.frames = longer;
     }
     if (places === null) this.frames.fill(frame, 0, count);
-    else for (const place of places) this.frames[place] = frame;
+    else for (let i = 0; i < places.length; i++) this.frames[places[i]] = frame;
   }
 }

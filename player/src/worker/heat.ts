@@ -6,6 +6,11 @@ import type { Buffers } from "./buffers";
 /** Frames after which a change no longer glows. */
 export const FADE_FRAMES = 12;
 
+/** By age: a table, since this is done for every Gaussian in every frame. */
+const GLOW = Uint8Array.from({ length: FADE_FRAMES }, (_, age) =>
+  Math.max(HEAT.oldest, Math.round(HEAT.now * (1 - age / FADE_FRAMES))),
+);
+
 /** A byte for each Gaussian, as long as the lines of a texture that hold them. */
 export function heatOf(scene: SceneFrame, buffers: Buffers): Uint8Array {
   const { count, lastChanged } = scene.gaussians;
@@ -13,14 +18,11 @@ export function heatOf(scene: SceneFrame, buffers: Buffers): Uint8Array {
   if (lastChanged === undefined) return bytes.fill(HEAT.still);
   // The oldest are what no packet has touched since the keyframe, unless every one has been: then all is moving anyway.
   let keyframe = scene.frame;
-  for (let place = 0; place < count; place++) keyframe = Math.min(keyframe, lastChanged[place]);
+  for (let place = 0; place < count; place++) if (lastChanged[place] < keyframe) keyframe = lastChanged[place];
   for (let place = 0; place < count; place++) {
     const last = lastChanged[place];
-    bytes[place] = last <= keyframe ? HEAT.still : heatOfAge(scene.frame - last);
+    const age = scene.frame - last;
+    bytes[place] = last <= keyframe ? HEAT.still : age < FADE_FRAMES ? GLOW[age] : HEAT.earlier;
   }
   return bytes;
-}
-
-function heatOfAge(age: number): number {
-  return age >= FADE_FRAMES ? HEAT.earlier : Math.max(HEAT.oldest, Math.round(HEAT.now * (1 - age / FADE_FRAMES)));
 }

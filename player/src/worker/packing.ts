@@ -16,72 +16,86 @@
  */
 import type { Gaussians } from "../scene";
 import type { TextureLayout } from "../messages";
-import { halfBits } from "./half_floats";
+import bytes from "./packing.wasm";
 
 export const BASE_WORDS = 8;
-const LOG_SCALE_LIMIT = 40;
-const LOG_SCALE_STEPS = 65535 / (2 * LOG_SCALE_LIMIT);
-const ROTATION_STEPS = 16383;
+/** Rows that the kernel (packing.c) takes at once. */
+const BATCH = 1024;
 
 export function textureLayout(shDegree: number): TextureLayout {
   const halves = 3 * ((shDegree + 1) ** 2 - 1);
   return { shDegree, restTexels: Math.ceil(halves / 8) };
 }
 
-const word = new Float32Array(1);
-const wordBits = new Uint32Array(word.buffer);
+type Value = "means" | "logScales" | "quaternions" | "opacityLogits" | "sh";
 
-/** Writes the eight words of row `row` at `at`. */
-export function packBase(gaussians: Gaussians, coefficients: number, row: number, words: Uint32Array, at: number): void {
-  const { means, logScales, opacityLogits, sh } = gaussians;
-  for (let axis = 0; axis < 3; axis++) {
-    word[0] = means[3 * row + axis];
-    words[at + axis] = wordBits[0];
+interface Exports {
+  readonly memory: WebAssembly.Memory;
+  means_at(): number;
+  log_scales_at(): number;
+  quaternions_at(): number;
+  opacity_logits_at(): number;
+  sh_at(): number;
+  base_at(): number;
+  rest_at(): number;
+  pack(rows: number, coefficients: number, restWords: number): void;
+}
+
+/** Numbers of a kind that each Gaussian has, and where the kernel takes those of a batch. */
+interface Kind {
+  readonly name: Value;
+  readonly each: number;
+  readonly batch: Float32Array;
+}
+
+export class Packer {
+  private readonly kernel: Exports;
+  private readonly kinds: readonly Kind[];
+  private readonly base: Uint32Array;
+  private readonly rest: Uint32Array;
+  private readonly coefficients: number;
+  private readonly restWords: number;
+
+  constructor({ shDegree, restTexels }: TextureLayout) {
+    this.kernel = new WebAssembly.Instance(new WebAssembly.Module(bytes)).exports as unknown as Exports;
+    this.coefficients = (shDegree + 1) ** 2;
+    this.restWords = 4 * restTexels;
+    const { kernel } = this;
+    const { buffer } = kernel.memory;
+    const kind = (name: Value, each: number, at: number): Kind => {
+      return { name, each, batch: new Float32Array(buffer, at, each * BATCH) };
+    };
+    this.kinds = [
+      kind("means", 3, kernel.means_at()),
+      kind("logScales", 3, kernel.log_scales_at()),
+      kind("quaternions", 4, kernel.quaternions_at()),
+      kind("opacityLogits", 1, kernel.opacity_logits_at()),
+      kind("sh", 3 * this.coefficients, kernel.sh_at()),
+    ];
+    this.base = new Uint32Array(buffer, kernel.base_at(), BASE_WORDS * BATCH);
+    this.rest = new Uint32Array(buffer, kernel.rest_at(), this.restWords * BATCH);
   }
-  const colour = 3 * coefficients * row;
-  const opacity = 1 / (1 + Math.exp(-opacityLogits[row]));
-  words[at + 3] = halfBits(sh[colour]) | (halfBits(sh[colour + 1]) << 16);
-  words[at + 4] = halfBits(sh[colour + 2]) | (rounded(opacity * 65535) << 16);
-  words[at + 5] = logScaleBits(logScales[3 * row]) | (logScaleBits(logScales[3 * row + 1]) << 16);
-  words[at + 6] = logScaleBits(logScales[3 * row + 2]);
-  packRotation(gaussians.quaternions, 4 * row, words, at + 6);
-}
 
-/** Writes the higher harmonics of row `row`, coefficient by coefficient, as halves. */
-export function packRest(gaussians: Gaussians, coefficients: number, row: number, words: Uint32Array, at: number): void {
-  const { sh } = gaussians;
-  const from = 3 * coefficients * row + 3;
-  const halves = 3 * (coefficients - 1);
-  for (let i = 0; i < halves; i += 2) {
-    const high = i + 1 < halves ? halfBits(sh[from + i + 1]) << 16 : 0;
-    words[at + (i >> 1)] = halfBits(sh[from + i]) | high;
+  /** Writes the words of all Gaussians, or of those at some places, one after the other; `rest` null: no harmonics. */
+  pack(gaussians: Gaussians, places: Uint32Array | null, base: Uint32Array, rest: Uint32Array | null): void {
+    const all = places?.length ?? gaussians.count;
+    for (let from = 0; from < all; from += BATCH) {
+      const rows = Math.min(BATCH, all - from);
+      for (const { name, each, batch } of this.kinds) {
+        const values = gaussians[name];
+        if (places === null) batch.set(values.subarray(each * from, each * (from + rows)));
+        else gather(values, each, places, from, rows, batch);
+      }
+      this.kernel.pack(rows, this.coefficients, this.restWords);
+      base.set(this.base.subarray(0, BASE_WORDS * rows), BASE_WORDS * from);
+      rest?.set(this.rest.subarray(0, this.restWords * rows), this.restWords * from);
+    }
   }
 }
 
-/** To the nearest integer, of numbers from 0 to 2^31: a third of the time of Math.round. */
-function rounded(value: number): number {
-  return (value + 0.5) | 0;
-}
-
-function logScaleBits(value: number): number {
-  const steps = rounded((value + LOG_SCALE_LIMIT) * LOG_SCALE_STEPS);
-  return steps < 0 ? 0 : steps > 65535 ? 65535 : steps;
-}
-
-/** Writes the smaller three components, from the upper half of the word at `at` on. A zero quaternion is no rotation. */
-function packRotation(quaternions: Float32Array, from: number, words: Uint32Array, at: number): void {
-  let [w, x, y, z] = [quaternions[from], quaternions[from + 1], quaternions[from + 2], quaternions[from + 3]];
-  const square = w * w + x * x + y * y + z * z;
-  if (square === 0) w = 1;
-  const [aw, ax, ay, az] = [Math.abs(w), Math.abs(x), Math.abs(y), Math.abs(z)];
-  let largest = 0;
-  let left = w;
-  // What is left out gives its place to the ones before it.
-  if (ax > aw && ax >= ay && ax >= az) [largest, left, x] = [1, x, w];
-  else if (ay > aw && ay >= az) [largest, left, y, x] = [2, y, x, w];
-  else if (az > aw) [largest, left, z, y, x] = [3, z, y, x, w];
-  const scale = ((left < 0 ? -Math.SQRT2 : Math.SQRT2) * ROTATION_STEPS) / (square === 0 ? 1 : Math.sqrt(square));
-  const steps = (part: number): number => rounded(part * scale + ROTATION_STEPS);
-  words[at] |= steps(x) << 16;
-  words[at + 1] = steps(y) | ((largest & 1) << 15) | (steps(z) << 16) | ((largest >> 1) << 31);
+function gather(values: Float32Array, each: number, places: Uint32Array, from: number, rows: number, to: Float32Array): void {
+  for (let i = 0, at = 0; i < rows; i++) {
+    const start = Math.imul(places[from + i], each);
+    for (let number = 0; number < each; number++) to[at++] = values[start + number];
+  }
 }
