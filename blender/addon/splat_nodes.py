@@ -64,8 +64,7 @@ def splat_group(material: Any) -> Any:
     tree.interface.new_socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
     fraction = tree.interface.new_socket(FRACTION, in_out="INPUT", socket_type="NodeSocketFloat")
     fraction.default_value, fraction.min_value, fraction.max_value = 1.0, 0.0, 1.0
-    pixel = tree.interface.new_socket(PIXEL, in_out="INPUT", socket_type="NodeSocketFloat")
-    pixel.default_value, pixel.min_value = 0.0, 0.0
+    add_pixel(tree)
     tree.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
     link, node = tree.links.new, tree.nodes.new
     given, made = node("NodeGroupInput"), node("NodeGroupOutput")
@@ -74,7 +73,8 @@ def splat_group(material: Any) -> Any:
     thinned = node("GeometryNodeDeleteGeometry")
     link(given.outputs["Geometry"], thinned.inputs["Geometry"])
     link(_math(tree, "MULTIPLY", beyond, viewport), thinned.inputs["Selection"])
-    scales, kept = _low_pass(tree, given.outputs[PIXEL])
+    scale, rotation = _named(tree, "scale", "FLOAT_VECTOR"), _named(tree, "rotation", "QUATERNION")
+    scales, kept = low_pass(tree, given.outputs[PIXEL], scale, rotation)
     dimmed = node("GeometryNodeStoreNamedAttribute")
     dimmed.data_type, dimmed.domain = "FLOAT", "POINT"
     dimmed.inputs["Name"].default_value = "opacity"
@@ -83,11 +83,17 @@ def splat_group(material: Any) -> Any:
     instances = node("GeometryNodeInstanceOnPoints")
     link(dimmed.outputs["Geometry"], instances.inputs["Points"])
     link(ellipsoid(tree, material), instances.inputs["Instance"])
-    link(_named(tree, "rotation", "QUATERNION"), instances.inputs["Rotation"])
+    link(rotation, instances.inputs["Rotation"])
     link(scales, instances.inputs["Scale"])
     link(instances.outputs["Instances"], made.inputs["Geometry"])
     _in_columns(tree)
     return tree
+
+
+def add_pixel(tree: Any) -> None:
+    """Gives geometry nodes the input "Pixel"."""
+    pixel = tree.interface.new_socket(PIXEL, in_out="INPUT", socket_type="NodeSocketFloat")
+    pixel.default_value, pixel.min_value = 0.0, 0.0
 
 
 def set_input(item: Any, name: str, value: float) -> None:
@@ -130,8 +136,8 @@ def ellipsoid(tree: Any, material: Any) -> Any:
     return painted.outputs["Geometry"]
 
 
-def _low_pass(tree: Any, pixel: Any) -> tuple[Any, Any]:
-    """Scales with the renderer's low-pass filter, and the part of the opacity that this leaves.
+def low_pass(tree: Any, pixel: Any, scale: Any, rotation: Any) -> tuple[Any, Any]:
+    """Scales with the renderer's low-pass filter, and the part of the opacity that this leaves: sockets from sockets.
 
     The filter adds 0.3 square pixels to the variance in the picture (decoder/rasterise/kernel/project.h); here it adds
     as much in all directions at the Gaussian's depth. Opacity is kept so that what a Gaussian covers stays (Yu 2024,
@@ -147,11 +153,10 @@ def _low_pass(tree: Any, pixel: Any) -> tuple[Any, Any]:
     depth = _vector(tree, "DOT_PRODUCT", offset, forward, output="Value")
     sigma = _math(tree, "MULTIPLY", _math(tree, "MULTIPLY", depth, pixel), _BLUR**0.5)
     added = _math(tree, "MULTIPLY", sigma, sigma)
-    scale = _named(tree, "scale", "FLOAT_VECTOR")
     before = _vector(tree, "MULTIPLY", scale, scale)
     after = _vector(tree, "ADD", before, added)
     back = node("FunctionNodeInvertRotation")
-    link(_named(tree, "rotation", "QUATERNION"), back.inputs[0])
+    link(rotation, back.inputs[0])
     along = _rotate(tree, offset, back.outputs[0])
     squared = _vector(tree, "MULTIPLY", along, along)
     seen = [
@@ -208,6 +213,11 @@ def _operate(tree: Any, node: Any, sources: tuple[Any, ...]) -> None:
             socket.default_value = source
         else:
             tree.links.new(source, socket)
+
+
+def product(tree: Any, left: Any, right: Any) -> Any:
+    """A socket of the product of two numbers."""
+    return _math(tree, "MULTIPLY", left, right)
 
 
 def _math(tree: Any, operation: str, *sources: Any) -> Any:

@@ -26,6 +26,9 @@ _ATTRIBUTES = {
 }
 """Of every point: its data type in Blender, and what its values are called there."""
 
+PAINTED = "decogs_colours"
+"""Property of an imported USD instancer that has its colours."""
+
 _open: dict[str, Playback] = {}
 """Streams by their path; those of the file that is loaded."""
 _reported: set[str] = set()
@@ -159,6 +162,12 @@ def show_all(scene: Any) -> None:
     """Every stream of a scene, as its frame and its camera want it."""
     for item in streams(scene):
         show(item, scene.frame_current)
+    filter_for_camera(scene)
+
+
+def filter_for_camera(scene: Any) -> None:
+    """Sets the low-pass filter of streams and painted USD imports for a pixel of the scene's camera."""
+    for item in [*streams(scene), *(item for item in scene.objects if PAINTED in item)]:
         set_input(item, PIXEL, pixel_of(scene))
 
 
@@ -175,8 +184,7 @@ def _follow(scene: Any, _depsgraph: Any = None) -> None:
 @persistent  # type: ignore[untyped-decorator]
 def _before_render(scene: Any, _depsgraph: Any = None) -> None:
     # The picture's size or the lens may have changed since the frame did.
-    for item in streams(scene):
-        set_input(item, PIXEL, pixel_of(scene))
+    filter_for_camera(scene)
 
 
 @persistent  # type: ignore[untyped-decorator]

@@ -11,7 +11,8 @@ from typing import Any
 import bpy
 
 from .import_stream import set_rate, show_faithfully
-from .splat_nodes import ellipsoid, splat_material
+from .splat_nodes import PIXEL, add_pixel, ellipsoid, low_pass, pixel_of, product, set_input, splat_material
+from .timeline import PAINTED
 
 
 class AttachUsdColours(bpy.types.Operator):  # type: ignore[misc]
@@ -47,6 +48,7 @@ class AttachUsdColours(bpy.types.Operator):  # type: ignore[misc]
         )
         for instancer, points in pairs:
             attach(instancer, points, material)
+            set_input(instancer, PIXEL, pixel_of(context.scene))
         if self.set_view:
             show_faithfully(context.scene, self.colours)
         rate = _rate(pairs[0][1]) if self.set_rate else None
@@ -63,7 +65,7 @@ def unpainted(scene: Any) -> list[tuple[Any, Any]]:
     for name, item in clouds.items():
         base, dot, number = name.partition(".")
         points = clouds.get(f"{base}Points{dot}{number}")
-        if points is not None and "decogs_colours" not in item and _place(item) is not None:
+        if points is not None and PAINTED not in item and _place(item) is not None:
             pairs.append((item, points))
     return pairs
 
@@ -71,29 +73,34 @@ def unpainted(scene: Any) -> list[tuple[Any, Any]]:
 def attach(instancer: Any, points: Any, material: Any) -> None:
     """Copies displayColor and displayOpacity of ``points`` to the instances of ``instancer``, row by row.
 
-    Scales are standard deviations there, too: an ellipsoid large enough for the falloff replaces the file's sphere. Its
-    points are no longer drawn.
+    Scales are standard deviations there, too: an ellipsoid large enough for the falloff replaces the file's sphere, and
+    the low-pass filter is that of an imported stream. The points are no longer drawn.
     """
     place = _place(instancer)
     tree = place.id_data
+    add_pixel(tree)
+    given = next(node for node in tree.nodes if node.bl_idname == "NodeGroupInput")
+    scale, rotation = (place.inputs[name].links[0].from_socket for name in ("Scale", "Rotation"))
+    scales, kept = low_pass(tree, given.outputs[PIXEL], scale, rotation)
+    tree.links.new(scales, place.inputs["Scale"])
     source = tree.nodes.new("GeometryNodeObjectInfo")
     source.inputs["Object"].default_value = points
     index = tree.nodes.new("GeometryNodeInputIndex")
     geometry = place.inputs["Points"].links[0].from_socket
-    for name, kind in (("displayColor", "FLOAT_COLOR"), ("displayOpacity", "FLOAT")):
-        geometry = _stored(tree, geometry, source, index, name, kind)
+    for name, kind, factor in (("displayColor", "FLOAT_COLOR", None), ("displayOpacity", "FLOAT", kept)):
+        geometry = _stored(tree, geometry, source, index, name, kind, factor)
     tree.links.new(geometry, place.inputs["Points"])
     tree.links.new(ellipsoid(tree, material), place.inputs["Instance"])
     place.inputs["Pick Instance"].default_value = False
     for link in place.inputs["Pick Instance"].links:
         tree.links.remove(link)
-    instancer["decogs_colours"] = True
+    instancer[PAINTED] = True
     points.hide_render = True
     points.hide_set(True)
 
 
-def _stored(tree: Any, geometry: Any, source: Any, index: Any, name: str, kind: str) -> Any:
-    """The points with an attribute of another object, by index."""
+def _stored(tree: Any, geometry: Any, source: Any, index: Any, name: str, kind: str, factor: Any) -> Any:
+    """The points with an attribute of another object, by index, times a ``factor`` if there is one."""
     read = tree.nodes.new("GeometryNodeInputNamedAttribute")
     read.data_type = kind
     read.inputs["Name"].default_value = name
@@ -106,7 +113,8 @@ def _stored(tree: Any, geometry: Any, source: Any, index: Any, name: str, kind: 
     tree.links.new(read.outputs["Attribute"], sample.inputs["Value"])
     tree.links.new(index.outputs["Index"], sample.inputs["Index"])
     tree.links.new(geometry, store.inputs["Geometry"])
-    tree.links.new(sample.outputs["Value"], store.inputs["Value"])
+    value = sample.outputs["Value"] if factor is None else product(tree, sample.outputs["Value"], factor)
+    tree.links.new(value, store.inputs["Value"])
     return store.outputs["Geometry"]
 
 

@@ -95,7 +95,10 @@ def main(extension: str, stream: str, usd: str, folder: str) -> None:
     scene.render.resolution_x, scene.render.resolution_y = size
     scene.render.resolution_percentage = 100
     facts["usd_rate"] = scene.render.fps / scene.render.fps_base
-    facts["render_seconds"].append(render(out / "usd.png", 0))
+    facts["usd_instances"] = []
+    for end, frame in enumerate((scene.frame_start, scene.frame_end)):
+        facts["render_seconds"].append(render(out / f"usd_{end}.png", frame))
+        facts["usd_instances"].append(instances())
 
     whole = Path(stream).read_bytes()
     damaged = out / "damaged.dgs"
