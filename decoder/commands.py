@@ -299,8 +299,8 @@ def _write_site(options: argparse.Namespace) -> None:
 
     if options.follow:
         raise UsageError("a folder holds a whole stream; leave out `follow`, or wait for the encoder")
-    with progress("writing", "MB") as on_bytes:
-        report = write_site(options.stream, options.output, overwrite=options.overwrite, on_bytes=on_bytes)
+    with progress("writing", "MB") as on_megabytes:
+        report = write_site(options.stream, options.output, overwrite=options.overwrite, on_megabytes=on_megabytes)
     print_text(f"{options.output}: {counted(report.file_count, 'file')}, {size_text(report.file_bytes)}")
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from decogs.codec.header import StreamHeader
 from decogs.codec.state import GROUPS
+from decogs.formats.callbacks import OnProgress
 
 from .damage import Damage
 from .frame import DecodedFrame
@@ -197,7 +197,7 @@ def info(
     *,
     strict: bool = False,
     max_memory: int = DEFAULT_MAX_MEMORY,
-    on_frame: Callable[[int, int], None] | None = None,
+    on_frame: OnProgress | None = None,
 ) -> StreamInfo:
     """Facts about a stream, whose every complete frame is reconstructed and verified on the way.
 

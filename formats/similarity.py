@@ -21,6 +21,7 @@ class Similarity:
 
     @property
     def is_identity(self) -> bool:
+        """Whether nothing changes: neither size nor direction."""
         return self.scale == 1 and np.array_equal(self.rotation, np.eye(3))
 
     @property

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
+from decogs.formats.callbacks import OnProgress
 from decogs.formats.errors import UsageError
 from decogs.formats.outputs import staged_files
 
 from .notebook import check_header
 from .page_files import INDEX, page_files
-
-OnBytes = Callable[[int, int], None]
-"""Told of progress: megabytes written and megabytes in all."""
 
 _MEGABYTE = 1_000_000
 
@@ -34,7 +31,7 @@ def write_site(
     folder: str | os.PathLike[str],
     *,
     overwrite: bool = False,
-    on_bytes: OnBytes | None = None,
+    on_megabytes: OnProgress | None = None,
 ) -> SiteReport:
     """Writes the page and a copy of the stream into ``folder``, which appears when it is whole.
 
@@ -47,7 +44,7 @@ def write_site(
     files = page_files(source.name)
     _check_folder(target, source, {file.name for file in files} | {source.name}, overwrite)
     with source.open("rb") as opened, staged_files(target) as staging:
-        copied = _copy(opened, staging / source.name, on_bytes)
+        copied = _copy(opened, staging / source.name, on_megabytes)
         for file in files:
             (staging / file.name).write_bytes(file.data)
     return SiteReport(target, len(files) + 1, copied + sum(len(file.data) for file in files))
@@ -73,12 +70,12 @@ def _is_ours(index: Path) -> bool:
         return False
 
 
-def _copy(source: BinaryIO, to: Path, on_bytes: OnBytes | None) -> int:
+def _copy(source: BinaryIO, to: Path, on_megabytes: OnProgress | None) -> int:
     """Copies what there is, a megabyte at a time; returns the bytes."""
     done, size = 0, os.fstat(source.fileno()).st_size
     with to.open("wb") as copy:
         while data := source.read(_MEGABYTE):
             done += copy.write(data)
-            if on_bytes is not None:
-                on_bytes(done // _MEGABYTE, size // _MEGABYTE)
+            if on_megabytes is not None:
+                on_megabytes(done // _MEGABYTE, size // _MEGABYTE)
     return done

@@ -76,6 +76,7 @@ def course(lines: Sequence[str], views: int) -> Course | None:
 
 
 def write_course(path: Path, found: Course) -> None:
+    """Writes a course as JSON, whole or not at all. Raises OSError."""
     write_whole(path, (json.dumps(rounded(asdict(found))) + "\n").encode())
 
 

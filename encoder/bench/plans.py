@@ -23,6 +23,7 @@ class Contest:
 
     @property
     def source(self) -> Variant:
+        """The encode whose frames the rivals keep."""
         return self.rates[0]
 
 
@@ -81,7 +82,9 @@ class RigResults:
     precision: Precision | None = None
 
     def run_of(self, variant: Variant) -> Run | None:
+        """The variant's run; None when it was not made."""
         return self.runs.get(self.bench.key(variant))
 
     def is_preset(self, variant: Variant) -> bool:
+        """Whether the variant has the same settings as the preset, or as the keyframe's run."""
         return self.bench.key(variant) in (self.bench.key(Variant("", "")), self.bench.key(KEYFRAME))

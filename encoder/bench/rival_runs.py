@@ -81,6 +81,7 @@ def point_of(run: Run, label: str) -> RatePoint:
 
 
 def point_of_rival(run: RivalRun) -> RatePoint:
+    """Rate and distortion of another way to keep the same frames."""
     return _point(run.description, run.family, run.frames, Sizes(run.first_bytes, run.total_bytes))
 
 

@@ -166,6 +166,7 @@ class RigBench:
 
     @property
     def camera(self) -> str:
+        """The first camera left out, the one that is shown."""
         return self.cameras[0]
 
     @cached_property
@@ -493,6 +494,7 @@ def _own_held_out(calibration: Path) -> str | None:
 
 
 def digest(facts: Mapping[str, Any]) -> str:
+    """Ten hexadecimal digits that tell runs of different facts apart."""
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:10]
 
 

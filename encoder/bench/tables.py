@@ -27,6 +27,7 @@ class Column:
     write: Callable[[Any], str]
 
     def value(self, run: Run, runs: Sequence[Run]) -> str:
+        """The text of a run's cell; ``runs``: all of the table, for figures relative to others."""
         return self.write(self.figure(run, runs))
 
 
@@ -91,6 +92,7 @@ def number(specification: str, nothing: str = NOTHING) -> Callable[[float | None
 
 
 def with_error(value: Slope | None) -> str:
+    """A slope per 100 frames and its standard error, as text."""
     return NOTHING if value is None else f"{value.per_100_frames:+.2f} ± {value.error:.2f}"
 
 

@@ -21,8 +21,11 @@ from .optimiser import Optimiser
 
 
 def step_unstretched(optimiser: Optimiser, gradients: SplatGradients, rates: LearningRates, max_stretch: float) -> None:
-    """One step of the optimiser, after which no Gaussian is longer than the limit; ``max_stretch`` 0: none."""
-    before = stretches(optimiser.splats.log_scales) if max_stretch else None
+    """One step of the optimiser, after which no Gaussian is longer than the limit; ``max_stretch`` 0: none.
+
+    Nothing is looked at where sizes are not trained, as in frames that only light changes.
+    """
+    before = stretches(optimiser.splats.log_scales) if max_stretch and rates.log_scales else None
     optimiser.step(gradients, rates)
     if before is not None:
         limit_stretch(optimiser.splats.log_scales, before, max_stretch)

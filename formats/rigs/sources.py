@@ -60,13 +60,16 @@ class PictureSource:
 
     @property
     def frame_count(self) -> int:
+        """Number of pictures."""
         return len(self.files)
 
     @property
     def fps(self) -> float | None:
+        """None: files state no rate."""
         return None
 
     def read(self, start: int, stop: int, step: int = 1) -> Generator[Picture, None, None]:
+        """The pictures of these frames. Raises RigError for one that is damaged or of another size."""
         for file in self.files[start:stop:step]:
             picture = read_picture(file)
             if picture.shape != (self.height, self.width, 3):

@@ -39,7 +39,9 @@ class SplatFormat(Protocol):
     up: ClassVar[Literal["Y", "-Y"]]
 
     @property
-    def compensated(self) -> bool: ...
+    def compensated(self) -> bool:
+        """Whether the file states that opacities are compensated for the low-pass filter."""
+        ...
 
     def fitted(self, extremes: Extremes) -> tuple[SplatFormat, list[str]]:
         """The same set to what the frames need, and what it cannot hold and leaves out, a line each.

@@ -22,6 +22,7 @@ from decogs.encoder.training.keyframe import (
     splats_from_points,
     train_keyframe,
 )
+from decogs.encoder.training.stretch import stretches
 from decogs.formats.errors import TrainingError
 from decogs.formats.rigs import open_rig
 from decogs.formats.splats import Splats
@@ -303,6 +304,16 @@ def test_bits_of_rotations_and_view_dependent_colours_must_be_worth_it(case: Cas
     for columns in ([p.quaternions for p in points.values()], [p.sh[:, 1:].reshape(-1, 9) for p in points.values()]):
         kinds = [len(np.unique(rows, axis=0)) for rows in columns]
         assert kinds[0] > kinds[1] > kinds[2] == 1, "where no bit is worth it, each channel's commonest is left"
+
+
+def test_no_gaussian_is_longer_than_the_limit_on_stretch(case: Case) -> None:
+    longest = {}
+    for max_stretch in (0.0, 1.1):
+        result = trained(case, replace(SHORT, max_stretch=max_stretch))
+        longest[max_stretch] = np.exp(stretches(result.splats.log_scales).max())
+    # Two sizes are each rounded by half a step of the lattice after training.
+    assert longest[1.1] <= 1.1 * np.exp(result.lattice.log_scales) * (1 + 1e-5)
+    assert longest[0.0] > 1.3
 
 
 def test_the_lattice_is_as_coarse_as_asked_for(case: Case) -> None:

@@ -1,6 +1,5 @@
 /** A camera as text: a pose file for `decogs-decode --camera` (docs/free-cameras.md), and the end of a link. */
-import type { PinholeCamera } from "../draw/renderer";
-import type { Lens, Pose } from "../geometry/poses";
+import type { Lens, Pose, PinholeCamera } from "../geometry/poses";
 import { cross, dot, length, unit, type Vector } from "../geometry/vectors";
 
 export function poseFile(camera: PinholeCamera): string {

@@ -2,8 +2,9 @@
  * Shows what the decoder's own kernel draws in the worker: exactly the picture of decogs-decode, slower than WebGL2, and
  * without it. Overlays are not drawn.
  */
+import type { PinholeCamera } from "../geometry/poses";
 import type { ExactPicture } from "../messages";
-import type { DrawTimes, PinholeCamera, Renderer } from "./renderer";
+import type { DrawTimes, Renderer } from "./renderer";
 
 export class ExactCanvas implements Renderer {
   readonly times: DrawTimes = { uploadMs: 0, drawMs: 0 };

@@ -1,19 +1,6 @@
 /** What draws a scene: WebGL2 here, the decoder's own kernel elsewhere. The element knows no more of either. */
+import type { PinholeCamera } from "../geometry/poses";
 import type { DrawOrder, SceneUpdate, TextureLayout } from "../messages";
-
-/** A camera without a lens: pixels from the picture's top left corner, axes x right, y down, z forward. */
-export interface PinholeCamera {
-  readonly width: number;
-  readonly height: number;
-  readonly fx: number;
-  readonly fy: number;
-  readonly cx: number;
-  readonly cy: number;
-  /** Three rows of four. */
-  readonly worldToCamera: readonly (readonly number[])[];
-  /** Nothing nearer is drawn. */
-  readonly near: number;
-}
 
 /** What of the stream's knowledge is painted over the scene. */
 export type Overlay = "none" | "changes" | "motion";

@@ -1,9 +1,10 @@
 /** Draws with WebGL2: instanced quads, nearest first, into half floats, and the background behind them. */
+import type { PinholeCamera } from "../geometry/poses";
 import type { DrawOrder, SceneUpdate, TextureLayout } from "../messages";
 import { Accumulation } from "./accumulation";
 import { GpuClock } from "./gpu_clock";
 import { linked, type Program } from "./program";
-import type { DrawTimes, Overlay, PinholeCamera, Renderer } from "./renderer";
+import type { DrawTimes, Overlay, Renderer } from "./renderer";
 import { SceneTextures } from "./scene_textures";
 import { FINISH_FRAGMENT_SHADER, SCREEN_VERTEX_SHADER, SPLAT_FRAGMENT_SHADER, splatVertexShader } from "./shaders";
 

@@ -3,8 +3,8 @@
  * changes. On a slow GPU, pictures are smaller while they change, and whole as soon as they rest.
  */
 import { Navigation } from "../controls/navigation";
-import type { Overlay, PinholeCamera, Renderer } from "../draw/renderer";
-import { fittedLens, worldToCamera } from "../geometry/poses";
+import type { Overlay, Renderer } from "../draw/renderer";
+import { fittedLens, worldToCamera, type PinholeCamera } from "../geometry/poses";
 import type { DepthRow, DrawOrder, SceneUpdate } from "../messages";
 
 const SLOW_MS = 45;

@@ -5,20 +5,8 @@
  * are activated in it, by its own polynomials, so nothing here computes an exponential. What is computed here, the camera,
  * is the float64 arithmetic of decoder/rasterise/native.py in the same order.
  */
+import type { PinholeCamera } from "../geometry/poses";
 import type { Gaussians } from "../scene";
-
-/** A pinhole camera and the size of its picture, in pixels; the axes are those of a RigCamera. */
-export interface ExactCamera {
-  readonly width: number;
-  readonly height: number;
-  readonly fx: number;
-  readonly fy: number;
-  readonly cx: number;
-  readonly cy: number;
-  /** Three rows of four. */
-  readonly worldToCamera: readonly (readonly number[])[];
-  readonly near: number;
-}
 
 /** What a camera sees, planes of height x width floats: red, green and blue, alpha, depth weighted by alpha. */
 export interface ExactPlanes {
@@ -73,7 +61,7 @@ export class ExactRenderer {
   draw(
     gaussians: Gaussians,
     shDegree: number,
-    camera: ExactCamera,
+    camera: PinholeCamera,
     background: readonly number[],
   ): Uint8ClampedArray<ArrayBuffer> {
     return this.guarded(() => {
@@ -84,7 +72,7 @@ export class ExactRenderer {
   }
 
   /** The picture in floats, as the kernel makes it. Throws ExactError. */
-  planes(gaussians: Gaussians, shDegree: number, camera: ExactCamera, background: readonly number[]): ExactPlanes {
+  planes(gaussians: Gaussians, shDegree: number, camera: PinholeCamera, background: readonly number[]): ExactPlanes {
     return this.guarded(() => {
       const at = this.render(gaussians, shDegree, camera, background);
       const plane = camera.width * camera.height;
@@ -100,7 +88,7 @@ export class ExactRenderer {
   private render(
     gaussians: Gaussians,
     shDegree: number,
-    camera: ExactCamera,
+    camera: PinholeCamera,
     background: readonly number[],
   ): number {
     if (!(camera.width >= 1 && camera.height >= 1 && camera.width * camera.height <= MAX_PIXELS)) {
@@ -133,7 +121,7 @@ export class ExactRenderer {
     }
   }
 
-  private placeCamera(camera: ExactCamera): void {
+  private placeCamera(camera: PinholeCamera): void {
     const at = this.kernel.exact_camera();
     new Float32Array(this.kernel.memory.buffer, at, 23).set(cameraFloats(camera));
     new Int32Array(this.kernel.memory.buffer, at + 4 * 23, 2).set([camera.width, camera.height]);
@@ -157,7 +145,7 @@ export class ExactRenderer {
 }
 
 /** A camera as the kernel reads it (kernel/project.h): what `native_camera` in native.py makes of the same one. */
-export function cameraFloats(camera: ExactCamera): number[] {
+export function cameraFloats(camera: PinholeCamera): number[] {
   const pose = camera.worldToCamera;
   const at = [0, 1, 2];
   const rotation = at.map((row) => at.map((column) => pose[row][column]));

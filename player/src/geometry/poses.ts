@@ -43,6 +43,12 @@ export interface Lens {
   readonly near: number;
 }
 
+/** A camera without a lens' distortion: pixels from the picture's top left corner, axes x right, y down, z forward. */
+export interface PinholeCamera extends Lens {
+  /** Three rows of four. */
+  readonly worldToCamera: readonly (readonly number[])[];
+}
+
 export function lensOf({ width, height, fx, fy, cx, cy, near }: RigCamera): Lens {
   return { width, height, fx, fy, cx, cy, near };
 }

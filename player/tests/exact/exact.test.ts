@@ -6,19 +6,20 @@ import assert from "node:assert/strict";
 import { readdirSync, readFileSync } from "node:fs";
 import { join } from "node:path";
 import { before, suite, test } from "node:test";
-import { type ExactCamera, ExactError, ExactRenderer } from "../../src/exact/renderer";
+import { ExactError, ExactRenderer } from "../../src/exact/renderer";
+import type { PinholeCamera } from "../../src/geometry/poses";
 import type { Gaussians } from "../../src/scene";
 
 interface Case {
   readonly count: number;
   readonly shDegree: number;
-  readonly camera: ExactCamera;
+  readonly camera: PinholeCamera;
   readonly background: readonly number[];
 }
 
 const repository = process.env["DECOGS_REPOSITORY"]!;
 const folder = process.env["DECOGS_EXACT_CASES"];
-const camera: ExactCamera = {
+const camera: PinholeCamera = {
   width: 64,
   height: 48,
   fx: 60,
