@@ -25,8 +25,9 @@ from .regions import Regions
 class FrameQuality:
     """One frame of a held-out camera, or the means over several. PSNR in dB; None for a region without pixels.
 
-    ``variation``: mean change of the static pixels since the frame before, 0..1; None in the first. ``psnr_aligned``:
-    of the whole picture once its colours are brought to the recording's.
+    ``variation``: mean change of the static pixels since the frame before, 0..1; None in the first.
+    ``variation_undisturbed``: the same of those outside every difference mask. ``psnr_aligned``: of the whole picture
+    once its colours are brought to the recording's.
     """
 
     psnr: float
@@ -38,6 +39,7 @@ class FrameQuality:
     lpips: float | None
     variation: float | None
     psnr_aligned: float | None = field(default=None, kw_only=True)
+    variation_undisturbed: float | None = field(default=None, kw_only=True)
 
 
 @dataclass(frozen=True)
@@ -131,4 +133,5 @@ def _quality(
         None if distance is None else distance(seen, recorded),
         None if before is None else total_variation(before, seen, regions.static),
         psnr_aligned=psnr_of(float(square_error_map(aligned(seen, recorded), recorded).mean())),
+        variation_undisturbed=None if before is None else total_variation(before, seen, regions.undisturbed),
     )

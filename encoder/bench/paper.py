@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from ..analysis import EffectChoice
+from ..settings.optimiser import LearningRates
 from .variants import Question, Times, Variant
 
 DECOGS = Variant("decogs", "DecoGS, all effects in every frame")
@@ -22,6 +25,10 @@ STRIDES = (1, 5, 10)
 SWEEP_FRAMES = 16
 """Nine runs a rig: the first frames suffice."""
 
+_NO_CACHE = {"frame.cache": None, "frame.joint_iterations": 250}
+_3DGS_RATES = LearningRates(1.6e-4, 5e-3, 1e-3, 0.05, 2.5e-3, 1.25e-4)
+_REFINEMENT = {"frame.masks.since_trained": True, "frame.masks.residual": 25.0, "frame.masks.refine_frames": 8}
+
 _COST = ("seconds", "cpu", "fps", "megabytes", "megabytes_all", "selected")
 _BRIEF = ("psnr", "psnr_dynamic", "psnr_static", "last_dynamic", "mtv", "selected", "cpu", "megabytes")
 
@@ -39,6 +46,22 @@ def _sweep() -> tuple[Variant, ...]:
     )
 
 
+_RECIPE = (
+    Variant("recipe-weight", "selection by rendering weight", preset="paper", selection="weight"),
+    Variant("recipe-dilation", "half the dilation", {"frame.masks.radius_fraction": Times(0.5)}, preset="paper"),
+    Variant("recipe-no-cache", "no cache, 250 steps of stage 2", _NO_CACHE, preset="paper"),
+    Variant("recipe-rates", "stage 2 at 3DGS's learning rates", {"frame.rates": _3DGS_RATES}, preset="paper"),
+    Variant("recipe-no-growth", "no densification", {"frame.grow_fraction": 0.0}, preset="paper"),
+    Variant("recipe-reference", "compared as last trained", {"frame.masks.since_trained": True}, preset="paper"),
+    Variant("recipe-refinement", "errors are gone back to", _REFINEMENT, preset="paper"),
+    Variant("recipe-emergence", "new objects get points", {"frame.emergence.max_seeds": 2000}, preset="paper"),
+    Variant("recipe-stretch", "no needles (`max_stretch` 4)", {"frame.max_stretch": 4.0}, preset="paper"),
+    Variant(
+        "recipe-weight-rates", "by weight, 3DGS's rates", {"frame.rates": _3DGS_RATES}, "paper", selection="weight"
+    ),
+)
+"""The paper's recipe with one of its choices made otherwise."""
+
 QUESTIONS = (
     Question(
         "methods",
@@ -48,7 +71,7 @@ QUESTIONS = (
         (*METHODS, HELD),
         (
             ("psnr", "psnr_dynamic", "psnr_static", "slope", "slope_dynamic", "static_change"),
-            ("ssim", "ssim_dynamic", "ssim_static", "lpips", "mtv"),
+            ("ssim", "ssim_dynamic", "ssim_static", "lpips", "mtv", "mtv_undisturbed"),
             _COST,
         ),
     ),
@@ -73,6 +96,17 @@ QUESTIONS = (
             Variant("selection-weight", "DecoGS, selection by rendering weight", selection="weight"),
         ),
         (_BRIEF,),
+    ),
+    Question(
+        "recipe",
+        "The paper's recipe, taken apart",
+        "Each row is preset `paper` with one choice made otherwise. It flickers where the paper does not; this shows "
+        f"which of its choices does it. The first {SWEEP_FRAMES} frames.",
+        tuple(
+            replace(variant, name=f"{variant.name}-{SWEEP_FRAMES}", frames=SWEEP_FRAMES)
+            for variant in (DECOGS_PAPER, *_RECIPE, DECOGS)
+        ),
+        (("psnr_dynamic", "psnr_static", "last_dynamic", "mtv", "mtv_undisturbed", "selected", "cpu", "megabytes"),),
     ),
     Question(
         "frame-rate",

@@ -22,7 +22,9 @@ from decogs.formats.errors import RigError
 from decogs.formats.pictures import read_picture
 from decogs.formats.rigs import Rig, read_frames
 
+from ..change.masks import difference_mask, dilate
 from ..input.ingest import display_referred
+from ..settings.frame import MaskSettings
 from .metrics import BytePicture, Mask
 from .timing import retimed
 
@@ -38,12 +40,14 @@ DYNAMIC_RANGE = 12.0
 class Regions:
     """Pixels (H, W) that never change and pixels that clearly do; the rest counts as neither.
 
-    ``about``: where they come from, for the report.
+    ``about``: where they come from, for the report. ``undisturbed``: those static ones that lie outside every dilated
+    difference mask of the paper in what the camera itself recorded: away from everything that moves.
     """
 
     static: Mask
     dynamic: Mask
     about: str
+    undisturbed: Mask
 
 
 def held_out_pictures(rig: Rig, camera: str, frames: Sequence[int], scale: float) -> Iterator[BytePicture]:
@@ -56,18 +60,40 @@ def held_out_pictures(rig: Rig, camera: str, frames: Sequence[int], scale: float
 def find_regions(rig: Rig, camera: str, frames: range, scale: float) -> Regions:
     """Static and dynamic pixels of ``camera``. Raises RigError when the rig's own masks do not fit."""
     folder = rig.path / "truth"
+    masked = masked_pixels(held_out_pictures(rig, camera, frames, scale))
     static, changing = folder / f"static_{camera}.png", folder / f"changing_{camera}.png"
     if static.is_file() and changing.is_file():
+        resting = _truth(static, rig, camera, scale)
         return Regions(
-            _truth(static, rig, camera, scale),
+            resting,
             _truth(changing, rig, camera, scale),
             f"the rig's own true masks, {static.name} and {changing.name}",
+            resting & ~masked,
         )
-    return recorded_regions(held_out_pictures(rig, camera, frames, scale))
+    return recorded_regions(held_out_pictures(rig, camera, frames, scale), masked)
 
 
-def recorded_regions(pictures: Iterator[BytePicture]) -> Regions:
-    """Static and dynamic pixels determined from what was recorded, one picture per frame."""
+def masked_pixels(pictures: Iterator[BytePicture]) -> Mask:
+    """Pixels (H, W) inside any dilated difference mask of consecutive pictures, with the paper's threshold and radius.
+
+    Source: DecoGS, difference mask (tau 25 levels, dilation .0355 of the width).
+    """
+    settings = MaskSettings()
+    first = next(pictures)
+    before, masked = _planar(first), np.zeros(first.shape[:2], np.bool_)
+    for picture in pictures:
+        now = _planar(picture)
+        masked |= difference_mask(now, before, settings.threshold)
+        before = now
+    # The union of dilated masks is the dilated union.
+    return dilate(masked, settings.radius(masked.shape[1]))
+
+
+def recorded_regions(pictures: Iterator[BytePicture], masked: Mask) -> Regions:
+    """Static and dynamic pixels determined from what was recorded, one picture per frame.
+
+    ``masked``: what `masked_pixels` finds in the same ones.
+    """
     lowest: NDArray[np.float32] | None = None
     highest: NDArray[np.float32] | None = None
     for picture in pictures:
@@ -83,7 +109,7 @@ def recorded_regions(pictures: Iterator[BytePicture]) -> Regions:
         f"determined from the recorded frames: static where the 3x3 mean spans at most {STATIC_RANGE:g} levels within "
         f"{STATIC_MARGIN} pixels, dynamic where it spans more than {DYNAMIC_RANGE:g}"
     )
-    return Regions(~touched, span > DYNAMIC_RANGE, about)
+    return Regions(~touched, span > DYNAMIC_RANGE, about, ~touched & ~masked)
 
 
 def static_column(regions: Regions, picture: BytePicture) -> int:
@@ -107,6 +133,10 @@ def _truth(path: Path, rig: Rig, camera: str, scale: float) -> Mask:
             "give the masks the size of the pictures, or take the folder away"
         )
     return np.asarray(_resized(mask, _size(rig, camera, scale))[..., 0] > 127)
+
+
+def _planar(picture: BytePicture) -> NDArray[np.float32]:
+    return np.asarray(picture.transpose(2, 0, 1) / np.float32(255), np.float32)
 
 
 def _camera(rig: Rig, name: str) -> Camera:

@@ -42,9 +42,9 @@ def mean_of(run: Run, name: str) -> float | None:
     return mean(getattr(frame, name) for frame in run.frames)
 
 
-def flicker(run: Run) -> float | None:
-    """mTV x100: mean change of static pixels from frame to frame, in 0..1, times 100."""
-    variation = mean_of(run, "variation")
+def flicker(run: Run, name: str = "variation") -> float | None:
+    """mTV x100: mean change of static pixels from frame to frame, in 0..1, times 100; ``name``: of RunFrame's field."""
+    variation = mean_of(run, name)
     return None if variation is None else 100 * variation
 
 
@@ -144,6 +144,12 @@ COLUMNS: dict[str, Column] = {
         "mTV ×100",
         "flicker: change of static pixels from frame to frame",
         lambda run, _: flicker(run),
+        number(".4f"),
+    ),
+    "mtv_undisturbed": Column(
+        "mTV ×100, undisturbed",
+        "flicker of static pixels outside every dilated difference mask of the held-out camera",
+        lambda run, _: flicker(run, "variation_undisturbed"),
         number(".4f"),
     ),
     "seconds": Column(

@@ -10,7 +10,14 @@ import cv2
 import numpy as np
 import pytest
 
-from decogs.encoder.bench.regions import find_regions, held_out_pictures, recorded_regions, static_column
+from decogs.encoder.bench.regions import (
+    Regions,
+    find_regions,
+    held_out_pictures,
+    masked_pixels,
+    recorded_regions,
+    static_column,
+)
 from decogs.formats.errors import RigError
 from decogs.formats.rigs import open_rig
 
@@ -24,11 +31,13 @@ def clip(levels: dict[tuple[int, int], tuple[int, ...]], frames: int = 3) -> lis
     return pictures
 
 
+def regions_of(pictures: list[np.ndarray]) -> Regions:
+    return recorded_regions(iter(pictures), masked_pixels(iter(pictures)))
+
+
 def test_recorded_changes_by_their_span() -> None:
     """Centres of the patches: 3x3 means span exactly what one channel of the patch spans."""
-    regions = recorded_regions(
-        iter(clip({(5, 5): (100, 106, 100), (5, 20): (100, 107, 112), (14, 12): (87, 100, 100)}))
-    )
+    regions = regions_of(clip({(5, 5): (100, 106, 100), (5, 20): (100, 107, 112), (14, 12): (87, 100, 100)}))
     assert regions.static[5, 5]
     assert not regions.dynamic[5, 5]
     assert not regions.static[5, 20], "12 levels are no longer static"
@@ -38,16 +47,26 @@ def test_recorded_changes_by_their_span() -> None:
 
 
 def test_static_pixels_keep_away_from_change() -> None:
-    regions = recorded_regions(iter(clip({(10, 15): (100, 200, 100)})))
+    regions = regions_of(clip({(10, 15): (100, 200, 100)}))
     # The patch reaches 1 pixel from its centre, its trace in 3x3 means 1 more, and the margin 2.
     rows, columns = np.nonzero(~regions.static)
     assert (rows.min(), rows.max(), columns.min(), columns.max()) == (6, 14, 11, 19)
 
 
+def test_undisturbed_pixels_keep_away_from_the_papers_masks() -> None:
+    """The threshold is 25 levels; the dilation .0355 of 30 pixels, which is 1."""
+    regions = regions_of(clip({(10, 6): (100, 125, 100), (10, 22): (100, 126, 100)}))
+    assert masked_pixels(iter(clip({(10, 6): (100, 125, 100)}))).sum() == 0
+    rows, columns = np.nonzero(masked_pixels(iter(clip({(10, 22): (100, 126, 100)}))))
+    assert (rows.min(), rows.max(), columns.min(), columns.max()) == (8, 12, 20, 24)
+    assert not (regions.undisturbed & ~regions.static).any()
+    assert not regions.undisturbed[10, 22]
+
+
 def test_single_noisy_pixels_are_static() -> None:
     pictures = clip({})
     pictures[1][8, 8] = 130  # 30 levels in one pixel are 3.3 in the mean
-    assert recorded_regions(iter(pictures)).static.all()
+    assert regions_of(pictures).static.all()
 
 
 @pytest.fixture
@@ -100,5 +119,5 @@ def test_the_column_is_static_and_has_detail() -> None:
     pictures[0][::2, 9] = 0  # detail, static
     pictures[0][::2, 20] = 0  # more of it, but where things move
     pictures[0][:, 0] = np.arange(20)[:, None] * 12  # more still, but at the picture's side
-    regions = recorded_regions(iter(clip({(10, 20): (0, 255, 0)})))
+    regions = regions_of(clip({(10, 20): (0, 255, 0)}))
     assert static_column(regions, pictures[0]) == 9
