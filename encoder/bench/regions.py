@@ -80,13 +80,14 @@ def masked_pixels(pictures: Iterator[BytePicture]) -> Mask:
     """
     settings = MaskSettings()
     first = next(pictures)
-    before, masked = _planar(first), np.zeros(first.shape[:2], np.bool_)
+    height, width, _ = first.shape
+    before, masked = _planar(first), np.zeros((height, width), np.bool_)
     for picture in pictures:
         now = _planar(picture)
         masked |= difference_mask(now, before, settings.threshold)
         before = now
     # The union of dilated masks is the dilated union.
-    return dilate(masked, settings.radius(masked.shape[1]))
+    return dilate(masked, settings.radius(width))
 
 
 def recorded_regions(pictures: Iterator[BytePicture], masked: Mask) -> Regions:
