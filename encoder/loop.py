@@ -29,9 +29,8 @@ from .output.resume import Interrupted
 from .output.stream_output import StreamOutput
 from .replay import replay, splats_taken_over, take_over
 from .settings.encode import EncodeSettings
-from .settings.frame import FrameSettings
 from .stopwatch import Stopwatch
-from .stream_state import FrameInWork, StreamState
+from .stream_state import FrameInWork, FramePlan, StreamState
 from .training.first_frame import train_first_frame
 from .training.method import FrameInput, TrainedFrame
 from .training.schedule import StoppingRule
@@ -97,11 +96,12 @@ class StreamEncoder:
         compensated, corrections = state.compensation.find(frame, state.scene.splats, state.views, watch)
         returned = state.return_from_flash(compensated, watch)
         now = state.detect(frame, compensated, corrections, watch)
-        effects, settings = state.enabled(now)
+        plan = state.plan(now)
+        effects = plan.effects
         held = bool(effects) and self._is_held(watch)
-        trained = self._trained(now, index, settings) if effects and not held else None
+        trained = self._trained(now, index, plan) if effects and not held else None
         with watch.stage("write"):
-            requantisation = None if state.method.dense else settings.significance.requantisation
+            requantisation = None if state.method.dense else plan.settings.significance.requantisation
             written = state.scene.code(index, trained, requantisation, corrections, whole=returned)
         if state.rate is not None:
             state.rate.wrote(written.packet.kind, written.packet.size)
@@ -174,16 +174,17 @@ class StreamEncoder:
         """Whether a frame that needs training gets none, so that a later one has enough time."""
         return self._time is not None and self._time.holds(watch.seconds, self._state.trainer.min_seconds)
 
-    def _trained(self, now: FrameInWork, index: int, settings: FrameSettings) -> TrainedFrame:
+    def _trained(self, now: FrameInWork, index: int, plan: FramePlan) -> TrainedFrame:
         deadline = None if self._time is None else self._time.deadline(now.watch.seconds)
         given = FrameInput(
             index,
             self._state.scene.splats,
             now.change.selected,
+            plan.lit,
             now.compensated.training,
             now.change.masks,
             self._state.motion.expected(),
-            settings,
+            plan.settings,
             self._stopping(deadline),
         )
         with now.watch.stage("training"):

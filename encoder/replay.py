@@ -75,7 +75,7 @@ def replay(state: StreamState, frame: RigFrame, packet: Packet, watch: Stopwatch
         return Replayed(compensated, written, Change([], np.ones(len(state.scene.state), bool)))
     state.return_from_flash(compensated, watch)
     now = state.detect(frame, compensated, corrections, watch)
-    effects, _ = state.enabled(now)
+    effects = state.plan(now).effects
     trained = np.flatnonzero(now.change.selected) if effects else None
     # What was held is still to be done. With a time budget, a packet of nothing is all that signals it.
     held = trained is not None and state.settings.time_budget is not None and packet.kind == PacketKind.SKIP

@@ -42,6 +42,18 @@ class FrameInWork:
     watch: Stopwatch
 
 
+@dataclass(frozen=True)
+class FramePlan:
+    """What a frame calls for: its effects by name, none where nothing is selected, and how it is trained for them.
+
+    ``lit`` (N,): the selected Gaussians that light alone changes, in a frame in which others move.
+    """
+
+    effects: tuple[str, ...]
+    settings: FrameSettings
+    lit: NDArray[np.bool_]
+
+
 class StreamState:
     """The state of one encode; ``scene``, ``changes`` and ``trainer`` are there once it has its first frame.
 
@@ -124,23 +136,26 @@ class StreamState:
         change = self.changes.detect(compensated.index, compensated.training, before, self.motion.last, watch)
         return FrameInWork(recorded, compensated, corrections, change, before, watch)
 
-    def enabled(self, now: FrameInWork) -> tuple[tuple[str, ...], FrameSettings]:
-        """The effects of a frame, none where nothing is selected, and how it is trained for them."""
-        settings = self.settings
+    def plan(self, now: FrameInWork) -> FramePlan:
+        """What a frame calls for."""
+        settings, lit = self.settings, np.zeros(len(now.change.selected), bool)
         effects = settings.frame_effects if now.change.selected.any() else ()
         if effects and settings.detect_per_frame:
             with now.watch.stage("effects"):
-                effects, settings = enabled_effects(
+                found = enabled_effects(
                     settings,
                     now.compensated.training,
                     self.changes.references,
                     now.change.masks,
                     threads=self.threads,
                 )
+                effects, settings = found.effects, found.settings
+                if found.moving is not None:
+                    lit = self.changes.lit(now.change, found.moving)
         significance = settings.frame.significance
         if self.rate is not None:
             significance = self.rate.significance(significance)
-        return effects, replace(settings.frame, significance=significance)
+        return FramePlan(effects, replace(settings.frame, significance=significance), lit)
 
     def commit(
         self,

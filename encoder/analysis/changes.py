@@ -48,12 +48,16 @@ class ChangeMaps:
     changed: BoolArray
     restructured: BoolArray
 
+    def around(self, width: int | None = None) -> BoolArray:
+        """Pixels in and around restructured ones; ``width``: of the whole picture, if the maps are of a part."""
+        return dilate(self.restructured, round(NEAR_FRACTION * (width or self.changed.shape[1])))
+
     def near(self, width: int | None = None) -> BoolArray:
         """Changed pixels around restructured ones: objects, their shadows, uncovered background.
 
         ``width``: of the whole picture, if the maps are of a part.
         """
-        return self.changed & dilate(self.restructured, round(NEAR_FRACTION * (width or self.changed.shape[1])))
+        return self.changed & self.around(width)
 
 
 @dataclass(frozen=True)

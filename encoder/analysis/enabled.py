@@ -3,13 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from decogs.formats.splats import FloatArray
 
-from ..change.masks import FrameMask
+from ..change.masks import BoolArray, FrameMask
 from ..settings.encode import EncodeSettings
 from .building import disable
 from .frame_effects import frame_effects
+
+
+@dataclass(frozen=True)
+class EnabledEffects:
+    """What a frame is trained for: effects by name, the settings without the others, and where things move.
+
+    ``moving``: of each view, the pixels (H, W) in and around what moves; None where the whole frame is trained alike.
+    """
+
+    effects: tuple[str, ...]
+    settings: EncodeSettings
+    moving: Sequence[BoolArray] | None
 
 
 def enabled_effects(
@@ -19,8 +32,8 @@ def enabled_effects(
     masks: Sequence[FrameMask],
     *,
     threads: int = 1,
-) -> tuple[tuple[str, ...], EncodeSettings]:
-    """The names of ``settings``' effects that are detected in a frame, and the settings without the others.
+) -> EnabledEffects:
+    """Those of ``settings``' effects that are detected in a frame.
 
     ``pictures``, ``references``: those of the frame, (3, H, W) each.
     """
@@ -28,4 +41,8 @@ def enabled_effects(
     found = frame_effects(pictures, references, masks, threads=threads)
     # Moving objects change their shading: without colours workbench_drift loses half a dB in moving regions.
     disabled = [] if found.motion else [name for name in effects if not getattr(found, name)]
-    return tuple(name for name in effects if name not in disabled), disable(settings, disabled)
+    return EnabledEffects(
+        tuple(name for name in effects if name not in disabled),
+        disable(settings, disabled),
+        found.moving if found.motion else None,
+    )

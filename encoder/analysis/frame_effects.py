@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 
 import cv2
 import numpy as np
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from decogs.formats.splats import FloatArray
 
-from ..change.masks import FrameMask
+from ..change.masks import BoolArray, FrameMask
 from ..change.noise import picture_noise
 from ..parallel import side_by_side
 from . import appearance_change, motion
@@ -31,11 +31,13 @@ _MIN_CHANGED = 4 * WINDOW_PIXELS
 class FrameEffects:
     """Effects of a frame. Without ``motion`` only colours and opacities need training.
 
-    ``emergence`` and ``disappearance`` cannot be detected from two pictures, so motion implies them.
+    ``emergence`` and ``disappearance`` cannot be detected from two pictures, so motion implies them. ``moving``: of
+    each view, the pixels (H, W) in and around what moves; elsewhere light alone changes the picture.
     """
 
     motion: bool
     appearance_change: bool
+    moving: Sequence[BoolArray] = field(default=(), compare=False)
 
     @property
     def emergence(self) -> bool:
@@ -72,19 +74,24 @@ def frame_effects(
 
     Raises ValueError when they are not the same views.
     """
-    changed = [view for view in zip(current, previous, masks, strict=True) if view[2].dilated.any()]
     with side_by_side(threads) as each:
-        views = list(each(lambda view: _pixels(*view), changed))
+        found = list(each(lambda view: _changes(*view), zip(current, previous, masks, strict=True)))
+    moving = [region for _, region in found]
+    views = [pixels for pixels, _ in found if pixels is not None]
     if not views:
-        return FrameEffects(motion=False, appearance_change=False)
+        return FrameEffects(motion=False, appearance_change=False, moving=moving)
     # All views together count as one more, since views may be unclear one by one.
-    together = _Pixels(*(sum(getattr(view, field.name) for view in views) for field in fields(_Pixels)))
+    together = _Pixels(*(sum(getattr(view, each.name) for view in views) for each in fields(_Pixels)))
     moves = together.changed < _MIN_CHANGED or any(view.moves for view in (*views, together))
     lit = any(v.changed - v.near >= appearance_change.LIMIT * max(v.changed, 1) for v in views)
-    return FrameEffects(motion=moves, appearance_change=lit or not moves)
+    return FrameEffects(motion=moves, appearance_change=lit or not moves, moving=moving)
 
 
-def _pixels(current: FloatArray, previous: FloatArray, mask: FrameMask) -> _Pixels:
+def _changes(current: FloatArray, previous: FloatArray, mask: FrameMask) -> tuple[_Pixels | None, BoolArray]:
+    """A view's changes, None without any, and the pixels (H, W) in and around what moves."""
+    moving = np.zeros(mask.raw.shape, np.bool_)
+    if not mask.dilated.any():
+        return None, moving
     scale = min(1.0, math.sqrt(MAX_PIXELS / mask.raw.size))
     part = _bounds(mask)
     maps = change_maps(
@@ -92,8 +99,14 @@ def _pixels(current: FloatArray, previous: FloatArray, mask: FrameMask) -> _Pixe
         _small(current[:, part[0], part[1]], scale),
         picture_noise(previous[1], current[1]),
     )
-    near = maps.near(round(scale * mask.raw.shape[1]))
-    return _Pixels(int(maps.changed.sum()), int(maps.restructured.sum()), int(near.sum()))
+    around = maps.around(round(scale * mask.raw.shape[1]))
+    moving[part] = _enlarged(around, moving[part].shape)
+    return _Pixels(int(maps.changed.sum()), int(maps.restructured.sum()), int((maps.changed & around).sum())), moving
+
+
+def _enlarged(region: BoolArray, shape: tuple[int, ...]) -> BoolArray:
+    height, width = shape
+    return np.asarray(cv2.resize(region.view(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0)
 
 
 def _bounds(mask: FrameMask) -> tuple[slice, slice]:

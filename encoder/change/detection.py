@@ -19,6 +19,9 @@ from .flashes import BeforeFlash, may_be_flash
 from .masks import FrameMask, MaskMemory, showing
 from .selection import select, view_evidence
 
+_MOVING_FRACTION = 0.1
+"""Share of its rendering weight where things move from which a Gaussian may move."""
+
 
 @dataclass(frozen=True)
 class Change:
@@ -76,6 +79,18 @@ class ChangeDetector:
         if not selected.any() and (everything := self._memory.whole(pictures, shown)):
             return Change(everything, ~nothing, overlooked=True)
         return Change(masks, selected)
+
+    def lit(self, change: Change, moving: Sequence[NDArray[np.bool_]]) -> NDArray[np.bool_]:
+        """Selected Gaussians (N,) that hardly show where things ``move`` (of each view, (H, W)): light changes them.
+
+        The views must show the scene of the `detect` that found the ``change``.
+        """
+        used = [index for index in showing(change.masks) if moving[index].any()]
+        if not used:
+            return change.selected
+        regions = [moving[index] & change.masks[index].dilated for index in used]
+        settings = replace(self._settings.frame.selection, rule="weight", min_fraction=_MOVING_FRACTION)
+        return change.selected & ~self._inside(used, regions, settings)
 
     def flash_is_over(self, frame: int, pictures: Sequence[FloatArray]) -> BeforeFlash | None:
         """The state before a flash if the pictures match it again; the masks' state returns to it as well."""

@@ -142,11 +142,14 @@ class SignificanceSettings:
     ``threshold``: a change is coded if it moves the mean loss of a picture by at least so many millionths (1: one pixel
     of a million from black to white). Higher is smaller and less exact; 0 codes every change.
     ``decide_at``: share of stage 2 after which insignificant changes are reverted, once.
+    ``lit_factor``: factor of the threshold for positions, sizes and rotations of Gaussians that only light changes,
+    where a frame's effects are detected. Higher leaves them colour and opacity alone, which is smaller.
     ``requantisation``: step sizes of the changes that are coded.
     """
 
     threshold: float = 0.0
     decide_at: float = 0.6
+    lit_factor: float = 1.0
     requantisation: RequantisationSteps = field(default_factory=RequantisationSteps)
 
 

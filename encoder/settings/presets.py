@@ -56,6 +56,7 @@ _LIVE = EncodeSettings(
         significance=SignificanceSettings(
             threshold=0.18,
             decide_at=0.5,
+            lit_factor=4.0,
             requantisation=RequantisationSteps(
                 means=1, log_scales=1, quaternions=2, opacity_logits=3, sh_dc=2, sh_rest=1
             ),
@@ -81,6 +82,7 @@ _ARCHIVE = _better(
         "significance": SignificanceSettings(
             threshold=0.054,
             decide_at=0.5,
+            lit_factor=4.0,
             requantisation=RequantisationSteps(
                 means=1, log_scales=1, quaternions=1, opacity_logits=2, sh_dc=1, sh_rest=1
             ),

@@ -201,12 +201,12 @@ class _DeltaTraining:
         masks: Sequence[FrameMask],
     ) -> StepSchedule:
         """Trains the Gaussians' own values, with the cache if there is one; without it, includes densification."""
-        settings, threshold = self._settings, self._settings.significance.threshold
+        settings = self._settings
         rates = replace(settings.rates, means=settings.rates.means * self._extent)
         gathered, self._values = ViewGradients(len(work.rows)), []
         grow_from, grow_at = settings.joint_iterations // 4, settings.joint_iterations // 2
         decide_at = max(grow_at + 1, round(settings.significance.decide_at * settings.joint_iterations))
-        judged = self._cache is not None or threshold == 0
+        judged = self._cache is not None or settings.significance.threshold == 0
         factor = self._iteration_factor(work, losses, masks)
         schedule = StepSchedule(settings.joint_iterations, self._stopping.deadline, factor=factor)
         target = self._target(losses, masks)
@@ -226,10 +226,8 @@ class _DeltaTraining:
             if self._cache is not None:
                 gradients = self._through_cache(work, gradients, self._cache)
             if schedule.reaches(decide_at) and not judged:
-                before, old, judged = work.before(scene), work.rows < len(scene), True
-                revert_insignificant(
-                    work.optimiser, before, old, threshold * picture_weight([losses[i] for i in self._used])
-                )
+                judged = True
+                self._revert_insignificant(work, scene, losses)
                 if target is not None:
                     target.restart()
             elif target is not None and target.saw(index, self._watch[index].rgb):
@@ -242,6 +240,14 @@ class _DeltaTraining:
             schedule.step()
         self._show(work)
         return schedule
+
+    def _revert_insignificant(self, work: _Working, scene: Splats, losses: Sequence[PhotometricLoss]) -> None:
+        """Reverts what hardly shows; geometry sooner where light alone changes the pictures."""
+        settings, old = self._settings.significance, work.rows < len(scene)
+        factor = np.ones(len(work.rows), np.float32)
+        factor[old] = np.where(self._frame.lit[work.rows[old]], settings.lit_factor, 1)
+        threshold = settings.threshold * picture_weight([losses[i] for i in self._used])
+        revert_insignificant(work.optimiser, work.before(scene), old, threshold, factor)
 
     def _report_loss(self, stage: str, step: int) -> None:
         if self._stopping.on_loss is not None:

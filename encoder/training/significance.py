@@ -28,6 +28,7 @@ from decogs.formats.splats import FloatArray, Splats
 from .losses import PhotometricLoss
 from .optimiser import ATTRIBUTES, Optimiser
 
+_GEOMETRY = ("means", "log_scales", "quaternions")
 _ROUNDS = 4
 """Iterations of choosing values and updating the table of their bits; more change next to nothing."""
 _COMMONEST = 256
@@ -39,17 +40,26 @@ def picture_weight(losses: Sequence[PhotometricLoss]) -> float:
     return 1e-6 * float(np.mean([loss.emphasis for loss in losses]))
 
 
-def revert_insignificant(optimiser: Optimiser, before: Splats, old: NDArray[np.bool_], threshold: float) -> None:
+def revert_insignificant(
+    optimiser: Optimiser,
+    before: Splats,
+    old: NDArray[np.bool_],
+    threshold: float,
+    geometry_factor: FloatArray | None = None,
+) -> None:
     """Reverts and holds the changes since ``before`` below the significance threshold.
 
     ``before`` (M) has the optimiser's rows. Rows that are not ``old`` (M,) are new and keep their values. ``threshold``
-    is in units of the loss.
+    is in units of the loss; ``geometry_factor`` (M,): its factor for positions, sizes and rotations of each row.
     """
     _keep_scale(optimiser.splats.quaternions, before.quaternions)
     held = {}
     for name in ATTRIBUTES:
         values, was = getattr(optimiser.splats, name), getattr(before, name)
-        idle = optimiser.gradient_size(name) * np.abs(values - was) < np.float32(threshold)
+        limit = np.full((len(values),) + (1,) * (values.ndim - 1), threshold, np.float32)
+        if name in _GEOMETRY and geometry_factor is not None:
+            limit *= geometry_factor[:, None]
+        idle = optimiser.gradient_size(name) * np.abs(values - was) < limit
         idle[~old] = False
         np.copyto(values, was, where=idle)
         held[name] = idle

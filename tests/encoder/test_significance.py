@@ -53,6 +53,19 @@ def test_changes_are_judged_by_what_they_do_to_the_loss_and_not_by_their_size() 
         assert (values[~idle] != getattr(moved, name)[~idle]).all(), "what is worth it goes on"
 
 
+def test_geometry_that_light_changes_needs_more_significance() -> None:
+    """Every change moves the loss by .03, thrice the threshold: too little only where its factor is 4."""
+    start, ones = some_splats(1), Splats(*(np.ones_like(array) for array in vars(some_splats(2)).values()))
+    optimiser, _ = trained(start, ones)
+    factor = np.where(np.arange(COUNT) < 20, 4, 1).astype(np.float32)
+    revert_insignificant(optimiser, start, np.ones(COUNT, bool), 0.01, factor)
+    for name in ("means", "log_scales"):
+        changed = (getattr(optimiser.splats, name) != getattr(start, name)).all(axis=1)
+        np.testing.assert_array_equal(changed, factor == 1)
+    for name in ("opacity_logits", "sh"):
+        assert (getattr(optimiser.splats, name) != getattr(start, name)).all()
+
+
 def test_what_is_new_goes_on_however_little_it_does() -> None:
     """It was not there before the frame: nothing can be taken back, and nothing is held."""
     start = some_splats(1)

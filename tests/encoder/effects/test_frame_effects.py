@@ -70,6 +70,17 @@ def test_motion_in_one_view_is_motion(told: Callable[..., FrameEffects], moved: 
     assert told(lit, moved, lit) == FrameEffects(motion=True, appearance_change=True)
 
 
+def test_what_moves_is_told_from_what_is_lit(told: Callable[..., FrameEffects], moved: np.ndarray) -> None:
+    """A patch moves on the left, light falls on the right, in one picture."""
+    moved[20:100, 120:] = np.minimum(moved[20:100, 120:] * 1.2, 255)
+    effects = told(moved, moved)
+    assert effects.motion
+    assert effects.appearance_change
+    for moving in effects.moving:
+        assert moving[45:75, 65:95].mean() > 0.9
+        assert moving[30:90, 130:].mean() < 0.05
+
+
 def test_a_speck_is_in_doubt(told: Callable[..., FrameEffects], texture: np.ndarray) -> None:
     """It only brightens, but a hundred pixels are too few to tell."""
     speck = texture.copy()
