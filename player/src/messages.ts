@@ -12,7 +12,8 @@ import type { CameraCorrection, FrameKind, StreamHeader } from "./scene";
 export type DepthRow = readonly [number, number, number, number];
 
 export type ToWorker =
-  | { readonly type: "open"; readonly source: string; readonly follow: boolean }
+  /** `first`: the frame to show at once, as request 0, without being asked for it; null: none. */
+  | { readonly type: "open"; readonly source: string; readonly follow: boolean; readonly first: number | null }
   /** Show a frame; the answer is a "frame" or a "failed" message with the same `request`. */
   | { readonly type: "show"; readonly frame: number; readonly request: number }
   /** Look from elsewhere; answered by an "order", with `serial` of the last of several views. */
@@ -135,6 +136,8 @@ export type FromWorker =
       readonly draw: DrawOrder;
     }
   | { readonly type: "order"; readonly draw: DrawOrder }
+  /** The frame to begin with is not known yet; it has to be asked for when it is. */
+  | { readonly type: "notYet" }
   | { readonly type: "refreshed"; readonly grown: boolean }
   /** `picture` null: there is none, and `problem` says why, if something is wrong. */
   | { readonly type: "exact"; readonly picture: ExactPicture | null; readonly problem: string | null }

@@ -34,17 +34,52 @@ export class FrameColumns {
   }
 }
 
+/** A worker that a page began before this script had come (static/index.html), and what it has said since. */
+interface Early {
+  readonly worker: Worker;
+  readonly source: string;
+  readonly follow: boolean;
+  readonly first: number;
+  readonly said: FromWorker[];
+  readonly failed: boolean;
+}
+
+declare global {
+  var decogsEarly: Early | undefined;
+}
+
+/** A worker takes longer to start than a header to come: one waits for the first stream from the time the script runs. */
+let spare: Worker | null = globalThis.decogsEarly === undefined ? startedWorker() : null;
+
 export class Connection {
   private readonly worker: Worker;
+  /** What an early worker said before this heard it. */
+  private readonly said: FromWorker[];
 
-  constructor(receive: (message: FromWorker) => void, failed: (message: string) => void) {
-    this.worker = startedWorker();
+  /** Opens a stream. `first`: the frame to show without being asked, as request 0; null: none. */
+  constructor(
+    source: string,
+    follow: boolean,
+    first: number | null,
+    receive: (message: FromWorker) => void,
+    failed: (message: string) => void,
+  ) {
+    const early = earlyFor(source, follow, first);
+    this.worker = early?.worker ?? spare ?? startedWorker();
+    spare = null;
+    this.said = early?.said ?? [];
+    const hearEarlier = (): void => {
+      for (let said = this.said.shift(); said !== undefined; said = this.said.shift()) receive(said);
+    };
     this.worker.onmessage = (event: MessageEvent<FromWorker>) => {
+      hearEarlier();
       receive(event.data);
     };
     this.worker.onerror = (event) => {
       failed(event.message || "the player's worker (decogs-worker.js) cannot be loaded");
     };
+    if (early === null) this.send({ type: "open", source, follow, first });
+    else setTimeout(hearEarlier); // as messages come: not before whoever opens the stream is done
   }
 
   send(message: ToWorker, transfer: Transferable[] = []): void {
@@ -52,9 +87,20 @@ export class Connection {
   }
 
   close(): void {
+    this.said.length = 0;
     this.send({ type: "close" });
     this.worker.terminate();
   }
+}
+
+/** What was begun early, if it is this stream; it is there once. */
+function earlyFor(source: string, follow: boolean, first: number | null): Early | null {
+  const early = globalThis.decogsEarly;
+  globalThis.decogsEarly = undefined;
+  if (early === undefined) return null;
+  if (!early.failed && early.source === source && early.follow === follow && early.first === first) return early;
+  early.worker.terminate();
+  return null;
 }
 
 /** The worker's script lies beside this one. One of another origin is reached through a small one of the page's own. */

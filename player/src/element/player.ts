@@ -311,7 +311,7 @@ export class DecogsPlayer extends HTMLElement {
     const wasPlaying = playback.playing;
     playback.advance(seconds, this.info?.frame ?? playback.due);
     if (playback.frameCount > 0 && playback.due !== this.requested) this.request(playback.due);
-    stage.step(now, seconds, playback.playing);
+    if (stage.step(now, seconds, playback.playing)) this.poster_.hidden = true;
     if (wasPlaying && playback.ended) {
       this.tell("pause");
       this.tell("ended");
@@ -332,7 +332,13 @@ export class DecogsPlayer extends HTMLElement {
       return;
     }
     this.panels.loading(true);
+    const { start } = this;
+    const first = start === null ? 0 : "frame" in start ? start.frame : null;
+    this.requested = first ?? -1;
     this.connection = new Connection(
+      new URL(this.src, document.baseURI).href,
+      this.hasAttribute("follow"),
+      first,
       (message) => {
         this.receive(message);
       },
@@ -340,8 +346,6 @@ export class DecogsPlayer extends HTMLElement {
         this.fail(message);
       },
     );
-    const follow = this.hasAttribute("follow");
-    this.connection.send({ type: "open", source: new URL(this.src, document.baseURI).href, follow });
   }
 
   private closeStream(): void {
@@ -426,6 +430,9 @@ export class DecogsPlayer extends HTMLElement {
       case "exact":
         this.exactlyDrawn(message);
         break;
+      case "notYet":
+        this.requested = -1;
+        break;
       case "refreshed":
         this.followSoon();
         break;
@@ -444,6 +451,7 @@ export class DecogsPlayer extends HTMLElement {
     this.playback.fps = header.fps ?? DEFAULT_FPS;
     stage.renderer.begin(layout, header.background);
     this.putCamera(stage, header);
+    stage.begin();
     const { start } = this;
     this.start = null;
     this.grown(message.complete);
@@ -490,7 +498,6 @@ export class DecogsPlayer extends HTMLElement {
     this.warn();
     if (first) {
       this.panels.loading(false);
-      this.poster_.hidden = true;
       this.tell("loadeddata");
     }
     this.tell("timeupdate");

@@ -26,6 +26,8 @@ export class Stage {
   private asked: DepthRow | null = null;
   private serial = 0;
   private answered = 0;
+  /** Whether an order came for the scene; before, it cannot be drawn. */
+  private ordered = false;
 
   constructor(
     public renderer: Renderer,
@@ -42,6 +44,15 @@ export class Stage {
     return this.count > 0;
   }
 
+  /** Another stream begins: its scene and orders come from another worker. */
+  begin(): void {
+    this.asked = null;
+    this.answered = this.serial;
+    this.ordered = false;
+    this.count = 0;
+    this.look();
+  }
+
   load(update: SceneUpdate | null, draw: DrawOrder): void {
     if (update !== null) {
       this.renderer.load(update);
@@ -51,6 +62,8 @@ export class Stage {
   }
 
   order(draw: DrawOrder): void {
+    if (draw.serial === 0) return; // the worker did not know yet from where the scene is looked at
+    this.ordered = true;
     this.answered = Math.max(this.answered, draw.serial);
     this.renderer.order(draw);
     this.touch();
@@ -73,7 +86,8 @@ export class Stage {
     const moved = this.navigation.step(seconds);
     if (moved || playing || this.dirty) this.changedAt = now;
     if (moved) this.touch();
-    this.lookFrom(this.navigation.pose);
+    this.look();
+    if (!this.ordered) return false;
     const resting = !moved && !playing && now - this.changedAt > REST_MS;
     if (this.renderer.busy || (!this.dirty && !(resting && !this.wholeDrawn))) return false;
     this.adapt();
@@ -89,7 +103,7 @@ export class Stage {
   /** A picture of the present view of so many pixels, as PNG. */
   async capture(width: number, height: number): Promise<Blob> {
     const { renderer } = this;
-    this.lookFrom(this.navigation.pose);
+    this.look();
     while (this.answered < this.serial) await new Promise((done) => setTimeout(done, 5));
     renderer.draw(this.camera(width, height), this.overlay);
     await renderer.settled?.();
@@ -102,8 +116,9 @@ export class Stage {
     return picture;
   }
 
-  private lookFrom(pose: Navigation["pose"]): void {
-    const row = worldToCamera(pose)[2];
+  /** Asks for the order that the camera needs, if another one than before. */
+  private look(): void {
+    const row = worldToCamera(this.navigation.pose)[2];
     if (this.asked?.every((part, i) => part === row[i]) || this.answered < this.serial) return;
     this.asked = row;
     this.askOrder(row, ++this.serial);

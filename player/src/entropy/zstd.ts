@@ -9,9 +9,11 @@ const library = new ZSTDDecoder();
 const CONTENT_SIZE_BYTES = [0, 2, 4, 8];
 const DICTIONARY_BYTES = [0, 1, 2, 4];
 
-/** Compiles the library; before this is done nothing can be decoded. */
-export async function startZstd(): Promise<void> {
-  await library.init();
+let started: Promise<unknown> | null = null;
+
+/** Compiles the library, once; before this is done nothing can be decoded. */
+export function startZstd(): Promise<unknown> {
+  return (started ??= library.init());
 }
 
 /**

@@ -51,7 +51,9 @@ export async function createStream(source: StreamSource, options: StreamOptions 
   const bytes = sourceOf(source, options);
   const limits = { ...DEFAULT_LIMITS, ...options.limits };
   try {
-    const [opening] = await Promise.all([readOpening(bytes, limits, options.signal), startZstd()]);
+    // Compiled while the header comes; whoever decodes waits for it.
+    startZstd().catch(() => undefined);
+    const opening = await readOpening(bytes, limits, options.signal);
     const stream = new OpenStream(bytes, opening, limits, options.follow ?? false);
     await stream.findFirst(options.signal);
     return stream;
@@ -202,6 +204,7 @@ class OpenStream implements SceneStream {
   private async show(index: number, signal?: AbortSignal): Promise<SceneFrame> {
     this.checkOpen();
     signal?.throwIfAborted();
+    await startZstd();
     if (!(index >= 0 && (await this.isKnown(index, signal)))) {
       throw new StreamError(null, `frame ${index} is not in this stream of ${this.table.length} frames`);
     }

@@ -42,6 +42,7 @@ export class StreamWorker {
   receive(message: ToWorker): void {
     switch (message.type) {
       case "open":
+        if (message.first !== null) this.wanted = { frame: message.first, request: 0 };
         void this.open(message.source, message.follow);
         return;
       case "show":
@@ -114,7 +115,8 @@ export class StreamWorker {
         this.tellProgress();
         void this.prefetch(stream, frame + 1);
       } catch (error) {
-        if (!this.abort.signal.aborted) this.send({ type: "failed", request, message: sentence(error) });
+        if (request === 0 && frame >= stream.frames.length) this.send({ type: "notYet" });
+        else if (!this.abort.signal.aborted) this.send({ type: "failed", request, message: sentence(error) });
       }
       this.drawHeld();
     }
