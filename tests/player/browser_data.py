@@ -14,16 +14,17 @@ from typing import Any
 
 import numpy as np
 
+from decogs.codec.corrections import CorrectedCameras, Correction, write_corrections
 from decogs.codec.deltas import apply_delta, difference
 from decogs.codec.header import StreamHeader
 from decogs.codec.keyframes import keyframe_state
 from decogs.codec.lattice import default_lattice, quantise
 from decogs.codec.state import take_rows
-from decogs.codec.syntax import write_delta, write_key
+from decogs.codec.syntax import write_delta, write_key, write_skip
 from decogs.decoder import open_stream
 from decogs.decoder.camera_moves import looked_at
 from decogs.decoder.commands import decode_main
-from decogs.formats.cameras import Camera, camera_centre
+from decogs.formats.cameras import Camera, camera_centre, is_distorted
 from decogs.formats.container import PacketKind, StreamWriter
 from decogs.formats.splats import Splats
 from decogs.formats.up_direction import up_of
@@ -97,6 +98,45 @@ def write_stream(path: Path, count: int, degree: int, frames: int, *, near: floa
     return ends
 
 
+def recording_cameras() -> tuple[Camera, ...]:
+    """One of each: a barrel lens with tangential terms, a strong fisheye, one that folds inside its picture, none."""
+    straight, aside, turned = cameras()
+    return (
+        replace(straight, name="barrel", distortion_model="opencv", distortion=(-0.22, 0.05, 0.003, -0.002)),
+        replace(aside, name="fisheye", distortion_model="fisheye", distortion=(0.08, -0.03, 0.01, 0.0)),
+        replace(turned, name="folds", distortion_model="opencv", distortion=(-0.9, 0.0, 0.0, 0.0)),
+        replace(straight, name="drifts"),
+    )
+
+
+def write_recording_stream(path: Path) -> None:
+    """Two frames of a rig whose cameras bend, drift, shake and have colours of their own."""
+    corrected = CorrectedCameras(("barrel", "drifts"), ("drifts",), ("fisheye", "drifts"))
+    header = StreamHeader(
+        cameras=recording_cameras(),
+        lattice=default_lattice(2.0),
+        sh_degree=1,
+        fps=30.0,
+        background=(0.2, 0.3, 0.5),
+        effects=("lens_distortion", "colour_mismatch", *corrected.effects),
+        corrected=corrected,
+        camera_colours={"fisheye": Correction(exposure=-600, red=300, blue=-500), "drifts": Correction(red=200)},
+    )
+    state, _ = keyframe_state(quantise(scene(1500, 1, 3), header.lattice))
+    with path.open("wb") as file:
+        writer = StreamWriter(file, header.to_bytes())
+        for frame in range(2):
+            told = {
+                "barrel": Correction(exposure=900 - 1500 * frame),
+                "drifts": Correction(700, -400, 500 * frame, 3000, -2000, 4000 * frame),
+                "fisheye": Correction(yaw=-5000 * frame, roll=2500),
+            }
+            packet = write_skip(state) if frame else write_key(state)
+            kind = PacketKind.SKIP if frame else PacketKind.KEY
+            writer.write(kind, frame, write_corrections(told, corrected) + packet.payload)
+        writer.finish()
+
+
 class Pictures:
     """What decogs-decode makes of cameras and frames, and the list of it."""
 
@@ -104,17 +144,32 @@ class Pictures:
         self.folder = folder
         self.listed: list[dict[str, Any]] = []
 
-    def take(self, stream: str, frame: int, camera: str | None, pose: dict[str, Any] = POSE) -> None:
-        """A view of one frame; ``camera`` None: the free one of ``pose``."""
+    def take(
+        self, stream: str, frame: int, camera: str | None, pose: dict[str, Any] = POSE, *, recorded: bool = False
+    ) -> None:
+        """A view of one frame; ``camera`` None: the free one of ``pose``. ``recorded``: with its lens and colours."""
         name = f"{stream}_{len(self.listed)}.png"
         (self.folder / "pose.json").write_text(json.dumps(pose))
-        view = ["--camera", f"{self.folder / 'pose.json'}"] if camera is None else ["--view", camera, "--drift-free"]
+        view = ["--camera", f"{self.folder / 'pose.json'}"] if camera is None else ["--view", camera]
+        plain = [] if recorded or camera is None else ["--drift-free", "--undistorted"]
         choice = ["--frames", f"{frame}:{frame + 1}", "--threads", "1"]
         output = ["-o", f"{self.folder / name}"]
-        status = decode_main([f"{self.folder / stream}.dgs", *view, *choice, *output])
+        status = decode_main([f"{self.folder / stream}.dgs", *view, *plain, *choice, *output])
         if status:
             raise SystemExit(status)
-        self.listed.append({"stream": stream, "frame": frame, "camera": camera, "pose": pose, "file": name})
+        told = {"stream": stream, "frame": frame, "camera": camera, "pose": pose, "recorded": recorded, "file": name}
+        self.listed.append(told)
+
+
+def recording(rig: Path) -> list[str]:
+    """The cameras of a rig that did more than see the scene."""
+    with open_stream(rig) as stream:
+        header = stream.header
+        return [
+            camera.name
+            for camera in header.cameras
+            if is_distorted(camera) or camera.name in header.camera_colours or header.corrected.of(camera.name)
+        ]
 
 
 def near_to(rig: Path) -> dict[str, Any]:
@@ -139,6 +194,11 @@ def main() -> None:
         for camera in ("cam00", "off centre"):
             pictures.take(f"degree{degree}", 3, camera)
         pictures.take(f"degree{degree}", 2, None)
+    write_recording_stream(folder / "recorded.dgs")
+    for camera in ("barrel", "fisheye", "folds", "drifts"):
+        for frame in (0, 1):
+            pictures.take("recorded", frame, camera, recorded=True)
+    pictures.take("recorded", 1, "barrel")
     ends = write_stream(folder / "long.dgs", 800, 0, LONG)
     for frame in (0, 7, 61, 130, 299):
         pictures.take("long", frame, "cam00")
@@ -147,6 +207,8 @@ def main() -> None:
         for frame in (0, 3):
             pictures.take(rig.stem, frame, "cam00")
         pictures.take(rig.stem, 2, None, near_to(rig))
+        for camera in recording(rig):
+            pictures.take(rig.stem, 3, camera, recorded=True)
     whole = (folder / "long.dgs").read_bytes()
     (folder / "cut.dgs").write_bytes(whole[: ends[100] + 40])
     damaged = bytearray(whole)

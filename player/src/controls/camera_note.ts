@@ -1,4 +1,4 @@
-/** What a camera's own picture has that is not shown when one looks through it (SPEC section 6, "Corrections"). */
+/** What a camera's own picture has that is shown by a switch only (SPEC section 6, "Corrections"). */
 import type { StreamHeader } from "../scene";
 
 const EFFECTS: ReadonlyMap<string, string> = new Map([
@@ -17,5 +17,5 @@ export function cameraNote(header: StreamHeader, name: string): string | null {
   for (const [effect, text] of EFFECTS) {
     if (header.corrected.get(effect)?.includes(name) === true) missing.push(text);
   }
-  return missing.length === 0 ? null : `${name} is shown without its ${missing.join(", ")}`;
+  return missing.length === 0 ? null : `${name} is shown without its ${missing.join(", ")} (O shows them)`;
 }

@@ -65,6 +65,7 @@ export const KEY_ACTIONS: readonly KeyAction[] = [
       player.overlay = player.overlay === "none" ? "changes" : player.overlay === "changes" ? "motion" : "none";
     },
   },
+  { keys: ["o"], shown: "O", text: "as the camera recorded it", act: (player) => { player.recorded = !player.recorded; } },
   { keys: ["i"], shown: "I", text: "figures", act: (_, panels) => { panels.toggleStatistics(); } },
   { keys: ["p"], shown: "P", text: "save the picture", act: (_, panels) => { void panels.savePicture(); } },
   { keys: ["f"], shown: "F", text: "full screen", act: (_, panels) => { panels.toggleFullScreen(); } },

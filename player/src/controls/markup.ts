@@ -33,6 +33,7 @@ export function markup(): string {
   <label>Speed <select name="rate">${[0.1, 0.25, 0.5, 1, 2, 4].map((rate) => option(String(rate), `${rate} ×`)).join("")}</select></label>
   <label class="check"><input type="checkbox" name="loop"> Loop</label>
   <label class="check" title="Drawn by the decoder's own renderer, to the bit; slower"><input type="checkbox" name="exact"> Exact picture</label>
+  <label class="check" title="Cameras of the rig with their lens, their colours, and where they stood in the frame"><input type="checkbox" name="recorded"> As recorded</label>
   <label class="check"><input type="checkbox" name="figures"> Figures</label>
   <hr>
   <button type="button" name="picture">Save picture</button>

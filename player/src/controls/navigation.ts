@@ -66,6 +66,11 @@ export class Navigation {
   private jump: Jump | null = null;
   private levelling = false;
 
+  /** Whether the camera is on its way to where it was put. */
+  get jumping(): boolean {
+    return this.jump !== null;
+  }
+
   /** Puts the camera somewhere, at once or by a short flight. */
   goTo(pose: Pose, lens: Lens, atOnce: boolean): void {
     this.rest();

@@ -79,7 +79,7 @@ export class Panels {
   /** Says, for a moment, what the picture of the camera that is looked through leaves out. */
   tellCamera(): void {
     const { header, camera } = this.player;
-    const note = header === null ? null : cameraNote(header, camera);
+    const note = header === null || this.player.recorded ? null : cameraNote(header, camera);
     if (note !== null && this.warning === null) this.say(note, false);
   }
 
@@ -171,6 +171,9 @@ export class Panels {
     this.field("exact").addEventListener("change", ({ target }) => {
       player.exact = (target as HTMLInputElement).checked;
     });
+    this.field("recorded").addEventListener("change", ({ target }) => {
+      player.recorded = (target as HTMLInputElement).checked;
+    });
     this.field("figures").addEventListener("change", () => {
       this.toggleStatistics();
     });
@@ -204,6 +207,7 @@ export class Panels {
     this.input("loop").checked = player.loop;
     this.input("exact").checked = player.exact;
     this.input("exact").disabled = !player.canChooseExact;
+    this.input("recorded").checked = player.recorded;
     this.input("figures").checked = !this.part(".figures").hidden;
     this.field("menu").setAttribute("aria-expanded", String(!this.part(".menu").hidden));
     this.updateLegend();

@@ -6,6 +6,7 @@ import { GpuClock } from "./gpu_clock";
 import { linked, type Program } from "./program";
 import type { DrawTimes, Overlay, Renderer } from "./renderer";
 import { SceneTextures } from "./scene_textures";
+import { RecordedPass } from "./recorded_pass";
 import { FINISH_FRAGMENT_SHADER, SCREEN_VERTEX_SHADER, SPLAT_FRAGMENT_SHADER, splatVertexShader } from "./shaders";
 
 const OVERLAYS: readonly Overlay[] = ["none", "changes", "motion"];
@@ -18,6 +19,8 @@ interface Resources {
   readonly accumulation: Accumulation;
   readonly clock: GpuClock;
   readonly rows: WebGLBuffer;
+  /** Made when a recorded picture is asked for. */
+  recorded: RecordedPass | null;
 }
 
 export class WebGlRenderer implements Renderer {
@@ -73,16 +76,22 @@ export class WebGlRenderer implements Renderer {
     const { width, height } = camera;
     if (canvas.width !== width) canvas.width = width;
     if (canvas.height !== height) canvas.height = height;
-    resources.accumulation.begin(width, height);
+    const { recording } = camera;
+    if (recording) resources.recorded ??= new RecordedPass(gl);
+    const drawn = recording ? resources.recorded!.seenBy(camera, recording) : camera;
+    resources.accumulation.begin(drawn.width, drawn.height);
     gl.useProgram(resources.splats.program);
-    this.setCamera(resources.splats, camera);
+    this.setCamera(resources.splats, drawn);
     gl.uniform1i(resources.splats.uniform("overlay"), OVERLAYS.indexOf(overlay));
     resources.textures.bind();
     gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, this.count);
     resources.accumulation.end();
-    gl.useProgram(resources.finish.program);
     gl.viewport(0, 0, width, height);
-    gl.uniform3fv(resources.finish.uniform("background"), this.background);
+    if (recording) resources.recorded!.use(camera, recording, this.background);
+    else {
+      gl.useProgram(resources.finish.program);
+      gl.uniform3fv(resources.finish.uniform("background"), this.background);
+    }
     gl.drawArrays(gl.TRIANGLES, 0, 3);
     resources.clock.start((ms) => (this.times.drawMs = ms));
   }
@@ -120,13 +129,14 @@ export class WebGlRenderer implements Renderer {
     gl.vertexAttribIPointer(0, 1, gl.UNSIGNED_INT, 0, 0);
     gl.vertexAttribDivisor(0, 1);
     const [textures, accumulation, clock] = [new SceneTextures(gl, layout), new Accumulation(gl), new GpuClock(gl)];
-    return { splats, finish, textures, accumulation, clock, rows };
+    return { splats, finish, textures, accumulation, clock, rows, recorded: null };
   }
 
   private release(): void {
     if (this.resources === null) return;
-    const { splats, finish, textures, accumulation, clock, rows } = this.resources;
+    const { splats, finish, textures, accumulation, clock, rows, recorded } = this.resources;
     clock.stop();
+    recorded?.dispose();
     textures.dispose();
     accumulation.dispose();
     for (const { program } of [splats, finish]) this.gl.deleteProgram(program);

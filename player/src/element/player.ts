@@ -2,7 +2,8 @@
  * `<decogs-player src="scene.dgs" controls>`: plays a stream, with the manners of <video>.
  *
  * Attributes: src, controls, autoplay, loop, poster, camera (a name), follow (the stream is still being written),
- * exact (drawn by the decoder's own kernel, which also draws where WebGL2 is missing).
+ * exact (drawn by the decoder's own kernel, which also draws where WebGL2 is missing), recorded (cameras of the rig show
+ * what they recorded: with lens and colours).
  * The worker decodes and sorts, the stage draws, the panels are for people; this holds them together.
  */
 import { forgetKeys, looksInto } from "../controls/keys";
@@ -20,14 +21,14 @@ import type { StreamHeader } from "../scene";
 import { Connection, FrameColumns } from "./connection";
 import type { PlayerEvent } from "./events";
 import { DEFAULT_FPS, Playback } from "./playback";
-import { Stage } from "./stage";
+import { Stage, type LookedThrough } from "./stage";
 import { STYLE } from "./style";
 
 const FOLLOW_MS = 1000;
 const LONGEST_STEP = 0.1;
 
 export class DecogsPlayer extends HTMLElement {
-  static readonly observedAttributes = ["src", "controls", "loop", "poster", "camera", "exact"];
+  static readonly observedAttributes = ["src", "controls", "loop", "poster", "camera", "exact", "recorded"];
 
   /** What is known of the stream; null before `loadedmetadata`. */
   header: StreamHeader | null = null;
@@ -117,6 +118,10 @@ export class DecogsPlayer extends HTMLElement {
     if (name === "loop") this.playback.loop = value !== null;
     if (name === "poster") this.showPoster(value);
     if (name === "exact") this.chooseRenderer();
+    if (name === "recorded") {
+      this.stage?.touch();
+      this.wake();
+    }
     if (name === "camera" && value !== null) this.camera = value;
     this.panels.refresh();
   }
@@ -205,6 +210,13 @@ export class DecogsPlayer extends HTMLElement {
   }
   set exact(value: boolean) {
     this.toggleAttribute("exact", value);
+  }
+  /** Whether a camera of the rig shows what it recorded: its lens, its colours, and where it stood in the frame. */
+  get recorded(): boolean {
+    return this.hasAttribute("recorded");
+  }
+  set recorded(value: boolean) {
+    this.toggleAttribute("recorded", value);
   }
   /** Whether this browser leaves a choice: without WebGL2 every picture is exact. */
   get canChooseExact(): boolean {
@@ -371,6 +383,7 @@ export class DecogsPlayer extends HTMLElement {
       this.rightRenderer(),
       () => this.pixels(),
       (depth, serial) => this.connection?.send({ type: "view", depth, serial }),
+      () => this.lookedThrough(),
     );
     stage.navigation.calm = matchMedia("(prefers-reduced-motion: reduce)").matches;
     const moved = (): void => {
@@ -378,6 +391,13 @@ export class DecogsPlayer extends HTMLElement {
     };
     this.detachPointer = attachPointer(this.canvas, stage.navigation, moved);
     return stage;
+  }
+
+  /** The camera of the rig whose recorded picture is to be seen; null for a free one, and for the scene's own colours. */
+  private lookedThrough(): LookedThrough | null {
+    const { camera: name, header } = this;
+    const camera = this.recorded && name !== "" ? header?.cameras.find((each) => each.name === name) : undefined;
+    return camera === undefined ? null : { camera, correction: this.info?.corrections.get(name) ?? null };
   }
 
   private rightRenderer(): Renderer {

@@ -5,7 +5,9 @@
 import { Navigation } from "../controls/navigation";
 import type { Overlay, Renderer } from "../draw/renderer";
 import { fittedLens, worldToCamera, type PinholeCamera } from "../geometry/poses";
+import { asItStood, recordingOf } from "../geometry/recorded";
 import type { DepthRow, DrawOrder, SceneUpdate } from "../messages";
+import type { CameraCorrection, RigCamera } from "../scene";
 
 const SLOW_MS = 45;
 const FAST_MS = 18;
@@ -13,6 +15,12 @@ const SMALLEST = 0.4;
 /** Milliseconds after the last change until the whole picture is drawn. */
 const REST_MS = 160;
 const LARGEST_SIDE = 8192;
+
+/** A camera of the rig that is looked through, and what the frame tells of it. */
+export interface LookedThrough {
+  readonly camera: RigCamera;
+  readonly correction: CameraCorrection | null;
+}
 
 export class Stage {
   readonly navigation = new Navigation();
@@ -33,6 +41,8 @@ export class Stage {
     public renderer: Renderer,
     private readonly sizeOf: () => { readonly width: number; readonly height: number },
     private readonly askOrder: (depth: DepthRow, serial: number) => void,
+    /** Whose picture is to look as it was recorded; null: nobody's. */
+    private readonly recorded: () => LookedThrough | null = () => null,
   ) {}
 
   /** Whether the next picture is still to come. */
@@ -78,7 +88,9 @@ export class Stage {
   /** The camera of a picture of so many pixels. */
   camera(width: number, height: number): PinholeCamera {
     const lens = fittedLens(this.navigation.lens, width, height);
-    return { ...lens, worldToCamera: worldToCamera(this.navigation.pose) };
+    const recorded = this.navigation.jumping ? null : this.recorded();
+    const recording = recorded === null ? null : recordingOf(recorded.camera, recorded.correction, lens);
+    return { ...lens, worldToCamera: this.standing(recorded), recording };
   }
 
   /** Moves the camera, asks for the order it needs, and draws when there is something new and the GPU is free. */
@@ -116,9 +128,13 @@ export class Stage {
     return picture;
   }
 
+  private standing(recorded: LookedThrough | null): readonly (readonly number[])[] {
+    return asItStood(worldToCamera(this.navigation.pose), recorded?.correction ?? null);
+  }
+
   /** Asks for the order that the camera needs, if another one than before. */
   private look(): void {
-    const row = worldToCamera(this.navigation.pose)[2];
+    const [, , row] = this.standing(this.recorded()) as readonly DepthRow[];
     if (this.asked?.every((part, i) => part === row[i]) || this.answered < this.serial) return;
     this.asked = row;
     this.askOrder(row, ++this.serial);

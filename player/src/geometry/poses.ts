@@ -1,5 +1,6 @@
 /** Where a camera stands and how it is turned, and what follows for its picture. */
 import type { RigCamera } from "../scene";
+import type { Recording } from "./recorded";
 import { applied, cross, dot, length, minus, times, transposed, unit, type Matrix, type Vector } from "./vectors";
 
 /** `axes`: the camera's x (right), y (down) and z (forward) in the world: the rotation of world-to-camera. */
@@ -47,6 +48,8 @@ export interface Lens {
 export interface PinholeCamera extends Lens {
   /** Three rows of four. */
   readonly worldToCamera: readonly (readonly number[])[];
+  /** What the picture has beside that of the pinhole, if it is to look as it was recorded. */
+  readonly recording?: Recording | null;
 }
 
 export function lensOf({ width, height, fx, fy, cx, cy, near }: RigCamera): Lens {

@@ -1,5 +1,6 @@
 /** The worker's exact pictures: the kernel is fetched when the first one is asked for. */
 import type { PinholeCamera } from "../geometry/poses";
+import { recordedPixels } from "../exact/recorded";
 import { ExactRenderer } from "../exact/renderer";
 import type { ExactPicture } from "../messages";
 import type { Gaussians, StreamHeader } from "../scene";
@@ -23,7 +24,9 @@ export class ExactPictures {
 
   static draw(exact: ExactRenderer, gaussians: Gaussians, header: StreamHeader, camera: PinholeCamera): ExactPicture {
     const begun = performance.now();
-    const pixels = exact.draw(gaussians, header.shDegree, camera, header.background);
+    const pixels = camera.recording
+      ? recordedPixels(exact, gaussians, header, camera, camera.recording)
+      : exact.draw(gaussians, header.shDegree, camera, header.background);
     return { width: camera.width, height: camera.height, pixels, drawMs: performance.now() - begun };
   }
 }

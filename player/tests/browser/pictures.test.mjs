@@ -9,9 +9,14 @@ before(async () => (browser = await started()));
 after(() => browser.close());
 
 const { pictures } = listed();
-for (const { stream, frame, camera, pose, file } of pictures) {
-  test(`${stream}, frame ${frame}, ${camera ?? "a free camera"}`, async (context) => {
-    const page = await browser.opened(stream, camera === null ? {} : { query: `&camera=${encodeURIComponent(camera)}` });
+// Recorded pictures come from the decoder's kernel, too: its floats are the decoder's, the lens and colours are not.
+const cases = pictures.flatMap((each) => (each.recorded ? [each, { ...each, exact: true }] : [each]));
+for (const { stream, frame, camera, pose, file, recorded, exact } of cases) {
+  const kind = `${recorded ? ", as recorded" : ""}${exact ? ", exact" : ""}`;
+  test(`${stream}, frame ${frame}, ${camera ?? "a free camera"}${kind}`, async (context) => {
+    const more = `${recorded ? "&recorded" : ""}${exact ? "&exact" : ""}`;
+    const query = camera === null ? "" : `&camera=${encodeURIComponent(camera)}${more}`;
+    const page = await browser.opened(stream, { query });
     await ready(page);
     await show(page, frame);
     if (camera === null) await lookFreely(page, pose);

@@ -1,0 +1,67 @@
+/** The last pass of a picture as a camera recorded it: what was accumulated, resampled through the lens, in its colours. */
+import type { PinholeCamera } from "../geometry/poses";
+import { NOWHERE, lensPlan, type LensPlan, type Recording } from "../geometry/recorded";
+import { linked, type Program } from "./program";
+import { RECORDED_FRAGMENT_SHADER, SCREEN_VERTEX_SHADER } from "./shaders";
+
+/** Pixels between positions that are computed; between them a lens is straight to some thousandths of a pixel. */
+const CELL = 8;
+
+export class RecordedPass {
+  private readonly program: Program;
+  private readonly texture: WebGLTexture;
+  private plan: LensPlan | null = null;
+  private planOf = "";
+
+  constructor(private readonly gl: WebGL2RenderingContext) {
+    this.program = linked(gl, SCREEN_VERTEX_SHADER, RECORDED_FRAGMENT_SHADER);
+    this.texture = gl.createTexture();
+  }
+
+  /** The pinhole camera to accumulate for a picture. */
+  seenBy(camera: PinholeCamera, { lens }: Recording): PinholeCamera {
+    if (lens === null) return camera;
+    const { width, height, fx, fy, cx, cy } = camera;
+    const wanted = JSON.stringify([width, height, fx, fy, cx, cy, lens.distortionModel, lens.distortion]);
+    if (this.plan === null || this.planOf !== wanted) {
+      this.plan = lensPlan(camera, lens, CELL);
+      // Where a lens folds inside the picture, no cell is straight.
+      if (this.plan.positions.includes(NOWHERE)) this.plan = lensPlan(camera, lens, 1);
+      this.planOf = wanted;
+      this.upload(this.plan);
+    }
+    const { width: wide, height: high, cx: middle, cy: centre } = this.plan.camera;
+    return { ...camera, width: wide, height: high, cx: middle, cy: centre };
+  }
+
+  /** Makes the pass ready to be drawn; what was accumulated is bound to unit 0. */
+  use(camera: PinholeCamera, { lens, odds, left, top, width, height }: Recording, background: readonly number[]): void {
+    const { gl, program } = this;
+    gl.activeTexture(gl.TEXTURE1);
+    gl.bindTexture(gl.TEXTURE_2D, this.texture);
+    gl.activeTexture(gl.TEXTURE0);
+    gl.useProgram(program.program);
+    gl.uniform1i(program.uniform("accumulated"), 0);
+    gl.uniform1i(program.uniform("positions"), 1);
+    gl.uniform3fv(program.uniform("background"), background);
+    gl.uniform3fv(program.uniform("odds"), odds ?? [1, 1, 1]);
+    gl.uniform4f(program.uniform("place"), left, top, left + width, top + height);
+    gl.uniform2f(program.uniform("size"), camera.width, camera.height);
+    gl.uniform1f(program.uniform("cell"), this.plan?.cell ?? 1);
+    gl.uniform1i(program.uniform("bent"), lens === null ? 0 : 1);
+  }
+
+  dispose(): void {
+    this.gl.deleteTexture(this.texture);
+    this.gl.deleteProgram(this.program.program);
+  }
+
+  private upload({ columns, rows, positions }: LensPlan): void {
+    const { gl } = this;
+    gl.activeTexture(gl.TEXTURE1);
+    gl.bindTexture(gl.TEXTURE_2D, this.texture);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RG32F, columns, rows, 0, gl.RG, gl.FLOAT, positions);
+    for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, name, gl.NEAREST);
+    gl.activeTexture(gl.TEXTURE0);
+  }
+}

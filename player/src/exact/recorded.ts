@@ -1,0 +1,78 @@
+/** The exact picture as a camera recorded it: the kernel's floats, resampled through the lens, in the camera's colours. */
+import type { PinholeCamera } from "../geometry/poses";
+import { NOWHERE, cubicWeights, lensPlan, withOdds, type LensPlan, type Recording } from "../geometry/recorded";
+import type { Gaussians, StreamHeader } from "../scene";
+import type { ExactRenderer } from "./renderer";
+
+const NO_ODDS = [1, 1, 1] as const;
+
+/** RGBA, opaque; black beside the camera's own picture. */
+export function recordedPixels(
+  exact: ExactRenderer,
+  gaussians: Gaussians,
+  header: StreamHeader,
+  camera: PinholeCamera,
+  recording: Recording,
+): Uint8ClampedArray<ArrayBuffer> {
+  const plan = recording.lens === null ? null : planOf(camera, recording.lens);
+  const drawn = plan === null ? camera : { ...camera, ...sizes(plan.camera) };
+  const { rgb } = exact.planes(gaussians, header.shDegree, drawn, header.background);
+  const { width, height } = camera;
+  const pixels = new Uint8ClampedArray(4 * width * height);
+  const odds = recording.odds ?? NO_ODDS;
+  const colour = new Float64Array(3);
+  const [right, bottom] = [recording.left + recording.width, recording.top + recording.height];
+  for (let y = 0, at = 0; y < height; y++) {
+    for (let x = 0; x < width; x++, at += 4) {
+      pixels[at + 3] = 255;
+      if (x + 0.5 < recording.left || x + 0.5 > right || y + 0.5 < recording.top || y + 0.5 > bottom) continue;
+      if (plan === null) for (let c = 0; c < 3; c++) colour[c] = rgb[(c * height + y) * width + x];
+      else sample(rgb, drawn, plan.positions, 2 * (y * width + x), header.background, colour);
+      // Clamped, and rounded with halves to even, as a canvas' bytes are.
+      for (let c = 0; c < 3; c++) pixels[at + c] = 255 * (recording.odds === null ? colour[c] : withOdds(colour[c], odds[c]));
+    }
+  }
+  return pixels;
+}
+
+function sizes({ width, height, cx, cy }: PinholeCamera): Pick<PinholeCamera, "width" | "height" | "cx" | "cy"> {
+  return { width, height, cx, cy };
+}
+
+/** Cubic interpolation in three planes; the background where nothing was drawn. */
+function sample(
+  rgb: Float32Array,
+  { width, height }: PinholeCamera,
+  positions: Float32Array,
+  at: number,
+  background: readonly number[],
+  colour: Float64Array,
+): void {
+  const [x, y] = [positions[at] - 0.5, positions[at + 1] - 0.5];
+  if (positions[at] === NOWHERE || x < 0 || y < 0 || x > width - 1 || y > height - 1) {
+    colour.set(background);
+    return;
+  }
+  const [left, top] = [Math.floor(x), Math.floor(y)];
+  const across = cubicWeights(x - left);
+  const down = cubicWeights(y - top);
+  colour.fill(0);
+  for (let j = 0; j < 4; j++) {
+    const row = Math.min(height - 1, Math.max(0, top + j - 1));
+    for (let i = 0; i < 4; i++) {
+      const from = row * width + Math.min(width - 1, Math.max(0, left + i - 1));
+      const weight = across[i] * down[j];
+      for (let c = 0; c < 3; c++) colour[c] += weight * rgb[c * width * height + from];
+    }
+  }
+}
+
+/** That of the lens and size asked for last: a camera is looked through for longer than one picture. */
+let last: { readonly of: string; readonly plan: LensPlan } | null = null;
+
+function planOf(camera: PinholeCamera, lens: NonNullable<Recording["lens"]>): LensPlan {
+  const { width, height, fx, fy, cx, cy } = camera;
+  const of = JSON.stringify([width, height, fx, fy, cx, cy, lens.distortionModel, lens.distortion]);
+  if (last?.of !== of) last = { of, plan: lensPlan(camera, lens, 1) };
+  return last.plan;
+}

@@ -1,0 +1,146 @@
+/**
+ * The picture that a camera of the rig recorded: from where it stood in the frame, with its lens and its colours
+ * (SPEC section 6, "Corrections"; decoder/views.py).
+ *
+ * A wider pinhole is drawn, which sees all that the lens sees, and resampled; then the colours' odds are multiplied.
+ */
+import type { CameraCorrection, RigCamera } from "../scene";
+import { isDistorted, straightening, type LensModel } from "./lens";
+import type { PinholeCamera } from "./poses";
+
+const COLOUR_STEP = 2 ** -12;
+const ANGLE_STEP = 2 ** -18;
+/** What is drawn for a lens is at most so many times as wide and as high as the picture. */
+const WIDEST = 3;
+/** Pixels beyond the outermost sample: the footprint of cubic interpolation. */
+const MARGIN = 2;
+const LARGEST_SIDE = 8192;
+
+/** What a picture has beside that of its pinhole camera. */
+export interface Recording {
+  /** null: no distortion. */
+  readonly lens: LensModel | null;
+  /** Multiply the odds v / (1 - v) of red, green and blue; null: nothing does. */
+  readonly odds: readonly [number, number, number] | null;
+  /** The camera's own picture, in pixels of the canvas; nothing was recorded beside it. */
+  readonly left: number;
+  readonly top: number;
+  readonly width: number;
+  readonly height: number;
+}
+
+/** The pose of a camera in a frame: turned about its centre as the frame tells. */
+export function asItStood(rows: readonly (readonly number[])[], correction: CameraCorrection | null): readonly (readonly number[])[] {
+  if (correction === null || (correction.yaw === 0 && correction.pitch === 0 && correction.roll === 0)) return rows;
+  const turn = rotation(correction);
+  const columns = [0, 1, 2, 3] as const;
+  return [0, 1, 2].map((row) => columns.map((column) => [0, 1, 2].reduce((sum, k) => sum + turn[k][row] * rows[k][column], 0)));
+}
+
+/** Ry(yaw) Rx(pitch) Rz(roll): from the camera as it stood to the calibrated one. */
+function rotation({ yaw, pitch, roll }: CameraCorrection): number[][] {
+  const [a, b, c] = [yaw, pitch, roll].map((angle) => angle * ANGLE_STEP) as [number, number, number];
+  const [ca, sa, cb, sb, cc, sc] = [Math.cos(a), Math.sin(a), Math.cos(b), Math.sin(b), Math.cos(c), Math.sin(c)];
+  return [
+    [ca * cc + sa * sb * sc, sa * sb * cc - ca * sc, sa * cb],
+    [cb * sc, cb * cc, -sb],
+    [ca * sb * sc - sa * cc, sa * sc + ca * sb * cc, ca * cb],
+  ];
+}
+
+/** What to add to a rig camera's pinhole picture of that scale in a window of that size; null: nothing. */
+export function recordingOf(
+  camera: RigCamera,
+  correction: CameraCorrection | null,
+  window: { readonly width: number; readonly height: number; readonly fx: number },
+): Recording {
+  const scale = window.fx / camera.fx;
+  const [width, height] = [scale * camera.width, scale * camera.height];
+  const place = { left: (window.width - width) / 2, top: (window.height - height) / 2, width, height };
+  return { lens: isDistorted(camera) ? camera : null, odds: oddsOf(camera, correction), ...place };
+}
+
+function oddsOf({ colours }: RigCamera, correction: CameraCorrection | null): Recording["odds"] {
+  const sum = (name: "exposure" | "red" | "blue"): number => (colours?.[name] ?? 0) + (correction?.[name] ?? 0);
+  const [exposure, red, blue] = [sum("exposure"), sum("red"), sum("blue")];
+  if (exposure === 0 && red === 0 && blue === 0) return null;
+  return [Math.exp((exposure + red) * COLOUR_STEP), Math.exp(exposure * COLOUR_STEP), Math.exp((exposure + blue) * COLOUR_STEP)];
+}
+
+/** Of a picture through a lens: the pinhole to draw, and where points of the picture lie in that one's. */
+export interface LensPlan {
+  readonly camera: PinholeCamera;
+  /** Points `cell` pixels apart, from `first` pixels on, `columns` x `rows` of them. */
+  readonly cell: number;
+  readonly first: number;
+  readonly columns: number;
+  readonly rows: number;
+  /** Two numbers a point, pixels of the drawn picture; `NOWHERE` where the lens puts no direction. */
+  readonly positions: Float32Array<ArrayBuffer>;
+}
+
+export const NOWHERE = -1e9;
+
+/** `cell` 1: every pixel's centre; otherwise corners of cells, between which positions are nearly linear. */
+export function lensPlan(camera: PinholeCamera, lens: LensModel, cell: number): LensPlan {
+  const first = cell === 1 ? 0.5 : 0;
+  const points = (length: number): number => (cell === 1 ? length : Math.ceil(length / cell) + 1);
+  const [columns, rows] = [points(camera.width), points(camera.height)];
+  const positions = new Float32Array(2 * columns * rows).fill(NOWHERE);
+  const straighten = straightening(lens);
+  const range = [new Range(camera.width), new Range(camera.height)] as const;
+  for (let row = 0, at = 0; row < rows; row++) {
+    const y = (first + row * cell - camera.cy) / camera.fy;
+    for (let column = 0; column < columns; column++, at += 2) {
+      const found = straighten((first + column * cell - camera.cx) / camera.fx, y);
+      if (found === null) continue;
+      positions[at] = found[0] * camera.fx + camera.cx;
+      positions[at + 1] = found[1] * camera.fy + camera.cy;
+      range[0].add(positions[at]);
+      range[1].add(positions[at + 1]);
+    }
+  }
+  const [[left, right], [top, bottom]] = [range[0].pixels(), range[1].pixels()];
+  for (let at = 0; at < positions.length; at += 2) {
+    if (positions[at] === NOWHERE) continue;
+    positions[at] -= left;
+    positions[at + 1] -= top;
+  }
+  const drawn = { width: right - left, height: bottom - top, cx: camera.cx - left, cy: camera.cy - top };
+  return { camera: { ...camera, ...drawn, recording: null }, cell, first, columns, rows, positions };
+}
+
+/** Whole pixels that hold some positions with their margin, at most `WIDEST` pictures. */
+class Range {
+  private least = Infinity;
+  private most = -Infinity;
+
+  constructor(private readonly size: number) {}
+
+  add(position: number): void {
+    if (position < this.least) this.least = position;
+    if (position > this.most) this.most = position;
+  }
+
+  pixels(): readonly [number, number] {
+    const { size } = this;
+    const spare = Math.max(0, Math.floor(Math.min((WIDEST - 1) * size, LARGEST_SIDE - size) / 2));
+    const first = Math.max(Math.floor(this.least) - MARGIN, -spare);
+    const last = Math.min(Math.ceil(this.most) + MARGIN, size + spare);
+    return first < last ? [first, last] : [0, size];
+  }
+}
+
+/** The four weights of cubic interpolation at a fraction of a pixel, as OpenCV has them. */
+export function cubicWeights(t: number): readonly [number, number, number, number] {
+  const A = -0.75;
+  const near = (d: number): number => ((A + 2) * d - (A + 3)) * d * d + 1;
+  const far = (d: number): number => ((A * d - 5 * A) * d + 8 * A) * d - 4 * A;
+  const [a, b, c] = [far(t + 1), near(t), near(1 - t)];
+  return [a, b, c, 1 - a - b - c];
+}
+
+/** A colour with its odds multiplied; what lies outside 0 to 1 stays. */
+export function withOdds(value: number, odds: number): number {
+  return value >= 0 && value <= 1 ? Math.min(1, (odds * value) / (1 + (odds - 1) * value)) : value;
+}
