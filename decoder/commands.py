@@ -168,6 +168,11 @@ def view_main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--overwrite", action="store_true", help="with -o: into a folder that is there; its other files stay"
     )
+    parser.add_argument(
+        "--rig",
+        metavar="RIG_DIR",
+        help="the rig it was encoded from: shows what its cameras recorded beside their views",
+    )
     parser.add_argument("--no-browser", action="store_true", help="only print the address")
     parser.add_argument("--port", type=whole_number, default=0, metavar="N", help="default: any that is free")
     parser.add_argument(
@@ -288,7 +293,9 @@ def _view(options: argparse.Namespace) -> None:
 
     idle = DEFAULT_IDLE if options.idle is None else options.idle
     browser = False if options.no_browser else None
-    with view(options.stream, port=options.port, follow=options.follow, idle=idle, browser=browser) as served:
+    with view(
+        options.stream, port=options.port, follow=options.follow, idle=idle, browser=browser, rig=options.rig
+    ) as served:
         print_text(f"{options.stream}: {served.url} (Ctrl-C ends it)")
         with suppress(KeyboardInterrupt):
             served.wait()
@@ -297,6 +304,8 @@ def _view(options: argparse.Namespace) -> None:
 def _write_site(options: argparse.Namespace) -> None:
     from .viewing.site import write_site
 
+    if options.rig is not None:
+        raise UsageError("a folder gets no pictures of a `rig`, which are large and yours; leave out `rig`")
     if options.follow:
         raise UsageError("a folder holds a whole stream; leave out `follow`, or wait for the encoder")
     with progress("writing", "MB") as on_megabytes:

@@ -12,6 +12,8 @@ from ..following import DEFAULT_IDLE
 from ..limits import DEFAULT_MAX_MEMORY
 
 if TYPE_CHECKING:
+    from decogs.codec.header import StreamHeader
+
     from .server import StreamServer
 
 
@@ -61,38 +63,46 @@ def view(
     width: int | str = "100%",
     height: int = 540,
     idle: float = DEFAULT_IDLE,
+    rig: str | os.PathLike[str] | None = None,
 ) -> View:
     """Plays a stream: a server of this machine begins, and a notebook's cell or the browser shows its page.
 
     ``port``: 0 takes one that is free. ``follow``: the stream is still being written; ``stream`` may then be its name
     or ``NAME.part``, and what is there is played until it is whole. ``browser``: whether to open one; None does where
     there is a screen and no notebook. ``width`` and ``height``: in a notebook, pixels or, for the width, a share such
-    as "100%". ``idle``: seconds that a stream that is followed is waited for.
+    as "100%". ``idle``: seconds that a stream that is followed is waited for. ``rig``: the folder that it was encoded
+    from; what its cameras recorded can then be laid beside their views.
 
-    The server knows this stream and nothing else, is bound to 127.0.0.1, and lives until ``close`` or the end of
-    Python. Raises UsageError, StreamError for what is no readable stream, OSError when the file cannot be read.
+    The server knows this stream, that rig's frames and nothing else, is bound to 127.0.0.1, and lives until ``close``
+    or the end of Python. Raises UsageError, StreamError for what is no readable stream, RigError for what is no rig,
+    OSError when the file cannot be read.
     """
+    from .recorded_pictures import RecordedPictures
     from .server import serve_stream
 
-    check_header(stream, follow=follow, idle=idle)
-    server = serve_stream(stream, port=port, follow=follow)
+    header = check_header(stream, follow=follow, idle=idle)
+    recordings = None if rig is None else RecordedPictures(rig, header)
+    server = serve_stream(stream, port=port, follow=follow, recordings=recordings)
     if has_screen() and not in_notebook() if browser is None else browser:
         open_browser(server.url)
     return View(server, Path(stream).name, width, height)
 
 
-def check_header(stream: str | os.PathLike[str], *, follow: bool, idle: float = DEFAULT_IDLE) -> None:
-    """Raises StreamError, UsageError or OSError for what the page could not open; later damage is for it to show.
+def check_header(stream: str | os.PathLike[str], *, follow: bool, idle: float = DEFAULT_IDLE) -> StreamHeader:
+    """The header. Raises StreamError, UsageError or OSError for what the page could not open; not for later damage.
 
     ``follow``: waits up to ``idle`` seconds for the file and its header.
     """
     from ..following import GrowingStream, follow_stream, followed
 
     if follow:
-        with follow_stream(followed(stream), idle=idle):
-            return
+        with follow_stream(followed(stream), idle=idle) as growing:
+            return growing.header
     with open(stream, "rb") as file:
-        GrowingStream(file, str(stream), idle=None, strict=False, on_damage=None, max_memory=DEFAULT_MAX_MEMORY)
+        opened = GrowingStream(
+            file, str(stream), idle=None, strict=False, on_damage=None, max_memory=DEFAULT_MAX_MEMORY
+        )
+        return opened.header
 
 
 def has_screen() -> bool:

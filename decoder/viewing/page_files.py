@@ -40,10 +40,11 @@ class PageFile:
         return MEDIA_TYPES.get(Path(self.name).suffix, OTHER_MEDIA)
 
 
-def page_files(stream: str, *, follow: bool = False) -> list[PageFile]:
+def page_files(stream: str, *, follow: bool = False, recordings: str | None = None) -> list[PageFile]:
     """The page that plays the stream of this file name beside it; index.html is last.
 
-    ``follow``: a stream that still grows. Raises UsageError where the page was not built, or has a file of that name.
+    ``follow``: a stream that still grows. ``recordings``: where the pictures of its rig lie, a template.
+    Raises UsageError where the page was not built, or has a file of that name.
     """
     try:
         found = {path.name: path.read_bytes() for path in sorted(PAGE.iterdir())}
@@ -53,6 +54,7 @@ def page_files(stream: str, *, follow: bool = False) -> list[PageFile]:
     if stream in (*found, INDEX):
         raise UsageError(f"{stream}: the player's page has a file of that name; rename the stream")
     source = f'data-src="{escape(address_of(stream))}"' + (" follow" if follow else "")
+    source += "" if recordings is None else f' recordings="{escape(recordings)}"'
     index = index.replace(_PLACE, source)
     return [*(PageFile(name, data) for name, data in found.items()), PageFile(INDEX, index.encode("utf-8"))]
 

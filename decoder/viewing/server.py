@@ -23,11 +23,12 @@ from socket import socket
 from typing import Any, BinaryIO
 from urllib.parse import unquote, urlsplit
 
-from decogs.formats.errors import UsageError
+from decogs.formats.errors import RigError, UsageError
 
 from ..following import followed, open_growing
 from .byte_ranges import NoSuchBytes, asked_range
 from .page_files import INDEX, OTHER_MEDIA, PageFile, page_files, policy_of
+from .recorded_pictures import RecordedPictures
 
 HOST = "127.0.0.1"
 _OWN_NAME = re.compile(r"(127\.0\.0\.1|localhost)(:[0-9]+)?", re.ASCII | re.IGNORECASE)
@@ -65,18 +66,27 @@ class StreamServer:
         self._thread.join()
 
 
-def serve_stream(stream: str | os.PathLike[str], *, port: int = 0, follow: bool = False) -> StreamServer:
+def serve_stream(
+    stream: str | os.PathLike[str],
+    *,
+    port: int = 0,
+    follow: bool = False,
+    recordings: RecordedPictures | None = None,
+) -> StreamServer:
     """Starts to serve the file and the page that plays it, on 127.0.0.1; ``port`` 0 takes one that is free.
 
     ``follow``: the stream is still being written, as ``NAME.part`` until it is whole; ``stream`` is either name.
-    Nothing of the stream is looked at. Raises UsageError for a port that is not to be had.
+    ``recordings``: its rig's pictures, which are served, too. Nothing of the stream is looked at.
+    Raises UsageError for a port that is not to be had.
     """
     path = followed(stream) if follow else Path(stream)
-    page = page_files(path.name, follow=follow)
-    return StreamServer(_listening(page, path, port, follow))
+    page = page_files(path.name, follow=follow, recordings=None if recordings is None else recordings.address)
+    return StreamServer(_listening(page, path, port, follow, recordings))
 
 
-def _listening(page: list[PageFile], path: Path, port: int, growing: bool) -> _Server:
+def _listening(
+    page: list[PageFile], path: Path, port: int, growing: bool, recordings: RecordedPictures | None
+) -> _Server:
     def opened() -> BinaryIO:
         if not growing:
             return path.open("rb")
@@ -85,7 +95,7 @@ def _listening(page: list[PageFile], path: Path, port: int, growing: bool) -> _S
         return open_growing(path)  # it was renamed between two looks
 
     try:
-        return _Server(page, path.name, opened, port, growing)
+        return _Server(page, path.name, opened, port, growing, recordings)
     except OverflowError:
         raise UsageError(f"`port` {port} is none; choose one from 1024 to 65535, or 0 for any that is free") from None
     except OSError as error:
@@ -96,7 +106,16 @@ class _Server(ThreadingHTTPServer):
     daemon_threads = True
     block_on_close = False
 
-    def __init__(self, page: list[PageFile], stream_name: str, opened: Opener, port: int, growing: bool) -> None:
+    def __init__(
+        self,
+        page: list[PageFile],
+        stream_name: str,
+        opened: Opener,
+        port: int,
+        growing: bool,
+        recordings: RecordedPictures | None,
+    ) -> None:
+        self.recordings = recordings
         self.page = {file.name: file for file in page} | {"": page[-1]}
         self.policy = policy_of(page[-1])
         self.stream_name, self.opened, self.growing = stream_name, opened, growing
@@ -139,8 +158,26 @@ class _Handler(BaseHTTPRequestHandler):
             self._send_stream()
         elif name in self.server.page:
             self._send_page(self.server.page[name])
-        else:
+        elif not self._send_recording(name):
             self._refuse(HTTPStatus.NOT_FOUND, "there is nothing here")
+
+    def _send_recording(self, name: str) -> bool:
+        """Sends a picture of the rig; False where this is none."""
+        recordings = self.server.recordings
+        try:
+            data = None if recordings is None else recordings.file_at(name)
+        except RigError as error:
+            self._refuse(HTTPStatus.NOT_FOUND, str(error))
+            return True
+        if data is None:
+            return False
+        self.send_response(HTTPStatus.OK)
+        self._common("image/jpeg", len(data))
+        self.send_header("Cache-Control", "no-cache")
+        self.end_headers()
+        if self.command != "HEAD":
+            self.wfile.write(data)
+        return True
 
     def _is_for_this_machine(self) -> bool:
         """A forwarded port may be another one, but a name that is not this machine's is a web site's."""

@@ -10,19 +10,25 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+import cv2
+import numpy as np
 import pytest
 
 from decogs.decoder import view
 from decogs.decoder.commands import view_main
 from decogs.decoder.viewing import notebook, page_files
 from decogs.decoder.viewing.byte_ranges import NoSuchBytes, asked_range
+from decogs.decoder.viewing.recorded_pictures import RecordedPictures
 from decogs.decoder.viewing.server import StreamServer, serve_stream
-from decogs.formats.errors import StreamError, UsageError
+from decogs.formats.errors import RigError, StreamError, UsageError
+from decogs.formats.rigs import open_rig, read_frames
 
+RIG = Path(__file__).parents[1] / "demo" / "workbench"
 COMMAND = Path(sys.executable).parent / "decogs-view"
 
 
@@ -349,3 +355,55 @@ def test_twenty_at_once_and_a_slow_one(served: StreamServer, small_stream: Any) 
         for _ in range(20):
             assert ask(served.url, small_stream.path.name).status == 200
         assert time.monotonic() - since < 5
+
+
+def test_the_rig_s_pictures_are_those_of_the_stream_s_frames(small_stream: Any) -> None:
+    """In any order: forward, back, another camera; frame 0 of the stream is the rig's ``first_frame``."""
+    header = replace(small_stream.header, first_frame=1)
+    recordings = RecordedPictures(RIG, header)
+    expected = dict(read_frames(open_rig(RIG), names=["cam00", "cam01"]))
+    with serve_stream(small_stream.path, recordings=recordings) as server:
+        assert b'recordings="./recorded/{camera}/{frame}.jpg"' in ask(server.url).body
+        for camera, frame in (("cam00", 0), ("cam00", 2), ("cam00", 1), ("cam01", 1), ("cam00", 1)):
+            answer = ask(server.url, f"recorded/{camera}/{frame}.jpg")
+            assert (answer.status, answer.headers["Content-Type"]) == (200, "image/jpeg")
+            seen = cv2.imdecode(np.frombuffer(answer.body, np.uint8), cv2.IMREAD_COLOR)[..., ::-1].astype(float)
+            recorded = expected[frame + 1][camera != "cam00"].astype(float)
+            assert (
+                np.abs(seen - recorded).mean() < 4
+            )  # JPEG halves the colours' resolution, and the film's grain is fine
+            other = expected[frame][camera != "cam00"].astype(float)
+            assert np.abs(seen - recorded).mean() < np.abs(seen - other).mean()
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "recorded/cam00/99.jpg",
+        "recorded/cam00/-1.jpg",
+        "recorded/cam00/1",
+        "recorded/cam00/%D9%A1.jpg",
+        "recorded/cam00/9999999999.jpg",
+        "recorded/cam77/1.jpg",
+        "recorded/../rig.json",
+        "recorded/cam00/../cam00/1.jpg",
+        "recorded/",
+        "cam00/1.jpg",
+    ],
+)
+def test_nothing_else_of_a_rig_is_served(small_stream: Any, path: str) -> None:
+    with serve_stream(small_stream.path, recordings=RecordedPictures(RIG, small_stream.header)) as server:
+        assert ask(server.url, path).status == 404
+
+
+def test_a_rig_that_does_not_fit_is_refused(small_stream: Any, tmp_path: Path, capsys: Any) -> None:
+    with pytest.raises(RigError, match="no calibration"):
+        RecordedPictures(tmp_path, small_stream.header)
+    with pytest.raises(UsageError, match="ends before the stream's first frame"):
+        RecordedPictures(RIG, replace(small_stream.header, first_frame=1000))
+    other = tuple(replace(camera, name=f"x{camera.name}") for camera in small_stream.header.cameras)
+    with pytest.raises(UsageError, match="has no camera of the stream"):
+        RecordedPictures(RIG, replace(small_stream.header, cameras=other, held_out=()))
+    assert view_main([str(small_stream.path), "-o", str(tmp_path / "site"), "--rig", str(RIG)]) == 2
+    assert "leave out --rig" in capsys.readouterr().err
+    assert not (tmp_path / "site").exists()

@@ -66,6 +66,7 @@ export const KEY_ACTIONS: readonly KeyAction[] = [
     },
   },
   { keys: ["o"], shown: "O", text: "as the camera recorded it", act: (player) => { player.recorded = !player.recorded; } },
+  { keys: ["b"], shown: "B", text: "the recorded picture beside it, where it is known", act: (player) => { player.comparing = !player.comparing; } },
   { keys: ["i"], shown: "I", text: "figures", act: (_, panels) => { panels.toggleStatistics(); } },
   { keys: ["p"], shown: "P", text: "save the picture", act: (_, panels) => { void panels.savePicture(); } },
   { keys: ["f"], shown: "F", text: "full screen", act: (_, panels) => { panels.toggleFullScreen(); } },

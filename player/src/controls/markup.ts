@@ -19,6 +19,7 @@ function helpRows(): string {
 
 export function markup(): string {
   return `
+<div class="recording" hidden><div class="divider" role="slider" tabindex="0" aria-label="Recorded picture against the scene" aria-valuemin="0" aria-valuemax="100"></div></div>
 <div class="veil" part="loading" hidden><span class="spinner"></span></div>
 <button class="start" type="button" aria-label="Play" hidden>${icon("play")}</button>
 <dl class="figures panel" aria-label="Figures" hidden></dl>
@@ -34,6 +35,7 @@ export function markup(): string {
   <label class="check"><input type="checkbox" name="loop"> Loop</label>
   <label class="check" title="Drawn by the decoder's own renderer, to the bit; slower"><input type="checkbox" name="exact"> Exact picture</label>
   <label class="check" title="Cameras of the rig with their lens, their colours, and where they stood in the frame"><input type="checkbox" name="recorded"> As recorded</label>
+  <label class="check" title="What the camera recorded, left of a line that can be dragged"><input type="checkbox" name="comparing"> Recorded picture beside it</label>
   <label class="check"><input type="checkbox" name="figures"> Figures</label>
   <hr>
   <button type="button" name="picture">Save picture</button>

@@ -3,6 +3,7 @@ import type { Overlay } from "../draw/renderer";
 import type { DecogsPlayer } from "../element/player";
 import { cameraToLink, poseFile } from "./camera_text";
 import { cameraNote } from "./camera_note";
+import { Comparison } from "./comparison";
 import { icon } from "./icons";
 import { markup } from "./markup";
 import { Statistics } from "./statistics";
@@ -23,6 +24,7 @@ const LEGENDS: Readonly<Record<Overlay, string>> = {
 export class Panels {
   private readonly timeline: Timeline;
   private readonly statistics: Statistics;
+  private readonly comparison: Comparison;
   private readonly closers: readonly HTMLElement[];
   private refreshing = false;
   private camerasOf: unknown = null;
@@ -42,6 +44,7 @@ export class Panels {
     root.append(holder);
     this.timeline = new Timeline(player, this.part(".timeline"));
     this.statistics = new Statistics(player, this.part(".figures"));
+    this.comparison = new Comparison(player, this.part(".recording"), this.part(".divider"));
     this.closers = [this.part(".menu"), this.part(".help")];
     this.listen();
   }
@@ -58,6 +61,7 @@ export class Panels {
 
   tick(now: number): void {
     this.statistics.tick(now);
+    if (this.player.comparing) this.comparison.refresh();
   }
 
   loading(on: boolean): void {
@@ -174,6 +178,9 @@ export class Panels {
     this.field("recorded").addEventListener("change", ({ target }) => {
       player.recorded = (target as HTMLInputElement).checked;
     });
+    this.field("comparing").addEventListener("change", ({ target }) => {
+      player.comparing = (target as HTMLInputElement).checked;
+    });
     this.field("figures").addEventListener("change", () => {
       this.toggleStatistics();
     });
@@ -208,6 +215,9 @@ export class Panels {
     this.input("exact").checked = player.exact;
     this.input("exact").disabled = !player.canChooseExact;
     this.input("recorded").checked = player.recorded;
+    this.input("comparing").checked = player.comparing;
+    this.input("comparing").closest<HTMLElement>("label")!.hidden = !player.hasAttribute("recordings");
+    this.comparison.refresh();
     this.input("figures").checked = !this.part(".figures").hidden;
     this.field("menu").setAttribute("aria-expanded", String(!this.part(".menu").hidden));
     this.updateLegend();

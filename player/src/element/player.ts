@@ -63,6 +63,7 @@ export class DecogsPlayer extends HTMLElement {
   private lastTick = 0;
   private followTimer = 0;
   private pausedByHiding = false;
+  private comparing_ = false;
   private notice: string | null = null;
   private startAt: { pose: Pose; lens: Lens } | null = null;
   private readonly resized = new ResizeObserver(() => {
@@ -217,6 +218,28 @@ export class DecogsPlayer extends HTMLElement {
   }
   set recorded(value: boolean) {
     this.toggleAttribute("recorded", value);
+  }
+  /** Whether what a rig camera recorded lies beside its view, which then is as recorded, too. */
+  get comparing(): boolean {
+    return this.comparing_;
+  }
+  set comparing(value: boolean) {
+    this.comparing_ = value && this.hasAttribute("recordings");
+    if (this.comparing_) this.recorded = true;
+    this.panels.refresh();
+    this.wake();
+  }
+  /** Where the camera's own picture lies in the element, in CSS pixels; null for a free camera. */
+  recordedPlace(): { readonly left: number; readonly top: number; readonly width: number; readonly height: number } | null {
+    const recording = this.currentCamera(this.clientWidth, this.clientHeight)?.recording;
+    return recording ?? null;
+  }
+  /** The address of what the camera looked through recorded in the frame that is shown; empty where there is none. */
+  recordingAddress(): string {
+    const template = this.getAttribute("recordings");
+    if (template === null || this.camera === "" || this.info === null) return "";
+    const path = template.replace("{camera}", encodeURIComponent(this.camera)).replace("{frame}", String(this.info.frame));
+    return new URL(path, document.baseURI).href;
   }
   /** Whether this browser leaves a choice: without WebGL2 every picture is exact. */
   get canChooseExact(): boolean {

@@ -43,6 +43,7 @@ option { color: #15181d; background: #fff; }
 .menu { position: absolute; right: 12px; bottom: calc(108px + env(safe-area-inset-bottom, 0px)); padding: 8px; width: 264px; display: grid; gap: 2px; }
 .menu label { display: flex; align-items: center; justify-content: space-between; gap: 12px; padding: 3px 8px; min-height: 36px; box-sizing: border-box; }
 .menu label.check { justify-content: flex-start; cursor: pointer; border-radius: 8px; }
+.menu label[hidden] { display: none; }
 .menu label.check:hover { background: var(--hover); }
 .menu button { text-align: left; padding: 0 8px; height: 36px; }
 .menu hr { width: 100%; border: 0; border-top: 1px solid var(--edge); margin: 4px 0; }
@@ -63,6 +64,11 @@ dl { margin: 0; display: grid; }
 .legend i { width: 10px; height: 10px; border-radius: 50%; margin-left: 8px; }
 .legend i:first-child { margin-left: 0; }
 .now { background: #ffdb73; } .past { background: #ed4721; } .still { background: #6d7480; } .moving { background: #ff9e33; }
+.recording { position: absolute; inset: 0; overflow: hidden; }
+.recording img { position: absolute; pointer-events: none; }
+.divider { position: absolute; width: 24px; margin-left: -12px; cursor: ew-resize; touch-action: none; pointer-events: auto; }
+.divider::before { content: ""; position: absolute; left: 11px; width: 2px; height: 100%; background: #fff; box-shadow: 0 0 3px #000; }
+.divider::after { content: ""; position: absolute; left: 3px; top: calc(50% - 9px); width: 18px; height: 18px; border-radius: 50%; background: #fff; box-shadow: 0 0 4px #000; }
 .veil { position: absolute; inset: 0; display: grid; place-items: center; }
 .spinner { width: 34px; height: 34px; border-radius: 50%; border: 3px solid rgb(255 255 255 / .25); border-top-color: #fff; animation: turn 1s linear infinite; }
 @keyframes turn { to { transform: rotate(1turn); } }

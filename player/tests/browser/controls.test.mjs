@@ -162,3 +162,104 @@ test("nothing is drawn while nothing changes", async () => {
   assert.equal(await drawn(), 0);
   await page.context().close();
 });
+
+test("the recorded picture lies left of a line, as large as the camera's, and follows the frame", async () => {
+  const page = await browser.opened("recorded", { width: 400, height: 300, query: "&camera=barrel" });
+  const asked = [];
+  await page.route("**/recorded/**", async (route) => {
+    asked.push(new URL(route.request().url()).pathname);
+    const svg = '<svg xmlns="http://www.w3.org/2000/svg" width="200" height="150"><rect width="200" height="150" fill="#f0f"/></svg>';
+    await route.fulfill({ contentType: "image/svg+xml", body: svg });
+  });
+  await ready(page);
+  const withoutRig = await page.evaluate(() => {
+    const player = document.querySelector("decogs-player");
+    player.comparing = true;
+    return player.comparing;
+  });
+  assert.equal(withoutRig, false);
+  await page.evaluate(() => document.querySelector("decogs-player").setAttribute("recordings", "/recorded/{camera}/{frame}.jpg"));
+  await page.keyboard.press("b");
+  await until(page, "player.comparing && player.recorded && !player.shadowRoot.querySelector('.recording').hidden");
+  await page.waitForTimeout(300);
+  const seen = () =>
+    page.evaluate(() => {
+      const { shadowRoot } = document.querySelector("decogs-player");
+      const image = shadowRoot.querySelector(".recording img");
+      const { left, top, width, height } = image.getBoundingClientRect();
+      return { left, top, width, height, clip: image.style.clipPath, address: new URL(image.src).pathname };
+    });
+  assert.deepEqual(await seen(), { left: 0, top: 0, width: 400, height: 300, clip: "inset(0px 50% 0px 0px)", address: "/recorded/barrel/0.jpg" });
+  const line = await page.locator(".divider").boundingBox();
+  await page.mouse.move(line.x + line.width / 2, 130);
+  await page.mouse.down();
+  await page.mouse.move(100, 130, { steps: 3 });
+  await page.mouse.up();
+  assert.equal((await seen()).clip, "inset(0px 75% 0px 0px)");
+  assert.equal(await page.evaluate(() => document.querySelector("decogs-player").camera), "barrel");
+  await page.evaluate(() => (document.querySelector("decogs-player").currentFrame = 1));
+  await until(page, "player.info.frame === 1");
+  await page.waitForTimeout(300);
+  assert.equal((await seen()).address, "/recorded/barrel/1.jpg");
+  await page.keyboard.press("]");
+  await page.waitForTimeout(900);
+  assert.equal((await seen()).address, "/recorded/fisheye/1.jpg");
+  await page.keyboard.press("b");
+  await until(page, "player.shadowRoot.querySelector('.recording').hidden");
+  assert.deepEqual(page.complaints, []);
+  await page.context().close();
+});
+
+/** Fingers that come down, move to other places in steps, and go. */
+async function fingers(page, from, to) {
+  const client = await page.context().newCDPSession(page);
+  const touch = (type, points) => client.send("Input.dispatchTouchEvent", { type, touchPoints: points.map(([x, y], id) => ({ x, y, id })) });
+  await touch("touchStart", from);
+  for (let step = 1; step <= 5; step++) {
+    await touch("touchMove", from.map(([x, y], i) => [x + ((to[i][0] - x) * step) / 5, y + ((to[i][1] - y) * step) / 5]));
+  }
+  await touch("touchEnd", []);
+  await page.waitForTimeout(900);
+}
+
+test("touch: one finger circles, two shift, a pinch goes nearer", async () => {
+  const page = await browser.opened("dome", { width: 390, height: 600, touch: true });
+  await ready(page);
+  const before = await state(page);
+  await fingers(page, [[200, 200]], [[280, 200]]);
+  const circled = await state(page);
+  assert.ok(distance(circled.centre, before.centre) > 0.05, "circled");
+  assert.ok(Math.abs(distance(circled.centre, circled.pivot) - distance(before.centre, before.pivot)) < 1e-6);
+  await fingers(page, [[150, 200], [250, 200]], [[200, 240], [300, 240]]);
+  const shifted = await state(page);
+  assert.ok(distance(shifted.pivot, circled.pivot) > 0.01, "shifted");
+  await fingers(page, [[170, 200], [230, 200]], [[100, 200], [300, 200]]);
+  const nearer = await state(page);
+  assert.ok(distance(nearer.centre, nearer.pivot) < 0.8 * distance(shifted.centre, shifted.pivot), "nearer");
+  assert.deepEqual(page.complaints, []);
+  await page.context().close();
+});
+
+test("a hidden tab pauses, and goes on when it is seen again", async () => {
+  const page = await browser.opened("long", { query: "&loop" });
+  await ready(page);
+  // Headless pages are never hidden: the browser's own word for it is replaced.
+  const hide = (hidden) =>
+    page.evaluate((hidden) => {
+      Object.defineProperty(document, "hidden", { value: hidden, configurable: true });
+      document.dispatchEvent(new Event("visibilitychange"));
+      return document.querySelector("decogs-player").paused;
+    }, hidden);
+  await page.evaluate(() => document.querySelector("decogs-player").play());
+  await until(page, "player.info.frame >= 3");
+  assert.equal(await hide(true), true);
+  const at = await page.evaluate(() => document.querySelector("decogs-player").currentTime);
+  await page.waitForTimeout(400);
+  assert.equal(await page.evaluate(() => document.querySelector("decogs-player").currentTime), at);
+  assert.equal(await hide(false), false);
+  // Who paused it goes on being obeyed.
+  await page.evaluate(() => document.querySelector("decogs-player").pause());
+  await hide(true);
+  assert.equal(await hide(false), true);
+  await page.context().close();
+});
