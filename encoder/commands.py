@@ -123,6 +123,9 @@ def encode_main(arguments: Sequence[str] | None = None) -> int:
         "--resume", action="store_true", help="continue SCENE.DGS.part, or SCENE.DGS, of an interrupted encode"
     )
     parser.add_argument(
+        "--metrics", action="store_true", help="put every frame's PSNR into the stream, for the player to show"
+    )
+    parser.add_argument(
         "--seed",
         type=whole_number,
         default=0,
@@ -221,6 +224,7 @@ def _encode(parser: Parser, options: argparse.Namespace) -> int:
             device=options.device,
             log=options.log,
             convergence_log=options.convergence_log,
+            metrics=options.metrics,
             progress=progress,
             on_warning=warn_as(parser),
         )

@@ -54,6 +54,7 @@ def encode(
     keyframe: str | os.PathLike[str] | None = None,
     segment: int | None = None,
     resume: bool = False,
+    metrics: bool = False,
     seed: int = 0,
     threads: int = 0,
     device: str = "auto",
@@ -80,6 +81,8 @@ def encode(
     encode with the same options left in ``output`` + ".part", or as a shorter stream; the file gets the bytes of one
     that was not cut off.
 
+    ``metrics``: the stream tells the PSNR of every frame, which the player shows; not with ``resume``.
+
     Resources: ``seed``: the same one gives the same bytes, except with a time budget. ``threads``: 0 means all
     processors; the stream does not depend on it. ``device``: "cuda" takes gsplat and gives other bits every time;
     "auto" is the CPU.
@@ -93,6 +96,8 @@ def encode(
     ``keyframe``, or TrainingError; nothing is then left under the output's name.
     """
     check_device(device)
+    if metrics and resume:
+        raise UsageError("`metrics` cannot be resumed: what was left may lack them; leave out one of the two")
     if seed < 0:
         raise UsageError(f"`seed` {seed}: give a number of at least 0")
     chosen = _settings(settings, switches, targets, segment)
@@ -148,6 +153,7 @@ def encode(
             keyframe=source,
             device=device,
             resume=resume,
+            metrics=metrics,
             on_frame=observer.frame,
             on_keyframe_step=observer.keyframe_step,
             convergence=curve,

@@ -15,6 +15,7 @@ from .input.imported_splats import SplatSource
 from .input.ingest import Ingest
 from .loop import StreamEncoder
 from .output.convergence_log import ConvergenceLog
+from .output.metrics import write_metrics
 from .output.reports import EncodeReport, FrameReport, OnFrame, OnKeyframeStep
 from .output.resume import Interrupted, check_resumable
 from .output.stream_output import FileOutput, StreamOutput, open_output
@@ -33,6 +34,7 @@ def encode_stream(
     keyframe: KeyframeSource | SplatSource | None = None,
     device: str = "auto",
     resume: bool = False,
+    metrics: bool = False,
     on_frame: OnFrame | None = None,
     on_keyframe_step: OnKeyframeStep | None = None,
     convergence: ConvergenceLog | None = None,
@@ -44,7 +46,8 @@ def encode_stream(
     that is asked for. ``keyframe``: an earlier stream's, or a file's Gaussians, to begin with instead of training
     one; UsageError when it does not fit the rig. ``resume``: go on with what an earlier encode left, in ``output`` +
     ".part" or as a shorter stream; the result has the bytes of one that was not cut off, but for a time budget, with
-    which no two encodes have the same. ``convergence`` takes the loss of every step.
+    which no two encodes have the same. ``metrics``: each frame's PSNR goes behind it.
+    ``convergence`` takes the loss of every step.
     Raises DecogsError for unusable input; complete frames then remain in ``output`` + ".part", and the message says so.
     """
     with output if isinstance(output, StreamOutput) else open_output(output, resume=resume) as target:
@@ -83,6 +86,8 @@ def encode_stream(
                 else:
                     report = encoder.encode_next(frame)
                 reports.append(report)
+                if metrics:
+                    write_metrics(target, frame.index - span.start, report)
                 if on_frame:
                     on_frame(report)
             target.open()

@@ -11,8 +11,10 @@ from typing import Any
 
 import pytest
 
+from decogs.decoder import open_stream
 from decogs.encoder import PRESETS, Switches, Targets, TerminalProgress
 from decogs.encoder import encode as encode_rig
+from decogs.formats.container import FRAME_KINDS, PacketKind
 from decogs.formats.errors import RigError, StreamError, UsageError
 from decogs.formats.rigs import open_rig
 from packets import iterate_packets
@@ -218,3 +220,28 @@ def test_a_pipe_cannot_be_resumed(moving_rig: Path, tiny_settings: Any) -> None:
 def test_a_folder_that_is_no_rig_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RigError, match="no calibration"):
         encode_rig(tmp_path, tmp_path / "x.dgs")
+
+
+def test_metrics_stand_behind_their_frames_and_change_nothing_else(
+    moving: Any, moving_rig: Path, tiny_rig: Any, tiny_settings: Any, tmp_path: Path
+) -> None:
+    output = tmp_path / "told.dgs"
+    options = {"holdout": [tiny_rig.held_out], "settings": tiny_settings}
+    report = encode_rig(moving_rig, output, metrics=True, **options)
+    packets = list(iterate_packets(io.BytesIO(output.read_bytes())))
+    plain = list(iterate_packets(io.BytesIO(moving.data)))
+    without = [packet for packet in packets if packet.kind != PacketKind.METRICS]
+    kept = {PacketKind.HEADER, *FRAME_KINDS}
+    assert [p.payload for p in without if p.kind in kept] == [p.payload for p in plain if p.kind in kept]
+    assert [(p.kind, p.frame) for p in packets[1:-2]] == [
+        pair for p in plain[1:-2] for pair in ((p.kind, p.frame), (PacketKind.METRICS, p.frame))
+    ]
+    told = [json.loads(packet.payload) for packet in packets if packet.kind == PacketKind.METRICS]
+    assert told == [
+        {"psnr": round(frame.training_psnr, 2), "held_out_psnr": round(frame.held_out_psnr, 2)}
+        for frame in report.frames
+    ]
+    with open_stream(output) as stream:
+        assert stream.frame_count == len(told)
+    with pytest.raises(UsageError, match="`metrics` cannot be resumed"):
+        encode_rig(moving_rig, output, metrics=True, resume=True, **options)

@@ -1,0 +1,24 @@
+"""What a stream tells of its own quality: METRICS packets (SPEC.md, section 3), which decoding passes over."""
+
+from __future__ import annotations
+
+import json
+import math
+
+from decogs.formats.container import PacketKind
+
+from .reports import FrameReport
+from .stream_output import StreamOutput
+
+_DECIMALS = 2
+
+
+def write_metrics(output: StreamOutput, frame: int, report: FrameReport) -> None:
+    """Appends a packet with the frame's PSNR in dB, a JSON object: ``psnr`` over the training views, as reported, and
+    ``held_out_psnr`` where cameras were held out. What is no finite number is left out, an empty packet too."""
+    told = {"psnr": report.training_psnr, "held_out_psnr": report.held_out_psnr}
+    known = {
+        name: round(value, _DECIMALS) for name, value in told.items() if value is not None and math.isfinite(value)
+    }
+    if known:
+        output.write(PacketKind.METRICS, frame, json.dumps(known, sort_keys=True, separators=(",", ":")).encode())
