@@ -12,6 +12,7 @@ import pytest
 from node import PLAYER, node
 
 NO_CHROMIUM = 77
+MOST_SECONDS = 900
 RIGS = [Path(path) for path in os.environ.get("DECOGS_BROWSER_RIGS", "").split(os.pathsep) if path]
 """More streams whose first four frames are compared, cam00's without a lens: `DECOGS_BROWSER_RIGS=a.dgs:b.dgs`."""
 
@@ -22,9 +23,8 @@ def test_in_a_browser(tmp_path: Path) -> None:
     script = Path(__file__).with_name("browser_data.py")
     made = subprocess.run([sys.executable, str(script), str(tmp_path), *map(str, RIGS)], capture_output=True, text=True)
     assert made.returncode == 0, made.stdout + made.stderr
-    run = subprocess.run(
-        [program, str(PLAYER / "tests/browser/run.mjs"), str(tmp_path)], capture_output=True, text=True
-    )
+    script = PLAYER / "tests/browser/run.mjs"
+    run = subprocess.run([program, str(script), str(tmp_path)], capture_output=True, text=True, timeout=MOST_SECONDS)
     if run.returncode == NO_CHROMIUM:
         pytest.skip(run.stderr.strip())
     print(run.stdout)
