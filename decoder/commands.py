@@ -112,8 +112,8 @@ def export_main(arguments: Sequence[str] | None = None) -> int:
     parser = Parser(
         prog="decogs-export",
         description="Export a .dgs stream as USD for Blender, Houdini, usdview, or as splats for viewers.",
-        epilog="OUTPUT's ending chooses: .usdc, .usda, .usd and .usdz hold all frames; .ply, .spz, .splat and .glb "
-        "one each, numbered by x_####.ply, x_%04d.ply or 'x_$F4.ply'. docs/exports.md says what suits which program.",
+        epilog="OUTPUT's ending chooses: .usdc, .usda, .usd and .usdz hold all frames; .ply, .spz, .sog, .splat "
+        "and .glb one, numbered by x_####.ply, x_%04d.ply, 'x_$F4.ply'. docs/exports.md says what suits which program.",
     )
     parser.add_argument("stream", help="the .dgs file")
     parser.add_argument("-o", "--output", required=True, metavar="OUTPUT", help="the file or files; - for stdout")

@@ -90,7 +90,7 @@ def export(
     on_frame: OnProgress | None = None,
     on_warning: OnWarning | None = None,
 ) -> ExportReport:
-    """Writes frames of a stream: one USD file (.usdc, .usda, .usd, .usdz), or Gaussians (.ply, .spz, .splat, .glb).
+    """Writes frames: one USD file (.usdc, .usda, .usd, .usdz), or Gaussians (.ply, .spz, .sog, .splat, .glb).
 
     ``output``: the file's name, whose ending chooses what is written and which ``decogs.formats.frame_names`` numbers;
     or an open file for what ``format`` names, such as "ply". ``frames``: consecutive ones, as a slice or a range; None

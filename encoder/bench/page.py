@@ -299,8 +299,8 @@ def _how_rivals() -> list[str]:
         "- First frame: all bytes that have to be there before it shows: of a stream the keyframe with header and "
         "index, of a file per frame the first file. The frames after it: the other bytes over the other frames. "
         "× ours: those over the finest stream's.",
-        "- Rivals are written to disk by this program (PLY, SPZ, .splat and arrays by writers of its own, splats4d by "
-        "its own command at zstd level 19) and sizes taken from the files.",
+        "- Rivals are written to disk by this program (PLY, SPZ, SOG, .splat and arrays by writers of its own, "
+        "splats4d by its own command at zstd level 19) and sizes taken from the files.",
     ]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from decogs.formats.splat_files.ply import Ply
+from decogs.formats.splat_files.sog import Sog
 from decogs.formats.splat_files.splat import Splat
 from decogs.formats.splat_files.spz import Spz
 
@@ -73,6 +74,7 @@ RIVALS = (
     _spz(12, 5, 4, " (its library's default)"),
     _spz(10, 4, 3),
     _spz(8, 3, 3),
+    Rival("sog", "SOG", "SOG v2 per frame", FilePerFrame(Sog())),
     Rival("splat", ".splat", ".splat per frame (what splats4d takes)", FilePerFrame(Splat()), _NO_DIRECTIONS),
     _splat4d(0.5, 1, 0, 0.5),
     _splat4d(2, 4, 0, 2, " (its default)"),

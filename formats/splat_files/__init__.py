@@ -1,8 +1,8 @@
 """Files that hold one frame's Gaussians, one module for each format, found by the ending of their names.
 
 A format joins as one file in this folder: a module with a class of `SplatFormat` that is called ``Format``. What is
-common to those of few bits is in ``quantised``. ``reading`` takes strangers' .ply and .spz; the readers of .splat and
-.glb read what their own writer writes, for tests and ``decogs-bench``.
+common to those of few bits is in ``quantised``. ``reading`` takes strangers' .ply and .spz; the readers of .splat,
+.sog and .glb read what their own writer writes, for tests and ``decogs-bench``.
 """
 
 from __future__ import annotations

@@ -254,7 +254,7 @@ def test_what_is_not_installed_is_said(three_frames: Path, tmp_path: Path, monke
     monkeypatch.setattr(splat4d, "_command", lambda: None)
     text = make_report(replace(RATES, figures={}), [three_frames], tmp_path, OPTIONS, only=["none"]).read_text()
     assert text.count("| not installed |") == 4
-    assert text.count("| not run |") == 4 + 9, "streams, and rivals that need nothing"
+    assert text.count("| not run |") == 4 + 10, "streams, and rivals that need nothing"
 
 
 @pytest.mark.skipif(importlib.util.find_spec("matplotlib") is None, reason="plots need the extra 'bench'")
