@@ -139,6 +139,9 @@ def export_main(arguments: Sequence[str] | None = None) -> int:
         choices=FLAVOURS,
         help="USD: ellipsoids, for all programs (instancer, default), ParticleField3DGaussianSplat (splat), or both",
     )
+    parser.add_argument(
+        "--velocities", action="store_true", help="USD: write the instances' velocities, for motion blur"
+    )
     return run(parser, lambda: _export(parser, parser.parse_args(_joined(arguments))), cleans_up=True)
 
 
@@ -247,6 +250,7 @@ def _export(parser: Parser, options: argparse.Namespace) -> None:
             scale_to_metres=options.scale_to_metres,
             format=options.format,
             spz_version=options.spz_version,
+            velocities=options.velocities,
             prim=options.prim,
             strict=options.strict,
             max_memory=options.max_memory,

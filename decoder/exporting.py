@@ -69,6 +69,7 @@ class _Plan:
     scale: float
     spz_version: SpzVersion | None
     prim: Flavour
+    velocities: bool
     on_frame: OnProgress | None
     on_warning: OnWarning | None
 
@@ -85,6 +86,7 @@ def export(
     format: str | None = None,
     spz_version: SpzVersion | None = None,
     prim: Flavour | None = None,
+    velocities: bool = False,
     strict: bool = False,
     max_memory: int = DEFAULT_MAX_MEMORY,
     on_frame: OnProgress | None = None,
@@ -98,7 +100,8 @@ def export(
     ``first_frame``: the number of the stream's frame 0, in names and as USD's time code. ``fps``: the stream's by
     default. ``scale_to_metres``: metres of a world unit; positions and sizes are multiplied by it. ``spz_version``: 2,
     3 or 4. ``prim``: how USD shows Gaussians: "instancer" (default), "splat" or
-    "both". ``strict`` and ``max_memory`` (bytes) are those of ``open_stream``. The frames are read twice, and
+    "both". ``velocities``: USD's instancers get them, in world units a second, for programs that blur by them.
+    ``strict`` and ``max_memory`` (bytes) are those of ``open_stream``. The frames are read twice, and
     ``on_frame(done, all)`` counts both readings; ``on_warning(text)`` is called for damage and for losses of the
     format.
 
@@ -119,7 +122,12 @@ def export(
     if prim is not None and prim not in FLAVOURS:
         raise UsageError(f"`prim` {prim}: no such kind of prim; choose from {', '.join(FLAVOURS)}")
     flavour: Flavour = prim or "instancer"
-    plan = _Plan(target, suffix, up, first_frame, fps, scale_to_metres, spz_version, flavour, on_frame, on_warning)
+    if velocities and (suffix not in USD_SUFFIXES or flavour == "splat"):
+        held = "splat prims have" if suffix in USD_SUFFIXES else f"a {suffix} has"
+        raise UsageError(f"`velocities`: {held} no place for them; write USD with instancers, or leave it out")
+    plan = _Plan(
+        target, suffix, up, first_frame, fps, scale_to_metres, spz_version, flavour, velocities, on_frame, on_warning
+    )
     with open_chosen(stream, frames, strict=strict, max_memory=max_memory, on_warning=on_warning) as (opened, chosen):
         if not 0 <= first_frame <= _LAST_NUMBER - chosen.stop:
             raise UsageError(f"`first_frame` {first_frame}: give a number from 0 on")
@@ -234,6 +242,7 @@ def _export_usd(plan: _Plan, stream: Stream, chosen: range, source: Path) -> Exp
             root=root,
             flavour=plan.prim,
             asset=asset,
+            velocities=plan.velocities,
             documentation=_documentation(header, asset[0]),
         )
         return ExportReport(

@@ -7,7 +7,8 @@ few copies of one frame (and, for a .usda, the whole file).
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import chain, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -85,6 +86,7 @@ def export_usd(
     documentation: str = "",
     flavour: Flavour = "instancer",
     asset: tuple[str, str] | None = None,
+    velocities: bool = False,
 ) -> UsdReport:
     """A stream of decoded frames as USD: /World/Static, /World/Dynamic, their points, and the rig's cameras.
 
@@ -92,6 +94,7 @@ def export_usd(
     ``prototype_radius`` is the size of a drawn ellipsoid in standard deviations. ``root`` brings the world to Y up and
     metres. ``documentation`` goes into the file (source and licence of the footage). ``flavour``: as instancers with
     points, as splat prims, which hold all SH, or as both. ``asset``: name and version, for asset managers.
+    ``velocities``: instances that move have them, as far as the next frame tells.
 
     A group without Gaussians is left out. Raises UsageError for a name that is not USD's, without frames, and when the
     file cannot be written; a file of that name is only ever replaced by a complete one.
@@ -116,7 +119,7 @@ def export_usd(
             usd.add_group(STATIC_GROUP, census.static_ids)
             usd.write_frame(STATIC_GROUP, census.frames[0], usd_splats(census.static))
         if len(census.dynamic_ids):
-            _write_dynamic(usd, census, frames())
+            _write_dynamic(usd, census, frames(), fps if velocities else None)
     return UsdReport(len(census.frames), len(census.static_ids), len(census.dynamic_ids), path.stat().st_size)
 
 
@@ -176,16 +179,16 @@ class Rows:
     until: float | None = None
 
 
-def follow_dynamic(census: Census, frames: Iterable[ExportFrame]) -> Iterator[Rows]:
+def follow_dynamic(census: Census, frames: Iterable[ExportFrame], fps: float | None = None) -> Iterator[Rows]:
     """Second reading: the Gaussians that ever change, segment by segment, those that rest in it apart from the others.
 
     A Gaussian has its first values before it appears and its last ones after it vanished, within a segment. A segment
     ends just before the next one's first frame, with the values of that frame. Arrays that did not change are the same
-    objects as before.
+    objects as before. ``fps``: for velocities of those that move, or None.
     """
     moving: _Moving | None = None
     resting = _Resting(census)
-    for number, frame in enumerate(frames):
+    for number, (frame, following) in enumerate(_with_following(frames)):
         if moving is not None:
             moving.show(frame)
         if number % SEGMENT == 0:
@@ -196,7 +199,17 @@ def follow_dynamic(census: Census, frames: Iterable[ExportFrame]) -> Iterator[Ro
             moving = _Moving(ids, _at_places(census, ids))
             moving.show(frame)
         assert moving is not None
+        if fps is not None:
+            moving.head_for(following, fps)
         yield moving.rows(frame.index)
+
+
+def _with_following(frames: Iterable[ExportFrame]) -> Iterator[tuple[ExportFrame, ExportFrame | None]]:
+    """Each frame with the next one, the last with None."""
+    ending: tuple[ExportFrame | None, ...] = (None,)
+    for frame, following in pairwise(chain(frames, ending)):
+        assert frame is not None
+        yield frame, following
 
 
 class _Resting:
@@ -257,7 +270,18 @@ class _Moving:
         if before is None or frame.splats is not before.splats or frame.ids is not before.ids:
             self._alive, rows, slots = _rows_of(self._ids, frame.ids)
             self._current = _placed(self._current, take_splats(_cut(frame.splats, self._current), rows), slots)
-            self._values = usd_splats(self._current)
+            self._values = replace(usd_splats(self._current), velocities=self._values.velocities)
+
+    def head_for(self, following: ExportFrame | None, fps: float) -> None:
+        """Velocities from the frame shown to the next one; who is not in both has none. They last until told anew."""
+        assert self._shown is not None
+        velocities = np.zeros((len(self._ids), 3), np.float32)
+        if following is not None:
+            stays, rows, slots = _rows_of(self._ids, following.ids)
+            moved = following.splats.means[rows].astype(np.float64) - self._current.means[slots]
+            velocities[slots] = moved * (fps / (following.index - self._shown.index))
+            velocities[~(stays & self._alive)] = 0
+        self._values = replace(self._values, velocities=velocities)
 
     def rows(self, time: float) -> Rows:
         return Rows(DYNAMIC_GROUP, time, self._ids, self._values, self._alive)
@@ -275,9 +299,9 @@ def _at_places(census: Census, ids: Ids) -> Splats:
     return take_splats(census.newborn, np.searchsorted(census.dynamic_ids, ids))
 
 
-def _write_dynamic(usd: UsdWriter, census: Census, frames: Iterable[ExportFrame]) -> None:
+def _write_dynamic(usd: UsdWriter, census: Census, frames: Iterable[ExportFrame], fps: float | None) -> None:
     largest, present = int(census.dynamic_ids.max()), dict[str, Ids]()
-    for rows in follow_dynamic(census, frames):
+    for rows in follow_dynamic(census, frames, fps):
         if rows.group not in present:
             usd.add_group(rows.group, rows.ids, largest_id=largest)
         elif rows.ids is not present[rows.group]:

@@ -29,6 +29,8 @@ Choices, and why:
   rows later has its first ones from the beginning, hidden; one that never does is not written.
 * *Samples only where something changes.* An attribute's default is its first value. The first change writes the old
   value one frame earlier and then the new one, so that interpolation holds still until there.
+* *Velocities* only on request, and always with samples at the times of positions, where alone OpenUSD heeds them. They
+  take 12 bytes a moving row and frame, and lead to where interpolation leads.
 * *Points beside the instancer.* Blender drops every primvar of an instancer and keeps those of points (float, int,
   color3f; a half, double or int64 primvar would end its import of the later ones): this prim carries colour and
   opacity there. Its purpose is "render" and its width 0: imported by default, never drawn over the instances. A row

@@ -45,7 +45,7 @@ class UsdSplats:
 
     positions (N, 3) and scales (N, 3) (standard deviations) in world units; rotations (N, 4) unit quaternions wxyz;
     colours (N, 3) linear; opacities (N,) 0 to 1. sh (N, (degree + 1)**2, 3), as stored, for splats; None where only
-    instancers are asked for.
+    instancers are asked for. velocities (N, 3) in world units a second, at every frame of a group or at none.
     """
 
     positions: FloatArray
@@ -54,6 +54,7 @@ class UsdSplats:
     colours: FloatArray
     opacities: FloatArray
     sh: FloatArray | None = None
+    velocities: FloatArray | None = None
 
 
 def just_before(frame: float) -> float:
@@ -118,6 +119,20 @@ class _Track:
     def set_default(self, value: NDArray[Any]) -> None:
         """Another default than the first value."""
         self._attribute.Set(self._convert(value))
+
+
+class _Pair:
+    """Two attributes with samples at the same times: readers heed velocities only where positions have samples, too.
+
+    To a track it is an attribute of USD.
+    """
+
+    def __init__(self, first: Any, second: Any) -> None:
+        self._both = first, second
+
+    def Set(self, values: tuple[Any, Any], *time: float) -> None:
+        for attribute, value in zip(self._both, values, strict=True):
+            attribute.Set(value, *time)
 
 
 Values = dict[str, NDArray[Any]]
@@ -206,7 +221,7 @@ class InstancerPrims(Prims):
             "ids": _Track(instancer.CreateIdsAttr(), integers),
             "prototypes": _Track(instancer.CreateProtoIndicesAttr(), numbers),
             "widths": _Track(widths, floats),
-            "positions": _Track(instancer.CreatePositionsAttr(), vectors),
+            "positions": _places(instancer, moving=splats.velocities is not None),
             "rotations": _Track(instancer.CreateOrientationsAttr(), _quath_array),
             "scales": _Track(instancer.CreateScalesAttr(), vectors),
             "colours": _Track(_primvar(instancer, "displayColor", colour), vectors),
@@ -231,7 +246,7 @@ class InstancerPrims(Prims):
             "points_short_ids": short_ids,
             "prototypes": np.zeros(count, np.int32),
             "widths": np.zeros(count, np.float32),
-            "positions": splats.positions,
+            "positions": splats.positions if splats.velocities is None else _with_velocities(splats, alive),
             "rotations": splats.rotations,
             "scales": splats.scales,
             "colours": splats.colours,
@@ -307,6 +322,23 @@ def _sh_of(splats: UsdSplats) -> FloatArray:
     return splats.sh
 
 
+def _places(instancer: Any, *, moving: bool) -> _Track:
+    """Where instances are and, in the same track, how fast they move."""
+    from pxr import Vt
+
+    vectors = Vt.Vec3fArray.FromNumpy
+    if not moving:
+        return _Track(instancer.CreatePositionsAttr(), vectors)
+    pair = _Pair(instancer.CreatePositionsAttr(), instancer.CreateVelocitiesAttr())
+    return _Track(pair, lambda both: tuple(vectors(np.ascontiguousarray(part)) for part in (both[:, :3], both[:, 3:])))
+
+
+def _with_velocities(splats: UsdSplats, alive: NDArray[np.bool_]) -> FloatArray:
+    """Positions and velocities side by side, (N, 6); a row that is not alive does not move."""
+    assert splats.velocities is not None
+    return np.concatenate([splats.positions, np.where(alive[:, None], splats.velocities, np.float32(0))], axis=1)
+
+
 def _primvar(prim: Any, key: str, kind: Any) -> Any:
     from pxr import UsdGeom
 
@@ -320,7 +352,8 @@ def _shown_opacities(splats: UsdSplats, alive: NDArray[np.bool_]) -> FloatArray:
 def _extent_of(splats: UsdSplats, alive: NDArray[np.bool_], radius: float) -> FloatArray:
     if alive.all():
         return splat_extent(splats, radius)
-    return splat_extent(UsdSplats(*(value[alive] for name, value in vars(splats).items() if name != "sh")), radius)
+    values = {name: value[alive] for name, value in vars(splats).items() if name not in ("sh", "velocities")}
+    return splat_extent(UsdSplats(**values), radius)
 
 
 def _box(positions: FloatArray) -> FloatArray:

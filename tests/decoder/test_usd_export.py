@@ -156,6 +156,62 @@ def test_half_way_between_frames_everything_is_half_way(exported: tuple[list[Exp
             np.testing.assert_allclose(now[identity][0], (here.astype(float) + there) / 2, atol=bound)
 
 
+def instances(stage: Usd.Stage, time: float) -> dict[int, NDArray[np.float64]]:
+    """Where OpenUSD itself puts each visible instance at a time, by id, in the world's units."""
+    places = {}
+    for instancer in instancers(stage):
+        # Of masks and of prototypes it wants none, so that rows and ids pair.
+        all_rows = UsdGeom.PointInstancer.IgnoreMask
+        matrices = instancer.ComputeInstanceTransformsAtTime(
+            time, time, UsdGeom.PointInstancer.ExcludeProtoXform, all_rows
+        )
+        ids = instancer.GetIdsAttr().Get(time)
+        shown = instancer.ComputeMaskAtTime(time) or [True] * len(ids)
+        rows = zip(ids, matrices, shown, strict=True)
+        places.update({identity: np.array(matrix.ExtractTranslation()) for identity, matrix, seen in rows if seen})
+    return places
+
+
+@pytest.mark.parametrize("take", ["short", "long"])
+def test_velocities_lead_to_the_next_frame(tmp_path: Path, take: str) -> None:
+    """A second, in units of the world: times 25 what lies between a frame and the next, 0 for who is not in both.
+
+    OpenUSD goes by them: half way between frames, an instance that is in both is half way. Tolerance: float32.
+    """
+    frames = living_scene() if take == "short" else a_long_take(20, everywhere=True)
+    export_usd(replay(frames), tmp_path / "a.usdc", fps=25, velocities=True)
+    stage = Usd.Stage.Open(str(tmp_path / "a.usdc"))
+    assert (
+        UsdValidation.ValidationContext(UsdValidation.ValidationRegistry().GetOrLoadAllValidators()).Validate(stage)
+        == []
+    )
+    moved = 0
+    for frame, following in zip(frames, [*frames[1:], None], strict=True):
+        here = dict(zip(frame.ids.tolist(), frame.splats.means, strict=True))
+        there = {} if following is None else dict(zip(following.ids.tolist(), following.splats.means, strict=True))
+        for instancer in instancers(stage):
+            velocities = instancer.GetVelocitiesAttr().Get(frame.index)
+            if velocities is None:
+                assert instancer.GetPath().name != "Dynamic"
+                continue
+            ids = instancer.GetIdsAttr().Get(frame.index)
+            for identity, velocity in zip(ids, np.array(velocities), strict=True):
+                both = identity in here and identity in there
+                expected = 25 * (there[identity].astype(float) - here[identity]) if both else np.zeros(3)
+                np.testing.assert_allclose(velocity, expected, rtol=1e-5, atol=1e-6)
+                moved += bool(np.any(velocity))
+        half = instances(stage, frame.index + 0.5)
+        for identity in here.keys() & there.keys():
+            middle = (here[identity].astype(float) + there[identity]) / 2
+            np.testing.assert_allclose(half[identity], middle, rtol=1e-5, atol=1e-5)
+    assert moved > 10
+
+
+def test_a_file_without_velocities_has_no_attribute_for_them(exported: tuple[list[ExportFrame], Usd.Stage]) -> None:
+    _, stage = exported
+    assert not any(instancer.GetVelocitiesAttr().IsAuthored() for instancer in instancers(stage))
+
+
 @pytest.mark.parametrize(
     ("everywhere", "frames", "most"), [(False, (10, 80), 8.2), (True, (10, 80), 8.2), (True, (80, 160), 2.1)]
 )

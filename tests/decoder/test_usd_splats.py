@@ -250,6 +250,9 @@ def test_a_prim_of_what_is_not_usd_and_one_that_there_is_not(small_stream: Any, 
     assert re.search("--prim splat: the output is a .ply; name a .usdc", capsys.readouterr().err)
     with pytest.raises(UsageError, match="`prim` mesh: no such kind of prim"):
         export(small_stream.path, tmp_path / "a.usdc", prim="mesh")  # type: ignore[arg-type]
+    for arguments in (["-o", str(tmp_path / "a.ply")], ["-o", str(tmp_path / "a.usdc"), "--prim", "splat"]):
+        assert export_main([str(small_stream.path), *arguments, "--velocities"]) == 2
+        assert "no place for them" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["scene.dgs"]
 
 
@@ -281,7 +284,8 @@ def omniverse_issues(path: Path) -> list[list[str]]:
 def test_omniverse_asset_validator_finds_no_error(small_stream: Any, tmp_path: Path, kind: Any) -> None:
     """Its warning on repeated values stays: indexed primvars are what importers of instancers fail at."""
     export(small_stream.path, tmp_path / "a.usdc", prim=kind)
-    export_usd(replay(a_long_take(20, everywhere=True)), tmp_path / "b.usdc", fps=30, flavour=kind)
+    take = replay(a_long_take(20, everywhere=True))
+    export_usd(take, tmp_path / "b.usdc", fps=30, flavour=kind, velocities=kind != "splat")
     for name in ("a.usdc", "b.usdc"):
         left = {(severity, rule) for severity, rule, _ in omniverse_issues(tmp_path / name)}
         assert left <= ({("WARNING", "IndexedPrimvarChecker")} if kind != "splat" else set())
