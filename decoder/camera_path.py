@@ -30,11 +30,15 @@ class CameraPath:
 
 @dataclass(frozen=True)
 class ToFilm:
-    """What a path may need to know of the stream it films: its cameras, and its frames; both None where unknown."""
+    """What a path may need to know of the stream it films: its cameras, and its frames; both None where unknown.
+
+    ``metres``: of a world unit, as far as the stream knows.
+    """
 
     cameras: tuple[Camera, ...]
     fps: float | None = None
     frame_count: int | None = None
+    metres: float = 1.0
 
     def frame_at(self, seconds: float) -> float:
         """The frame that plays at a time from the stream's beginning; the first and the last one hold."""

@@ -132,7 +132,7 @@ def export_main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--fps", type=number, metavar="F", help="frames per second (default: the stream's)")
     parser.add_argument(
-        "--scale-to-metres", type=number, default=1.0, metavar="F", help="metres of a world unit (default 1)"
+        "--scale-to-metres", type=number, metavar="F", help="metres of a world unit (default: the rig's, else 1)"
     )
     parser.add_argument("--format", metavar="KIND", help="with -o -: kind of file, such as ply")
     parser.add_argument("--spz-version", type=int, choices=(2, 3, 4), help="version of .spz files (default 3)")
@@ -266,6 +266,8 @@ def _export(parser: Parser, options: argparse.Namespace) -> None:
         parts.append(counted(report.file_count, "file"))
     up = "nothing turned" if report.up is None else f"the world's up, {report.up}, is {report.up_in_file} there"
     parts += [size_text(report.file_bytes), up]
+    if report.metres != 1:
+        parts.append(f"a unit is {report.metres:g} m")
     print_text(f"{options.output}: {', '.join(parts)}", to_stderr=options.output == "-")
 
 

@@ -15,6 +15,7 @@ from decogs.formats.callbacks import OnProgress, OnWarning
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.frame_ranges import Frames
+from decogs.formats.length_units import metres_of
 from decogs.formats.outputs import Output, check_outputs
 
 from .camera_files import camera_file, read_camera_file
@@ -268,7 +269,7 @@ def _wanted(
     if [view, camera, move].count(None) != 2:
         names = ", ".join(rig_camera.name for rig_camera in header.cameras[:40])
         raise UsageError(f"choose one view: a camera of the rig ({names}), or a free camera from a pose file")
-    film = ToFilm(header.cameras, header.fps, frame_count)
+    film = ToFilm(header.cameras, header.fps, frame_count, metres_of(header.units) or 1.0)
     if view is not None:
         return view
     if move is not None:

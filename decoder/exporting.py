@@ -21,6 +21,7 @@ from decogs.formats.callbacks import OnProgress, OnWarning
 from decogs.formats.errors import UsageError
 from decogs.formats.frame_names import is_numbered, names_of_frames
 from decogs.formats.frame_ranges import Frames
+from decogs.formats.length_units import metres_of
 from decogs.formats.outputs import Output, check_outputs, errors_named, staged_files
 from decogs.formats.similarity import Similarity, transformed_splats
 from decogs.formats.splat_files import Extremes, SplatFormat, splat_formats
@@ -45,7 +46,8 @@ class ExportReport:
     """What an export wrote: frames, files and their bytes together.
 
     ``up``: the world's up, as an axis or three components, and ``up_in_file`` what it was turned to; None where nothing
-    was. ``static_count``, ``dynamic_count``: Gaussians that never and that ever change, which only USD separates.
+    was. ``metres``: what a world unit became. ``static_count``, ``dynamic_count``: Gaussians that never and that ever
+    change, which only USD separates.
     """
 
     frame_count: int
@@ -53,6 +55,7 @@ class ExportReport:
     file_bytes: int
     up: str | None
     up_in_file: str
+    metres: float
     static_count: int | None = None
     dynamic_count: int | None = None
 
@@ -66,7 +69,7 @@ class _Plan:
     up: Up
     first_frame: int
     fps: float | None
-    scale: float
+    scale: float | None
     spz_version: SpzVersion | None
     prim: Flavour
     velocities: bool
@@ -82,7 +85,7 @@ def export(
     up: Up = "auto",
     first_frame: int = 0,
     fps: float | None = None,
-    scale_to_metres: float = 1.0,
+    scale_to_metres: float | None = None,
     format: str | None = None,
     spz_version: SpzVersion | None = None,
     prim: Flavour | None = None,
@@ -98,7 +101,8 @@ def export(
     or an open file for what ``format`` names, such as "ply". ``frames``: consecutive ones, as a slice or a range; None
     for all. ``up``: the world's up, which is turned to what the format has for it (``decogs.formats.up_direction``).
     ``first_frame``: the number of the stream's frame 0, in names and as USD's time code. ``fps``: the stream's by
-    default. ``scale_to_metres``: metres of a world unit; positions and sizes are multiplied by it. ``spz_version``: 2,
+    default. ``scale_to_metres``: metres of a world unit; positions and sizes are multiplied by it; by default as the
+    rig states its unit, or 1. ``spz_version``: 2,
     3 or 4. ``prim``: how USD shows Gaussians: "instancer" (default), "splat" or
     "both". ``velocities``: USD's instancers get them, in world units a second, for programs that blur by them.
     ``strict`` and ``max_memory`` (bytes) are those of ``open_stream``. The frames are read twice, and
@@ -111,7 +115,7 @@ def export(
     suffix = _suffix(target, format)
     if up not in UPS:
         raise UsageError(f"`up` {up}: no such direction; choose from {', '.join(UPS)}")
-    if not (np.isfinite(scale_to_metres) and scale_to_metres > 0):
+    if scale_to_metres is not None and not (np.isfinite(scale_to_metres) and scale_to_metres > 0):
         raise UsageError(f"`scale_to_metres` {scale_to_metres:g}: give the metres of a world unit, a positive number")
     if fps is not None and not (np.isfinite(fps) and fps > 0):
         raise UsageError(f"`fps` {fps:g}: give a positive number of frames per second")
@@ -195,7 +199,12 @@ def _similarity(plan: _Plan, header: StreamHeader, to: str) -> tuple[Similarity,
     """What brings the world to a format's up and to metres, and the world's up; None where it is not to be turned."""
     up = up_vector(plan.up, header.cameras)
     rotation = np.eye(3) if up is None else turn_between(up, AXES[to])
-    return Similarity(rotation, plan.scale), up
+    return Similarity(rotation, _metres(plan, header)), up
+
+
+def _metres(plan: _Plan, header: StreamHeader) -> float:
+    """Of a world unit: what was asked for, else what the rig states, else 1."""
+    return plan.scale if plan.scale is not None else metres_of(header.units) or 1.0
 
 
 def _asset(source: Path) -> tuple[str, str]:
@@ -251,6 +260,7 @@ def _export_usd(plan: _Plan, stream: Stream, chosen: range, source: Path) -> Exp
             report.file_bytes,
             None if up is None else up_text(up),
             "Y",
+            root.scale,
             report.static_count,
             report.dynamic_count,
         )
@@ -286,7 +296,7 @@ def _export_splats(plan: _Plan, stream: Stream, chosen: range, names: list[Path]
                 with errors_named(str(name)):
                     size += (staging / name.name).write_bytes(data)
     said = None if up is None else up_text(up)
-    return ExportReport(len(chosen), len(chosen), size, said, form.up)
+    return ExportReport(len(chosen), len(chosen), size, said, form.up, similarity.scale)
 
 
 def _fitted(form: SplatFormat, plan: _Plan, extremes: Extremes) -> SplatFormat:

@@ -6,7 +6,8 @@ all frames. The picture has the size of the rig's first camera's width and the c
 of an export of ours, which knows it.
 
 Axes: cameras of an export of ours are taken relative to its /World. In another file, a stage with z up is turned as
-DCCs turn a y-up export when they import it, (x, y, z) to (x, z, -y), and lengths are in metres (metersPerUnit).
+DCCs turn a y-up export when they import it, (x, y, z) to (x, z, -y), and lengths are in metres (metersPerUnit), of
+which a stream whose rig states its unit knows how many that is.
 
 Source: UsdGeomCamera; looks along -z, y up; focal length, apertures and offsets share a unit.
 """
@@ -124,7 +125,7 @@ def _camera(stage: Any, camera: Any, code: Any, film: ToFilm, where: str) -> Cam
     width, height = _size(camera, film, down / across)
     if not 1 <= height <= MAX_SIDE:
         raise UsageError(f"{where}: its apertures make a picture of {width}x{height}; correct them")
-    rotation, position = _pose(stage, camera, code, where)
+    rotation, position = _pose(stage, camera, code, where, film.metres)
     return Camera(
         _NAME, width, height, focal / across * width, focal / down * height,
         (0.5 - right / across) * width, (0.5 + up / down) * height, pose_of(rotation.T, position),
@@ -141,8 +142,10 @@ def _size(camera: Any, film: ToFilm, aspect: float) -> tuple[int, int]:
     return width, round(width * aspect) if width * aspect < 2 * MAX_SIDE else 2 * MAX_SIDE
 
 
-def _pose(stage: Any, camera: Any, code: Any, where: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Camera-to-world rotation, OpenCV axes, and position, in the stream's world."""
+def _pose(
+    stage: Any, camera: Any, code: Any, where: str, metres: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Camera-to-world rotation, OpenCV axes, and position, in the stream's world, of whose unit are ``metres``."""
     from pxr import UsdGeom
 
     cache = UsdGeom.XformCache(code)
@@ -155,6 +158,7 @@ def _pose(stage: Any, camera: Any, code: Any, where: str) -> tuple[NDArray[np.fl
     if not is_ours:
         turn = _Y_FROM_Z_UP if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z else turn
         unit = UsdGeom.GetStageMetersPerUnit(stage) if UsdGeom.StageHasAuthoredMetersPerUnit(stage) else unit
+        unit /= metres
     if not np.isfinite(to_stage).all() or abs(np.linalg.det(to_stage[:3, :3])) < 1e-18:
         raise UsageError(f"{where}: its transform has no inverse")
     left, _, right = np.linalg.svd(to_stage[:3, :3])

@@ -47,6 +47,7 @@ def stream_header(
         held_out=tuple(view.camera.name for view in ingest.held_out_views),
         source_text=rig.source_text,
         licence=rig.licence,
+        units=rig.length_unit or StreamHeader.units,
         settings={"seed": seed, "scale": ingest.scale, **document},
         corrected=corrected,
         camera_colours=colours,

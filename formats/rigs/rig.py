@@ -37,6 +37,7 @@ class Rig:
     ``cameras`` and ``sources`` are parallel, in natural order of the camera names; each camera has the size of its
     source. ``fps`` is None for single pictures and picture folders without a stated rate. ``calibration``: the files
     that the cameras and points were read from. ``warnings``: what the user should know, one line each.
+    ``length_unit``: a world unit in words, where the calibration has one.
     """
 
     path: Path
@@ -50,6 +51,7 @@ class Rig:
     licence: str = ""
     calibration: tuple[Path, ...] = ()
     warnings: tuple[str, ...] = ()
+    length_unit: str = ""
 
 
 def assemble_rig(
@@ -63,6 +65,7 @@ def assemble_rig(
     points: Points | None = None,
     source_text: str = "",
     licence: str = "",
+    length_unit: str = "",
 ) -> Rig:
     """Cross-checks the cameras and their sources, and puts them in natural order.
 
@@ -92,6 +95,7 @@ def assemble_rig(
         licence,
         tuple(calibration),
         tuple(_warnings(sources)),
+        length_unit,
     )
 
 

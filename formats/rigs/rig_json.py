@@ -2,7 +2,8 @@
 
 Per camera: name, file (relative to rig.json: a video, a picture, or a folder of pictures), width, height, fx, fy, cx,
 cy, distortion_model ("opencv", "fisheye", "none"), distortion, world_to_camera (4 x 4, OpenCV axes). For the rig: fps,
-frame_count, pixel_convention, source, licence, colmap_model (default sparse/0, read for its points only).
+frame_count, pixel_convention, source, licence, length_unit (such as "metre" or "cm"), colmap_model (default sparse/0,
+read for its points only).
 In this file the centre of the top left pixel is (0, 0) unless pixel_convention says (0.5, 0.5).
 """
 
@@ -47,6 +48,7 @@ def read_rig_json(folder: Path) -> Rig:
         points=read_points(model) if has_model(model) else None,
         source_text=fields.text("source", ""),
         licence=fields.text("licence", ""),
+        length_unit=fields.text("length_unit", ""),
     )
     if "frame_count" in fields and fields.integer("frame_count") != rig.frame_count:
         raise fields.wrong(

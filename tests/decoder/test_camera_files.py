@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -206,3 +207,14 @@ def test_usd_errors(small_stream, tmp_path: Path) -> None:
         read_camera_file(tmp_path / "empty.usda", FILM)
     assert camera_file("a.usdc:/World/b") == (Path("a.usdc"), "/World/b")
     assert camera_file("a:b.json") == (Path("a:b.json"), None)
+
+
+def test_a_usd_cameras_metres_become_the_streams_units(tmp_path: Path) -> None:
+    """Of a stream in centimetres; the stage's unit is a decimetre."""
+    stage = Usd.Stage.CreateNew(str(tmp_path / "c.usda"))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    UsdGeom.SetStageMetersPerUnit(stage, 0.1)
+    UsdGeom.Camera.Define(stage, "/eye").AddTranslateOp().Set((3, 0, 0))
+    stage.Save()
+    (camera,) = read_camera_file(tmp_path / "c.usda", replace(FILM, metres=0.01)).cameras
+    np.testing.assert_allclose(camera_centre(camera), [30, 0, 0], atol=1e-9)

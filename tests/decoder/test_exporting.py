@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from pxr import Gf, Usd, UsdGeom, UsdValidation
 
+from decogs.codec.header import StreamHeader
 from decogs.decoder import export, open_stream, render_view
 from decogs.decoder.commands import export_main
 from decogs.decoder.stream import read_header
@@ -190,6 +191,20 @@ def test_a_scale_moves_and_grows(small_stream: Any, tmp_path: Path) -> None:
     found = splat_formats()[".ply"]().decode((tmp_path / "a.ply").read_bytes())
     np.testing.assert_allclose(found.means, 3 * frames[0].means, rtol=1e-6)
     np.testing.assert_allclose(np.exp(found.log_scales), 3 * np.exp(frames[0].log_scales), rtol=1e-5)
+
+
+def test_the_unit_that_the_rig_states_is_the_default(
+    small_stream: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    """Here a centimetre; what is asked for goes before it."""
+    _, frames = frames_of(small_stream)
+    read = StreamHeader.from_bytes
+    monkeypatch.setattr(StreamHeader, "from_bytes", lambda payload: replace(read(payload), units="centimetre"))
+    for options, metres in ((["--frames", ":1"], 0.01), (["--frames", ":1", "--scale-to-metres", "1"], 1)):
+        assert export_main([str(small_stream.path), "-o", str(tmp_path / "a.ply"), "--up", "none", *options]) == 0
+        found = splat_formats()[".ply"]().decode((tmp_path / "a.ply").read_bytes())
+        np.testing.assert_allclose(found.means, metres * frames[0].means, rtol=1e-6)
+        assert ("a unit is 0.01 m" in capsys.readouterr().out) == (metres != 1)
 
 
 def test_the_version_of_spz(small_stream: Any, tmp_path: Path) -> None:

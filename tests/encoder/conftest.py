@@ -137,6 +137,7 @@ class TinyRig:
             "fps": 25,
             "source": "rendered for the tests",
             "licence": "CC0-1.0",
+            "length_unit": "metre (rendered)",
             "cameras": [
                 {
                     "name": view.name,

@@ -249,6 +249,7 @@ def test_header_holds_what_a_decoder_needs_without_the_rig(moving: Any, tiny_rig
     np.testing.assert_allclose(header.cameras[3].world_to_camera, tiny_rig.camera(3).world_to_camera, atol=1e-12)
     assert (header.fps, header.held_out, header.sh_degree) == (25.0, (tiny_rig.held_out,), 1)
     assert (header.source_text, header.licence) == ("rendered for the tests", "CC0-1.0")
+    assert header.units == "metre (rendered)"
     assert header.settings["seed"] == 0
     assert header.settings["frame"]["cache_iterations"] == tiny_settings.frame.cache_iterations
 

@@ -248,11 +248,13 @@ def test_rig_json_and_its_pixel_convention(tmp_path: Path, make: Any) -> None:
     rig = open_rig(make.rig_json(tmp_path))
     assert (rig.layout, [camera.name for camera in rig.cameras]) == ("rig.json", NAMES)
     assert (rig.fps, rig.source_text, rig.licence, rig.points) == (30, "synthetic", "none", None)
+    assert rig.length_unit == ""
     check_poses(rig, make)
     check_frames(rig, make)
     # 30.5, 24.5 in the file: there the first pixel's centre is (0, 0), here it is (0.5, 0.5).
     assert [(camera.cx, camera.cy) for camera in rig.cameras] == [(31, 25)] * 3
     values = make.rig_json_values() | {"pixel_convention": "the centre of the top-left pixel is (0.5, 0.5)"}
+    values["length_unit"] = "cm"
     (tmp_path / "rig.json").write_text(json.dumps(values))
     assert open_rig(tmp_path).cameras[0].cx == 30.5
 
