@@ -21,8 +21,9 @@ def splat_material(name: str, colour: str, opacity: str, *, to_display: bool = F
     """A material that emits the instance's ``colour`` through its ``opacity``, less by exp(-d^2 / 2).
 
     d: the distance, in standard deviations, at which the ray passes the centre; for that an instance's own space has
-    these as its unit. The side towards the ray counts, the other one is clear. ``to_display``: colours are linear and
-    shall be emitted sRGB-coded.
+    these as its unit. The far side counts, the near one is clear: Blender blends along a ray by where it meets them,
+    our renderer by centres. Ordered by near sides, large Gaussians hide small ones that lie before their centre.
+    ``to_display``: colours are linear and shall be emitted sRGB-coded.
     """
     material = bpy.data.materials.new(name)
     if bpy.app.version < (5, 0, 0):
@@ -39,9 +40,8 @@ def splat_material(name: str, colour: str, opacity: str, *, to_display: bool = F
     offset = _vector(tree, "CROSS_PRODUCT", place, ray)
     squared = _vector(tree, "DOT_PRODUCT", offset, offset, output="Value")
     falloff = _math(tree, "EXPONENT", _math(tree, "MULTIPLY", squared, -0.5))
-    front = _math(tree, "SUBTRACT", 1.0, geometry.outputs["Backfacing"])
     peak = _attribute(tree, opacity).outputs["Fac"]
-    alpha = _math(tree, "MULTIPLY", _math(tree, "MULTIPLY", falloff, peak), front)
+    alpha = _math(tree, "MULTIPLY", _math(tree, "MULTIPLY", falloff, peak), geometry.outputs["Backfacing"])
     emission, clear = node("ShaderNodeEmission"), node("ShaderNodeBsdfTransparent")
     mix, output = node("ShaderNodeMixShader"), node("ShaderNodeOutputMaterial")
     shade = _attribute(tree, colour).outputs["Color"]
