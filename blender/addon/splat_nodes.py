@@ -6,12 +6,14 @@ from typing import Any
 
 import bpy
 
-FRACTION, PIXEL = "Viewport fraction", "Pixel"
+FRACTION, PIXEL, NEAR = "Viewport fraction", "Pixel", "Near"
 """Inputs of the geometry nodes."""
 CUT = 3.0
 """Standard deviations at which a Gaussian ends; its opacity is 1.1 % of its peak's there."""
 _BLUR = 0.3
 """Variance of the renderer's low-pass filter, square pixels."""
+_NOWHERE_NEAR = -1e9
+"""A near plane that everything lies beyond."""
 _INRADIUS = 0.93
 """Of an icosphere of two subdivisions with corners at 1 (0.934): the ellipsoid at ``CUT`` lies within. One of
 one has a quarter of the faces for a surface a third larger, and took half as long again to render."""
@@ -59,12 +61,13 @@ def splat_group(material: Any) -> Any:
 
     The input "Viewport fraction" thins them out in the viewport, by the attribute rank; renders have all. The input
     "Pixel" is the width of one, seen from the scene's camera, as the tangent of its angle: Gaussians are not smaller.
+    "Near" is that camera's near plane: a Gaussian whose centre lies before it is not drawn, as in the decoder.
     """
     tree = bpy.data.node_groups.new("decogs splats", "GeometryNodeTree")
     tree.interface.new_socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
     fraction = tree.interface.new_socket(FRACTION, in_out="INPUT", socket_type="NodeSocketFloat")
     fraction.default_value, fraction.min_value, fraction.max_value = 1.0, 0.0, 1.0
-    add_pixel(tree)
+    add_camera(tree)
     tree.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
     link, node = tree.links.new, tree.nodes.new
     given, made = node("NodeGroupInput"), node("NodeGroupOutput")
@@ -74,7 +77,7 @@ def splat_group(material: Any) -> Any:
     link(given.outputs["Geometry"], thinned.inputs["Geometry"])
     link(_math(tree, "MULTIPLY", beyond, viewport), thinned.inputs["Selection"])
     scale, rotation = _named(tree, "scale", "FLOAT_VECTOR"), _named(tree, "rotation", "QUATERNION")
-    scales, kept = low_pass(tree, given.outputs[PIXEL], scale, rotation)
+    scales, kept = low_pass(tree, given, scale, rotation)
     dimmed = node("GeometryNodeStoreNamedAttribute")
     dimmed.data_type, dimmed.domain = "FLOAT", "POINT"
     dimmed.inputs["Name"].default_value = "opacity"
@@ -90,10 +93,12 @@ def splat_group(material: Any) -> Any:
     return tree
 
 
-def add_pixel(tree: Any) -> None:
-    """Gives geometry nodes the input "Pixel"."""
+def add_camera(tree: Any) -> None:
+    """Gives geometry nodes the inputs "Pixel" and "Near", without a camera at first."""
     pixel = tree.interface.new_socket(PIXEL, in_out="INPUT", socket_type="NodeSocketFloat")
     pixel.default_value, pixel.min_value = 0.0, 0.0
+    near = tree.interface.new_socket(NEAR, in_out="INPUT", socket_type="NodeSocketFloat")
+    near.default_value = _NOWHERE_NEAR
 
 
 def set_input(item: Any, name: str, value: float) -> None:
@@ -113,6 +118,15 @@ def _set(modifier: Any, identifier: str, value: float) -> None:
         getattr(inputs, identifier).value = value
     else:
         modifier[identifier] = value
+
+
+def set_camera(item: Any, scene: Any) -> None:
+    """Sets both of an object that shows Gaussians for the scene's camera."""
+    pixel = pixel_of(scene)
+    set_input(item, PIXEL, pixel)
+    # In the object's own units, as depths are there.
+    unit = max(item.matrix_world.to_scale())
+    set_input(item, NEAR, scene.camera.data.clip_start / unit if pixel and unit > 0 else _NOWHERE_NEAR)
 
 
 def pixel_of(scene: Any) -> float:
@@ -136,8 +150,10 @@ def ellipsoid(tree: Any, material: Any) -> Any:
     return painted.outputs["Geometry"]
 
 
-def low_pass(tree: Any, pixel: Any, scale: Any, rotation: Any) -> tuple[Any, Any]:
+def low_pass(tree: Any, given: Any, scale: Any, rotation: Any) -> tuple[Any, Any]:
     """Scales with the renderer's low-pass filter, and the part of the opacity that this leaves: sockets from sockets.
+
+    ``given``: the node of the group's inputs. Before the near plane nothing is left.
 
     The filter adds 0.3 square pixels to the variance in the picture (decoder/rasterise/kernel/project.h); here it adds
     as much in all directions at the Gaussian's depth. Opacity is kept so that what a Gaussian covers stays (Yu 2024,
@@ -151,7 +167,7 @@ def low_pass(tree: Any, pixel: Any, scale: Any, rotation: Any) -> tuple[Any, Any
     offset = _vector(tree, "SUBTRACT", node("GeometryNodeInputPosition").outputs[0], camera.outputs["Location"])
     forward = _rotate(tree, (0.0, 0.0, -1.0), camera.outputs["Rotation"])
     depth = _vector(tree, "DOT_PRODUCT", offset, forward, output="Value")
-    sigma = _math(tree, "MULTIPLY", _math(tree, "MULTIPLY", depth, pixel), _BLUR**0.5)
+    sigma = _math(tree, "MULTIPLY", _math(tree, "MULTIPLY", depth, given.outputs[PIXEL]), _BLUR**0.5)
     added = _math(tree, "MULTIPLY", sigma, sigma)
     before = _vector(tree, "MULTIPLY", scale, scale)
     after = _vector(tree, "ADD", before, added)
@@ -169,6 +185,7 @@ def low_pass(tree: Any, pixel: Any, scale: Any, rotation: Any) -> tuple[Any, Any
     x, y, z = ratios.outputs
     volume = _math(tree, "MULTIPLY", _math(tree, "MULTIPLY", x, y), z)
     kept = _math(tree, "SQRT", _math(tree, "MULTIPLY", volume, _math(tree, "DIVIDE", *seen)))
+    kept = _math(tree, "MULTIPLY", kept, _math(tree, "GREATER_THAN", depth, given.outputs[NEAR]))
     scales = node("ShaderNodeCombineXYZ")
     for root, into in zip(roots.outputs, scales.inputs, strict=True):
         link(_math(tree, "SQRT", root), into)

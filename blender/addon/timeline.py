@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
-from .splat_nodes import PIXEL, pixel_of, set_input
+from .splat_nodes import set_camera
 
 if TYPE_CHECKING:
     from .playback import Playback, ShownFrame
@@ -166,9 +166,9 @@ def show_all(scene: Any) -> None:
 
 
 def filter_for_camera(scene: Any) -> None:
-    """Sets the low-pass filter of streams and painted USD imports for a pixel of the scene's camera."""
+    """Sets the low-pass filter and the near plane of streams and painted USD imports for the scene's camera."""
     for item in [*streams(scene), *(item for item in scene.objects if PAINTED in item)]:
-        set_input(item, PIXEL, pixel_of(scene))
+        set_camera(item, scene)
 
 
 def streams(scene: Any) -> list[Any]:

@@ -11,7 +11,7 @@ from typing import Any
 import bpy
 
 from .import_stream import set_rate, show_faithfully
-from .splat_nodes import PIXEL, add_pixel, ellipsoid, low_pass, pixel_of, product, set_input, splat_material
+from .splat_nodes import add_camera, ellipsoid, low_pass, product, set_camera, splat_material
 from .timeline import PAINTED
 
 
@@ -48,7 +48,7 @@ class AttachUsdColours(bpy.types.Operator):  # type: ignore[misc]
         )
         for instancer, points in pairs:
             attach(instancer, points, material)
-            set_input(instancer, PIXEL, pixel_of(context.scene))
+            set_camera(instancer, context.scene)
         if self.set_view:
             show_faithfully(context.scene, self.colours)
         rate = _rate(pairs[0][1]) if self.set_rate else None
@@ -78,10 +78,10 @@ def attach(instancer: Any, points: Any, material: Any) -> None:
     """
     place = _place(instancer)
     tree = place.id_data
-    add_pixel(tree)
+    add_camera(tree)
     given = next(node for node in tree.nodes if node.bl_idname == "NodeGroupInput")
     scale, rotation = (place.inputs[name].links[0].from_socket for name in ("Scale", "Rotation"))
-    scales, kept = low_pass(tree, given.outputs[PIXEL], scale, rotation)
+    scales, kept = low_pass(tree, given, scale, rotation)
     tree.links.new(scales, place.inputs["Scale"])
     source = tree.nodes.new("GeometryNodeObjectInfo")
     source.inputs["Object"].default_value = points
