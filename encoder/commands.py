@@ -87,6 +87,11 @@ def encode_main(arguments: Sequence[str] | None = None) -> int:
         help="insert a keyframe every N frames, for seeking (default: the first frame only)",
     )
     parser.add_argument(
+        "--closed",
+        action="store_true",
+        help="start every segment from the first keyframe's Gaussians, so that none depends on another",
+    )
+    parser.add_argument(
         "--quality",
         type=number,
         metavar="Q",
@@ -218,6 +223,7 @@ def _encode(parser: Parser, options: argparse.Namespace) -> int:
             effects=None if options.effects is None else effect_choice(options.effects),
             keyframe=options.keyframe,
             segment=options.segment,
+            closed=options.closed,
             resume=options.resume,
             seed=options.seed,
             threads=options.threads,

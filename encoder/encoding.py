@@ -19,6 +19,7 @@ from decogs.formats.threads import thread_count
 
 from .analysis import Decision, EffectChoice, with_effects
 from .analysis.analyse import analyse
+from .closed_segments import with_closed_segments
 from .input.imported_keyframe import KeyframeSource, read_keyframe
 from .input.imported_splats import SplatSource, is_splat_file, read_splat_source
 from .input.ingest import Ingest, frame_span
@@ -53,6 +54,7 @@ def encode(
     corrections: CorrectionSettings | None = None,
     keyframe: str | os.PathLike[str] | None = None,
     segment: int | None = None,
+    closed: bool = False,
     resume: bool = False,
     metrics: bool = False,
     seed: int = 0,
@@ -77,9 +79,10 @@ def encode(
     named preset, and for settings what they say; the baseline has none. ``corrections``: cameras whose drift
     is known, instead of those that ``effects`` detects. ``keyframe``: an earlier stream of the same rig, first frame
     and held-out cameras whose keyframe is taken as it is; or another trainer's .ply or .spz. ``segment``: frames
-    from one keyframe to the next; later ones are coded as differences from the first. ``resume``: go on with what an
-    encode with the same options left in ``output`` + ".part", or as a shorter stream; the file gets the bytes of one
-    that was not cut off.
+    from one keyframe to the next; later ones are coded as differences from the first. ``closed``: every such
+    segment starts from the first keyframe's Gaussians and depends on no other (`closed_segments`). ``resume``: go on
+    with what an encode with the same options left in ``output`` + ".part", or as a shorter stream; the file gets the
+    bytes of one that was not cut off.
 
     ``metrics``: the stream tells the PSNR of every frame, which the player shows; not with ``resume``.
 
@@ -101,6 +104,8 @@ def encode(
     if seed < 0:
         raise UsageError(f"`seed` {seed}: give a number of at least 0")
     chosen = _settings(settings, switches, targets, segment)
+    if closed:
+        chosen = with_closed_segments(chosen)
     source = None if keyframe is None else _read_source(keyframe)
     if not isinstance(rig, Rig):
         rig = open_rig(rig)

@@ -17,6 +17,7 @@ from decogs.formats.errors import RigError, StreamError
 from decogs.formats.splats import sh_degree_of
 
 from .change.detection import Change
+from .closed_segments import catch_up
 from .coding.coded_scene import Written
 from .coding.time_control import TimeControl
 from .input.imported_keyframe import KeyframeSource
@@ -93,16 +94,16 @@ class StreamEncoder:
         """Compensates, detects, trains, codes and reports the next frame."""
         watch, state = self._begin(frame), self._state
         index, frame = frame.index - state.scene.header.first_frame, state.compensation.matched(frame)
+        restarted = state.restart(index, watch)
         compensated, corrections = state.compensation.find(frame, state.scene.splats, state.views, watch)
         returned = state.return_from_flash(compensated, watch)
-        now = state.detect(frame, compensated, corrections, watch)
+        now = state.detect(frame, compensated, corrections, watch, restarted=restarted)
         plan = state.plan(now)
         effects = plan.effects
         held = bool(effects) and self._is_held(watch)
-        trained = self._trained(now, index, plan) if effects and not held else None
+        trained = self._trained_now(now, index, plan) if effects and not held else None
         with watch.stage("write"):
-            requantisation = None if state.method.dense else plan.settings.significance.requantisation
-            written = state.scene.code(index, trained, requantisation, corrections, whole=returned)
+            written = state.scene.code(index, trained, state.requantisation(plan.settings), corrections, whole=returned)
         if state.rate is not None:
             state.rate.wrote(written.packet.kind, written.packet.size)
         effects = () if held else effects
@@ -173,6 +174,12 @@ class StreamEncoder:
     def _is_held(self, watch: Stopwatch) -> bool:
         """Whether a frame that needs training gets none, so that a later one has enough time."""
         return self._time is not None and self._time.holds(watch.seconds, self._state.trainer.min_seconds)
+
+    def _trained_now(self, now: FrameInWork, index: int, plan: FramePlan) -> TrainedFrame:
+        if not now.restarted:
+            return self._trained(now, index, plan)
+        plan = replace(plan, lit=None)  # Every round selects again.
+        return catch_up(self._state, now, plan.settings, lambda now: self._trained(now, index, plan))
 
     def _trained(self, now: FrameInWork, index: int, plan: FramePlan) -> TrainedFrame:
         deadline = None if self._time is None else self._time.deadline(now.watch.seconds)

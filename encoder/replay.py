@@ -73,8 +73,9 @@ def replay(state: StreamState, frame: RigFrame, packet: Packet, watch: Stopwatch
         state.compensation.begin(corrections)
         state.begin(compensated, watch)
         return Replayed(compensated, written, Change([], np.ones(len(state.scene.state), bool)))
+    restarted = state.restart(packet.frame, watch)
     state.return_from_flash(compensated, watch)
-    now = state.detect(frame, compensated, corrections, watch)
+    now = state.detect(frame, compensated, corrections, watch, restarted=restarted)
     effects = state.plan(now).effects
     trained = np.flatnonzero(now.change.selected) if effects else None
     # What was held is still to be done. With a time budget, a packet of nothing is all that signals it.

@@ -15,7 +15,7 @@ from decogs.codec.state import State, same_values
 from .analysis.enabled import enabled_effects
 from .change.detection import Change, ChangeDetector
 from .coding.coded_scene import CodedScene
-from .coding.rate_control import RATE_CONTROLS
+from .coding.rate_control import RATE_CONTROLS, RateControl
 from .coding.stream_header import stream_header
 from .input.compensation.stream import Compensation
 from .input.imported_keyframe import KeyframeSource
@@ -23,16 +23,19 @@ from .input.ingest import Ingest, RigFrame
 from .output.stream_output import StreamOutput
 from .rasterise import IncrementalViews, fixed_view, training_kernel
 from .settings.encode import EncodeSettings
-from .settings.frame import FrameSettings
+from .settings.frame import FrameSettings, RequantisationSteps
 from .stopwatch import Stopwatch
-from .training.method import FrameTrainer, training_context
+from .training.method import FrameTrainer, TrainedFrame, training_context
 from .training.methods import FRAME_METHODS
 from .training.warm_start import Motion
 
 
 @dataclass(frozen=True)
 class FrameInWork:
-    """A later frame: as recorded, compensated, and what changed in it since the state ``before``."""
+    """A later frame: as recorded, compensated, and what changed in it since the state ``before``.
+
+    ``restarted``: that is the first keyframe's, since the frame begins a closed segment.
+    """
 
     recorded: RigFrame
     compensated: RigFrame
@@ -40,18 +43,19 @@ class FrameInWork:
     change: Change
     before: State
     watch: Stopwatch
+    restarted: bool = False
 
 
 @dataclass(frozen=True)
 class FramePlan:
     """What a frame calls for: its effects by name, none where nothing is selected, and how it is trained for them.
 
-    ``lit`` (N,): the selected Gaussians that light alone changes, in a frame in which others move.
+    ``lit`` (N,): the selected Gaussians that light alone changes, in a frame in which others move; None otherwise.
     """
 
     effects: tuple[str, ...]
     settings: FrameSettings
-    lit: NDArray[np.bool_]
+    lit: NDArray[np.bool_] | None
 
 
 class StreamState:
@@ -83,8 +87,8 @@ class StreamState:
         self.compensation = Compensation(ingest, self.kernel, settings.corrections)
         self.views = IncrementalViews([])
         self.motion = Motion()
-        budget = settings.frame_budget
-        self.rate = None if budget is None else RATE_CONTROLS.get(settings.rate_control)(budget, settings.segment)
+        self.rate = self._new_rate()
+        self._first_frame: RigFrame | None = None
 
     def new_scene(self, first: int, lattice: Lattice, sh_degree: int) -> CodedScene:
         """The scene of a stream that begins with the rig's frame ``first``, before its keyframe."""
@@ -103,6 +107,7 @@ class StreamState:
 
     def begin(self, frame: RigFrame, watch: Stopwatch) -> None:
         """Takes the first frame, compensated, whose state stands."""
+        self._first_frame = frame if self.settings.closed else None
         scene, views = self.scene.splats, self.ingest.views
         with watch.stage("commit"):
             if not self.method.dense:
@@ -115,6 +120,40 @@ class StreamState:
             )
         self.changes = ChangeDetector(frame.training, self.views.views, self.settings, threads=self.threads)
         self.motion.begin(len(scene))
+
+    def restart(self, index: int, watch: Stopwatch) -> bool:
+        """Goes back to the first frame if frame ``index`` of the stream begins a closed segment; whether it does.
+
+        Nothing is left of the frames before ``index``: everything that one frame hands to the next is made anew.
+        """
+        if self._first_frame is None or index % self.settings.segment:
+            return False
+        self.scene.restart(index)
+        self.compensation.restart()
+        self.rate = self._new_rate()
+        self.begin(self._first_frame, watch)
+        return True
+
+    def rehearse(self, now: FrameInWork, trained: TrainedFrame, settings: FrameSettings) -> FrameInWork:
+        """Takes a round of training of the frame, unwritten; the frame for another round."""
+        before = self.scene.state
+        with now.watch.stage("commit"):
+            self.scene.rehearse(trained, self.requantisation(settings))
+            self.views.update(self.scene.splats, trained.kept, before.ids, self.scene.state.ids)
+        self.motion.begin(len(self.scene.state))
+        with now.watch.stage("selection"):
+            change = self.changes.select_again(now.change, len(self.scene.state))
+        return replace(now, change=change)
+
+    def requantisation(self, settings: FrameSettings) -> RequantisationSteps | None:
+        """Steps of a frame's coded changes; None for the lattice's."""
+        return None if self.method.dense else settings.significance.requantisation
+
+    def _new_rate(self) -> RateControl | None:
+        budget = self.settings.frame_budget
+        if budget is None:
+            return None
+        return RATE_CONTROLS.get(self.settings.rate_control)(budget, self.settings.segment)
 
     def return_from_flash(self, frame: RigFrame, watch: Stopwatch) -> bool:
         """Goes back to the scene before a flash if the pictures do; the decoder's state is then another."""
@@ -129,16 +168,22 @@ class StreamState:
         return True
 
     def detect(
-        self, recorded: RigFrame, compensated: RigFrame, corrections: Corrections, watch: Stopwatch
+        self,
+        recorded: RigFrame,
+        compensated: RigFrame,
+        corrections: Corrections,
+        watch: Stopwatch,
+        *,
+        restarted: bool = False,
     ) -> FrameInWork:
         """What changed in a frame."""
         before = self.scene.state
         change = self.changes.detect(compensated.index, compensated.training, before, self.motion.last, watch)
-        return FrameInWork(recorded, compensated, corrections, change, before, watch)
+        return FrameInWork(recorded, compensated, corrections, change, before, watch, restarted)
 
     def plan(self, now: FrameInWork) -> FramePlan:
         """What a frame calls for."""
-        settings, lit = self.settings, np.zeros(len(now.change.selected), bool)
+        settings, lit = self.settings, None
         effects = settings.frame_effects if now.change.selected.any() else ()
         if effects and settings.detect_per_frame:
             with now.watch.stage("effects"):
@@ -174,12 +219,18 @@ class StreamState:
         scene, pictures, masks = self.scene, now.compensated.training, now.change.masks
         if trained is not None:
             with now.watch.stage("commit"):
-                self.views.update(scene.splats, trained, now.before.ids, scene.state.ids)
+                if now.restarted:
+                    self.views.show(scene.splats)
+                else:
+                    self.views.update(scene.splats, trained, now.before.ids, scene.state.ids)
             # Training that was rejected, or whose changes were all reverted, has made up for nothing.
             if masks and not same_values(now.before, scene.state):
                 self.changes.trained(pictures, masks, moved="motion" in effects, hurried=hurried)
         self.changes.passed(pictures, held=held)
-        if held:
+        if now.restarted:
+            # What has moved since the first frame is no velocity.
+            self.motion.begin(len(scene.state))
+        elif held:
             self.motion.hold()
         else:
             self.motion.moved(scene.displacements(now.before))

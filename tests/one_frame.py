@@ -49,8 +49,6 @@ def train(
 ) -> TrainedFrame:
     if settings is None:
         settings = trainer.context.settings.frame if isinstance(trainer, DeltaTrainer) else FrameSettings()
-    if lit is None:
-        lit = np.zeros(len(scene), bool)
     for view in trainer.context.static_views if isinstance(trainer, DeltaTrainer) else ():
         view.detach(np.flatnonzero(selected))
     return trainer.train(FrameInput(frame, scene, selected, lit, pictures, masks, motion, settings, **effort))

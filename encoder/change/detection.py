@@ -92,6 +92,12 @@ class ChangeDetector:
         settings = replace(self._settings.frame.selection, rule="weight", min_fraction=_MOVING_FRACTION)
         return change.selected & ~self._inside(used, regions, settings)
 
+    def select_again(self, change: Change, population: int) -> Change:
+        """The same change with S_t of the scene that the views show now, so many Gaussians."""
+        if change.overlooked or not self._views:
+            return replace(change, selected=np.ones(population, bool))
+        return replace(change, selected=self._select(change.masks, population))
+
     def flash_is_over(self, frame: int, pictures: Sequence[FloatArray]) -> BeforeFlash | None:
         """The state before a flash if the pictures match it again; the masks' state returns to it as well."""
         kept = self._before_flash

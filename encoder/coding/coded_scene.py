@@ -25,6 +25,9 @@ from ..settings.frame import RequantisationSteps
 from ..training.method import TrainedFrame
 from .requantise import requantised
 
+IDS_PER_SEGMENT = 1 << 31
+"""Ids set aside for each closed segment: an id is never given twice, though segments do not know of each other."""
+
 
 @dataclass(frozen=True)
 class Written:
@@ -53,6 +56,12 @@ class CodedScene:
     def is_open(self) -> bool:
         """Whether the first keyframe is there."""
         return self._first is not None
+
+    @property
+    def first(self) -> State:
+        """The state of the first keyframe, which must be there."""
+        assert self._first is not None
+        return self._first
 
     def begin(self, state: State, corrections: Corrections) -> Written:
         """Writes the header and the first keyframe; the output begins only now."""
@@ -97,6 +106,19 @@ class CodedScene:
     def go_back(self, state: State) -> None:
         """Takes an earlier state for the next frame's; ids of Gaussians that came since are not given again."""
         self.state = replace(state, frame=self.state.frame, next_id=self.state.next_id)
+        self.splats = dequantise(self.state, self.header.lattice)
+
+    def restart(self, frame: int) -> None:
+        """Takes the first keyframe's state for the one before ``frame``, which begins a closed segment."""
+        first = self.first
+        next_id = first.next_id + frame // self._segment * IDS_PER_SEGMENT
+        self.state = replace(first, frame=frame - 1, next_id=next_id)
+        self.splats = dequantise(first, self.header.lattice)
+
+    def rehearse(self, trained: TrainedFrame, requantisation: RequantisationSteps | None) -> None:
+        """Takes what would be coded of a frame, without writing it: training goes on from there."""
+        after = apply_delta(self.state, self._delta(trained, requantisation))
+        self.state = replace(after, frame=self.state.frame)
         self.splats = dequantise(self.state, self.header.lattice)
 
     def displacements(self, before: State) -> FloatArray:

@@ -123,6 +123,7 @@ class ContentRateControl:
     def __init__(self, budget: float, segment: int) -> None:
         self._budget, self._segment = budget, segment
         self._frames, self._spent = 0, 0
+        self._place = 0
         self._key: int | None = None
         self._content: float | None = None
         self._octaves = 0.0
@@ -147,6 +148,7 @@ class ContentRateControl:
 
         Keyframes and frames without a change give no estimate of a delta's size.
         """
+        self._place = 0 if self._begins_with_key(kind) else self._place + 1
         self._frames += 1
         self._spent += size
         if kind == PacketKind.KEY and self._segment:
@@ -159,6 +161,10 @@ class ContentRateControl:
             octaves = (self._content - math.log2(self._target())) / _RESPONSE
             self._octaves = round(min(max(octaves, -_OCTAVES), _OCTAVES) * _OCTAVE_STEPS) / _OCTAVE_STEPS
 
+    def _begins_with_key(self, kind: int) -> bool:
+        """Whether this packet, the first, is a keyframe: that of a closed segment, with its own control."""
+        return not self._frames and kind == PacketKind.KEY
+
     def _target(self) -> float:
         """What the next frame is to take, in budgets."""
         saved = self._budget * self._frames - self._spent
@@ -166,7 +172,7 @@ class ContentRateControl:
         if self._key is not None:
             payment = (self._key - self._budget) / max(1, self._segment - 1)
             share -= payment
-            saved += payment * (self._segment - 1 - self._frames % self._segment)
+            saved += payment * (self._segment - 1 - self._place % self._segment)
         low, high = _TARGET_RANGE
         return min(max((share + saved / _HORIZON) / self._budget, low * share / self._budget), high)
 

@@ -37,6 +37,8 @@ _PARAMETERS = {
     "time_budget": "`time_budget`",
     "target_psnr": "`target_psnr`",
     "segment": "`segment`",
+    "closed": "`closed`",
+    "catch_up": "`settings`",
     "held_out": "`holdout`",
     "first_frame": "`frames`",
     "frame.selection": "`selection` or `settings`",

@@ -36,7 +36,9 @@ class EncodeSettings:
     ``lattice_scale``: the lattice's steps in units of the default ones. Higher is smaller and less exact.
     ``zstd_level``: higher is slower and smaller.
     ``segment``: frames from one keyframe to the next; 0: a single keyframe. Fewer is larger, and seeks faster. The
-    scene does not depend on it, only how frames are coded.
+    scene does not depend on it, only how frames are coded, unless segments are ``closed``: each one then starts from
+    the first keyframe's Gaussians and depends on no other segment (`closed_segments`), and ``catch_up`` is how often
+    its first frame is trained, one time after the other. More is slower and larger, and nearer to the pictures.
     ``frame_budget``: mean bytes of the frames after the first, kept by ``rate_control``, a name in RATE_CONTROLS. Lower
     is less exact; None codes what ``frame.significance`` says.
     ``time_budget``: mean seconds of the frames after the first. Higher is slower; None runs the whole schedule.
@@ -54,6 +56,8 @@ class EncodeSettings:
     method: str = "decogs"
     baseline: BaselineSettings = field(default_factory=BaselineSettings)
     segment: int = 0
+    closed: bool = False
+    catch_up: int = 3
     frame_budget: float | None = None
     time_budget: float | None = None
     target_psnr: float | None = None
@@ -82,6 +86,8 @@ class EncodeSettings:
             del document["effects"], document["detect_per_frame"]
         if self.corrections == CorrectionSettings():
             del document["corrections"]
+        if not self.closed:
+            del document["closed"], document["catch_up"]
         for part, name, usual in _USUAL:
             owner = document.get(part, {}) if part else document
             if owner.get(name) == usual:

@@ -243,9 +243,10 @@ class _DeltaTraining:
 
     def _revert_insignificant(self, work: _Working, scene: Splats, losses: Sequence[PhotometricLoss]) -> None:
         """Reverts what hardly shows; geometry sooner where light alone changes the pictures."""
-        settings, old = self._settings.significance, work.rows < len(scene)
-        factor = np.ones(len(work.rows), np.float32)
-        factor[old] = np.where(self._frame.lit[work.rows[old]], settings.lit_factor, 1)
+        settings, old, factor = self._settings.significance, work.rows < len(scene), None
+        if self._frame.lit is not None:
+            factor = np.ones(len(work.rows), np.float32)
+            factor[old] = np.where(self._frame.lit[work.rows[old]], settings.lit_factor, 1)
         threshold = settings.threshold * picture_weight([losses[i] for i in self._used])
         revert_insignificant(work.optimiser, work.before(scene), old, threshold, factor)
 

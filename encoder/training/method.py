@@ -55,16 +55,16 @@ class FrameInput:
     """Input of the training of one later frame.
 
     ``index``: within the stream; with the seed it determines all randomness, so that a frame can be trained alone.
-    ``scene``: the N reconstructed Gaussians of the frame before. ``selected`` (N,): S_t. ``lit`` (N,): those of
-    them that light alone changes, while others move. ``pictures``: one (3, H, W) for each view, colours 0 to 1.
-    ``masks``: one for each view, none for a dense method. ``motion`` (N, 3): every Gaussian's last displacement, world
-    units. ``settings``: of this frame. ``stopping``: the end of training.
+    ``scene``: the N reconstructed Gaussians of the frame before. ``selected`` (N,): S_t. ``lit`` (N,): those of them
+    that light alone changes, or None where all are trained alike. ``pictures``: one (3, H, W) for each view, colours 0
+    to 1. ``masks``: one for each view, none for a dense method. ``motion`` (N, 3): every Gaussian's last displacement,
+    world units. ``settings``: of this frame. ``stopping``: the end of training.
     """
 
     index: int
     scene: Splats
     selected: NDArray[np.bool_]
-    lit: NDArray[np.bool_]
+    lit: NDArray[np.bool_] | None
     pictures: Sequence[FloatArray]
     masks: Sequence[FrameMask]
     motion: FloatArray
@@ -112,8 +112,8 @@ class FrameTrainer(Protocol):
 class FrameMethod:
     """One way to train later frames.
 
-    ``trainer``: makes a stream's trainer. ``dense``: it trains every Gaussian on every pixel by a schedule of its own,
-    so masks, selection, effects, budgets and requantisation have no part in it.
+    ``trainer``: makes a stream's trainer, and one for each closed segment. ``dense``: it trains every Gaussian on every
+    pixel by a schedule of its own, so masks, selection, effects, budgets and requantisation have no part in it.
     """
 
     trainer: Callable[[TrainingContext], FrameTrainer]

@@ -101,6 +101,10 @@ class Corrector:
         """Takes the first frame's corrections, which stay where later ones are dropped."""
         self._first = corrections
 
+    def restart(self) -> None:
+        """Forgets the benefit of every correction, and which are dropped."""
+        self._benefits, self._dropped = {}, set()
+
     def judge(
         self,
         recorded: Sequence[FloatArray],

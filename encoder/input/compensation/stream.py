@@ -72,6 +72,11 @@ class Compensation:
         if self._corrector is not None:
             self._corrector.begin(corrections)
 
+    def restart(self) -> None:
+        """Forgets what frames after the first have shown: which corrections help."""
+        if self._corrector is not None:
+            self._corrector.restart()
+
     def find(
         self, frame: RigFrame, scene: Splats, views: IncrementalViews, watch: Stopwatch
     ) -> tuple[RigFrame, Corrections]:
