@@ -9,6 +9,7 @@ from .output.observer import EncodeObserver
 from .output.progress import TerminalProgress
 from .output.reports import EncodeReport, FrameReport
 from .packing import PackReport, pack
+from .parts.joining import JoinReport, join
 from .settings.compensation import CorrectionSettings
 from .settings.encode import EncodeSettings
 from .settings.presets import PRESETS
@@ -23,10 +24,12 @@ __all__ = [
     "EncodeReport",
     "EncodeSettings",
     "FrameReport",
+    "JoinReport",
     "PackReport",
     "Switches",
     "Targets",
     "TerminalProgress",
     "encode",
+    "join",
     "pack",
 ]

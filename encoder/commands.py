@@ -16,6 +16,7 @@ from decogs.formats.command_line import (
     path_or_pipe,
     print_text,
     progress,
+    retryable,
     reworded,
     run,
     size_text,
@@ -92,6 +93,12 @@ def encode_main(arguments: Sequence[str] | None = None) -> int:
         help="start every segment from the first keyframe's Gaussians, so that none depends on another",
     )
     parser.add_argument(
+        "--only",
+        metavar="A:B",
+        help="encode a part, for decogs-join: these frames of the rig, whole segments, from the first keyframe in "
+        "--keyframe PART.DGS; or the first frame alone, which makes that keyframe. Exit code 75: try again",
+    )
+    parser.add_argument(
         "--quality",
         type=number,
         metavar="Q",
@@ -146,7 +153,7 @@ def encode_main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--log", metavar="FILE", help="write each frame's figures as JSON lines")
     parser.add_argument("--convergence-log", metavar="FILE", help="write the loss of every training step as JSON lines")
-    return run(parser, lambda: _encode(parser, parser.parse_args(frames_joined(arguments))))
+    return run(parser, lambda: _encode_or_part(parser, parser.parse_args(frames_joined(arguments))))
 
 
 def pack_main(arguments: Sequence[str] | None = None) -> int:
@@ -198,6 +205,31 @@ def _pack(parser: Parser, options: argparse.Namespace) -> int:
     return 0
 
 
+def join_main(arguments: Sequence[str] | None = None) -> int:
+    """``decogs-join``: parts that ``decogs-encode --only`` made to one .dgs stream."""
+    parser = Parser(
+        prog="decogs-join",
+        description="Join the parts of a take to the stream that an encode in one go would have written.",
+    )
+    parser.add_argument("parts", nargs="+", metavar="PART.DGS", help="all parts of the take, in any order")
+    parser.add_argument("-o", "--output", required=True, metavar="SCENE.DGS", help="the stream to write; - for stdout")
+    return run(parser, lambda: _join(parser.parse_args(arguments)), cleans_up=True)
+
+
+def _join(options: argparse.Namespace) -> int:
+    from .parts.joining import join
+
+    with progress("joining") as on_frame:
+        report = join(options.parts, path_or_pipe(options.output, "the stream"), on_frame=on_frame)
+    parts, frames = counted(report.parts, "part"), counted(report.frames, "frame")
+    print_text(f"{options.output}: {parts}, {frames}, {report.total_bytes} bytes", to_stderr=options.output == "-")
+    return 0
+
+
+def _encode_or_part(parser: Parser, options: argparse.Namespace) -> int:
+    return _encode(parser, options) if options.only is None else retryable(parser, lambda: _encode(parser, options))
+
+
 def _encode(parser: Parser, options: argparse.Namespace) -> int:
     from .encoding import encode
     from .option_texts import effect_choice, names, seconds_per_frame
@@ -224,6 +256,7 @@ def _encode(parser: Parser, options: argparse.Namespace) -> int:
             keyframe=options.keyframe,
             segment=options.segment,
             closed=options.closed,
+            only=frame_range(options.only),
             resume=options.resume,
             seed=options.seed,
             threads=options.threads,
@@ -266,7 +299,8 @@ def _summary(report: EncodeReport) -> list[str]:
     frames = report.frames
     if not frames:
         return [f"{report.output}: all {report.resumed} frames were already encoded, {report.total_bytes} bytes"]
-    lines = [f"{report.output}: {len(frames)} frame{'s'[: len(frames) > 1]}, {report.total_bytes} bytes"]
+    what = counted(len(frames), "frame") if report.part is None else f"part with {_frames(report.part)}"
+    lines = [f"{report.output}: {what}, {report.total_bytes} bytes"]
     if report.resumed is not None:
         lines[0] += f"; {report.resumed or 'none'} of them were already encoded"
     if report.interrupted:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import BinaryIO, Literal
+from typing import Any, BinaryIO, Literal
 
 from decogs.formats.callbacks import OnWarning
 from decogs.formats.container import MAX_FRAME
@@ -28,6 +28,9 @@ from .output.encode_log import EncodeLog
 from .output.observer import EncodeObserver, Observers
 from .output.reports import EncodeReport
 from .output.stream_output import open_output
+from .parts.base import Base, read_base
+from .parts.encoding import encode_part
+from .parts.manifest import part_frames
 from .rasterise import check_device
 from .settings.compensation import CorrectionSettings
 from .settings.encode import EncodeSettings
@@ -55,6 +58,7 @@ def encode(
     keyframe: str | os.PathLike[str] | None = None,
     segment: int | None = None,
     closed: bool = False,
+    only: Frames = None,
     resume: bool = False,
     metrics: bool = False,
     seed: int = 0,
@@ -79,10 +83,12 @@ def encode(
     named preset, and for settings what they say; the baseline has none. ``corrections``: cameras whose drift
     is known, instead of those that ``effects`` detects. ``keyframe``: an earlier stream of the same rig, first frame
     and held-out cameras whose keyframe is taken as it is; or another trainer's .ply or .spz. ``segment``: frames
-    from one keyframe to the next; later ones are coded as differences from the first. ``closed``: every such
-    segment starts from the first keyframe's Gaussians and depends on no other (`closed_segments`). ``resume``: go on
-    with what an encode with the same options left in ``output`` + ".part", or as a shorter stream; the file gets the
-    bytes of one that was not cut off.
+    from one keyframe to the next; later ones are coded as differences from the first. ``closed``: every such segment
+    starts from the first keyframe's Gaussians and depends on no other (`closed_segments`). ``only``: the frames of the
+    rig to encode of all ``frames``, whole closed segments or the first frame alone: the output is then a part, for
+    `join`. Parts but the first take the keyframe from another part, as ``keyframe``. ``resume``: go on with what an
+    encode with the same options left in ``output`` + ".part", or as a shorter stream; the file gets the bytes of one
+    that was not cut off.
 
     ``metrics``: the stream tells the PSNR of every frame, which the player shows; not with ``resume``.
 
@@ -106,28 +112,32 @@ def encode(
     chosen = _settings(settings, switches, targets, segment)
     if closed:
         chosen = with_closed_segments(chosen)
-    source = None if keyframe is None else _read_source(keyframe)
+    base = _base(chosen, only, keyframe, resume=resume)
+    source = None if keyframe is None or base is not None else _read_source(keyframe)
     if not isinstance(rig, Rig):
         rig = open_rig(rig)
     warn = on_warning or (lambda text: None)
     for warning in rig.warnings:
         warn(warning)
     span = frame_span(rig, frames)
+    part = None if only is None else part_frames(only, span, chosen.segment)
     if effects is None and isinstance(settings, str) and not FRAME_METHODS.get(chosen.method).dense:
         effects = "auto"
     wanted = EffectChoice(effects) if isinstance(effects, str) else effects
     ingest = Ingest(rig, holdout=holdout, scale=scale)
     stream = Path(output) if isinstance(output, (str, os.PathLike)) else output
     log, convergence_log = (None if path is None else Path(path) for path in (log, convergence_log))
-    _check_outputs(stream, log, convergence_log, rig, source)
+    _check_outputs(stream, log, convergence_log, rig, None if base is None and source is None else keyframe)
     with ExitStack() as open_files:
-        target = open_files.enter_context(open_output(stream, resume=resume))
+        target = open_files.enter_context(open_output(stream, resume=resume, fresh=part is not None))
         observers = [] if log is None else [open_files.enter_context(EncodeLog(log, append=resume))]
         curve = None
         if convergence_log is not None:
             curve = open_files.enter_context(ConvergenceLog(convergence_log, append=resume))
         observer = Observers([*observers, *([] if progress is None else [progress])])
-        if wanted is not None:
+        if base is not None:
+            chosen = base.settings(chosen, wanted)
+        elif wanted is not None:
             chosen = _with_effects(
                 chosen, wanted, rig, holdout=holdout, span=span, threads=threads, observer=observer, warn=warn
             )
@@ -141,29 +151,27 @@ def encode(
                 "layout": rig.layout,
                 "cameras": [camera.name for camera in rig.cameras],
                 "held_out": list(holdout),
-                "frames": [span.start, span.stop],
+                "frames": [span.start, span.stop] if part is None else [part.start, part.stop],
                 "seed": seed,
-                "keyframe": None if source is None else str(source.path),
+                "keyframe": None if keyframe is None else str(keyframe),
                 "resume": resume,
                 "settings": chosen.as_document(),
             }
         )
-        report = encode_stream(
-            ingest,
-            target,
-            span,
-            chosen,
-            seed=seed,
-            threads=thread_count(threads),
-            keyframe=source,
-            device=device,
-            resume=resume,
-            metrics=metrics,
-            on_frame=observer.frame,
-            on_keyframe_step=observer.keyframe_step,
-            convergence=curve,
-            on_warning=warn,
-        )
+        given: dict[str, Any] = {
+            "seed": seed,
+            "threads": thread_count(threads),
+            "keyframe": source,
+            "device": device,
+            "on_frame": observer.frame,
+            "on_keyframe_step": observer.keyframe_step,
+            "convergence": curve,
+            "on_warning": warn,
+        }
+        if part is None:
+            report = encode_stream(ingest, target, span, chosen, resume=resume, metrics=metrics, **given)
+        else:
+            report = encode_part(ingest, target, part, span, chosen, base=base, **given)
         observer.finished(
             {
                 "output": str(report.output),
@@ -176,14 +184,31 @@ def encode(
 
 
 def _check_outputs(
-    stream: Path | BinaryIO, log: Path | None, convergence_log: Path | None, rig: Rig, source: _Source | None
+    stream: Path | BinaryIO,
+    log: Path | None,
+    convergence_log: Path | None,
+    rig: Rig,
+    keyframe: str | os.PathLike[str] | None,
 ) -> None:
     """Raises UsageError when the encode would write over something it reads, or twice into one file."""
     outputs = [Output("output", stream, grows=True)]
     logs = {"log": log, "convergence_log": convergence_log}
     outputs += [Output(name, path) for name, path in logs.items() if path is not None]
-    read = [] if source is None else [(source.path, "is read, as `keyframe`")]
+    read = [] if keyframe is None else [(Path(keyframe), "is read, as `keyframe`")]
     check_outputs(outputs, [*files_of(rig), *read])
+
+
+def _base(
+    settings: EncodeSettings, only: Frames, keyframe: str | os.PathLike[str] | None, *, resume: bool
+) -> Base | None:
+    """The part that another one, of the frames ``only``, starts from; None where there is none."""
+    if only is None:
+        return None
+    if not settings.closed:
+        raise UsageError("`only`: parts are made of closed segments; add `segment` and `closed`")
+    if resume:
+        raise UsageError("`resume`: a part is encoded whole or not at all; drop `resume`")
+    return None if keyframe is None or is_splat_file(keyframe) else read_base(Path(keyframe))
 
 
 def _read_source(path: str | os.PathLike[str]) -> _Source:

@@ -1,7 +1,7 @@
 """What the commands of all layers share: arguments, terminal output and exit codes.
 
-Exit code 0 when all went well, 2 after an error (one line on stderr), 130 after Ctrl-C, 141 when the reader of a pipe
-is gone.
+Exit code 0 when all went well, 2 after an error (one line on stderr), 75 for a command that a farm runs when it may be
+tried again, 130 after Ctrl-C, 141 when the reader of a pipe is gone.
 """
 
 from __future__ import annotations
@@ -19,9 +19,10 @@ from contextlib import contextmanager, nullcontext
 from typing import Any, BinaryIO, NoReturn
 
 from .callbacks import OnProgress
-from .errors import DecogsError, UsageError
+from .errors import DecogsError, TryAgainError, UsageError
 
 USER_ERROR = 2
+TRY_AGAIN = 75
 INTERRUPTED = 130
 _BROKEN_PIPE = 141
 _CONTROL = re.compile("[\x00-\x1f\x7f-\x9f]+")
@@ -114,6 +115,28 @@ def run(parser: Parser, command: Callable[[], int | None], *, cleans_up: bool = 
             raise
         return _say(f"{program}: error: out of memory; choose a smaller scale or fewer frames", USER_ERROR)
     return code or 0
+
+
+def retryable(parser: Parser, command: Callable[[], int]) -> int:
+    """Runs a command that a farm may run again: exit code 75 (sysexits.h, EX_TEMPFAIL) for what may go away by itself.
+
+    That is a disk that is full or fails, a lack of memory, a file that another process is writing, and Ctrl-C.
+    """
+    try:
+        return command()
+    except BrokenPipeError:
+        raise
+    except TryAgainError as error:
+        problem = parser.in_options(str(error))
+    except OSError as error:
+        problem = f"{error.filename}: {error.strerror}" if error.filename else str(error)
+    except KeyboardInterrupt:
+        problem = "interrupted"
+    except Exception as error:
+        if not _memory_is_out(error):
+            raise
+        problem = "out of memory"
+    return _say(f"{parser.prog}: {problem}; nothing was written, try again", TRY_AGAIN)
 
 
 def _open_standard_streams() -> None:

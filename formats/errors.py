@@ -20,6 +20,10 @@ class UsageError(DecogsError):
     """Options or arguments that do not fit together, or do not fit the input."""
 
 
+class TryAgainError(UsageError):
+    """What may go away by itself or on another machine: a full disk, a file that another process is writing."""
+
+
 class TrainingError(DecogsError):
     """Training that cannot go on (no points, non-finite values)."""
 

@@ -23,7 +23,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, Literal
 
-from .errors import UsageError
+from .errors import TryAgainError, UsageError
 
 Leftover = Literal["refused", "kept", "dropped"]
 """What becomes of the ``NAME.part`` that an interrupted process left: an error, continued, or replaced."""
@@ -199,7 +199,9 @@ class GrowingFile:
                 _lock(number)
             except BlockingIOError:
                 file.close()
-                self._refuse(self.path, "another process is writing it; wait for its end, or choose another name")
+                raise TryAgainError(
+                    f"{self.path}: another process is writing it; wait for its end, or choose another name"
+                ) from None
             if _place(self.path) == _place_of_open(file):
                 return file
             file.close()  # The other one was done and gave it its name between the two steps.

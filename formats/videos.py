@@ -1,4 +1,4 @@
-"""Reads a video strictly in sequence, one frame at a time; seeking is never trusted.
+"""Reads a video in sequence, one frame at a time; a seek is only trusted if the time of what it finds is a frame's.
 
 Opening walks the container's packets without decoding them (OpenCV's raw mode). That is cheap in every container, sees
 a file that was cut off, and gives the frame count and every presentation time: a variable frame rate is found before
@@ -28,6 +28,11 @@ VIDEO_SUFFIXES = frozenset({".mp4", ".m4v", ".mov", ".mkv", ".avi", ".webm"})
 _FILES_PER_VIDEO = 2
 """Open at the same time while one is opened."""
 
+_PASSED_OVER = 64
+"""First frames to read below which the ones before are decoded and passed over: a seek decodes tens of frames, too."""
+_SAME_TIME = 0.25
+"""Share of a frame's duration within which a time is that frame's."""
+
 _BOXED_SUFFIXES = frozenset({".mp4", ".m4v", ".mov"})
 _FIRST_BOXES = frozenset({b"ftyp", b"styp", b"moov", b"mdat", b"free", b"skip", b"wide", b"pnot"})
 
@@ -56,11 +61,12 @@ class VideoSource:
     def read(self, start: int, stop: int, step: int = 1) -> Generator[Picture, None, None]:
         """Every step-th frame from start (inclusive) to stop (exclusive), RGB uint8; others are passed over.
 
-        Raises RigError if the video ends early, drops a frame, or changes its size.
+        A far start is sought, unless that does not find a frame before it. Raises RigError if the video ends early,
+        drops a frame, or changes its size.
         """
-        capture = _capture(self.path)
+        capture, first = self._capture_near(start)
         try:
-            for index in range(stop):
+            for index in range(first, stop):
                 with quiet_opencv():
                     grabbed = capture.grab()
                 if not grabbed:
@@ -73,6 +79,27 @@ class VideoSource:
                     yield self._retrieve(capture, index)
         finally:
             capture.release()
+
+    def _capture_near(self, start: int) -> tuple[cv2.VideoCapture, int]:
+        """A capture at a frame at or before ``start``, and that frame."""
+        capture = _capture(self.path)
+        if start < _PASSED_OVER or self.times is None:
+            return capture, 0
+        with quiet_opencv():
+            sought = capture.set(cv2.CAP_PROP_POS_FRAMES, start - 1) and capture.grab()
+        found = self._frame_at(capture.get(cv2.CAP_PROP_POS_MSEC)) if sought else None
+        if found is not None and found < start:
+            return capture, found + 1
+        capture.release()
+        return _capture(self.path), 0
+
+    def _frame_at(self, time: float) -> int | None:
+        """The frame that is shown at a time in milliseconds; None if there is none."""
+        if self.times is None or not np.isfinite(time):
+            return None
+        usual = (self.times[-1] - self.times[0]) / (self.frame_count - 1)
+        nearest = int(np.abs(self.times - time).argmin())
+        return nearest if abs(self.times[nearest] - time) <= _SAME_TIME * usual else None
 
     def _check_time(self, index: int, time: float) -> None:
         if self.times is None or self.frame_count < 2:

@@ -52,7 +52,7 @@ class EncodeReport:
 
     ``interrupted``: Ctrl-C ended it early. ``resumed``: how many frames an earlier encode had left, None when it was
     not looked for; ``frames`` is empty when that was the whole stream. ``frame_budget`` and
-    ``time_budget``: the settings'.
+    ``time_budget``: the settings'. ``part``: the rig's frames of a part, None for a whole stream.
     """
 
     output: Path
@@ -62,3 +62,4 @@ class EncodeReport:
     resumed: int | None = None
     frame_budget: float | None = None
     time_budget: float | None = None
+    part: range | None = None

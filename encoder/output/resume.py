@@ -10,10 +10,10 @@ format to keep, and one more thing that a kill can tear).
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from decogs.codec.header import StreamHeader
 from decogs.formats.container import (
@@ -71,11 +71,8 @@ class Interrupted:
 
     def check(self, wanted: StreamHeader, frames: int) -> None:
         """Raises UsageError unless it is the beginning of an encode with this header and so many frames."""
-        payload = wanted.to_bytes()
-        if payload != self.header_payload:
-            name, was, now = _difference(json.loads(self.header_payload), json.loads(payload))
-            asked = next((f" ({asked})" for start, asked in _PARAMETERS.items() if name.startswith(start)), "")
-            self._refuse(f"was begun with {name} {_short(was)}, this encode has {_short(now)}{asked}")
+        if problem := difference_of_headers(self.header_payload, wanted.to_bytes()):
+            self._refuse(problem)
         if len(self.entries) > frames:
             self._refuse(f"already holds {len(self.entries)} frames, this encode has {frames}")
 
@@ -84,7 +81,7 @@ class Interrupted:
         if not same:
             self._refuse("begins with another keyframe than that of `keyframe`")
 
-    def _refuse(self, problem: str) -> None:
+    def _refuse(self, problem: str) -> NoReturn:
         raise UsageError(f"`resume`: {self.path} {problem}; give the same options, or drop `resume` to start over")
 
 
@@ -131,6 +128,20 @@ def _read(path: Path) -> Interrupted | None:
     if not entries:
         return None
     return Interrupted(path, StreamHeader.from_bytes(header), header, tuple(entries), size, ended)
+
+
+def difference_of_headers(was: bytes, now: bytes, other: str = "this encode has") -> str:
+    """What differs first between the payloads of an earlier encode's header and of this one's; empty if nothing."""
+    return "" if was == now else difference_of(json.loads(was), json.loads(now), other)
+
+
+def difference_of(was: Mapping[str, Any], now: Mapping[str, Any], other: str = "this encode has") -> str:
+    """The same of settings as plain values."""
+    if was == now:
+        return ""
+    name, before, after = _difference(was, now)
+    asked = next((f" ({asked})" for start, asked in _PARAMETERS.items() if name.startswith(start)), "")
+    return f"was begun with {name} {_short(before)}, {other} {_short(after)}{asked}"
 
 
 def _difference(one: Any, other: Any, path: str = "") -> tuple[str, Any, Any]:

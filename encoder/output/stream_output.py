@@ -16,8 +16,8 @@ from types import TracebackType
 from typing import BinaryIO
 
 from decogs.formats.container import StreamWriter
-from decogs.formats.errors import UsageError
-from decogs.formats.outputs import GrowingFile, errors_named, is_device
+from decogs.formats.errors import TryAgainError, UsageError
+from decogs.formats.outputs import GrowingFile, Leftover, errors_named, is_device
 
 from .resume import Interrupted, find_interrupted
 
@@ -83,15 +83,16 @@ class StreamOutput(ABC):
 class FileOutput(StreamOutput):
     """A file, taken from now on: it must be said before the training, which takes minutes, that it cannot be written.
 
-    ``resume``: a ``NAME.part`` that is there is continued. Raises UsageError when it is there without, when it
-    cannot be written, or is being written by another encode; so does every method when the disk is full.
-    ``resumable``: whether what is left of it can be gone on with, which errors then say.
+    ``resume``: a ``NAME.part`` that is there is continued; ``fresh``: it is replaced. Raises UsageError when it is
+    there without either, when it cannot be written, or is being written by another encode; so does every method when
+    the disk is full. ``resumable``: whether what is left of it can be gone on with, which errors then say.
     """
 
-    def __init__(self, output: Path, *, resume: bool = False, resumable: bool = True) -> None:
+    def __init__(self, output: Path, *, resume: bool = False, resumable: bool = True, fresh: bool = False) -> None:
         super().__init__()
         self._output, self._resumable = output, resumable
-        self._growing = GrowingFile(output, leftover="kept" if resume else "refused", resumable=resumable)
+        leftover: Leftover = "dropped" if fresh else "kept" if resume else "refused"
+        self._growing = GrowingFile(output, leftover=leftover, resumable=resumable)
         self._left: Interrupted | None = None
         self._failed = False
 
@@ -157,7 +158,7 @@ class FileOutput(StreamOutput):
         except OSError as error:
             self._failed = True
             then = "then continue with `resume`" if self._resumable else "or name a file elsewhere"
-            raise UsageError(f"{self.growing}: {error.strerror}; free space, {then}") from error
+            raise TryAgainError(f"{self.growing}: {error.strerror}; free space, {then}") from error
 
 
 class PipeOutput(StreamOutput):
@@ -194,13 +195,15 @@ class PipeOutput(StreamOutput):
         return errors_named("standard output" if self._name == Path("-") else str(self._name))
 
 
-def open_output(output: Path | BinaryIO, *, resume: bool = False, resumable: bool = True) -> StreamOutput:
+def open_output(
+    output: Path | BinaryIO, *, resume: bool = False, resumable: bool = True, fresh: bool = False
+) -> StreamOutput:
     """Takes the output of an encode, before anything long is done; a named pipe is written into as it is.
 
     Raises UsageError as `FileOutput` does, and when ``resume`` asks for what no pipe can.
     """
     if isinstance(output, Path) and not is_device(output):
-        return FileOutput(output, resume=resume, resumable=resumable)
+        return FileOutput(output, resume=resume, resumable=resumable, fresh=fresh)
     if resume:
         raise UsageError("`resume`: a pipe cannot be resumed; name a file with `output`")
     return PipeOutput(output.open("wb"), output) if isinstance(output, Path) else PipeOutput(output)

@@ -20,7 +20,7 @@ from decogs.decoder.viewing import notebook
 from decogs.decoder.viewing.notebook import View
 from decogs.encoder import PRESETS, EncodeSettings
 from decogs.encoder.analysis.commands import analyze_main
-from decogs.encoder.commands import encode_main, pack_main
+from decogs.encoder.commands import encode_main, join_main, pack_main
 from decogs.encoder.settings.frame import SignificanceSettings
 
 ROOT = Path(__file__).parents[2]
@@ -32,6 +32,7 @@ MAINS: dict[str, Callable[[list[str]], int]] = {
     "decogs-decode": decode_main,
     "decogs-export": export_main,
     "decogs-info": info_main,
+    "decogs-join": join_main,
     "decogs-pack": pack_main,
     "decogs-view": view_main,
 }

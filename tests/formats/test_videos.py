@@ -1,10 +1,11 @@
-"""Videos: every frame in order, no seeking, and damage found where it is."""
+"""Videos: every frame in order, far ones by a seek that is checked, and damage found where it is."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
+import av
 import cv2
 import numpy as np
 import pytest
@@ -66,7 +67,7 @@ def test_frames_come_in_order_as_rgb(tmp_path: Path, make: Any) -> None:
         np.testing.assert_allclose(frame.mean(axis=(0, 1)), expected, atol=CODEC_TOLERANCE)
 
 
-def test_start_is_reached_by_passing_over_never_by_seeking(tmp_path: Path, make: Any, capture_log: list[str]) -> None:
+def test_a_near_start_is_reached_by_passing_over(tmp_path: Path, make: Any, capture_log: list[str]) -> None:
     make.video(tmp_path / "a.mp4", frames=9)
     source = open_video(tmp_path / "a.mp4")
     whole = list(source.read(0, 9))
@@ -78,6 +79,51 @@ def test_start_is_reached_by_passing_over_never_by_seeking(tmp_path: Path, make:
     some = list(source.read(2, 7, 3))
     assert capture_log == ["grab"] * 3 + ["retrieve"] + ["grab"] * 3 + ["retrieve", "grab"]
     np.testing.assert_array_equal(some, [whole[2], whole[5]])
+
+
+def long_video(path: Path, **options: str) -> VideoSource:
+    """200 frames of 64x48 that differ, with pictures coded out of order."""
+    texture = np.random.default_rng(0).integers(0, 255, (48, 64, 3), np.uint8)
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=25, options=options)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        for number in range(200):
+            picture = np.roll(texture, 3 * number, axis=1)
+            picture[:8] = number
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        container.mux(stream.encode())
+    return open_video(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("closed.mp4", {"g": "25", "bf": "3"}),
+        ("open.mp4", {"x264-params": "open-gop=1:keyint=40:bframes=5:b-pyramid=normal:log-level=none"}),
+        ("refresh.mp4", {"x264-params": "intra-refresh=1:keyint=30:bframes=0:log-level=none"}),
+        ("one.mkv", {"g": "1000", "bf": "2"}),
+    ],
+)
+def test_a_far_start_is_sought(tmp_path: Path, capture_log: list[str], name: str, options: dict[str, str]) -> None:
+    source = long_video(tmp_path / name, **options)
+    whole = list(source.read(0, 200))
+    for start in (64, 99, 120, 161, 199):
+        capture_log.clear()
+        np.testing.assert_array_equal(list(source.read(start, min(start + 3, 200))), whole[start : start + 3])
+        assert capture_log.count("grab") <= 8
+
+
+@pytest.mark.parametrize("lands", [-15.0, 20.0, 199.0 * 40, float("nan")])
+def test_a_seek_that_lands_elsewhere_is_given_up(
+    tmp_path: Path, capture_log: list[str], monkeypatch: pytest.MonkeyPatch, lands: float
+) -> None:
+    source = long_video(tmp_path / "a.mp4")
+    whole = list(source.read(0, 125))
+    real = VideoSource._frame_at
+    monkeypatch.setattr(VideoSource, "_frame_at", lambda self, time: real(self, lands))
+    capture_log.clear()
+    np.testing.assert_array_equal(list(source.read(120, 123)), whole[120:123])
+    assert capture_log.count("grab") == 1 + 123
 
 
 def test_only_what_is_asked_for_is_decoded(tmp_path: Path, make: Any, capture_log: list[str]) -> None:

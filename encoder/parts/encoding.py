@@ -1,0 +1,119 @@
+"""One part of a take: the first keyframe, trained or taken from an earlier part, then the part's own frames."""
+
+from __future__ import annotations
+
+from decogs.formats.callbacks import OnWarning
+from decogs.formats.container import PacketKind, PacketReader
+from decogs.formats.errors import StreamError, UsageError
+
+from ..input.imported_keyframe import KeyframeSource
+from ..input.imported_splats import SplatSource
+from ..input.ingest import Ingest, RigFrame
+from ..loop import StreamEncoder
+from ..output.convergence_log import ConvergenceLog
+from ..output.reports import EncodeReport, FrameReport, OnFrame, OnKeyframeStep
+from ..output.stream_output import StreamOutput
+from ..parallel import ahead
+from ..settings.encode import EncodeSettings
+from .base import Base
+from .manifest import Part, inputs_of, made_with, with_part
+from .output import PartOutput
+
+
+def encode_part(
+    ingest: Ingest,
+    output: StreamOutput,
+    frames: range,
+    take: range,
+    settings: EncodeSettings,
+    *,
+    seed: int,
+    threads: int,
+    base: Base | None,
+    keyframe: KeyframeSource | SplatSource | None = None,
+    device: str = "auto",
+    on_frame: OnFrame | None = None,
+    on_keyframe_step: OnKeyframeStep | None = None,
+    convergence: ConvergenceLog | None = None,
+    on_warning: OnWarning | None = None,
+) -> EncodeReport:
+    """Encodes ``frames`` of the rig's ``take`` to ``output``, whole or not at all.
+
+    Only these frames and the first one are read. ``base``: an earlier part with the first keyframe; without, it is
+    made here, from ``keyframe`` if that is given, and the part must begin with it. An output that is this part already
+    stays as it is. Raises DecogsError for unusable input, UsageError for a base of another encode.
+    """
+    if base is None and frames.start > take.start:
+        raise UsageError(
+            f"`only` {frames.start}:{frames.stop}: parts after the first start from its keyframe; make one with `only` "
+            f"{take.start}:{take.start + 1}, and give it as `keyframe`"
+        )
+    first = next(ingest.frames(take.start, take.start + 1))
+    part = Part(frames, take, inputs_of(ingest.rig, first), made_with(device))
+    if base is not None:
+        base.check(part)
+    with output:
+        out = PartOutput(output, part)
+        encoder = StreamEncoder(
+            ingest,
+            settings,
+            out,
+            seed=seed,
+            threads=threads,
+            keyframe=keyframe if base is None else base.source,
+            device=device,
+            convergence=convergence,
+            on_warning=on_warning,
+        )
+        encoder.check_header(take.start)
+        if base is not None:
+            encoder.take_over(base.keyframe, take)
+            if (there := _size_if_there(output, with_part(base.keyframe.header_payload, part), part)) is not None:
+                return EncodeReport(output.name, [], there, False, len(frames), part=frames)
+        reports: list[FrameReport] = []
+        whole = False
+        try:
+            if base is None:
+                reports.append(encoder.encode_key(first, on_keyframe_step))
+            else:
+                reports.append(_taken(encoder, first, base, out))
+            _tell(on_frame, reports[-1])
+            later = ingest.frames(max(frames.start, take.start + 1), frames.stop)
+            for frame in ahead(later) if threads > 1 else later:
+                reports.append(encoder.encode_next(frame))
+                _tell(on_frame, reports[-1])
+            whole = True
+        finally:
+            out.close(part.packets if whole else 0)
+        return EncodeReport(
+            output.name, reports, out.publish(), False, None, settings.frame_budget, settings.time_budget, frames
+        )
+
+
+def _taken(encoder: StreamEncoder, first: RigFrame, base: Base, out: PartOutput) -> FrameReport:
+    """The first keyframe of the base, its packet as it is."""
+    packet = base.packet
+    out.begin(base.keyframe.header_payload)
+    out.write(packet.kind, 0, packet.payload)
+    return encoder.replay(first, packet, f"`keyframe` {base.keyframe.path}")
+
+
+def _tell(on_frame: OnFrame | None, report: FrameReport) -> None:
+    if on_frame is not None:
+        on_frame(report)
+
+
+def _size_if_there(output: StreamOutput, header: bytes, part: Part) -> int | None:
+    """Bytes of the output if it is this part already, whole; None otherwise."""
+    if output.growing is None or not output.name.is_file():
+        return None
+    try:
+        with output.name.open("rb") as file:
+            reader, found = PacketReader(file), 0
+            while (packet := reader.next()) is not None:
+                if packet.kind == PacketKind.HEADER and packet.payload != header:
+                    return None
+                found += packet.kind in (PacketKind.KEY, PacketKind.DELTA, PacketKind.SKIP)
+    except (OSError, StreamError):
+        return None
+    return output.name.stat().st_size if reader.ended and found == part.packets else None

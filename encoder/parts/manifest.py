@@ -1,0 +1,162 @@
+"""The manifest of a part: which frames it holds of which take, what it was made from, and with what."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import cv2
+import numpy as np
+import zstandard
+
+from decogs.codec.header import StreamHeader
+from decogs.formats.errors import UsageError
+from decogs.formats.frame_ranges import Frames, frame_slice
+from decogs.formats.rigs import Rig
+
+from ..input.ingest import RigFrame
+
+_SETTING = "part"
+
+
+@dataclass(frozen=True)
+class Part:
+    """``frames``: the rig's frames of the part; ``take``: those of the whole stream.
+
+    ``inputs``: digests, by what was digested. ``made_with``: the device, and the releases on which bits depend, by
+    name.
+    """
+
+    frames: range
+    take: range
+    inputs: Mapping[str, str]
+    made_with: Mapping[str, str]
+
+    @property
+    def start(self) -> int:
+        """Place of its first frame in the whole stream."""
+        return self.frames.start - self.take.start
+
+    @property
+    def packets(self) -> int:
+        """Frame packets of its file: its frames, and the first keyframe if that is none of them."""
+        return len(self.frames) + (self.start > 0)
+
+    def place_in_part(self, frame: int) -> int:
+        """Where the whole stream's ``frame`` is in the part's file, which begins with the first keyframe."""
+        return frame - max(0, self.start - 1) if frame else 0
+
+    def place_in_stream(self, frame: int) -> int:
+        """Where the part file's ``frame`` is in the whole stream."""
+        return frame + max(0, self.start - 1) if frame else 0
+
+    def difference(self, other: Part) -> str:
+        """What makes two parts belong to different encodes: a few words; empty if nothing does."""
+        if self.take != other.take:
+            return f"it is a part of {span_text(self.take)}, not of {span_text(other.take)}"
+        changed = [name for name in {**self.inputs, **other.inputs} if self.inputs.get(name) != other.inputs.get(name)]
+        if changed:
+            return f"it was made from other input: the {changed[0]} differs"
+        for name in {**self.made_with, **other.made_with}:
+            mine, theirs = self.made_with.get(name, "none"), other.made_with.get(name, "none")
+            if mine != theirs:
+                return f"it was made with {name} {mine}, not {theirs}"
+        return ""
+
+
+def span_text(frames: range) -> str:
+    """As people say it: "frame 5" or "frames 5 to 9"."""
+    return f"frame {frames.start}" if len(frames) == 1 else f"frames {frames.start} to {frames.stop - 1}"
+
+
+def part_frames(only: Frames, take: range, segment: int) -> range:
+    """The rig's frames of a part of ``take``; raises UsageError unless it is made of whole segments, or a keyframe."""
+    within = frame_slice(only)
+    frames = range(take.stop)[within]
+    asked = f"`only` {frames.start}:{frames.stop}"
+    if not len(frames) or frames.step != 1 or frames.start < take.start:
+        raise UsageError(f"`only`: there is no such part; the take has {span_text(take)}")
+    before = (frames.start - take.start) // segment * segment + take.start
+    if frames.start != before:
+        raise UsageError(f"{asked}: a part begins where a segment does, such as at {before} or {before + segment}")
+    is_keyframe = frames == range(take.start, take.start + 1)
+    if (frames.stop - take.start) % segment and frames.stop != take.stop and not is_keyframe:
+        end = min(take.stop, (frames.stop - take.start) // segment * segment + segment + take.start)
+        raise UsageError(f"{asked}: a part ends where a segment does, such as at {end}")
+    return frames
+
+
+def inputs_of(rig: Rig, first: RigFrame) -> dict[str, str]:
+    """Digests of the rig's cameras and the sizes of their recordings, and of the first frame's training pictures.
+
+    The pictures are digested as training sees them, so that another video decoder shows as well.
+    """
+    sources = [
+        [camera.name, source.path.name, source.width, source.height, source.frame_count]
+        for camera, source in zip(rig.cameras, rig.sources, strict=True)
+    ]
+    pictures = hashlib.sha256()
+    for picture in first.training:
+        pictures.update(np.ascontiguousarray(picture).data)
+    return {
+        "list of recordings": hashlib.sha256(json.dumps(sources).encode()).hexdigest()[:32],
+        f"picture content of frame {first.index}": pictures.hexdigest()[:32],
+    }
+
+
+def made_with(device: str) -> dict[str, str]:
+    """The device and the releases on which an encode's bits may depend (SPEC.md, section 11)."""
+    return {
+        "device": "cuda" if device == "cuda" else "cpu",
+        "machine": platform.machine(),
+        "numpy": np.__version__,
+        "opencv": cv2.__version__,
+        "zstd": ".".join(map(str, zstandard.ZSTD_VERSION)),
+    }
+
+
+def with_part(header: bytes, part: Part) -> bytes:
+    """A header's payload with the part's manifest among its settings."""
+    document = {
+        "frames": [part.frames.start, part.frames.stop],
+        "take": [part.take.start, part.take.stop],
+        "inputs": dict(part.inputs),
+        "made_with": dict(part.made_with),
+    }
+    known = StreamHeader.from_bytes(header)
+    return replace(known, settings={**known.settings, _SETTING: document}).to_bytes()
+
+
+def without_part(header: StreamHeader) -> StreamHeader:
+    """The header of the whole stream."""
+    return replace(header, settings={name: value for name, value in header.settings.items() if name != _SETTING})
+
+
+def read_part(header: StreamHeader) -> Part | None:
+    """The manifest in a part's header; None for a stream that is no part, or has a manifest that says nothing."""
+    document = header.settings.get(_SETTING)
+    if not isinstance(document, dict):
+        return None
+    frames, take = _range(document.get("frames")), _range(document.get("take"))
+    inputs, tools = _texts(document.get("inputs")), _texts(document.get("made_with"))
+    if frames is None or take is None or inputs is None or tools is None:
+        return None
+    if not (take.start == header.first_frame and take.start <= frames.start and frames.stop <= take.stop):
+        return None
+    return Part(frames, take, inputs, tools)
+
+
+def _range(value: Any) -> range | None:
+    if not (isinstance(value, list) and len(value) == 2 and all(type(number) is int for number in value)):
+        return None
+    return range(*value) if 0 <= value[0] < value[1] < 1 << 32 else None
+
+
+def _texts(value: Any) -> dict[str, str] | None:
+    if not (isinstance(value, dict) and all(isinstance(text, str) for text in value.values())):
+        return None
+    return value

@@ -1,0 +1,48 @@
+"""Where a part is written: its frames under the numbers that they have in the part's own file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from decogs.formats.container import StreamWriter
+
+from ..output.stream_output import StreamOutput
+from .manifest import Part, with_part
+
+
+class PartOutput(StreamOutput):
+    """Writes a whole stream's packets into the file of a part; ``inner`` takes them."""
+
+    def __init__(self, inner: StreamOutput, part: Part) -> None:
+        super().__init__()
+        self._inner, self._part = inner, part
+
+    @property
+    def name(self) -> Path:
+        return self._inner.name
+
+    @property
+    def is_open(self) -> bool:
+        return self._inner.is_open
+
+    @property
+    def growing(self) -> Path | None:
+        return self._inner.growing
+
+    def begin(self, header: bytes) -> None:
+        self._inner.begin(with_part(header, self._part))
+
+    def write(self, kind: int, frame: int, payload: bytes) -> int:
+        return self._inner.write(kind, self._part.place_in_part(frame), payload)
+
+    def open(self) -> StreamWriter:
+        return self._inner.open()
+
+    def close(self, frames: int) -> None:
+        self._inner.close(frames)
+
+    def publish(self) -> int:
+        return self._inner.publish()
+
+    def release(self) -> None:
+        self._inner.release()

@@ -1,0 +1,417 @@
+"""``--only`` and ``decogs-join``: a take in parts has the bytes of the same encode in one go."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from decogs.codec.corrections import Correction
+from decogs.decoder.stream import open_stream
+from decogs.encoder import PRESETS, CorrectionSettings, EffectChoice, EncodeSettings, Targets, encode, join
+from decogs.encoder.commands import encode_main, join_main
+from decogs.encoder.parts.manifest import part_frames, read_part
+from decogs.encoder.settings.frame import SignificanceSettings
+from decogs.encoder.settings.reading import read_settings
+from decogs.encoder.training.keyframe import train_keyframe
+from decogs.formats.container import PacketKind
+from decogs.formats.errors import UsageError
+from packets import iterate_packets
+
+MOMENTS = (0, 1, 3, 1, 3, 0, 3)
+SEGMENT = 2
+FRAMES = len(MOMENTS)
+
+
+def drifting(name: str, frame: int) -> Correction:
+    return Correction(exposure=100 * frame) if name == "cam01" else Correction()
+
+
+@pytest.fixture(scope="module")
+def rig(tiny_rig: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tiny_rig.write(tmp_path_factory.mktemp("rigs") / "take", frames=MOMENTS, faults=drifting)
+
+
+@pytest.fixture(scope="module")
+def settings(tiny_settings: EncodeSettings) -> EncodeSettings:
+    """With all that goes from frame to frame, and a camera that is compensated."""
+    masks = replace(tiny_settings.frame.masks, since_trained=True, residual=15.0, refine_frames=2)
+    significance = SignificanceSettings(threshold=1.0, decide_at=0.5)
+    frame = replace(tiny_settings.frame, masks=masks, cache=None, joint_iterations=20, significance=significance)
+    corrections = CorrectionSettings(exposure=("cam01",))
+    return replace(tiny_settings, frame=frame, detect_per_frame=True, corrections=corrections)
+
+
+Make = Callable[..., Path]
+
+
+@pytest.fixture(scope="module")
+def make(rig: Path, settings: EncodeSettings) -> Make:
+    """``make(output, only)``: a part of the take, or all of it."""
+
+    def run(output: Path, only: tuple[int, int] | None = None, **options: Any) -> Path:
+        given: dict[str, Any] = {"settings": settings, "segment": SEGMENT, "closed": True, "threads": 1} | options
+        encode(given.pop("rig", rig), output, only=None if only is None else range(*only), **given)
+        return output
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def whole(make: Make, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make(tmp_path_factory.mktemp("whole") / "scene.dgs")
+
+
+@pytest.fixture(scope="module")
+def key(make: Make, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make(tmp_path_factory.mktemp("key") / "key.dgs", (0, 1))
+
+
+@pytest.fixture(scope="module")
+def parts(make: Make, key: Path, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    folder = tmp_path_factory.mktemp("parts")
+    spans = [(0, 2), (2, 4), (4, 7)]
+    return [make(folder / f"{a}-{b}.dgs", (a, b), keyframe=key) for a, b in spans]
+
+
+# The same bytes
+
+
+def test_joined_parts_are_the_encode_in_one_go(whole: Path, parts: list[Path], tmp_path: Path) -> None:
+    report = join(parts[::-1], tmp_path / "joined.dgs")
+    assert (tmp_path / "joined.dgs").read_bytes() == whole.read_bytes()
+    assert (report.parts, report.frames, report.total_bytes) == (3, FRAMES, whole.stat().st_size)
+    assert [path.name for path in tmp_path.iterdir()] == ["joined.dgs"]
+
+
+@pytest.mark.parametrize(
+    ("spans", "threads"), [([(0, 7)], 3), ([(0, 4), (4, 7)], 2), ([(0, 2), (2, 4), (4, 6), (6, 7)], 3)]
+)
+def test_whatever_the_number_of_parts_and_threads(
+    make: Make, whole: Path, key: Path, tmp_path: Path, spans: list[tuple[int, int]], threads: int
+) -> None:
+    made = [make(tmp_path / f"{a}.dgs", (a, b), keyframe=key, threads=threads) for a, b in spans]
+    join([key, *made], tmp_path / "joined.dgs")
+    assert (tmp_path / "joined.dgs").read_bytes() == whole.read_bytes()
+
+
+def test_the_first_part_can_make_the_keyframe(make: Make, whole: Path, parts: list[Path], tmp_path: Path) -> None:
+    first = make(tmp_path / "first.dgs", (0, 4))
+    last = make(tmp_path / "last.dgs", (4, 7), keyframe=first)
+    assert last.read_bytes() == parts[2].read_bytes(), "any part brings the same keyframe"
+    join([first, last], tmp_path / "joined.dgs")
+    assert (tmp_path / "joined.dgs").read_bytes() == whole.read_bytes()
+
+
+def test_detected_effects_are_decided_once(make: Make, settings: EncodeSettings, tmp_path: Path) -> None:
+    chosen = {"effects": "auto", "settings": replace(settings, corrections=CorrectionSettings())}
+    one = make(tmp_path / "one.dgs", **chosen)
+    made = [make(tmp_path / "first.dgs", (0, 2), **chosen)]
+    made += [make(tmp_path / f"{a}.dgs", (a, b), keyframe=made[0], **chosen) for a, b in [(2, 6), (6, 7)]]
+    join(made, tmp_path / "joined.dgs")
+    assert (tmp_path / "joined.dgs").read_bytes() == one.read_bytes()
+
+
+def test_a_range_of_the_rig_and_a_keyframe_of_an_earlier_stream(
+    make: Make, moving: Any, settings: EncodeSettings, moving_rig: Path, tiny_rig: Any, tmp_path: Path
+) -> None:
+    chosen = {"rig": moving_rig, "segment": 1, "holdout": [tiny_rig.held_out], "frames": slice(0, 3)}
+    one = make(tmp_path / "one.dgs", keyframe=moving.path, **chosen)
+    made = [make(tmp_path / "key.dgs", (0, 1), keyframe=moving.path, **chosen)]
+    made += [make(tmp_path / f"{a}.dgs", (a, a + 1), keyframe=made[0], **chosen) for a in (1, 2)]
+    join(made, tmp_path / "joined.dgs")
+    assert (tmp_path / "joined.dgs").read_bytes() == one.read_bytes()
+
+
+def test_a_part_reads_the_first_frame_and_its_own(
+    make: Make, rig: Path, key: Path, parts: list[Path], tmp_path: Path
+) -> None:
+    spoilt = Path(shutil.copytree(rig, tmp_path / "rig"))
+    for camera in spoilt.glob("cam*"):
+        for number in (1, 4, 5, 6):
+            (camera / f"{number:04d}.png").write_bytes(b"no picture")
+    made = make(tmp_path / "part.dgs", (2, 4), keyframe=key, rig=spoilt)
+    assert made.read_bytes() == parts[1].read_bytes()
+
+
+def test_a_part_is_a_stream_that_shows_its_frames(whole: Path, parts: list[Path]) -> None:
+    with open_stream(whole) as stream:
+        states = [frame.state for frame in stream.frames()]
+    for path, places in zip(parts, ([0, 1], [0, 2, 3], [0, 4, 5, 6]), strict=True):
+        with open_stream(path) as stream:
+            assert stream.complete
+            for frame, place in zip(stream.frames(), places, strict=True):
+                np.testing.assert_array_equal(frame.state.hashes, states[place].hashes)
+
+
+# Again
+
+
+def test_a_part_that_is_there_is_left_alone(
+    make: Make, key: Path, parts: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    copy = Path(shutil.copy(parts[1], tmp_path / "part.dgs"))
+    before = copy.stat()
+    make(copy, (2, 4), keyframe=key)
+    after = copy.stat()
+    assert (after.st_mtime_ns, after.st_ino) == (before.st_mtime_ns, before.st_ino)
+
+
+@pytest.mark.parametrize("leftover", [b"", b"cut off"])
+@pytest.mark.parametrize("there", [None, b"something else", -1])
+def test_what_a_killed_one_has_left_is_made_anew(
+    make: Make, key: Path, parts: list[Path], tmp_path: Path, leftover: bytes, there: Any
+) -> None:
+    (tmp_path / "part.dgs.part").write_bytes(leftover)
+    if there is not None:
+        (tmp_path / "part.dgs").write_bytes(parts[1].read_bytes()[:there] if there == -1 else there)
+    assert make(tmp_path / "part.dgs", (2, 4), keyframe=key).read_bytes() == parts[1].read_bytes()
+    assert [path.name for path in tmp_path.iterdir()] == ["part.dgs"]
+
+
+def test_an_interrupted_part_leaves_nothing(make: Make, key: Path, tmp_path: Path) -> None:
+    from decogs.encoder import EncodeObserver
+
+    class Interrupt(EncodeObserver):
+        def frame(self, report: Any) -> None:
+            if report.frame == 2:
+                raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        make(tmp_path / "part.dgs", (2, 4), keyframe=key, progress=Interrupt())
+    assert not list(tmp_path.iterdir())
+
+
+# Exit codes
+
+
+@pytest.fixture
+def command(rig: Path, settings: EncodeSettings, key: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    monkeypatch.setitem(PRESETS, "tiny", replace(settings, effects=(), corrections=CorrectionSettings()))
+    options = ["--preset", "tiny", "--effects", "motion", "--segment", "2", "--closed", "--threads", "1"]
+
+    def run(*more: str) -> int:
+        return encode_main([str(rig), *options, "-o", str(tmp_path / "part.dgs"), *more])
+
+    assert run("--only", "0:1") == 0
+    (tmp_path / "part.dgs").rename(tmp_path / "key.dgs")
+    return run
+
+
+def test_codes_tell_whether_to_try_again(
+    command: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    part = ["--only", "2:4", "--keyframe", str(tmp_path / "key.dgs")]
+    with (tmp_path / "part.dgs.part").open("wb") as other:
+        fcntl.flock(other.fileno(), fcntl.LOCK_EX)
+        assert command(*part) == 75
+        assert "another process is writing it" in capsys.readouterr().err
+
+    def full(*_: Any) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as broken:
+        broken.setattr("decogs.formats.container.StreamWriter._append", full)
+        assert command(*part) == 75
+        assert "No space left on device" in capsys.readouterr().err
+    assert command(*part, "--seed", "1") == 2
+    assert command("--only", "3:4", "--keyframe", str(tmp_path / "key.dgs")) == 2
+    assert command("--only", "2:4", "--keyframe", str(tmp_path / "none.dgs")) == 2
+    assert capsys.readouterr().err.count("\n") == 3
+    assert command(*part) == 0
+    assert "part with frames 2 to 3" in capsys.readouterr().out
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["key.dgs", "part.dgs"]
+
+
+def test_the_join_command(parts: list[Path], whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    output = tmp_path / "scene.dgs"
+    assert join_main([*map(str, parts), "-o", str(output)]) == 0
+    assert output.read_bytes() == whole.read_bytes()
+    assert f"3 parts, 7 frames, {whole.stat().st_size} bytes" in capsys.readouterr().out
+    assert join_main([*map(str, parts[1:]), "-o", str(tmp_path / "less.dgs")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["scene.dgs"]
+
+
+# What is refused
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"only": (1, 4)}, "`only` 1:4: a part begins where a segment does, such as at 0 or 2"),
+        ({"only": (2, 5)}, "`only` 2:5: a part ends where a segment does, such as at 6"),
+        ({"only": (8, 9)}, "`only`: there is no such part; the take has frames 0 to 6"),
+        ({"only": (2, 4), "closed": False}, "`only`: parts are made of closed segments; add `segment` and `closed`"),
+        ({"only": (2, 4), "resume": True}, "`resume`: a part is encoded whole or not at all"),
+        ({"only": (2, 4)}, "`only` 2:4: parts after the first start from its keyframe; make one with `only` 0:1"),
+    ],
+)
+def test_what_is_no_part(make: Make, tmp_path: Path, options: dict[str, Any], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        make(tmp_path / "part.dgs", options.pop("only"), **options)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"seed": 3}, "key.dgs: it was begun with seed 0, this encode has 3"),
+        ({"holdout": ["cam03"]}, "key.dgs: it was made from other input"),
+        ({"segment": 4, "only": (4, 7)}, r"key.dgs: it was begun with segment 2, this encode has 4 \(`segment`\)"),
+        ({"targets": Targets(quality=60)}, "key.dgs: it was begun with frame.significance.threshold"),
+        ({"frames": slice(0, 6), "only": (4, 6)}, "key.dgs: it is a part of frames 0 to 6, not of frames 0 to 5"),
+        ({"effects": EffectChoice("none", {"motion"})}, "key.dgs: it was begun with other effects"),
+    ],
+)
+def test_parts_have_the_options_of_their_keyframe(
+    make: Make, key: Path, tmp_path: Path, options: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(UsageError, match=message):
+        make(tmp_path / "part.dgs", options.pop("only", (4, 7)), keyframe=key, **options)
+    assert not list(tmp_path.iterdir())
+
+
+def test_parts_have_the_pictures_and_releases_of_their_keyframe(
+    make: Make, rig: Path, key: Path, tiny_rig: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other = tiny_rig.poisoned(rig, tmp_path / "rig", "cam03")
+    with pytest.raises(UsageError, match="it was made from other input: the picture content of frame 0 differs"):
+        make(tmp_path / "part.dgs", (4, 7), keyframe=key, rig=other)
+    monkeypatch.setattr(np, "__version__", "1.0")
+    with pytest.raises(UsageError, match=rf"it was made with numpy {np.version.version}, not 1.0"):
+        make(tmp_path / "part.dgs", (4, 7), keyframe=key)
+
+
+def cut(path: Path, copy: Path, change: Callable[[bytearray], Any]) -> Path:
+    data = bytearray(path.read_bytes())
+    change(data)
+    copy.write_bytes(data)
+    return copy
+
+
+def test_lost_and_doubled_parts_are_named(parts: list[Path], tmp_path: Path) -> None:
+    for given, message in (
+        (parts[1:], "`parts`: none of them has frames 0 to 1; encode a part with `only` 0:2"),
+        (parts[:2], "`parts`: none of them has frames 4 to 6; encode a part with `only` 4:7"),
+        ([parts[0], parts[2]], "`parts`: none of them has frames 2 to 3"),
+        (
+            [*parts, parts[1]],
+            "2-4.dgs: it has frames 2 to 3, which .*2-4.dgs has as well; leave out one of the two",
+        ),
+    ):
+        refused(given, tmp_path, message)
+
+
+def test_damaged_parts_are_named(parts: list[Path], tmp_path: Path) -> None:
+    with parts[1].open("rb") as file:
+        own = next(p for p in iterate_packets(file) if p.kind == PacketKind.KEY and p.frame == 1)
+
+    def flip(data: bytearray) -> None:
+        data[own.offset + 40] ^= 1
+
+    def shorten(data: bytearray) -> None:
+        del data[own.offset + own.size :]
+
+    for change in (flip, shorten, lambda data: data.__setitem__(slice(5, 6), b"!")):
+        damaged = cut(parts[1], tmp_path / "damaged.dgs", change)
+        refused([parts[0], damaged, parts[2]], tmp_path, r"damaged.dgs: the part is damaged \(.*\); encode it again")
+        damaged.unlink()
+
+
+def test_foreign_parts_are_named(
+    make: Make, whole: Path, parts: list[Path], rig: Path, settings: EncodeSettings, tiny_rig: Any, tmp_path: Path
+) -> None:
+    own = tmp_path / "own"
+    own.mkdir()
+    foreign = {
+        "seed": (make(own / "seed.dgs", (0, 2), seed=1), "was begun with seed 1, the other part has 0"),
+        "take": (
+            make(own / "take.dgs", (0, 2), frames=slice(0, 6)),
+            "it is a part of frames 0 to 5, not of frames 0 to 6",
+        ),
+        "rig": (
+            make(own / "rig.dgs", (0, 2), rig=tiny_rig.poisoned(rig, own / "rig", "cam03")),
+            "it was made from other input: the picture content of frame 0 differs",
+        ),
+    }
+    for name, (path, problem) in foreign.items():
+        refused(
+            [parts[1], path, parts[2]], tmp_path / "out", rf"{name}.dgs: it does not belong to .*2-4.dgs: {problem}"
+        )
+    refused([whole, *parts], tmp_path / "out", "scene.dgs: this is no part of a take")
+    refused([tmp_path / "none.dgs"], tmp_path / "out", "none.dgs: No such file or directory")
+
+
+def refused(parts: Sequence[Path], folder: Path, message: str) -> None:
+    folder.mkdir(exist_ok=True)
+    before = sorted(folder.iterdir())
+    with pytest.raises(UsageError, match=message) as raised:
+        join(parts, folder / "joined.dgs")
+    assert "\n" not in str(raised.value)
+    assert sorted(folder.iterdir()) == before
+
+
+def test_a_part_is_never_written_over(parts: list[Path], tmp_path: Path) -> None:
+    copies = [Path(shutil.copy(path, tmp_path)) for path in parts]
+    with pytest.raises(UsageError, match="is read, as one of the parts"):
+        join(copies, copies[1])
+    assert copies[1].read_bytes() == parts[1].read_bytes()
+
+
+# Manifest and settings
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda part: None,
+        lambda part: [],
+        lambda part: {},
+        lambda part: part | {"frames": [4, 2]},
+        lambda part: part | {"frames": [2, 4.5]},
+        lambda part: part | {"frames": [2, 1 << 40]},
+        lambda part: part | {"take": [0, 3]},
+        lambda part: part | {"take": [1, 7]},
+        lambda part: part | {"take": "0:7"},
+        lambda part: part | {"inputs": {"a": 1}},
+        lambda part: part | {"made_with": None},
+    ],
+)
+def test_manifests_from_strangers(parts: list[Path], spoil: Callable[[Any], Any]) -> None:
+    with open_stream(parts[1]) as stream:
+        header = stream.header
+    assert read_part(header) is not None
+    spoilt = replace(header, settings={**header.settings, "part": spoil(header.settings["part"])})
+    assert read_part(spoilt) is None
+
+
+def test_negative_and_open_ends(tmp_path: Path) -> None:
+    assert part_frames(slice(-3, None), range(7), 2) == range(4, 7)
+    assert part_frames(slice(13, None), range(3, 20), 5) == range(13, 20)
+
+
+@pytest.mark.parametrize("name", list(PRESETS))
+def test_settings_are_read_as_they_were_written(name: str) -> None:
+    corrections = CorrectionSettings(exposure=("a", "b"), lens={"a": 0.1}, match_colours=True)
+    written = replace(PRESETS[name], segment=5, closed=True, corrections=corrections, effects=("motion",))
+    assert read_settings(written.as_document() | {"seed": 3}) == written
+
+
+def test_what_the_keyframe_cost_is_not_paid_again(
+    make: Make, key: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def never(*_: Any, **__: Any) -> None:
+        raise AssertionError("a part trains no keyframe")
+
+    monkeypatch.setattr(f"{train_keyframe.__module__}.train_keyframe", never)
+    monkeypatch.setattr("decogs.encoder.training.first_frame.train_keyframe", never)
+    make(tmp_path / "part.dgs", (6, 7), keyframe=key)
