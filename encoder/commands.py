@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from decogs.formats.command_line import (
@@ -23,11 +24,12 @@ from decogs.formats.command_line import (
     warn_as,
     whole_number,
 )
-from decogs.formats.errors import UsageError
+from decogs.formats.errors import DecogsError, UsageError
 from decogs.formats.frame_ranges import frame_range
 from decogs.formats.rigs import Rig, open_rig
 
 if TYPE_CHECKING:
+    from .output.observer import EncodeObserver
     from .output.reports import EncodeReport
 
 
@@ -99,6 +101,11 @@ def encode_main(arguments: Sequence[str] | None = None) -> int:
         "--keyframe PART.DGS; or the first frame alone, which makes that keyframe. Exit code 75: try again",
     )
     parser.add_argument(
+        "--cluster",
+        metavar="WHERE",
+        help="encode segments side by side on a Ray cluster: local, or ray://HOST:PORT; with --segment and --closed",
+    )
+    parser.add_argument(
         "--quality",
         type=number,
         metavar="Q",
@@ -152,6 +159,12 @@ def encode_main(arguments: Sequence[str] | None = None) -> int:
         help="auto (default), cpu or cuda (through gsplat); auto is cpu",
     )
     parser.add_argument("--log", metavar="FILE", help="write each frame's figures as JSON lines")
+    parser.add_argument(
+        "--progress-lines",
+        choices=["openjd"],
+        metavar="KIND",
+        help="print progress for a farm, as Open Job Description has it: openjd",
+    )
     parser.add_argument("--convergence-log", metavar="FILE", help="write the loss of every training step as JSON lines")
     return run(parser, lambda: _encode_or_part(parser, parser.parse_args(frames_joined(arguments))))
 
@@ -227,13 +240,60 @@ def _join(options: argparse.Namespace) -> int:
 
 
 def _encode_or_part(parser: Parser, options: argparse.Namespace) -> int:
+    if options.cluster is not None:
+        return _encode_on_cluster(parser, options)
     return _encode(parser, options) if options.only is None else retryable(parser, lambda: _encode(parser, options))
+
+
+def _encode_on_cluster(parser: Parser, options: argparse.Namespace) -> int:
+    from .cluster.encoding import encode_on_cluster
+    from .option_texts import effect_choice, names
+    from .switches import Switches
+    from .targets import Targets
+
+    _check_cluster(options)
+    _, bytes_per_frame, words = _budget(options)
+    with reworded(words), progress("encoding") as on_progress:
+        report = encode_on_cluster(
+            options.rig_dir,
+            options.output,
+            options.settings,
+            cluster=options.cluster,
+            segment=options.segment,
+            frames=frame_range(options.frames),
+            scale=options.scale,
+            holdout=options.holdout,
+            switches=Switches(options.method, names(options.ablate), options.selection),
+            targets=Targets(options.quality, bytes_per_frame, options.lossless, None, options.target_psnr),
+            effects=None if options.effects is None else effect_choice(options.effects),
+            keyframe=options.keyframe,
+            resume=options.resume,
+            seed=options.seed,
+            threads=options.threads,
+            device=options.device,
+            progress=on_progress,
+            on_warning=warn_as(parser),
+        )
+    parts, frames = counted(report.parts, "part"), counted(report.frames, "frame")
+    print_text(f"{options.output}: {parts}, {frames}, {report.total_bytes} bytes")
+    return 0
+
+
+def _check_cluster(options: argparse.Namespace) -> None:
+    """Raises UsageError for options that no cluster takes."""
+    if not (options.segment and options.closed):
+        raise UsageError("`cluster`: tasks are closed segments; add `segment` and `closed`")
+    given = {"only": options.only, "time_budget": options.time_budget, "log": options.log}
+    given |= {"convergence_log": options.convergence_log, "output": "-" if options.output == "-" else None}
+    given |= {"progress_lines": options.progress_lines}
+    for name, value in given.items():
+        if value is not None:
+            raise UsageError(f"`cluster`: it does not go with `{name}` {value}; drop one of the two")
 
 
 def _encode(parser: Parser, options: argparse.Namespace) -> int:
     from .encoding import encode
     from .option_texts import effect_choice, names, seconds_per_frame
-    from .output.progress import TerminalProgress
     from .switches import Switches
     from .targets import Targets
 
@@ -242,7 +302,7 @@ def _encode(parser: Parser, options: argparse.Namespace) -> int:
     seconds = None if options.time_budget is None else seconds_per_frame(options.time_budget)
     if seconds is not None:
         words[f"`time_budget` {seconds:g}"] = f"--time-budget {options.time_budget}"
-    with reworded(words), TerminalProgress(sys.stderr) as progress:
+    with reworded(words), _observed(parser, options) as progress:
         report = encode(
             rig,
             output,
@@ -273,6 +333,26 @@ def _encode(parser: Parser, options: argparse.Namespace) -> int:
     for warning in filter(None, warnings):
         warn_as(parser)(warning)
     return 130 if report.interrupted else 0
+
+
+@contextmanager
+def _observed(parser: Parser, options: argparse.Namespace) -> Iterator[EncodeObserver]:
+    """What shows the progress: lines for a farm, or bars on a terminal."""
+    from .output.open_job import OpenJobProgress
+    from .output.progress import TerminalProgress
+
+    if options.progress_lines is None:
+        with TerminalProgress(sys.stderr) as bars:
+            yield bars
+        return
+    if options.output == "-":
+        raise UsageError("--progress-lines: standard output has the stream; name a file with --output")
+    lines = OpenJobProgress(sys.stdout)
+    try:
+        yield lines
+    except DecogsError as error:
+        lines.failed(parser.in_options(str(error)))
+        raise
 
 
 def _budget(options: argparse.Namespace) -> tuple[Rig | str, float | None, dict[str, str]]:

@@ -109,9 +109,7 @@ def encode(
         raise UsageError("`metrics` cannot be resumed: what was left may lack them; leave out one of the two")
     if seed < 0:
         raise UsageError(f"`seed` {seed}: give a number of at least 0")
-    chosen = _settings(settings, switches, targets, segment)
-    if closed:
-        chosen = with_closed_segments(chosen)
+    chosen = chosen_settings(settings, switches, targets, segment, closed=closed)
     base = _base(chosen, only, keyframe, resume=resume)
     source = None if keyframe is None or base is not None else _read_source(keyframe)
     if not isinstance(rig, Rig):
@@ -121,9 +119,7 @@ def encode(
         warn(warning)
     span = frame_span(rig, frames)
     part = None if only is None else part_frames(only, span, chosen.segment)
-    if effects is None and isinstance(settings, str) and not FRAME_METHODS.get(chosen.method).dense:
-        effects = "auto"
-    wanted = EffectChoice(effects) if isinstance(effects, str) else effects
+    wanted = wanted_effects(effects, settings, chosen.method)
     ingest = Ingest(rig, holdout=holdout, scale=scale)
     stream = Path(output) if isinstance(output, (str, os.PathLike)) else output
     log, convergence_log = (None if path is None else Path(path) for path in (log, convergence_log))
@@ -136,12 +132,13 @@ def encode(
             curve = open_files.enter_context(ConvergenceLog(convergence_log, append=resume))
         observer = Observers([*observers, *([] if progress is None else [progress])])
         if base is not None:
-            chosen = base.settings(chosen, wanted)
+            asked = chosen if corrections is None else replace(chosen, corrections=corrections)
+            chosen = base.settings(asked, wanted)
         elif wanted is not None:
             chosen = _with_effects(
                 chosen, wanted, rig, holdout=holdout, span=span, threads=threads, observer=observer, warn=warn
             )
-        if corrections is not None:
+        if corrections is not None and base is None:
             chosen = replace(chosen, corrections=corrections)
         if chosen.corrections.lens:
             ingest = Ingest(rig, holdout=holdout, scale=scale, lens=chosen.corrections.lens)
@@ -215,8 +212,13 @@ def _read_source(path: str | os.PathLike[str]) -> _Source:
     return read_splat_source(path) if is_splat_file(path) else read_keyframe(path)
 
 
-def _settings(
-    settings: str | EncodeSettings, switches: Switches | None, targets: Targets | None, segment: int | None
+def chosen_settings(
+    settings: str | EncodeSettings,
+    switches: Switches | None,
+    targets: Targets | None,
+    segment: int | None,
+    *,
+    closed: bool,
 ) -> EncodeSettings:
     """The settings with all that is asked for on top of them; raises UsageError for what cannot be."""
     chosen = preset(settings) if isinstance(settings, str) else settings
@@ -226,7 +228,17 @@ def _settings(
         if not 1 <= segment <= MAX_FRAME:
             raise UsageError(f"`segment` {segment}: give a number of frames, at least 1 and at most {MAX_FRAME}")
         chosen = replace(chosen, segment=segment)
-    return chosen if targets is None else with_targets(chosen, targets)
+    chosen = chosen if targets is None else with_targets(chosen, targets)
+    return with_closed_segments(chosen) if closed else chosen
+
+
+def wanted_effects(
+    effects: EffectChoice | Literal["auto", "all", "none"] | None, settings: str | EncodeSettings, method: str
+) -> EffectChoice | None:
+    """The choice of effects, "auto" for a named preset without one; None where ``settings`` say it themselves."""
+    if effects is None and isinstance(settings, str) and not FRAME_METHODS.get(method).dense:
+        effects = "auto"
+    return EffectChoice(effects) if isinstance(effects, str) else effects
 
 
 def _with_effects(

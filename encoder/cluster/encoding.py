@@ -1,0 +1,168 @@
+"""A take encoded on a cluster: the first keyframe, then the parts side by side, then all of them joined.
+
+Parts that are done lie in ``SCENE.DGS.parts`` beside the output until they are joined. That is all that there is to go
+on from after Ctrl-C or a kill: ``resume`` leaves out the parts that are there. A part appears whole or not at all, and
+one of another encode is named when they are joined.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+from decogs.formats.callbacks import OnProgress, OnWarning
+from decogs.formats.errors import UsageError
+from decogs.formats.frame_ranges import Frames
+from decogs.formats.outputs import Output, check_outputs, write_whole
+from decogs.formats.rigs import files_of, open_rig
+
+from ..analysis import EffectChoice
+from ..encoding import chosen_settings, wanted_effects
+from ..input.ingest import frame_span
+from ..parts.base import read_base
+from ..parts.joining import JoinReport, join
+from ..rasterise import check_device
+from ..settings.encode import EncodeSettings
+from ..switches import Switches
+from ..targets import Targets
+from .ray_engine import RayEngine
+from .tasks import Outcome
+
+_KEYFRAME = "key.dgs"
+
+
+def encode_on_cluster(
+    rig: str | os.PathLike[str],
+    output: str | os.PathLike[str],
+    settings: str | EncodeSettings = "standard",
+    *,
+    cluster: str,
+    segment: int,
+    frames: Frames = None,
+    scale: float = 1.0,
+    holdout: Sequence[str] = (),
+    switches: Switches | None = None,
+    targets: Targets | None = None,
+    effects: EffectChoice | Literal["auto", "all", "none"] | None = None,
+    keyframe: str | os.PathLike[str] | None = None,
+    resume: bool = False,
+    seed: int = 0,
+    threads: int = 0,
+    device: str = "auto",
+    progress: OnProgress | None = None,
+    on_warning: OnWarning | None = None,
+) -> JoinReport:
+    """Encodes a rig as `encode` does with closed segments, each segment as a task; the stream has the same bytes.
+
+    ``cluster``: "local" or the address of a Ray cluster (`RayEngine`). Its machines find the rig, and ``keyframe``,
+    under the paths given here, and have the same releases installed. ``threads``: of each task; 0 is one. ``resume``:
+    go on with what is in ``output`` + ".parts". ``progress``: frames done, and frames in all. Other parameters are
+    those of `encode`. Raises its errors, UsageError without Ray, TryAgainError when the cluster fails.
+    """
+    check_device(device)
+    chosen = chosen_settings(settings, switches, targets, segment, closed=True)
+    stream, opened = Path(output), open_rig(rig)
+    for warning in opened.warnings:
+        _warn(on_warning, warning)
+    read = [] if keyframe is None else [(Path(keyframe), "is read, as `keyframe`")]
+    check_outputs([Output("output", stream, grows=True)], [*files_of(opened), *read])
+    take = frame_span(opened, frames)
+    options: dict[str, Any] = {
+        "settings": chosen,
+        "frames": take,
+        "scale": scale,
+        "holdout": tuple(holdout),
+        "effects": wanted_effects(effects, settings, chosen.method),
+        "seed": seed,
+        "device": device,
+    }
+    engine = RayEngine(cluster, threads=threads, device=device)
+    folder = _folder(stream, resume=resume)
+    with engine:
+        key = folder / _KEYFRAME
+        if not key.exists():
+            first = range(take.start, take.start + 1)
+            given = options if keyframe is None else options | {"keyframe": os.fspath(Path(keyframe).absolute())}
+            _run(engine, opened.path, [first], None, given, {first: key}, 0, len(take), progress, on_warning)
+        _check_resumed(key, options, take)
+        files = {part: folder / f"{part.start}-{part.stop}.dgs" for part in _segments(take, segment)}
+        missing = [part for part, path in files.items() if not path.exists()]
+        done = len(take) - sum(map(len, missing))
+        rest = options | {"threads": max(1, threads)}
+        _run(engine, opened.path, missing, key.read_bytes(), rest, files, done, len(take), progress, on_warning)
+    report = join(list(files.values()), stream)
+    shutil.rmtree(folder)
+    return report
+
+
+def _run(
+    engine: RayEngine,
+    rig: Path,
+    parts: Sequence[range],
+    keyframe: bytes | None,
+    options: dict[str, Any],
+    files: dict[range, Path],
+    done: int,
+    total: int,
+    progress: OnProgress | None,
+    on_warning: OnWarning | None,
+) -> None:
+    """Runs parts and writes each one under its name as it comes; raises UsageError for one that cannot be."""
+    most = done
+    for event in engine.run(os.fspath(rig.absolute()), parts, keyframe, options):
+        if isinstance(event, int):
+            most = max(most, done + event)
+            if progress is not None:
+                progress(min(most, total), total)
+            continue
+        part, outcome = event
+        _check(outcome)
+        for warning in outcome.warnings:
+            _warn(on_warning, warning)
+        write_whole(files[part], outcome.data)
+
+
+def _check_resumed(key: Path, options: dict[str, Any], take: range) -> None:
+    """Raises UsageError when the keyframe that is there is that of an encode with other options."""
+    base = read_base(key)
+    if base is None:
+        raise UsageError(f"{key}: this is no part of a take; delete its folder to start over")
+    base.settings(options["settings"], options["effects"])
+    header = base.keyframe.header
+    was: dict[str, Any] = {"frames": base.part.take, "holdout": set(header.held_out)}
+    now: dict[str, Any] = {"frames": take, "holdout": set(options["holdout"])}
+    was |= {name: header.settings.get(name) for name in ("seed", "scale")}
+    now |= {name: options[name] for name in ("seed", "scale")}
+    if changed := [name for name in was if was[name] != now[name]]:
+        raise UsageError(
+            f"{key.parent}: its encode had another `{changed[0]}`; give the same options, or delete it to start over"
+        )
+
+
+def _check(outcome: Outcome) -> None:
+    if outcome.problem:
+        raise UsageError(outcome.problem)
+
+
+def _segments(take: range, segment: int) -> list[range]:
+    return [range(start, min(start + segment, take.stop)) for start in range(take.start, take.stop, segment)]
+
+
+def _folder(output: Path, *, resume: bool) -> Path:
+    """Where parts are kept until they are joined; raises UsageError if some are there that nobody asked for."""
+    folder = output.with_name(output.name + ".parts")
+    if not resume and folder.is_dir() and any(folder.iterdir()):
+        raise UsageError(f"{folder}: an encode that was cut off left it; `resume` goes on with it, or delete it")
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"{folder}: {error.strerror}, and parts are kept there; choose another `output`") from None
+    return folder
+
+
+def _warn(on_warning: OnWarning | None, text: str) -> None:
+    if on_warning is not None:
+        on_warning(text)

@@ -1,0 +1,224 @@
+"""``--cluster``: the bytes of an encode on one machine, whatever happens to workers and machines on the way.
+
+With a real Ray cluster of several nodes on this machine; skipped where Ray is not installed (`pip install
+decogs[cluster]`).
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import closing, suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from decogs.encoder import encode
+from decogs.encoder.cluster.encoding import encode_on_cluster
+from decogs.encoder.cluster.ray_engine import RayEngine
+from decogs.encoder.cluster.tasks import run_part
+from decogs.encoder.commands import encode_main
+from decogs.encoder.settings.frame import SignificanceSettings
+from decogs.formats.errors import TryAgainError, UsageError
+
+MOMENTS = (0, 1, 3, 1, 3, 0, 3, 1)
+SEGMENT = 2
+
+pytestmark = pytest.mark.filterwarnings("default")
+"""Ray's own."""
+
+
+@pytest.fixture(scope="module")
+def rig(tiny_rig: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tiny_rig.write(tmp_path_factory.mktemp("rigs") / "take", frames=MOMENTS)
+
+
+@pytest.fixture(scope="module")
+def settings(tiny_settings: Any) -> Any:
+    """Long enough for a part to be killed in the middle."""
+    significance = SignificanceSettings(threshold=1.0, decide_at=0.5)
+    frame = replace(tiny_settings.frame, cache=None, joint_iterations=400, significance=significance)
+    return replace(tiny_settings, frame=frame, catch_up=2)
+
+
+@pytest.fixture(scope="module")
+def whole(rig: Path, settings: Any, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    output = tmp_path_factory.mktemp("whole") / "scene.dgs"
+    encode(rig, output, settings, segment=SEGMENT, closed=True, threads=1)
+    return output.read_bytes()
+
+
+@pytest.fixture
+def nodes() -> Iterator[Any]:
+    """A head with one processor, and two more nodes with one each."""
+    pytest.importorskip("ray", reason="ray is not installed")
+    from ray.cluster_utils import Cluster
+
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
+    for _ in range(2):
+        cluster.add_node(num_cpus=1)
+    yield cluster
+    cluster.shutdown()
+
+
+@pytest.fixture
+def run(rig: Path, settings: Any, tmp_path: Path) -> Callable[..., bytes]:
+    def run(cluster: str, **options: Any) -> bytes:
+        output = tmp_path / "scene.dgs"
+        encode_on_cluster(rig, output, settings, cluster=cluster, segment=SEGMENT, **options)
+        assert [path.name for path in tmp_path.iterdir()] == ["scene.dgs"]
+        return output.read_bytes()
+
+    return run
+
+
+def task_processes(nodes: Any) -> list[int]:
+    """The workers of this cluster that run a part now."""
+    raylets = {process.process.pid for node in nodes.list_all_nodes() for process in node.all_processes["raylet"]}
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):  # it has ended
+            parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
+            if parent in raylets and (folder / "cmdline").read_bytes().startswith(b"ray::_task"):
+                found.append(int(folder.name))
+    return found
+
+
+def test_a_killed_worker_costs_no_byte(nodes: Any, run: Any, whole: bytes) -> None:
+    killed: list[int] = []
+    told: list[tuple[int, int]] = []
+
+    def kill(done: int, total: int) -> None:
+        told.append((done, total))
+        if done >= 3 and len(killed) < 2:
+            for process in task_processes(nodes)[:1]:
+                os.kill(process, signal.SIGKILL)
+                killed.append(process)
+
+    assert run(nodes.address, progress=kill) == whole
+    assert killed
+    assert [done for done, _ in told] == sorted(done for done, _ in told)
+    assert told[-1][1] == len(MOMENTS)
+
+
+def test_a_node_that_is_taken_away_costs_no_byte(nodes: Any, run: Any, whole: bytes) -> None:
+    taken: list[Any] = []
+
+    def take_away(done: int, _: int) -> None:
+        if done >= 3 and not taken:
+            taken.append(nodes.list_all_nodes()[-1])
+            nodes.remove_node(taken[0], allow_graceful=False)
+
+    assert run(nodes.address, progress=take_away) == whole
+    assert taken
+
+
+def test_ctrl_c_leaves_what_is_done(nodes: Any, run: Any, whole: bytes, tmp_path: Path) -> None:
+    folder = tmp_path / "scene.dgs.parts"
+
+    def interrupt(*_: int) -> None:
+        if len(list(folder.glob("*.dgs"))) >= 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(nodes.address, progress=interrupt)
+    there = {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
+    assert "key.dgs" in there
+    assert not (tmp_path / "scene.dgs").exists()
+    with pytest.raises(UsageError, match=r"scene.dgs.parts: an encode that was cut off left it; `resume` goes on"):
+        run(nodes.address)
+    with pytest.raises(UsageError, match=r"scene.dgs.parts: its encode had another `seed`"):
+        run(nodes.address, resume=True, seed=1)
+    kept: list[bool] = []
+
+    def look(*_: int) -> None:
+        kept.append(all((folder / name).stat().st_mtime_ns == time for name, time in there.items()))
+
+    assert run(nodes.address, resume=True, progress=look) == whole
+    assert all(kept)
+
+
+def test_from_a_machine_outside_the_cluster(run: Any, whole: bytes) -> None:
+    """Through Ray's client server, as ray:// addresses one."""
+    pytest.importorskip("ray", reason="ray is not installed")
+    pytest.importorskip("grpc", reason="ray's client is not installed: ray[client]")
+    from ray.cluster_utils import Cluster
+
+    with closing(socket.create_server(("127.0.0.1", 0))) as free:
+        port = free.getsockname()[1]
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 2, "ray_client_server_port": port})
+    try:
+        assert run(f"ray://127.0.0.1:{port}") == whole
+    finally:
+        cluster.shutdown()
+
+
+def test_one_machine_is_a_cluster_too(run: Any, whole: bytes) -> None:
+    pytest.importorskip("ray", reason="ray is not installed")
+    assert run("local") == whole
+
+
+def test_a_problem_that_stays_is_told_in_one_line(nodes: Any, rig: Path, settings: Any, tmp_path: Path) -> None:
+    (tmp_path / "key.ply").write_bytes(b"no ply")
+    with pytest.raises(UsageError, match=r"key\.ply"):
+        encode_on_cluster(
+            rig,
+            tmp_path / "scene.dgs",
+            settings,
+            cluster=nodes.address,
+            segment=SEGMENT,
+            keyframe=tmp_path / "key.ply",
+        )
+    assert not (tmp_path / "scene.dgs").exists()
+
+
+# Without Ray
+
+
+def test_an_outcome_says_whether_to_try_again(
+    rig: Path, settings: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    options = {"settings": replace(settings, segment=SEGMENT, closed=True), "threads": 1}
+    told: list[int] = []
+    outcome = run_part(str(rig), range(1), None, options, told.append)
+    assert (outcome.problem, outcome.again, told) == ("", False, [1])
+    assert outcome.data
+    lacking = run_part(str(rig), range(2, 4), None, options, told.append)
+    assert "parts after the first start from its keyframe" in lacking.problem
+    assert not lacking.again
+
+    def full(*_: Any, **__: Any) -> None:
+        raise TryAgainError("the disk is full")
+
+    monkeypatch.setattr("decogs.encoder.cluster.tasks.encode", full)
+    again = run_part(str(rig), range(1), None, options, told.append)
+    assert (again.problem, again.again) == ("the disk is full", True)
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (["--cluster", "local"], "--cluster: tasks are closed segments; add --segment and --closed"),
+        (["--cluster", "here", "--segment", "2", "--closed"], "--cluster here: give local, or ray://HOST:PORT"),
+        (["--cluster", "local", "--segment", "2", "--closed", "--only", "0:1"], "it does not go with --only 0:1"),
+        (["--cluster", "local", "--segment", "2", "--closed", "--log", "x"], "it does not go with --log x"),
+    ],
+)
+def test_options_that_no_cluster_takes(
+    rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str], message: str
+) -> None:
+    assert encode_main([str(rig), "-o", str(tmp_path / "scene.dgs"), *more]) == 2
+    assert message in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_ray_is_asked_for_where_it_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    import sys
+
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(UsageError, match=r"`cluster`: Ray is not installed; install decogs\[cluster\]"):
+        RayEngine("local", threads=1, device="cpu")
