@@ -11,17 +11,17 @@ interface Library {
 }
 
 export class ZSTDDecoder {
-  private library: Library | null = null;
+  private zstd: Library | null = null;
 
   async init(): Promise<void> {
     const imports = { env: { emscripten_notify_memory_growth: () => undefined } };
     const { exports } = await WebAssembly.instantiate(await compiled(), imports);
-    this.library = exports as unknown as Library;
+    this.zstd = exports as unknown as Library;
   }
 
   /** The content of a frame, at most `room` bytes. */
   decode(data: Uint8Array, room: number): Uint8Array {
-    const { memory, malloc, free, ZSTD_decompress } = this.library!;
+    const { memory, malloc, free, ZSTD_decompress } = this.zstd!;
     const from = malloc(data.length);
     const to = malloc(room);
     new Uint8Array(memory.buffer).set(data, from);

@@ -1,4 +1,4 @@
-"""docs/farm/slurm.sh, with stand-ins for Slurm's and decogs' commands: what it runs, and after what."""
+"""docs/jobs/slurm.sh, with stand-ins for Slurm's and decogs' commands: what it runs, and after what."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-SCRIPT = Path(__file__).parents[2] / "docs" / "farm" / "slurm.sh"
+SCRIPT = Path(__file__).parents[2] / "docs" / "jobs" / "slurm.sh"
 
 SBATCH = """#!/bin/bash
 echo "sbatch $*" >> "$CALLS"

@@ -1,4 +1,4 @@
-"""The job template in docs/farm, checked and run by Open Job Description's own command.
+"""The job template in docs/jobs, checked and run by Open Job Description's own command.
 
 Skipped where that is not installed: `pip install openjd-cli`, or DECOGS_OPENJD for one that lies elsewhere.
 """
@@ -19,7 +19,7 @@ from canary.rigs import write_rig
 from decogs.encoder import FrameReport
 from decogs.encoder.output.open_job import OpenJobProgress
 
-TEMPLATE = Path(__file__).parents[2] / "docs" / "farm" / "decogs.openjd.yaml"
+TEMPLATE = Path(__file__).parents[2] / "docs" / "jobs" / "decogs.openjd.yaml"
 
 
 @pytest.fixture
