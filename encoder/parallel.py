@@ -38,8 +38,12 @@ def side_by_side(threads: int) -> Iterator[Each]:
 def ahead(items: Iterable[R]) -> Iterator[R]:
     """The items in their order, each made on a thread of its own while the one before it is worked on."""
     coming = iter(items)
-    with ThreadPoolExecutor(1) as maker:
+    maker = ThreadPoolExecutor(1)
+    try:
         after = maker.submit(list, islice(coming, 1))
         while now := after.result():
             after = maker.submit(list, islice(coming, 1))
             yield now[0]
+    finally:
+        # Without waiting: the garbage collector may close this while it holds the lock that joining a thread takes.
+        maker.shutdown(wait=False, cancel_futures=True)

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from pathlib import Path
 
 from ..cameras import Camera
@@ -143,6 +143,7 @@ def read_frames(
 def _frames_in_step(chosen: list[tuple[Camera, FrameSource]], frames: range) -> Iterator[tuple[int, list[Picture]]]:
     readers = [source.read(frames.start, frames.stop, frames.step) for _, source in chosen]
     pool = ThreadPoolExecutor(max_workers=max(1, min(len(chosen), os.cpu_count() or 1)))
+    pending: list[Future[Picture]] = []
     try:
         for index in frames:
             pending = [
@@ -151,8 +152,10 @@ def _frames_in_step(chosen: list[tuple[Camera, FrameSource]], frames: range) -> 
             ]
             yield index, [future.result() for future in pending]
     finally:
-        # Waits for decoders in flight: a reader must not be closed while its thread runs.
-        pool.shutdown(wait=True, cancel_futures=True)
+        # Waits for decoders in flight: a reader must not be closed while its thread runs. Not for the threads to end:
+        # the garbage collector may close this while it holds the lock that joining a thread takes.
+        wait(pending)
+        pool.shutdown(wait=False)
         for reader in readers:
             reader.close()
 

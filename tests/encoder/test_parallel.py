@@ -47,8 +47,23 @@ def test_what_fails_ahead_fails_when_its_turn_comes() -> None:
 
 
 def test_who_stops_early_leaves_no_thread_behind() -> None:
-    before = threading.active_count()
+    """Its thread is not waited for (see below), so it ends soon after."""
+    before = set(threading.enumerate())
     coming = ahead(iter(range(10)))
     next(coming)
+    (made,) = set(threading.enumerate()) - before
     coming.close()
-    assert threading.active_count() == before
+    made.join(10)
+    assert not made.is_alive()
+
+
+def test_closing_joins_no_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The garbage collector closes what was left half way, also where a join would wait for its own lock."""
+    coming = ahead(range(3))
+    next(coming)
+
+    def joined(*_: object) -> None:
+        raise AssertionError("joins a thread")
+
+    monkeypatch.setattr(threading.Thread, "join", joined)
+    coming.close()  # type: ignore[attr-defined]

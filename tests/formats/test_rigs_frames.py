@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -45,6 +46,18 @@ def test_no_frame_is_decoded_before_it_is_asked_for(tmp_path: Path, make: Any) -
         index, pictures = next(frames)
         assert (index, len(pictures)) == (taken - 1, 3)
         assert [source.decoded for source in sources] == [list(range(taken))] * 3
+
+
+def test_closing_joins_no_thread(tmp_path: Path, make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The garbage collector closes what was left half way, also where a join would wait for its own lock."""
+    frames = read_frames(open_rig(make.n3dv(tmp_path)))
+    next(frames)
+
+    def joined(*_: object) -> None:
+        raise AssertionError("joins a thread")
+
+    monkeypatch.setattr(threading.Thread, "join", joined)
+    frames.close()  # type: ignore[attr-defined]
 
 
 def test_range_is_half_open(tmp_path: Path, make: Any) -> None:
