@@ -83,6 +83,7 @@ _APERTURE = 0.36
 """Horizontal aperture of every camera in tenths of a world unit (a metre): a 36 mm picture, as film cameras have."""
 
 _NEAR, _FAR = 0.01, 10_000.0
+"""Clipping range of a camera in world units, for a near plane before the first: renderers need one above 0."""
 _FLUSH_BYTES = 64 << 20
 _INT32_MAX = 2**31 - 1
 _PROBE_BYTES = 1 << 20
@@ -351,7 +352,7 @@ def _define_camera(stage: Any, path: str, camera: Camera) -> None:
     prim.CreateVerticalApertureAttr(vertical)
     prim.CreateHorizontalApertureOffsetAttr(_APERTURE * (0.5 - camera.cx / camera.width))
     prim.CreateVerticalApertureOffsetAttr(vertical * (camera.cy / camera.height - 0.5))
-    prim.CreateClippingRangeAttr(Gf.Vec2f(_NEAR, _FAR))
+    prim.CreateClippingRangeAttr(Gf.Vec2f(max(camera.near, _NEAR), _FAR))
     source = {
         "name": camera.name,
         "width": camera.width,

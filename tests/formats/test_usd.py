@@ -184,6 +184,15 @@ def test_a_usd_camera_shows_a_point_where_ours_does(tmp_path: Path) -> None:
         np.testing.assert_allclose(theirs, ours, atol=1e-3)
 
 
+@pytest.mark.parametrize(("near", "clipped"), [(0.0, 0.01), (0.75, 0.75)])
+def test_a_usd_camera_starts_to_see_at_the_near_plane(tmp_path: Path, near: float, clipped: float) -> None:
+    stage = write(tmp_path / "a.usda", [some_splats(1)], cameras=(some_camera(near=near),))
+
+    seen = UsdGeom.Camera(stage.GetPrimAtPath("/World/Cameras/cam00")).GetClippingRangeAttr().Get()
+
+    assert tuple(seen) == pytest.approx((clipped, 10_000.0))
+
+
 def test_camera_names_become_valid_and_unique_and_are_kept(tmp_path: Path) -> None:
     names = ("0", "1", "a b", "a_b", "cam00")
     cameras = tuple(some_camera(name, distortion_model="opencv", distortion=(0.1, 0.0, 0.0, 0.0)) for name in names)
