@@ -7,6 +7,7 @@ One camera is an object::
       "fx": 500, "fy": 500,                   focal lengths in pixels (fy may be left out: square pixels) ...
       "fov_y": 40,                            ... or the vertical field of view in degrees (square pixels)
       "cx": 320, "cy": 180,                   principal point in pixels; the picture's centre when left out
+      "near": 0.1,                            nothing whose depth is below it is drawn; 0 when left out
       "world_to_camera": [[...], ...],        4x4 rows, rigid; or one of the next two
       "camera_to_world": [[...], ...],
       "position": [x, y, z], "look_at": [x, y, z], "up": [x, y, z]
@@ -39,7 +40,7 @@ from .camera_path import CameraPath
 
 FREE_CAMERA_NAME = "camera"
 
-_LENS_FIELDS = frozenset({"width", "height", "fx", "fy", "fov_y", "cx", "cy"})
+_LENS_FIELDS = frozenset({"width", "height", "fx", "fy", "fov_y", "cx", "cy", "near"})
 _POSE_FIELDS = ({"world_to_camera"}, {"camera_to_world"}, {"position", "look_at", "up"})
 _TIME = "frame"
 _FIELDS = _LENS_FIELDS.union({_TIME}, *_POSE_FIELDS)
@@ -81,7 +82,10 @@ def _camera(entry: Any) -> Camera:
     fx, fy = _focal_lengths(entry, height)
     cx = number(entry, "cx") if "cx" in entry else width / 2
     cy = number(entry, "cy") if "cy" in entry else height / 2
-    return Camera(FREE_CAMERA_NAME, width, height, fx, fy, cx, cy, _world_to_camera(entry))
+    near = number(entry, "near") if "near" in entry else 0.0
+    if near < 0:
+        raise Wrong(f"near is {near:g}; it must be 0 or above")
+    return Camera(FREE_CAMERA_NAME, width, height, fx, fy, cx, cy, _world_to_camera(entry), near=near)
 
 
 def _time(entry: dict[str, Any]) -> float | None:

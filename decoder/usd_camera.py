@@ -125,10 +125,13 @@ def _camera(stage: Any, camera: Any, code: Any, film: ToFilm, where: str) -> Cam
     width, height = _size(camera, film, down / across)
     if not 1 <= height <= MAX_SIDE:
         raise UsageError(f"{where}: its apertures make a picture of {width}x{height}; correct them")
-    rotation, position = _pose(stage, camera, code, where, film.metres)
+    rotation, position, units = _pose(stage, camera, code, where, film.metres)
+    clipping = camera.GetClippingRangeAttr()
+    near = float(clipping.Get(code)[0]) * units if clipping.HasAuthoredValue() else 0.0
     return Camera(
         _NAME, width, height, focal / across * width, focal / down * height,
         (0.5 - right / across) * width, (0.5 + up / down) * height, pose_of(rotation.T, position),
+        near=near if 0 < near < math.inf else 0.0,
     )  # fmt: skip
 
 
@@ -144,25 +147,36 @@ def _size(camera: Any, film: ToFilm, aspect: float) -> tuple[int, int]:
 
 def _pose(
     stage: Any, camera: Any, code: Any, where: str, metres: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Camera-to-world rotation, OpenCV axes, and position, in the stream's world, of whose unit are ``metres``."""
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Camera-to-world rotation, OpenCV axes, and position, in the stream's world, of whose unit are ``metres``.
+
+    Also the length of the scene's unit in that world.
+    """
     from pxr import UsdGeom
 
     cache = UsdGeom.XformCache(code)
     to_stage = np.array(cache.GetLocalToWorldTransform(camera.GetPrim())).T
     world = stage.GetPrimAtPath("/World")
     is_ours = bool(world) and any(stage.GetPrimAtPath(f"/World/{group}") for group in ("Static", "Dynamic"))
-    if is_ours:
-        to_stage = np.linalg.inv(np.array(cache.GetLocalToWorldTransform(world)).T) @ to_stage
     turn, unit = np.eye(3), 1.0
-    if not is_ours:
+    if is_ours:
+        to_world = _inverse(np.array(cache.GetLocalToWorldTransform(world)).T, where)
+        unit = float(np.cbrt(abs(np.linalg.det(to_world[:3, :3]))))
+        to_stage = np.diag([1 / unit] * 3 + [1.0]) @ to_world @ to_stage
+    else:
         turn = _Y_FROM_Z_UP if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z else turn
         unit = UsdGeom.GetStageMetersPerUnit(stage) if UsdGeom.StageHasAuthoredMetersPerUnit(stage) else unit
         unit /= metres
-    if not np.isfinite(to_stage).all() or abs(np.linalg.det(to_stage[:3, :3])) < 1e-18:
-        raise UsageError(f"{where}: its transform has no inverse")
+    _inverse(to_stage, where)
     left, _, right = np.linalg.svd(to_stage[:3, :3])
     if np.linalg.det(left @ right) < 0:
         raise UsageError(f"{where}: its transform mirrors the picture; take the negative scale out")
     axes = turn @ (left @ right) @ np.diag([1.0, -1.0, -1.0])
-    return axes, turn @ to_stage[:3, 3] * unit
+    return axes, turn @ to_stage[:3, 3] * unit, unit
+
+
+def _inverse(transform: NDArray[np.float64], where: str) -> NDArray[np.float64]:
+    """Of a transform (4, 4); raises UsageError where there is none."""
+    if not np.isfinite(transform).all() or abs(np.linalg.det(transform[:3, :3])) < 1e-18:
+        raise UsageError(f"{where}: its transform has no inverse")
+    return np.asarray(np.linalg.inv(transform))

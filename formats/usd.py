@@ -83,7 +83,7 @@ _APERTURE = 0.36
 """Horizontal aperture of every camera in tenths of a world unit (a metre): a 36 mm picture, as film cameras have."""
 
 _NEAR, _FAR = 0.01, 10_000.0
-"""Clipping range of a camera in world units, for a near plane before the first: renderers need one above 0."""
+"""Clipping range of a camera in metres, for a near plane before the first: renderers need one above 0."""
 _FLUSH_BYTES = 64 << 20
 _INT32_MAX = 2**31 - 1
 _PROBE_BYTES = 1 << 20
@@ -139,6 +139,7 @@ class UsdWriter:
         self._unsaved = 0
         load_openusd()
         try:
+            self._scale = root.scale
             self._stage = self._create(float(fps), root, documentation, asset)
         except BaseException:
             self._clear()
@@ -188,7 +189,7 @@ class UsdWriter:
             while path in paths:
                 path, copy = f"{base}_{copy}", copy + 1
             paths.append(path)
-            _define_camera(self._stage, path, camera)
+            _define_camera(self._stage, path, camera, self._scale)
         return paths
 
     def add_group(self, name: str, ids: NDArray[np.int64], *, largest_id: int | None = None) -> None:
@@ -333,11 +334,12 @@ def _reason(error: Exception) -> str:
     return lines[-1].rpartition("' -- ")[2].strip("' ") if lines else type(error).__name__
 
 
-def _define_camera(stage: Any, path: str, camera: Camera) -> None:
+def _define_camera(stage: Any, path: str, camera: Camera, scale: float) -> None:
     """One USD camera (looks along -z, y up) that shows what the pinhole of an OpenCV camera (along +z, y down) shows.
 
     Source: UsdGeomCamera, apertures and offsets in the same unit as the focal length; the window reaches from
-    offset - aperture / 2 to offset + aperture / 2. Pixels need not be square: focal length follows fx, height fy.
+    offset - aperture / 2 to offset + aperture / 2. Pixels need not be square: focal length follows fx, height fy. The
+    clipping range is in the scene's units, of which a unit of the world is ``scale``.
     """
     from pxr import Gf, UsdGeom, Vt
 
@@ -352,7 +354,7 @@ def _define_camera(stage: Any, path: str, camera: Camera) -> None:
     prim.CreateVerticalApertureAttr(vertical)
     prim.CreateHorizontalApertureOffsetAttr(_APERTURE * (0.5 - camera.cx / camera.width))
     prim.CreateVerticalApertureOffsetAttr(vertical * (camera.cy / camera.height - 0.5))
-    prim.CreateClippingRangeAttr(Gf.Vec2f(max(camera.near, _NEAR), _FAR))
+    prim.CreateClippingRangeAttr(Gf.Vec2f(max(camera.near * scale, _NEAR), _FAR))
     source = {
         "name": camera.name,
         "width": camera.width,

@@ -10,7 +10,7 @@ from mathutils import Matrix
 from decogs.codec.header import StreamHeader
 
 _SENSOR = 36.0
-_OPENCV_TO_BLENDER = Matrix.Diagonal((1.0, -1.0, -1.0, 1.0))
+OPENCV_TO_BLENDER = Matrix.Diagonal((1.0, -1.0, -1.0, 1.0))
 _FAR = 10_000.0
 
 
@@ -56,5 +56,5 @@ def _add_camera(camera: Any, root: Any, collection: Any, metres: float) -> Any:
     item = bpy.data.objects.new(camera.name, lens)
     collection.objects.link(item)
     item.parent = root
-    item.matrix_local = Matrix(camera.world_to_camera.tolist()).inverted() @ _OPENCV_TO_BLENDER
+    item.matrix_local = Matrix(camera.world_to_camera.tolist()).inverted() @ OPENCV_TO_BLENDER
     return item

@@ -67,6 +67,9 @@ def main(extension: str, stream: str, usd: str, folder: str) -> None:
     facts["view"] = [scene.view_settings.view_transform, scene.camera.name]
     facts["ups"] = [list(item.matrix_world.col[1][:3]) for item in scene.objects if item.type == "CAMERA"]
     facts["instances"] = instances()
+    scene.camera.data.shift_y += 0.03
+    bpy.ops.export_scene.decogs_camera(filepath=str(out / "camera.json"))
+    scene.camera.data.shift_y -= 0.03
     facts["seconds"] = []
     for frame in range(scene.frame_start, scene.frame_end + 1):
         start = time.perf_counter()

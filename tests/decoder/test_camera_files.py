@@ -17,6 +17,9 @@ from decogs.decoder.camera_files import camera_file, read_camera_file
 from decogs.decoder.camera_path import ToFilm
 from decogs.formats.cameras import Camera, camera_centre, project
 from decogs.formats.errors import UsageError
+from decogs.formats.similarity import Similarity
+from decogs.formats.usd import UsdWriter
+from decogs.formats.usd_prims import UsdSplats
 
 RIG = Camera("cam00", 640, 480, 500.0, 500.0, 320.0, 240.0, np.eye(4))
 FILM = ToFilm((RIG,), fps=25.0, frame_count=11)
@@ -186,6 +189,22 @@ def test_a_turned_world_is_turned_back(tmp_path: Path) -> None:
     np.testing.assert_allclose(path.cameras[0].world_to_camera[:3, :3], np.diag([1, -1, -1]), atol=1e-9)
 
 
+@pytest.mark.parametrize("scale", [1.0, 0.01])
+def test_a_clipping_range_is_the_near_plane_in_the_streams_units(tmp_path: Path, scale: float) -> None:
+    """Clipping ranges are in the scene's units, whatever scales the camera: GfCamera's frustum."""
+    rig_camera = replace(FILM.cameras[0], name="a", near=0.5)
+    frames = [UsdSplats(*(np.ones(shape, np.float32) for shape in ((1, 3), (1, 4), (1, 3), (1, 3), (1,))))]
+    with UsdWriter(tmp_path / "scene.usdc", fps=25.0, frames=(0, 0), root=Similarity(np.eye(3), scale)) as writer:
+        writer.add_cameras([rig_camera])
+        writer.add_group("Static", np.arange(1))
+        writer.write_frame("Static", 0, frames[0])
+    stage = Usd.Stage.Open(str(tmp_path / "scene.usdc"))
+    seen = UsdGeom.Camera(stage.GetPrimAtPath("/World/Cameras/a")).GetCamera(0).frustum.nearFar
+    assert seen.min == pytest.approx(max(0.5 * scale, 0.01), rel=1e-6)
+    again = read_camera_file(tmp_path / "scene.usdc", FILM).cameras[0]
+    assert again.near == pytest.approx(max(0.5, 0.01 / scale), rel=1e-6)
+
+
 def test_usd_errors(small_stream, tmp_path: Path) -> None:
     stage = usd(tmp_path / "two.usda")
     for name in "ab":
@@ -214,7 +233,10 @@ def test_a_usd_cameras_metres_become_the_streams_units(tmp_path: Path) -> None:
     stage = Usd.Stage.CreateNew(str(tmp_path / "c.usda"))
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
     UsdGeom.SetStageMetersPerUnit(stage, 0.1)
-    UsdGeom.Camera.Define(stage, "/eye").AddTranslateOp().Set((3, 0, 0))
+    eye = UsdGeom.Camera.Define(stage, "/eye")
+    eye.AddTranslateOp().Set((3, 0, 0))
+    eye.CreateClippingRangeAttr((2, 100))
     stage.Save()
     (camera,) = read_camera_file(tmp_path / "c.usda", replace(FILM, metres=0.01)).cameras
     np.testing.assert_allclose(camera_centre(camera), [30, 0, 0], atol=1e-9)
+    assert camera.near == pytest.approx(20)

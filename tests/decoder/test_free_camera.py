@@ -65,6 +65,12 @@ def test_field_of_view_is_vertical_and_in_degrees(tmp_path: Path) -> None:
     assert (camera.fx, camera.fy) == pytest.approx((180.0, 180.0))
 
 
+def test_a_near_plane_is_read_and_is_0_without_one(tmp_path: Path) -> None:
+    for given, near in (({}, 0.0), ({"near": 0.25}, 0.25)):
+        (camera,) = read(tmp_path, LENS | LOOK | given)
+        assert camera.near == near
+
+
 def test_a_list_is_a_camera_path(tmp_path: Path) -> None:
     path = [LENS | LOOK | {"position": [t, 0, 0]} for t in range(3)]
     cameras = read(tmp_path, path)
@@ -100,6 +106,7 @@ def test_a_time_outside_the_stream_is_named(tmp_path: Path) -> None:
         ({"width": 64, "height": 64} | LOOK, "either fx"),
         ({"width": 64, "height": 64, "fov_y": 180} | LOOK, "between 0 and 180"),
         (LENS | LOOK | {"fx": -1}, "above 0"),
+        (LENS | LOOK | {"near": -0.1}, "near is -0.1"),
         (LENS | LOOK | {"width": 0}, "whole number of pixels"),
         (LENS | LOOK | {"width": 6.5}, "whole number of pixels"),
         (LENS | LOOK | {"width": True}, "width must be a number"),
