@@ -77,7 +77,8 @@ class FirstPoints:
 
     ``xyz`` (P, 3) world; ``rgb`` (P, 3) 0..1; ``spacing`` (P,) world units, the size one point has to cover (mean
     distance to its three nearest, within bounds); ``confidence`` (P,) 0..1, 0.05 for a guess. ``seen`` (V, P): the
-    views in which the surface was confirmed where the point lies.
+    views in which the surface was confirmed where the point lies. ``placed`` (P,): whether the place is known: a view
+    confirms it, or a confirmed plane goes on there.
     """
 
     xyz: NDArray[np.float32]
@@ -85,6 +86,7 @@ class FirstPoints:
     spacing: NDArray[np.float32]
     confidence: NDArray[np.float32]
     seen: NDArray[np.bool_]
+    placed: NDArray[np.bool_]
 
 
 def first_points(
@@ -148,13 +150,15 @@ def _first_points(
 
     most = max(1, round(cap * _CONFIRMED_FRACTION))
     cloud, pixels = _choose(proposed, all_depths, most)
-    filling = guess_points(cloud, all_depths, pixels, random)
+    filling, continued = guess_points(cloud, all_depths, pixels, random)
     if cap - len(filling) > most and len(cloud) < len(proposed):
         cloud, pixels = _choose(proposed, all_depths, cap - len(filling))
     room = cap - len(cloud)
     if len(filling) > room:
-        filling = take(filling, np.sort(random.permutation(len(filling))[:room]))
-    return _finish(join([cloud, filling]), pixels, all_depths)
+        kept = np.sort(random.permutation(len(filling))[:room])
+        filling, continued = take(filling, kept), continued[kept]
+    placed = np.concatenate([np.zeros(len(cloud), np.bool_), continued])
+    return _finish(join([cloud, filling]), placed, pixels, all_depths)
 
 
 def _scales(cameras: Sequence[Camera], each: float, together: float) -> list[float]:
@@ -235,12 +239,14 @@ def _choose(proposed: Cloud, all_depths: Sequence[ViewDepths], most: int) -> tup
     return take(replace(cloud, rgb=sight.rgb), (sight.through <= 1) | (2 * sight.through <= sight.in_place)), pixels
 
 
-def _finish(cloud: Cloud, pixels: float, all_depths: Sequence[ViewDepths]) -> FirstPoints:
+def _finish(cloud: Cloud, continued: NDArray[np.bool_], pixels: float, all_depths: Sequence[ViewDepths]) -> FirstPoints:
+    seen = np.stack([shown_in(view_depths, cloud.xyz) for view_depths in all_depths])
     usual = cloud.spacing * np.float32(pixels)
     return FirstPoints(
         xyz=cloud.xyz.astype(np.float32),
         rgb=np.clip(cloud.rgb, 0, 1).astype(np.float32),
         spacing=np.clip(neighbour_distances(cloud.xyz), np.float32(0.5) * usual, 3 * usual),
         confidence=cloud.confidence,
-        seen=np.stack([shown_in(view_depths, cloud.xyz) for view_depths in all_depths]),
+        seen=seen,
+        placed=seen.any(axis=0) | continued,
     )

@@ -29,6 +29,13 @@ _RIDGE = 1e-3
 _NEARER, _FARTHER = 1.1, 0.95
 """Bounds of continued inverse depths, in units of the nearest and the farthest hundredth of the known ones."""
 
+_FIELD, _LEAST_FIELD = 0.1, 8
+"""Side of a chequerboard's field, in units of the picture's width, and in pixels at least."""
+_AGREEING = 0.02
+"""Relative difference below which two continued depths agree."""
+_NEAR = 0.1
+"""Farthest that a plane is trusted to go on, in units of the picture's width."""
+
 
 def fill_depths(known: Array) -> Array:
     """Known inverse depths (H, W; 0: unknown), those of the planes around where there are none; (H, W).
@@ -43,6 +50,23 @@ def fill_depths(known: Array) -> Array:
     nearest, farthest = np.percentile(known[known > 0], [99, 1])
     continued = floats(planes[..., 0] * u + planes[..., 1] * v + planes[..., 2])
     return np.where(known > 0, known, np.clip(continued, floats(_FARTHER * farthest), floats(_NEARER * nearest)))
+
+
+def continues(known: Array) -> NDArray[np.bool_]:
+    """Pixels (H, W) in which known inverse depths (H, W; 0: unknown) go on as planes, near known ones.
+
+    Each of two halves of the known depths, the fields of a chequerboard, says how they go on; where they agree, planes
+    are what is there. Figures in encoder/DESIGN.md, "Keyframe".
+    """
+    reach = round(_NEAR * known.shape[1])
+    near = cv2.dilate((known > 0).astype(np.uint8), np.ones((2 * reach + 1,) * 2, np.uint8)) > 0
+    row, column = np.indices(known.shape) // max(_LEAST_FIELD, round(_FIELD * known.shape[1]))
+    dark = (row + column) % 2 == 1
+    halves = np.where(dark, known, 0), np.where(dark, 0, known)
+    if not all(half.any() for half in halves):
+        return np.zeros(known.shape, np.bool_)
+    one, other = (np.maximum(fill_depths(half), np.float32(1e-12)) for half in halves)
+    return np.asarray(near & (np.abs(np.log(one / other)) < _AGREEING))
 
 
 def _weights(known: Array) -> Array:

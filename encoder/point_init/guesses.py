@@ -1,14 +1,19 @@
-"""Guessed points where views have none, so that training starts with points everywhere."""
+"""Guessed points where views have none, so that training starts with points everywhere.
+
+Two kinds: continued ones on planes of confirmed points that go on beyond them, as dense as these; and sparse ones at
+depths that are possible.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .cloud import Cloud, ViewDepths, empty_cloud, join, look_from_all, take, too_near
-from .depth_filling import fill_depths
+from .depth_filling import continues, fill_depths
 from .frusta import DepthRange, rig_size
 from .views import Array, SweepView, inside, pixel_rays, project
 
@@ -28,28 +33,37 @@ _FEW_KNOWN = 0.01
 """Share of a view's pixels with confirmed depths below which points of other views give its depths."""
 _WITHOUT_POINTS = 20_000
 """Total number of guesses without any confirmed point."""
+_CONTINUED_SCATTER = 0.003
+"""Relative standard deviation of the depth of continued points."""
+_CONTINUED_PER_CELL = 16.0
+"""Continued points in a cell, at most."""
 _CLEAR = 0.9
 """Share of the nearest confirmed depth of any view that sees it at which a guess must lie at least."""
 
 
-def guess_points(cloud: Cloud, all_depths: Sequence[ViewDepths], pixels: float, random: np.random.Generator) -> Cloud:
+def guess_points(
+    cloud: Cloud, all_depths: Sequence[ViewDepths], pixels: float, random: np.random.Generator
+) -> tuple[Cloud, NDArray[np.bool_]]:
     """Points where views have none of ``cloud``: near known points, or anywhere in the frusta without these.
 
-    ``pixels``: distance between the points of ``cloud`` in a picture.
+    ``pixels``: distance between the points of ``cloud`` in a picture. Also which ones are continued, (P,).
     """
-    found = [empty_cloud()]
+    found, continued = [empty_cloud()], [np.zeros(0, np.bool_)]
     if not len(cloud):
         size = rig_size([view_depths.view for view_depths in all_depths]) or 1.0
         each = max(1, _WITHOUT_POINTS // len(all_depths))
         for view_depths in all_depths:
             depths = view_depths.depths or DepthRange(size / 2, size * 5)
             found.append(random_in_frustum(view_depths.view, depths, each, random))
-        return join(found)
+        guesses = join(found)
+        return guesses, np.zeros(len(guesses), np.bool_)
     for view_depths in all_depths:
-        guess = fill_empty_cells(view_depths, join([cloud, *found]), pixels, random)
-        wrong = (look_from_all(guess, all_depths).through > 0) | too_near(guess, all_depths, _CLEAR)
-        found.append(take(guess, ~wrong))
-    return join(found)
+        surfaces, others = fill_empty_cells(view_depths, join([cloud, *found]), pixels, random)
+        guess = join([surfaces, others])
+        right = ~((look_from_all(guess, all_depths).through > 0) | too_near(guess, all_depths, _CLEAR))
+        found.append(take(guess, right))
+        continued.append((np.arange(len(guess)) < len(surfaces))[right])
+    return join(found), np.concatenate(continued)
 
 
 def cell_counts(view: SweepView, xyz: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -75,38 +89,71 @@ def projected_depths(view: SweepView, xyz: NDArray[np.float64]) -> Array:
 def random_in_frustum(view: SweepView, depths: DepthRange, count: int, random: np.random.Generator) -> Cloud:
     """Random points of the view's colours, evenly over its picture and over inverse depth."""
     column, row = random.integers(0, view.width, count), random.integers(0, view.height, count)
-    return _guess(view, column, row, 1 / random.uniform(1 / depths.far, 1 / depths.near, count))
+    return _guess(view, column, row, random.uniform(1 / depths.far, 1 / depths.near, count), _APART)
 
 
-def _guess(view: SweepView, column: NDArray[np.int64], row: NDArray[np.int64], depth: NDArray[np.float64]) -> Cloud:
-    xyz = view.centre + pixel_rays(view, column.astype(np.float64), row.astype(np.float64)) * depth[:, None]
-    spacing = (_APART * depth / view.focal).astype(np.float32)
-    return Cloud(xyz, view.picture[row, column], spacing, np.full(len(xyz), _CONFIDENCE, np.float32))
+def fill_empty_cells(
+    view_depths: ViewDepths, cloud: Cloud, pixels: float, random: np.random.Generator
+) -> tuple[Cloud, Cloud]:
+    """Points for the cells of a view in which no point of ``cloud`` falls: continued ones, and sparse ones elsewhere.
 
-
-def fill_empty_cells(view_depths: ViewDepths, cloud: Cloud, pixels: float, random: np.random.Generator) -> Cloud:
-    """Points for the cells of a view in which no point of ``cloud`` falls.
-
-    Their depths are those of known points around, with some scatter, or unconfirmed ones of the view's sweep.
+    Planes are trusted to go on (`continues`) in views in which enough is confirmed.
     """
     view = view_depths.view
     empty = np.argwhere(cell_counts(view, cloud.xyz) == 0)
-    wanted = int(np.ceil(len(empty) * min((CELL / (_APART * pixels)) ** 2, 4.0)))
-    if not wanted:
-        return empty_cloud()
-    cell = empty[random.integers(0, len(empty), wanted)]
-    column = np.minimum(cell[:, 1] * CELL + random.integers(0, CELL, wanted), view.width - 1)
-    row = np.minimum(cell[:, 0] * CELL + random.integers(0, CELL, wanted), view.height - 1)
+    if not len(empty):
+        return empty_cloud(), empty_cloud()
     known = view_depths.confirmed
     if known is None or np.count_nonzero(known) < _FEW_KNOWN * known.size:
         known = projected_depths(view, cloud.xyz)
+    filled = fill_depths(known)
     doubt = 1 - min(1.0, np.count_nonzero(known) / (_ENOUGH * known.size))
+    goes_on = continues(known) if doubt == 0 else np.zeros(known.shape, np.bool_)
+    continued = _continued(view, empty, filled, goes_on, pixels, random) if goes_on.any() else empty_cloud()
+
+    column, row = _pixels_of(view, empty, min((CELL / (_APART * pixels)) ** 2, 4.0), random)
+    column, row = column[~goes_on[row, column]], row[~goes_on[row, column]]
     scatter = _SCATTER + (_WIDE_SCATTER - _SCATTER) * doubt
-    inverse = fill_depths(known)[row, column] * np.exp(scatter * random.standard_normal(wanted))
+    inverse = filled[row, column] * np.exp(scatter * random.standard_normal(len(row)))
     if view_depths.believed is not None and known.any():
         low, high = np.percentile(known[known > 0], [1, 99])
         own = view_depths.believed[row, column]
-        use = (random.random(wanted) < _BELIEVED) & (own > 0.8 * low) & (own < 1.1 * high)
+        use = (random.random(len(row)) < _BELIEVED) & (own > 0.8 * low) & (own < 1.1 * high)
         inverse[use] = own[use]
+    return continued, _guess(view, column, row, inverse, _APART)
+
+
+def _continued(
+    view: SweepView,
+    empty: NDArray[np.int64],
+    filled: Array,
+    goes_on: NDArray[np.bool_],
+    pixels: float,
+    random: np.random.Generator,
+) -> Cloud:
+    """As dense as confirmed points, ``pixels`` apart, where the planes of ``filled`` go on."""
+    column, row = _pixels_of(view, empty, min((CELL / pixels) ** 2, _CONTINUED_PER_CELL), random)
+    column, row = column[goes_on[row, column]], row[goes_on[row, column]]
+    inverse = filled[row, column] * np.exp(_CONTINUED_SCATTER * random.standard_normal(len(row)))
+    return _guess(view, column, row, inverse, 1.0)
+
+
+def _pixels_of(
+    view: SweepView, cells: NDArray[np.int64], each: float, random: np.random.Generator
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Columns and rows of random pixels in cells (C, 2), on average ``each`` in each."""
+    count = int(np.ceil(len(cells) * each))
+    cell = cells[random.integers(0, len(cells), count)]
+    column = np.minimum(cell[:, 1] * CELL + random.integers(0, CELL, count), view.width - 1)
+    return column, np.minimum(cell[:, 0] * CELL + random.integers(0, CELL, count), view.height - 1)
+
+
+def _guess(
+    view: SweepView, column: NDArray[np.int64], row: NDArray[np.int64], inverse: NDArray[np.floating[Any]], apart: float
+) -> Cloud:
+    """Points at inverse depths above 0, as far from each other as ``apart`` confirmed ones."""
     good = inverse > 1e-12
-    return _guess(view, column[good], row[good], 1 / inverse[good])
+    column, row, depth = column[good], row[good], 1 / inverse[good]
+    xyz = view.centre + pixel_rays(view, column.astype(np.float64), row.astype(np.float64)) * depth[:, None]
+    spacing = (apart * depth / view.focal).astype(np.float32)
+    return Cloud(xyz, view.picture[row, column], spacing, np.full(len(xyz), _CONFIDENCE, np.float32))

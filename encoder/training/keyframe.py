@@ -64,12 +64,11 @@ def scene_extent(views: Sequence[View]) -> float:
 def splats_from_points(points: FirstPoints, settings: KeyframeSettings) -> Splats:
     """One round Gaussian per first point, of its colour and of a size in proportion to the points' spacing.
 
-    Points that no view confirms get a size and an opacity of their own.
+    Points whose places are not known get a size and an opacity of their own.
     """
     count, coefficients = len(points.xyz), (settings.sh_degree + 1) ** 2
-    confirmed = points.seen.any(axis=0)
-    sizes = np.where(confirmed, settings.start_size, settings.guess_size).astype(np.float32)
-    opacities = np.where(confirmed, settings.start_opacity, settings.guess_opacity)
+    sizes = np.where(points.placed, settings.start_size, settings.guess_size).astype(np.float32)
+    opacities = np.where(points.placed, settings.start_opacity, settings.guess_opacity)
     sh = np.zeros((count, coefficients, 3), np.float32)
     sh[:, 0] = (points.rgb - 0.5) / SH_C0
     quaternions = np.zeros((count, 4), np.float32)

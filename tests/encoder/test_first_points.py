@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from decogs.encoder.point_init import FirstPoints, first_points
 from decogs.encoder.point_init.agreement import agree
 from decogs.encoder.point_init.cloud import Cloud, ViewDepths, neighbour_distances, spread_to_count, too_near
-from decogs.encoder.point_init.depth_filling import fill_depths
+from decogs.encoder.point_init.depth_filling import continues, fill_depths
 from decogs.encoder.point_init.frusta import DepthRange, shared_depths
 from decogs.encoder.point_init.plane_sweep import DepthMap, choose_planes, sweep
 from decogs.encoder.point_init.views import make_view
@@ -304,6 +304,27 @@ def test_single_wrong_depths_do_not_spread() -> None:
     filled = fill_depths(known)
     unknown = known == 0
     np.testing.assert_allclose(filled[unknown], wall[unknown], rtol=0.02)
+
+
+def test_planes_are_trusted_to_go_on_near_what_is_known_and_no_farther() -> None:
+    """A wall that is seen on the left goes on by a tenth of the width; steps of a tenth of its depth do not."""
+    v, u = np.mgrid[:120, :200].astype(np.float32)
+    wall = 0.2 + 0.0005 * u
+    known = np.where(u < 100, wall, 0).astype(np.float32)
+    trusted = continues(known)
+    assert trusted[:, :118].mean() > 0.95
+    assert not trusted[:, 122:].any()
+    steps = known * np.where((u // 20 + v // 20) % 2 == 0, np.float32(1.1), np.float32(1))
+    assert continues(steps)[:, 100:118].mean() < 0.3
+    assert not continues(np.zeros((40, 60), np.float32)).any()
+
+
+def test_points_go_on_over_a_wall_that_one_camera_sees(arc_points: FirstPoints) -> None:
+    """They lie on the surface as nearly as confirmed ones do, though no second view tells where it is."""
+    continued = arc_points.placed & ~arc_points.seen.any(axis=0)
+    assert continued.sum() > 50
+    pixel = 3.0 / FOCAL
+    assert np.median(distance_to_surface(arc_points.xyz[continued])) < 2 * pixel
 
 
 def test_gaps_between_known_depths_are_filled_and_known_ones_kept() -> None:

@@ -61,7 +61,8 @@ def points(count: int = 400, seed: int = 3) -> FirstPoints:
 
 def first_points(xyz: np.ndarray, rgb: np.ndarray, spacing: np.ndarray) -> FirstPoints:
     """With full confidence."""
-    return FirstPoints(xyz, rgb, spacing, np.ones(len(xyz), np.float32), np.ones((1, len(xyz)), bool))
+    everywhere = np.ones(len(xyz), bool)
+    return FirstPoints(xyz, rgb, spacing, everywhere.astype(np.float32), everywhere[None], everywhere)
 
 
 def trained(case: Case, settings: KeyframeSettings = SHORT, *, seed: int = 0, first: FirstPoints | None = None) -> Any:
@@ -361,8 +362,8 @@ def test_extent_is_1_1_times_the_farthest_camera_from_their_middle(case: Case) -
     assert scene_extent(case.views) == pytest.approx(1.1 * farthest)
 
 
-def test_points_that_no_view_confirms_have_a_size_and_an_opacity_of_their_own() -> None:
-    given = replace(points(3), seen=np.array([[True, False, False], [True, True, False]]))
+def test_points_whose_places_are_not_known_have_a_size_and_an_opacity_of_their_own() -> None:
+    given = replace(points(3), placed=np.array([True, True, False]))
     splats = splats_from_points(given, replace(SHORT, guess_size=4.0, guess_opacity=0.03))
     np.testing.assert_allclose(
         np.exp(splats.log_scales[:, 0]), given.spacing * [SHORT.start_size, SHORT.start_size, 4.0], rtol=1e-6
