@@ -22,8 +22,10 @@ await build({
   ),
   outdir: folder,
   bundle: true,
-  loader: { ".wasm": "binary" },
-  // The package carries its WebAssembly as base64, half of all the script there was; here it gets a file of its own.
+  // WebAssembly lies in files of its own, compiled while they come; the package carries its own as base64, half of all the
+  // script there was.
+  loader: { ".wasm": "file" },
+  assetNames: "decogs-[name]",
   alias: { zstddec: join(here, "src/entropy/zstd_apart.ts") },
   format: "esm",
   target: "es2022",

@@ -1,7 +1,7 @@
 """Builds the player's inner loops as WebAssembly: ``python player/kernel.py``.
 
-Zig is the compiler, as for the exact picture (exact.py); nothing is linked, no C library either. esbuild puts the
-committed files into the worker's script. What they were built of is told by kernel/sources.sha256.
+Zig is the compiler, as for the exact picture (exact.py); nothing is linked, no C library either. The page's build
+copies the committed file beside the worker's script. What it was built of is told by kernel/sources.sha256.
 """
 
 from __future__ import annotations
@@ -12,7 +12,10 @@ import sys
 from pathlib import Path
 
 SRC = Path(__file__).resolve().parent / "src"
-SOURCES = (SRC / "kernel" / "kernel.c", SRC / "worker" / "packing.c")
+NAMES = ("kernel/kernel.c", "kernel/blocks.c", "kernel/room.c", "worker/packing.c", "worker/depth_order.c")
+PARTS = tuple(SRC / name for name in NAMES)
+HEADER = SRC / "kernel" / "kernel.h"
+BUILT = SRC / "kernel" / "kernel.wasm"
 STATED = SRC / "kernel" / "sources.sha256"
 ZIG = "0.17.0"
 """Another one may give other bytes, which count the same."""
@@ -38,17 +41,16 @@ FLAGS = [
 
 def digest() -> str:
     """Of everything that the kernel is built of: the same as long as nothing of it changes."""
-    return hashlib.sha256("\0".join([ZIG, *FLAGS, *(path.read_text("utf-8") for path in SOURCES)]).encode()).hexdigest()
+    said = [ZIG, *FLAGS, *(path.read_text("utf-8") for path in (HEADER, *PARTS))]
+    return hashlib.sha256("\0".join(said).encode()).hexdigest()
 
 
-def build(source: Path) -> None:
-    """Compiles a kernel into the file beside its source."""
-    file = source.with_suffix(".wasm")
-    subprocess.run([sys.executable, "-m", "ziglang", "cc", *FLAGS, str(source), "-o", str(file)], check=True)
+def build(file: Path) -> None:
+    """Compiles the kernel into ``file``."""
+    subprocess.run([sys.executable, "-m", "ziglang", "cc", *FLAGS, *map(str, PARTS), "-o", str(file)], check=True)
     file.chmod(0o644)
 
 
 if __name__ == "__main__":
-    for path in SOURCES:
-        build(path)
+    build(BUILT)
     STATED.write_text(digest() + "\n")

@@ -66,7 +66,8 @@ def test_the_player_is_installed_as_it_was_built() -> None:
     """Users have no Node: the page comes with the wheel, whole."""
     built, installed = (folder / "viewing" / "page" for folder in (ROOT / "decoder", layer_folder("decoder")))
     names = sorted(path.name for path in built.iterdir())
-    assert {"index.html", "decogs-player.js", "decogs-worker.js", "decogs-exact.wasm", "decogs-zstd.wasm"} <= set(names)
+    scripts = {"decogs-player.js", "decogs-worker.js"}
+    assert {"index.html", "decogs-exact.wasm", "decogs-kernel.wasm", "decogs-zstd.wasm"} | scripts <= set(names)
     assert sorted(path.name for path in installed.iterdir()) == names
     for name in names:
         assert (installed / name).read_bytes() == (built / name).read_bytes()

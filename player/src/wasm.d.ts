@@ -1,5 +1,5 @@
-/** esbuild puts the bytes of a .wasm file into the script. */
+/** What esbuild makes of a .wasm file: its bytes in the script, or, in the page, the address of a file beside it. */
 declare module "*.wasm" {
-  const bytes: Uint8Array<ArrayBuffer>;
-  export default bytes;
+  const source: Uint8Array<ArrayBuffer> | string;
+  export default source;
 }

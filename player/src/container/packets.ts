@@ -1,7 +1,7 @@
 /** Prologue and packets (SPEC section 3). */
 
+import { crc32 } from "../kernel/blocks";
 import type { FrameKind } from "../scene";
-import { crc32 } from "./crc32";
 import { refuse } from "./errors";
 
 export const KIND = { HEADER: 1, KEY: 2, DELTA: 3, SKIP: 4, INDEX: 5, END: 6, METRICS: 7 } as const;

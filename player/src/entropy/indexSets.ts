@@ -3,6 +3,7 @@
 import { refuse } from "../container/errors";
 import type { Fields } from "../container/fields";
 import { readBlock, readVarints } from "./blocks";
+import { allRows } from "./rising";
 
 /** Rows out of so many, rising. */
 export function readIndexSet(fields: Fields, population: number): Uint32Array {
@@ -12,12 +13,6 @@ export function readIndexSet(fields: Fields, population: number): Uint32Array {
   if (tag === 2) return readBitmap(fields, population);
   if (tag === 3) return readGaps(fields, population);
   refuse("unsupported-mode", `index set tag ${tag} is unknown`);
-}
-
-export function allRows(population: number): Uint32Array {
-  const rows = new Uint32Array(population);
-  for (let row = 0; row < population; row++) rows[row] = row;
-  return rows;
 }
 
 function readBitmap(fields: Fields, population: number): Uint32Array {

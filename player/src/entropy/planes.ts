@@ -3,7 +3,7 @@
 import { refuse } from "../container/errors";
 import type { Fields } from "../container/fields";
 import { readBlock } from "./blocks";
-import { mortonPositions } from "./morton";
+import { mortonColumns, sumColumn } from "../kernel/blocks";
 
 export type Role = "residuals" | "values";
 
@@ -66,13 +66,7 @@ function planePositions(counts: Uint8Array, rows: number): number[][] {
 function sums(block: Uint8Array, starts: readonly (readonly number[])[], rows: number): Columns {
   const columns = new Int32Array(starts.length * rows);
   starts.forEach((planes, channel) => {
-    let sum = 0;
-    for (let i = 0; i < rows; i++) {
-      let code = 0;
-      for (let plane = planes.length - 1; plane >= 0; plane--) code = (code << 8) | block[planes[plane] + i];
-      sum = (sum + ((code >>> 1) ^ -(code & 1))) | 0;
-      columns[channel * rows + i] = sum;
-    }
+    sumColumn(block, planes, rows, columns.subarray(channel * rows, (channel + 1) * rows));
   });
   return columns;
 }
@@ -80,5 +74,6 @@ function sums(block: Uint8Array, starts: readonly (readonly number[])[], rows: n
 function readMortonGroup(fields: Fields, rows: number, constants: Int32Array): Columns {
   const counts = fields.take(1);
   const block = readPlanes(fields, counts, 8, rows);
-  return mortonPositions(block, counts[0], rows, constants);
+  const starts = Array.from({ length: counts[0] }, (_, plane) => plane * rows);
+  return mortonColumns(block, starts, rows, constants) ?? refuse("bad-payload", "a Morton code is 2^63 or above");
 }

@@ -3,6 +3,10 @@
  * script it is compiled while it comes, and needs neither base64 nor a script that is twice as long.
  */
 
+import { compiledFrom, fetched } from "../kernel/fetched";
+
+const coming = fetched("./decogs-zstd.wasm");
+
 interface Library {
   readonly memory: WebAssembly.Memory;
   readonly malloc: (bytes: number) => number;
@@ -15,7 +19,7 @@ export class ZSTDDecoder {
 
   async init(): Promise<void> {
     const imports = { env: { emscripten_notify_memory_growth: () => undefined } };
-    const { exports } = await WebAssembly.instantiate(await compiled(), imports);
+    const { exports } = await WebAssembly.instantiate(await compiledFrom(coming), imports);
     this.zstd = exports as unknown as Library;
   }
 
@@ -33,13 +37,3 @@ export class ZSTDDecoder {
   }
 }
 
-/** Begins when the script does, beside the stream's first request. */
-const coming = fetch(new URL("./decogs-zstd.wasm", import.meta.url));
-coming.catch(() => undefined); // whoever waits for it is told
-
-async function compiled(): Promise<WebAssembly.Module> {
-  const answer = await coming;
-  if (!answer.ok) throw new Error(`decogs-zstd.wasm: HTTP ${answer.status}`);
-  if (answer.headers.get("Content-Type") === "application/wasm") return WebAssembly.compileStreaming(answer);
-  return WebAssembly.compile(await answer.arrayBuffer()); // a server that does not know the type
-}

@@ -1,16 +1,14 @@
 /**
  * The player's inner loops: integers, digest and floats of a batch of Gaussians (formats/SPEC.md sections 5 and 7).
  *
- * In C for its products of 64 bits, which JavaScript has not. An instance's memory holds one state, place after place.
- * It grows once, in `rows_reserve`, before anything looks at it. What a batch needs lies in `batch_*`.
+ * In C for its products of 64 bits, which JavaScript has not, and since a scene's first frame is decoded before JavaScript is
+ * optimised. An instance's memory holds one state, place after place. It grows once, in `reserve`, before anything looks at
+ * it. What a batch needs lies in `batch_*`.
  */
-#include <stdint.h>
+#include "kernel.h"
 
-#define EXPORT(name) __attribute__((export_name(#name)))
 #define GROUPS 6
 #define MOST_CHANNELS 59
-#define BATCH 1024
-#define PAGE 65536
 
 enum { MEANS, LOG_SCALES, QUATERNIONS, OPACITY_LOGITS, SH_DC, SH_REST };
 
@@ -18,7 +16,8 @@ static const double MAX_LOG_SCALE = 40;
 static const double MAX_OPACITY_LOGIT = 80;
 
 static uint32_t batch_places[BATCH];
-static uint64_t batch_ids[BATCH];
+/** Lower halves, then upper ones. */
+static uint32_t batch_ids[2][BATCH];
 static int32_t batch_columns[MOST_CHANNELS * BATCH];
 static uint8_t batch_planes[4][BATCH];
 /** Steps of means (3), origin (3), and the steps of the other groups. */
@@ -34,18 +33,10 @@ static uint64_t *forms;
 static int32_t *integers;
 static float *floats[SH_REST];
 
-extern uint8_t __heap_base;
-
 static uint64_t mix(uint64_t z) {
     z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9u;
     z = (z ^ (z >> 27)) * 0x94d049bb133111ebu;
     return z ^ (z >> 31);
-}
-
-static uint8_t *taken(uint8_t **next, uint32_t bytes) {
-    uint8_t *start = *next;
-    *next += (bytes + 15u) & ~15u;
-    return start;
 }
 
 /** Room for so many Gaussians of so many channels of higher harmonics; 0 where there is not that much memory. */
@@ -58,26 +49,19 @@ EXPORT(reserve) int32_t reserve(uint32_t capacity, uint32_t rest) {
     }
     colours = channels[SH_DC] + rest;
     for (uint32_t key = 0; key <= MOST_CHANNELS; key++) keys[key] = mix((key + 1) * 0x9e3779b97f4a7c15u) | 1;
-    // 62 integers and as many floats of 2^21 Gaussians, the most there may be, are a quarter of what 32 bits count.
-    const uint64_t wanted = (uint64_t)capacity * (8 * width + 8) + 1024;
-    if (wanted > 0xf0000000u) return 0;
-    uint8_t *next = &__heap_base;
-    const uint64_t end = (uint64_t)(uintptr_t)next + wanted;
-    const uint64_t pages = (end + PAGE - 1) / PAGE;
-    const uint64_t there = __builtin_wasm_memory_size(0);
-    if (pages > there && __builtin_wasm_memory_grow(0, pages - there) == (uintptr_t)-1) return 0;
-    taken(&next, (uint32_t)(-(uintptr_t)next & 15u));
-    forms = (uint64_t *)taken(&next, 8 * capacity);
-    integers = (int32_t *)taken(&next, 4 * width * capacity);
-    for (uint32_t group = 0; group < SH_DC; group++) {
-        floats[group] = (float *)taken(&next, 4 * channels[group] * capacity);
+    const uint64_t rows = capacity;
+    forms = (uint64_t *)room_for(8 * rows);
+    integers = (int32_t *)room_for(4 * width * rows);
+    int32_t found = forms != 0 && integers != 0;
+    for (uint32_t group = 0; group <= SH_DC; group++) {
+        floats[group] = (float *)room_for(4 * rows * (group == SH_DC ? colours : channels[group]));
+        found = found && floats[group] != 0;
     }
-    floats[SH_DC] = (float *)taken(&next, 4 * colours * capacity);
-    return 1;
+    return found;
 }
 
 EXPORT(places_at) uint32_t *places_at(void) { return batch_places; }
-EXPORT(ids_at) uint64_t *ids_at(void) { return batch_ids; }
+EXPORT(ids_at) uint32_t *ids_at(void) { return batch_ids[0]; }
 EXPORT(columns_at) int32_t *columns_at(void) { return batch_columns; }
 EXPORT(planes_at) uint8_t *planes_at(void) { return batch_planes[0]; }
 EXPORT(lattice_at) double *lattice_at(void) { return lattice; }
@@ -152,7 +136,7 @@ EXPORT(write) uint64_t write(uint32_t rows, uint32_t present) {
     for (uint32_t i = 0; i < rows; i++) {
         const uint32_t place = batch_places[i];
         int32_t *to = integers + width * place;
-        uint64_t form = keys[0] * batch_ids[i];
+        uint64_t form = keys[0] * ((uint64_t)batch_ids[1][i] << 32 | batch_ids[0][i]);
         for (uint32_t group = 0; group < GROUPS; group++) {
             const uint32_t told = present >> group & 1;
             for (uint32_t c = offsets[group]; c < offsets[group] + channels[group]; c++) {

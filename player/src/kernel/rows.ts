@@ -1,10 +1,8 @@
 /** Room for the Gaussians of a state, in the memory of a kernel of their own (kernel.c). */
 
 import type { Lattice } from "../scene";
-import bytes from "./kernel.wasm";
-
-/** Rows that the kernel takes at once: what one step fetches, the next one finds in the processor's cache. */
-export const BATCH = 1024;
+import { BATCH } from "./batch";
+import { kernelInstance } from "./module";
 
 /** The stored values of all Gaussians, place after place. */
 export interface Floats {
@@ -34,14 +32,13 @@ interface Exports {
   dequantise(rows: number, present: number): void;
 }
 
-let compiled: WebAssembly.Module | null = null;
-
 /** Memory of so many places. It never grows, so that arrays stay what they are; what needs more room moves. */
 export class Rows {
   readonly kernel: Exports;
-  /** Places of the batch, ids as two numbers of 32 bits, low first, and columns of `BATCH` integers, channel by channel. */
+  /** Places of the batch, lower and upper halves of ids, and columns of `BATCH` integers, channel by channel. */
   readonly places: Uint32Array;
-  readonly ids: Uint32Array;
+  readonly idsLow: Uint32Array;
+  readonly idsHigh: Uint32Array;
   readonly columns: Int32Array;
   /** Four planes of `BATCH` bytes, which `unzigzag` makes a column of. */
   readonly planes: Uint8Array;
@@ -55,15 +52,15 @@ export class Rows {
     channels: readonly number[],
     lattice: Lattice,
   ) {
-    compiled ??= new WebAssembly.Module(bytes);
-    this.kernel = new WebAssembly.Instance(compiled).exports as unknown as Exports;
+    this.kernel = kernelInstance() as unknown as Exports;
     const { kernel } = this;
     const rest = channels[5];
     if (kernel.reserve(capacity, rest) === 0) throw new RangeError(`no memory for ${capacity} Gaussians`);
     const { buffer } = kernel.memory;
     const width = channels.reduce((sum, count) => sum + count, 0);
     this.places = new Uint32Array(buffer, kernel.places_at(), BATCH);
-    this.ids = new Uint32Array(buffer, kernel.ids_at(), 2 * BATCH);
+    this.idsLow = new Uint32Array(buffer, kernel.ids_at(), BATCH);
+    this.idsHigh = new Uint32Array(buffer, kernel.ids_at() + 4 * BATCH, BATCH);
     this.columns = new Int32Array(buffer, kernel.columns_at(), width * BATCH);
     this.planes = new Uint8Array(buffer, kernel.planes_at(), 4 * BATCH);
     this.forms = new Uint32Array(buffer, kernel.forms_at(), 2 * capacity);

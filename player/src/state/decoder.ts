@@ -4,7 +4,6 @@ import { refuse } from "../container/errors";
 import { Fields } from "../container/fields";
 import type { Limits } from "../container/limits";
 import type { CameraCorrection, FrameKind, Gaussians, StreamHeader } from "../scene";
-import { allRows } from "../entropy/indexSets";
 import { readCorrections } from "./corrections";
 import { addModulo, combine } from "./digest";
 import { channelsOf } from "./groups";
@@ -13,12 +12,12 @@ import {
   readDelta,
   readKeyBody,
   readKeyHead,
-  rowsBetween,
   type Changes,
   type KeyBody,
   type KeyHead,
 } from "./payloads";
 import { closeUp, placesForNew } from "./places";
+import { allRows } from "../entropy/rising";
 import { State, presence, type Groups, type Ids } from "./state";
 
 export interface FramePacket {
@@ -218,8 +217,7 @@ function changeState(
   state.change(touched, residuals);
   state.sum = addModulo(state.sum, -state.sumOfHashes(freed));
   // Beyond the last place until the digest is verified: the removed ones may have to stay.
-  const behind = rowsBetween(state.count, state.count + added);
-  state.write(behind, ids, values);
+  state.writeBehind(ids, values);
   try {
     const lastId = added > 0 ? idOf(ids, added - 1) : lastKeptId(state, removed);
     if (lastId >= nextId) refuse("bad-payload", "the next id is not above all ids");
@@ -230,7 +228,7 @@ function changeState(
     throw error;
   }
   const taken = placesForNew(state, freed, added);
-  for (let i = 0; i < added; i++) if (taken[i] !== behind[i]) state.move(behind[i], taken[i]);
+  if (freed.length > 0) for (let i = 0; i < added; i++) state.move(state.count + i, taken[i]);
   const moved = closeUp(state, removed, freed, taken, (from, to) => {
     state.move(from, to);
   });

@@ -4,7 +4,8 @@ import { refuse } from "../container/errors";
 import type { Fields } from "../container/fields";
 import { ID_END } from "../container/limits";
 import { readVarints } from "../entropy/blocks";
-import { allRows, readIndexSet } from "../entropy/indexSets";
+import { readIndexSet } from "../entropy/indexSets";
+import { rowsBetween } from "../entropy/rising";
 import { readGroup, type Role } from "../entropy/planes";
 import { GROUP } from "./groups";
 import type { Groups, Ids, State } from "./state";
@@ -36,6 +37,9 @@ export interface KeyBody {
   readonly ids: Ids;
   readonly values: Groups;
 }
+
+/** Ids below this are mostly those of a first keyframe: they are not counted up one by one. */
+const MOST_RISING = 1 << 21;
 
 const NOTHING: Groups = [null, null, null, null, null, null];
 
@@ -106,31 +110,28 @@ function readGroups(fields: Fields, channels: readonly number[], rows: number, r
 
 function readIds(fields: Fields, { listsIds, firstListed }: KeyHead, listed: number): Ids {
   if (!listsIds) return consecutiveIds(firstListed, listed);
-  const distances = readVarints(fields, Math.max(0, listed - 1));
-  return idsAt(firstListed, listed, (i) => distances[i - 1] + 1);
+  return idsAt(firstListed, listed, readVarints(fields, Math.max(0, listed - 1)));
 }
 
 export function consecutiveIds(first: bigint, count: number): Ids {
-  return idsAt(first, count, () => 1);
+  return idsAt(first, count, null);
 }
 
-/** They may pass 2^63, which whoever compares them with the next id finds, and not 2^64. */
-function idsAt(first: bigint, count: number, step: (i: number) => number): Ids {
-  const ids = { low: new Uint32Array(count), high: new Uint32Array(count) };
+/** They may pass 2^63, which whoever compares them with the next id finds, and not 2^64. `distances` null: all 0. */
+function idsAt(first: bigint, count: number, distances: Float64Array | null): Ids {
   let low = Number(first & 0xffffffffn);
   let high = Number(first >> 32n);
+  if (distances === null && high === 0 && low + count <= MOST_RISING) {
+    return { low: rowsBetween(low, low + count), high: new Uint32Array(count) };
+  }
+  const ids = { low: new Uint32Array(count), high: new Uint32Array(count) };
   for (let i = 0; i < count; i++) {
-    if (i > 0) low += step(i);
-    high += Math.floor(low / 2 ** 32);
-    low %= 2 ** 32;
     ids.low[i] = low;
     ids.high[i] = high;
+    low += distances === null ? 1 : distances[i] + 1;
+    if (low < 2 ** 32) continue;
+    high += Math.floor(low / 2 ** 32);
+    low %= 2 ** 32;
   }
   return ids;
-}
-
-export function rowsBetween(start: number, end: number): Uint32Array {
-  const rows = allRows(end - start);
-  if (start > 0) for (let i = 0; i < rows.length; i++) rows[i] += start;
-  return rows;
 }

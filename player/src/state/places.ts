@@ -1,14 +1,16 @@
 /** Where Gaussians are after a packet took some away and added others. */
 
-import { rowsBetween } from "./payloads";
+import { rowsBetween } from "../entropy/rising";
 import type { State } from "./state";
 
 /** Places for so many new Gaussians: those of the removed ones first, then those beyond the last. */
 export function placesForNew(state: State, freed: Uint32Array, added: number): Uint32Array {
-  const places = rowsBetween(state.count, state.count + added).subarray(0, added);
   const reused = Math.min(freed.length, added);
-  for (let i = added - 1; i >= reused; i--) places[i] = places[i - reused];
+  const behind = rowsBetween(state.count, state.count + added - reused);
+  if (reused === 0) return behind;
+  const places = new Uint32Array(added);
   places.set(freed.subarray(0, reused));
+  places.set(behind, reused);
   return places;
 }
 
@@ -24,9 +26,9 @@ export function closeUp(
   move: (from: number, to: number) => void,
 ): Uint32Array {
   const { order } = state;
-  let row = closeRows(order, state.count, removed);
-  for (const place of taken) order[row++] = place;
-  state.count = row;
+  const kept = closeRows(order, state.count, removed);
+  order.set(taken, kept);
+  state.count = kept + taken.length;
   state.inOrder &&= removed.length === 0;
   return fillHoles(state, freed.subarray(Math.min(freed.length, taken.length)), move);
 }

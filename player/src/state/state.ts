@@ -2,10 +2,12 @@
 
 import { ID_END } from "../container/limits";
 import type { Columns, Planes } from "../entropy/planes";
-import { BATCH, Rows, type Floats } from "../kernel/rows";
+import { BATCH } from "../kernel/batch";
+import { Rows, type Floats } from "../kernel/rows";
 import type { Lattice } from "../scene";
 import { addModulo } from "./digest";
 import { offsetsOf } from "./groups";
+import { rowsBetween } from "../entropy/rising";
 
 /** Room beyond what is there, so that Gaussians that are added rarely move all arrays. */
 const SPARE = 1.125;
@@ -129,16 +131,17 @@ export class State {
     });
   }
 
-  /** Writes Gaussians to places that hold nothing that counts. `sum` grows by their hashes. */
-  write(places: Uint32Array, ids: Ids, values: Groups): void {
+  /** Writes Gaussians to the places behind the last one, which counts nothing yet. `sum` grows by their hashes. */
+  writeBehind(ids: Ids, values: Groups): void {
+    const { count } = this;
+    const added = ids.low.length;
     const present = presence(values);
-    this.inBatches(places, (rows, from) => {
-      this.setColumns(values, places.length, rows, from);
-      for (let i = 0; i < rows; i++) {
-        const place = places[from + i] | 0;
-        this.rows.ids[2 * i] = this.idsLow[place] = ids.low[from + i];
-        this.rows.ids[2 * i + 1] = this.idsHigh[place] = ids.high[from + i];
-      }
+    this.idsLow.set(ids.low, count);
+    this.idsHigh.set(ids.high, count);
+    this.inBatches(rowsBetween(count, count + added), (rows, from) => {
+      this.setColumns(values, added, rows, from);
+      this.rows.idsLow.set(ids.low.subarray(from, from + rows));
+      this.rows.idsHigh.set(ids.high.subarray(from, from + rows));
       this.sum = addModulo(this.sum, this.rows.kernel.write(rows, present));
     });
   }

@@ -17,6 +17,7 @@ import {
   readPacketHeader,
   readPayload,
 } from "../container/packets";
+import { startKernel } from "../kernel/module";
 import type { StreamHeader } from "../scene";
 import { FrameTable } from "./frameTable";
 import type { ByteSource } from "./sources";
@@ -29,7 +30,7 @@ export interface Opening {
 
 /** Prologue and header packet. */
 export async function readOpening(source: ByteSource, limits: Limits, signal?: AbortSignal): Promise<Opening> {
-  const head = await source.read(0, PROLOGUE_BYTES + PACKET_HEADER_BYTES, signal);
+  const [head] = await Promise.all([source.read(0, PROLOGUE_BYTES + PACKET_HEADER_BYTES, signal), startKernel()]);
   located(null, 0, () => {
     checkPrologue(head.subarray(0, PROLOGUE_BYTES));
   });

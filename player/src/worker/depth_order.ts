@@ -1,55 +1,55 @@
 /**
- * The order of Gaussians by depth, nearest first: a counting sort in 65 536 bins, linear in the number of Gaussians.
+ * The order of Gaussians by depth, nearest first: a counting sort in 65 536 bins, linear in the number of Gaussians
+ * (depth_order.c).
  *
  * Bins are the upper bits of the depths' own float32 representation above that of the nearest: a float's bits rise with it,
  * so that bins are fine nearby and coarse far away, and one Gaussian at the horizon does not take the resolution of all
  * others. Equal bins keep the order of rows, as in the decoder's kernel.
  */
+import { BATCH } from "../kernel/batch";
+import { kernelInstance } from "../kernel/module";
 import type { DepthRow } from "../messages";
 
-const BINS = 1 << 16;
+interface Exports {
+  readonly memory: WebAssembly.Memory;
+  sort_means_at(): number;
+  sort_order_at(): number;
+  sort_reserve(count: number): number;
+  sort_begin(): void;
+  sort_depths(from: number, count: number, x: number, y: number, z: number, offset: number): void;
+  sort_rows(count: number): number;
+}
+
+/** An instance of the kernel with room for so many rows. */
+class Room {
+  readonly kernel = kernelInstance() as unknown as Exports;
+  readonly means: Float32Array;
+  readonly order: Uint32Array;
+
+  constructor(readonly capacity: number) {
+    const { kernel } = this;
+    if (kernel.sort_reserve(capacity) === 0) throw new RangeError(`no memory to sort ${capacity} Gaussians`);
+    const { buffer } = kernel.memory;
+    this.means = new Float32Array(buffer, kernel.sort_means_at(), 3 * BATCH);
+    this.order = new Uint32Array(buffer, kernel.sort_order_at(), capacity);
+  }
+}
 
 export class DepthSorter {
-  private depths = new Float32Array(0);
-  private bits = new Uint32Array(0);
-  private readonly starts = new Uint32Array(BINS + 1);
+  private room: Room | null = null;
 
   /** Writes the rows before the camera to `order` and returns how many these are. */
-  sort(means: Float32Array, count: number, view: DepthRow, order: Uint32Array): number {
-    this.reserve(count);
-    const { depths, bits, starts } = this;
-    const [x, y, z, offset] = view;
-    let nearest = 0x7f800000;
-    let farthest = 0;
-    for (let row = 0, at = 0; row < count; row++, at += 3) {
-      depths[row] = x * means[at] + y * means[at + 1] + z * means[at + 2] + offset;
-      // Negative floats have the top bit set: as unsigned numbers they lie above every finite positive one.
-      const word = bits[row];
-      if (word === 0 || word >= 0x7f800000) continue;
-      if (word < nearest) nearest = word;
-      if (word > farthest) farthest = word;
+  sort(means: Float32Array, count: number, [x, y, z, offset]: DepthRow, order: Uint32Array): number {
+    if (this.room === null || this.room.capacity < count) this.room = new Room(Math.ceil(count * 1.25));
+    const { kernel, means: batch, order: sorted } = this.room;
+    kernel.sort_begin();
+    for (let from = 0; from < count; from += BATCH) {
+      const rows = Math.min(BATCH, count - from);
+      batch.set(means.subarray(3 * from, 3 * (from + rows)));
+      kernel.sort_depths(from, rows, x, y, z, offset);
     }
-    if (farthest < nearest) return 0;
-    let drop = 0;
-    while ((farthest - nearest) >>> drop >= BINS) drop++;
-
-    starts.fill(0);
-    for (let row = 0; row < count; row++) {
-      const word = bits[row];
-      if (word >= nearest && word <= farthest) starts[((word - nearest) >>> drop) + 1]++;
-    }
-    for (let bin = 1; bin <= BINS; bin++) starts[bin] += starts[bin - 1];
-    const drawn = starts[BINS];
-    for (let row = 0; row < count; row++) {
-      const word = bits[row];
-      if (word >= nearest && word <= farthest) order[starts[(word - nearest) >>> drop]++] = row;
-    }
+    const drawn = kernel.sort_rows(count);
+    order.set(sorted.subarray(0, drawn));
     return drawn;
-  }
-
-  private reserve(count: number): void {
-    if (this.depths.length >= count) return;
-    this.depths = new Float32Array(Math.ceil(count * 1.25));
-    this.bits = new Uint32Array(this.depths.buffer);
   }
 }

@@ -15,7 +15,7 @@ const GLOW = Uint8Array.from({ length: FADE_FRAMES }, (_, age) =>
 export function heatOf(scene: SceneFrame, buffers: Buffers): Uint8Array {
   const { count, lastChanged } = scene.gaussians;
   const bytes = buffers.bytes(TEXTURE_WIDTH * textureLines(count, 1));
-  if (lastChanged === undefined) return bytes.fill(HEAT.still);
+  if (lastChanged === undefined || scene.kind === "key") return bytes.fill(HEAT.still);
   // The oldest are what no packet has touched since the keyframe, unless every one has been: then all is moving anyway.
   let keyframe = scene.frame;
   for (let place = 0; place < count; place++) if (lastChanged[place] < keyframe) keyframe = lastChanged[place];

@@ -3,10 +3,8 @@
  *
  * Row after row: `batch_means` and so on hold the stored values, `batch_base` and `batch_rest` take the words.
  */
-#include <stdint.h>
+#include "../kernel/kernel.h"
 
-#define EXPORT(name) __attribute__((export_name(#name)))
-#define BATCH 1024
 #define MOST_COEFFICIENTS 16
 #define BASE_WORDS 8
 #define MOST_REST_WORDS 24

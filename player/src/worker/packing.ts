@@ -14,13 +14,12 @@
  * and the top bits of the second and third say which one is left out. Against float32 textures the pictures differ by
  * less than their last bit (tests/browser), for half the bytes to send.
  */
+import { BATCH } from "../kernel/batch";
+import { kernelInstance } from "../kernel/module";
 import type { Gaussians } from "../scene";
 import type { TextureLayout } from "../messages";
-import bytes from "./packing.wasm";
 
 export const BASE_WORDS = 8;
-/** Rows that the kernel (packing.c) takes at once. */
-const BATCH = 1024;
 
 export function textureLayout(shDegree: number): TextureLayout {
   const halves = 3 * ((shDegree + 1) ** 2 - 1);
@@ -57,7 +56,7 @@ export class Packer {
   private readonly restWords: number;
 
   constructor({ shDegree, restTexels }: TextureLayout) {
-    this.kernel = new WebAssembly.Instance(new WebAssembly.Module(bytes)).exports as unknown as Exports;
+    this.kernel = kernelInstance() as unknown as Exports;
     this.coefficients = (shDegree + 1) ** 2;
     this.restWords = 4 * restTexels;
     const { kernel } = this;

@@ -1,7 +1,7 @@
 // Times the first picture in headless Chromium: node tests/browser/first.mjs ROUNDS STREAM.dgs PAGE [PAGE ...], the pages in
 // turn. Milliseconds from the start of navigation, medians: the element is known, the worker's first word, the header, the
-// first frame, its textures and order handed to WebGL, and the picture on the canvas. `opening` is from setting `src` in a
-// page whose scripts are there to the draw call.
+// first frame, its textures and order handed to WebGL, and the picture on the canvas. What begins with `src` is
+// counted from setting it in a page whose scripts are there.
 import { basename, dirname, resolve } from "node:path";
 import { loadavg } from "node:os";
 import { chromiumPath, launched } from "./chromium.mjs";
@@ -83,7 +83,8 @@ async function opening(browser, address, name) {
       player.src = stream;
       document.body.replaceChildren(player);
       while (globalThis.told.drawCall === undefined) await new Promise((done) => setTimeout(done, 1));
-      return globalThis.told.drawCall - begun;
+      const { opened, shaders, frame, drawCall } = globalThis.told;
+      return [opened, shaders, frame, drawCall].map((at) => at - begun);
     },
     [`${address}/page/decogs-player.js`, `${address}/data/${name}`],
   );
@@ -100,7 +101,8 @@ try {
   for (let round = 0; round <= Number(rounds); round++) {
     for (const [at, { address }] of servers.entries()) {
       const told = await navigation(browser, address, basename(stream));
-      told.opening = await opening(browser, address, basename(stream));
+      const parts = await opening(browser, address, basename(stream));
+      for (const [at, name] of ["opened", "shaders", "frame", "draw call"].entries()) told[`src to ${name}`] = parts[at];
       if (round > 0) runs[at].push(told); // the first of all wakes the browser up
     }
   }

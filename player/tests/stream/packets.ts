@@ -1,6 +1,6 @@
 /** Streams put together from packets of others, for what no conformance stream is large or damaged enough for. */
 
-import { crc32 } from "../../src/container/crc32";
+import { crc32 } from "../../src/kernel/blocks";
 import { KIND, PACKET_OVERHEAD, PROLOGUE_BYTES } from "../../src/container/packets";
 import { joined } from "../../src/stream/bytes";
 
