@@ -1,27 +1,54 @@
 // Builds the player's page: `node build.mjs [FOLDER]`. Without a folder it writes where the wheel takes it from.
-import { cpSync, existsSync, mkdirSync, readFileSync, readdirSync, writeFileSync } from "node:fs";
+import { cpSync, mkdirSync, readFileSync, readdirSync, writeFileSync } from "node:fs";
 import { dirname, join } from "node:path";
 import { fileURLToPath } from "node:url";
-import { build } from "esbuild";
+import { build, transform } from "esbuild";
 
 const here = dirname(fileURLToPath(import.meta.url));
 const folder = process.argv[2] ?? join(here, "../decoder/viewing/page");
 
-// Each is a bundle of its own: the page loads the player, the player starts the worker beside it.
+// Each is a bundle of its own, so that none waits for another: the page loads the player, which starts the worker beside it.
 const bundles = {
-  "decogs-player": "src/element/index.ts",
-  "decogs-worker": "src/worker/index.ts",
+  "decogs-player": "element/index",
+  "decogs-worker": "worker/index",
+  // What the sources import() comes when it is needed: controls behind the first picture, the others when they are asked for.
+  "decogs-controls": "controls/index",
+  "decogs-recorded": "draw/recorded_pass",
+  "decogs-exact": "worker/exact_pictures",
+};
+
+const late = {
+  name: "late",
+  setup({ onResolve }) {
+    onResolve({ filter: /^\./ }, ({ path, kind, resolveDir }) => {
+      if (kind !== "dynamic-import") return null;
+      const found = Object.entries(bundles).find(([, source]) => join(here, "src", source) === join(resolveDir, path));
+      return found ? { path: `./${found[0]}.js`, external: true } : { errors: [{ text: `${path} is no bundle of build.mjs` }] };
+    });
+  },
+};
+
+// Shaders and style sheets without what is there for their readers.
+const texts = {
+  name: "texts",
+  setup({ onLoad }) {
+    onLoad({ filter: /shaders?\.ts$/ }, ({ path }) => {
+      const lines = readFileSync(path, "utf8").split("\n").map((line) => line.trim());
+      return { loader: "ts", contents: lines.filter((line) => line !== "" && !line.startsWith("//")).join("\n") };
+    });
+    onLoad({ filter: /\.css$/ }, async ({ path }) => {
+      const { code } = await transform(readFileSync(path, "utf8"), { loader: "css", minify: true, target: "es2022" });
+      return { loader: "text", contents: code.trim() };
+    });
+  },
 };
 
 mkdirSync(folder, { recursive: true });
 await build({
-  entryPoints: Object.fromEntries(
-    Object.entries(bundles)
-      .map(([name, source]) => [name, join(here, source)])
-      .filter(([, source]) => existsSync(source)),
-  ),
+  entryPoints: Object.fromEntries(Object.entries(bundles).map(([name, source]) => [name, join(here, "src", `${source}.ts`)])),
   outdir: folder,
   bundle: true,
+  plugins: [late, texts],
   // WebAssembly lies in files of its own, compiled while they come; the package carries its own as base64, half of all the
   // script there was.
   loader: { ".wasm": "file" },
@@ -36,6 +63,4 @@ await build({
 const [, zstd] = /const wasm = "([A-Za-z0-9+/=]+)"/.exec(readFileSync(join(here, "node_modules/zstddec/dist/zstddec.mjs"), "utf8"));
 writeFileSync(join(folder, "decogs-zstd.wasm"), Buffer.from(zstd, "base64"));
 const statics = join(here, "static");
-if (existsSync(statics)) {
-  for (const name of readdirSync(statics)) cpSync(join(statics, name), join(folder, name));
-}
+for (const name of readdirSync(statics)) cpSync(join(statics, name), join(folder, name));

@@ -66,7 +66,7 @@ def test_the_player_is_installed_as_it_was_built() -> None:
     """Users have no Node: the page comes with the wheel, whole."""
     built, installed = (folder / "viewing" / "page" for folder in (ROOT / "decoder", layer_folder("decoder")))
     names = sorted(path.name for path in built.iterdir())
-    scripts = {"decogs-player.js", "decogs-worker.js"}
+    scripts = {f"decogs-{name}.js" for name in ("player", "worker", "controls", "recorded", "exact")}
     assert {"index.html", "decogs-exact.wasm", "decogs-kernel.wasm", "decogs-zstd.wasm"} | scripts <= set(names)
     assert sorted(path.name for path in installed.iterdir()) == names
     for name in names:

@@ -13,6 +13,9 @@ from node import PLAYER, node
 MOST_BYTES = 150_000
 """Scripts and WebAssembly together, gzipped."""
 
+MOST_SCRIPT_BYTES = 104_000
+"""Of the scripts that lead to the first picture and play, as they are: twice those of splats4d's player."""
+
 
 def test_the_page_is_what_the_sources_build(tmp_path: Path) -> None:
     built = tmp_path / "page"
@@ -28,6 +31,12 @@ def test_the_page_is_what_the_sources_build(tmp_path: Path) -> None:
 def test_what_browsers_load_is_small() -> None:
     sizes = {path.name: len(gzip.compress(path.read_bytes(), 9)) for path in PAGE.iterdir()}
     assert sum(sizes.values()) <= MOST_BYTES, sizes
+
+
+def test_the_scripts_that_play_are_small() -> None:
+    """Controls come behind the first picture; recorded and exact pictures bring their scripts when asked for."""
+    sizes = {name: (PAGE / f"decogs-{name}.js").stat().st_size for name in ("player", "worker")}
+    assert sum(sizes.values()) <= MOST_SCRIPT_BYTES, sizes
 
 
 def test_licences_of_what_is_bundled_are_with_it() -> None:

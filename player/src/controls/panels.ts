@@ -6,6 +6,7 @@ import { cameraNote } from "./camera_note";
 import { Comparison } from "./comparison";
 import { icon } from "./icons";
 import { markup } from "./markup";
+import style from "./style.css";
 import { Statistics } from "./statistics";
 import { Timeline } from "./timeline";
 import { timeText } from "./time_text";
@@ -41,7 +42,9 @@ export class Panels {
     const holder = document.createElement("div");
     holder.className = "controls";
     holder.innerHTML = markup();
-    root.append(holder);
+    const sheet = document.createElement("style");
+    sheet.textContent = style;
+    root.append(sheet, holder);
     this.timeline = new Timeline(player, this.part(".timeline"));
     this.statistics = new Statistics(player, this.part(".figures"));
     this.comparison = new Comparison(player, this.part(".recording"), this.part(".divider"));

@@ -1,8 +1,8 @@
 /** The last pass of a picture as a camera recorded it: what was accumulated, resampled through the lens, in its colours. */
 import type { PinholeCamera } from "../geometry/poses";
 import { NOWHERE, lensPlan, type LensPlan, type Recording } from "../geometry/recorded";
-import { linked, type Program } from "./program";
-import { RECORDED_FRAGMENT_SHADER, SCREEN_VERTEX_SHADER } from "./shaders";
+import type { Program } from "./program";
+import { RECORDED_FRAGMENT_SHADER } from "./recorded_shader";
 
 /** Pixels between positions that are computed; between them a lens is straight to some thousandths of a pixel. */
 const CELL = 8;
@@ -13,8 +13,12 @@ export class RecordedPass {
   private plan: LensPlan | null = null;
   private planOf = "";
 
-  constructor(private readonly gl: WebGL2RenderingContext) {
-    this.program = linked(gl, SCREEN_VERTEX_SHADER, RECORDED_FRAGMENT_SHADER);
+  /** `screen`: makes a program that paints the whole picture. */
+  constructor(
+    private readonly gl: WebGL2RenderingContext,
+    screen: (fragment: string) => Program,
+  ) {
+    this.program = screen(RECORDED_FRAGMENT_SHADER);
     this.texture = gl.createTexture();
   }
 

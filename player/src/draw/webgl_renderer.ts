@@ -6,7 +6,8 @@ import { GpuClock } from "./gpu_clock";
 import { linked, type Program } from "./program";
 import type { DrawTimes, Overlay, Renderer } from "./renderer";
 import { SceneTextures } from "./scene_textures";
-import { RecordedPass } from "./recorded_pass";
+import { recordedPass } from "./recorded";
+import type { RecordedPass } from "./recorded_pass";
 import { FINISH_FRAGMENT_SHADER, SCREEN_VERTEX_SHADER, SPLAT_FRAGMENT_SHADER, splatVertexShader } from "./shaders";
 
 const OVERLAYS: readonly Overlay[] = ["none", "changes", "motion"];
@@ -76,8 +77,8 @@ export class WebGlRenderer implements Renderer {
     const { width, height } = camera;
     if (canvas.width !== width) canvas.width = width;
     if (canvas.height !== height) canvas.height = height;
-    const { recording } = camera;
-    if (recording) resources.recorded ??= new RecordedPass(gl);
+    const recording = recordedPass() === null ? null : camera.recording;
+    if (recording) resources.recorded ??= new (recordedPass()!)(gl, (fragment) => linked(gl, SCREEN_VERTEX_SHADER, fragment));
     const drawn = recording ? resources.recorded!.seenBy(camera, recording) : camera;
     resources.accumulation.begin(drawn.width, drawn.height);
     gl.useProgram(resources.splats.program);

@@ -6,13 +6,13 @@
  * what they recorded: with lens and colours).
  * The worker decodes and sorts, the stage draws, the panels are for people; this holds them together.
  */
-import { forgetKeys, looksInto } from "../controls/keys";
 import { lookedAt, extentOf } from "../controls/looked_at";
-import { Panels } from "../controls/panels";
+import type { Panels } from "../controls/panels";
 import { attachPointer } from "../controls/pointer";
 import { upOf } from "../controls/up_direction";
 import { createRenderer } from "../draw/index";
 import { ExactCanvas } from "../draw/exact_canvas";
+import { startRecorded } from "../draw/recorded";
 import type { Overlay, Renderer } from "../draw/renderer";
 import { lensOf, poseOf, type Lens, type Pose, type PinholeCamera } from "../geometry/poses";
 import { length, minus } from "../geometry/vectors";
@@ -22,10 +22,14 @@ import { Connection, FrameColumns } from "./connection";
 import type { PlayerEvent } from "./events";
 import { DEFAULT_FPS, Playback } from "./playback";
 import { Stage, type LookedThrough } from "./stage";
-import { STYLE } from "./style";
+import style from "./style.css";
+
+type Controls = typeof import("../controls/index");
 
 const FOLLOW_MS = 1000;
 const LONGEST_STEP = 0.1;
+/** When controls come although there is no picture yet. */
+const CONTROLS_AFTER_MS = 400;
 
 export class DecogsPlayer extends HTMLElement {
   static readonly observedAttributes = ["src", "controls", "loop", "poster", "camera", "exact", "recorded"];
@@ -49,7 +53,12 @@ export class DecogsPlayer extends HTMLElement {
   private exactly: ExactCanvas | null = null;
   private fast: Renderer | null = null;
   private readonly poster_ = document.createElement("img");
-  private readonly panels: Panels;
+  /** What people act with: a script of its own, which comes behind the first picture. */
+  private controls_: Controls | null = null;
+  private controlsComing = false;
+  private controlsTimer = 0;
+  private panels: Panels | null = null;
+  private loading = false;
   private connection: Connection | null = null;
   private cameraIndex = -1;
   private requested = -1;
@@ -75,16 +84,15 @@ export class DecogsPlayer extends HTMLElement {
   constructor() {
     super();
     const root = this.attachShadow({ mode: "open" });
-    const style = document.createElement("style");
-    style.textContent = STYLE;
+    const sheet = document.createElement("style");
+    sheet.textContent = style;
     this.canvas.className = "picture";
     this.poster_.className = "poster";
     this.poster_.alt = "";
     // It lies over the other one, which takes what the pointer does.
     this.exactCanvas.className = "picture exact";
     this.exactCanvas.hidden = true;
-    root.append(style, this.canvas, this.exactCanvas, this.poster_);
-    this.panels = new Panels(this, root);
+    root.append(sheet, this.canvas, this.exactCanvas, this.poster_);
   }
 
   connectedCallback(): void {
@@ -106,6 +114,7 @@ export class DecogsPlayer extends HTMLElement {
     this.removeEventListener("keyup", this.keyUp);
     this.removeEventListener("blur", this.keysLeft);
     this.closeStream();
+    clearTimeout(this.controlsTimer);
     this.detachPointer?.();
     this.detachPointer = null;
     this.fast?.dispose();
@@ -119,12 +128,9 @@ export class DecogsPlayer extends HTMLElement {
     if (name === "loop") this.playback.loop = value !== null;
     if (name === "poster") this.showPoster(value);
     if (name === "exact") this.chooseRenderer();
-    if (name === "recorded") {
-      this.stage?.touch();
-      this.wake();
-    }
+    if (name === "recorded") void this.chooseRecorded();
     if (name === "camera" && value !== null) this.camera = value;
-    this.panels.refresh();
+    this.panels?.refresh();
   }
 
   get src(): string {
@@ -202,7 +208,7 @@ export class DecogsPlayer extends HTMLElement {
     if (this.stage === null) return;
     this.stage.overlay = overlay;
     this.stage.touch();
-    this.panels.refresh();
+    this.panels?.refresh();
     this.wake();
   }
   /** Whether the decoder's own kernel draws: slower, and to the bit what decogs-decode writes. */
@@ -226,7 +232,7 @@ export class DecogsPlayer extends HTMLElement {
   set comparing(value: boolean) {
     this.comparing_ = value && this.hasAttribute("recordings");
     if (this.comparing_) this.recorded = true;
-    this.panels.refresh();
+    this.panels?.refresh();
     this.wake();
   }
   /** Where the camera's own picture lies in the element, in CSS pixels; null for a free camera. */
@@ -283,6 +289,7 @@ export class DecogsPlayer extends HTMLElement {
   async capture(width?: number, height?: number): Promise<Blob> {
     if (this.stage === null || this.info === null) throw new Error("there is no picture yet");
     const size = this.pixels();
+    if (this.recorded) await startRecorded();
     const picture = await this.stage.capture(width ?? size.width, height ?? size.height);
     this.wake();
     return picture;
@@ -296,7 +303,7 @@ export class DecogsPlayer extends HTMLElement {
     this.stage.navigation.goTo(poseOf(camera), lensOf(camera), atOnce);
     this.stage.touch();
     this.cameraMoved();
-    this.panels.tellCamera();
+    this.panels?.tellCamera();
     this.wake();
   }
 
@@ -327,7 +334,7 @@ export class DecogsPlayer extends HTMLElement {
 
   /** Panels call this after they have moved the camera. */
   cameraMoved(): void {
-    this.panels.refresh();
+    this.panels?.refresh();
     this.tell("camerachange");
     this.wake();
   }
@@ -351,7 +358,7 @@ export class DecogsPlayer extends HTMLElement {
       this.tell("pause");
       this.tell("ended");
     }
-    this.panels.tick(now);
+    this.panels?.tick(now);
     const waiting = playback.playing || stage.pending || stage.renderer.busy;
     const flying = length(stage.navigation.flight) > 0;
     if (waiting || flying) this.wake();
@@ -359,14 +366,17 @@ export class DecogsPlayer extends HTMLElement {
 
   private open(): void {
     this.closeStream();
-    if (this.src === "") return;
+    if (this.src === "") {
+      this.startControls();
+      return;
+    }
     try {
       this.stage ??= this.newStage();
     } catch (error) {
       this.fail(error instanceof Error ? error.message : String(error));
       return;
     }
-    this.panels.loading(true);
+    this.setLoading(true);
     const { start } = this;
     const first = start === null ? 0 : "frame" in start ? start.frame : null;
     this.requested = first ?? -1;
@@ -393,7 +403,7 @@ export class DecogsPlayer extends HTMLElement {
     this.requested = this.seekRequest = this.seekLater = this.cameraIndex = -1;
     this.bytesRead = 0;
     Object.assign(this.playback, { playing: false, ended: false, position: 0, frameCount: 0, complete: false });
-    this.panels.refresh();
+    this.panels?.refresh();
   }
 
   private newStage(): Stage {
@@ -440,6 +450,56 @@ export class DecogsPlayer extends HTMLElement {
     this.connection?.send({ type: "resend" });
     this.stage.touch();
     this.wake();
+  }
+
+  private async chooseRecorded(): Promise<void> {
+    try {
+      if (this.recorded) await startRecorded();
+    } catch (error) {
+      this.notice = `recorded pictures cannot be shown: ${error instanceof Error ? error.message : String(error)}`;
+      this.warn();
+    }
+    this.stage?.touch();
+    this.panels?.refresh();
+    this.wake();
+  }
+
+  /** Has the controls come, once. Without them the picture still plays. */
+  private startControls(): void {
+    clearTimeout(this.controlsTimer);
+    if (this.controlsComing) return;
+    this.controlsComing = true;
+    import("../controls/index").then(
+      (controls) => {
+        this.putControls(controls);
+      },
+      (error: unknown) => {
+        this.controlsComing = false;
+        console.error("the player's controls cannot be loaded", error);
+      },
+    );
+  }
+
+  private putControls(controls: Controls): void {
+    this.controls_ = controls;
+    this.panels = new controls.Panels(this, this.shadowRoot!);
+    this.panels.loading(this.loading);
+    this.warn();
+    this.panels.tellCamera();
+    this.panels.refresh();
+  }
+
+  /** Before the first picture is there, nothing but what leads to it; where it takes long, people are told. */
+  private setLoading(on: boolean): void {
+    this.loading = on;
+    this.panels?.loading(on);
+    clearTimeout(this.controlsTimer);
+    if (!on) this.startControls();
+    else {
+      this.controlsTimer = window.setTimeout(() => {
+        this.startControls();
+      }, CONTROLS_AFTER_MS);
+    }
   }
 
   private exactlyDrawn({ picture, problem }: Extract<FromWorker, { type: "exact" }>): void {
@@ -526,7 +586,7 @@ export class DecogsPlayer extends HTMLElement {
     playback.complete = complete;
     if (longer) this.tell("durationchange");
     if (this.seekLater >= 0 && (this.seekLater < frames.count || complete)) this.seekFrame(this.seekLater);
-    this.panels.refresh();
+    this.panels?.refresh();
   }
 
   private shown(message: Extract<FromWorker, { type: "frame" }>): void {
@@ -540,7 +600,7 @@ export class DecogsPlayer extends HTMLElement {
     this.recycle(draw.order, update?.base, update?.rest, update?.heat, update?.part?.places);
     this.warn();
     if (first) {
-      this.panels.loading(false);
+      this.setLoading(false);
       this.tell("loadeddata");
     }
     this.tell("timeupdate");
@@ -587,7 +647,7 @@ export class DecogsPlayer extends HTMLElement {
 
   private fail(message: string): void {
     this.error = message;
-    this.panels.loading(false);
+    this.setLoading(false);
     this.warn();
     this.pause();
     this.tell("error");
@@ -595,7 +655,7 @@ export class DecogsPlayer extends HTMLElement {
 
   /** Says the worst of what is wrong, as long as it is. */
   private warn(): void {
-    this.panels.warn(this.error ?? this.info?.damage ?? this.notice);
+    this.panels?.warn(this.error ?? this.info?.damage ?? this.notice);
   }
 
   private showPoster(address: string | null): void {
@@ -612,7 +672,7 @@ export class DecogsPlayer extends HTMLElement {
 
   private tell(name: PlayerEvent): void {
     this.dispatchEvent(new Event(name));
-    this.panels.refresh();
+    this.panels?.refresh();
   }
 
   private readonly visibilityChanged = (): void => {
@@ -624,13 +684,14 @@ export class DecogsPlayer extends HTMLElement {
   };
 
   private readonly keyDown = (event: KeyboardEvent): void => {
-    if (looksInto(this, this.panels, event)) event.preventDefault();
+    if (this.panels === null) this.startControls();
+    else if (this.controls_?.looksInto(this, this.panels, event) === true) event.preventDefault();
   };
   private readonly keyUp = (event: KeyboardEvent): void => {
-    looksInto(this, this.panels, event);
+    if (this.panels !== null) this.controls_?.looksInto(this, this.panels, event);
   };
   private readonly keysLeft = (): void => {
-    forgetKeys(this);
+    this.controls_?.forgetKeys(this);
     if (this.stage !== null) this.stage.navigation.flight = [0, 0, 0];
   };
 }

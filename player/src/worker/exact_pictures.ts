@@ -22,7 +22,7 @@ export class ExactPictures {
     }
   }
 
-  static draw(exact: ExactRenderer, gaussians: Gaussians, header: StreamHeader, camera: PinholeCamera): ExactPicture {
+  draw(exact: ExactRenderer, gaussians: Gaussians, header: StreamHeader, camera: PinholeCamera): ExactPicture {
     const begun = performance.now();
     const pixels = camera.recording
       ? recordedPixels(exact, gaussians, header, camera, camera.recording)

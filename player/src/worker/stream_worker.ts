@@ -5,7 +5,7 @@ import { FRAME_KINDS, type DepthRow, type DrawOrder, type FrameInfo, type FrameT
 import type { ExactRenderer } from "../exact/renderer";
 import { Buffers } from "./buffers";
 import { DepthSorter } from "./depth_order";
-import { ExactPictures, type LoadKernel } from "./exact_pictures";
+import type { ExactPictures, LoadKernel } from "./exact_pictures";
 import { PackedScene } from "./packed_scene";
 import { textureLayout } from "./packing";
 
@@ -20,7 +20,8 @@ export class StreamWorker {
   private frame: SceneFrame | null = null;
   private view: { readonly depth: DepthRow; readonly serial: number } | null = null;
   private readonly buffers = new Buffers();
-  private readonly exact: ExactPictures;
+  /** A script of its own, which comes with the first exact picture. */
+  private exact: ExactPictures | null = null;
   private kernel: ExactRenderer | null = null;
   private exactCamera: PinholeCamera | null = null;
   private readonly sorter = new DepthSorter();
@@ -34,10 +35,8 @@ export class StreamWorker {
   constructor(
     private readonly openStream: OpenStream,
     private readonly send: Send,
-    loadKernel: LoadKernel,
-  ) {
-    this.exact = new ExactPictures(loadKernel);
-  }
+    private readonly loadKernel: LoadKernel,
+  ) {}
 
   receive(message: ToWorker): void {
     switch (message.type) {
@@ -154,6 +153,8 @@ export class StreamWorker {
   /** Between two frames only: while one is decoded, the scene is neither this nor that. */
   private async drawExactly(camera: PinholeCamera): Promise<void> {
     try {
+      const { ExactPictures } = await import("./exact_pictures");
+      this.exact ??= new ExactPictures(this.loadKernel);
       this.kernel = await this.exact.ready();
     } catch (error) {
       this.send({ type: "exact", picture: null, problem: sentence(error) });
@@ -164,15 +165,15 @@ export class StreamWorker {
   }
 
   private drawHeld(): void {
-    const { kernel, exactCamera: camera } = this;
-    if (kernel === null || camera === null) return;
+    const { exact, kernel, exactCamera: camera } = this;
+    if (exact === null || kernel === null || camera === null) return;
     this.exactCamera = null;
     try {
       const header = this.stream?.header;
       const picture =
         this.frame === null || header === undefined
           ? null
-          : ExactPictures.draw(kernel, this.frame.gaussians, header, camera);
+          : exact.draw(kernel, this.frame.gaussians, header, camera);
       this.send({ type: "exact", picture, problem: null }, picture === null ? [] : [picture.pixels.buffer]);
     } catch (error) {
       this.send({ type: "exact", picture: null, problem: sentence(error) });

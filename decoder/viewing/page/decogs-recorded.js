@@ -1,0 +1,46 @@
+var F=Math.PI/2-.001;function w({distortionModel:i,distortion:e}){return i==="fisheye"?G(e):N(e)}function N(i){let[e,r,a,t,d,u,l,p]=Array.from({length:8},(o,m)=>i[m]??0),n=o=>{let m=1+o*(u+o*(l+o*p)),s=(1+o*(e+o*(r+o*d)))/m,f=(e+o*(2*r+3*o*d)-s*(u+o*(2*l+3*o*p)))/m;return[s,f]},c=L(o=>{let[m,s]=n(o*o);return m>0&&m+2*o*o*s>0},16);return(o,m)=>{let[s,f]=[o,m];for(let h=15;;h--){let b=s*s+f*f,[g,x]=n(b),y=s*g+2*a*s*f+t*(b+2*s*s)-o,M=f*g+a*(b+2*f*f)+2*t*s*f-m,S=Math.abs(y)+Math.abs(M);if(h===0||!(S>1e-12))return S<1e-6&&b<c*c?[s,f]:null;let A=g+2*s*s*x+2*a*f+6*t*s,C=g+2*f*f*x+6*a*f+2*t*s,v=2*s*f*x+2*a*s+2*t*f,P=A*C-v*v;s-=(C*y-v*M)/P,f-=(A*M-v*y)/P}}}function G([i,e,r,a]){let t=u=>{let l=u*u;return 1+l*(3*i+l*(5*e+l*(7*r+l*9*a)))},d=L(u=>t(u)>0,F);return(u,l)=>{let p=Math.hypot(u,l);if(p===0)return[u,l];let n=Math.min(p,d);for(let c=15;;c--){let o=n*n,m=n*(1+o*(i+o*(e+o*(r+o*a))))-p;if(c===0||!(Math.abs(m)>1e-12)){let s=Math.tan(n)/p;return Math.abs(m)<1e-6?[u*s,l*s]:null}n=Math.min(d,Math.max(0,n-m/t(n)))}}}function L(i,e){for(let r=1;r<=4096;r++){if(i(r*e/4096))continue;let[a,t]=[(r-1)*e/4096,r*e/4096];for(let d=0;d<50;d++){let u=(a+t)/2;i(u)?a=u:t=u}return a}return e}var H=2**-12,j=2**-18,I=3,_=2,U=8192;var E=-1e9;function R(i,e,r){let a=r===1?.5:0,t=h=>r===1?h:Math.ceil(h/r)+1,[d,u]=[t(i.width),t(i.height)],l=new Float32Array(2*d*u).fill(E),p=w(e),n=[new T(i.width),new T(i.height)];for(let h=0,b=0;h<u;h++){let g=(a+h*r-i.cy)/i.fy;for(let x=0;x<d;x++,b+=2){let y=p((a+x*r-i.cx)/i.fx,g);y!==null&&(l[b]=y[0]*i.fx+i.cx,l[b+1]=y[1]*i.fy+i.cy,n[0].add(l[b]),n[1].add(l[b+1]))}}let[[c,o],[m,s]]=[n[0].pixels(),n[1].pixels()];for(let h=0;h<l.length;h+=2)l[h]!==E&&(l[h]-=c,l[h+1]-=m);let f={width:o-c,height:s-m,cx:i.cx-c,cy:i.cy-m};return{camera:{...i,...f,recording:null},cell:r,first:a,columns:d,rows:u,positions:l}}var T=class{constructor(e){this.size=e}size;least=1/0;most=-1/0;add(e){e<this.least&&(this.least=e),e>this.most&&(this.most=e)}pixels(){let{size:e}=this,r=Math.max(0,Math.floor(Math.min((I-1)*e,U-e)/2)),a=Math.max(Math.floor(this.least)-_,-r),t=Math.min(Math.ceil(this.most)+_,e+r);return a<t?[a,t]:[0,e]}};var D=`#version 300 es
+precision highp float;
+precision highp sampler2D;
+uniform sampler2D accumulated, positions;
+uniform vec3 background, odds;
+uniform vec4 place;
+uniform vec2 size;
+uniform float cell;
+uniform bool bent;
+out vec4 result;
+vec3 at(ivec2 pixel) {
+ivec2 all = textureSize(accumulated, 0);
+pixel = clamp(pixel, ivec2(0), all - 1);
+vec4 sum = texelFetch(accumulated, ivec2(pixel.x, all.y - 1 - pixel.y), 0);
+return sum.rgb + sum.a * background;
+}
+vec4 weights(float t) {
+const float A = -0.75;
+vec3 d = vec3(t + 1.0, t, 1.0 - t);
+float far = ((A * d.x - 5.0 * A) * d.x + 8.0 * A) * d.x - 4.0 * A;
+vec2 near = ((A + 2.0) * d.yz - (A + 3.0)) * d.yz * d.yz + 1.0;
+return vec4(far, near, 1.0 - far - near.x - near.y);
+}
+vec3 through(vec2 pixel) {
+vec2 corner = floor(pixel / cell), part = pixel / cell - corner;
+ivec2 first = ivec2(corner);
+vec2 a = texelFetch(positions, first, 0).xy, b = texelFetch(positions, first + ivec2(1, 0), 0).xy;
+vec2 c = texelFetch(positions, first + ivec2(0, 1), 0).xy, d = texelFetch(positions, first + 1, 0).xy;
+vec2 from = (cell == 1.0 ? a : mix(mix(a, b, part.x), mix(c, d, part.x), part.y)) - 0.5;
+if (any(lessThan(from, vec2(0.0))) || any(greaterThan(from, vec2(textureSize(accumulated, 0) - 1)))) return background;
+ivec2 middle = ivec2(floor(from));
+vec4 across = weights(from.x - float(middle.x)), down = weights(from.y - float(middle.y));
+vec3 sum = vec3(0.0);
+for (int j = 0; j < 4; ++j) for (int i = 0; i < 4; ++i) sum += across[i] * down[j] * at(middle + ivec2(i - 1, j - 1));
+return sum;
+}
+void main() {
+vec2 pixel = vec2(gl_FragCoord.x, size.y - gl_FragCoord.y);
+result = vec4(0.0, 0.0, 0.0, 1.0);
+if (any(lessThan(pixel, place.xy)) || any(greaterThan(pixel, place.zw))) return;
+vec3 v = bent ? through(pixel) : at(ivec2(pixel));
+vec3 inside = clamp(v, 0.0, 1.0);
+vec3 recorded = min(odds * inside / (1.0 + (odds - 1.0) * inside), 1.0);
+result.rgb = mix(v, recorded, equal(v, inside));
+}
+`;var z=8,O=class{constructor(e,r){this.gl=e;this.program=r(D),this.texture=e.createTexture()}gl;program;texture;plan=null;planOf="";seenBy(e,{lens:r}){if(r===null)return e;let{width:a,height:t,fx:d,fy:u,cx:l,cy:p}=e,n=JSON.stringify([a,t,d,u,l,p,r.distortionModel,r.distortion]);(this.plan===null||this.planOf!==n)&&(this.plan=R(e,r,z),this.plan.positions.includes(E)&&(this.plan=R(e,r,1)),this.planOf=n,this.upload(this.plan));let{width:c,height:o,cx:m,cy:s}=this.plan.camera;return{...e,width:c,height:o,cx:m,cy:s}}use(e,{lens:r,odds:a,left:t,top:d,width:u,height:l},p){let{gl:n,program:c}=this;n.activeTexture(n.TEXTURE1),n.bindTexture(n.TEXTURE_2D,this.texture),n.activeTexture(n.TEXTURE0),n.useProgram(c.program),n.uniform1i(c.uniform("accumulated"),0),n.uniform1i(c.uniform("positions"),1),n.uniform3fv(c.uniform("background"),p),n.uniform3fv(c.uniform("odds"),a??[1,1,1]),n.uniform4f(c.uniform("place"),t,d,t+u,d+l),n.uniform2f(c.uniform("size"),e.width,e.height),n.uniform1f(c.uniform("cell"),this.plan?.cell??1),n.uniform1i(c.uniform("bent"),r===null?0:1)}dispose(){this.gl.deleteTexture(this.texture),this.gl.deleteProgram(this.program.program)}upload({columns:e,rows:r,positions:a}){let{gl:t}=this;t.activeTexture(t.TEXTURE1),t.bindTexture(t.TEXTURE_2D,this.texture),t.texImage2D(t.TEXTURE_2D,0,t.RG32F,e,r,0,t.RG,t.FLOAT,a);for(let d of[t.TEXTURE_MIN_FILTER,t.TEXTURE_MAG_FILTER])t.texParameteri(t.TEXTURE_2D,d,t.NEAREST);t.activeTexture(t.TEXTURE0)}};export{O as RecordedPass};

@@ -1,0 +1,3 @@
+/** The controls: a script of their own, which comes behind the first picture. */
+export { forgetKeys, looksInto } from "./keys";
+export { Panels } from "./panels";
