@@ -11,6 +11,9 @@ export class Comparison {
   private loading = false;
   private shown = "";
   private wanted = "";
+  /** Whose picture it is; that of another camera is not left over this one's view until its own has come. */
+  private camera = "";
+  private there = false;
   /** Where the line is, as a share of the camera's picture; what was recorded lies left of it. */
   private share = 0.5;
 
@@ -51,6 +54,8 @@ export class Comparison {
     const { player, holder } = this;
     const place = player.comparing ? player.recordedPlace() : null;
     this.wanted = place === null ? "" : player.recordingAddress();
+    if (place !== null && player.camera !== this.camera) this.there = false;
+    this.picture.hidden = !this.there;
     holder.hidden = this.wanted === "" || this.shown === "";
     if (place === null || this.wanted === "") return;
     const { left, top, width, height } = place;
@@ -71,12 +76,13 @@ export class Comparison {
     if (this.loading || this.wanted === "" || this.wanted === this.shown) return;
     this.loading = true;
     this.shown = this.wanted;
+    this.camera = this.player.camera;
     this.picture.src = this.wanted;
   }
 
   private arrived(there: boolean): void {
     this.loading = false;
-    this.picture.hidden = !there;
+    this.there = there;
     this.refresh();
   }
 }

@@ -167,7 +167,9 @@ test("the recorded picture lies left of a line, as large as the camera's, and fo
   const page = await browser.opened("recorded", { width: 400, height: 300, query: "&camera=barrel" });
   const asked = [];
   await page.route("**/recorded/**", async (route) => {
-    asked.push(new URL(route.request().url()).pathname);
+    const { pathname } = new URL(route.request().url());
+    asked.push(pathname);
+    if (pathname.includes("fisheye")) await new Promise((done) => setTimeout(done, 2000));
     const svg = '<svg xmlns="http://www.w3.org/2000/svg" width="200" height="150"><rect width="200" height="150" fill="#f0f"/></svg>';
     await route.fulfill({ contentType: "image/svg+xml", body: svg });
   });
@@ -201,8 +203,18 @@ test("the recorded picture lies left of a line, as large as the camera's, and fo
   await until(page, "player.info.frame === 1");
   await page.waitForTimeout(300);
   assert.equal((await seen()).address, "/recorded/barrel/1.jpg");
+  // Looked at from elsewhere, and back: the picture is still there.
+  const shown = "!player.shadowRoot.querySelector('.recording').hidden && !player.shadowRoot.querySelector('.recording img').hidden";
+  await page.mouse.move(300, 100);
+  await page.mouse.wheel(0, 100);
+  await until(page, "player.camera === '' && player.shadowRoot.querySelector('.recording').hidden");
+  await page.keyboard.press("r");
+  await until(page, `player.camera === 'barrel' && ${shown}`);
+  // That of the camera before does not lie over this one's view while its own is on its way.
   await page.keyboard.press("]");
-  await page.waitForTimeout(900);
+  await until(page, "player.camera === 'fisheye' && !player.stage.navigation.jumping");
+  await until(page, "player.shadowRoot.querySelector('.recording img').hidden", 1500);
+  await until(page, `player.camera === 'fisheye' && ${shown}`);
   assert.equal((await seen()).address, "/recorded/fisheye/1.jpg");
   await page.keyboard.press("b");
   await until(page, "player.shadowRoot.querySelector('.recording').hidden");
