@@ -18,9 +18,13 @@ const FREE = "";
 
 const LEGENDS: Readonly<Record<Overlay, string>> = {
   none: "",
-  changes: '<i class="now"></i>changed in this frame<i class="past"></i>up to 12 frames ago<i class="still"></i>unchanged',
-  motion: '<i class="moving"></i>changed since the keyframe<i class="still"></i>never',
+  changes: legend(["now", "changed in this frame"], ["past", "up to 12 frames ago"], ["still", "unchanged"]),
+  motion: legend(["moving", "changed since the keyframe"], ["still", "never"]),
 };
+
+function legend(...rows: readonly (readonly [string, string])[]): string {
+  return rows.map(([colour, text]) => `<span><i class="${colour}"></i>${text}</span>`).join("");
+}
 
 export class Panels {
   private readonly timeline: Timeline;

@@ -51,6 +51,28 @@ function readPacket(data: Uint8Array, limits: Limits): { header: PacketHeader; p
   return { header, payload: readPayload(data, header.length) };
 }
 
+/** Reads the METRICS packets behind a frame's own, for which the index has no entry; what is wrong with them costs nothing. */
+export async function findMetrics(
+  source: ByteSource,
+  table: FrameTable,
+  frame: number,
+  limits: Limits,
+  onMetrics: OnMetrics,
+): Promise<void> {
+  const offset = table.offset(frame);
+  const { bytes } = table.entries[frame];
+  const head = await source.read(offset, PACKET_HEADER_BYTES);
+  if (head.length < PACKET_HEADER_BYTES) return;
+  let own: number;
+  try {
+    own = PACKET_OVERHEAD + readPacketHeader(head, limits.payloadBytes).length;
+  } catch (error) {
+    if (error instanceof StreamError) return; // the frame will say so itself
+    throw error;
+  }
+  if (own < bytes) readMetrics(await source.read(offset + own, bytes - own), limits, onMetrics);
+}
+
 /** What is wrong in packets that hold no frame costs none. */
 function readMetrics(data: Uint8Array, limits: Limits, onMetrics: OnMetrics): void {
   try {

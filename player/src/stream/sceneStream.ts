@@ -10,7 +10,7 @@ import { BlobFeed } from "./blob";
 import { CachedSource } from "./cache";
 import { Ages } from "./ages";
 import { Changes } from "./changes";
-import { leadsTo, readFramePacket } from "./framePackets";
+import { findMetrics, leadsTo, readFramePacket } from "./framePackets";
 import { FrameTable } from "./frameTable";
 import { HttpFeed } from "./http";
 import { readMetricsPayload } from "./metrics";
@@ -95,6 +95,9 @@ class OpenStream implements SceneStream {
   private turn: Promise<unknown> = Promise.resolve();
   private busySince = 0;
   private closed = false;
+  private readonly metricsSought = new Set<number>();
+  /** Reading ahead that began last; what began before gives way. */
+  private aheadTurn = 0;
 
   constructor(
     private readonly source: ByteSource,
@@ -149,8 +152,27 @@ class OpenStream implements SceneStream {
     if (!(await this.isKnown(from))) return;
     const start = this.table.offset(from);
     if (start < 0) return;
+    const turn = ++this.aheadTurn;
     await this.source.prefetch(start, AHEAD_BYTES);
     await this.walkTo(Infinity, undefined, start + AHEAD_BYTES);
+    await this.findMetricsAhead(Math.max(0, from - 1), start + AHEAD_BYTES, turn);
+  }
+
+  /** The figures of frames whose bytes were read ahead: where there is an index, nobody walks along the packets. */
+  private async findMetricsAhead(from: number, end: number, turn: number): Promise<void> {
+    const table = this.indexed;
+    if (table === null) return;
+    let busySince = performance.now();
+    for (let frame = from; frame < table.length && table.offset(frame) < end; frame++) {
+      if (this.metricsSought.has(frame)) continue;
+      if (performance.now() - busySince > BUSY_MS) {
+        await new Promise((resolve) => setTimeout(resolve));
+        busySince = performance.now();
+      }
+      if (this.closed || turn !== this.aheadTurn) return; // what was read ahead may be given up
+      this.metricsSought.add(frame);
+      await findMetrics(this.source, table, frame, this.limits, this.onMetrics);
+    }
   }
 
   refresh(): Promise<boolean> {

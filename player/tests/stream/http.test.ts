@@ -9,7 +9,7 @@ import { HttpFeed } from "../../src/stream/http";
 import { StreamError, createStream } from "../../src/stream/index";
 import { EXPECTED, vector } from "../decoder/vectors";
 import { hashOf } from "../decoder/inOrder";
-import { packetsOf, padded } from "./packets";
+import { measured, packetsOf, padded } from "./packets";
 import { serve, type Manner } from "./server";
 
 const NAME = "good/keys-that-refer";
@@ -44,6 +44,23 @@ test("the first picture needs header and first keyframe, and the index comes bes
     assert.equal(requests[0], `bytes=0-${CACHE_SIZES.opening - 1}`);
     stream.close();
   });
+});
+
+test("figures of frames are known as soon as their bytes were read ahead", async () => {
+  for (const manner of [{}, { ranges: false }]) {
+    await withServer(
+      manner,
+      async (address) => {
+        const stream = await createStream(address);
+        await stream.frame(0);
+        await stream.prefetch(1);
+        const told = [...stream.metrics].sort(([a], [b]) => a - b);
+        assert.deepEqual(told, frames.map((_, frame) => [frame, { psnr: 30 + frame }]));
+        stream.close();
+      },
+      () => measured(vector(NAME)),
+    );
+  }
 });
 
 test("seeking reads the end, the index, the first keyframe and one segment", async () => {
