@@ -268,6 +268,7 @@ def _encode_on_cluster(parser: Parser, options: argparse.Namespace) -> int:
             effects=None if options.effects is None else effect_choice(options.effects),
             keyframe=options.keyframe,
             resume=options.resume,
+            metrics=options.metrics,
             seed=options.seed,
             threads=options.threads,
             device=options.device,

@@ -168,7 +168,7 @@ def encode(
         if part is None:
             report = encode_stream(ingest, target, span, chosen, resume=resume, metrics=metrics, **given)
         else:
-            report = encode_part(ingest, target, part, span, chosen, base=base, **given)
+            report = encode_part(ingest, target, part, span, chosen, base=base, metrics=metrics, **given)
         observer.finished(
             {
                 "output": str(report.output),

@@ -120,10 +120,12 @@ def run(parser: Parser, command: Callable[[], int | None], *, cleans_up: bool = 
 def retryable(parser: Parser, command: Callable[[], int]) -> int:
     """Runs a command that a farm may run again: exit code 75 (sysexits.h, EX_TEMPFAIL) for what may go away by itself.
 
-    That is a disk that is full or fails, a lack of memory, a file that another process is writing, and Ctrl-C.
+    That is a disk that is full or fails, a lack of memory, a file that another process is writing, Ctrl-C, and SIGTERM
+    or SIGHUP, with which a farm takes a machine back.
     """
     try:
-        return command()
+        with _raised_signals():
+            return command()
     except BrokenPipeError:
         raise
     except TryAgainError as error:
@@ -132,6 +134,8 @@ def retryable(parser: Parser, command: Callable[[], int]) -> int:
         problem = f"{error.filename}: {error.strerror}" if error.filename else str(error)
     except KeyboardInterrupt:
         problem = "interrupted"
+    except _Ended as ended:
+        problem = f"ended by {signal.Signals(ended.number).name}"
     except Exception as error:
         if not _memory_is_out(error):
             raise
@@ -185,10 +189,25 @@ def _memory_is_out(error: Exception) -> bool:
 class _Ended(BaseException):
     """A signal asks the process to end."""
 
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.number = number
+
 
 @contextmanager
 def _unwinding_signals() -> Iterator[None]:
     """SIGTERM and SIGHUP leave what is inside as Ctrl-C does, then end the process; a second one ends it at once."""
+    try:
+        with _raised_signals():
+            yield
+    except _Ended as ended:
+        os.kill(os.getpid(), ended.number)
+        raise
+
+
+@contextmanager
+def _raised_signals() -> Iterator[None]:
+    """SIGTERM and SIGHUP leave what is inside as `_Ended`; a second one ends the process at once."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -203,9 +222,6 @@ def _unwinding_signals() -> Iterator[None]:
         signal.signal(number, unwind)
     try:
         yield
-    except _Ended as ended:
-        os.kill(os.getpid(), ended.args[0])
-        raise
     finally:
         for number in ours:
             signal.signal(number, signal.SIG_DFL)

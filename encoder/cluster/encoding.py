@@ -17,13 +17,14 @@ from decogs.formats.callbacks import OnProgress, OnWarning
 from decogs.formats.errors import UsageError
 from decogs.formats.frame_ranges import Frames
 from decogs.formats.outputs import Output, check_outputs, write_whole
-from decogs.formats.rigs import files_of, open_rig
+from decogs.formats.rigs import Rig, files_of, open_rig
 
 from ..analysis import EffectChoice
 from ..encoding import chosen_settings, wanted_effects
 from ..input.ingest import frame_span
 from ..parts.base import read_base
 from ..parts.joining import JoinReport, join
+from ..parts.manifest import is_current
 from ..rasterise import check_device
 from ..settings.encode import EncodeSettings
 from ..switches import Switches
@@ -49,6 +50,7 @@ def encode_on_cluster(
     effects: EffectChoice | Literal["auto", "all", "none"] | None = None,
     keyframe: str | os.PathLike[str] | None = None,
     resume: bool = False,
+    metrics: bool = False,
     seed: int = 0,
     threads: int = 0,
     device: str = "auto",
@@ -76,6 +78,7 @@ def encode_on_cluster(
         "scale": scale,
         "holdout": tuple(holdout),
         "effects": wanted_effects(effects, settings, chosen.method),
+        "metrics": metrics,
         "seed": seed,
         "device": device,
     }
@@ -87,9 +90,9 @@ def encode_on_cluster(
             first = range(take.start, take.start + 1)
             given = options if keyframe is None else options | {"keyframe": os.fspath(Path(keyframe).absolute())}
             _run(engine, opened.path, [first], None, given, {first: key}, 0, len(take), progress, on_warning)
-        _check_resumed(key, options, take)
+        _check_resumed(key, options, take, opened)
         files = {part: folder / f"{part.start}-{part.stop}.dgs" for part in _segments(take, segment)}
-        missing = [part for part, path in files.items() if not path.exists()]
+        missing = [part for part, path in files.items() if not (path.exists() and is_current(path, opened, part))]
         done = len(take) - sum(map(len, missing))
         rest = options | {"threads": max(1, threads)}
         _run(engine, opened.path, missing, key.read_bytes(), rest, files, done, len(take), progress, on_warning)
@@ -125,15 +128,17 @@ def _run(
         write_whole(files[part], outcome.data)
 
 
-def _check_resumed(key: Path, options: dict[str, Any], take: range) -> None:
-    """Raises UsageError when the keyframe that is there is that of an encode with other options."""
+def _check_resumed(key: Path, options: dict[str, Any], take: range, rig: Rig) -> None:
+    """Raises UsageError when the keyframe that is there is that of other recordings or options."""
+    if not is_current(key, rig, range(take.start, take.start + 1)):
+        raise UsageError(f"{key}: the first frame's recordings are newer; delete its folder to start over")
     base = read_base(key)
     if base is None:
         raise UsageError(f"{key}: this is no part of a take; delete its folder to start over")
     base.settings(options["settings"], options["effects"])
     header = base.keyframe.header
-    was: dict[str, Any] = {"frames": base.part.take, "holdout": set(header.held_out)}
-    now: dict[str, Any] = {"frames": take, "holdout": set(options["holdout"])}
+    was: dict[str, Any] = {"frames": base.part.take, "holdout": set(header.held_out), "metrics": base.part.metrics}
+    now: dict[str, Any] = {"frames": take, "holdout": set(options["holdout"]), "metrics": options["metrics"]}
     was |= {name: header.settings.get(name) for name in ("seed", "scale")}
     now |= {name: options[name] for name in ("seed", "scale")}
     if changed := [name for name in was if was[name] != now[name]]:

@@ -100,7 +100,8 @@ def over_budget(sizes: Sequence[int], frame_budget: float) -> float:
 class RateControl(Protocol):
     """Keeps later frames to a mean of so many bytes by their significance threshold.
 
-    It learns from the packets alone, which a stream holds, so that a resumed encode has the same bytes.
+    It learns from the packets alone, which a stream holds, so that a resumed encode has the same bytes. Another one is
+    made where a closed segment starts.
     """
 
     def significance(self, settings: SignificanceSettings, /) -> SignificanceSettings:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from decogs.formats.callbacks import OnWarning
-from decogs.formats.container import PacketKind, PacketReader
+from decogs.formats.container import FRAME_KINDS, PacketKind, PacketReader
 from decogs.formats.errors import StreamError, UsageError
 
 from ..input.imported_keyframe import KeyframeSource
@@ -11,12 +11,13 @@ from ..input.imported_splats import SplatSource
 from ..input.ingest import Ingest, RigFrame
 from ..loop import StreamEncoder
 from ..output.convergence_log import ConvergenceLog
+from ..output.metrics import write_metrics
 from ..output.reports import EncodeReport, FrameReport, OnFrame, OnKeyframeStep
 from ..output.stream_output import StreamOutput
 from ..parallel import ahead
 from ..settings.encode import EncodeSettings
 from .base import Base
-from .manifest import Part, inputs_of, made_with, with_part
+from .manifest import Part, inputs_of, is_current, made_with, recorded, with_part
 from .output import PartOutput
 
 
@@ -32,6 +33,7 @@ def encode_part(
     base: Base | None,
     keyframe: KeyframeSource | SplatSource | None = None,
     device: str = "auto",
+    metrics: bool = False,
     on_frame: OnFrame | None = None,
     on_keyframe_step: OnKeyframeStep | None = None,
     convergence: ConvergenceLog | None = None,
@@ -40,8 +42,9 @@ def encode_part(
     """Encodes ``frames`` of the rig's ``take`` to ``output``, whole or not at all.
 
     Only these frames and the first one are read. ``base``: an earlier part with the first keyframe; without, it is
-    made here, from ``keyframe`` if that is given, and the part must begin with it. An output that is this part already
-    stays as it is. Raises DecogsError for unusable input, UsageError for a base of another encode.
+    made here, from ``keyframe`` if that is given, and the part must begin with it. ``metrics``: each frame's PSNR goes
+    behind it. An output that is this part already, and not older than the recordings of its frames, stays as it is.
+    Raises DecogsError for unusable input, UsageError for a base of another encode.
     """
     if base is None and frames.start > take.start:
         raise UsageError(
@@ -49,7 +52,8 @@ def encode_part(
             f"{take.start}:{take.start + 1}, and give it as `keyframe`"
         )
     first = next(ingest.frames(take.start, take.start + 1))
-    part = Part(frames, take, inputs_of(ingest.rig, first), made_with(device))
+    rig = ingest.rig
+    part = Part(frames, take, inputs_of(rig, first), recorded(rig, frames), made_with(device), metrics)
     if base is not None:
         base.check(part)
     with output:
@@ -68,20 +72,24 @@ def encode_part(
         encoder.check_header(take.start)
         if base is not None:
             encoder.take_over(base.keyframe, take)
-            if (there := _size_if_there(output, with_part(base.keyframe.header_payload, part), part)) is not None:
+            there = _size_if_there(output, with_part(base.keyframe.header_payload, part), part)
+            if there is not None and is_current(output.name, rig, frames):
                 return EncodeReport(output.name, [], there, False, len(frames), part=frames)
         reports: list[FrameReport] = []
         whole = False
+
+        def done(report: FrameReport) -> None:
+            reports.append(report)
+            if metrics and report.frame in frames:
+                write_metrics(out, report.frame - take.start, report)
+            if on_frame is not None:
+                on_frame(report)
+
         try:
-            if base is None:
-                reports.append(encoder.encode_key(first, on_keyframe_step))
-            else:
-                reports.append(_taken(encoder, first, base, out))
-            _tell(on_frame, reports[-1])
+            done(encoder.encode_key(first, on_keyframe_step) if base is None else _taken(encoder, first, base, out))
             later = ingest.frames(max(frames.start, take.start + 1), frames.stop)
             for frame in ahead(later) if threads > 1 else later:
-                reports.append(encoder.encode_next(frame))
-                _tell(on_frame, reports[-1])
+                done(encoder.encode_next(frame))
             whole = True
         finally:
             out.close(part.packets if whole else 0)
@@ -98,11 +106,6 @@ def _taken(encoder: StreamEncoder, first: RigFrame, base: Base, out: PartOutput)
     return encoder.replay(first, packet, f"`keyframe` {base.keyframe.path}")
 
 
-def _tell(on_frame: OnFrame | None, report: FrameReport) -> None:
-    if on_frame is not None:
-        on_frame(report)
-
-
 def _size_if_there(output: StreamOutput, header: bytes, part: Part) -> int | None:
     """Bytes of the output if it is this part already, whole; None otherwise."""
     if output.growing is None or not output.name.is_file():
@@ -113,7 +116,7 @@ def _size_if_there(output: StreamOutput, header: bytes, part: Part) -> int | Non
             while (packet := reader.next()) is not None:
                 if packet.kind == PacketKind.HEADER and packet.payload != header:
                     return None
-                found += packet.kind in (PacketKind.KEY, PacketKind.DELTA, PacketKind.SKIP)
+                found += packet.kind in FRAME_KINDS
     except (OSError, StreamError):
         return None
     return output.name.stat().st_size if reader.ended and found == part.packets else None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, NoReturn
@@ -60,21 +60,23 @@ def join(
         done, total, whole = 0, len(files[0].part.take), False
         try:
             for file in files:
-                for packet in _frames(file):
+                for packet in _own(file):
                     target.write(packet.kind, file.part.place_in_stream(packet.frame), packet.payload)
-                    done += 1
-                    if on_frame is not None:
-                        on_frame(done, total)
+                    if packet.kind in FRAME_KINDS:
+                        done += 1
+                        if on_frame is not None:
+                            on_frame(done, total)
             whole = True
         finally:
             target.close(done if whole else 0)
         return JoinReport(len(files), done, target.publish())
 
 
-def _frames(file: _File) -> Iterator[Packet]:
-    """The part's own frames; the first keyframe is one of the part that begins with it."""
+def _own(file: _File) -> Iterator[Packet]:
+    """The part's own frames and their metrics; the first keyframe is one of the part that begins with it."""
+    kinds = FRAME_KINDS | ({PacketKind.METRICS} if file.part.metrics else set())
     for packet in _packets(file.path):
-        if packet.kind in FRAME_KINDS and (packet.frame or not file.part.start):
+        if packet.kind in kinds and (packet.frame or not file.part.start):
             yield packet
 
 
@@ -127,9 +129,9 @@ def _packets(path: Path) -> Iterator[Packet]:
         _refuse_damaged(path, str(error))
 
 
-def _explained(path: Path, check: object, packet: Packet, frames: int) -> None:
+def _explained(path: Path, check: Callable[[Packet, int], None], packet: Packet, frames: int) -> None:
     try:
-        check(packet, frames)  # type: ignore[operator]
+        check(packet, frames)
     except StreamError as error:
         _refuse_damaged(path, str(error))
 

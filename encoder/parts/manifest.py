@@ -7,6 +7,7 @@ import json
 import platform
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -16,7 +17,7 @@ import zstandard
 from decogs.codec.header import StreamHeader
 from decogs.formats.errors import UsageError
 from decogs.formats.frame_ranges import Frames, frame_slice
-from decogs.formats.rigs import Rig
+from decogs.formats.rigs import Rig, files_with
 
 from ..input.ingest import RigFrame
 
@@ -27,14 +28,17 @@ _SETTING = "part"
 class Part:
     """``frames``: the rig's frames of the part; ``take``: those of the whole stream.
 
-    ``inputs``: digests, by what was digested. ``made_with``: the device, and the releases on which bits depend, by
-    name.
+    ``inputs``: digests of what all parts of a take are made from, by what was digested; ``recorded``: one of the files
+    with the part's own frames. ``made_with``: the device, and the releases on which bits depend, by name. ``metrics``:
+    whether each frame's PSNR is behind it.
     """
 
     frames: range
     take: range
     inputs: Mapping[str, str]
+    recorded: str
     made_with: Mapping[str, str]
+    metrics: bool = False
 
     @property
     def start(self) -> int:
@@ -65,6 +69,8 @@ class Part:
             mine, theirs = self.made_with.get(name, "none"), other.made_with.get(name, "none")
             if mine != theirs:
                 return f"it was made with {name} {mine}, not {theirs}"
+        if self.metrics != other.metrics:
+            return f"it was made {'with' if self.metrics else 'without'} `metrics`"
         return ""
 
 
@@ -91,7 +97,7 @@ def part_frames(only: Frames, take: range, segment: int) -> range:
 
 
 def inputs_of(rig: Rig, first: RigFrame) -> dict[str, str]:
-    """Digests of the rig's cameras and the sizes of their recordings, and of the first frame's training pictures.
+    """Digests of what all parts are made from: the list of cameras and recordings, the first frame's pictures.
 
     The pictures are digested as training sees them, so that another video decoder shows as well.
     """
@@ -103,9 +109,24 @@ def inputs_of(rig: Rig, first: RigFrame) -> dict[str, str]:
     for picture in first.training:
         pictures.update(np.ascontiguousarray(picture).data)
     return {
-        "list of recordings": hashlib.sha256(json.dumps(sources).encode()).hexdigest()[:32],
+        "list of recordings": _digest(sources),
         f"picture content of frame {first.index}": pictures.hexdigest()[:32],
     }
+
+
+def recorded(rig: Rig, frames: range) -> str:
+    """A digest of the names and sizes in bytes of the files that hold these frames; nothing is decoded for it."""
+    return _digest([[path.name, path.stat().st_size] for path in files_with(rig, frames)])
+
+
+def is_current(path: Path, rig: Rig, frames: range) -> bool:
+    """Whether no recording of a part's frames was written after the part at ``path``, as make decides it."""
+    made = path.stat().st_mtime_ns
+    return all(file.stat().st_mtime_ns <= made for file in files_with(rig, frames))
+
+
+def _digest(values: Any) -> str:
+    return hashlib.sha256(json.dumps(values).encode()).hexdigest()[:32]
 
 
 def made_with(device: str) -> dict[str, str]:
@@ -125,7 +146,9 @@ def with_part(header: bytes, part: Part) -> bytes:
         "frames": [part.frames.start, part.frames.stop],
         "take": [part.take.start, part.take.stop],
         "inputs": dict(part.inputs),
+        "recorded": part.recorded,
         "made_with": dict(part.made_with),
+        "metrics": part.metrics,
     }
     known = StreamHeader.from_bytes(header)
     return replace(known, settings={**known.settings, _SETTING: document}).to_bytes()
@@ -143,11 +166,14 @@ def read_part(header: StreamHeader) -> Part | None:
         return None
     frames, take = _range(document.get("frames")), _range(document.get("take"))
     inputs, tools = _texts(document.get("inputs")), _texts(document.get("made_with"))
+    files, metrics = document.get("recorded"), document.get("metrics")
     if frames is None or take is None or inputs is None or tools is None:
+        return None
+    if not (isinstance(files, str) and isinstance(metrics, bool)):
         return None
     if not (take.start == header.first_frame and take.start <= frames.start and frames.stop <= take.stop):
         return None
-    return Part(frames, take, inputs, tools)
+    return Part(frames, take, inputs, files, tools, metrics)
 
 
 def _range(value: Any) -> range | None:

@@ -29,7 +29,7 @@ from . import colmap, meetroom, n3dv, nerfstudio, rig_json
 from .rig import Points, Rig
 from .sources import FrameSource, PictureSource, holds_frames, list_folder
 
-__all__ = ["FrameSource", "Points", "Rig", "files_of", "open_rig", "read_frames"]
+__all__ = ["FrameSource", "Points", "Rig", "files_of", "files_with", "open_rig", "read_frames"]
 
 _Reader = Callable[[], Rig]
 
@@ -72,6 +72,12 @@ def files_of(rig: Rig) -> Iterator[tuple[Path, str]]:
     for entry in list_folder(rig.path):
         if entry.suffix.lower() in VIDEO_SUFFIXES | PICTURE_SUFFIXES:
             yield entry, "is in the rig's folder, as its frames are"
+
+
+def files_with(rig: Rig, frames: range) -> Iterator[Path]:
+    """The files that hold these frames, camera by camera: their pictures, or whole videos."""
+    for source in rig.sources:
+        yield from source.files[frames.start : frames.stop] if isinstance(source, PictureSource) else (source.path,)
 
 
 def _calibrations_at(path: Path) -> dict[str, _Reader]:

@@ -15,7 +15,7 @@ from decogs.codec.state import ARRAYS
 from decogs.decoder.stream import open_stream
 from decogs.encoder import CorrectionSettings, EncodeSettings, Targets
 from decogs.encoder import encode as encode_rig
-from decogs.encoder.coding.rate_control import with_budget
+from decogs.encoder.coding.rate_control import RATE_CONTROLS, ContentRateControl, with_budget
 from decogs.encoder.settings.frame import SignificanceSettings
 from decogs.formats.container import FRAME_KINDS, PacketKind
 from decogs.formats.errors import UsageError
@@ -160,6 +160,27 @@ def test_more_rounds_come_nearer(encode: Any, rig_of: Any, key: Path, tiny_setti
 def test_streams_without_closed_segments_say_nothing_of_them(moving: Any) -> None:
     with open_stream(moving.path) as stream:
         assert not {"closed", "catch_up"} & set(stream.header.settings)
+
+
+def test_a_packages_rate_control_is_made_anew_for_every_closed_segment(
+    encode: Any, rig_of: Any, key: Path, tiny_settings: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As docs/extending.md says."""
+    heard: list[list[int]] = []
+
+    class Listening(ContentRateControl):
+        def __init__(self, budget: float, segment: int) -> None:
+            super().__init__(budget, segment)
+            heard.append([])
+
+        def wrote(self, kind: int, size: int) -> None:
+            super().wrote(kind, size)
+            heard[-1].append(kind)
+
+    monkeypatch.setattr(RATE_CONTROLS, "get", lambda _: Listening)
+    encoded = encode(rig_of(MOMENTS), settings=closed(of_budget(tiny_settings)), keyframe=key)
+    kinds = [packet.kind for packet in packets(encoded.path)]
+    assert heard == [kinds[1:3], kinds[3:]], "the first segment's hears of what follows the first keyframe"
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,9 @@ import errno
 import fcntl
 import os
 import shutil
+import signal
+import subprocess
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -120,6 +123,19 @@ def test_detected_effects_are_decided_once(make: Make, settings: EncodeSettings,
     assert (tmp_path / "joined.dgs").read_bytes() == one.read_bytes()
 
 
+def test_metrics_are_joined_too(make: Make, tmp_path: Path) -> None:
+    one = make(tmp_path / "one.dgs", metrics=True)
+    with one.open("rb") as file:
+        told = [packet.frame for packet in iterate_packets(file) if packet.kind == PacketKind.METRICS]
+    assert told == list(range(FRAMES))
+    key = make(tmp_path / "key.dgs", (0, 1), metrics=True)
+    made = [
+        make(tmp_path / f"{a}.dgs", (a, b), keyframe=key, metrics=True, threads=2) for a, b in [(0, 2), (2, 6), (6, 7)]
+    ]
+    join(made, tmp_path / "joined.dgs")
+    assert (tmp_path / "joined.dgs").read_bytes() == one.read_bytes()
+
+
 def test_a_range_of_the_rig_and_a_keyframe_of_an_earlier_stream(
     make: Make, moving: Any, settings: EncodeSettings, moving_rig: Path, tiny_rig: Any, tmp_path: Path
 ) -> None:
@@ -165,6 +181,31 @@ def test_a_part_that_is_there_is_left_alone(
     assert (after.st_mtime_ns, after.st_ino) == (before.st_mtime_ns, before.st_ino)
 
 
+@pytest.mark.parametrize("change", ["time", "size"])
+def test_a_part_is_made_anew_where_its_own_recordings_changed(
+    make: Make, rig: Path, key: Path, parts: list[Path], tmp_path: Path, change: str
+) -> None:
+    copied = Path(shutil.copytree(rig, tmp_path / "rig"))
+    pictures = sorted(copied.glob("cam*/0003.png"))
+    part = make(tmp_path / "part.dgs", (2, 4), keyframe=key, rig=copied)
+    assert part.read_bytes() == parts[1].read_bytes(), "where the rig lies does not matter"
+    before = part.stat()
+    later = before.st_mtime_ns + 10**9
+    for picture in copied.glob("cam*/0005.png"):
+        os.utime(picture, ns=(later, later))
+    make(part, (2, 4), keyframe=key, rig=copied)
+    assert part.stat().st_ino == before.st_ino, "another part's recordings do not matter"
+    if change == "time":
+        os.utime(pictures[0], ns=(later, later))
+    else:
+        was = pictures[0].stat()
+        pictures[0].write_bytes(pictures[0].read_bytes() + b"\0")  # behind the picture's end
+        os.utime(pictures[0], ns=(was.st_atime_ns, was.st_mtime_ns))
+    make(part, (2, 4), keyframe=key, rig=copied)
+    assert part.stat().st_ino != before.st_ino
+    assert (part.read_bytes() == parts[1].read_bytes()) == (change == "time"), "the manifest has sizes, not times"
+
+
 @pytest.mark.parametrize("leftover", [b"", b"cut off"])
 @pytest.mark.parametrize("there", [None, b"something else", -1])
 def test_what_a_killed_one_has_left_is_made_anew(
@@ -191,6 +232,51 @@ def test_an_interrupted_part_leaves_nothing(make: Make, key: Path, tmp_path: Pat
 
 
 # Exit codes
+
+
+@pytest.mark.parametrize("ended_by", [signal.SIGTERM, signal.SIGHUP])
+def test_a_farm_that_takes_the_machine_back_may_try_again(rig: Path, tmp_path: Path, ended_by: signal.Signals) -> None:
+    """The part waits in the middle, its first packets written; the signal then ends it with 75, and nothing is left."""
+    code = """
+import signal, sys, time
+import decogs.encoder.parts.encoding as parts
+from decogs.encoder.commands import encode_main
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # ignored by what runs under nohup
+def wait(*_):
+    print("in the middle", flush=True)
+    time.sleep(60)
+parts.ahead = wait
+parts.StreamEncoder.encode_next = wait
+sys.exit(encode_main(sys.argv[1:]))
+"""
+    output = tmp_path / "part.dgs"
+    options = [
+        "--preset",
+        "draft",
+        "--effects",
+        "none",
+        "--segment",
+        "2",
+        "--closed",
+        "--only",
+        "0:2",
+        "-o",
+        str(output),
+    ]
+    with subprocess.Popen(
+        [sys.executable, "-c", code, str(rig), *options, "--scale", "0.25"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "in the middle\n"
+        assert (tmp_path / "part.dgs.part").stat().st_size
+        process.send_signal(ended_by)
+        _, said = process.communicate(timeout=60)
+    assert process.returncode == 75
+    assert said == f"decogs-encode: ended by {ended_by.name}; nothing was written, try again\n"
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.fixture
@@ -338,6 +424,7 @@ def test_foreign_parts_are_named(
             make(own / "take.dgs", (0, 2), frames=slice(0, 6)),
             "it is a part of frames 0 to 5, not of frames 0 to 6",
         ),
+        "metrics": (make(own / "metrics.dgs", (0, 2), metrics=True), "it was made with `metrics`"),
         "rig": (
             make(own / "rig.dgs", (0, 2), rig=tiny_rig.poisoned(rig, own / "rig", "cam03")),
             "it was made from other input: the picture content of frame 0 differs",
@@ -384,6 +471,8 @@ def test_a_part_is_never_written_over(parts: list[Path], tmp_path: Path) -> None
         lambda part: part | {"take": "0:7"},
         lambda part: part | {"inputs": {"a": 1}},
         lambda part: part | {"made_with": None},
+        lambda part: part | {"recorded": 3},
+        lambda part: part | {"metrics": 1},
     ],
 )
 def test_manifests_from_strangers(parts: list[Path], spoil: Callable[[Any], Any]) -> None:
