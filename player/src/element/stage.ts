@@ -34,6 +34,8 @@ export class Stage {
   private asked: DepthRow | null = null;
   private serial = 0;
   private answered = 0;
+  /** Orders up to this one were asked for before the scene had a camera. */
+  private outdated = 0;
   /** Whether an order came for the scene; before, it cannot be drawn. */
   private ordered = false;
 
@@ -57,7 +59,7 @@ export class Stage {
   /** Another stream begins: its scene and orders come from another worker. */
   begin(): void {
     this.asked = null;
-    this.answered = this.serial;
+    this.answered = this.outdated = this.serial;
     this.ordered = false;
     this.count = 0;
     this.look();
@@ -72,7 +74,7 @@ export class Stage {
   }
 
   order(draw: DrawOrder): void {
-    if (draw.serial === 0) return; // the worker did not know yet from where the scene is looked at
+    if (draw.serial <= this.outdated) return; // the worker did not know yet from where the scene is looked at
     this.ordered = true;
     this.answered = Math.max(this.answered, draw.serial);
     this.renderer.order(draw);
