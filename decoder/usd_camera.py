@@ -127,7 +127,8 @@ def _camera(stage: Any, camera: Any, code: Any, film: ToFilm, where: str) -> Cam
         raise UsageError(f"{where}: its apertures make a picture of {width}x{height}; correct them")
     rotation, position, units = _pose(stage, camera, code, where, film.metres)
     clipping = camera.GetClippingRangeAttr()
-    near = float(clipping.Get(code)[0]) * units if clipping.HasAuthoredValue() else 0.0
+    clipped = clipping.Get(code) if clipping.HasAuthoredValue() else None
+    near = 0.0 if clipped is None else float(clipped[0]) * units
     return Camera(
         _NAME, width, height, focal / across * width, focal / down * height,
         (0.5 - right / across) * width, (0.5 + up / down) * height, pose_of(rotation.T, position),

@@ -42,7 +42,7 @@ def calls(tmp_path: Path) -> list[str]:
         (commands / name).chmod(0o755)
     environment = {**os.environ, "PATH": f"{commands}:{os.environ['PATH']}", "CALLS": str(tmp_path / "calls")}
     environment.pop("STEP", None)
-    arguments = ["rig dir", str(tmp_path / "work"), "2", "2", "--preset", "live"]
+    arguments = ["rig dir", str(tmp_path / "take"), "2", "2", "--preset", "live"]
     subprocess.run([SCRIPT, *arguments], env=environment, check=True, capture_output=True)
     return (tmp_path / "calls").read_text().replace(str(tmp_path), "T").splitlines()
 
@@ -50,11 +50,11 @@ def calls(tmp_path: Path) -> list[str]:
 def test_keyframe_parts_and_join_follow_each_other(calls: list[str]) -> None:
     common = "decogs-encode rig dir --segment 2 --closed -o"
     assert [line for line in calls if line.startswith("decogs")] == [
-        f"{common} T/work/key.dgs --only 0:1 --preset live",
-        f"{common} T/work/parts/0.dgs --keyframe T/work/key.dgs --only 0:2 --preset live",
-        f"{common} T/work/parts/2.dgs --keyframe T/work/key.dgs --only 2:4 --preset live",
-        f"{common} T/work/parts/4.dgs --keyframe T/work/key.dgs --only 4:6 --preset live",
-        "decogs-join T/work/parts/*.dgs -o T/work/scene.dgs",
+        f"{common} T/take/key.dgs --only 0:1 --preset live",
+        f"{common} T/take/parts/0.dgs --keyframe T/take/key.dgs --only 0:2 --preset live",
+        f"{common} T/take/parts/2.dgs --keyframe T/take/key.dgs --only 2:4 --preset live",
+        f"{common} T/take/parts/4.dgs --keyframe T/take/key.dgs --only 4:6 --preset live",
+        "decogs-join T/take/parts/*.dgs -o T/take/scene.dgs",
     ]
     submitted = [line for line in calls if line.startswith("sbatch")]
     assert "--array=0-2 --dependency=afterok:1keyframe" in submitted[1]
