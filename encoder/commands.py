@@ -13,6 +13,7 @@ from decogs.formats.command_line import (
     counted,
     frames_joined,
     number,
+    number_of_bytes,
     number_of_threads,
     path_or_pipe,
     print_text,
@@ -158,6 +159,13 @@ def encode_main(arguments: Sequence[str] | None = None) -> int:
         metavar="D",
         help="auto (default), cpu or cuda (through gsplat); auto is cpu",
     )
+    parser.add_argument(
+        "--max-memory",
+        type=number_of_bytes,
+        metavar="SIZE",
+        help="limit of memory for the encode, such as 512M or 6G (default: none); where it is tight, no frame is read "
+        "ahead",
+    )
     parser.add_argument("--log", metavar="FILE", help="write each frame's figures as JSON lines")
     parser.add_argument(
         "--progress-lines",
@@ -286,7 +294,7 @@ def _check_cluster(options: argparse.Namespace) -> None:
         raise UsageError("`cluster`: tasks are closed segments; add `segment` and `closed`")
     given = {"only": options.only, "time_budget": options.time_budget, "log": options.log}
     given |= {"convergence_log": options.convergence_log, "output": "-" if options.output == "-" else None}
-    given |= {"progress_lines": options.progress_lines}
+    given |= {"max_memory": options.max_memory, "progress_lines": options.progress_lines}
     for name, value in given.items():
         if value is not None:
             raise UsageError(f"`cluster`: it does not go with `{name}` {value}; drop one of the two")
@@ -322,6 +330,7 @@ def _encode(parser: Parser, options: argparse.Namespace) -> int:
             seed=options.seed,
             threads=options.threads,
             device=options.device,
+            max_memory=options.max_memory,
             log=options.log,
             convergence_log=options.convergence_log,
             metrics=options.metrics,

@@ -23,6 +23,7 @@ from .closed_segments import with_closed_segments
 from .input.imported_keyframe import KeyframeSource, read_keyframe
 from .input.imported_splats import SplatSource, is_splat_file, read_splat_source
 from .input.ingest import Ingest, frame_span
+from .memory_limit import memory_within
 from .output.convergence_log import ConvergenceLog
 from .output.encode_log import EncodeLog
 from .output.observer import EncodeObserver, Observers
@@ -64,6 +65,7 @@ def encode(
     seed: int = 0,
     threads: int = 0,
     device: str = "auto",
+    max_memory: int | None = None,
     log: str | os.PathLike[str] | None = None,
     convergence_log: str | os.PathLike[str] | None = None,
     progress: EncodeObserver | None = None,
@@ -94,7 +96,8 @@ def encode(
 
     Resources: ``seed``: the same one gives the same bytes, except with a time budget. ``threads``: 0 means all
     processors; the stream does not depend on it. ``device``: "cuda" takes gsplat and gives other bits every time;
-    "auto" is the CPU.
+    "auto" is the CPU. ``max_memory``: bytes that the encode may take beyond the program itself (`memory_limit`); one
+    that may take more reads fewer frames ahead, or is refused before it starts. None is no limit.
 
     Reports: ``log``: file for JSON lines. ``convergence_log``: file for the loss of every training step, as JSON
     lines; with ``resume``, both are continued. ``progress`` observes every step and frame. ``on_warning`` is called
@@ -124,6 +127,14 @@ def encode(
     stream = Path(output) if isinstance(output, (str, os.PathLike)) else output
     log, convergence_log = (None if path is None else Path(path) for path in (log, convergence_log))
     _check_outputs(stream, log, convergence_log, rig, None if base is None and source is None else keyframe)
+    memory = memory_within(
+        ingest,
+        chosen,
+        max_memory,
+        gaussians=0 if source is None else source.count,
+        frames=len(span),
+        threads=thread_count(threads),
+    )
     with ExitStack() as open_files:
         target = open_files.enter_context(open_output(stream, resume=resume, fresh=part is not None))
         observers = [] if log is None else [open_files.enter_context(EncodeLog(log, append=resume))]
@@ -152,6 +163,7 @@ def encode(
                 "seed": seed,
                 "keyframe": None if keyframe is None else str(keyframe),
                 "resume": resume,
+                "memory": memory.size,
                 "settings": chosen.as_document(),
             }
         )
@@ -166,7 +178,9 @@ def encode(
             "on_warning": warn,
         }
         if part is None:
-            report = encode_stream(ingest, target, span, chosen, resume=resume, metrics=metrics, **given)
+            report = encode_stream(
+                ingest, target, span, chosen, resume=resume, metrics=metrics, read_ahead=memory.reads_ahead, **given
+            )
         else:
             report = encode_part(ingest, target, part, span, chosen, base=base, metrics=metrics, **given)
         observer.finished(

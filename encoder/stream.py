@@ -35,6 +35,7 @@ def encode_stream(
     device: str = "auto",
     resume: bool = False,
     metrics: bool = False,
+    read_ahead: bool = True,
     on_frame: OnFrame | None = None,
     on_keyframe_step: OnKeyframeStep | None = None,
     convergence: ConvergenceLog | None = None,
@@ -46,7 +47,8 @@ def encode_stream(
     that is asked for. ``keyframe``: an earlier stream's, or a file's Gaussians, to begin with instead of training
     one; UsageError when it does not fit the rig. ``resume``: go on with what an earlier encode left, in ``output`` +
     ".part" or as a shorter stream; the result has the bytes of one that was not cut off, but for a time budget, with
-    which no two encodes have the same. ``metrics``: each frame's PSNR goes behind it.
+    which no two encodes have the same. ``metrics``: each frame's PSNR goes behind it. ``read_ahead``: the next frame is
+    read and undistorted on a thread of its own while this one trains, which takes memory; one thread does neither.
     ``convergence`` takes the loss of every step.
     Raises DecogsError for unusable input; complete frames then remain in ``output`` + ".part", and the message says so.
     """
@@ -76,7 +78,7 @@ def encode_stream(
         interrupted = False
         try:
             frames = ingest.frames(span.start, span.stop)
-            for frame in ahead(frames) if threads > 1 else frames:
+            for frame in ahead(frames) if read_ahead and threads > 1 else frames:
                 packet = next(packets, None)
                 if packet is not None:
                     # The first and the last show whether the pictures are those that it was made from.

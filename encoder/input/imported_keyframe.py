@@ -37,6 +37,11 @@ class KeyframeSource:
     state: State
 
     @property
+    def count(self) -> int:
+        """How many Gaussians it has."""
+        return len(self.state)
+
+    @property
     def settings(self) -> dict[str, Any]:
         """What the earlier encode wrote down of how the keyframe was made."""
         return {

@@ -27,6 +27,11 @@ class SplatSource:
     file: SplatFile
 
     @property
+    def count(self) -> int:
+        """How many Gaussians it has."""
+        return len(self.file.splats)
+
+    @property
     def document(self) -> dict[str, Any]:
         """What the stream's header says of the keyframe's origin: the file's name and what is in it."""
         held = hashlib.sha256()

@@ -43,6 +43,8 @@ class TerminalProgress(EncodeObserver):
     def started(self, facts: Mapping[str, Any]) -> None:
         first, stop = facts["frames"]
         self._frame_count = stop - first
+        if self._terminal and "memory" in facts:
+            print(f"memory: up to {facts['memory'] / 2**30:.1f}G", file=self._terminal)
 
     def keyframe_step(self, step: int, steps: int, loss: float) -> None:
         if self._terminal:

@@ -37,12 +37,14 @@ from .guesses import guess_points
 from .plane_sweep import DepthMap, choose_planes, sweep
 from .views import Array, SweepView, floats, inside, make_view, project
 
-__all__ = ["FirstPoints", "KnownPoints", "first_points"]
+__all__ = ["FirstPoints", "KnownPoints", "first_points", "first_points_memory"]
 
 _FINE_PIXELS, _ALL_FINE_PIXELS = 250_000, 2_000_000
 _COARSE_PIXELS = 14_000
 """Largest pictures of the sweeps, in pixels: one view's, all views' together, one view's in the coarse sweep."""
 _MAX_PLANES = 128
+_VIEW_BYTES, _PLANE_BYTES = 100, 6
+"""Of a pixel of the fine sweep: its view, depths and candidates; the costs of a plane, along rows and columns."""
 _MATCHED, _COMPARED = 4, 8
 """Neighbours for matching, and for checking the consistency of depths."""
 _SURPLUS = 3.0
@@ -87,6 +89,13 @@ class FirstPoints:
     confidence: NDArray[np.float32]
     seen: NDArray[np.bool_]
     placed: NDArray[np.bool_]
+
+
+def first_points_memory(cameras: Sequence[Camera], threads: int) -> int:
+    """Bytes that the search takes at most, beyond the pictures: its own ones, and a sweep's costs for each thread."""
+    scales = _scales(cameras, _FINE_PIXELS, _ALL_FINE_PIXELS)
+    pixels = [camera.width * camera.height * scale**2 for camera, scale in zip(cameras, scales, strict=True)]
+    return round(sum(pixels) * _VIEW_BYTES + min(threads, len(cameras)) * max(pixels) * _MAX_PLANES * _PLANE_BYTES)
 
 
 def first_points(

@@ -20,6 +20,7 @@ from ..rasterise import TrainingKernel
 from ..settings.encode import EncodeSettings
 from ..stopwatch import Stopwatch
 from .keyframe import prealigned_pictures, train_keyframe
+from .large_pictures import fit_to_pictures
 from .schedule import StoppingRule
 
 
@@ -48,7 +49,7 @@ def train_first_frame(
             [view.pinhole for view in ingest.views],
             [picture.transpose(1, 2, 0) for picture in pictures],
             known=ingest.rig.points,
-            cap=settings.keyframe.cap,
+            cap=fit_to_pictures([view.pinhole for view in ingest.views], settings.keyframe).first_points,
             seed=seed,
             threads=threads,
         )

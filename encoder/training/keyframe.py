@@ -31,6 +31,7 @@ from ..rasterise import RenderedPicture, TrainingKernel, gradients_like
 from ..settings.keyframe import KeyframeSettings
 from ..settings.optimiser import LearningRates
 from .densification import DENSIFICATIONS, ViewGradients
+from .large_pictures import PictureFit, as_ever, fit_to_pictures, shrunk_camera, shrunk_picture, shrunk_weights
 from .losses import whole_picture_loss
 from .optimiser import OPTIMISERS
 from .schedule import WHOLE, StoppingRule, TargetWatch
@@ -116,6 +117,7 @@ def train_keyframe(
         corrector=corrector,
         lattice_scale=lattice_scale,
         stopping=stopping,
+        fit=fit_to_pictures([view.pinhole for view in views], settings),
     )
     return training.run(on_step)
 
@@ -136,7 +138,9 @@ def prealigned_pictures(
     """
     short = replace(settings, iterations=_PREALIGNMENT_STEPS, validation_fraction=0.0, settle_iterations=0)
     random = np.random.default_rng(seed)
-    training = _KeyframeTraining(kernel, views, pictures, points, short, random=random, corrector=corrector)
+    training = _KeyframeTraining(
+        kernel, views, pictures, points, short, random=random, corrector=corrector, fit=as_ever(short)
+    )
     training.run(None)
     return training.compensated(corrector, _PREALIGNMENT_STEPS)
 
@@ -154,23 +158,23 @@ class _KeyframeTraining:
         corrector: Corrector | None,
         lattice_scale: float = 1.0,
         stopping: StoppingRule = WHOLE,
+        fit: PictureFit,
     ) -> None:
         self._kernel, self._views, self._settings, self._random = kernel, views, settings, random
         self._recorded, self._corrector = pictures, corrector
         self._lattice_scale = lattice_scale
         self._extent = scene_extent(views) or 1.0
-        counted = [_counted(view, settings.validation_fraction, random) for view in views]
-        self._losses = [
-            whole_picture_loss(picture, c, settings.dissimilarity) for picture, c in zip(pictures, counted, strict=True)
-        ]
+        self._pictures = list(pictures)
+        self._counted = counted = [_counted(view, settings.validation_fraction, random) for view in views]
         self._stopping, self._is_good_enough = stopping, False
         self._regions = [None if c is None else c > 0 for c in counted]
-        self._target = self._target_watch()
+        self._fit, self._factor = fit, 0
+        self._values: list[list[float]] = []
+        self._look(fit.scales[0].factor)
         self._kept_back = [_kept_back(view, c) for view, c in zip(views, counted, strict=True)]
         self._optimiser = OPTIMISERS.get(settings.optimiser)(splats_from_points(points, settings), kernel)
         self._renew_gradients()
         self._order = view_order(len(views), random)
-        self._values: list[float] = []
 
     def run(self, on_step: OnKeyframeStep | None) -> TrainedKeyframe:
         steps = self._train(on_step)
@@ -185,13 +189,18 @@ class _KeyframeTraining:
     def _check_learnt(self, splats: Splats) -> None:
         """Raises TrainingError when training has diverged: no Gaussian is visible, or the loss has not fallen."""
         count = len(self._views)
-        rounds = [sum(self._values[i : i + count]) for i in range(0, len(self._values) - count + 1, count)]
         if not len(splats):
             raise TrainingError("no camera sees a Gaussian after training; lower the learning rates")
-        if len(rounds) > 1 and rounds[-1] >= rounds[0]:
+        rounds = [
+            [sum(values[i : i + count]) / count for i in range(0, len(values) - count + 1, count)]
+            for values in self._values
+        ]
+        # Shrunk pictures have less that can be missed: the last loss may be above the first one's.
+        first, last = max((each[0] for each in rounds if each), default=0.0), rounds[-1][-1:]
+        if sum(map(len, rounds)) > 1 and last and last[0] >= first:
             raise TrainingError(
-                f"the keyframe's training diverged, with a loss from {rounds[0] / count:.3f} to "
-                f"{rounds[-1] / count:.3f}; lower the learning rates"
+                f"the keyframe's training diverged, with a loss from {first:.3f} to {last[0]:.3f}; lower the learning "
+                "rates"
             )
 
     def _train(self, on_step: OnKeyframeStep | None) -> int:
@@ -199,6 +208,9 @@ class _KeyframeTraining:
         settings = self._settings
         best, best_optimiser, waited, step = -np.inf, self._optimiser, 0, 0
         while step < settings.iterations and waited < settings.patience and not self._is_good_enough:
+            for scale in self._fit.scales[1:]:
+                if scale.begin == step:
+                    self._look(scale.factor)
             if self._corrector is not None and self._corrects_at(step):
                 self._correct(self._corrector, step)
             loss = self._step(step)
@@ -208,6 +220,7 @@ class _KeyframeTraining:
                 on_step(step, self._planned, loss)
             if (
                 settings.validation_fraction
+                and self._factor == 1
                 and step % settings.validation_every == 0
                 and step > settings.iterations // 2
             ):
@@ -227,6 +240,7 @@ class _KeyframeTraining:
         total = self._settings.settle_iterations
         extent, centre = robust_extent(self._optimiser.splats.means)
         lattice = default_lattice(extent, centre=centre, scale=self._lattice_scale)
+        self._look(1)
         for more in range(total):
             if more == 0:
                 self._fix(("quaternions", "sh"), self._judged(lattice), lattice)
@@ -270,7 +284,7 @@ class _KeyframeTraining:
 
     def _step(self, step: int) -> float:
         index = next(self._order)
-        camera, loss = self._views[index].pinhole, self._losses[index]
+        camera, loss = self._cameras[index], self._losses[index]
         splats = self._optimiser.splats
         picture = self._kernel.forward(splats, camera, sh_degree=self._degree(step))
         value = loss.evaluate(self._kernel)
@@ -280,7 +294,7 @@ class _KeyframeTraining:
             raise TrainingError(
                 f"the keyframe's loss is {value.total} at step {step}; the pictures or poses are unusable"
             )
-        self._values.append(value.total)
+        self._values[-1].append(value.total)
         self._kernel.backward(splats, out=self._gradients)
         self._view_gradients.add(self._gradients.view, camera.width, camera.height)
         step_unstretched(
@@ -300,8 +314,23 @@ class _KeyframeTraining:
 
     def _correct(self, corrector: Corrector, step: int) -> None:
         """Replaces the target pictures by compensated ones; drift is estimated against the scene so far."""
-        pictures = self.compensated(corrector, step)
-        self._losses = [replace(loss, target=target) for loss, target in zip(self._losses, pictures, strict=True)]
+        self._pictures = self.compensated(corrector, step)
+        self._look(self._factor)
+
+    def _look(self, factor: int) -> None:
+        """From now on, steps see the pictures as they are compensated now, shrunk by ``factor``."""
+        if factor != self._factor:
+            self._values.append([])
+        self._factor = factor
+        self._cameras = [shrunk_camera(view.pinhole, factor) for view in self._views]
+        pictures, counted = self._pictures, self._counted
+        if factor > 1:
+            pictures = [shrunk_picture(*both) for both in zip(pictures, self._cameras, strict=True)]
+            counted = [shrunk_weights(*both) for both in zip(counted, self._cameras, strict=True)]
+        self._losses = [
+            whole_picture_loss(picture, c, self._settings.dissimilarity)
+            for picture, c in zip(pictures, counted, strict=True)
+        ]
         self._target = self._target_watch()
 
     def compensated(self, corrector: Corrector, step: int) -> list[FloatArray]:
@@ -314,7 +343,7 @@ class _KeyframeTraining:
         return corrector.undo(self._recorded, corrector.find_jointly(self._recorded, draw))
 
     def _target_watch(self) -> TargetWatch | None:
-        if self._stopping.target_psnr is None:
+        if self._stopping.target_psnr is None or self._factor > 1:
             return None
         return TargetWatch(self._stopping.target_psnr, [loss.target for loss in self._losses], self._regions)
 
@@ -323,8 +352,9 @@ class _KeyframeTraining:
         return min(self._settings.sh_degree, step * 4 // max(1, self._settings.iterations))
 
     def _rates(self, progress: float) -> LearningRates:
+        progress, longest = self._fit.rate_progress(progress), self._fit.longer * self._extent
         rates = self._settings.rates.scaled(self._settings.late_decay ** max(0.0, 2 * progress - 1))
-        return replace(rates, means=self._settings.rates.means * self._extent * self._settings.means_decay**progress)
+        return replace(rates, means=self._settings.rates.means * longest * self._settings.means_decay**progress)
 
     def _densify(self, step: int) -> None:
         settings, progress = self._settings, step / self._settings.iterations
@@ -359,11 +389,11 @@ class _KeyframeTraining:
     def validation_psnr(self, step: int) -> float:
         """PSNR over the tiles kept out of the loss."""
         square, pixels = 0.0, 0.0
-        for view, loss, kept in zip(self._views, self._losses, self._kept_back, strict=True):
+        for view, target, kept in zip(self._views, self._pictures, self._kept_back, strict=True):
             if kept is None:
                 continue
             picture = self._kernel.forward(self._optimiser.splats, view.pinhole, sh_degree=self._degree(step))
-            square += float((((np.clip(picture.rgb, 0, 1) - loss.target) ** 2) * kept).sum())
+            square += float((((np.clip(picture.rgb, 0, 1) - target) ** 2) * kept).sum())
             pixels += 3 * float(kept.sum())
         return psnr_of(square / max(pixels, 1.0))
 

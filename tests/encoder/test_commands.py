@@ -165,6 +165,8 @@ def test_switches_reach_the_encoder(moving: Any, dense: Any, moving_rig: Path, t
         (["--device", "abacus"], "--device abacus: choose from"),
         (["--seed", "-1"], "--seed -1: "),
         (["--threads", "-2"], "no number of threads"),
+        (["--max-memory", "lots"], "'lots' is no size; write bytes, or"),
+        (["--max-memory", "9M"], "--max-memory: 5 cameras of up to 64x48 and 1200 Gaussians may need "),
         (["--log", "/no/such/folder/log"], "--log /no/such/folder/log: No such file or directory"),
         (["--quality", "-9"], "--quality -9: give a number from 0"),
         (["--quality", "9", "--lossless"], "--lossless: --quality codes less than every change"),

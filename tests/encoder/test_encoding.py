@@ -127,7 +127,7 @@ def test_frames_as_range_and_as_slice_on_a_terminal_or_not(
 def test_every_option_of_the_command_has_its_parameter() -> None:
     parameters = {*inspect.signature(encode_rig).parameters}
     parameters |= {field.name for options in (Switches, Targets) for field in fields(options)}
-    assert {"frames", "scale", "holdout", "settings", "seed", "threads", "device", "log"} <= parameters
+    assert {"frames", "scale", "holdout", "settings", "seed", "threads", "device", "max_memory", "log"} <= parameters
     assert {"method", "ablate", "selection", "effects", "keyframe", "segment", "resume"} <= parameters
     assert {"quality", "bytes_per_frame", "lossless", "time_budget", "target_psnr", "convergence_log"} <= parameters
     assert inspect.signature(encode_rig).parameters["settings"].default in PRESETS

@@ -1,0 +1,93 @@
+"""What an encode may take of the computer's memory: estimated before it begins, and kept to by reading less ahead.
+
+Nearly all of it goes with the pixels of the rig: an encode keeps a few floats for each. What a Gaussian takes, in
+training and in the tiles of every view, comes on top. The figures are counted from what is kept, and measured
+(`tests/encoder/test_memory_limit.py`): the estimate is more than an encode takes, by at most as much again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from decogs.formats.errors import UsageError
+
+from .input.ingest import Ingest
+from .point_init import first_points_memory
+from .settings.encode import EncodeSettings
+from .training.method import MAX_GROWTH
+
+_PICTURE = 12
+"""Bytes of a pixel of a picture, as floats."""
+_READ = 3
+"""Of a pixel of a frame that is read, as the file has it."""
+_DECODER = 16
+"""The same, of what a video's decoder keeps: the pictures that later ones are differences from."""
+_KEYFRAME = 40
+"""Of a training pixel while the keyframe is trained: the picture, the same compensated, the shrunk one, what counts in
+the loss and what is kept out of it."""
+_LATER = 84
+"""Of a training pixel in later frames: the picture, the one before, the reference, the view as it is drawn with depth,
+opacity and gradient, masks and weights of the loss."""
+_LENS = 4
+"""Of a training pixel of a camera with a lens: whether it was recorded."""
+_DRAWN = 64
+"""Of a pixel of the largest view while it is drawn, compared and differentiated, for each thread."""
+_GAUSSIAN = 2500
+"""Of a Gaussian: values, gradients, moments and copies of them, and its states in the stream."""
+_IN_VIEW = 500
+"""Of a Gaussian in a view: its projection, and its entries in the tiles that it meets, some ten of them."""
+_PROGRAM = 150 << 20
+"""Kernels, libraries and buffers of any encode."""
+
+
+@dataclass(frozen=True)
+class EncodeMemory:
+    """What an encode takes at most, in bytes beyond the program itself, and whether it reads the next frame ahead."""
+
+    size: int
+    reads_ahead: bool
+
+
+def encode_memory(
+    ingest: Ingest, settings: EncodeSettings, *, gaussians: int, frames: int, threads: int, reads_ahead: bool
+) -> int:
+    """An upper estimate of an encode's memory in bytes, beyond the program itself.
+
+    ``gaussians``: of the keyframe that is taken over, or that the settings' cap allows.
+    """
+    views = [view.pinhole.width * view.pinhole.height for view in ingest.views]
+    every = sum(views) + sum(view.pinhole.width * view.pinhole.height for view in ingest.held_out_views)
+    lenses = sum(size for size, view in zip(views, ingest.views, strict=True) if view.valid is not None)
+    size = _PROGRAM + every * (_PICTURE + _READ + _DECODER * (frames > 1) + (_PICTURE + _READ) * reads_ahead)
+    size += lenses * _LENS + threads * _DRAWN * max(views) + gaussians * _GAUSSIAN
+    first = sum(views) * _KEYFRAME + first_points_memory([view.pinhole for view in ingest.views], threads)
+    later = sum(views) * (_LATER + _PICTURE * settings.closed)
+    return size + max(first, later + round(MAX_GROWTH * gaussians) * len(views) * _IN_VIEW)
+
+
+def memory_within(
+    ingest: Ingest, settings: EncodeSettings, max_memory: int | None, *, gaussians: int, frames: int, threads: int
+) -> EncodeMemory:
+    """What the encode takes, and whether it reads the next frame ahead: not where there is too little memory for it.
+
+    ``gaussians``: of a keyframe that is taken over; 0 without one. Raises UsageError where the encode does not fit into
+    ``max_memory`` bytes at all; None is no limit.
+    """
+    gaussians = gaussians or settings.keyframe.cap
+    size = 0
+    for reads_ahead in (True, False) if threads > 1 and frames > 1 else (False,):
+        size = encode_memory(
+            ingest, settings, gaussians=gaussians, frames=frames, threads=threads, reads_ahead=reads_ahead
+        )
+        if max_memory is None or size <= max_memory:
+            return EncodeMemory(size, reads_ahead)
+    largest = max((view.pinhole for view in ingest.views), key=lambda camera: camera.width * camera.height)
+    raise UsageError(
+        f"`max_memory`: {len(ingest.views)} cameras of up to {largest.width}x{largest.height} and {gaussians} "
+        f"Gaussians may need {_in_mega(size)}, more than {_in_mega(max_memory)}; choose a smaller `scale` or allow more"
+    )
+
+
+def _in_mega(size: int | None) -> str:
+    """As ``max_memory`` is written: whole numbers of 2**20 bytes, rounded up."""
+    return f"{-(-(size or 0) // (1 << 20))}M"

@@ -1,0 +1,102 @@
+"""What the keyframe's training does otherwise where pictures are large, and a Gaussian has to show many pixels.
+
+Coarse to fine: the first steps see shrunk pictures, the last ones the pictures as they are. A step's cost grows with
+the pixels, and what the first steps do, moving, growing and colouring Gaussians that are far off, shows in shrunk
+pictures as well. The renderer's filter belongs to the pixel (Mip-Splatting, Yu 2024), so that a scene from shrunk
+pictures fits larger ones. Gaussians are farther apart in such pictures, so they take longer steps. Fewer first points
+leave room for those that densification puts where details are. Smaller pictures are trained as ever. Figures:
+DESIGN.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from decogs.formats.cameras import Camera, scale_camera
+from decogs.formats.splats import FloatArray
+
+from ..settings.keyframe import KeyframeSettings
+
+LARGE = 240_000
+"""Pixels from which pictures are large: 566x424. The rigs that presets were tuned on have fewer."""
+_COARSEST = LARGE // 4
+"""Pixels that a shrunk picture has at least."""
+_FINE_FROM = 0.7
+"""Share of the schedule after which pictures have their own size."""
+_FINE_RATES = 0.2
+"""How far step sizes have fallen by then, as a share of their schedule: the last scale has most of their fall."""
+_FEWEST_FIRST = 0.5
+"""Least share of the Gaussians that begin as first points."""
+
+
+@dataclass(frozen=True)
+class PictureScale:
+    """Steps from ``begin`` on see pictures shrunk by ``factor``, a power of two; 1 is the pictures themselves."""
+
+    begin: int
+    factor: int
+
+
+@dataclass(frozen=True)
+class PictureFit:
+    """A schedule for pictures of one size.
+
+    ``scales``: in order, the first from step 0, the last with factor 1. ``first_points``: at most. ``longer``: factor
+    of the positions' step size.
+    """
+
+    scales: tuple[PictureScale, ...]
+    first_points: int
+    longer: float
+
+    def rate_progress(self, progress: float) -> float:
+        """Where the fall of the step sizes is at ``progress`` of the schedule, both 0 to 1."""
+        if len(self.scales) == 1:
+            return progress
+        if progress < _FINE_FROM:
+            return progress * _FINE_RATES / _FINE_FROM
+        return _FINE_RATES + (1 - _FINE_RATES) * (progress - _FINE_FROM) / (1 - _FINE_FROM)
+
+
+def as_ever(settings: KeyframeSettings) -> PictureFit:
+    """The schedule of small pictures, whatever their size."""
+    return PictureFit((PictureScale(0, 1),), settings.cap, 1.0)
+
+
+def fit_to_pictures(cameras: Sequence[Camera], settings: KeyframeSettings) -> PictureFit:
+    """The schedule for the pictures of these cameras: by their mean number of pixels."""
+    pixels = float(np.mean([camera.width * camera.height for camera in cameras]))
+    if pixels < LARGE:
+        return as_ever(settings)
+    factors = [1]
+    while pixels >= _COARSEST * (2 * factors[0]) ** 2:
+        factors.insert(0, 2 * factors[0])
+    each = _FINE_FROM * settings.iterations / (len(factors) - 1)
+    scales = tuple(PictureScale(round(number * each), factor) for number, factor in enumerate(factors))
+    longer = (pixels / LARGE) ** 0.5
+    return PictureFit(scales, round(settings.cap * max(_FEWEST_FIRST, 1 / longer)), longer)
+
+
+def shrunk_camera(camera: Camera, factor: int) -> Camera:
+    """The camera that takes pictures shrunk by ``factor``."""
+    return camera if factor == 1 else scale_camera(camera, 1 / factor)
+
+
+def shrunk_picture(picture: FloatArray, camera: Camera) -> FloatArray:
+    """A picture (3, H, W) at the size of ``camera``, each pixel the mean of those that it covers."""
+    return np.stack([_shrunk(plane, camera) for plane in picture])
+
+
+def shrunk_weights(counted: FloatArray | None, camera: Camera) -> FloatArray | None:
+    """Pixels that count (H, W), at the size of ``camera``: those that cover none that does not."""
+    if counted is None:
+        return None
+    return np.ascontiguousarray(_shrunk(counted, camera) > 0.999, np.float32)
+
+
+def _shrunk(plane: FloatArray, camera: Camera) -> FloatArray:
+    return np.asarray(cv2.resize(plane, (camera.width, camera.height), interpolation=cv2.INTER_AREA), np.float32)
