@@ -97,7 +97,7 @@ def encode(
     Resources: ``seed``: the same one gives the same bytes, except with a time budget. ``threads``: 0 means all
     processors; the stream does not depend on it. ``device``: "cuda" takes gsplat and gives other bits every time;
     "auto" is the CPU. ``max_memory``: bytes that the encode may take beyond the program itself (`memory_limit`); one
-    that may take more reads fewer frames ahead, or is refused before it starts. None is no limit.
+    that may take more does not read the next frame ahead, or is refused before it starts. None is no limit.
 
     Reports: ``log``: file for JSON lines. ``convergence_log``: file for the loss of every training step, as JSON
     lines; with ``resume``, both are continued. ``progress`` observes every step and frame. ``on_warning`` is called
@@ -127,11 +127,12 @@ def encode(
     stream = Path(output) if isinstance(output, (str, os.PathLike)) else output
     log, convergence_log = (None if path is None else Path(path) for path in (log, convergence_log))
     _check_outputs(stream, log, convergence_log, rig, None if base is None and source is None else keyframe)
+    taken = source if base is None else base.source
     memory = memory_within(
         ingest,
         chosen,
         max_memory,
-        gaussians=0 if source is None else source.count,
+        gaussians=0 if taken is None else taken.count,
         frames=len(span),
         threads=thread_count(threads),
     )
@@ -172,17 +173,17 @@ def encode(
             "threads": thread_count(threads),
             "keyframe": source,
             "device": device,
+            "metrics": metrics,
+            "read_ahead": memory.reads_ahead,
             "on_frame": observer.frame,
             "on_keyframe_step": observer.keyframe_step,
             "convergence": curve,
             "on_warning": warn,
         }
         if part is None:
-            report = encode_stream(
-                ingest, target, span, chosen, resume=resume, metrics=metrics, read_ahead=memory.reads_ahead, **given
-            )
+            report = encode_stream(ingest, target, span, chosen, resume=resume, **given)
         else:
-            report = encode_part(ingest, target, part, span, chosen, base=base, metrics=metrics, **given)
+            report = encode_part(ingest, target, part, span, chosen, base=base, **given)
         observer.finished(
             {
                 "output": str(report.output),

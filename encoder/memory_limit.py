@@ -2,7 +2,7 @@
 
 Nearly all of it goes with the pixels of the rig: an encode keeps a few floats for each. What a Gaussian takes, in
 training and in the tiles of every view, comes on top. The figures are counted from what is kept, and measured
-(`tests/encoder/test_memory_limit.py`): the estimate is more than an encode takes, by at most as much again.
+(`tests/encoder/test_memory_limit.py`): the estimate is some twice of what an encode takes.
 """
 
 from __future__ import annotations

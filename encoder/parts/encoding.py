@@ -34,6 +34,7 @@ def encode_part(
     keyframe: KeyframeSource | SplatSource | None = None,
     device: str = "auto",
     metrics: bool = False,
+    read_ahead: bool = True,
     on_frame: OnFrame | None = None,
     on_keyframe_step: OnKeyframeStep | None = None,
     convergence: ConvergenceLog | None = None,
@@ -43,7 +44,8 @@ def encode_part(
 
     Only these frames and the first one are read. ``base``: an earlier part with the first keyframe; without, it is
     made here, from ``keyframe`` if that is given, and the part must begin with it. ``metrics``: each frame's PSNR goes
-    behind it. An output that is this part already, and not older than the recordings of its frames, stays as it is.
+    behind it. ``read_ahead``: as in `encode_stream`. An output that is this part already, and not older than the
+    recordings of its frames, stays as it is.
     Raises DecogsError for unusable input, UsageError for a base of another encode.
     """
     if base is None and frames.start > take.start:
@@ -88,7 +90,7 @@ def encode_part(
         try:
             done(encoder.encode_key(first, on_keyframe_step) if base is None else _taken(encoder, first, base, out))
             later = ingest.frames(max(frames.start, take.start + 1), frames.stop)
-            for frame in ahead(later) if threads > 1 else later:
+            for frame in ahead(later) if read_ahead and threads > 1 else later:
                 done(encoder.encode_next(frame))
             whole = True
         finally:

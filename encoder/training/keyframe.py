@@ -24,6 +24,7 @@ from decogs.formats.splats import SH_C0, FloatArray, Splats, logit, sigmoid, tak
 
 from ..input.compensation import Corrector
 from ..input.ingest import View
+from ..input.resizing import resized
 from ..output.reports import OnKeyframeStep
 from ..point_init import FirstPoints
 from ..psnr import psnr_of
@@ -31,7 +32,7 @@ from ..rasterise import RenderedPicture, TrainingKernel, gradients_like
 from ..settings.keyframe import KeyframeSettings
 from ..settings.optimiser import LearningRates
 from .densification import DENSIFICATIONS, ViewGradients
-from .large_pictures import PictureFit, as_ever, fit_to_pictures, shrunk_camera, shrunk_picture, shrunk_weights
+from .large_pictures import PictureFit, as_ever, fit_to_pictures, shrunk_camera, shrunk_weights
 from .losses import whole_picture_loss
 from .optimiser import OPTIMISERS
 from .schedule import WHOLE, StoppingRule, TargetWatch
@@ -240,7 +241,8 @@ class _KeyframeTraining:
         total = self._settings.settle_iterations
         extent, centre = robust_extent(self._optimiser.splats.means)
         lattice = default_lattice(extent, centre=centre, scale=self._lattice_scale)
-        self._look(1)
+        if self._factor != 1:
+            self._look(1)
         for more in range(total):
             if more == 0:
                 self._fix(("quaternions", "sh"), self._judged(lattice), lattice)
@@ -323,13 +325,9 @@ class _KeyframeTraining:
             self._values.append([])
         self._factor = factor
         self._cameras = [shrunk_camera(view.pinhole, factor) for view in self._views]
-        pictures, counted = self._pictures, self._counted
-        if factor > 1:
-            pictures = [shrunk_picture(*both) for both in zip(pictures, self._cameras, strict=True)]
-            counted = [shrunk_weights(*both) for both in zip(counted, self._cameras, strict=True)]
         self._losses = [
-            whole_picture_loss(picture, c, self._settings.dissimilarity)
-            for picture, c in zip(pictures, counted, strict=True)
+            whole_picture_loss(resized(picture, camera), shrunk_weights(counted, camera), self._settings.dissimilarity)
+            for picture, counted, camera in zip(self._pictures, self._counted, self._cameras, strict=True)
         ]
         self._target = self._target_watch()
 

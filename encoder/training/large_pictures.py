@@ -13,12 +13,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from decogs.formats.cameras import Camera, scale_camera
 from decogs.formats.splats import FloatArray
 
+from ..input.resizing import resized_plane
 from ..settings.keyframe import KeyframeSettings
 
 LARGE = 240_000
@@ -86,17 +86,8 @@ def shrunk_camera(camera: Camera, factor: int) -> Camera:
     return camera if factor == 1 else scale_camera(camera, 1 / factor)
 
 
-def shrunk_picture(picture: FloatArray, camera: Camera) -> FloatArray:
-    """A picture (3, H, W) at the size of ``camera``, each pixel the mean of those that it covers."""
-    return np.stack([_shrunk(plane, camera) for plane in picture])
-
-
 def shrunk_weights(counted: FloatArray | None, camera: Camera) -> FloatArray | None:
     """Pixels that count (H, W), at the size of ``camera``: those that cover none that does not."""
-    if counted is None:
-        return None
-    return np.ascontiguousarray(_shrunk(counted, camera) > 0.999, np.float32)
-
-
-def _shrunk(plane: FloatArray, camera: Camera) -> FloatArray:
-    return np.asarray(cv2.resize(plane, (camera.width, camera.height), interpolation=cv2.INTER_AREA), np.float32)
+    if counted is None or counted.shape == (camera.height, camera.width):
+        return counted
+    return np.ascontiguousarray(resized_plane(counted, camera) > 0.999, np.float32)

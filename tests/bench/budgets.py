@@ -112,24 +112,28 @@ class Clip:
 
 def write_rig(folder: Path, cameras: Sequence[Camera], pictures: Sequence[Sequence[np.ndarray]]) -> None:
     """rig.json and a folder of PNG per camera; ``pictures`` by frame and camera, (H, W, 3) uint8 RGB."""
-    entries = []
     for camera in cameras:
         (folder / camera.name).mkdir(parents=True, exist_ok=True)
-        values = {name: getattr(camera, name) for name in ("name", "width", "height", "fx", "fy", "cx", "cy")}
-        pose = np.asarray(camera.world_to_camera).tolist()
-        entries.append(
-            {**values, "file": camera.name, "distortion_model": "none", "distortion": [], "world_to_camera": pose}
-        )
     for index, frame in enumerate(pictures):
         for camera, picture in zip(cameras, frame, strict=True):
             cv2.imwrite(str(folder / camera.name / f"{index:04d}.png"), picture[..., ::-1])
+    (folder / "rig.json").write_text(json.dumps(rig_document(cameras, [camera.name for camera in cameras])))
+
+
+def rig_document(cameras: Sequence[Camera], files: Sequence[str]) -> dict[str, Any]:
+    """The cameras as rig.json has them, without lenses, with their folders of pictures or videos."""
+    entries = []
+    for camera, file in zip(cameras, files, strict=True):
+        values = {name: getattr(camera, name) for name in ("name", "width", "height", "fx", "fy", "cx", "cy")}
+        pose = np.asarray(camera.world_to_camera).tolist()
+        entries.append({**values, "file": file, "distortion_model": "none", "distortion": [], "world_to_camera": pose})
     told = {
         "pixel_convention": "the centre of the top-left pixel is (0.5, 0.5)",
         "fps": 30,
         "source": "bench",
         "licence": "see source",
     }
-    (folder / "rig.json").write_text(json.dumps({**told, "cameras": entries}))
+    return {**told, "cameras": entries}
 
 
 def smaller(source: Path, folder: Path, names: Sequence[str], scale: float, frames: int) -> None:

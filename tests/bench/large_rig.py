@@ -16,10 +16,10 @@ import argparse
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from budgets import rig_document
 from decogs.decoder.picture_output import to_8bit
 from decogs.decoder.stream import open_stream
 from decogs.decoder.video_output import Movie, VideoSettings
@@ -92,22 +92,8 @@ def make(options: argparse.Namespace) -> None:
             movie.write(np.clip(np.rint(noisy), 0, 255).astype(np.uint8))
     for movie in movies:
         movie.finish()
-    (options.output / "rig.json").write_text(json.dumps(document(cameras)))
-
-
-def document(cameras: list[Camera]) -> dict[str, Any]:
-    """The cameras as rig.json has them."""
-    names = ("name", "width", "height", "fx", "fy", "cx", "cy")
-    rows = [{name: getattr(camera, name) for name in names} for camera in cameras]
-    for row, camera in zip(rows, cameras, strict=True):
-        row |= {"file": f"{camera.name}.mp4", "distortion_model": "none", "distortion": []}
-        row |= {"world_to_camera": camera.world_to_camera.tolist()}
-    return {
-        "pixel_convention": "the centre of the top-left pixel is (0.5, 0.5)",
-        "fps": FPS,
-        "source": "rendered by tests/bench/large_rig.py",
-        "cameras": rows,
-    }
+    document = rig_document(cameras, [f"{camera.name}.mp4" for camera in cameras])
+    (options.output / "rig.json").write_text(json.dumps(document))
 
 
 def main() -> None:

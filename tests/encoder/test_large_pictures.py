@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from decogs.encoder.input.resizing import resized
 from decogs.encoder.settings.keyframe import KeyframeSettings
 from decogs.encoder.settings.presets import PRESETS
 from decogs.encoder.training.large_pictures import (
@@ -12,7 +13,6 @@ from decogs.encoder.training.large_pictures import (
     as_ever,
     fit_to_pictures,
     shrunk_camera,
-    shrunk_picture,
     shrunk_weights,
 )
 from decogs.formats.cameras import Camera, project
@@ -72,7 +72,7 @@ def test_a_shrunk_pixel_is_the_mean_of_those_that_it_covers_and_lies_where_the_s
     small = shrunk_camera(own, factor)
     picture = np.random.default_rng(0).random((3, 24, 32)).astype(np.float32)
     blocks = picture.reshape(3, 24 // factor, factor, 32 // factor, factor).mean(axis=(2, 4))
-    np.testing.assert_allclose(shrunk_picture(picture, small), blocks, atol=1e-6)
+    np.testing.assert_allclose(resized(picture, small), blocks, atol=1e-6)
     points = np.random.default_rng(1).uniform(-0.5, 0.5, (20, 3))
     for large, little in zip(project(own, points)[:2], project(small, points)[:2], strict=True):
         np.testing.assert_allclose(little, large / factor, rtol=1e-12)
@@ -83,7 +83,7 @@ def test_a_size_that_does_not_divide_keeps_a_ramp_where_it_was() -> None:
     small = shrunk_camera(own, 2)
     ramp = np.broadcast_to((np.arange(33, dtype=np.float32) + 0.5) / 33, (3, 21, 33)).copy()
     expected = (np.arange(small.width) + 0.5) / small.width
-    np.testing.assert_allclose(shrunk_picture(ramp, small), np.broadcast_to(expected, (3, 10, 16)), atol=2e-3)
+    np.testing.assert_allclose(resized(ramp, small), np.broadcast_to(expected, (3, 10, 16)), atol=2e-3)
 
 
 def test_a_shrunk_pixel_counts_only_if_all_do_that_it_covers() -> None:

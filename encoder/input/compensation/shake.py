@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from decogs.formats.cameras import Camera, ray_slopes, scale_camera
 from decogs.formats.splats import FloatArray
 
+from ..resizing import resized
 from .colour import tukey_weights
 
 F64 = NDArray[np.float64]
@@ -104,15 +105,6 @@ def pixel_grid(camera: Camera) -> tuple[FloatArray, FloatArray]:
     """Normalised coordinates x (1, W) and y (H, 1) of the camera's pixel centres."""
     x, y = ray_slopes(camera, np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
     return x.astype(np.float32)[None, :], y.astype(np.float32)[:, None]
-
-
-def resized(picture: FloatArray, camera: Camera) -> FloatArray:
-    """The picture (3, H, W) at the camera's size."""
-    if picture.shape[1:] == (camera.height, camera.width):
-        return picture
-    return np.stack(
-        [cv2.resize(plane, (camera.width, camera.height), interpolation=cv2.INTER_AREA) for plane in picture]
-    )
 
 
 def _exponential(turn: F64) -> F64:
