@@ -338,7 +338,7 @@ def _encode(parser: Parser, options: argparse.Namespace) -> int:
             on_warning=warn_as(parser),
         )
     print_text("\n".join(_summary(report)), to_stderr=options.output == "-")
-    warnings = [*_left_out(report), _rejected(report), *_uncorrected(report), _overlooked(report)]
+    warnings = [*_left_out(report), _rejected(report), *_uncorrected(report), _overlooked(report), _cut(report)]
     warnings += [_missed_budget(report), _missed_time(report)]
     for warning in filter(None, warnings):
         warn_as(parser)(warning)
@@ -436,6 +436,11 @@ def _overlooked(report: EncodeReport) -> str:
     return (
         f"the masks missed a change of most of the pictures; every Gaussian was trained in {_frames(at)}" if at else ""
     )
+
+
+def _cut(report: EncodeReport) -> str:
+    at = [frame.frame for frame in report.frames if frame.cut]
+    return f"another scene begins in {_frames(at)}, with a new keyframe" if at else ""
 
 
 def _frames(numbers: Sequence[int]) -> str:

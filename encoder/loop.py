@@ -90,14 +90,19 @@ class StreamEncoder:
             self._reporter.check_footage(frame, state.scene.splats, f"`keyframe` {state.source.path}", [], watch)
         return self._report(frame, written, Change([], np.ones(len(key), bool)), watch)
 
-    def encode_next(self, frame: RigFrame) -> FrameReport:
-        """Compensates, detects, trains, codes and reports the next frame."""
+    def encode_next(self, frame: RigFrame, on_step: OnKeyframeStep | None = None) -> FrameReport:
+        """Compensates, detects, trains, codes and reports the next frame.
+
+        ``on_step`` follows the training of a new keyframe, where the frame shows another scene.
+        """
         watch, state = self._begin(frame), self._state
         index, frame = frame.index - state.scene.header.first_frame, state.compensation.matched(frame)
         restarted = state.restart(index, watch)
         compensated, corrections = state.compensation.find(frame, state.scene.splats, state.views, watch)
         returned = state.return_from_flash(compensated, watch)
         now = state.detect(frame, compensated, corrections, watch, restarted=restarted)
+        if now.change.cut:
+            return self._encode_cut(now, on_step)
         plan = state.plan(now)
         effects = plan.effects
         held = bool(effects) and self._is_held(watch)
@@ -114,6 +119,33 @@ class StreamEncoder:
         report = self._report(compensated, written, now.change, watch)
         rejected = trained is not None and trained.rejected
         return replace(report, effects=list(effects), rejected=rejected, uncorrected=uncorrected)
+
+    def _encode_cut(self, now: FrameInWork, on_step: OnKeyframeStep | None) -> FrameReport:
+        """Trains a keyframe of another scene, which goes on with the stream's header and later ids."""
+        state, watch, frame = self._state, now.watch, now.recorded
+        state.forget()
+        key, _ = train_first_frame(
+            state.kernel,
+            state.ingest,
+            frame,
+            self._settings,
+            watch,
+            seed=state.seed,
+            threads=state.threads,
+            compensation=state.compensation,
+            stopping=self._stopping(),
+            on_step=on_step,
+            header=state.scene.header,
+            first_id=state.scene.state.next_id,
+        )
+        splats = dequantise(key, state.scene.header.lattice)
+        state.compensation.see(splats)
+        frame, corrections = state.compensation.find(frame, splats, state.views, watch)
+        state.compensation.begin(corrections)
+        with watch.stage("write"):
+            written = state.scene.begin_anew(key, corrections)
+        state.cut(frame, watch)
+        return self._report(frame, written, replace(now.change, selected=np.ones(len(key), bool)), watch)
 
     def take_over(self, left: Interrupted, span: range) -> None:
         """Goes on from what an earlier encode left; raises UsageError unless it is the beginning of this one."""

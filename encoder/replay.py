@@ -74,6 +74,14 @@ def replay(state: StreamState, frame: RigFrame, packet: Packet, watch: Stopwatch
         state.begin(compensated, watch)
         return Replayed(compensated, written, Change([], np.ones(len(state.scene.state), bool)))
     restarted = state.restart(packet.frame, watch)
+    if begins_anew(packet, state):
+        state.forget()
+        state.scene.take(packet)
+        state.compensation.see(state.scene.splats)
+        state.compensation.begin(corrections)
+        state.cut(compensated, watch)
+        everything = np.ones(len(state.scene.state), bool)
+        return Replayed(compensated, written, Change([], everything, cut=True))
     state.return_from_flash(compensated, watch)
     now = state.detect(frame, compensated, corrections, watch, restarted=restarted)
     effects = state.plan(now).effects
@@ -88,3 +96,12 @@ def replay(state: StreamState, frame: RigFrame, packet: Packet, watch: Stopwatch
     if state.rate is not None:
         state.rate.wrote(packet.kind, packet.size)
     return Replayed(compensated, written, now.change, state.commit(now, trained, effects, held=held))
+
+
+def begins_anew(packet: Packet, state: StreamState) -> bool:
+    """Whether a packet is the keyframe of another scene: all its Gaussians are younger than any before."""
+    if packet.kind != PacketKind.KEY:
+        return False
+    scene = state.scene
+    ids = reconstruct(scene.state, packet, scene.header, first=scene.first).ids
+    return bool(len(ids)) and int(ids[0]) >= scene.state.next_id

@@ -86,7 +86,7 @@ def encode_stream(
                 elif not reports:
                     report = encoder.encode_key(frame, on_keyframe_step)
                 else:
-                    report = encoder.encode_next(frame)
+                    report = encoder.encode_next(frame, on_keyframe_step)
                 reports.append(report)
                 if metrics:
                     write_metrics(target, frame.index - span.start, report)

@@ -108,6 +108,20 @@ class StreamState:
     def begin(self, frame: RigFrame, watch: Stopwatch) -> None:
         """Takes the first frame, compensated, whose state stands."""
         self._first_frame = frame if self.settings.closed else None
+        self._start(frame, watch)
+
+    def forget(self) -> None:
+        """Frees what shows the scene so far, before another one is trained; `cut` makes it anew."""
+        self.views.views = []
+
+    def cut(self, frame: RigFrame, watch: Stopwatch) -> None:
+        """Takes a frame of another scene, compensated, whose state stands: nothing is left of the frames before."""
+        self.compensation.restart()
+        self.rate = self._new_rate()
+        self._start(frame, watch)
+
+    def _start(self, frame: RigFrame, watch: Stopwatch) -> None:
+        """Makes anew what one frame hands to the next, for the scene that stands."""
         scene, views = self.scene.splats, self.ingest.views
         with watch.stage("commit"):
             if not self.method.dense:
@@ -129,9 +143,7 @@ class StreamState:
         if self._first_frame is None or index % self.settings.segment:
             return False
         self.scene.restart(index)
-        self.compensation.restart()
-        self.rate = self._new_rate()
-        self.begin(self._first_frame, watch)
+        self.cut(self._first_frame, watch)
         return True
 
     def rehearse(self, now: FrameInWork, trained: TrainedFrame, settings: FrameSettings) -> FrameInWork:

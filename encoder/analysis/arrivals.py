@@ -189,7 +189,8 @@ def _differences(pictures: U8, maps: Sequence[ChangeMaps], path: _Path, noise: f
             continue
         shape = (labels == label).view(np.uint8)
         border = cv2.dilate(shape, _SQUARE) != cv2.erode(shape, _SQUARE)
-        outlined = whole.restructured[border].mean() >= _OUTLINED
+        # What fills the picture has no border in it.
+        outlined = bool(border.any()) and whole.restructured[border].mean() >= _OUTLINED
         side = _side(edges[0][border], edges[1][border]) if outlined else 0
         busy_at_first, busy_at_last = (bool(moves[place].mean() >= _RESTING) for moves in (early, late))
         if (side > 0 and busy_at_first) or (side < 0 and busy_at_last):

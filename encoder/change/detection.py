@@ -15,6 +15,7 @@ from ..rasterise import FixedView
 from ..settings.encode import EncodeSettings
 from ..settings.frame import SelectionSettings
 from ..stopwatch import Stopwatch
+from .cuts import shows_another_scene
 from .flashes import BeforeFlash, may_be_flash
 from .masks import FrameMask, MaskMemory, showing
 from .selection import select, view_evidence
@@ -27,12 +28,14 @@ _MOVING_FRACTION = 0.1
 class Change:
     """Change in a frame: one mask for each view, none for a dense method, and S_t, (N,).
 
-    ``overlooked``: the masks missed a change of most of the pictures; everything is selected.
+    ``overlooked``: the masks missed a change of most of the pictures; everything is selected. ``cut``: the pictures
+    show another scene, of which there are no Gaussians yet.
     """
 
     masks: Sequence[FrameMask]
     selected: NDArray[np.bool_]
     overlooked: bool = False
+    cut: bool = False
 
     @property
     def share(self) -> float:
@@ -72,7 +75,10 @@ class ChangeDetector:
             masks = self._memory.masks(pictures, shown)
         selected = nothing
         if any(mask.dilated.any() for mask in masks):
-            if self._before_flash is None and may_be_flash(masks):
+            everywhere = may_be_flash(masks)
+            if everywhere and self._is_cut(pictures, masks, watch):
+                return Change(masks, ~nothing, cut=True)
+            if self._before_flash is None and everywhere:
                 self._before_flash = BeforeFlash(frame, state, motion, self._memory.copy())
             with watch.stage("selection"):
                 selected = self._select(masks, len(state))
@@ -120,6 +126,13 @@ class ChangeDetector:
     def passed(self, pictures: Sequence[FloatArray], *, held: bool) -> None:
         """Goes on to the next frame; ``held``: this one waits to be trained."""
         self._memory.passed(pictures, held=held)
+
+    def _is_cut(self, pictures: Sequence[FloatArray], masks: Sequence[FrameMask], watch: Stopwatch) -> bool:
+        if not self._settings.cuts or self._settings.time_budget is not None:
+            return False
+        with watch.stage("masks"):
+            used, references = showing(masks), self._memory.references
+            return shows_another_scene([pictures[i] for i in used], [references[i] for i in used])
 
     def _shown_on_budget(self) -> list[FloatArray] | None:
         """The views' renderings under a time budget, which may leave a frame unfinished; else None."""

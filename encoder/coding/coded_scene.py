@@ -68,6 +68,11 @@ class CodedScene:
         self._output.begin(self.header.to_bytes())
         return self._write(PacketKind.KEY, 0, write_key(state, level=self._level), corrections)
 
+    def begin_anew(self, state: State, corrections: Corrections) -> Written:
+        """Writes a keyframe in which nothing is left of the scene before it; ``state`` has `next_id` and later ids."""
+        coded = write_key(replace(state, frame=self.state.frame + 1), level=self._level)
+        return self._write(PacketKind.KEY, self.state.frame + 1, coded, corrections)
+
     def code(
         self,
         frame: int,

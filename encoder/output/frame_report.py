@@ -59,6 +59,7 @@ class FrameReporter:
                 view.camera.name: mask.lost for view, mask in zip(views, change.masks, strict=False) if mask.lost
             },
             overlooked=change.overlooked,
+            cut=change.cut,
         )
 
     def check_footage(

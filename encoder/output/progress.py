@@ -85,6 +85,7 @@ def frame_line(report: FrameReport) -> str:
     stages += "".join(f"  without {name}: {why}" for name, why in report.left_out.items())
     stages += "  rejected" if report.rejected else ""
     stages += "".join(f"  compensation ended: {fault}" for fault in report.uncorrected)
+    stages += "  another scene" if report.cut else ""
     stages += "  change missed by the masks" if report.overlooked else ""
     return (
         f"frame {report.frame:4d} {report.kind:5}  train {report.training_psnr:6.2f} dB{held_out}  "

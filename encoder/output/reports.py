@@ -26,6 +26,7 @@ class FrameReport:
     ``rejected``: training made the pictures worse, so the scene was kept.
     ``uncorrected``: compensation that ends with this frame because it gained nothing, such as "cam04: colours".
     ``overlooked``: the masks found no change although most of the pictures had changed; every Gaussian was trained.
+    ``cut``: the frame shows another scene than the one before, and got a new keyframe.
     """
 
     frame: int
@@ -44,6 +45,7 @@ class FrameReport:
     rejected: bool = False
     uncorrected: list[str] = field(default_factory=list)
     overlooked: bool = False
+    cut: bool = False
 
 
 @dataclass(frozen=True)

@@ -39,6 +39,8 @@ class EncodeSettings:
     scene does not depend on it, only how frames are coded, unless segments are ``closed``: each one then starts from
     the first keyframe's Gaussians and depends on no other segment (`closed_segments`), and ``catch_up`` is how often
     its first frame is trained, one time after the other. More is slower and larger, and nearer to the pictures.
+    ``cuts``: a frame that shows another scene gets a new keyframe, except with a time budget. Slower and larger there,
+    and right.
     ``frame_budget``: mean bytes of the frames after the first, kept by ``rate_control``, a name in RATE_CONTROLS. Lower
     is less exact; None codes what ``frame.significance`` says.
     ``time_budget``: mean seconds of the frames after the first. Higher is slower; None runs the whole schedule.
@@ -58,6 +60,7 @@ class EncodeSettings:
     segment: int = 0
     closed: bool = False
     catch_up: int = 3
+    cuts: bool = True
     frame_budget: float | None = None
     time_budget: float | None = None
     target_psnr: float | None = None
@@ -86,6 +89,8 @@ class EncodeSettings:
             del document["effects"], document["detect_per_frame"]
         if self.corrections == CorrectionSettings():
             del document["corrections"]
+        if self.cuts:
+            del document["cuts"]
         if not self.closed:
             del document["closed"], document["catch_up"]
         for part, name, usual in _USUAL:

@@ -1,9 +1,11 @@
-"""The first frame: from its pictures to the keyframe's Gaussians."""
+"""The first frame, or the first one of another scene: from its pictures to the keyframe's Gaussians."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
+from decogs.codec.header import StreamHeader
 from decogs.codec.keyframes import keyframe_state
 from decogs.codec.lattice import Lattice, quantise
 from decogs.codec.state import State
@@ -36,13 +38,19 @@ def train_first_frame(
     compensation: Compensation,
     stopping: StoppingRule,
     on_step: OnKeyframeStep | None,
+    header: StreamHeader | None = None,
+    first_id: int = 0,
 ) -> tuple[State, Lattice]:
     """The keyframe's Gaussians and their lattice; sets the ingest's near planes and the cameras' colours.
+
+    ``header``: of a stream that goes on with another scene. Near planes, colours, lattice and degree of SH are then
+    those that it has, and the frame's colours are matched already. ``first_id``: of the Gaussians.
 
     If a camera shakes, a short training finds its pose, and the search for first points runs again. With detection per
     frame, view dependence is detected here. Raises RigError for a black picture and TrainingError for failed training.
     """
-    _check_shows(frame, ingest.views)
+    if header is None:
+        _check_shows(frame, ingest.views)
 
     def points_of(pictures: Sequence[FloatArray]) -> FirstPoints:
         points = first_points(
@@ -53,17 +61,20 @@ def train_first_frame(
             seed=seed,
             threads=threads,
         )
-        ingest.place_near_planes(points.xyz)
+        if header is None:
+            ingest.place_near_planes(points.xyz)
         return points
 
+    keyframe = settings.keyframe if header is None else replace(settings.keyframe, sh_degree=header.sh_degree)
     corrector = compensation.corrector
     with watch.stage("first_points"):
         points = points_of(frame.training)
-        frame = compensation.match_colours(frame, points.xyz, points.seen)
+        if header is None:
+            frame = compensation.match_colours(frame, points.xyz, points.seen)
     if corrector is not None and corrector.cameras.camera_shake:
         with watch.stage("pre-alignment"):
             prealigned = prealigned_pictures(
-                kernel, ingest.views, frame.training, points, settings.keyframe, corrector, seed=seed
+                kernel, ingest.views, frame.training, points, keyframe, corrector, seed=seed
             )
             points = points_of(prealigned)
     with watch.stage("keyframe"):
@@ -72,15 +83,18 @@ def train_first_frame(
             ingest.views,
             frame.training,
             points,
-            settings.keyframe,
+            keyframe,
             seed=seed,
+            lattice=None if header is None else header.lattice,
             lattice_scale=settings.lattice_scale,
             corrector=corrector,
             on_step=on_step,
             stopping=stopping,
         )
     values = quantise(trained.splats, trained.lattice)
-    state, _ = keyframe_state(as_far_as_shown(values) if settings.detect_per_frame else values)
+    if settings.detect_per_frame and header is None:
+        values = as_far_as_shown(values)
+    state, _ = keyframe_state(values, first_id=first_id)
     return state, trained.lattice
 
 

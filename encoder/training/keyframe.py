@@ -93,6 +93,7 @@ def train_keyframe(
     settings: KeyframeSettings,
     *,
     seed: int,
+    lattice: Lattice | None = None,
     lattice_scale: float = 1.0,
     corrector: Corrector | None = None,
     on_step: OnKeyframeStep | None = None,
@@ -100,10 +101,11 @@ def train_keyframe(
 ) -> TrainedKeyframe:
     """Trains the first frame's Gaussians on ``pictures`` (3, H, W) of ``views``; the same seed gives the same bits.
 
-    ``lattice_scale``: how coarse the lattice is to be, in units of the default one's steps. ``corrector``: of the
-    cameras whose drift is estimated and compensated during training. ``stopping``: a target in the whole
-    pictures, but for the tiles kept out of the loss, ends training before the settings' iterations; deadlines are for
-    later frames. Raises TrainingError without points or when the loss stops being finite.
+    ``lattice``: the one to settle on; None makes one for the scene, as coarse as ``lattice_scale`` says in units of the
+    default one's steps. ``corrector``: of the cameras whose drift is estimated and compensated during training.
+    ``stopping``: a target in the whole pictures, but for the tiles kept out of the loss, ends training before the
+    settings' iterations; deadlines are for later frames. Raises TrainingError without points or when the loss stops
+    being finite.
     """
     if not len(points.xyz):
         raise TrainingError("point initialisation found no points; check the poses, or give the rig COLMAP points")
@@ -116,6 +118,7 @@ def train_keyframe(
         settings,
         random=random,
         corrector=corrector,
+        lattice=lattice,
         lattice_scale=lattice_scale,
         stopping=stopping,
         fit=fit_to_pictures([view.pinhole for view in views], settings),
@@ -157,13 +160,14 @@ class _KeyframeTraining:
         *,
         random: np.random.Generator,
         corrector: Corrector | None,
+        lattice: Lattice | None = None,
         lattice_scale: float = 1.0,
         stopping: StoppingRule = WHOLE,
         fit: PictureFit,
     ) -> None:
         self._kernel, self._views, self._settings, self._random = kernel, views, settings, random
         self._recorded, self._corrector = pictures, corrector
-        self._lattice_scale = lattice_scale
+        self._lattice, self._lattice_scale = lattice, lattice_scale
         self._extent = scene_extent(views) or 1.0
         self._pictures = list(pictures)
         self._counted = counted = [_counted(view, settings.validation_fraction, random) for view in views]
@@ -239,8 +243,10 @@ class _KeyframeTraining:
     def _settle_on_lattice(self, steps: int, on_step: OnKeyframeStep | None) -> Lattice:
         """Rounds one attribute after the other to the coarse lattice and trains the others around them."""
         total = self._settings.settle_iterations
-        extent, centre = robust_extent(self._optimiser.splats.means)
-        lattice = default_lattice(extent, centre=centre, scale=self._lattice_scale)
+        lattice = self._lattice
+        if lattice is None:
+            extent, centre = robust_extent(self._optimiser.splats.means)
+            lattice = default_lattice(extent, centre=centre, scale=self._lattice_scale)
         if self._factor != 1:
             self._look(1)
         for more in range(total):
