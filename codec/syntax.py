@@ -73,10 +73,12 @@ def write_key(state: State, *, first: State | None = None, level: int = DEFAULT_
     ``first`` is the state of the stream's first keyframe, None in that keyframe itself.
     """
     _check_count(len(state))
+    referring = None if first is None or not _descends(state, first) else _write_referring_key(state, first, level)
+    # A late closed segment's own Gaussians have ids too far above the first keyframe's to be listed together.
+    if referring is not None and not _can_be_listed(state.ids):
+        return referring
     alone = _coded([*_key_head(state, _INTRA, state.ids, level), *_write_new(all_rows(state), level)])
-    if first is None or not _descends(state, first):
-        return alone
-    return min(alone, _write_referring_key(state, first, level), key=lambda coded: len(coded.payload))
+    return alone if referring is None else min(alone, referring, key=lambda coded: len(coded.payload))
 
 
 def refers_to_first(packet: Packet) -> bool:
@@ -291,11 +293,15 @@ def _read_new(cursor: Cursor, count: int, coefficients: int) -> Attributes:
     return attributes_from_columns(read_groups(cursor, count, coefficients, values=True), count, coefficients)
 
 
+def _can_be_listed(ids: Rows) -> bool:
+    """Whether the gaps between ascending ids are numbers that SPEC.md's varints hold."""
+    return int((np.diff(ids) - 1).max(initial=0)) < 1 << 35
+
+
 def _id_gaps(ids: Rows) -> np.ndarray[tuple[int, ...], np.dtype[np.uint64]]:
-    gaps = np.diff(ids) - 1
-    if gaps.max(initial=0) >= 1 << 35:
+    if not _can_be_listed(ids):
         raise ValueError("ids are more than 2**35 apart")
-    return gaps.astype(np.uint64)
+    return (np.diff(ids) - 1).astype(np.uint64)
 
 
 def _read_new_ids(cursor: Cursor, mode: int, first: int, count: int) -> Rows:

@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+import decogs.encoder.coding.coded_scene as coded_scene
 from decogs.codec.corrections import Correction
+from decogs.codec.digest import digest
 from decogs.codec.state import ARRAYS
 from decogs.decoder.stream import open_stream
 from decogs.encoder import CorrectionSettings, EncodeSettings, Targets
@@ -196,3 +198,17 @@ def test_what_does_not_go_with_closed_segments(
     with pytest.raises(UsageError, match=message):
         encode_rig(moving_rig, tmp_path / "scene.dgs", remembering(tiny_settings), closed=True, **options)
     assert not list(tmp_path.iterdir())
+
+
+def test_segments_whose_ids_are_too_far_apart_to_be_listed(
+    rig_of: Any, encode: Any, key: Path, tiny_settings: EncodeSettings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From the seventeenth segment on, its Gaussians and the first keyframe's are 2^35 ids apart."""
+    monkeypatch.setattr(coded_scene, "IDS_PER_SEGMENT", 1 << 36)
+    encoded = encode(rig_of(MOMENTS), settings=closed(remembering(tiny_settings)), keyframe=key)
+    ids = encoded.states[3].ids
+    assert int(ids[-1]) >= 1 << 36, "it has Gaussians of its own"
+    assert int(ids[0]) < 1 << 35
+    with open_stream(encoded.path) as stream:
+        assert [digest(frame.state) for frame in stream.frames()] == [digest(state) for state in encoded.states]
+        assert digest(next(iter(stream.frames(4))).state) == digest(encoded.states[4])
