@@ -14,9 +14,12 @@ DECOGS_PAPER = Variant("decogs-paper", "DecoGS, the paper's recipe (preset paper
 BASELINE = Variant("3dgstream", "3DGStream baseline, dense", method="3dgstream")
 METHODS = (DECOGS_AUTO, DECOGS, DECOGS_PAPER, BASELINE)
 HELD = Variant(
-    "keyframe-held", "the keyframe alone, nothing sent after it", {"frame.masks.threshold": 255.0, "frame.cache": None}
+    "keyframe-held",
+    "the keyframe alone, nothing sent after it",
+    {"frame.masks.threshold": 255.0, "frame.masks.light_threshold": 0.0, "frame.cache": None},
 )
-"""No pixel changes by more than 255 levels. What its static PSNR loses, the recording itself has changed."""
+"""No pixel changes by more than 255 levels, and no light is faint. What its static PSNR loses, the recording itself has
+changed."""
 FRESH = Variant("fresh-keyframe", "a keyframe trained on the last frame", frames=-1, own_keyframe=True)
 
 TAUS = (10.0, 25.0, 50.0)
