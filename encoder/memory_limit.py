@@ -2,7 +2,8 @@
 
 Nearly all of it goes with the pixels of the rig: an encode keeps a few floats for each. What a Gaussian takes, in
 training and in the tiles of every view, comes on top. The figures are counted from what is kept, and measured
-(`tests/encoder/test_memory_limit.py`): the estimate is some twice of what an encode takes.
+(`tests/encoder/test_memory_limit.py`): the estimate is some twice of what a keyframe takes, and a twentieth more than
+what later frames of 18 large videos take (DESIGN.md, "Keyframe").
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ _PICTURE = 12
 """Bytes of a pixel of a picture, as floats."""
 _READ = 3
 """Of a pixel of a frame that is read, as the file has it."""
-_DECODER = 16
-"""The same, of what a video's decoder keeps: the pictures that later ones are differences from."""
+_DECODER = 24
+"""The same, of what a video's decoder keeps: the pictures that later ones are differences from (H.264: 23)."""
 _KEYFRAME = 40
 """Of a training pixel while the keyframe is trained: the picture, the same compensated, the shrunk one, what counts in
 the loss and what is kept out of it."""
