@@ -144,7 +144,7 @@ class StreamEncoder:
         state.compensation.begin(corrections)
         with watch.stage("write"):
             written = state.scene.begin_anew(key, corrections)
-        state.cut(frame, watch)
+        state.start_anew(frame, watch)
         return self._report(frame, written, replace(now.change, selected=np.ones(len(key), bool)), watch)
 
     def take_over(self, left: Interrupted, span: range) -> None:

@@ -79,7 +79,7 @@ def replay(state: StreamState, frame: RigFrame, packet: Packet, watch: Stopwatch
         state.scene.take(packet)
         state.compensation.see(state.scene.splats)
         state.compensation.begin(corrections)
-        state.cut(compensated, watch)
+        state.start_anew(compensated, watch)
         everything = np.ones(len(state.scene.state), bool)
         return Replayed(compensated, written, Change([], everything, cut=True))
     state.return_from_flash(compensated, watch)

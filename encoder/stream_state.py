@@ -111,11 +111,11 @@ class StreamState:
         self._start(frame, watch)
 
     def forget(self) -> None:
-        """Frees what shows the scene so far, before another one is trained; `cut` makes it anew."""
+        """Frees what shows the scene so far, before another one is trained; `start_anew` makes it again."""
         self.views.views = []
 
-    def cut(self, frame: RigFrame, watch: Stopwatch) -> None:
-        """Takes a frame of another scene, compensated, whose state stands: nothing is left of the frames before."""
+    def start_anew(self, frame: RigFrame, watch: Stopwatch) -> None:
+        """Takes a frame, compensated, whose state stands: nothing is left of what the frames before handed on."""
         self.compensation.restart()
         self.rate = self._new_rate()
         self._start(frame, watch)
@@ -143,7 +143,7 @@ class StreamState:
         if self._first_frame is None or index % self.settings.segment:
             return False
         self.scene.restart(index)
-        self.cut(self._first_frame, watch)
+        self.start_anew(self._first_frame, watch)
         return True
 
     def rehearse(self, now: FrameInWork, trained: TrainedFrame, settings: FrameSettings) -> FrameInWork:

@@ -24,7 +24,10 @@ class EncodeObserver:
         """
 
     def keyframe_step(self, step: int, steps: int, loss: float) -> None:
-        """A step of the first keyframe's training is done: ``step`` of ``steps``, and the loss before it."""
+        """A step of a keyframe's training is done: ``step`` of ``steps``, and the loss before it.
+
+        Of the first frame, or of a later one that shows another scene.
+        """
 
     def frame(self, report: FrameReport) -> None:
         """A frame is written."""

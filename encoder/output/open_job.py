@@ -35,8 +35,9 @@ class OpenJobProgress(EncodeObserver):
         self._status(f"encoding frame {first}" if first == last else f"encoding frames {first} to {last}")
 
     def keyframe_step(self, step: int, steps: int, loss: float) -> None:
-        self._from = self._KEYFRAME
-        self._progress(self._from * step / steps)
+        if not self._done:  # That of another scene is one of the frames.
+            self._from = self._KEYFRAME
+            self._progress(self._from * step / steps)
 
     def frame(self, report: FrameReport) -> None:
         self._done += report.frame in self._frames

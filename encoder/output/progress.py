@@ -47,7 +47,9 @@ class TerminalProgress(EncodeObserver):
             print(f"memory: up to {facts['memory'] / 2**30:.1f}G", file=self._terminal)
 
     def keyframe_step(self, step: int, steps: int, loss: float) -> None:
-        if self._terminal:
+        if self._terminal and self._keyframe_done:
+            self._bar.set_postfix_str(f"keyframe of another scene {step}/{steps}" if step < steps else "")
+        elif self._terminal:
             bar = self._bar or self._open_bar("keyframe", steps, "step")
             bar.update(step - bar.n)
             if step % 50 == 0:

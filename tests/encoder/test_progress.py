@@ -73,6 +73,22 @@ def test_later_keyframes_open_no_bar_and_replayed_frames_are_told(frame_report: 
     assert shown.count("replayed") == 2
 
 
+def test_the_keyframe_of_another_scene_leaves_the_bar_of_frames_where_it_is(frame_report: FrameReport) -> None:
+    terminal = Terminal()
+    with TerminalProgress(terminal) as progress:
+        progress.started({"frames": [0, 3]})
+        progress.keyframe_step(100, 100, 0.5)
+        progress.frame(replace(frame_report, frame=0, kind="key"))
+        for step in range(1, 101):
+            progress.keyframe_step(step, 100, 0.5)
+        progress.frame(replace(frame_report, frame=1, kind="key", cut=True))
+    shown = terminal.getvalue()
+    assert "keyframe of another scene 1/100" in shown
+    assert "100/3" not in shown
+    assert "2/3 [" in shown
+    assert "another scene" in shown.split("2/3 [")[0]
+
+
 def test_leaving_early_wipes_the_bar() -> None:
     terminal = Terminal()
     with TerminalProgress(terminal) as progress:
