@@ -13,7 +13,7 @@ from decogs.codec.lattice import Lattice, default_lattice, dequantise
 from decogs.codec.state import State
 from decogs.formats.callbacks import OnWarning
 from decogs.formats.container import Packet
-from decogs.formats.errors import RigError, StreamError
+from decogs.formats.errors import RigError, StreamError, TrainingError
 from decogs.formats.splats import sh_degree_of
 
 from .change.detection import Change
@@ -102,7 +102,10 @@ class StreamEncoder:
         returned = state.return_from_flash(compensated, watch)
         now = state.detect(frame, compensated, corrections, watch, restarted=restarted)
         if now.change.cut:
-            return self._encode_cut(now, on_step)
+            key = self._keyframe_of_cut(now, on_step)
+            if key is not None:
+                return self._write_cut(now, key)
+            now = state.not_cut(now)
         plan = state.plan(now)
         effects = plan.effects
         held = bool(effects) and self._is_held(watch)
@@ -120,27 +123,36 @@ class StreamEncoder:
         rejected = trained is not None and trained.rejected
         return replace(report, effects=list(effects), rejected=rejected, uncorrected=uncorrected)
 
-    def _encode_cut(self, now: FrameInWork, on_step: OnKeyframeStep | None) -> FrameReport:
-        """Trains a keyframe of another scene, which goes on with the stream's header and later ids."""
-        state, watch, frame = self._state, now.watch, now.recorded
+    def _keyframe_of_cut(self, now: FrameInWork, on_step: OnKeyframeStep | None) -> State | None:
+        """Trains a keyframe of another scene, for the stream's header and with later ids; None where that fails."""
+        state = self._state
         state.forget()
-        key, _ = train_first_frame(
-            state.kernel,
-            state.ingest,
-            frame,
-            self._settings,
-            watch,
-            seed=state.seed,
-            threads=state.threads,
-            compensation=state.compensation,
-            stopping=self._stopping(),
-            on_step=on_step,
-            header=state.scene.header,
-            first_id=state.scene.state.next_id,
-        )
+        try:
+            key, _ = train_first_frame(
+                state.kernel,
+                state.ingest,
+                now.recorded,
+                self._settings,
+                now.watch,
+                seed=state.seed,
+                threads=state.threads,
+                compensation=state.compensation,
+                stopping=self._stopping(),
+                on_step=on_step,
+                header=state.scene.header,
+                first_id=state.scene.state.next_id,
+            )
+        except TrainingError:
+            # Such as pictures in which no points are found: the frame is trained as others are.
+            state.show_again(now.watch)
+            return None
+        return key
+
+    def _write_cut(self, now: FrameInWork, key: State) -> FrameReport:
+        state, watch = self._state, now.watch
         splats = dequantise(key, state.scene.header.lattice)
         state.compensation.see(splats)
-        frame, corrections = state.compensation.find(frame, splats, state.views, watch)
+        frame, corrections = state.compensation.find(now.recorded, splats, state.views, watch)
         state.compensation.begin(corrections)
         with watch.stage("write"):
             written = state.scene.begin_anew(key, corrections)

@@ -84,6 +84,8 @@ def replay(state: StreamState, frame: RigFrame, packet: Packet, watch: Stopwatch
         return Replayed(compensated, written, Change([], everything, cut=True))
     state.return_from_flash(compensated, watch)
     now = state.detect(frame, compensated, corrections, watch, restarted=restarted)
+    if now.change.cut:
+        now = state.not_cut(now)
     effects = state.plan(now).effects
     trained = np.flatnonzero(now.change.selected) if effects else None
     # What was held is still to be done. With a time budget, a packet of nothing is all that signals it.

@@ -112,7 +112,18 @@ class StreamState:
 
     def forget(self) -> None:
         """Frees what shows the scene so far, before another one is trained; `start_anew` makes it again."""
-        self.views.views = []
+        self.views.views.clear()
+
+    def not_cut(self, now: FrameInWork) -> FrameInWork:
+        """A frame that shows another scene but cannot be a keyframe, as any other frame."""
+        change = self.changes.select_again(replace(now.change, cut=False), len(now.before))
+        return replace(now, change=change)
+
+    def show_again(self, watch: Stopwatch) -> None:
+        """Shows the scene that stands after all, where no other one could be trained."""
+        with watch.stage("commit"):
+            self.views.views.extend(fixed_view(self.kernel, view.pinhole) for view in self.ingest.views)
+            self.views.show(self.scene.splats)
 
     def start_anew(self, frame: RigFrame, watch: Stopwatch) -> None:
         """Takes a frame, compensated, whose state stands: nothing is left of what the frames before handed on."""

@@ -128,11 +128,11 @@ class ChangeDetector:
         self._memory.passed(pictures, held=held)
 
     def _is_cut(self, pictures: Sequence[FloatArray], masks: Sequence[FrameMask], watch: Stopwatch) -> bool:
-        if not self._settings.cuts or self._settings.time_budget is not None:
+        # A keyframe needs every camera.
+        if not self._settings.cuts or self._settings.time_budget is not None or len(showing(masks)) < len(masks):
             return False
         with watch.stage("masks"):
-            used, references = showing(masks), self._memory.references
-            return shows_another_scene([pictures[i] for i in used], [references[i] for i in used])
+            return shows_another_scene(pictures, self._memory.references)
 
     def _shown_on_budget(self) -> list[FloatArray] | None:
         """The views' renderings under a time budget, which may leave a frame unfinished; else None."""

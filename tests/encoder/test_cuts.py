@@ -11,13 +11,16 @@ import cv2
 import numpy as np
 import pytest
 
+import decogs.encoder.loop as loop
 from decogs.codec.digest import digest
 from decogs.decoder.picture_output import to_8bit
 from decogs.decoder.rasterise import render
 from decogs.decoder.stream import open_stream
 from decogs.encoder.change.cuts import shows_another_scene
 from decogs.encoder.settings.compensation import CorrectionSettings
+from decogs.encoder.training.first_frame import train_first_frame
 from decogs.formats.container import PacketKind
+from decogs.formats.errors import TrainingError
 from decogs.formats.splats import join_splats
 
 
@@ -144,6 +147,34 @@ def test_a_cut_inside_and_at_the_start_of_segments(
 def test_no_keyframe_is_trained_within_a_time_budget(cut_rig: Path, encode: Any, tiny_settings: Any) -> None:
     encoded = encode(cut_rig, settings=replace(tiny_settings, time_budget=5.0))
     assert [report.cut for report in encoded.report.frames] == [False] * 4
+
+
+def test_a_cut_that_cannot_be_a_keyframe_is_trained_as_other_frames_are(
+    cut_rig: Path, encode: Any, tiny_settings: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def fails(*arguments: Any, header: Any = None, **options: Any) -> Any:
+        if header is not None:
+            raise TrainingError("no points")
+        return train_first_frame(*arguments, header=header, **options)
+
+    monkeypatch.setattr(loop, "train_first_frame", fails)
+    encoded = encode(cut_rig)
+    assert check_decoded(encoded)[2] == "delta"
+    kept = encode(cut_rig, settings=replace(tiny_settings, cuts=False))
+    assert [digest(state) for state in encoded.states] == [digest(state) for state in kept.states]
+    path = tmp_path / "left.dgs"
+    path.with_name(f"{path.name}.part").write_bytes(encoded.cut_off(3))
+    assert encode(cut_rig, output=path, resume=True).data == encoded.data
+
+
+def test_a_cut_in_which_a_camera_fails_waits_for_no_keyframe(cut_rig: Path, encode: Any, tmp_path: Path) -> None:
+    rig = tmp_path / "rig"
+    shutil.copytree(cut_rig, rig)
+    seen = cv2.imread(str(rig / "cam01" / "0002.png"))
+    assert cv2.imwrite(str(rig / "cam01" / "0002.png"), 0 * seen)
+    encoded = encode(rig)
+    assert encoded.report.frames[2].left_out
+    assert check_decoded(encoded)[2] == "delta"
 
 
 def test_a_camera_that_shows_another_scene_alone_is_no_cut(cut_rig: Path, encode: Any, tmp_path: Path) -> None:
