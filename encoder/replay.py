@@ -74,7 +74,7 @@ def replay(state: StreamState, frame: RigFrame, packet: Packet, watch: Stopwatch
         state.begin(compensated, watch)
         return Replayed(compensated, written, Change([], np.ones(len(state.scene.state), bool)))
     restarted = state.restart(packet.frame, watch)
-    if begins_anew(packet, state):
+    if _begins_anew(packet, state):
         state.forget()
         state.scene.take(packet)
         state.compensation.see(state.scene.splats)
@@ -100,7 +100,7 @@ def replay(state: StreamState, frame: RigFrame, packet: Packet, watch: Stopwatch
     return Replayed(compensated, written, now.change, state.commit(now, trained, effects, held=held))
 
 
-def begins_anew(packet: Packet, state: StreamState) -> bool:
+def _begins_anew(packet: Packet, state: StreamState) -> bool:
     """Whether a packet is the keyframe of another scene: all its Gaussians are younger than any before."""
     if packet.kind != PacketKind.KEY:
         return False

@@ -1,9 +1,10 @@
 """Cuts: from one frame to the next the cameras show another scene, and nothing of the former one is left to follow.
 
 A flash or a lamp changes nearly all pixels as well, but edges stay where they are. So pictures are compared without
-their light: grey, without what is wide, in units of the contrast around each pixel. Correlations of the two, measured
-on rigs of 288x216 to 640x360: 0 to .1 between different scenes, .6 to 1 in one scene whatever moves in it (.6:
-`panoptic_basketball` after two seconds), .97 to 1 where its light becomes ten times fainter or four times stronger.
+their light: shrunk to some 320 pixels across, grey, without what is wide, in units of the contrast around each pixel.
+Correlations of the two, on rigs of 336x252 to 1352x1014: -.06 to .1 between different scenes; .57 to 1, the median over
+the views, in one scene whatever moves in it (.57: `panoptic_basketball` after two seconds); .97 to 1 where its light
+becomes ten times fainter or four times stronger.
 
 Rejected: the share of changed pixels alone (a lamp changes them all), and training on from the scene before, which ends
 6 to 8 dB lower (DESIGN.md, "Training of later frames").
@@ -25,8 +26,10 @@ _SHOWS = 0.2
 train: pictures have .4 to .8, noise of three levels has less than .2."""
 _FAINT = np.float32(4 / 255)
 """Contrast that counts as much as noise and rounding."""
+_WIDTH = 320
+"""Pixels across that are left at least: more would cost seconds a frame where light changes all of large pictures."""
 _NARROW, _PER_WIDTH = 1.5, 0.01
-"""Deviation of the blur that takes away what is wide: pixels at least, and a share of the picture's width."""
+"""Deviation of the blur that takes away what is wide: pixels at least, and a share of the shrunk picture's width."""
 
 
 def shows_another_scene(pictures: Sequence[FloatArray], before: Sequence[FloatArray]) -> bool:
@@ -39,8 +42,12 @@ def shows_another_scene(pictures: Sequence[FloatArray], before: Sequence[FloatAr
 
 
 def _edges(picture: FloatArray) -> FloatArray:
-    """What is left of a picture without its light, (H, W): about 1 at an edge, 0 where nothing is to be seen."""
-    grey = cv2.GaussianBlur(np.clip(picture, 0, 1).mean(axis=0), (0, 0), 1.0)
+    """What is left of a picture without its light, shrunk: about 1 at an edge, 0 where nothing is to be seen."""
+    factor = max(1, picture.shape[2] // _WIDTH)
+    grey = np.clip(picture, 0, 1).mean(axis=0)
+    if factor > 1:
+        grey = cv2.resize(grey, None, fx=1 / factor, fy=1 / factor, interpolation=cv2.INTER_AREA)
+    grey = cv2.GaussianBlur(grey, (0, 0), 1.0)
     wide = max(_NARROW, _PER_WIDTH * grey.shape[1])
     narrow = grey - cv2.GaussianBlur(grey, (0, 0), wide)
     contrast = np.sqrt(cv2.GaussianBlur(np.square(narrow), (0, 0), 2 * wide))

@@ -39,8 +39,8 @@ class EncodeSettings:
     scene does not depend on it, only how frames are coded, unless segments are ``closed``: each one then starts from
     the first keyframe's Gaussians and depends on no other segment (`closed_segments`), and ``catch_up`` is how often
     its first frame is trained, one time after the other. More is slower and larger, and nearer to the pictures.
-    ``cuts``: a frame that shows another scene gets a new keyframe, except with a time budget. Slower and larger there,
-    and right.
+    ``cuts``: a frame that shows another scene gets a new keyframe, except with a time budget. Fewer keyframes are
+    faster, and 6 to 8 dB worse there.
     ``frame_budget``: mean bytes of the frames after the first, kept by ``rate_control``, a name in RATE_CONTROLS. Lower
     is less exact; None codes what ``frame.significance`` says.
     ``time_budget``: mean seconds of the frames after the first. Higher is slower; None runs the whole schedule.

@@ -155,9 +155,8 @@ def finished(parts: Sequence[float], places: int, lost: int = 0) -> float:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Seconds and bytes of a take on so many machines."""
+    """Seconds and bytes of a take on some number of machines."""
 
-    machines: int
     wall: float
     cpu: float
     read: float
@@ -180,7 +179,7 @@ def simulate(take: Take, machine: Machine, machines: int, lost: int = 0) -> Outc
     parts, walls = take.parts(), part_walls(take, machine)
     wall = keyframe_wall(take, machine) + finished(walls, machines * slots(take, machine), lost) + take.join_cpu
     cpu = take.keyframe_cpu + sum(parts) + sum(parts[:lost]) + (len(parts) + lost) * take.start + take.join_cpu
-    return Outcome(machines, wall, cpu, (len(parts) + lost) * take.part_bytes())
+    return Outcome(wall, cpu, (len(parts) + lost) * take.part_bytes())
 
 
 def span(seconds: float) -> str:

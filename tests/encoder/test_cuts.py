@@ -45,8 +45,12 @@ def lit(planes: np.ndarray, gain: float) -> np.ndarray:
     return (np.minimum(planes**2.2 * gain, 1) ** (1 / 2.2)).astype(np.float32)
 
 
-def test_other_pictures_are_another_scene() -> None:
-    now, before = ([picture(seed, noise=1.2) for seed in seeds] for seeds in ((1, 2, 3), (4, 5, 6)))
+@pytest.mark.parametrize("times", [1, 5])
+def test_other_pictures_are_another_scene(times: int) -> None:
+    """Whatever their size."""
+    seeds = ((1, 2, 3), (4, 5, 6))
+    now, before = ([picture(seed, noise=1.2).repeat(times, 1).repeat(times, 2) for seed in each] for each in seeds)
+    assert not shows_another_scene(before, before)
     assert shows_another_scene(now, before)
     assert shows_another_scene([each[:, ::-1].copy() for each in before], before), "turned upside down"
     assert not shows_another_scene([], [])
