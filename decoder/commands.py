@@ -304,8 +304,9 @@ def _view(options: argparse.Namespace) -> None:
     with view(
         options.stream, port=options.port, follow=options.follow, idle=idle, browser=browser, rig=options.rig
     ) as served:
-        print_text(f"{options.stream}: {served.url} (Ctrl-C ends it)")
+        # From the moment the address is out, Ctrl-C is how it ends.
         with suppress(KeyboardInterrupt):
+            print_text(f"{options.stream}: {served.url} (Ctrl-C ends it)")
             served.wait()
 
 
