@@ -301,13 +301,15 @@ def _view(options: argparse.Namespace) -> None:
 
     idle = DEFAULT_IDLE if options.idle is None else options.idle
     browser = False if options.no_browser else None
-    with view(
-        options.stream, port=options.port, follow=options.follow, idle=idle, browser=browser, rig=options.rig
-    ) as served:
-        # From the moment the address is out, Ctrl-C is how it ends.
-        with suppress(KeyboardInterrupt):
-            print_text(f"{options.stream}: {served.url} (Ctrl-C ends it)")
-            served.wait()
+    # From the moment the address is out, Ctrl-C is how it ends.
+    with (
+        view(
+            options.stream, port=options.port, follow=options.follow, idle=idle, browser=browser, rig=options.rig
+        ) as served,
+        suppress(KeyboardInterrupt),
+    ):
+        print_text(f"{options.stream}: {served.url} (Ctrl-C ends it)")
+        served.wait()
 
 
 def _write_site(options: argparse.Namespace) -> None:
