@@ -68,6 +68,29 @@ def empty_splats(sh_degree: int) -> Splats:
     return Splats(*(np.zeros(s, np.float32) for s in ((0, 3), (0, 3), (0, 4), (0,), (0, k, 3))))
 
 
+def round_splats(
+    xyz: NDArray[Any], rgb: NDArray[Any], sigmas: NDArray[Any], opacities: NDArray[Any], sh_degree: int
+) -> Splats:
+    """Round Gaussians of one colour from everywhere.
+
+    ``xyz`` (N, 3) world; ``rgb`` (N, 3) 0 to 1, display-referred; ``sigmas`` (N,) world units; ``opacities`` (N,)
+    between 0 and 1.
+    """
+    count = len(xyz)
+    sh = np.zeros((count, (sh_degree + 1) ** 2, 3), np.float32)
+    sh[:, 0] = (rgb - np.float32(0.5)) / np.float32(SH_C0)
+    quaternions = np.zeros((count, 4), np.float32)
+    quaternions[:, 0] = 1.0
+    log_sigmas = np.log(np.maximum(sigmas, 1e-12)).astype(np.float32)
+    return Splats(
+        np.ascontiguousarray(xyz, np.float32),
+        np.repeat(log_sigmas[:, None], 3, axis=1),
+        quaternions,
+        np.asarray(logit(opacities), np.float32),
+        sh,
+    )
+
+
 def take_splats(splats: Splats, rows: NDArray[Any]) -> Splats:
     """The Gaussians at ``rows`` (indices or a boolean mask), in that order."""
     return Splats(

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .plane_sweep import DepthMap
-from .views import Array, SweepView, between, inside, pixel_rays, project
+from .views import Array, SweepView, between, floats, inside, pixel_rays, project
 
 _TOLERANCE = 1.0
 """Largest difference of equal depths, as a displacement in the other picture, in pixels."""
@@ -23,6 +23,8 @@ _LOOK_ALIKE = 0.5
 _WINDOW = 7
 _NOISE_VARIANCE = 0.01**2
 _DETAIL, _UNEVEN = 0.6, 2.0
+_EVEN, _SPECK = 0.03, 1e-3
+"""Relative change of depth from pixel to pixel within a patch, and share of a picture up to which it is a speck."""
 _JUMP = 0.08
 """Relative change of inverse depth within 3 x 3 pixels at an occlusion edge."""
 
@@ -113,6 +115,26 @@ def _similarities(view: SweepView, others: Sequence[SweepView], places: Sequence
     return scores
 
 
+def _better_half(scores: Array) -> Array:
+    """Mean (H, W) over the better half of those of the similarities (K, H, W) that come from a view."""
+    half = np.maximum(((scores > -1).sum(axis=0) + 1) // 2, 1)
+    best = np.arange(len(scores))[:, None, None] < half
+    return floats((np.sort(scores, axis=0)[::-1] * best).sum(axis=0) / half)
+
+
+def _specks(keep: NDArray[np.bool_], inverse_depth: Array) -> NDArray[np.bool_]:
+    """Pixels of ``keep`` in patches of even depth that are so small that they may be chance."""
+    if not keep.any():
+        return keep
+    # As 16-bit integers, for OpenCV: hundredths of a per cent, relative to the middle.
+    steps, nothing = 1e4, np.iinfo(np.int16).min
+    relative = np.log(np.where(keep, inverse_depth, 1)) - np.log(np.median(inverse_depth[keep]))
+    depths = np.clip(np.round(relative * steps), -32_000, 32_000)
+    patches = np.where(keep, depths, nothing).astype(np.int16)
+    cv2.filterSpeckles(patches, float(nothing), round(_SPECK * keep.size), _EVEN * steps)
+    return np.asarray(keep & (patches == nothing))
+
+
 def _edges(inverse_depth: Array) -> NDArray[np.bool_]:
     """Pixels at an occlusion edge: their windows cover two surfaces, their colours may be mixed."""
     kernel = np.ones((3, 3), np.uint8)
@@ -135,19 +157,20 @@ def agree(
 ) -> Candidates:
     """The points of one view's depth map that other views confirm.
 
-    A confirmed point has the same depth in at least one view in ``neighbours`` (two, of at least four), similar texture
-    in the better half of the views in ``matched`` (the first of ``neighbours``), and no more views that see through it.
-    Inverse depths are means over the consistent views.
+    A confirmed point has the same depth in at least one view in ``neighbours`` (two, if it falls into four pictures; in
+    one, so have the points around it), similar texture in the better half of the views in ``matched`` (the first of
+    ``neighbours``) into whose pictures it falls, and no more views that see through it. Inverse depths are means over
+    the consistent views.
     """
     view, own = views[index], depths.inverse_depth
     places = [_project_surface(view, views[j], own) for j in neighbours]
     total, count, through = own.copy(), np.zeros(own.shape, np.float32), np.zeros(own.shape, np.float32)
-    usable = 0
+    usable = np.zeros(own.shape, np.int64)
     for j, place in zip(neighbours, places, strict=True):
         depths_j = maps[j]
         if depths_j is None:
             continue
-        usable += 1
+        usable += _within(views[j], place.u, place.v)
         seen = _sample(depths_j.inverse_depth, place.u, place.v, 0.0)
         valid = (seen > 0) & (place.depth > 0) & _within(views[j], place.u, place.v)
         pixels = (place.depth * seen - 1) * (_sideways(view, views[j]) / np.maximum(place.depth, 1e-12))
@@ -158,10 +181,10 @@ def agree(
         count += same
         through += valid & (pixels < -3 * _TOLERANCE)
     inverse_depth = total / (count + 1)
-    scores = _similarities(view, [views[j] for j in matched], places[: len(matched)])
-    score = np.sort(scores, axis=0)[::-1][: (len(matched) + 1) // 2].mean(axis=0)
-    keep = (count >= (2 if usable >= 4 else 1)) & (score >= _LOOK_ALIKE) & (through <= count)
+    score = _better_half(_similarities(view, [views[j] for j in matched], places[: len(matched)]))
+    keep = (count >= np.where(usable >= 4, 2, 1)) & (score >= _LOOK_ALIKE) & (through <= count)
     keep &= (inverse_depth > 1e-12) & ~_edges(own)
+    keep &= (count >= 2) | ~_specks(keep, inverse_depth)
     row, column = np.nonzero(keep)
     inverse = inverse_depth[keep]
     depth = 1 / inverse.astype(np.float64)

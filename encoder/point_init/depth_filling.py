@@ -44,8 +44,8 @@ def fill_depths(known: Array) -> Array:
     """
     planes, flat = _local_planes(known)
     if np.count_nonzero(flat) < _MIN_PLANES:
-        return _push_pull(known[..., None], _weights(known))[..., 0]
-    planes = _push_pull(planes, np.where(flat, _weights(known), 0))
+        return push_pull(known[..., None], _weights(known))[..., 0]
+    planes = push_pull(planes, np.where(flat, _weights(known), 0))
     u, v = _coordinates(known.shape)
     nearest, farthest = np.percentile(known[known > 0], [99, 1])
     continued = floats(planes[..., 0] * u + planes[..., 1] * v + planes[..., 2])
@@ -108,7 +108,7 @@ def _window_mean(values: F64, reach: int) -> F64:
     return np.asarray(cv2.boxFilter(values, cv2.CV_64F, (2 * reach + 1,) * 2, borderType=cv2.BORDER_CONSTANT))
 
 
-def _push_pull(values: Array, weights: Array) -> Array:
+def push_pull(values: Array, weights: Array) -> Array:
     """Values (H, W, C) of pixels with weights (H, W) above 0, spread into the gaps between them.
 
     Push-pull interpolation: a gap gets the weighted mean of growing surroundings, up to the first with any value.

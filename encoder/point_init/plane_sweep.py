@@ -63,17 +63,24 @@ def _behind(homography: NDArray[np.float64], width: int, height: int) -> NDArray
     return np.asarray(a * np.arange(width) + b * np.arange(height)[:, None] + c <= 0)
 
 
-def _better_half(costs: list[Array]) -> Array:
-    """Twice the mean of the better half of up to four costs: points occluded in some neighbours show in others."""
+def _better_half(costs: list[Array], looking: NDArray[np.uint8]) -> Array:
+    """Twice the mean of the better half of up to four costs: points occluded in some neighbours show in others.
+
+    ``looking`` (H, W): how many of the neighbours' pictures the points fall into; of one, its own cost counts alone.
+    """
     if len(costs) == 1:
         return costs[0] * 2
     if len(costs) == 2:
         return floats(cv2.min(costs[0], costs[1])) * 2
     if len(costs) == 3:
-        return costs[0] + costs[1] + costs[2] - floats(cv2.max(cv2.max(costs[0], costs[1]), costs[2]))
-    low0, high0 = cv2.min(costs[0], costs[1]), cv2.max(costs[0], costs[1])
-    low1, high1 = cv2.min(costs[2], costs[3]), cv2.max(costs[2], costs[3])
-    return floats(cv2.add(cv2.min(low0, low1), cv2.min(cv2.max(low0, low1), cv2.min(high0, high1))))
+        best = cv2.min(cv2.min(costs[0], costs[1]), costs[2])
+        half = costs[0] + costs[1] + costs[2] - floats(cv2.max(cv2.max(costs[0], costs[1]), costs[2]))
+    else:
+        low0, high0 = cv2.min(costs[0], costs[1]), cv2.max(costs[0], costs[1])
+        low1, high1 = cv2.min(costs[2], costs[3]), cv2.max(costs[2], costs[3])
+        best = cv2.min(low0, low1)
+        half = floats(cv2.add(best, cv2.min(cv2.max(low0, low1), cv2.min(high0, high1))))
+    return np.where(looking == 1, 2 * floats(best), half)
 
 
 def matching_costs(view: SweepView, neighbours: Sequence[SweepView], planes: Array) -> Costs:
@@ -84,6 +91,7 @@ def matching_costs(view: SweepView, neighbours: Sequence[SweepView], planes: Arr
     mappings = [between(view, other) for other in neighbours]
     for d, inverse_depth in enumerate(planes):
         per_view: list[Array] = []
+        looking = np.zeros((view.height, view.width), np.uint8)
         for other, (matrix, offset) in zip(neighbours, mappings, strict=True):
             homography = matrix + np.outer(offset, (0.0, 0.0, float(inverse_depth)))
             warped = cv2.warpPerspective(
@@ -97,10 +105,11 @@ def matching_costs(view: SweepView, neighbours: Sequence[SweepView], planes: Arr
             hidden = _behind(homography, *size)
             if hidden is not None:
                 warped[hidden] = _OUTSIDE
+            looking += warped > _OUTSIDE / 2
             cv2.absdiff(warped, view.normalised, dst=warped)
             cv2.threshold(warped, _TRUNCATION, 0, cv2.THRESH_TRUNC, dst=warped)
             per_view.append(floats(cv2.blur(warped, (3, 3))))
-        cost = cv2.convertScaleAbs(_better_half(per_view), alpha=_COST_SCALE)
+        cost = cv2.convertScaleAbs(_better_half(per_view, looking), alpha=_COST_SCALE)
         upright[:, d] = cost
         turned[:, d] = cv2.transpose(cost)
     return Costs(upright, turned)

@@ -27,6 +27,8 @@ class KeyframeSettings:
     schedule, the others to ``late_decay`` over its second half.
     ``settle_iterations``: steps in which rotations and colours, then sizes, then positions are fixed on the lattice
     while the rest adapts. More is slower.
+    ``surroundings``: how far Gaussians go on beside the pictures, where no view looks, in units of their width; 0: not
+    at all. They are at most ``surroundings_fraction`` of the cap. More is larger.
     ``rd_lambda``: the rate-distortion trade-off of rotations and view-dependent colours: squared change of a picture's
     mean loss, in millionths, per bit. Higher is smaller and less exact; 0 rounds to the nearest.
     ``optimiser``, ``densification``: names in OPTIMISERS and DENSIFICATIONS.
@@ -53,6 +55,13 @@ class KeyframeSettings:
     means_decay: float = 0.05
     late_decay: float = 0.2
     settle_iterations: int = 300
+    surroundings: float = 0.5
+    surroundings_fraction: float = 0.025
     rd_lambda: float = 2.3e-3
     optimiser: str = "adam"
     densification: str = "clone-split"
+
+    @property
+    def seen_cap(self) -> int:
+        """Gaussians at most that views see; the rest of the cap is for those beside the pictures."""
+        return self.cap - (round(self.surroundings_fraction * self.cap) if self.surroundings else 0)

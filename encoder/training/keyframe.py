@@ -20,7 +20,7 @@ from decogs.codec.lattice import Lattice, default_lattice, dequantise, quantise,
 from decogs.codec.state import Attributes
 from decogs.formats.cameras import camera_centre
 from decogs.formats.errors import TrainingError
-from decogs.formats.splats import SH_C0, FloatArray, Splats, logit, sigmoid, take_splats
+from decogs.formats.splats import FloatArray, Splats, round_splats, sigmoid, take_splats
 
 from ..input.compensation import Corrector
 from ..input.ingest import View
@@ -38,6 +38,7 @@ from .optimiser import OPTIMISERS
 from .schedule import WHOLE, StoppingRule, TargetWatch
 from .significance import cheapest, picture_weight
 from .stretch import step_unstretched
+from .surroundings import surroundings
 from .view_order import view_order
 
 _CORRECT_EVERY, _CORRECT_FROM, _CORRECT_TO = 0.04, 0.05, 0.6
@@ -68,21 +69,9 @@ def splats_from_points(points: FirstPoints, settings: KeyframeSettings) -> Splat
 
     Points whose places are not known get a size and an opacity of their own.
     """
-    count, coefficients = len(points.xyz), (settings.sh_degree + 1) ** 2
     sizes = np.where(points.placed, settings.start_size, settings.guess_size).astype(np.float32)
     opacities = np.where(points.placed, settings.start_opacity, settings.guess_opacity)
-    sh = np.zeros((count, coefficients, 3), np.float32)
-    sh[:, 0] = (points.rgb - 0.5) / SH_C0
-    quaternions = np.zeros((count, 4), np.float32)
-    quaternions[:, 0] = 1.0
-    log_scales = np.log(np.maximum(points.spacing * sizes, 1e-12), dtype=np.float32)
-    return Splats(
-        np.ascontiguousarray(points.xyz, np.float32),
-        np.repeat(log_scales[:, None], 3, axis=1),
-        quaternions,
-        np.asarray(logit(opacities), np.float32),
-        sh,
-    )
+    return round_splats(points.xyz, points.rgb, points.spacing * sizes, opacities, settings.sh_degree)
 
 
 def train_keyframe(
@@ -140,7 +129,9 @@ def prealigned_pictures(
 
     For a second point initialisation: pictures of a rotated camera match no others to the pixel.
     """
-    short = replace(settings, iterations=_PREALIGNMENT_STEPS, validation_fraction=0.0, settle_iterations=0)
+    short = replace(
+        settings, iterations=_PREALIGNMENT_STEPS, validation_fraction=0.0, settle_iterations=0, surroundings=0.0
+    )
     random = np.random.default_rng(seed)
     training = _KeyframeTraining(
         kernel, views, pictures, points, short, random=random, corrector=corrector, fit=as_ever(short)
@@ -183,19 +174,39 @@ class _KeyframeTraining:
 
     def run(self, on_step: OnKeyframeStep | None) -> TrainedKeyframe:
         steps = self._train(on_step)
+        self._check_learnt()
+        beside = self._continue_beside()
         lattice = self._settle_on_lattice(steps, on_step)
+        self._check_learnt()
         splats = self._optimiser.splats
-        seen = self._seen(splats)
+        seen, trained = self._seen(splats), len(splats) - beside
+        if not seen[:trained].any():
+            raise TrainingError("no camera sees a Gaussian after training; lower the learning rates")
+        seen[trained:] = True
         if not seen.all():
             splats = take_splats(splats, seen)
-        self._check_learnt(splats)
         return TrainedKeyframe(splats, lattice, steps)
 
-    def _check_learnt(self, splats: Splats) -> None:
-        """Raises TrainingError when training has diverged: no Gaussian is visible, or the loss has not fallen."""
+    def _continue_beside(self) -> int:
+        """Adds what goes on beside the pictures, which training leaves black; returns how many Gaussians."""
+        settings = self._settings
+        if not settings.surroundings:
+            return 0
+        more = surroundings(
+            self._kernel,
+            self._views,
+            self._pictures,
+            self._optimiser.splats,
+            reach=settings.surroundings,
+            most=settings.cap - settings.seen_cap,
+        )
+        self._optimiser.append(more)
+        self._renew_gradients()
+        return len(more)
+
+    def _check_learnt(self) -> None:
+        """Raises TrainingError when training has diverged: the loss has not fallen."""
         count = len(self._views)
-        if not len(splats):
-            raise TrainingError("no camera sees a Gaussian after training; lower the learning rates")
         rounds = [
             [sum(values[i : i + count]) / count for i in range(0, len(values) - count + 1, count)]
             for values in self._values
@@ -366,7 +377,7 @@ class _KeyframeTraining:
             return
         splats = self._optimiser.splats
         keep = sigmoid(splats.opacity_logits) >= settings.prune_opacity
-        room = settings.cap - int(keep.sum())
+        room = settings.seen_cap - int(keep.sum())
         growth = DENSIFICATIONS.get(settings.densification)(
             splats,
             self._view_gradients.mean(),

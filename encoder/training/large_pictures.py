@@ -64,7 +64,7 @@ class PictureFit:
 
 def as_ever(settings: KeyframeSettings) -> PictureFit:
     """The schedule of small pictures, whatever their size."""
-    return PictureFit((PictureScale(0, 1),), settings.cap, 1.0)
+    return PictureFit((PictureScale(0, 1),), settings.seen_cap, 1.0)
 
 
 def fit_to_pictures(cameras: Sequence[Camera], settings: KeyframeSettings) -> PictureFit:
@@ -78,7 +78,7 @@ def fit_to_pictures(cameras: Sequence[Camera], settings: KeyframeSettings) -> Pi
     each = _FINE_FROM * settings.iterations / (len(factors) - 1)
     scales = tuple(PictureScale(round(number * each), factor) for number, factor in enumerate(factors))
     longer = (pixels / LARGE) ** 0.5
-    return PictureFit(scales, round(settings.cap * max(_FEWEST_FIRST, 1 / longer)), longer)
+    return PictureFit(scales, round(settings.seen_cap * max(_FEWEST_FIRST, 1 / longer)), longer)
 
 
 def shrunk_camera(camera: Camera, factor: int) -> Camera:

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.formats.cameras import Camera, camera_centre, in_camera, in_picture, ray_slopes, turned
-from decogs.formats.splats import SH_C0, FloatArray, Splats, empty_splats, logit
+from decogs.formats.splats import FloatArray, Splats, empty_splats, round_splats
 
 from ..numerics import bilinear
 from ..parallel import Each, side_by_side
@@ -353,13 +353,5 @@ def _splats(found: _Found, cores: Sequence[BoolArray], settings: EmergenceSettin
     # A view shows half of a body's surface. The spacing is in pixels, for seeds that cover all of it.
     area = 2 * sum(int(core.sum()) for core in cores) / len(cores)
     spacing = float(np.clip(np.sqrt(area / count), 1.5, 6.0))
-    sigma = _SIGMA_PER_SPACING * spacing * found.pixel
-    sh = np.zeros((count, (sh_degree + 1) ** 2, 3), np.float32)
-    sh[:, 0] = (found.colours - np.float32(0.5)) / np.float32(SH_C0)
-    return Splats(
-        np.ascontiguousarray(found.points, np.float32),
-        np.repeat(np.log(sigma)[:, None], 3, axis=1).astype(np.float32),
-        np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
-        np.full(count, logit(settings.opacity), np.float32),
-        sh,
-    )
+    sigmas = _SIGMA_PER_SPACING * spacing * found.pixel
+    return round_splats(found.points, found.colours, sigmas, np.full(count, settings.opacity), sh_degree)

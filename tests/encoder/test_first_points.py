@@ -15,7 +15,7 @@ from decogs.encoder.point_init.cloud import Cloud, ViewDepths, neighbour_distanc
 from decogs.encoder.point_init.depth_filling import continues, fill_depths
 from decogs.encoder.point_init.frusta import DepthRange, shared_depths
 from decogs.encoder.point_init.plane_sweep import DepthMap, choose_planes, sweep
-from decogs.encoder.point_init.views import make_view
+from decogs.encoder.point_init.views import inside, make_view, pixel_rays, project
 from decogs.formats.cameras import Camera, camera_centre
 from decogs.formats.errors import TrainingError
 
@@ -245,6 +245,25 @@ def test_sweep_finds_the_depth_of_the_whole_picture() -> None:
     assert np.mean(np.abs(ratio - 1) > 0.05) < 0.25
 
 
+def test_where_one_neighbour_alone_looks_it_is_believed() -> None:
+    """A view of a ring and four neighbours, 40 and 80 degrees away: 15 % of it is in one other picture only."""
+    cameras = ring((0, 40, -40, 80, -80))
+    photographs = [photograph(camera) for camera in cameras]
+    views = [make_view(camera, picture, 1.0) for camera, (picture, _) in zip(cameras, photographs, strict=True)]
+    truth = photographs[0][1]
+    u, v = np.meshgrid(np.arange(WIDTH, dtype=np.float64), np.arange(HEIGHT, dtype=np.float64))
+    xyz = views[0].centre + pixel_rays(views[0], u, v) * truth[..., None]
+    looking = sum(inside(other, *project(other, xyz)[:2]).astype(int) for other in views[1:])
+    alone = looking == 1
+    assert alone.mean() > 0.1
+    planes = choose_planes(views[0], views[1:], DepthRange(0.8 * truth.min(), 1.2 * truth.max()), 128)
+    ratio = sweep(views[0], views[1:], planes).inverse_depth * truth
+    assert np.mean(np.abs(ratio[alone] - 1) < 0.05) > 0.5
+    exact = [DepthMap(1 / depth.astype(np.float32)) for _, depth in photographs]
+    confirmed = agree(views, 0, [1, 2, 3, 4], [1, 2, 3, 4], exact[0], exact)
+    assert alone[confirmed.row, confirmed.column].sum() > 0.3 * alone.sum()
+
+
 def test_what_more_views_see_through_than_see_is_no_surface() -> None:
     """Of five neighbours two or three have the same depths; to the others the surface lies three times as far away."""
     photographs = [photograph(camera) for camera in ARC[1:7]]
@@ -322,7 +341,7 @@ def test_planes_are_trusted_to_go_on_near_what_is_known_and_no_farther() -> None
 def test_points_go_on_over_a_wall_that_one_camera_sees(arc_points: FirstPoints) -> None:
     """They lie on the surface as nearly as confirmed ones do, though no second view tells where it is."""
     continued = arc_points.placed & ~arc_points.seen.any(axis=0)
-    assert continued.sum() > 50
+    assert continued.sum() > 30
     pixel = 3.0 / FOCAL
     assert np.median(distance_to_surface(arc_points.xyz[continued])) < 2 * pixel
 

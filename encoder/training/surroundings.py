@@ -1,0 +1,165 @@
+"""Gaussians beside the training pictures: what is there goes on, blurred, instead of ending in black.
+
+A free viewpoint looks past the borders of all pictures. Depths go on as planes, colours as ever wider means of what is
+at the border, so that detail fades with the distance from it. No picture contradicts these Gaussians: none stands where
+one looks. Rejected: a background of the pictures' mean colour, which shows through surfaces in training.
+Figures: DESIGN.md, "Keyframe".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.formats.cameras import Camera, camera_centre, in_picture, project, ray_slopes, scale_camera, turned
+from decogs.formats.splats import FloatArray, Splats, round_splats
+
+from ..input.ingest import View
+from ..input.resizing import resized, resized_plane
+from ..point_init.depth_filling import fill_depths, push_pull
+from ..rasterise import TrainingKernel
+
+_WIDTH = 96
+"""Pixels of a shrunk picture's width: what goes on is blurred."""
+_CELL, _COARSER = 3, 1.25
+"""Distance of the Gaussians in shrunk pictures, in pixels, and its factor while there are too many."""
+_RINGS = ((0.0, 0.33, 1), (0.33, 1.0, 2))
+"""From and to where in a margin they are how many times as far apart."""
+_SIZE = 0.6
+"""Their sigma in units of this distance: together they are closed."""
+_CLEAR = 1.0
+"""Distance from every picture, in sigmas: what reaches in changes a picture that is trained already."""
+_OPACITY = 0.9
+_SOLID = 0.5
+"""Opacity from which a pixel's depth is that of a surface."""
+
+
+@dataclass(frozen=True)
+class _WidePicture:
+    """A shrunk picture with a margin of ``margin`` pixels on every side, into which it goes on.
+
+    ``inverse_depth`` (H, W), 1 / world units; ``rgb`` (H, W, 3), 0..1.
+    """
+
+    camera: Camera
+    margin: int
+    inverse_depth: FloatArray
+    rgb: FloatArray
+
+
+@dataclass(frozen=True)
+class _Blobs:
+    """``xyz`` (P, 3) world, ``rgb`` (P, 3) 0..1, ``sigma`` (P,) world units."""
+
+    xyz: NDArray[np.float64]
+    rgb: FloatArray
+    sigma: NDArray[np.float64]
+
+
+def surroundings(
+    kernel: TrainingKernel,
+    views: Sequence[View],
+    pictures: Sequence[FloatArray],
+    splats: Splats,
+    *,
+    reach: float,
+    most: int,
+) -> Splats:
+    """At most ``most`` Gaussians where no view looks, up to ``reach`` of a picture's width beside the pictures.
+
+    ``pictures`` (3, H, W) are those of ``views``; depths are those of the trained ``splats``.
+    """
+    wide = [_widened(kernel, *each, splats, reach) for each in zip(views, pictures, strict=True)]
+    cell = float(_CELL)
+    blobs = _blobs_beside(views, wide, cell)
+    while len(blobs.xyz) > most:
+        cell *= _COARSER
+        blobs = _blobs_beside(views, wide, cell)
+    return round_splats(blobs.xyz, blobs.rgb, blobs.sigma, np.full(len(blobs.xyz), _OPACITY), splats.sh_degree)
+
+
+def _widened(kernel: TrainingKernel, view: View, picture: FloatArray, splats: Splats, reach: float) -> _WidePicture:
+    camera = scale_camera(view.pinhole, min(1.0, _WIDTH / view.pinhole.width))
+    margin = round(reach * camera.width)
+    wide = replace(
+        camera,
+        width=camera.width + 2 * margin,
+        height=camera.height + 2 * margin,
+        cx=camera.cx + margin,
+        cy=camera.cy + margin,
+    )
+    rendered = kernel.forward(splats, camera, depth=True)
+    assert rendered.depth is not None
+    recorded = np.ones_like(rendered.alpha) if view.valid is None else resized_plane(view.valid, camera)
+    solid = (rendered.alpha >= _SOLID) & (rendered.depth > 0) & (recorded > 0.999)
+    inverse = np.divide(rendered.alpha, rendered.depth, out=np.zeros_like(rendered.depth), where=solid)
+    colours = resized(picture, camera).transpose(1, 2, 0)
+    border = ((margin, margin), (margin, margin))
+    known = np.pad(inverse, border)
+    return _WidePicture(
+        wide,
+        margin,
+        fill_depths(known) if solid.any() else known,
+        push_pull(np.pad(colours, (*border, (0, 0))), np.pad(recorded, border)),
+    )
+
+
+def _blobs_beside(views: Sequence[View], wide: Sequence[_WidePicture], distance: float) -> _Blobs:
+    """One in each cell of a margin into which none of those before falls, where no view looks."""
+    blobs = _Blobs(np.zeros((0, 3)), np.zeros((0, 3), np.float32), np.zeros(0))
+    for begin, end, factor in _RINGS:
+        cell = round(factor * distance)
+        for picture in wide:
+            row, column = _free_cells(picture, blobs.xyz, cell, begin, end)
+            more = _blobs_at(picture, row, column, cell)
+            unseen = ~_shown(views, more)
+            blobs = _Blobs(
+                np.concatenate([blobs.xyz, more.xyz[unseen]]),
+                np.concatenate([blobs.rgb, more.rgb[unseen]]),
+                np.concatenate([blobs.sigma, more.sigma[unseen]]),
+            )
+    return blobs
+
+
+def _shown(views: Sequence[View], blobs: _Blobs) -> NDArray[np.bool_]:
+    """Which of them reach into the picture of a view."""
+    shown = np.zeros(len(blobs.xyz), np.bool_)
+    for camera in (view.pinhole for view in views):
+        u, v, depth = project(camera, blobs.xyz)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            x, y = (_CLEAR * focal * blobs.sigma / depth for focal in (camera.fx, camera.fy))
+        shown |= (depth > 0) & (u > -x) & (u < camera.width + x) & (v > -y) & (v < camera.height + y)
+    return shown
+
+
+def _free_cells(
+    picture: _WidePicture, xyz: NDArray[np.float64], cell: int, begin: float, end: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows and columns (P,) of the middles of cells that hold none of the points, from ``begin`` to ``end`` of the
+    margin."""
+    camera, margin = picture.camera, picture.margin
+    taken = np.zeros((-(-camera.height // cell), -(-camera.width // cell)), np.bool_)
+    u, v, depth = project(camera, xyz)
+    inside = in_picture(camera, u, v, depth)
+    taken[v[inside].astype(np.int64) // cell, u[inside].astype(np.int64) // cell] = True
+    row, column = (axis.ravel() for axis in np.mgrid[cell // 2 : camera.height : cell, cell // 2 : camera.width : cell])
+    nearer = np.minimum(np.minimum(row, camera.height - 1 - row), np.minimum(column, camera.width - 1 - column))
+    off = (margin - nearer) / max(margin, 1)
+    free = (off > begin) & (off <= end) & ~taken[row // cell, column // cell]
+    free &= picture.inverse_depth[row, column] > 1e-12
+    return row[free], column[free]
+
+
+def _blobs_at(picture: _WidePicture, row: NDArray[np.int64], column: NDArray[np.int64], cell: int) -> _Blobs:
+    camera = picture.camera
+    depth = 1 / picture.inverse_depth[row, column].astype(np.float64)
+    x, y = ray_slopes(camera, column + 0.5, row + 0.5)
+    rays = turned(camera.world_to_camera[:3, :3].T, np.stack([x, y, np.ones_like(x)], axis=-1))
+    return _Blobs(
+        camera_centre(camera) + rays * depth[:, None],
+        picture.rgb[row, column],
+        _SIZE * cell * depth / np.sqrt(camera.fx * camera.fy),
+    )
