@@ -86,8 +86,10 @@ def difference_mask(current: FloatArray, previous: FloatArray, threshold: float)
     if current.shape != previous.shape or current.ndim != 3 or current.shape[0] != 3:
         raise ValueError(f"pictures must be two (3, H, W) arrays, not {current.shape} and {previous.shape}")
     limit = np.float32((threshold + _LEVEL_SLACK) / 255.0)
-    changed = np.abs(current - previous) > limit
-    mask: BoolArray = changed[0] | changed[1] | changed[2]
+    largest = cv2.absdiff(current[0], previous[0])
+    for now, before in zip(current[1:], previous[1:], strict=True):
+        cv2.max(largest, cv2.absdiff(now, before), dst=largest)
+    mask: BoolArray = largest > limit
     return mask
 
 
@@ -97,8 +99,11 @@ def faint_light_mask(current: FloatArray, previous: FloatArray, threshold: float
     Pictures are planar float32 (3, H, W), 0..1 for black to white.
     """
     window = (_LIGHT_WINDOW, _LIGHT_WINDOW)
-    means = [cv2.blur(plane, window) for plane in current - previous]
-    mask: BoolArray = np.abs(means).max(axis=0) > np.float32(threshold / 255.0)
+    means = (cv2.blur(cv2.subtract(now, before), window) for now, before in zip(current, previous, strict=True))
+    largest = np.abs(next(means))
+    for mean in means:
+        cv2.max(largest, np.abs(mean), dst=largest)
+    mask: BoolArray = largest > np.float32(threshold / 255.0)
     return mask
 
 
@@ -144,7 +149,7 @@ def _light_reach(
     height, width = (max(1, size // _LIGHT_WINDOW) for size in around.shape)
     shrink = partial(cv2.resize, dsize=(width, height), interpolation=cv2.INTER_AREA)
     away = shrink((~around).astype(np.float32)) > 0.99
-    changes = np.abs([shrink(plane) for plane in now - reference]).max(axis=0)
+    changes = np.abs([shrink(cv2.subtract(*planes)) for planes in zip(now, reference, strict=True)]).max(axis=0)
     area = max(away.sum(), _SPREADS * away.size)
     return [float((changes[away] > threshold / 255).sum() / area) for threshold in thresholds]
 
