@@ -174,7 +174,7 @@ class _KeyframeTraining:
 
     def run(self, on_step: OnKeyframeStep | None) -> TrainedKeyframe:
         steps = self._train(on_step)
-        self._check_learnt()
+        self._check_learnt()  # Gaussians beside the pictures of a scene that fell apart would learn them.
         beside = self._continue_beside()
         lattice = self._settle_on_lattice(steps, on_step)
         self._check_learnt()
