@@ -55,7 +55,7 @@ class KeyframeSettings:
     means_decay: float = 0.05
     late_decay: float = 0.2
     settle_iterations: int = 300
-    surroundings: float = 0.5
+    surroundings: float = 0.0
     surroundings_fraction: float = 0.025
     rd_lambda: float = 2.3e-3
     optimiser: str = "adam"

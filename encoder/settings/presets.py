@@ -34,7 +34,7 @@ def _better(
 
 
 _LIVE = EncodeSettings(
-    keyframe=KeyframeSettings(iterations=250, cap=30_000, sh_degree=1),
+    keyframe=KeyframeSettings(iterations=250, cap=30_000, sh_degree=1, surroundings=0.5),
     frame=FrameSettings(
         masks=MaskSettings(
             threshold=10.0,

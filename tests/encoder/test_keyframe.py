@@ -28,15 +28,7 @@ from decogs.formats.errors import TrainingError
 from decogs.formats.rigs import open_rig
 from decogs.formats.splats import Splats
 
-SHORT = KeyframeSettings(
-    iterations=60,
-    cap=500,
-    sh_degree=1,
-    grow_every=10,
-    validation_every=20,
-    settle_iterations=5,
-    surroundings=0.0,
-)
+SHORT = KeyframeSettings(iterations=60, cap=500, sh_degree=1, grow_every=10, validation_every=20, settle_iterations=5)
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from decogs.encoder.training.large_pictures import (
 )
 from decogs.formats.cameras import Camera, project
 
-SETTINGS = KeyframeSettings(iterations=1000, cap=1000, surroundings=0.0)
+SETTINGS = KeyframeSettings(iterations=1000, cap=1000)
 
 
 def camera(width: int, height: int) -> Camera:

@@ -63,9 +63,7 @@ def test_a_camera_that_looks_past_the_pictures_sees_the_wall_go_on_in_its_colour
         strip = strips[name]
         assert seen.alpha[strip[1:]].min() > 0.8, "no gaps"
         assert kernel.forward(scene[2], wide).alpha[strip[1:]].mean() < 0.5, "there was nothing before"
-        np.testing.assert_allclose(
-            kernel.forward(found, wide).rgb[strip].mean(axis=(1, 2)) / seen.alpha[strip[1:]].mean(), colour, atol=0.1
-        )
+        np.testing.assert_allclose(seen.rgb[strip].mean(axis=(1, 2)) / seen.alpha[strip[1:]].mean(), colour, atol=0.1)
 
 
 @pytest.mark.parametrize("most", [0, 1, 30, 200])
