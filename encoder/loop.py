@@ -111,7 +111,7 @@ class StreamEncoder:
         held = bool(effects) and self._is_held(watch)
         trained = self._trained_now(now, index, plan) if effects and not held else None
         with watch.stage("write"):
-            written = state.scene.code(index, trained, state.requantisation(plan.settings), corrections, whole=returned)
+            written = state.scene.code(index, trained, plan.settings.significance, corrections, whole=returned)
         if state.rate is not None:
             state.rate.wrote(written.packet.kind, written.packet.size)
         effects = () if held else effects

@@ -32,6 +32,7 @@ from decogs.formats.splats import Splats, take_splats
 from .coding.coded_scene import CodedScene
 from .input.row_matching import Rows, mutual_nearest
 from .output.stream_output import open_output
+from .settings.frame import SignificanceSettings
 from .training.method import TrainedFrame
 
 _NEUTRAL, _PER_OCTAVE, _NEUTRAL_SCALE = 50.0, 25.0, 0.5
@@ -138,7 +139,7 @@ class _Packing:
         trained = TrainedFrame(kept, values, removed, take_splats(splats, added))
         # The stream has new Gaussians in Morton order, behind the others.
         added = added[morton_order(quantise(trained.added, header.lattice).means)]
-        written = scene.code(self._frames, trained, None, {})
+        written = scene.code(self._frames, trained, SignificanceSettings(), {})
         self._place = np.concatenate([rows, added])
         return written.packet.size
 

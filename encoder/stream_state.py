@@ -23,7 +23,7 @@ from .input.ingest import Ingest, RigFrame
 from .output.stream_output import StreamOutput
 from .rasterise import IncrementalViews, fixed_view, training_kernel
 from .settings.encode import EncodeSettings
-from .settings.frame import FrameSettings, RequantisationSteps
+from .settings.frame import FrameSettings
 from .stopwatch import Stopwatch
 from .training.method import FrameTrainer, TrainedFrame, training_context
 from .training.methods import FRAME_METHODS
@@ -161,16 +161,12 @@ class StreamState:
         """Takes a round of training of the frame, unwritten; the frame for another round."""
         before = self.scene.state
         with now.watch.stage("commit"):
-            self.scene.rehearse(trained, self.requantisation(settings))
+            self.scene.rehearse(trained, settings.significance)
             self.views.update(self.scene.splats, trained.kept, before.ids, self.scene.state.ids)
         self.motion.begin(len(self.scene.state))
         with now.watch.stage("selection"):
             change = self.changes.select_again(now.change, len(self.scene.state))
         return replace(now, change=change)
-
-    def requantisation(self, settings: FrameSettings) -> RequantisationSteps | None:
-        """Steps of a frame's coded changes; None for the lattice's."""
-        return None if self.method.dense else settings.significance.requantisation
 
     def _new_rate(self) -> RateControl | None:
         budget = self.settings.frame_budget

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from ..analysis import EffectChoice
 from ..settings.cache import CacheSettings
-from ..settings.frame import IterationSettings, RequantisationSteps, SignificanceSettings
+from ..settings.frame import IterationSettings, SignificanceSettings
 from .timing import TIMINGS
 from .variants import Question, Times, Variant
 
@@ -292,13 +292,16 @@ QUESTIONS = (
         _BOTH,
     ),
     Question(
-        "requantisation",
-        "Steps in which changes are written",
-        "In lattice steps.",
-        (
-            Variant("requantisation-1", "1 for all", {"frame.significance.requantisation": RequantisationSteps()}),
-            Variant("requantisation-preset", "the preset's"),
-            Variant("requantisation-double", "twice the preset's", {"frame.significance.requantisation": Times(2)}),
+        "rd-lambda",
+        "What a bit of a change is worth",
+        "Positions, sizes and rotations / colours and opacities, in squared millionths of a picture's loss.",
+        tuple(
+            Variant(
+                f"rd{geometry:g}-{colour:g}",
+                f"{geometry:g} / {colour:g}",
+                {"frame.significance.rd_lambda": geometry, "frame.significance.colour_rd_lambda": colour},
+            )
+            for geometry, colour in ((0.0, 0.0), (0.002, 0.002), (0.008, 0.002), (0.008, 0.008), (0.032, 0.008))
         ),
         _BOTH,
     ),

@@ -40,8 +40,8 @@ _SPREADS = 0.3
 """Least share that faint light must reach of the area away from other changes, itself at least this share of the
 picture. The shading of a moving object stays near it."""
 _EVERYWHERE, _FAINTEST = 0.75, 0.5
-"""Share of that area beyond which light changes everywhere, and the threshold for it in units of the usual one: noise
-never reaches most of a picture at once, and what it changes everywhere shows most."""
+"""Share of that area beyond which light changes everywhere, and the threshold there and where light alone changes, in
+units of the usual one: noise never reaches most of a picture at once, and what it changes everywhere shows most."""
 _LIGHT_WINDOW = 7
 """Side, in pixels, of the window that averages faint light: noise shrinks by this factor, light does not."""
 
@@ -256,9 +256,9 @@ class MaskMemory:
         usual = max(self._settings.light_threshold, noise)
         least = max(_FAINTEST * self._settings.light_threshold, noise)
         spread, faintly = _light_reach(now, reference, around, (usual, least))
-        if faintly > _EVERYWHERE:
+        if self._only_light or faintly > _EVERYWHERE:
             return least
-        return usual if self._only_light or spread > _SPREADS else 0.0
+        return usual if spread > _SPREADS else 0.0
 
     def _noise(self, now: FloatArray, reference: FloatArray) -> float:
         """Levels below which a difference may be noise; 0 where most of the picture clearly changed."""

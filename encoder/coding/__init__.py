@@ -1,1 +1,1 @@
-"""From trained values to packets within a budget: requantisation, packet kinds, rate and time control."""
+"""From trained values to packets within a budget: quantised changes, packet kinds, rate and time control."""

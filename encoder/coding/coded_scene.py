@@ -21,9 +21,9 @@ from decogs.formats.container import Packet, PacketKind
 from decogs.formats.splats import FloatArray, Splats
 
 from ..output.stream_output import StreamOutput
-from ..settings.frame import RequantisationSteps
+from ..settings.frame import SignificanceSettings
 from ..training.method import TrainedFrame
-from .requantise import requantised
+from .quantised_changes import quantised
 
 IDS_PER_SEGMENT = 1 << 31
 """Ids set aside for each closed segment: an id is never given twice, though segments do not know of each other."""
@@ -77,17 +77,17 @@ class CodedScene:
         self,
         frame: int,
         trained: TrainedFrame | None,
-        requantisation: RequantisationSteps | None,
+        significance: SignificanceSettings,
         corrections: Corrections,
         *,
         whole: bool = False,
     ) -> Written:
         """Writes the frame, counted from the stream's first, as key, delta or skip, whichever is smallest.
 
-        ``trained``: what it changed of the state, None for nothing. ``requantisation``: of the coded changes, None for
-        the lattice's steps. ``whole``: the decoder's state is not this one (`go_back`), so the frame is a keyframe.
+        ``trained``: what it changed of the state, None for nothing. ``significance``: how exactly changes are coded.
+        ``whole``: the decoder's state is not this one (`go_back`), so the frame is a keyframe.
         """
-        delta = None if trained is None else self._delta(trained, requantisation)
+        delta = None if trained is None else self._delta(trained, significance)
         if delta is not None and not (len(delta.rows) or len(delta.removed) or len(delta.added)):
             delta = None
         before = self.state
@@ -120,9 +120,9 @@ class CodedScene:
         self.state = replace(first, frame=frame - 1, next_id=next_id)
         self.splats = dequantise(first, self.header.lattice)
 
-    def rehearse(self, trained: TrainedFrame, requantisation: RequantisationSteps | None) -> None:
+    def rehearse(self, trained: TrainedFrame, significance: SignificanceSettings) -> None:
         """Takes what would be coded of a frame, without writing it: training goes on from there."""
-        after = apply_delta(self.state, self._delta(trained, requantisation))
+        after = apply_delta(self.state, self._delta(trained, significance))
         self.state = replace(after, frame=self.state.frame)
         self.splats = dequantise(self.state, self.header.lattice)
 
@@ -134,11 +134,9 @@ class CodedScene:
         motion[now] = steps * np.asarray(self.header.lattice.means)
         return motion
 
-    def _delta(self, trained: TrainedFrame, requantisation: RequantisationSteps | None) -> Delta:
+    def _delta(self, trained: TrainedFrame, significance: SignificanceSettings) -> Delta:
         lattice, before = self.header.lattice, take_rows(self.state, trained.kept)
-        current = quantise(trained.values, lattice, near=before)
-        if requantisation is not None:
-            current = requantised(before, current, requantisation)
+        current = quantised(trained.values, before, lattice, trained.sensitivity, significance)
         added = quantise(trained.added, lattice)
         return difference(self.state, trained.kept, current, removed=trained.removed, added=added)
 

@@ -1,6 +1,6 @@
 """How many bytes a stream may take: a scale of qualities, and a budget that later frames keep on average.
 
-Chosen: one knob, the significance threshold; the requantisation steps follow it. After every frame, a model of a single
+Chosen: one knob, the significance threshold; what a bit is worth follows it. After every frame, a model of a single
 number moves it: a frame's content (its size at the settings' own threshold), estimated from past packets. The model has
 no other input. A stream holds those sizes, so a resumed encode has the same bytes. The model does not know the clip's
 length, so frames can be added. Rejected: two passes (twice the time, and none for a live rig); coding a frame again
@@ -20,7 +20,7 @@ from decogs.formats.errors import UsageError
 
 from ..registry import Registry
 from ..settings.encode import EncodeSettings
-from ..settings.frame import RequantisationSteps, SignificanceSettings
+from ..settings.frame import SignificanceSettings
 from ..training.methods import require_sparse
 
 NEUTRAL_QUALITY = 50.0
@@ -31,8 +31,8 @@ TOLERANCE = 0.05
 
 _QUALITIES_PER_OCTAVE = 16.0
 _STEP_EXPONENT = 0.25
-"""Lattice steps and requantisation steps grow with this power of the threshold: bytes and loss of keyframes then change
-together with those of later frames."""
+"""Lattice steps grow with this power of the threshold: bytes and loss of keyframes then change together with those of
+later frames."""
 
 _RESPONSE = 0.5
 """Bytes fall with this power of the threshold: measured .41 to .65 (report/budgets.md). Up to four times as steep, or
@@ -53,16 +53,14 @@ _OCTAVE_STEPS = 32
 def with_quality(settings: EncodeSettings, quality: float) -> EncodeSettings:
     """The same settings at a quality of 0 to 100; raises UsageError beyond.
 
-    50 is the settings as they are. Every 16 points lower double the significance threshold, make the lattice's steps
-    2^(1/4) times as coarse, and raise the keyframe's ``rd_lambda`` by 2^(1/2) (it weighs bits against squares).
+    50 is the settings as they are. Every 16 points lower double the significance threshold and what a bit of a later
+    frame is worth, make the lattice's steps 2^(1/4) times as coarse, and raise the keyframe's ``rd_lambda`` by 2^(1/2).
     Settings that code every change (``paper``, ``3dgstream``) follow with the keyframe and the lattice only.
     """
     if not 0 <= quality <= 100:
         raise UsageError(f"`quality` {quality:g}: give a number from 0 (smallest) to 100 (most exact)")
     factor = 2.0 ** ((NEUTRAL_QUALITY - quality) / _QUALITIES_PER_OCTAVE)
-    significance = replace(
-        settings.frame.significance, threshold=_rounded(settings.frame.significance.threshold * factor)
-    )
+    significance = _scaled(settings.frame.significance, factor)
     rd_lambda = _rounded(settings.keyframe.rd_lambda * factor ** (2 * _STEP_EXPONENT))
     return replace(
         settings,
@@ -74,7 +72,7 @@ def with_quality(settings: EncodeSettings, quality: float) -> EncodeSettings:
 
 def with_lossless(settings: EncodeSettings) -> EncodeSettings:
     """The same settings with every change coded, however small, and exact to the lattice."""
-    significance = replace(settings.frame.significance, threshold=0.0, requantisation=RequantisationSteps())
+    significance = replace(settings.frame.significance, threshold=0.0, rd_lambda=0.0, colour_rd_lambda=0.0)
     return replace(settings, frame=replace(settings.frame, significance=significance))
 
 
@@ -135,14 +133,8 @@ class ContentRateControl:
         return float(2.0**self._octaves)
 
     def significance(self, settings: SignificanceSettings) -> SignificanceSettings:
-        """The settings for the next frame: its threshold, and requantisation steps to match."""
-        steps = {
-            name: max(1, round(_rounded(step * self.factor**_STEP_EXPONENT)))
-            for name, step in vars(settings.requantisation).items()
-        }
-        return replace(
-            settings, threshold=_rounded(settings.threshold * self.factor), requantisation=RequantisationSteps(**steps)
-        )
+        """The settings for the next frame: its threshold, and what a bit is worth to match."""
+        return _scaled(settings, self.factor)
 
     def wrote(self, kind: int, size: int) -> None:
         """Learns from a packet after the first keyframe's: ``size`` in bytes on disk.
@@ -176,6 +168,16 @@ class ContentRateControl:
             saved += payment * (self._segment - 1 - self._place % self._segment)
         low, high = _TARGET_RANGE
         return min(max((share + saved / _HORIZON) / self._budget, low * share / self._budget), high)
+
+
+def _scaled(settings: SignificanceSettings, factor: float) -> SignificanceSettings:
+    """The settings with a threshold ``factor`` times as high and bits that are worth as much more."""
+    return replace(
+        settings,
+        threshold=_rounded(settings.threshold * factor),
+        rd_lambda=_rounded(settings.rd_lambda * factor),
+        colour_rd_lambda=_rounded(settings.colour_rd_lambda * factor),
+    )
 
 
 def _rounded(value: float) -> float:

@@ -27,9 +27,9 @@ class MaskSettings:
     Later frames then correct the errors of one. Lower selects more; 0 turns it off.
     ``refine_frames``: disocclusion refinement. Pixels that changed by more than ``refine_threshold`` levels as
     something moved stay in the region of interest for so many more frames. More is slower.
-    ``light_threshold``: levels by which the mean over a small window must change to count as well, after a frame in
-    which light alone changed and where light changes much of the picture, and at half of it where light changes nearly
-    all of it. Lower selects more; 0 turns it off.
+    ``light_threshold``: levels by which the mean over a small window must change to count as well, where light changes
+    much of the picture; half of it where light changes nearly all of it, and after a frame in which light alone
+    changed. Lower selects more; 0 turns it off.
     """
 
     threshold: float = 25.0
@@ -124,33 +124,25 @@ class EmergenceSettings:
 
 
 @dataclass(frozen=True)
-class RequantisationSteps:
-    """Step sizes of coded changes, in lattice steps. Higher is smaller and less exact."""
-
-    means: int = 1
-    log_scales: int = 1
-    quaternions: int = 1
-    opacity_logits: int = 1
-    sh_dc: int = 1
-    sh_rest: int = 1
-
-
-@dataclass(frozen=True)
 class SignificanceSettings:
-    """Which changes are significant enough to be coded, and how coarsely.
+    """Which changes are significant enough to be coded, and how exactly.
 
     ``threshold``: a change is coded if it moves the mean loss of a picture by at least so many millionths (1: one pixel
     of a million from black to white). Higher is smaller and less exact; 0 codes every change.
     ``decide_at``: share of stage 2 after which insignificant changes are reverted, once.
     ``lit_factor``: factor of the threshold for positions, sizes and rotations of Gaussians that only light changes,
     where a frame's effects are detected. Higher leaves them colour and opacity alone, which is smaller.
-    ``requantisation``: step sizes of the changes that are coded.
+    ``rd_lambda``: the rate-distortion trade-off of the changes that are coded, of positions, sizes and rotations:
+    squared change of a picture's loss, in millionths, that a bit is worth. Higher is smaller and less exact; 0 codes
+    the nearest lattice point. ``colour_rd_lambda``: the same of colours and opacities, whose errors add up where light
+    changes an area.
     """
 
     threshold: float = 0.0
     decide_at: float = 0.6
     lit_factor: float = 1.0
-    requantisation: RequantisationSteps = field(default_factory=RequantisationSteps)
+    rd_lambda: float = 0.0
+    colour_rd_lambda: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,6 @@ from .frame import (
     FrameSettings,
     IterationSettings,
     MaskSettings,
-    RequantisationSteps,
     SelectionSettings,
     SignificanceSettings,
 )
@@ -57,9 +56,8 @@ _LIVE = EncodeSettings(
             threshold=0.18,
             decide_at=0.5,
             lit_factor=4.0,
-            requantisation=RequantisationSteps(
-                means=1, log_scales=1, quaternions=2, opacity_logits=3, sh_dc=2, sh_rest=1
-            ),
+            rd_lambda=8e-3,
+            colour_rd_lambda=2e-3,
         ),
         emergence=EmergenceSettings(max_rays=500),
     ),
@@ -83,9 +81,8 @@ _ARCHIVE = _better(
             threshold=0.054,
             decide_at=0.5,
             lit_factor=4.0,
-            requantisation=RequantisationSteps(
-                means=1, log_scales=1, quaternions=1, opacity_logits=2, sh_dc=1, sh_rest=1
-            ),
+            rd_lambda=8e-4,
+            colour_rd_lambda=2e-4,
         ),
     },
     lattice_scale=0.7,

@@ -32,7 +32,7 @@ from ..transformation_cache import TransformationCache
 from .densification import DENSIFICATIONS, ViewGradients
 from .losses import PhotometricLoss, focus_loss, require_finite, whole_picture_loss
 from .method import FrameInput, TrainedFrame, TrainingContext
-from .optimiser import OPTIMISERS, Optimiser
+from .optimiser import ATTRIBUTES, OPTIMISERS, Optimiser
 from .schedule import (
     MIN_STEPS,
     SearchTime,
@@ -131,7 +131,7 @@ class _DeltaTraining:
         self._draw_probes(work)
         if self._squared_error(pictures, masks) > _DIVERGED * before:
             return replace(work.unchanged(scene), rejected=True), schedule
-        return replace(self._result(work), hurried=schedule.is_cut_short), schedule
+        return replace(self._result(work, losses), hurried=schedule.is_cut_short), schedule
 
     def _probes(self) -> list[int]:
         """A sample of the used views for measuring errors: every third, fewer when time is short."""
@@ -247,8 +247,11 @@ class _DeltaTraining:
         if self._frame.lit is not None:
             factor = np.ones(len(work.rows), np.float32)
             factor[old] = np.where(self._frame.lit[work.rows[old]], settings.lit_factor, 1)
-        threshold = settings.threshold * picture_weight([losses[i] for i in self._used])
+        threshold = settings.threshold * self._picture_weight(losses)
         revert_insignificant(work.optimiser, work.before(scene), old, threshold, factor)
+
+    def _picture_weight(self, losses: Sequence[PhotometricLoss]) -> float:
+        return picture_weight([losses[i] for i in self._used])
 
     def _report_loss(self, stage: str, step: int) -> None:
         if self._stopping.on_loss is not None:
@@ -419,8 +422,8 @@ class _DeltaTraining:
             view.detach(others)
         work.admit(others, take_splats(scene, others), self._stream.ungated)
 
-    def _result(self, work: _Working) -> TrainedFrame:
-        result = work.result()
+    def _result(self, work: _Working, losses: Sequence[PhotometricLoss]) -> TrainedFrame:
+        result = replace(work.result(), sensitivity=work.sensitivity(self._picture_weight(losses)))
         if "gate" in self._settings.ablated:
             lasting = work.lasting()
             self._stream.ungated = work.optimiser
@@ -523,6 +526,12 @@ class _Working:
             np.setdiff1d(self.detached, self.rows),
             take_splats(self.shown, ~old & self.lasting()),
         )
+
+    def sensitivity(self, picture_weight: float) -> Splats:
+        """Change of a picture's mean loss, in millionths, per unit of each value of `result`'s old rows."""
+        old = self.rows < self._population
+        sizes = (self.optimiser.gradient_size(name)[old] / np.float32(picture_weight) for name in ATTRIBUTES)
+        return Splats(*sizes)
 
     def unchanged(self, scene: Splats) -> TrainedFrame:
         """The frame without any change to the ``scene``."""

@@ -35,8 +35,9 @@ from .densification import DENSIFICATIONS, ViewGradients
 from .large_pictures import PictureFit, as_ever, fit_to_pictures, shrunk_camera, shrunk_weights
 from .losses import whole_picture_loss
 from .optimiser import OPTIMISERS
+from .rate_distortion import cheapest
 from .schedule import WHOLE, StoppingRule, TargetWatch
-from .significance import cheapest, picture_weight
+from .significance import picture_weight
 from .stretch import step_unstretched
 from .surroundings import surroundings
 from .view_order import view_order

@@ -77,7 +77,8 @@ class TrainedFrame:
     """Changes of one frame: new values (M rows) for the rows ``kept``, rows ``removed``, Gaussians ``added``.
 
     Rows are of the frame's scene, ascending. ``rejected``: training made the pictures worse and changes nothing.
-    ``hurried``: a deadline left fewer steps than the schedule has.
+    ``hurried``: a deadline left fewer steps than the schedule has. ``sensitivity``: change of a picture's mean loss, in
+    millionths, per unit of each of ``values``; None: they are coded as exactly as the lattice can.
     """
 
     kept: NDArray[np.int64]
@@ -86,6 +87,7 @@ class TrainedFrame:
     added: Splats
     rejected: bool = False
     hurried: bool = False
+    sensitivity: Splats | None = None
 
 
 class FrameTrainer(Protocol):
@@ -113,7 +115,7 @@ class FrameMethod:
     """One way to train later frames.
 
     ``trainer``: makes a stream's trainer, and one for each closed segment. ``dense``: it trains every Gaussian on every
-    pixel by a schedule of its own, so masks, selection, effects, budgets and requantisation have no part in it.
+    pixel by a schedule of its own, so masks, selection, effects, budgets and significance have no part in it.
     """
 
     trainer: Callable[[TrainingContext], FrameTrainer]

@@ -3,8 +3,8 @@
 Chosen: a dead zone inside the training loop, in millionths of a picture's loss. A change of one stored number moves the
 loss by its size times the gradient (root mean square over steps and views, from Adam's moments). Late in stage 2,
 numbers whose change moves the mean loss of a picture by less than the threshold return to the decoder's values and
-stay there; the remaining steps train the others around them. The remaining changes are coded in coarser steps than the
-lattice's, so that few and small integers remain.
+stay there; the remaining steps train the others around them. The remaining changes are rounded by what their bits are
+worth (`rate_distortion.py`).
 
 Measured on workbench (DESIGN.md): 12 kB a frame instead of 100 unrounded, for .2 dB where things move. Rejected: a
 dead zone in lattice steps (at the same dynamic PSNR twice the bytes: it spares the sharp and the faint alike); a raised
@@ -22,17 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.codec.lattice import KEPT_SCALE
-from decogs.codec.state import IntArray
 from decogs.formats.splats import FloatArray, Splats
 
 from .losses import PhotometricLoss
 from .optimiser import ATTRIBUTES, Optimiser
 
 _GEOMETRY = ("means", "log_scales", "quaternions")
-_ROUNDS = 4
-"""Iterations of choosing values and updating the table of their bits; more change next to nothing."""
-_COMMONEST = 256
-"""Candidates of a channel: all values that rotations and colours have on a lattice, a bound for any others."""
 
 
 def picture_weight(losses: Sequence[PhotometricLoss]) -> float:
@@ -64,36 +59,6 @@ def revert_insignificant(
         np.copyto(values, was, where=idle)
         held[name] = idle
     optimiser.hold(held)
-
-
-def cheapest(values: FloatArray, change: FloatArray, bit: float) -> IntArray:
-    """Integers near ``values`` (N, C), in lattice steps, by rate-distortion optimisation.
-
-    ``change`` (N, C): change of the loss per step. Candidates of a number are its nearest integer and the commonest of
-    its channel. The choice minimises the squared change of the loss plus ``bit`` times the bits of an entropy coder
-    with a table per channel; ``bit`` 0 gives the nearest. Source: entropy-constrained scalar quantisation (Chou,
-    Lookabaugh and Gray 1989), with a weight for each number.
-    """
-    chosen = np.rint(values).astype(np.int32)
-    if not (bit and len(values)):
-        return chosen
-    for channel, column in enumerate(values.T):
-        for _ in range(_ROUNDS):
-            chosen[:, channel] = _cheaper(column, chosen[:, channel], change[:, channel], bit)
-    return chosen
-
-
-def _cheaper(values: FloatArray, chosen: IntArray, change: FloatArray, bit: float) -> IntArray:
-    """One channel's (N,) choice under the table of the previous choice."""
-    table, places, counts = np.unique(chosen, return_inverse=True, return_counts=True)
-    bits = np.log2(len(chosen) / counts)
-    best = np.asarray(chosen)
-    least = (change * (chosen - values)) ** 2 + bit * bits[places]
-    for place in np.argsort(-counts, kind="stable")[:_COMMONEST]:
-        cost = (change * (table[place] - values)) ** 2 + bit * bits[place]
-        best = np.where(cost < least, table[place], best)
-        least = np.minimum(cost, least)
-    return best
 
 
 def _keep_scale(quaternions: FloatArray, before: FloatArray) -> None:

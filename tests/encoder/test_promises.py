@@ -18,7 +18,7 @@ from decogs.codec.state import take_rows
 from decogs.decoder.stream import open_stream
 from decogs.encoder.change.detection import Change
 from decogs.encoder.coding.coded_scene import CodedScene
-from decogs.encoder.settings.frame import EmergenceSettings
+from decogs.encoder.settings.frame import EmergenceSettings, SignificanceSettings
 from decogs.encoder.stopwatch import Stopwatch
 from decogs.encoder.stream_state import FrameInWork, StreamState
 from decogs.encoder.training.delta import DeltaTrainer
@@ -91,7 +91,7 @@ def test_a_delta_keeps_the_quaternions_that_turn_alike(moving: Any) -> None:
         empty_splats(values.sh_degree),
     )
     stub: Any = SimpleNamespace(header=SimpleNamespace(lattice=lattice), state=state)
-    assert len(CodedScene._delta(stub, trained, None).rows) == 0
+    assert len(CodedScene._delta(stub, trained, SignificanceSettings()).rows) == 0
 
 
 # Rates

@@ -24,7 +24,7 @@ from decogs.encoder.coding.rate_control import (
     with_quality,
 )
 from decogs.encoder.commands import encode_main
-from decogs.encoder.settings.frame import RequantisationSteps, SignificanceSettings
+from decogs.encoder.settings.frame import SignificanceSettings
 from decogs.encoder.switches import with_method
 from decogs.formats.container import PacketKind
 from decogs.formats.errors import UsageError
@@ -51,7 +51,10 @@ def test_16_less_is_worth_twice_as_much_and_coarser_by_a_fourth_root_of_two() ->
             factor * standard.frame.significance.threshold, rel=1e-5
         )
         assert settings.lattice_scale == lattice
-        significance = replace(settings.frame.significance, threshold=standard.frame.significance.threshold)
+        for name in ("rd_lambda", "colour_rd_lambda"):
+            usual = getattr(standard.frame.significance, name)
+            assert getattr(settings.frame.significance, name) == pytest.approx(factor * usual, rel=1e-5)
+        significance = standard.frame.significance
         assert settings.keyframe.rd_lambda == pytest.approx(bit * lattice**2, rel=1e-5)  # six digits
         keyframe, frame = replace(settings.keyframe, rd_lambda=bit), replace(settings.frame, significance=significance)
         assert replace(settings, lattice_scale=1.0, keyframe=keyframe, frame=frame) == standard
@@ -115,7 +118,7 @@ def test_the_threshold_is_bounded(content: float, factor: float) -> None:
     assert (over_budget(sizes, BUDGET) > TOLERANCE) == (content > 1)
 
 
-def test_changes_are_rounded_more_coarsely_the_more_they_must_be_worth() -> None:
+def test_a_bit_is_worth_more_the_more_changes_must_be_worth() -> None:
     settings = PRESETS["standard"].frame.significance
     for size, threshold in (
         (BUDGET, settings.threshold),
@@ -126,12 +129,10 @@ def test_changes_are_rounded_more_coarsely_the_more_they_must_be_worth() -> None
         for _ in range(30):
             control.wrote(PacketKind.DELTA, size)
         significance = control.significance(settings)
-        assert significance == replace(
-            settings, threshold=pytest.approx(threshold, rel=1e-5), requantisation=significance.requantisation
-        )
-        factor = (threshold / settings.threshold) ** 0.25
-        for name, step in vars(settings.requantisation).items():
-            assert getattr(significance.requantisation, name) == max(1, round(factor * step))
+        factor = threshold / settings.threshold
+        for name in ("threshold", "rd_lambda", "colour_rd_lambda"):
+            assert getattr(significance, name) == pytest.approx(factor * getattr(settings, name), rel=1e-5)
+        assert (significance.decide_at, significance.lit_factor) == (settings.decide_at, settings.lit_factor)
 
 
 def test_what_a_still_scene_saves_is_not_thrown_at_its_first_motion() -> None:
@@ -177,9 +178,7 @@ def test_it_knows_nothing_but_sizes() -> None:
 @pytest.fixture(scope="module")
 def economical(tiny_settings: EncodeSettings) -> EncodeSettings:
     """The tiny settings with changes judged, as the presets do."""
-    significance = SignificanceSettings(
-        threshold=6.5, decide_at=0.5, requantisation=RequantisationSteps(means=3, log_scales=3, sh_dc=2)
-    )
+    significance = SignificanceSettings(threshold=6.5, decide_at=0.5, rd_lambda=10.0, colour_rd_lambda=2.5)
     frame = replace(tiny_settings.frame, cache=None, joint_iterations=20, grow_fraction=0.0, significance=significance)
     return replace(tiny_settings, frame=frame)
 
@@ -289,19 +288,19 @@ def test_a_budget_that_cannot_be_met_is_told(
 def test_lossless_writes_every_change_as_it_was_trained(
     encode: Any, moving: Any, moving_rig: Path, economical: EncodeSettings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def exactly(state: Any, kept: np.ndarray, current: Any, **rest: Any) -> Any:
-        trained.append((kept, current))
-        return difference(state, kept, current, **rest)
+    def noted(values: Any, before: Any, lattice: Any, *rest: Any) -> Any:
+        written = quantised(values, before, lattice, *rest)
+        pairs.append((written, quantise(values, lattice, near=before)))
+        return written
 
     import decogs.encoder.coding.coded_scene as coded_scene
 
-    trained: list[Any] = []
-    difference, quantise, quantised = coded_scene.difference, coded_scene.quantise, []
-    monkeypatch.setattr(coded_scene, "difference", exactly)
-    monkeypatch.setattr(coded_scene, "quantise", lambda *a, **o: quantised.append(quantise(*a, **o)) or quantised[-1])
+    pairs: list[Any] = []
+    quantise, quantised = coded_scene.quantise, coded_scene.quantised
+    monkeypatch.setattr(coded_scene, "quantised", noted)
     given = {"keyframe": moving.path, "stop": 2}
     lossless = encode(moving_rig, settings=with_lossless(economical), **given)
-    (_, written), (current, _) = trained[0], quantised
+    ((written, nearest),) = pairs
     for name, array in vars(written).items():
-        np.testing.assert_array_equal(array, getattr(current, name))
+        np.testing.assert_array_equal(array, getattr(nearest, name))
     assert later(lossless)[0] > later(encode(moving_rig, settings=economical, **given))[0]

@@ -1,20 +1,22 @@
-"""What a change must be worth: judged in loss, taken back for good, and the rest written coarsely."""
+"""What a change must be worth: judged in loss, taken back for good, and the rest rounded by what bits are worth."""
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from decogs.codec.lattice import default_lattice, dequantise, quantise
 from decogs.codec.state import ARRAYS, Attributes
-from decogs.encoder.coding.requantise import requantised
+from decogs.encoder.coding.quantised_changes import quantised
 from decogs.encoder.rasterise import SplatGradients, TrainingKernel
-from decogs.encoder.settings.frame import FocusWeights, RequantisationSteps
+from decogs.encoder.settings.frame import FocusWeights, SignificanceSettings
 from decogs.encoder.settings.optimiser import LearningRates
 from decogs.encoder.training.losses import focus_loss, whole_picture_loss
 from decogs.encoder.training.optimiser import Adam
-from decogs.encoder.training.significance import cheapest, picture_weight, revert_insignificant
+from decogs.encoder.training.rate_distortion import cheapest, cheapest_changes
+from decogs.encoder.training.significance import picture_weight, revert_insignificant
 from decogs.formats.splats import Splats
 
 RATES = LearningRates(*[0.01] * 6)
@@ -110,32 +112,65 @@ def attributes(seed: int, span: int) -> Attributes:
     return Attributes(*(random.integers(-span, span + 1, shape).astype(np.int32) for shape in shapes))
 
 
-def test_changes_are_whole_multiples_as_near_as_can_be() -> None:
-    before, after = attributes(1, 1000), attributes(2, 1000)
-    requantisation = RequantisationSteps(means=3, log_scales=2, quaternions=1, opacity_logits=5, sh_dc=4, sh_rest=7)
-    written = requantised(before, after, requantisation)
+def same_sensitivity(value: float) -> Splats:
+    return Splats(*(np.full_like(array, value) for array in vars(some_splats(0)).values()))
+
+
+LATTICE = default_lattice(3.0)
+BEFORE = quantise(some_splats(1), LATTICE)
+AFTER = replace(
+    some_splats(2),
+    means=some_splats(1).means + np.float32(2 * LATTICE.means[0]) * some_splats(2).means,
+    quaternions=some_splats(1).quaternions + np.float32(0.1) * some_splats(2).quaternions,
+)
+
+
+@pytest.mark.parametrize(
+    ("sensitivity", "settings"),
+    [
+        (None, SignificanceSettings(rd_lambda=1.0, colour_rd_lambda=1.0)),
+        (same_sensitivity(1.0), SignificanceSettings()),
+        (same_sensitivity(1e6), SignificanceSettings(rd_lambda=1.0, colour_rd_lambda=1.0)),
+    ],
+)
+def test_changes_are_the_nearest_where_bits_are_worth_nothing_or_errors_everything(
+    sensitivity: Splats | None, settings: SignificanceSettings
+) -> None:
+    written, nearest = quantised(AFTER, BEFORE, LATTICE, sensitivity, settings), quantise(AFTER, LATTICE, near=BEFORE)
     for name in ARRAYS:
-        groups = ((np.s_[:],),) if name != "sh" else ((np.s_[:, :1], 4), (np.s_[:, 1:], 7))
-        for part, *step in groups:
-            multiple = step[0] if step else getattr(requantisation, name)
-            was, wanted, is_now = (getattr(values, name)[part].astype(int) for values in (before, after, written))
-            assert ((is_now - was) % multiple == 0).all()
-            assert (np.abs(is_now - wanted) <= multiple // 2).all()
+        np.testing.assert_array_equal(getattr(written, name), getattr(nearest, name))
 
 
-def test_halves_go_to_the_even_multiple_so_that_changes_do_not_shrink() -> None:
-    before = attributes(1, 0)
-    steps = np.arange(COUNT, dtype=np.int32)[:, None] * np.array([1, -1, 1], np.int32)
-    written = requantised(before, replace(before, means=steps), RequantisationSteps(means=2)).means
-    np.testing.assert_array_equal(written[:8, 0], [0, 0, 2, 4, 4, 4, 6, 8])
-    np.testing.assert_array_equal(written[:, 1], -written[:, 0])
+def test_colours_and_opacities_have_a_worth_of_their_own() -> None:
+    nearest = quantise(AFTER, LATTICE, near=BEFORE)
+    for settings, coarse in (
+        (SignificanceSettings(rd_lambda=1e9), ("means", "log_scales", "quaternions")),
+        (SignificanceSettings(colour_rd_lambda=1e9), ("opacity_logits", "sh")),
+    ):
+        written = quantised(AFTER, BEFORE, LATTICE, same_sensitivity(1.0), settings)
+        assert {n for n in ARRAYS if (getattr(written, n) != getattr(nearest, n)).any()} == set(coarse)
 
 
-def test_a_coarseness_of_one_writes_what_was_trained() -> None:
-    before, after = attributes(1, 1000), attributes(2, 2**30)
-    for name, array in vars(requantised(before, after, RequantisationSteps())).items():
-        np.testing.assert_array_equal(array, getattr(after, name))
-    assert {field.default for field in fields(RequantisationSteps)} == {1}
+@pytest.mark.parametrize(("bit", "stays"), [(0.003, {0, 1}), (0.005, {1}), (0.009, set())])
+def test_a_step_counts_by_its_size_in_the_attributes_own_unit(bit: float, stays: set[int]) -> None:
+    """A fifth of the Gaussians change by one step, which takes two bits more than none: log2(5) against log2(5 / 4).
+
+    A step is 1/12 of base colours, 1/8 of the others, so these go where a bit is worth 1/288 and 1/128.
+    """
+    values = dequantise(BEFORE, LATTICE)
+    values.sh[:10, :2] += np.float32(np.array([LATTICE.sh_dc, LATTICE.sh_rest])[:, None])
+    settings = SignificanceSettings(colour_rd_lambda=bit)
+    changes = quantised(values, BEFORE, LATTICE, same_sensitivity(1.0), settings).sh - BEFORE.sh
+    assert {k for k in range(4) if changes[:, k].any()} == stays
+
+
+def test_values_that_did_not_change_stay_whatever_bits_are_worth() -> None:
+    values = dequantise(BEFORE, LATTICE)
+    written = quantised(
+        values, BEFORE, LATTICE, same_sensitivity(1.0), SignificanceSettings(rd_lambda=1.0, colour_rd_lambda=1.0)
+    )
+    for name in ARRAYS:
+        np.testing.assert_array_equal(getattr(written, name), getattr(BEFORE, name))
 
 
 @pytest.mark.parametrize("size", [(40, 60), (80, 120)])
@@ -183,3 +218,24 @@ def test_bits_that_are_worth_nothing_change_no_number_and_no_gaussians_are_none(
 def test_numbers_that_do_nothing_become_their_channels_commonest() -> None:
     values = np.array([[3.0, -1.0], [3.2, 8.0], [9.0, -1.4], [-7.0, -1.0]], np.float32)
     np.testing.assert_array_equal(cheapest(values, np.zeros_like(values), 1e-9), [[3, -1]] * 4)
+
+
+def test_changes_that_hardly_show_take_fewer_bits_and_none_comes_where_there_was_none() -> None:
+    random = np.random.default_rng(7)
+    changes, loss = random.laplace(scale=1.5, size=(4000, 2)), np.full((4000, 2), 0.02)
+    loss[3000:] = 10.0
+    chosen, nearest = cheapest_changes(changes, loss, 1e-3), np.rint(changes)
+    np.testing.assert_array_equal(chosen[3000:], nearest[3000:])
+    assert (chosen[nearest == 0] == 0).all()
+    for channel in range(2):
+        (cost, bits), (nearest_cost, nearest_bits) = (
+            (((loss * (points - changes)) ** 2)[:, channel].sum(), bits_of(points[:, channel]))
+            for points in (chosen, nearest)
+        )
+        assert bits < 0.9 * nearest_bits
+        assert cost + 1e-3 * bits < nearest_cost + 1e-3 * nearest_bits
+
+
+def test_no_changes_at_all() -> None:
+    for changes in (np.zeros((0, 3)), np.zeros((5, 3))):
+        np.testing.assert_array_equal(cheapest_changes(changes, np.ones_like(changes), 1.0), changes)

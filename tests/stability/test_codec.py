@@ -15,8 +15,8 @@ from decogs.codec.lattice import Lattice, default_lattice, dequantise, quantise
 from decogs.codec.reconstruct import reconstruct
 from decogs.codec.state import ARRAYS, Attributes, State, take_rows
 from decogs.codec.syntax import write_delta, write_key
-from decogs.encoder.coding.requantise import requantised
-from decogs.encoder.settings.frame import RequantisationSteps
+from decogs.encoder.coding.quantised_changes import quantised
+from decogs.encoder.settings.frame import SignificanceSettings
 from decogs.formats.cameras import Camera
 from decogs.formats.container import Packet, PacketKind
 from decogs.formats.errors import TrainingError
@@ -107,18 +107,20 @@ def test_accumulated_deltas_that_overflow_stay_equal_on_both_sides() -> None:
         assert np.isfinite(array).all()
 
 
-def test_coarse_changes_never_leave_32_bits() -> None:
-    """Rounding a change to whole multiples may end beyond the last integer; there it is left as it is."""
-    before, after = extreme(1, 200), extreme(2, 200)
-    requantisation = RequantisationSteps(3, 5, 2, 7, 2, 3)
-    coarse = requantised(before, after, requantisation)
-    sh_steps = np.array([2, 3, 3, 3])[None, :, None]
-    for name, step in zip(ARRAYS, (3, 5, 2, 7, sh_steps), strict=True):
-        off = np.abs(getattr(coarse, name).astype(np.int64) - getattr(after, name))
-        assert (2 * off <= step).all(), name
-    ordinary = filled(3, lambda shape: np.full(shape, 100))
-    moved = filled(3, lambda shape: np.full(shape, 104))
-    assert (requantised(ordinary, moved, requantisation).means == 103).all(), "and elsewhere it does round"
+def test_a_change_that_is_common_elsewhere_never_leaves_32_bits() -> None:
+    """Bits are worth everything, so that the commonest change is taken wherever it can be: beyond the last integer the
+    value stays as trained."""
+    unit = Lattice((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 1.0, 1.0, 1.0, 1.0, 1.0)
+    before = filled(200, lambda shape: np.zeros(shape))
+    before.quaternions[:] = (1, 0, 0, 0)
+    before.means[0] = INT32.max - 127  # float32 has every 128th integer there.
+    values = dequantise(before, unit)
+    values.means[1:] += 256
+    values.means[0] -= 256
+    nothing = Splats(*(np.zeros_like(array) for array in vars(values).values()))
+    moved = quantised(values, before, unit, nothing, SignificanceSettings(rd_lambda=1.0))
+    assert (moved.means[1:] == 256).all()
+    np.testing.assert_array_equal(moved.means[0], quantise(values, unit).means[0])
 
 
 def test_all_equal_attributes_come_back_and_cost_next_to_nothing() -> None:
