@@ -53,7 +53,7 @@ _LIVE = EncodeSettings(
         max_stretch=4.0,
         adaptive_iterations=IterationSettings(usual_miss=0.15),
         significance=SignificanceSettings(
-            threshold=0.18,
+            threshold=0.24,
             decide_at=0.5,
             lit_factor=4.0,
             rd_lambda=8e-3,
