@@ -11,8 +11,9 @@ from .optimiser import LearningRates
 class KeyframeSettings:
     """How the keyframe is trained.
 
-    ``iterations``: steps. More is slower and, up to early stopping, better. ``cap``: Gaussians at most. More is slower
-    and larger. ``sh_degree``: higher is slower and larger, better where views disagree.
+    ``iterations``: steps, of which large pictures take fewer. More is slower and, up to early stopping, better.
+    ``cap``: Gaussians at most. More is slower and larger. ``sh_degree``: higher is slower and larger, better where
+    views disagree.
     ``dissimilarity``: lambda of 3DGS's loss. ``start_opacity``: of the first Gaussians. ``start_size``: their sigma in
     units of the point spacing. ``guess_opacity``, ``guess_size``: the same of points that no view confirms, which stand
     for what is not known: large and faint ones spread over it, small and opaque ones leave holes that needles fill.

@@ -157,7 +157,8 @@ class _KeyframeTraining:
         stopping: StoppingRule = WHOLE,
         fit: PictureFit,
     ) -> None:
-        self._kernel, self._views, self._settings, self._random = kernel, views, settings, random
+        self._kernel, self._views, self._random = kernel, views, random
+        self._settings = settings = replace(settings, iterations=fit.iterations)
         self._recorded, self._corrector = pictures, corrector
         self._lattice, self._lattice_scale = lattice, lattice_scale
         self._extent = scene_extent(views) or 1.0

@@ -3,9 +3,9 @@
 Coarse to fine: the first steps see shrunk pictures, the last ones the pictures as they are. A step's cost grows with
 the pixels, and what the first steps do, moving, growing and colouring Gaussians that are far off, shows in shrunk
 pictures as well. The renderer's filter belongs to the pixel (Mip-Splatting, Yu 2024), so that a scene from shrunk
-pictures fits larger ones. Gaussians are farther apart in such pictures, so they take longer steps. Fewer first points
-leave room for those that densification puts where details are. Smaller pictures are trained as ever. Figures:
-DESIGN.md.
+pictures fits larger ones. Gaussians are farther apart in such pictures, so they take longer steps, and fewer. Fewer
+first points leave room for those that densification puts where details are. Smaller pictures are trained as ever.
+Figures: DESIGN.md.
 """
 
 from __future__ import annotations
@@ -29,6 +29,8 @@ _FINE_FROM = 0.7
 """Share of the schedule after which pictures have their own size."""
 _FINE_RATES = 0.2
 """How far step sizes have fallen by then, as a share of their schedule: the last scale has most of their fall."""
+_FEWER_STEPS = 0.8
+"""Of the settings' iterations."""
 _FEWEST_FIRST = 0.5
 """Least share of the Gaussians that begin as first points."""
 
@@ -43,12 +45,13 @@ class PictureScale:
 
 @dataclass(frozen=True)
 class PictureFit:
-    """A schedule for pictures of one size.
+    """A schedule of ``iterations`` for pictures of one size.
 
     ``scales``: in order, the first from step 0, the last with factor 1. ``first_points``: at most. ``longer``: factor
     of the positions' step size.
     """
 
+    iterations: int
     scales: tuple[PictureScale, ...]
     first_points: int
     longer: float
@@ -64,7 +67,7 @@ class PictureFit:
 
 def as_ever(settings: KeyframeSettings) -> PictureFit:
     """The schedule of small pictures, whatever their size."""
-    return PictureFit((PictureScale(0, 1),), settings.seen_cap, 1.0)
+    return PictureFit(settings.iterations, (PictureScale(0, 1),), settings.seen_cap, 1.0)
 
 
 def fit_to_pictures(cameras: Sequence[Camera], settings: KeyframeSettings) -> PictureFit:
@@ -75,10 +78,11 @@ def fit_to_pictures(cameras: Sequence[Camera], settings: KeyframeSettings) -> Pi
     factors = [1]
     while pixels >= _COARSEST * (2 * factors[0]) ** 2:
         factors.insert(0, 2 * factors[0])
-    each = _FINE_FROM * settings.iterations / (len(factors) - 1)
+    iterations = round(_FEWER_STEPS * settings.iterations)
+    each = _FINE_FROM * iterations / (len(factors) - 1)
     scales = tuple(PictureScale(round(number * each), factor) for number, factor in enumerate(factors))
     longer = (pixels / LARGE) ** 0.5
-    return PictureFit(scales, round(settings.seen_cap * max(_FEWEST_FIRST, 1 / longer)), longer)
+    return PictureFit(iterations, scales, round(settings.seen_cap * max(_FEWEST_FIRST, 1 / longer)), longer)
 
 
 def shrunk_camera(camera: Camera, factor: int) -> Camera:
