@@ -21,6 +21,8 @@ _COMMONEST = 256
 """Candidates of a channel: all values that rotations and colours have on a lattice, a bound for any others."""
 _COMMONEST_CHANGES = 16
 """The same of changes, nearly all of which are smaller than ten steps."""
+_GRID = 2.0**20
+"""Parts of a bit: on this grid, the last bit of a logarithm, which differs by machine, is lost."""
 
 Doubles = NDArray[np.float64]
 
@@ -61,7 +63,7 @@ def _cheapest(
     for _ in range(_ROUNDS):
         table, places, counts = np.unique(np.append(chosen, 0), return_inverse=True, return_counts=True)
         counts[places[-1]] += zeros - 1  # The 0 that was appended is none of them; the table may still need one.
-        bits = np.log2((len(chosen) + zeros) / np.maximum(counts, 1))
+        bits = np.rint(_GRID * np.log2((len(chosen) + zeros) / np.maximum(counts, 1))) / _GRID
         best, least = chosen, (change * (chosen - values)) ** 2 + bit * bits[places[:-1]]
         for place in np.argsort(-counts, kind="stable")[:most]:
             cost = (change * (table[place] - values)) ** 2 + bit * bits[place]
