@@ -280,7 +280,7 @@ QUESTIONS = (
         "everything on a lattice 128 times as fine, which is as good as floats: what significance and rounding cost.",
         (
             Variant("exact", "everything, unrounded", {"frame.significance": SignificanceSettings()}, refined=128),
-            *(Variant(f"worth{w:g}", f"{w:g}", {"frame.significance.threshold": w}) for w in (0.0, 0.09, 0.18, 0.36)),
+            *(Variant(f"worth{w:g}", f"{w:g}", {"frame.significance.threshold": w}) for w in (0.0, 0.12, 0.24, 0.48)),
         ),
         _BOTH,
     ),
