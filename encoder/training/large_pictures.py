@@ -29,7 +29,7 @@ _FINE_FROM = 0.7
 """Share of the schedule after which pictures have their own size."""
 _FINE_RATES = 0.2
 """How far step sizes have fallen by then, as a share of their schedule: the last scale has most of their fall."""
-_FEWER_STEPS = 0.8
+_FEWER_STEPS = 0.75
 """Of the settings' iterations."""
 _FEWEST_FIRST = 0.5
 """Least share of the Gaussians that begin as first points."""

@@ -30,10 +30,10 @@ def camera(width: int, height: int) -> Camera:
     ("size", "expected"),
     [
         ((490, 489), [(0, 1)]),
-        ((490, 490), [(0, 2), (560, 1)]),
-        ((960, 540), [(0, 2), (560, 1)]),
-        ((1352, 1014), [(0, 4), (280, 2), (560, 1)]),
-        ((3840, 2160), [(0, 8), (187, 4), (373, 2), (560, 1)]),
+        ((490, 490), [(0, 2), (525, 1)]),
+        ((960, 540), [(0, 2), (525, 1)]),
+        ((1352, 1014), [(0, 4), (262, 2), (525, 1)]),
+        ((3840, 2160), [(0, 8), (175, 4), (350, 2), (525, 1)]),
     ],
 )
 def test_the_first_steps_see_pictures_of_at_least_60_000_pixels(
@@ -49,7 +49,7 @@ def test_where_pictures_are_larger_first_points_are_fewer_and_steps_longer_and_f
     fits = [fit_to_pictures([camera(*size)], SETTINGS) for size in ((500, 480), (692, 694), (1000, 960), (2000, 1920))]
     np.testing.assert_allclose([fit.longer for fit in fits], [1, 2**0.5, 2, 4], rtol=1e-3)
     assert [fit.first_points for fit in fits] == [1000, 707, 500, 500]
-    assert [fit.iterations for fit in fits] == [800] * 4
+    assert [fit.iterations for fit in fits] == [750] * 4
 
 
 def test_step_sizes_have_most_of_their_fall_after_the_pictures_have_their_own_size() -> None:
