@@ -111,7 +111,8 @@ def encode_main(arguments: Sequence[str] | None = None) -> int:
         type=number,
         metavar="Q",
         help="0 (smallest) to 100 (most exact), default 50: the preset. Every 16 points lower double the significance "
-        "threshold and make lattice steps 1.19 times as coarse (with --keyframe, the lattice is the keyframe's)",
+        "threshold and what a bit is worth, and make lattice steps 1.19 times as coarse (with --keyframe, the lattice "
+        "is the keyframe's)",
     )
     parser.add_argument(
         "--bitrate",

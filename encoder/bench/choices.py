@@ -209,7 +209,7 @@ QUESTIONS = (
     ),
     Question(
         "faint-light",
-        "From what change on light counts, after a frame in which only light changed",
+        "From what change on light counts over much of the picture; half of it where light alone changes",
         "In 8-bit levels of the mean over 7 x 7 pixels; with the detected effects.",
         tuple(
             Variant(

@@ -67,7 +67,7 @@ QUESTIONS = (
     Question(
         "quality",
         "Quantisation",
-        "`--quality`: lattice and significance threshold, each with a keyframe of its own.",
+        "`--quality`: lattice, significance threshold and what a bit is worth, each with a keyframe of its own.",
         RATE_POINTS,
         _COLUMNS,
     ),

@@ -253,10 +253,12 @@ class MaskMemory:
         """Levels from which faint light counts, at least its ``noise``; 0 where none does."""
         if not self._settings.light_threshold:
             return 0.0
-        usual = max(self._settings.light_threshold, noise)
         least = max(_FAINTEST * self._settings.light_threshold, noise)
+        if self._only_light:
+            return least
+        usual = max(self._settings.light_threshold, noise)
         spread, faintly = _light_reach(now, reference, around, (usual, least))
-        if self._only_light or faintly > _EVERYWHERE:
+        if faintly > _EVERYWHERE:
             return least
         return usual if spread > _SPREADS else 0.0
 

@@ -180,11 +180,12 @@ def test_a_copy_of_the_memory_keeps_what_it_was_mending() -> None:
     assert not before.masks([still], [still])[0].dilated.any()
 
 
+@pytest.mark.parametrize("levels", [3, 6])
 @pytest.mark.parametrize("moved", [True, False])
-def test_faint_light_counts_after_a_frame_in_which_only_light_changed(moved: bool) -> None:
+def test_faint_light_counts_after_a_frame_in_which_only_light_changed(moved: bool, levels: float) -> None:
     before = np.full((3, 40, 40), 0.5, np.float32)
     lit = before.copy()
-    lit[:, 10:26, 10:26] += 6 / 255  # a sixth of the picture: it does not spread
+    lit[:, 10:26, 10:26] += levels / 255  # a sixth of the picture: it does not spread
     memory = MaskMemory([before], MaskSettings(threshold=10.0, radius_fraction=0.0, light_threshold=4.0))
     assert not memory.masks([lit], [lit])[0].dilated.any(), "nothing is known of the light yet"
     memory.trained([before], memory.masks([before], [before]), moved=moved)
@@ -192,7 +193,7 @@ def test_faint_light_counts_after_a_frame_in_which_only_light_changed(moved: boo
     expected[10:26, 10:26] = not moved
     mask = memory.masks([lit], [lit])[0]
     differs = mask.dilated != expected
-    differs[9:27, 9:27] &= False  # the mean reaches two thirds of 6 levels a pixel inside the border, or at it
+    differs[9:27, 9:27] &= False  # the mean reaches 2 levels a pixel beyond the border, or inside it
     assert not differs.any()
     assert mask.dilated[12:24, 12:24].all() != moved
     assert not mask.raw.any(), "too faint for a flash, or a sign that a camera has not frozen"

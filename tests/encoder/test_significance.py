@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from decogs.codec.lattice import default_lattice, dequantise, quantise
-from decogs.codec.state import ARRAYS, Attributes
+from decogs.codec.state import ARRAYS
 from decogs.encoder.coding.quantised_changes import quantised
 from decogs.encoder.rasterise import SplatGradients, TrainingKernel
 from decogs.encoder.settings.frame import FocusWeights, SignificanceSettings
@@ -104,12 +104,6 @@ def test_quaternions_keep_the_rotation_they_were_trained_to() -> None:
     np.testing.assert_allclose(cosines, 1, atol=1e-6)
     row, largest = np.arange(COUNT), np.abs(start.quaternions).argmax(axis=1)
     np.testing.assert_array_equal(now[row, largest], start.quaternions[row, largest])
-
-
-def attributes(seed: int, span: int) -> Attributes:
-    random = np.random.default_rng(seed)
-    shapes = ((COUNT, 3), (COUNT, 3), (COUNT, 4), (COUNT,), (COUNT, 4, 3))
-    return Attributes(*(random.integers(-span, span + 1, shape).astype(np.int32) for shape in shapes))
 
 
 def same_sensitivity(value: float) -> Splats:
