@@ -246,8 +246,18 @@ QUESTIONS = (
         "",
         (
             Variant("emergence-off", "off", {"frame.emergence.max_seeds": 0}),
-            Variant("emergence-on", "on, at most 2000 a frame", {"frame.emergence.max_seeds": 2000}),
+            *(
+                Variant(f"emergence{n}", f"on, from at most {n} rays", {"frame.emergence.max_rays": n})
+                for n in (250, 500, 2000)
+            ),
         ),
+        _BOTH,
+    ),
+    Question(
+        "structure",
+        "Weight of structure in later frames",
+        "Lambda of the focus-aware loss: the share of 1 - SSIM.",
+        tuple(Variant(f"structure{d:g}", f"{d:g}", {"frame.focus.dissimilarity": d}) for d in (0.0, 0.05, 0.1, 0.2)),
         _BOTH,
     ),
     Question(
@@ -280,7 +290,7 @@ QUESTIONS = (
         "everything on a lattice 128 times as fine, which is as good as floats: what significance and rounding cost.",
         (
             Variant("exact", "everything, unrounded", {"frame.significance": SignificanceSettings()}, refined=128),
-            *(Variant(f"worth{w:g}", f"{w:g}", {"frame.significance.threshold": w}) for w in (0.0, 0.12, 0.24, 0.48)),
+            *(Variant(f"worth{w:g}", f"{w:g}", {"frame.significance.threshold": w}) for w in (0.0, 0.075, 0.15, 0.3)),
         ),
         _BOTH,
     ),
@@ -301,7 +311,7 @@ QUESTIONS = (
                 f"{geometry:g} / {colour:g}",
                 {"frame.significance.rd_lambda": geometry, "frame.significance.colour_rd_lambda": colour},
             )
-            for geometry, colour in ((0.0, 0.0), (0.002, 0.002), (0.008, 0.002), (0.008, 0.008), (0.032, 0.008))
+            for geometry, colour in ((0.0, 0.0), (0.00125, 0.00125), (0.005, 0.00125), (0.005, 0.005), (0.02, 0.005))
         ),
         _BOTH,
     ),
@@ -309,7 +319,7 @@ QUESTIONS = (
         "grow-share",
         "Most Gaussians that a frame may add",
         "As a share of the selected.",
-        tuple(Variant(f"grow{g:g}", f"{g:g}", {"frame.grow_fraction": g}) for g in (0.005, 0.01, 0.02, 0.05)),
+        tuple(Variant(f"grow{g:g}", f"{g:g}", {"frame.grow_fraction": g}) for g in (0.0, 0.003, 0.01, 0.03)),
         _BOTH,
     ),
     Question(

@@ -171,7 +171,7 @@ class FrameSettings:
     cache_iterations: int = 150
     joint_iterations: int = 100
     warm_start: float = 0.0
-    warm_neighbours: int = 24
+    warm_neighbours: int = 8
     grow_gradient: float = 1e-4
     grow_fraction: float = 0.05
     prune_opacity: float = 0.01

@@ -14,9 +14,11 @@ class KeyframeSettings:
     ``iterations``: steps, of which large pictures take fewer. More is slower and, up to early stopping, better.
     ``cap``: Gaussians at most. More is slower and larger. ``sh_degree``: higher is slower and larger, better where
     views disagree.
-    ``dissimilarity``: lambda of 3DGS's loss. ``start_opacity``: of the first Gaussians. ``start_size``: their sigma in
-    units of the point spacing. ``guess_opacity``, ``guess_size``: the same of points that no view confirms, which stand
-    for what is not known: large and faint ones spread over it, small and opaque ones leave holes that needles fill.
+    ``dissimilarity``: lambda of 3DGS's loss where many views see a surface; ``few_views_dissimilarity``: where few do
+    (`training/few_views.py`). Higher keeps fine structure, lower errs less in other views.
+    ``start_opacity``: of the first Gaussians. ``start_size``: their sigma in units of the point spacing.
+    ``guess_opacity``, ``guess_size``: the same of points that no view confirms, which stand for what is not known:
+    large and faint ones spread over it, small and opaque ones leave holes that needles fill.
     ``grow_from``, ``grow_to``: shares of the schedule between which Gaussians are added, every ``grow_every`` steps,
     where the mean view gradient reaches ``grow_gradient``. Lower adds more, up to the cap, and is slower.
     ``prune_opacity``: Gaussians below it are removed.
@@ -39,6 +41,7 @@ class KeyframeSettings:
     cap: int = 52_000
     sh_degree: int = 0
     dissimilarity: float = 0.2
+    few_views_dissimilarity: float = 0.2
     start_opacity: float = 0.2
     start_size: float = 0.5
     guess_opacity: float = 0.1

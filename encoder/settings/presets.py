@@ -14,6 +14,7 @@ from decogs.formats.errors import UsageError
 from .encode import EncodeSettings
 from .frame import (
     EmergenceSettings,
+    FocusWeights,
     FrameSettings,
     IterationSettings,
     MaskSettings,
@@ -33,7 +34,7 @@ def _better(
 
 
 _LIVE = EncodeSettings(
-    keyframe=KeyframeSettings(iterations=250, cap=30_000, sh_degree=1, surroundings=0.5),
+    keyframe=KeyframeSettings(iterations=250, cap=30_000, sh_degree=1, few_views_dissimilarity=0.02, surroundings=0.5),
     frame=FrameSettings(
         masks=MaskSettings(
             threshold=10.0,
@@ -47,17 +48,18 @@ _LIVE = EncodeSettings(
         cache=None,
         joint_iterations=30,
         warm_start=0.9,
-        grow_fraction=0.01,
+        grow_fraction=0.003,
+        focus=FocusWeights(dissimilarity=0.05),
         beta1=0.7,
         beta2=0.99,
         max_stretch=4.0,
         adaptive_iterations=IterationSettings(usual_miss=0.15),
         significance=SignificanceSettings(
-            threshold=0.24,
+            threshold=0.15,
             decide_at=0.5,
             lit_factor=4.0,
-            rd_lambda=8e-3,
-            colour_rd_lambda=2e-3,
+            rd_lambda=5e-3,
+            colour_rd_lambda=1.25e-3,
         ),
         emergence=EmergenceSettings(max_rays=500),
     ),
@@ -65,7 +67,7 @@ _LIVE = EncodeSettings(
 _DRAFT = _better(
     _LIVE,
     keyframe={"iterations": 500, "cap": 40_000},
-    frame={"joint_iterations": 60, "emergence": EmergenceSettings(max_rays=2000)},
+    frame={"joint_iterations": 60},
 )
 _STANDARD = _better(_DRAFT, keyframe={"iterations": 1500, "cap": 52_000}, frame={"joint_iterations": 120})
 _HIGH = _better(
@@ -76,13 +78,12 @@ _ARCHIVE = _better(
     keyframe={"iterations": 5000},
     frame={
         "joint_iterations": 400,
-        "grow_fraction": 0.02,
         "significance": SignificanceSettings(
-            threshold=0.054,
+            threshold=0.034,
             decide_at=0.5,
             lit_factor=4.0,
-            rd_lambda=8e-4,
-            colour_rd_lambda=2e-4,
+            rd_lambda=5e-4,
+            colour_rd_lambda=1.25e-4,
         ),
     },
     lattice_scale=0.7,

@@ -12,6 +12,7 @@ moves the Gaussians directly.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -307,7 +308,8 @@ class _DeltaTraining:
         settings = self._settings
         faint = work.selected & (sigmoid(work.base.opacity_logits) < settings.prune_opacity)
         room = self._max_gaussians - work.population + int(faint.sum())
-        room = min(int(settings.grow_fraction * work.selected.sum()), room)
+        # Rounded up: a small scene that may never grow loses quality over hundreds of frames.
+        room = min(math.ceil(settings.grow_fraction * work.selected.sum()), room)
         grows = room > 0 and self._grow(work, view_gradients, masks, work.selected & ~faint, room)
         work.remove(np.flatnonzero(faint))
         if grows or faint.any():

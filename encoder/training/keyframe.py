@@ -32,6 +32,7 @@ from ..rasterise import RenderedPicture, TrainingKernel, gradients_like
 from ..settings.keyframe import KeyframeSettings
 from ..settings.optimiser import LearningRates
 from .densification import DENSIFICATIONS, ViewGradients
+from .few_views import dissimilarity_for
 from .large_pictures import PictureFit, as_ever, fit_to_pictures, shrunk_camera, shrunk_weights
 from .losses import whole_picture_loss
 from .optimiser import OPTIMISERS
@@ -105,7 +106,7 @@ def train_keyframe(
         views,
         pictures,
         points,
-        settings,
+        replace(settings, dissimilarity=dissimilarity_for(points, settings)),
         random=random,
         corrector=corrector,
         lattice=lattice,

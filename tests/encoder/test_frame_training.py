@@ -175,7 +175,7 @@ def test_one_view_with_the_place_in_its_focus_is_enough(case: Case) -> None:
 
 def test_growth_is_limited_by_gradient_and_share(case: Case) -> None:
     assert len(grown(case, everywhere=True).added) == 25
-    for limits, most in (({"grow_fraction": 0.2}, 5), ({"grow_gradient": 1e9}, 0)):
+    for limits, most in (({"grow_fraction": 0.2}, 5), ({"grow_fraction": 1e-3}, 1), ({"grow_gradient": 1e9}, 0)):
         chosen = replace(NOTHING, **({"grow_fraction": 1.0, "grow_gradient": 0.0} | limits))
         assert len(case.train(chosen).added) == most
 

@@ -54,8 +54,6 @@ SLOWER = {
     "keyframe.cap": +1,
     "keyframe.sh_degree": +1,
     "frame.joint_iterations": +1,
-    "frame.grow_fraction": +1,
-    "frame.emergence.max_rays": +1,
     "frame.significance.threshold": -1,
     "frame.significance.rd_lambda": -1,
     "frame.significance.colour_rd_lambda": -1,
