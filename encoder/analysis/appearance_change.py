@@ -37,7 +37,7 @@ class AppearanceChange(Effect):
             self,
             evidence,
             reason=f"up to {area:.2g} % of a picture changes between two frames, in place and away from motion",
-            cost="training and coding of colours and opacities: 9 kB and 1.3 CPU-s a frame (measured on candle)",
+            cost="training and coding of colours and opacities: 13 kB and 1.5 CPU-s a frame (measured on candle)",
             figures={"alone_percent": area},
         )
 

@@ -55,7 +55,7 @@ class Motion(Effect):
             self,
             evidence,
             reason=f"up to {area:.2g} % of a picture is restructured between two frames; light cannot explain it",
-            cost="training and coding of positions and rotations: 12 kB and 0.9 CPU-s a frame (measured on workbench)",
+            cost="training and coding of positions and rotations: 8 kB and 0.8 CPU-s a frame (measured on workbench)",
             figures={"restructured_percent": area},
         )
 

@@ -53,8 +53,8 @@ class LeftOutOptions:
     """What all encodes of a report share.
 
     ``cameras``: how many to leave out, evenly among the rig's, or their names; all when None. ``settings``: a preset's
-    name, or settings, effects as they say. ``frames``, ``scale``, ``threads``, ``seed``: as ``encode``'s; the first
-    frame alone when ``frames`` is None. ``any_code``: take results that other code made.
+    name, effects as detected, or settings, effects as they say. ``frames``, ``scale``, ``threads``, ``seed``: as
+    ``encode``'s; the first frame alone when ``frames`` is None. ``any_code``: take results that other code made.
     """
 
     cameras: int | Sequence[str] | None = None
@@ -144,7 +144,7 @@ class RigViewpoints:
         """Encodes without ``camera``, measures what it sees, keeps the result."""
         self._runs.mkdir(parents=True, exist_ok=True)
         stream = self.file_of(camera).with_suffix(".dgs")
-        report = self._encode(stream, self.settings, (camera,), self.options.seed, progress)
+        report = self._encode(stream, self.options.settings, (camera,), self.options.seed, progress)
         if report.interrupted:
             stream.unlink(missing_ok=True)
             raise KeyboardInterrupt
@@ -187,7 +187,7 @@ class RigViewpoints:
     def _encode(
         self,
         stream: Path,
-        settings: EncodeSettings,
+        settings: str | EncodeSettings,
         left_out: tuple[str, ...],
         seed: int,
         progress: EncodeObserver | None,
@@ -213,7 +213,7 @@ class RigViewpoints:
         path = self._references / f"{self.name}-{self._key(settings, '')}.dgs"
         if not path.is_file():
             self._references.mkdir(parents=True, exist_ok=True)
-            if self._encode(path, settings, (), 0, progress).interrupted:
+            if self._encode(path, REFERENCE, (), 0, progress).interrupted:
                 path.unlink(missing_ok=True)
                 raise KeyboardInterrupt
         return path
@@ -226,6 +226,7 @@ class RigViewpoints:
         rig, options = self.rig, self.options
         facts = {
             "settings": settings.as_document() if left_out else REFERENCE,
+            "effects": "detected" if isinstance(self.options.settings, str) or not left_out else "as set",
             "rig": [self.name, rig.layout, rig.frame_count, [camera.name for camera in rig.cameras]],
             "frames": [self.frames.start, self.frames.stop],
             "options": [left_out, options.scale, options.seed if left_out else 0],

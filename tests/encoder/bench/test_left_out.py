@@ -13,6 +13,7 @@ import pytest
 
 from decogs.codec.header import StreamHeader
 from decogs.codec.lattice import default_lattice
+from decogs.decoder.stream import open_stream
 from decogs.encoder.bench import left_out
 from decogs.encoder.bench.commands import bench_main
 from decogs.encoder.bench.surfaces import Surfaces, midway
@@ -152,6 +153,26 @@ def test_cameras_are_the_streams_with_their_near_planes(
     options = left_out.LeftOutOptions(cameras=1, settings="tiny", threads=1)
     left_out.RigViewpoints(three_frames, tmp_path, options).run("cam00")
     assert [camera.name for camera in drawn] == ["cam00"]
+
+
+def test_a_presets_effects_are_detected_as_in_an_encode_of_the_users(
+    three_frames: Path, tmp_path: Path, left: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without colours that are matched, a dome's camera that is left out has 24 instead of 30 dB."""
+    found: list[Any] = []
+    encode = left_out.encode
+
+    def observed(rig: Any, stream: Path, settings: Any, **options: Any) -> Any:
+        report = encode(rig, stream, settings, **options)
+        with open_stream(stream) as made:
+            found.append(made.header.settings["effects"])
+        return report
+
+    monkeypatch.setattr(left_out, "encode", observed)
+    options = left_out.LeftOutOptions(cameras=1, settings="tiny", threads=1)
+    left_out.RigViewpoints(three_frames, tmp_path, options).run("cam00")
+    observed(open_rig(three_frames), tmp_path / "users.dgs", "tiny", frames=slice(1), holdout=("cam00",), threads=1)
+    assert found == [found[-1]] * 3
 
 
 @pytest.mark.parametrize(
