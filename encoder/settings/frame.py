@@ -105,7 +105,8 @@ class EmergenceSettings:
 
     ``residual``: 8-bit levels by which a rendering must miss the picture. Lower finds fainter objects, and more wrong
     ones. ``min_fraction``: share of all views' pixels that must be missed before a search begins.
-    ``max_seeds``: seeds of one frame. ``max_rays``: rays of one frame; more is slower and finds finer detail.
+    ``max_seeds``: seeds of one frame. ``max_rays``: rays of one frame; more is slower and makes more and smaller
+    Gaussians.
     ``depths``: steps along a ray. ``min_views``: views that must miss the same point. ``missing_fraction``: share of
     the views that see the point and need not miss it. ``spread``: 8-bit levels by which colours of one point may
     differ. ``in_front``: share of the rendered depth by which a seed must lie before it. ``opacity``: of a seed.
@@ -155,7 +156,7 @@ class FrameSettings:
     ``warm_start``: share of the last displacement to begin with, 0 to 1: the median over the ``warm_neighbours``
     nearest selected Gaussians.
     ``grow_gradient``: the paper's tau_d. Lower adds more. ``grow_fraction``: most additions of one frame, as a share
-    of the selected Gaussians. More is slower and larger. ``prune_opacity``: Gaussians below it are removed.
+    of the selected Gaussians, rounded up. More is slower and larger. ``prune_opacity``: Gaussians below it are removed.
     ``rates``: of stage 2, ``means`` in units of the rig's extent. Over its second half they fall to ``late_decay`` of
     that. ``beta1``, ``beta2``: Adam's decay rates in stage 2.
     ``max_stretch``: largest ratio of a Gaussian's largest to its middle size that stage 2 may bring about; 0: any.

@@ -64,11 +64,7 @@ _LIVE = EncodeSettings(
         emergence=EmergenceSettings(max_rays=500),
     ),
 )
-_DRAFT = _better(
-    _LIVE,
-    keyframe={"iterations": 500, "cap": 40_000},
-    frame={"joint_iterations": 60},
-)
+_DRAFT = _better(_LIVE, keyframe={"iterations": 500, "cap": 40_000}, frame={"joint_iterations": 60})
 _STANDARD = _better(_DRAFT, keyframe={"iterations": 1500, "cap": 52_000}, frame={"joint_iterations": 120})
 _HIGH = _better(
     _STANDARD, keyframe={"iterations": 3000, "cap": 80_000, "sh_degree": 2}, frame={"joint_iterations": 250}

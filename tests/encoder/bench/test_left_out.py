@@ -106,6 +106,11 @@ def left(monkeypatch: pytest.MonkeyPatch, short_presets: None) -> list[tuple[str
     return names
 
 
+def run_without_cam00(rig: Path, folder: Path) -> None:
+    options = left_out.LeftOutOptions(cameras=1, settings="tiny", threads=1)
+    left_out.RigViewpoints(rig, folder, options).run("cam00")
+
+
 def test_the_whole_report(
     three_frames: Path, tmp_path: Path, left: list[Any], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -150,8 +155,7 @@ def test_cameras_are_the_streams_with_their_near_planes(
         return render(header, scene, view, **options)
 
     monkeypatch.setattr(left_out, "render_view", observed)
-    options = left_out.LeftOutOptions(cameras=1, settings="tiny", threads=1)
-    left_out.RigViewpoints(three_frames, tmp_path, options).run("cam00")
+    run_without_cam00(three_frames, tmp_path)
     assert [camera.name for camera in drawn] == ["cam00"]
 
 
@@ -169,8 +173,7 @@ def test_a_presets_effects_are_detected_as_in_an_encode_of_the_users(
         return report
 
     monkeypatch.setattr(left_out, "encode", observed)
-    options = left_out.LeftOutOptions(cameras=1, settings="tiny", threads=1)
-    left_out.RigViewpoints(three_frames, tmp_path, options).run("cam00")
+    run_without_cam00(three_frames, tmp_path)
     observed(open_rig(three_frames), tmp_path / "users.dgs", "tiny", frames=slice(1), holdout=("cam00",), threads=1)
     assert found == [found[-1]] * 3
 
