@@ -136,7 +136,9 @@ class StreamState:
         scene, views = self.scene.splats, self.ingest.views
         with watch.stage("commit"):
             if not self.method.dense:
-                self.views.views = [fixed_view(self.kernel, view.pinhole) for view in views]
+                # Where a closed segment starts they are there, and keep their memory.
+                if not self.views.views:
+                    self.views.views.extend(fixed_view(self.kernel, view.pinhole) for view in views)
                 self.views.show(scene)
             self.trainer = self.method.trainer(
                 training_context(
