@@ -116,11 +116,11 @@ def test_a_segment_shows_its_scene_in_the_views_of_the_one_before(
     encode: Any, rig_of: Any, key: Path, tiny_settings: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """New views for every segment leave holes in the heap: a take's memory grew by 50 kB a frame."""
-    made: list[Any] = []
+    made: list[str] = []
     new_view = stream_state.fixed_view
 
     def counted(kernel: Any, camera: Any) -> Any:
-        made.append(id(camera))
+        made.append(camera.name)
         return new_view(kernel, camera)
 
     monkeypatch.setattr(stream_state, "fixed_view", counted)
