@@ -7,7 +7,7 @@ MAX_BYTES. Of a longer clip every n-th frame is analysed; the others are passed 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -23,7 +23,7 @@ from decogs.formats.rigs import Rig, read_frames
 
 from ..change.noise import picture_noise
 from ..input.ingest import check_held_out, display_referred
-from ..parallel import Each, side_by_side
+from ..parallel import Each, ahead, side_by_side
 from .arrivals import Arrivals, camera_arrivals
 from .arrivals import undetermined as undetermined_arrivals
 from .changes import ChangeShares, successive_changes
@@ -96,7 +96,8 @@ def gather_statistics(
     chosen = _thinned(span, cameras)
     steps = _Steps(len(chosen) + 3 * len(cameras), on_step)
     with side_by_side(threads) as each:
-        seen = _read(rig, cameras, chosen, each, steps)
+        recorded = read_frames(rig, chosen[0], chosen[-1] + 1, step=chosen.step, names=[one.name for one in cameras])
+        seen = _read(recorded if threads == 1 else ahead(recorded), cameras, chosen, each, steps)
         matches = find_matches(cameras, [pictures[0] for pictures in seen.pictures], each)
         points = shared_points(cameras, matches)
         pixels = [points.pixels_of(row) for row in range(len(cameras))]
@@ -149,17 +150,17 @@ def _thinned(span: range, cameras: Sequence[Camera]) -> range:
     return span[:: math.ceil(len(span) / most)]
 
 
-def _read(rig: Rig, cameras: Sequence[Camera], chosen: range, each: Each, steps: _Steps) -> _Seen:
+def _read(
+    frames: Iterable[tuple[int, list[Picture]]], cameras: Sequence[Camera], chosen: range, each: Each, steps: _Steps
+) -> _Seen:
     shape = len(cameras), len(chosen)
     pictures = [np.empty((len(chosen), camera.height, camera.width, 3), np.uint8) for camera in cameras]
     noise, above, brightest = (np.full(shape, np.nan) for _ in range(3))
     before: list[F32] = []
     noisy = _noise_columns(len(chosen))
-    names = [camera.name for camera in cameras]
-    frames = read_frames(rig, chosen[0], chosen[-1] + 1, step=chosen.step, names=names)
     for column, (_, now) in enumerate(frames):
-        for row, camera in enumerate(cameras):
-            pictures[row][column] = _small(now[row], camera)
+        for row, small in enumerate(each(_small, now, cameras)):
+            pictures[row][column] = small
             if now[row].dtype != np.uint8:
                 above[row, column] = float((now[row] > 1).any(axis=2).mean())
                 brightest[row, column] = float(now[row].max())

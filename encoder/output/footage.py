@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from decogs.formats.splats import FloatArray
 
 from ..input.ingest import View
+from ..parallel import side_by_side
 
 _POOR = 10 ** (-20 / 10)
 """Mean square error of 20 dB: what is better than that is no other footage, however plain the pictures are."""
@@ -17,15 +18,21 @@ _RELATED = 0.25
 """Correlation of a rendering with a picture: nothing in common has about none, a scene that is hardly trained most."""
 
 
-def strange_cameras(views: Sequence[View], pictures: Sequence[FloatArray], shown: Sequence[FloatArray]) -> list[str]:
+def strange_cameras(
+    views: Sequence[View], pictures: Sequence[FloatArray], shown: Sequence[FloatArray], *, threads: int = 1
+) -> list[str]:
     """Cameras whose pictures (3, H, W) ``shown`` has nothing to do with, and misses by less than 20 dB."""
-    found = []
-    for view, picture, rendered in zip(views, pictures, shown, strict=True):
-        recorded = np.ones(picture.shape[1:], bool) if view.valid is None else view.valid > 0
-        target, drawn = (values[:, recorded].astype(np.float64) for values in (picture, np.clip(rendered, 0, 1)))
-        if recorded.any() and np.mean((drawn - target) ** 2) > _POOR and _correlation(drawn, target) < _RELATED:
-            found.append(view.camera.name)
-    return found
+    with side_by_side(threads) as each:
+        strange = list(each(_is_strange, views, pictures, shown))
+    return [view.camera.name for view, is_strange in zip(views, strange, strict=True) if is_strange]
+
+
+def _is_strange(view: View, picture: FloatArray, rendered: FloatArray) -> bool:
+    recorded = np.ones(picture.shape[1:], bool) if view.valid is None else view.valid > 0
+    if not recorded.any():
+        return False
+    target, drawn = (values[:, recorded].astype(np.float64) for values in (picture, np.clip(rendered, 0, 1)))
+    return bool(np.mean((drawn - target) ** 2) > _POOR and _correlation(drawn, target) < _RELATED)
 
 
 def _correlation(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:

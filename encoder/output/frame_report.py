@@ -69,7 +69,7 @@ class FrameReporter:
         with watch.stage(_STAGE):
             used = showing(masks) or range(len(self._ingest.views))
             views, pictures = [self._ingest.views[i] for i in used], [frame.training[i] for i in used]
-            cameras = strange_cameras(views, pictures, self._shown(scene, used))
+            cameras = strange_cameras(views, pictures, self._shown(scene, used), threads=self._threads)
             if cameras and self._on_warning is not None:
                 self._on_warning(warning_of(origin, frame.index, cameras))
 

@@ -402,8 +402,13 @@ class _DeltaTraining:
         misses: dict[int, NDArray[np.bool_]] = {}
         for probe in (views[::3], views):
             new = [index for index in probe if index not in searched]
-            searched |= {index: self._search_view(work, index, losses[index].target, masks[index]) for index in new}
+            for index in new:
+                self._watch[index].draw(work.shown, work.rows, depth=True)
             with side_by_side(self._threads) as each:
+                targets = [losses[index].target for index in new]
+                searched |= zip(
+                    new, each(self._search_view, new, targets, (masks[index] for index in new)), strict=True
+                )
                 misses |= zip(new, each(missed, map(searched.__getitem__, new), repeat(settings)), strict=True)
             if not worth_a_search(list(misses.values()), settings):
                 return empty_splats(work.base.sh_degree)
@@ -411,9 +416,9 @@ class _DeltaTraining:
         found = [searched[i] for i in views], [misses[i] for i in views]
         return seeds(*found, fewer, work.base.sh_degree, threads=self._threads)
 
-    def _search_view(self, work: _Working, index: int, target: FloatArray, mask: FrameMask) -> SearchView:
+    def _search_view(self, index: int, target: FloatArray, mask: FrameMask) -> SearchView:
+        """What view ``index`` was last drawn with, beside its picture."""
         view, watching = self._views[index], self._watch[index]
-        watching.draw(work.shown, work.rows, depth=True)
         depth = watching.depth / np.maximum(watching.alpha, np.float32(1e-6))
         return SearchView(view.pinhole, target, watching.rgb, depth, _focus(view, mask))
 

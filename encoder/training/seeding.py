@@ -14,8 +14,9 @@ Rejected: a voxel grid (useful only at the resolution of pixels, and then mostly
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
+from functools import partial
 from typing import TypeVar
 
 import cv2
@@ -43,6 +44,10 @@ _NEAR = 4.0
 _SIGMA_PER_SPACING = 0.6
 _PART = 500
 """Rays per batch: enough for numpy to dominate Python's overhead; batches run in parallel."""
+_BLOCK = 64
+"""Side of a block of pixels that is smoothed at once."""
+_MARGIN = 2
+"""Pixels right and below of a position that its value may be read from: positions are rounded to parts of a pixel."""
 
 
 @dataclass(frozen=True)
@@ -140,6 +145,63 @@ def _take(part: P, rows: IntArray | slice) -> P:
     return type(part)(*(getattr(part, field.name)[rows] for field in fields(part)))
 
 
+class _Smoothed:
+    """A picture (H, W, 3) averaged over 3 x 3 pixels, made block by block where somebody asks for it.
+
+    The search looks at few pixels of many large pictures. ``planes`` (3, h, w) are given for a range of rows and of
+    columns. Threads may ask at the same time: a block that two of them make is the same twice.
+    """
+
+    def __init__(self, camera: Camera, planes: Callable[[slice, slice], FloatArray]) -> None:
+        self._planes, self._height, self._width = planes, camera.height, camera.width
+        self._bands: dict[int, FloatArray] = {}
+        self._made: set[tuple[int, int]] = set()
+
+    def pixels(self, flat: IntArray) -> FloatArray:
+        """Values (P, 3) of pixels (flat indices)."""
+        values = np.empty((len(flat), 3), np.float32)
+        rows, columns = np.divmod(flat, self._width)
+        for here, top, band in self._parts(rows, columns):
+            values[here] = band[rows[here] - top, columns[here]]
+        return values
+
+    def between(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> FloatArray:
+        """Values (P, 3) at positions in the picture, pixel centres at .5."""
+        values = np.empty((len(u), 3), np.float32)
+        # As precise as ``bilinear`` takes them, which a band's first row is then taken from without rounding.
+        x, y = (u - 0.5).astype(np.float32), (v - 0.5).astype(np.float32)
+        rows, columns = (np.maximum(np.floor(at), 0).astype(np.int64) for at in (y, x))
+        for here, top, band in self._parts(rows, columns):
+            values[here] = bilinear(band, x[here].astype(np.float64) + 0.5, y[here].astype(np.float64) - top + 0.5)
+        return values
+
+    def _parts(self, rows: IntArray, columns: IntArray) -> Iterator[tuple[IntArray, int, FloatArray]]:
+        """The pixels' places in parts that lie in one band each, the band's first row, and the band (h, W, 3).
+
+        What lies up to _MARGIN pixels right and below is there too: neighbours count, also those that weigh nothing.
+        """
+        down, right = rows // _BLOCK, columns // _BLOCK
+        further = np.minimum(columns + _MARGIN, self._width - 1) // _BLOCK
+        for band in np.unique(down):
+            here = np.flatnonzero(down == band)
+            for block in np.union1d(right[here], further[here]):
+                self._make(int(band), int(block))
+            yield here, int(band) * _BLOCK, self._bands[int(band)]
+
+    def _make(self, band: int, block: int) -> None:
+        if (band, block) in self._made:
+            return
+        top, left = band * _BLOCK, block * _BLOCK
+        bottom, right = min(top + _BLOCK + _MARGIN, self._height), min(left + _BLOCK, self._width)
+        above, before = min(top, 1), min(left, 1)
+        planes = self._planes(slice(top - above, bottom + 1), slice(left - before, right + 1))
+        smooth = cv2.blur(cv2.merge(list(planes)), (3, 3))
+        if band not in self._bands:
+            self._bands.setdefault(band, np.empty((bottom - top, self._width, 3), np.float32))
+        self._bands[band][:, left:right] = smooth[above : above + bottom - top, before : before + right - left]
+        self._made.add((band, block))
+
+
 class _Search:
     """Every view's wide mask, smoothed picture and rendered depth, which all rays are compared with."""
 
@@ -148,8 +210,8 @@ class _Search:
     ) -> None:
         self._views, self._cores, self._settings = views, cores, settings
         self._wide = list(each(lambda view, core: _wide(view, core, settings.residual / 2), views, cores))
-        self._smooth = list(each(lambda view: _smoothed(view.picture), views))
-        self._change = list(each(lambda view: _smoothed(view.picture - view.rendered), views))
+        self._smooth = [_Smoothed(view.camera, partial(_picture, view)) for view in views]
+        self._change = [_Smoothed(view.camera, partial(_difference, view)) for view in views]
         depths = np.concatenate([view.depth.ravel()[::17] for view in views])
         near, far = np.percentile(depths[depths > 0], [1, 99]) if (depths > 0).any() else (1.0, 1.0)
         self._inverse = np.linspace(1 / (_NEAREST * near), 1 / far, settings.depths)
@@ -168,7 +230,7 @@ class _Search:
             _directions(view.camera, pixels),
             view.depth.ravel()[pixels],
             view.picture.reshape(3, -1).T[pixels],
-            self._smooth[index].reshape(-1, 3)[pixels],
+            self._smooth[index].pixels(pixels),
         )
 
     def along_rays(self, rays: _Rays) -> _Found:
@@ -210,7 +272,7 @@ class _Search:
         changes = np.zeros((len(rays.pixels), 3), np.float32)
         for index in np.unique(rays.views):
             own = rays.views == index
-            changes[own] = self._change[index].reshape(-1, 3)[rays.pixels[own]]
+            changes[own] = self._change[index].pixels(rays.pixels[own])
         reach = rays.directions * rays.surface[:, None]
         for nearer in (0.985, 1.0, 1.015):
             there, _ = self._disagreements(
@@ -239,7 +301,7 @@ class _Search:
 
     def _disagreements(
         self,
-        pictures: Sequence[Sequence[FloatArray]],
+        pictures: Sequence[Sequence[_Smoothed]],
         views: IntArray,
         points: NDArray[np.float64],
         references: Sequence[FloatArray],
@@ -257,7 +319,7 @@ class _Search:
             inside = np.flatnonzero((flat >= 0) & (views != other))
             at = flat[inside]
             for kind, (each, reference) in enumerate(zip(pictures, references, strict=True)):
-                colours = bilinear(each[other], u[inside], v[inside])
+                colours = each[other].between(u[inside], v[inside])
                 differences[kind, other, inside] = np.abs(colours - reference[inside]).max(axis=1)
             rendered = view.depth.ravel()[at]
             before[inside] += (rendered <= 0) | (depth[inside] < (1 - self._settings.in_front / 2) * rendered)
@@ -281,9 +343,12 @@ def _wide(view: SearchView, core: BoolArray, levels: float) -> BoolArray:
     return cv2.dilate(missing, np.ones((3, 3), np.uint8)).view(np.bool_).ravel()
 
 
-def _smoothed(planes: FloatArray) -> FloatArray:
-    """(3, H, W) as (H, W, 3), averaged over 3 x 3 pixels."""
-    return np.asarray(cv2.blur(cv2.merge(list(planes)), (3, 3)), np.float32)
+def _picture(view: SearchView, rows: slice, columns: slice) -> FloatArray:
+    return view.picture[:, rows, columns]
+
+
+def _difference(view: SearchView, rows: slice, columns: slice) -> FloatArray:
+    return view.picture[:, rows, columns] - view.rendered[:, rows, columns]
 
 
 def _far_first(index: int, count: int) -> list[int]:

@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
 from decogs.encoder.change.masks import FrameMask
 from decogs.encoder.input.ingest import View
+from decogs.encoder.numerics import bilinear
 from decogs.encoder.rasterise import FixedView, TrainingKernel
 from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings
 from decogs.encoder.training import seeding
@@ -243,3 +245,23 @@ def test_a_trained_frame_shows_the_new_object(kernel: TrainingKernel, wall: Spla
 
 def test_a_trained_frame_without_anything_new_adds_nothing(kernel: TrainingKernel, wall: Splats) -> None:
     assert len(trained(kernel, wall, wall, SETTINGS)[0]) == 0
+
+
+@pytest.mark.parametrize(("width", "height"), [(200, 150), (129, 65), (64, 128), (5, 3)])
+def test_a_picture_smoothed_where_it_is_asked_for_is_the_one_smoothed_whole(width: int, height: int) -> None:
+    random = np.random.default_rng(3)
+    planes = random.random((3, height, width), np.float32)
+    camera = Camera("cam", width, height, 100.0, 100.0, width / 2, height / 2, np.eye(4))
+    smoothed = seeding._Smoothed(camera, lambda rows, columns: planes[:, rows, columns])
+    whole = cv2.blur(cv2.merge(list(planes)), (3, 3))
+    # Positions up to the borders, on pixel centres, between them, and a rounding away from the next block.
+    u = np.concatenate(
+        [random.random(300) * width, [0, 0.5, width, width - 0.5], [64.4999, 64.5, 64.51] * (width > 65)]
+    )
+    v = np.resize(np.concatenate([random.random(300) * height, [0, height, 64.4999, 63.99]]), len(u)).clip(0, height)
+    for _ in range(2):  # The second time nothing is left to make.
+        assert np.array_equal(smoothed.between(u, v), bilinear(whole, u, v))
+        pixels = random.integers(0, width * height, 50)
+        assert np.array_equal(smoothed.pixels(pixels), whole.reshape(-1, 3)[pixels])
+    few = seeding._Smoothed(camera, lambda rows, columns: planes[:, rows, columns])
+    assert np.array_equal(few.between(u[:1], v[:1]), bilinear(whole, u[:1], v[:1]))
