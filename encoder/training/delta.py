@@ -405,16 +405,14 @@ class _DeltaTraining:
             for index in new:
                 self._watch[index].draw(work.shown, work.rows, depth=True)
             with side_by_side(self._threads) as each:
-                targets = [losses[index].target for index in new]
-                searched |= zip(
-                    new, each(self._search_view, new, targets, (masks[index] for index in new)), strict=True
-                )
+                found = each(lambda index: self._search_view(index, losses[index].target, masks[index]), new)
+                searched |= zip(new, found, strict=True)
                 misses |= zip(new, each(missed, map(searched.__getitem__, new), repeat(settings)), strict=True)
             if not worth_a_search(list(misses.values()), settings):
                 return empty_splats(work.base.sh_degree)
         fewer = replace(settings, max_rays=max(1, round(rays * settings.max_rays)))
-        found = [searched[i] for i in views], [misses[i] for i in views]
-        return seeds(*found, fewer, work.base.sh_degree, threads=self._threads)
+        given = [searched[i] for i in views], [misses[i] for i in views]
+        return seeds(*given, fewer, work.base.sh_degree, threads=self._threads)
 
     def _search_view(self, index: int, target: FloatArray, mask: FrameMask) -> SearchView:
         """What view ``index`` was last drawn with, beside its picture."""
