@@ -124,10 +124,11 @@ def without_specks(mask: BoolArray, area: int) -> BoolArray:
     """The mask without its connected parts (8 neighbours) of fewer than ``area`` pixels."""
     if area <= 1 or not mask.any():
         return np.array(mask)
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.view(np.uint8), connectivity=8)
-    keep = stats[:, cv2.CC_STAT_AREA] >= area
-    keep[0] = False  # label 0 is the background
-    kept: BoolArray = keep[labels]
+    # The fastest of OpenCV's ways; all find the same parts.
+    way = 8, cv2.CV_32S, cv2.CCL_BBDT
+    _, labels, stats, _ = cv2.connectedComponentsWithStatsWithAlgorithm(mask.view(np.uint8), *way)
+    kept, at = np.zeros_like(mask), np.flatnonzero(mask)
+    kept.flat[at] = (stats[:, cv2.CC_STAT_AREA] >= area)[labels.ravel()[at]]
     return kept
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -379,8 +380,9 @@ class TrainingKernel:
 
         ``rate`` is one number, or one per column of ``value`` seen as (N, columns).
         """
-        count, columns = len(value), int(np.prod(value.shape[1:], dtype=np.int64))
-        rates = np.ascontiguousarray(np.broadcast_to(np.asarray(rate, np.float32), (columns,)))
+        count, columns = len(value), math.prod(value.shape[1:])
+        rates = np.empty(columns, np.float32)
+        rates[:] = rate
         if any(a.shape != value.shape for a in (gradient, first, second)):
             raise ValueError(f"gradient and moments must have the shape of the value, {value.shape}")
         if rows is not None:

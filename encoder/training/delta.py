@@ -416,9 +416,8 @@ class _DeltaTraining:
 
     def _search_view(self, index: int, target: FloatArray, mask: FrameMask) -> SearchView:
         """What view ``index`` was last drawn with, beside its picture."""
-        view, watching = self._views[index], self._watch[index]
-        depth = watching.depth / np.maximum(watching.alpha, np.float32(1e-6))
-        return SearchView(view.pinhole, target, watching.rgb, depth, _focus(view, mask))
+        view, drawn = self._views[index], self._watch[index]
+        return SearchView(view.pinhole, target, drawn.rgb, drawn.alpha, drawn.depth, _focus(view, mask))
 
     def _open_gate(self, work: _Working, scene: Splats) -> None:
         """Ablation: steps every Gaussian from here on, with the momentum of previous frames."""

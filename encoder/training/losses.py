@@ -76,13 +76,14 @@ def focus_loss(
     SSIM compares the masked pictures (docs/METHOD.md, "Focus-aware loss": how the paper's formula is read). Without a
     focus, L1 alone remains.
     """
-    counted = np.ones(mask.shape, np.float32) if valid is None else valid
-    focus = np.ascontiguousarray(mask * counted, np.float32)
-    whole_size, focus_size = max(1.0, 3.0 * float(counted.sum())), 3.0 * float(focus.sum())
-    l1 = counted * np.float32(weights.whole / whole_size)
-    if focus_size > 0:
-        l1 = l1 + focus * np.float32(weights.focus / focus_size)
+    focus = np.where(mask, np.float32(1) if valid is None else valid, np.float32(0))
+    whole_size = max(1.0, 3.0 * (mask.size if valid is None else float(valid.sum())))
+    focus_size = 3.0 * float(focus.sum())
+    whole_weight = np.float32(weights.whole / whole_size)
+    in_focus = whole_weight + np.float32(weights.focus / focus_size) if focus_size > 0 else whole_weight
+    weight = np.where(mask, in_focus, whole_weight)
+    if valid is not None:
+        weight *= valid
     ssim_scale = weights.dissimilarity / focus_size if focus_size > 0 else 0.0
     emphasis = weights.whole + weights.focus * whole_size / focus_size if focus_size > 0 else 1.0
-    weight = np.ascontiguousarray(l1, np.float32)
     return PhotometricLoss(target, 1 - weights.dissimilarity, ssim_scale, weight, focus, emphasis)

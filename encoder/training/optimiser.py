@@ -7,7 +7,7 @@ Rejected: torch.optim.Adam (steps every row, and its sparse variant has no row s
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -99,12 +99,7 @@ class Adam:
     def step(self, gradients: SplatGradients, rates: LearningRates, *, rows: NDArray[np.int64] | None = None) -> None:
         """One step of every attribute whose rate is not 0, on ``rows`` or on all."""
         self._steps += 1
-        coefficients = self.splats.sh.shape[1]
-        sh_rates = np.repeat(np.array([rates.sh_dc] + [rates.sh_rest] * (coefficients - 1), np.float32), 3)
-        for name in ATTRIBUTES:
-            rate = sh_rates if name == "sh" else getattr(rates, name)
-            if not np.any(rate):
-                continue
+        for name, rate in self._moving(rates):
             self._kernel.adam(
                 getattr(self.splats, name),
                 getattr(gradients, name),
@@ -119,6 +114,15 @@ class Adam:
             )
         for name, (held, values) in self._held.items():
             np.copyto(getattr(self.splats, name), values, where=held)
+
+    def _moving(self, rates: LearningRates) -> Iterator[tuple[str, float | FloatArray]]:
+        """The attributes whose rate is not 0, and that rate: one for each number of a Gaussian's ``sh``."""
+        for name in ATTRIBUTES:
+            if name != "sh" and (rate := getattr(rates, name)):
+                yield name, rate
+        by_coefficient = [rates.sh_dc] + [rates.sh_rest] * (self.splats.sh.shape[1] - 1)
+        if any(by_coefficient):
+            yield "sh", np.repeat(np.array(by_coefficient, np.float32), 3)
 
     def hold(self, held: Mapping[str, NDArray[np.bool_]]) -> None:
         """From now on these numbers of each attribute keep their values, until rows come or go."""

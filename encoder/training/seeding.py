@@ -42,6 +42,8 @@ _SAME = 0.1
 _NEAR = 4.0
 """Size of a neighbourhood, as a multiple of the distance between rays."""
 _SIGMA_PER_SPACING = 0.6
+_FAINTEST = np.float32(1e-6)
+"""Alpha of a ray that meets nothing: keeps its depth at 0."""
 _PART = 500
 """Rays per batch: enough for numpy to dominate Python's overhead; batches run in parallel."""
 _BLOCK = 64
@@ -52,16 +54,22 @@ _MARGIN = 2
 
 @dataclass(frozen=True)
 class SearchView:
-    """One view at the time of the search: its pinhole camera, picture and rendering (3, H, W), rendered depth (H, W).
+    """One view at the time of the search: its pinhole camera, picture and rendering (3, H, W), alpha and depth (H, W).
 
-    ``focus`` (H, W): the region in which the frame may change. The depth is the mean along the ray, in world units.
+    The depth is summed with the rendering weights, in world units. ``focus`` (H, W): the region in which the frame may
+    change.
     """
 
     camera: Camera
     picture: FloatArray
     rendered: FloatArray
+    alpha: FloatArray
     depth: FloatArray
     focus: BoolArray
+
+    def surface(self, pixels: IntArray | slice) -> FloatArray:
+        """Mean depth along the rays of flat pixels, 0 for none."""
+        return np.asarray(self.depth.ravel()[pixels] / np.maximum(self.alpha.ravel()[pixels], _FAINTEST))
 
 
 def missed(view: SearchView, settings: EmergenceSettings) -> BoolArray:
@@ -212,7 +220,7 @@ class _Search:
         self._wide = list(each(lambda view, core: _wide(view, core, settings.residual / 2), views, cores))
         self._smooth = [_Smoothed(view.camera, partial(_picture, view)) for view in views]
         self._change = [_Smoothed(view.camera, partial(_difference, view)) for view in views]
-        depths = np.concatenate([view.depth.ravel()[::17] for view in views])
+        depths = np.concatenate([view.surface(slice(None, None, 17)) for view in views])
         near, far = np.percentile(depths[depths > 0], [1, 99]) if (depths > 0).any() else (1.0, 1.0)
         self._inverse = np.linspace(1 / (_NEAREST * near), 1 / far, settings.depths)
 
@@ -228,7 +236,7 @@ class _Search:
             pixels,
             np.broadcast_to(camera_centre(view.camera), (len(pixels), 3)),
             _directions(view.camera, pixels),
-            view.depth.ravel()[pixels],
+            view.surface(pixels),
             view.picture.reshape(3, -1).T[pixels],
             self._smooth[index].pixels(pixels),
         )
@@ -321,7 +329,7 @@ class _Search:
             for kind, (each, reference) in enumerate(zip(pictures, references, strict=True)):
                 colours = each[other].between(u[inside], v[inside])
                 differences[kind, other, inside] = np.abs(colours - reference[inside]).max(axis=1)
-            rendered = view.depth.ravel()[at]
+            rendered = view.surface(at)
             before[inside] += (rendered <= 0) | (depth[inside] < (1 - self._settings.in_front / 2) * rendered)
             seen[inside] += 1
         enough = seen >= self._settings.min_views - 1

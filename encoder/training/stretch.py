@@ -25,7 +25,7 @@ def step_unstretched(optimiser: Optimiser, gradients: SplatGradients, rates: Lea
 
     Nothing is looked at where sizes are not trained, as in frames that only light changes.
     """
-    before = stretches(optimiser.splats.log_scales) if max_stretch and rates.log_scales else None
+    before = optimiser.splats.log_scales.copy() if max_stretch and rates.log_scales else None
     optimiser.step(gradients, rates)
     if before is not None:
         limit_stretch(optimiser.splats.log_scales, before, max_stretch)
@@ -41,9 +41,9 @@ def stretches(log_scales: FloatArray) -> FloatArray:
 def limit_stretch(log_scales: FloatArray, before: FloatArray, max_stretch: float) -> None:
     """Shortens in place what is longer than ``max_stretch`` times its middle size and longer than ``before``.
 
-    ``log_scales`` (N, 3); ``before`` (N,): the `stretches` that were there.
+    ``log_scales`` (N, 3), and what they were ``before``.
     """
-    excess = stretches(log_scales) - np.maximum(before, np.float32(math.log(max_stretch)))
-    rows = np.flatnonzero(excess > 0)
-    largest = log_scales[rows].argmax(axis=1)
-    log_scales[rows, largest] -= excess[rows]
+    limit, now = np.float32(math.log(max_stretch)), stretches(log_scales)
+    rows = np.flatnonzero(now > limit)  # few
+    excess = np.maximum(now[rows] - np.maximum(stretches(before[rows]), limit), 0)
+    log_scales[rows, log_scales[rows].argmax(axis=1)] -= excess

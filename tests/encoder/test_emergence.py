@@ -71,8 +71,8 @@ def kernel() -> TrainingKernel:
 def search_view(kernel: TrainingKernel, camera: Camera, shown: Splats, rendered: Splats) -> SearchView:
     picture = kernel.forward(rendered, camera, depth=True)
     assert picture.depth is not None
-    depth = picture.depth / np.maximum(picture.alpha, np.float32(1e-6))
-    return SearchView(camera, kernel.forward(shown, camera).rgb, picture.rgb, depth, np.ones(depth.shape, bool))
+    seen, focus = kernel.forward(shown, camera), np.ones(picture.alpha.shape, bool)
+    return SearchView(camera, seen.rgb, picture.rgb, picture.alpha, picture.depth, focus)
 
 
 def search_views(kernel: TrainingKernel, shown: Splats, rendered: Splats) -> list[SearchView]:

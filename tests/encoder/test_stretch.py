@@ -21,7 +21,7 @@ def test_the_stretch_is_largest_over_middle_whatever_the_order_of_axes() -> None
 
 def test_a_needle_is_shortened_and_a_disc_is_not() -> None:
     now = sizes((8, 1, 1), (1, 1, 0.001), (0.5, 6, 1), (3, 1, 0.1))
-    before = stretches(sizes((1, 1, 1), (1, 1, 1), (1, 1, 1), (1, 1, 1)))
+    before = sizes((1, 1, 1), (1, 1, 1), (1, 1, 1), (1, 1, 1))
     limit_stretch(now, before, 4.0)
     # float32 logarithms of sizes up to 8: rounded by at most 1e-6
     np.testing.assert_allclose(np.exp(now), [(4, 1, 1), (1, 1, 0.001), (0.5, 4, 1), (3, 1, 0.1)], rtol=2e-6)
@@ -31,5 +31,5 @@ def test_a_needle_is_shortened_and_a_disc_is_not() -> None:
 def test_what_was_longer_before_grows_no_longer(length: float, middle: float, limited: float) -> None:
     """From 8 : 1 it may become 16 : 2 or 6 : 1, not 10 : 1."""
     now = sizes((length, middle, 0.5))
-    limit_stretch(now, stretches(sizes((8.0, 1.0, 0.5))), 4.0)
+    limit_stretch(now, sizes((8.0, 1.0, 0.5)), 4.0)
     assert np.exp(now[0, 0]) == pytest.approx(limited, rel=2e-6)

@@ -80,9 +80,11 @@ class IncrementalView {
         if (renumbered) renumber(renumbered, before);
         lists_.projected.resize(population);
         bring(pool, scene, from, rows, count);
-        for (int t = 0; t < lists_.tiles(); ++t) {
+        active_.clear();
+        for (int t = 0; t < lists_.tiles(); ++t)
+            if (first_arrival_[t + 1] > first_arrival_[t]) active_.push_back(t);
+        each_active(pool, [&](int t) {
             Tile& tile = tiles_[t];
-            if (first_arrival_[t + 1] == first_arrival_[t]) continue;
             std::vector<Static> merged;
             merged.reserve(tile.statics.size() + first_arrival_[t + 1] - first_arrival_[t]);
             each_in_order(
@@ -90,14 +92,14 @@ class IncrementalView {
                 [&](const Arrival& a) { merged.push_back({a.depth, static_cast<uint32_t>(rows[a.index]), 0.0f, -1}); });
             tile.statics.swap(merged);
             tile.stale = true;
-        }
+        });
     }
 
     // Redraws stale tiles; returns their number.
     int64_t redraw(Pool& pool, const Planes& planes, const Picture& to) {
         line_up([](int) { return false; });
         each_active(pool, [&](int t) {
-            find_blocks(t);
+            list_statics(t);
             composite_tile(lists_, camera_, t, planes, nullptr);
             finish_tile(camera_, t % lists_.columns * kTile, t / lists_.columns * kTile, planes, to);
         });
@@ -184,22 +186,24 @@ class IncrementalView {
         for (; a < end; ++a) on_arrival(arrivals_[a]);
     }
 
-    // Builds the lists of the active tiles.
-    void merge(const int64_t* rows) {
+    // Makes room for the lists of the active tiles; `merge` fills each.
+    void make_room() {
         lists_.first_entry.assign(lists_.tiles() + 1, 0);
         for (int t : active_)
             lists_.first_entry[t + 1] = static_cast<uint32_t>(tiles_[t].statics.size()) + first_arrival_[t + 1] - first_arrival_[t];
         for (int t = 0; t < lists_.tiles(); ++t) lists_.first_entry[t + 1] += lists_.first_entry[t];
         lists_.entries.resize(lists_.first_entry[lists_.tiles()]);
-        for (int t : active_) {
-            Entry* to = lists_.entries.data() + lists_.first_entry[t];
-            each_in_order(
-                t, rows, [&](const Static& r) { *to++ = {r.gaussian, kNoPair, r.blocks}; },
-                [&](const Arrival& a) { *to++ = {static_cast<uint32_t>(rows[a.index]), a.pair, -1}; });
-        }
     }
 
-    // Activates stale and `wanted` tiles for a redraw of the static scene, and builds their lists.
+    // Builds the list of an active tile.
+    void merge(int t, const int64_t* rows) {
+        Entry* to = lists_.entries.data() + lists_.first_entry[t];
+        each_in_order(
+            t, rows, [&](const Static& r) { *to++ = {r.gaussian, kNoPair, r.blocks}; },
+            [&](const Arrival& a) { *to++ = {static_cast<uint32_t>(rows[a.index]), a.pair, -1}; });
+    }
+
+    // Activates stale and `wanted` tiles for a redraw of the static scene.
     template <class Wanted>
     void line_up(const Wanted& wanted) {
         active_.clear();
@@ -209,7 +213,7 @@ class IncrementalView {
             tiles_[t].stale = false;
         }
         first_arrival_.assign(lists_.tiles() + 1, 0);
-        merge(nullptr);
+        make_room();
     }
 
     template <class Task>
@@ -221,14 +225,12 @@ class IncrementalView {
         });
     }
 
-    // Computes the block masks of a tile's static ellipses once, for all later draws.
-    void find_blocks(int t) {
+    // Builds the list of an active tile without arrivals. The block masks of its ellipses are computed once, for all later draws.
+    void list_statics(int t) {
         const TileCorners corners = block_corners(t % lists_.columns, t / lists_.columns);
-        Entry* entry = lists_.entries.data() + lists_.first_entry[t];
-        for (Static& r : tiles_[t].statics) {
+        for (Static& r : tiles_[t].statics)
             if (r.blocks < 0) r.blocks = blocks_met(lists_.projected[r.gaussian], corners.x, corners.y);
-            (entry++)->blocks = r.blocks;
-        }
+        merge(t, nullptr);
     }
 
     void renumber(const int64_t* renumbered, int64_t before) {
@@ -242,7 +244,7 @@ class IncrementalView {
     uint64_t max_pairs_ = kMaxPairs;
     TileLists lists_;  // `projected` of the whole scene; entries of the active tiles only
     std::vector<Tile> tiles_;
-    std::vector<int> active_;
+    std::vector<int> active_;  // tiles under work
     // Buffers of the last `bring`.
     std::vector<Projected> projected_;
     std::vector<uint32_t> pairs_of_, first_pair_, tile_of_pair_, first_arrival_, cursor_;

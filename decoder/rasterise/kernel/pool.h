@@ -1,6 +1,9 @@
 // A pool of sleeping threads for independent tasks. Tasks write to separate memory, so that results do not depend on which
 // thread runs which task.
 //
+// A thread that waits watches for a moment before it sleeps: to wake one takes 50 us, most of what a small picture's tasks take.
+// It yields meanwhile, so that others who need the processor have it.
+//
 // An exception in a task (out of memory) ends the run; the first one is rethrown on the calling thread once all threads are
 // idle. A forked child has none of its parent's threads; the pool starts new ones there.
 //
@@ -15,6 +18,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <chrono>
 #include <condition_variable>
 #include <exception>
 #include <functional>
@@ -45,6 +49,8 @@ class Pool {
     }
 
    private:
+    static constexpr std::chrono::microseconds kWatch{100};
+
     class Crew {
        public:
         explicit Crew(int threads) {
@@ -79,14 +85,23 @@ class Pool {
             }
             for (int i = std::min(static_cast<int>(workers_.size()), count - 1); i > 0; --i) wake_.notify_one();
             drain(task, count);
+            {
+                std::lock_guard<std::mutex> lock(mutex_);
+                busy_ -= wanted_.exchange(0);  // workers that still sleep may stay so: no task is left
+            }
+            watch_for([this] { return busy_ == 0; });
             std::unique_lock<std::mutex> lock(mutex_);
-            busy_ -= std::exchange(wanted_, 0);  // workers that still sleep may stay so: no task is left
             done_.wait(lock, [this] { return busy_ == 0; });
             task_ = nullptr;
             if (failure_) std::rethrow_exception(std::exchange(failure_, nullptr));
         }
 
        private:
+        template <class Event>
+        static void watch_for(const Event& has_happened) {
+            using Clock = std::chrono::steady_clock;
+            for (const auto end = Clock::now() + kWatch; !has_happened() && Clock::now() < end;) std::this_thread::yield();
+        }
         void drain(const std::function<void(int)>& task, int count) {
             try {
                 for (int i; (i = next_.fetch_add(1)) < count;) task(i);
@@ -100,6 +115,7 @@ class Pool {
             for (;;) {
                 const std::function<void(int)>* task;
                 int count;
+                watch_for([this] { return stop_ || wanted_ > 0; });
                 {
                     std::unique_lock<std::mutex> lock(mutex_);
                     wake_.wait(lock, [&] { return stop_ || wanted_ > 0; });
@@ -120,8 +136,9 @@ class Pool {
         const std::function<void(int)>* task_ = nullptr;
         std::exception_ptr failure_;
         std::atomic<int> next_{0};
-        int count_ = 0, wanted_ = 0, busy_ = 0;  // workers still to wake; workers awake or still to wake
-        bool stop_ = false;
+        int count_ = 0;
+        std::atomic<int> wanted_{0}, busy_{0};  // workers still to wake; workers awake or still to wake
+        std::atomic<bool> stop_{false};
     };
 
     Crew* crew_;

@@ -1,6 +1,7 @@
 // Adam (Kingma 2015, algorithm 1) on selected rows; all others keep value and moments, bit for bit.
 #pragma once
 
+#include <algorithm>
 #include <cmath>
 #include <vector>
 
@@ -40,13 +41,14 @@ inline void adam_run(const AdamStep& step, int64_t count, int columns, const flo
 
 inline void adam_rows(Pool& pool, const AdamStep& step, int64_t row_count, const int64_t* rows, int columns,
                       const float* rates, float* value, const float* gradient, float* first, float* second) {
-    constexpr int64_t kRows = 4096;
+    constexpr int64_t kValues = 2048;  // of a task
     if (row_count == 0 || columns == 0) return;
+    const int64_t size = std::max<int64_t>(1, kValues / columns);
     std::vector<float> repeated(columns + kLanes);
     for (size_t k = 0; k < repeated.size(); ++k) repeated[k] = rates[k % columns];
-    pool.run(static_cast<int>((row_count + kRows - 1) / kRows), [&](int task) {
-        const int64_t end = std::min(row_count, (task + 1) * kRows);
-        for (int64_t r = task * kRows, next; r < end; r = next) {  // consecutive rows are one run of values
+    pool.run(static_cast<int>((row_count + size - 1) / size), [&](int task) {
+        const int64_t end = std::min(row_count, (task + 1) * size);
+        for (int64_t r = task * size, next; r < end; r = next) {  // consecutive rows are one run of values
             next = rows ? r + 1 : end;
             while (next < end && rows[next] == rows[next - 1] + 1) ++next;
             const int64_t at = (rows ? rows[r] : r) * columns;

@@ -80,9 +80,12 @@ class FixedView : public IncrementalView {
             tiles_[t].stale = true;
             shown = {static_cast<bool>(met[t]), !out.depth};
         }
-        merge(rows);
+        make_room();
         trace_.resize(lists_);
-        each_active(pool, [&](int t) { composite_tile(lists_, camera_, t, out, &trace_); });
+        each_active(pool, [&](int t) {
+            merge(t, rows);
+            composite_tile(lists_, camera_, t, out, &trace_);
+        });
     }
 
     // Gradients of `moving` through the last draw.
@@ -132,7 +135,7 @@ class FixedView : public IncrementalView {
         std::fill(in_all_.begin() + begin, in_all_.begin() + end, 0.0f);  // entries behind opaque ones are not visited
         std::fill(marked_.begin() + begin, marked_.begin() + end, 0.0f);
         weigher.start(camera_, t % lists_.columns, t / lists_.columns);
-        find_blocks(t);
+        list_statics(t);
         composite_tile(lists_, camera_, t, out, nullptr, weigher);
         for (uint32_t e = begin; e < end; ++e) tiles_[t].statics[e - begin].weight = in_all_[e];
     }
