@@ -42,6 +42,9 @@ picture. The shading of a moving object stays near it."""
 _EVERYWHERE, _FAINTEST = 0.75, 0.5
 """Share of that area beyond which light changes everywhere, and the threshold there and where light alone changes, in
 units of the usual one: noise never reaches most of a picture at once, and what it changes everywhere shows most."""
+_GLIMMER = 0.03
+"""Least share, median over the views, that faint light must reach in a frame that light alone changes, for the next to
+look for light as faint. Video coding leaves changes at .016, a candle's light is at .038 and more."""
 _LIGHT_WINDOW = 7
 """Side, in pixels, of the window that averages faint light: noise shrinks by this factor, light does not."""
 
@@ -177,6 +180,7 @@ class MaskMemory:
         self._lost = [""] * len(pictures)
         self._changed = [np.zeros(picture.shape[1:], bool) for picture in pictures]
         self._frame, self._only_light = 0, False
+        self._faint_reach = [0.0] * len(pictures)
         self._refine_until = [np.zeros(picture.shape[1:], np.int32) for picture in pictures]
 
     @property
@@ -189,7 +193,8 @@ class MaskMemory:
 
         Raises ValueError when they are not the same views. Source: DecoGS, difference mask.
         """
-        views = list(zip(current, self._references, shown, self._changed, self._refine_until, strict=True))
+        every = range(len(self._references))
+        views = list(zip(every, current, self._references, shown, self._changed, self._refine_until, strict=True))
         with side_by_side(self._threads) as each:
             masks = list(each(lambda view: self._mask(*view), views))
         self._lost = self._lost_pictures(current, masks)
@@ -220,7 +225,7 @@ class MaskMemory:
     def copy(self) -> MaskMemory:
         """An independent copy of the state."""
         copied = copy(self)
-        copied._references = list(self._references)
+        copied._references, copied._faint_reach = list(self._references), list(self._faint_reach)
         copied._changed = [changed.copy() for changed in self._changed]
         copied._refine_until = [until.copy() for until in self._refine_until]
         return copied
@@ -236,7 +241,13 @@ class MaskMemory:
         return [why or (FROZEN if repeat else "") for why, repeat in zip(lost, again, strict=True)]
 
     def _mask(
-        self, now: FloatArray, reference: FloatArray, shown: FloatArray, changed: BoolArray, refine_until: IntArray
+        self,
+        index: int,
+        now: FloatArray,
+        reference: FloatArray,
+        shown: FloatArray,
+        changed: BoolArray,
+        refine_until: IntArray,
     ) -> FrameMask:
         settings = self._settings
         noise = self._noise(now, reference)
@@ -244,24 +255,25 @@ class MaskMemory:
         if settings.residual and changed.any():
             raw |= _without_lines(difference_mask(now, shown, settings.residual) & changed)
         around, refining = self._grown(raw), refine_until > self._frame
-        threshold = self._light_threshold(now, reference, around, noise / _LIGHT_WINDOW)
+        threshold, self._faint_reach[index] = self._light(now, reference, around, noise / _LIGHT_WINDOW)
         if threshold:
             faint = faint_light_mask(now, reference, threshold)
             around = self._grown(raw | without_specks(faint, settings.speck_area))
         return FrameMask(raw, around | refining, refining & ~around)
 
-    def _light_threshold(self, now: FloatArray, reference: FloatArray, around: BoolArray, noise: float) -> float:
-        """Levels from which faint light counts, at least its ``noise``; 0 where none does."""
+    def _light(self, now: FloatArray, reference: FloatArray, around: BoolArray, noise: float) -> tuple[float, float]:
+        """Levels from which faint light counts, at least its ``noise``, 0 for nowhere; and the reach of the faintest.
+
+        The reach is a share of the area not ``around`` other changes.
+        """
         if not self._settings.light_threshold:
-            return 0.0
+            return 0.0, 0.0
         least = max(_FAINTEST * self._settings.light_threshold, noise)
-        if self._only_light:
-            return least
         usual = max(self._settings.light_threshold, noise)
         spread, faintly = _light_reach(now, reference, around, (usual, least))
-        if faintly > _EVERYWHERE:
-            return least
-        return usual if spread > _SPREADS else 0.0
+        if self._only_light or faintly > _EVERYWHERE:
+            return least, faintly
+        return (usual if spread > _SPREADS else 0.0), faintly
 
     def _noise(self, now: FloatArray, reference: FloatArray) -> float:
         """Levels below which a difference may be noise; 0 where most of the picture clearly changed."""
@@ -288,7 +300,7 @@ class MaskMemory:
         ``shown``: the scene's renderings. Pixels whose error exceeds the usual one of the first frame count as
         unfinished and keep their reference.
         """
-        self._only_light = not moved
+        self._only_light = not moved and float(np.median(self._faint_reach)) > _GLIMMER
 
         def note(index: int) -> None:
             now, mask = current[index], masks[index]

@@ -187,8 +187,9 @@ def test_faint_light_counts_after_a_frame_in_which_only_light_changed(moved: boo
     lit = before.copy()
     lit[:, 10:26, 10:26] += levels / 255  # a sixth of the picture: it does not spread
     memory = MaskMemory([before], MaskSettings(threshold=10.0, radius_fraction=0.0, light_threshold=4.0))
-    assert not memory.masks([lit], [lit])[0].dilated.any(), "nothing is known of the light yet"
-    memory.trained([before], memory.masks([before], [before]), moved=moved)
+    first = memory.masks([lit], [lit])
+    assert not first[0].dilated.any(), "nothing is known of the light yet"
+    memory.trained([lit], first, moved=moved)
     expected = np.zeros((40, 40), bool)
     expected[10:26, 10:26] = not moved
     mask = memory.masks([lit], [lit])[0]
@@ -197,6 +198,18 @@ def test_faint_light_counts_after_a_frame_in_which_only_light_changed(moved: boo
     assert not differs.any()
     assert mask.dilated[12:24, 12:24].all() != moved
     assert not mask.raw.any(), "too faint for a flash, or a sign that a camera has not frozen"
+
+
+@pytest.mark.parametrize(("columns", "counts"), [(70, False), (140, True)])
+def test_light_that_reached_next_to_nothing_is_not_looked_for_more_closely(columns: int, counts: bool) -> None:
+    """A pendulum at rest: its shading alone changes, and what video coding leaves is no light (_GLIMMER)."""
+    before = np.full((3, 140, 140), 0.5, np.float32)
+    shaded, lit = before.copy(), before.copy()
+    shaded[:, :7, :columns] += 3 / 255  # a fortieth of the picture, or a twentieth
+    lit[:, 70:98, 70:98] += 3 / 255
+    memory = MaskMemory([before], MaskSettings(threshold=10.0, radius_fraction=0.0, light_threshold=4.0))
+    memory.trained([shaded], memory.masks([shaded], [shaded]), moved=False)
+    assert memory.masks([lit], [lit])[0].dilated.any() == counts
 
 
 @pytest.mark.parametrize(("share", "levels"), [(0.15, 6), (0.6, 6), (1.0, 3)])
