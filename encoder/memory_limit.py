@@ -3,7 +3,8 @@
 Nearly all of it goes with the pixels of the rig: an encode keeps a few floats for each. What a Gaussian takes, in
 training and in the tiles of every view, comes on top. The figures are counted from what is kept, and measured
 (`tests/encoder/test_memory_limit.py`): the estimate is some twice of what a keyframe takes, and a twentieth more than
-what later frames of 18 large videos take (DESIGN.md, "Keyframe").
+what later frames of 18 large videos take. Frames that train most of such a scene take up to a sixth more than estimated
+(DESIGN.md, "Keyframe").
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ _PROGRAM = 150 << 20
 
 @dataclass(frozen=True)
 class EncodeMemory:
-    """What an encode takes at most, in bytes beyond the program itself, and whether it reads the next frame ahead."""
+    """What an encode may take, in bytes beyond the program itself, and whether it reads the next frame ahead."""
 
     size: int
     reads_ahead: bool
@@ -52,7 +53,7 @@ class EncodeMemory:
 def encode_memory(
     ingest: Ingest, settings: EncodeSettings, *, gaussians: int, frames: int, threads: int, reads_ahead: bool
 ) -> int:
-    """An upper estimate of an encode's memory in bytes, beyond the program itself.
+    """The estimate of an encode's memory in bytes, beyond the program itself.
 
     ``gaussians``: of the keyframe that is taken over, or that the settings' cap allows.
     """
