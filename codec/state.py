@@ -159,6 +159,17 @@ def same_values(first: State, second: State) -> bool:
     return all(np.array_equal(getattr(first, name), getattr(second, name)) for name in ("ids", *ARRAYS))
 
 
+def changed_between(first: State, second: State) -> NDArray[np.bool_]:
+    """Which of the ``first`` state's Gaussians are gone in the ``second`` or have other values there, (N,)."""
+    _, here, there = np.intersect1d(first.ids, second.ids, assume_unique=True, return_indices=True)
+    changed = np.ones(len(first), bool)
+    changed[here] = False
+    for name in ARRAYS:
+        differs = getattr(first, name)[here] != getattr(second, name)[there]
+        changed[here] |= differs.reshape(len(here), math.prod(differs.shape[1:])).any(axis=1)
+    return changed
+
+
 def check_shapes(attributes: Attributes) -> None:
     """Raises ValueError unless the arrays are int32 of one length and of the shapes of Splats."""
     n, k = len(attributes), attributes.coefficients

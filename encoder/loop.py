@@ -5,6 +5,8 @@ A later frame is compensated, what changed in it is detected, it is trained, cod
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -14,10 +16,10 @@ from decogs.codec.state import State
 from decogs.formats.callbacks import OnWarning
 from decogs.formats.container import Packet
 from decogs.formats.errors import RigError, StreamError, TrainingError
-from decogs.formats.splats import sh_degree_of
+from decogs.formats.splats import empty_splats, sh_degree_of
 
 from .change.detection import Change
-from .closed_segments import catch_up
+from .closed_segments import NextSegment, catch_up
 from .coding.coded_scene import Written
 from .coding.time_control import TimeControl
 from .input.imported_keyframe import KeyframeSource
@@ -31,11 +33,22 @@ from .output.stream_output import StreamOutput
 from .replay import replay, splats_taken_over, take_over
 from .settings.encode import EncodeSettings
 from .stopwatch import Stopwatch
-from .stream_state import FrameInWork, FramePlan, StreamState
+from .stream_state import CodedFrame, FrameInWork, FramePlan, StreamState
+from .training.cross_fade import CrossFade, go_over, with_exact_changes
 from .training.first_frame import train_first_frame
+from .training.keyframe import scene_extent
 from .training.method import FrameInput, TrainedFrame
 from .training.schedule import StoppingRule
 from .training.splat_keyframe import import_splats
+
+
+def _detected(state: StreamState, frame: RigFrame, watch: Stopwatch) -> tuple[FrameInWork, bool]:
+    """A frame, compensated, and what changed in it; whether the scene is that before a flash again."""
+    index, frame = frame.index - state.scene.header.first_frame, state.compensation.matched(frame)
+    restarted = state.restart(index, watch)
+    compensated, corrections = state.compensation.find(frame, state.scene.splats, state.views, watch)
+    returned = state.return_from_flash(compensated, watch)
+    return state.detect(frame, compensated, corrections, watch, restarted=restarted), returned
 
 
 class StreamEncoder:
@@ -64,6 +77,7 @@ class StreamEncoder:
         self._state = StreamState(ingest, settings, output, source, seed=seed, threads=threads, device=device)
         self._reporter = FrameReporter(ingest, self._state.kernel, self._state.views, on_warning, threads=threads)
         self._time = None if settings.time_budget is None else TimeControl(settings.time_budget)
+        self._next: NextSegment | None = None
 
     def check_header(self, first: int) -> None:
         """Raises RigError, before anything is trained, for a rig that no stream's header can hold."""
@@ -90,38 +104,68 @@ class StreamEncoder:
             self._reporter.check_footage(frame, state.scene.splats, f"`keyframe` {state.source.path}", [], watch)
         return self._report(frame, written, Change([], np.ones(len(key), bool)), watch)
 
-    def encode_next(self, frame: RigFrame, on_step: OnKeyframeStep | None = None) -> FrameReport:
+    def encode_next(
+        self, frame: RigFrame, on_step: OnKeyframeStep | None = None, following: Sequence[RigFrame] = ()
+    ) -> FrameReport:
         """Compensates, detects, trains, codes and reports the next frame.
 
-        ``on_step`` follows the training of a new keyframe, where the frame shows another scene.
+        ``on_step`` follows the training of a new keyframe, where the frame shows another scene. ``following``: those
+        up to the start of the closed segment that the frame goes over to.
         """
         watch, state = self._begin(frame), self._state
-        index, frame = frame.index - state.scene.header.first_frame, state.compensation.matched(frame)
-        restarted = state.restart(index, watch)
-        compensated, corrections = state.compensation.find(frame, state.scene.splats, state.views, watch)
-        returned = state.return_from_flash(compensated, watch)
-        now = state.detect(frame, compensated, corrections, watch, restarted=restarted)
+        ahead = self._next_segment([frame, *following], watch)
+        now, returned = _detected(state, frame, watch)
         if now.change.cut:
             key = self._keyframe_of_cut(now, on_step)
             if key is not None:
                 return self._write_cut(now, key)
             now = state.not_cut(now)
+        done = None if ahead is None else ahead.coded(now.recorded.index)
+        if done is None:
+            fade = None if ahead is None else ahead.fade(now.recorded.index, state)
+            done = self._code(state, now, returned=returned, fade=fade)
+        else:
+            done = state.repeat(now, done)
+        if self._time is not None:
+            self._time.took(watch.seconds, held=done.held)
+        report = self._report(now.compensated, done.written, done.change, watch)
+        return replace(report, effects=list(done.effects), rejected=done.rejected, uncorrected=done.uncorrected)
+
+    def _next_segment(self, frames: Sequence[RigFrame], watch: Stopwatch) -> NextSegment | None:
+        """The segment that begins with the last of ``frames``, if it was trained for those that go over to it."""
+        start = frames[-1].index
+        if len(frames) > 1 and not self._state.method.dense and (self._next is None or self._next.start != start):
+            unlogged = copy(self)
+            unlogged._convergence = None
+            with watch.stage("next segment"):
+                self._next = NextSegment(self._state, frames, unlogged._follow)
+        return self._next if self._next is not None and self._next.start == start else None
+
+    def _follow(self, state: StreamState, frame: RigFrame) -> CodedFrame | None:
+        """Trains a frame of the next segment; None if it does not show the same scene as the first keyframe."""
+        now, returned = _detected(state, frame, Stopwatch())
+        return None if now.change.cut else self._code(state, now, returned=returned)
+
+    def _code(
+        self, state: StreamState, now: FrameInWork, *, returned: bool, fade: CrossFade | None = None
+    ) -> CodedFrame:
+        """Trains a frame, codes it, and hands on what later ones need."""
+        watch, index = now.watch, now.compensated.index - state.scene.header.first_frame
         plan = state.plan(now)
-        effects = plan.effects
-        held = bool(effects) and self._is_held(watch)
-        trained = self._trained_now(now, index, plan) if effects and not held else None
+        held = bool(plan.effects) and self._is_held(state, watch)
+        trained = self._trained_now(state, now, index, plan) if plan.effects and not held else None
+        if fade is not None:
+            plan = replace(plan, settings=with_exact_changes(plan.settings))
+            trained = self._gone_over(state, now, index, plan, trained, fade)
         with watch.stage("write"):
-            written = state.scene.code(index, trained, plan.settings.significance, corrections, whole=returned)
+            written = state.scene.code(index, trained, plan.settings.significance, now.corrections, whole=returned)
         if state.rate is not None:
             state.rate.wrote(written.packet.kind, written.packet.size)
-        effects = () if held else effects
+        effects = () if held else plan.effects
         kept, hurried = (None, False) if trained is None else (trained.kept, trained.hurried)
         uncorrected = state.commit(now, kept, effects, held=held, hurried=hurried)
-        if self._time is not None:
-            self._time.took(watch.seconds, held=held)
-        report = self._report(compensated, written, now.change, watch)
         rejected = trained is not None and trained.rejected
-        return replace(report, effects=list(effects), rejected=rejected, uncorrected=uncorrected)
+        return CodedFrame(written, now.change, effects, uncorrected, held=held, rejected=rejected)
 
     def _keyframe_of_cut(self, now: FrameInWork, on_step: OnKeyframeStep | None) -> State | None:
         """Trains a keyframe of another scene, for the stream's header and with later ids; None where that fails."""
@@ -215,32 +259,56 @@ class StreamEncoder:
             on_step=on_step,
         )
 
-    def _is_held(self, watch: Stopwatch) -> bool:
+    def _is_held(self, state: StreamState, watch: Stopwatch) -> bool:
         """Whether a frame that needs training gets none, so that a later one has enough time."""
-        return self._time is not None and self._time.holds(watch.seconds, self._state.trainer.min_seconds)
+        return self._time is not None and self._time.holds(watch.seconds, state.trainer.min_seconds)
 
-    def _trained_now(self, now: FrameInWork, index: int, plan: FramePlan) -> TrainedFrame:
+    def _trained_now(self, state: StreamState, now: FrameInWork, index: int, plan: FramePlan) -> TrainedFrame:
         if not now.restarted:
-            return self._trained(now, index, plan)
+            return self._trained(state, now, index, plan)
         plan = replace(plan, lit=None)  # Every round selects again.
-        return catch_up(self._state, now, plan.settings, lambda now: self._trained(now, index, plan))
+        return catch_up(state, now, plan.settings, lambda now: self._trained(state, now, index, plan))
 
-    def _trained(self, now: FrameInWork, index: int, plan: FramePlan) -> TrainedFrame:
+    def _gone_over(
+        self,
+        state: StreamState,
+        now: FrameInWork,
+        index: int,
+        plan: FramePlan,
+        trained: TrainedFrame | None,
+        fade: CrossFade,
+    ) -> TrainedFrame:
+        """The frame, trained or not, gone over to what the next segment shows."""
+        scene, none = state.scene.splats, np.zeros(0, np.int64)
+        with now.watch.stage("training"):
+            state.views.detach(fade.rows)
+            return go_over(
+                state.kernel,
+                scene,
+                trained or TrainedFrame(none, empty_splats(scene.sh_degree), none, empty_splats(scene.sh_degree)),
+                fade,
+                plan.settings,
+                extent=scene_extent(state.ingest.views) or 1.0,
+                seed=(state.seed, index),
+                on_loss=self._stopping().on_loss,
+            )
+
+    def _trained(self, state: StreamState, now: FrameInWork, index: int, plan: FramePlan) -> TrainedFrame:
         deadline = None if self._time is None else self._time.deadline(now.watch.seconds)
         given = FrameInput(
             index,
-            self._state.scene.splats,
+            state.scene.splats,
             now.change.selected,
             plan.lit,
             now.compensated.training,
             now.change.masks,
-            self._state.motion.expected(),
+            state.motion.expected(),
             plan.settings,
             self._stopping(deadline),
         )
         with now.watch.stage("training"):
-            self._state.views.detach(np.flatnonzero(given.selected))
-            return self._state.trainer.train(given)
+            state.views.detach(np.flatnonzero(given.selected))
+            return state.trainer.train(given)
 
     def _report(self, frame: RigFrame, written: Written, change: Change, watch: Stopwatch) -> FrameReport:
         scene = self._state.scene.splats

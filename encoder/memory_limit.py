@@ -16,6 +16,7 @@ from decogs.formats.errors import UsageError
 from .input.ingest import Ingest
 from .point_init import first_points_memory
 from .settings.encode import EncodeSettings
+from .training.cross_fade import fade_cameras
 from .training.method import MAX_GROWTH
 
 _PICTURE = 12
@@ -38,6 +39,13 @@ _GAUSSIAN = 2500
 """Of a Gaussian: values, gradients, moments and copies of them, and its states in the stream."""
 _IN_VIEW = 500
 """Of a Gaussian in a view: its projection, and its entries in the tiles that it meets, some ten of them."""
+_APART = 28
+"""Of a training pixel while the next closed segment is trained for the frames that go over to it: references, the
+picture before, masks."""
+_FADE_VIEW = 52
+"""Of a pixel of a view in which two segments are compared: as drawn, its gradient, the mixture, weights."""
+_IN_FADE_VIEW = 200
+"""As `_IN_VIEW`, in a small picture."""
 _PROGRAM = 150 << 20
 """Kernels, libraries and buffers of any encode."""
 
@@ -64,7 +72,19 @@ def encode_memory(
     size += lenses * _LENS + threads * _DRAWN * max(views) + gaussians * _GAUSSIAN
     first = sum(views) * _KEYFRAME + first_points_memory([view.pinhole for view in ingest.views], threads)
     later = sum(views) * (_LATER + _PICTURE * settings.closed)
-    return size + max(first, later + round(MAX_GROWTH * gaussians) * len(views) * _IN_VIEW)
+    grown = round(MAX_GROWTH * gaussians)
+    later += grown * len(views) * _IN_VIEW
+    if settings.fading:
+        later += every * _PICTURE * settings.fading + _fade_memory(ingest, grown)
+    return size + max(first, later)
+
+
+def _fade_memory(ingest: Ingest, gaussians: int) -> int:
+    """Bytes that it takes to train the next closed segment, or then to go over to it, whichever is more."""
+    compared = fade_cameras([view.pinhole for view in ingest.views])
+    each = sum(camera.width * camera.height for camera in compared) * _FADE_VIEW
+    apart = sum(view.pinhole.width * view.pinhole.height for view in ingest.views) * _APART
+    return max(apart, each + gaussians * len(compared) * _IN_FADE_VIEW)
 
 
 def memory_within(

@@ -12,6 +12,7 @@ import numpy as np
 from decogs.codec.digest import digest
 from decogs.codec.frame_payload import split_payload
 from decogs.codec.reconstruct import reconstruct
+from decogs.codec.state import changed_between
 from decogs.codec.syntax import payload_costs
 from decogs.formats.container import Packet, PacketKind
 
@@ -87,14 +88,16 @@ def replay(state: StreamState, frame: RigFrame, packet: Packet, watch: Stopwatch
     if now.change.cut:
         now = state.not_cut(now)
     effects = state.plan(now).effects
-    trained = np.flatnonzero(now.change.selected) if effects else None
+    state.scene.take(packet)
+    # Those that a cross-fade changes are not among those that the masks select.
+    changed = changed_between(now.before, state.scene.state)
+    trained = np.flatnonzero(now.change.selected | changed) if effects or changed.any() else None
     # What was held is still to be done. With a time budget, a packet of nothing is all that signals it.
     held = trained is not None and state.settings.time_budget is not None and packet.kind == PacketKind.SKIP
     if held:
         trained, effects = None, ()
     if trained is not None:
         state.views.detach(trained)
-    state.scene.take(packet)
     if state.rate is not None:
         state.rate.wrote(packet.kind, packet.size)
     return Replayed(compensated, written, now.change, state.commit(now, trained, effects, held=held))

@@ -10,6 +10,7 @@ from decogs.formats.callbacks import OnWarning
 from decogs.formats.container import Packet
 from decogs.formats.errors import DecogsError
 
+from .closed_segments import with_following
 from .input.imported_keyframe import KeyframeSource
 from .input.imported_splats import SplatSource
 from .input.ingest import Ingest
@@ -78,7 +79,8 @@ def encode_stream(
         interrupted = False
         try:
             frames = ingest.frames(span.start, span.stop)
-            for frame in ahead(frames) if read_ahead and threads > 1 else frames:
+            read = ahead(frames) if read_ahead and threads > 1 else frames
+            for frame, following in with_following(read, span.start, settings):
                 packet = next(packets, None)
                 if packet is not None:
                     # The first and the last show whether the pictures are those that it was made from.
@@ -86,7 +88,7 @@ def encode_stream(
                 elif not reports:
                     report = encoder.encode_key(frame, on_keyframe_step)
                 else:
-                    report = encoder.encode_next(frame, on_keyframe_step)
+                    report = encoder.encode_next(frame, on_keyframe_step, following)
                 reports.append(report)
                 if metrics:
                     write_metrics(target, frame.index - span.start, report)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,17 +15,18 @@ from decogs.codec.state import State, same_values
 
 from .analysis.enabled import enabled_effects
 from .change.detection import Change, ChangeDetector
-from .coding.coded_scene import CodedScene
+from .coding.coded_scene import CodedScene, Written
 from .coding.rate_control import RATE_CONTROLS, RateControl
 from .coding.stream_header import stream_header
 from .input.compensation.stream import Compensation
 from .input.imported_keyframe import KeyframeSource
 from .input.ingest import Ingest, RigFrame
 from .output.stream_output import StreamOutput
-from .rasterise import IncrementalViews, fixed_view, training_kernel
+from .rasterise import FixedView, IncrementalViews, fixed_view, training_kernel
 from .settings.encode import EncodeSettings
 from .settings.frame import FrameSettings
 from .stopwatch import Stopwatch
+from .training.cross_fade import fade_cameras
 from .training.method import FrameTrainer, TrainedFrame, training_context
 from .training.methods import FRAME_METHODS
 from .training.warm_start import Motion
@@ -44,6 +46,22 @@ class FrameInWork:
     before: State
     watch: Stopwatch
     restarted: bool = False
+
+
+@dataclass(frozen=True)
+class CodedFrame:
+    """A later frame that was written: what changed in it, the ``effects`` it was trained for, what it came to.
+
+    ``uncorrected``: corrections that ended with it. ``held``: its training waits for time. ``rejected``: it made the
+    pictures worse, and changed nothing.
+    """
+
+    written: Written
+    change: Change
+    effects: tuple[str, ...]
+    uncorrected: list[str]
+    held: bool
+    rejected: bool
 
 
 @dataclass(frozen=True)
@@ -89,6 +107,7 @@ class StreamState:
         self.motion = Motion()
         self.rate = self._new_rate()
         self._first_frame: RigFrame | None = None
+        self._fade_views: list[FixedView] = []
 
     def new_scene(self, first: int, lattice: Lattice, sh_degree: int) -> CodedScene:
         """The scene of a stream that begins with the rig's frame ``first``, before its keyframe."""
@@ -158,6 +177,33 @@ class StreamState:
         self.scene.restart(index)
         self.start_anew(self._first_frame, watch)
         return True
+
+    def apart(self) -> StreamState:
+        """A state that begins with the next closed segment and writes nothing.
+
+        It shows its scene in the views of this one, whose own scene must be shown again afterwards.
+        """
+        other = copy(self)
+        other.scene, other.compensation = self.scene.unwritten(), self.compensation.apart()
+        other.motion = Motion()
+        return other
+
+    def repeat(self, now: FrameInWork, coded: CodedFrame) -> CodedFrame:
+        """Writes a segment's first frame as a state `apart` from this one has coded it."""
+        packet = coded.written.packet
+        with now.watch.stage("write"):
+            self.scene.repeat(packet)
+        if self.rate is not None:
+            self.rate.wrote(packet.kind, packet.size)
+        uncorrected = self.commit(now, np.zeros(0, np.int64), coded.effects)
+        return replace(coded, change=now.change, uncorrected=uncorrected)
+
+    def fade_views(self) -> Sequence[FixedView]:
+        """Views in which two closed segments are compared; they show what they were last made to show."""
+        if not self._fade_views:
+            cameras = fade_cameras([view.pinhole for view in self.ingest.views])
+            self._fade_views.extend(fixed_view(self.kernel, camera) for camera in cameras)
+        return self._fade_views
 
     def rehearse(self, now: FrameInWork, trained: TrainedFrame, settings: FrameSettings) -> FrameInWork:
         """Takes a round of training of the frame, unwritten; the frame for another round."""

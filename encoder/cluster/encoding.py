@@ -24,7 +24,7 @@ from ..encoding import chosen_settings, wanted_effects
 from ..input.ingest import frame_span
 from ..parts.base import read_base
 from ..parts.joining import JoinReport, join
-from ..parts.manifest import is_current
+from ..parts.manifest import frames_read, is_current
 from ..rasterise import check_device
 from ..settings.encode import EncodeSettings
 from ..switches import Switches
@@ -92,7 +92,11 @@ def encode_on_cluster(
             _run(engine, opened.path, [first], None, given, {first: key}, 0, len(take), progress, on_warning)
         _check_resumed(key, options, take, opened)
         files = {part: folder / f"{part.start}-{part.stop}.dgs" for part in _segments(take, segment)}
-        missing = [part for part, path in files.items() if not (path.exists() and is_current(path, opened, part))]
+        missing = [
+            part
+            for part, path in files.items()
+            if not (path.exists() and is_current(path, opened, frames_read(part, take, chosen)))
+        ]
         done = len(take) - sum(map(len, missing))
         rest = options | {"threads": max(1, threads)}
         _run(engine, opened.path, missing, key.read_bytes(), rest, files, done, len(take), progress, on_warning)

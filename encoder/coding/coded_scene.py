@@ -6,6 +6,7 @@ up. Rejected: training on the encoder's own floats and quantising afterwards (th
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -48,7 +49,8 @@ class CodedScene:
     splats: Splats
 
     def __init__(self, header: StreamHeader, output: StreamOutput, *, level: int, segment: int) -> None:
-        self.header, self._output = header, output
+        self.header = header
+        self._output: StreamOutput | None = output
         self._level, self._segment = level, segment
         self._first: State | None = None
 
@@ -58,6 +60,11 @@ class CodedScene:
         return self._first is not None
 
     @property
+    def is_written(self) -> bool:
+        """Whether its packets go to an output (`unwritten`)."""
+        return self._output is not None
+
+    @property
     def first(self) -> State:
         """The state of the first keyframe, which must be there."""
         assert self._first is not None
@@ -65,7 +72,8 @@ class CodedScene:
 
     def begin(self, state: State, corrections: Corrections) -> Written:
         """Writes the header and the first keyframe; the output begins only now."""
-        self._output.begin(self.header.to_bytes())
+        if self._output is not None:
+            self._output.begin(self.header.to_bytes())
         return self._write(PacketKind.KEY, 0, write_key(state, level=self._level), corrections)
 
     def begin_anew(self, state: State, corrections: Corrections) -> Written:
@@ -108,6 +116,12 @@ class CodedScene:
             self._first = self.state
         self.splats = dequantise(self.state, self.header.lattice)
 
+    def repeat(self, packet: Packet) -> None:
+        """Takes a packet that was made for this state, and writes it."""
+        self.take(packet)
+        if self._output is not None:
+            self._output.write(packet.kind, packet.frame, packet.payload)
+
     def go_back(self, state: State) -> None:
         """Takes an earlier state for the next frame's; ids of Gaussians that came since are not given again."""
         self.state = replace(state, frame=self.state.frame, next_id=self.state.next_id)
@@ -119,6 +133,12 @@ class CodedScene:
         next_id = first.next_id + frame // self._segment * IDS_PER_SEGMENT
         self.state = replace(first, frame=frame - 1, next_id=next_id)
         self.splats = dequantise(first, self.header.lattice)
+
+    def unwritten(self) -> CodedScene:
+        """The same scene, to go on with apart from this one; nothing of that is written."""
+        other = copy(self)
+        other._output = None
+        return other
 
     def rehearse(self, trained: TrainedFrame, significance: SignificanceSettings) -> None:
         """Takes what would be coded of a frame, without writing it: training goes on from there."""
@@ -144,8 +164,7 @@ class CodedScene:
         """Reconstructs the next state from the packet's bytes and writes the packet."""
         coded = self._with_corrections(coded, corrections)
         packet = Packet(kind=kind, critical=True, frame=frame, payload=coded.payload, offset=0, ordinal=frame + 1)
-        self.take(packet)
-        self._output.write(kind, frame, coded.payload)
+        self.repeat(packet)
         return Written(packet, coded.costs)
 
     def _with_corrections(self, coded: Coded, corrections: Corrections) -> Coded:

@@ -39,6 +39,7 @@ _PARAMETERS = {
     "segment": "`segment`",
     "closed": "`closed`",
     "catch_up": "`settings`",
+    "cross_fade": "`settings`",
     "held_out": "`holdout`",
     "first_frame": "`frames`",
     "frame.selection": "`selection` or `settings`",

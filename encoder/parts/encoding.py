@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from itertools import islice
+
 from decogs.formats.callbacks import OnWarning
 from decogs.formats.container import FRAME_KINDS, PacketKind, PacketReader
 from decogs.formats.errors import StreamError, UsageError
 
+from ..closed_segments import with_following
 from ..input.imported_keyframe import KeyframeSource
 from ..input.imported_splats import SplatSource
 from ..input.ingest import Ingest, RigFrame
@@ -17,7 +20,7 @@ from ..output.stream_output import StreamOutput
 from ..parallel import ahead
 from ..settings.encode import EncodeSettings
 from .base import Base
-from .manifest import Part, inputs_of, is_current, made_with, recorded, with_part
+from .manifest import Part, frames_read, inputs_of, is_current, made_with, recorded, with_part
 from .output import PartOutput
 
 
@@ -42,10 +45,10 @@ def encode_part(
 ) -> EncodeReport:
     """Encodes ``frames`` of the rig's ``take`` to ``output``, whole or not at all.
 
-    Only these frames and the first one are read. ``base``: an earlier part with the first keyframe; without, it is
-    made here, from ``keyframe`` if that is given, and the part must begin with it. ``metrics``: each frame's PSNR goes
-    behind it. ``read_ahead``: as in `encode_stream`. An output that is this part already, and not older than the
-    recordings of its frames, stays as it is.
+    Only these frames, the first one, and the next segment's first one are read. ``base``: an earlier part with the
+    first keyframe; without, it is made here, from ``keyframe`` if that is given, and the part must begin with it.
+    ``metrics``: each frame's PSNR goes behind it. ``read_ahead``: as in `encode_stream`. An output that is this part
+    already, and not older than the recordings of its frames, stays as it is.
     Raises DecogsError for unusable input, UsageError for a base of another encode.
     """
     if base is None and frames.start > take.start:
@@ -55,7 +58,8 @@ def encode_part(
         )
     first = next(ingest.frames(take.start, take.start + 1))
     rig = ingest.rig
-    part = Part(frames, take, inputs_of(rig, first), recorded(rig, frames), made_with(device), metrics)
+    read = frames_read(frames, take, settings)
+    part = Part(frames, take, inputs_of(rig, first), recorded(rig, read), made_with(device), metrics)
     if base is not None:
         base.check(part)
     with output:
@@ -75,7 +79,7 @@ def encode_part(
         if base is not None:
             encoder.take_over(base.keyframe, take)
             there = _size_if_there(output, with_part(base.keyframe.header_payload, part), part)
-            if there is not None and is_current(output.name, rig, frames):
+            if there is not None and is_current(output.name, rig, read):
                 return EncodeReport(output.name, [], there, False, len(frames), part=frames)
         reports: list[FrameReport] = []
         whole = False
@@ -89,9 +93,11 @@ def encode_part(
 
         try:
             done(encoder.encode_key(first, on_keyframe_step) if base is None else _taken(encoder, first, base, out))
-            later = ingest.frames(max(frames.start, take.start + 1), frames.stop)
-            for frame in ahead(later) if read_ahead and threads > 1 else later:
-                done(encoder.encode_next(frame))
+            own = range(max(frames.start, take.start + 1), frames.stop)
+            later = ingest.frames(own.start, read.stop)
+            later = ahead(later) if read_ahead and threads > 1 else later
+            for frame, following in islice(with_following(later, take.start, settings), len(own)):
+                done(encoder.encode_next(frame, following=following))
             whole = True
         finally:
             out.close(part.packets if whole else 0)

@@ -20,6 +20,7 @@ from decogs.formats.frame_ranges import Frames, frame_slice
 from decogs.formats.rigs import Rig, files_with
 
 from ..input.ingest import RigFrame
+from ..settings.encode import EncodeSettings
 
 _SETTING = "part"
 
@@ -94,6 +95,12 @@ def part_frames(only: Frames, take: range, segment: int) -> range:
         end = min(take.stop, (frames.stop - take.start) // segment * segment + segment + take.start)
         raise UsageError(f"{asked}: a part ends where a segment does, such as at {end}")
     return frames
+
+
+def frames_read(frames: range, take: range, settings: EncodeSettings) -> range:
+    """The frames that a part of ``frames`` is made from: with a cross-fade, the next segment's first one as well."""
+    whole = (frames.stop - take.start) % max(1, settings.segment) == 0
+    return range(frames.start, min(frames.stop + bool(settings.fading and whole), take.stop))
 
 
 def inputs_of(rig: Rig, first: RigFrame) -> dict[str, str]:

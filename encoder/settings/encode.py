@@ -39,6 +39,7 @@ class EncodeSettings:
     scene does not depend on it, only how frames are coded, unless segments are ``closed``: each one then starts from
     the first keyframe's Gaussians and depends on no other segment (`closed_segments`), and ``catch_up`` is how often
     its first frame is trained, one time after the other. More is slower and larger, and nearer to the pictures.
+    ``cross_fade``: frames before such a start that go over to it. More is slower and larger; 0 is a jump.
     ``cuts``: a frame that shows another scene gets a new keyframe, except with a time budget. Fewer keyframes are
     faster, and 6 to 8 dB worse there.
     ``frame_budget``: mean bytes of the frames after the first, kept by ``rate_control``, a name in RATE_CONTROLS. Lower
@@ -60,6 +61,7 @@ class EncodeSettings:
     segment: int = 0
     closed: bool = False
     catch_up: int = 3
+    cross_fade: int = 3
     cuts: bool = True
     frame_budget: float | None = None
     time_budget: float | None = None
@@ -73,6 +75,11 @@ class EncodeSettings:
     def frame_effects(self) -> tuple[str, ...]:
         """Those of the enabled effects that a frame may call for."""
         return tuple(name for name in FRAME_EFFECTS if name in self.effects)
+
+    @property
+    def fading(self) -> int:
+        """How many frames before the start of a segment go over to it."""
+        return min(self.cross_fade, self.segment - 1) if self.closed else 0
 
     def as_document(self) -> dict[str, Any]:
         """The settings as plain JSON values, for the stream's header and the log; without the other method's.
@@ -92,7 +99,8 @@ class EncodeSettings:
         if self.cuts:
             del document["cuts"]
         if not self.closed:
-            del document["closed"], document["catch_up"]
+            for name in ("closed", "catch_up", "cross_fade"):
+                del document[name]
         for part, name, usual in _USUAL:
             owner = document.get(part, {}) if part else document
             if owner.get(name) == usual:

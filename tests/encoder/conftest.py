@@ -30,6 +30,7 @@ from decogs.encoder.settings.keyframe import KeyframeSettings
 from decogs.encoder.settings.threedgstream import BaselineSettings
 from decogs.encoder.stream import encode_stream
 from decogs.formats.cameras import Camera
+from decogs.formats.container import Packet
 from decogs.formats.rigs import open_rig
 from decogs.formats.splats import SH_C0, Splats, join_splats
 
@@ -233,11 +234,13 @@ def _encode(output: Path, rig: Path, **options: Any) -> Encoded:
     ingest = Ingest(opened, holdout=chosen["holdout"], scale=chosen["scale"], lens=lens)
     states: list[State] = []
     selected: dict[int, np.ndarray] = {}
-    reconstruct, select = coded_scene.reconstruct, detection.select
+    take, select = coded_scene.CodedScene.take, detection.select
 
-    def observed_reconstruct(*arguments: Any, **options: Any) -> State:
-        states.append(reconstruct(*arguments, **options))
-        return states[-1]
+    def observed_take(scene: coded_scene.CodedScene, packet: Packet) -> None:
+        take(scene, packet)
+        # The next closed segment's scene is trained, too, for the frames that go over to it.
+        if scene.is_written:
+            states.append(scene.state)
 
     def observed_select(*arguments: Any) -> np.ndarray:
         chosen = select(*arguments)
@@ -248,7 +251,7 @@ def _encode(output: Path, rig: Path, **options: Any) -> Encoded:
         return chosen
 
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(coded_scene, "reconstruct", observed_reconstruct)
+        patched.setattr(coded_scene.CodedScene, "take", observed_take)
         patched.setattr(detection, "select", observed_select)
         report = encode_stream(
             ingest,

@@ -170,7 +170,9 @@ def test_threads_make_no_difference(encode: Any, rig_of: Any, key: Path, tiny_se
 
 def test_more_rounds_come_nearer(encode: Any, rig_of: Any, key: Path, tiny_settings: Any) -> None:
     one, three = (
-        encode(rig_of(MOMENTS), settings=closed(remembering(tiny_settings), catch_up=rounds), keyframe=key)
+        encode(
+            rig_of(MOMENTS), settings=closed(remembering(tiny_settings), catch_up=rounds, cross_fade=0), keyframe=key
+        )
         for rounds in (1, 3)
     )
     assert one.report.frames[3].training_psnr < three.report.frames[3].training_psnr
@@ -179,7 +181,7 @@ def test_more_rounds_come_nearer(encode: Any, rig_of: Any, key: Path, tiny_setti
 
 def test_streams_without_closed_segments_say_nothing_of_them(moving: Any) -> None:
     with open_stream(moving.path) as stream:
-        assert not {"closed", "catch_up"} & set(stream.header.settings)
+        assert not {"closed", "catch_up", "cross_fade"} & set(stream.header.settings)
 
 
 def test_a_packages_rate_control_is_made_anew_for_every_closed_segment(
@@ -198,7 +200,7 @@ def test_a_packages_rate_control_is_made_anew_for_every_closed_segment(
             heard[-1].append(kind)
 
     monkeypatch.setattr(RATE_CONTROLS, "get", lambda _: Listening)
-    encoded = encode(rig_of(MOMENTS), settings=closed(of_budget(tiny_settings)), keyframe=key)
+    encoded = encode(rig_of(MOMENTS), settings=closed(of_budget(tiny_settings), cross_fade=0), keyframe=key)
     kinds = [packet.kind for packet in packets(encoded.path)]
     assert heard == [kinds[1:3], kinds[3:]], "the first segment's hears of what follows the first keyframe"
 

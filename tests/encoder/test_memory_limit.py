@@ -74,12 +74,14 @@ def test_the_estimate_grows_with_all_that_takes_memory(moving_rig: Path, tiny_se
         scale: float = 1.0,
         holdout: tuple[str, ...] = (),
         closed: bool = False,
+        cross_fade: int = 0,
         reads_ahead: bool = False,
         **more: Any,
     ) -> int:
         given = {"gaussians": 1_000_000, "frames": 4, "threads": 2} | more
         ingest = Ingest(rig, holdout=holdout, scale=scale)
-        return encode_memory(ingest, replace(tiny_settings, closed=closed), reads_ahead=reads_ahead, **given)
+        settings = replace(tiny_settings, closed=closed, segment=9 * closed, cross_fade=cross_fade)
+        return encode_memory(ingest, settings, reads_ahead=reads_ahead, **given)
 
     usual = estimate()
     assert all(
@@ -92,6 +94,7 @@ def test_the_estimate_grows_with_all_that_takes_memory(moving_rig: Path, tiny_se
             estimate(threads=3),
         )
     )
+    assert usual < estimate(closed=True) < estimate(closed=True, cross_fade=1) < estimate(closed=True, cross_fade=3)
     assert all(less < usual for less in (estimate(holdout=("cam01",)), estimate(frames=1)))
 
 

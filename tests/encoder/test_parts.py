@@ -147,12 +147,12 @@ def test_a_range_of_the_rig_and_a_keyframe_of_an_earlier_stream(
     assert (tmp_path / "joined.dgs").read_bytes() == one.read_bytes()
 
 
-def test_a_part_reads_the_first_frame_and_its_own(
+def test_a_part_reads_the_first_frame_its_own_and_the_next_start(
     make: Make, rig: Path, key: Path, parts: list[Path], tmp_path: Path
 ) -> None:
     spoilt = Path(shutil.copytree(rig, tmp_path / "rig"))
     for camera in spoilt.glob("cam*"):
-        for number in (1, 4, 5, 6):
+        for number in (1, 5, 6):
             (camera / f"{number:04d}.png").write_bytes(b"no picture")
     made = make(tmp_path / "part.dgs", (2, 4), keyframe=key, rig=spoilt)
     assert made.read_bytes() == parts[1].read_bytes()

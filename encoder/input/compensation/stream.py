@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -71,6 +72,12 @@ class Compensation:
         """Takes the first frame's corrections, which stay where later ones are dropped."""
         if self._corrector is not None:
             self._corrector.begin(corrections)
+
+    def apart(self) -> Compensation:
+        """The same, to go on with apart from this one after a `restart`."""
+        other = copy(self)
+        other._corrector = copy(self._corrector)
+        return other
 
     def restart(self) -> None:
         """Forgets what frames after the first have shown: which corrections help."""
