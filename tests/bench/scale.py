@@ -39,6 +39,9 @@ The most that a larger picture should take: `workbench`, with a fifteenth of the
 CATCH_UP = 3.4
 """Ordinary frames that a segment's first one takes more: 19.7 s against 4.4 at 1352x1014, 4.0 against 1.06 (2.8) on
 `workbench` in segments of 60."""
+CROSS_FADE = 10.2
+"""Ordinary frames that going over to the next segment takes more, that one's start included: 45 s against 4.4 at
+1352x1014. Where the next segment is of the same part, its start is made once (`CATCH_UP`)."""
 START_SECONDS, START_MEGAPIXEL = 1.0, 0.17
 """Seconds until a part trains, on one thread: the process; and for each megapixel of all pictures, reading the first
 frame, taking the keyframe over and drawing all views. 4.9 s at 17 views of 1352x1014."""
@@ -47,8 +50,9 @@ JOIN_SECONDS, JOIN_SECONDS_GIGABYTE = 0.5, 10.0
 SECOND_THREAD, SECOND_THREAD_KEYFRAME = 0.71, 0.54
 """How much faster two threads are than one, above one: frames take 1/1.71 of the time, a keyframe 1/1.54 (241 to 156
 s)."""
-MEMORY_PIXEL, MEMORY_FIXED = 125 + 15, 0.8e9
-"""Bytes of an encode for each pixel of all cameras, with the next frame read ahead, and besides (`memory_limit.py`)."""
+MEMORY_PIXEL, MEMORY_FIXED = 125 + 15 + 36, 0.8e9
+"""Bytes of an encode for each pixel of all cameras, with the next frame read ahead and the three up to the next segment
+kept, and besides (`memory_limit.py`)."""
 FRAME_BYTES = 20_000
 """Of a stream: between 4 kB (2 % of the Gaussians move) and 34 (`panoptic_basketball`)."""
 KEYFRAME_BYTES = 400_000
@@ -102,13 +106,15 @@ class Take:
     def parts(self) -> list[float]:
         """CPU-s of every part but for its start.
 
-        The last one may be shorter, and the first segment has nothing to catch up with.
+        The last one may be shorter and goes over to nothing, and the first segment has nothing to catch up with.
         """
         costs = []
         for first in range(0, self.frames, self.part_frames):
             frames = min(self.part_frames, self.frames - first)
-            catch_ups = -(-frames // self.segment) - (first == 0)
-            costs.append((frames + CATCH_UP * catch_ups) * self.frame_cpu)
+            segments, ends = -(-frames // self.segment), first + frames < self.frames
+            catch_ups = (first > 0) * CATCH_UP
+            fades = (segments - 1 + ends) * CROSS_FADE
+            costs.append((frames + catch_ups + fades) * self.frame_cpu)
         return costs
 
     def part_bytes(self) -> float:
@@ -127,7 +133,7 @@ class Machine:
     """One of the machines; ``threads``: of each part."""
 
     cores: int = 16
-    memory: float = 128e9
+    memory: float = 192e9
     threads: int = 8
 
 
@@ -220,7 +226,7 @@ def main() -> None:
     parser.add_argument("--segments", type=int, default=1, help="of a part (default 1)")
     parser.add_argument("--machines", default="1,10,100,1000", help="numbers of machines (default 1,10,100,1000)")
     parser.add_argument("--cores", type=int, default=16, help="of a machine (default 16)")
-    parser.add_argument("--memory", type=float, default=128.0, help="of a machine, GB (default 128)")
+    parser.add_argument("--memory", type=float, default=192.0, help="of a machine, GB (default 192)")
     parser.add_argument("--threads", type=int, default=8, help="of a part (default 8)")
     parser.add_argument("--lost", type=int, default=0, help="parts that are lost and encoded again (default 0)")
     options = parser.parse_args()
