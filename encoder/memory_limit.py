@@ -2,9 +2,9 @@
 
 Nearly all of it goes with the pixels of the rig: an encode keeps a few floats for each. What a Gaussian takes, in
 training and in the tiles of every view, comes on top. The figures are counted from what is kept, and measured
-(`tests/encoder/test_memory_limit.py`): the estimate is some twice of what a keyframe takes, and a twentieth more than
-what later frames of 18 large videos take. Frames that train most of such a scene take up to a sixth more than estimated
-(DESIGN.md, "Keyframe").
+(`tests/encoder/test_memory_limit.py`): the estimate is over twice of what a keyframe takes, a fifth more than what
+later frames of 18 large videos take, and hardly more than what they take where they train the whole scene (DESIGN.md,
+"Keyframe").
 """
 
 from __future__ import annotations
@@ -37,8 +37,9 @@ _DRAWN = 64
 """Of a pixel of the largest view while it is drawn, compared and differentiated, for each thread."""
 _GAUSSIAN = 2500
 """Of a Gaussian: values, gradients, moments and copies of them, and its states in the stream."""
-_IN_VIEW = 500
-"""Of a Gaussian in a view: its projection, and its entries in the tiles that it meets, some ten of them."""
+_IN_VIEW = 1000
+"""Of a Gaussian in a view: its projection, and its entries in the tiles that it meets, some ten of them; both again
+while it is trained."""
 _APART = 28
 """Of a training pixel while the next closed segment is trained for the frames that go over to it: references, the
 picture before, masks."""

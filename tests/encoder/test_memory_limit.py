@@ -62,8 +62,8 @@ def test_an_encode_of_large_pictures_takes_no_more_than_the_estimate_and_not_muc
     taken, estimated = taken_and_estimated(
         rig, tmp_path, settings="live", frames=[0, 3], scale=3.0, effects="none", threads=threads
     )
-    # Measured: .51 of the estimate with one thread, .50 with two; .45 leaves room for what allocators keep.
-    assert 0.45 * estimated < taken < estimated
+    # Measured: .43 of the estimate with either number of threads; .38 leaves room for what allocators keep.
+    assert 0.38 * estimated < taken < estimated
 
 
 def test_the_estimate_grows_with_all_that_takes_memory(moving_rig: Path, tiny_settings: EncodeSettings) -> None:
