@@ -79,14 +79,17 @@ def _neighbours(centres: NDArray[np.float64]) -> list[tuple[int, int]]:
 
 
 def _between(camera: Camera, other: Camera, share: float) -> Camera:
-    """The ``camera`` moved and turned towards the ``other`` by a share of the way; below 0: away from it."""
+    """The ``camera`` moved and turned towards the ``other`` by a share of the way; below 0: away from it.
+
+    Rounded, since the last bits of a decomposition depend on the processor.
+    """
     here, there = camera.world_to_camera[:3, :3], other.world_to_camera[:3, :3]
     turn = cv2.Rodrigues(turned(there, here).T)[0] * share
     pose = np.eye(4)
     pose[:3, :3] = turned(cv2.Rodrigues(turn)[0], here.T).T
     centre = (1 - share) * camera_centre(camera) + share * camera_centre(other)
     pose[:3, 3] = -turned(pose[:3, :3], centre)
-    return replace(camera, name=f"{camera.name} {share:+} {other.name}", world_to_camera=pose)
+    return replace(camera, name=f"{camera.name} {share:+} {other.name}", world_to_camera=np.round(pose, 12))
 
 
 def _small(camera: Camera) -> Camera:
