@@ -30,8 +30,8 @@ class Part:
     """``frames``: the rig's frames of the part; ``take``: those of the whole stream.
 
     ``inputs``: digests of what all parts of a take are made from, by what was digested; ``recorded``: one of the files
-    with the part's own frames. ``made_with``: the device, and the releases on which bits depend, by name. ``metrics``:
-    whether each frame's PSNR is behind it.
+    that the part reads frames from. ``made_with``: the device, and the releases on which bits depend, by name.
+    ``metrics``: whether each frame's PSNR is behind it.
     """
 
     frames: range
