@@ -47,8 +47,8 @@ START_SECONDS, START_MEGAPIXEL = 1.0, 0.17
 frame, taking the keyframe over and drawing all views. 4.9 s at 17 views of 1352x1014."""
 JOIN_SECONDS, JOIN_SECONDS_GIGABYTE = 0.5, 10.0
 """Seconds of `decogs-join`: to start; and for each gigabyte, not measured: what reading and writing may take."""
-SECOND_THREAD, SECOND_THREAD_KEYFRAME = 0.71, 0.54
-"""How much faster two threads are than one, above one: frames take 1/1.71 of the time, a keyframe 1/1.54 (241 to 156
+SECOND_THREAD, SECOND_THREAD_KEYFRAME = 0.85, 0.54
+"""How much faster two threads are than one, above one: frames take 1/1.85 of the time, a keyframe 1/1.54 (241 to 156
 s)."""
 MEMORY_PIXEL, MEMORY_FIXED = 125 + 15 + 36, 0.8e9
 """Bytes of an encode for each pixel of all cameras, with the next frame read ahead and the three up to the next segment
