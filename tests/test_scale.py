@@ -71,7 +71,9 @@ def test_the_next_free_place_takes_the_next_part() -> None:
 def test_two_threads_are_as_fast_as_measured() -> None:
     assert sped_up(1) == 1
     assert sped_up(2) == pytest.approx(1 + SECOND_THREAD)
-    assert sped_up(10**6) < 6
+    # What one thread does alone stays: 2 / (1 + second) = 1 + alone.
+    alone = 2 / (1 + SECOND_THREAD) - 1
+    assert sped_up(10**6) == pytest.approx(1 / alone, rel=1e-3)
 
 
 def test_it_reckons_what_was_measured_of_the_part_that_its_constants_are_not_from() -> None:
