@@ -1,12 +1,12 @@
 """Closed segments: every one starts from the first keyframe's Gaussians, as a closed GOP of a video starts afresh.
 
-A segment then depends on the first keyframe, the first frame's pictures and the pictures of its own frames, and on
-nothing else, so that segments can be encoded apart from each other (`parts`). Gaussians that never change have the same
-bits in the whole stream, across all segments. What one frame hands to the next is made anew where a segment begins
-(`StreamState.restart`); its first frame catches up with all that has happened since the stream's first one, in several
-rounds of training, each with a search for new objects. The frames before a start go over to it (`NextSegment`,
-`training.cross_fade`), so that it does not show: their bits depend on the start's pictures, too. DESIGN.md, "Closed
-segments", says what depends on what, and has the figures.
+A segment then depends on the first keyframe, the first frame's pictures and those of its own frames and of the next
+one's first, and on nothing else, so that segments can be encoded apart from each other (`parts`). Gaussians that never
+change have the same bits in the whole stream, across all segments. What one frame hands to the next is made anew where
+a segment begins (`StreamState.restart`); its first frame catches up with all that has happened since the stream's first
+one, in several rounds of training, each with a search for new objects. The frames before a start go over to it
+(`NextSegment`, `training.cross_fade`), so that it does not show. DESIGN.md, "Closed segments", says what depends on
+what, and has the figures.
 """
 
 from __future__ import annotations

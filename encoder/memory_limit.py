@@ -2,7 +2,7 @@
 
 Nearly all of it goes with the pixels of the rig: an encode keeps a few floats for each. What a Gaussian takes, in
 training and in the tiles of every view, comes on top. The figures are counted from what is kept, and measured
-(`tests/encoder/test_memory_limit.py`): the estimate is over twice of what a keyframe takes, a fifth more than what
+(`tests/encoder/test_memory_limit.py`): the estimate is over twice what a keyframe takes, a fifth more than what
 later frames of 18 large videos take, and hardly more than what they take where they train the whole scene (DESIGN.md,
 "Keyframe").
 """

@@ -22,7 +22,7 @@ from .input.compensation.stream import Compensation
 from .input.imported_keyframe import KeyframeSource
 from .input.ingest import Ingest, RigFrame
 from .output.stream_output import StreamOutput
-from .rasterise import FixedView, IncrementalViews, fixed_view, training_kernel
+from .rasterise import IncrementalViews, fixed_view, training_kernel
 from .settings.encode import EncodeSettings
 from .settings.frame import FrameSettings
 from .stopwatch import Stopwatch
@@ -107,7 +107,7 @@ class StreamState:
         self.motion = Motion()
         self.rate = self._new_rate()
         self._first_frame: RigFrame | None = None
-        self._fade_views: list[FixedView] = []
+        self._fade_views = IncrementalViews([])
 
     def new_scene(self, first: int, lattice: Lattice, sh_degree: int) -> CodedScene:
         """The scene of a stream that begins with the rig's frame ``first``, before its keyframe."""
@@ -198,11 +198,11 @@ class StreamState:
         uncorrected = self.commit(now, np.zeros(0, np.int64), coded.effects)
         return replace(coded, change=now.change, uncorrected=uncorrected)
 
-    def fade_views(self) -> Sequence[FixedView]:
+    def fade_views(self) -> IncrementalViews:
         """Views in which two closed segments are compared; they show what they were last made to show."""
-        if not self._fade_views:
+        if not self._fade_views.views:
             cameras = fade_cameras([view.pinhole for view in self.ingest.views])
-            self._fade_views.extend(fixed_view(self.kernel, camera) for camera in cameras)
+            self._fade_views.views.extend(fixed_view(self.kernel, camera) for camera in cameras)
         return self._fade_views
 
     def rehearse(self, now: FrameInWork, trained: TrainedFrame, settings: FrameSettings) -> FrameInWork:

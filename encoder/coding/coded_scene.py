@@ -60,11 +60,6 @@ class CodedScene:
         return self._first is not None
 
     @property
-    def is_written(self) -> bool:
-        """Whether its packets go to an output (`unwritten`)."""
-        return self._output is not None
-
-    @property
     def first(self) -> State:
         """The state of the first keyframe, which must be there."""
         assert self._first is not None

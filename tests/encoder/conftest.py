@@ -239,7 +239,7 @@ def _encode(output: Path, rig: Path, **options: Any) -> Encoded:
     def observed_take(scene: coded_scene.CodedScene, packet: Packet) -> None:
         take(scene, packet)
         # The next closed segment's scene is trained, too, for the frames that go over to it.
-        if scene.is_written:
+        if scene._output is not None:
             states.append(scene.state)
 
     def observed_select(*arguments: Any) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -18,7 +19,7 @@ from decogs.encoder import EncodeSettings
 from decogs.encoder import encode as encode_rig
 from decogs.encoder.closed_segments import with_following
 from decogs.encoder.input.ingest import RigFrame
-from decogs.encoder.rasterise import fixed_view, training_kernel
+from decogs.encoder.rasterise import IncrementalViews, fixed_view, training_kernel
 from decogs.encoder.settings.frame import FrameSettings, SignificanceSettings
 from decogs.encoder.training.cross_fade import CrossFade, fade_cameras, go_over
 from decogs.encoder.training.method import TrainedFrame
@@ -88,13 +89,17 @@ def test_large_cameras_are_compared_in_smaller_pictures(tiny_rig: Any) -> None:
     assert small.width / small.height == pytest.approx(4 / 3, rel=0.01)
 
 
+def fade_views(kernel: Any, cameras: Sequence[Any]) -> IncrementalViews:
+    return IncrementalViews([fixed_view(kernel, camera) for camera in fade_cameras(cameras)])
+
+
 def test_a_frame_comes_to_show_the_mixture(tiny_rig: Any) -> None:
     """Also from a camera that has no part in it; and only the Gaussians that may change do."""
     kernel, cameras = training_kernel(threads=1), [tiny_rig.camera(index) for index in (0, 1, 3, 4)]
     scene, following = tiny_rig.scene_at(0), tiny_rig.scene_at(1)
     rows = np.flatnonzero(np.any(scene.means != following.means, axis=1))
     assert 0 < len(rows) < len(scene)
-    fade = CrossFade(following, 0.5, rows, [fixed_view(kernel, camera) for camera in fade_cameras(cameras)])
+    fade = CrossFade(following, 0.5, rows, fade_views(kernel, cameras))
     none = empty_splats(scene.sh_degree)
     trained = TrainedFrame(np.zeros(0, np.int64), none, np.zeros(0, np.int64), none)
     settings = FrameSettings(cache=None, joint_iterations=60, significance=SignificanceSettings(threshold=1e-3))
@@ -120,7 +125,7 @@ def test_what_was_trained_and_added_goes_over_as_well(tiny_rig: Any) -> None:
     kept, removed, rows = moved[:20:2], moved[1:20:2], moved[10:]
     new = tiny_rig.patch((0, 0, -0.5), 3, 3, 0.1, 5)
     trained = TrainedFrame(kept, take_splats(following, kept), removed, new)
-    fade = CrossFade(following, 0.5, rows, [fixed_view(kernel, camera) for camera in fade_cameras(cameras)])
+    fade = CrossFade(following, 0.5, rows, fade_views(kernel, cameras))
     settings = FrameSettings(cache=None, joint_iterations=8)
     gone = go_over(kernel, scene, trained, fade, settings, extent=2.0, seed=(0, 1))
     np.testing.assert_array_equal(gone.kept, np.setdiff1d(np.union1d(kept, rows), removed))
