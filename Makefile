@@ -24,7 +24,7 @@ USER_VENV := .venv-user
 USER_BIN := $(USER_VENV)/bin
 USER_READY := $(USER_VENV)/ready
 INSTALLS := pyproject.toml setup.py constraints.txt
-KERNEL_SOURCES := $(wildcard decoder/rasterise/kernel/* encoder/*/kernel/*)
+KERNEL_SOURCES := $(wildcard formats/kernel/* decoder/rasterise/kernel/* encoder/*/kernel/*)
 
 # Blender as a Python module: 4.2 to 5.0 fit Python 3.11, 5.1 and 5.2 fit 3.13.
 BLENDER ?= 4.5.15
@@ -174,4 +174,4 @@ $(BLENDER_ENV)/ready:
 clean: ## remove what was built and every cache; environments and demo/ stay
 	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache $(READY) $(USER_READY)
 	find formats codec decoder encoder tests -name __pycache__ -prune -exec rm -rf {} +
-	find decoder encoder -name '*.abi3.so' -delete
+	find formats decoder encoder -name '*.abi3.so' -delete

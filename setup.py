@@ -42,6 +42,7 @@ NEEDED_FLAGS = {
     "avx512": {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"},
 }
 KERNELS = {
+    "decogs.formats._ycbcr": ("formats/kernel", "ycbcr.cpp"),
     "decogs.decoder.rasterise._forward": ("decoder/rasterise/kernel", "forward.cpp"),
     "decogs.encoder.rasterise._training": ("encoder/rasterise/kernel", "training.cpp"),
     "decogs.encoder.transformation_cache._cache": ("encoder/transformation_cache/kernel", "cache.cpp"),
@@ -101,7 +102,7 @@ def chosen(name: str) -> dict[str, list[str]]:
     """
     if os.environ.get("DECOGS_KERNELS") != "native" or len(INSTRUCTION_SETS) == 1:
         return INSTRUCTION_SETS
-    wanted = {of_this_machine()} | ({"base"} if name.endswith("._forward") else set())
+    wanted = {of_this_machine()} | ({"base"} if name.endswith("._ycbcr") else set())
     return {name: flags for name, flags in INSTRUCTION_SETS.items() if name in wanted}
 
 

@@ -128,9 +128,7 @@ def decode(
         first = picture_camera(opened.header, wanted, show)
         fps = _rate(opened.header, wanted)
         sound = replace(video, begin=chosen.start / (fps or DEFAULT_FPS))
-        with open_sink(
-            output, view=first.name, frames=len(chosen), fps=fps, video=sound, on_warning=on_warning
-        ) as sink:
+        with open_sink(output, view=first.name, frames=len(chosen), fps=fps, video=sound) as sink:
             _check_files(sink, chosen, read)
             static = _static(opened, on_warning) if sink.has_layers else None
             taken = _taken(opened.header, shots(sink.has_layers), wanted, show, sink, static)
@@ -159,7 +157,7 @@ def _decode_growing(
     first, done = picture_camera(stream.header, wanted, show), 0
     fps = _rate(stream.header, wanted)
     sound = replace(video, begin=chosen.start / (fps or DEFAULT_FPS))
-    with open_sink(output, view=first.name, frames=None, fps=fps, video=sound, on_warning=on_warning) as sink:
+    with open_sink(output, view=first.name, frames=None, fps=fps, video=sound) as sink:
         shots = shots_by_frame(islice(stream.frames(), chosen.start, chosen.stop), wanted)
         coming = _unread(shots, sink, read)
         for _ in _taken(stream.header, coming, wanted, show, sink, None):

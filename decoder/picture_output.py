@@ -6,8 +6,7 @@ output                  what is written
 a folder (no suffix)    ``<view>_<frame>.png``, one per frame, names that sort
 ``x.png``, ``x.exr``    that file for a single frame, ``x_<frame>.png`` and so on for several
 ``x_####.exr``          one file per frame, its index in place of the pattern (``decogs.formats.frame_names``)
-``x.mp4``, ``x.mov``    a video at the stream's frame rate, see ``decogs.decoder.video_output``; without its extra
-                        an MP4 of MPEG-4 Part 2, the one MP4 coder of OpenCV's free wheels, with a warning
+``x.mp4``, ``x.mov``    a video at the stream's frame rate, see ``decogs.decoder.video_output``
 ``x.y4m``, ``x.rgb``    uncompressed video, see ``decogs.decoder.raw_video``; an open file takes Y4M
 ======================  ==============================================================================
 
@@ -32,16 +31,14 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.callbacks import OnWarning
 from decogs.formats.errors import UsageError, check_utf8
 from decogs.formats.frame_names import names_of_frames
 from decogs.formats.outputs import errors_named, publish_files, staged_files
-from decogs.formats.quiet import quiet_opencv
 
 from .camera_path import DEFAULT_FPS as DEFAULT_FPS
 from .exr_output import Layers, save_exr
 from .raw_video import RawVideo
-from .video_output import CODECS, Movie, VideoSettings, check_settings, has_ffmpeg
+from .video_output import CODECS, Movie, VideoSettings, check_settings
 
 if TYPE_CHECKING:
     from .rasterise import Rendering
@@ -88,7 +85,6 @@ def open_sink(
     frames: int | None,
     fps: float | None,
     video: VideoSettings = VideoSettings(),  # noqa: B008 (frozen)
-    on_warning: OnWarning | None = None,
 ) -> Iterator[PictureSink]:
     """A sink for ``frames`` pictures of ``view``, whose files appear under ``output`` when the block ends well.
 
@@ -103,7 +99,7 @@ def open_sink(
         raw.flush()
         return
     target = Path(output)
-    create, folder = _plan(output, target, view, frames, fps or DEFAULT_FPS, video, on_warning)
+    create, folder = _plan(output, target, view, frames, fps or DEFAULT_FPS, video)
     with staged_files(folder) as staging:
         sink = create(staging)
         if frames is None and isinstance(sink, _Files):
@@ -198,52 +194,6 @@ class _Raw(PictureSink):
             self._file.close()
 
 
-class _Video(PictureSink):
-    """An MP4 by OpenCV, whose coder needs even sizes: an odd picture repeats its last row or column."""
-
-    def __init__(self, path: Path, fps: float) -> None:
-        self._path, self._fps, self._frames = path, fps, 0
-        self._writer: Any = None
-
-    def write(self, frame: int, rendering: Rendering, layers: Layers | None = None) -> None:
-        picture = _even(to_8bit(rendering.image))
-        if self._writer is None:
-            self._writer = self._open(picture.shape[1], picture.shape[0])
-        with quiet_opencv():
-            self._writer.write(np.ascontiguousarray(picture[..., ::-1]))
-        self._frames += 1
-
-    def finish(self) -> None:
-        """Closes the video and counts its frames: OpenCV reports no failed write, a full disk for one."""
-        import cv2
-
-        if self._writer is None:
-            raise UsageError(f"{self._path.name}: a video needs at least one frame")
-        with quiet_opencv():
-            self._writer.release()
-            video = cv2.VideoCapture(str(self._path))
-            written = max(0, int(video.get(cv2.CAP_PROP_FRAME_COUNT)))
-            video.release()
-        if written != self._frames:
-            raise UsageError(
-                f"{self._path.name}: the video holds {written} of {self._frames} frames; is the disk full? "
-                "Free some space or choose another output"
-            )
-
-    def _open(self, width: int, height: int) -> Any:
-        import cv2
-
-        _check_rate(self._path, self._fps)
-        with quiet_opencv():
-            fourcc = cv2.VideoWriter.fourcc(*"mp4v")
-            writer = cv2.VideoWriter(str(self._path), fourcc, self._fps, (width, height))
-        if not writer.isOpened():
-            raise UsageError(
-                f"{self._path.name}: OpenCV cannot write an MP4 of {width}x{height} pixels here; write PNG to a folder"
-            )
-        return writer
-
-
 def _even(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
     height, width = picture.shape[:2]
     return np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
@@ -276,7 +226,6 @@ def _plan(
     frames: int | None,
     fps: float,
     video: VideoSettings,
-    on_warning: OnWarning | None,
 ) -> tuple[Callable[[Path], PictureSink], Path]:
     """How to make the sink in a staging folder, and the folder that its files are to be moved to."""
     if str(output) == "-":
@@ -292,13 +241,7 @@ def _plan(
     if suffix in (".mp4", ".mov", ".exr"):
         check_utf8(target)
     if suffix in CODECS:
-        if has_ffmpeg():
-            return lambda folder: _Movie(folder / target.name, fps, video), target.parent
-        if on_warning is not None:
-            on_warning(
-                f"{target}: is MPEG-4 Part 2, which browsers do not play; pip install 'decogs[video]' writes H.264"
-            )
-        return lambda folder: _Video(folder / target.name, fps), target.parent
+        return lambda folder: _Movie(folder / target.name, fps, video), target.parent
     if suffix in _RAW:
         return lambda folder: _raw_file(folder / target.name, target, fps), target.parent
     if suffix not in (".png", ".exr"):

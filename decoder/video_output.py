@@ -1,4 +1,4 @@
-"""Videos through FFmpeg (PyAV, the extra ``decogs[video]``): H.264 and HEVC, ProRes, with sound.
+"""Videos through FFmpeg (PyAV): H.264 and HEVC, ProRes, with sound.
 
 ==========  ===========================  =========================================================
 name        codec, the default first     pixels
@@ -60,6 +60,8 @@ _RED, _GREEN, _BLUE = 0.2126, 0.7152, 0.0722
 """Luma of BT.709."""
 _SAMPLE_RATE = 48_000
 _SOUND_BITS = 256_000
+_SOUND_FORMATS = "aac,aiff,avi,caf,flac,matroska,mov,mp3,mpeg,mpegts,mxf,ogg,w64,wav"
+"""FFmpeg's readers of files that hold sound themselves."""
 _BLOCK = 1024
 
 
@@ -79,13 +81,6 @@ class VideoSettings:
         return self.codec is None and self.crf is None and self.chroma is None and self.audio is None
 
 
-def has_ffmpeg() -> bool:
-    """Whether PyAV is installed."""
-    from importlib.util import find_spec
-
-    return find_spec("av") is not None
-
-
 def check_settings(suffix: str, settings: VideoSettings) -> None:
     """Raises UsageError for what a file of this suffix cannot be; any but .mp4 and .mov is no video of FFmpeg's."""
     if suffix not in CODECS:
@@ -101,8 +96,6 @@ def check_settings(suffix: str, settings: VideoSettings) -> None:
         )
     if settings.chroma == "420" and codec == "prores":
         raise UsageError("`chroma` 420: ProRes is written as 4444; leave it out, or choose another `codec`")
-    if not has_ffmpeg() and not (suffix == ".mp4" and settings.is_plain):
-        raise UsageError(f"this {suffix} file needs FFmpeg: pip install 'decogs[video]', or write PNG to a folder")
 
 
 class Movie:
@@ -242,7 +235,9 @@ class _Sound:
         self._path, self._container, self._written = path, container, 0
         with _explained(path, "cannot be read as audio"):
             # FFmpeg would take "concat:a.wav" or an address for what it is in its own language.
-            self._input = av.open(f"file:{path}")
+            # Nor may a list of other files pass for sound.
+            only = {"protocol_whitelist": "file", "format_whitelist": _SOUND_FORMATS}
+            self._input = av.open(f"file:{path}", container_options=only)
             if not self._input.streams.audio:
                 raise UsageError(f"{path}: has no sound; name an audio file, or leave out `audio`")
             self._output = container.add_stream("aac", rate=_SAMPLE_RATE, layout="stereo")

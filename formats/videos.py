@@ -1,40 +1,56 @@
-"""Reads a video in sequence, one frame at a time; a seek is only trusted if the time of what it finds is a frame's.
+"""Reads a video in sequence, as FFmpeg decodes it (PyAV), each frame by its time of presentation.
 
-Opening walks the container's packets without decoding them (OpenCV's raw mode). That is cheap in every container, sees
-a file that was cut off, and gives the frame count and every presentation time: a variable frame rate is found before
-training starts, and a frame the decoder drops silently is found when it is read.
+Opening lists the container's packets, which gives the frame count and every time without decoding. Then it decodes the
+first frame, one at some keyframes, and those from the last keyframe on: what no decoder shows, a stream that ends early
+and frames flagged interlaced are found before training starts. What is found later stops the reading, with the frame.
 """
 
 from __future__ import annotations
 
 import errno
-import os
 import struct
-from collections.abc import Generator
-from dataclasses import dataclass, field
+from collections.abc import Generator, Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-import cv2
+import av
 import numpy as np
+from av.sidedata.sidedata import Type as SideData
+from av.stream import Disposition
 from numpy.typing import NDArray
 
 from .errors import RigError
 from .pictures import MAX_PIXELS, Picture
-from .quiet import quiet_opencv
-from .video_tags import read_tags
+from .splats import FloatArray
+from .video_colours import Siting, chroma_siting, colours_of, to_rgb
 
-VIDEO_SUFFIXES = frozenset({".mp4", ".m4v", ".mov", ".mkv", ".avi", ".webm"})
+if TYPE_CHECKING:
+    from av import VideoFrame
+    from av.container import InputContainer
+    from av.video.stream import VideoStream
 
-_FILES_PER_VIDEO = 2
-"""Open at the same time while one is opened."""
+_DEMUXERS = {
+    "mov": (".mp4", ".m4v", ".mov", ".3gp"),
+    "matroska": (".mkv", ".webm"),
+    "avi": (".avi",),
+    "mpegts": (".ts", ".mts", ".m2ts"),
+    "mpeg": (".mpg", ".mpeg"),
+    "mxf": (".mxf",),
+    "yuv4mpegpipe": (".y4m",),
+}
+"""FFmpeg's readers of containers, and the endings of files that they read; a playlist, whatever its name, is none."""
 
-_PASSED_OVER = 64
-"""First frames to read below which the ones before are decoded and passed over: a seek decodes tens of frames, too."""
-_SAME_TIME = 0.25
-"""Share of a frame's duration within which a time is that frame's."""
+VIDEO_SUFFIXES = frozenset(suffix for suffixes in _DEMUXERS.values() for suffix in suffixes)
 
-_BOXED_SUFFIXES = frozenset({".mp4", ".m4v", ".mov"})
+_BOXED_SUFFIXES = frozenset(_DEMUXERS["mov"])
 _FIRST_BOXES = frozenset({b"ftyp", b"styp", b"moov", b"mdat", b"free", b"skip", b"wide", b"pnot"})
+
+_KEYFRAMES_SEEN = 8
+"""Of which a frame is decoded when a video is opened, spread over it."""
+_PIXELS_SEEN = 1 << 26
+"""At most so many, in the frames from the last keyframe on, are decoded when a video is opened: a tenth of a second."""
 
 _RATE_TOLERANCE = 0.5
 """A frame may last this share longer or shorter than usual: rounded time stamps (1 ms in Matroska) pass, a dropped or
@@ -45,9 +61,9 @@ doubled frame does not."""
 class VideoSource:
     """The frames of one camera in a video file.
 
-    Width and height in pixels; fps None if the file does not say. ``times``: presentation time of every frame in
-    milliseconds, (frame_count,), or None if the container has no usable times. ``colours``: how they are coded if not
-    as sRGB or BT.709 are, whose values they are taken for; "" otherwise.
+    Width and height in pixels, as shown; fps None if the file does not say. ``times``: presentation time of every frame
+    in the track's own unit, (frame_count,) int64, or None if the container has no usable times; ``keyframes``: those of
+    frames that decoding can begin with. ``turn``: see ``_turn``. ``warnings``: what shows in its pictures.
     """
 
     path: Path
@@ -55,105 +71,128 @@ class VideoSource:
     height: int
     frame_count: int
     fps: float | None
-    times: NDArray[np.float64] | None = field(default=None, repr=False, compare=False)
-    colours: str = ""
+    times: NDArray[np.int64] | None = field(default=None, repr=False, compare=False)
+    keyframes: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64), repr=False, compare=False)
+    siting: Siting = (True, False)
+    turn: tuple[int, int, int, int] = (1, 0, 0, 1)
+    warnings: tuple[str, ...] = ()
 
     def read(self, start: int, stop: int, step: int = 1) -> Generator[Picture, None, None]:
         """Every step-th frame from start (inclusive) to stop (exclusive), RGB uint8; others are passed over.
 
-        A far start is sought, unless that does not find a frame before it. Raises RigError if the video ends early,
-        drops a frame, or changes its size.
+        A far start is sought. Raises RigError if the video ends early, drops a frame, changes its size, or has a frame
+        that is interlaced or damaged.
         """
-        capture, first = self._capture_near(start)
+        with closing(self._frames_from(start)) as frames:
+            for index in range(start, stop):
+                frame = next(frames, None)
+                if frame is None:
+                    raise _ended(self.path, index, self.frame_count)
+                if (index - start) % step == 0:
+                    yield self._picture(frame, index)
+
+    def _frames_from(self, start: int) -> Generator[VideoFrame, None, None]:
+        """The decoded frames from ``start`` on, each by its own time."""
+        for begin in self._beginnings(start):
+            following = start
+            with _opened(self.path) as (container, stream):
+                if begin is not None and not _seek(container, stream, begin):
+                    continue
+                for position, frame in enumerate(_decoded(self.path, container, stream)):
+                    index = position if self.times is None else self._index_of(frame, following)
+                    if index > following and begin is not None and following == start:
+                        break  # what was sought lies further on
+                    if index > following:
+                        raise _missing(self.path, following)
+                    if index == following:
+                        yield frame
+                        following += 1
+            if following > start:
+                return
+
+    def _beginnings(self, start: int) -> list[int | None]:
+        """Times of keyframes to decode from, the nearest first, and None for the video's beginning.
+
+        After a seek, pictures that are shown before the keyframe may be lost: then the keyframe before it is tried.
+        """
+        if self.times is None or not 0 < start < self.frame_count:
+            return [None]
+        before = self.keyframes[(self.keyframes <= self.times[start]) & (self.keyframes > self.times[0])]
+        return [*before[-2:][::-1].tolist(), None]
+
+    def _index_of(self, frame: VideoFrame, following: int) -> int:
+        """The frame's number by its time; -1 before the first one."""
+        assert self.times is not None
+        if frame.pts is None:
+            raise _missing(self.path, following)
+        usual = (self.times[-1] - self.times[0]) / max(self.frame_count - 1, 1)
+        nearest = int(np.abs(self.times - frame.pts).argmin())
+        if abs(self.times[nearest] - frame.pts) > _RATE_TOLERANCE * usual:
+            if frame.pts < self.times[0]:
+                return -1
+            raise _missing(self.path, following)
+        return nearest
+
+    def _picture(self, frame: VideoFrame, index: int) -> NDArray[np.uint8]:
+        _check_frame(self.path, frame, index)
         try:
-            for index in range(first, stop):
-                with quiet_opencv():
-                    grabbed = capture.grab()
-                if not grabbed:
-                    raise RigError(
-                        f"{self.path}: the video ends or is damaged at frame {index} although it announces "
-                        f"{self.frame_count} frames; re-encode it, or stop before frame {index}"
-                    )
-                self._check_time(index, capture.get(cv2.CAP_PROP_POS_MSEC))
-                if index >= start and (index - start) % step == 0:
-                    yield self._retrieve(capture, index)
-        finally:
-            capture.release()
-
-    def _capture_near(self, start: int) -> tuple[cv2.VideoCapture, int]:
-        """A capture at a frame at or before ``start``, and that frame."""
-        capture = _capture(self.path)
-        if start < _PASSED_OVER or self.times is None:
-            return capture, 0
-        with quiet_opencv():
-            sought = capture.set(cv2.CAP_PROP_POS_FRAMES, start - 1) and capture.grab()
-        found = self._frame_at(capture.get(cv2.CAP_PROP_POS_MSEC)) if sought else None
-        if found is not None and found < start:
-            return capture, found + 1
-        capture.release()
-        return _capture(self.path), 0
-
-    def _frame_at(self, time: float) -> int | None:
-        """The frame that is shown at a time in milliseconds; None if there is none."""
-        if self.times is None or not np.isfinite(time):
-            return None
-        usual = (self.times[-1] - self.times[0]) / (self.frame_count - 1)
-        nearest = int(np.abs(self.times - time).argmin())
-        return nearest if abs(self.times[nearest] - time) <= _SAME_TIME * usual else None
-
-    def _check_time(self, index: int, time: float) -> None:
-        if self.times is None or self.frame_count < 2:
-            return
-        usual = (self.times[-1] - self.times[0]) / (self.frame_count - 1)
-        if abs(time - self.times[index]) > _RATE_TOLERANCE * usual:
+            picture = _turned(to_rgb(frame, self.siting), self.turn)
+        except (ValueError, av.FFmpegError) as error:
+            raise RigError(f"{self.path}: colours coded as {error} are not read; convert it to BT.709") from None
+        if picture.shape != (self.height, self.width, 3):
             raise RigError(
-                f"{self.path}: frame {index} is damaged or missing (decoded {time:.1f} ms, "
-                f"expected {self.times[index]:.1f} ms); re-encode the video"
-            )
-
-    def _retrieve(self, capture: cv2.VideoCapture, index: int) -> NDArray[np.uint8]:
-        try:
-            with quiet_opencv():
-                ok, bgr = capture.retrieve()
-        except cv2.error:
-            ok = False
-        if not ok or bgr.dtype != np.uint8 or bgr.ndim != 3 or bgr.shape[2] != 3:
-            raise RigError(f"{self.path}: frame {index} cannot be decoded; re-encode the video")
-        if bgr.shape != (self.height, self.width, 3):
-            raise RigError(
-                f"{self.path}: frame {index} is {bgr.shape[1]} x {bgr.shape[0]} pixels, the video started with "
+                f"{self.path}: frame {index} is {picture.shape[1]} x {picture.shape[0]} pixels, the video started with "
                 f"{self.width} x {self.height}; re-encode it to one size"
             )
-        return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), np.uint8)
+        return picture
+
+
+@dataclass(frozen=True)
+class _Listing:
+    """What a container says of a track: times of its frames (sorted; None if there are no usable ones) and of its
+    keyframes, in the track's own ``unit`` of seconds, the number of its packets, and frames per second."""
+
+    times: NDArray[np.int64] | None
+    keyframes: NDArray[np.int64]
+    packets: int
+    unit: float
+    stated_fps: float
 
 
 def open_video(path: Path) -> VideoSource:
-    """Size, frame count and rate of a video; no frame is decoded, unless an edit list hides some.
+    """Size, frame count and rate of a video, and what shows in its pictures.
 
-    Raises RigError if the file is missing, is no video, has no frames or a variable frame rate.
+    Raises RigError if the file is missing, is no video, cannot be decoded, ends early, is interlaced, or has no frames
+    or a variable frame rate.
     """
     if not path.is_file():
         raise RigError(f"{path}: the video is missing; put it back or take its camera out of the calibration")
     _check_whole(path)
-    capture = _capture(path)
-    try:
-        width = int(capture.get(cv2.CAP_PROP_FRAME_WIDTH))
-        height = int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
-        stated_fps = capture.get(cv2.CAP_PROP_FPS)
-        stamps = _packet_times(path, capture)
-    finally:
-        capture.release()
-    if width < 1 or height < 1 or width * height > MAX_PIXELS:
-        raise RigError(f"{path}: frames of {width} x {height} pixels cannot be read; re-encode the video")
-    if stamps.size == 0:
+    listing = _list_packets(path)
+    if not listing.packets:
         raise RigError(f"{path}: the video holds no frames; record or export it again")
-    tags = read_tags(path)
-    if tags.shown is not None and _hides(tags.shown, stamps):
-        stamps = _shown_times(path)
-    times = stamps if stamps.size == 1 or np.diff(stamps).min() > 0 else None
-    if times is not None:
-        _check_constant_rate(path, times)
-    return VideoSource(path, width, height, int(stamps.size), _rate(stated_fps, times), times, tags.colours)
+    with _opened(path) as (container, stream):
+        first = next(_decoded(path, container, stream), None)
+        if first is None:
+            raise RigError(f"{path}: no frame of it can be decoded ({stream.codec_context.name}); re-encode the video")
+        context = stream.codec_context
+        colours = colours_of(int(context.color_trc), int(context.color_primaries))
+        # Pictures shown before the first one that a decoder shows: a cut at an open GOP leaves their packets.
+        times = None if listing.times is None else listing.times[listing.times >= (first.pts or 0)]
+        count = _count(path) if times is None else times.size
+        if times is not None:
+            _check_constant_rate(path, times * (1000 * listing.unit))
+            _look_through(path, container, stream, times, listing.keyframes)
+        turn = _turn(path, first)
+        width, height = (first.width, first.height) if turn[0] else (first.height, first.width)
+        fps = _rate(listing.stated_fps, None if times is None else times * listing.unit)
+        video = VideoSource(path, width, height, count, fps, times, listing.keyframes, turn=turn)
+        video._picture(first, 0)
+    return replace(video, siting=chroma_siting(first), warnings=(_warning(colours),) if colours else ())
+
+
+def _warning(colours: str) -> str:
+    return f"coded as {colours}, and taken for sRGB's, so that they come out flat or pale; convert to BT.709 before"
 
 
 def _check_whole(path: Path) -> None:
@@ -173,77 +212,181 @@ def _check_whole(path: Path) -> None:
                     raise RigError(f"{path}: the video file is truncated; copy it again from its source")
                 at += size
     except OSError as error:
-        raise _not_opened(path, error) from None
+        raise _not_opened(path, error.errno, error.strerror) from None
 
 
-def _capture(path: Path) -> cv2.VideoCapture:
-    # FFmpeg is named, and the path is absolute: otherwise "cam%02d" would be a sequence and "http:" an address.
-    # One decoding thread each: a rig has tens of videos, which are read side by side, and every further thread would
-    # hold another frame.
-    name = _utf8_name(path.absolute())
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[InputContainer, VideoStream]]:
+    """The container and its track of pictures: the largest, else the default one; never a cover."""
+    # The path is absolute and local, or "concat:" and "http:" would be FFmpeg's own language.
+    only = {"protocol_whitelist": "file", "format_whitelist": ",".join(_DEMUXERS)}
     try:
-        with quiet_opencv():
-            capture = cv2.VideoCapture(name, cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
-            opened = capture.isOpened()
-    except cv2.error:
-        opened = False
-    if not opened:
-        _check_can_open(path)
-        raise RigError(f"{path}: the file is no video that can be read, or is damaged; re-encode it (H.264 in mp4)")
-    return capture
+        container = av.open(f"file:{path.absolute()}", container_options=only, metadata_errors="replace")
+    except av.FFmpegError as error:
+        if error.errno in (errno.EMFILE, errno.ENFILE, errno.EACCES, errno.EPERM):
+            raise _not_opened(path, error.errno, error.strerror) from None
+        raise _no_video(path) from None
+    with container:
+        covers = Disposition.attached_pic | Disposition.timed_thumbnails
+        tracks = [track for track in container.streams.video if not track.disposition & covers]
+        known = [track for track in tracks if track.codec_context is not None]
+        if not known:
+            raise _not_decoded(path, tracks) if tracks else _no_video(path)
+        stream = max(
+            known, key=lambda track: (track.width * track.height, bool(track.disposition & Disposition.default))
+        )
+        context = stream.codec_context
+        if context.width < 1 or context.height < 1 or context.width * context.height > MAX_PIXELS:
+            raise RigError(
+                f"{path}: frames of {context.width} x {context.height} pixels cannot be read; re-encode the video"
+            )
+        # A rig has tens of videos, which are read side by side: every further thread would hold another frame.
+        context.thread_count = 1
+        context.options = {"max_pixels": str(MAX_PIXELS)}
+        yield container, stream
 
 
-def _utf8_name(path: Path) -> str:
-    """The path as OpenCV takes it: in UTF-8, whatever the locale. It crashes on bytes that are not."""
+def _list_packets(path: Path) -> _Listing:
+    with _opened(path) as (container, stream):
+        try:
+            found = []
+            for packet in container.demux(stream):
+                if packet.is_corrupt:
+                    raise RigError(f"{path}: the video file is truncated or damaged; copy it again from its source")
+                if packet.size and not packet.is_discard:
+                    found.append((packet.pts, packet.is_keyframe))
+        except av.FFmpegError as error:
+            raise _undecodable(path, "its packets", error) from None
+        unit, stated = float(stream.time_base or 0), float(stream.average_rate or stream.guessed_rate or 0)
+    if any(time is None for time, _ in found):
+        return _Listing(None, np.zeros(0, np.int64), len(found), unit, stated)
+    times = np.sort(np.array([time for time, _ in found], np.int64))
+    keyframes = np.sort(np.array([time for time, is_key in found if is_key], np.int64))
+    usable = times.size == 1 or bool(times.size and np.diff(times).min() > 0)
+    return _Listing(times if usable else None, keyframes, len(found), unit, stated)
+
+
+def _look_through(
+    path: Path,
+    container: InputContainer,
+    stream: VideoStream,
+    times: NDArray[np.int64],
+    keyframes: NDArray[np.int64],
+) -> None:
+    """Decodes a frame at some keyframes, and all from the last keyframe on where those are few."""
+    shown = keyframes[keyframes >= times[0]]
+    if not shown.size:
+        return
+    for begin in shown[:: max(1, shown.size // _KEYFRAMES_SEEN)].tolist():
+        if not _seek(container, stream, begin):
+            return
+        frame = next(_decoded(path, container, stream), None)
+        if frame is not None and frame.pts is not None:
+            _check_frame(path, frame, int(np.searchsorted(times, frame.pts)))
+    last = int(shown[-1])
+    if (times >= last).sum() * stream.width * stream.height > _PIXELS_SEEN or not _seek(container, stream, last):
+        return
+    index = None
+    for frame in _decoded(path, container, stream):
+        if frame.pts is None or frame.pts < last:
+            continue
+        # Pictures that need what lies before the keyframe may not be shown after a seek.
+        index = int(np.searchsorted(times, frame.pts)) if index is None else index + 1
+        _check_frame(path, frame, index)
+    if index is not None and index + 1 < times.size:
+        raise _ended(path, index + 1, times.size)
+
+
+def _count(path: Path) -> int:
+    """Frames of a video without usable times."""
+    count = 0
+    with _opened(path) as (container, stream):
+        for frame in _decoded(path, container, stream):
+            _check_frame(path, frame, count)
+            count += 1
+    return count
+
+
+def _decoded(path: Path, container: InputContainer, stream: VideoStream) -> Iterator[VideoFrame]:
     try:
-        return os.fsencode(path).decode("utf-8")
-    except UnicodeDecodeError:
-        raise RigError(f"{path}: its path is not UTF-8, so no video in it can be opened; rename it") from None
+        yield from container.decode(stream)
+    except av.FFmpegError as error:
+        raise _undecodable(path, f"a frame of it ({stream.codec_context.name})", error) from None
 
 
-def _check_can_open(path: Path) -> None:
-    """Says why a file cannot even be opened, which OpenCV does not report."""
+def _seek(container: InputContainer, stream: VideoStream, time: int) -> bool:
+    """Goes to the keyframe at or before a time; False if the container cannot."""
     try:
-        for file in [path.open("rb") for _ in range(_FILES_PER_VIDEO)]:
-            file.close()
-    except OSError as error:
-        raise _not_opened(path, error) from None
+        container.seek(time, stream=stream)
+    except av.FFmpegError:
+        return False
+    return True
 
 
-def _not_opened(path: Path, error: OSError) -> RigError:
-    remedy = "allow more, by ulimit -n" if error.errno == errno.EMFILE else "fix its rights"
-    return RigError(f"{path}: cannot be read ({error.strerror}); {remedy}")
+def _check_frame(path: Path, frame: VideoFrame, index: int) -> None:
+    if frame.interlaced_frame:
+        raise RigError(
+            f"{path}: frame {index} is flagged interlaced; deinterlace the video (ffmpeg -vf bwdif), or, where its "
+            "pictures are whole, take the flag away (ffmpeg -vf setfield=prog)"
+        )
+    if frame.is_corrupt:
+        raise RigError(f"{path}: frame {index} is damaged; re-encode the video")
 
 
-def _packet_times(path: Path, capture: cv2.VideoCapture) -> NDArray[np.float64]:
-    """Presentation times of all packets in milliseconds, sorted (packets come in decoding order)."""
-    if not capture.set(cv2.CAP_PROP_FORMAT, -1):
-        raise RigError(f"{path}: the packets of this video cannot be listed; re-encode it (H.264 in mp4)")
-    stamps = []
-    with quiet_opencv():
-        while capture.grab():
-            stamps.append(capture.get(cv2.CAP_PROP_POS_MSEC))
-    return np.sort(np.asarray(stamps, np.float64))
+def _turn(path: Path, frame: VideoFrame) -> tuple[int, int, int, int]:
+    """Signs of a, b, c, d of the display matrix: a pixel at (x, y) is shown at (a x + c y, b x + d y).
+
+    Raises RigError for one that is neither quarter turns nor mirrors. Source: ISO 14496-12, section 8.3.2.
+    """
+    stated: Any = frame.side_data.get(SideData.DISPLAYMATRIX)
+    if stated is None:
+        return (1, 0, 0, 1)
+    a, b, _, c, d, *_ = struct.unpack("=9i", bytes(stated))
+    largest = max(abs(a), abs(b), abs(c), abs(d))
+    signs = [round(value / largest) if largest else 0 for value in (a, b, c, d)]
+    if sorted(map(abs, signs)) != [0, 0, 1, 1] or abs(signs[0]) != abs(signs[3]):
+        raise RigError(f"{path}: is shown at an angle that is no quarter turn; re-encode the video as it is shown")
+    return (signs[0], signs[1], signs[2], signs[3])
 
 
-def _hides(shown: float, stamps: NDArray[np.float64]) -> bool:
-    """Whether an edit list that shows so many seconds leaves out some of the frames with these times (ms)."""
-    return stamps.size > 1 and shown * 1000 < (stamps.size - 0.5) * float(np.median(np.diff(stamps)))
+def _turned(picture: NDArray[np.uint8], turn: tuple[int, int, int, int]) -> NDArray[np.uint8]:
+    a, b, c, d = turn
+    across, down = (a, d) if a else (c, b)
+    upright = picture if a else picture.transpose(1, 0, 2)
+    return np.ascontiguousarray(upright[::down, ::across])
 
 
-def _shown_times(path: Path) -> NDArray[np.float64]:
-    """Presentation times in milliseconds of the frames that the decoder hands out; it alone knows which are cut off."""
-    capture = _capture(path)
-    try:
-        stamps = []
-        while capture.grab():
-            stamps.append(capture.get(cv2.CAP_PROP_POS_MSEC))
-    finally:
-        capture.release()
-    return np.asarray(stamps, np.float64)
+def _no_video(path: Path) -> RigError:
+    return RigError(f"{path}: the file is no video that can be read, or is damaged; re-encode it (H.264 in mp4)")
 
 
-def _check_constant_rate(path: Path, times: NDArray[np.float64]) -> None:
+def _not_decoded(path: Path, tracks: list[VideoStream]) -> RigError:
+    names = ", ".join(str(getattr(track, "name", None) or "of an unknown name") for track in tracks)
+    return RigError(f"{path}: the codec {names} is not decoded here; re-encode the video (H.264 in mp4)")
+
+
+def _not_opened(path: Path, number: int | None, said: str | None) -> RigError:
+    remedy = "allow more, by ulimit -n" if number == errno.EMFILE else "fix its rights"
+    return RigError(f"{path}: cannot be read ({said}); {remedy}")
+
+
+def _undecodable(path: Path, what: str, error: av.FFmpegError) -> RigError:
+    return RigError(f"{path}: {what} cannot be decoded ({error.strerror}); re-encode the video")
+
+
+def _ended(path: Path, index: int, announced: int) -> RigError:
+    return RigError(
+        f"{path}: the video ends or is damaged at frame {index} although it announces {announced} frames; re-encode "
+        f"it, or stop before frame {index}"
+    )
+
+
+def _missing(path: Path, index: int) -> RigError:
+    return RigError(f"{path}: frame {index} is damaged or missing; re-encode the video")
+
+
+def _check_constant_rate(path: Path, times: FloatArray) -> None:
+    """``times`` in milliseconds."""
     if times.size < 3:
         return
     lasting = np.diff(times)
@@ -256,10 +399,10 @@ def _check_constant_rate(path: Path, times: NDArray[np.float64]) -> None:
         )
 
 
-def _rate(stated: float, times: NDArray[np.float64] | None) -> float | None:
-    """Frames per second: as stated, unless the times contradict."""
+def _rate(stated: float, times: FloatArray | None) -> float | None:
+    """Frames per second: as stated, unless the times (in seconds) contradict."""
     stated_is_usable = bool(np.isfinite(stated)) and 0 < stated < 10_000
     if times is None or times.size < 2:
         return float(stated) if stated_is_usable else None
-    measured = float(1000 * (times.size - 1) / (times[-1] - times[0]))
+    measured = float((times.size - 1) / (times[-1] - times[0]))
     return float(stated) if stated_is_usable and abs(stated - measured) <= 0.05 * measured else measured

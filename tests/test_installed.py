@@ -77,6 +77,7 @@ def test_the_player_is_installed_as_it_was_built() -> None:
 @pytest.mark.parametrize(
     ("layer", "package", "stem", "function"),
     [
+        ("formats", ".", "_ycbcr", "decogs_rgb_of_ycbcr"),
         ("decoder", "rasterise", "_forward", "decogs_render"),
         ("encoder", "rasterise", "_training", "decogs_backward"),
         ("encoder", "transformation_cache", "_cache", "decogs_cache_step"),

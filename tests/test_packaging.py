@@ -14,7 +14,7 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from decogs.decoder.rasterise.native import best_instruction_set
+from decogs.formats.kernels import best_instruction_set
 from decogs.formats.rigs import open_rig, read_frames
 
 if sys.version_info >= (3, 11):
@@ -118,8 +118,8 @@ def test_kernels_are_built_side_by_side_and_for_the_demo_only_those_it_runs() ->
     *all_of_them, at_a_time = kernels_built()
     assert at_a_time == str(os.cpu_count())
     kernels = {name.rpartition("_")[0] for name in all_of_them}
-    assert len(kernels) == 3
+    assert len(kernels) == 4
     *native, _ = kernels_built(DECOGS_KERNELS="native")
     widest = best_instruction_set()
-    assert set(native) == {f"{name}_{widest}" for name in kernels} | {"decogs.decoder.rasterise._forward_base"}
+    assert set(native) == {f"{name}_{widest}" for name in kernels} | {"decogs.formats._ycbcr_base"}
     assert set(native) <= set(all_of_them)

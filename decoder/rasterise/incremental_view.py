@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.formats.cameras import Camera
+from decogs.formats.kernels import checked_handle
 from decogs.formats.splats import FloatArray, Splats
 
 from .native import (
@@ -23,7 +24,6 @@ from .native import (
     RowArray,
     check_drawn,
     check_renumbered,
-    checked_handle,
     checked_rows,
     native_camera,
     native_scene,

@@ -16,13 +16,11 @@ from numpy.typing import NDArray
 
 from decogs.formats.cameras import Camera, camera_centre, turned
 from decogs.formats.errors import UsageError
+from decogs.formats.kernels import check_memory, checked_handle, load_kernel
 from decogs.formats.splats import FloatArray, Splats
 from decogs.formats.threads import thread_count
 
 RowArray = NDArray[np.int64]
-
-INSTRUCTION_SETS = ("base", "avx2", "avx512")
-"""Slowest first; the kernel gives the same bits on all of them."""
 
 MAX_PAIRS = 1 << 27
 """Pairs of a 16x16 tile and a Gaussian in one picture that the kernel lists at most, whatever is allowed."""
@@ -158,46 +156,6 @@ def check_renumbered(renumbered: RowArray | None, detached: NDArray[np.bool_], p
     if len(kept) and ((np.diff(kept) <= 0).any() or kept[-1] >= population or (kept > np.flatnonzero(stays)).any()):
         raise ValueError(f"new numbers must ascend, lie below {population} and be at most the former ones")
     return np.ascontiguousarray(renumbered)
-
-
-def kernel_path(package: Path, stem: str, instruction_set: str) -> Path:
-    """Where a package keeps a kernel compiled for this instruction set."""
-    return package / f"{stem}_{instruction_set}.abi3.so"
-
-
-@lru_cache(maxsize=1)
-def best_instruction_set() -> str:
-    """The widest instruction set this machine runs; DECOGS_INSTRUCTION_SET (base, avx2, avx512) narrows it."""
-    base = _loaded(kernel_path(Path(__file__).parent, "_forward", "base"))
-    widest = INSTRUCTION_SETS[base.decogs_instruction_set()]
-    wanted = os.environ.get("DECOGS_INSTRUCTION_SET", widest)
-    if wanted not in INSTRUCTION_SETS or INSTRUCTION_SETS.index(wanted) > INSTRUCTION_SETS.index(widest):
-        raise UsageError(f"DECOGS_INSTRUCTION_SET={wanted}: this machine runs {widest} and below of {INSTRUCTION_SETS}")
-    return wanted
-
-
-def load_kernel(package: Path, stem: str) -> ctypes.CDLL:
-    """The kernel library ``stem`` in folder ``package`` for this machine; UsageError when it was never built."""
-    return _loaded(kernel_path(package, stem, best_instruction_set()))
-
-
-def _loaded(path: Path) -> ctypes.CDLL:
-    if not path.exists():
-        raise UsageError(f"{path}: the compiled kernel is missing; install decogs with a C++ compiler at hand")
-    return ctypes.CDLL(str(path))
-
-
-def check_memory(status: int) -> None:
-    """Raises MemoryError when a kernel found no memory; the ``restype`` of kernel functions that nothing else stops."""
-    if status:
-        raise MemoryError("the kernel found no memory")
-
-
-def checked_handle(handle: int | None) -> int:
-    """What a kernel created; raises MemoryError when it found no memory for it."""
-    if handle is None:
-        raise MemoryError("the kernel found no memory")
-    return handle
 
 
 @lru_cache(maxsize=1)

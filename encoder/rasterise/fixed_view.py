@@ -16,12 +16,12 @@ from decogs.decoder.rasterise.native import (
     RowArray,
     check_drawn,
     check_renumbered,
-    checked_handle,
     checked_rows,
     native_camera,
     native_scene,
 )
 from decogs.formats.cameras import Camera
+from decogs.formats.kernels import checked_handle
 from decogs.formats.splats import FloatArray, Splats
 
 from .native import (

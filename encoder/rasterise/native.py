@@ -17,13 +17,11 @@ from decogs.decoder.rasterise.native import (
     NativePlanes,
     NativeScene,
     check_drawn,
-    check_memory,
-    checked_handle,
-    load_kernel,
     native_camera,
     native_scene,
 )
 from decogs.formats.cameras import Camera
+from decogs.formats.kernels import check_memory, checked_handle, load_kernel
 from decogs.formats.splats import FloatArray, Splats
 from decogs.formats.threads import thread_count
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.decoder.rasterise.native import check_memory, checked_handle, load_kernel
+from decogs.formats.kernels import check_memory, checked_handle, load_kernel
 from decogs.formats.splats import FloatArray
 
 from ..rasterise.native import AdamStep

@@ -17,9 +17,9 @@ from statistics import median
 
 import numpy as np
 
-from decogs.decoder.rasterise.native import INSTRUCTION_SETS, best_instruction_set
 from decogs.encoder.rasterise import TrainingKernel, native
 from decogs.formats.cameras import Camera
+from decogs.formats.kernels import INSTRUCTION_SETS, best_instruction_set
 from decogs.formats.splats import Splats
 
 SIZES = ((30_000, 338, 254), (30_000, 676, 507), (150_000, 338, 254), (150_000, 676, 507))

@@ -191,10 +191,14 @@ def test_sound_is_in_step_and_as_long_as_the_pictures(small_stream, tmp_path: Pa
 def test_sound_that_is_none(small_stream, tmp_path: Path) -> None:
     (tmp_path / "noise.wav").write_bytes(b"not a sound" * 100)
     (tmp_path / "film.y4m").write_bytes(b"YUV4MPEG2 W2 H2 F25:1 C444\nFRAME\n" + bytes(12))
+    (tmp_path / "list.wav").write_text("ffconcat version 1.0\nfile noise.wav\n")
+    decode(small_stream.path, tmp_path / "silent.mp4", view="cam00", frames=slice(0, 1))
     for name, message in (
         ("noise.wav", "cannot be read as audio"),
         ("none.wav", "cannot be read"),
-        ("film.y4m", "no s"),
+        ("film.y4m", "cannot be read as audio"),
+        ("list.wav", "cannot be read as audio"),
+        ("silent.mp4", "has no sound"),
     ):
         with pytest.raises(UsageError, match=rf"{name}: .*{message}"):
             decode(small_stream.path, tmp_path / "x.mp4", view="cam00", video=VideoSettings(audio=tmp_path / name))
@@ -221,22 +225,6 @@ def test_settings_that_no_file_has(
     with pytest.raises(UsageError, match=message):
         decode(small_stream.path, tmp_path / name, view="cam00", video=settings)
     assert not (tmp_path / name).exists()
-
-
-def test_without_ffmpeg_an_mp4_is_mpeg4_with_a_warning(
-    small_stream, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for module in ("picture_output", "video_output"):
-        monkeypatch.setattr(f"decogs.decoder.{module}.has_ffmpeg", lambda: False)
-    said: list[str] = []
-    decode(small_stream.path, tmp_path / "x.mp4", view="cam00", on_warning=said.append)
-    assert len(said) == 1
-    assert "decogs[video]" in said[0]
-    with av.open(str(tmp_path / "x.mp4")) as container:
-        assert container.streams.video[0].codec_context.name == "mpeg4"
-    for name, settings in (("y.mov", VideoSettings()), ("y.mp4", VideoSettings(crf=3))):
-        with pytest.raises(UsageError, match=r"pip install 'decogs\[video\]'"):
-            decode(small_stream.path, tmp_path / name, view="cam00", video=settings)
 
 
 def read_y4m(data: bytes) -> tuple[bytes, list[np.ndarray]]:

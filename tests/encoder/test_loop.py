@@ -26,7 +26,6 @@ from decogs.codec.lattice import dequantise
 from decogs.decoder.commands import decode_main
 from decogs.decoder.frame import DecodedFrame
 from decogs.decoder.picture_output import to_8bit
-from decogs.decoder.rasterise.native import INSTRUCTION_SETS, best_instruction_set
 from decogs.decoder.stream import open_stream
 from decogs.decoder.views import render_view
 from decogs.encoder import PRESETS
@@ -36,6 +35,7 @@ from decogs.encoder.rasterise import FixedView
 from decogs.encoder.settings.frame import MaskSettings, SelectionSettings
 from decogs.formats.container import PacketKind, StreamWriter
 from decogs.formats.errors import RigError, UsageError
+from decogs.formats.kernels import INSTRUCTION_SETS, best_instruction_set
 from decogs.formats.rigs import open_rig
 
 ATTRIBUTES = ("means", "log_scales", "quaternions", "opacity_logits", "sh")

@@ -10,10 +10,10 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from decogs.decoder.rasterise.native import INSTRUCTION_SETS
 from decogs.encoder.settings.cache import CacheSettings
 from decogs.encoder.transformation_cache import CacheWeights, TransformationCache
 from decogs.formats.errors import TrainingError, UsageError
+from decogs.formats.kernels import INSTRUCTION_SETS
 from instruction_sets import printed_on
 
 F32 = NDArray[np.float32]

@@ -16,18 +16,6 @@ IncrementalView& view_of(void* handle) { return *static_cast<IncrementalView*>(h
 
 extern "C" {
 
-// The best build for this processor: 2 AVX-512, 1 AVX2, 0 base. The base build answers, since every machine can load it.
-int decogs_instruction_set() {
-#if defined(__x86_64__)
-    __builtin_cpu_init();
-    if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512dq") &&
-        __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512cd"))
-        return 2;
-    if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("bmi2")) return 1;
-#endif
-    return 0;
-}
-
 void* decogs_renderer_create(int threads) {
     return created([&] { return new Renderer(threads); });
 }

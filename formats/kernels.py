@@ -1,0 +1,53 @@
+"""Loads the kernels, C++ libraries with a plain C interface, compiled for this machine's instruction set."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from functools import lru_cache
+from pathlib import Path
+
+from .errors import UsageError
+
+INSTRUCTION_SETS = ("base", "avx2", "avx512")
+"""Slowest first; a kernel gives the same bits on all of them."""
+
+
+def kernel_path(package: Path, stem: str, instruction_set: str) -> Path:
+    """Where a package keeps a kernel compiled for this instruction set."""
+    return package / f"{stem}_{instruction_set}.abi3.so"
+
+
+@lru_cache(maxsize=1)
+def best_instruction_set() -> str:
+    """The widest instruction set this machine runs; DECOGS_INSTRUCTION_SET (base, avx2, avx512) narrows it."""
+    base = _loaded(kernel_path(Path(__file__).parent, "_ycbcr", "base"))
+    widest = INSTRUCTION_SETS[base.decogs_instruction_set()]
+    wanted = os.environ.get("DECOGS_INSTRUCTION_SET", widest)
+    if wanted not in INSTRUCTION_SETS or INSTRUCTION_SETS.index(wanted) > INSTRUCTION_SETS.index(widest):
+        raise UsageError(f"DECOGS_INSTRUCTION_SET={wanted}: this machine runs {widest} and below of {INSTRUCTION_SETS}")
+    return wanted
+
+
+def load_kernel(package: Path, stem: str) -> ctypes.CDLL:
+    """The kernel library ``stem`` in folder ``package`` for this machine; UsageError when it was never built."""
+    return _loaded(kernel_path(package, stem, best_instruction_set()))
+
+
+def _loaded(path: Path) -> ctypes.CDLL:
+    if not path.exists():
+        raise UsageError(f"{path}: the compiled kernel is missing; install decogs with a C++ compiler at hand")
+    return ctypes.CDLL(str(path))
+
+
+def check_memory(status: int) -> None:
+    """Raises MemoryError when a kernel found no memory; the ``restype`` of kernel functions that nothing else stops."""
+    if status:
+        raise MemoryError("the kernel found no memory")
+
+
+def checked_handle(handle: int | None) -> int:
+    """What a kernel created; raises MemoryError when it found no memory for it."""
+    if handle is None:
+        raise MemoryError("the kernel found no memory")
+    return handle
