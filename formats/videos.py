@@ -46,8 +46,8 @@ class VideoSource:
     """The frames of one camera in a video file.
 
     Width and height in pixels; fps None if the file does not say. ``times``: presentation time of every frame in
-    milliseconds, (frame_count,), or None if the container has no usable times. ``colours``: how they are coded if not
-    as sRGB or BT.709 are, whose values they are taken for; "" otherwise.
+    milliseconds, (frame_count,), or None if the container has no usable times. ``warnings``: see
+    ``FrameSource``.
     """
 
     path: Path
@@ -56,7 +56,7 @@ class VideoSource:
     frame_count: int
     fps: float | None
     times: NDArray[np.float64] | None = field(default=None, repr=False, compare=False)
-    colours: str = ""
+    warnings: tuple[str, ...] = ()
 
     def read(self, start: int, stop: int, step: int = 1) -> Generator[Picture, None, None]:
         """Every step-th frame from start (inclusive) to stop (exclusive), RGB uint8; others are passed over.
@@ -153,7 +153,16 @@ def open_video(path: Path) -> VideoSource:
     times = stamps if stamps.size == 1 or np.diff(stamps).min() > 0 else None
     if times is not None:
         _check_constant_rate(path, times)
-    return VideoSource(path, width, height, int(stamps.size), _rate(stated_fps, times), times, tags.colours)
+    return VideoSource(path, width, height, int(stamps.size), _rate(stated_fps, times), times, _warnings(tags.colours))
+
+
+def _warnings(coding: str) -> tuple[str, ...]:
+    if not coding:
+        return ()
+    return (
+        f"its colours are tagged {coding}, and FFmpeg, by its version, takes them for sRGB's or converts them its own "
+        "way; convert the videos to BT.709 for right ones",
+    )
 
 
 def _check_whole(path: Path) -> None:
