@@ -69,11 +69,13 @@ def _apply(transform: ImageCmsTransform, picture: NDArray[np.uint8]) -> NDArray[
 
 def _apply_deep(transform: ImageCmsTransform, picture: NDArray[np.uint16]) -> NDArray[np.uint8]:
     """Pillow converts 8 bit only: between the eight nearest colours of 8 bit, results are interpolated."""
-    below = picture // 257
-    share = (picture % 257).astype(np.float32) / 257
+    below = (picture // 257).astype(np.uint8)
+    ends = below, np.minimum(below, 254) + np.uint8(1)
+    share = (picture - below * np.uint16(257)).astype(np.float32) / 257
+    weights = 1 - share, share
     total = np.zeros(picture.shape, np.float32)
     for corner in itertools.product((0, 1), repeat=3):
-        near = np.minimum(below + np.array(corner, np.uint16), 255).astype(np.uint8)
-        weight = np.where(corner, share, 1 - share).prod(axis=2, keepdims=True)
-        total += weight * _apply(transform, near)
+        near = np.stack([ends[end][..., channel] for channel, end in enumerate(corner)], axis=2)
+        red, green, blue = (weights[end][..., channel] for channel, end in enumerate(corner))
+        total += (red * green * blue)[..., None] * _apply(transform, near)
     return np.rint(total).astype(np.uint8)

@@ -55,7 +55,8 @@ def exr_warnings(path: Path, data: bytes) -> Iterator[str]:
             f"its colours are tagged {named.decode('ascii', 'replace')!r} without chromaticities, and are taken for "
             "linear Rec. 709's; convert the pictures for right ones"
         )
-    if "A" in _names(attributes) and _channels(path, data)["A"].min() < _OPAQUE:
+    alpha = _channels(path, data).get("A") if "A" in _names(attributes) else None
+    if alpha is not None and alpha.min() < _OPAQUE:
         yield "has alpha below 1; its colours are taken as they are, premultiplied, which is over black"
 
 

@@ -42,8 +42,9 @@ _PRIMARIES = {9: "BT.2020", 10: "XYZ", 11: "DCI-P3", 12: "Display P3"}
 """ITU-T H.273: codes that show when they are taken for sRGB's."""
 
 _ORIENTATION, _STRIPS, _TILES, _PROFILE, _EXTRA_SAMPLES = 274, (273, 279), (324, 325), 34675, 338
-_TYPES = {1: "B", 3: "H", 4: "I", 7: "B", 13: "I", 16: "Q"}
-"""TIFF's types of whole numbers without a sign, and its bytes without a meaning."""
+_EXIF, _INTEROPERABILITY = 34665, 40965
+_TYPES = {1: "B", 2: "B", 3: "H", 4: "I", 7: "B", 13: "I", 16: "Q"}
+"""TIFF's types of whole numbers without a sign, and its bytes and texts."""
 
 
 @dataclass(frozen=True)
@@ -140,17 +141,18 @@ def _png_colours(said: dict[bytes, bytes]) -> tuple[bytes | None, str]:
 def _jpeg_header(path: Path, data: bytes) -> PictureHeader:
     if data[:2] != b"\xff\xd8":
         raise damaged(path, "this is not a JPEG file")
-    size, orientation, parts = (0, 0), 1, {}
+    size, exif, parts = (0, 0), Ifd(b""), {}
     for marker, at, end in _jpeg_segments(path, data):
         if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
             height, width = struct.unpack_from(">HH", data, at + 1)
             size = width, height
         elif marker == 0xE1 and data[at : at + 6] == b"Exif\0\0":
-            orientation = Ifd(data[at + 6 : end]).number(_ORIENTATION, 1)
+            exif = Ifd(data[at + 6 : end])
         elif marker == 0xE2 and data[at : at + 12] == _IN_JPEG:
             parts[data[at + 12]] = data[at + 14 : end]
     profile = b"".join(parts[number] for number in sorted(parts))
-    return PictureHeader(*size, orientation, profile if len(profile) <= MAX_PROFILE else None)
+    coding = "" if parts else _coding_by_camera(exif)
+    return PictureHeader(*size, exif.number(_ORIENTATION, 1), profile if len(profile) <= MAX_PROFILE else None, coding)
 
 
 def _jpeg_segments(path: Path, data: bytes) -> Iterator[tuple[int, int, int]]:
@@ -174,25 +176,26 @@ def _jpeg_segments(path: Path, data: bytes) -> Iterator[tuple[int, int, int]]:
 
 
 class Ifd:
-    """The first directory of a TIFF (also a BigTIFF) or of EXIF data: numbers by tag, read when they are asked for.
+    """A directory, the first one, of a TIFF (also a BigTIFF) or of EXIF data: numbers by tag, read when asked for.
 
     Empty where ``data`` is none. Nothing is read that does not lie within ``data``.
     """
 
-    def __init__(self, data: bytes) -> None:
+    def __init__(self, data: bytes, at: int | None = None) -> None:
         self._data, self._entries = data, dict[int, tuple[int, int, int]]()
         self._order = {b"II": "<", b"MM": ">"}.get(data[:2], "")
         if not self._order or len(data) < 16:
             return
         kind = struct.unpack_from(self._order + "H", data, 2)[0]
         if kind == 42:
-            self._walk("IH", "HHI", 4)
+            self._walk("IH", "HHI", 4, at)
         elif kind == 43:
-            self._walk("QQ", "HHQ", 8)
+            self._walk("QQ", "HHQ", 8, at)
 
-    def _walk(self, head: str, entry: str, inline: int) -> None:
-        (at,) = struct.unpack_from(self._order + head[0], self._data, inline)
+    def _walk(self, head: str, entry: str, inline: int, at: int | None) -> None:
         try:
+            if at is None:
+                (at,) = struct.unpack_from(self._order + head[0], self._data, inline)
             (count,) = struct.unpack_from(self._order + head[1], self._data, at)
             at += struct.calcsize(self._order + head[1])
             size = struct.calcsize(self._order + entry)
@@ -224,10 +227,19 @@ class Ifd:
         """The tag's first value."""
         return next(iter(self.numbers(tag)), missing)
 
+    def inside(self, tag: int) -> Ifd:
+        """The directory whose place the tag has; an empty one where it is missing."""
+        return Ifd(self._data if tag in self else b"", self.number(tag, 0))
+
     def raw(self, tag: int) -> bytes:
         """The tag's values as bytes; b"" where it is missing or not whole."""
         kind, count, place = self._entries.get(tag, (0, 0, 0))
-        return self._data[place : place + count] if kind in (1, 7) and count <= len(self._data) - place else b""
+        return self._data[place : place + count] if kind in (1, 2, 7) and count <= len(self._data) - place else b""
+
+
+def _coding_by_camera(ifd: Ifd) -> str:
+    """Cameras that are set to Adobe RGB say so in EXIF data, often without a profile. Source: DCF 2.0."""
+    return "Adobe RGB" if ifd.inside(_EXIF).inside(_INTEROPERABILITY).raw(1)[:3] == b"R03" else ""
 
 
 def _tiff_header(path: Path, data: bytes) -> PictureHeader:

@@ -57,13 +57,13 @@ def in_space(chromaticities: tuple[float, ...]) -> np.ndarray:
     return linear(PATCHES) @ (np.linalg.inv(to_pcs(chromaticities)) @ to_pcs(REC709)).T
 
 
-def icc(chromaticities: tuple[float, ...] | None, gamma: float, space: bytes = b"RGB ") -> bytes:
-    """An ICC profile of version 2 of primaries and a power; of the power alone for grey."""
+def icc(chromaticities: tuple[float, ...] | None, gamma: float, space: bytes = b"RGB ", curve: bytes = b"") -> bytes:
+    """An ICC profile of version 2 of primaries and a power or ``curve``; of the power alone for grey."""
 
     def xyz(values: Any) -> bytes:
         return b"XYZ \0\0\0\0" + b"".join(struct.pack(">i", round(v * 65536)) for v in values)
 
-    curve = b"curv\0\0\0\0" + struct.pack(">IHxx", 1, round(gamma * 256))
+    curve = curve or b"curv\0\0\0\0" + struct.pack(">IHxx", 1, round(gamma * 256))
     tags = {b"wtpt": xyz(D50)}
     if chromaticities is None:
         tags[b"kTRC"] = curve
@@ -174,9 +174,15 @@ def test_grey_with_a_grey_profile(tmp_path: Path) -> None:
 
 def test_srgb_profiles_change_no_pixel(tmp_path: Path) -> None:
     every = np.random.default_rng(3).integers(0, 256, (40, 50, 3), dtype=np.uint8)
-    write_png(tmp_path / "a.png", every, iccp(ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()))
-    np.testing.assert_array_equal(read_picture(tmp_path / "a.png"), every)
-    assert picture_facts(tmp_path / "a.png").warnings == ()
+    table = np.rint(linear(np.linspace(0, 255, 20)) * 65535).astype(">u2")
+    curve = b"curv\0\0\0\0" + struct.pack(">I", len(table)) + table.tobytes()
+    for profile in (
+        ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes(),
+        icc(REC709, 0, curve=curve),
+    ):
+        write_png(tmp_path / "a.png", every, iccp(profile))
+        np.testing.assert_array_equal(read_picture(tmp_path / "a.png"), every)
+        assert picture_facts(tmp_path / "a.png").warnings == ()
 
 
 def test_a_long_profile_lies_in_several_segments_of_a_jpeg(tmp_path: Path) -> None:
@@ -264,6 +270,21 @@ def test_what_a_png_says_of_its_coding_is_named(tmp_path: Path, chunks: list[tup
     np.testing.assert_array_equal(read_picture(tmp_path / "a.png"), chart(PATCHES, np.uint8))
     expected = f"its colours are tagged {coding}, and are taken for sRGB's; convert the pictures to sRGB for right ones"
     assert picture_facts(tmp_path / "a.png").warnings == ((expected,) if coding else ())
+
+
+def adobe_exif() -> bytes:
+    """EXIF data of a camera that is set to Adobe RGB: a directory in a directory in the first one."""
+    entries = [(34665, 4, 1, 26), (40965, 4, 1, 44), (1, 2, 4, int.from_bytes(b"R03\0", "little"))]
+    return b"Exif\0\0II*\0\x08\0\0\0" + b"".join(struct.pack("<HHHIII", 1, *entry, 0) for entry in entries)
+
+
+def test_adobe_rgb_of_a_camera_is_named(tmp_path: Path) -> None:
+    picture = Image.fromarray(chart(PATCHES, np.uint8))
+    picture.save(tmp_path / "a.jpg", exif=adobe_exif())
+    expected = "its colours are tagged Adobe RGB, and are taken for sRGB's; convert the pictures to sRGB for right ones"
+    assert picture_facts(tmp_path / "a.jpg").warnings == (expected,)
+    picture.save(tmp_path / "a.jpg", exif=adobe_exif(), icc_profile=icc(ADOBE, 2.2))
+    assert picture_facts(tmp_path / "a.jpg").warnings == ()
 
 
 # --- OpenEXR --------------------------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from PIL import Image, ImageOps
 
 from decogs.formats.errors import RigError
 from decogs.formats.rigs import files_of, open_rig, read_frames
-from decogs.formats.rigs.sources import PictureSource, open_pictures
+from decogs.formats.rigs.sources import PictureSource, list_folder, open_pictures
 
 APPLE_DOUBLE = b"\0\5\x16\7\0\2\0\0Mac OS X        " + bytes(100)
 
@@ -79,7 +79,7 @@ def test_hidden_files_are_no_frames_and_no_cameras(tmp_path: Path, make: Any, la
     for folder in folders:
         hide_things(tmp_path / folder, make)
     rig = open_rig(tmp_path)
-    assert (rig.layout, len(rig.cameras), rig.frame_count) == (layout, 3, 3)
+    assert (rig.layout, len(rig.cameras), rig.frame_count, rig.warnings) == (layout, 3, 3, ())
     assert greys(tmp_path) == [[grey_of(frame)] * 3 for frame in range(3)]
 
 
@@ -87,6 +87,12 @@ def test_hidden_videos_are_no_cameras(tmp_path: Path, make: Any) -> None:
     make.colmap(tmp_path, text=True)
     hide_things(tmp_path, make)
     assert [camera.name for camera in open_rig(tmp_path).cameras] == ["cam00", "cam01", "cam02"]
+
+
+def test_a_folder_s_entries_are_the_user_s(tmp_path: Path, make: Any) -> None:
+    write_frames(tmp_path, make, lambda camera, frame: f"cam{camera:02d}/{frame:04d}.png")
+    hide_things(tmp_path, make)
+    assert [entry.name for entry in list_folder(tmp_path)] == ["cam00", "cam01", "cam02", "poses_bounds.npy"]
 
 
 # --- names ----------------------------------------------------------------------------------------------------------
