@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 _KEPT = 8
 """Profiles whose conversion is kept: the cameras of a rig rarely have more."""
 
+_BAND = 1 << 20
+"""Numbers of a 16-bit picture that are converted at a time, which takes 30 bytes for each."""
+
 
 @lru_cache(_KEPT)
 def conversion(profile: bytes) -> ImageCmsTransform | None:
@@ -45,7 +48,10 @@ def to_srgb(picture: NDArray[Any], profile: bytes) -> NDArray[Any]:
         return picture
     if transform.input_mode == "L" and (picture != picture[..., :1]).any():
         return picture
-    return _apply(transform, picture) if picture.dtype == np.uint8 else _apply_deep(transform, picture)
+    if picture.dtype == np.uint8:
+        return _apply(transform, picture)
+    bands = np.array_split(picture, -(-picture.size // _BAND))
+    return np.concatenate([_apply_deep(transform, band) for band in bands])
 
 
 @lru_cache(_KEPT)

@@ -62,11 +62,11 @@ def exr_warnings(path: Path, data: bytes) -> Iterator[str]:
 
 def _names(attributes: dict[str, bytes]) -> list[str]:
     """Channels of the (first) part. Source: OpenEXR File Layout, chlist."""
-    left, names = attributes.get("channels", b""), []
-    while len(left) > 1:
-        name, _, rest = left.partition(b"\0")
-        names.append(name.decode("latin-1"))
-        left = rest[16:]
+    listed, at = attributes.get("channels", b""), 0
+    names = []
+    while (end := listed.find(b"\0", at)) > at:
+        names.append(listed[at:end].decode("latin-1"))
+        at = end + 17
     return names
 
 

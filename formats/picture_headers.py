@@ -45,6 +45,7 @@ _ORIENTATION, _STRIPS, _TILES, _PROFILE, _EXTRA_SAMPLES = 274, (273, 279), (324,
 _EXIF, _INTEROPERABILITY = 34665, 40965
 _TYPES = {1: "B", 2: "B", 3: "H", 4: "I", 7: "B", 13: "I", 16: "Q"}
 """TIFF's types of whole numbers without a sign, and its bytes and texts."""
+_MAX_TAGS, _MAX_VALUES, _MAX_SAMPLES = 4096, 1 << 20, 8
 
 
 @dataclass(frozen=True)
@@ -199,7 +200,7 @@ class Ifd:
             (count,) = struct.unpack_from(self._order + head[1], self._data, at)
             at += struct.calcsize(self._order + head[1])
             size = struct.calcsize(self._order + entry)
-            for _ in range(min(count, (len(self._data) - at) // (size + inline))):
+            for _ in range(min(count, _MAX_TAGS)):
                 tag, kind, values = struct.unpack_from(self._order + entry, self._data, at)
                 place = at + size
                 if kind in _TYPES and values * struct.calcsize("=" + _TYPES[kind]) > inline:
@@ -207,7 +208,7 @@ class Ifd:
                 self._entries.setdefault(tag, (kind, values, place))
                 at += size + inline
         except (struct.error, OverflowError):
-            self._entries.clear()
+            self._entries.clear()  # cut off
 
     def __contains__(self, tag: int) -> bool:
         return tag in self._entries
@@ -217,9 +218,13 @@ class Ifd:
         return self._entries[tag][2]
 
     def numbers(self, tag: int) -> tuple[int, ...]:
-        """The tag's values; () where it is missing, of another type or not whole."""
+        """The tag's values; () where it is missing, of another type, not whole, or absurdly long."""
         kind, count, place = self._entries.get(tag, (0, 0, 0))
-        if kind not in _TYPES or count * struct.calcsize("=" + _TYPES[kind]) > len(self._data) - place:
+        if (
+            kind not in _TYPES
+            or count > _MAX_VALUES
+            or count * struct.calcsize("=" + _TYPES[kind]) > len(self._data) - place
+        ):
             return ()
         return struct.unpack_from(f"{self._order}{count}{_TYPES[kind]}", self._data, place)
 
@@ -259,7 +264,7 @@ def _check_tiff_kind(path: Path, ifd: Ifd) -> None:
     bits, samples, meaning = set(ifd.numbers(258)) or {1}, ifd.number(277, 1), ifd.number(262, 1)
     if set(ifd.numbers(339)) - {1} or not bits <= {1, 2, 4, 8, 16} or len(bits) > 1:
         raise RigError(f"{path}: TIFF of other numbers than whole ones of 8 or 16 bit is not read; write it as EXR")
-    if meaning not in (0, 1, 2, 3, 6):
+    if meaning not in (0, 1, 2, 3, 6) or samples > _MAX_SAMPLES:
         raise RigError(f"{path}: TIFF of colours that are neither RGB nor grey is not read; write it as RGB")
     if bits == {16} and (meaning == 0 or (samples > 1 and ifd.number(284, 1) == 2)):
         raise RigError(f"{path}: TIFF of 16 bit with inverted or separate planes is not read; write it as plain RGB")
