@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -47,15 +47,21 @@ def read_exr(path: Path, data: bytes, width: int, height: int) -> NDArray[np.flo
 
 
 def exr_warnings(path: Path, data: bytes) -> Iterator[str]:
-    """What the file says of itself that shows in the colours; its pixels are decoded if it has alpha."""
+    """What the file says of itself that shows in the colours; its pixels are decoded if it has alpha.
+
+    Raises RigError for colours that will not be read.
+    """
     attributes, _ = exr_attributes(path, data)
+    names = _names(attributes)
+    _colour_names(path, names)
+    _matrix(path, attributes)
     named = attributes.get("colorInteropID", b"unknown").strip(b"\0")
     if "chromaticities" not in attributes and named not in _REC709_NAMES:
         yield (
             f"its colours are tagged {named.decode('ascii', 'replace')!r} without chromaticities, and are taken for "
             "linear Rec. 709's; convert the pictures for right ones"
         )
-    alpha = _channels(path, data).get("A") if "A" in _names(attributes) else None
+    alpha = _channels(path, data).get("A") if "A" in names else None
     if alpha is not None and alpha.min() < _OPAQUE:
         yield "has alpha below 1; its colours are taken as they are, premultiplied, which is over black"
 
@@ -133,14 +139,21 @@ def _channels(path: Path, data: bytes) -> dict[str, NDArray[np.floating]]:
         raise damaged(path, "the EXR file cannot be decoded") from None
 
 
+def _colour_names(path: Path, names: Collection[str]) -> tuple[str, str, str]:
+    """The channels that are red, green and blue."""
+    if {"R", "G", "B"} <= set(names):
+        return "R", "G", "B"
+    if "Y" in names and {"RY", "BY"} & set(names):
+        raise RigError(f"{path}: luminance/chroma EXR (Y, RY, BY) is not read; write it as plain RGB")
+    if "Y" not in names:
+        found = ", ".join(repr(name) for name in sorted(names)) or "none"
+        raise RigError(f"{path}: needs channels R, G, B (or Y), but has {found}; write it as plain RGB")
+    return "Y", "Y", "Y"
+
+
 def _colours(path: Path, pixels: dict[str, NDArray[np.floating]]) -> NDArray[np.float32]:
     """R, G, B (or Y three times) over the data window, (h, w, 3)."""
-    names = ("R", "G", "B") if {"R", "G", "B"} <= pixels.keys() else ("Y", "Y", "Y")
-    if "Y" in names and {"RY", "BY"} & pixels.keys():
-        raise RigError(f"{path}: luminance/chroma EXR (Y, RY, BY) is not read; write it as plain RGB")
-    if "Y" in names and "Y" not in pixels:
-        found = ", ".join(repr(name) for name in sorted(pixels)) or "none"
-        raise RigError(f"{path}: needs channels R, G, B (or Y), but has {found}; write it as plain RGB")
+    names = _colour_names(path, pixels)
     planes = [pixels[name] for name in names]
     if any(plane.ndim != 2 or plane.shape != planes[0].shape for plane in planes):
         raise RigError(f"{path}: subsampled EXR channels are not supported; write it as plain RGB")

@@ -338,8 +338,9 @@ def test_exr_of_rec_709_keeps_its_bits(tmp_path: Path) -> None:
 )
 def test_chromaticities_that_span_no_colours_are_refused(tmp_path: Path, wrong: tuple[float, ...]) -> None:
     write_exr(tmp_path / "a.exr", {"RGB": np.ones((4, 5, 3), np.float32)}, chromaticities=wrong)
-    with pytest.raises(RigError, match=r"a\.exr: the chromaticities of its header span no colours; "):
-        read_picture(tmp_path / "a.exr")
+    for look in (read_picture, picture_facts):
+        with pytest.raises(RigError, match=r"a\.exr: the chromaticities of its header span no colours; "):
+            look(tmp_path / "a.exr")
 
 
 def test_a_light_that_other_primaries_make_infinite_is_named(tmp_path: Path) -> None:

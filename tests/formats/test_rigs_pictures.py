@@ -224,6 +224,19 @@ def test_pictures_are_turned_where_only_then_they_are_what_was_calibrated(
     assert next(file for file, _ in files_of(rig)).name == f"0000{suffix}"
 
 
+def test_a_rig_json_that_states_the_upright_size(tmp_path: Path, make: Any) -> None:
+    """There sizes must be equal, and one camera may be turned while another is not."""
+    stored = np.random.default_rng(1).integers(0, 256, (48, 64, 3), dtype=np.uint8)
+    values = make.rig_json_values(2)
+    del values["frame_count"]
+    for record, size, orientation in zip(values["cameras"], ((48, 64), (64, 48)), (8, 8), strict=True):
+        record |= {"file": record["name"] + ".jpg", "width": size[0], "height": size[1]}
+        Image.fromarray(stored).save(tmp_path / record["file"], exif=exif(orientation))
+    (tmp_path / "rig.json").write_text(json.dumps(values))
+    ((_, (turned, other)),) = read_frames(open_rig(tmp_path))
+    np.testing.assert_array_equal(turned, np.rot90(other))
+
+
 @pytest.mark.parametrize("size", [(64, 48), (64, 64)])
 @pytest.mark.parametrize("orientation", [3, 6])
 def test_pictures_stay_as_stored_where_they_were_calibrated_so(
