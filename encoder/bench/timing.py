@@ -59,6 +59,10 @@ class RetimedSource:
     def frame_count(self) -> int:
         return self.order[0] + len(self.order)
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        return self.source.warnings
+
     def read(self, start: int, stop: int, step: int = 1) -> Generator[Picture, None, None]:
         """Frames ``start`` to ``stop``, counted as they are shown; pictures wait in memory where the order turns."""
         wanted = [self._index(shown) for shown in range(start, stop, step)]

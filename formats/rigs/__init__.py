@@ -38,7 +38,7 @@ def open_rig(path: str | os.PathLike[str]) -> Rig:
     """The rig in a folder, or calibrated by the given calibration file or COLMAP model folder.
 
     Detects the layout, reads the calibration, and compares frame counts, sizes and rates of all cameras; no frame is
-    decoded. Raises RigError, in one line, on anything that does not fit.
+    decoded, but the first of EXR that have alpha. Raises RigError, in one line, on anything that does not fit.
     """
     folder = Path(path)
     if not os.path.exists(folder):

@@ -18,11 +18,12 @@ from ..cameras import Camera
 from ..errors import RigError
 from .calibration import calibrated_camera, invert_pose, rigid_pose
 from .rig import Rig, assemble_rig
-from .sources import holds_frames, list_folder, open_source
+from .sources import holds_frames, list_folder, open_source, refuse_unknown_kinds
 
 LAYOUT = "n3dv"
 CALIBRATION = "poses_bounds.npy"
 CAMERA_NAME = re.compile(r"cam[0-9]+")
+_ANY_CAMERA_NAME = re.compile(r"cam_?[0-9]+")
 _MAX_BYTES = 16 << 20
 
 
@@ -36,9 +37,12 @@ def read_poses_bounds_rig(folder: Path, layout: str, camera_name: re.Pattern[str
     entries = camera_entries(folder, camera_name)
     path = folder / CALIBRATION
     if not entries:
+        refuse_unknown_kinds(_named_as_cameras(folder, _ANY_CAMERA_NAME))
         raise RigError(f"{folder}: no video or picture folder named cam00, cam01 ... (or cam_0 ...); add the frames")
     rows = _read_rows(path)
     if len(rows) != len(entries):
+        there = {entry.stem for entry in entries}
+        refuse_unknown_kinds(entry for entry in _named_as_cameras(folder, camera_name) if entry.stem not in there)
         raise RigError(
             f"{path}: {len(rows)} poses, but {len(entries)} cameras with frames ({entries[0].name} to "
             f"{entries[-1].name}{_numbering_gap(entries)}); put the missing camera back or remove its row"
@@ -53,13 +57,17 @@ def read_poses_bounds_rig(folder: Path, layout: str, camera_name: re.Pattern[str
 
 def camera_entries(folder: Path, camera_name: re.Pattern[str]) -> list[Path]:
     """Videos and picture folders with a camera's name, in natural order. Raises RigError if a name is there twice."""
-    entries = [entry for entry in list_folder(folder) if camera_name.fullmatch(entry.stem) and holds_frames(entry)]
+    entries = [entry for entry in _named_as_cameras(folder, camera_name) if holds_frames(entry)]
     by_name: dict[str, Path] = {}
     for entry in entries:
         other = by_name.setdefault(entry.stem, entry)
         if other is not entry:
             raise RigError(f"{folder}: both {other.name} and {entry.name} hold frames of one camera; move one away")
     return sorted(by_name.values(), key=lambda entry: _number(entry.stem))
+
+
+def _named_as_cameras(folder: Path, camera_name: re.Pattern[str]) -> list[Path]:
+    return [entry for entry in list_folder(folder) if camera_name.fullmatch(entry.stem)]
 
 
 def _number(name: str) -> int:

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from ..cameras import Camera, scale_camera
 from ..errors import RigError
-from ..videos import VideoSource
 from .sources import FrameSource, PictureSource, natural_key
 
 _SAME_RATE = 5e-4
@@ -76,7 +75,10 @@ def assemble_rig(
     if not pairs:
         raise RigError(f"{path}: the calibration lists no cameras; calibrate the rig again")
     _check_names(path, [camera.name for camera, _ in pairs])
-    ordered = sorted(pairs, key=lambda pair: natural_key(pair[0].name))
+    ordered = [
+        (camera, _as_calibrated(camera, source, resizable))
+        for camera, source in sorted(pairs, key=lambda pair: natural_key(pair[0].name))
+    ]
     sources = tuple(source for _, source in ordered)
     _check_frame_counts(sources)
     _check_frame_numbers(sources)
@@ -100,7 +102,7 @@ def assemble_rig(
 
 
 def _warnings(sources: Sequence[FrameSource]) -> Iterator[str]:
-    """What the videos say of themselves that is not an error, but shows in what becomes of them."""
+    """What the frames say of themselves that is not an error, but shows in what becomes of them."""
     timed = [(source, source.fps) for source in sources if source.fps is not None and source.frame_count > 1]
     if timed:
         usual_source, usual = timed[_usual([round(fps, 2) for _, fps in timed])]
@@ -110,12 +112,9 @@ def _warnings(sources: Sequence[FrameSource]) -> Iterator[str]:
                 f"{others[0][0].path}{_more(others)}: {others[0][1]:.3f} frames per second, but "
                 f"{usual_source.path.name} has {usual:.3f}; frames of one number are taken as one instant"
             )
-    coded = [source for source in sources if isinstance(source, VideoSource) and source.colours]
-    if coded:
-        yield (
-            f"{coded[0].path}{_more(coded)}: its colours are tagged {coded[0].colours}, and FFmpeg, by its version, "
-            "takes them for sRGB's or converts them its own way; convert the videos to BT.709 for right ones"
-        )
+    for text in dict.fromkeys(text for source in sources for text in source.warnings):
+        those = [source for source in sources if text in source.warnings]
+        yield f"{those[0].path}{_more(those)}: {text}"
 
 
 def _more(found: Sequence[object]) -> str:
@@ -161,20 +160,37 @@ def _check_frame_numbers(sources: Sequence[FrameSource]) -> None:
     for source, numbers in numbered:
         lacking = sorted(set(usual_numbers) - set(numbers))
         if lacking:
+            frame = " ".join(map(str, lacking[0]))
             raise RigError(
-                f"{source.path}: no picture of frame {lacking[0]}, which {usual_source.path.name} has; "
+                f"{source.path}: no picture of frame {frame}, which {usual_source.path.name} has; "
                 "give all cameras the same frames"
             )
+
+
+def _as_calibrated(camera: Camera, source: FrameSource, resizable: bool) -> FrameSource:
+    """The source, turned by its pictures' EXIF orientation if only then they are what was calibrated.
+
+    Where the stored pictures fit, they stay as they are stored, as in COLMAP; so do all square ones.
+    """
+    if _fits(camera, source, resizable) or not isinstance(source, PictureSource):
+        return source
+    turned = source.turned()
+    return turned if turned is not None and _fits(camera, turned, resizable) else source
+
+
+def _fits(camera: Camera, source: FrameSource, resizable: bool) -> bool:
+    """Whether the source has the calibrated size or, where it may be resized, its shape."""
+    # A resized picture keeps its shape up to the rounding of its sides.
+    skew = abs(source.width * camera.height - source.height * camera.width)
+    same_shape = skew <= max(camera.width, camera.height, source.width, source.height)
+    return (camera.width, camera.height) == (source.width, source.height) or (resizable and same_shape)
 
 
 def _fit_to_source(camera: Camera, source: FrameSource, resizable: bool) -> Camera:
     """The camera at its source's size."""
     if (camera.width, camera.height) == (source.width, source.height):
         return camera
-    # A resized picture keeps its shape up to the rounding of its sides.
-    skew = abs(source.width * camera.height - source.height * camera.width)
-    same_shape = skew <= max(camera.width, camera.height, source.width, source.height)
-    if not resizable or not same_shape:
+    if not _fits(camera, source, resizable):
         raise RigError(
             f"{source.path}: {source.width} x {source.height} pixels, but camera {camera.name} is calibrated for "
             f"{camera.width} x {camera.height}; "

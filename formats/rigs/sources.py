@@ -4,16 +4,29 @@ from __future__ import annotations
 
 import re
 from collections.abc import Generator, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
+
 from ..errors import RigError
-from ..pictures import PICTURE_SUFFIXES, Picture, picture_size, read_picture
+from ..pictures import PICTURE_SUFFIXES, Picture, picture_facts, read_picture
 from ..videos import VIDEO_SUFFIXES, open_video
 
 GENERIC_FOLDERS = frozenset({"images", "frames", "videos", "rgb", "input"})
 """Folder names that hold pictures but name no camera."""
+
+_OF_SYSTEMS = frozenset({"@eadir", "#recycle", "$recycle.bin", "__macosx", "lost+found", "thumbs.db", "desktop.ini"})
+"""What file servers, archives and systems put beside a user's files; names that begin with a dot are such, too."""
+
+_TURNED = {
+    5: lambda picture: picture.transpose(1, 0, 2),
+    6: lambda picture: np.rot90(picture, -1),
+    7: lambda picture: np.rot90(picture, 2).transpose(1, 0, 2),
+    8: lambda picture: np.rot90(picture),
+}
+"""EXIF orientations that exchange width and height: the stored picture, turned as it is to be shown."""
 
 
 class FrameSource(Protocol):
@@ -44,6 +57,11 @@ class FrameSource(Protocol):
         """Frames per second; None when it is unknown."""
         ...
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What it says of itself that is no error, but shows in the colours; a line each, without the path."""
+        ...
+
     def read(self, start: int, stop: int, step: int = 1) -> Generator[Picture, None, None]:
         """Every step-th frame from start (inclusive) to stop (exclusive). Raises RigError naming file and frame."""
         ...
@@ -51,12 +69,18 @@ class FrameSource(Protocol):
 
 @dataclass(frozen=True)
 class PictureSource:
-    """The frames of one camera as picture files, one per frame, in order; ``path`` is the folder or the one file."""
+    """The frames of one camera as picture files, one per frame, in order; ``path`` is the folder or the one file.
+
+    ``orientation`` is what the first one's EXIF data say; pixels are turned by it only if ``is_turned``.
+    """
 
     path: Path
     files: tuple[Path, ...]
     width: int
     height: int
+    orientation: int = 1
+    warnings: tuple[str, ...] = ()
+    is_turned: bool = False
 
     @property
     def frame_count(self) -> int:
@@ -72,6 +96,8 @@ class PictureSource:
         """The pictures of these frames. Raises RigError for one that is damaged or of another size."""
         for file in self.files[start:stop:step]:
             picture = read_picture(file)
+            if self.is_turned:
+                picture = np.ascontiguousarray(_TURNED[self.orientation](picture))
             if picture.shape != (self.height, self.width, 3):
                 raise RigError(
                     f"{file}: {picture.shape[1]} x {picture.shape[0]} pixels, but this camera's first frame has "
@@ -79,10 +105,27 @@ class PictureSource:
                 )
             yield picture
 
-    def frame_numbers(self) -> list[int] | None:
-        """The last number in each file name, or None if a name has none; shows a frame that is missing in between."""
-        found = [re.findall(r"[0-9]+", file.stem) for file in self.files]
-        return [int(numbers[-1]) for numbers in found] if all(found) else None
+    def turned(self) -> PictureSource | None:
+        """The same frames as their EXIF orientation shows them, where that exchanges width and height."""
+        if self.orientation not in _TURNED:
+            return None
+        return replace(self, width=self.height, height=self.width, is_turned=True)
+
+    def frame_numbers(self) -> list[tuple[int, ...]] | None:
+        """What counts the frames in the file names, for each; shows a frame that is missing in between.
+
+        Of the numbers in a name (frame, camera, take, time stamp) that is the one which differs from file to file and
+        counts in the smallest steps; of several alike the last; where each repeats, those that change, together. None
+        if names have no numbers, or not the same number of them.
+        """
+        names = [re.findall(r"[0-9]+", file.stem) for file in self.files]
+        if len({len(numbers) for numbers in names}) != 1:
+            return None
+        columns = [tuple(map(int, column)) for column in zip(*names, strict=True)]
+        counting = [column for column in columns if len(set(column)) == len(column)]
+        if counting:
+            return list(zip(min(reversed(counting), key=lambda column: max(column) - min(column)), strict=True))
+        return list(zip(*(column for column in columns if len(set(column)) > 1), strict=True)) or None
 
 
 def natural_key(name: str) -> tuple[list[str | int], str]:
@@ -100,31 +143,46 @@ def open_source(path: Path) -> FrameSource:
     if path.is_dir():
         folder = path if _pictures_in(path) else path / "images"
         return open_pictures(path, _pictures_in(folder))
-    if path.suffix.lower() in PICTURE_SUFFIXES:
+    suffix = path.suffix.lower()
+    if suffix in PICTURE_SUFFIXES:
         return open_pictures(path, (path,))
-    return open_video(path)
+    try:
+        return open_video(path)
+    except RigError:
+        if suffix not in VIDEO_SUFFIXES:
+            refuse_unknown_kinds([path])
+        raise
 
 
 def open_pictures(path: Path, files: Iterable[Path]) -> PictureSource:
     """Picture files in the order of their frames. Raises RigError if there are none, or of several kinds."""
     files = tuple(files)
     if not files:
-        raise RigError(f"{path}: no PNG, JPEG or EXR pictures in here; put the camera's frames there")
+        refuse_unknown_kinds([path])
+        raise RigError(f"{path}: no PNG, JPEG, TIFF or EXR pictures in here; put the camera's frames there")
     kinds = sorted({file.suffix.lower() for file in files})
     if len(kinds) > 1:
         raise RigError(f"{path}: holds pictures of several kinds ({', '.join(kinds)}); keep one kind per camera")
-    width, height = picture_size(files[0])
-    return PictureSource(path, files, width, height)
+    facts = picture_facts(files[0])
+    return PictureSource(path, files, facts.width, facts.height, facts.orientation, facts.warnings)
 
 
 def list_folder(folder: Path) -> list[Path]:
-    """The folder's entries in natural order, empty if there is no such folder. Raises RigError if not readable."""
+    """The folder's entries in natural order, without hidden ones and those of file servers and systems.
+
+    Empty if there is no such folder. Raises RigError if it is not readable.
+    """
     if not folder.is_dir():
         return []
     try:
-        return sorted(folder.iterdir(), key=lambda entry: natural_key(entry.name))
+        entries = [entry for entry in folder.iterdir() if not _is_hidden(entry.name)]
     except OSError as error:
         raise RigError(f"{folder}: cannot be listed ({error.strerror}); fix its rights") from None
+    return sorted(entries, key=lambda entry: natural_key(entry.name))
+
+
+def _is_hidden(name: str) -> bool:
+    return name.startswith(".") or name.lower() in _OF_SYSTEMS
 
 
 def holds_frames(entry: Path) -> bool:
@@ -132,6 +190,22 @@ def holds_frames(entry: Path) -> bool:
     if entry.is_dir():
         return bool(_pictures_in(entry) or _pictures_in(entry / "images"))
     return entry.suffix.lower() in VIDEO_SUFFIXES
+
+
+def refuse_unknown_kinds(entries: Iterable[Path]) -> None:
+    """For entries that should hold a camera's frames, and do not: raises RigError if that is for their files' endings.
+
+    Names the largest of the files, and of those in the folders, whose ending is not known: others are notes beside it.
+    """
+    inside = (file for entry in entries for file in [entry, *list_folder(entry), *list_folder(entry / "images")])
+    known = PICTURE_SUFFIXES | VIDEO_SUFFIXES
+    unknown = [file for file in inside if file.suffix and file.suffix.lower() not in known and file.is_file()]
+    if unknown:
+        file = max(unknown, key=lambda file: file.stat().st_size)
+        raise RigError(
+            f"{file}: files ending in {file.suffix} are not read as frames; convert them to one of "
+            f"{', '.join(sorted(PICTURE_SUFFIXES))} (pictures), {', '.join(sorted(VIDEO_SUFFIXES))} (videos)"
+        )
 
 
 def _pictures_in(folder: Path) -> tuple[Path, ...]:

@@ -12,7 +12,7 @@ import OpenEXR
 import pytest
 
 from decogs.formats.errors import RigError
-from decogs.formats.pictures import picture_size, read_picture
+from decogs.formats.pictures import picture_facts, read_picture
 
 RNG = np.random.default_rng(7)
 RGB = RNG.integers(0, 256, (12, 20, 3), dtype=np.uint8)
@@ -21,6 +21,11 @@ RGB = RNG.integers(0, 256, (12, 20, 3), dtype=np.uint8)
 def write_exr(path: Path, pixels: np.ndarray, **header: object) -> None:
     full = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **header}
     OpenEXR.File(full, {"RGB": pixels}).write(str(path))
+
+
+def picture_size(path: Path) -> tuple[int, int]:
+    facts = picture_facts(path)
+    return facts.width, facts.height
 
 
 def png_bytes(pixels: np.ndarray) -> bytes:
