@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,6 +59,16 @@ class Fields:
         if not value.isprintable():
             raise self.wrong(key, "holds control characters")
         return value
+
+    def path(self, key: str, folder: Path, default: str | None = None) -> Path:
+        """A path relative to ``folder``, also as Windows spells it. Raises RigError for one with a Windows drive."""
+        text = self.label(key, default)
+        windows = PureWindowsPath(text)
+        if os.path.exists(folder / text) or not (windows.drive or "\\" in text):
+            return folder / text
+        if windows.drive:
+            raise self.wrong(key, f"is {text!r}, a place on a Windows machine and not relative to {folder}")
+        return folder / windows.as_posix()
 
     def numbers(self, key: str) -> tuple[float, ...]:
         """A list of finite numbers; raises RigError for anything else."""

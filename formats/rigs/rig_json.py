@@ -33,11 +33,11 @@ def read_rig_json(folder: Path) -> Rig:
     shift = _pixel_shift(fields)
     pairs = []
     for record in fields.records("cameras"):
-        file = folder / record.label("file")
+        file = record.path("file", folder)
         if not os.path.exists(file):
             raise RigError(f"{record.where}: {file} is missing; put it back or remove the camera from {path.name}")
         pairs.append((_camera(record, shift), open_source(file)))
-    model = folder / fields.label("colmap_model", "sparse/0")
+    model = fields.path("colmap_model", folder, "sparse/0")
     rig = assemble_rig(
         folder,
         LAYOUT,

@@ -285,7 +285,9 @@ def test_model_without_its_images_file(tmp_path: Path, make: Any, refused: Refus
 def test_names_that_do_not_match(tmp_path: Path, make: Any, refused: Refused) -> None:
     make.colmap(tmp_path, text=False)
     (tmp_path / "cam01.mp4").rename(tmp_path / "left.mp4")
-    refused(tmp_path, r"of camera cam01 of .*, but left\.mp4, which the model does not know; give .* the same names")
+    refused(
+        tmp_path, r"of image 'cam01\.png' of .*, but left\.mp4, which the model does not know; give .* the same names"
+    )
     make.video(tmp_path / "cam01.mp4")
     refused(tmp_path, r"left\.mp4: no camera of this name in .*; calibrate it too or move it away")
 
