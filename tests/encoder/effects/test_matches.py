@@ -65,7 +65,7 @@ def test_a_lens_beyond_the_calibration_is_found_and_measured(plane_views: Callab
 
 
 def test_a_fisheye_beyond_its_calibration_is_measured_in_its_own_k1(plane_views: Callable[..., Views]) -> None:
-    """Equidistant pictures, but for one camera's. To a sixth: a tenth for the flat wall, and what the models differ."""
+    """Equidistant pictures, but for one camera's; to a tenth, as above."""
     true = 0.15
     cameras, pictures = plane_views()
     across, down = np.meshgrid(np.arange(352) + 0.5, np.arange(264) + 0.5)
@@ -76,7 +76,7 @@ def test_a_fisheye_beyond_its_calibration_is_measured_in_its_own_k1(plane_views:
         cameras[number] = replace(lens, distortion=(0.0, 0.0, 0.0, 0.0))
     found = decision(LensDistortion(), (cameras, pictures)).figures["k1"]
     assert list(found) == ["cam03"]
-    assert with_k1(cameras[3], found["cam03"]).distortion[0] == pytest.approx(true, rel=1 / 6)
+    assert with_k1(cameras[3], found["cam03"]).distortion[0] == pytest.approx(true, rel=0.1)
 
 
 def test_a_calibrated_lens_is_called_for_and_not_found_again(plane_views: Callable[..., Views]) -> None:
