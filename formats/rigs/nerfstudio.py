@@ -25,7 +25,7 @@ from ..pictures import PICTURE_SUFFIXES
 from .calibration import calibrated_camera, invert_pose, rigid_pose
 from .json_fields import Fields, read_json
 from .rig import Rig, assemble_rig
-from .sources import GENERIC_FOLDERS, FrameSource, natural_key, open_pictures, open_source
+from .sources import GENERIC_FOLDERS, FrameSource, PictureSource, natural_key, open_pictures, open_source
 
 LAYOUT = "nerfstudio"
 CALIBRATION = "transforms.json"
@@ -177,13 +177,21 @@ def _check_in_step(path: Path, names: Sequence[str], groups: Sequence[Sequence[_
             raise RigError(f"{path}: several pictures of camera {name} have the time {repeated[0]:g}; keep one of them")
 
 
+class _TimedPictures(PictureSource):
+    """Pictures whose instants the calibration states, whatever numbers are in their names."""
+
+    def frame_numbers(self) -> None:
+        return None
+
+
 def _source(group: Sequence[_Entry]) -> FrameSource:
     if len(group) == 1:
         return open_source(group[0].path)
     files = [entry.path for entry in group]
     folders = {file.parent for file in files}
     common = Path(os.path.commonpath([os.path.abspath(folder) for folder in folders]))
-    return open_pictures(common if len(folders) > 1 else files[0].parent, files)
+    source = open_pictures(common if len(folders) > 1 else files[0].parent, files)
+    return _TimedPictures(**vars(source)) if len({entry.time for entry in group}) > 1 else source
 
 
 def _camera(name: str, fields: Fields, source: FrameSource) -> Camera:
@@ -219,7 +227,7 @@ def _distortion(fields: Fields) -> tuple[DistortionModel, tuple[float, ...]]:
     model = fields.label("camera_model", "OPENCV_FISHEYE" if is_fisheye else "OPENCV")
     if is_fisheye and model not in _FISHEYE:
         raise fields.wrong("is_fisheye", f"is true, but 'camera_model' is {model!r}")
-    others = [key for key in _OTHER_LENSES if fields.values.get(key) not in (None, False)]
+    others = [key for key in _OTHER_LENSES if key in fields and fields.values[key] is not False]
     if model not in _FISHEYE | _OPENCV or others:
         key, what = (others[0], "is set") if others else ("camera_model", f"is {model!r}")
         raise fields.wrong(key, f"{what}, which is not supported; undistort the pictures first")
