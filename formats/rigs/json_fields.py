@@ -47,8 +47,8 @@ class Fields:
         return int(value)
 
     def text(self, key: str, default: str | None = None) -> str:
-        """A text; ``default`` (if any) where the field is missing. Raises RigError for anything else."""
-        value = self.values.get(key, default)
+        """A text; ``default`` (if any) where the field is missing or null. Raises RigError for anything else."""
+        value = self.values[key] if key in self else default
         if not isinstance(value, str):
             raise self.wrong(key, "is missing" if value is None else "is not a text")
         return value

@@ -43,7 +43,8 @@ _SAME_POSE = 1e-6
 _LEAST_SIZE = 0.01
 """Of a rig, as a share of its distance from the origin: positions far off have fewer digits."""
 
-_MAX_POSES = 4096
+_MAX_POSES = 1024
+"""As many cameras as a stream has (SPEC.md)."""
 
 
 @dataclass(frozen=True)
@@ -112,11 +113,12 @@ def _numbered_poses(entries: Sequence[_Entry]) -> list[int]:
     for entry, pose in zip(entries, poses, strict=True):
         if pose.tobytes() in numbers:
             continue
-        rigid_pose(entry.fields.matrix("transform_matrix"), f"{entry.fields.where} ({entry.path.stem})")
-        near = np.flatnonzero(np.abs(kept[:count] - pose).max(axis=(1, 2)) <= _SAME_POSE)
+        with np.errstate(over="ignore", invalid="ignore"):
+            near = np.flatnonzero(np.abs(kept[:count] - pose).max(axis=(1, 2)) <= _SAME_POSE)
         if not near.size and count == len(kept):
             raise _moving(entry.fields.where, f"more than {_MAX_POSES} poses")
         if not near.size:
+            rigid_pose(entry.fields.matrix("transform_matrix"), f"{entry.fields.where} ({entry.path.stem})")
             kept[count] = pose
             count += 1
         numbers[pose.tobytes()] = int(near[0]) if near.size else count - 1
