@@ -9,7 +9,6 @@ Source: COLMAP documentation, "Output Format"; parameter orders from its camera 
 from __future__ import annotations
 
 import os
-import re
 import struct
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -144,15 +143,27 @@ def _elsewhere(model: Path) -> str:
 # --- which frames belong to which image -----------------------------------------------------------------------------
 
 
-_FRAME_PART = re.compile(r"(.+?)[ _.-]+(?:frame|image|img|f)?[ _.-]*[0-9]+", re.IGNORECASE)
-"""A camera's name, then what says which frame it is: cam00_frame0001."""
+_DEPTH = 8
+"""Folders of an image's name that count, from its end."""
+
+_BETWEEN = " _.-"
+"""What stands between a camera's name and a frame's number."""
 
 
 def _parts(name: str) -> list[str]:
     """The folders and the stem of an image's name, but for folders that name no camera."""
     path = PurePosixPath(name)
     folders = [part for part in path.parts[:-1] if part not in ("/", "..") and part.lower() not in GENERIC_FOLDERS]
-    return [*folders, path.stem]
+    return [*folders[-_DEPTH:], path.stem]
+
+
+def _camera_of(stem: str) -> str:
+    """cam00 of cam00_0001 and cam00_frame0001; empty if no frame's number stands apart from the rest."""
+    rest = stem.rstrip("0123456789")
+    words = rest.rstrip(_BETWEEN)
+    word = next((word for word in ("frame", "image", "img") if words.lower().endswith(word)), "")
+    camera = words[: len(words) - len(word)].rstrip(_BETWEEN)
+    return camera if len(camera) + len(word) < len(rest) < len(stem) else ""
 
 
 def _frames_below(folder: Path, images: Sequence[PosedImage]) -> dict[str, Path]:
@@ -162,7 +173,8 @@ def _frames_below(folder: Path, images: Sequence[PosedImage]) -> dict[str, Path]
     Videos and picture folders go before single pictures, which are then the stills that the model was made from.
     """
     bases = [folder, *(entry for entry in list_folder(folder) if entry.name.lower() in GENERIC_FOLDERS)]
-    groups = {tuple(_parts(image.name)[:depth]) for image in images for depth in range(len(_parts(image.name)))}
+    names = [_parts(image.name) for image in images]
+    groups = {tuple(parts[:depth]) for parts in names for depth in range(len(parts))}
     found: dict[str, Path] = {}
     stills: dict[str, Path] = {}
     for group in sorted(groups):
@@ -187,8 +199,7 @@ def _place(name: str, frames: Mapping[str, Path]) -> str | None:
     "cam00_frame0001.png" to ``cam00``; without, an image is the camera's only frame.
     """
     *folders, stem = _parts(name)
-    of_camera = _FRAME_PART.fullmatch(stem)
-    spelled = [[*folders, stem], folders, *([[*folders, of_camera[1]]] if of_camera else [])]
+    spelled = [[*folders, stem], folders, [*folders, _camera_of(stem)]]
     places = ["/".join(parts[first:]) for parts in spelled for first in range(len(parts))]
     found = [place for place in places if place in frames]
     streams = [place for place in found if not _is_still(frames[place])]

@@ -49,6 +49,7 @@ def check(rig: Rig, make: Any, names: list[str] = NAMES, frames: int | None = No
         ("{}.mp4", "{}_frame0001.png"),
         ("{}.mp4", "{}-0001.jpg"),
         ("{}.mp4", "{}.0001.jpg"),
+        ("{}.mp4", "{}_Frame_01.jpg"),
         ("rig1/{}.mp4", "rig1/{}.png"),
         ("videos/{}.mp4", "stills/{}.png"),
         ("{}.mp4", "stills/{}/images/frame_0.png"),
@@ -63,6 +64,14 @@ def test_images_find_their_frames(tmp_path: Path, make: Any, files: str, images:
     rig = open_rig(tmp_path)
     check(rig, make, [name.format(n) for n in NAMES for name in ["100% {}" if "100%" in files else "{}"]])
     assert rig.warnings == ()
+
+
+def test_long_names_take_no_time(tmp_path: Path, make: Any) -> None:
+    make.colmap(tmp_path, text=False, cameras=2)
+    for name in ("_" * 100_000 + "a", "a/" * 100_000 + "b", "1" * 100_000, "_ " * 50_000 + "1"):
+        make.colmap_model(tmp_path / "sparse/0", ["cam00.png", name], text=False)
+        with pytest.raises(RigError, match="no video, picture folder or picture of image"):
+            open_rig(tmp_path)
 
 
 def test_cameras_of_two_rigs_with_the_same_names(tmp_path: Path, make: Any) -> None:

@@ -173,6 +173,15 @@ def test_images_are_paired_as_the_table_says(tmp_path: Path, make: Any, image: s
     assert ([camera.name for camera in rig.cameras], rig.sources[0].path) == (["cam00"], path)
 
 
+def test_folders_may_be_separated_as_on_windows(tmp_path: Path, example: dict[str, Any]) -> None:
+    text = json.dumps(example)
+    (tmp_path / "rig.json").write_text(text.replace("pictures/right", "pictures\\\\right"))
+    assert open_rig(tmp_path).sources[1].path == tmp_path / "pictures/right"
+    (tmp_path / "rig.json").write_text(text.replace("pictures/right", "D:/pictures/right"))
+    with pytest.raises(RigError, match="'file' is 'D:/pictures/right', a place on a Windows machine"):
+        open_rig(tmp_path)
+
+
 def test_fields_are_read_as_written() -> None:
     """``rows`` would pass with no row."""
     assert len(rows(section("rig.json"), 3)) >= 14
