@@ -8,6 +8,7 @@ Source: COLMAP documentation, "Output Format"; parameter orders from its camera 
 
 from __future__ import annotations
 
+import codecs
 import os
 import struct
 from collections import Counter
@@ -384,7 +385,9 @@ def _binary_points(path: Path) -> Iterator[tuple[float, ...]]:
 
 def _text_lines(path: Path) -> Iterator[tuple[int, str]]:
     """Lines and their numbers from 1, without comments and empty ones (an image without points has one or none)."""
-    text = _read_file(path).decode("utf-8-sig", errors="replace")
+    data = _read_file(path)
+    is_utf_16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))  # as some editors write it
+    text = data.decode("utf-16" if is_utf_16 else "utf-8-sig", errors="replace")
     for number, line in enumerate(text.split("\n"), start=1):
         line = line.strip()
         if line and not line.startswith("#"):

@@ -119,12 +119,12 @@ def read_json(path: Path) -> Fields:
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise RigError(f"{path}: larger than {_MAX_BYTES >> 20} MiB, which no calibration is; check the file")
-        value = json.loads(path.read_text(encoding="utf-8-sig"))
+        value = json.loads(path.read_bytes())  # UTF-8 or, from some editors, UTF-16; with a byte order mark or without
     except OSError as error:
         raise RigError(f"{path}: cannot be read ({error.strerror}); put the file back or fix its rights") from None
     except json.JSONDecodeError as error:
         raise RigError(f"{path}: malformed JSON in line {error.lineno} ({error.msg}); correct the file") from None
-    except (ValueError, RecursionError):  # not UTF-8, absurdly long numbers, absurdly deep nesting
+    except (ValueError, RecursionError):  # no Unicode, absurdly long numbers, absurdly deep nesting
         raise RigError(f"{path}: malformed JSON; correct the file") from None
     if not isinstance(value, dict):
         raise RigError(f"{path}: the JSON file holds no object; correct the file")

@@ -184,6 +184,9 @@ def test_text_that_editors_and_programs_changed(tmp_path: Path, make: Any, chang
         file.write_bytes(change(file.read_text()).encode())
     rig = open_rig(tmp_path)
     check(rig, make)
+    for file in (tmp_path / "sparse/0").iterdir():
+        file.write_bytes(file.read_bytes().decode("utf-8-sig").encode("utf-16"))
+    check(open_rig(tmp_path), make)
     assert rig.points is not None
     assert len(rig.points) == 2
 

@@ -173,6 +173,13 @@ def test_images_are_paired_as_the_table_says(tmp_path: Path, make: Any, image: s
     assert ([camera.name for camera in rig.cameras], rig.sources[0].path) == (["cam00"], path)
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_the_file_may_be_of_any_editor(tmp_path: Path, example: dict[str, Any], encoding: str) -> None:
+    text = json.dumps(example | {"source": "Köln"}, ensure_ascii=False)
+    (tmp_path / "rig.json").write_bytes(text.replace("{", "{\r\n").encode(encoding))
+    assert open_rig(tmp_path).source_text == "Köln"
+
+
 def test_folders_may_be_separated_as_on_windows(tmp_path: Path, example: dict[str, Any]) -> None:
     text = json.dumps(example)
     (tmp_path / "rig.json").write_text(text.replace("pictures/right", "pictures\\\\right"))
