@@ -15,6 +15,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -162,25 +163,39 @@ def _the_only(names: Iterator[str]) -> str:
 
 
 def _check_in_step(path: Path, names: Sequence[str], groups: Sequence[Sequence[_Entry]]) -> None:
-    """The pictures of all cameras are of the same instants."""
-    times = [Counter(round(entry.time, 9) for entry in group) for group in groups]
-    every = sorted(set().union(*times))
-    if len(every) > 1 and len(groups) > 1 and all(len(group) == 1 for group in groups):
-        raise _moving(str(path), "every entry has its own pose and time")
-    for name, of_camera in zip(names, times, strict=True):
-        lacking = [time for time in every if time not in of_camera]
+    """The pictures of all cameras are of the same instants: times, or else folders where each has one picture."""
+    times = [[f"the time {entry.time:.9g}" for entry in group] for group in groups]
+    if len(set(chain(*times))) > 1:
+        if len(groups) > 1 and all(len(group) == 1 for group in groups):
+            raise _moving(str(path), "every entry has its own pose and time")
+        _check_instants(path, names, times)
+    elif all(len(_folders(group)) == len(group) > 1 for group in groups):
+        named = zip(names, groups, strict=True)
+        folders = [[str(Path(*(p for p in e.path.parent.parts if p != name))) for e in group] for name, group in named]
+        if len(set(chain(*folders))) < sum(map(len, folders)):  # else cameras have none in common
+            _check_instants(path, names, folders)
+
+
+def _check_instants(path: Path, names: Sequence[str], instants: Sequence[Sequence[str]]) -> None:
+    every = dict.fromkeys(chain(*instants))
+    for name, of_camera in zip(names, instants, strict=True):
+        counts = Counter(of_camera)
+        lacking = [instant for instant in every if instant not in counts]
         if lacking:
             raise RigError(
-                f"{path}: no picture of camera {name} has the time {lacking[0]:g}, which other cameras have; "
-                "give all cameras the same frames"
+                f"{path}: camera {name} has no picture of {lacking[0]}, but others have; give all the same frames"
             )
-        repeated = [time for time in every if of_camera[time] > 1]
-        if repeated and len(every) > 1:
-            raise RigError(f"{path}: several pictures of camera {name} have the time {repeated[0]:g}; keep one of them")
+        if len(every) > 1 and len(counts) < len(of_camera):
+            instant = counts.most_common(1)[0][0]
+            raise RigError(f"{path}: camera {name} has several pictures of {instant}; keep one of them")
 
 
-class _TimedPictures(PictureSource):
-    """Pictures whose instants the calibration states, whatever numbers are in their names."""
+def _folders(group: Sequence[_Entry]) -> set[Path]:
+    return {entry.path.parent for entry in group}
+
+
+class _ListedPictures(PictureSource):
+    """Pictures whose instants their times or folders tell, whatever numbers are in their names."""
 
     def frame_numbers(self) -> None:
         return None
@@ -189,11 +204,12 @@ class _TimedPictures(PictureSource):
 def _source(group: Sequence[_Entry]) -> FrameSource:
     if len(group) == 1:
         return open_source(group[0].path)
-    files = [entry.path for entry in group]
-    folders = {file.parent for file in files}
-    common = Path(os.path.commonpath([os.path.abspath(folder) for folder in folders]))
-    source = open_pictures(common if len(folders) > 1 else files[0].parent, files)
-    return _TimedPictures(**vars(source)) if len({entry.time for entry in group}) > 1 else source
+    files, folders = [entry.path for entry in group], _folders(group)
+    if len(folders) == 1:
+        source = open_pictures(files[0].parent, files)
+        return _ListedPictures(**vars(source)) if len({entry.time for entry in group}) > 1 else source
+    common = os.path.commonpath([os.path.abspath(folder) for folder in folders])
+    return _ListedPictures(**vars(open_pictures(Path(common), files)))
 
 
 def _camera(name: str, fields: Fields, source: FrameSource) -> Camera:

@@ -80,13 +80,9 @@ class PictureSource:
             yield picture
 
     def frame_numbers(self) -> list[int] | None:
-        """The last number in each file name, or None if a name has none; shows a frame that is missing in between.
-
-        None, too, where all have the same: it is the camera's, and a folder is an instant.
-        """
+        """The last number in each file name, or None if a name has none; shows a frame that is missing in between."""
         found = [re.findall(r"[0-9]+", file.stem) for file in self.files]
-        numbers = [int(of_name[-1]) for of_name in found if of_name]
-        return numbers if len(numbers) == len(found) and len(set(numbers)) > 1 else None
+        return [int(numbers[-1]) for numbers in found] if all(found) else None
 
 
 def natural_key(name: str) -> tuple[list[str | int], str]:

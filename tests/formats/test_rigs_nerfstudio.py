@@ -14,9 +14,10 @@ from decogs.formats.errors import RigError
 from decogs.formats.rigs import Rig, nerfstudio, open_rig, read_frames
 
 NAMES = ["cam00", "cam01", "cam02"]
+Entries = list[tuple[int, str, dict[str, Any]]]
 
 
-def write(folder: Path, make: Any, paths: list[tuple[int, str, dict[str, Any]]], **fields: Any) -> Path:
+def write(folder: Path, make: Any, paths: Entries, **fields: Any) -> Path:
     """transforms.json of (camera, file_path, more fields)."""
     values = make.transforms_values([path for _, path, _ in paths], indices=[index for index, _, _ in paths]) | fields
     for frame, (_, _, more) in zip(values["frames"], paths, strict=True):
@@ -89,7 +90,7 @@ def test_poses_that_differ_by_rounding_are_one(tmp_path: Path, make: Any) -> Non
     random = np.random.default_rng(5)
     path = "images/{frame:04d}/{camera}.png"
     pictures(tmp_path, make, path)
-    entries = [(i, path.format(camera=name, frame=k), {}) for k in range(3) for i, name in enumerate(NAMES)]
+    entries: Entries = [(i, path.format(camera=name, frame=k), {}) for k in range(3) for i, name in enumerate(NAMES)]
     values = json.loads((write(tmp_path, make, entries) / "transforms.json").read_text())
     for k, frame in enumerate(values["frames"]):
         pose = np.array(frame["transform_matrix"])
@@ -115,8 +116,8 @@ def test_cameras_out_of_step_are_refused(tmp_path: Path, make: Any) -> None:
     pictures(tmp_path, make, path)
     entries = [(i, path.format(camera=n, frame=k), {"time": k / 2}) for i, n in enumerate(NAMES) for k in range(3)]
     for change, pattern in (
-        ({"time": 0.25}, "no picture of camera cam00 has the time 0.25, which other cameras have; give all"),
-        ({"time": 0.0}, "no picture of camera cam01 has the time 0.5, which other cameras have; give all"),
+        ({"time": 0.25}, "camera cam00 has no picture of the time 0.25, but others have; give all the same frames"),
+        ({"time": 0.0}, "camera cam01 has no picture of the time 0.5, but others have; give all the same frames"),
     ):
         changed = [(i, p, more | (change if p == "images/cam01_0001.png" else {})) for i, p, more in entries]
         with pytest.raises(RigError, match=pattern):
@@ -125,8 +126,24 @@ def test_cameras_out_of_step_are_refused(tmp_path: Path, make: Any) -> None:
     pictures(tmp_path, make, "images/again_{number}.png", frames=1)
     for i in range(3):
         (tmp_path / f"images/again_{i:02d}.png").rename(tmp_path / f"images/again_{i:04d}.png")
-    with pytest.raises(RigError, match=r"several pictures of camera cam\d\d have the time 0\.5; keep one"):
+    with pytest.raises(RigError, match=r"camera cam\d\d has several pictures of the time 0\.5; keep one"):
         open_rig(write(tmp_path, make, again))
+
+
+def test_a_folder_per_instant_where_one_camera_lacks_an_instant(tmp_path: Path, make: Any) -> None:
+    path = "images/{frame:04d}/{camera}.png"
+    pictures(tmp_path, make, path)
+    entries: Entries = [(i, path.format(camera=n, frame=k), {}) for i, n in enumerate(NAMES) for k in range(3)]
+    lacking = ["images/0000/cam00.png", "images/0002/cam01.png", "images/0000/cam02.png"]
+    with pytest.raises(RigError, match=r"camera cam00 has no picture of .*images/0000, but others have; give all"):
+        open_rig(write(tmp_path, make, [entry for entry in entries if entry[1] not in lacking]))
+
+
+def test_folders_that_are_instants_and_cameras(tmp_path: Path, make: Any) -> None:
+    path = "time{frame}/{camera}/left/rgb.png"
+    pictures(tmp_path, make, path)
+    entries: Entries = [(i, path.format(camera=n, frame=k), {}) for i, n in enumerate(NAMES) for k in range(3)]
+    check(open_rig(write(tmp_path, make, entries)), make)  # numbered
 
 
 def test_a_file_listed_twice(tmp_path: Path, make: Any) -> None:
