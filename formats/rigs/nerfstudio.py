@@ -164,7 +164,7 @@ def _the_only(names: Iterator[str]) -> str:
 
 def _check_in_step(path: Path, names: Sequence[str], groups: Sequence[Sequence[_Entry]]) -> None:
     """The pictures of all cameras are of the same instants: times, or else folders where each has one picture."""
-    times = [[f"the time {entry.time:.9g}" for entry in group] for group in groups]
+    times = [[f"the time {round(entry.time, 9)}" for entry in group] for group in groups]
     if len(set(chain(*times))) > 1:
         if len(groups) > 1 and all(len(group) == 1 for group in groups):
             raise _moving(str(path), "every entry has its own pose and time")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +52,7 @@ def check(rig: Rig, make: Any, names: list[str] = NAMES, frames: int = 3) -> Non
 # --- entries of one camera ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("timed", [True, False])
+@pytest.mark.parametrize("timed", [lambda k: {"time": k / 2}, lambda k: {"time": 1.7e9 + k / 30}, lambda k: {}])
 @pytest.mark.parametrize(
     ("path", "names"),
     [
@@ -68,11 +69,11 @@ def check(rig: Rig, make: Any, names: list[str] = NAMES, frames: int = 3) -> Non
     ],
 )
 def test_pictures_of_one_pose_are_the_frames_of_a_camera(
-    tmp_path: Path, make: Any, path: str, names: list[str], timed: bool
+    tmp_path: Path, make: Any, path: str, names: list[str], timed: Callable[[int], dict[str, float]]
 ) -> None:
     pictures(tmp_path, make, path)
     entries = [
-        (i, path.format(camera=name, number=name[3:], frame=k), {"time": k / 2} if timed else {})
+        (i, path.format(camera=name, number=name[3:], frame=k), timed(k))
         for k in (2, 0, 1)  # in any order
         for i, name in enumerate(NAMES)
     ]
@@ -183,7 +184,7 @@ def test_places_on_a_windows_machine_are_named_as_such(tmp_path: Path, make: Any
 @pytest.mark.skipif(os.name == "nt", reason="a backslash separates folders there")
 def test_a_backslash_in_a_name_that_exists(tmp_path: Path, make: Any) -> None:
     pictures(tmp_path, make, "left\\{camera} 100%.png", frames=1)
-    entries = [(i, f"left\\{name} 100%.png", {}) for i, name in enumerate(NAMES)]
+    entries: Entries = [(i, f"left\\{name} 100%.png", {}) for i, name in enumerate(NAMES)]
     # No name for a camera, but found.
     with pytest.raises(RigError, match="no usable camera name"):
         open_rig(write(tmp_path, make, entries))
