@@ -106,22 +106,7 @@ def read_colmap_rig(folder: Path, model: Path, layout: str = LAYOUT) -> Rig:
     frames = _frames_below(folder, images)
     places = {image.name: _place(image.name, frames) for image in images}
     unposed = _unposed(frames, set(places.values()))
-    videos = [path for path in unposed if path.suffix.lower() in VIDEO_SUFFIXES and not path.is_dir()]
-    missing = [name for name, place in places.items() if place is None]
-    if missing:
-        remedy = "put it back, or take the image out of the model (colmap image_deleter)"
-        if unposed:
-            remedy = "give files and model images the same names"
-        there = f", but {unposed[0].name}, which the model does not know" if unposed else ""
-        raise RigError(
-            f"{folder}: no video, picture folder or picture of image {missing[0]!r}{_more(missing)} of {model}{there}; "
-            + remedy
-        )
-    if videos:
-        raise RigError(
-            f"{videos[0]}{_more(videos)}: no camera of this name in {model}{_elsewhere(model)}; "
-            "calibrate it too or move it away"
-        )
+    _check_pairs(folder, model, places, unposed)
     calibrated = _cameras_of(model, lenses, images, places)
     pairs = [(camera, open_source(frames[place])) for place, camera in calibrated.items()]
     rig = assemble_rig(folder, layout, pairs, model_files(model), resizable=True, points=read_points(model))
@@ -129,6 +114,26 @@ def read_colmap_rig(folder: Path, model: Path, layout: str = LAYOUT) -> Rig:
         return rig
     left_out = f"{unposed[0]}{_more(unposed)}: left out, without a pose in {model}{_elsewhere(model)}"
     return replace(rig, warnings=(*rig.warnings, left_out))
+
+
+def _check_pairs(folder: Path, model: Path, places: Mapping[str, str | None], unposed: Sequence[Path]) -> None:
+    """Every image has frames, every video an image."""
+    missing = [name for name, place in places.items() if place is None]
+    if missing:
+        what = f"{folder}: no video, picture folder or picture of image {missing[0]!r}{_more(missing)} of {model}"
+        if unposed:
+            what += (
+                f", but {unposed[0].name}, which the model does not know; give files and model images the same names"
+            )
+        else:
+            what += "; put it back, or take the image out of the model (colmap image_deleter)"
+        raise RigError(what)
+    videos = [path for path in unposed if path.suffix.lower() in VIDEO_SUFFIXES and not path.is_dir()]
+    if videos:
+        raise RigError(
+            f"{videos[0]}{_more(videos)}: no camera of this name in {model}{_elsewhere(model)}; "
+            "calibrate it too or move it away"
+        )
 
 
 def _more(found: Sequence[object]) -> str:
@@ -214,15 +219,15 @@ def _is_still(path: Path) -> bool:
 def _unposed(frames: Mapping[str, Path], posed: set[str | None]) -> list[Path]:
     """Frames that no image of the model belongs to.
 
-    Single pictures count where cameras have single pictures only, and a folder does not where its pictures are called
-    as cameras are: it has masks, depths or other sizes of them.
+    Single pictures count where cameras have single pictures only. A folder does not count in a camera's own, nor where
+    its pictures are called as cameras are: it has masks, depths or other sizes of them.
     """
     stills = any(_is_still(frames[place]) for place in posed if place is not None)
     names = {place.rpartition("/")[2] for place in posed if place is not None}
     return [
         path
         for place, path in frames.items()
-        if place not in posed
+        if not posed & {place, place.rpartition("/")[0]}
         and (stills if _is_still(path) else not any(entry.stem in names for entry in list_folder(path)))
     ]
 

@@ -127,6 +127,16 @@ def test_smaller_pictures_masks_and_stills_are_no_cameras_left_out(tmp_path: Pat
     assert rig.warnings == ()
 
 
+def test_masks_in_a_cameras_folder_are_no_camera(tmp_path: Path, make: Any) -> None:
+    for name in NAMES:
+        make.pictures(tmp_path / name)
+        make.pictures(tmp_path / name / "masks")
+    make.colmap_model(tmp_path / "sparse/0", [f"{name}/0000.png" for name in NAMES], text=True)
+    rig = open_rig(tmp_path)
+    check(rig, make)
+    assert rig.warnings == ()
+
+
 def test_an_image_without_frames_is_named(tmp_path: Path, make: Any) -> None:
     for name in NAMES[1:]:
         make.pictures(tmp_path / name)
