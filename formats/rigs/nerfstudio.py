@@ -33,6 +33,7 @@ CALIBRATION = "transforms.json"
 _FISHEYE = frozenset({"OPENCV_FISHEYE", "SIMPLE_FISHEYE", "FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"})
 _OPENCV = frozenset({"SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV"})
 _COEFFICIENTS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
+_LENS_NUMBERS = ("fl_x", "fl_y", "cx", "cy", "w", "h", "camera_angle_x", "camera_angle_y", *_COEFFICIENTS)
 _OTHER_LENSES = ("ftheta_p0", "latlong", "equirectangular")
 """Lenses of instant-ngp."""
 
@@ -66,6 +67,8 @@ def read_nerfstudio(folder: Path) -> Rig:
     groups = _group_by_camera(path, entries)
     names = _camera_names(groups)
     _check_in_step(path, names, groups)
+    for name, group in zip(names, groups, strict=True):
+        _check_one_lens(name, group)
     pairs = []
     for name, group in zip(names, groups, strict=True):
         source = _source(group)
@@ -164,7 +167,7 @@ def _the_only(names: Iterator[str]) -> str:
 
 def _check_in_step(path: Path, names: Sequence[str], groups: Sequence[Sequence[_Entry]]) -> None:
     """The pictures of all cameras are of the same instants: times, or else folders where each has one picture."""
-    times = [[f"the time {round(entry.time, 9)}" for entry in group] for group in groups]
+    times = [[f"the time {round(entry.time, 9) + 0.0}" for entry in group] for group in groups]
     if len(set(chain(*times))) > 1:
         if len(groups) > 1 and all(len(group) == 1 for group in groups):
             raise _moving(str(path), "every entry has its own pose and time")
@@ -192,6 +195,14 @@ def _check_instants(path: Path, names: Sequence[str], instants: Sequence[Sequenc
 
 def _folders(group: Sequence[_Entry]) -> set[Path]:
     return {entry.path.parent for entry in group}
+
+
+def _check_one_lens(name: str, group: Sequence[_Entry]) -> None:
+    first = group[0].fields
+    for fields in (entry.fields for entry in group[1:]):
+        for key in _LENS_NUMBERS:
+            if not math.isclose(fields.number(key, 0.0), first.number(key, 0.0), rel_tol=_SAME_POSE, abs_tol=1e-9):
+                raise fields.wrong(key, f"is not what camera {name} has in its first picture; lenses must be fixed")
 
 
 class _ListedPictures(PictureSource):

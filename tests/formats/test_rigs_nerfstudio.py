@@ -98,6 +98,8 @@ def test_poses_that_differ_by_rounding_are_one(tmp_path: Path, make: Any) -> Non
         pose[:3] += random.uniform(-1e-9, 1e-9, (3, 4)) * (k > 2)
         pose[pose == 0] = -0.0 if k % 2 else 0.0
         frame["transform_matrix"] = pose.tolist()
+        frame["time"] = k // 3 or (-0.0 if k else 0.0)
+        frame["fl_x"] = 60 + 1e-9 * k
     (tmp_path / "transforms.json").write_text(json.dumps(values))
     check(open_rig(tmp_path), make)
 
@@ -145,6 +147,19 @@ def test_folders_that_are_instants_and_cameras(tmp_path: Path, make: Any) -> Non
     pictures(tmp_path, make, path)
     entries: Entries = [(i, path.format(camera=n, frame=k), {}) for i, n in enumerate(NAMES) for k in range(3)]
     check(open_rig(write(tmp_path, make, entries)), make)  # numbered
+
+
+@pytest.mark.parametrize("key", ["fl_x", "cy", "k1", "k6", "camera_angle_x"])
+def test_a_lens_that_changes_is_refused(tmp_path: Path, make: Any, key: str) -> None:
+    path = "{camera}/{frame}.png"
+    pictures(tmp_path, make, path)
+    entries: Entries = [
+        (i, path.format(camera=n, frame=k), {key: 1.5} if n == "cam01" and k == 2 else {})
+        for i, n in enumerate(NAMES)
+        for k in range(3)
+    ]
+    with pytest.raises(RigError, match=rf"frames\[5\]: '{key}' is not what camera cam01 has in its first picture"):
+        open_rig(write(tmp_path, make, entries))
 
 
 def test_a_file_listed_twice(tmp_path: Path, make: Any) -> None:

@@ -33,23 +33,31 @@ def rows(text: str, columns: int) -> list[list[str]]:
     return [line for line in tables if "`" in line[0]]
 
 
-@pytest.fixture
-def example(tmp_path: Path, make: Any) -> dict[str, Any]:
-    """The page's rig.json, and the frames that it names, in ``tmp_path``."""
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory, make: Any) -> Path:
+    """The frames that the page's rig.json names."""
     assert EXAMPLE is not None
-    (tmp_path / "rig.json").write_text(EXAMPLE[1])
-    values: dict[str, Any] = json.loads(EXAMPLE[1])
+    folder, values = tmp_path_factory.mktemp("rig"), json.loads(EXAMPLE[1])
     for camera in values["cameras"]:
-        path, size = tmp_path / camera["file"], (camera["width"], camera["height"])
+        path, size = folder / camera["file"], (camera["width"], camera["height"])
         if path.suffix == ".mp4":
             make.video(path, frames=values["frame_count"], size=size, fps=values["fps"])
         else:
             make.pictures(path, frames=values["frame_count"], size=size)
+    return folder
+
+
+@pytest.fixture
+def example(folder: Path) -> dict[str, Any]:
+    """The page's rig.json, put into ``folder``."""
+    assert EXAMPLE is not None
+    (folder / "rig.json").write_text(EXAMPLE[1])
+    values: dict[str, Any] = json.loads(EXAMPLE[1])
     return values
 
 
-def test_the_example_is_the_rig_that_the_page_describes(tmp_path: Path, example: dict[str, Any]) -> None:
-    rig = open_rig(tmp_path)
+def test_the_example_is_the_rig_that_the_page_describes(folder: Path, example: dict[str, Any]) -> None:
+    rig = open_rig(folder)
     assert [camera.name for camera in rig.cameras] == ["left", "right", "side"]
     assert (rig.layout, rig.fps, rig.frame_count) == ("rig.json", 30, example["frame_count"])
     assert (rig.length_unit, rig.source_text, rig.licence) == ("metre", example["source"], example["licence"])
@@ -66,12 +74,12 @@ def test_the_example_is_the_rig_that_the_page_describes(tmp_path: Path, example:
         np.testing.assert_allclose(camera.world_to_camera[2, :3], forward, atol=1e-15)
 
 
-def test_axes_and_pixels_are_as_the_page_says(tmp_path: Path, example: dict[str, Any]) -> None:
+def test_axes_and_pixels_are_as_the_page_says(folder: Path, example: dict[str, Any]) -> None:
     """u = fx x / z + cx, v = fy y / z + cy of the point R X + t; half a pixel more if the first centre is (0,0)."""
     point = np.array([0.4, -0.3, 2.5])
     for convention, shift in ((example["pixel_convention"], 0.0), ("(0,0)", 0.5), (None, 0.5)):
-        (tmp_path / "rig.json").write_text(json.dumps(example | {"pixel_convention": convention}))
-        for camera, stated in zip(open_rig(tmp_path).cameras, example["cameras"], strict=True):
+        (folder / "rig.json").write_text(json.dumps(example | {"pixel_convention": convention}))
+        for camera, stated in zip(open_rig(folder).cameras, example["cameras"], strict=True):
             pose = np.array(stated["world_to_camera"])
             x, y, z = pose[:3, :3] @ point + pose[:3, 3]
             u, v, depth = project(camera, point[None])
@@ -117,9 +125,7 @@ def test_every_member_of_a_field_list_is_on_the_page() -> None:
 
 
 @pytest.mark.parametrize(("field", "without"), [(row[0], row[2]) for row in rows(section("rig.json"), 3)])
-def test_what_is_left_out_is_as_the_table_says(
-    tmp_path: Path, example: dict[str, Any], field: str, without: str
-) -> None:
+def test_what_is_left_out_is_as_the_table_says(folder: Path, example: dict[str, Any], field: str, without: str) -> None:
     for name in re.findall(NAME, field):
         if name in rig_json._COEFFICIENTS:  # the table of lenses
             continue
@@ -129,20 +135,20 @@ def test_what_is_left_out_is_as_the_table_says(
             inside[name] = None
             if lacking:
                 del inside[name]
-            (tmp_path / "rig.json").write_text(json.dumps(values))
+            (folder / "rig.json").write_text(json.dumps(values))
             if without == "refused":
                 with pytest.raises(RigError, match=f"'{name}' is missing"):
-                    open_rig(tmp_path)
+                    open_rig(folder)
             else:
-                open_rig(tmp_path)
+                open_rig(folder)
 
 
-def test_a_colmap_model_that_is_named_has_to_be_there(tmp_path: Path, example: dict[str, Any], make: Any) -> None:
-    (tmp_path / "rig.json").write_text(json.dumps(example | {"colmap_model": "colmap\\0"}))
+def test_a_colmap_model_that_is_named_has_to_be_there(folder: Path, example: dict[str, Any], make: Any) -> None:
+    (folder / "rig.json").write_text(json.dumps(example | {"colmap_model": "colmap\\0"}))
     with pytest.raises(RigError, match=r"'colmap_model' names .*colmap/0, where no COLMAP model lies"):
-        open_rig(tmp_path)
-    make.colmap_model(tmp_path / "colmap/0", ["left.png"], text=True)
-    points = open_rig(tmp_path).points
+        open_rig(folder)
+    make.colmap_model(folder / "colmap/0", ["left.png"], text=True)
+    points = open_rig(folder).points
     assert points is not None
     assert len(points) == len(make.points)
 
@@ -174,19 +180,19 @@ def test_images_are_paired_as_the_table_says(tmp_path: Path, make: Any, image: s
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
-def test_the_file_may_be_of_any_editor(tmp_path: Path, example: dict[str, Any], encoding: str) -> None:
+def test_the_file_may_be_of_any_editor(folder: Path, example: dict[str, Any], encoding: str) -> None:
     text = json.dumps(example | {"source": "Köln"}, ensure_ascii=False)
-    (tmp_path / "rig.json").write_bytes(text.replace("{", "{\r\n").encode(encoding))
-    assert open_rig(tmp_path).source_text == "Köln"
+    (folder / "rig.json").write_bytes(text.replace("{", "{\r\n").encode(encoding))
+    assert open_rig(folder).source_text == "Köln"
 
 
-def test_folders_may_be_separated_as_on_windows(tmp_path: Path, example: dict[str, Any]) -> None:
+def test_folders_may_be_separated_as_on_windows(folder: Path, example: dict[str, Any]) -> None:
     text = json.dumps(example)
-    (tmp_path / "rig.json").write_text(text.replace("pictures/right", "pictures\\\\right"))
-    assert open_rig(tmp_path).sources[1].path == tmp_path / "pictures/right"
-    (tmp_path / "rig.json").write_text(text.replace("pictures/right", "D:/pictures/right"))
+    (folder / "rig.json").write_text(text.replace("pictures/right", "pictures\\\\right"))
+    assert open_rig(folder).sources[1].path == folder / "pictures/right"
+    (folder / "rig.json").write_text(text.replace("pictures/right", "D:/pictures/right"))
     with pytest.raises(RigError, match="'file' is 'D:/pictures/right', a place on a Windows machine"):
-        open_rig(tmp_path)
+        open_rig(folder)
 
 
 def test_fields_are_read_as_written() -> None:
