@@ -116,7 +116,9 @@ def _beyond_calibration(stats: RigStatistics) -> tuple[F64, F64, F64]:
     found, deviation = fit.solve()
     kept = fit.matches_of_cameras()
     known = (kept >= _MIN_MATCHES) & (kept >= _MIN_FRACTION * met)
-    pixels = np.array([camera.fx for camera in stats.cameras]) * fit.radii() ** 3
+    radii = fit.radii()
+    fisheye = [camera.distortion_model == "fisheye" for camera in stats.cameras]
+    pixels = np.array([camera.fx for camera in stats.cameras]) * np.where(fisheye, np.arctan(radii), radii) ** 3
     beyond[known], error[known], k1[known] = (found * pixels)[known], (deviation * pixels)[known], found[known]
     return beyond, error, k1
 

@@ -6,8 +6,8 @@ Which layout a folder has is decided by the calibration in it; exactly one of th
 ``rig.json``         rig.json; a COLMAP model beside it only gives its points
 ``transforms.json``  nerfstudio
 ``poses_bounds.npy`` MeetRoom if the cameras are named ``cam_N``, N3DV if ``camNN``
-COLMAP model         in ``sparse/0``, ``sparse`` or the folder itself: MeetRoom if the cameras are
-                     named ``cam_N``, else COLMAP
+COLMAP model         in ``sparse/0`` (or the next number that has one), ``sparse`` or the folder itself:
+                     MeetRoom if the cameras are named ``cam_N``, else COLMAP
 ==================== ==========================================================================
 
 Where several are, the path of the calibration itself (``rig/poses_bounds.npy``, ``rig/sparse/0``) says which to use.
@@ -33,6 +33,9 @@ __all__ = ["FrameSource", "Points", "Rig", "files_of", "files_with", "open_rig",
 
 _Reader = Callable[[], Rig]
 
+_NAMED = 8
+"""Entries of a folder that a message names."""
+
 
 def open_rig(path: str | os.PathLike[str]) -> Rig:
     """The rig in a folder, or calibrated by the given calibration file or COLMAP model folder.
@@ -47,7 +50,7 @@ def open_rig(path: str | os.PathLike[str]) -> Rig:
     if not found:
         raise RigError(
             f"{folder}: no calibration; expected rig.json, transforms.json, poses_bounds.npy or a COLMAP model in "
-            "sparse/0 (cameras.bin or cameras.txt): calibrate the cameras, e.g. with COLMAP"
+            f"sparse/0 (cameras.bin or cameras.txt), but {_contents(folder)}: calibrate the cameras, e.g. with COLMAP"
         )
     if len(found) > 1:
         names = list(found)
@@ -94,6 +97,17 @@ def _calibrations_at(path: Path) -> dict[str, _Reader]:
     if model is not None and rig_json.CALIBRATION not in found:
         found[str(model.relative_to(path))] = lambda: _read_colmap(colmap.rig_folder_of(model), model)
     return found
+
+
+def _contents(folder: Path) -> str:
+    """What lies in a folder, in a few words; what holds no frames first, since a calibration may be among it."""
+    entries = sorted(list_folder(folder), key=holds_frames)
+    if not entries:
+        return "it is empty"
+    names = [entry.name + "/" * entry.is_dir() for entry in entries[:_NAMED]]
+    names = [name if name.isprintable() else ascii(name) for name in names]
+    more = f" and {len(entries) - _NAMED} more" if len(entries) > _NAMED else ""
+    return f"there are {', '.join(names)}{more}"
 
 
 def _calibration_file(path: Path) -> dict[str, _Reader]:

@@ -1,16 +1,19 @@
 """COLMAP layout: a sparse model (binary or text) with one video, picture folder or picture per camera.
 
-The model is in ``sparse/0``, ``sparse`` or the folder itself. A model image belongs to the camera of its name without
-suffix ("cam00.png" -> cam00), or of its folder ("cam00/0000.png") if frames go by that name. Poses are world-to-camera
-in OpenCV axes and pixel centres are at .5 already. ``rigs`` and ``frames`` files of COLMAP >= 3.12 are not needed.
+The model is in ``sparse/0`` (or another number), ``sparse`` or the folder itself. Its images are paired with frames by
+name (``_place``). Poses are world-to-camera in OpenCV axes and pixel centres are at .5 already. ``rigs`` and ``frames``
+files of COLMAP >= 3.12 are not needed: images have their whole poses all the same.
 Source: COLMAP documentation, "Output Format"; parameter orders from its camera models.
 """
 
 from __future__ import annotations
 
+import codecs
+import os
 import struct
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
 import numpy as np
@@ -29,15 +32,20 @@ LAYOUT = "colmap"
 
 _MODEL_NAMES = (
     "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV", "FOV",
-    "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE",
+    "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE", "SIMPLE_DIVISION",
+    "DIVISION", "SIMPLE_FISHEYE", "FISHEYE", "EUCM", "EQUIRECTANGULAR",
 )  # fmt: skip
 """COLMAP's camera models in the order of their numbers."""
 
 _PARAMETERS = {
     "SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4, "RADIAL": 5, "OPENCV": 8, "OPENCV_FISHEYE": 8,
-    "FULL_OPENCV": 12,
+    "FULL_OPENCV": 12, "SIMPLE_RADIAL_FISHEYE": 4, "RADIAL_FISHEYE": 5, "SIMPLE_FISHEYE": 3, "FISHEYE": 4,
 }  # fmt: skip
 """The models that can be read, and how many parameters each has."""
+
+_ONE_FOCAL_LENGTH = frozenset(
+    {"RADIAL", "RADIAL_FISHEYE", *(name for name in _PARAMETERS if name.startswith("SIMPLE_"))}
+)
 
 _SAME_POSE = 1e-4
 """Several images of one fixed camera may differ by this in rotation, and in position as a share of its distance."""
@@ -73,15 +81,21 @@ def model_files(folder: Path) -> list[Path]:
 
 
 def find_model(folder: Path) -> Path | None:
-    """The first of sparse/0, sparse and the folder itself that holds a model."""
-    return next((model for model in (folder / "sparse" / "0", folder / "sparse", folder) if has_model(model)), None)
+    """The first of sparse/0, sparse/1 ..., sparse and the folder itself that holds a model."""
+    sparse = folder / "sparse"
+    return next((model for model in (*_numbered_models(sparse), sparse, folder) if has_model(model)), None)
 
 
 def rig_folder_of(model: Path) -> Path:
-    """The folder a model belongs to: the one that holds sparse/0 or sparse, or else its own."""
-    if model.name == "0" and model.parent.name == "sparse":
+    """The folder a model belongs to: the one that holds sparse/0 (or another number) or sparse, or else its own."""
+    if model.name.isdecimal() and model.parent.name == "sparse":
         return model.parent.parent
     return model.parent if model.name == "sparse" else model
+
+
+def _numbered_models(sparse: Path) -> list[Path]:
+    """COLMAP numbers the models of pictures that it could not join into one."""
+    return [entry for entry in list_folder(sparse) if entry.name.isdecimal() and has_model(entry)]
 
 
 def read_colmap_rig(folder: Path, model: Path, layout: str = LAYOUT) -> Rig:
@@ -89,64 +103,155 @@ def read_colmap_rig(folder: Path, model: Path, layout: str = LAYOUT) -> Rig:
     lenses, images = _read_lenses(model), _read_images(model)
     if not images:
         raise RigError(f"{model}: the model holds no images; run the reconstruction again")
-    frames = _frames_by_name(folder)
-    calibrated = _cameras_of(model, lenses, images, frames)
-    missing = [name for name in calibrated if name not in frames]
-    stray = [name for name, path in frames.items() if path.suffix.lower() in VIDEO_SUFFIXES and name not in calibrated]
+    frames = _frames_below(folder, images)
+    places = {image.name: _place(image.name, frames) for image in images}
+    unposed = _unposed(frames, set(places.values()))
+    _check_pairs(folder, model, places, unposed)
+    calibrated = _cameras_of(model, lenses, images, places)
+    pairs = [(camera, open_source(frames[place])) for place, camera in calibrated.items()]
+    rig = assemble_rig(folder, layout, pairs, model_files(model), resizable=True, points=read_points(model))
+    if not unposed:
+        return rig
+    left_out = f"{unposed[0]}{_more(unposed)}: left out, without a pose in {model}{_elsewhere(model)}"
+    return replace(rig, warnings=(*rig.warnings, left_out))
+
+
+def _check_pairs(folder: Path, model: Path, places: Mapping[str, str | None], unposed: Sequence[Path]) -> None:
+    """Every image has frames, every video an image."""
+    missing = [name for name, place in places.items() if place is None]
     if missing:
-        there = f", but {frames[stray[0]].name}, which the model does not know" if stray else ""
+        what = f"{folder}: no video, picture folder or picture of image {missing[0]!r}{_more(missing)} of {model}"
+        if unposed:
+            what += (
+                f", but {unposed[0].name}, which the model does not know; give files and model images the same names"
+            )
+        else:
+            what += "; put it back, or take the image out of the model (colmap image_deleter)"
+        raise RigError(what)
+    videos = [path for path in unposed if path.suffix.lower() in VIDEO_SUFFIXES and not path.is_dir()]
+    if videos:
         raise RigError(
-            f"{folder}: no video, picture folder or picture of camera {missing[0]} of {model}{there}; "
-            "give files and model images the same names"
+            f"{videos[0]}{_more(videos)}: no camera of this name in {model}{_elsewhere(model)}; "
+            "calibrate it too or move it away"
         )
-    if stray:
-        raise RigError(f"{frames[stray[0]]}: no camera of this name in {model}; calibrate it too or move it away")
-    pairs = [(camera, open_source(frames[name])) for name, camera in calibrated.items()]
-    return assemble_rig(folder, layout, pairs, model_files(model), resizable=True, points=read_points(model))
 
 
-def _frames_by_name(folder: Path) -> dict[str, Path]:
-    """Where each camera's frames are. Videos and picture folders go before single pictures, which are then the stills
-    that the model was made from."""
+def _more(found: Sequence[object]) -> str:
+    return f" and {len(found) - 1} more" if len(found) > 1 else ""
+
+
+def _elsewhere(model: Path) -> str:
+    """Names the other models that COLMAP made of the same pictures."""
+    others = [f"{other.parent.name}/{other.name}" for other in _numbered_models(model.parent) if other != model]
+    return f" (perhaps in {', '.join(others)}, whose poses do not fit these)" if others else ""
+
+
+# --- which frames belong to which image -----------------------------------------------------------------------------
+
+
+_DEPTH = 8
+"""Folders of an image's name that count, from its end."""
+
+_BETWEEN = " _.-"
+"""What stands between a camera's name and a frame's number."""
+
+
+def _parts(name: str) -> list[str]:
+    """The folders and the stem of an image's name, but for folders that name no camera."""
+    path = PurePosixPath(name)
+    folders = [part for part in path.parts[:-1] if part not in ("/", "..") and part.lower() not in GENERIC_FOLDERS]
+    return [*folders[-_DEPTH:], path.stem]
+
+
+def _camera_of(stem: str) -> str:
+    """cam00 of cam00_0001 and cam00_frame0001; empty if no frame's number stands apart from the rest."""
+    rest = stem.rstrip("0123456789")
+    words = rest.rstrip(_BETWEEN)
+    word = next((word for word in ("frame", "image", "img") if words.lower().endswith(word)), "")
+    camera = words[: len(words) - len(word)].rstrip(_BETWEEN)
+    return camera if len(camera) + len(word) < len(rest) < len(stem) else ""
+
+
+def _frames_below(folder: Path, images: Sequence[PosedImage]) -> dict[str, Path]:
+    """Videos, folders of pictures and single pictures by their paths as ``_parts`` has them.
+
+    Looked for in the rig's folder, in folders such as ``images`` there, and below them where the model's images are.
+    Videos and picture folders go before single pictures, which are then the stills that the model was made from.
+    """
+    bases = [folder, *(entry for entry in list_folder(folder) if entry.name.lower() in GENERIC_FOLDERS)]
+    names = [_parts(image.name) for image in images]
+    groups = {tuple(parts[:depth]) for parts in names for depth in range(len(parts))}
     found: dict[str, Path] = {}
-    bases = [folder, *(folder / name for name in sorted(GENERIC_FOLDERS))]
-    entries = [entry for base in bases for entry in list_folder(base)]
-    for entry in entries:
-        if entry.name.lower() in GENERIC_FOLDERS or not holds_frames(entry):
-            continue
-        other = found.setdefault(_camera_name(entry), entry)
-        if other is not entry:
-            raise RigError(f"{folder}: both {other} and {entry} hold frames of one camera; move one away")
-    for entry in entries:
-        if entry.suffix.lower() in PICTURE_SUFFIXES and entry.is_file():
-            found.setdefault(entry.stem, entry)
-    return found
+    stills: dict[str, Path] = {}
+    for group in sorted(groups):
+        inside = [base.joinpath(*group) for base in bases]
+        for entry in (entry for place in inside if os.path.isdir(place) for entry in list_folder(place)):
+            if entry.name.lower() in GENERIC_FOLDERS:
+                continue
+            place = "/".join((*group, entry.name if entry.is_dir() else entry.stem))
+            if holds_frames(entry):
+                other = found.setdefault(place, entry)
+                if other is not entry:
+                    raise RigError(f"{folder}: both {other} and {entry} hold frames of one camera; move one away")
+            elif entry.suffix.lower() in PICTURE_SUFFIXES and entry.is_file():
+                stills.setdefault(place, entry)
+    return {**stills, **found}
 
 
-def _camera_name(entry: Path) -> str:
-    return entry.name if entry.is_dir() else entry.stem
+def _place(name: str, frames: Mapping[str, Path]) -> str | None:
+    """Which frames show what a model's image shows, by its name; folders before the camera's may be missing.
+
+    "rig/cam00.png" and "rig/cam00/0000.png" belong to a video or folder ``rig/cam00`` or ``cam00``,
+    "cam00_frame0001.png" to ``cam00``; without, an image is the camera's only frame.
+    """
+    *folders, stem = _parts(name)
+    spelled = [[*folders, stem], folders, [*folders, _camera_of(stem)]]
+    places = ["/".join(parts[first:]) for parts in spelled for first in range(len(parts))]
+    found = [place for place in places if place in frames]
+    streams = [place for place in found if not _is_still(frames[place])]
+    return next(iter(streams or found), None)
+
+
+def _is_still(path: Path) -> bool:
+    return path.suffix.lower() in PICTURE_SUFFIXES and not path.is_dir()
+
+
+def _unposed(frames: Mapping[str, Path], posed: set[str | None]) -> list[Path]:
+    """Frames that no image of the model belongs to.
+
+    Single pictures count where cameras have single pictures only. A folder does not count in a camera's own, nor where
+    its pictures are called as cameras are: it has masks, depths or other sizes of them.
+    """
+    stills = any(_is_still(frames[place]) for place in posed if place is not None)
+    names = {place.rpartition("/")[2] for place in posed if place is not None}
+    return [
+        path
+        for place, path in frames.items()
+        if not posed & {place, place.rpartition("/")[0]}
+        and (stills if _is_still(path) else not any(entry.stem in names for entry in list_folder(path)))
+    ]
 
 
 def _cameras_of(
-    model: Path, lenses: dict[int, ModelledCamera], images: list[PosedImage], frames: dict[str, Path]
+    model: Path, lenses: dict[int, ModelledCamera], images: list[PosedImage], places: Mapping[str, str | None]
 ) -> dict[str, Camera]:
+    """The cameras by the places of their frames."""
     cameras: dict[str, Camera] = {}
+    names = Counter(place.rpartition("/")[2] for place in set(places.values()) if place)
     for image in sorted(images, key=lambda image: image.name):
         where = f"{model}, image {image.name!r}"
         lens = lenses.get(image.camera_id)
         if lens is None:
             raise RigError(f"{where}: its camera {image.camera_id} is not in the model; export the model again")
-        parts = PurePosixPath(image.name)
-        folder = parts.parent.name
-        is_folder = folder not in GENERIC_FOLDERS and folder in frames and frames[folder].is_dir()
-        name = folder if is_folder else parts.stem
-        camera = _camera(name, lens, image.world_to_camera, where)
-        if name in cameras and not _same_pose(cameras[name], camera):
+        place = places[image.name] or ""
+        name = place.rpartition("/")[2]
+        camera = _camera(name if names[name] == 1 else place.replace("/", "_"), lens, image.world_to_camera, where)
+        if place in cameras and not _same_pose(cameras[place], camera):
             raise RigError(
-                f"{where}: camera {name} stands somewhere else in another image; "
-                "cameras must be fixed, keep one image of each in the model"
+                f"{where}: camera {camera.name} stands somewhere else in another image; cameras must be fixed, and "
+                "those of several cameras need a folder each, or lie in images/ with one picture each"
             )
-        cameras.setdefault(name, camera)
+        cameras.setdefault(place, camera)
     return cameras
 
 
@@ -166,11 +271,10 @@ def lens_parameters(
     model: str, p: tuple[float, ...]
 ) -> tuple[tuple[float, float, float, float], DistortionModel, tuple[float, ...]]:
     """(fx, fy, cx, cy), distortion model and coefficients in OpenCV's order, for a readable COLMAP model."""
-    if model in ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"):
-        radial = p[3:] + (0.0,) * (5 - len(p))
-        return (p[0], p[0], p[1], p[2]), "opencv", (*radial, 0.0, 0.0)
-    fisheye: DistortionModel = "fisheye" if model == "OPENCV_FISHEYE" else "opencv"
-    return (p[0], p[1], p[2], p[3]), fisheye, p[4:]
+    kind: DistortionModel = "fisheye" if "FISHEYE" in model else "opencv"
+    if model in _ONE_FOCAL_LENGTH:
+        p = (p[0], *p)
+    return (p[0], p[1], p[2], p[3]), kind, p[4:] + (0.0,) * (8 - len(p))
 
 
 def _check_model_name(model: str, where: str) -> int:
@@ -284,12 +388,15 @@ def _binary_points(path: Path) -> Iterator[tuple[float, ...]]:
 # --- text -----------------------------------------------------------------------------------------------------------
 
 
-def _text_lines(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Line numbers from 1 and words; comments are left out, empty lines are not (they mean an image without points)."""
-    text = _read_file(path).decode("utf-8", errors="replace")
+def _text_lines(path: Path) -> Iterator[tuple[int, str]]:
+    """Lines and their numbers from 1, without comments and empty ones (an image without points has one or none)."""
+    data = _read_file(path)
+    is_utf_16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))  # as some editors write it
+    text = data.decode("utf-16" if is_utf_16 else "utf-8-sig", errors="replace")
     for number, line in enumerate(text.split("\n"), start=1):
-        if not line.startswith("#"):
-            yield number, line.split()
+        line = line.strip()
+        if line and not line.startswith("#"):
+            yield number, line
 
 
 def _malformed(path: Path, number: int) -> RigError:
@@ -298,9 +405,8 @@ def _malformed(path: Path, number: int) -> RigError:
 
 def _text_lenses(path: Path) -> dict[int, ModelledCamera]:
     lenses = {}
-    for number, words in _text_lines(path):
-        if not words:
-            continue
+    for number, line in _text_lines(path):
+        words = line.split()
         try:
             camera_id, model, width, height = int(words[0]), words[1], int(words[2]), int(words[3])
             parameters = tuple(float(word) for word in words[4:])
@@ -314,26 +420,35 @@ def _text_lenses(path: Path) -> dict[int, ModelledCamera]:
 
 def _text_images(path: Path) -> list[PosedImage]:
     images = []
-    lines = _text_lines(path)
-    for number, words in lines:
-        if not words:
+    may_be_points = False
+    for number, line in _text_lines(path):
+        if may_be_points and _are_points(line):
+            may_be_points = False
             continue
+        words = line.split(maxsplit=9)
         try:
             numbers = tuple(float(word) for word in words[1:8])
-            camera_id, name = int(words[8]), " ".join(words[9:])
+            camera_id, name = int(words[8]), words[9]
         except (ValueError, IndexError):
             raise _malformed(path, number) from None
-        if not name:
-            raise _malformed(path, number)
         images.append(PosedImage(name, camera_id, _pose(numbers[:4], numbers[4:], f"{path}, image {name!r}")))
-        next(lines, None)  # the image's feature points
+        may_be_points = True
     return images
 
 
+def _are_points(line: str) -> bool:
+    """Whether a line has feature points: x, y and the number of a 3D point or -1, again and again."""
+    words = line.split()
+    try:
+        _ = [int(word) for word in words[2::3]], [float(word) for word in words]
+    except ValueError:
+        return False
+    return len(words) % 3 == 0
+
+
 def _text_points(path: Path) -> Iterator[tuple[float, ...]]:
-    for number, words in _text_lines(path):
-        if not words:
-            continue
+    for number, line in _text_lines(path):
+        words = line.split(maxsplit=7)
         try:
             point = tuple(float(word) for word in words[1:7])
         except ValueError:
@@ -354,7 +469,8 @@ def _read_lenses(model: Path) -> dict[int, ModelledCamera]:
 def _read_images(model: Path) -> list[PosedImage]:
     binary = model / "images.bin"
     path = binary if binary.is_file() else model / "images.txt"
-    images = _binary_images(path) if path == binary else _text_images(path)
+    found = _binary_images(path) if path == binary else _text_images(path)
+    images = [replace(image, name=image.name.replace("\\", "/")) for image in found]  # as Windows writes them
     for image in images:
         if not PurePosixPath(image.name).stem or not image.name.isprintable():
             raise RigError(f"{path}: {image.name!r} is no usable image name; export the COLMAP model again")

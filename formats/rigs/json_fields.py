@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,8 +47,8 @@ class Fields:
         return int(value)
 
     def text(self, key: str, default: str | None = None) -> str:
-        """A text; ``default`` (if any) where the field is missing. Raises RigError for anything else."""
-        value = self.values.get(key, default)
+        """A text; ``default`` (if any) where the field is missing or null. Raises RigError for anything else."""
+        value = self.values[key] if key in self else default
         if not isinstance(value, str):
             raise self.wrong(key, "is missing" if value is None else "is not a text")
         return value
@@ -58,6 +59,16 @@ class Fields:
         if not value.isprintable():
             raise self.wrong(key, "holds control characters")
         return value
+
+    def path(self, key: str, folder: Path, default: str | None = None) -> Path:
+        """A path relative to ``folder``, also as Windows spells it. Raises RigError for one with a Windows drive."""
+        text = self.label(key, default)
+        windows = PureWindowsPath(text)
+        if os.path.exists(folder / text) or not (windows.drive or "\\" in text):
+            return folder / text
+        if windows.drive:
+            raise self.wrong(key, f"is {text!r}, a place on a Windows machine and not relative to {folder}")
+        return folder / windows.as_posix()
 
     def numbers(self, key: str) -> tuple[float, ...]:
         """A list of finite numbers; raises RigError for anything else."""
@@ -108,12 +119,12 @@ def read_json(path: Path) -> Fields:
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise RigError(f"{path}: larger than {_MAX_BYTES >> 20} MiB, which no calibration is; check the file")
-        value = json.loads(path.read_text(encoding="utf-8-sig"))
+        value = json.loads(path.read_bytes())  # UTF-8 or, from some editors, UTF-16; with a byte order mark or without
     except OSError as error:
         raise RigError(f"{path}: cannot be read ({error.strerror}); put the file back or fix its rights") from None
     except json.JSONDecodeError as error:
         raise RigError(f"{path}: malformed JSON in line {error.lineno} ({error.msg}); correct the file") from None
-    except (ValueError, RecursionError):  # not UTF-8, absurdly long numbers, absurdly deep nesting
+    except (ValueError, RecursionError):  # no Unicode, absurdly long numbers, absurdly deep nesting
         raise RigError(f"{path}: malformed JSON; correct the file") from None
     if not isinstance(value, dict):
         raise RigError(f"{path}: the JSON file holds no object; correct the file")

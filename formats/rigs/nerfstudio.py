@@ -1,17 +1,21 @@
 """nerfstudio / instant-ngp layout: ``transforms.json`` whose entries are the fixed cameras of a rig.
 
 ``frames[].file_path`` names a video, a folder of pictures, or one picture per entry; several picture entries with the
-same folder and pose are the frames of one camera, ordered by ``time`` and name. Intrinsics (fl_x, fl_y, cx, cy, w, h,
-or camera_angle_x) are global or per entry; k1 k2 k3 p1 p2 follow OpenCV, and k1..k4 with camera_model OPENCV_FISHEYE.
-transform_matrix is camera-to-world in OpenGL axes (x right, y up, z backwards). Pixel centres are at .5.
+same pose are the frames of one camera, ordered by ``time`` and path, whichever folders they are in. Intrinsics (fl_x,
+fl_y, cx, cy, w, h, or camera_angle_x) are global or per entry; k1 k2 k3 p1 p2 (k4 k5 k6: the rational model) follow
+OpenCV, and k1..k4 with camera_model OPENCV_FISHEYE. transform_matrix is camera-to-world in OpenGL axes (x right, y up,
+z backwards). Pixel centres are at .5.
 """
 
 from __future__ import annotations
 
 import math
 import os
+import re
 from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -22,12 +26,27 @@ from ..pictures import PICTURE_SUFFIXES
 from .calibration import calibrated_camera, invert_pose, rigid_pose
 from .json_fields import Fields, read_json
 from .rig import Rig, assemble_rig
-from .sources import GENERIC_FOLDERS, FrameSource, natural_key, open_pictures, open_source
+from .sources import GENERIC_FOLDERS, FrameSource, PictureSource, natural_key, open_pictures, open_source
 
 LAYOUT = "nerfstudio"
 CALIBRATION = "transforms.json"
-_PINHOLE = frozenset({"PINHOLE", "SIMPLE_PINHOLE"})
-_OPENCV = frozenset({"OPENCV", "RADIAL", "SIMPLE_RADIAL"})
+_FISHEYE = frozenset({"OPENCV_FISHEYE", "SIMPLE_FISHEYE", "FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"})
+_OPENCV = frozenset({"SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV"})
+_COEFFICIENTS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
+_LENS_NUMBERS = ("fl_x", "fl_y", "cx", "cy", "w", "h", "camera_angle_x", "camera_angle_y", *_COEFFICIENTS)
+_OTHER_LENSES = ("ftheta_p0", "latlong", "equirectangular")
+"""Lenses of instant-ngp."""
+
+_MASKS = ("mask_path", "fisheye_crop_radius")
+"""What excludes pixels from training."""
+
+_SAME_POSE = 1e-6
+"""Between poses of one camera, in rotation and in position as a share of the rig's size: float32's digits."""
+_LEAST_SIZE = 0.01
+"""Of a rig, as a share of its distance from the origin: positions far off have fewer digits."""
+
+_MAX_POSES = 1024
+"""As many cameras as a stream has (SPEC.md)."""
 
 
 @dataclass(frozen=True)
@@ -41,25 +60,25 @@ class _Entry:
 
 def read_nerfstudio(folder: Path) -> Rig:
     """The rig described by ``folder``/transforms.json. Raises RigError."""
-    fields = read_json(folder / CALIBRATION)
+    path = folder / CALIBRATION
+    fields = read_json(path)
     shared = {key: value for key, value in fields.values.items() if key != "frames"}
     entries = [_entry(folder, replace(own, values={**shared, **own.values})) for own in fields.records("frames")]
-    groups = _group_by_camera(entries)
+    groups = _group_by_camera(path, entries)
     names = _camera_names(groups)
-    if all(len(group) == 1 for group in groups) and len({entry.time for entry in entries}) > 1:
-        raise RigError(
-            f"{folder / CALIBRATION}: every entry has its own pose and time, as of a moving camera; "
-            "a rig needs fixed cameras that all see every frame"
-        )
+    _check_in_step(path, names, groups)
+    for name, group in zip(names, groups, strict=True):
+        _check_one_lens(name, group)
     pairs = []
     for name, group in zip(names, groups, strict=True):
         source = _source(group)
         pairs.append((_camera(name, group[0].fields, source), source))
-    return assemble_rig(folder, LAYOUT, pairs, [folder / CALIBRATION], resizable=True)
+    rig = assemble_rig(folder, LAYOUT, pairs, [path], resizable=True)
+    return replace(rig, warnings=(*rig.warnings, *_unused_masks(path, entries)))
 
 
 def _entry(folder: Path, fields: Fields) -> _Entry:
-    path = folder / fields.label("file_path")
+    path = fields.path("file_path", folder)
     # Blender-style files leave the suffix out.
     spelled = [path, *(path.parent / (path.name + suffix) for suffix in sorted(PICTURE_SUFFIXES))]
     found = next((candidate for candidate in spelled if os.path.exists(candidate)), None)
@@ -68,30 +87,140 @@ def _entry(folder: Path, fields: Fields) -> _Entry:
     return _Entry(fields, found, fields.number("time", 0.0))
 
 
-def _group_by_camera(entries: list[_Entry]) -> list[list[_Entry]]:
-    """Entries of one camera together: single pictures in one folder with one pose are its frames."""
-    groups: dict[tuple[Path, bytes], list[_Entry]] = {}
-    for entry in entries:
+def _unused_masks(path: Path, entries: Sequence[_Entry]) -> Iterator[str]:
+    named = [key for key in _MASKS if any(key in entry.fields for entry in entries)]
+    if named:
+        yield f"{path}: masks ({', '.join(named)}) are not used; what they exclude is trained on like everything else"
+
+
+def _group_by_camera(path: Path, entries: Sequence[_Entry]) -> list[list[_Entry]]:
+    """Entries of one camera together: single pictures with one pose are its frames."""
+    groups: dict[object, list[_Entry]] = {}
+    paths: set[Path] = set()
+    for entry, number in zip(entries, _numbered_poses(entries), strict=True):
+        if entry.path in paths:
+            raise RigError(f"{entry.fields.where}: {entry.path} is listed twice; remove one of its entries from {path}")
+        paths.add(entry.path)
         is_picture = entry.path.is_file() and entry.path.suffix.lower() in PICTURE_SUFFIXES
-        pose = entry.fields.matrix("transform_matrix").tobytes()
-        groups.setdefault((entry.path.parent if is_picture else entry.path, pose), []).append(entry)
-    return [sorted(group, key=lambda entry: (entry.time, natural_key(entry.path.name))) for group in groups.values()]
+        groups.setdefault(number if is_picture else entry.path, []).append(entry)
+    return [sorted(group, key=lambda entry: (entry.time, natural_key(str(entry.path)))) for group in groups.values()]
 
 
-def _camera_names(groups: list[list[_Entry]]) -> list[str]:
-    """The file's name, or the folder's where file names repeat from camera to camera or count its frames."""
-    stems = [group[0].path.stem if group[0].path.is_file() else group[0].path.name for group in groups]
-    if all(len(group) == 1 for group in groups) and max(Counter(stems).values()) == 1:
-        return stems
-    folders = [group[0].path.parent for group in groups]
-    return [folder.parent.name if folder.name in GENERIC_FOLDERS else folder.name for folder in folders]
+def _numbered_poses(entries: Sequence[_Entry]) -> list[int]:
+    """A number for the pose of each entry, the same where they differ by rounding only."""
+    poses = np.array([entry.fields.matrix("transform_matrix")[:3] for entry in entries])
+    places = poses[np.isfinite(poses[:, :, 3]).all(axis=1), :, 3]
+    if len(places):
+        poses[:, :, 3] /= max(np.ptp(places, axis=0).max(), _LEAST_SIZE * np.abs(places).max()) or 1.0
+    numbers: dict[bytes, int] = {}
+    kept, count = np.empty((min(len(poses), _MAX_POSES), 3, 4)), 0
+    for entry, pose in zip(entries, poses, strict=True):
+        if pose.tobytes() in numbers:
+            continue
+        with np.errstate(over="ignore", invalid="ignore"):
+            near = np.flatnonzero(np.abs(kept[:count] - pose).max(axis=(1, 2)) <= _SAME_POSE)
+        if not near.size and count == len(kept):
+            raise _moving(entry.fields.where, f"more than {_MAX_POSES} poses")
+        if not near.size:
+            rigid_pose(entry.fields.matrix("transform_matrix"), f"{entry.fields.where} ({entry.path.stem})")
+            kept[count] = pose
+            count += 1
+        numbers[pose.tobytes()] = int(near[0]) if near.size else count - 1
+    return [numbers[pose.tobytes()] for pose in poses]
 
 
-def _source(group: list[_Entry]) -> FrameSource:
-    first = group[0].path
+def _moving(where: str, what: str) -> RigError:
+    return RigError(f"{where}: {what}, as of a moving camera; a rig needs fixed cameras that all see every frame")
+
+
+def _camera_names(groups: Sequence[Sequence[_Entry]]) -> list[str]:
+    """By files, folders, or what the files of a camera have in common: by the first that tells all cameras apart."""
+    ways: tuple[Callable[[Sequence[_Entry]], str], ...] = (_file_name, _folder_name, _common_name)
+    for name in ways:
+        names = [name(group) for group in groups]
+        if all(names) and len(set(names)) == len(names):
+            return names
+    return [f"cam{i:02d}" for i in range(len(groups))]
+
+
+def _file_name(group: Sequence[_Entry]) -> str:
+    """The name that all have, or none: cam00 of 0000/cam00.png, 0001/cam00.png."""
+    return _the_only(entry.path.stem if entry.path.is_file() else entry.path.name for entry in group)
+
+
+def _folder_name(group: Sequence[_Entry]) -> str:
+    """The name of the folder that all are in, or none: cam00 of cam00/images/0000.png, cam00/images/0001.png."""
+    folders = (entry.path.parent for entry in group)
+    return _the_only(folder.parent.name if folder.name in GENERIC_FOLDERS else folder.name for folder in folders)
+
+
+def _common_name(group: Sequence[_Entry]) -> str:
+    """The words and numbers that all names have: cam00 of cam00_0000.png, cam00_0001.png."""
+    split = [re.split("([0-9]+)", entry.path.stem) for entry in group]
+    return "".join(parts[0] for parts in zip(*split, strict=False) if len(set(parts)) == 1).strip(" _.-")
+
+
+def _the_only(names: Iterator[str]) -> str:
+    found = set(names)
+    return found.pop() if len(found) == 1 else ""
+
+
+def _check_in_step(path: Path, names: Sequence[str], groups: Sequence[Sequence[_Entry]]) -> None:
+    """The pictures of all cameras are of the same instants: times, or else folders where each has one picture."""
+    times = [[f"the time {round(entry.time, 9) + 0.0}" for entry in group] for group in groups]
+    if len(set(chain(*times))) > 1:
+        if len(groups) > 1 and all(len(group) == 1 for group in groups):
+            raise _moving(str(path), "every entry has its own pose and time")
+        _check_instants(path, names, times)
+    elif all(len(_folders(group)) == len(group) > 1 for group in groups):
+        named = zip(names, groups, strict=True)
+        folders = [[str(Path(*(p for p in e.path.parent.parts if p != name))) for e in group] for name, group in named]
+        if len(set(chain(*folders))) < sum(map(len, folders)):  # else cameras have none in common
+            _check_instants(path, names, folders)
+
+
+def _check_instants(path: Path, names: Sequence[str], instants: Sequence[Sequence[str]]) -> None:
+    every = dict.fromkeys(chain(*instants))
+    for name, of_camera in zip(names, instants, strict=True):
+        counts = Counter(of_camera)
+        lacking = [instant for instant in every if instant not in counts]
+        if lacking:
+            raise RigError(
+                f"{path}: camera {name} has no picture of {lacking[0]}, but others have; give all the same frames"
+            )
+        if len(every) > 1 and len(counts) < len(of_camera):
+            instant = counts.most_common(1)[0][0]
+            raise RigError(f"{path}: camera {name} has several pictures of {instant}; keep one of them")
+
+
+def _folders(group: Sequence[_Entry]) -> set[Path]:
+    return {entry.path.parent for entry in group}
+
+
+def _check_one_lens(name: str, group: Sequence[_Entry]) -> None:
+    first = group[0].fields
+    for fields in (entry.fields for entry in group[1:]):
+        for key in _LENS_NUMBERS:
+            if not math.isclose(fields.number(key, 0.0), first.number(key, 0.0), rel_tol=_SAME_POSE, abs_tol=1e-9):
+                raise fields.wrong(key, f"is not what camera {name} has in its first picture; lenses must be fixed")
+
+
+class _ListedPictures(PictureSource):
+    """Pictures whose instants their times or folders tell, whatever numbers are in their names."""
+
+    def frame_numbers(self) -> None:
+        return None
+
+
+def _source(group: Sequence[_Entry]) -> FrameSource:
     if len(group) == 1:
-        return open_source(first)
-    return open_pictures(first.parent, [entry.path for entry in group])
+        return open_source(group[0].path)
+    files, folders = [entry.path for entry in group], _folders(group)
+    if len(folders) == 1:
+        source = open_pictures(files[0].parent, files)
+        return _ListedPictures(**vars(source)) if len({entry.time for entry in group}) > 1 else source
+    common = os.path.commonpath([os.path.abspath(folder) for folder in folders])
+    return _ListedPictures(**vars(open_pictures(Path(common), files)))
 
 
 def _camera(name: str, fields: Fields, source: FrameSource) -> Camera:
@@ -125,13 +254,20 @@ def _focal(fields: Fields, key: str, side: int) -> float:
 def _distortion(fields: Fields) -> tuple[DistortionModel, tuple[float, ...]]:
     is_fisheye = fields.values.get("is_fisheye") is True
     model = fields.label("camera_model", "OPENCV_FISHEYE" if is_fisheye else "OPENCV")
-    k1, k2, k3, k4, p1, p2 = (fields.number(key, 0.0) for key in ("k1", "k2", "k3", "k4", "p1", "p2"))
-    if model == "OPENCV_FISHEYE":
+    if is_fisheye and model not in _FISHEYE:
+        raise fields.wrong("is_fisheye", f"is true, but 'camera_model' is {model!r}")
+    others = [key for key in _OTHER_LENSES if key in fields and fields.values[key] is not False]
+    if model not in _FISHEYE | _OPENCV or others:
+        key, what = (others[0], "is set") if others else ("camera_model", f"is {model!r}")
+        raise fields.wrong(key, f"{what}, which is not supported; undistort the pictures first")
+    k1, k2, k3, k4, k5, k6, p1, p2 = (fields.number(key, 0.0) for key in _COEFFICIENTS)
+    if model in _FISHEYE:
+        unknown = [key for key, value in zip(_COEFFICIENTS[4:], (k5, k6, p1, p2), strict=True) if value]
+        if unknown:
+            raise fields.wrong(unknown[0], f"is no coefficient of {model}, which has k1 to k4")
         return "fisheye", (k1, k2, k3, k4)
-    if model in _PINHOLE:
-        return "none", ()
-    if model not in _OPENCV:
-        raise fields.wrong("camera_model", f"is {model!r}, which is not supported; undistort the pictures first")
+    if model == "FULL_OPENCV" or k5 or k6:
+        return "opencv", (k1, k2, p1, p2, k3, k4, k5, k6)
     if k4:
         raise fields.wrong("k4", "is a fourth radial coefficient, which OpenCV's lens model does not have")
     return "opencv", (k1, k2, p1, p2, k3)

@@ -1,10 +1,7 @@
 """The plain ``rig.json`` layout: one file that lists every camera with its frames, intrinsics, distortion and pose.
 
-Per camera: name, file (relative to rig.json: a video, a picture, or a folder of pictures), width, height, fx, fy, cx,
-cy, distortion_model ("opencv", "fisheye", "none"), distortion, world_to_camera (4 x 4, OpenCV axes). For the rig: fps,
-frame_count, pixel_convention, source, licence, length_unit (such as "metre" or "cm"), colmap_model (default sparse/0,
-read for its points only).
-In this file the centre of the top left pixel is (0, 0) unless pixel_convention says (0.5, 0.5).
+docs/rig.md has every field. In this file the centre of the top left pixel is (0, 0) unless pixel_convention says
+(0.5, 0.5).
 """
 
 from __future__ import annotations
@@ -33,11 +30,13 @@ def read_rig_json(folder: Path) -> Rig:
     shift = _pixel_shift(fields)
     pairs = []
     for record in fields.records("cameras"):
-        file = folder / record.label("file")
+        file = record.path("file", folder)
         if not os.path.exists(file):
             raise RigError(f"{record.where}: {file} is missing; put it back or remove the camera from {path.name}")
         pairs.append((_camera(record, shift), open_source(file)))
-    model = folder / fields.label("colmap_model", "sparse/0")
+    model = fields.path("colmap_model", folder, "sparse/0")
+    if "colmap_model" in fields and not has_model(model):
+        raise fields.wrong("colmap_model", f"names {model}, where no COLMAP model lies")
     rig = assemble_rig(
         folder,
         LAYOUT,

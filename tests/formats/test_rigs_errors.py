@@ -48,7 +48,15 @@ def test_no_folder(tmp_path: Path, refused: Refused) -> None:
 
 def test_no_calibration(tmp_path: Path, make: Any, refused: Refused) -> None:
     make.video(tmp_path / "cam00.mp4")
-    refused(tmp_path, r"no calibration; expected rig\.json, transforms\.json, poses_bounds\.npy or a COLMAP model")
+    known = r"no calibration; expected rig\.json, transforms\.json, poses_bounds\.npy or a COLMAP model in .*"
+    refused(tmp_path, known + r"but there are cam00\.mp4: calibrate")
+    for i in range(9):
+        make.pictures(tmp_path / f"cam{i + 1:02d}", frames=1)
+    (tmp_path / "sparse_").mkdir()
+    (tmp_path / "poses\n.npy").touch()
+    refused(tmp_path, known + r"but there are 'poses\\n\.npy', sparse_/, .* and 4 more: calibrate")
+    (tmp_path / "empty").mkdir()
+    refused(tmp_path / "empty", known + "but it is empty: calibrate")
 
 
 def test_several_calibrations(tmp_path: Path, make: Any, refused: Refused) -> None:
@@ -285,7 +293,9 @@ def test_model_without_its_images_file(tmp_path: Path, make: Any, refused: Refus
 def test_names_that_do_not_match(tmp_path: Path, make: Any, refused: Refused) -> None:
     make.colmap(tmp_path, text=False)
     (tmp_path / "cam01.mp4").rename(tmp_path / "left.mp4")
-    refused(tmp_path, r"of camera cam01 of .*, but left\.mp4, which the model does not know; give .* the same names")
+    refused(
+        tmp_path, r"of image 'cam01\.png' of .*, but left\.mp4, which the model does not know; give .* the same names"
+    )
     make.video(tmp_path / "cam01.mp4")
     refused(tmp_path, r"left\.mp4: no camera of this name in .*; calibrate it too or move it away")
 

@@ -227,7 +227,7 @@ def test_nerfstudio_one_picture_per_camera_and_field_of_view(tmp_path: Path, mak
 
 def test_nerfstudio_fisheye_and_own_intrinsics(tmp_path: Path, make: Any) -> None:
     values = make.transforms_values([f"{name}.mp4" for name in NAMES])
-    values["frames"][1] |= {"camera_model": "OPENCV_FISHEYE", "fl_x": 50, "k3": 0.25, "k4": 0.125}
+    values["frames"][1] |= {"camera_model": "OPENCV_FISHEYE", "fl_x": 50, "k3": 0.25, "k4": 0.125, "p1": 0, "p2": 0}
     rig = open_rig(make.nerfstudio(tmp_path, values))
     assert [camera.fx for camera in rig.cameras] == [60, 50, 60]
     assert rig.cameras[1].distortion_model == "fisheye"

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from decogs.decoder.lens import distort_pixels
+from decogs.decoder.lens import distort_pixels, undistort_pixels, with_k1
 from decogs.encoder.analysis.effect import Evidence
 from decogs.encoder.analysis.lens_distortion import LensDistortion
 from decogs.encoder.analysis.light import light_at, light_overall, mismatch, own_light, shared_points
@@ -62,6 +62,21 @@ def test_a_lens_beyond_the_calibration_is_found_and_measured(plane_views: Callab
     found = decision(LensDistortion(), plane_views(cam03=0.1))
     assert found.cameras == ("cam03",)
     assert found.figures["k1"]["cam03"] == pytest.approx(0.1, rel=0.1)
+
+
+def test_a_fisheye_beyond_its_calibration_is_measured_in_its_own_k1(plane_views: Callable[..., Views]) -> None:
+    """Equidistant pictures, but for one camera's; to a tenth, as above."""
+    true = 0.15
+    cameras, pictures = plane_views()
+    across, down = np.meshgrid(np.arange(352) + 0.5, np.arange(264) + 0.5)
+    for number, camera in enumerate(cameras):
+        lens = replace(camera, distortion_model="fisheye", distortion=(true if number == 3 else 0.0, 0.0, 0.0, 0.0))
+        straight = undistort_pixels(lens, np.stack([across, down], axis=-1)) - 0.5
+        pictures[number] = cv2.remap(pictures[number], straight.astype(np.float32), None, cv2.INTER_CUBIC)
+        cameras[number] = replace(lens, distortion=(0.0, 0.0, 0.0, 0.0))
+    found = decision(LensDistortion(), (cameras, pictures)).figures["k1"]
+    assert list(found) == ["cam03"]
+    assert with_k1(cameras[3], found["cam03"]).distortion[0] == pytest.approx(true, rel=0.1)
 
 
 def test_a_calibrated_lens_is_called_for_and_not_found_again(plane_views: Callable[..., Views]) -> None:
