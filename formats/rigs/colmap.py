@@ -26,7 +26,7 @@ from ..rotations import rotation_rows
 from ..videos import VIDEO_SUFFIXES
 from .calibration import calibrated_camera, rigid_pose
 from .rig import Points, Rig, assemble_rig
-from .sources import GENERIC_FOLDERS, holds_frames, list_folder, open_source
+from .sources import GENERIC_FOLDERS, holds_frames, list_folder, open_source, refuse_unknown_kinds
 
 LAYOUT = "colmap"
 
@@ -120,6 +120,9 @@ def _check_pairs(folder: Path, model: Path, places: Mapping[str, str | None], un
     """Every image has frames, every video an image."""
     missing = [name for name, place in places.items() if place is None]
     if missing:
+        named = {part for name in missing for part in _parts(name)}
+        inside = (folder, *(entry for entry in list_folder(folder) if entry.name.lower() in GENERIC_FOLDERS))
+        refuse_unknown_kinds(entry for place in inside for entry in list_folder(place) if entry.stem in named)
         what = f"{folder}: no video, picture folder or picture of image {missing[0]!r}{_more(missing)} of {model}"
         if unposed:
             what += (

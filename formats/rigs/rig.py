@@ -80,11 +80,11 @@ def assemble_rig(
         for camera, source in sorted(pairs, key=lambda pair: natural_key(pair[0].name))
     ]
     sources = tuple(source for _, source in ordered)
+    rate = fps if fps is not None else _common_rate(sources)  # first: another rate means another count, too
     _check_frame_counts(sources)
     _check_frame_numbers(sources)
     cameras = tuple(_fit_to_source(camera, source, resizable) for camera, source in ordered)
     _check_one_scale([camera for camera, _ in ordered], sources)
-    rate = fps if fps is not None else _common_rate(sources)
     return Rig(
         path,
         layout,
