@@ -256,7 +256,7 @@ def _encode_or_part(parser: Parser, options: argparse.Namespace) -> int:
 
 def _encode_on_cluster(parser: Parser, options: argparse.Namespace) -> int:
     from .cluster.encoding import encode_on_cluster
-    from .option_texts import effect_choice, names
+    from .option_texts import names
     from .switches import Switches
     from .targets import Targets
 
@@ -274,7 +274,7 @@ def _encode_on_cluster(parser: Parser, options: argparse.Namespace) -> int:
             holdout=options.holdout,
             switches=Switches(options.method, names(options.ablate), options.selection),
             targets=Targets(options.quality, bytes_per_frame, options.lossless, None, options.target_psnr),
-            effects=None if options.effects is None else effect_choice(options.effects),
+            effects=options.effects,
             keyframe=options.keyframe,
             resume=options.resume,
             metrics=options.metrics,
@@ -303,7 +303,7 @@ def _check_cluster(options: argparse.Namespace) -> None:
 
 def _encode(parser: Parser, options: argparse.Namespace) -> int:
     from .encoding import encode
-    from .option_texts import effect_choice, names, seconds_per_frame
+    from .option_texts import names, seconds_per_frame
     from .switches import Switches
     from .targets import Targets
 
@@ -322,7 +322,7 @@ def _encode(parser: Parser, options: argparse.Namespace) -> int:
             holdout=options.holdout,
             switches=Switches(options.method, names(options.ablate), options.selection),
             targets=Targets(options.quality, bytes_per_frame, options.lossless, seconds, options.target_psnr),
-            effects=None if options.effects is None else effect_choice(options.effects),
+            effects=options.effects,
             keyframe=options.keyframe,
             segment=options.segment,
             closed=options.closed,

@@ -14,7 +14,7 @@ import pytest
 from decogs.decoder.stream import open_stream
 from decogs.encoder import Switches, encode
 from decogs.encoder.change.selection import SELECTION_RULES, ViewEvidence, select
-from decogs.encoder.registry import Registry
+from decogs.encoder.registry import Registry, anything, guarded
 from decogs.encoder.settings.frame import SelectionSettings
 from decogs.encoder.switches import with_selection
 from decogs.encoder.training.methods import FRAME_METHODS
@@ -93,7 +93,7 @@ def nothing_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
 class _Point:
     """An entry point whose module cannot be imported."""
 
-    name, value = "broken", "broken_module:rule"
+    name, value, dist = "broken", "broken_module:rule", None
 
     def load(self) -> Any:
         raise ImportError("no module named torch")
@@ -101,7 +101,7 @@ class _Point:
 
 def test_what_cannot_be_used_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("decogs.encoder.registry.entry_points", lambda group: [_Point()])
-    registry = Registry("selection rule", "decogs.selection_rules", {"own": 1})
+    registry = Registry("selection rule", "decogs.selection_rules", {"own": 1}, guarded(anything))
     assert registry.names() == ("own", "broken")
     assert registry.get("own") == 1
     with pytest.raises(UsageError, match="broken: the selection rule broken_module:rule cannot be imported: no module"):
@@ -124,7 +124,9 @@ def test_a_rule_that_returns_something_else_is_told(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr("decogs.encoder.registry.entry_points", lambda group: [point])
     weight = np.ones(3, np.float32)
     view = ViewEvidence(weight, weight, lambda: np.ones(3, bool))
-    with pytest.raises(TypeError, match=r"selection rule broken: returned float64 \(2,\), not a bool per Gaussian"):
+    with pytest.raises(
+        UsageError, match=r"broken: the selection rule broken_module:rule returned float64 \(2,\), not one"
+    ):
         select([view], SelectionSettings(rule="broken"))
 
 
