@@ -160,6 +160,8 @@ def encode(
                 "cameras": [camera.name for camera in rig.cameras],
                 "held_out": list(holdout),
                 "frames": [span.start, span.stop] if part is None else [part.start, part.stop],
+                "scale": scale,
+                "held_out_sizes": ingest.held_out_sizes,
                 "seed": seed,
                 "keyframe": None if keyframe is None else str(keyframe),
                 "resume": resume,
@@ -183,6 +185,7 @@ def encode(
             report = encode_stream(ingest, target, span, chosen, resume=resume, **given)
         else:
             report = encode_part(ingest, target, part, span, chosen, base=base, **given)
+        report = replace(report, held_out_sizes=ingest.held_out_sizes)
         observer.finished(
             {
                 "output": str(report.output),

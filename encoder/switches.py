@@ -64,7 +64,7 @@ def check_names(settings: EncodeSettings) -> None:
     Settings themselves know no registry; an encode asks before it begins, not in the frame that needs the name.
     """
     for path, registry in _NAMED.items():
-        _get(registry, attrgetter(path)(settings), path)
+        _get(registry, attrgetter(path)(settings), path.rsplit(".")[-1])
     if settings.frame.ablated:
         require_sparse(settings, f"`ablate` {settings.frame.ablated[0]}", "has no such part")
     for name in ("frame_budget", "time_budget", "target_psnr"):

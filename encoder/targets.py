@@ -8,11 +8,12 @@ from decogs.formats.errors import UsageError
 
 from .coding.rate_control import with_budget, with_lossless, with_quality
 from .coding.time_control import with_target_psnr, with_time_budget
+from .settings.checked import Checked, Number
 from .settings.encode import EncodeSettings
 
 
 @dataclass(frozen=True)
-class Targets:
+class Targets(Checked):
     """What a stream is held to; None is what the settings say.
 
     ``quality``: 0 (smallest) to 100 (most exact), 50 is the settings as they are; with a keyframe of an earlier stream,
@@ -23,11 +24,11 @@ class Targets:
     everywhere) at which a frame's training ends.
     """
 
-    quality: float | None = None
-    bytes_per_frame: float | None = None
+    quality: Number | None = None
+    bytes_per_frame: Number | None = None
     lossless: bool = False
-    time_budget: float | None = None
-    target_psnr: float | None = None
+    time_budget: Number | None = None
+    target_psnr: Number | None = None
 
 
 def with_targets(settings: EncodeSettings, targets: Targets) -> EncodeSettings:

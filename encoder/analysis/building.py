@@ -39,7 +39,10 @@ class EffectChoice:
         if self.base not in EFFECT_BASES:
             unknown.insert(0, self.base)
         if unknown:
-            raise _refused(self, f"there is no effect {unknown[0]!r}")
+            raise UsageError(
+                f"`effects` {self}: there is no effect {unknown[0]!r}; choose auto, all, none or from "
+                f"{', '.join(EFFECT_NAMES)}"
+            )
         both = sorted(set(self.added) & set(self.dropped))
         if both:
             raise _refused(self, f"{both[0]} is both enabled and disabled")
@@ -80,7 +83,7 @@ def effect_choice(text: str) -> EffectChoice:
 
 
 def _refused(asked: object, problem: str) -> UsageError:
-    return UsageError(f"`effects` {asked}: {problem}; choose auto, all, none or from {', '.join(EFFECT_NAMES)}")
+    return UsageError(f"`effects` {asked}: {problem}; give auto, all, none, or names, such as auto,-camera_shake")
 
 
 def with_effects(

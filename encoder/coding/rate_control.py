@@ -19,7 +19,7 @@ from decogs.formats.container import PacketKind
 from decogs.formats.errors import UsageError
 
 from ..registry import Check, Fault, GuardedObject, Registry, anything, described, guarded
-from ..settings.checked import MOST_LOSS
+from ..settings.checked import MOST_BYTES, MOST_LOSS
 from ..settings.encode import EncodeSettings
 from ..settings.frame import SignificanceSettings
 from ..training.methods import require_sparse
@@ -83,8 +83,8 @@ def with_budget(settings: EncodeSettings, bytes_per_frame: float) -> EncodeSetti
     Raises UsageError for a number that is no budget, and for settings that code every change.
     """
     asked = f"`bytes_per_frame` {bytes_per_frame:g}"
-    if not (math.isfinite(bytes_per_frame) and bytes_per_frame >= 1):
-        raise UsageError(f"{asked}: that is {bytes_per_frame:g} bytes a frame; give at least 1")
+    if not 1 <= bytes_per_frame <= MOST_BYTES:
+        raise UsageError(f"{asked}: that is {bytes_per_frame:g} bytes a frame; give at least 1, at most {MOST_BYTES:g}")
     require_sparse(settings, asked, "codes every change")
     if not settings.frame.significance.threshold or settings.frame.cache is not None:
         raise UsageError(f"{asked}: these settings code every change; choose `settings` draft, standard or high")

@@ -7,7 +7,7 @@ call, and type checkers see `Any`); pydantic (4 MB for a hundred comparisons).
 
 from __future__ import annotations
 
-import math
+import sys
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -20,17 +20,17 @@ from decogs.formats.errors import UsageError
 class Within:
     """Numbers from ``low`` to ``high``, both included; with ``or_zero``, 0 as well."""
 
-    low: float = -math.inf
-    high: float = math.inf
+    low: float = -sys.float_info.max
+    high: float = sys.float_info.max
     or_zero: bool = False
 
     def takes(self, value: float) -> bool:
-        """NaN is in no range."""
+        """NaN and infinities are in no range."""
         return self.low <= value <= self.high or (self.or_zero and value == 0)
 
     def text(self, kind: str) -> str:
         """In words; ``kind``: of number."""
-        bounded = f" from {self.low:.15g} to {self.high:.15g}" if math.isfinite(self.high) else ""
+        bounded = "" if self == Within() else f" from {self.low:.15g} to {self.high:.15g}"
         return f"{'0, or ' if self.or_zero else ''}a {kind}{bounded}"
 
 
@@ -53,6 +53,8 @@ Levels = Annotated[float, Within(0, 1000)]
 """8-bit levels; beyond 255 nothing counts."""
 Rate = Annotated[float, Within(0, 1e9)]
 """Of an optimiser, or a mean gradient from which something happens."""
+MOST_BYTES = 1e12
+Bytes = Annotated[float, Within(1, MOST_BYTES)]
 MOST_LOSS = 1e9
 Loss = Annotated[float, Within(0, MOST_LOSS)]
 """Millionths of a picture's mean loss."""

@@ -10,7 +10,7 @@ from decogs.codec.entropy import DEFAULT_LEVEL
 from decogs.formats.container import MAX_FRAME
 from decogs.formats.errors import UsageError
 
-from .checked import Checked, OneOf, Within
+from .checked import Bytes, Checked, OneOf, Within
 from .compensation import CorrectionSettings
 from .effects import EFFECT_NAMES, FRAME_EFFECTS, PRESET_EFFECTS
 from .frame import FrameSettings
@@ -66,7 +66,7 @@ class EncodeSettings(Checked):
     catch_up: Annotated[int, Within(1, 1000)] = 3
     cross_fade: Annotated[int, Within(0, 1000)] = 3
     cuts: bool = True
-    frame_budget: Annotated[float, Within(1, 1e12)] | None = None
+    frame_budget: Bytes | None = None
     time_budget: Annotated[float, Within(1e-4, 1e6)] | None = None
     target_psnr: Annotated[float, Within(1e-9, 100)] | None = None
     effects: Annotated[tuple[str, ...], OneOf(EFFECT_NAMES)] = PRESET_EFFECTS
