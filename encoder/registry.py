@@ -69,7 +69,7 @@ def described(value: object) -> str:
     """A wrong value in a few words: an array's type and shape, else its type."""
     if hasattr(value, "dtype") and hasattr(value, "shape"):
         return f"{value.dtype} {value.shape}"
-    return "None" if value is None else f"a {type(value).__name__}"
+    return "None" if value is None else type(value).__name__
 
 
 class Registry(Generic[T]):
