@@ -36,7 +36,7 @@ from .settings.compensation import CorrectionSettings
 from .settings.encode import EncodeSettings
 from .settings.presets import preset
 from .stream import encode_stream
-from .switches import Switches, check_names, with_switches
+from .switches import Switches, check_together, with_switches
 from .targets import Targets, with_targets
 from .training.methods import FRAME_METHODS, require_sparse
 
@@ -109,8 +109,8 @@ def encode(
     check_device(device)
     if metrics and resume:
         raise UsageError("`metrics` cannot be resumed: what was left may lack them; leave out one of the two")
-    if seed < 0:
-        raise UsageError(f"`seed` {seed}: give a number of at least 0")
+    if not (isinstance(seed, int) and seed >= 0):
+        raise UsageError(f"`seed` {seed}: give a whole number of at least 0")
     chosen = chosen_settings(settings, switches, targets, segment, closed=closed)
     base = _base(chosen, only, keyframe, resume=resume)
     source = None if keyframe is None or base is not None else _read_source(keyframe)
@@ -239,6 +239,8 @@ def chosen_settings(
 ) -> EncodeSettings:
     """The settings with all that is asked for on top of them; raises UsageError for what cannot be."""
     chosen = preset(settings) if isinstance(settings, str) else settings
+    if not isinstance(chosen, EncodeSettings):
+        raise UsageError(f"`settings` {settings!r}: give the name of a preset, or EncodeSettings")
     if switches is not None:
         chosen = with_switches(chosen, switches)
     if segment is not None:
@@ -247,7 +249,7 @@ def chosen_settings(
         chosen = replace(chosen, segment=segment)
     chosen = chosen if targets is None else with_targets(chosen, targets)
     chosen = replace(chosen, closed=True) if closed else chosen
-    check_names(chosen)
+    check_together(chosen)
     return chosen
 
 

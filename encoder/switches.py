@@ -15,8 +15,10 @@ from typing import Any, TypeVar
 from decogs.formats.errors import UsageError
 
 from .change.selection import SELECTION_RULES
-from .coding.rate_control import RATE_CONTROLS
+from .coding.rate_control import RATE_CONTROLS, with_budget
+from .coding.time_control import with_target_psnr, with_time_budget
 from .registry import Registry
+from .settings.checked import Checked
 from .settings.encode import EncodeSettings
 from .settings.frame import ABLATIONS
 from .training.densification import DENSIFICATIONS
@@ -38,7 +40,7 @@ _NAMED: dict[str, Registry[Any]] = {
 
 
 @dataclass(frozen=True)
-class Switches:
+class Switches(Checked):
     """What later frames are trained with, on top of settings; None and nothing are what those say.
 
     ``method``: a name in FRAME_METHODS: "decogs", "3dgstream", or one of an installed package. ``ablate``: parts of
@@ -58,8 +60,8 @@ def with_switches(settings: EncodeSettings, switches: Switches) -> EncodeSetting
     return settings if switches.selection is None else with_selection(settings, switches.selection)
 
 
-def check_names(settings: EncodeSettings) -> None:
-    """Raises UsageError where a setting names what is not installed, or what its method does not have.
+def check_together(settings: EncodeSettings) -> None:
+    """Raises UsageError where a setting names what is not installed, or asks for what the others do not have.
 
     Settings themselves know no registry; an encode asks before it begins, not in the frame that needs the name.
     """
@@ -67,9 +69,12 @@ def check_names(settings: EncodeSettings) -> None:
         _get(registry, attrgetter(path)(settings), path.rsplit(".")[-1])
     if settings.frame.ablated:
         require_sparse(settings, f"`ablate` {settings.frame.ablated[0]}", "has no such part")
-    for name in ("frame_budget", "time_budget", "target_psnr"):
-        if getattr(settings, name) is not None:
-            require_sparse(settings, f"`{name}`", "has a fixed schedule")
+    if settings.frame_budget is not None:
+        with_budget(settings, settings.frame_budget)
+    if settings.time_budget is not None:
+        with_time_budget(settings, settings.time_budget)
+    if settings.target_psnr is not None:
+        with_target_psnr(settings, settings.target_psnr)
 
 
 def _get(registry: Registry[T], name: str, parameter: str) -> T:

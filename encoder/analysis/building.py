@@ -51,7 +51,7 @@ class EffectChoice:
 
     def __str__(self) -> str:
         """As ``--effects`` takes it."""
-        base = [] if self.base == NONE and self.added else [self.base]
+        base = [] if self.base == NONE and self.added else [str(self.base)]
         return ",".join([*base, *sorted(self.added), *(f"-{name}" for name in sorted(self.dropped))])
 
     def names(self, detected: Collection[str]) -> tuple[str, ...]:

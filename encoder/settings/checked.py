@@ -8,7 +8,7 @@ call, and type checkers see `Any`); pydantic (4 MB for a hundred comparisons).
 from __future__ import annotations
 
 import sys
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
@@ -89,9 +89,10 @@ def _wanted(hint: Any, value: object) -> str:
         return _wanted_number(kind, limits, value)
     if kind is str:
         return "" if _is_name(value, limits) else f"a name{_listed(limits)}"
-    if origin is tuple:
+    if origin in (tuple, Sequence):
         # A text is a sequence of texts, too.
-        good = isinstance(value, tuple) and all(_is_name(one, limits) for one in value)
+        kinds = tuple if origin is tuple else (tuple, list)
+        good = isinstance(value, kinds) and all(_is_name(one, limits) for one in value)
         return "" if good and len(set(value)) == len(value) else f"a tuple of names{_listed(limits)}, each once"  # type: ignore[call-overload,arg-type]
     if origin is Mapping:
         if not (isinstance(value, Mapping) and all(_is_name(key, None) for key in value)):

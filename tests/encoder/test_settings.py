@@ -8,19 +8,20 @@ import pkgutil
 from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass, replace
 from importlib import import_module
+from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import pytest
 
 import decogs.encoder.settings as settings_package
-from decogs.encoder import PRESETS, CorrectionSettings, EncodeSettings, Targets
+from decogs.encoder import PRESETS, CorrectionSettings, EncodeSettings, Switches, Targets, encode
 from decogs.encoder.settings.checked import Checked, OneOf, Within
 from decogs.encoder.settings.effects import EFFECT_NAMES
 from decogs.encoder.settings.frame import ABLATIONS, FrameSettings, IterationSettings
 from decogs.encoder.settings.keyframe import KeyframeSettings
 from decogs.encoder.settings.optimiser import LearningRates
 from decogs.encoder.settings.reading import read_settings
-from decogs.encoder.switches import check_names
+from decogs.encoder.switches import check_together
 from decogs.formats.errors import UsageError
 
 
@@ -100,6 +101,14 @@ def test_targets_are_numbers(name: str, value: object) -> None:
             Targets(**{name: value})  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize(
+    "given", [{"ablate": "focus"}, {"ablate": [1]}, {"ablate": ("focus",) * 2}, {"method": 3}, {"selection": ["paper"]}]
+)
+def test_switches_are_names(given: dict[str, Any]) -> None:
+    with pytest.raises(UsageError, match=rf"^`{next(iter(given))}` .* \(Switches\)$"):
+        Switches(**given)
+
+
 def test_the_bounds_themselves_are_taken() -> None:
     for given in ({"warm_start": 0}, {"warm_start": 1.0}, {"max_stretch": 0}, {"max_stretch": 1.0}, {"beta1": 0}):
         replace(FrameSettings(), **given)  # type: ignore[arg-type]
@@ -161,9 +170,16 @@ STANDARD, DENSE = PRESETS["standard"], EncodeSettings(method="3dgstream")
             replace(STANDARD, frame=replace(STANDARD.frame, densification="x")),
             "`densification` x: there is no such densification; choose from clone-split",
         ),
-        (replace(DENSE, target_psnr=30.0), "`target_psnr`: `method` 3dgstream has a fixed schedule; drop one"),
-        (replace(DENSE, time_budget=1.0), "`time_budget`: `method` 3dgstream has a fixed schedule; drop one"),
-        (replace(DENSE, frame_budget=1e4), "`frame_budget`: `method` 3dgstream has a fixed schedule; drop one"),
+        (
+            replace(DENSE, target_psnr=30.0),
+            "`target_psnr`: `method` 3dgstream trains a fixed number of steps; drop one",
+        ),
+        (replace(DENSE, time_budget=1.0), "`time_budget`: `method` 3dgstream trains a fixed number of steps; drop one"),
+        (replace(DENSE, frame_budget=1e4), "`bytes_per_frame` 10000: `method` 3dgstream codes every change; drop one"),
+        (
+            replace(PRESETS["paper"], frame_budget=1e4),
+            "`bytes_per_frame` 10000: these settings code every change; choose",
+        ),
         (
             replace(DENSE, frame=replace(DENSE.frame, ablated=("focus",))),
             "`ablate` focus: `method` 3dgstream has no such part; drop one of the two",
@@ -172,4 +188,13 @@ STANDARD, DENSE = PRESETS["standard"], EncodeSettings(method="3dgstream")
 )
 def test_names_of_what_is_not_installed_are_refused_before_an_encode(settings: Any, message: str) -> None:
     with pytest.raises(UsageError, match=f"^{message}"):
-        check_names(settings)
+        check_together(settings)
+
+
+@pytest.mark.parametrize(
+    "given", [{"settings": 3}, {"settings": None}, {"seed": 1.5}, {"seed": "1"}, {"effects": ("motion",)}]
+)
+def test_an_encode_refuses_other_kinds_of_values(given: dict[str, Any], moving_rig: Path, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=rf"^`{next(iter(given))}` "):
+        encode(moving_rig, tmp_path / "x.dgs", **given)
+    assert not list(tmp_path.iterdir())
