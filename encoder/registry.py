@@ -37,7 +37,7 @@ def guarded(check: Check) -> Callable[[Any, Fault], Any]:
                 result = function(*given, **named)
             except (DecogsError, MemoryError):
                 raise
-            except Exception as error:  # whatever a stranger's code does
+            except (Exception, SystemExit) as error:  # whatever a stranger's code does
                 raise fault(f"raised {type(error).__name__}: {error}") from error
             if problem := check(result, *given, **named):
                 raise fault(f"returned {problem}")
@@ -99,7 +99,7 @@ class Registry(Generic[T]):
             raise UsageError(f"{name}: there is no such {self._kind}; choose from {', '.join(self.names())}")
         try:
             loaded = offered.load()
-        except Exception as error:  # whatever a stranger's module does when it is imported
+        except (Exception, SystemExit) as error:  # whatever a stranger's module does when it is imported
             raise self._fault(offered, f"cannot be imported: {error}") from error
         self._loaded[name] = self._guard(loaded, lambda problem: self._fault(offered, problem))
         return self._loaded[name]

@@ -131,21 +131,22 @@ def _wrong_growth(growth: object, splats: Splats, *given: object, **named: objec
     if not good or (len(parents) and not 0 <= parents.min() <= parents.max() < len(splats)):
         return f"`parents` as {described(parents)}, which are no rows of the {len(splats)} Gaussians"
     if not are_splats(growth.children, splats, len(parents)):
-        return "`children` that are not Splats with a row for each of its `parents`"
+        return "`children` that are not finite Splats with a row for each of its `parents`"
     shapes = {np.shape(growth.parent_means), np.shape(growth.parent_log_scales)}
     return "" if shapes == {(len(parents), 3)} else "means or sizes that are not three for each of its `parents`"
 
 
 def are_splats(value: object, like: Splats, count: int | None = None) -> bool:
-    """Whether these are Gaussians of the same SH degree, and so many of them if ``count`` says."""
+    """Whether these are finite Gaussians of the same SH degree, and so many of them if ``count`` says."""
     if not isinstance(value, Splats):
         return False
     rows = len(value) if count is None else count
     pairs = [(getattr(value, each.name), getattr(like, each.name)) for each in fields(Splats)]
-    return all(
+    shaped = all(
         isinstance(mine, np.ndarray) and mine.dtype.kind == "f" and mine.shape == (rows, *other.shape[1:])
         for mine, other in pairs
     )
+    return shaped and all(np.isfinite(mine).all() for mine, _ in pairs)
 
 
 DENSIFICATIONS: Registry[Densification] = Registry(

@@ -18,7 +18,6 @@ from .threedgstream import BaselineTrainer
 
 
 def _wrong_frame(trained: object, frame: FrameInput) -> str:
-    """What is wrong with a package's trained frame; values that are not finite are found when it is coded."""
     if not isinstance(trained, TrainedFrame):
         return f"{described(trained)}, no TrainedFrame"
     rows: list[int] = []
@@ -32,11 +31,11 @@ def _wrong_frame(trained: object, frame: FrameInput) -> str:
     if len(set(rows)) < len(rows):
         return "rows as both `kept` and `removed`"
     if not are_splats(trained.values, frame.scene, len(trained.kept)):
-        return "`values` that are not Splats with a row for each one kept"
+        return "`values` that are not finite Splats with a row for each one kept"
     if trained.sensitivity is not None and not are_splats(trained.sensitivity, frame.scene, len(trained.kept)):
-        return "`sensitivity` that is not Splats with a row for each one kept"
+        return "`sensitivity` that is not finite Splats with a row for each one kept"
     if not are_splats(trained.added, frame.scene):
-        return "`added` that are not Splats of the scene's SH degree"
+        return "`added` that are not finite Splats of the scene's SH degree"
     return ""
 
 

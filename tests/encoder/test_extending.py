@@ -159,6 +159,7 @@ SAID = "broken: the {kind} broken_module:rule of the package decogs-example {pro
         (returns([True] * 3), "returned list, not one bool for each Gaussian: bool (3,)"),
         (lambda views: np.ones(3, bool), "raised TypeError: <lambda>() takes 1 positional argument but 2 were given"),
         (raises, "raised ValueError: no such thing"),
+        (lambda *given: sys.exit(3), "raised SystemExit: 3"),
         (7, "is no function but int"),
         (None, "is no function but None"),
     ],
@@ -210,11 +211,27 @@ ROWS = "that are not ascending from 0 to "
         (lambda frame: trained(frame, removed=np.array([-1])), "returned `removed` with rows " + ROWS),
         (lambda frame: trained(frame, removed=np.array([1 << 40])), "returned `removed` with rows " + ROWS),
         (lambda frame: trained(frame, removed=np.array([2, 1])), "returned `removed` with rows " + ROWS),
-        (lambda frame: trained(frame, kept=np.array([1])), "returned `values` that are not Splats with a row for each"),
-        (lambda frame: trained(frame, values=None), "returned `values` that are not Splats with a row for each one"),
-        (lambda frame: trained(frame, added=[]), "returned `added` that are not Splats of the scene's SH degree"),
-        (lambda frame: trained(frame, added=empty_splats(3)), "returned `added` that are not Splats of the scene's SH"),
-        (lambda frame: trained(frame, sensitivity=1.0), "returned `sensitivity` that is not Splats with a row for"),
+        (
+            lambda frame: trained(frame, kept=np.array([1])),
+            "returned `values` that are not finite Splats with a row for each",
+        ),
+        (
+            lambda frame: trained(frame, values=None),
+            "returned `values` that are not finite Splats with a row for each one",
+        ),
+        (
+            lambda frame: trained(frame, added=[]),
+            "returned `added` that are not finite Splats of the scene's SH degree",
+        ),
+        (
+            lambda frame: trained(frame, added=empty_splats(3)),
+            "returned `added` that are not finite Splats of the scene's SH",
+        ),
+        (lambda frame: trained(frame, added=_splats(2, np.nan)), "returned `added` that are not finite Splats of the"),
+        (
+            lambda frame: trained(frame, sensitivity=1.0),
+            "returned `sensitivity` that is not finite Splats with a row for",
+        ),
         (
             lambda frame: trained(
                 frame, kept=np.array([1]), values=take_splats(frame.scene, np.array([1])), removed=np.array([1])
@@ -240,9 +257,9 @@ def test_a_method_that_is_right_is_not_refused(monkeypatch: pytest.MonkeyPatch) 
     assert len(FRAME_METHODS.get("broken").trainer(None).train(frame).kept) == 0  # type: ignore[arg-type]
 
 
-def _splats(count: int) -> Splats:
+def _splats(count: int, value: float = 0.0) -> Splats:
     shapes = ((count, 3), (count, 3), (count, 4), (count,), (count, 4, 3))
-    return Splats(*(np.zeros(shape, np.float32) for shape in shapes))
+    return Splats(*(np.full(shape, value, np.float32) for shape in shapes))
 
 
 def test_what_other_extensions_do_wrong_is_said_with_their_package(monkeypatch: pytest.MonkeyPatch) -> None:
