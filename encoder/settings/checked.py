@@ -2,7 +2,7 @@
 
 ``iterations: Annotated[int, Within(1, 1_000_000)] = 1000`` is type, range and default on one line. Rejected: a table of
 ranges beside the fields (a new field is forgotten there); `dataclasses.field` with metadata (the default moves into a
-call, and type checkers see `Any`); pydantic (4 MB for a hundred comparisons).
+call, and type checkers see `Any`); pydantic (a dependency for a hundred comparisons).
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ Size = Annotated[float, Within(1e-3, 1e3)]
 """Of a Gaussian, as a multiple of something."""
 Steps = Annotated[int, Within(0, 1_000_000)]
 Count = Annotated[int, Within(1, 1_000_000)]
-Levels = Annotated[float, Within(0, 1000)]
-"""8-bit levels; beyond 255 nothing counts."""
+Levels = Annotated[float, Within(0, 255)]
+"""8-bit levels."""
 Rate = Annotated[float, Within(0, 1e9)]
 """Of an optimiser, or a mean gradient from which something happens."""
 MOST_BYTES = 1e12

@@ -53,7 +53,7 @@ class MaskSettings(Checked):
     radius_fraction: Share = 0.0355
     speck_area: Steps = 0
     since_trained: bool = False
-    noise_multiple: Levels = 0.0
+    noise_multiple: Annotated[float, Within(0, 1000)] = 0.0
     residual: Levels = 0.0
     refine_frames: Steps = 0
     refine_threshold: Levels = 25.0
