@@ -8,7 +8,7 @@ from decogs.formats.errors import UsageError
 
 from .coding.rate_control import with_budget, with_lossless, with_quality
 from .coding.time_control import with_target_psnr, with_time_budget
-from .settings.checked import Checked, Number
+from .settings.checked import Checked
 from .settings.encode import EncodeSettings
 
 
@@ -24,11 +24,11 @@ class Targets(Checked):
     everywhere) at which a frame's training ends.
     """
 
-    quality: Number | None = None
-    bytes_per_frame: Number | None = None
+    quality: float | None = None
+    bytes_per_frame: float | None = None
     lossless: bool = False
-    time_budget: Number | None = None
-    target_psnr: Number | None = None
+    time_budget: float | None = None
+    target_psnr: float | None = None
 
 
 def with_targets(settings: EncodeSettings, targets: Targets) -> EncodeSettings:

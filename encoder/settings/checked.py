@@ -7,7 +7,6 @@ call, and type checkers see `Any`); pydantic (a dependency for a hundred compari
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -20,8 +19,8 @@ from decogs.formats.errors import UsageError
 class Within:
     """Numbers from ``low`` to ``high``, both included; with ``or_zero``, 0 as well."""
 
-    low: float = -sys.float_info.max
-    high: float = sys.float_info.max
+    low: float
+    high: float
     or_zero: bool = False
 
     def takes(self, value: float) -> bool:
@@ -30,8 +29,7 @@ class Within:
 
     def text(self, kind: str) -> str:
         """In words; ``kind``: of number."""
-        bounded = "" if self == Within() else f" from {self.low:.15g} to {self.high:.15g}"
-        return f"{'0, or ' if self.or_zero else ''}a {kind}{bounded}"
+        return f"{'0, or ' if self.or_zero else ''}a {kind} from {self.low:.15g} to {self.high:.15g}"
 
 
 @dataclass(frozen=True)
@@ -41,7 +39,6 @@ class OneOf:
     names: tuple[str, ...]
 
 
-Number = Annotated[float, Within()]
 Share = Annotated[float, Within(0, 1)]
 Opacity = Annotated[float, Within(1e-6, 1 - 1e-6)]
 """Of a Gaussian that is trained: 0 and 1 have no logit."""
@@ -103,9 +100,10 @@ def _wanted(hint: Any, value: object) -> str:
 
 def _wanted_number(kind: type, limits: Any, value: object) -> str:
     is_number = isinstance(value, int if kind is int else (int, float)) and not isinstance(value, bool)
-    if is_number and limits.takes(value):
+    if is_number and (limits is None or limits.takes(value)):
         return ""
-    return str(limits.text("whole number" if kind is int else "number"))
+    text = "whole number" if kind is int else "number"
+    return f"a {text}" if limits is None else str(limits.text(text))
 
 
 def _is_name(value: object, known: OneOf | None) -> bool:

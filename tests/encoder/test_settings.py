@@ -93,9 +93,9 @@ def test_every_field_has_a_range_and_keeps_to_it(kind: type, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", [field.name for field in fields(Targets)])
-@pytest.mark.parametrize("value", ["50", True, math.nan, math.inf, 10**400, (1,)])
+@pytest.mark.parametrize("value", ["50", True, b"1", (1,), {}])
 def test_targets_are_numbers(name: str, value: object) -> None:
-    """Their ranges are those of the settings that they become."""
+    """Their ranges are checked when the settings are made of them."""
     if not (name == "lossless" and value is True):
         with pytest.raises(UsageError, match=rf"^`{name}` .* \(Targets\)$"):
             Targets(**{name: value})  # type: ignore[arg-type]
