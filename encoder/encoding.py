@@ -110,7 +110,7 @@ def encode(
     if metrics and resume:
         raise UsageError("`metrics` cannot be resumed: what was left may lack them; leave out one of the two")
     if not (isinstance(seed, int) and seed >= 0):
-        raise UsageError(f"`seed` {seed}: give a whole number of at least 0")
+        raise UsageError(f"`seed` {seed}: give a number of at least 0, a whole one")
     chosen = chosen_settings(settings, switches, targets, segment, closed=closed)
     base = _base(chosen, only, keyframe, resume=resume)
     source = None if keyframe is None or base is not None else _read_source(keyframe)
