@@ -86,10 +86,12 @@ def _wanted(hint: Any, value: object) -> str:
         return _wanted_number(kind, limits, value)
     if kind is str:
         return "" if _is_name(value, limits) else f"a name{_listed(limits)}"
-    if origin in (tuple, Sequence):
+    if origin is Sequence:
         # A text is a sequence of texts, too.
-        kinds = tuple if origin is tuple else (tuple, list)
-        good = isinstance(value, kinds) and all(_is_name(one, limits) for one in value)
+        good = isinstance(value, (tuple, list)) and all(_is_name(one, limits) for one in value)
+        return "" if good else "a list of names"
+    if origin is tuple:
+        good = isinstance(value, tuple) and all(_is_name(one, limits) for one in value)
         return "" if good and len(set(value)) == len(value) else f"a tuple of names{_listed(limits)}, each once"  # type: ignore[call-overload,arg-type]
     if origin is Mapping:
         if not (isinstance(value, Mapping) and all(_is_name(key, None) for key in value)):

@@ -101,9 +101,7 @@ def test_targets_are_numbers(name: str, value: object) -> None:
             Targets(**{name: value})  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(
-    "given", [{"ablate": "focus"}, {"ablate": [1]}, {"ablate": ("focus",) * 2}, {"method": 3}, {"selection": ["paper"]}]
-)
+@pytest.mark.parametrize("given", [{"ablate": "focus"}, {"ablate": [1]}, {"method": 3}, {"selection": ["paper"]}])
 def test_switches_are_names(given: dict[str, Any]) -> None:
     with pytest.raises(UsageError, match=rf"^`{next(iter(given))}` .* \(Switches\)$"):
         Switches(**given)
