@@ -18,7 +18,6 @@ from dataclasses import replace
 import numpy as np
 
 from decogs.codec.state import State, changed_between
-from decogs.formats.errors import UsageError
 from decogs.formats.splats import Splats
 
 from .input.ingest import RigFrame
@@ -30,18 +29,6 @@ from .training.method import TrainedFrame
 
 _MOST = 0.9
 """Share of the next segment in the last frame before it. What is learnt lags behind what is to be learnt."""
-
-
-def with_closed_segments(settings: EncodeSettings) -> EncodeSettings:
-    """The same settings with closed segments; raises UsageError where they would not be independent."""
-    if not settings.segment:
-        raise UsageError("`closed`: say how many frames a segment has, with `segment`")
-    if settings.time_budget is not None:
-        raise UsageError(
-            "`closed`: `time_budget` carries time from segment to segment, so none stands on its own; drop one of the "
-            "two"
-        )
-    return replace(settings, closed=True)
 
 
 def catch_up(

@@ -256,7 +256,7 @@ def _encode_or_part(parser: Parser, options: argparse.Namespace) -> int:
 
 def _encode_on_cluster(parser: Parser, options: argparse.Namespace) -> int:
     from .cluster.encoding import encode_on_cluster
-    from .option_texts import effect_choice, names
+    from .option_texts import names
     from .switches import Switches
     from .targets import Targets
 
@@ -274,7 +274,7 @@ def _encode_on_cluster(parser: Parser, options: argparse.Namespace) -> int:
             holdout=options.holdout,
             switches=Switches(options.method, names(options.ablate), options.selection),
             targets=Targets(options.quality, bytes_per_frame, options.lossless, None, options.target_psnr),
-            effects=None if options.effects is None else effect_choice(options.effects),
+            effects=options.effects,
             keyframe=options.keyframe,
             resume=options.resume,
             metrics=options.metrics,
@@ -303,7 +303,7 @@ def _check_cluster(options: argparse.Namespace) -> None:
 
 def _encode(parser: Parser, options: argparse.Namespace) -> int:
     from .encoding import encode
-    from .option_texts import effect_choice, names, seconds_per_frame
+    from .option_texts import names, seconds_per_frame
     from .switches import Switches
     from .targets import Targets
 
@@ -322,7 +322,7 @@ def _encode(parser: Parser, options: argparse.Namespace) -> int:
             holdout=options.holdout,
             switches=Switches(options.method, names(options.ablate), options.selection),
             targets=Targets(options.quality, bytes_per_frame, options.lossless, seconds, options.target_psnr),
-            effects=None if options.effects is None else effect_choice(options.effects),
+            effects=options.effects,
             keyframe=options.keyframe,
             segment=options.segment,
             closed=options.closed,
@@ -396,9 +396,7 @@ def _summary(report: EncodeReport) -> list[str]:
         lines[0] += f"; {report.resumed or 'none'} of them were already encoded"
     if report.interrupted:
         lines[0] += f"; interrupted by Ctrl-C after frame {frames[-1].frame}: the stream is complete up to it"
-    held = [f.held_out_psnr for f in frames if f.held_out_psnr is not None]
-    if held:
-        lines.append(f"held-out PSNR  first {held[0]:.2f}  mean {_mean(held):.2f}  last {held[-1]:.2f} dB")
+    lines += _held_out(report)
     later = [frame for frame in frames[1:] if not frame.replayed]
     if later:
         seconds = [sum(s for name, s in f.seconds.items() if name != "measure") for f in later]
@@ -407,6 +405,20 @@ def _summary(report: EncodeReport) -> list[str]:
             f"after the first frame  {_mean([f.bytes for f in later]):.0f} bytes, {_mean(seconds):.2f} s, "
             f"{_mean(cpu_seconds):.2f} CPU-s, {_mean(selected):.1%} selected (means)"
         )
+    return lines
+
+
+def _held_out(report: EncodeReport) -> list[str]:
+    """The held-out cameras' PSNR; with a scale, that of the scaled pictures and that of what is decoded."""
+    lines = []
+    for place, (name, what) in enumerate((("held_out_psnr", "scaled"), ("held_out_own_size_psnr", "own size"))):
+        sizes = dict.fromkeys(each[place] for each in report.held_out_sizes.values())
+        values = [value for frame in report.frames if (value := getattr(frame, name)) is not None]
+        at = "" if report.frames[0].scale == 1 else f" at {', '.join(f'{w}x{h}' for w, h in sizes)} ({what})"
+        if values:
+            lines.append(
+                f"held-out PSNR  first {values[0]:.2f}  mean {_mean(values):.2f}  last {values[-1]:.2f} dB{at}"
+            )
     return lines
 
 

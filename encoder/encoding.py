@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, BinaryIO, Literal
+from typing import Any, BinaryIO
 
 from decogs.formats.callbacks import OnWarning
 from decogs.formats.container import MAX_FRAME
@@ -17,9 +17,8 @@ from decogs.formats.outputs import Output, check_outputs
 from decogs.formats.rigs import Rig, files_of, open_rig
 from decogs.formats.threads import thread_count
 
-from .analysis import Decision, EffectChoice, with_effects
+from .analysis import Decision, EffectChoice, effect_choice, with_effects
 from .analysis.analyse import analyse
-from .closed_segments import with_closed_segments
 from .input.imported_keyframe import KeyframeSource, read_keyframe
 from .input.imported_splats import SplatSource, is_splat_file, read_splat_source
 from .input.ingest import Ingest, frame_span
@@ -37,7 +36,7 @@ from .settings.compensation import CorrectionSettings
 from .settings.encode import EncodeSettings
 from .settings.presets import preset
 from .stream import encode_stream
-from .switches import Switches, with_switches
+from .switches import Switches, check_together, with_switches
 from .targets import Targets, with_targets
 from .training.methods import FRAME_METHODS, require_sparse
 
@@ -54,7 +53,7 @@ def encode(
     holdout: Sequence[str] = (),
     switches: Switches | None = None,
     targets: Targets | None = None,
-    effects: EffectChoice | Literal["auto", "all", "none"] | None = None,
+    effects: EffectChoice | str | None = None,
     corrections: CorrectionSettings | None = None,
     keyframe: str | os.PathLike[str] | None = None,
     segment: int | None = None,
@@ -80,17 +79,17 @@ def encode(
     Input: ``frames``: consecutive ones, as a slice or a range; all when None. ``scale``: of the pictures
     trained on, above 0 and at most 4. ``holdout``: names of cameras kept out of training and measured on.
 
-    Method: ``switches``: the method of later frames and its parts; ``targets``: quality, bytes and time; both on top of
-    the settings. ``effects``: those to enable (`EffectChoice`), or one of its bases; None is "auto" for a
-    named preset, and for settings what they say; the baseline has none. ``corrections``: cameras whose drift
-    is known, instead of those that ``effects`` detects. ``keyframe``: an earlier stream of the same rig, first frame
-    and held-out cameras whose keyframe is taken as it is; or another trainer's .ply or .spz. ``segment``: frames
-    from one keyframe to the next; later ones are coded as differences from the first. ``closed``: every such segment
-    starts from the first keyframe's Gaussians and depends on no other (`closed_segments`). ``only``: the frames of the
-    rig to encode of all ``frames``, whole closed segments or the first frame alone: the output is then a part, for
-    `join`. Parts but the first take the keyframe from another part, as ``keyframe``. ``resume``: go on with what an
-    encode with the same options left in ``output`` + ".part", or as a shorter stream; the file gets the bytes of one
-    that was not cut off.
+    Method: ``switches``: the method of later frames and its parts; ``targets``: quality, bytes and time; both on
+    top of the settings. ``effects``: those to enable, as `EffectChoice` or as a text (`effect_choice`), such as
+    "auto,-camera_shake"; None is "auto" for a named preset, and for settings what they say; the baseline has none.
+    ``corrections``: cameras whose drift is known, instead of those that ``effects`` detects. ``keyframe``: an
+    earlier stream of the same rig, first frame and held-out cameras whose keyframe is taken as it is; or another
+    trainer's .ply or .spz. ``segment``: frames from one keyframe to the next; later ones are coded as differences
+    from the first. ``closed``: every such segment starts from the first keyframe's Gaussians and depends on no
+    other (`closed_segments`). ``only``: the frames of the rig to encode of all ``frames``, whole closed segments or
+    the first frame alone: the output is then a part, for `join`. Parts but the first take the keyframe from another
+    part, as ``keyframe``. ``resume``: go on with what an encode with the same options left in ``output`` + ".part",
+    or as a shorter stream; the file gets the bytes of one that was not cut off.
 
     ``metrics``: the stream tells the PSNR of every frame, which the player shows; not with ``resume``.
 
@@ -110,8 +109,8 @@ def encode(
     check_device(device)
     if metrics and resume:
         raise UsageError("`metrics` cannot be resumed: what was left may lack them; leave out one of the two")
-    if seed < 0:
-        raise UsageError(f"`seed` {seed}: give a number of at least 0")
+    if not (isinstance(seed, int) and seed >= 0):
+        raise UsageError(f"`seed` {seed}: give a number of at least 0, a whole one")
     chosen = chosen_settings(settings, switches, targets, segment, closed=closed)
     base = _base(chosen, only, keyframe, resume=resume)
     source = None if keyframe is None or base is not None else _read_source(keyframe)
@@ -161,6 +160,8 @@ def encode(
                 "cameras": [camera.name for camera in rig.cameras],
                 "held_out": list(holdout),
                 "frames": [span.start, span.stop] if part is None else [part.start, part.stop],
+                "scale": scale,
+                "held_out_sizes": ingest.held_out_sizes,
                 "seed": seed,
                 "keyframe": None if keyframe is None else str(keyframe),
                 "resume": resume,
@@ -184,6 +185,7 @@ def encode(
             report = encode_stream(ingest, target, span, chosen, resume=resume, **given)
         else:
             report = encode_part(ingest, target, part, span, chosen, base=base, **given)
+        report = replace(report, held_out_sizes=ingest.held_out_sizes)
         observer.finished(
             {
                 "output": str(report.output),
@@ -237,6 +239,8 @@ def chosen_settings(
 ) -> EncodeSettings:
     """The settings with all that is asked for on top of them; raises UsageError for what cannot be."""
     chosen = preset(settings) if isinstance(settings, str) else settings
+    if not isinstance(chosen, EncodeSettings):
+        raise UsageError(f"`settings` {settings!r}: give the name of a preset, or EncodeSettings")
     if switches is not None:
         chosen = with_switches(chosen, switches)
     if segment is not None:
@@ -244,16 +248,20 @@ def chosen_settings(
             raise UsageError(f"`segment` {segment}: give a number of frames, at least 1 and at most {MAX_FRAME}")
         chosen = replace(chosen, segment=segment)
     chosen = chosen if targets is None else with_targets(chosen, targets)
-    return with_closed_segments(chosen) if closed else chosen
+    chosen = replace(chosen, closed=True) if closed else chosen
+    check_together(chosen)
+    return chosen
 
 
 def wanted_effects(
-    effects: EffectChoice | Literal["auto", "all", "none"] | None, settings: str | EncodeSettings, method: str
+    effects: EffectChoice | str | None, settings: str | EncodeSettings, method: str
 ) -> EffectChoice | None:
     """The choice of effects, "auto" for a named preset without one; None where ``settings`` say it themselves."""
     if effects is None and isinstance(settings, str) and not FRAME_METHODS.get(method).dense:
         effects = "auto"
-    return EffectChoice(effects) if isinstance(effects, str) else effects
+    if not isinstance(effects, (str, EffectChoice, type(None))):
+        raise UsageError(f"`effects` {effects!r}: give an EffectChoice, or a text such as 'auto,-camera_shake'")
+    return effect_choice(effects) if isinstance(effects, str) else effects
 
 
 def _with_effects(

@@ -311,5 +311,5 @@ class StreamEncoder:
             return state.trainer.train(given)
 
     def _report(self, frame: RigFrame, written: Written, change: Change, watch: Stopwatch) -> FrameReport:
-        scene = self._state.scene.splats
-        return self._reporter.report(frame, scene, written.packet, written.costs, change, watch)
+        scene = self._state.scene
+        return self._reporter.report(frame, scene.header, scene.splats, written.packet, written.costs, change, watch)

@@ -70,6 +70,9 @@ def encode_memory(
     every = sum(views) + sum(view.pinhole.width * view.pinhole.height for view in ingest.held_out_views)
     lenses = sum(size for size, view in zip(views, ingest.views, strict=True) if view.valid is not None)
     size = _PROGRAM + every * (_PICTURE + _READ + _DECODER * (frames > 1) + (_PICTURE + _READ) * reads_ahead)
+    if ingest.scale != 1:
+        own = [width * height for _, (width, height) in ingest.held_out_sizes.values()]
+        size += sum(own) * _READ * (1 + reads_ahead) + max(own, default=0) * _DRAWN
     size += lenses * _LENS + threads * _DRAWN * max(views) + gaussians * _GAUSSIAN
     first = sum(views) * _KEYFRAME + first_points_memory([view.pinhole for view in ingest.views], threads)
     later = sum(views) * (_LATER + _PICTURE * settings.closed)

@@ -7,22 +7,7 @@ import re
 
 from decogs.formats.errors import UsageError
 
-from .analysis import EffectChoice
-from .settings.effects import EFFECT_BASES
-
 _TIME = re.compile(r"([0-9.eE+-]+?)\s*(ms|s)?\s*(?:/\s*frame)?")
-
-
-def effect_choice(text: str) -> EffectChoice:
-    """The effects of ``--effects``: auto, all or none, or names with commas; ``-name`` takes one away.
-
-    Names alone are those and no other; where the first is taken away, from all. Raises UsageError for an unknown one.
-    """
-    words = [word.strip() for word in text.split(",") if word.strip()]
-    base = words.pop(0) if words and words[0] in EFFECT_BASES else "all" if text.startswith("-") else "none"
-    added = frozenset(word for word in words if not word.startswith("-"))
-    dropped = frozenset(word[1:] for word in words if word.startswith("-"))
-    return EffectChoice(base, added, dropped)
 
 
 def seconds_per_frame(text: str) -> float:

@@ -18,6 +18,11 @@ def psnr_of(mean_square: float) -> float:
     return float(-10 * np.log10(max(mean_square, 1e-12)))
 
 
+def square_error(shown: FloatArray, picture: FloatArray) -> float:
+    """Mean square error of ``shown``, clipped to 0..1."""
+    return float(((np.clip(shown, 0, 1) - picture) ** 2).mean(dtype=np.float64))
+
+
 def mean_psnr(kernel: TrainingKernel, splats: Splats, views: Sequence[View], pictures: Sequence[FloatArray]) -> float:
     """Mean PSNR of ``splats`` through the views against ``pictures`` (3, H, W); NaN without views."""
     return mean_picture_psnr(views, [kernel.forward(splats, view.pinhole).rgb for view in views], pictures)

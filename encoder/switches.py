@@ -9,19 +9,38 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
+from typing import Any, TypeVar
 
 from decogs.formats.errors import UsageError
 
 from .change.selection import SELECTION_RULES
+from .coding.rate_control import RATE_CONTROLS, with_budget
+from .coding.time_control import with_target_psnr, with_time_budget
+from .registry import Registry
+from .settings.checked import Checked
 from .settings.encode import EncodeSettings
+from .settings.frame import ABLATIONS
+from .training.densification import DENSIFICATIONS
 from .training.methods import FRAME_METHODS, require_sparse
+from .training.optimiser import OPTIMISERS
 
-ABLATIONS = ("select", "focus", "gate")
-"""The parts of DecoGS that can be left out; `without` says what then happens."""
+T = TypeVar("T")
+
+_NAMED: dict[str, Registry[Any]] = {
+    "method": FRAME_METHODS,
+    "rate_control": RATE_CONTROLS,
+    "frame.selection.rule": SELECTION_RULES,
+    "frame.optimiser": OPTIMISERS,
+    "frame.densification": DENSIFICATIONS,
+    "keyframe.optimiser": OPTIMISERS,
+    "keyframe.densification": DENSIFICATIONS,
+}
+"""Settings that are names in a registry, which packages may extend."""
 
 
 @dataclass(frozen=True)
-class Switches:
+class Switches(Checked):
     """What later frames are trained with, on top of settings; None and nothing are what those say.
 
     ``method``: a name in FRAME_METHODS: "decogs", "3dgstream", or one of an installed package. ``ablate``: parts of
@@ -41,15 +60,36 @@ def with_switches(settings: EncodeSettings, switches: Switches) -> EncodeSetting
     return settings if switches.selection is None else with_selection(settings, switches.selection)
 
 
+def check_together(settings: EncodeSettings) -> None:
+    """Raises UsageError where a setting names what is not installed, or asks for what the others do not have.
+
+    Settings themselves know no registry; an encode asks before it begins, not in the frame that needs the name.
+    """
+    for path, registry in _NAMED.items():
+        _get(registry, attrgetter(path)(settings), path.rsplit(".")[-1])
+    if settings.frame.ablated:
+        require_sparse(settings, f"`ablate` {settings.frame.ablated[0]}", "has no such part")
+    if settings.frame_budget is not None:
+        with_budget(settings, settings.frame_budget)
+    if settings.time_budget is not None:
+        with_time_budget(settings, settings.time_budget)
+    if settings.target_psnr is not None:
+        with_target_psnr(settings, settings.target_psnr)
+
+
+def _get(registry: Registry[T], name: str, parameter: str) -> T:
+    try:
+        return registry.get(name)
+    except UsageError as error:
+        raise UsageError(f"`{parameter}` {error}") from error
+
+
 def with_method(settings: EncodeSettings, name: str) -> EncodeSettings:
     """The same settings with later frames trained by another method; raises UsageError for an unknown one.
 
     A dense method has none of DecoGS's parts: settings with an ablation are refused.
     """
-    try:
-        method = FRAME_METHODS.get(name)
-    except UsageError as error:
-        raise UsageError(f"`method` {error}") from error
+    method = _get(FRAME_METHODS, name, "method")
     if method.dense and settings.frame.ablated:
         raise UsageError(f"`method` {name}: it has no {settings.frame.ablated[0]} to leave out; drop `ablate`")
     return replace(settings, method=name)
@@ -60,10 +100,7 @@ def with_selection(settings: EncodeSettings, rule: str) -> EncodeSettings:
 
     A rule without effect is refused: a dense method selects nothing, nor does DecoGS without ``select``.
     """
-    try:
-        SELECTION_RULES.get(rule)
-    except UsageError as error:
-        raise UsageError(f"`selection` {error}") from error
+    _get(SELECTION_RULES, rule, "selection")
     require_sparse(settings, f"`selection` {rule}", "trains every Gaussian")
     if "select" in settings.frame.ablated:
         raise UsageError(f"`selection` {rule}: `ablate` select takes every Gaussian; drop one of the two")

@@ -8,11 +8,12 @@ from decogs.formats.errors import UsageError
 
 from .coding.rate_control import with_budget, with_lossless, with_quality
 from .coding.time_control import with_target_psnr, with_time_budget
+from .settings.checked import Checked
 from .settings.encode import EncodeSettings
 
 
 @dataclass(frozen=True)
-class Targets:
+class Targets(Checked):
     """What a stream is held to; None is what the settings say.
 
     ``quality``: 0 (smallest) to 100 (most exact), 50 is the settings as they are; with a keyframe of an earlier stream,

@@ -10,7 +10,7 @@ frame of one view, in milliseconds, for the encoder's loop. ``DESIGN.md`` has me
 """
 
 from ..settings.effects import EFFECT_NAMES, FRAME_EFFECTS, PRESET_EFFECTS
-from .building import AUTO, EffectChoice, disable, with_effects
+from .building import AUTO, EffectChoice, disable, effect_choice, with_effects
 from .effect import Decision, Effect, Evidence
 from .every_effect import EFFECTS
 from .frame_effects import frame_effects
@@ -28,6 +28,7 @@ __all__ = [
     "Evidence",
     "RigStatistics",
     "disable",
+    "effect_choice",
     "frame_effects",
     "gather_statistics",
     "with_effects",

@@ -43,10 +43,15 @@ class EffectChoice:
                 f"`effects` {self}: there is no effect {unknown[0]!r}; choose auto, all, none or from "
                 f"{', '.join(EFFECT_NAMES)}"
             )
+        both = sorted(set(self.added) & set(self.dropped))
+        if both:
+            raise _refused(self, f"{both[0]} is both enabled and disabled")
+        if self.dropped and self.base == NONE:
+            raise _refused(self, f"-{min(self.dropped)} disables what is not enabled")
 
     def __str__(self) -> str:
         """As ``--effects`` takes it."""
-        base = [] if self.base == NONE and self.added else [self.base]
+        base = [] if self.base == NONE and self.added else [str(self.base)]
         return ",".join([*base, *sorted(self.added), *(f"-{name}" for name in sorted(self.dropped))])
 
     def names(self, detected: Collection[str]) -> tuple[str, ...]:
@@ -54,6 +59,31 @@ class EffectChoice:
         bases = {AUTO: {*FRAME_EFFECTS, *detected}, ALL: set(EFFECT_NAMES), NONE: set[str]()}
         names = (bases[self.base] | self.added) - self.dropped
         return tuple(name for name in EFFECT_NAMES if name in names)
+
+
+def effect_choice(text: str) -> EffectChoice:
+    """The choice that a text states: auto, all or none, and names with commas; ``-name`` disables one.
+
+    Names alone are those and no other; names disabled alone are disabled of all. Blanks do not count. Raises UsageError
+    for a text that names nothing, or what there is not, twice, or both ways.
+    """
+    words = [word.strip() for word in text.split(",") if word.strip()]
+    bases = [word for word in words if word in EFFECT_BASES]
+    named = [word for word in words if word not in EFFECT_BASES]
+    twice = [word for word in words if words.count(word) > 1]
+    if not words:
+        raise _refused(repr(text), "it names no effect")
+    if twice:
+        raise _refused(text, f"{twice[0]} is named twice")
+    if len(bases) > 1:
+        raise _refused(text, f"{bases[0]} and {bases[1]} exclude each other")
+    added = frozenset(word for word in named if not word.startswith("-"))
+    dropped = frozenset(word[1:].strip() for word in named if word.startswith("-"))
+    return EffectChoice(bases[0] if bases else NONE if added else ALL, added, dropped)
+
+
+def _refused(asked: object, problem: str) -> UsageError:
+    return UsageError(f"`effects` {asked}: {problem}; give auto, all, none, or names, such as auto,-camera_shake")
 
 
 def with_effects(

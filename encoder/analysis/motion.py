@@ -64,7 +64,8 @@ class Motion(Effect):
         frame = settings.frame
         rates = replace(frame.rates, means=0.0, log_scales=0.0, quaternions=0.0)
         significance = replace(frame.significance, threshold=_LIGHT_THRESHOLD * frame.significance.threshold)
-        pace = replace(frame.adaptive_iterations, min_factor=_LIGHT_ITERATIONS)
+        adaptive = frame.adaptive_iterations
+        pace = replace(adaptive, min_factor=min(_LIGHT_ITERATIONS, adaptive.max_factor))
         return replace(
             settings,
             frame=replace(

@@ -36,8 +36,8 @@ QUESTIONS = (
     Question(
         "resolution",
         "Training resolution",
-        "`--scale` of the pictures trained on, each with a keyframe of its own. The held-out view is measured at its "
-        "own size in every row.",
+        "`--scale` of the pictures trained on, each with a keyframe of its own. The held-out view is measured at the "
+        "same size in every row.",
         tuple(
             Variant(f"scale-{scale:g}", f"scale {scale:g}", scale=scale, own_keyframe=True)
             for scale in (0.25, 0.5, 0.75, 1.0)

@@ -18,6 +18,7 @@ from ..output.reports import FrameReport
 from .left_out import LeftOut, LeftOutOptions, RigViewpoints
 from .machine import code_version, machine_facts
 from .progress import BenchProgress
+from .regions import measured_size
 from .runs import check_names
 from .tables import markdown, mean, number
 
@@ -130,12 +131,13 @@ def _page(rigs: Sequence[RigViewpoints], results: dict[str, list[LeftOut]], fold
 def _rig_section(rig: RigViewpoints, found: Sequence[LeftOut], folder: Path) -> list[str]:
     ranked = sorted(found, key=lambda result: mean(frame.psnr for frame in result.frames) or 0.0)
     frames = f"frame {rig.frames[0]}" if len(rig.frames) == 1 else f"frames {rig.frames[0]} to {rig.frames[-1]}"
+    sizes = ", ".join(dict.fromkeys(measured_size(rig.rig, result.camera, result.scale) for result in found))
     rows = [[result.camera, *_of_camera(result).cells(), f"`{rig.file_of(result.camera).stem}`"] for result in found]
     rows.append(["mean", *_average([_of_camera(result) for result in found]).cells(), ""])
     lines = [
         f"## {rig.name}",
         "",
-        f"{len(rig.rig.cameras)} cameras, {frames}. Left out:",
+        f"{len(rig.rig.cameras)} cameras, {frames}. Pictures of {sizes}. Left out:",
         "",
         *markdown(["", "PSNR", *_HEADINGS, "how"], rows),
         "",
@@ -183,8 +185,8 @@ def _how(results: dict[str, list[LeftOut]]) -> list[str]:
         "## How these figures were obtained",
         "",
         f"- Code {', '.join(sorted(codes))}; seed {', '.join(map(str, sorted(seeds)))}; one encode for each camera.",
-        "- The camera left out never reaches training. Its view is decoded from the file at its own size, lens "
-        "included, rounded to 8 bit and compared with what it recorded. PSNR in dB, means over the frames.",
+        "- The camera left out never reaches training. Its view is decoded from the file at the size stated, "
+        "lens included, rounded to 8 bit and compared with what it recorded. PSNR in dB, means over the frames.",
         "- Seen by two: over the pixels whose surface at least two training cameras see; elsewhere: over the others. "
         "So views between the cameras are apart from views beyond the rig. The surfaces are those of the same "
         "frames encoded with all cameras (references/), which only measures.",

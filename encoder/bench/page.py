@@ -11,6 +11,7 @@ from .machine import code_version
 from .perceptual import installed_network
 from .plans import Contest, Plan, RigResults
 from .plots import plot_courses, plot_effort, plot_quality, plot_rates, plot_scanlines, plot_trade
+from .regions import measured_size
 from .rival_runs import RatePoint, point_of, point_of_rival, rival_file
 from .runs import KEYFRAME, RigBench, Run
 from .tables import COLUMNS, NOT_RUN, NOTHING, markdown, number
@@ -60,12 +61,12 @@ def _is_untouched(result: RigResults, question: Question) -> bool:
 
 def _about_rig(result: RigResults) -> str:
     bench = result.bench
-    camera = next(camera for camera in bench.rig.cameras if camera.name == bench.camera)
     regions, frames = bench.regions, bench.frames
     training = len(bench.rig.cameras) - len(bench.cameras)
+    size = measured_size(bench.rig, bench.camera, bench.options.scale)
     text = (
-        f"{training} training views, {', '.join(bench.cameras)} held out ({camera.width}x{camera.height}"
-        f"{'' if bench.options.scale == 1 else f', scale {bench.options.scale:g}'}), frames {frames.start} to "
+        f"{training} training views, {', '.join(bench.cameras)} held out ({size}), "
+        f"frames {frames.start} to "
         f"{frames[-1]}. Static {regions.static.mean():.1%} of {bench.camera}'s pixels, dynamic "
         f"{regions.dynamic.mean():.1%}: {regions.about}."
     )
@@ -265,9 +266,9 @@ def _how(plan: Plan, results: Sequence[RigResults]) -> list[str]:
     if runs:
         lines += [*_circumstances(runs), ""]
     lines += [
-        "The stream of each run is decoded from its file and the held-out camera's view of every frame rendered at its "
-        "own size, lens distortion included, and rounded to 8 bit as `decogs-decode` writes it; the recorded frame is "
-        "8 bit as well. Pictures count from 0 to 1.",
+        "The stream of each run is decoded from its file and the held-out camera's view of every frame rendered at the "
+        "size stated for its rig, lens distortion included, and rounded to 8 bit as `decogs-decode` writes it; the "
+        "recorded frame is 8 bit as well. Pictures count from 0 to 1.",
         "",
         "- PSNR: of the mean square error over the pixels of a region and the three channels; the mean of the frames' "
         "values, the shared keyframe included.",

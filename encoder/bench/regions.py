@@ -144,6 +144,12 @@ def _camera(rig: Rig, name: str) -> Camera:
     return next(camera for camera in rig.cameras if camera.name == name)
 
 
+def measured_size(rig: Rig, camera: str, scale: float) -> str:
+    """The size of the camera's pictures at ``scale``, in words."""
+    (width, height), own = _size(rig, camera, scale), _camera(rig, camera)
+    return f"{width}x{height}" if scale == 1 else f"{width}x{height}, scale {scale:g} of {own.width}x{own.height}"
+
+
 def _size(rig: Rig, camera: str, scale: float) -> tuple[int, int]:
     scaled = scale_camera(_camera(rig, camera), scale)
     return scaled.width, scaled.height

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..rasterise import FixedView
-from ..registry import Registry
+from ..registry import Registry, described, guarded
 from ..settings.frame import SelectionSettings
 
 
@@ -61,8 +61,18 @@ def by_weight(views: Sequence[ViewEvidence], settings: SelectionSettings, /) -> 
     return np.asarray(chosen & (masked > settings.min_fraction * total))
 
 
+def _wrong_choice(chosen: object, views: Sequence[ViewEvidence], settings: SelectionSettings) -> str:
+    shape = views[0].weight.shape
+    if isinstance(chosen, np.ndarray) and chosen.shape == shape and chosen.dtype == np.bool_:
+        return ""
+    return f"{described(chosen)}, not one bool for each Gaussian: bool {shape}"
+
+
 SELECTION_RULES: Registry[SelectionRule] = Registry(
-    "selection rule", "decogs.selection_rules", {"paper": by_centres, "weight": by_weight}
+    "selection rule",
+    "decogs.selection_rules",
+    {"paper": by_centres, "weight": by_weight},
+    guarded(_wrong_choice),
 )
 
 
@@ -74,12 +84,7 @@ def view_evidence(view: FixedView, mask: NDArray[np.bool_]) -> ViewEvidence:
 
 def select(views: Sequence[ViewEvidence], settings: SelectionSettings) -> NDArray[np.bool_]:
     """S_t as a mask over the Gaussians, (N,). Raises UsageError when the settings' rule is not installed."""
-    chosen = np.asarray(SELECTION_RULES.get(settings.rule)(views, settings))
-    if chosen.shape != views[0].weight.shape or chosen.dtype != np.bool_:
-        raise TypeError(
-            f"selection rule {settings.rule}: returned {chosen.dtype} {chosen.shape}, not a bool per Gaussian"
-        )
-    return chosen
+    return SELECTION_RULES.get(settings.rule)(views, settings)
 
 
 def _in_enough_views(

@@ -11,7 +11,7 @@ import os
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from decogs.formats.callbacks import OnProgress, OnWarning
 from decogs.formats.errors import UsageError
@@ -47,7 +47,7 @@ def encode_on_cluster(
     holdout: Sequence[str] = (),
     switches: Switches | None = None,
     targets: Targets | None = None,
-    effects: EffectChoice | Literal["auto", "all", "none"] | None = None,
+    effects: EffectChoice | str | None = None,
     keyframe: str | os.PathLike[str] | None = None,
     resume: bool = False,
     metrics: bool = False,

@@ -13,12 +13,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Protocol
+from typing import Any, Protocol, cast
 
 from decogs.formats.container import PacketKind
 from decogs.formats.errors import UsageError
 
-from ..registry import Registry
+from ..registry import Check, Fault, GuardedObject, Registry, anything, described, guarded
+from ..settings.checked import MOST_BYTES, MOST_LOSS
 from ..settings.encode import EncodeSettings
 from ..settings.frame import SignificanceSettings
 from ..training.methods import require_sparse
@@ -61,7 +62,7 @@ def with_quality(settings: EncodeSettings, quality: float) -> EncodeSettings:
         raise UsageError(f"`quality` {quality:g}: give a number from 0 (smallest) to 100 (most exact)")
     factor = 2.0 ** ((NEUTRAL_QUALITY - quality) / _QUALITIES_PER_OCTAVE)
     significance = _scaled(settings.frame.significance, factor)
-    rd_lambda = _rounded(settings.keyframe.rd_lambda * factor ** (2 * _STEP_EXPONENT))
+    rd_lambda = _rounded_loss(settings.keyframe.rd_lambda * factor ** (2 * _STEP_EXPONENT))
     return replace(
         settings,
         keyframe=replace(settings.keyframe, rd_lambda=rd_lambda),
@@ -82,8 +83,8 @@ def with_budget(settings: EncodeSettings, bytes_per_frame: float) -> EncodeSetti
     Raises UsageError for a number that is no budget, and for settings that code every change.
     """
     asked = f"`bytes_per_frame` {bytes_per_frame:g}"
-    if not (math.isfinite(bytes_per_frame) and bytes_per_frame >= 1):
-        raise UsageError(f"{asked}: that is {bytes_per_frame:g} bytes a frame; give at least 1")
+    if not 1 <= bytes_per_frame <= MOST_BYTES:
+        raise UsageError(f"{asked}: that is {bytes_per_frame:g} bytes a frame; give at least 1, at most {MOST_BYTES:g}")
     require_sparse(settings, asked, "codes every change")
     if not settings.frame.significance.threshold or settings.frame.cache is not None:
         raise UsageError(f"{asked}: these settings code every change; choose `settings` draft, standard or high")
@@ -174,9 +175,9 @@ def _scaled(settings: SignificanceSettings, factor: float) -> SignificanceSettin
     """The settings with a threshold ``factor`` times as high and bits that are worth as much more."""
     return replace(
         settings,
-        threshold=_rounded(settings.threshold * factor),
-        rd_lambda=_rounded(settings.rd_lambda * factor),
-        colour_rd_lambda=_rounded(settings.colour_rd_lambda * factor),
+        threshold=_rounded_loss(settings.threshold * factor),
+        rd_lambda=_rounded_loss(settings.rd_lambda * factor),
+        colour_rd_lambda=_rounded_loss(settings.colour_rd_lambda * factor),
     )
 
 
@@ -185,7 +186,21 @@ def _rounded(value: float) -> float:
     return float(f"{value:.6g}")
 
 
+def _rounded_loss(value: float) -> float:
+    """The same, within what settings take."""
+    return min(_rounded(value), MOST_LOSS)
+
+
+def _guarded_control(new: Any, fault: Fault) -> Callable[[float, int], RateControl]:
+    def wrong_significance(found: object, *given: object) -> str:
+        return "" if isinstance(found, SignificanceSettings) else f"{described(found)}, no SignificanceSettings"
+
+    made = guarded(anything)(new, fault)
+    checks: dict[str, Check] = {"significance": wrong_significance, "wrote": anything}
+    return lambda budget, segment: cast("RateControl", GuardedObject(made(budget, segment), checks, fault))
+
+
 RATE_CONTROLS: Registry[Callable[[float, int], RateControl]] = Registry(
-    "rate control", "decogs.rate_controls", {"content": ContentRateControl}
+    "rate control", "decogs.rate_controls", {"content": ContentRateControl}, _guarded_control
 )
 """Made for a budget in bytes a frame and the frames of a segment, 0 for none."""

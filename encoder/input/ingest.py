@@ -21,6 +21,10 @@ from decogs.formats.frame_ranges import Frames, frame_slice
 from decogs.formats.rigs import Rig, read_frames
 from decogs.formats.splats import FloatArray
 
+Picture = NDArray[np.uint8] | NDArray[np.float32]
+Size = tuple[int, int]
+"""Width and height in pixels."""
+
 NEAR_FRACTION = 0.1
 """Near plane of a rig camera as a share of the median depth it sees: beyond any housing, before any subject."""
 
@@ -49,11 +53,15 @@ class View:
 
 @dataclass(frozen=True)
 class RigFrame:
-    """One time index: pictures (3, H, W) float32 0..1 of the training views and of the held-out ones, in order."""
+    """One time index: pictures (3, H, W) float32 0..1 of the training views and of the held-out ones, in order.
+
+    ``recorded``: the held-out ones (H, W, 3) at their cameras' own size and with their lenses; none without a scale.
+    """
 
     index: int
     training: list[FloatArray]
     held_out: list[FloatArray]
+    recorded: Sequence[Picture] = ()
 
 
 class Ingest:
@@ -91,6 +99,12 @@ class Ingest:
         """All cameras of the rig in its order and at their own size, so that decoded views lie over the videos."""
         return tuple(replace(camera, near=self._near[camera.name]) for camera in self.rig.cameras)
 
+    @property
+    def held_out_sizes(self) -> dict[str, tuple[Size, Size]]:
+        """Of every held-out camera: the size at which it is compared with the scene, and its own, in pixels."""
+        own = {camera.name: (camera.width, camera.height) for camera in self.rig.cameras}
+        return {v.camera.name: ((v.camera.width, v.camera.height), own[v.camera.name]) for v in self.held_out_views}
+
     def place_near_planes(self, xyz: FloatArray) -> None:
         """Gives every camera a near plane at NEAR_FRACTION of the median depth of the points (P, 3) it sees.
 
@@ -113,7 +127,17 @@ class Ingest:
                 self._prepare(name, picture)
                 for name, picture in zip([*self._names, *self._held_names], pictures, strict=True)
             ]
-            yield RigFrame(index, planes[: len(self._names)], planes[len(self._names) :])
+            held = len(self._names)
+            recorded = (
+                []
+                if self.scale == 1
+                else [self._at_own_size(*each) for each in zip(self._held_names, pictures[held:], strict=True)]
+            )
+            yield RigFrame(index, planes[:held], planes[held:], recorded)
+
+    def _at_own_size(self, name: str, picture: Picture) -> Picture:
+        camera = next(camera for camera in self.rig.cameras if camera.name == name)
+        return _resized(picture, (camera.width, camera.height))
 
     def _view(self, name: str) -> View:
         plan = self._plans[name]
@@ -121,17 +145,20 @@ class Ingest:
         near = self._near[name]
         return View(replace(plan.camera, near=near), replace(plan.pinhole, near=near), valid)
 
-    def _prepare(self, name: str, picture: NDArray[np.uint8] | NDArray[np.float32]) -> FloatArray:
+    def _prepare(self, name: str, picture: Picture) -> FloatArray:
         plan = self._plans[name]
-        size = (plan.camera.width, plan.camera.height)
-        if picture.shape[1::-1] != size:
-            shrinks = size[0] < picture.shape[1]
-            picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_CUBIC)  # type: ignore[assignment]
-        undistorted = plan.apply(picture)
+        undistorted = plan.apply(_resized(picture, (plan.camera.width, plan.camera.height)))
         planes = np.ascontiguousarray(display_referred(undistorted).transpose(2, 0, 1))
         missing, nearest = self._fillings[name]
         planes.reshape(3, -1)[:, missing] = planes.reshape(3, -1)[:, nearest]
         return planes
+
+
+def _resized(picture: Picture, size: Size) -> Picture:
+    if picture.shape[1::-1] == size:
+        return picture
+    shrinks = size[0] < picture.shape[1]
+    return cv2.resize(picture, size, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_CUBIC)  # type: ignore[return-value]
 
 
 def check_held_out(rig: Rig, holdout: Sequence[str]) -> None:
@@ -204,7 +231,7 @@ def _median_depth(camera: Camera, xyz: FloatArray) -> float:
     return float(np.median(depth[seen])) if seen.any() else 0.0
 
 
-def display_referred(picture: NDArray[np.uint8] | NDArray[np.float32]) -> FloatArray:
+def display_referred(picture: Picture) -> FloatArray:
     """(H, W, 3) in 0..1: 8-bit pictures as they are, scene-linear ones clipped and sRGB-coded."""
     if picture.dtype == np.uint8:
         return np.asarray(picture.astype(np.float32) / np.float32(255))

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from statistics import fmean
 
+from decogs.codec.header import StreamHeader
+from decogs.decoder.views import render_view
 from decogs.formats.callbacks import OnWarning
 from decogs.formats.container import Packet, PacketKind
 from decogs.formats.splats import FloatArray, Splats
 
 from ..change.detection import Change
 from ..change.masks import FrameMask, showing
-from ..input.ingest import Ingest, RigFrame
-from ..psnr import mean_picture_psnr, mean_psnr
+from ..input.ingest import Ingest, RigFrame, display_referred
+from ..psnr import mean_picture_psnr, mean_psnr, psnr_of, square_error
 from ..rasterise import IncrementalViews, TrainingKernel
 from ..stopwatch import Stopwatch
 from .footage import strange_cameras, warning_of
@@ -36,13 +39,21 @@ class FrameReporter:
         self._on_warning = on_warning
 
     def report(
-        self, frame: RigFrame, scene: Splats, packet: Packet, costs: dict[str, int], change: Change, watch: Stopwatch
+        self,
+        frame: RigFrame,
+        header: StreamHeader,
+        scene: Splats,
+        packet: Packet,
+        costs: dict[str, int],
+        change: Change,
+        watch: Stopwatch,
     ) -> FrameReport:
         """The report of a frame whose ``scene`` stands, with PSNRs against its pictures."""
         cpu_seconds = watch.cpu_seconds()
         with watch.stage(_STAGE):
             training = self._training_psnr(frame, scene, showing(change.masks))
             held_out = mean_psnr(self._kernel, scene, self._ingest.held_out_views, frame.held_out)
+            own_size = self._own_size_psnr(frame, header, scene)
         views = self._ingest.views
         return FrameReport(
             frame.index,
@@ -60,6 +71,8 @@ class FrameReporter:
             },
             overlooked=change.overlooked,
             cut=change.cut,
+            scale=self._ingest.scale,
+            held_out_own_size_psnr=own_size,
         )
 
     def check_footage(
@@ -78,6 +91,16 @@ class FrameReporter:
         used = seen or range(len(self._ingest.views))
         views, pictures = [self._ingest.views[i] for i in used], [frame.training[i] for i in used]
         return mean_picture_psnr(views, self._shown(scene, used), pictures, threads=self._threads)
+
+    def _own_size_psnr(self, frame: RigFrame, header: StreamHeader, scene: Splats) -> float | None:
+        """Of what a decoder shows of the held-out cameras, against what they recorded; None without a scale."""
+        if not frame.recorded:
+            return None
+        views = [view.camera.name for view in self._ingest.held_out_views]
+        return fmean(
+            psnr_of(square_error(render_view(header, scene, name, threads=self._threads).image, picture))
+            for name, picture in zip(views, map(display_referred, frame.recorded), strict=True)
+        )
 
     def _shown(self, scene: Splats, used: Sequence[int]) -> list[FloatArray]:
         """What these views show of the scene, (3, H, W) each."""

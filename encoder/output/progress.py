@@ -80,6 +80,9 @@ class TerminalProgress(EncodeObserver):
 def frame_line(report: FrameReport) -> str:
     """One frame's figures on one line."""
     held_out = "" if report.held_out_psnr is None else f"  held out {report.held_out_psnr:6.2f} dB"
+    held_out += "" if report.scale == 1 else f" at scale {report.scale:g}"
+    if report.held_out_own_size_psnr is not None:
+        held_out += f", {report.held_out_own_size_psnr:.2f} dB at the cameras' own size"
     stages = "  ".join(f"{name} {seconds:.2f} s" for name, seconds in report.seconds.items() if name != "measure")
     if report.replayed:
         stages = "replayed"

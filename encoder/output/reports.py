@@ -17,7 +17,9 @@ class FrameReport:
 
     ``bytes``: size of the packet on disk. ``selected``: share of the Gaussians in S_t.
     ``training_psnr``, ``held_out_psnr``: dB, means over the views, of the reconstructed state; the first against the
-    compensated pictures, the second None without held-out cameras.
+    compensated pictures, the second None without held-out cameras. Both are of pictures ``scale`` times as large as the
+    cameras' own. ``held_out_own_size_psnr``: of the held-out cameras' decoded views at their own size against what they
+    recorded, lens included; None without them, and where ``scale`` is 1.
     ``seconds``: wall clock by stage. ``cpu_seconds``: processor time of all threads, from decoded pictures to the
     written packet, without measuring (the stage "measure").
     ``replayed``: the frame was written by an earlier encode. ``effects``: those that it was trained for; none for a
@@ -46,6 +48,8 @@ class FrameReport:
     uncorrected: list[str] = field(default_factory=list)
     overlooked: bool = False
     cut: bool = False
+    scale: float = 1.0
+    held_out_own_size_psnr: float | None = None
 
 
 @dataclass(frozen=True)
@@ -55,6 +59,7 @@ class EncodeReport:
     ``interrupted``: Ctrl-C ended it early. ``resumed``: how many frames an earlier encode had left, None when it was
     not looked for; ``frames`` is empty when that was the whole stream. ``frame_budget`` and
     ``time_budget``: the settings'. ``part``: the rig's frames of a part, None for a whole stream.
+    ``held_out_sizes``: of every held-out camera, width and height at which ``held_out_psnr`` was measured, and its own.
     """
 
     output: Path
@@ -65,3 +70,4 @@ class EncodeReport:
     frame_budget: float | None = None
     time_budget: float | None = None
     part: range | None = None
+    held_out_sizes: dict[str, tuple[tuple[int, int], tuple[int, int]]] = field(default_factory=dict)

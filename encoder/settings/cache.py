@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from decogs.formats.errors import UsageError
 
+from .checked import Checked, Decay, Share, Within
+
 
 @dataclass(frozen=True)
-class CacheSettings:
+class CacheSettings(Checked):
     """All numbers of the cache; the defaults are 3DGStream's released configuration.
 
     The grid has ``levels`` levels of ``features`` features; level k has round(base_resolution * level_scale**k)
@@ -20,45 +23,29 @@ class CacheSettings:
     clipped to this, far above any real one, so that no square overflows.
     """
 
-    levels: int = 16
-    features: int = 4
-    table_log2: int = 15
-    base_resolution: int = 16
-    level_scale: float = 2.0
-    hidden_layers: int = 2
-    hidden_width: int = 64
-    learning_rate: float = 2e-3
-    beta1: float = 0.9
-    beta2: float = 0.999
-    epsilon: float = 1e-8
-    translation_scale: float = 1.0
-    grid_spread: float = 1e-4
+    levels: Annotated[int, Within(1, 32)] = 16
+    features: Annotated[int, Within(1, 32)] = 4
+    table_log2: Annotated[int, Within(6, 24)] = 15
+    base_resolution: Annotated[int, Within(2, 1 << 20)] = 16
+    level_scale: Annotated[float, Within(1, 16)] = 2.0
+    hidden_layers: Annotated[int, Within(0, 16)] = 2
+    hidden_width: Annotated[int, Within(1, 4096)] = 64
+    learning_rate: Share = 2e-3
+    beta1: Decay = 0.9
+    beta2: Decay = 0.999
+    epsilon: Annotated[float, Within(1e-20, 1)] = 1e-8
+    translation_scale: Annotated[float, Within(1e-9, 1e9)] = 1.0
+    grid_spread: Share = 1e-4
     identity_start: bool = True
-    gradient_limit: float = 1e6
+    gradient_limit: Annotated[float, Within(1e-3, 1e12)] = 1e6
 
     def __post_init__(self) -> None:
-        bounds: dict[str, tuple[float, float]] = {
-            "levels": (1, 32),
-            "features": (1, 32),
-            "table_log2": (6, 24),
-            "base_resolution": (2, 1 << 20),
-            "level_scale": (1.0, 16.0),
-            "hidden_layers": (0, 16),
-            "hidden_width": (1, 4096),
-            "learning_rate": (0.0, 1.0),
-            "beta1": (0.0, 0.999999),
-            "beta2": (0.0, 0.999999),
-            "epsilon": (1e-20, 1.0),
-            "translation_scale": (1e-9, 1e9),
-            "grid_spread": (0.0, 1.0),
-            "gradient_limit": (1e-3, 1e12),
-        }
-        for name, (low, high) in bounds.items():
-            value = getattr(self, name)
-            if not low <= value <= high:  # NaN fails as well
-                raise UsageError(f"transformation cache setting {name} is {value}; it must lie in {low:g} to {high:g}")
+        super().__post_init__()
         if self.base_resolution * self.level_scale ** (self.levels - 1) > 2**30:
-            raise UsageError("transformation cache: the finest level has over 2^30 vertices a side; use fewer levels")
+            raise UsageError(
+                "`levels`: the finest level has over 2^30 vertices a side; use fewer, or a smaller `level_scale` "
+                "(CacheSettings)"
+            )
 
     @property
     def table(self) -> int:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
 from decogs.codec.entropy import DEFAULT_LEVEL
+from decogs.formats.container import MAX_FRAME
+from decogs.formats.errors import UsageError
 
+from .checked import Bytes, Checked, OneOf, Within
 from .compensation import CorrectionSettings
-from .effects import FRAME_EFFECTS, PRESET_EFFECTS
+from .effects import EFFECT_NAMES, FRAME_EFFECTS, PRESET_EFFECTS
 from .frame import FrameSettings
 from .keyframe import KeyframeSettings
 from .threedgstream import BaselineSettings
@@ -28,7 +31,7 @@ _USUAL = (
 
 
 @dataclass(frozen=True)
-class EncodeSettings:
+class EncodeSettings(Checked):
     """Everything that an encode can be set to.
 
     ``keyframe``, ``frame``, ``baseline``: training of the first frame, of later frames, and of later frames by the
@@ -54,22 +57,32 @@ class EncodeSettings:
 
     keyframe: KeyframeSettings = field(default_factory=KeyframeSettings)
     frame: FrameSettings = field(default_factory=FrameSettings)
-    lattice_scale: float = 1.0
-    zstd_level: int = DEFAULT_LEVEL
+    lattice_scale: Annotated[float, Within(1e-3, 1e3)] = 1.0
+    zstd_level: Annotated[int, Within(1, 22)] = DEFAULT_LEVEL
     method: str = "decogs"
     baseline: BaselineSettings = field(default_factory=BaselineSettings)
-    segment: int = 0
+    segment: Annotated[int, Within(0, MAX_FRAME)] = 0
     closed: bool = False
-    catch_up: int = 3
-    cross_fade: int = 3
+    catch_up: Annotated[int, Within(1, 1000)] = 3
+    cross_fade: Annotated[int, Within(0, 1000)] = 3
     cuts: bool = True
-    frame_budget: float | None = None
-    time_budget: float | None = None
-    target_psnr: float | None = None
-    effects: tuple[str, ...] = PRESET_EFFECTS
+    frame_budget: Bytes | None = None
+    time_budget: Annotated[float, Within(1e-4, 1e6)] | None = None
+    target_psnr: Annotated[float, Within(1e-9, 100)] | None = None
+    effects: Annotated[tuple[str, ...], OneOf(EFFECT_NAMES)] = PRESET_EFFECTS
     detect_per_frame: bool = False
     corrections: CorrectionSettings = field(default_factory=CorrectionSettings)
     rate_control: str = "content"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.closed and not self.segment:
+            raise UsageError("`closed`: say how many frames a segment has, with `segment`")
+        if self.closed and self.time_budget is not None:
+            raise UsageError(
+                "`closed`: `time_budget` carries time from segment to segment, so none stands on its own; drop one of "
+                "the two"
+            )
 
     @property
     def frame_effects(self) -> tuple[str, ...]:

@@ -2,17 +2,34 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
+from typing import Annotated
 
 from decogs.formats.errors import UsageError
 
 from .cache import CacheSettings
+from .checked import (
+    Checked,
+    Count,
+    Decay,
+    Levels,
+    Loss,
+    OneOf,
+    Opacity,
+    Rate,
+    Share,
+    Steps,
+    Stretch,
+    Within,
+)
 from .optimiser import LearningRates
+
+ABLATIONS = ("select", "focus", "gate")
+"""The parts of DecoGS that can be left out; `switches.without` says what then happens."""
 
 
 @dataclass(frozen=True)
-class MaskSettings:
+class MaskSettings(Checked):
     """Which pixels count as changed, and how far the region of interest reaches around them.
 
     ``threshold``: change of a pixel in 8-bit levels (paper: 25). Lower selects more and is slower.
@@ -32,21 +49,15 @@ class MaskSettings:
     changed. Lower selects more; 0 turns it off.
     """
 
-    threshold: float = 25.0
-    radius_fraction: float = 0.0355
-    speck_area: int = 0
+    threshold: Levels = 25.0
+    radius_fraction: Share = 0.0355
+    speck_area: Steps = 0
     since_trained: bool = False
-    noise_multiple: float = 0.0
-    residual: float = 0.0
-    refine_frames: int = 0
-    refine_threshold: float = 25.0
-    light_threshold: float = 0.0
-
-    def __post_init__(self) -> None:
-        for each in fields(self):
-            name, value = each.name, getattr(self, each.name)
-            if not (math.isfinite(value) and value >= 0):
-                raise UsageError(f"mask setting {name} is {value}; it must be a finite number of at least 0")
+    noise_multiple: Annotated[float, Within(0, 1000)] = 0.0
+    residual: Levels = 0.0
+    refine_frames: Steps = 0
+    refine_threshold: Levels = 25.0
+    light_threshold: Levels = 0.0
 
     def radius(self, width: int) -> int:
         """The max-pool's radius in pixels for pictures of this width."""
@@ -54,7 +65,7 @@ class MaskSettings:
 
 
 @dataclass(frozen=True)
-class SelectionSettings:
+class SelectionSettings(Checked):
     """How changed pixels select Gaussians. ``rule``: a name in SELECTION_RULES.
 
     ``min_views``: the paper's kappa, the views that must show a change. Higher selects fewer and is faster.
@@ -66,26 +77,26 @@ class SelectionSettings:
     """
 
     rule: str = "weight"
-    min_views: int = 2
-    min_fraction: float = 0.65
-    visible_weight: float = 0.02
-    refine_fraction: float = 0.8
+    min_views: Count = 2
+    min_fraction: Share = 0.65
+    visible_weight: Annotated[float, Within(0, 1e6)] = 0.02
+    refine_fraction: Share = 0.8
 
 
 @dataclass(frozen=True)
-class FocusWeights:
+class FocusWeights(Checked):
     """The weights of ``(1 - lambda) (beta1 L1 + beta2 L1_focus) + lambda (1 - SSIM_focus)``.
 
     Source: DecoGS, focus-aware loss (docs/METHOD.md, "Focus-aware loss").
     """
 
-    dissimilarity: float = 0.2
-    whole: float = 0.2
-    focus: float = 0.8
+    dissimilarity: Share = 0.2
+    whole: Annotated[float, Within(0, 1000)] = 0.2
+    focus: Annotated[float, Within(0, 1000)] = 0.8
 
 
 @dataclass(frozen=True)
-class IterationSettings:
+class IterationSettings(Checked):
     """How many of its iterations a frame runs.
 
     ``usual_miss``: share of the region of interest that the scene misses by more than 25 levels in a usual frame. A
@@ -94,13 +105,21 @@ class IterationSettings:
     lose quality over hundreds of frames.
     """
 
-    usual_miss: float = 0.0
-    min_factor: float = 1.0
-    max_factor: float = 3.0
+    usual_miss: Share = 0.0
+    min_factor: Annotated[float, Within(0.01, 100)] = 1.0
+    max_factor: Annotated[float, Within(0.01, 100)] = 3.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.min_factor > self.max_factor:
+            raise UsageError(
+                f"`min_factor` {self.min_factor:g}: it is above `max_factor` {self.max_factor:g}; give at most that "
+                "(IterationSettings)"
+            )
 
 
 @dataclass(frozen=True)
-class EmergenceSettings:
+class EmergenceSettings(Checked):
     """How new objects are found and seeded; ``max_seeds`` 0 turns it off.
 
     ``residual``: 8-bit levels by which a rendering must miss the picture. Lower finds fainter objects, and more wrong
@@ -112,20 +131,20 @@ class EmergenceSettings:
     differ. ``in_front``: share of the rendered depth by which a seed must lie before it. ``opacity``: of a seed.
     """
 
-    residual: float = 25.0
-    min_fraction: float = 2e-4
-    max_seeds: int = 2000
-    max_rays: int = 2000
-    depths: int = 64
-    min_views: int = 4
-    missing_fraction: float = 0.25
-    spread: float = 14.0
-    in_front: float = 0.02
-    opacity: float = 0.3
+    residual: Levels = 25.0
+    min_fraction: Share = 2e-4
+    max_seeds: Steps = 2000
+    max_rays: Count = 2000
+    depths: Annotated[int, Within(2, 4096)] = 64
+    min_views: Count = 4
+    missing_fraction: Share = 0.25
+    spread: Levels = 14.0
+    in_front: Share = 0.02
+    opacity: Opacity = 0.3
 
 
 @dataclass(frozen=True)
-class SignificanceSettings:
+class SignificanceSettings(Checked):
     """Which changes are significant enough to be coded, and how exactly.
 
     ``threshold``: a change is coded if it moves the mean loss of a picture by at least so many millionths (1: one pixel
@@ -139,15 +158,15 @@ class SignificanceSettings:
     changes an area.
     """
 
-    threshold: float = 0.0
-    decide_at: float = 0.6
-    lit_factor: float = 1.0
-    rd_lambda: float = 0.0
-    colour_rd_lambda: float = 0.0
+    threshold: Loss = 0.0
+    decide_at: Share = 0.6
+    lit_factor: Annotated[float, Within(0, 1e6)] = 1.0
+    rd_lambda: Loss = 0.0
+    colour_rd_lambda: Loss = 0.0
 
 
 @dataclass(frozen=True)
-class FrameSettings:
+class FrameSettings(Checked):
     """How a later frame is trained. The defaults are the paper's where it gives a number.
 
     ``cache_iterations``, ``joint_iterations``: steps of stage 1 and stage 2. More is slower and follows faster motion.
@@ -169,22 +188,22 @@ class FrameSettings:
     masks: MaskSettings = field(default_factory=MaskSettings)
     selection: SelectionSettings = field(default_factory=SelectionSettings)
     cache: CacheSettings | None = field(default_factory=CacheSettings)
-    cache_iterations: int = 150
-    joint_iterations: int = 100
-    warm_start: float = 0.0
-    warm_neighbours: int = 8
-    grow_gradient: float = 1e-4
-    grow_fraction: float = 0.05
-    prune_opacity: float = 0.01
+    cache_iterations: Steps = 150
+    joint_iterations: Steps = 100
+    warm_start: Share = 0.0
+    warm_neighbours: Count = 8
+    grow_gradient: Rate = 1e-4
+    grow_fraction: Share = 0.05
+    prune_opacity: Share = 0.01
     focus: FocusWeights = field(default_factory=FocusWeights)
     rates: LearningRates = field(default_factory=lambda: LearningRates(1.28e-3, 2e-2, 8e-3, 0.1, 2e-2, 1e-3))
-    late_decay: float = 0.2
-    beta1: float = 0.9
-    beta2: float = 0.999
-    max_stretch: float = 0.0
+    late_decay: Share = 0.2
+    beta1: Decay = 0.9
+    beta2: Decay = 0.999
+    max_stretch: Stretch = 0.0
     adaptive_iterations: IterationSettings = field(default_factory=IterationSettings)
     significance: SignificanceSettings = field(default_factory=SignificanceSettings)
     emergence: EmergenceSettings = field(default_factory=EmergenceSettings)
-    ablated: tuple[str, ...] = ()
+    ablated: Annotated[tuple[str, ...], OneOf(ABLATIONS)] = ()
     optimiser: str = "adam"
     densification: str = "clone-split"

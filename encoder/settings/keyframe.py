@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
+from decogs.codec.state import DEFAULT_MAX_GAUSSIANS
+from decogs.formats.errors import UsageError
+
+from .checked import Checked, Count, Loss, Opacity, Rate, Share, Size, Steps, Stretch, Within
 from .optimiser import LearningRates
 
 
 @dataclass(frozen=True)
-class KeyframeSettings:
+class KeyframeSettings(Checked):
     """How the keyframe is trained.
 
     ``iterations``: steps, of which large pictures take fewer. More is slower and, up to early stopping, better.
@@ -37,33 +42,41 @@ class KeyframeSettings:
     ``optimiser``, ``densification``: names in OPTIMISERS and DENSIFICATIONS.
     """
 
-    iterations: int = 1000
-    cap: int = 52_000
-    sh_degree: int = 0
-    dissimilarity: float = 0.2
-    few_views_dissimilarity: float = 0.2
-    start_opacity: float = 0.2
-    start_size: float = 0.5
-    guess_opacity: float = 0.1
-    guess_size: float = 1.0
-    grow_from: float = 0.15
-    grow_to: float = 0.6
-    grow_every: int = 100
-    grow_gradient: float = 2e-4
-    prune_opacity: float = 0.005
-    max_stretch: float = 10.0
-    validation_fraction: float = 0.02
-    validation_every: int = 100
-    patience: int = 4
+    iterations: Count = 1000
+    cap: Annotated[int, Within(1, DEFAULT_MAX_GAUSSIANS)] = 52_000
+    sh_degree: Annotated[int, Within(0, 3)] = 0
+    dissimilarity: Share = 0.2
+    few_views_dissimilarity: Share = 0.2
+    start_opacity: Opacity = 0.2
+    start_size: Size = 0.5
+    guess_opacity: Opacity = 0.1
+    guess_size: Size = 1.0
+    grow_from: Share = 0.15
+    grow_to: Share = 0.6
+    grow_every: Count = 100
+    grow_gradient: Rate = 2e-4
+    prune_opacity: Share = 0.005
+    max_stretch: Stretch = 10.0
+    validation_fraction: Annotated[float, Within(0, 0.9)] = 0.02
+    validation_every: Count = 100
+    patience: Count = 4
     rates: LearningRates = field(default_factory=lambda: LearningRates(4e-4, 1e-2, 3e-3, 0.05, 1e-2, 5e-4))
-    means_decay: float = 0.05
-    late_decay: float = 0.2
-    settle_iterations: int = 300
-    surroundings: float = 0.0
-    surroundings_fraction: float = 0.025
-    rd_lambda: float = 2.3e-3
+    means_decay: Share = 0.05
+    late_decay: Share = 0.2
+    settle_iterations: Steps = 300
+    surroundings: Annotated[float, Within(0, 100)] = 0.0
+    surroundings_fraction: Annotated[float, Within(0, 0.9)] = 0.025
+    rd_lambda: Loss = 2.3e-3
     optimiser: str = "adam"
     densification: str = "clone-split"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.grow_from > self.grow_to:
+            raise UsageError(
+                f"`grow_from` {self.grow_from:g}: it is after `grow_to` {self.grow_to:g}; give at most that "
+                "(KeyframeSettings)"
+            )
 
     @property
     def seen_cap(self) -> int:

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
+from .checked import Checked, Rate
+
 
 @dataclass(frozen=True)
-class LearningRates:
+class LearningRates(Checked):
     """Adam's step sizes, in the unit of each stored value (``means``: world units). Larger is faster, settles later."""
 
-    means: float
-    log_scales: float
-    quaternions: float
-    opacity_logits: float
-    sh_dc: float
-    sh_rest: float
+    means: Rate
+    log_scales: Rate
+    quaternions: Rate
+    opacity_logits: Rate
+    sh_dc: Rate
+    sh_rest: Rate
 
     def scaled(self, factor: float) -> LearningRates:
         """All of them times ``factor``."""

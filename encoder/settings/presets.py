@@ -86,7 +86,7 @@ _ARCHIVE = _better(
 )
 
 LADDER = ("live", "draft", "standard", "high", "archive")
-"""Presets from fast to slow; each is the one before it with some settings made slower, larger and better."""
+"""Presets from fast to slow; each is the one before it with some settings made slower and larger."""
 
 PRESETS: dict[str, EncodeSettings] = {
     **dict(zip(LADDER, (_LIVE, _DRAFT, _STANDARD, _HIGH, _ARCHIVE), strict=True)),
@@ -95,7 +95,7 @@ PRESETS: dict[str, EncodeSettings] = {
         frame=FrameSettings(selection=SelectionSettings(rule="paper"), emergence=EmergenceSettings(max_seeds=0)),
     ),
 }
-"""The ladder (measured in DESIGN.md), and ``paper``: its numbers wherever it gives them, and nothing beyond it."""
+"""The ladder (measured in DESIGN.md), and ``paper``: its numbers wherever it gives them."""
 
 
 def preset(name: str) -> EncodeSettings:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 from .cache import CacheSettings
+from .checked import Checked, Count, Opacity, Rate, Share, Size, Steps, Within
 from .optimiser import LearningRates
 
 _BASE_RATES = LearningRates(
@@ -14,7 +16,7 @@ _BASE_RATES = LearningRates(
 
 
 @dataclass(frozen=True)
-class BaselineSettings:
+class BaselineSettings(Checked):
     """The numbers of 3DGStream's recipe; the defaults are its released configuration.
 
     ``cache_iterations``, ``spawn_iterations``: steps of stage 1 and stage 2, one view each; more is slower.
@@ -27,15 +29,15 @@ class BaselineSettings:
     """
 
     cache: CacheSettings = field(default_factory=CacheSettings)
-    cache_iterations: int = 150
-    spawn_iterations: int = 100
-    spawn_gradient: float = 1.5e-4
-    spawn_window: int = 20
-    spawn_spread: float = 2.0
-    spawn_opacity: float = 0.1
-    spawn_growth: float = 1.25
-    prune_every: int = 20
-    prune_opacity: float = 0.01
-    prune_size: float = 0.1
+    cache_iterations: Steps = 150
+    spawn_iterations: Steps = 100
+    spawn_gradient: Rate = 1.5e-4
+    spawn_window: Count = 20
+    spawn_spread: Annotated[float, Within(0, 1000)] = 2.0
+    spawn_opacity: Opacity = 0.1
+    spawn_growth: Size = 1.25
+    prune_every: Count = 20
+    prune_opacity: Share = 0.01
+    prune_size: Annotated[float, Within(1e-9, 1e9)] = 0.1
     rates: LearningRates = field(default_factory=lambda: _BASE_RATES.scaled(15))
-    dissimilarity: float = 0.2
+    dissimilarity: Share = 0.2

@@ -8,7 +8,7 @@ Opacity resets: not tried.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Protocol
 
 import numpy as np
@@ -18,7 +18,7 @@ from decogs.codec.lattice import LOG_SCALE_BOUND
 from decogs.formats.rotations import rotation_matrices
 from decogs.formats.splats import Splats, take_splats
 
-from ..registry import Registry
+from ..registry import Registry, described, guarded
 
 _SPLIT_SHRINK = np.float32(np.log(1.6))
 
@@ -123,6 +123,32 @@ def clone_and_split(
     return grow(splats, strongest(gradients, eligible, threshold, room), large, random)
 
 
+def _wrong_growth(growth: object, splats: Splats, *given: object, **named: object) -> str:
+    if not isinstance(growth, Growth):
+        return f"{described(growth)}, no Growth"
+    parents = growth.parents
+    good = isinstance(parents, np.ndarray) and parents.ndim == 1 and np.issubdtype(parents.dtype, np.integer)
+    if not good or (len(parents) and not 0 <= parents.min() <= parents.max() < len(splats)):
+        return f"`parents` as {described(parents)}, which are no rows of the {len(splats)} Gaussians"
+    if not are_splats(growth.children, splats, len(parents)):
+        return "`children` that are not finite Splats with a row for each of its `parents`"
+    shapes = {np.shape(growth.parent_means), np.shape(growth.parent_log_scales)}
+    return "" if shapes == {(len(parents), 3)} else "means or sizes that are not three for each of its `parents`"
+
+
+def are_splats(value: object, like: Splats, count: int | None = None) -> bool:
+    """Whether these are finite Gaussians of the same SH degree, and so many of them if ``count`` says."""
+    if not isinstance(value, Splats):
+        return False
+    rows = len(value) if count is None else count
+    pairs = [(getattr(value, each.name), getattr(like, each.name)) for each in fields(Splats)]
+    shaped = all(
+        isinstance(mine, np.ndarray) and mine.dtype.kind == "f" and mine.shape == (rows, *other.shape[1:])
+        for mine, other in pairs
+    )
+    return shaped and all(np.isfinite(mine).all() for mine, _ in pairs)
+
+
 DENSIFICATIONS: Registry[Densification] = Registry(
-    "densification", "decogs.densifications", {"clone-split": clone_and_split}
+    "densification", "decogs.densifications", {"clone-split": clone_and_split}, guarded(_wrong_growth)
 )

@@ -78,7 +78,7 @@ def fit_to_pictures(cameras: Sequence[Camera], settings: KeyframeSettings) -> Pi
     factors = [1]
     while pixels >= _COARSEST * (2 * factors[0]) ** 2:
         factors.insert(0, 2 * factors[0])
-    iterations = round(_FEWER_STEPS * settings.iterations)
+    iterations = max(1, round(_FEWER_STEPS * settings.iterations))
     each = _FINE_FROM * iterations / (len(factors) - 1)
     scales = tuple(PictureScale(round(number * each), factor) for number, factor in enumerate(factors))
     longer = (pixels / LARGE) ** 0.5

@@ -2,18 +2,61 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
 from decogs.formats.errors import UsageError
 
-from ..registry import Registry
+from ..registry import Fault, GuardedObject, Registry, described, guarded
 from ..settings.encode import EncodeSettings
 from .delta import DeltaTrainer
-from .method import FrameMethod
+from .densification import are_splats
+from .method import FrameInput, FrameMethod, TrainedFrame
 from .threedgstream import BaselineTrainer
+
+
+def _wrong_frame(trained: object, frame: FrameInput) -> str:
+    if not isinstance(trained, TrainedFrame):
+        return f"{described(trained)}, no TrainedFrame"
+    rows: list[int] = []
+    for name in ("kept", "removed"):
+        each = getattr(trained, name)
+        if not (isinstance(each, np.ndarray) and each.ndim == 1 and np.issubdtype(each.dtype, np.integer)):
+            return f"`{name}` as {described(each)}, not as row numbers"
+        if len(each) and not (each[0] >= 0 and each[-1] < len(frame.scene) and (np.diff(each) > 0).all()):
+            return f"`{name}` with rows that are not ascending from 0 to {len(frame.scene) - 1}"
+        rows += each.tolist()
+    if len(set(rows)) < len(rows):
+        return "rows as both `kept` and `removed`"
+    if not are_splats(trained.values, frame.scene, len(trained.kept)):
+        return "`values` that are not finite Splats with a row for each one kept"
+    if trained.sensitivity is not None and not are_splats(trained.sensitivity, frame.scene, len(trained.kept)):
+        return "`sensitivity` that is not finite Splats with a row for each one kept"
+    if not are_splats(trained.added, frame.scene):
+        return "`added` that are not finite Splats of the scene's SH degree"
+    return ""
+
+
+def _guarded_method(method: Any, fault: Fault) -> FrameMethod:
+    if not isinstance(method, FrameMethod):
+        raise fault(f"is no FrameMethod but {described(method)}")
+
+    def wrong_trainer(trainer: object, *given: object) -> str:
+        least = getattr(trainer, "min_seconds", None)
+        good = isinstance(least, (int, float)) and callable(getattr(trainer, "train", None))
+        return "" if good else f"{described(trainer)}, which has no number `min_seconds` or no function `train`"
+
+    new = guarded(wrong_trainer)(method.trainer, fault)
+    return replace(method, trainer=lambda context: GuardedObject(new(context), {"train": _wrong_frame}, fault))
+
 
 FRAME_METHODS: Registry[FrameMethod] = Registry(
     "method",
     "decogs.frame_methods",
     {"decogs": FrameMethod(DeltaTrainer), "3dgstream": FrameMethod(BaselineTrainer, dense=True)},
+    _guarded_method,
 )
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from decogs.formats.splats import FloatArray, Splats, join_splats, take_splats
 
 from ..rasterise import SplatGradients, TrainingKernel
-from ..registry import Registry
+from ..registry import Registry, described, guarded
 from ..settings.optimiser import LearningRates
 
 if TYPE_CHECKING:
@@ -160,4 +160,12 @@ def _zeros_like(splats: Splats) -> Splats:
     return Splats(*(np.zeros_like(getattr(splats, name)) for name in ATTRIBUTES))
 
 
-OPTIMISERS: Registry[NewOptimiser] = Registry("optimiser", "decogs.optimisers", {"adam": Adam})
+def _wrong_optimiser(made: object, *given: object, **named: object) -> str:
+    wanted = [name for name in vars(Optimiser) if not name.startswith("_")]
+    missing = [name for name in wanted if not hasattr(made, name)]
+    return f"{described(made)}, an optimiser without `{missing[0]}`" if missing else ""
+
+
+OPTIMISERS: Registry[NewOptimiser] = Registry(
+    "optimiser", "decogs.optimisers", {"adam": Adam}, guarded(_wrong_optimiser)
+)

@@ -289,7 +289,7 @@ PRESETS["child"] = replace(
 )
 sys.exit(encode_main())
 """
-ENDLESS = 10**7
+ENDLESS = 1_000_000
 
 
 def interrupted(rig: Path, output: Path, keyframe: int, frame: int, event: str) -> subprocess.CompletedProcess[str]:

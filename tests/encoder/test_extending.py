@@ -5,7 +5,9 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,11 +16,16 @@ import pytest
 from decogs.decoder.stream import open_stream
 from decogs.encoder import Switches, encode
 from decogs.encoder.change.selection import SELECTION_RULES, ViewEvidence, select
-from decogs.encoder.registry import Registry
-from decogs.encoder.settings.frame import SelectionSettings
+from decogs.encoder.coding.rate_control import RATE_CONTROLS
+from decogs.encoder.registry import Registry, anything, guarded
+from decogs.encoder.settings.frame import SelectionSettings, SignificanceSettings
 from decogs.encoder.switches import with_selection
+from decogs.encoder.training.densification import DENSIFICATIONS
+from decogs.encoder.training.method import FrameMethod, TrainedFrame
 from decogs.encoder.training.methods import FRAME_METHODS
+from decogs.encoder.training.optimiser import OPTIMISERS
 from decogs.formats.errors import UsageError
+from decogs.formats.splats import Splats, empty_splats, take_splats
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "extending.md"
 
@@ -86,14 +93,14 @@ def test_the_documents_method_encodes_when_it_is_installed(
 @pytest.fixture(autouse=True)
 def nothing_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each test finds packages anew."""
-    for registry in (SELECTION_RULES, FRAME_METHODS):
+    for registry in (SELECTION_RULES, FRAME_METHODS, DENSIFICATIONS, OPTIMISERS, RATE_CONTROLS):
         monkeypatch.setattr(registry, "_loaded", {})
 
 
 class _Point:
     """An entry point whose module cannot be imported."""
 
-    name, value = "broken", "broken_module:rule"
+    name, value, dist = "broken", "broken_module:rule", None
 
     def load(self) -> Any:
         raise ImportError("no module named torch")
@@ -101,7 +108,7 @@ class _Point:
 
 def test_what_cannot_be_used_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("decogs.encoder.registry.entry_points", lambda group: [_Point()])
-    registry = Registry("selection rule", "decogs.selection_rules", {"own": 1})
+    registry = Registry("selection rule", "decogs.selection_rules", {"own": 1}, guarded(anything))
     assert registry.names() == ("own", "broken")
     assert registry.get("own") == 1
     with pytest.raises(UsageError, match="broken: the selection rule broken_module:rule cannot be imported: no module"):
@@ -118,14 +125,159 @@ def test_ours_cannot_be_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
     assert SELECTION_RULES.get("weight").__name__ == "by_weight"  # type: ignore[attr-defined]
 
 
-def test_a_rule_that_returns_something_else_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+class _Package:
+    name = "decogs-example"
+
+
+def offered(monkeypatch: pytest.MonkeyPatch, what: Any) -> None:
+    """A package is installed that offers ``what`` as "broken" under every extension point."""
     point = _Point()
-    monkeypatch.setattr(point, "load", lambda: lambda views, settings: np.zeros(2), raising=False)
+    point.dist = _Package()  # type: ignore[assignment]
+    monkeypatch.setattr(point, "load", lambda: what, raising=False)
     monkeypatch.setattr("decogs.encoder.registry.entry_points", lambda group: [point])
+
+
+def raises(*given: Any, **named: Any) -> Any:
+    raise ValueError("no\nsuch thing")
+
+
+def returns(value: Any) -> Any:
+    return lambda *given, **named: value
+
+
+SAID = "broken: the {kind} broken_module:rule of the package decogs-example {problem}"
+
+
+@pytest.mark.parametrize(
+    ("rule", "problem"),
+    [
+        (returns(None), "returned None, not one bool for each Gaussian: bool (3,)"),
+        (returns(np.zeros(2, bool)), "returned bool (2,), not one bool for each Gaussian: bool (3,)"),
+        (returns(np.zeros((3, 1), bool)), "returned bool (3, 1), not one bool for each Gaussian: bool (3,)"),
+        (returns(np.zeros(3)), "returned float64 (3,), not one bool for each Gaussian: bool (3,)"),
+        (returns(np.zeros(3, np.int64)), "returned int64 (3,), not one bool for each Gaussian: bool (3,)"),
+        (returns([True] * 3), "returned list, not one bool for each Gaussian: bool (3,)"),
+        (lambda views: np.ones(3, bool), "raised TypeError: <lambda>() takes 1 positional argument but 2 were given"),
+        (raises, "raised ValueError: no such thing"),
+        (lambda *given: sys.exit(3), "raised SystemExit: 3"),
+        (7, "is no function but int"),
+        (None, "is no function but None"),
+    ],
+)
+def test_what_a_rule_does_wrong_is_said_with_its_package(
+    rule: Any, problem: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    offered(monkeypatch, rule)
     weight = np.ones(3, np.float32)
     view = ViewEvidence(weight, weight, lambda: np.ones(3, bool))
-    with pytest.raises(TypeError, match=r"selection rule broken: returned float64 \(2,\), not a bool per Gaussian"):
+    with pytest.raises(UsageError) as told:
         select([view], SelectionSettings(rule="broken"))
+    assert str(told.value) == SAID.format(kind="selection rule", problem=problem)
+
+
+class _Trainer:
+    min_seconds = 0.0
+
+    def __init__(self, result: Any) -> None:
+        self._result = result
+
+    def train(self, frame: Any) -> Any:
+        return self._result(frame) if callable(self._result) else self._result
+
+
+def trained(frame: Any, **changes: Any) -> TrainedFrame:
+    """A frame in which nothing changes, but for ``changes``."""
+    none = np.zeros(0, np.int64)
+    nothing = empty_splats(frame.scene.sh_degree)
+    return replace(TrainedFrame(none, nothing, none, nothing), **changes)
+
+
+ROWS = "that are not ascending from 0 to "
+
+
+@pytest.mark.parametrize(
+    ("method", "problem"),
+    [
+        (lambda context: None, "is no FrameMethod but function"),
+        (None, "is no FrameMethod but None"),
+        (FrameMethod(None), "is no function but None"),  # type: ignore[arg-type]
+        (FrameMethod(raises), "raised ValueError: no such thing"),
+        (FrameMethod(returns(None)), "returned None, which has no number `min_seconds` or no function `train`"),
+        (None, "returned None, no TrainedFrame"),
+        (lambda frame: np.zeros(3), "returned float64 (3,), no TrainedFrame"),
+        (raises, "raised ValueError: no such thing"),
+        (lambda frame: trained(frame, kept=None), "returned `kept` as None, not as row numbers"),
+        (lambda frame: trained(frame, kept=np.zeros(2)), "returned `kept` as float64 (2,), not as row numbers"),
+        (lambda frame: trained(frame, removed=np.array([-1])), "returned `removed` with rows " + ROWS),
+        (lambda frame: trained(frame, removed=np.array([1 << 40])), "returned `removed` with rows " + ROWS),
+        (lambda frame: trained(frame, removed=np.array([2, 1])), "returned `removed` with rows " + ROWS),
+        (
+            lambda frame: trained(frame, kept=np.array([1])),
+            "returned `values` that are not finite Splats with a row for each",
+        ),
+        (
+            lambda frame: trained(frame, values=None),
+            "returned `values` that are not finite Splats with a row for each one",
+        ),
+        (
+            lambda frame: trained(frame, added=[]),
+            "returned `added` that are not finite Splats of the scene's SH degree",
+        ),
+        (
+            lambda frame: trained(frame, added=empty_splats(3)),
+            "returned `added` that are not finite Splats of the scene's SH",
+        ),
+        (lambda frame: trained(frame, added=_splats(2, np.nan)), "returned `added` that are not finite Splats of the"),
+        (
+            lambda frame: trained(frame, sensitivity=1.0),
+            "returned `sensitivity` that is not finite Splats with a row for",
+        ),
+        (
+            lambda frame: trained(
+                frame, kept=np.array([1]), values=take_splats(frame.scene, np.array([1])), removed=np.array([1])
+            ),
+            "returned rows as both `kept` and `removed`",
+        ),
+    ],
+)
+def test_what_a_method_does_wrong_is_said_with_its_package(
+    method: Any, problem: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    in_training = problem.startswith(("returned `", "returned rows")) or "TrainedFrame" in problem or method is raises
+    offered(monkeypatch, FrameMethod(lambda context: _Trainer(method)) if in_training else method)
+    frame = SimpleNamespace(scene=_splats(4))
+    with pytest.raises(UsageError) as told:
+        FRAME_METHODS.get("broken").trainer(None).train(frame)  # type: ignore[arg-type]
+    assert str(told.value).startswith(SAID.format(kind="method", problem=problem))
+
+
+def test_a_method_that_is_right_is_not_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    offered(monkeypatch, FrameMethod(lambda context: _Trainer(trained)))
+    frame = SimpleNamespace(scene=_splats(4))
+    assert len(FRAME_METHODS.get("broken").trainer(None).train(frame).kept) == 0  # type: ignore[arg-type]
+
+
+def _splats(count: int, value: float = 0.0) -> Splats:
+    shapes = ((count, 3), (count, 3), (count, 4), (count,), (count, 4, 3))
+    return Splats(*(np.full(shape, value, np.float32) for shape in shapes))
+
+
+def test_what_other_extensions_do_wrong_is_said_with_their_package(monkeypatch: pytest.MonkeyPatch) -> None:
+    offered(monkeypatch, returns(None))
+    with pytest.raises(UsageError, match=r"^broken: the densification .*decogs-example returned None, no Growth$"):
+        DENSIFICATIONS.get("broken")(
+            _splats(2), np.zeros(2), np.ones(2, bool), threshold=0, room=1, large=1, random=None
+        )  # type: ignore[arg-type]
+    with pytest.raises(
+        UsageError, match=r"^broken: the optimiser .*decogs-example returned None, an optimiser without"
+    ):
+        OPTIMISERS.get("broken")(_splats(2), None)  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match=r"^broken: the rate control .*decogs-example is no function but None$"):
+        RATE_CONTROLS.get("broken")(1e4, 0)
+    monkeypatch.setattr(RATE_CONTROLS, "_loaded", {})
+    offered(monkeypatch, returns(SimpleNamespace(significance=returns(3), wrote=returns(None))))
+    with pytest.raises(UsageError, match=r"^broken: the rate .*decogs-example returned int, no SignificanceSettings$"):
+        RATE_CONTROLS.get("broken")(1e4, 0).significance(SignificanceSettings())
 
 
 def test_a_rule_of_a_package_is_a_setting_as_ours_are(

@@ -461,7 +461,7 @@ def test_learns_a_rigid_motion() -> None:
     "bad", [{"levels": 0}, {"learning_rate": float("nan")}, {"level_scale": 8.0}, {"features": 99}]
 )
 def test_settings_out_of_range_are_refused(bad: dict[str, float]) -> None:
-    with pytest.raises(UsageError, match="transformation cache"):
+    with pytest.raises(UsageError, match=r"\(CacheSettings\)$"):
         CacheSettings(**bad)  # type: ignore[arg-type]
 
 

@@ -11,9 +11,8 @@ import pytest
 
 from decogs.decoder.stream import open_stream
 from decogs.encoder import PRESETS
-from decogs.encoder.analysis import Decision, EffectChoice, with_effects
+from decogs.encoder.analysis import Decision, EffectChoice, effect_choice, with_effects
 from decogs.encoder.change.masks import MaskMemory
-from decogs.encoder.option_texts import effect_choice
 from decogs.encoder.settings.effects import CAMERA_EFFECTS, EFFECT_NAMES, FRAME_EFFECTS
 from decogs.encoder.settings.encode import EncodeSettings
 from decogs.encoder.training import delta as frame_training
@@ -53,16 +52,35 @@ def built(text: str, found: Sequence[Decision] = (), settings: EncodeSettings = 
         ("motion, emergence", EffectChoice("none", frozenset({"motion", "emergence"}))),
         ("auto,-camera_shake", EffectChoice("auto", dropped=frozenset({"camera_shake"}))),
         ("-motion", EffectChoice("all", dropped=frozenset({"motion"}))),
-        ("none,motion,-motion", EffectChoice("none", frozenset({"motion"}), frozenset({"motion"}))),
+        (" -camera_shake", EffectChoice("all", dropped=frozenset({"camera_shake"}))),
+        ("\t-camera_shake , auto\n", EffectChoice("auto", dropped=frozenset({"camera_shake"}))),
+        ("motion,,", EffectChoice("none", frozenset({"motion"}))),
     ],
 )
 def test_words(text: str, wanted: EffectChoice) -> None:
     assert effect_choice(text) == wanted
 
 
-@pytest.mark.parametrize("text", ["movement", "auto,-movement", "motion auto"])
+@pytest.mark.parametrize("text", ["movement", "auto,-movement", "motion auto", "-", "--motion"])
 def test_unknown_words_are_refused(text: str) -> None:
-    with pytest.raises(UsageError, match=f"`effects` {text}: there is no effect"):
+    with pytest.raises(UsageError, match=rf"`effects` (all,)?{text}: there is no effect"):
+        effect_choice(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("", "it names no effect"),
+        (" , ", "it names no effect"),
+        ("motion,motion", "motion is named twice"),
+        ("auto,all", "auto and all exclude each other"),
+        ("auto,motion,-motion", "motion is both enabled and disabled"),
+        ("none,-motion", "-motion disables what is not enabled"),
+        ("emergence,-motion", "-motion disables what is not enabled"),
+    ],
+)
+def test_what_states_nothing_or_contradicts_itself_is_refused(text: str, problem: str) -> None:
+    with pytest.raises(UsageError, match=f"^`effects` .*{problem}; give auto, all, none, or names"):
         effect_choice(text)
 
 
