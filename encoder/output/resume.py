@@ -10,7 +10,7 @@ format to keep, and one more thing that a kill can tear).
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
@@ -97,6 +97,20 @@ def find_interrupted(output: Path, growing: Path) -> Interrupted | None:
         if path.is_file() and path.stat().st_size:
             return _read(path)
     return None
+
+
+def is_expendable(is_such: Callable[[Interrupted], bool], part: Path) -> bool:
+    """Whether the stream that a process left in ``part`` ends before its first frame is whole, or ``is_such``."""
+    with part.open("rb") as file:
+        reader = PacketReader(file)
+        try:
+            while (packet := reader.next()) is not None:
+                if packet.kind in FRAME_KINDS:
+                    left = _read(part)
+                    return left is not None and is_such(left)
+        except StreamError:
+            return False  # It is no stream, or damaged: whoever has it may know what it is worth.
+    return True
 
 
 def check_resumable(settings: EncodeSettings) -> None:

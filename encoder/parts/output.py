@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import BinaryIO
 
 from decogs.formats.container import StreamWriter
 
-from ..output.stream_output import StreamOutput
-from .manifest import Part, with_part
+from ..output.stream_output import StreamOutput, open_output
+from .manifest import Part, read_part, with_part
+
+
+def open_part(output: Path | BinaryIO) -> StreamOutput:
+    """Takes the output of a part. What is left of one that was cut off is replaced: nothing can go on with it."""
+    return open_output(output, resumable=False, expendable=lambda left: read_part(left.header) is not None)
 
 
 class PartOutput(StreamOutput):
