@@ -7,13 +7,19 @@ from typing import BinaryIO
 
 from decogs.formats.container import StreamWriter
 
+from ..output.resume import Interrupted
 from ..output.stream_output import StreamOutput, open_output
 from .manifest import Part, read_part, with_part
 
 
 def open_part(output: Path | BinaryIO) -> StreamOutput:
     """Takes the output of a part. What is left of one that was cut off is replaced: nothing can go on with it."""
-    return open_output(output, resumable=False, expendable=lambda left: read_part(left.header) is not None)
+    return open_output(output, resumable=False, expendable=is_of_part)
+
+
+def is_of_part(left: Interrupted) -> bool:
+    """Whether what a process left was to be a part."""
+    return read_part(left.header) is not None
 
 
 class PartOutput(StreamOutput):
