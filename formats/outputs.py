@@ -243,8 +243,20 @@ def staged_files(folder: Path) -> Iterator[Path]:
     try:
         yield staging
         publish_files(staging, folder)
+    except OSError as error:
+        error.filename = _final_name(error.filename, staging, folder)
+        raise
     finally:
         shutil.rmtree(staging, ignore_errors=True)
+
+
+def _final_name(name: object, staging: Path, folder: Path) -> object:
+    """What the user knows a file by that an error is about: the hidden folder is none of the names given."""
+    if name is None:
+        return os.fspath(folder)
+    if isinstance(name, str) and Path(name).is_relative_to(staging):
+        return os.fspath(folder / Path(name).relative_to(staging))
+    return name
 
 
 def publish_files(staging: Path, folder: Path) -> None:
@@ -278,6 +290,11 @@ def open_in_place(path: Path, *, append: bool = False) -> BinaryIO:
         if file.read(1) != b"\n":
             file.write(b"\n")  # What was cut off stays a line of its own.
     return file
+
+
+def check_writable(path: Path) -> None:
+    """Raises UsageError, before anything long is done, for a file that `write_whole` could not write."""
+    GrowingFile(path, leftover=_is_no_stream, resumable=False).release()
 
 
 def _is_no_stream(part: Path) -> bool:

@@ -22,11 +22,12 @@ from decogs.formats.rigs import Rig, files_of, open_rig
 from ..analysis import EffectChoice
 from ..encoding import chosen_settings, wanted_effects
 from ..input.ingest import frame_span
+from ..input.recordings import is_current
 from ..output.resume import is_expendable
 from ..output.stream_output import open_output
 from ..parts.base import Base, read_base
 from ..parts.joining import JoinReport, join
-from ..parts.manifest import frames_read, is_current
+from ..parts.manifest import frames_read
 from ..parts.output import is_of_part
 from ..rasterise import check_device
 from ..settings.encode import EncodeSettings
@@ -155,7 +156,7 @@ def _check_resumed(key: Path, options: dict[str, Any], take: range, rig: Rig) ->
     now |= {name: options[name] for name in ("seed", "scale")}
     if changed := [name for name in was if was[name] != now[name]]:
         raise UsageError(
-            f"{key.parent}: its encode had another `{changed[0]}`; give the same options, or delete its parts to start over"
+            f"{key.parent}: its encode had another `{changed[0]}`; give the same options, or delete its parts"
         )
 
 

@@ -7,7 +7,7 @@ field.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -20,6 +20,8 @@ from decogs.formats.errors import RigError, UsageError
 from decogs.formats.frame_ranges import Frames, frame_slice
 from decogs.formats.rigs import Rig, read_frames
 from decogs.formats.splats import FloatArray
+
+from .recordings import digest_of
 
 NEAR_FRACTION = 0.1
 """Near plane of a rig camera as a share of the median depth it sees: beyond any housing, before any subject."""
@@ -49,11 +51,15 @@ class View:
 
 @dataclass(frozen=True)
 class RigFrame:
-    """One time index: pictures (3, H, W) float32 0..1 of the training views and of the held-out ones, in order."""
+    """One time index: pictures (3, H, W) float32 0..1 of the training views and of the held-out ones, in order.
+
+    ``recorded``: in the first frame that was asked for, the digests of the pictures as they were decoded, by camera.
+    """
 
     index: int
     training: list[FloatArray]
     held_out: list[FloatArray]
+    recorded: Mapping[str, str] = field(default_factory=dict)
 
 
 class Ingest:
@@ -108,12 +114,11 @@ class Ingest:
 
     def frames(self, start: int, stop: int) -> Iterator[RigFrame]:
         """The rig's frames [start, stop) in order, one at a time."""
-        for index, pictures in read_frames(self.rig, start, stop, names=[*self._names, *self._held_names]):
-            planes = [
-                self._prepare(name, picture)
-                for name, picture in zip([*self._names, *self._held_names], pictures, strict=True)
-            ]
-            yield RigFrame(index, planes[: len(self._names)], planes[len(self._names) :])
+        names = [*self._names, *self._held_names]
+        for index, pictures in read_frames(self.rig, start, stop, names=names):
+            recorded = dict(zip(names, map(digest_of, pictures), strict=True)) if index == start else {}
+            planes = [self._prepare(name, picture) for name, picture in zip(names, pictures, strict=True)]
+            yield RigFrame(index, planes[: len(self._names)], planes[len(self._names) :], recorded)
 
     def _view(self, name: str) -> View:
         plan = self._plans[name]

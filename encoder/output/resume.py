@@ -27,6 +27,7 @@ from decogs.formats.container import (
 )
 from decogs.formats.errors import StreamError, UsageError
 
+from ..input.recordings import difference
 from ..settings.encode import EncodeSettings
 
 _PARAMETERS = {
@@ -77,13 +78,21 @@ class Interrupted:
         if len(self.entries) > frames:
             self._refuse(f"already holds {len(self.entries)} frames, this encode has {frames}")
 
+    def check_recordings(self, recorded: Mapping[str, str], first: int) -> None:
+        """Raises UsageError when frame ``first``, with which this encode begins, has other pictures than the stream's.
+
+        ``recorded``: their digests by camera.
+        """
+        if self.header.first_frame == first and (problem := difference(self.header, recorded)):
+            self._refuse(f"was begun with {problem}", "give the same recordings")
+
     def check_keyframe(self, *, same: bool) -> None:
         """Raises UsageError when the stream does not begin with the keyframe that was given."""
         if not same:
             self._refuse("begins with another keyframe than that of `keyframe`")
 
-    def _refuse(self, problem: str) -> NoReturn:
-        raise UsageError(f"`resume`: {self.path} {problem}; give the same options, or drop `resume` to start over")
+    def _refuse(self, problem: str, remedy: str = "give the same options") -> NoReturn:
+        raise UsageError(f"`resume`: {self.path} {problem}; {remedy}, or drop `resume` to start over")
 
 
 def find_interrupted(output: Path, growing: Path) -> Interrupted | None:
