@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import numpy as np
 import pytest
 
 from decogs.codec.corrections import Correction
@@ -260,6 +261,32 @@ def test_pictures_that_were_swapped_are_told(
     told: list[str] = []
     encode_rig(rig, tmp_path / "k.dgs", frames=slice(1), keyframe=moving.path, on_warning=told.append, **given)
     assert told == [f"`keyframe` {moving.path}: it was made from {problem}; is it of other footage?"]
+
+
+@pytest.mark.parametrize("cameras", [["cam01"], ["cam00", "cam01", "cam03", "cam04"]])
+def test_a_later_frame_of_other_footage_is_told(
+    moving: Any, moving_rig: Path, tiny_settings: Any, tiny_rig: Any, tmp_path: Path, cameras: list[str]
+) -> None:
+    """The first frame is the same, times are kept: the last frame that was encoded does not match its pictures."""
+    rig, output = Path(shutil.copytree(moving_rig, tmp_path / "rig")), tmp_path / "scene.dgs"
+    given = {"settings": tiny_settings, "holdout": ["cam02"], "resume": True}
+    told: list[str] = []
+    part(tmp_path, moving.data[: ends(moving.path)[3]])
+    encode_rig(rig, output, on_warning=told.append, **given)
+    assert (output.read_bytes(), told) == (moving.data, [])
+    output.unlink()
+    for name in cameras:
+        for path in sorted((rig / name).iterdir())[2:]:
+            stamp = path.stat()
+            cv2.imwrite(str(path), np.roll(cv2.imread(str(path)), 9, 1))
+            os.utime(path, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
+    part(tmp_path, moving.data[: ends(moving.path)[3]])
+    encode_rig(rig, output, on_warning=told.append, **given)
+    more = f" and {len(cameras) - 1} more cameras" if len(cameras) > 1 else ""
+    assert told == [
+        f"`resume`: {output}.part: the scene does not match frame 2 of camera {cameras[0]}{more}; "
+        "was it encoded from other footage?"
+    ]
 
 
 def test_a_published_stream_of_other_footage_stays(
