@@ -19,7 +19,7 @@ _RELATED = 0.25
 """Correlation of a rendering with a picture: nothing in common has about none, a scene that is hardly trained most."""
 _FALLEN, _LOW = 10 ** (6 / 10), 10 ** (-25 / 10)
 """Mean square error that has grown by 6 dB, and to 25 dB. From the first frame to a later one of the same footage it
-grew by .4 dB at most in `workbench`; with a neighbour's pictures in place of a camera's by 8 to 16, to 21 dB or less."""
+grew by .4 dB at most in `workbench`; with a neighbour's pictures instead by 8 to 16, to 21 dB or less."""
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,8 @@
 Chosen: no file beside the stream. Keyframe, lattice and near planes are the stream's own, and every whole frame is
 replayed by the loop: all that encoding it did but for the training, whose result is in the packet. Nothing random is
 carried from frame to frame, so that the finished file has the bytes of one that was never cut off; with a time budget,
-whose control begins anew, it has those of the frames that were there. Rejected: a snapshot of the encoder (another
+whose control begins anew, it has those of the frames that were there. That it is the same footage, the first frame's
+pictures tell (`input.recordings`). Rejected: a snapshot of the encoder (another
 format to keep, and one more thing that a kill can tear).
 """
 
