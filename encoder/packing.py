@@ -84,7 +84,7 @@ def pack(
     check_outputs([Output("output", target, grows=True)], [(path, "is read") for path in inputs])
     warn = on_warning or (lambda text: None)
     sizes: list[int] = []
-    with open_output(target, resumable=False, expendable=lambda left: _PACKED in left.header.settings) as stream:
+    with open_output(target, resumable=False, expendable=lambda left, _: _PACKED in left.settings) as stream:
         try:
             packing, file = None, None
             for index, path in enumerate(inputs):

@@ -16,7 +16,7 @@ from typing import Any, Literal
 from decogs.formats.callbacks import OnProgress, OnWarning
 from decogs.formats.errors import UsageError
 from decogs.formats.frame_ranges import Frames
-from decogs.formats.outputs import Output, check_outputs, write_whole
+from decogs.formats.outputs import GrowingFile, Output, check_outputs, is_device, write_whole
 from decogs.formats.rigs import Rig, files_of, open_rig
 
 from ..analysis import EffectChoice
@@ -24,7 +24,6 @@ from ..encoding import chosen_settings, wanted_effects
 from ..input.ingest import frame_span
 from ..input.recordings import is_current
 from ..output.resume import is_expendable
-from ..output.stream_output import open_output
 from ..parts.base import Base, read_base
 from ..parts.joining import JoinReport, join
 from ..parts.manifest import frames_read
@@ -87,9 +86,8 @@ def encode_on_cluster(
         "device": device,
     }
     engine = RayEngine(cluster, threads=threads, device=device)
-    if not resume:
-        with open_output(stream, resumable=False):
-            pass  # What cannot be written is said before the training.
+    if not (resume or is_device(stream)):
+        GrowingFile(stream, resumable=False).release()  # What cannot be written is said before the training.
     folder = _folder(stream, resume=resume)
     with engine:
         if engine.notice:

@@ -55,6 +55,10 @@ _PARAMETERS = {
 """What asked for a setting that differs, by the beginning of its name in the header; the first that fits."""
 
 
+IsSuch = Callable[[StreamHeader, int], bool]
+"""Whether a stream that was cut off is one that nobody would go on with, by its header and its whole frames."""
+
+
 @dataclass(frozen=True)
 class Interrupted:
     """The whole frames of a stream, of which ``size`` bytes are to be kept; ``ended``: the stream was finished."""
@@ -109,18 +113,18 @@ def find_interrupted(output: Path, growing: Path) -> Interrupted | None:
     return None
 
 
-def is_expendable(is_such: Callable[[Interrupted], bool], part: Path) -> bool:
-    """Whether the stream that a process left in ``part`` ends before its first frame is whole, or ``is_such``."""
+def is_expendable(is_such: IsSuch, part: Path) -> bool:
+    """Whether the stream that a process left in ``part`` ends within its header, or ``is_such``."""
     with part.open("rb") as file:
-        reader = PacketReader(file)
+        reader, header, frames = PacketReader(file), None, 0
         try:
             while (packet := reader.next()) is not None:
-                if packet.kind in FRAME_KINDS:
-                    left = _read(part)
-                    return left is not None and is_such(left)
+                if packet.kind == PacketKind.HEADER:
+                    header = StreamHeader.from_bytes(packet.payload)
+                frames += packet.kind in FRAME_KINDS
         except StreamError:
             return False  # It is no stream, or damaged: whoever has it may know what it is worth.
-    return True
+    return header is None or is_such(header, frames)
 
 
 def check_resumable(settings: EncodeSettings) -> None:

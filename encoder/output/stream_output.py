@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import shutil
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from pathlib import Path
@@ -20,7 +20,7 @@ from decogs.formats.container import StreamWriter
 from decogs.formats.errors import TryAgainError, UsageError
 from decogs.formats.outputs import Expendable, GrowingFile, Leftover, errors_named, is_device
 
-from .resume import Interrupted, find_interrupted, is_expendable
+from .resume import Interrupted, IsSuch, find_interrupted, is_expendable
 
 
 class StreamOutput(ABC):
@@ -85,7 +85,7 @@ class FileOutput(StreamOutput):
     """A file, taken from now on: it must be said before the training, which takes minutes, that it cannot be written.
 
     ``resume``: a ``NAME.part`` that is there is continued; ``expendable``: it is replaced if it is such a stream, or
-    has no whole frame. Raises UsageError when it is there otherwise, when it cannot be written, or is being written by
+    has no whole header. Raises UsageError when it is there otherwise, when it cannot be written, or is being written by
     another encode; so does every method when the disk is full. ``resumable``: whether what is left of it can be gone on
     with, which errors then say.
     """
@@ -96,7 +96,7 @@ class FileOutput(StreamOutput):
         *,
         resume: bool = False,
         resumable: bool = True,
-        expendable: Callable[[Interrupted], bool] | None = None,
+        expendable: IsSuch | None = None,
     ) -> None:
         super().__init__()
         self._output, self._resumable = output, resumable
@@ -211,7 +211,7 @@ def open_output(
     *,
     resume: bool = False,
     resumable: bool = True,
-    expendable: Callable[[Interrupted], bool] | None = None,
+    expendable: IsSuch | None = None,
 ) -> StreamOutput:
     """Takes the output of an encode, before anything long is done; a named pipe is written into as it is.
 

@@ -17,7 +17,7 @@ from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.outputs import Output, check_outputs
 from decogs.formats.regular_files import open_regular
 
-from ..output.resume import Interrupted, difference_of, difference_of_headers
+from ..output.resume import difference_of, difference_of_headers
 from ..output.stream_output import open_output
 from .manifest import Part, read_part, span_text, without_part
 
@@ -63,10 +63,10 @@ def join(
     files = _in_order([_checked(path) for path in paths])
     header, total = files[0].header, len(files[0].part.take)
 
-    def begins_alike(left: Interrupted) -> bool:
-        return resume and left.header_payload == header and len(left.entries) <= total
+    def begins_alike(left: StreamHeader, frames: int) -> bool:
+        return left.to_bytes() == header and frames <= total
 
-    with open_output(stream, resumable=False, expendable=begins_alike) as target:
+    with open_output(stream, resumable=False, expendable=begins_alike if resume else None) as target:
         target.begin(header)
         done, whole = 0, False
         try:

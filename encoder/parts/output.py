@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import BinaryIO
 
+from decogs.codec.header import StreamHeader
 from decogs.formats.container import StreamWriter
 
-from ..output.resume import Interrupted
 from ..output.stream_output import StreamOutput, open_output
 from .manifest import Part, read_part, with_part
 
@@ -17,9 +17,9 @@ def open_part(output: Path | BinaryIO) -> StreamOutput:
     return open_output(output, resumable=False, expendable=is_of_part)
 
 
-def is_of_part(left: Interrupted) -> bool:
+def is_of_part(header: StreamHeader, frames: int) -> bool:
     """Whether what a process left was to be a part."""
-    return read_part(left.header) is not None
+    return read_part(header) is not None
 
 
 class PartOutput(StreamOutput):
