@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -176,11 +177,12 @@ def _part_at(path: Path) -> Base:
 def _remove(parts: Sequence[Path], folder: Path, on_warning: OnWarning | None) -> None:
     """Removes the parts that were joined, and their folder if nothing else is in it."""
     for path in parts:
-        path.unlink()
+        path.unlink(missing_ok=True)
     if others := sorted(path.name for path in folder.iterdir()):
         _warn(on_warning, f"{folder}: it stays, since {others[0]} in it is none of this encode's parts")
     else:
-        folder.rmdir()
+        with suppress(OSError):  # It is a link, or somebody has put something there just now.
+            folder.rmdir()
 
 
 def _check(outcome: Outcome) -> None:
