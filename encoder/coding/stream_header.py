@@ -12,7 +12,7 @@ from decogs.formats.cameras import is_distorted
 from decogs.formats.rigs import Rig
 
 from ..input.ingest import Ingest
-from ..input.recordings import SETTING
+from ..input.recordings import setting_of
 from ..settings.encode import EncodeSettings
 
 
@@ -36,7 +36,7 @@ def stream_header(
     first frame's pictures by camera, none of an encode that did not take them down.
     """
     rig, document = ingest.rig, settings.as_document() | dict(inherited or {})
-    pictures = {SETTING: [recorded[camera.name] for camera in rig.cameras]} if recorded else {}
+    pictures = setting_of(recorded, [camera.name for camera in rig.cameras])
     return StreamHeader(
         cameras=ingest.cameras,
         lattice=lattice,

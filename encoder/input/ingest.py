@@ -53,7 +53,7 @@ class View:
 class RigFrame:
     """One time index: pictures (3, H, W) float32 0..1 of the training views and of the held-out ones, in order.
 
-    ``recorded``: in the first frame that was asked for, the digests of the pictures as they were decoded, by camera.
+    ``recorded``: in the first frame asked for, digests by camera of the training pictures as they were decoded.
     """
 
     index: int
@@ -116,7 +116,7 @@ class Ingest:
         """The rig's frames [start, stop) in order, one at a time."""
         names = [*self._names, *self._held_names]
         for index, pictures in read_frames(self.rig, start, stop, names=names):
-            recorded = dict(zip(names, map(digest_of, pictures), strict=True)) if index == start else {}
+            recorded = dict(zip(self._names, map(digest_of, pictures), strict=False)) if index == start else {}
             planes = [self._prepare(name, picture) for name, picture in zip(names, pictures, strict=True)]
             yield RigFrame(index, planes[: len(self._names)], planes[len(self._names) :], recorded)
 

@@ -1,16 +1,18 @@
 """Which recordings a stream is of, so that none is gone on with from other footage.
 
-Chosen: a digest of each camera's first picture as it is decoded, in the header's settings. Videos that are packed anew,
-moved or renamed stay the same recordings; a scale, a lens or held-out cameras play no part. Rejected: files' bytes
-(another container is no other footage), all frames' pictures (a digest a frame costs more than a frame in which nothing
-happens). A decoder of videos whose pictures differ by a level makes them other pictures, and the encode's bytes others.
+Chosen: a digest of each training camera's first picture as it is decoded, in the header's settings. Videos that are
+packed anew, moved or renamed stay the same recordings; a scale or a lens plays no part, nor does what a held-out camera
+shows. Rejected: files' bytes (another container is no other footage), all frames' pictures (a digest a frame costs more
+than a frame in which nothing happens). A decoder of videos whose pictures differ by a level makes them other pictures,
+and the encode's bytes others.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +20,7 @@ from decogs.codec.header import StreamHeader
 from decogs.formats.pictures import Picture
 from decogs.formats.rigs import Rig, files_with
 
-SETTING = "pictures"
+_SETTING, _PICTURES = "recorded", "pictures"
 _DIGITS = 8
 
 
@@ -29,12 +31,18 @@ def digest_of(picture: Picture) -> str:
     return content.hexdigest()[:_DIGITS]
 
 
+def setting_of(recorded: Mapping[str, str], cameras: Sequence[str]) -> dict[str, Any]:
+    """What the header's settings tell of the first pictures: digests in the order of ``cameras``; nothing without."""
+    return {_SETTING: {_PICTURES: [recorded[name] for name in cameras if name in recorded]}} if recorded else {}
+
+
 def recorded_in(header: StreamHeader) -> dict[str, str]:
     """The digests of the first frame's pictures by camera; none for a stream that does not tell."""
-    told = header.settings.get(SETTING)
+    group = header.settings.get(_SETTING)
+    told = group.get(_PICTURES) if isinstance(group, Mapping) else None
     if not isinstance(told, list) or not all(isinstance(text, str) for text in told):
         return {}
-    names = [camera.name for camera in header.cameras]
+    names = [camera.name for camera in header.cameras if camera.name not in header.held_out]
     return dict(zip(names, told, strict=True)) if len(names) == len(told) else {}
 
 

@@ -111,7 +111,7 @@ def inputs_of(rig: Rig, first: RigFrame) -> dict[str, str]:
         [camera.name, source.path.name, source.width, source.height, source.frame_count]
         for camera, source in zip(rig.cameras, rig.sources, strict=True)
     ]
-    pictures = [first.recorded[camera.name] for camera in rig.cameras]
+    pictures = sorted(first.recorded.items())
     return {"list of recordings": _digest(sources), f"picture content of frame {first.index}": _digest(pictures)}
 
 

@@ -447,7 +447,7 @@ def test_what_is_no_part(make: Make, tmp_path: Path, options: dict[str, Any], me
     ("options", "message"),
     [
         ({"seed": 3}, "key.dgs: it was begun with seed 0, this encode has 3"),
-        ({"holdout": ["cam03"]}, "key.dgs: it was trained with no camera held out, this encode holds out cam03"),
+        ({"holdout": ["cam03"]}, "key.dgs: it was made from other input"),
         ({"segment": 4, "only": (4, 7)}, r"key.dgs: it was begun with segment 2, this encode has 4 \(`segment`\)"),
         ({"targets": Targets(quality=60)}, "key.dgs: it was begun with frame.significance.threshold"),
         ({"frames": slice(0, 6), "only": (4, 6)}, "key.dgs: it is a part of frames 0 to 6, not of frames 0 to 5"),
