@@ -103,7 +103,7 @@ def encode_on_cluster(
         missing = [
             part
             for part, path in files.items()
-            if not (_is_part(path) and is_current(path, opened, frames_read(part, take, chosen)))
+            if not (_is_part(path, of=key) and is_current(path, opened, frames_read(part, take, chosen)))
         ]
         done = len(take) - sum(map(len, missing))
         rest = options | {"threads": max(1, threads)}
@@ -159,9 +159,14 @@ def _check_resumed(key: Path, options: dict[str, Any], take: range, rig: Rig) ->
         )
 
 
-def _is_part(path: Path) -> bool:
-    """Whether a part is there; raises UsageError for what is no part, which somebody else has put there."""
-    return os.path.lexists(path) and _part_at(path) is not None
+def _is_part(path: Path, *, of: Path | None = None) -> bool:
+    """Whether a part is there; raises UsageError for what is no part, or none of the same take as the part ``of``."""
+    if not os.path.lexists(path):
+        return False
+    part = _part_at(path).part
+    if of is not None and (problem := part.difference(_part_at(of).part)):
+        raise UsageError(f"{path}: it does not belong to {of}: {problem}; move it away, or delete it")
+    return True
 
 
 def _part_at(path: Path) -> Base:

@@ -251,6 +251,18 @@ def test_what_only_has_the_name_of_a_part_stays(
     assert what not in ("text", "a stream") or path.read_bytes() in (b"mine", moving.data)
 
 
+def test_a_part_of_another_take_stays(here: Any, rig: Path, tiny_settings: Any, tmp_path: Path) -> None:
+    """Although it has a part's name, and is older than the recordings, so that it would be made again."""
+    other = tmp_path / "scene.dgs.parts" / "0-2.dgs"
+    other.parent.mkdir()
+    encode(rig, other, tiny_settings, frames=slice(6), only=range(2), segment=SEGMENT, closed=True, threads=1)
+    data = other.read_bytes()
+    os.utime(other, (0, 0))
+    with pytest.raises(UsageError, match=r"0-2.dgs: it does not belong to .*key.dgs: it is a part of frames 0 to 5"):
+        here(resume=True)
+    assert other.read_bytes() == data
+
+
 def test_a_stream_to_be_resumed_is_not_joined_over(here: Any, moving: Any, tmp_path: Path) -> None:
     growing = tmp_path / "scene.dgs.part"
     growing.write_bytes(moving.data[:-100])
