@@ -25,6 +25,7 @@ from decogs.formats.command_line import (
     number_of_threads,
     path_or_pipe,
     print_text,
+    printable,
     progress,
     run,
     size_text,
@@ -223,7 +224,7 @@ def _decode(parser: Parser, options: argparse.Namespace) -> None:
             on_warning=warn_as(parser),
         )
     print_text(
-        f"{options.output}: {counted(report.frame_count, 'frame')} of {report.view}, "
+        f"{printable(options.output)}: {counted(report.frame_count, 'frame')} of {report.view}, "
         f"{report.width}x{report.height}, in {time.perf_counter() - started:.1f} s",
         to_stderr=options.output == "-",
     )
@@ -268,7 +269,7 @@ def _export(parser: Parser, options: argparse.Namespace) -> None:
     parts += [size_text(report.file_bytes), up]
     if report.metres != 1:
         parts.append(f"a unit is {report.metres:g} m")
-    print_text(f"{options.output}: {', '.join(parts)}", to_stderr=options.output == "-")
+    print_text(f"{printable(options.output)}: {', '.join(parts)}", to_stderr=options.output == "-")
 
 
 def _info(options: argparse.Namespace) -> None:
@@ -308,7 +309,7 @@ def _view(options: argparse.Namespace) -> None:
         ) as served,
         suppress(KeyboardInterrupt),
     ):
-        print_text(f"{options.stream}: {served.url} (Ctrl-C ends it)")
+        print_text(f"{printable(options.stream)}: {served.url} (Ctrl-C ends it)")
         served.wait()
 
 
@@ -321,7 +322,7 @@ def _write_site(options: argparse.Namespace) -> None:
         raise UsageError("a folder holds a whole stream; leave out `follow`, or wait for the encoder")
     with progress("writing", "MB") as on_megabytes:
         report = write_site(options.stream, options.output, overwrite=options.overwrite, on_megabytes=on_megabytes)
-    print_text(f"{options.output}: {counted(report.file_count, 'file')}, {size_text(report.file_bytes)}")
+    print_text(f"{printable(options.output)}: {counted(report.file_count, 'file')}, {size_text(report.file_bytes)}")
 
 
 def _joined(arguments: Sequence[str] | None) -> list[str]:

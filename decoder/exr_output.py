@@ -128,7 +128,8 @@ def save_exr(path: Path, rendering: Rendering, layers: Layers, *, fps: float) ->
         with OpenEXR.File(header, channels) as file:
             file.write(str(path))
     except RuntimeError as error:
-        raise UsageError(f"{path.name}: the EXR cannot be written ({error}); choose another output") from None
+        problem = str(error).replace(str(path), path.name)  # It lies in a hidden folder by now.
+        raise UsageError(f"{path.name}: the EXR cannot be written ({problem}); choose another output") from None
 
 
 def _channels(rendering: Rendering, layers: Layers) -> dict[str, NDArray[Any]]:

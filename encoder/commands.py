@@ -17,6 +17,7 @@ from decogs.formats.command_line import (
     number_of_threads,
     path_or_pipe,
     print_text,
+    printable,
     progress,
     retryable,
     reworded,
@@ -221,7 +222,7 @@ def _pack(parser: Parser, options: argparse.Namespace) -> int:
         )
     frames, size = counted(len(report.frame_bytes), "frame"), size_text(report.total_bytes)
     print_text(
-        f"{options.output}: {frames}, {size}; the files have {size_text(report.read_bytes)}",
+        f"{printable(options.output)}: {frames}, {size}; the files have {size_text(report.read_bytes)}",
         to_stderr=options.output == "-",
     )
     return 0
@@ -244,7 +245,9 @@ def _join(options: argparse.Namespace) -> int:
     with progress("joining") as on_frame:
         report = join(options.parts, path_or_pipe(options.output, "the stream"), on_frame=on_frame)
     parts, frames = counted(report.parts, "part"), counted(report.frames, "frame")
-    print_text(f"{options.output}: {parts}, {frames}, {report.total_bytes} bytes", to_stderr=options.output == "-")
+    print_text(
+        f"{printable(options.output)}: {parts}, {frames}, {report.total_bytes} bytes", to_stderr=options.output == "-"
+    )
     return 0
 
 
@@ -285,7 +288,7 @@ def _encode_on_cluster(parser: Parser, options: argparse.Namespace) -> int:
             on_warning=warn_as(parser),
         )
     parts, frames = counted(report.parts, "part"), counted(report.frames, "frame")
-    print_text(f"{options.output}: {parts}, {frames}, {report.total_bytes} bytes")
+    print_text(f"{printable(options.output)}: {parts}, {frames}, {report.total_bytes} bytes")
     return 0
 
 

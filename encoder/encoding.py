@@ -31,6 +31,7 @@ from .output.stream_output import open_output
 from .parts.base import Base, read_base
 from .parts.encoding import encode_part
 from .parts.manifest import part_frames
+from .parts.output import open_part
 from .rasterise import check_device
 from .settings.compensation import CorrectionSettings
 from .settings.encode import EncodeSettings
@@ -136,7 +137,8 @@ def encode(
         threads=thread_count(threads),
     )
     with ExitStack() as open_files:
-        target = open_files.enter_context(open_output(stream, resume=resume, fresh=part is not None))
+        taken_output = open_output(stream, resume=resume) if part is None else open_part(stream)
+        target = open_files.enter_context(taken_output)
         observers = [] if log is None else [open_files.enter_context(EncodeLog(log, append=resume))]
         curve = None
         if convergence_log is not None:

@@ -25,6 +25,7 @@ from .coding.time_control import TimeControl
 from .input.imported_keyframe import KeyframeSource
 from .input.imported_splats import SplatSource
 from .input.ingest import Ingest, RigFrame
+from .input.recordings import difference, recorded_in
 from .output.convergence_log import ConvergenceLog
 from .output.frame_report import FrameReporter
 from .output.reports import FrameReport, OnKeyframeStep
@@ -91,6 +92,7 @@ class StreamEncoder:
     def encode_key(self, frame: RigFrame, on_step: OnKeyframeStep | None) -> FrameReport:
         """Trains or takes over the first frame and writes header and keyframe; the output begins only then."""
         watch, state = self._begin(frame), self._state
+        state.recorded = frame.recorded
         key, lattice = self._first_frame(frame, watch, on_step)
         state.scene = state.new_scene(frame.index, lattice, sh_degree_of(key.coefficients))
         splats, frame = dequantise(key, lattice), state.compensation.matched(frame)
@@ -101,7 +103,7 @@ class StreamEncoder:
             written = state.scene.begin(key, corrections)
         state.begin(frame, watch)
         if state.source is not None:
-            self._reporter.check_footage(frame, state.scene.splats, f"`keyframe` {state.source.path}", [], watch)
+            self._check_source(state.source, frame, watch)
         return self._report(frame, written, Change([], np.ones(len(key), bool)), watch)
 
     def encode_next(
@@ -222,6 +224,13 @@ class StreamEncoder:
             self._reporter.check_footage(replayed.frame, self._state.scene.splats, origin, masks, watch)
         report = self._report(replayed.frame, replayed.written, replayed.change, watch)
         return replace(report, replayed=True, overlooked=False, uncorrected=replayed.uncorrected)
+
+    def _check_source(self, source: KeyframeSource, frame: RigFrame, watch: Stopwatch) -> None:
+        """Warns where an earlier stream's keyframe is of other footage."""
+        if not recorded_in(source.header):
+            self._reporter.check_footage(frame, self._state.scene.splats, f"`keyframe` {source.path}", [], watch)
+        elif (problem := difference(source.header, frame.recorded)) and self._on_warning is not None:
+            self._on_warning(f"`keyframe` {source.path}: it was made from {problem}; is it of other footage?")
 
     def _begin(self, frame: RigFrame) -> Stopwatch:
         if self._convergence is not None:

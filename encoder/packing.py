@@ -42,6 +42,8 @@ _STRAY = 0.05
 """Median way of a row between two frames, as a share of the scene, beyond which rows are in no common order."""
 _LEVEL = 15
 _WIDTH, _HEIGHT, _FOCAL = 1280, 720, 1100.0
+_PACKED = "packed"
+"""The setting that tells a packed stream from an encode, which could be gone on with."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,7 @@ def pack(
     check_outputs([Output("output", target, grows=True)], [(path, "is read") for path in inputs])
     warn = on_warning or (lambda text: None)
     sizes: list[int] = []
-    with open_output(target, resumable=False) as stream:
+    with open_output(target, resumable=False, expendable=lambda left, _: _PACKED in left.settings) as stream:
         try:
             packing, file = None, None
             for index, path in enumerate(inputs):
@@ -211,7 +213,7 @@ def _header(path: Path, file: SplatFile, scale: float, *, fps: float | None, fir
         first_frame=min(first, MAX_FRAME),
         effects=(*effects, *(("view_dependence",) if file.splats.sh_degree else ())),
         units="world units of the files",
-        settings={"lattice_scale": scale, "packed": path.name},
+        settings={"lattice_scale": scale, _PACKED: path.name},
     )
     try:
         header.to_bytes()

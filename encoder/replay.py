@@ -21,6 +21,7 @@ from .coding.coded_scene import Written
 from .input.imported_keyframe import KeyframeSource
 from .input.imported_splats import SplatSource
 from .input.ingest import RigFrame
+from .input.recordings import recorded_in
 from .output.resume import Interrupted
 from .stopwatch import Stopwatch
 from .stream_state import StreamState
@@ -48,6 +49,7 @@ def take_over(state: StreamState, left: Interrupted, span: range) -> None:
     near = header.near_planes
     state.ingest.set_near_planes({camera.name: near.get(camera.name, 0.0) for camera in state.ingest.rig.cameras})
     state.compensation.colours = header.camera_colours
+    state.recorded = recorded_in(left.header)
     state.scene = state.new_scene(first, header.lattice, header.sh_degree)
     left.check(state.scene.header, len(span))
     if source is not None:

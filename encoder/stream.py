@@ -14,6 +14,7 @@ from .closed_segments import with_following
 from .input.imported_keyframe import KeyframeSource
 from .input.imported_splats import SplatSource
 from .input.ingest import Ingest
+from .input.recordings import is_current
 from .loop import StreamEncoder
 from .output.convergence_log import ConvergenceLog
 from .output.metrics import write_metrics
@@ -71,7 +72,11 @@ def encode_stream(
         packets: Iterator[Packet] = iter(())
         origin, last = "", 0
         if left is not None:
+            left.check_recordings(next(ingest.frames(span.start, span.start + 1)).recorded, span.start)
             encoder.take_over(left, span)
+            done = range(span.start, span.start + len(left.entries))
+            if on_warning is not None and not is_current(left.path, ingest.rig, done):
+                on_warning(f"`resume`: a recording was written after {left.path}; start over if its frames are others")
             packets, origin, last = left.packets(), f"`resume`: {left.path}", len(left.entries) - 1
             if left.path != target.growing and left.ended and resumed == len(span):
                 return EncodeReport(target.name, [], left.path.stat().st_size, False, resumed)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 
@@ -80,7 +80,8 @@ class StreamState:
     """The state of one encode; ``scene``, ``changes`` and ``trainer`` are there once it has its first frame.
 
     ``source``: an earlier stream's keyframe to begin with, or None. ``views`` show the scene, and are none for a dense
-    method. ``rate`` keeps to a budget of bytes, if there is one.
+    method. ``recorded``: digests of the first frame's pictures by camera, for the header. ``rate`` keeps to a budget of
+    bytes, if there is one.
     """
 
     scene: CodedScene
@@ -106,6 +107,7 @@ class StreamState:
         self.views = IncrementalViews([])
         self.motion = Motion()
         self.rate = self._new_rate()
+        self.recorded: Mapping[str, str] = {}
         self._first_frame: RigFrame | None = None
         self._fade_views = IncrementalViews([])
 
@@ -121,6 +123,7 @@ class StreamState:
             corrected=self.compensation.cameras,
             colours=self.compensation.colours,
             inherited=None if self.source is None else self.source.settings,
+            recorded=self.recorded,
         )
         return CodedScene(header, self._output, level=self.settings.zstd_level, segment=self.settings.segment)
 

@@ -16,17 +16,21 @@ import shutil
 import stat
 import tempfile
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, Literal
 
+from .container import SIGNATURE
 from .errors import TryAgainError, UsageError
 
 Leftover = Literal["refused", "kept", "dropped"]
 """What becomes of the ``NAME.part`` that an interrupted process left: an error, continued, or replaced."""
+
+Expendable = Callable[[Path], bool]
+"""Whether the ``NAME.part`` that is there may be replaced, since nobody would go on with it; refused otherwise."""
 
 _Place = tuple[int, int] | str
 
@@ -122,11 +126,13 @@ class GrowingFile:
     ``publish`` closes it; what it holds by then stays, an empty one is removed.
     """
 
-    def __init__(self, output: Path, *, leftover: Leftover = "refused", resumable: bool = True) -> None:
+    def __init__(self, output: Path, *, leftover: Leftover | Expendable = "refused", resumable: bool = True) -> None:
         """Raises UsageError for what cannot be written or is being written; ``resumable``: whether that advises it."""
         self.output, self.path = resolved(output), part_of(output)
         self._check()
         self.file = self._locked()
+        if callable(leftover):
+            leftover = "dropped" if self.size and leftover(self.path) else "refused"
         if leftover == "dropped":
             self.file.truncate(0)
         elif leftover == "refused" and self.size:
@@ -210,9 +216,12 @@ class GrowingFile:
         raise UsageError(f"{path}: {problem}")
 
 
-def write_whole(path: Path, data: bytes) -> None:
-    """Writes the file so that an interruption leaves the one that was there, or none. Raises UsageError, OSError."""
-    with GrowingFile(path, leftover="dropped") as growing:
+def write_whole(path: Path, data: bytes, *, expendable: Expendable | None = None) -> None:
+    """Writes the file so that an interruption leaves the one that was there, or none. Raises UsageError, OSError.
+
+    ``expendable``: what may be replaced of what is there in ``NAME.part``; None is all but a stream.
+    """
+    with GrowingFile(path, leftover=expendable or _is_no_stream, resumable=False) as growing:
         try:
             growing.file.write(data)
             growing.publish()
@@ -234,8 +243,20 @@ def staged_files(folder: Path) -> Iterator[Path]:
     try:
         yield staging
         publish_files(staging, folder)
+    except OSError as error:
+        error.filename = _final_name(error.filename, staging, folder)
+        raise
     finally:
         shutil.rmtree(staging, ignore_errors=True)
+
+
+def _final_name(name: object, staging: Path, folder: Path) -> object:
+    """What the user knows a file by that an error is about: the hidden folder is none of the names given."""
+    if name is None:
+        return os.fspath(folder)
+    if isinstance(name, str) and Path(name).is_relative_to(staging):
+        return os.fspath(folder / Path(name).relative_to(staging))
+    return name
 
 
 def publish_files(staging: Path, folder: Path) -> None:
@@ -269,6 +290,17 @@ def open_in_place(path: Path, *, append: bool = False) -> BinaryIO:
         if file.read(1) != b"\n":
             file.write(b"\n")  # What was cut off stays a line of its own.
     return file
+
+
+def check_writable(path: Path) -> None:
+    """Raises UsageError, before anything long is done, for a file that `write_whole` could not write."""
+    GrowingFile(path, leftover=_is_no_stream, resumable=False).release()
+
+
+def _is_no_stream(part: Path) -> bool:
+    """Whether a file that grows holds none of the streams that an encode may be to go on with."""
+    with part.open("rb") as file:
+        return file.read(len(SIGNATURE)) != SIGNATURE
 
 
 def _lock(number: int) -> None:

@@ -24,6 +24,8 @@ from typing import Any, BinaryIO
 from urllib.parse import unquote, urlsplit
 
 from decogs.formats.errors import RigError, UsageError
+from decogs.formats.outputs import is_device, part_of
+from decogs.formats.regular_files import open_regular
 
 from ..following import followed, open_growing
 from .byte_ranges import NoSuchBytes, asked_range
@@ -89,7 +91,9 @@ def _listening(
 ) -> _Server:
     def opened() -> BinaryIO:
         if not growing:
-            return path.open("rb")
+            return open_regular(path)
+        if is_device(path) or is_device(part_of(path)):
+            raise FileNotFoundError(path)  # It was put in the stream's place, and would be waited for.
         with suppress(FileNotFoundError):
             return open_growing(path)
         return open_growing(path)  # it was renamed between two looks
@@ -148,12 +152,20 @@ class _Handler(BaseHTTPRequestHandler):
         self._answer()
 
     def _answer(self) -> None:
-        if self.headers.get("Content-Length", "0") != "0" or "Transfer-Encoding" in self.headers:
+        lengths = set(self.headers.get_all("Content-Length", ["0"]))
+        if lengths != {"0"} or "Transfer-Encoding" in self.headers:
             self.close_connection = True  # a body, which nobody reads, would pass for the next request
+        if len(lengths) > 1:
+            self._refuse(HTTPStatus.BAD_REQUEST, "this request has several lengths")
+            return
         if not self._is_for_this_machine():
             self._refuse(HTTPStatus.MISDIRECTED_REQUEST, "this address is for the machine that serves it only")
             return
-        name = unquote(urlsplit(self.path).path, errors="surrogateescape").removeprefix("/")
+        try:
+            name = unquote(urlsplit(self.path).path, errors="surrogateescape").removeprefix("/")
+        except ValueError:
+            self._refuse(HTTPStatus.BAD_REQUEST, "this is no address")
+            return
         if name == self.server.stream_name:
             self._send_stream()
         elif name in self.server.page:

@@ -10,7 +10,7 @@ from pathlib import Path
 from decogs.formats.command_line import Parser, frames_joined, number_of_threads, print_text, progress, run, warn_as
 from decogs.formats.errors import UsageError
 from decogs.formats.frame_ranges import frame_range
-from decogs.formats.outputs import Output, check_outputs, is_device, write_whole
+from decogs.formats.outputs import Output, check_outputs, check_writable, is_device, write_whole
 from decogs.formats.rigs import files_of, open_rig
 
 
@@ -40,6 +40,8 @@ def _analyze(parser: Parser, options: argparse.Namespace) -> None:
     to_file = options.json is not None and options.json != "-"
     if to_file:
         check_outputs([Output("json", Path(options.json), grows=True)], files_of(rig))
+        if not is_device(Path(options.json)):
+            check_writable(Path(options.json))
     with progress("analysing", "step") as on_step:
         analysis = analyse(
             rig,

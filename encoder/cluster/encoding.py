@@ -8,23 +8,27 @@ one of another encode is named when they are joined.
 from __future__ import annotations
 
 import os
-import shutil
 from collections.abc import Sequence
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from decogs.formats.callbacks import OnProgress, OnWarning
 from decogs.formats.errors import UsageError
 from decogs.formats.frame_ranges import Frames
-from decogs.formats.outputs import Output, check_outputs, write_whole
+from decogs.formats.outputs import GrowingFile, Output, check_outputs, is_device, write_whole
 from decogs.formats.rigs import Rig, files_of, open_rig
 
 from ..analysis import EffectChoice
 from ..encoding import chosen_settings, wanted_effects
 from ..input.ingest import frame_span
-from ..parts.base import read_base
+from ..input.recordings import is_current
+from ..output.resume import is_expendable
+from ..parts.base import Base, read_base
 from ..parts.joining import JoinReport, join
-from ..parts.manifest import frames_read, is_current
+from ..parts.manifest import frames_read
+from ..parts.output import is_of_part
 from ..rasterise import check_device
 from ..settings.encode import EncodeSettings
 from ..switches import Switches
@@ -83,10 +87,14 @@ def encode_on_cluster(
         "device": device,
     }
     engine = RayEngine(cluster, threads=threads, device=device)
+    if not (resume or is_device(stream)):
+        GrowingFile(stream, resumable=False).release()  # What cannot be written is said before the training.
     folder = _folder(stream, resume=resume)
     with engine:
+        if engine.notice:
+            _warn(on_warning, engine.notice)
         key = folder / _KEYFRAME
-        if not key.exists():
+        if not _is_part(key):
             first = range(take.start, take.start + 1)
             given = options if keyframe is None else options | {"keyframe": os.fspath(Path(keyframe).absolute())}
             _run(engine, opened.path, [first], None, given, {first: key}, 0, len(take), progress, on_warning)
@@ -95,13 +103,13 @@ def encode_on_cluster(
         missing = [
             part
             for part, path in files.items()
-            if not (path.exists() and is_current(path, opened, frames_read(part, take, chosen)))
+            if not (_is_part(path, of=key) and is_current(path, opened, frames_read(part, take, chosen)))
         ]
         done = len(take) - sum(map(len, missing))
         rest = options | {"threads": max(1, threads)}
         _run(engine, opened.path, missing, key.read_bytes(), rest, files, done, len(take), progress, on_warning)
-    report = join(list(files.values()), stream)
-    shutil.rmtree(folder)
+    report = join(list(files.values()), stream, resume=resume)
+    _remove([key, *files.values()], folder, on_warning)
     return report
 
 
@@ -129,16 +137,16 @@ def _run(
         _check(outcome)
         for warning in outcome.warnings:
             _warn(on_warning, warning)
-        write_whole(files[part], outcome.data)
+        write_whole(files[part], outcome.data, expendable=partial(is_expendable, is_of_part))
 
 
 def _check_resumed(key: Path, options: dict[str, Any], take: range, rig: Rig) -> None:
     """Raises UsageError when the keyframe that is there is that of other recordings or options."""
+    base = _part_at(key)
     if not is_current(key, rig, range(take.start, take.start + 1)):
-        raise UsageError(f"{key}: the first frame's recordings are newer; delete its folder to start over")
-    base = read_base(key)
-    if base is None:
-        raise UsageError(f"{key}: this is no part of a take; delete its folder to start over")
+        raise UsageError(
+            f"{key}: the first frame's recordings are newer; delete it and the parts beside it to start over"
+        )
     base.settings(options["settings"], options["effects"])
     header = base.keyframe.header
     was: dict[str, Any] = {"frames": base.part.take, "holdout": set(header.held_out), "metrics": base.part.metrics}
@@ -147,8 +155,39 @@ def _check_resumed(key: Path, options: dict[str, Any], take: range, rig: Rig) ->
     now |= {name: options[name] for name in ("seed", "scale")}
     if changed := [name for name in was if was[name] != now[name]]:
         raise UsageError(
-            f"{key.parent}: its encode had another `{changed[0]}`; give the same options, or delete it to start over"
+            f"{key.parent}: its encode had another `{changed[0]}`; give the same options, or delete its parts"
         )
+
+
+def _is_part(path: Path, *, of: Path | None = None) -> bool:
+    """Whether a part is there; raises UsageError for what is no part, or none of the same take as the part ``of``."""
+    if not os.path.lexists(path):
+        return False
+    part = _part_at(path).part
+    if of is not None and (problem := part.difference(_part_at(of).part)):
+        raise UsageError(f"{path}: it does not belong to {of}: {problem}; move it away, or delete it")
+    return True
+
+
+def _part_at(path: Path) -> Base:
+    try:
+        base = read_base(path)
+    except UsageError:
+        base = None
+    if base is None:
+        raise UsageError(f"{path}: this is no part of a take, or it is damaged; move it away, or delete it")
+    return base
+
+
+def _remove(parts: Sequence[Path], folder: Path, on_warning: OnWarning | None) -> None:
+    """Removes the parts that were joined, and their folder if nothing else is in it."""
+    for path in parts:
+        path.unlink(missing_ok=True)
+    if others := sorted(path.name for path in folder.iterdir()):
+        _warn(on_warning, f"{folder}: it stays, since {others[0]} in it is none of this encode's parts")
+    else:
+        with suppress(OSError):  # It is a link, or somebody has put something there just now.
+            folder.rmdir()
 
 
 def _check(outcome: Outcome) -> None:
@@ -164,7 +203,9 @@ def _folder(output: Path, *, resume: bool) -> Path:
     """Where parts are kept until they are joined; raises UsageError if some are there that nobody asked for."""
     folder = output.with_name(output.name + ".parts")
     if not resume and folder.is_dir() and any(folder.iterdir()):
-        raise UsageError(f"{folder}: an encode that was cut off left it; `resume` goes on with it, or delete it")
+        if not (folder / _KEYFRAME).exists():
+            raise UsageError(f"{folder}: parts are kept there, and it is not empty; move what is in it away")
+        raise UsageError(f"{folder}: an encode that was cut off left it; `resume` goes on with it, or move it away")
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -14,6 +15,8 @@ from .tasks import Outcome, run_part
 
 LOCAL = "local"
 _ADDRESS = re.compile(r"(ray://)?[^/\s:]+:[0-9]{1,5}")
+_WITH_TOKEN = (2, 60)
+"""The first release that is known to ask for a token by itself where it starts a cluster."""
 _RESTARTS = 4
 """Times that Ray runs a task again whose worker died."""
 _TRIES = 3
@@ -53,8 +56,21 @@ class RayEngine:
             import ray
         except ImportError:
             raise UsageError("`cluster`: Ray is not installed; install decogs[cluster]") from None
+        if tuple(int(number) for number in re.findall(r"\d+", ray.__version__)[:2]) < _WITH_TOKEN:
+            raise UsageError(
+                f"`cluster`: Ray {ray.__version__} takes tasks from everyone on the network; install decogs[cluster]"
+            )
         self._ray, self._address = ray, address
         self._needs = {"num_cpus": max(1, threads), "num_gpus": 1 if device == "cuda" else 0}
+
+    @property
+    def notice(self) -> str:
+        """What the user should know of a cluster that is started here: Ray binds to no single address (2.60)."""
+        if self._address != LOCAL:
+            return ""
+        is_guarded = os.environ.get("RAY_AUTH_MODE", "token").lower() == "token"
+        callers = "callers that have its token" if is_guarded else "everyone, by RAY_AUTH_MODE"
+        return f"`cluster` local: Ray listens on this machine's network addresses meanwhile, for {callers}"
 
     def __enter__(self) -> RayEngine:
         ray, quiet = self._ray, {"log_to_driver": False, "logging_level": logging.ERROR}

@@ -12,6 +12,7 @@ from decogs.formats.cameras import is_distorted
 from decogs.formats.rigs import Rig
 
 from ..input.ingest import Ingest
+from ..input.recordings import setting_of
 from ..settings.encode import EncodeSettings
 
 
@@ -26,13 +27,16 @@ def stream_header(
     corrected: CorrectedCameras,
     colours: Corrections,
     inherited: Mapping[str, Any] | None,
+    recorded: Mapping[str, str],
 ) -> StreamHeader:
     """The header of a stream whose first frame is the rig's ``first``.
 
     ``corrected``: cameras whose drift is compensated. ``colours``: how those of cameras differ from the
-    scene's in every frame. ``inherited``: settings of an imported keyframe, which made it.
+    scene's in every frame. ``inherited``: settings of an imported keyframe, which made it. ``recorded``: digests of the
+    first frame's pictures by camera, none of an encode that did not take them down.
     """
     rig, document = ingest.rig, settings.as_document() | dict(inherited or {})
+    pictures = setting_of(recorded, [camera.name for camera in rig.cameras])
     return StreamHeader(
         cameras=ingest.cameras,
         lattice=lattice,
@@ -48,7 +52,7 @@ def stream_header(
         source_text=rig.source_text,
         licence=rig.licence,
         units=rig.length_unit or StreamHeader.units,
-        settings={"seed": seed, "scale": ingest.scale, **document},
+        settings={"seed": seed, "scale": ingest.scale, **pictures, **document},
         corrected=corrected,
         camera_colours=colours,
     )

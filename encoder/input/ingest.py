@@ -7,7 +7,7 @@ field.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -20,6 +20,8 @@ from decogs.formats.errors import RigError, UsageError
 from decogs.formats.frame_ranges import Frames, frame_slice
 from decogs.formats.rigs import Rig, read_frames
 from decogs.formats.splats import FloatArray
+
+from .recordings import digest_of
 
 Picture = NDArray[np.uint8] | NDArray[np.float32]
 Size = tuple[int, int]
@@ -55,13 +57,15 @@ class View:
 class RigFrame:
     """One time index: pictures (3, H, W) float32 0..1 of the training views and of the held-out ones, in order.
 
-    ``recorded``: the held-out ones (H, W, 3) at their cameras' own size and with their lenses; none without a scale.
+    ``own_size``: the held-out ones (H, W, 3) at their cameras' own size and with their lenses; none without a scale.
+    ``recorded``: in the first frame asked for, digests by camera of the training pictures as they were decoded.
     """
 
     index: int
     training: list[FloatArray]
     held_out: list[FloatArray]
-    recorded: Sequence[Picture] = ()
+    own_size: Sequence[Picture] = ()
+    recorded: Mapping[str, str] = field(default_factory=dict)
 
 
 class Ingest:
@@ -122,18 +126,13 @@ class Ingest:
 
     def frames(self, start: int, stop: int) -> Iterator[RigFrame]:
         """The rig's frames [start, stop) in order, one at a time."""
-        for index, pictures in read_frames(self.rig, start, stop, names=[*self._names, *self._held_names]):
-            planes = [
-                self._prepare(name, picture)
-                for name, picture in zip([*self._names, *self._held_names], pictures, strict=True)
-            ]
-            held = len(self._names)
-            recorded = (
-                []
-                if self.scale == 1
-                else [self._at_own_size(*each) for each in zip(self._held_names, pictures[held:], strict=True)]
-            )
-            yield RigFrame(index, planes[:held], planes[held:], recorded)
+        names, count = [*self._names, *self._held_names], len(self._names)
+        for index, pictures in read_frames(self.rig, start, stop, names=names):
+            recorded = dict(zip(self._names, map(digest_of, pictures), strict=False)) if index == start else {}
+            planes = [self._prepare(name, picture) for name, picture in zip(names, pictures, strict=True)]
+            held_out = zip(self._held_names, pictures[count:], strict=True)
+            own_size = [self._at_own_size(*each) for each in held_out] if self.scale != 1 else []
+            yield RigFrame(index, planes[:count], planes[count:], own_size, recorded)
 
     def _at_own_size(self, name: str, picture: Picture) -> Picture:
         camera = next(camera for camera in self.rig.cameras if camera.name == name)

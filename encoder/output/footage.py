@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,23 +17,39 @@ _POOR = 10 ** (-20 / 10)
 """Mean square error of 20 dB: what is better than that is no other footage, however plain the pictures are."""
 _RELATED = 0.25
 """Correlation of a rendering with a picture: nothing in common has about none, a scene that is hardly trained most."""
+_FALLEN, _LOW = 10 ** (6 / 10), 10 ** (-25 / 10)
+"""Mean square error that has grown by 6 dB, and to 25 dB. From the first frame to a later one of the same footage it
+grew by .4 dB at most in `workbench`; with a neighbour's pictures instead by 8 to 16, to 21 dB or less."""
 
 
-def strange_cameras(
+@dataclass(frozen=True)
+class Match:
+    """How well a camera's picture is shown: the mean square error, and whether the two have nothing in common."""
+
+    camera: str
+    error: float
+    is_strange: bool
+
+    def is_of_other_footage(self, first: float) -> bool:
+        """Whether this is no picture of the scene; ``first``: the error in the stream's first frame."""
+        return self.is_strange or self.error > max(_FALLEN * first, _LOW)
+
+
+def matches(
     views: Sequence[View], pictures: Sequence[FloatArray], shown: Sequence[FloatArray], *, threads: int = 1
-) -> list[str]:
-    """Cameras whose pictures (3, H, W) ``shown`` has nothing to do with, and misses by less than 20 dB."""
+) -> list[Match]:
+    """Compares the cameras' pictures (3, H, W) with what is ``shown`` of the scene."""
     with side_by_side(threads) as each:
-        strange = list(each(_is_strange, views, pictures, shown))
-    return [view.camera.name for view, is_strange in zip(views, strange, strict=True) if is_strange]
+        return list(each(_match, views, pictures, shown))
 
 
-def _is_strange(view: View, picture: FloatArray, rendered: FloatArray) -> bool:
+def _match(view: View, picture: FloatArray, rendered: FloatArray) -> Match:
     recorded = np.ones(picture.shape[1:], bool) if view.valid is None else view.valid > 0
     if not recorded.any():
-        return False
+        return Match(view.camera.name, 0.0, is_strange=False)
     target, drawn = (values[:, recorded].astype(np.float64) for values in (picture, np.clip(rendered, 0, 1)))
-    return bool(np.mean((drawn - target) ** 2) > _POOR and _correlation(drawn, target) < _RELATED)
+    error = float(np.mean((drawn - target) ** 2))
+    return Match(view.camera.name, error, is_strange=error > _POOR and _correlation(drawn, target) < _RELATED)
 
 
 def _correlation(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:

@@ -17,7 +17,7 @@ from ..input.ingest import Ingest, RigFrame, display_referred
 from ..psnr import mean_picture_psnr, mean_psnr, psnr_of, square_error
 from ..rasterise import IncrementalViews, TrainingKernel
 from ..stopwatch import Stopwatch
-from .footage import strange_cameras, warning_of
+from .footage import matches, warning_of
 from .reports import FrameReport
 
 _STAGE = "measure"
@@ -37,6 +37,7 @@ class FrameReporter:
     ) -> None:
         self._ingest, self._kernel, self._views, self._threads = ingest, kernel, views, threads
         self._on_warning = on_warning
+        self._first_errors: dict[str, float] = {}
 
     def report(
         self,
@@ -78,11 +79,16 @@ class FrameReporter:
     def check_footage(
         self, frame: RigFrame, scene: Splats, origin: str, masks: Sequence[FrameMask], watch: Stopwatch
     ) -> None:
-        """Warns where the scene of an earlier encode, named by ``origin``, is not what the rig's pictures show."""
+        """Warns where the scene of an earlier encode, named by ``origin``, is not what the rig's pictures show.
+
+        A later frame's pictures are expected to fit nearly as well as the first ones that were compared.
+        """
         with watch.stage(_STAGE):
             used = showing(masks) or range(len(self._ingest.views))
             views, pictures = [self._ingest.views[i] for i in used], [frame.training[i] for i in used]
-            cameras = strange_cameras(views, pictures, self._shown(scene, used), threads=self._threads)
+            found = matches(views, pictures, self._shown(scene, used), threads=self._threads)
+            self._first_errors = self._first_errors or {match.camera: match.error for match in found}
+            cameras = [m.camera for m in found if m.is_of_other_footage(self._first_errors.get(m.camera, m.error))]
             if cameras and self._on_warning is not None:
                 self._on_warning(warning_of(origin, frame.index, cameras))
 
@@ -94,12 +100,12 @@ class FrameReporter:
 
     def _own_size_psnr(self, frame: RigFrame, header: StreamHeader, scene: Splats) -> float | None:
         """Of what a decoder shows of the held-out cameras, against what they recorded; None without a scale."""
-        if not frame.recorded:
+        if not frame.own_size:
             return None
         views = [view.camera.name for view in self._ingest.held_out_views]
         return fmean(
             psnr_of(square_error(render_view(header, scene, name, threads=self._threads).image, picture))
-            for name, picture in zip(views, map(display_referred, frame.recorded), strict=True)
+            for name, picture in zip(views, map(display_referred, frame.own_size), strict=True)
         )
 
     def _shown(self, scene: Splats, used: Sequence[int]) -> list[FloatArray]:

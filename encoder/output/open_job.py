@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, TextIO
 
+from decogs.formats.command_line import printable
+
 from .observer import EncodeObserver
 from .reports import FrameReport
 
@@ -59,4 +61,5 @@ class OpenJobProgress(EncodeObserver):
             self._say(f"openjd_progress: {percent:.1f}")
 
     def _say(self, line: str) -> None:
-        print(line, file=self._output, flush=True)
+        # A line break in a file's name would begin a line of its own, which a farm would follow.
+        print(printable(line), file=self._output, flush=True)

@@ -3,14 +3,15 @@
 Chosen: no file beside the stream. Keyframe, lattice and near planes are the stream's own, and every whole frame is
 replayed by the loop: all that encoding it did but for the training, whose result is in the packet. Nothing random is
 carried from frame to frame, so that the finished file has the bytes of one that was never cut off; with a time budget,
-whose control begins anew, it has those of the frames that were there. Rejected: a snapshot of the encoder (another
+whose control begins anew, it has those of the frames that were there. That it is the same footage, the first frame's
+pictures tell (`input.recordings`). Rejected: a snapshot of the encoder (another
 format to keep, and one more thing that a kill can tear).
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
@@ -27,6 +28,7 @@ from decogs.formats.container import (
 )
 from decogs.formats.errors import StreamError, UsageError
 
+from ..input.recordings import difference
 from ..settings.encode import EncodeSettings
 
 _PARAMETERS = {
@@ -53,6 +55,10 @@ _PARAMETERS = {
 """What asked for a setting that differs, by the beginning of its name in the header; the first that fits."""
 
 
+IsSuch = Callable[[StreamHeader, int], bool]
+"""Whether a stream that was cut off is one that nobody would go on with, by its header and its whole frames."""
+
+
 @dataclass(frozen=True)
 class Interrupted:
     """The whole frames of a stream, of which ``size`` bytes are to be kept; ``ended``: the stream was finished."""
@@ -77,13 +83,21 @@ class Interrupted:
         if len(self.entries) > frames:
             self._refuse(f"already holds {len(self.entries)} frames, this encode has {frames}")
 
+    def check_recordings(self, recorded: Mapping[str, str], first: int) -> None:
+        """Raises UsageError when frame ``first``, with which this encode begins, has other pictures than the stream's.
+
+        ``recorded``: their digests by camera.
+        """
+        if self.header.first_frame == first and (problem := difference(self.header, recorded)):
+            self._refuse(f"was begun with {problem}", "give the same recordings")
+
     def check_keyframe(self, *, same: bool) -> None:
         """Raises UsageError when the stream does not begin with the keyframe that was given."""
         if not same:
             self._refuse("begins with another keyframe than that of `keyframe`")
 
-    def _refuse(self, problem: str) -> NoReturn:
-        raise UsageError(f"`resume`: {self.path} {problem}; give the same options, or drop `resume` to start over")
+    def _refuse(self, problem: str, remedy: str = "give the same options") -> NoReturn:
+        raise UsageError(f"`resume`: {self.path} {problem}; {remedy}, or drop `resume` to start over")
 
 
 def find_interrupted(output: Path, growing: Path) -> Interrupted | None:
@@ -97,6 +111,20 @@ def find_interrupted(output: Path, growing: Path) -> Interrupted | None:
         if path.is_file() and path.stat().st_size:
             return _read(path)
     return None
+
+
+def is_expendable(is_such: IsSuch, part: Path) -> bool:
+    """Whether the stream that a process left in ``part`` ends within its header, or ``is_such``."""
+    with part.open("rb") as file:
+        reader, header, frames = PacketReader(file), None, 0
+        try:
+            while (packet := reader.next()) is not None:
+                if packet.kind == PacketKind.HEADER:
+                    header = StreamHeader.from_bytes(packet.payload)
+                frames += packet.kind in FRAME_KINDS
+        except StreamError:
+            return False  # It is no stream, or damaged: whoever has it may know what it is worth.
+    return header is None or is_such(header, frames)
 
 
 def check_resumable(settings: EncodeSettings) -> None:

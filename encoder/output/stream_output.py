@@ -11,15 +11,16 @@ import shutil
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO
 
 from decogs.formats.container import StreamWriter
 from decogs.formats.errors import TryAgainError, UsageError
-from decogs.formats.outputs import GrowingFile, Leftover, errors_named, is_device
+from decogs.formats.outputs import Expendable, GrowingFile, Leftover, errors_named, is_device
 
-from .resume import Interrupted, find_interrupted
+from .resume import Interrupted, IsSuch, find_interrupted, is_expendable
 
 
 class StreamOutput(ABC):
@@ -83,15 +84,25 @@ class StreamOutput(ABC):
 class FileOutput(StreamOutput):
     """A file, taken from now on: it must be said before the training, which takes minutes, that it cannot be written.
 
-    ``resume``: a ``NAME.part`` that is there is continued; ``fresh``: it is replaced. Raises UsageError when it is
-    there without either, when it cannot be written, or is being written by another encode; so does every method when
-    the disk is full. ``resumable``: whether what is left of it can be gone on with, which errors then say.
+    ``resume``: a ``NAME.part`` that is there is continued; ``expendable``: it is replaced if it is such a stream, or
+    has no whole header. Raises UsageError when it is there otherwise, when it cannot be written, or is being written by
+    another encode; so does every method when the disk is full. ``resumable``: whether what is left of it can be gone on
+    with, which errors then say.
     """
 
-    def __init__(self, output: Path, *, resume: bool = False, resumable: bool = True, fresh: bool = False) -> None:
+    def __init__(
+        self,
+        output: Path,
+        *,
+        resume: bool = False,
+        resumable: bool = True,
+        expendable: IsSuch | None = None,
+    ) -> None:
         super().__init__()
         self._output, self._resumable = output, resumable
-        leftover: Leftover = "dropped" if fresh else "kept" if resume else "refused"
+        leftover: Leftover | Expendable = "kept" if resume else "refused"
+        if expendable is not None:
+            leftover = partial(is_expendable, expendable)
         self._growing = GrowingFile(output, leftover=leftover, resumable=resumable)
         self._left: Interrupted | None = None
         self._failed = False
@@ -196,14 +207,18 @@ class PipeOutput(StreamOutput):
 
 
 def open_output(
-    output: Path | BinaryIO, *, resume: bool = False, resumable: bool = True, fresh: bool = False
+    output: Path | BinaryIO,
+    *,
+    resume: bool = False,
+    resumable: bool = True,
+    expendable: IsSuch | None = None,
 ) -> StreamOutput:
     """Takes the output of an encode, before anything long is done; a named pipe is written into as it is.
 
     Raises UsageError as `FileOutput` does, and when ``resume`` asks for what no pipe can.
     """
     if isinstance(output, Path) and not is_device(output):
-        return FileOutput(output, resume=resume, resumable=resumable, fresh=fresh)
+        return FileOutput(output, resume=resume, resumable=resumable, expendable=expendable)
     if resume:
         raise UsageError("`resume`: a pipe cannot be resumed; name a file with `output`")
     return PipeOutput(output.open("wb"), output) if isinstance(output, Path) else PipeOutput(output)

@@ -25,8 +25,8 @@ from .manifest import Part, read_part, without_part
 class FirstKeyframe(Interrupted):
     """The first keyframe of a take as a part has it, with the header of the whole stream."""
 
-    def _refuse(self, problem: str) -> NoReturn:
-        raise UsageError(f"`keyframe` {self.path}: it {problem}; give every part the same options")
+    def _refuse(self, problem: str, remedy: str = "give every part the same options") -> NoReturn:
+        raise UsageError(f"`keyframe` {self.path}: it {problem}; {remedy}")
 
 
 @dataclass(frozen=True)

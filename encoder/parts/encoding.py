@@ -12,6 +12,7 @@ from ..closed_segments import with_following
 from ..input.imported_keyframe import KeyframeSource
 from ..input.imported_splats import SplatSource
 from ..input.ingest import Ingest, RigFrame
+from ..input.recordings import is_current
 from ..loop import StreamEncoder
 from ..output.convergence_log import ConvergenceLog
 from ..output.metrics import write_metrics
@@ -20,7 +21,7 @@ from ..output.stream_output import StreamOutput
 from ..parallel import ahead
 from ..settings.encode import EncodeSettings
 from .base import Base
-from .manifest import Part, frames_read, inputs_of, is_current, made_with, recorded, with_part
+from .manifest import Part, frames_read, inputs_of, made_with, recorded, with_part
 from .output import PartOutput
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import struct
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,7 @@ from decogs.formats.callbacks import OnProgress
 from decogs.formats.container import FRAME_KINDS, Packet, PacketKind, PacketReader, check_count, check_frame
 from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.outputs import Output, check_outputs
+from decogs.formats.regular_files import open_regular
 
 from ..output.resume import difference_of, difference_of_headers
 from ..output.stream_output import open_output
@@ -31,33 +33,42 @@ class JoinReport:
 
 @dataclass(frozen=True)
 class _File:
-    """A whole part: its manifest, the whole stream's header, and a digest of its first keyframe's payload."""
+    """A whole part: its manifest, the whole stream's header, digests of its first keyframe's payload and of it all."""
 
     path: Path
     part: Part
     header: bytes
     keyframe: str
+    content: str
 
 
 def join(
     parts: Sequence[str | os.PathLike[str]],
     output: str | os.PathLike[str] | BinaryIO,
     *,
+    resume: bool = False,
     on_frame: OnProgress | None = None,
 ) -> JoinReport:
     """Joins the ``parts`` of one take, in any order, to the stream ``output``.
 
-    Every part is read twice, a packet at a time: it is checked as a whole before anything is written. A part of the
-    first keyframe alone may be among them. Raises UsageError, which names the part, for one that is damaged, of another
-    encode, or there twice, and for frames that no part has.
+    Every part is read twice, a packet at a time: it is checked as a whole before anything is written, and must be the
+    same when it is. A part of the first keyframe alone may be among them. ``resume``: what a join of these parts that
+    was cut off left in ``output`` + ".part" is replaced.
+    Raises UsageError, which names the part, for one that is damaged, of another encode, there twice or no file, and
+    for frames that no part has.
     """
     paths = [Path(path) for path in parts]
     stream = Path(output) if isinstance(output, (str, os.PathLike)) else output
     check_outputs([Output("output", stream, grows=True)], [(path, "is read, as one of the parts") for path in paths])
     files = _in_order([_checked(path) for path in paths])
-    with open_output(stream, resumable=False, fresh=True) as target:
-        target.begin(files[0].header)
-        done, total, whole = 0, len(files[0].part.take), False
+    header, total = files[0].header, len(files[0].part.take)
+
+    def begins_alike(left: StreamHeader, frames: int) -> bool:
+        return left.to_bytes() == header and frames <= total
+
+    with open_output(stream, resumable=False, expendable=begins_alike if resume else None) as target:
+        target.begin(header)
+        done, whole = 0, False
         try:
             for file in files:
                 for packet in _own(file):
@@ -73,17 +84,23 @@ def join(
 
 
 def _own(file: _File) -> Iterator[Packet]:
-    """The part's own frames and their metrics; the first keyframe is one of the part that begins with it."""
+    """The part's own frames and their metrics; the first keyframe is one of the part that begins with it.
+
+    Raises UsageError at the end if the part is not the one that was checked.
+    """
     kinds = FRAME_KINDS | ({PacketKind.METRICS} if file.part.metrics else set())
-    for packet in _packets(file.path):
+    content = hashlib.sha256()
+    for packet in _packets(file.path, content):
         if packet.kind in kinds and (packet.frame or not file.part.start):
             yield packet
+    if content.hexdigest() != file.content:
+        raise UsageError(f"{file.path}: the part was changed while it was joined; leave it alone, and join again")
 
 
 def _checked(path: Path) -> _File:
     """The part at ``path``, every packet of which was read and is intact."""
-    header, keyframe, frames, ended = None, "", 0, False
-    for packet in _packets(path):
+    header, keyframe, frames, ended, content = None, "", 0, False, hashlib.sha256()
+    for packet in _packets(path, content):
         if packet.kind == PacketKind.HEADER:
             header = _read_header(path, packet.payload)
         elif packet.kind in FRAME_KINDS:
@@ -100,7 +117,7 @@ def _checked(path: Path) -> _File:
         raise UsageError(f"{path}: this is no part of a take; give files that `only` has made")
     if not ended or frames != part.packets:
         _refuse_damaged(path, f"{frames} of its {part.packets} frame packets are there")
-    return _File(path, part, without_part(header).to_bytes(), keyframe)
+    return _File(path, part, without_part(header).to_bytes(), keyframe, content.hexdigest())
 
 
 def _check_start(path: Path, packet: Packet, header: StreamHeader | None) -> None:
@@ -117,14 +134,16 @@ def _read_header(path: Path, payload: bytes) -> StreamHeader:
         _refuse_damaged(path, str(error))
 
 
-def _packets(path: Path) -> Iterator[Packet]:
+def _packets(path: Path, content: hashlib._Hash) -> Iterator[Packet]:
+    """The packets of a part, each of which goes into the digest ``content``."""
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             reader = PacketReader(file)
             while (packet := reader.next()) is not None:
+                content.update(struct.pack("<III", packet.kind, packet.frame, len(packet.payload)) + packet.payload)
                 yield packet
     except OSError as error:
-        raise UsageError(f"{path}: {error.strerror}; give a part that is there") from None
+        raise UsageError(f"{path}: {error.strerror}; give the file of a part, which is read twice") from None
     except StreamError as error:
         _refuse_damaged(path, str(error))
 

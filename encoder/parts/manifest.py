@@ -7,7 +7,6 @@ import json
 import platform
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -106,30 +105,19 @@ def frames_read(frames: range, take: range, settings: EncodeSettings) -> range:
 def inputs_of(rig: Rig, first: RigFrame) -> dict[str, str]:
     """Digests of what all parts are made from: the list of cameras and recordings, the first frame's pictures.
 
-    The pictures are digested as training sees them, so that another video decoder shows as well.
+    The pictures are digested as they are decoded, so that another video decoder shows as well.
     """
     sources = [
         [camera.name, source.path.name, source.width, source.height, source.frame_count]
         for camera, source in zip(rig.cameras, rig.sources, strict=True)
     ]
-    pictures = hashlib.sha256()
-    for picture in first.training:
-        pictures.update(np.ascontiguousarray(picture).data)
-    return {
-        "list of recordings": _digest(sources),
-        f"picture content of frame {first.index}": pictures.hexdigest()[:32],
-    }
+    pictures = sorted(first.recorded.items())
+    return {"list of recordings": _digest(sources), f"picture content of frame {first.index}": _digest(pictures)}
 
 
 def recorded(rig: Rig, frames: range) -> str:
     """A digest of the names and sizes in bytes of the files that hold these frames; nothing is decoded for it."""
     return _digest([[path.name, path.stat().st_size] for path in files_with(rig, frames)])
-
-
-def is_current(path: Path, rig: Rig, frames: range) -> bool:
-    """Whether no recording of a part's frames was written after the part at ``path``, as make decides it."""
-    made = path.stat().st_mtime_ns
-    return all(file.stat().st_mtime_ns <= made for file in files_with(rig, frames))
 
 
 def _digest(values: Any) -> str:

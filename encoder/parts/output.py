@@ -3,11 +3,23 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import BinaryIO
 
+from decogs.codec.header import StreamHeader
 from decogs.formats.container import StreamWriter
 
-from ..output.stream_output import StreamOutput
-from .manifest import Part, with_part
+from ..output.stream_output import StreamOutput, open_output
+from .manifest import Part, read_part, with_part
+
+
+def open_part(output: Path | BinaryIO) -> StreamOutput:
+    """Takes the output of a part. What is left of one that was cut off is replaced: nothing can go on with it."""
+    return open_output(output, resumable=False, expendable=is_of_part)
+
+
+def is_of_part(header: StreamHeader, frames: int) -> bool:
+    """Whether what a process left was to be a part."""
+    return read_part(header) is not None
 
 
 class PartOutput(StreamOutput):

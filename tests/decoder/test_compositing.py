@@ -16,6 +16,7 @@ from decogs.decoder.exr_output import NOTHING_SEEN, Layers, coverage, linear_lig
 from decogs.decoder.rasterise import Rendering
 from decogs.decoder.views import recorded_colour
 from decogs.formats.cameras import Camera, project
+from decogs.formats.errors import UsageError
 
 POSE = np.array([[0.8, 0, -0.6, 0.1], [0, 1, 0, -0.2], [0.6, 0, 0.8, 0.3], [0, 0, 0, 1.0]])
 CAMERA = Camera("c", 8, 6, 7.0, 9.0, 4.5, 2.5, POSE)
@@ -201,3 +202,10 @@ def test_a_followed_stream_has_no_dynamic_part(small_stream, tmp_path: Path) -> 
     assert "dynamic.A" not in seen
     assert "backward.u" in seen
     assert "forward.u" not in seen
+
+
+def test_a_file_that_cannot_be_written_is_named_as_the_user_knows_it(tmp_path: Path) -> None:
+    """It is written in a hidden folder, which is gone afterwards."""
+    with pytest.raises(UsageError, match=r"^x\.exr: the EXR cannot be written \(") as raised:
+        save_exr(tmp_path / ".decogs-hidden" / "x.exr", some_rendering(), Layers(CAMERA, (0, 0, 0)), fps=24)
+    assert "hidden" not in str(raised.value)

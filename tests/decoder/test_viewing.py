@@ -184,6 +184,31 @@ def test_two_names_or_none_are_refused(served: StreamServer) -> None:
             assert connection.recv(100).startswith(b"HTTP/1.1 421")
 
 
+@pytest.mark.parametrize("follow", [False, True])
+@pytest.mark.parametrize("there", ["fifo", "folder"])
+def test_what_took_the_stream_s_place_is_not_waited_for(small_stream: Any, follow: bool, there: str) -> None:
+    with serve_stream(small_stream.path, follow=follow) as server:
+        small_stream.path.unlink()
+        os.mkfifo(small_stream.path) if there == "fifo" else small_stream.path.mkdir()
+        assert ask(server.url, small_stream.path.name).status == 404
+
+
+@pytest.mark.parametrize("place", ["/", "http://[/x", "http://[1:2/"])
+@pytest.mark.parametrize("lengths", [["0", "10"], ["10", "0"], ["0"], ["0", "0"], []])
+def test_requests_that_are_none_are_answered(served: StreamServer, place: str, lengths: list[str]) -> None:
+    """An address that says nothing, and lengths that disagree; the body is never taken for another request."""
+    head = f"GET {place} HTTP/1.1\r\nHost: localhost\r\n" + "".join(f"Content-Length: {n}\r\n" for n in lengths)
+    body = b"GET /x HTTP/1.1\r\nHost: localhost\r\n\r\n" if "10" in lengths else b""
+    host = urlsplit(served.url)
+    with socket.create_connection((host.hostname, host.port), timeout=10) as connection:
+        connection.sendall(head.encode() + b"\r\n" + body)
+        connection.shutdown(socket.SHUT_WR)
+        answer = b"".join(iter(lambda: connection.recv(1 << 16), b""))
+    good = place == "/" and "10" not in lengths
+    assert answer.startswith(b"HTTP/1.1 200 " if good else b"HTTP/1.1 400 ")
+    assert answer.count(b"HTTP/1.1 ") == 1
+
+
 def test_only_this_machine_is_listened_to(served: StreamServer) -> None:
     assert served.url.startswith("http://127.0.0.1:")
     with pytest.raises(OSError, match="refused"):
@@ -256,7 +281,8 @@ def test_a_damaged_header_is_refused_before_anything_is_served(
 
 
 def test_the_command_prints_the_address_and_ends_quietly(small_stream: Any) -> None:
-    command = [str(COMMAND), str(small_stream.path), "--no-browser"]
+    stream = small_stream.path.rename(small_stream.path.with_name("a\nb.dgs"))
+    command = [str(COMMAND), str(stream), "--no-browser"]
     with subprocess.Popen(
         command,
         stdout=subprocess.PIPE,
@@ -269,7 +295,7 @@ def test_the_command_prints_the_address_and_ends_quietly(small_stream: Any) -> N
             assert process.stdout is not None
             line = process.stdout.readline()
             url = next(word for word in line.split() if word.startswith("http"))
-            assert ask(url, small_stream.path.name).body == small_stream.path.read_bytes()
+            assert ask(url, "a%0Ab.dgs").body == stream.read_bytes()
             process.send_signal(signal.SIGINT)
             out, err = process.communicate(timeout=60)
         finally:
@@ -336,7 +362,7 @@ def test_a_folder_of_someone_elses_is_left_alone(small_stream: Any, tmp_path: Pa
 
 
 def test_a_site_that_cannot_be_written_is_not_begun(
-    small_stream: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    small_stream: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def full(*_: object) -> int:
         raise OSError(28, "No space left on device")
@@ -344,6 +370,7 @@ def test_a_site_that_cannot_be_written_is_not_begun(
     monkeypatch.setattr("decogs.decoder.viewing.site._copy", full)
     before = sorted(tmp_path.rglob("*"))
     assert view_main([str(small_stream.path), "-o", str(tmp_path / "site")]) == 2
+    assert f"{tmp_path / 'site'}: No space left on device; make room" in capsys.readouterr().err
     assert sorted(tmp_path.rglob("*")) == before
 
 

@@ -179,6 +179,129 @@ def test_a_problem_that_stays_is_told_in_one_line(nodes: Any, rig: Path, setting
 # Without Ray
 
 
+class Here:
+    """Stands in for Ray: runs the parts one after the other, in this process."""
+
+    notice = ""
+
+    def __init__(self, *_: Any, **__: Any) -> None:
+        pass
+
+    def __enter__(self) -> Here:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def run(self, rig: str, parts: Any, keyframe: bytes | None, options: Any) -> Iterator[Any]:
+        for part in parts:
+            yield part, run_part(rig, part, keyframe, options, lambda done: None)
+
+
+@pytest.fixture
+def here(monkeypatch: pytest.MonkeyPatch, rig: Path, tiny_settings: Any, tmp_path: Path) -> Callable[..., list[str]]:
+    """Encodes to scene.dgs without Ray; what was warned of."""
+    monkeypatch.setattr("decogs.encoder.cluster.encoding.RayEngine", Here)
+
+    def run(**options: Any) -> list[str]:
+        told: list[str] = []
+        given = {"cluster": "local", "segment": SEGMENT, "frames": slice(4), "on_warning": told.append} | options
+        encode_on_cluster(rig, tmp_path / "scene.dgs", tiny_settings, **given)
+        return told
+
+    return run
+
+
+def test_only_what_it_made_is_removed(here: Any, tmp_path: Path) -> None:
+    here()
+    whole, folder = (tmp_path / "scene.dgs").read_bytes(), tmp_path / "scene.dgs.parts"
+    assert not folder.exists()
+    others = {"notes.txt": b"mine", "sub/take.mov": b"film", "6-8.dgs": b"mine, too", "0-2.dgs.bak": b"old"}
+    for name, data in others.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(data)
+    with pytest.raises(UsageError, match=r"scene.dgs.parts: parts are kept there, and it is not empty; move"):
+        here()
+    (told,) = here(resume=True)
+    assert told == f"{folder}: it stays, since 0-2.dgs.bak in it is none of this encode's parts"
+    assert {name: (folder / name).read_bytes() for name in others} == others
+    assert sorted(path.name for path in folder.iterdir()) == ["0-2.dgs.bak", "6-8.dgs", "notes.txt", "sub"]
+    assert (tmp_path / "scene.dgs").read_bytes() == whole
+
+
+@pytest.mark.parametrize("name", ["key.dgs", "0-2.dgs", "2-4.dgs"])
+@pytest.mark.parametrize("what", ["text", "a stream", "a folder", "a dangling link"])
+@pytest.mark.parametrize("age", [0, -3600])
+def test_what_only_has_the_name_of_a_part_stays(
+    here: Any, moving: Any, tmp_path: Path, name: str, what: str, age: int
+) -> None:
+    """Older than the recordings, too: a part would then be made again."""
+    path = tmp_path / "scene.dgs.parts" / name
+    path.parent.mkdir()
+    if what == "a folder":
+        path.mkdir()
+    elif what == "a dangling link":
+        path.symlink_to("nowhere")
+    else:
+        path.write_bytes(b"mine" if what == "text" else moving.data)
+        os.utime(path, (path.stat().st_mtime + age,) * 2)
+    with pytest.raises(UsageError, match=rf"{name}: this is no part of a take, or it is damaged; move it away"):
+        here(resume=True)
+    assert os.path.lexists(path)
+    assert what not in ("text", "a stream") or path.read_bytes() in (b"mine", moving.data)
+
+
+def test_a_part_of_another_take_stays(here: Any, rig: Path, tiny_settings: Any, tmp_path: Path) -> None:
+    """Although it has a part's name, and is older than the recordings, so that it would be made again."""
+    other = tmp_path / "scene.dgs.parts" / "0-2.dgs"
+    other.parent.mkdir()
+    encode(rig, other, tiny_settings, frames=slice(6), only=range(2), segment=SEGMENT, closed=True, threads=1)
+    data = other.read_bytes()
+    os.utime(other, (0, 0))
+    with pytest.raises(UsageError, match=r"0-2.dgs: it does not belong to .*key.dgs: it is a part of frames 0 to 5"):
+        here(resume=True)
+    assert other.read_bytes() == data
+
+
+def test_a_stream_to_be_resumed_is_not_joined_over(here: Any, moving: Any, tmp_path: Path) -> None:
+    growing = tmp_path / "scene.dgs.part"
+    growing.write_bytes(moving.data[:-100])
+    with pytest.raises(UsageError, match=r"scene.dgs.part: a command that was cut off left it"):
+        here()
+    assert [path.name for path in tmp_path.iterdir()] == [growing.name], "said before anything is encoded"
+    with pytest.raises(UsageError, match=r"scene.dgs.part: a command that was cut off left it"):
+        here(resume=True)
+    assert growing.read_bytes() == moving.data[:-100]
+    growing.unlink()
+    here(resume=True)
+    whole = (tmp_path / "scene.dgs").read_bytes()
+    growing.write_bytes(whole[:-100])
+    here(resume=True)
+    assert (tmp_path / "scene.dgs").read_bytes() == whole, "what a join left that was killed"
+    assert not growing.exists()
+
+
+def test_who_may_connect_to_ray_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ray has no setting to listen on this machine's own address alone."""
+    import sys
+    from types import SimpleNamespace
+
+    monkeypatch.delenv("RAY_AUTH_MODE", raising=False)
+    monkeypatch.setitem(sys.modules, "ray", SimpleNamespace(__version__="2.60.0"))
+    told = RayEngine("local", threads=1, device="cpu").notice
+    assert (
+        told
+        == "`cluster` local: Ray listens on this machine's network addresses meanwhile, for callers that have its token"
+    )
+    assert RayEngine("ray://head:10001", threads=1, device="cpu").notice == ""
+    monkeypatch.setenv("RAY_AUTH_MODE", "disabled")
+    assert "for everyone, by RAY_AUTH_MODE" in RayEngine("local", threads=1, device="cpu").notice
+    for old in ("2.30.0", "2.51.1", "2.59.0rc1"):
+        monkeypatch.setitem(sys.modules, "ray", SimpleNamespace(__version__=old))
+        with pytest.raises(UsageError, match=f"`cluster`: Ray {old} takes tasks from everyone on the network"):
+            RayEngine("local", threads=1, device="cpu")
+
+
 def test_an_outcome_says_whether_to_try_again(
     rig: Path, settings: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -8,6 +8,7 @@ import os
 import shutil
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +17,14 @@ import numpy as np
 import pytest
 
 import decogs.encoder.output.stream_output as stream_output
+from decogs.codec.header import StreamHeader
 from decogs.encoder import encode as encode_rig
 from decogs.encoder.analysis.commands import analyze_main
 from decogs.encoder.training.keyframe import train_keyframe
 from decogs.formats.container import StreamWriter
 from decogs.formats.errors import RigError, UsageError
 from decogs.formats.outputs import GrowingFile
+from packets import iterate_packets
 
 
 @pytest.fixture(autouse=True)
@@ -239,6 +242,17 @@ def test_what_a_header_cannot_hold_is_said_before_training(
     assert not list(tmp_path.glob("x*"))
 
 
+def test_a_folder_that_takes_no_analysis_is_said_before_it(
+    moving_rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def never(*_: Any, **__: Any) -> None:
+        raise AssertionError("this takes long")
+
+    monkeypatch.setattr("decogs.encoder.analysis.analyse.analyse", never)
+    assert analyze_main([str(moving_rig), "--json", str(tmp_path / "none" / "x.json")]) == 2
+    assert "none: no such folder; create it first" in capsys.readouterr().err
+
+
 # Footage that is not the stream's
 
 
@@ -253,19 +267,21 @@ def swapped(rig: Path, copy: Path, names: list[str]) -> Path:
     return copy
 
 
-def test_resuming_or_beginning_with_other_footage_is_warned_of(
+def test_the_keyframe_of_a_stream_that_does_not_tell_its_pictures_is_compared_with_them(
     moving: Any, moving_rig: Path, tiny_rig: Any, tiny_settings: Any, tmp_path: Path
 ) -> None:
+    """What has nothing to do with the scene is told, for a stream from before it told."""
+    old = tmp_path / "old.dgs"
+    with moving.path.open("rb") as file, old.open("wb") as copy:
+        header, *packets = iterate_packets(file)
+        known = StreamHeader.from_bytes(header.payload)
+        settings = {name: value for name, value in known.settings.items() if name != "recorded"}
+        writer = StreamWriter(copy, replace(known, settings=settings).to_bytes())
+        writer.write(packets[0].kind, 0, packets[0].payload)
+    given = {"holdout": [tiny_rig.held_out], "settings": tiny_settings, "frames": slice(1)}
     other = swapped(moving_rig, tmp_path / "rig", ["cam01", "cam03"])
-    given = {"holdout": [tiny_rig.held_out], "settings": tiny_settings, "frames": slice(2)}
     for rig, expected in ((moving_rig, 0), (other, 1)):
-        for options in ({"keyframe": moving.path}, {"resume": True}):
-            output, told = tmp_path / f"{rig.parent.name}.dgs", []
-            output.unlink(missing_ok=True)
-            if "resume" in options:
-                # A whole keyframe, and not more.
-                header = moving.report.frames[0].bytes
-                (tmp_path / f"{output.name}.part").write_bytes(moving.data[: moving.data.index(b"DGSP", 100) + header])
-            encode_rig(rig, output, on_warning=told.append, **given, **options)
-            assert len(told) == expected
-            assert all("the scene does not match frame 0 of camera cam01 and 1 more cameras" in t for t in told)
+        told: list[str] = []
+        encode_rig(rig, tmp_path / "new.dgs", keyframe=old, on_warning=told.append, **given)
+        assert len(told) == expected
+        assert all("the scene does not match frame 0 of camera cam01 and 1 more cameras" in t for t in told)

@@ -248,3 +248,19 @@ def test_a_full_disk_is_told_without_resume(tmp_path: Path) -> None:
     assert ended.returncode == 2
     assert b"x.dgs.part: File too large; free space, or name a file elsewhere" in ended.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["a_0000.ply"]
+
+
+def test_what_a_killed_one_has_left_is_made_anew_and_an_encode_s_is_not(moving: Any, tmp_path: Path) -> None:
+    """A farm's second try works; of an encode, there is more to lose."""
+    files, growing = write(tmp_path, [a_scene()] * 3), tmp_path / "o.dgs.part"
+    pack(files, tmp_path / "o.dgs")
+    data = (tmp_path / "o.dgs").read_bytes()
+    for size in (20, len(data) // 2, len(data) - 30):
+        growing.write_bytes(data[:size])
+        pack(files, tmp_path / "o.dgs")
+        assert (tmp_path / "o.dgs").read_bytes() == data
+        assert not growing.exists()
+    growing.write_bytes(moving.data[:-100])
+    with pytest.raises(UsageError, match=r"o\.dgs\.part: a command that was cut off left it; delete it, unless"):
+        pack(files, tmp_path / "o.dgs")
+    assert growing.read_bytes() == moving.data[:-100]

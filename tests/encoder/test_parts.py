@@ -206,16 +206,51 @@ def test_a_part_is_made_anew_where_its_own_recordings_changed(
     assert (part.read_bytes() == parts[1].read_bytes()) == (change == "time"), "the manifest has sizes, not times"
 
 
-@pytest.mark.parametrize("leftover", [b"", b"cut off"])
+@pytest.mark.parametrize("leftover", [0, 5, 400, -9])
 @pytest.mark.parametrize("there", [None, b"something else", -1])
 def test_what_a_killed_one_has_left_is_made_anew(
-    make: Make, key: Path, parts: list[Path], tmp_path: Path, leftover: bytes, there: Any
+    make: Make, key: Path, parts: list[Path], tmp_path: Path, leftover: int, there: Any
 ) -> None:
-    (tmp_path / "part.dgs.part").write_bytes(leftover)
+    (tmp_path / "part.dgs.part").write_bytes(parts[0].read_bytes()[:leftover])
     if there is not None:
         (tmp_path / "part.dgs").write_bytes(parts[1].read_bytes()[:there] if there == -1 else there)
     assert make(tmp_path / "part.dgs", (2, 4), keyframe=key).read_bytes() == parts[1].read_bytes()
     assert [path.name for path in tmp_path.iterdir()] == ["part.dgs"]
+
+
+@pytest.mark.parametrize("left", ["an encode", "its keyframe, cut off", "not a stream", "its damaged stream"])
+def test_what_somebody_may_go_on_with_is_not_written_over(
+    make: Make, whole: Path, key: Path, parts: list[Path], tmp_path: Path, left: str
+) -> None:
+    """By a part, a join, or any file that is written at once: the stream stays that an encode would resume."""
+    with whole.open("rb") as file:
+        first = next(packet for packet in iterate_packets(file) if packet.kind == PacketKind.KEY)
+    data = bytearray(whole.read_bytes()[: first.offset + 30 if left == "its keyframe, cut off" else -200])
+    if left == "its damaged stream":
+        data[len(data) // 2] ^= 1
+    growing = tmp_path / "scene.dgs.part"
+    growing.write_bytes(b"notes" if left == "not a stream" else data)
+    before = growing.read_bytes()
+    message = r"scene.dgs.part: a command that was cut off left it; delete it, unless"
+    with pytest.raises(UsageError, match=message):
+        make(tmp_path / "scene.dgs", (2, 4), keyframe=key)
+    with pytest.raises(UsageError, match=message):
+        join(parts, tmp_path / "scene.dgs")
+    assert growing.read_bytes() == before
+    assert [path.name for path in tmp_path.iterdir()] == ["scene.dgs.part"]
+
+
+def test_a_join_that_was_cut_off_is_made_anew_where_that_is_asked_for(
+    whole: Path, parts: list[Path], make: Make, tmp_path: Path
+) -> None:
+    output, growing = tmp_path / "scene.dgs", tmp_path / "scene.dgs.part"
+    growing.write_bytes(whole.read_bytes()[:-200])
+    join(parts, output, resume=True)
+    assert output.read_bytes() == whole.read_bytes()
+    growing.write_bytes(make(tmp_path / "seed.dgs", seed=1).read_bytes()[:-200])
+    with pytest.raises(UsageError, match=r"scene.dgs.part: a command that was cut off left it"):
+        join(parts, output, resume=True)
+    assert growing.exists()
 
 
 def test_an_interrupted_part_leaves_nothing(make: Make, key: Path, tmp_path: Path) -> None:
@@ -325,6 +360,67 @@ def test_the_join_command(parts: list[Path], whole: Path, tmp_path: Path, capsys
     assert join_main([*map(str, parts[1:]), "-o", str(tmp_path / "less.dgs")]) == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert [path.name for path in tmp_path.iterdir()] == ["scene.dgs"]
+
+
+class TwoFaced:
+    """`open_regular` for a part that is another file at its second read."""
+
+    def __init__(self, path: Path, then: bytes) -> None:
+        self._path, self._then, self._read = path, then, False
+
+    def __call__(self, path: Path) -> Any:
+        if path == self._path and self._read:
+            path.write_bytes(self._then)
+        self._read |= path == self._path
+        return path.open("rb")
+
+
+@pytest.mark.parametrize(
+    "then", ["empty", "cut", "another part", "another keyframe's part", "the keyframe", "a stream"]
+)
+def test_a_part_that_changes_between_its_two_reads_is_refused(
+    make: Make,
+    whole: Path,
+    key: Path,
+    parts: list[Path],
+    tmp_path: Path,
+    then: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    mine = Path(shutil.copy(parts[1], tmp_path))
+    replaced = {
+        "empty": lambda: b"",
+        "cut": lambda: mine.read_bytes()[:-300],
+        "another part": parts[2].read_bytes,
+        "another keyframe's part": lambda: make(tmp_path / "own.dgs", (0, 2), seed=1).read_bytes(),
+        "the keyframe": key.read_bytes,
+        "a stream": whole.read_bytes,
+    }[then]()
+    monkeypatch.setattr("decogs.encoder.parts.joining.open_regular", TwoFaced(mine, replaced))
+    with pytest.raises(UsageError, match=r"2-4.dgs: the part (was changed while it was joined|is damaged)"):
+        join([parts[0], mine, parts[2]], tmp_path / "joined.dgs")
+    assert not list(tmp_path.glob("joined*"))
+
+
+def test_a_part_through_a_pipe_is_refused_without_waiting(
+    parts: list[Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """All of them, one of them, standard input, and a named pipe that nobody writes into."""
+    os.mkfifo(tmp_path / "fifo")
+    line = "import sys; from decogs.encoder.commands import join_main; sys.exit(join_main())"
+    for given in (
+        f"<(cat {parts[0]}) {parts[1]} {parts[2]}",
+        " ".join(f"<(cat {path})" for path in parts),
+        f"{parts[0]} {parts[1]} /dev/stdin",
+        f"{parts[0]} {tmp_path}/fifo {parts[2]}",
+        f"{parts[0]} {tmp_path} {parts[2]}",
+    ):
+        joined = f"cat {parts[2]} | {sys.executable} -c '{line}' {given} -o {tmp_path}/joined.dgs"
+        assert subprocess.run(["bash", "-c", joined], timeout=60).returncode == 2
+        said = capfd.readouterr().err
+        assert "this is no regular file; give the file of a part" in said
+        assert said.count("\n") == 1
+        assert not list(tmp_path.glob("joined*"))
 
 
 # What is refused

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import io
+import json
+import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -14,13 +17,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 
 from decogs.codec.corrections import Correction
+from decogs.codec.header import StreamHeader
 from decogs.encoder import Switches, Targets
 from decogs.encoder import encode as encode_rig
 from decogs.encoder.training.delta import DeltaTrainer
-from decogs.formats.container import FRAME_KINDS
+from decogs.formats.container import FRAME_KINDS, StreamWriter
 from decogs.formats.errors import DecogsError, UsageError
 from packets import iterate_packets
 
@@ -212,10 +218,126 @@ def test_another_keyframe_is_refused(
     assert encode(moving_rig, output=output, resume=True, keyframe=moving.path).data == moving.data
 
 
-def test_another_rig_is_refused(encode: Any, moving: Any, lens_rig: Path, tmp_path: Path) -> None:
+def test_another_rig_is_refused(encode: Any, moving: Any, moving_rig: Path, lens_rig: Path, tmp_path: Path) -> None:
     output = part(tmp_path, moving.data[: ends(moving.path)[1]])
-    with pytest.raises(UsageError, match="was begun with cameras"):
+    with pytest.raises(
+        UsageError, match=r"was begun with other pictures: frame 0 of cam00 and \d more cameras differs"
+    ):
         encode(lens_rig, output=output, resume=True)
+    moved = Path(shutil.copytree(moving_rig, tmp_path / "rig"))
+    document = json.loads((moved / "rig.json").read_text())
+    document["cameras"][1]["fx"] += 1
+    (moved / "rig.json").write_text(json.dumps(document))
+    with pytest.raises(UsageError, match="was begun with cameras"):
+        encode(moved, output=output, resume=True)
+
+
+# Footage that is not the stream's
+
+
+def swap(one: Path, other: Path) -> None:
+    """Exchanges two files' contents; their time stamps stay."""
+    for path, data in ((one, other.read_bytes()), (other, one.read_bytes())):
+        stamp = path.stat()
+        path.write_bytes(data)
+        os.utime(path, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
+
+
+@pytest.mark.parametrize("frames", [1, 3])
+def test_pictures_that_were_swapped_are_told(
+    moving: Any, moving_rig: Path, tiny_settings: Any, tmp_path: Path, frames: int
+) -> None:
+    """Of two cameras alone, with the old time stamps: ``resume`` refuses, ``keyframe`` warns."""
+    rig, output = Path(shutil.copytree(moving_rig, tmp_path / "rig")), tmp_path / "scene.dgs"
+    for one, other in zip(sorted((rig / "cam01").iterdir()), sorted((rig / "cam03").iterdir()), strict=True):
+        swap(one, other)
+    given = {"settings": tiny_settings, "holdout": ["cam02"]}
+    left = moving.data[: ends(moving.path)[frames] + 7]
+    growing = part(tmp_path, left).with_name("scene.dgs.part")
+    problem = "other pictures: frame 0 of cam01 and 1 more cameras differs"
+    with pytest.raises(UsageError, match=rf"scene\.dgs\.part was begun with {problem}; give the same recordings"):
+        encode_rig(rig, output, resume=True, **given)
+    assert growing.read_bytes() == left
+    told: list[str] = []
+    encode_rig(rig, tmp_path / "k.dgs", frames=slice(1), keyframe=moving.path, on_warning=told.append, **given)
+    assert told == [f"`keyframe` {moving.path}: it was made from {problem}; is it of other footage?"]
+
+
+@pytest.mark.parametrize("cameras", [["cam01"], ["cam00", "cam01", "cam03", "cam04"]])
+def test_a_later_frame_of_other_footage_is_told(
+    moving: Any, moving_rig: Path, tiny_settings: Any, tiny_rig: Any, tmp_path: Path, cameras: list[str]
+) -> None:
+    """The first frame is the same, times are kept: the last frame that was encoded does not match its pictures."""
+    rig, output = Path(shutil.copytree(moving_rig, tmp_path / "rig")), tmp_path / "scene.dgs"
+    given = {"settings": tiny_settings, "holdout": ["cam02"], "resume": True}
+    told: list[str] = []
+    part(tmp_path, moving.data[: ends(moving.path)[3]])
+    encode_rig(rig, output, on_warning=told.append, **given)
+    assert (output.read_bytes(), told) == (moving.data, [])
+    output.unlink()
+    for name in cameras:
+        for path in sorted((rig / name).iterdir())[2:]:
+            stamp = path.stat()
+            cv2.imwrite(str(path), np.roll(cv2.imread(str(path)), 9, 1))
+            os.utime(path, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
+    part(tmp_path, moving.data[: ends(moving.path)[3]])
+    encode_rig(rig, output, on_warning=told.append, **given)
+    more = f" and {len(cameras) - 1} more cameras" if len(cameras) > 1 else ""
+    assert told == [
+        f"`resume`: {output}.part: the scene does not match frame 2 of camera {cameras[0]}{more}; "
+        "was it encoded from other footage?"
+    ]
+
+
+def test_a_published_stream_of_other_footage_stays(
+    moving: Any, moving_rig: Path, tiny_settings: Any, tiny_rig: Any, tmp_path: Path
+) -> None:
+    output = tmp_path / "scene.dgs"
+    given = {"settings": tiny_settings, "holdout": ["cam02"]}
+    encode_rig(moving_rig, output, frames=slice(2), **given)
+    before = output.read_bytes()
+    with pytest.raises(UsageError, match=r"scene\.dgs was begun with other pictures: frame 0 of cam03 differs"):
+        encode_rig(tiny_rig.poisoned(moving_rig, tmp_path / "rig", "cam03"), output, resume=True, **given)
+    assert output.read_bytes() == before
+    assert not (tmp_path / "scene.dgs.part").exists()
+
+
+def test_the_same_pictures_in_other_files_are_the_same_footage(
+    moving: Any, moving_rig: Path, tiny_settings: Any, tmp_path: Path
+) -> None:
+    """Packed anew, under another folder's name, written after the stream: gone on with, the last told."""
+    output = part(tmp_path, moving.data[: ends(moving.path)[2]])
+    rig = Path(shutil.copytree(moving_rig, tmp_path / "other"))
+    for path in rig.rglob("*.png"):
+        cv2.imwrite(str(path), cv2.imread(str(path)), [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    told: list[str] = []
+    encode_rig(rig, output, tiny_settings, holdout=["cam02"], resume=True, on_warning=told.append)
+    assert output.read_bytes() == moving.data
+    growing = tmp_path / "scene.dgs.part"
+    assert told == [f"`resume`: a recording was written after {growing}; start over if its frames are others"]
+
+
+@pytest.mark.parametrize(
+    "told", [None, 5, ["x"], {"cam00": "x"}, {"pictures": 5}, {"pictures": ["x"]}, {"pictures": [1] * 4}]
+)
+def test_a_stream_that_does_not_tell_its_pictures(
+    encode: Any, moving: Any, moving_rig: Path, tmp_path: Path, told: Any
+) -> None:
+    """One from before is gone on with; one that tells nonsense is refused in one line."""
+    with moving.path.open("rb") as file:
+        header = StreamHeader.from_bytes(next(iterate_packets(file)).payload)
+    settings = {name: value for name, value in header.settings.items() if name != "recorded"}
+    old = replace(header, settings=settings | ({} if told is None else {"recorded": told}))
+    output = tmp_path / "scene.dgs"
+    with moving.path.open("rb") as file, (tmp_path / "scene.dgs.part").open("wb") as growing:
+        writer = StreamWriter(growing, old.to_bytes())
+        for packet in list(iterate_packets(file))[1:3]:
+            writer.write(packet.kind, packet.frame, packet.payload)
+    if told is None:
+        assert encode(moving_rig, output=output, resume=True, on_keyframe_step=never).report.resumed == 2
+    else:
+        with pytest.raises(UsageError, match="was begun with recorded"):
+            encode(moving_rig, output=output, resume=True)
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, DecogsError])

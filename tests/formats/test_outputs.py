@@ -8,8 +8,18 @@ from pathlib import Path
 
 import pytest
 
+from decogs.formats.container import SIGNATURE
 from decogs.formats.errors import UsageError
-from decogs.formats.outputs import GrowingFile, Output, check_outputs, open_in_place, part_of, write_whole
+from decogs.formats.outputs import (
+    GrowingFile,
+    Output,
+    check_outputs,
+    check_writable,
+    open_in_place,
+    part_of,
+    staged_files,
+    write_whole,
+)
 
 
 def itself(path: Path) -> Path:
@@ -122,6 +132,32 @@ def test_a_symbolic_link_stays_and_its_file_is_written(tmp_path: Path) -> None:
         write_whole(link, data)
         assert (link.is_symlink(), target.read_bytes()) == (True, data)
     assert part_of(link) == tmp_path / "disk" / "scene.part"
+
+
+def test_a_full_disk_is_said_with_the_name_that_was_given(tmp_path: Path) -> None:
+    def fails(name: Path | None) -> None:
+        with staged_files(tmp_path / "site") as staging:
+            error = OSError(28, "No space left on device")
+            error.filename = None if name is None else os.fspath(staging / name)
+            raise error
+
+    for name, expected in ((None, "site"), (Path("a/x.exr"), "site/a/x.exr"), (tmp_path / "else", "else")):
+        with pytest.raises(OSError, match="No space left") as raised:
+            fails(name)
+        assert raised.value.filename == str(tmp_path / expected)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_stream_that_grows_is_no_rest_of_another_file(tmp_path: Path) -> None:
+    part = tmp_path / "scene.dgs.part"
+    part.write_bytes(SIGNATURE + b"half")
+    for write in (lambda: write_whole(tmp_path / "scene.dgs", b"new"), lambda: check_writable(tmp_path / "scene.dgs")):
+        with pytest.raises(UsageError, match=r"scene\.dgs\.part: a command that was cut off left it"):
+            write()
+    assert part.read_bytes() == SIGNATURE + b"half"
+    part.write_bytes(b'{"torn')
+    write_whole(tmp_path / "scene.dgs", b"new")
+    assert [path.name for path in tmp_path.iterdir()] == ["scene.dgs"]
 
 
 def folder(part: Path) -> None:

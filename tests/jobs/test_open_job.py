@@ -11,6 +11,7 @@ import re
 import shutil
 import subprocess
 import sys
+import textwrap
 from pathlib import Path
 
 import pytest
@@ -81,6 +82,92 @@ def test_the_job_makes_the_stream_of_an_encode_in_one_go(openjd: str, small_rig:
     assert (tmp_path / "work" / "scene.dgs").read_bytes() == one.read_bytes()
 
 
+HOSTILE = [
+    "x$(pwned)",
+    "x`pwned`",
+    'x";pwned;"',
+    "x'$(pwned)'",
+    "x\npwned\n",
+    "-x",
+    "--help",
+    "x {a,b} * ~",
+    "$HOME",
+    "\\x",
+]
+OPTIONS = "--preset live $(pwned) `pwned` ; pwned & --holdout 'cam 00;pwned' \"$HOME\" *"
+
+
+@pytest.fixture
+def commands(tmp_path: Path) -> Path:
+    """A folder of stand-ins: decogs' commands note their arguments, and `pwned` that it was run."""
+    folder = tmp_path / "bin"
+    folder.mkdir()
+    for name, text in (
+        ("decogs-encode", 'printf \'%s\\0\' "$0" "$@" >> $CALLS'),
+        ("decogs-join", 'printf \'%s\\0\' "$0" "$@" >> $CALLS'),
+        ("pwned", "touch $CALLS.pwned"),
+    ):
+        (folder / name).write_text(f"#!/bin/bash\n{text}\n")
+        (folder / name).chmod(0o755)
+    return folder
+
+
+def step(commands: Path, name: str, **given: str) -> tuple[int, list[str]]:
+    """Runs a step's script as the template has it: exit code, and the command that it came to, word by word."""
+    text = TEMPLATE.read_text().partition(f"  - name: {name}\n")[2].partition("\n  - name: ")[0]
+    script = textwrap.dedent(text.partition("data: |\n")[2])
+    assert "{{" not in script, "a parameter in a script's text is code"
+    arguments = [given[word] for word in re.findall(r"{{(?:Param|Task.Param)\.(\w+)}}", text.partition("args:")[2])]
+    calls = commands / "calls"
+    calls.unlink(missing_ok=True)
+    (commands / "run").write_text(script)
+    environment = {**os.environ, "PATH": f"{commands}:{os.environ['PATH']}", "CALLS": str(calls)}
+    code = subprocess.run(["bash", commands / "run", *arguments], env=environment, capture_output=True).returncode
+    assert not Path(f"{calls}.pwned").exists()
+    told = calls.read_text().split("\0")[:-1] if calls.exists() else []
+    return code, [word.replace(str(commands) + "/", "") for word in told]
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_names_and_options_are_words_and_no_code(commands: Path, tmp_path: Path, name: str) -> None:
+    work = f"{tmp_path}/{name}"
+    given = {"Rig": name, "Work": work, "Segment": "30", "Threads": "4", "Options": OPTIONS, "Chunk": "4-5"}
+    common = ["--progress-lines", "openjd", "--segment", "30", "--closed", "--threads", "4"]
+    words = ["--preset", "live", "$(pwned)", "`pwned`", ";", "pwned", "&", "--holdout", "cam 00;pwned", "$HOME", "*"]
+    rest = [*common, *words, "--", name]
+    code, told = step(commands, "Keyframe", **given)
+    assert (code, told) == (0, ["decogs-encode", f"--output={work}/key.dgs", "--only", "0:1", *rest])
+    assert Path(work, "parts").is_dir()
+    code, told = step(commands, "Parts", **given)
+    part = [f"--output={work}/parts/120.dgs", f"--keyframe={work}/key.dgs", "--only", "120:180"]
+    assert (code, told) == (0, ["decogs-encode", *part, *rest])
+    assert (
+        step(commands, "Parts", **given | {"Chunk": "3", "Options": ""})[1][5:] == ["90:120", *common, "--", name][1:]
+    )
+    for index in (0, 30):
+        Path(work, "parts", f"{index}.dgs").touch()
+    parts = [f"{work}/parts/{index}.dgs" for index in (0, 30)]
+    assert step(commands, "Join", **given) == (0, ["decogs-join", f"--output={work}/scene.dgs", "--", *parts])
+
+
+def test_options_that_do_not_end_are_no_options(commands: Path, tmp_path: Path) -> None:
+    given = {"Rig": "x", "Work": str(tmp_path), "Segment": "30", "Threads": "4", "Options": "--holdout 'cam"}
+    code, told = step(commands, "Keyframe", **given)
+    assert code != 0
+    assert not told
+
+
+@pytest.mark.parametrize("name", HOSTILE[:4])
+def test_a_folder_is_found_by_its_name(openjd: str, small_rig: Path, tmp_path: Path, name: str) -> None:
+    rig = small_rig.rename(tmp_path / name)
+    given = [f"Rig={rig}", f"Work={tmp_path}/w{name}", "Segments=0-0", "Segment=1", "Threads=1"]
+    given.append("Options=--preset live --effects motion --frames :1")
+    words = [word for value in given for word in ("-p", value)]
+    job = run(openjd, "run", str(TEMPLATE), "--step", "Keyframe", "--extensions", "TASK_CHUNKING", *words)
+    assert job.returncode == 0, job.stdout + job.stderr
+    assert (tmp_path / f"w{name}" / "key.dgs").exists()
+
+
 @pytest.fixture
 def small_rig(tmp_path: Path) -> Path:
     return write_rig("arc", tmp_path / "rig")
@@ -102,6 +189,8 @@ def test_progress_is_told_as_the_specification_has_it() -> None:
     assert progress == [12.5, 25.0, 62.5, 100.0]
     assert "openjd_status: encoding frames 4 to 5" in told
     assert told[-1] == "openjd_fail: it fails"
+    lines.failed("/data/x\nopenjd_env: PATH=/tmp: no such folder")
+    assert output.getvalue().splitlines()[len(told) :] == ["openjd_fail: /data/x openjd_env: PATH=/tmp: no such folder"]
 
 
 def report(frame: int) -> FrameReport:

@@ -48,13 +48,13 @@ def calls(tmp_path: Path) -> list[str]:
 
 
 def test_keyframe_parts_and_join_follow_each_other(calls: list[str]) -> None:
-    common = "decogs-encode rig dir --segment 2 --closed -o"
+    common = "decogs-encode --segment 2 --closed --output=T/take"
     assert [line for line in calls if line.startswith("decogs")] == [
-        f"{common} T/take/key.dgs --only 0:1 --preset live",
-        f"{common} T/take/parts/0.dgs --keyframe T/take/key.dgs --only 0:2 --preset live",
-        f"{common} T/take/parts/2.dgs --keyframe T/take/key.dgs --only 2:4 --preset live",
-        f"{common} T/take/parts/4.dgs --keyframe T/take/key.dgs --only 4:6 --preset live",
-        "decogs-join T/take/parts/*.dgs -o T/take/scene.dgs",
+        f"{common}/key.dgs --only 0:1 --preset live -- rig dir",
+        f"{common}/parts/0.dgs --keyframe=T/take/key.dgs --only 0:2 --preset live -- rig dir",
+        f"{common}/parts/2.dgs --keyframe=T/take/key.dgs --only 2:4 --preset live -- rig dir",
+        f"{common}/parts/4.dgs --keyframe=T/take/key.dgs --only 4:6 --preset live -- rig dir",
+        "decogs-join --output=T/take/scene.dgs -- T/take/parts/*.dgs",
     ]
     submitted = [line for line in calls if line.startswith("sbatch")]
     assert "--array=0-2 --dependency=afterok:1keyframe" in submitted[1]
@@ -63,3 +63,17 @@ def test_keyframe_parts_and_join_follow_each_other(calls: list[str]) -> None:
 
 def test_what_may_be_tried_again_is_put_back(calls: list[str]) -> None:
     assert [line for line in calls if line.startswith("scontrol")] == ["scontrol requeue 72"]
+
+
+@pytest.mark.parametrize("step", ["submit", "part"])
+@pytest.mark.parametrize(
+    "numbers", [("2", "a[$(touch PWNED)]"), ("a[$(touch PWNED)]", "2"), ("2", "08"), ("2", "0"), ("", "2")]
+)
+def test_what_stands_for_a_number_is_one(tmp_path: Path, step: str, numbers: tuple[str, str]) -> None:
+    environment = {**os.environ, "STEP": step, "SLURM_ARRAY_TASK_ID": "1", "PATH": f"{tmp_path}:{os.environ['PATH']}"}
+    done = subprocess.run(
+        [SCRIPT, "rig", str(tmp_path / "take"), *numbers], env=environment, cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith("slurm.sh: LAST_SEGMENT and FRAMES_PER_SEGMENT are numbers, not")
+    assert not list(tmp_path.iterdir())
