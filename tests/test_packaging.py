@@ -50,17 +50,18 @@ def test_packages_list_every_folder_with_modules(pyproject: dict[str, Any]) -> N
     """A folder missing from the list works in an editable install and is missing from the wheel only."""
     folders = {path.parent.relative_to(ROOT) for layer in LAYERS for path in (ROOT / layer).rglob("*.py")}
     assert sorted(pyproject["tool"]["setuptools"]["packages"]) == sorted(
-        ".".join(["decogs", *folder.parts]) for folder in folders
+        ["decogs", *(".".join(["decogs", *folder.parts]) for folder in folders)]
     )
 
 
 def test_every_layer_is_mapped_and_typed(pyproject: dict[str, Any]) -> None:
     mapping = pyproject["tool"]["setuptools"]["package-dir"]
-    assert mapping == {f"decogs.{layer}": layer for layer in LAYERS}
+    assert mapping == {"decogs": "decogs"} | {f"decogs.{layer}": layer for layer in LAYERS}
+    assert (ROOT / "decogs" / "py.typed").is_file()
     for layer in LAYERS:
         assert (ROOT / layer / "py.typed").is_file()
-        # Type checkers follow these links; they know nothing of setuptools' mapping.
-        assert (ROOT / ".typing" / "decogs" / layer).resolve() == ROOT / layer
+        # The editable install and type checkers follow these links; a wheel is made by setuptools' mapping.
+        assert (ROOT / "decogs" / layer).resolve() == ROOT / layer
 
 
 @pytest.mark.parametrize("python_version", ["3.10", "3.11", "3.13"])
