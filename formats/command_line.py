@@ -39,7 +39,7 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, **words: Any) -> None:
         super().__init__(**words)
-        self.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
+        self.add_argument("--version", action=_Version, help="print the version and exit")
 
     def add_quiet(self) -> None:
         """Adds --quiet, for commands that show progress."""
@@ -71,7 +71,7 @@ class Parser(argparse.ArgumentParser):
         raise SystemExit(USER_ERROR)
 
 
-class _Version(argparse.Action):
+class _Version(argparse._VersionAction):
     """Prints the version; it is only looked up when asked for, which takes a while."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:

@@ -51,25 +51,32 @@ class _Silent:
 
 class _Bar:
     def __init__(self, stream: TextIO, what: str, unit: str) -> None:
-        from tqdm import tqdm
-
-        self._stream = stream
-        self._bar: Any = tqdm(desc=what, unit=unit, file=stream, leave=False)
+        self._stream, self._what, self._unit = stream, what, unit
+        self._bar: Any = None
 
     def to(self, done: int, total: int, note: str = "") -> None:
+        if self._bar is None:
+            from tqdm import tqdm
+
+            self._bar = tqdm(desc=self._what, total=total or None, unit=self._unit, file=self._stream, leave=False)
         self._bar.total = total or None
-        self._bar.set_postfix_str(note, refresh=False)
-        if done != self._bar.n:
-            self._bar.update(done - self._bar.n)
+        self._bar.set_postfix_str(note, refresh=done == self._bar.n)
+        self._bar.update(done - self._bar.n)
 
     def rename(self, what: str) -> None:
-        self._bar.set_description(what)
+        self._what = what
+        if self._bar is not None:
+            self._bar.set_description(what)
 
     def write(self, line: str) -> None:
-        self._bar.write(line, file=self._stream)
+        if self._bar is None:
+            print(line, file=self._stream, flush=True)
+        else:
+            self._bar.write(line, file=self._stream)
 
     def close(self) -> None:
-        self._bar.close()
+        if self._bar is not None:
+            self._bar.close()
 
 
 class Lines:

@@ -58,10 +58,10 @@ class TerminalProgress(EncodeObserver):
         if not self._frames:
             self._close()
         progress = self._open("frames", "frame")
-        if self._terminal:
-            progress.write(frame_line(report))
         self._frames += 1
         progress.to(self._frames, self._frame_count)
+        if self._terminal:
+            progress.write(frame_line(report))
 
     def _open(self, what: str, unit: str) -> Progress:
         if self._progress is None:

@@ -62,10 +62,10 @@ def test_a_rig_becomes_a_stream_and_a_summary(
     output = tmp_path / "scene.dgs"
     arguments = [str(moving_rig), "-o", str(output), "--preset", "tiny", "--holdout", "cam02", "--threads", "2"]
     arguments += AS_PRESET
-    assert encode_main([*arguments, "--seed", "0", "--device", "auto", "--log", str(tmp_path / "log.jsonl")]) == 0
+    assert encode_main([*arguments, "--seed", "0", "--device", "auto", "-q", "--log", str(tmp_path / "log.jsonl")]) == 0
     assert output.read_bytes() == moving.data
     printed = capfd.readouterr()
-    assert printed.err == "", "quiet in a pipe"
+    assert printed.err == "", "no progress by -q"
     lines = printed.out.splitlines()
     assert lines[0] == f"{output}: 4 frames, {len(moving.data)} bytes"
     held_out = [frame.held_out_psnr for frame in moving.report.frames]

@@ -359,7 +359,7 @@ def test_several_rigs_in_one_report(three_frames: Path, still_rig: Path, tmp_pat
     assert still["figures"]["mtv"] == 0, "nothing changes, nothing is sent"
 
 
-def test_progress_on_a_terminal_and_nothing_in_a_pipe(run_of: Any, frame_of: Any) -> None:
+def test_progress_on_a_terminal_and_a_line_for_each_run_in_a_pipe(run_of: Any, frame_of: Any) -> None:
     class Terminal(io.StringIO):
         def isatty(self) -> bool:
             return True
