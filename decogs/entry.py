@@ -2,20 +2,35 @@
 
 Modules take a while to load, and Python reports a Ctrl-C meanwhile, and one while the process ends, with a traceback.
 Nothing is written then, so the process can end at once. In between Ctrl-C is a KeyboardInterrupt, as ever.
+
+Loads next to nothing itself: what is interrupted before that nobody can catch.
 """
 
 from __future__ import annotations
 
 import os
-import signal
 import sys
-from contextlib import suppress
-from functools import partial
-from importlib import import_module
-from types import FrameType
-from typing import NoReturn
+
+TYPE_CHECKING = False  # That of typing takes longer to load than all the rest.
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import NoReturn
 
 INTERRUPTED = 130
+
+
+def _end(*_: object) -> NoReturn:
+    try:
+        os.write(2, f"{os.path.basename(sys.argv[0])}: interrupted\n".encode(errors="replace"))
+    finally:
+        os._exit(INTERRUPTED)
+
+
+try:
+    import signal
+    from importlib import import_module
+except KeyboardInterrupt:
+    _end()
 
 
 def _run(module: str, main: str) -> int:
@@ -34,18 +49,16 @@ def _run(module: str, main: str) -> int:
         signal.signal(signal.SIGINT, _end)
 
 
-def _end(number: int = signal.SIGINT, frame: FrameType | None = None) -> NoReturn:
-    with suppress(OSError):
-        os.write(2, f"{os.path.basename(sys.argv[0])}: interrupted\n".encode(errors="replace"))
-    os._exit(INTERRUPTED)
+def _command(module: str, main: str) -> Callable[[], int]:
+    return lambda: _run(f"decogs.{module}", main)
 
 
-analyze = partial(_run, "decogs.encoder.analysis.commands", "analyze_main")
-bench = partial(_run, "decogs.encoder.bench.commands", "bench_main")
-decode = partial(_run, "decogs.decoder.commands", "decode_main")
-encode = partial(_run, "decogs.encoder.commands", "encode_main")
-export = partial(_run, "decogs.decoder.commands", "export_main")
-info = partial(_run, "decogs.decoder.commands", "info_main")
-join = partial(_run, "decogs.encoder.commands", "join_main")
-pack = partial(_run, "decogs.encoder.commands", "pack_main")
-view = partial(_run, "decogs.decoder.commands", "view_main")
+analyze = _command("encoder.analysis.commands", "analyze_main")
+bench = _command("encoder.bench.commands", "bench_main")
+decode = _command("decoder.commands", "decode_main")
+encode = _command("encoder.commands", "encode_main")
+export = _command("decoder.commands", "export_main")
+info = _command("decoder.commands", "info_main")
+join = _command("encoder.commands", "join_main")
+pack = _command("encoder.commands", "pack_main")
+view = _command("decoder.commands", "view_main")

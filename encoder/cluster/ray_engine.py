@@ -52,7 +52,7 @@ class RayEngine:
         try:
             import ray
         except ImportError:
-            raise UsageError("`cluster`: Ray is not installed; install decogs[cluster]") from None
+            raise UsageError("`cluster`: Ray is not installed; pip install 'ray[client]'") from None
         self._ray, self._address = ray, address
         self._needs = {"num_cpus": max(1, threads), "num_gpus": 1 if device == "cuda" else 0}
 

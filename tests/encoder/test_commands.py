@@ -295,7 +295,7 @@ ENDLESS = 10**7
 def interrupted(rig: Path, output: Path, keyframe: int, frame: int, event: str) -> subprocess.CompletedProcess[str]:
     """Runs the command and sends it SIGINT shortly after its log tells of ``event``."""
     log = output.with_suffix(".jsonl")
-    arguments = [str(rig), "-o", str(output), "--preset", "child", "--log", str(log), "--threads", "1"]
+    arguments = [str(rig), "-o", str(output), "--preset", "child", "--log", str(log), "--threads", "1", "-q"]
     child = subprocess.Popen(
         [sys.executable, "-c", CHILD, json.dumps([keyframe, frame]), *arguments],
         stdout=subprocess.PIPE,
