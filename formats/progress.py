@@ -8,7 +8,7 @@ from typing import Any, Protocol, TextIO
 
 _SECONDS = 30.0
 """A line comes after so much time, or after a tenth of the work,"""
-_PAUSE = 5.0
+_PAUSE = 2.0
 """but never sooner than this after the one before it: a short job says nothing."""
 
 

@@ -11,6 +11,14 @@ from decogs.formats import progress as progress_module
 from decogs.formats.command_line import progress
 from decogs.formats.progress import Lines
 
+SECONDS, PAUSE = progress_module._SECONDS, progress_module._PAUSE
+
+
+@pytest.fixture(autouse=True)
+def as_users_have_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(progress_module, "_SECONDS", SECONDS)
+    monkeypatch.setattr(progress_module, "_PAUSE", PAUSE)
+
 
 class Clock:
     def __init__(self) -> None:
@@ -44,9 +52,9 @@ def test_a_line_every_thirty_seconds_where_a_tenth_takes_longer() -> None:
     assert 10_000 // 30 <= len(lines) <= 10_000 // 30 + 10, "and for each tenth"
 
 
-def test_no_more_than_a_line_every_five_seconds() -> None:
-    assert lines_of(10, 0.49) == [], "a short job says nothing"
-    assert len(lines_of(10, 1.0)) == 2
+def test_no_more_than_a_line_every_two_seconds() -> None:
+    assert lines_of(10, 0.19) == [], "a short job says nothing"
+    assert len(lines_of(10, 1.0)) == 5
 
 
 def test_without_a_known_end_lines_come_by_time_alone() -> None:
