@@ -41,7 +41,7 @@ WHEEL_ENV := build/wheel-env
 
 .NOTPARALLEL:
 .DELETE_ON_ERROR:
-.PHONY: help setup demo test lint type layers wheel wheel-check unit player player-wasm player-check test-browser slow soak fuzz bench report \
+.PHONY: help setup demo test lint type layers wheel wheel-check shell-files unit player player-wasm player-check test-browser slow soak fuzz bench report \
 	blender-addon blender-test clean
 
 help: ## list what can be made
@@ -67,7 +67,7 @@ $(READY): $(INSTALLS) $(KERNEL_SOURCES) | $(BIN)/python
 	@touch $@
 
 $(USER_READY): $(INSTALLS) $(KERNEL_SOURCES) | $(USER_BIN)/python
-	@echo 'Installing into $(USER_VENV): a minute, 124 MB to download, and the kernels to compile'
+	@echo 'Installing into $(USER_VENV): a minute, 158 MB to download, and the kernels to compile'
 	$(USER_BIN)/python $(INSTALL) setuptools
 	$(USER_BIN)/python $(INSTALL) --no-build-isolation -e .
 	@touch $@
@@ -131,7 +131,10 @@ wheel: $(READY) ## build the sdist, and from it the wheel, into build/dist
 	$(BIN)/pyproject-build --no-isolation --outdir $(DIST) > build/wheel.log 2>&1 || { cat build/wheel.log; exit 1; }
 	@ls -l $(DIST)
 
-# What users get from `pip install decogs`: the wheel built from the sdist, in an environment of its own without torch.
+shell-files: $(READY) ## write the man pages and completions in share/ anew; after a change of any option
+	$(BIN)/python share/build.py
+
+# What users get from `pip install .`: the wheel built from the sdist, in an environment of its own without torch.
 wheel-check: wheel ## install that wheel without any extra and run it
 	rm -rf $(WHEEL_ENV)
 	$(BIN)/python -m venv $(WHEEL_ENV)
@@ -173,5 +176,5 @@ $(BLENDER_ENV)/ready:
 
 clean: ## remove what was built and every cache; environments and demo/ stay
 	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache $(READY) $(USER_READY)
-	find formats codec decoder encoder tests -name __pycache__ -prune -exec rm -rf {} +
+	find decogs formats codec decoder encoder share tests -name __pycache__ -prune -exec rm -rf {} +
 	find formats decoder encoder -name '*.abi3.so' -delete

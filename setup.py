@@ -14,11 +14,16 @@ import hashlib
 import os
 import platform
 import re
+import shlex
 import shutil
+import subprocess
+import sysconfig
+import tempfile
 from pathlib import Path
 
 from setuptools import Extension, setup
 from setuptools.command.build_ext import build_ext
+from setuptools.errors import CompileError
 
 COMMON_FLAGS = [
     "-std=c++17",
@@ -56,6 +61,11 @@ class BuildKernels(build_ext):
     checks install the project twice, from the tree and as the wheel that users get.
     """
 
+    def run(self) -> None:
+        """Compiles with a compiler that can; CompileError, of one sentence, where there is none."""
+        os.environ["CXX"] = chosen_compiler()
+        super().run()
+
     def finalize_options(self) -> None:
         """An option of ``setup`` would be lost in editable installs, which set this command up twice."""
         build_ext.finalize_options(self)
@@ -80,11 +90,41 @@ class BuildKernels(build_ext):
         """Where the cache has this library, or will have it."""
         if "DECOGS_KERNEL_CACHE" not in os.environ:
             return None
-        said = [ext.name, *self.compiler.compiler_so, *ext.extra_compile_args, *ext.extra_link_args]
+        said = [ext.name, *self.compiler.compiler_so_cxx, *ext.extra_compile_args, *ext.extra_link_args]
         made = hashlib.sha256("\n".join(said).encode())
         for path in [*ext.sources, *sorted(ext.depends)]:
             made.update(Path(path).read_bytes())
         return Path(os.environ["DECOGS_KERNEL_CACHE"], made.hexdigest()[:16])
+
+
+def chosen_compiler() -> str:
+    """The compiler that CXX names, or else the first that compiles the kernels: Python's own, g++, c++, clang++."""
+    named = os.environ.get("CXX")
+    candidates = [named] if named else [sysconfig.get_config_var("CXX") or "g++", "g++", "c++", "clang++"]
+    there = [command for command in candidates if shutil.which(shlex.split(command)[0])]
+    able = next(filter(compiles_kernels, there), None)
+    if able is not None:
+        return able
+    if there:
+        problem = f"the C++ compiler {there[0]} cannot compile decogs' kernels (C++17 for {platform.machine()})"
+    else:
+        problem = f"a C++ compiler is missing{f': CXX names {named}' if named else ''}"
+    raise CompileError(
+        f"{problem}; install g++ 11 or later (Debian, Ubuntu: apt install g++; Fedora: dnf install gcc-c++) "
+        "or clang 12 or later, and try again"
+    )
+
+
+def compiles_kernels(command: str) -> bool:
+    """Whether a compiler knows the language and the instruction sets, and finds the C++ library."""
+    with tempfile.TemporaryDirectory() as folder:
+        source = Path(folder, "probe.cpp")
+        source.write_text("#include <optional>\nstd::optional<int> probe() { return 1; }\n")
+        for flags in INSTRUCTION_SETS.values():
+            compiled = [*shlex.split(command), *COMMON_FLAGS, *flags, "-fPIC", "-shared", str(source), "-o"]
+            if subprocess.run([*compiled, f"{folder}/probe.so"], capture_output=True).returncode:
+                return False
+    return True
 
 
 def of_this_machine() -> str:

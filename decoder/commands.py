@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING
 from decogs.formats.command_line import (
     Parser,
     counted,
-    frames_joined,
     number,
     number_of_bytes,
     number_of_threads,
@@ -46,6 +45,12 @@ if TYPE_CHECKING:
 
 def decode_main(arguments: Sequence[str] | None = None) -> int:
     """``decogs-decode``: pictures of any view of any frames."""
+    parser = decode_parser()
+    return run(parser, lambda: _decode(parser, parser.parse_args(arguments)), cleans_up=True)
+
+
+def decode_parser() -> Parser:
+    """The options of ``decogs-decode``."""
     parser = Parser(
         prog="decogs-decode",
         description="Decode a view of a .dgs stream to pictures, one per encoded frame.",
@@ -55,7 +60,16 @@ def decode_main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("stream", help="the .dgs file; - for stdin")
     parser.add_argument("-o", "--output", required=True, metavar="OUTPUT", help="folder or file to write, - for stdout")
-    view = parser.add_mutually_exclusive_group(required=True)
+    parser.add_quiet()
+    _add_camera(parser.add_argument_group("camera (one of the first four is needed)"))
+    _add_pictures(parser.add_argument_group("frames and pictures"))
+    _add_video(parser.add_argument_group("video"))
+    _add_trust(parser.add_argument_group("machine and damage"), threads=True)
+    return parser
+
+
+def _add_camera(group: argparse._ArgumentGroup) -> None:
+    view = group.add_mutually_exclusive_group(required=True)
     view.add_argument("--view", metavar="CAM", help="a camera of the rig, by name (decogs-info lists them)")
     view.add_argument(
         "--camera", metavar="FILE", help="a free camera or a path of them: pose.json, nerfstudio, USD (docs/cameras.md)"
@@ -70,86 +84,111 @@ def decode_main(arguments: Sequence[str] | None = None) -> int:
         const="spiral",
         help="a camera move: small circles before the scene",
     )
-    _add_frames(parser)
-    _add_trust(parser)
-    parser.add_argument("--scale", type=number, default=1.0, metavar="S", help="scale of the picture size (default 1)")
-    parser.add_argument(
-        "--background", type=_colour, metavar="R,G,B", help="background colour, 0 to 1 each (default: the stream's)"
-    )
-    layout = parser.add_mutually_exclusive_group()
+    layout = group.add_mutually_exclusive_group()
     layout.add_argument(
         "--stereo", type=number, metavar="BASELINE", help="stereo pairs side by side; BASELINE in world units"
     )
     layout.add_argument("--equirectangular", action="store_true", help="360 degrees around the camera's position")
-    parser.add_argument("--undistorted", action="store_true", help="leave out the rig camera's lens distortion")
-    parser.add_argument(
+    group.add_argument("--undistorted", action="store_true", help="leave out the rig camera's lens distortion")
+    group.add_argument(
         "--drift-free",
         action="store_true",
         help="rig cameras without their drift: the scene's own colours, the calibrated pose",
     )
-    parser.add_argument(
-        "--codec", choices=("h264", "hevc", "prores"), help="video codec (default: h264 for .mp4, prores for .mov)"
+
+
+def _add_pictures(group: argparse._ArgumentGroup) -> None:
+    _add_frames(group)
+    group.add_argument("--scale", type=number, default=1.0, metavar="S", help="scale of the picture size (default 1)")
+    group.add_argument(
+        "--background", type=_colour, metavar="R,G,B", help="background colour, 0 to 1 each (default: the stream's)"
     )
-    parser.add_argument("--crf", type=number, metavar="Q", help="quality of H.264 and HEVC, 0 (best) to 51 (default 2)")
-    parser.add_argument(
-        "--chroma",
-        choices=("420", "444"),
-        help="chroma of H.264 and HEVC: 420 plays in all browsers (default), 444 is closer to the PNGs",
-    )
-    parser.add_argument("--audio", metavar="FILE", help="sound for the video, from frame 0 on")
-    parser.add_argument("--threads", type=number_of_threads, default=0, metavar="N", help="default: all processors")
-    parser.add_argument(
+    group.add_argument(
         "--follow", action="store_true", help="decode frames while an encoder writes them; give the stream's final name"
     )
-    parser.add_argument(
+    group.add_argument(
         "--idle",
         type=number,
         metavar="S",
         help="with --follow: stop after S seconds without data (default 600)",
     )
-    return run(parser, lambda: _decode(parser, parser.parse_args(frames_joined(arguments))), cleans_up=True)
+
+
+def _add_video(group: argparse._ArgumentGroup) -> None:
+    group.add_argument(
+        "--codec", choices=("h264", "hevc", "prores"), help="video codec (default: h264 for .mp4, prores for .mov)"
+    )
+    group.add_argument("--crf", type=number, metavar="Q", help="quality of H.264 and HEVC, 0 (best) to 51 (default 2)")
+    group.add_argument(
+        "--chroma",
+        choices=("420", "444"),
+        help="chroma of H.264 and HEVC: 420 plays in all browsers (default), 444 is closer to the PNGs",
+    )
+    group.add_argument("--audio", metavar="FILE", help="sound for the video, from frame 0 on")
 
 
 def export_main(arguments: Sequence[str] | None = None) -> int:
     """``decogs-export``: frames of a stream as a USD file, or as files of Gaussians."""
+    parser = export_parser()
+    return run(parser, lambda: _export(parser, parser.parse_args(arguments)), cleans_up=True)
+
+
+def export_parser() -> Parser:
+    """The options of ``decogs-export``."""
     parser = Parser(
         prog="decogs-export",
         description="Export a .dgs stream as USD for Blender, Houdini, usdview, or as splats for viewers.",
         epilog="OUTPUT's ending chooses: .usdc, .usda, .usd and .usdz hold all frames; .ply, .spz, .sog, .splat "
-        "and .glb one, numbered by x_####.ply, x_%04d.ply, 'x_$F4.ply'. docs/exports.md says what suits which program.",
+        "and .glb one, numbered by x_####.ply, x_%04d.ply, 'x_$F4.ply'. docs/exports.md says what suits which "
+        "program.",
     )
     parser.add_argument("stream", help="the .dgs file")
     parser.add_argument("-o", "--output", required=True, metavar="OUTPUT", help="the file or files; - for stdout")
-    _add_frames(parser)
-    _add_trust(parser)
-    parser.add_argument(
+    parser.add_quiet()
+    _add_world(parser.add_argument_group("frames and world"))
+    _add_kind(parser.add_argument_group("kind of file"))
+    _add_trust(parser.add_argument_group("machine and damage"))
+    return parser
+
+
+def _add_world(group: argparse._ArgumentGroup) -> None:
+    _add_frames(group)
+    group.add_argument(
+        "--first-frame", type=whole_number, default=0, metavar="N", help="number that frame 0 gets (default 0)"
+    )
+    group.add_argument("--fps", type=number, metavar="F", help="frames per second (default: the stream's)")
+    group.add_argument(
         "--up",
         choices=UPS,
         default="auto",
         help="the world's up direction, rotated to the format's; auto: from the cameras (default)",
     )
-    parser.add_argument(
-        "--first-frame", type=whole_number, default=0, metavar="N", help="number that frame 0 gets (default 0)"
-    )
-    parser.add_argument("--fps", type=number, metavar="F", help="frames per second (default: the stream's)")
-    parser.add_argument(
+    group.add_argument(
         "--scale-to-metres", type=number, metavar="F", help="metres of a world unit (default: the rig's, else 1)"
     )
-    parser.add_argument("--format", metavar="KIND", help="with -o -: kind of file, such as ply")
-    parser.add_argument("--spz-version", type=int, choices=(2, 3, 4), help="version of .spz files (default 3)")
-    parser.add_argument(
+
+
+def _add_kind(group: argparse._ArgumentGroup) -> None:
+    group.add_argument("--format", metavar="KIND", help="with -o -: kind of file, such as ply")
+    group.add_argument("--spz-version", type=int, choices=(2, 3, 4), help="version of .spz files (default 3)")
+    group.add_argument(
         "--prim",
         choices=FLAVOURS,
         help="USD: ellipsoids, for all programs (instancer, default), ParticleField3DGaussianSplat (splat), or both",
     )
-    parser.add_argument(
+    group.add_argument(
         "--velocities", action="store_true", help="USD: write the instances' velocities, for motion blur"
     )
-    return run(parser, lambda: _export(parser, parser.parse_args(_joined(arguments))), cleans_up=True)
 
 
 def info_main(arguments: Sequence[str] | None = None) -> int:
     """``decogs-info``: what a stream holds, frame by frame, and where its bytes go."""
+    parser = info_parser()
+    return run(parser, lambda: _info(parser.parse_args(arguments)))
+
+
+def info_parser() -> Parser:
+    """The options of ``decogs-info``."""
     parser = Parser(prog="decogs-info", description="Show what a .dgs stream holds; verifies every frame.")
     parser.add_argument("stream", help="the .dgs file")
     parser.add_argument("--json", action="store_true", help="print everything as JSON, the table of --bytes included")
@@ -158,12 +197,19 @@ def info_main(arguments: Sequence[str] | None = None) -> int:
         action="store_true",
         help="print bytes instead, by frame and attribute",
     )
+    parser.add_quiet()
     _add_trust(parser)
-    return run(parser, lambda: _info(parser.parse_args(frames_joined(arguments))))
+    return parser
 
 
 def view_main(arguments: Sequence[str] | None = None) -> int:
     """``decogs-view``: a stream played in the browser, or a folder for a web server that does so."""
+    parser = view_parser()
+    return run(parser, lambda: _view(parser.parse_args(arguments)), cleans_up=True)
+
+
+def view_parser() -> Parser:
+    """The options of ``decogs-view``."""
     parser = Parser(
         prog="decogs-view",
         description="Play a .dgs stream in the browser, from wherever one likes. Serves it to this machine only.",
@@ -190,7 +236,8 @@ def view_main(arguments: Sequence[str] | None = None) -> int:
         metavar="S",
         help="with --follow: wait S seconds for the stream's beginning (default 600)",
     )
-    return run(parser, lambda: _view(parser.parse_args(arguments)), cleans_up=True)
+    parser.add_quiet()
+    return parser
 
 
 def _decode(parser: Parser, options: argparse.Namespace) -> None:
@@ -201,7 +248,7 @@ def _decode(parser: Parser, options: argparse.Namespace) -> None:
     started = time.perf_counter()
     output = path_or_pipe(options.output, "the video")
     audio = None if options.audio is None else Path(options.audio)
-    with progress("decoding") as on_frame:
+    with progress("decoding", quiet=options.quiet) as on_frame:
         report = decode(
             standard_input() if options.stream == "-" else options.stream,
             output,
@@ -242,7 +289,7 @@ def _export(parser: Parser, options: argparse.Namespace) -> None:
     from .exporting import export
 
     output = path_or_pipe(options.output, "the file")
-    with progress("exporting") as on_frame:
+    with progress("exporting", quiet=options.quiet) as on_frame:
         report = export(
             _file(options.stream),
             output,
@@ -276,7 +323,7 @@ def _info(options: argparse.Namespace) -> None:
     from .stream_info import info
     from .stream_info_text import byte_lines, summary_lines
 
-    with progress("reading") as on_frame:
+    with progress("reading", quiet=options.quiet) as on_frame:
         facts = info(_file(options.stream), strict=options.strict, max_memory=options.max_memory, on_frame=on_frame)
     if options.json:
         print_text(json.dumps(facts.to_json(), indent=2))
@@ -320,22 +367,18 @@ def _write_site(options: argparse.Namespace) -> None:
         raise UsageError("a folder gets no pictures of a `rig`, which are large and yours; leave out `rig`")
     if options.follow:
         raise UsageError("a folder holds a whole stream; leave out `follow`, or wait for the encoder")
-    with progress("writing", "MB") as on_megabytes:
+    with progress("writing", "MB", quiet=options.quiet) as on_megabytes:
         report = write_site(options.stream, options.output, overwrite=options.overwrite, on_megabytes=on_megabytes)
     print_text(f"{printable(options.output)}: {counted(report.file_count, 'file')}, {size_text(report.file_bytes)}")
 
 
-def _joined(arguments: Sequence[str] | None) -> list[str]:
-    """Joins "--up" with its value as well: argparse takes "-Y" for an option of its own."""
-    given = iter(frames_joined(arguments))
-    return [f"--up={next(given, '')}" if argument == "--up" else argument for argument in given]
-
-
-def _add_frames(parser: argparse.ArgumentParser) -> None:
+def _add_frames(parser: argparse._ActionsContainer) -> None:
     parser.add_argument("--frames", metavar="A:B", help="half-open, as in Python: 0:10, 5:, -3: (default: all)")
 
 
-def _add_trust(parser: argparse.ArgumentParser) -> None:
+def _add_trust(parser: argparse._ActionsContainer, *, threads: bool = False) -> None:
+    if threads:
+        parser.add_argument("--threads", type=number_of_threads, default=0, metavar="N", help="default: all processors")
     parser.add_argument(
         "--strict", action="store_true", help="damage is an error; otherwise damaged frames show the last good one"
     )

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 from decogs.formats.command_line import (
     Parser,
     counted,
-    frames_joined,
     number,
     number_of_bytes,
     number_of_threads,
@@ -37,6 +36,12 @@ if TYPE_CHECKING:
 
 def encode_main(arguments: Sequence[str] | None = None) -> int:
     """``decogs-encode``: a rig folder to a .dgs stream."""
+    parser = encode_parser()
+    return run(parser, lambda: _encode_or_part(parser, parser.parse_args(arguments)))
+
+
+def encode_parser() -> Parser:
+    """The options of ``decogs-encode``."""
     parser = Parser(
         prog="decogs-encode",
         description="Encode a rig of synchronised, calibrated cameras as a stream of 3D Gaussians.",
@@ -44,70 +49,48 @@ def encode_main(arguments: Sequence[str] | None = None) -> int:
         "but whole.",
     )
     parser.add_argument("rig_dir", help="the rig's folder, or one calibration file or folder inside it")
-    parser.add_argument("-o", "--output", required=True, metavar="SCENE.DGS", help="the stream to write; - for stdout")
-    parser.add_argument("--frames", metavar="A:B", help="half-open, as in Python: 0:10, 5:, -3: (default: all)")
     parser.add_argument(
+        "-o",
+        "--output",
+        required=True,
+        metavar="SCENE.DGS",
+        help="the stream to write, in place of one of that name; - for stdout",
+    )
+    parser.add_quiet()
+    _add_input(parser.add_argument_group("input"))
+    _add_quality(parser.add_argument_group("quality, size and time"))
+    _add_effects(parser.add_argument_group("effects"))
+    _add_long_takes(parser.add_argument_group("long takes"))
+    _add_machine(parser.add_argument_group("machine"))
+    _add_research(parser.add_argument_group("research"))
+    return parser
+
+
+def _add_input(group: argparse._ArgumentGroup) -> None:
+    group.add_argument("--frames", metavar="A:B", help="half-open, as in Python: 0:10, 5:, -3: (default: all)")
+    group.add_argument(
         "--scale", type=number, default=1.0, metavar="S", help="scale of the training pictures (default 1)"
     )
-    parser.add_argument(
+    group.add_argument(
         "--holdout", action="append", default=[], metavar="CAM", help="keep a camera out of training (repeatable)"
     )
-    parser.add_argument(
+    group.add_argument(
+        "--keyframe",
+        metavar="FILE",
+        help="start from the keyframe of an earlier encode of this rig (.dgs), or from another trainer's Gaussians "
+        "(.ply, .spz)",
+    )
+
+
+def _add_quality(group: argparse._ArgumentGroup) -> None:
+    group.add_argument(
         "--preset",
         dest="settings",
         default="standard",
         metavar="P",
         help="live, draft, standard (default), high, archive; or paper",
     )
-    parser.add_argument(
-        "--method", metavar="M", help="decogs (default), 3dgstream (the dense baseline, slower), or one of a package"
-    )
-    parser.add_argument(
-        "--ablate",
-        default="",
-        metavar="PARTS",
-        help="parts of the method to leave out: select, focus, gate (with commas)",
-    )
-    parser.add_argument(
-        "--selection",
-        metavar="RULE",
-        help="selection rule: weight, paper, or one of an installed package (default: the preset's)",
-    )
-    parser.add_argument(
-        "--effects",
-        metavar="E",
-        help="auto (default): analyse the rig as decogs-analyze does and enable the effects detected in it and in each "
-        "frame; all; none; or names with commas; -NAME disables one: auto,-camera_shake",
-    )
-    parser.add_argument(
-        "--keyframe",
-        metavar="FILE",
-        help="start from the keyframe of an earlier encode of this rig (.dgs), or from another trainer's Gaussians "
-        "(.ply, .spz)",
-    )
-    parser.add_argument(
-        "--segment",
-        type=whole_number,
-        metavar="N",
-        help="insert a keyframe every N frames, for seeking (default: the first frame only)",
-    )
-    parser.add_argument(
-        "--closed",
-        action="store_true",
-        help="start every segment from the first keyframe's Gaussians, so that none depends on another",
-    )
-    parser.add_argument(
-        "--only",
-        metavar="A:B",
-        help="encode a part, for decogs-join: these frames of the rig, whole segments, from the first keyframe in "
-        "--keyframe PART.DGS; or the first frame alone, which makes that keyframe. Exit code 75: try again",
-    )
-    parser.add_argument(
-        "--cluster",
-        metavar="WHERE",
-        help="encode segments side by side on a Ray cluster: local, or ray://HOST:PORT; with --segment and --closed",
-    )
-    parser.add_argument(
+    group.add_argument(
         "--quality",
         type=number,
         metavar="Q",
@@ -115,72 +98,131 @@ def encode_main(arguments: Sequence[str] | None = None) -> int:
         "threshold and what a bit is worth, and make lattice steps 1.19 times as coarse (with --keyframe, the lattice "
         "is the keyframe's)",
     )
-    parser.add_argument(
+    group.add_argument("--lossless", action="store_true", help="code every change, exact to the lattice")
+    group.add_argument(
         "--bitrate",
         type=number,
         metavar="KBIT",
         help="maximum mean bitrate of the frames after the first, at the rig's frame rate",
     )
-    parser.add_argument(
+    group.add_argument(
         "--max-mb-per-frame",
         type=number,
         metavar="MB",
         help="the same as a mean per frame, 1 MB = 1e6 bytes. Later keyframes count, the first does not",
     )
-    parser.add_argument("--lossless", action="store_true", help="code every change, exact to the lattice")
-    parser.add_argument(
+    group.add_argument(
         "--time-budget",
         metavar="T",
         help="maximum mean wall-clock time of the frames after the first (1.5s/frame, 500ms/frame or 1.5), from "
         "decoded pictures to the written packet. Training is shortened to fit, so the bytes depend on the machine",
     )
-    parser.add_argument(
+    group.add_argument(
         "--target-psnr",
         type=number,
         metavar="DB",
         help="early stopping: end a frame's training once the training views reach this PSNR in its regions of "
         "interest (the first frame: in the whole picture)",
     )
-    parser.add_argument(
+
+
+def _add_effects(group: argparse._ArgumentGroup) -> None:
+    group.add_argument(
+        "--effects",
+        metavar="E",
+        help="auto (default): analyse the rig as decogs-analyze does and enable the effects detected in it and in each "
+        "frame; all; none; or names with commas; -NAME disables one: auto,-camera_shake",
+    )
+
+
+def _add_long_takes(group: argparse._ArgumentGroup) -> None:
+    group.add_argument(
+        "--segment",
+        type=whole_number,
+        metavar="N",
+        help="insert a keyframe every N frames, for seeking (default: the first frame only)",
+    )
+    group.add_argument(
+        "--closed",
+        action="store_true",
+        help="start every segment from the first keyframe's Gaussians, so that none depends on another",
+    )
+    group.add_argument(
         "--resume", action="store_true", help="continue SCENE.DGS.part, or SCENE.DGS, of an interrupted encode"
     )
-    parser.add_argument(
-        "--metrics", action="store_true", help="put every frame's PSNR into the stream, for the player to show"
+    group.add_argument(
+        "--only",
+        metavar="A:B",
+        help="encode a part, for decogs-join: these frames of the rig, whole segments, from the first keyframe in "
+        "--keyframe PART.DGS; or the first frame alone, which makes that keyframe. Exit code 75: try again",
     )
-    parser.add_argument(
-        "--seed",
-        type=whole_number,
-        default=0,
-        metavar="N",
-        help="same seed, same bytes (default 0), except with --time-budget",
+    group.add_argument(
+        "--cluster",
+        metavar="WHERE",
+        help="encode segments side by side on a Ray cluster: local, or ray://HOST:PORT; with --segment and --closed",
     )
-    parser.add_argument("--threads", type=number_of_threads, default=0, metavar="N", help="default: all processors")
-    parser.add_argument(
+    group.add_argument(
+        "--progress-lines",
+        choices=["openjd"],
+        metavar="KIND",
+        help="print progress for a farm on stdout instead, as Open Job Description has it: openjd",
+    )
+
+
+def _add_machine(group: argparse._ArgumentGroup) -> None:
+    group.add_argument("--threads", type=number_of_threads, default=0, metavar="N", help="default: all processors")
+    group.add_argument(
         "--device",
         default="auto",
         metavar="D",
         help="auto (default), cpu or cuda (through gsplat); auto is cpu",
     )
-    parser.add_argument(
+    group.add_argument(
         "--max-memory",
         type=number_of_bytes,
         metavar="SIZE",
         help="limit of memory for the encode, such as 512M or 6G (default: none); where it is tight, no frame is read "
         "ahead",
     )
-    parser.add_argument("--log", metavar="FILE", help="write each frame's figures as JSON lines")
-    parser.add_argument(
-        "--progress-lines",
-        choices=["openjd"],
-        metavar="KIND",
-        help="print progress for a farm, as Open Job Description has it: openjd",
+
+
+def _add_research(group: argparse._ArgumentGroup) -> None:
+    group.add_argument(
+        "--method", metavar="M", help="decogs (default), 3dgstream (the dense baseline, slower), or one of a package"
     )
-    parser.add_argument("--convergence-log", metavar="FILE", help="write the loss of every training step as JSON lines")
-    return run(parser, lambda: _encode_or_part(parser, parser.parse_args(frames_joined(arguments))))
+    group.add_argument(
+        "--ablate",
+        default="",
+        metavar="PARTS",
+        help="parts of the method to leave out: select, focus, gate (with commas)",
+    )
+    group.add_argument(
+        "--selection",
+        metavar="RULE",
+        help="selection rule: weight, paper, or one of an installed package (default: the preset's)",
+    )
+    group.add_argument(
+        "--seed",
+        type=whole_number,
+        default=0,
+        metavar="N",
+        help="same seed, same bytes (default 0), except with --time-budget",
+    )
+    group.add_argument(
+        "--metrics", action="store_true", help="put every frame's PSNR into the stream, for the player to show"
+    )
+    group.add_argument("--log", metavar="FILE", help="write each frame's figures as JSON lines")
+    group.add_argument("--convergence-log", metavar="FILE", help="write the loss of every training step as JSON lines")
 
 
 def pack_main(arguments: Sequence[str] | None = None) -> int:
     """``decogs-pack``: files of Gaussians, one a frame, to a .dgs stream."""
+    parser = pack_parser()
+    return run(parser, lambda: _pack(parser, parser.parse_args(arguments)), cleans_up=True)
+
+
+def pack_parser() -> Parser:
+    """The options of ``decogs-pack``."""
     parser = Parser(
         prog="decogs-pack",
         description="Code a sequence of .ply or .spz files of 3D Gaussians, one file per frame, as a stream.",
@@ -202,14 +244,15 @@ def pack_main(arguments: Sequence[str] | None = None) -> int:
         "--lossless", action="store_true", help="code every change, exact to the lattice of --quality 100"
     )
     parser.add_argument("--segment", type=whole_number, default=0, metavar="N", help="insert a keyframe every N frames")
-    return run(parser, lambda: _pack(parser, parser.parse_args(arguments)), cleans_up=True)
+    parser.add_quiet()
+    return parser
 
 
 def _pack(parser: Parser, options: argparse.Namespace) -> int:
     from .packing import pack
 
     output = path_or_pipe(options.output, "the stream")
-    with progress("packing") as on_frame:
+    with progress("packing", quiet=options.quiet) as on_frame:
         report = pack(
             options.files,
             output,
@@ -230,19 +273,26 @@ def _pack(parser: Parser, options: argparse.Namespace) -> int:
 
 def join_main(arguments: Sequence[str] | None = None) -> int:
     """``decogs-join``: parts that ``decogs-encode --only`` made to one .dgs stream."""
+    parser = join_parser()
+    return run(parser, lambda: _join(parser.parse_args(arguments)), cleans_up=True)
+
+
+def join_parser() -> Parser:
+    """The options of ``decogs-join``."""
     parser = Parser(
         prog="decogs-join",
         description="Join the parts of a take to the stream that an encode in one go would have written.",
     )
     parser.add_argument("parts", nargs="+", metavar="PART.DGS", help="all parts of the take, in any order")
     parser.add_argument("-o", "--output", required=True, metavar="SCENE.DGS", help="the stream to write; - for stdout")
-    return run(parser, lambda: _join(parser.parse_args(arguments)), cleans_up=True)
+    parser.add_quiet()
+    return parser
 
 
 def _join(options: argparse.Namespace) -> int:
     from .parts.joining import join
 
-    with progress("joining") as on_frame:
+    with progress("joining", quiet=options.quiet) as on_frame:
         report = join(options.parts, path_or_pipe(options.output, "the stream"), on_frame=on_frame)
     parts, frames = counted(report.parts, "part"), counted(report.frames, "frame")
     print_text(
@@ -265,7 +315,7 @@ def _encode_on_cluster(parser: Parser, options: argparse.Namespace) -> int:
 
     _check_cluster(options)
     _, bytes_per_frame, words = _budget(options)
-    with reworded(words), progress("encoding") as on_progress:
+    with reworded(words), progress("encoding", quiet=options.quiet) as on_progress:
         report = encode_on_cluster(
             options.rig_dir,
             options.output,
@@ -351,12 +401,12 @@ def _encode(parser: Parser, options: argparse.Namespace) -> int:
 
 @contextmanager
 def _observed(parser: Parser, options: argparse.Namespace) -> Iterator[EncodeObserver]:
-    """What shows the progress: lines for a farm, or bars on a terminal."""
+    """What shows the progress: lines for a farm, or for people."""
     from .output.open_job import OpenJobProgress
     from .output.progress import TerminalProgress
 
     if options.progress_lines is None:
-        with TerminalProgress(sys.stderr) as bars:
+        with TerminalProgress(None if options.quiet else sys.stderr) as bars:
             yield bars
         return
     if options.output == "-":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -10,6 +9,8 @@ from itertools import islice
 from typing import Protocol, TypeVar
 
 import cv2
+
+from decogs.formats.threads import processor_count
 
 R = TypeVar("R")
 
@@ -29,7 +30,7 @@ def side_by_side(threads: int) -> Iterator[Each]:
     own_threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
-        with ThreadPoolExecutor(threads or len(os.sched_getaffinity(0))) as pool:
+        with ThreadPoolExecutor(threads or processor_count()) as pool:
             yield pool.map
     finally:
         cv2.setNumThreads(own_threads)

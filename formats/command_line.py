@@ -20,6 +20,7 @@ from typing import Any, BinaryIO, NoReturn
 
 from .callbacks import OnProgress
 from .errors import DecogsError, TryAgainError, UsageError
+from .progress import open_progress
 
 USER_ERROR = 2
 TRY_AGAIN = 75
@@ -28,10 +29,21 @@ _BROKEN_PIPE = 141
 _CONTROL = re.compile("[\x00-\x1f\x7f-\x9f]+")
 _PARAMETER = re.compile("`([a-z_]+)`")
 """How a library's texts name a parameter: it knows no options."""
+_TAKE_DASHES = ("--frames", "--only", "--up")
+_DASHED = re.compile("-[0-9].*|-[A-Z]")
+"""Values that begin with a dash: frames from the end, directions."""
 
 
 class Parser(argparse.ArgumentParser):
-    """Says what is wrong with the arguments in one line, as for every other error."""
+    """Knows --version, and says what is wrong with the arguments in one line, as for every other error."""
+
+    def __init__(self, **words: Any) -> None:
+        super().__init__(**words)
+        self.add_argument("--version", action=_Version, help="print the version and exit")
+
+    def add_quiet(self) -> None:
+        """Adds --quiet, for commands that show progress."""
+        self.add_argument("-q", "--quiet", action="store_true", help="no progress on stderr; warnings and errors stay")
 
     def in_options(self, text: str) -> str:
         """A library's text with each parameter in backticks as the option that sets it: ```scale``` is --scale.
@@ -42,8 +54,11 @@ class Parser(argparse.ArgumentParser):
         return _PARAMETER.sub(lambda found: options.get(found[1], found[0]), text)
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Refuses "--" as the value of an option, which argparse takes away and then hands on an empty list."""
-        parsed = super().parse_args(args, namespace)
+        """Takes what argparse would not: values with a dash, such as ``--frames -3:``. Refuses what it should not.
+
+        That is "--" as the value of an option, which argparse takes away and then hands on an empty list.
+        """
+        parsed = super().parse_args(_dashed_joined(sys.argv[1:] if args is None else args), namespace)
         for name, value in vars(parsed).items():
             is_empty = value == [] and self.get_default(name) != []
             if is_empty or (isinstance(value, list) and [] in value):
@@ -54,6 +69,27 @@ class Parser(argparse.ArgumentParser):
         """Prints one line and ends the process with exit code 2."""
         sys.stderr.write(f"{self.prog}: error: {message} (see {self.prog} --help)\n")
         raise SystemExit(USER_ERROR)
+
+
+class _Version(argparse._VersionAction):
+    """Prints the version; it is only looked up when asked for, which takes a while."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
+        from decogs import __version__
+
+        print_text(f"{parser.prog} {__version__}")
+        parser.exit()
+
+
+def _dashed_joined(arguments: Sequence[str]) -> list[str]:
+    """Joins an option with its value where argparse would take the value for an option of its own."""
+    joined: list[str] = []
+    for argument in arguments:
+        if joined and joined[-1] in _TAKE_DASHES and _DASHED.fullmatch(argument) and "--" not in joined:
+            joined[-1] += f"={argument}"
+        else:
+            joined.append(argument)
+    return joined
 
 
 def _options_by_parameter(parser: argparse.ArgumentParser) -> dict[str, str]:
@@ -249,20 +285,13 @@ def path_or_pipe(output: str, what: str) -> str | BinaryIO:
 
 
 @contextmanager
-def progress(what: str, unit: str = "frame") -> Iterator[OnProgress]:
-    """A progress bar on stderr when that is a terminal; silent otherwise. Called with units done and units in all."""
-    if not sys.stderr.isatty():
-        yield lambda done, total: None
-        return
-    from tqdm import tqdm
-
-    with tqdm(desc=what, unit=unit, leave=False) as bar:
-
-        def show(done: int, total: int) -> None:
-            bar.total = total
-            bar.update(done - bar.n)
-
-        yield show
+def progress(what: str, unit: str = "frame", *, quiet: bool = False) -> Iterator[OnProgress]:
+    """Progress on stderr, called with units done and units in all; silent if ``quiet``."""
+    shown = open_progress(None if quiet else sys.stderr, what, unit)
+    try:
+        yield shown.to
+    finally:
+        shown.close()
 
 
 def print_text(text: str, *, to_stderr: bool = False) -> None:
@@ -279,18 +308,6 @@ def print_text(text: str, *, to_stderr: bool = False) -> None:
 def warn_as(parser: Parser) -> Callable[[str], None]:
     """Prints each text it is given as one line on stderr, with the command's options for a library's parameters."""
     return lambda text: print(f"{parser.prog}: warning: {printable(parser.in_options(text))}", file=sys.stderr)
-
-
-def frames_joined(arguments: Sequence[str] | None) -> list[str]:
-    """Joins "--frames" with its value: argparse takes "-3:" for an option of its own."""
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    joined: list[str] = []
-    for argument in given:
-        if joined and joined[-1] == "--frames":
-            joined[-1] = f"--frames={argument}"
-        else:
-            joined.append(argument)
-    return joined
 
 
 def number_of_bytes(text: str) -> int:

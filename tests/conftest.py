@@ -1,4 +1,4 @@
-"""What holds for all tests: FFmpeg is quiet, torch has one thread, and Hypothesis has no deadlines.
+"""What holds for all tests: FFmpeg and progress are quiet, torch has one thread, and Hypothesis has no deadlines.
 
 FFmpeg's level is looked up once, by whoever opens or makes the first video: in a test, that may be the test. Torch, a
 reference for small arrays, waits for its threads by spinning: on two busy processors a test of 13 seconds took 207.
@@ -8,7 +8,10 @@ Deadlines would measure the machine and what else it does, not the code.
 from __future__ import annotations
 
 import contextlib
+import math
 import os
+
+import pytest
 
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -20,3 +23,10 @@ with contextlib.suppress(ImportError):  # the wheel is checked in an environment
     hypothesis.settings.register_profile("decogs", deadline=None, max_examples=30)
     hypothesis.settings.register_profile("thorough", deadline=None, max_examples=300)
     hypothesis.settings.load_profile("decogs")
+
+
+@pytest.fixture(autouse=True)
+def no_progress_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tests compare what commands say on stderr, and a busy machine would have them say how far they are."""
+    for name in ("_SECONDS", "_PAUSE"):
+        monkeypatch.setattr(f"decogs.formats.progress.{name}", math.inf)

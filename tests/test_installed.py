@@ -51,7 +51,7 @@ def test_nothing_else_is_installed() -> None:
     """Neither tests nor a generic name such as ``codec`` lands in site-packages."""
     files = INSTALLED.files
     assert files is not None
-    tops = {file.parts[0] for file in files if file.parts[0] != ".."}  # ".." leads to the commands in bin/
+    tops = {file.parts[0] for file in files if file.parts[0] != ".."}  # ".." leads to bin/ and share/
     ours = {top for top in tops if not top.startswith(("decogs-", "__editable__"))}
     assert ours <= {"decogs", "__pycache__"}
     assert not [str(file) for file in files if file.parts[0] == "decogs" and "test" in str(file)]
@@ -114,10 +114,42 @@ for name in sys.argv[1:]:
     assert result.returncode == 0, result.stderr
 
 
-@pytest.mark.parametrize("command", ["decogs-decode", "decogs-export", "decogs-info", "decogs-view"])
-def test_a_command_explains_itself(command: str) -> None:
+def said(command: str, *options: str) -> str:
     # Not resolved: the commands lie beside the environment's python, which is a link.
     script = Path(sys.executable).parent / command
-    result = subprocess.run([str(script), "--help"], capture_output=True, text=True, check=False)
-    assert result.returncode == 0, result.stderr
-    assert f"usage: {command}" in result.stdout
+    result = subprocess.run([str(script), *options], capture_output=True, text=True, check=False)
+    assert (result.returncode, result.stderr) == (0, "")
+    return result.stdout
+
+
+COMMANDS = sorted(entry.name for entry in INSTALLED.entry_points if entry.group == "console_scripts")
+
+
+def test_there_are_nine_commands() -> None:
+    names = ("analyze", "bench", "decode", "encode", "export", "info", "join", "pack", "view")
+    assert [f"decogs-{name}" for name in names] == COMMANDS
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_command_explains_itself_and_tells_its_version(command: str) -> None:
+    assert f"usage: {command}" in said(command, "--help")
+    assert said(command, "--version") == f"{command} {INSTALLED.version}\n"
+
+
+def test_the_package_tells_its_version() -> None:
+    program = "import decogs; print(decogs.__version__)"
+    result = subprocess.run([sys.executable, "-I", "-c", program], capture_output=True, text=True, check=False)
+    assert (result.stdout, result.stderr) == (f"{INSTALLED.version}\n", "")
+
+
+@pytest.mark.skipif(is_editable(), reason="an editable installation leaves out what is no module")
+@pytest.mark.parametrize("command", COMMANDS)
+def test_shells_and_man_find_what_they_need(command: str) -> None:
+    """They lie in share/ beside the environment's bin/."""
+    share = Path(sys.executable).parent.parent / "share"
+    for name in (
+        f"man/man1/{command}.1",
+        f"bash-completion/completions/{command}",
+        f"zsh/site-functions/_{command}",
+    ):
+        assert (share / name).read_bytes() == (ROOT / "share" / name).read_bytes()

@@ -50,17 +50,18 @@ def test_packages_list_every_folder_with_modules(pyproject: dict[str, Any]) -> N
     """A folder missing from the list works in an editable install and is missing from the wheel only."""
     folders = {path.parent.relative_to(ROOT) for layer in LAYERS for path in (ROOT / layer).rglob("*.py")}
     assert sorted(pyproject["tool"]["setuptools"]["packages"]) == sorted(
-        ".".join(["decogs", *folder.parts]) for folder in folders
+        ["decogs", *(".".join(["decogs", *folder.parts]) for folder in folders)]
     )
 
 
 def test_every_layer_is_mapped_and_typed(pyproject: dict[str, Any]) -> None:
     mapping = pyproject["tool"]["setuptools"]["package-dir"]
-    assert mapping == {f"decogs.{layer}": layer for layer in LAYERS}
+    assert mapping == {"decogs": "decogs"} | {f"decogs.{layer}": layer for layer in LAYERS}
+    assert (ROOT / "decogs" / "py.typed").is_file()
     for layer in LAYERS:
         assert (ROOT / layer / "py.typed").is_file()
-        # Type checkers follow these links; they know nothing of setuptools' mapping.
-        assert (ROOT / ".typing" / "decogs" / layer).resolve() == ROOT / layer
+        # The editable install and type checkers follow these links; a wheel is made by setuptools' mapping.
+        assert (ROOT / "decogs" / layer).resolve() == ROOT / layer
 
 
 @pytest.mark.parametrize("python_version", ["3.10", "3.11", "3.13"])
@@ -123,3 +124,51 @@ def test_kernels_are_built_side_by_side_and_for_the_demo_only_those_it_runs() ->
     widest = best_instruction_set()
     assert set(native) == {f"{name}_{widest}" for name in kernels} | {"decogs.formats._ycbcr_base"}
     assert set(native) <= set(all_of_them)
+
+
+def build_with(compilers: dict[str, str], folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    """A build of the kernels where these are the only programs: scripts of sh by name."""
+    for name, script in compilers.items():
+        (folder / name).write_text(f"#!/bin/sh\n{script}\n")
+        (folder / name).chmod(0o755)
+    left_out = ("CC", "CXX", "DECOGS_KERNEL_CACHE")
+    given = {name: value for name, value in os.environ.items() if name not in left_out}
+    return subprocess.run(
+        [sys.executable, "setup.py", "build_ext", "-b", str(folder / "built"), "-t", str(folder / "objects")],
+        cwd=ROOT,
+        env={**given, "PATH": str(folder), **environment},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+
+
+TOO_OLD = 'case "$*" in *c++17*) echo "unrecognized -std=c++17" >&2; exit 1;; esac'
+
+
+@pytest.mark.parametrize(
+    ("compilers", "environment", "said"),
+    [
+        ({}, {}, "a C++ compiler is missing; install g++ 11 or later"),
+        ({"gcc": "exit 0"}, {}, "a C++ compiler is missing; install g++ 11 or later"),
+        ({"g++": TOO_OLD}, {}, "the C++ compiler g++"),
+        ({"clang++": "exit 1"}, {}, "the C++ compiler clang++ cannot compile decogs' kernels"),
+        ({"clang++": "exit 0"}, {"CXX": "mycc -m64"}, "a C++ compiler is missing: CXX names mycc -m64; install"),
+    ],
+)
+def test_without_a_compiler_the_build_ends_in_one_sentence(
+    compilers: dict[str, str], environment: dict[str, str], said: str, tmp_path: Path
+) -> None:
+    run = build_with(compilers, tmp_path, **environment)
+    assert run.returncode == 1
+    last = run.stderr.splitlines()[-1]
+    assert last.startswith(f"error: {said}")
+    assert last.endswith("or clang 12 or later, and try again")
+    assert "Traceback" not in run.stderr
+
+
+def test_the_first_compiler_that_can_is_taken(tmp_path: Path) -> None:
+    """One that is too old does not keep a newer one from being found."""
+    run = build_with({"g++": TOO_OLD, "clang++": f'echo "$*" >> {tmp_path}/log'}, tmp_path)
+    compiled = (tmp_path / "log").read_text()
+    assert "training.cpp" in compiled or "forward.cpp" in compiled, run.stderr

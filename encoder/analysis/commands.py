@@ -7,7 +7,7 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from decogs.formats.command_line import Parser, frames_joined, number_of_threads, print_text, progress, run, warn_as
+from decogs.formats.command_line import Parser, number_of_threads, print_text, progress, run, warn_as
 from decogs.formats.errors import UsageError
 from decogs.formats.frame_ranges import frame_range
 from decogs.formats.outputs import Output, check_outputs, check_writable, is_device, write_whole
@@ -16,6 +16,12 @@ from decogs.formats.rigs import files_of, open_rig
 
 def analyze_main(arguments: Sequence[str] | None = None) -> int:
     """``decogs-analyze``: the effects of a rig, and what to expect of it."""
+    parser = analyze_parser()
+    return run(parser, lambda: _analyze(parser, parser.parse_args(arguments)))
+
+
+def analyze_parser() -> Parser:
+    """The options of ``decogs-analyze``."""
     parser = Parser(
         prog="decogs-analyze",
         description="Analyse a rig before encoding: its effects with cameras, frames and cost, and its coverage.",
@@ -28,7 +34,8 @@ def analyze_main(arguments: Sequence[str] | None = None) -> int:
         "--json", metavar="FILE", help="write every figure, per camera and frame; - for stdout (the table: stderr)"
     )
     parser.add_argument("--threads", type=number_of_threads, default=0, metavar="N", help="default: all processors")
-    return run(parser, lambda: _analyze(parser, parser.parse_args(frames_joined(arguments))))
+    parser.add_quiet()
+    return parser
 
 
 def _analyze(parser: Parser, options: argparse.Namespace) -> None:
@@ -42,7 +49,7 @@ def _analyze(parser: Parser, options: argparse.Namespace) -> None:
         check_outputs([Output("json", Path(options.json), grows=True)], files_of(rig))
         if not is_device(Path(options.json)):
             check_writable(Path(options.json))
-    with progress("analysing", "step") as on_step:
+    with progress("analysing", "step", quiet=options.quiet) as on_step:
         analysis = analyse(
             rig,
             frames=frame_range(options.frames),

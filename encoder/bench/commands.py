@@ -8,12 +8,19 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from decogs.formats.command_line import Parser, frames_joined, number, number_of_threads, run, warn_as, whole_number
+from decogs.formats.command_line import Parser, number, number_of_threads, run, warn_as, whole_number
 from decogs.formats.frame_ranges import frame_range
 
 
 def bench_main(arguments: Sequence[str] | None = None) -> int:
     """``decogs-bench``: rigs to a report of what the encoder does on them."""
+    parser = bench_parser()
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    return run(parser, lambda: _bench(parser, parser.parse_args(given), given))
+
+
+def bench_parser() -> Parser:
+    """The options of ``decogs-bench``."""
     parser = Parser(
         prog="decogs-bench",
         description="Encode rigs in many ways, measure each on a held-out camera, and write a report.",
@@ -37,11 +44,10 @@ def bench_main(arguments: Sequence[str] | None = None) -> int:
     views.add_argument(
         "--cameras", default="all", metavar="C", help="all, a number of them, evenly spread, or names with commas"
     )
-    given = frames_joined(arguments)
-    return run(parser, lambda: _bench(parser, parser.parse_args(given), given))
+    return parser
 
 
-def _add_options(parser: argparse.ArgumentParser, *, frames: str) -> None:
+def _add_options(parser: Parser, *, frames: str) -> None:
     parser.add_argument("rigs", nargs="+", metavar="RIG", help="the rigs' folders")
     parser.add_argument("-o", "--output", required=True, metavar="OUTPUT", help="folder of the report")
     parser.add_argument("--frames", metavar="A:B", help=f"half-open, as in Python: 0:10, 5:, -3: (default: {frames})")
@@ -52,6 +58,7 @@ def _add_options(parser: argparse.ArgumentParser, *, frames: str) -> None:
     parser.add_argument("--threads", type=number_of_threads, default=0, metavar="N", help="default: all processors")
     parser.add_argument("--seed", type=whole_number, default=0, metavar="N", help="of all runs (default 0)")
     parser.add_argument("--any-code", action="store_true", help="take results that other code made")
+    parser.add_quiet()
 
 
 def _add_options_of_variants(parser: argparse.ArgumentParser) -> None:
@@ -89,7 +96,7 @@ def _views_report(parser: Parser, options: argparse.Namespace, command: str) -> 
             any_code=options.any_code,
         ),
         command=command,
-        terminal=sys.stderr,
+        terminal=None if options.quiet else sys.stderr,
     )
 
 
@@ -119,7 +126,7 @@ def _report_of_variants(parser: Parser, options: argparse.Namespace, command: st
         ),
         only=[part for part in options.only.split(",") if part],
         command=command,
-        terminal=sys.stderr,
+        terminal=None if options.quiet else sys.stderr,
         on_warning=warn_as(parser),
     )
 

@@ -55,10 +55,11 @@ class RayEngine:
         try:
             import ray
         except ImportError:
-            raise UsageError("`cluster`: Ray is not installed; install decogs[cluster]") from None
+            raise UsageError("`cluster`: Ray is not installed; pip install 'ray[client]>=2.60'") from None
         if tuple(int(number) for number in re.findall(r"\d+", ray.__version__)[:2]) < _WITH_TOKEN:
             raise UsageError(
-                f"`cluster`: Ray {ray.__version__} takes tasks from everyone on the network; install decogs[cluster]"
+                f"`cluster`: Ray {ray.__version__} takes tasks from everyone on the network; "
+                "pip install 'ray[client]>=2.60'"
             )
         self._ray, self._address = ray, address
         self._needs = {"num_cpus": max(1, threads), "num_gpus": 1 if device == "cuda" else 0}

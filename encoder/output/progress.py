@@ -1,4 +1,4 @@
-"""What the user sees while an encode works: a bar with the time left, and a line of figures per frame."""
+"""What the user sees while an encode works: how far it is, and on a terminal a line of figures per frame."""
 
 from __future__ import annotations
 
@@ -6,21 +6,24 @@ from collections.abc import Mapping, Sequence
 from types import TracebackType
 from typing import Any, TextIO
 
+from decogs.formats.progress import Progress, open_progress
+
 from .observer import EncodeObserver
 from .reports import FrameReport
 
 
 class TerminalProgress(EncodeObserver):
-    """Shows an encode's progress on ``terminal``, and nothing where that is none, such as a pipe; a context manager.
+    """Shows an encode's progress on ``stream``; silent for None; a context manager.
 
-    A bar over the look at the rig, one over the keyframe's steps, one over the frames, and a line of figures per frame.
+    The look at the rig, then the keyframe's steps, then the frames: on a terminal a bar for each and a line of figures
+    per frame, elsewhere a line now and then.
     """
 
-    def __init__(self, terminal: TextIO) -> None:
-        self._terminal = terminal if terminal.isatty() else None
-        self._frame_count: int | None = None
-        self._bar: Any = None
-        self._keyframe_done = False
+    def __init__(self, stream: TextIO | None) -> None:
+        self._stream = stream
+        self._terminal = stream if stream is not None and stream.isatty() else None
+        self._frames, self._frame_count = 0, 0
+        self._progress: Progress | None = None
 
     def __enter__(self) -> TerminalProgress:
         return self
@@ -28,15 +31,13 @@ class TerminalProgress(EncodeObserver):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._close_bar()
+        self._close()
 
     def look_step(self, step: int, steps: int) -> None:
-        if self._terminal:
-            bar = self._bar or self._open_bar("analysing", steps, "step")
-            bar.update(step - bar.n)
+        self._open("analysing", "step").to(step, steps)
 
     def looked(self, detected: Mapping[str, Sequence[str]]) -> None:
-        self._close_bar()
+        self._close()
         if self._terminal:
             print("effects: " + (", ".join(detected) or "none"), file=self._terminal)
 
@@ -47,34 +48,30 @@ class TerminalProgress(EncodeObserver):
             print(f"memory: up to {facts['memory'] / 2**30:.1f}G", file=self._terminal)
 
     def keyframe_step(self, step: int, steps: int, loss: float) -> None:
-        if self._terminal and self._keyframe_done:
-            self._bar.set_postfix_str(f"keyframe of another scene {step}/{steps}" if step < steps else "")
-        elif self._terminal:
-            bar = self._bar or self._open_bar("keyframe", steps, "step")
-            bar.update(step - bar.n)
-            if step % 50 == 0:
-                bar.set_postfix_str(f"loss {loss:.4f}", refresh=False)
+        if self._frames:
+            note = f"keyframe of another scene {step}/{steps}" if step < steps else ""
+            self._open("frames", "frame").to(self._frames, self._frame_count, note)
+        else:
+            self._open("keyframe", "step").to(step, steps, f"loss {loss:.4f}")
 
     def frame(self, report: FrameReport) -> None:
-        if not self._terminal:
-            return
-        if not self._keyframe_done:
-            self._keyframe_done = True
-            self._close_bar()
-            self._open_bar("frames", self._frame_count, "frame")
-        self._bar.write(frame_line(report), file=self._terminal)
-        self._bar.update(1)
+        if not self._frames:
+            self._close()
+        progress = self._open("frames", "frame")
+        self._frames += 1
+        progress.to(self._frames, self._frame_count)
+        if self._terminal:
+            progress.write(frame_line(report))
 
-    def _open_bar(self, what: str, total: int | None, unit: str) -> Any:
-        from tqdm import tqdm
+    def _open(self, what: str, unit: str) -> Progress:
+        if self._progress is None:
+            self._progress = open_progress(self._stream, what, unit)
+        return self._progress
 
-        self._bar = tqdm(desc=what, total=total, unit=unit, file=self._terminal, leave=False)
-        return self._bar
-
-    def _close_bar(self) -> None:
-        if self._bar is not None:
-            self._bar.close()
-            self._bar = None
+    def _close(self) -> None:
+        if self._progress is not None:
+            self._progress.close()
+            self._progress = None
 
 
 def frame_line(report: FrameReport) -> str:

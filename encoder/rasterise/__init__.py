@@ -23,7 +23,7 @@ def check_device(device: str) -> None:
         raise UsageError(f"`device` {device}: choose from {', '.join(DEVICES)}")
     missing = _missing_for_cuda() if device == "cuda" else None
     if missing:
-        raise UsageError(f"`device` cuda: {missing}; install decogs[cuda] with a CUDA build of torch, or use cpu")
+        raise UsageError(f"`device` cuda: {missing}; install gsplat and a CUDA build of torch, or use cpu")
 
 
 def _missing_for_cuda() -> str | None:

@@ -24,6 +24,7 @@ from pathlib import Path
 from ..cameras import Camera
 from ..errors import RigError, UsageError
 from ..pictures import PICTURE_SUFFIXES, Picture
+from ..threads import processor_count
 from ..videos import VIDEO_SUFFIXES
 from . import colmap, meetroom, n3dv, nerfstudio, rig_json
 from .rig import Points, Rig
@@ -162,7 +163,7 @@ def read_frames(
 
 def _frames_in_step(chosen: list[tuple[Camera, FrameSource]], frames: range) -> Iterator[tuple[int, list[Picture]]]:
     readers = [source.read(frames.start, frames.stop, frames.step) for _, source in chosen]
-    pool = ThreadPoolExecutor(max_workers=max(1, min(len(chosen), os.cpu_count() or 1)))
+    pool = ThreadPoolExecutor(max_workers=max(1, min(len(chosen), processor_count())))
     pending: list[Future[Picture]] = []
     try:
         for index in frames:

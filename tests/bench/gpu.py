@@ -3,7 +3,7 @@
     python tests/bench/gpu.py [--rounds N] [--count N] [--size WxH]
 
 Wall time with the device waited for at both ends of a part; medians over rounds, in which all variants run in turn.
-Needs a GPU and decogs[cuda]; nothing else in the tests does.
+Needs a GPU, gsplat and torch with CUDA; nothing else in the tests does.
 """
 
 from __future__ import annotations

@@ -110,13 +110,14 @@ def test_the_wheel_is_the_reader_unchanged_and_no_more(extension: Path) -> None:
 def test_the_reader_reads_without_what_blender_has_not(extension: Path, tmp_path: Path) -> None:
     wheel = tmp_path / "installed"
     zipfile.ZipFile(io.BytesIO(wheel_of(extension))).extractall(wheel)
-    # -S: without the site, the editable installation is not found in place of the wheel.
+    # -S, and in another folder: neither the editable installation nor the checkout is found in place of the wheel.
     installed = {str(Path(module.__file__).parents[1]) for module in (np, zstandard)}
     words = [str(wheel), str(ROOT / "blender" / "addon"), str(STREAM), *installed]
     read = subprocess.run(
         [sys.executable, "-S", "-W", "error", "-c", READING, *words],
         capture_output=True,
         text=True,
+        cwd=tmp_path,
         env={"PYTHONPATH": ""},
     )
     assert read.returncode == 0, read.stderr

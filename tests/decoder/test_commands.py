@@ -320,7 +320,7 @@ def test_ctrl_c_is_one_line_and_leaves_nothing(small_stream, tmp_path: Path, cap
     assert os.listdir(tmp_path) == ["scene.dgs"]
 
 
-def test_progress_is_silent_without_a_terminal(small_stream, tmp_path: Path, capsys) -> None:
+def test_a_short_job_tells_no_progress_without_a_terminal(small_stream, tmp_path: Path, capsys) -> None:
     assert decode_main([str(small_stream.path), "--view", "cam00", "-o", str(tmp_path / "o")]) == 0
     assert capsys.readouterr().err == ""
 

@@ -50,7 +50,11 @@ print(sorted({"cv2", "OpenEXR", "pxr", "torch", "tqdm", "decogs.decoder.rasteris
 
 def run(program: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-W", "error", "-c", program, *arguments], capture_output=True, text=True, timeout=60
+        [sys.executable, "-W", "error", "-c", program, *arguments],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        cwd=Path(__file__).parent,  # The checkout's own decogs would come before what is installed.
     )
 
 

@@ -1,7 +1,7 @@
 """``--cluster``: the bytes of an encode on one machine, whatever happens to workers and machines on the way.
 
 With a real Ray cluster of several nodes on this machine; skipped where Ray is not installed (`pip install
-decogs[cluster]`).
+'ray[client]'`).
 """
 
 from __future__ import annotations
@@ -343,5 +343,5 @@ def test_ray_is_asked_for_where_it_is_missing(monkeypatch: pytest.MonkeyPatch) -
     import sys
 
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(UsageError, match=r"`cluster`: Ray is not installed; install decogs\[cluster\]"):
+    with pytest.raises(UsageError, match=r"`cluster`: Ray is not installed; pip install 'ray\[client\]'"):
         RayEngine("local", threads=1, device="cpu")

@@ -62,10 +62,10 @@ def test_a_rig_becomes_a_stream_and_a_summary(
     output = tmp_path / "scene.dgs"
     arguments = [str(moving_rig), "-o", str(output), "--preset", "tiny", "--holdout", "cam02", "--threads", "2"]
     arguments += AS_PRESET
-    assert encode_main([*arguments, "--seed", "0", "--device", "auto", "--log", str(tmp_path / "log.jsonl")]) == 0
+    assert encode_main([*arguments, "--seed", "0", "--device", "auto", "-q", "--log", str(tmp_path / "log.jsonl")]) == 0
     assert output.read_bytes() == moving.data
     printed = capfd.readouterr()
-    assert printed.err == "", "quiet in a pipe"
+    assert printed.err == "", "no progress by -q"
     lines = printed.out.splitlines()
     assert lines[0] == f"{output}: 4 frames, {len(moving.data)} bytes"
     held_out = [frame.held_out_psnr for frame in moving.report.frames]
@@ -295,7 +295,7 @@ ENDLESS = 1_000_000
 def interrupted(rig: Path, output: Path, keyframe: int, frame: int, event: str) -> subprocess.CompletedProcess[str]:
     """Runs the command and sends it SIGINT shortly after its log tells of ``event``."""
     log = output.with_suffix(".jsonl")
-    arguments = [str(rig), "-o", str(output), "--preset", "child", "--log", str(log), "--threads", "1"]
+    arguments = [str(rig), "-o", str(output), "--preset", "child", "--log", str(log), "--threads", "1", "-q"]
     child = subprocess.Popen(
         [sys.executable, "-c", CHILD, json.dumps([keyframe, frame]), *arguments],
         stdout=subprocess.PIPE,

@@ -1,4 +1,4 @@
-"""What the user sees: a bar on a terminal, nothing in a pipe, and every figure in the log."""
+"""What the user sees: a bar on a terminal, lines in a pipe, and every figure in the log."""
 
 from __future__ import annotations
 
@@ -31,10 +31,25 @@ def follow(observer: EncodeLog | TerminalProgress, report: FrameReport) -> None:
         progress.finished({"bytes": 5})
 
 
-def test_a_pipe_gets_nothing(frame_report: FrameReport) -> None:
+def test_a_pipe_gets_nothing_of_a_short_encode(frame_report: FrameReport) -> None:
     pipe = io.StringIO()
     follow(TerminalProgress(pipe), frame_report)
     assert pipe.getvalue() == ""
+
+
+def test_a_pipe_gets_lines_of_keyframe_and_frames(frame_report: FrameReport, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("decogs.formats.progress._PAUSE", 0.0)
+    pipe = io.StringIO()
+    follow(TerminalProgress(pipe), frame_report)
+    lines = pipe.getvalue().splitlines()
+    assert len([line for line in lines if line.startswith("keyframe: ")]) == 10, "every tenth of 100 steps"
+    assert lines[-2].startswith("frames: 1 of 2 frames, 0:00 elapsed, about 0:00 left")
+    assert lines[-1] == "frames: 2 of 2 frames, 0:00 elapsed"
+
+
+def test_nobody_need_listen(frame_report: FrameReport, capfd: pytest.CaptureFixture[str]) -> None:
+    follow(TerminalProgress(None), frame_report)
+    assert capfd.readouterr() == ("", "")
 
 
 def test_an_observer_may_do_nothing(frame_report: FrameReport, capfd: pytest.CaptureFixture[str]) -> None:

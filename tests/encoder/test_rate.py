@@ -249,7 +249,7 @@ def test_a_budget_is_asked_for_in_either_unit(
     asked: list[str],
 ) -> None:  # fmt: skip
     monkeypatch.setitem(PRESETS, "economical", economical)
-    arguments = [str(moving_rig), "-o", str(tmp_path / "x.dgs"), "--preset", "economical", "--holdout", "cam02"]
+    arguments = [str(moving_rig), "-o", str(tmp_path / "x.dgs"), "--preset", "economical", "--holdout", "cam02", "-q"]
     arguments += ["--keyframe", str(moving.path), "--frames", ":2", "--log", str(tmp_path / "log")]
     assert encode_main([*arguments, *asked]) == 0
     started = next(json.loads(line) for line in (tmp_path / "log").read_text().splitlines() if '"start"' in line)
@@ -274,7 +274,7 @@ def test_a_budget_that_cannot_be_met_is_told(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setitem(PRESETS, "economical", economical)
-    arguments = [str(moving_rig), "-o", str(tmp_path / "x.dgs"), "--preset", "economical", "--holdout", "cam02"]
+    arguments = [str(moving_rig), "-o", str(tmp_path / "x.dgs"), "--preset", "economical", "--holdout", "cam02", "-q"]
     arguments += ["--keyframe", str(moving.path), "--max-mb-per-frame"]
     assert encode_main([*arguments, "1"]) == 0
     assert capfd.readouterr().err == "", "less than asked for is no miss"

@@ -333,7 +333,7 @@ def test_a_time_that_cannot_be_met_is_told(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setitem(PRESETS, "patient", patient)
-    arguments = [str(moving_rig), "-o", str(tmp_path / "x.dgs"), "--preset", "patient", "--holdout", "cam02"]
+    arguments = [str(moving_rig), "-o", str(tmp_path / "x.dgs"), "--preset", "patient", "--holdout", "cam02", "-q"]
     arguments += ["--keyframe", str(moving.path), "--time-budget"]
     assert encode_main([*arguments, "1000"]) == 0
     assert capfd.readouterr().err == ""

@@ -7,7 +7,7 @@ from io import BytesIO, TextIOWrapper
 
 import pytest
 
-from decogs.formats.command_line import path_or_pipe
+from decogs.formats.command_line import Parser, path_or_pipe
 from decogs.formats.errors import UsageError
 
 
@@ -30,3 +30,29 @@ def test_neither_a_terminal_nor_a_closed_output_takes_bytes(monkeypatch: pytest.
     monkeypatch.setattr(sys, "stdout", None)
     with pytest.raises(UsageError, match="standard output is closed"):
         path_or_pipe("-", "the stream")
+
+
+@pytest.mark.parametrize("given", [["--frames", "-3:"], ["--frames", "-3:-1"], ["--only", "-2:"], ["--up", "-Y"]])
+def test_values_may_begin_with_a_dash(given: list[str]) -> None:
+    parser = Parser(prog="x")
+    for option in ("--frames", "--only", "--up"):
+        parser.add_argument(option)
+    option, value = given
+    assert getattr(parser.parse_args(given), option[2:]) == value
+
+
+@pytest.mark.parametrize("given", [["--frames", "--up", "Y"], ["--frames", "-q"], ["--frames"]])
+def test_an_option_is_no_value(given: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    parser = Parser(prog="x")
+    parser.add_argument("--frames")
+    parser.add_argument("--up")
+    parser.add_quiet()
+    with pytest.raises(SystemExit, match="2"):
+        parser.parse_args(given)
+    assert capsys.readouterr().err == "x: error: argument --frames: expected one argument (see x --help)\n"
+
+
+def test_behind_two_dashes_are_files() -> None:
+    parser = Parser(prog="x")
+    parser.add_argument("files", nargs="*")
+    assert parser.parse_args(["--", "--frames", "-3:"]).files == ["--frames", "-3:"]

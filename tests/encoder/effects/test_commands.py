@@ -23,9 +23,9 @@ def test_a_rig_becomes_a_table_and_a_document(
     moving_rig: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "analysis.json"
-    assert analyze_main([str(moving_rig), "--holdout", "cam02", "--json", str(out)]) == 0
+    assert analyze_main([str(moving_rig), "--holdout", "cam02", "--json", str(out), "-q"]) == 0
     printed = capfd.readouterr()
-    assert printed.err == "", "quiet in a pipe"
+    assert printed.err == "", "no progress by -q"
     lines = printed.out.splitlines()
     assert lines[0].startswith(f"{moving_rig}: 4 cameras, 4 frames, at 64x48, in ")
     assert [line.split()[0] for line in lines[2 : 2 + len(EFFECTS)]] == [effect.name for effect in EFFECTS]

@@ -1,0 +1,64 @@
+"""Where the commands begin: Ctrl-C ends them in one line, from the first moment to the last.
+
+Modules take a while to load, and Python reports a Ctrl-C meanwhile, and one while the process ends, with a traceback.
+Nothing is written then, so the process can end at once. In between Ctrl-C is a KeyboardInterrupt, as ever.
+
+Loads next to nothing itself: what is interrupted before that nobody can catch.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+
+TYPE_CHECKING = False  # That of typing takes longer to load than all the rest.
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import NoReturn
+
+INTERRUPTED = 130
+
+
+def _end(*_: object) -> NoReturn:
+    try:
+        os.write(2, f"{os.path.basename(sys.argv[0])}: interrupted\n".encode(errors="replace"))
+    finally:
+        os._exit(INTERRUPTED)
+
+
+try:
+    import signal
+    from importlib import import_module
+except KeyboardInterrupt:
+    _end()
+
+
+def _run(module: str, main: str) -> int:
+    """Loads a command's module and runs it; returns its exit code."""
+    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        # Ignored, as in the background of a script.
+        return int(getattr(import_module(module), main)())
+    signal.signal(signal.SIGINT, _end)
+    command = getattr(import_module(module), main)
+    try:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        return int(command())
+    except KeyboardInterrupt:
+        _end()
+    finally:
+        signal.signal(signal.SIGINT, _end)
+
+
+def _command(module: str, main: str) -> Callable[[], int]:
+    return lambda: _run(f"decogs.{module}", main)
+
+
+analyze = _command("encoder.analysis.commands", "analyze_main")
+bench = _command("encoder.bench.commands", "bench_main")
+decode = _command("decoder.commands", "decode_main")
+encode = _command("encoder.commands", "encode_main")
+export = _command("decoder.commands", "export_main")
+info = _command("decoder.commands", "info_main")
+join = _command("encoder.commands", "join_main")
+pack = _command("encoder.commands", "pack_main")
+view = _command("decoder.commands", "view_main")
