@@ -34,7 +34,19 @@ from numpy.typing import NDArray
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 
-from .camera_fields import Wrong, checked, focal_length, number, numbers, of_entry, parsed_json, pose_of, rigid, side
+from .camera_fields import (
+    Wrong,
+    checked,
+    cross,
+    focal_length,
+    number,
+    numbers,
+    of_entry,
+    parsed_json,
+    pose_of,
+    rigid,
+    side,
+)
 from .camera_path import CameraPath, check_pictures
 
 FREE_CAMERA_NAME = "camera"
@@ -131,8 +143,8 @@ def _looking(
 ) -> NDArray[np.float64]:
     """The pose of a camera at ``position`` that sees ``target`` in its centre and ``up`` upwards."""
     forward = target - position
-    right = np.cross(forward, up)
+    right = cross(forward, up)
     if np.linalg.norm(right) <= 1e-9 * np.linalg.norm(forward) * np.linalg.norm(up) or not right.any():
         raise Wrong("look_at must differ from position, and up must not point along the line of sight")
     forward, right = forward / np.linalg.norm(forward), right / np.linalg.norm(right)
-    return pose_of(np.stack([right, np.cross(forward, right), forward]), position)
+    return pose_of(np.stack([right, cross(forward, right), forward]), position)
