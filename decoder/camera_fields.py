@@ -121,7 +121,7 @@ def checked(camera: Camera) -> Camera:
 def number(entry: dict[str, Any], name: str) -> float:
     """A field that is a finite number."""
     value = entry.get(name)
-    if type(value) in (int, float) and abs(value) <= LARGEST:
+    if isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= LARGEST:
         return float(value)
     return float(numbers(entry, name, ()))  # which says what is wrong
 
