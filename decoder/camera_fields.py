@@ -20,7 +20,7 @@ from .limits import DEFAULT_MAX_MEMORY
 LARGEST = 1e12
 """Of a camera's numbers: what is computed of them stays finite."""
 
-_MAX_FILE_BYTES, _EXPANSION = 64 << 20, 48
+MAX_FILE_BYTES, _EXPANSION = 64 << 20, 48
 """A file of JSON may take this fraction of the memory: an empty object is 3 bytes, and 72 as Python's. The cameras made
 of the shortest entries take 8 bytes each."""
 
@@ -46,12 +46,12 @@ def parsed_json(path: Path, max_memory: int = DEFAULT_MAX_MEMORY) -> Any:
 
     Also for one whose content might take more than ``max_memory`` bytes.
     """
-    most = min(_MAX_FILE_BYTES, max_memory // _EXPANSION)
+    most = min(MAX_FILE_BYTES, max_memory // _EXPANSION)
     try:
         with path.open("rb") as file:
             data = file.read(most + 1)  # devices and pipes have no size
         if len(data) > most:
-            more = "" if most == _MAX_FILE_BYTES else ", or allow more memory (`max_memory`)"
+            more = "" if most == MAX_FILE_BYTES else ", or allow more memory (`max_memory`)"
             raise UsageError(f"{path}: has more than {most} bytes; give a shorter camera path{more}")
         return json.loads(data.decode("utf-8"), object_pairs_hook=_unique_fields)
     except OSError as error:
