@@ -250,6 +250,10 @@ def _poses(
 
 def _inverse(transforms: NDArray[np.float64], where: str) -> NDArray[np.float64]:
     """Of transforms (T, 4, 4); raises UsageError where one has none."""
-    if not (np.abs(transforms) <= LARGEST).all() or (np.abs(np.linalg.det(transforms[:, :3, :3])) < 1e-18).any():
-        raise UsageError(f"{where}: its transform has no inverse, or numbers above {LARGEST:g}")
+    affine = np.abs(transforms[:, 3] - [0, 0, 0, 1]).max() <= 1e-6
+    if (
+        not (affine and (np.abs(transforms) <= LARGEST).all())
+        or (np.abs(np.linalg.det(transforms[:, :3, :3])) < 1e-18).any()
+    ):
+        raise UsageError(f"{where}: its transform is not affine, has no inverse, or numbers above {LARGEST:g}")
     return np.asarray(np.linalg.inv(transforms))

@@ -57,13 +57,16 @@ def flat_layer(path: Path, max_memory: int) -> Any:
         layer = Sdf.Layer.OpenAsAnonymous(str(path.resolve()))
     except Tf.ErrorException:
         layer = None
+    damaged = UsageError(f"{path}: is no USD file that OpenUSD can read; export it again")
     if layer is None:
-        raise UsageError(f"{path}: is no USD file that OpenUSD can read; export it again")
+        raise damaged
     if layer.subLayerPaths:
         raise _not_flat(f"{path}", "sublayers")
     prims = [(prim, 1) for prim in layer.rootPrims]
     while prims:
         prim, depth = prims.pop()
+        if prim is None:  # its parent lists a child that is not there
+            raise damaged
         for key in prim.ListInfoKeys():
             if key in _ARCS:
                 raise _not_flat(f"{path}:{prim.path}", _ARCS[key])
@@ -87,7 +90,10 @@ def _check_content(path: Path, max_memory: int) -> None:
         with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content, memoryview(content) as data:
             start = _start_in_package(content)
             if content[start : start + 8] == b"PXR-USDC":
-                needed = _needed_by_crate(content, start)
+                try:
+                    needed = _needed_by_crate(content, start)
+                except UsageError as error:
+                    raise UsageError(f"{path}: {error}") from None
             elif content[start : start + 5] in (b"#usda", b"#sdf "):
                 needed = (len(content) - start) * _TEXT_EXPANSION
                 if needed <= max_memory and _depth(data[start:]) > 2 * MAX_DEPTH:
@@ -112,15 +118,18 @@ def _start_in_package(content: mmap.mmap) -> int:
 def _needed_by_crate(content: mmap.mmap, start: int) -> int:
     """Bytes for the structure of a .usdc, whose sections begin with their numbers of items; arrays are read when asked.
 
-    A file that is cut off or lies about its sections is left to OpenUSD, which refuses it.
+    Raises UsageError, without the file's name, for sections outside the file; what else is damaged is left to OpenUSD,
+    which refuses it.
     """
     needed = 0
     try:
         *_, at = _CRATE_HEAD.unpack_from(content, start)
         (count,) = struct.unpack_from("<Q", content, start + at)
         for number in range(min(count, _MOST_SECTIONS)):
-            name, begin, _ = _CRATE_SECTION.unpack_from(content, start + at + 8 + number * _CRATE_SECTION.size)
+            name, begin, size = _CRATE_SECTION.unpack_from(content, start + at + 8 + number * _CRATE_SECTION.size)
             name = name.rstrip(b"\0")
+            if not (begin >= 0 and 0 <= size <= len(content) - start - begin):
+                raise UsageError("is damaged: a section lies outside of it; export it again")
             items, unpacked = struct.unpack_from("<QQ", content, start + begin)
             needed += _CRATE.get(name, 0) * items + (unpacked if name == b"TOKENS" else 0)
     except struct.error:

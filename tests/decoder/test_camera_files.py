@@ -266,6 +266,7 @@ def text_camera(folder: Path, fields: str = "", *, head: str = "", more: str = "
         ('token focalLength.timeSamples = {0: "a", 1: "b"}', "no finite number"),
         ("matrix4d xformOp:transform = ((1,0,0,0), (0,1,0,0), (0,0,1,0), (0,0,1e300,1))", r"numbers above 1e\+12"),
         ("matrix4d xformOp:transform = ((1,0,0,0), (0,1,0,0), (0,0,1,0), (0,0,nan,1))", "no inverse"),
+        ("matrix4d xformOp:transform = ((1,0,0,0), (0,1,0,0), (0,0,1,0), (0,0,3,0))", "is not affine"),
         ('string xformOp:transform = "x"', "cannot make out its transform"),
         ('uniform token[] xformOpOrder = ["xformOp:transform", "xformOp:nope"]', "cannot make out its transform"),
         ('string xformOpOrder = "x"', "no list of tokens"),
