@@ -54,12 +54,15 @@ def usd_camera_path(path: Path, name: str | None, film: ToFilm, max_memory: int)
     if not path.is_file():
         raise UsageError(f"{path}: cannot be read; name a USD file with a camera")
     with quiet_openusd(), np.errstate(all="ignore"):
-        layer = flat_layer(path, max_memory)
-        chosen = _chosen(path, name, _cameras(layer))
+        try:
+            layer = flat_layer(path, max_memory)
+            chosen = _chosen(path, name, _cameras(layer))
+        except UnicodeDecodeError:
+            raise UsageError(f"{path}: has names that are no UTF-8; export it again") from None
         where = f"{path}:{chosen}"
         try:
             return _path(layer, chosen, film, where)
-        except Tf.ErrorException:
+        except (Tf.ErrorException, UnicodeDecodeError):
             raise UsageError(f"{where}: OpenUSD cannot make out its transform or lens; export it again") from None
 
 
