@@ -57,8 +57,8 @@ def usd_camera_path(path: Path, name: str | None, film: ToFilm, max_memory: int)
         try:
             layer = flat_layer(path, max_memory)
             chosen = _chosen(path, name, _cameras(layer))
-        except UnicodeDecodeError:
-            raise UsageError(f"{path}: has names that are no UTF-8; export it again") from None
+        except (Tf.ErrorException, UnicodeDecodeError):
+            raise UsageError(f"{path}: is a damaged USD file; export it again") from None
         where = f"{path}:{chosen}"
         try:
             return _path(layer, chosen, film, where)
