@@ -14,6 +14,7 @@ from typing import Any
 from .camera_fields import parsed_json
 from .camera_path import CameraPath, ToFilm
 from .free_camera import pose_file_path
+from .limits import DEFAULT_MAX_MEMORY
 from .nerfstudio_path import is_nerfstudio_path, nerfstudio_path
 from .usd_camera import usd_camera_path
 
@@ -32,10 +33,13 @@ def camera_file(given: str | os.PathLike[str]) -> tuple[Path, str | None]:
     return (Path(given), None) if usd is None else (Path(usd["file"]), usd["name"])
 
 
-def read_camera_file(given: str | os.PathLike[str], film: ToFilm) -> CameraPath:
-    """The cameras of a file; raises UsageError, naming the file and the place in it, for what is missing or wrong."""
+def read_camera_file(given: str | os.PathLike[str], film: ToFilm, max_memory: int = DEFAULT_MAX_MEMORY) -> CameraPath:
+    """The cameras of a file; raises UsageError, naming the file and the place in it, for what is missing or wrong.
+
+    Also for a file that might take more than ``max_memory`` bytes.
+    """
     path, name = camera_file(given)
     if _USD.fullmatch(str(path)):
-        return usd_camera_path(path, name, film)
-    data = parsed_json(path)
+        return usd_camera_path(path, name, film, max_memory)
+    data = parsed_json(path, max_memory)
     return next(read for knows, read in JSON_READERS if knows(data))(data, path, film)

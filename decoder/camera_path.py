@@ -9,6 +9,12 @@ from dataclasses import dataclass
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 
+MAX_PICTURES = 1 << 17
+"""Of a path: an hour and a quarter at 30 a second."""
+
+FPS = 1e-6, 1e6
+"""The least and the most pictures per second that a path may have."""
+
 DEFAULT_FPS = 30.0
 """Frame rate of a stream that does not know its own."""
 
@@ -44,6 +50,12 @@ class ToFilm:
         """The frame that plays at a time from the stream's beginning; the first and the last one hold."""
         frame = max(0.0, seconds * (self.fps or DEFAULT_FPS))
         return frame if self.frame_count is None else min(frame, float(self.frame_count - 1))
+
+
+def check_pictures(count: int, source: str) -> None:
+    """Raises UsageError for a path of more pictures than are rendered."""
+    if count > MAX_PICTURES:
+        raise UsageError(f"{source}: has {count} cameras; at most {MAX_PICTURES} are rendered, give a shorter path")
 
 
 def shown_frames(path: CameraPath, frame_count: int) -> list[int]:

@@ -110,7 +110,7 @@ def decode(
     if follow or not isinstance(stream, (str, os.PathLike)):
         on_damage = damage_to(on_warning)
         with follow_stream(stream, idle=idle, strict=strict, on_damage=on_damage, max_memory=max_memory) as growing:
-            wanted = _wanted(growing.header, view, camera, move, None)
+            wanted = _wanted(growing.header, view, camera, move, None, max_memory)
             return _decode_growing(
                 growing,
                 output,
@@ -123,7 +123,7 @@ def decode(
                 on_warning=on_warning,
             )
     with open_chosen(stream, None, strict=strict, max_memory=max_memory, on_warning=on_warning) as (opened, _):
-        wanted = _wanted(opened.header, view, camera, move, opened.frame_count)
+        wanted = _wanted(opened.header, view, camera, move, opened.frame_count, max_memory)
         chosen, shots = _chosen_shots(opened, wanted, frames)
         first = picture_camera(opened.header, wanted, show)
         fps = _rate(opened.header, wanted)
@@ -261,7 +261,12 @@ def _rate(header: StreamHeader, wanted: str | CameraPath) -> float | None:
 
 
 def _wanted(
-    header: StreamHeader, view: str | None, camera: Cameras | None, move: Move | None, frame_count: int | None
+    header: StreamHeader,
+    view: str | None,
+    camera: Cameras | None,
+    move: Move | None,
+    frame_count: int | None,
+    max_memory: int,
 ) -> str | CameraPath:
     """The rig camera's name, or the free camera or camera path asked for."""
     if [view, camera, move].count(None) != 2:
@@ -277,7 +282,7 @@ def _wanted(
     if isinstance(camera, Camera):
         return CameraPath((camera,))
     if isinstance(camera, (str, os.PathLike)):
-        return read_camera_file(camera, film)
+        return read_camera_file(camera, film, max_memory)
     if not camera:
         raise UsageError("the camera path is empty; list one camera per frame")
     return CameraPath(tuple(camera))

@@ -24,7 +24,6 @@ of the stream, the nearest one to a fraction. Frames may repeat (bullet time), b
 
 from __future__ import annotations
 
-import math
 import os
 from pathlib import Path
 from typing import Any
@@ -35,8 +34,20 @@ from numpy.typing import NDArray
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 
-from .camera_fields import Wrong, number, numbers, of_entry, parsed_json, pose_of, rigid, side
-from .camera_path import CameraPath
+from .camera_fields import (
+    Wrong,
+    checked,
+    cross,
+    focal_length,
+    number,
+    numbers,
+    of_entry,
+    parsed_json,
+    pose_of,
+    rigid,
+    side,
+)
+from .camera_path import CameraPath, check_pictures
 
 FREE_CAMERA_NAME = "camera"
 
@@ -59,16 +70,20 @@ def pose_file_path(data: Any, path: str | os.PathLike[str]) -> CameraPath:
     entries = data if isinstance(data, list) else [data]
     if not entries:
         raise UsageError(f"{path}: the camera path is empty; list one camera per frame")
+    check_pictures(len(entries), f"{path}")
     listed = isinstance(data, list)
-    places = [f"{path}: camera {t}" if listed else f"{path}" for t in range(len(entries))]
-    cameras = [of_entry(_camera, entry, where) for entry, where in zip(entries, places, strict=True)]
-    times = [of_entry(_time, entry, where) for entry, where in zip(entries, places, strict=True)]
+
+    def place(t: int) -> str:
+        return f"{path}: camera {t}" if listed else f"{path}"
+
+    cameras = [of_entry(_camera, entry, place(t)) for t, entry in enumerate(entries)]
+    times = [of_entry(_time, entry, place(t)) for t, entry in enumerate(entries)]
     sizes = {(camera.width, camera.height) for camera in cameras}
     if len(sizes) > 1:
         raise UsageError(f"{path}: the cameras of a path must have one size, not {len(sizes)} different ones")
     given = tuple(time for time in times if time is not None)
     if given and len(given) < len(times):
-        raise UsageError(f"{places[times.index(None)]}: has no frame, and others have; give every entry one, or none")
+        raise UsageError(f"{place(times.index(None))}: has no frame, and others have; give every entry one, or none")
     return CameraPath(tuple(cameras), given or None, source=f"{path}")
 
 
@@ -85,7 +100,7 @@ def _camera(entry: Any) -> Camera:
     near = number(entry, "near") if "near" in entry else 0.0
     if near < 0:
         raise Wrong(f"near is {near:g}; it must be 0 or above")
-    return Camera(FREE_CAMERA_NAME, width, height, fx, fy, cx, cy, _world_to_camera(entry), near=near)
+    return checked(Camera(FREE_CAMERA_NAME, width, height, fx, fy, cx, cy, _world_to_camera(entry), near=near))
 
 
 def _time(entry: dict[str, Any]) -> float | None:
@@ -101,10 +116,7 @@ def _focal_lengths(entry: dict[str, Any], height: int) -> tuple[float, float]:
     if ("fov_y" in entry) == ("fx" in entry) or ("fov_y" in entry and "fy" in entry):
         raise Wrong("give either fx (and fy), in pixels, or fov_y, in degrees")
     if "fov_y" in entry:
-        angle = number(entry, "fov_y")
-        if not 0 < angle < 180:
-            raise Wrong(f"fov_y is {angle:g} degrees; it must lie between 0 and 180")
-        focal = height / 2 / math.tan(math.radians(angle) / 2)
+        focal = focal_length(entry, "fov_y", height)
         return focal, focal
     fx = number(entry, "fx")
     fy = number(entry, "fy") if "fy" in entry else fx
@@ -131,8 +143,8 @@ def _looking(
 ) -> NDArray[np.float64]:
     """The pose of a camera at ``position`` that sees ``target`` in its centre and ``up`` upwards."""
     forward = target - position
-    right = np.cross(forward, up)
+    right = cross(forward, up)
     if np.linalg.norm(right) <= 1e-9 * np.linalg.norm(forward) * np.linalg.norm(up) or not right.any():
         raise Wrong("look_at must differ from position, and up must not point along the line of sight")
     forward, right = forward / np.linalg.norm(forward), right / np.linalg.norm(right)
-    return pose_of(np.stack([right, np.cross(forward, right), forward]), position)
+    return pose_of(np.stack([right, cross(forward, right), forward]), position)

@@ -12,7 +12,6 @@ nerfstudio turns, centres and scales a scene before it trains. Where ``dataparse
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +21,20 @@ from numpy.typing import NDArray
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 
-from .camera_fields import Wrong, number, numbers, of_entry, parsed_json, pose_of, rigid, side
-from .camera_path import CameraPath, ToFilm
+from .camera_fields import (
+    LARGEST,
+    Wrong,
+    checked,
+    focal_length,
+    number,
+    numbers,
+    of_entry,
+    parsed_json,
+    pose_of,
+    rigid,
+    side,
+)
+from .camera_path import FPS, CameraPath, ToFilm, check_pictures
 
 TRANSFORMS = "dataparser_transforms.json"
 _NAME = "camera"
@@ -43,6 +54,7 @@ def nerfstudio_path(data: dict[str, Any], path: Path, film: ToFilm) -> CameraPat
     entries = data["camera_path"]
     if not isinstance(entries, list) or not entries:
         raise UsageError(f"{path}: camera_path must be a list of cameras that is not empty")
+    check_pictures(len(entries), f"{path}")
     size = of_entry(lambda fields: (side(fields, "render_width"), side(fields, "render_height")), data, f"{path}")
     to_world = _to_world(path.parent / TRANSFORMS)
     places = [f"{path}: camera {k}" for k in range(len(entries))]
@@ -65,13 +77,10 @@ def nerfstudio_path(data: dict[str, Any], path: Path, film: ToFilm) -> CameraPat
 def _camera(entry: Any, size: tuple[int, int], to_world: _Similarity) -> Camera:
     if not isinstance(entry, dict):
         raise Wrong("a camera must be a JSON object")
-    angle = number(entry, "fov")
-    if not 0 < angle < 180:
-        raise Wrong(f"fov is {angle:g} degrees; it must lie between 0 and 180")
-    focal = size[1] / 2 / math.tan(math.radians(angle) / 2)
+    focal = focal_length(entry, "fov", size[1])
     pose = rigid({"camera_to_world": _four_by_four(entry)}, "camera_to_world") @ _OPENGL
     rotation, position = to_world.undone(pose[:3, :3], pose[:3, 3])
-    return Camera(_NAME, *size, focal, focal, size[0] / 2, size[1] / 2, pose_of(rotation.T, position))
+    return checked(Camera(_NAME, *size, focal, focal, size[0] / 2, size[1] / 2, pose_of(rotation.T, position)))
 
 
 def _four_by_four(entry: dict[str, Any]) -> Any:
@@ -85,8 +94,8 @@ def _rate(data: dict[str, Any]) -> float | None:
     if data.get("fps") is None:
         return None
     fps = number(data, "fps")
-    if fps <= 0:
-        raise Wrong(f"fps is {fps:g}; it must be above 0")
+    if not FPS[0] <= fps <= FPS[1]:
+        raise Wrong(f"fps is {fps:g}; it must lie between {FPS[0]:g} and {FPS[1]:g}")
     return fps
 
 
@@ -113,13 +122,15 @@ class _Similarity:
 def _to_world(path: Path) -> _Similarity:
     if not path.exists():
         return _Similarity(np.eye(3), np.zeros(3), 1.0)
+    if not path.is_file():  # a pipe would keep the reader waiting
+        raise UsageError(f"{path}: is no file, and lies beside the camera path; take it away")
 
     def read(data: Any) -> _Similarity:
         if not isinstance(data, dict):
             raise Wrong("must be a JSON object with transform and scale")
         transform, scale = numbers(data, "transform", (3, 4)), number(data, "scale")
-        if scale <= 0:
-            raise Wrong(f"scale is {scale:g}; it must be above 0")
+        if scale < 1 / LARGEST:
+            raise Wrong(f"scale is {scale:g}; it must be at least {1 / LARGEST:g}")
         whole = rigid({"transform": [*transform.tolist(), [0, 0, 0, 1]]}, "transform")
         return _Similarity(whole[:3, :3], whole[:3, 3], scale)
 

@@ -223,6 +223,8 @@ def pack_main(arguments: Sequence[str] | None = None) -> int:
 
 def pack_parser() -> Parser:
     """The options of ``decogs-pack``."""
+    from decogs.decoder.limits import DEFAULT_MAX_MEMORY
+
     parser = Parser(
         prog="decogs-pack",
         description="Code a sequence of .ply or .spz files of 3D Gaussians, one file per frame, as a stream.",
@@ -244,6 +246,13 @@ def pack_parser() -> Parser:
         "--lossless", action="store_true", help="code every change, exact to the lattice of --quality 100"
     )
     parser.add_argument("--segment", type=whole_number, default=0, metavar="N", help="insert a keyframe every N frames")
+    parser.add_argument(
+        "--max-memory",
+        type=number_of_bytes,
+        default=DEFAULT_MAX_MEMORY,
+        metavar="SIZE",
+        help="limit of memory for a frame's Gaussians, such as 512M or 6G (default 4G)",
+    )
     parser.add_quiet()
     return parser
 
@@ -260,6 +269,7 @@ def _pack(parser: Parser, options: argparse.Namespace) -> int:
             quality=options.quality,
             lossless=options.lossless,
             segment=options.segment,
+            max_memory=options.max_memory,
             on_frame=on_frame,
             on_warning=warn_as(parser),
         )

@@ -114,7 +114,7 @@ def encode(
         raise UsageError(f"`seed` {seed}: give a number of at least 0, a whole one")
     chosen = chosen_settings(settings, switches, targets, segment, closed=closed)
     base = _base(chosen, only, keyframe, resume=resume)
-    source = None if keyframe is None or base is not None else _read_source(keyframe)
+    source = None if keyframe is None or base is not None else _read_source(keyframe, max_memory)
     if not isinstance(rig, Rig):
         rig = open_rig(rig)
     warn = on_warning or (lambda text: None)
@@ -227,8 +227,8 @@ def _base(
     return None if keyframe is None or is_splat_file(keyframe) else read_base(Path(keyframe))
 
 
-def _read_source(path: str | os.PathLike[str]) -> _Source:
-    return read_splat_source(path) if is_splat_file(path) else read_keyframe(path)
+def _read_source(path: str | os.PathLike[str], max_memory: int | None) -> _Source:
+    return read_splat_source(path, max_memory) if is_splat_file(path) else read_keyframe(path)
 
 
 def chosen_settings(

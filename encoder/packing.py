@@ -20,12 +20,14 @@ from decogs.codec.keyframes import keyframe_state
 from decogs.codec.lattice import Lattice, Vector, default_lattice, quantise, robust_extent
 from decogs.codec.morton import morton_order
 from decogs.codec.state import DEFAULT_MAX_GAUSSIANS
+from decogs.decoder.limits import DEFAULT_MAX_MEMORY
 from decogs.formats.callbacks import OnProgress, OnWarning
 from decogs.formats.cameras import Camera
 from decogs.formats.container import MAX_FRAME
 from decogs.formats.errors import StreamError, TrainingError, UsageError
 from decogs.formats.frame_names import numbered_files
 from decogs.formats.outputs import Output, check_outputs
+from decogs.formats.splat_files import Room
 from decogs.formats.splat_files.reading import SplatFile, read_splats
 from decogs.formats.splats import Splats, take_splats
 
@@ -41,6 +43,8 @@ _HYSTERESIS = 0.75
 _STRAY = 0.05
 """Median way of a row between two frames, as a share of the scene, beyond which rows are in no common order."""
 _LEVEL = 15
+_COPIES = 12
+"""Of its floats that a Gaussian takes: 11 were measured of two frames that are matched by position (SH degree 3)."""
 _WIDTH, _HEIGHT, _FOCAL = 1280, 720, 1100.0
 _PACKED = "packed"
 """The setting that tells a packed stream from an encode, which could be gone on with."""
@@ -64,6 +68,7 @@ def pack(
     quality: float = _NEUTRAL,
     lossless: bool = False,
     segment: int = 0,
+    max_memory: int = DEFAULT_MAX_MEMORY,
     on_frame: OnProgress | None = None,
     on_warning: OnWarning | None = None,
 ) -> PackReport:
@@ -73,7 +78,7 @@ def pack(
     same number of Gaussians are the same Gaussian, unless they jump about; else they are matched by position.
     ``quality``: 0 to 100, of the lattice: 25 less double its steps. ``lossless``: every change is coded, exact to the
     lattice of quality 100. ``segment``: frames from one keyframe to the next, 0 for a single one. One frame is held at
-    a time; ``on_frame(done, all)``.
+    a time, in ``max_memory`` bytes beyond the program itself; ``on_frame(done, all)``.
     Raises UsageError for files that cannot be read or do not fit each other; nothing is then left under the output's
     name.
     """
@@ -83,12 +88,12 @@ def pack(
     inputs = [path for _, path in named]
     check_outputs([Output("output", target, grows=True)], [(path, "is read") for path in inputs])
     warn = on_warning or (lambda text: None)
-    sizes: list[int] = []
+    room, sizes = Room(DEFAULT_MAX_GAUSSIANS, max_memory, _COPIES), list[int]()
     with open_output(target, resumable=False, expendable=lambda left, _: _PACKED in left.settings) as stream:
         try:
             packing, file = None, None
             for index, path in enumerate(inputs):
-                file = _read(path, warn, first=index == 0)
+                file = _read(path, room, warn, first=index == 0)
                 if packing is None:
                     header = _header(path, file, scale, fps=fps, first=named[0][0])
                     packing = _Packing(CodedScene(header, stream, level=_LEVEL, segment=segment), exact=lossless)
@@ -188,10 +193,10 @@ def _checked_scale(quality: float, fps: float | None, segment: int, frames: int,
     return float(_NEUTRAL_SCALE * 2 ** ((_NEUTRAL - (100.0 if lossless else quality)) / _PER_OCTAVE))
 
 
-def _read(path: Path, warn: OnWarning, *, first: bool) -> SplatFile:
-    file = read_splats(path, max_gaussians=DEFAULT_MAX_GAUSSIANS)
-    if file.left_out:
-        warn(f"{path}: {file.left_out} of its Gaussians have values that are not finite, and are left out")
+def _read(path: Path, room: Room, warn: OnWarning, *, first: bool) -> SplatFile:
+    file = read_splats(path, room)
+    for text in file.left_out:
+        warn(f"{path}: {text}")
     if first and not file.compensated:
         warn(
             f"{path}: does not say that it was trained with antialiasing (Mip-Splatting), which our renderer has: "

@@ -19,6 +19,19 @@ def load_openusd() -> None:
 
 
 @contextmanager
+def quiet_openusd() -> Iterator[None]:
+    """Keeps OpenUSD's warnings from stderr, where they show paths; its errors are exceptions all the same."""
+    from pxr import UsdUtils
+
+    taken = UsdUtils.CoalescingDiagnosticDelegate()
+    try:
+        yield
+    finally:
+        taken.TakeUncoalescedDiagnostics()
+        del taken
+
+
+@contextmanager
 def _signals_wait() -> Iterator[None]:
     """Handlers of the process's end are called behind the block. Blocking signals would not do: threads take them."""
     if threading.current_thread() is not threading.main_thread():

@@ -16,6 +16,7 @@ import numpy as np
 
 from decogs.codec.state import DEFAULT_MAX_GAUSSIANS
 from decogs.formats.errors import UsageError
+from decogs.formats.splat_files import Room
 from decogs.formats.splat_files.reading import READABLE, SplatFile, read_splats
 
 
@@ -45,9 +46,9 @@ def is_splat_file(path: str | os.PathLike[str]) -> bool:
     return Path(path).suffix.lower() in READABLE
 
 
-def read_splat_source(path: str | os.PathLike[str]) -> SplatSource:
-    """The file's Gaussians; raises UsageError for what cannot be read, and for more than decoders take."""
+def read_splat_source(path: str | os.PathLike[str], max_memory: int | None = None) -> SplatSource:
+    """The file's Gaussians; raises UsageError for what cannot be read, and for more than decoders or memory take."""
     try:
-        return SplatSource(Path(path), read_splats(path, max_gaussians=DEFAULT_MAX_GAUSSIANS))
+        return SplatSource(Path(path), read_splats(path, Room(DEFAULT_MAX_GAUSSIANS, max_memory)))
     except UsageError as error:
         raise UsageError(f"`keyframe` {error}") from None

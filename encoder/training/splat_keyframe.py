@@ -58,7 +58,7 @@ def import_splats(
 
     Raises UsageError where its Gaussians have no extent.
     """
-    warnings = _left_out(source.file.left_out, "have values that are not finite")
+    warnings = [*source.file.left_out]
     extent, centre = robust_extent(source.file.splats.means)
     if not extent > 0:
         raise UsageError(f"`keyframe` {source.path}: all its Gaussians are in one place; export it again")

@@ -17,6 +17,9 @@ from typing import ClassVar, Literal, Protocol
 from ..errors import UsageError
 from ..splats import Splats
 
+_READING, _PASSING = 2, 260
+"""What a Gaussian takes while it is read: so many times its floats, and so many bytes that are there in passing."""
+
 
 @dataclass(frozen=True)
 class Extremes:
@@ -26,6 +29,32 @@ class Extremes:
     largest: int
     farthest: float
     sh_degree: int
+
+
+@dataclass(frozen=True)
+class Room:
+    """What reading a file may take: numbers of Gaussians, and bytes; None is no limit.
+
+    ``copies``: of its floats that a Gaussian takes at most, later on included.
+    """
+
+    gaussians: int | None = None
+    memory: int | None = None
+    copies: int = _READING
+
+    def check(self, count: int, coefficients: int, held: int) -> None:
+        """Raises UsageError, without a file's name, where ``count`` Gaussians are too many.
+
+        ``coefficients``: of SH, per channel. ``held``: bytes of the file, which are there meanwhile.
+        """
+        if self.gaussians is not None and count > self.gaussians:
+            raise UsageError(f"holds {count} Gaussians, and at most {self.gaussians} are read; remove some")
+        needed = held + count * (self.copies * 4 * (11 + 3 * coefficients) + _PASSING)
+        if self.memory is not None and needed > self.memory:
+            raise UsageError(
+                f"holds {count} Gaussians, which take {needed >> 20} MiB; remove some, or allow more memory than "
+                f"{self.memory >> 20} MiB (`max_memory`)"
+            )
 
 
 class SplatFormat(Protocol):

@@ -1,7 +1,8 @@
 """The .ply that 3DGS's authors write: float32, normals that are zero, higher SH coefficients channel by channel.
 
 Read are their relatives, too: Inria's, gsplat's, nerfstudio's, Postshot's and SuperSplat's differ in the order of the
-properties, in properties that mean nothing here, in their types, and in the SH degree, from 0 to 3.
+properties, in properties that mean nothing here, in their types, and in the SH degree, from 0 to 3. Mip-Splatting's
+``filter_3D`` means something: it is baked in.
 Source of the header's grammar: Turk, "The PLY Polygon File Format".
 """
 
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..errors import UsageError
 from ..splats import SH_C0, FloatArray, Splats
-from . import Extremes
+from . import Extremes, Room
 
 _HEADER_END = b"end_header\n"
 _COMPENSATED = "comment SplatRenderMode: mip"
@@ -23,7 +24,6 @@ _COMPENSATED = "comment SplatRenderMode: mip"
 
 _LARGEST_HEADER = 1 << 16
 _LARGEST_ROW = 1 << 16
-_ANY_NUMBER = (1 << 63) - 1
 _TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),
     **dict.fromkeys(("uchar", "uint8"), "u1"),
@@ -36,6 +36,7 @@ _TYPES = {
 }
 _ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 _MEANS, _SCALES, _ROTATIONS = ("x", "y", "z"), ("scale_0", "scale_1", "scale_2"), ("rot_0", "rot_1", "rot_2", "rot_3")
+_FILTER = "filter_3D"
 _SH_DC, _RGB = ("f_dc_0", "f_dc_1", "f_dc_2"), ("red", "green", "blue")
 _REST = (0, 3, 8, 15)
 """Higher SH coefficients per channel, by degree."""
@@ -69,7 +70,7 @@ class Ply:
         return self._header(count, rest) + np.concatenate(columns, axis=1).astype("<f4").tobytes()
 
     def decode(self, data: bytes) -> Splats:
-        return parse_ply(data, _ANY_NUMBER)[0]
+        return parse_ply(data, Room())[0]
 
     def _header(self, count: int, rest: int) -> bytes:
         names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"]
@@ -80,11 +81,11 @@ class Ply:
         return "\n".join([*lines, *(f"property float {name}" for name in names)]).encode() + b"\n" + _HEADER_END
 
 
-def parse_ply(data: bytes, max_gaussians: int) -> tuple[Splats, bool]:
-    """A file's Gaussians, at most so many, and whether it says that they are drawn with compensation.
+def parse_ply(data: bytes, room: Room) -> tuple[Splats, bool]:
+    """A file's Gaussians, as far as there is room, and whether it says that they are drawn with compensation.
 
-    Colours may be f_dc or, as nerfstudio can write them, red, green and blue of 8 bits. Raises UsageError, without the
-    file's name.
+    Colours may be f_dc or, as nerfstudio can write them, red, green and blue of 8 bits. Files with ``filter_3D`` were
+    trained with Mip-Splatting, whose renderer compensates. Raises UsageError, without the file's name.
     """
     lines, start = _header_lines(data)
     order = _byte_order(lines)
@@ -97,15 +98,14 @@ def parse_ply(data: bytes, max_gaussians: int) -> tuple[Splats, bool]:
     if vertices is None:
         raise UsageError('has no element "vertex"; export it as a .ply of 3D Gaussians')
     _check_properties(vertices.names)
-    if vertices.count > max_gaussians:
-        raise UsageError(f"holds {vertices.count} Gaussians, and at most {max_gaussians} are read; remove some")
+    room.check(vertices.count, 1 + _higher_coefficients(vertices.names), len(data))
     if vertices.bytes > len(data) - start:
         raise UsageError(
             f"is cut off: {vertices.count} Gaussians take {vertices.bytes} bytes, and {max(0, len(data) - start)} "
             "are there; export it again"
         )
     table = np.frombuffer(memoryview(data)[start : start + vertices.bytes], vertices.row)
-    return _splats(table), _COMPENSATED in lines
+    return _splats(table), _COMPENSATED in lines or _FILTER in vertices.names
 
 
 @dataclass(frozen=True)
@@ -190,6 +190,10 @@ def _check_properties(names: tuple[str, ...]) -> None:
         raise UsageError(f"has {rest} properties f_rest, which is no SH degree from 0 to 3; export it again")
 
 
+def _higher_coefficients(names: tuple[str, ...]) -> int:
+    return sum(name.startswith("f_rest_") for name in names) // 3
+
+
 def _splats(table: NDArray[np.void]) -> Splats:
     def columns(names: tuple[str, ...]) -> FloatArray:
         # What float32 cannot hold becomes infinite, and is left out as such.
@@ -197,13 +201,30 @@ def _splats(table: NDArray[np.void]) -> Splats:
             return np.stack([table[name].astype(np.float32) for name in names], axis=1)
 
     names = table.dtype.names or ()
-    rest = sum(name.startswith("f_rest_") for name in names) // 3
+    rest = _higher_coefficients(names)
     sh = np.empty((len(table), 1 + rest, 3), np.float32)
     sh[:, 0] = columns(_SH_DC) if _SH_DC[0] in names else (columns(_RGB) / 255 - 0.5) / SH_C0
     if rest:
         higher = columns(tuple(f"f_rest_{i}" for i in range(3 * rest)))
         sh[:, 1:] = higher.reshape(len(table), 3, rest).transpose(0, 2, 1)
-    return Splats(columns(_MEANS), columns(_SCALES), columns(_ROTATIONS), columns(("opacity",))[:, 0].copy(), sh)
+    log_scales, opacity_logits = columns(_SCALES), columns(("opacity",))[:, 0].copy()
+    if _FILTER in names:
+        log_scales, opacity_logits = _filtered(log_scales, opacity_logits, columns((_FILTER,)))
+    return Splats(columns(_MEANS), log_scales, columns(_ROTATIONS), opacity_logits, sh)
+
+
+def _filtered(log_scales: FloatArray, opacity_logits: FloatArray, filters: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Log scales and opacity logits with Mip-Splatting's 3D filter, of sizes ``filters`` (N, 1), baked in.
+
+    Sizes become sqrt(s^2 + f^2), opacities shrink as the volume grows. Source: mip-splatting, ``create_fused_ply``.
+    """
+    with np.errstate(all="ignore"):  # what is not finite stays so, and is seen to by whoever reads
+        before = log_scales.astype(np.float64)
+        after = np.logaddexp(2 * before, 2 * np.log(np.abs(filters.astype(np.float64)))) / 2
+        shrunk = np.where(after == before, 0, before - after).sum(axis=1)
+        log_opacities = shrunk - np.logaddexp(0, -opacity_logits.astype(np.float64))
+        logits = log_opacities - np.log(-np.expm1(log_opacities))
+        return after.astype(np.float32), logits.astype(np.float32)
 
 
 Format = Ply

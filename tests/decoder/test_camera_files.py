@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import time
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from pxr import Gf, Usd, UsdGeom
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdUtils
 
 from decogs.decoder import decode, export
 from decogs.decoder.camera_files import camera_file, read_camera_file
@@ -84,6 +87,8 @@ def test_nerfstudio_normalisation_is_undone(tmp_path: Path) -> None:
         ({"camera_type": "equirectangular"}, {}, "equirectangular.*only perspective"),
         ({"render_width": 0}, {}, "render_width is 0"),
         ({"fps": 0}, {}, "fps is 0"),
+        ({"fps": 1e-323}, {}, "fps is 9.88131e-324"),
+        ({}, {"fov": 1e-323}, "camera 0: fov is 9.88131e-324"),
         ({"camera_path": []}, {}, "not empty"),
         ({"camera_path": [3]}, {}, "camera 0: a camera must be"),
         ({}, {"fov": 180}, "camera 0: fov is 180"),
@@ -101,6 +106,7 @@ def test_nerfstudio_errors(tmp_path: Path, fields: dict[str, Any], entry: dict[s
 def usd(path: Path, *, up: str = "Y", start: float | None = None, end: float | None = None) -> Any:
     stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageUpAxis(stage, up)
+    UsdGeom.SetStageMetersPerUnit(stage, 1)
     stage.SetTimeCodesPerSecond(24)
     if start is not None:
         stage.SetStartTimeCode(start)
@@ -226,6 +232,190 @@ def test_usd_errors(small_stream, tmp_path: Path) -> None:
         read_camera_file(tmp_path / "empty.usda", FILM)
     assert camera_file("a.usdc:/World/b") == (Path("a.usdc"), "/World/b")
     assert camera_file("a:b.json") == (Path("a:b.json"), None)
+
+
+HOSTILE = Path("strangers.usda")
+
+
+def text_camera(folder: Path, fields: str = "", *, head: str = "", more: str = "", path: Path = HOSTILE) -> Path:
+    """A camera 3 units before the origin as text, whose fields can be said anew."""
+    given = {line.split("=")[0].split()[-1].partition(".")[0] for line in fields.splitlines() if "=" in line}
+    usual = {
+        "focalLength": "float focalLength = 24",
+        "horizontalAperture": "float horizontalAperture = 36",
+        "verticalAperture": "float verticalAperture = 24",
+        "xformOp:transform": "matrix4d xformOp:transform = ((1,0,0,0), (0,1,0,0), (0,0,1,0), (0,0,3,1))",
+        "xformOpOrder": 'uniform token[] xformOpOrder = ["xformOp:transform"]',
+    }
+    lines = [line for name, line in usual.items() if name not in given]
+    text = "\n".join(["#usda 1.0", head, 'def Camera "c" {', *lines, fields, "}", more])
+    (folder / path).write_text(text)
+    return folder / path
+
+
+@pytest.mark.parametrize(
+    ("fields", "says"),
+    [
+        ('string focalLength = "x"', "no finite number"),
+        ("float[] focalLength = [1, 2]", "no finite number"),
+        ("float verticalAperture = nan", "no finite number"),
+        ("double focalLength = 1e300", "no finite number"),
+        ("float focalLength = 0", "must be above 0"),
+        ("double focalLength = 1e-320", "its focal length is not within"),
+        ("float2 horizontalApertureOffset = (1, 2)", "no finite number"),
+        ('token focalLength.timeSamples = {0: "a", 1: "b"}', "no finite number"),
+        ("matrix4d xformOp:transform = ((1,0,0,0), (0,1,0,0), (0,0,1,0), (0,0,1e300,1))", r"numbers above 1e\+12"),
+        ("matrix4d xformOp:transform = ((1,0,0,0), (0,1,0,0), (0,0,1,0), (0,0,nan,1))", "no inverse"),
+        ("matrix4d xformOp:transform = ((1,0,0,0), (0,1,0,0), (0,0,1,0), (0,0,3,0))", "is not affine"),
+        ('string xformOp:transform = "x"', "cannot make out its transform"),
+        ('uniform token[] xformOpOrder = ["xformOp:transform", "xformOp:nope"]', "cannot make out its transform"),
+        ('string xformOpOrder = "x"', "no list of tokens"),
+        ("float focalLength.spline = {\nbezier,\n1: 5; post held,\n5: 9; post held,\n}", "splines"),
+        ("float focalLength.timeSamples = {0.2: 24, 0.7: 25}", "no whole time code"),
+    ],
+)
+def test_a_strangers_usd_values_are_refused_in_one_line(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], fields: str, says: str
+) -> None:
+    with pytest.raises(UsageError, match=rf"strangers\.usda:/c: .*{says}") as caught:
+        read_camera_file(text_camera(tmp_path, fields), FILM)
+    assert "\n" not in str(caught.value)
+    assert capfd.readouterr() == ("", ""), "OpenUSD's and numpy's warnings"
+
+
+@pytest.mark.parametrize(
+    ("head", "more", "arc"),
+    [
+        ("(subLayers = [@./pipe.usda@])", "", "sublayers"),
+        ("", 'def "r" (references = @./pipe.usda@</a>) {\n}', "references"),
+        ("", 'def "r" (payload = @./pipe.usda@</a>) {\n}', "a payload"),
+        ("", 'over "o" {\ndef "r" (references = @./pipe.usda@</a>) {\n}\n}', "references"),
+        ("", 'def "r" (inherits = </c>) {\n}', "inherits"),
+        ("", 'def "r" (specializes = </r/a>) {\n}', "specializes"),
+        ("", 'def "r" (variantSets = "v") {\nvariantSet "v" = {\n"a" {\n}\n}\n}', "variants"),
+        ("", 'def "r" (clips = {\ndictionary default = {\n}\n}) {\n}', "value clips"),
+    ],
+)
+def test_a_usd_file_that_refers_to_others_is_refused(tmp_path: Path, head: str, more: str, arc: str) -> None:
+    os.mkfifo(tmp_path / "pipe.usda")
+    with pytest.raises(UsageError, match=rf"strangers\.usda.*: has {arc}, and .*flatten"):
+        read_camera_file(text_camera(tmp_path, head=head, more=more), FILM)
+
+
+def test_nested_references_are_not_composed(tmp_path: Path) -> None:
+    """8 levels of 10: composed they are 10^8 prims."""
+    levels = ['def "L0" {\n}']
+    for level in range(1, 9):
+        kids = "".join(f'def "k{k}" (references = </L{level - 1}>) {{\n}}\n' for k in range(10))
+        levels.append(f'def "L{level}" {{\n{kids}}}')
+    began = time.monotonic()
+    with pytest.raises(UsageError, match="has references"):
+        read_camera_file(text_camera(tmp_path, more="\n".join(levels)), FILM)
+    assert time.monotonic() - began < 5
+
+
+@pytest.mark.parametrize(
+    ("more", "says"),
+    [
+        ('def "a" {\n' * 20_000 + "}\n" * 20_000, "nested too deep"),
+        ('def "a" {\n' * 400 + "}\n" * 400, "more than 256 prims inside each other"),
+        ('def "a" {\nint[] x = [' + "1," * 200_000 + "1]\n}", "may take 24 MiB to read.*`max_memory`"),
+    ],
+    ids=["brackets", "prims", "list"],
+)
+def test_usd_text_is_bounded_before_it_is_parsed(tmp_path: Path, more: str, says: str) -> None:
+    path = text_camera(tmp_path, more=more)
+    with pytest.raises(UsageError, match=rf"strangers\.usda: .*{says}"):
+        read_camera_file(path, FILM, 20 << 20)
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_usd_binary_is_bounded_before_it_is_opened(tmp_path: Path, packed: bool) -> None:
+    stage = usd(tmp_path / "many.usdc")
+    UsdGeom.Camera.Define(stage, "/c")
+    layer = stage.GetRootLayer()
+    with Sdf.ChangeBlock():
+        for k in range(5000):
+            Sdf.CreatePrimInLayer(layer, f"/a{k}")
+    layer.Save()
+    path = tmp_path / "many.usdc"
+    if packed:
+        path = tmp_path / "many.usdz"
+        assert UsdUtils.CreateNewUsdzPackage(str(tmp_path / "many.usdc"), str(path))
+    with pytest.raises(UsageError, match=r"many\.usd[cz]: may take \d+ MiB to read.*`max_memory`"):
+        read_camera_file(path, FILM, 3 << 20)
+    assert len(read_camera_file(path, FILM, 32 << 20).cameras) == 1
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"PK\3\4", b"PXR-USDC", b"PXR-USDC" + b"\xff" * 99, b"#usda 1.0\n(((", b"x" * 99]
+)
+@pytest.mark.parametrize("ending", ["usda", "usdc", "usdz", "usd"])
+def test_what_is_no_usd_file_is_one_line(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], content: bytes, ending: str
+) -> None:
+    path = tmp_path / f"x.{ending}"
+    path.write_bytes(content)
+    with pytest.raises(UsageError, match=rf"x\.{ending}: ") as caught:
+        read_camera_file(path, FILM)
+    assert "\n" not in str(caught.value)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_usd_camera_without_metres_is_in_centimetres(tmp_path: Path) -> None:
+    """OpenUSD's fallback for metersPerUnit is .01."""
+    (camera,) = read_camera_file(text_camera(tmp_path), FILM).cameras
+    np.testing.assert_allclose(camera_centre(camera), [0, 0, 0.03], atol=1e-12)
+
+
+def test_a_nerfstudio_path_does_not_wait_for_a_pipe_beside_it(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "dataparser_transforms.json")
+    path = nerfstudio(tmp_path, [{"camera_to_world": np.eye(4).tolist(), "fov": 50}])
+    with pytest.raises(UsageError, match=r"dataparser_transforms\.json: is no file"):
+        read_camera_file(path, FILM)
+
+
+def test_more_camera_json_than_the_memory_holds_is_not_parsed(tmp_path: Path) -> None:
+    path = tmp_path / "pose.json"
+    path.write_text("[" + "{}," * (1 << 20) + "{}]")
+    tracemalloc.start()
+    with pytest.raises(UsageError, match=r"pose\.json: has more than 349525 bytes; .*`max_memory`"):
+        read_camera_file(path, FILM, 16 << 20)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 1 << 20
+
+
+@pytest.mark.parametrize("entry", ["{}", "[]", '{"":0}', '{"width":{}}', "0.1", '"ab"', '"\U0001f600"'])
+def test_camera_json_that_is_parsed_stays_within_the_memory(tmp_path: Path, entry: str) -> None:
+    limit = 16 << 20
+    path = tmp_path / "pose.json"
+    count = limit // 48 // (len(entry.encode()) + 1) - 1
+    path.write_text("[" + ",".join([entry] * count) + "]", encoding="utf-8")
+    tracemalloc.start()
+    with pytest.raises(UsageError, match=r"camera 0: |at most 131072"):
+        read_camera_file(path, FILM, limit)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < limit
+
+
+def test_a_path_of_the_shortest_entries_stays_within_the_memory(tmp_path: Path) -> None:
+    limit = 4 << 20
+    entry = '{"width":9,"height":9,"fx":9,"position":[0,0,0],"look_at":[0,0,1],"up":[0,1,0]}'
+    (tmp_path / "pose.json").write_text("[" + ",".join([entry] * (limit // 48 // len(entry) - 99)) + "]")
+    tracemalloc.start()
+    cameras = read_camera_file(tmp_path / "pose.json", FILM, limit).cameras
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert len(cameras) > 900
+    assert peak < limit
+
+
+def test_more_cameras_than_are_rendered_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "pose.json").write_text("[" + "0," * (1 << 17) + "0]")
+    with pytest.raises(UsageError, match=r"pose\.json: has 131073 cameras; at most 131072"):
+        read_camera_file(tmp_path / "pose.json", FILM)
 
 
 def test_a_usd_cameras_metres_become_the_streams_units(tmp_path: Path) -> None:

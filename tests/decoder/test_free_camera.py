@@ -104,7 +104,7 @@ def test_a_time_outside_the_stream_is_named(tmp_path: Path) -> None:
         (LENS | LOOK | {"fovy": 40}, "unknown field 'fovy'"),
         (LENS | LOOK | {"fov_y": 40}, "either fx"),
         ({"width": 64, "height": 64} | LOOK, "either fx"),
-        ({"width": 64, "height": 64, "fov_y": 180} | LOOK, "between 0 and 180"),
+        ({"width": 64, "height": 64, "fov_y": 180} | LOOK, "between 1e-06 and 180"),
         (LENS | LOOK | {"fx": -1}, "above 0"),
         (LENS | LOOK | {"near": -0.1}, "near is -0.1"),
         (LENS | LOOK | {"width": 0}, "whole number of pixels"),
@@ -118,6 +118,8 @@ def test_a_time_outside_the_stream_is_named(tmp_path: Path) -> None:
         (LENS | LOOK | {"look_at": [1, 2, 3]}, "must differ from position"),
         (LENS | LOOK | {"up": [0, 0, 2]}, "line of sight"),
         (LENS | LOOK | {"up": [0, 0, 0]}, "line of sight"),
+        ({"width": 64, "height": 36, "fov_y": 1e-323} | LOOK, "fov_y is 9.88131e-324 degrees"),
+        ({"width": 64, "height": 36, "fov_y": 1e-310} | LOOK, "fov_y is 1e-310 degrees"),
         (LENS | {"world_to_camera": (2 * np.eye(4)).tolist()}, "last row"),
         (LENS | {"world_to_camera": np.diag([1, 1, -1, 1]).tolist()}, "not rigid"),
         (LENS | {"world_to_camera": np.diag([1, 2, 1, 1]).tolist()}, "not rigid"),
@@ -134,6 +136,12 @@ def test_what_is_wrong_is_said_in_one_line(tmp_path: Path, content: Any, message
         read(tmp_path, content)
     assert "pose.json" in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_field_that_is_named_twice_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "pose.json").write_text('{"width": 640, "height": 360, "width": 64}')
+    with pytest.raises(UsageError, match=r"pose\.json: is not valid JSON \(it names the field 'width' twice\)"):
+        read_free_cameras(tmp_path / "pose.json")
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:

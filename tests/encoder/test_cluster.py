@@ -343,5 +343,5 @@ def test_ray_is_asked_for_where_it_is_missing(monkeypatch: pytest.MonkeyPatch) -
     import sys
 
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(UsageError, match=r"`cluster`: Ray is not installed; pip install 'ray\[client\]'"):
+    with pytest.raises(UsageError, match=r"`cluster`: Ray is not installed; pip install 'ray\[client\]>=2.60'"):
         RayEngine("local", threads=1, device="cpu")

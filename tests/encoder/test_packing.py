@@ -178,6 +178,13 @@ def test_what_cannot_be_packed_is_one_line(tmp_path: Path) -> None:
         pack(tmp_path / "a_000#.ply", tmp_path / "a_0000.ply")
 
 
+def test_more_than_the_memory_holds_is_refused_and_leaves_nothing(tmp_path: Path) -> None:
+    files = write(tmp_path, [a_scene()])
+    with pytest.raises(UsageError, match=r"_0000\.ply: holds 400 Gaussians.*`max_memory`"):
+        pack(files, tmp_path / "packed.dgs", max_memory=400 * 1000)
+    assert [path.suffix for path in tmp_path.iterdir()] == [".ply"]
+
+
 def test_a_bad_file_in_the_middle_leaves_nothing(tmp_path: Path) -> None:
     name = write(tmp_path, [a_scene(20)] * 3)
     (tmp_path / "a_0001.ply").write_bytes(b"ply\n")

@@ -14,6 +14,7 @@ from decogs.decoder import export
 from decogs.decoder.rasterise.reference import BLUR
 from decogs.decoder.stream import open_stream
 from decogs.encoder import encode
+from decogs.encoder.input.imported_splats import read_splat_source
 from decogs.encoder.training.splat_keyframe import MAX_LOST, with_compensation
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
@@ -148,12 +149,17 @@ def test_opacity_and_size_make_up_for_the_filter() -> None:
 
 def test_gaussians_that_cannot_be_are_left_out_and_told(begin: Any, moving: Any, tmp_path: Path) -> None:
     splats, _ = first_splats(moving.path)
-    splats.means[5, 0], splats.opacity_logits[9], splats.means[7, 1] = np.nan, np.inf, 3e20
+    splats.means[5, 0], splats.sh[9, 0, 1], splats.means[7, 1] = np.nan, np.inf, 3e20
     path = tmp_path / "scene.ply"
     path.write_bytes(Ply(compensated=True).encode(splats))
     _, warnings = begin(path)
     assert [text.partition(": ")[2][:17] for text in warnings] == ["2 of its Gaussian", "1 of its Gaussian"]
     assert len(first_splats(tmp_path / "out.dgs")[0]) == len(splats) - 3
+
+
+def test_more_than_the_memory_holds_is_refused(exported: Path) -> None:
+    with pytest.raises(UsageError, match=r"^`keyframe` .*scene\.spz: holds \d+ Gaussians.*`max_memory`"):
+        read_splat_source(exported / "scene.spz", 20_000)
 
 
 def test_other_footage_is_told(begin: Any, exported: Path, moving_rig: Path, tiny_rig: Any, tmp_path: Path) -> None:

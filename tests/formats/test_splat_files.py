@@ -213,7 +213,7 @@ def read_glb(data: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     for name, accessor in document["meshes"][0]["primitives"][0]["attributes"].items():
         facts = document["accessors"][accessor]
         view = document["bufferViews"][facts["bufferView"]]
-        kind = {5126: "<f4", 5121: "u1"}[facts["componentType"]]
+        kind = {5126: "<f4", 5123: "<u2"}[facts["componentType"]]
         width = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}[facts["type"]]
         assert view["byteOffset"] % 4 == 0
         assert view["byteLength"] == facts["count"] * width * np.dtype(kind).itemsize
@@ -245,8 +245,19 @@ def test_glb_has_the_extensions_attributes(coefficients: int) -> None:
     for k, (band, n) in enumerate(order):
         np.testing.assert_array_equal(arrays[f"{prefix}SH_DEGREE_{band}_COEF_{n}"], splats.sh[:, k])
     assert len(arrays) == 5 + coefficients
-    colour = np.clip((0.5 + 0.28209479177387814 * splats.sh[:, 0].astype(float)) * 255, 0, 255)
-    assert np.abs(arrays["COLOR_0"][:, :3] - colour).max() < 0.501
+    coded = np.clip(0.5 + 0.28209479177387814 * splats.sh[:, 0].astype(float), 0, 1)
+    linear = np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)
+    colour = np.concatenate([linear, opacity[:, None]], axis=1) * 65535
+    assert np.abs(arrays["COLOR_0"] - colour).max() < 0.51, "half a step, and float32"
+
+
+def test_glb_shows_mid_grey_as_such() -> None:
+    """glTF 2.0, 3.9.2: vertex colours are linear; sRGB-coded .5 is linear .214."""
+    splats = replace(random_splats(3, 1), sh=np.zeros((3, 1, 3), np.float32))
+    document, arrays = read_glb(Glb().encode(splats))
+    accessor = document["accessors"][document["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]]
+    assert accessor["normalized"] is True
+    np.testing.assert_allclose(arrays["COLOR_0"][:, :3] / 65535, 0.21404, atol=1e-5)
 
 
 def test_glb_comes_back_and_states_the_compensation() -> None:
@@ -400,7 +411,7 @@ def test_sog_has_a_palette_of_65536_sets_of_sh_for_more_gaussians() -> None:
         (Spz(), Extremes(0, 5, 1.0, 0), "no Gaussians"),
         (Glb(), Extremes(0, 5, 1.0, 0), "no Gaussians"),
         (Sog(), Extremes(0, 5, 1.0, 0), "no Gaussians"),
-        (Glb(), Extremes(1, 20_000_000, 1.0, 3), r"4\.8 GB"),
+        (Glb(), Extremes(1, 20_000_000, 1.0, 3), r"4\.9 GB"),
     ],
     ids=str,
 )

@@ -15,7 +15,10 @@ import pytest
 import zstandard
 
 from decogs.formats.errors import UsageError
+from decogs.formats.splat_files import Room
+from decogs.formats.splat_files.ply import Ply
 from decogs.formats.splat_files.reading import SplatFile, read_splats
+from random_splats import random_splats
 
 MOST = 1000
 INRIA = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opacity"]
@@ -62,7 +65,7 @@ def read(tmp_path: Path) -> Callable[..., SplatFile]:
     def reading(data: bytes, suffix: str = ".ply") -> SplatFile:
         path = tmp_path / f"scene{suffix}"
         path.write_bytes(data)
-        return read_splats(path, max_gaussians=MOST)
+        return read_splats(path, Room(MOST))
 
     return reading
 
@@ -84,7 +87,7 @@ def test_inrias_layout_is_read(read: Callable[..., SplatFile]) -> None:
     values = values_of(INRIA, 3)
     found = read(ply(values))
     same(found, values)
-    assert (found.compensated, found.left_out, found.up, found.splats.sh_degree) == (False, 0, "-Y", 0)
+    assert (found.compensated, found.left_out, found.up, found.splats.sh_degree) == (False, (), "-Y", 0)
 
 
 def test_order_extra_properties_types_and_line_ends_are_free(read: Callable[..., SplatFile]) -> None:
@@ -124,14 +127,79 @@ def test_colours_of_eight_bits_are_read_as_nerfstudio_writes_them(read: Callable
     np.testing.assert_allclose(0.5 + 0.28209479 * found.splats.sh[:, 0], [[0, 0.2, 0.4], [1, 0, 0]], atol=1e-6)
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e300])
-def test_gaussians_that_are_not_finite_are_left_out(read: Callable[..., SplatFile], value: float) -> None:
-    for name in ("z", "opacity", "rot_2", "f_dc_1"):
+@pytest.mark.parametrize(
+    ("value", "names"),
+    [
+        (np.nan, ("z", "opacity", "scale_1", "rot_2", "f_dc_1")),
+        (np.inf, ("z", "scale_1", "rot_2", "f_dc_1")),
+        (-np.inf, ("z", "rot_2", "f_dc_1")),
+        (1e300, ("z", "scale_1", "rot_2", "f_dc_1")),
+    ],
+)
+def test_gaussians_that_are_not_finite_are_left_out(
+    read: Callable[..., SplatFile], value: float, names: tuple[str, ...]
+) -> None:
+    for name in names:
         values = values_of(INRIA, 3)
         values[name][1] = value
         found = read(ply(values, {name: "double"}))
-        assert found.left_out == 1
+        assert found.left_out == ("1 of its Gaussians have values that are not finite, and are left out",)
         same(found, {key: [column[0], column[2]] for key, column in values.items()})
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "kept"),
+    [("opacity", np.inf, 80), ("opacity", -np.inf, -80), ("opacity", 1e300, 80), ("scale_1", -np.inf, -20)],
+)
+def test_opaque_invisible_and_flat_gaussians_are_kept(
+    read: Callable[..., SplatFile], name: str, value: float, kept: float
+) -> None:
+    """A logit of infinity is an opacity of 1, a logarithm of minus infinity a size of 0; rows keep their places."""
+    values = values_of(INRIA, 3)
+    values[name][1] = value
+    found = read(ply(values, {name: "double"}))
+    assert found.left_out == ()
+    values[name][1] = kept
+    same(found, values)
+
+
+def test_a_file_of_flat_gaussians_is_read(read: Callable[..., SplatFile]) -> None:
+    values = {**values_of(INRIA, 3), "scale_2": [-np.inf] * 3}
+    np.testing.assert_array_equal(read(ply(values)).splats.log_scales[:, 2], -20)
+
+
+def test_rows_of_zeros_are_left_out_and_counted(read: Callable[..., SplatFile]) -> None:
+    values = values_of(INRIA, 4)
+    written = {name: [*column[:2], 0.0, 0.0] for name, column in values.items()}
+    found = read(ply(written))
+    assert found.left_out == ("2 of its Gaussians are rows of zeros, and are left out",)
+    same(found, {name: column[:2] for name, column in values.items()})
+    nothing = {name: [0.0, 0.0] for name in INRIA}
+    with pytest.raises(UsageError, match="no Gaussian"):
+        read(ply(nothing))
+    # At the origin, of size 1 and opacity .5, but turned: a Gaussian.
+    assert len(read(ply(nothing | {"rot_0": [1.0, 0.0]})).splats) == 1
+
+
+def test_mip_splattings_filter_is_baked_in(read: Callable[..., SplatFile]) -> None:
+    """Sizes sqrt(s^2 + f^2), opacities times the root of the determinants' ratio, as its create_fused_ply has it."""
+    names = [*INRIA, "filter_3D"]
+    random = np.random.default_rng(4)
+    values = {name: list(random.uniform(-3, 3, 6)) for name in names}
+    values["filter_3D"] = [0.08, 1.5, 0.0, -0.3, 0.2, 0.2]
+    values["opacity"][5], values["scale_0"][4] = np.inf, -np.inf
+    found = read(ply(values, dict.fromkeys(names, "double")))
+    assert found.compensated, "its renderer has the compensation"
+    assert found.left_out == ()
+    scales = np.exp(np.transpose([values[f"scale_{axis}"] for axis in range(3)]))
+    fused = np.sqrt(scales**2 + np.square(values["filter_3D"])[:, None])
+    opacities = 1 / (1 + np.exp(-np.array(values["opacity"]))) * np.prod(scales / fused, axis=1)
+    np.testing.assert_allclose(np.exp(found.splats.log_scales), fused, rtol=1e-6)  # float32
+    np.testing.assert_allclose(1 / (1 + np.exp(-found.splats.opacity_logits)), opacities, rtol=1e-5, atol=1e-30)
+    assert found.splats.opacity_logits[2] == np.float32(values["opacity"][2]), "without a filter nothing changes"
+    values["filter_3D"][0], values["filter_3D"][1] = np.nan, np.inf
+    assert found.left_out != read(ply(values)).left_out
+    assert len(read(ply(values)).splats) == 4
 
 
 def without(name: str) -> bytes:
@@ -180,7 +248,7 @@ def test_names_that_are_no_file_are_refused(tmp_path: Path) -> None:
     (tmp_path / "folder.ply").mkdir()
     for name, says in (("none.ply", "is no file"), ("folder.ply", "is no file"), ("scene.obj", ".ply and .spz")):
         with pytest.raises(UsageError, match=says):
-            read_splats(tmp_path / name, max_gaussians=MOST)
+            read_splats(tmp_path / name, Room(MOST))
 
 
 def spz_columns(count: int, degree: int, version: int) -> list[bytes]:
@@ -269,6 +337,48 @@ def test_nothing_is_allocated_that_is_not_there(read: Callable[..., SplatFile], 
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < (1 << 20) + 3 * len(data)
+
+
+@pytest.mark.parametrize("version", [2, 3, 4])
+def test_more_than_the_memory_holds_is_refused_before_it_is_unpacked(tmp_path: Path, version: int) -> None:
+    path = tmp_path / "scene.spz"
+    path.write_bytes(spz(200_000, 3, version))
+    assert path.stat().st_size < 500_000
+    tracemalloc.start()
+    with pytest.raises(UsageError, match=r"scene\.spz: holds 200000 Gaussians, which take \d+ MiB; .*`max_memory`"):
+        read_splats(path, Room(1 << 20, 64 << 20))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 2 << 20, "the file itself, and tables"
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".spz"])
+@pytest.mark.parametrize("degree", [0, 3])
+def test_reading_takes_what_room_says(tmp_path: Path, suffix: str, degree: int) -> None:
+    count = 20_000
+    path = tmp_path / f"scene{suffix}"
+    path.write_bytes(Ply().encode(random_splats(count, (degree + 1) ** 2)) if suffix == ".ply" else spz(count, degree))
+
+    def reads(memory: int) -> bool:
+        try:
+            read_splats(path, Room(count, memory))
+        except UsageError:
+            return False
+        return True
+
+    least = next(memory for memory in range(1 << 20, 1 << 26, 1 << 19) if reads(memory))
+    tracemalloc.start()
+    read_splats(path, Room(count, least))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert least / 4 < peak < least
+
+
+def test_a_file_that_the_memory_does_not_hold_is_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "scene.ply"
+    path.write_bytes(GOOD + bytes(1 << 20))
+    with pytest.raises(UsageError, match=r"scene\.ply: has \d+ bytes; allow more memory than 1000000 \(`max_memory`\)"):
+        read_splats(path, Room(MOST, 1_000_000))
 
 
 def test_damage_is_refused_or_read_but_nothing_else(read: Callable[..., SplatFile]) -> None:

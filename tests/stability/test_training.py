@@ -377,7 +377,7 @@ def test_pruning_everything_in_a_later_frame_is_taken_back(
     moving: Any, encode: Any, settings: Any, ablated: tuple[str, ...]
 ) -> None:
     """All that is selected, or the whole scene, counts as transparent: the frame is given up, the scene stays."""
-    frame = replace(settings.frame, ablated=ablated, prune_opacity=1.1)
+    frame = replace(settings.frame, ablated=ablated, prune_opacity=1.0)
     encoded = encode(moving[0], settings=replace(settings, frame=frame), keyframe=moving[1].path)
     check_stream(encoded)
     assert encoded.report.frames[1].rejected
@@ -385,7 +385,7 @@ def test_pruning_everything_in_a_later_frame_is_taken_back(
 
 
 def test_pruning_a_whole_keyframe_ends_with_a_clear_line(moving: Any, settings: Any, tmp_path: Path) -> None:
-    keyframe = replace(settings.keyframe, prune_opacity=1.1)
+    keyframe = replace(settings.keyframe, prune_opacity=1.0)
     with pytest.raises(TrainingError, match="every Gaussian became transparent"):
         encode_rig(moving[0], tmp_path / "x.dgs", settings=replace(settings, keyframe=keyframe))
     assert not (tmp_path / "x.dgs").exists()

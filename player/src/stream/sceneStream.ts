@@ -227,7 +227,7 @@ class OpenStream implements SceneStream {
     this.checkOpen();
     signal?.throwIfAborted();
     await startZstd();
-    if (!(index >= 0 && (await this.isKnown(index, signal)))) {
+    if (!(Number.isInteger(index) && index >= 0 && (await this.isKnown(index, signal)))) {
       throw new StreamError(null, `frame ${index} is not in this stream of ${this.table.length} frames`);
     }
     this.busySince = performance.now();

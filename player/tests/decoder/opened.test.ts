@@ -38,3 +38,14 @@ for (const [name, { frames, failure }] of Object.entries(EXPECTED)) {
     }
   });
 }
+
+test("a frame that is no whole number is not in the stream", async () => {
+  const stream = await createStream(vector(WITHIN_LIMITS[0]));
+  for (const index of [0.5, -1, NaN, Infinity, -0.5]) {
+    await assert.rejects(
+      stream.frame(index),
+      (error) => error instanceof StreamError && error.message.startsWith(`frame ${index} is not in this stream`),
+    );
+  }
+  assert.equal((await stream.frame(0)).damage, null);
+});
