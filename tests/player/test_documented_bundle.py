@@ -1,4 +1,4 @@
-"""The bundle of frame_source.ts, as docs/exports.md tells how to make it, loads in a Node without the newest functions."""
+"""The bundle of frame_source.ts, made as docs/exports.md tells, loads in a Node without the newest functions."""
 
 from __future__ import annotations
 
