@@ -79,8 +79,9 @@ class Ingest:
     def __init__(
         self, rig: Rig, *, holdout: Sequence[str] = (), scale: float = 1.0, lens: Mapping[str, float] | None = None
     ) -> None:
-        if not (isinstance(scale, (int, float, np.floating)) and 0 < scale <= 4):
-            raise UsageError(f"`scale` {scale}: give a number above 0 and at most 4, such as 0.5")
+        is_number = isinstance(scale, (int, float, np.floating))
+        if not (is_number and 0 < scale <= 4):
+            raise UsageError(f"`scale` {f'{scale:g}' if is_number else repr(scale)}: give a number above 0 and at most 4, such as 0.5")
         names = [camera.name for camera in rig.cameras]
         check_held_out(rig, holdout)
         rig = _with_lenses(rig, lens) if lens else rig
