@@ -81,7 +81,8 @@ class Ingest:
     ) -> None:
         is_number = isinstance(scale, (int, float, np.floating))
         if not (is_number and 0 < scale <= 4):
-            raise UsageError(f"`scale` {f'{scale:g}' if is_number else repr(scale)}: give a number above 0 and at most 4, such as 0.5")
+            given = f"{scale:g}" if is_number else repr(scale)
+            raise UsageError(f"`scale` {given}: give a number above 0 and at most 4, such as 0.5")
         names = [camera.name for camera in rig.cameras]
         check_held_out(rig, holdout)
         rig = _with_lenses(rig, lens) if lens else rig
