@@ -9,7 +9,8 @@ Axes: cameras of an export of ours are taken relative to its /World. In another 
 DCCs turn a y-up export when they import it, (x, y, z) to (x, z, -y), and lengths are in metres: metersPerUnit, or .01
 without one, as OpenUSD has it. A stream whose rig states its unit knows how many metres that is.
 
-Files are strangers': only the camera and what it stands in are composed, of one flat file (`formats.usd_layer`).
+Files are strangers': only the camera and what it stands in are composed, of one flat file (`formats.usd_layer`), and
+only after that went well in another process (`formats.trial`).
 
 Source: UsdGeomCamera; looks along -z, y up; focal length, apertures and offsets share a unit.
 """
@@ -27,6 +28,7 @@ from numpy.typing import NDArray
 from decogs.formats.cameras import MAX_SIDE, Camera
 from decogs.formats.errors import UsageError
 from decogs.formats.openusd import load_openusd, quiet_openusd
+from decogs.formats.trial import try_apart
 from decogs.formats.usd_layer import flat_layer
 
 from .camera_fields import LARGEST, checked, of_entry, pose_of
@@ -48,11 +50,22 @@ def usd_camera_path(path: Path, name: str | None, film: ToFilm, max_memory: int)
     Raises UsageError for no such camera, for a file that is not flat or might take more than ``max_memory`` bytes, and
     for what cannot be drawn.
     """
+    if not path.is_file():
+        raise UsageError(f"{path}: cannot be read; name a USD file with a camera")
+    width = film.cameras[0].width
+    try_apart(_read_for_trial, path, name, width, film.metres, max_memory, max_memory=max_memory)
+    return _read(path, name, film, max_memory)
+
+
+def _read_for_trial(path: Path, name: str | None, width: int, metres: float, max_memory: int) -> None:
+    any_camera = Camera("", width, width, 1.0, 1.0, 0.0, 0.0, np.eye(4))
+    _read(path, name, ToFilm((any_camera,), metres=metres), max_memory)
+
+
+def _read(path: Path, name: str | None, film: ToFilm, max_memory: int) -> CameraPath:
     load_openusd()
     from pxr import Tf
 
-    if not path.is_file():
-        raise UsageError(f"{path}: cannot be read; name a USD file with a camera")
     with quiet_openusd(), np.errstate(all="ignore"):
         try:
             layer = flat_layer(path, max_memory)

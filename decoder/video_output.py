@@ -232,12 +232,14 @@ class _Sound:
     def __init__(self, path: Path, begin: float, container: Any) -> None:
         import av
 
+        from decogs.formats.videos import ANY_TEXT
+
         self._path, self._container, self._written = path, container, 0
         with _explained(path, "cannot be read as audio"):
             # FFmpeg would take "concat:a.wav" or an address for what it is in its own language.
             # Nor may a list of other files pass for sound.
             only = {"protocol_whitelist": "file", "format_whitelist": _SOUND_FORMATS}
-            self._input = av.open(f"file:{path}", container_options=only)
+            self._input = av.open(f"file:{path}", container_options=only, **ANY_TEXT)
             if not self._input.streams.audio:
                 raise UsageError(f"{path}: has no sound; name an audio file, or leave out `audio`")
             self._output = container.add_stream("aac", rate=_SAMPLE_RATE, layout="stereo")

@@ -243,10 +243,13 @@ def chosen_settings(
     chosen = preset(settings) if isinstance(settings, str) else settings
     if not isinstance(chosen, EncodeSettings):
         raise UsageError(f"`settings` {settings!r}: give the name of a preset, or EncodeSettings")
+    for name, value, kind in (("switches", switches, Switches), ("targets", targets, Targets)):
+        if not isinstance(value, (kind, type(None))):
+            raise UsageError(f"`{name}` {value!r}: give {kind.__name__}, or None")
     if switches is not None:
         chosen = with_switches(chosen, switches)
     if segment is not None:
-        if not 1 <= segment <= MAX_FRAME:
+        if not (hasattr(segment, "__index__") and 1 <= segment <= MAX_FRAME):
             raise UsageError(f"`segment` {segment}: give a number of frames, at least 1 and at most {MAX_FRAME}")
         chosen = replace(chosen, segment=segment)
     chosen = chosen if targets is None else with_targets(chosen, targets)

@@ -99,6 +99,8 @@ def memory_within(
     ``gaussians``: of a keyframe that is taken over; 0 without one. Raises UsageError where the encode does not fit into
     ``max_memory`` bytes at all; None is no limit.
     """
+    if not (max_memory is None or hasattr(max_memory, "__index__")):
+        raise UsageError(f"`max_memory` {max_memory!r}: give a whole number of bytes, or None")
     gaussians = gaussians or settings.keyframe.cap
     size = 0
     for reads_ahead in (True, False) if threads > 1 and frames > 1 else (False,):

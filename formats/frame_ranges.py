@@ -13,9 +13,13 @@ Frames = slice | range | None
 """Which frames: a slice by Python's rules, a range of their numbers, or None for all."""
 
 
-def frame_slice(frames: Frames) -> slice:
-    """The same as a slice."""
-    return slice(frames.start, frames.stop, frames.step) if isinstance(frames, range) else frames or slice(None)
+def frame_slice(frames: Frames, parameter: str = "frames") -> slice:
+    """The same as a slice; raises UsageError, which names the ``parameter``, for anything else."""
+    asked = slice(None) if frames is None else frames
+    ends = (asked.start, asked.stop, asked.step) if isinstance(asked, (slice, range)) else ("",)
+    if not all(end is None or hasattr(end, "__index__") for end in ends):
+        raise UsageError(f"`{parameter}` {frames!r}: give a slice or a range of whole numbers, such as slice(0, 10)")
+    return slice(*ends)
 
 
 def frame_range(text: str | None) -> slice | None:

@@ -90,7 +90,7 @@ def errors_named(name: str) -> Iterator[None]:
 def part_of(output: Path) -> Path:
     """The file that an output grows in: beside the file that ``output`` names, through symbolic links."""
     target = resolved(output)
-    return target.with_name(target.name + ".part")
+    return target.parent / f"{target.name}.part"  # "." and "/" have no name; they are refused as folders
 
 
 def resolved(output: Path) -> Path:

@@ -14,8 +14,8 @@ _OWN_CGROUP = Path("/proc/self/cgroup")
 
 def thread_count(threads: int) -> int:
     """Number of threads to use: ``threads``, or all processors this process may use when it is 0."""
-    if threads < 0 or threads > 1024:
-        raise UsageError(f"`threads` {threads}: give a number from 1 to 1024, or 0 for all processors")
+    if not (hasattr(threads, "__index__") and 0 <= threads <= 1024):
+        raise UsageError(f"`threads` {threads}: give a whole number from 1 to 1024, or 0 for all processors")
     return threads or processor_count()
 
 

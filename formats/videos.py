@@ -44,6 +44,10 @@ _DEMUXERS = {
 
 VIDEO_SUFFIXES = frozenset(suffix for suffixes in _DEMUXERS.values() for suffix in suffixes)
 
+# From PyAV 19 on there is no such option: bytes that are no text are escaped.
+ANY_TEXT: dict[str, Any] = {} if int(av.__version__.split(".")[0]) >= 19 else {"metadata_errors": "replace"}
+"""How files are opened whose titles and comments may be in any encoding; nobody reads them."""
+
 _BOXED_SUFFIXES = frozenset(_DEMUXERS["mov"])
 _FIRST_BOXES = frozenset({b"ftyp", b"styp", b"moov", b"mdat", b"free", b"skip", b"wide", b"pnot"})
 
@@ -221,7 +225,7 @@ def _opened(path: Path) -> Iterator[tuple[InputContainer, VideoStream]]:
     # The path is absolute and local, or "concat:" and "http:" would be FFmpeg's own language.
     only = {"protocol_whitelist": "file", "format_whitelist": ",".join(_DEMUXERS)}
     try:
-        container = av.open(f"file:{path.absolute()}", container_options=only, metadata_errors="replace")
+        container = av.open(f"file:{path.absolute()}", container_options=only, **ANY_TEXT)
     except av.FFmpegError as error:
         if error.errno in (errno.EMFILE, errno.ENFILE, errno.EACCES, errno.EPERM):
             raise _not_opened(path, error.errno, error.strerror) from None

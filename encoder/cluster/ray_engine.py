@@ -77,7 +77,8 @@ class RayEngine:
         ray, quiet = self._ray, {"log_to_driver": False, "logging_level": logging.ERROR}
         try:
             if self._address == LOCAL:
-                ray.init(include_dashboard=False, **quiet)
+                # Without an address, Ray would join a cluster that somebody else has started here, and end with it.
+                ray.init(LOCAL, include_dashboard=False, **quiet)
             else:
                 ray.init(self._address, **quiet)
         except (ConnectionError, TimeoutError, RuntimeError, ValueError) as error:
@@ -127,9 +128,11 @@ class RayEngine:
     def _outcome(self, reference: Any) -> Outcome:
         try:
             outcome: Outcome = self._ray.get(reference)
-        except self._ray.exceptions.RayTaskError:
-            raise
         except self._ray.exceptions.RayError as error:
+            # That what a task is given was lost is an error of the task by its kind.
+            known = self._ray.exceptions
+            if isinstance(error, known.RayTaskError) and not isinstance(error.cause, known.ObjectLostError):
+                raise
             said = str(error).strip().splitlines() or [type(error).__name__]
             return Outcome(problem=f"`cluster`: a worker was lost ({said[0]})", again=True)
         return outcome

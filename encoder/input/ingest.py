@@ -6,7 +6,7 @@ field.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import cv2
@@ -79,8 +79,10 @@ class Ingest:
     def __init__(
         self, rig: Rig, *, holdout: Sequence[str] = (), scale: float = 1.0, lens: Mapping[str, float] | None = None
     ) -> None:
-        if not 0 < scale <= 4:
-            raise UsageError(f"`scale` {scale:g}: give a number above 0 and at most 4, such as 0.5")
+        is_number = isinstance(scale, (int, float, np.floating))
+        if not (is_number and 0 < scale <= 4):
+            given = f"{scale:g}" if is_number else repr(scale)
+            raise UsageError(f"`scale` {given}: give a number above 0 and at most 4, such as 0.5")
         names = [camera.name for camera in rig.cameras]
         check_held_out(rig, holdout)
         rig = _with_lenses(rig, lens) if lens else rig
@@ -163,7 +165,7 @@ def _resized(picture: Picture, size: Size) -> Picture:
 def check_held_out(rig: Rig, holdout: Sequence[str]) -> None:
     """Raises UsageError when a name of ``holdout`` is no camera of the rig."""
     names = [camera.name for camera in rig.cameras]
-    if isinstance(holdout, str):
+    if isinstance(holdout, str) or not isinstance(holdout, Collection):
         raise UsageError(f"`holdout` {holdout}: give a list of names, such as ['{holdout}']")
     for name in holdout:
         if name not in names:

@@ -22,7 +22,7 @@ class TerminalProgress(EncodeObserver):
     def __init__(self, stream: TextIO | None) -> None:
         self._stream = stream
         self._terminal = stream if stream is not None and stream.isatty() else None
-        self._frames, self._frame_count = 0, 0
+        self._frames, self._asked = 0, range(0)
         self._progress: Progress | None = None
 
     def __enter__(self) -> TerminalProgress:
@@ -42,15 +42,14 @@ class TerminalProgress(EncodeObserver):
             print("effects: " + (", ".join(detected) or "none"), file=self._terminal)
 
     def started(self, facts: Mapping[str, Any]) -> None:
-        first, stop = facts["frames"]
-        self._frame_count = stop - first
+        self._asked = range(*facts["frames"])
         if self._terminal and "memory" in facts:
             print(f"memory: up to {facts['memory'] / 2**30:.1f}G", file=self._terminal)
 
     def keyframe_step(self, step: int, steps: int, loss: float) -> None:
         if self._frames:
             note = f"keyframe of another scene {step}/{steps}" if step < steps else ""
-            self._open("frames", "frame").to(self._frames, self._frame_count, note)
+            self._open("frames", "frame").to(self._frames, len(self._asked), note)
         else:
             self._open("keyframe", "step").to(step, steps, f"loss {loss:.4f}")
 
@@ -58,8 +57,8 @@ class TerminalProgress(EncodeObserver):
         if not self._frames:
             self._close()
         progress = self._open("frames", "frame")
-        self._frames += 1
-        progress.to(self._frames, self._frame_count)
+        self._frames += report.frame in self._asked  # A part's first keyframe is another part's.
+        progress.to(self._frames, len(self._asked))
         if self._terminal:
             progress.write(frame_line(report))
 

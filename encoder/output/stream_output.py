@@ -221,6 +221,8 @@ def open_output(
         return FileOutput(output, resume=resume, resumable=resumable, expendable=expendable)
     if resume:
         raise UsageError("`resume`: a pipe cannot be resumed; name a file with `output`")
+    if not (isinstance(output, Path) or hasattr(output, "write")):
+        raise UsageError(f"`output` {output!r}: give a file's name, or an open file")
     return PipeOutput(output.open("wb"), output) if isinstance(output, Path) else PipeOutput(output)
 
 

@@ -81,7 +81,7 @@ def span_text(frames: range) -> str:
 
 def part_frames(only: Frames, take: range, segment: int) -> range:
     """The rig's frames of a part of ``take``; raises UsageError unless it is made of whole segments, or a keyframe."""
-    within = frame_slice(only)
+    within = frame_slice(only, "only")
     frames = range(take.stop)[within]
     asked = f"`only` {frames.start}:{frames.stop}"
     if not len(frames) or frames.step != 1 or frames.start < take.start:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import resource
+import struct
 import time
 import tracemalloc
 from dataclasses import replace
@@ -21,11 +23,18 @@ from decogs.decoder.camera_path import ToFilm
 from decogs.formats.cameras import Camera, camera_centre, project
 from decogs.formats.errors import UsageError
 from decogs.formats.similarity import Similarity
+from decogs.formats.trial import try_apart
 from decogs.formats.usd import UsdWriter
 from decogs.formats.usd_prims import UsdSplats
 
 RIG = Camera("cam00", 640, 480, 500.0, 500.0, 320.0, 240.0, np.eye(4))
 FILM = ToFilm((RIG,), fps=25.0, frame_count=11)
+
+
+@pytest.fixture(autouse=True)
+def read_here_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not in another process first, which takes half a second: what is refused is the same."""
+    monkeypatch.setattr("decogs.decoder.usd_camera.try_apart", lambda *_, **__: None)
 
 
 def turn(degrees: float, axis: tuple[float, float, float]) -> np.ndarray:
@@ -345,6 +354,25 @@ def test_usd_binary_is_bounded_before_it_is_opened(tmp_path: Path, packed: bool)
     with pytest.raises(UsageError, match=r"many\.usd[cz]: may take \d+ MiB to read.*`max_memory`"):
         read_camera_file(path, FILM, 3 << 20)
     assert len(read_camera_file(path, FILM, 32 << 20).cameras) == 1
+
+
+def test_a_count_that_fills_memory_ends_another_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """OpenUSD believes it: of 3 kB, it took 6 GB and ten seconds."""
+    monkeypatch.setattr("decogs.decoder.usd_camera.try_apart", try_apart)
+    path = tmp_path / "shot.usdc"
+    usd(path).Save()
+    data = bytearray(path.read_bytes())
+    (contents,) = struct.unpack_from("<q", data, 16)
+    (sections,) = struct.unpack_from("<Q", data, contents)
+    begins = dict(struct.unpack_from("<16sq8x", data, contents + 8 + 32 * number) for number in range(sections))
+    data[begins[b"STRINGS".ljust(16, b"\0")] + 3] = 128
+    path.write_bytes(data)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(UsageError, match=r"shot\.usdc: is (no USD file that OpenUSD can read|damaged)"):
+        read_camera_file(path, FILM, 256 << 20)
+    kilobytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    assert kilobytes < 100 << 10
+    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss < 2 << 20
 
 
 @pytest.mark.parametrize(

@@ -188,6 +188,21 @@ def test_sound_is_in_step_and_as_long_as_the_pictures(small_stream, tmp_path: Pa
         assert not heard.any()
 
 
+def test_sound_whose_title_is_in_another_encoding_is_taken(small_stream, tmp_path: Path) -> None:
+    with av.open(str(tmp_path / "a.mp4"), "w") as container:
+        container.metadata["title"] = "TITLE"
+        stream = container.add_stream("aac", rate=48_000, layout="stereo")
+        silence = av.AudioFrame.from_ndarray(np.zeros((2, 1024), np.float32), format="fltp", layout="stereo")
+        silence.sample_rate = 48_000
+        container.mux(stream.encode(silence))
+        container.mux(stream.encode(None))
+    data = (tmp_path / "a.mp4").read_bytes()
+    assert b"TITLE" in data
+    (tmp_path / "a.mp4").write_bytes(data.replace(b"TITLE", b"caf\xe9\xff"))
+    settings = VideoSettings(audio=tmp_path / "a.mp4")
+    decode(small_stream.path, tmp_path / "x.mp4", view="cam00", frames=slice(0, 1), video=settings)
+
+
 def test_sound_that_is_none(small_stream, tmp_path: Path) -> None:
     (tmp_path / "noise.wav").write_bytes(b"not a sound" * 100)
     (tmp_path / "film.y4m").write_bytes(b"YUV4MPEG2 W2 H2 F25:1 C444\nFRAME\n" + bytes(12))

@@ -302,6 +302,39 @@ def test_who_may_connect_to_ray_is_said(monkeypatch: pytest.MonkeyPatch) -> None
             RayEngine("local", threads=1, device="cpu")
 
 
+def test_local_joins_no_cluster_of_somebody_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without an address Ray looks for one that runs, and its end would be the encode's."""
+    ray = pytest.importorskip("ray", reason="ray is not installed")
+    asked: list[Any] = []
+
+    def init(*address: str, **_: Any) -> None:
+        asked.extend(address)
+        raise RuntimeError("not here")
+
+    monkeypatch.setattr(ray, "init", init)
+    with pytest.raises(TryAgainError, match="not here"), RayEngine("local", threads=1, device="cpu"):
+        pass
+    assert asked == ["local"]
+
+
+def test_what_a_task_was_given_may_be_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ray says so with an error of the task; any other one is a fault of ours."""
+    ray = pytest.importorskip("ray", reason="ray is not installed")
+    engine = RayEngine("local", threads=1, device="cpu")
+    errors = ray.exceptions
+    for cause, again in ((errors.OwnerDiedError("00" * 28, None, ""), True), (ValueError("ours"), False)):
+
+        def get(_: Any, cause: Exception = cause) -> None:
+            raise errors.RayTaskError("task", "", cause).as_instanceof_cause()
+
+        monkeypatch.setattr(ray, "get", get)
+        if again:
+            assert engine._outcome(None).again
+        else:
+            with pytest.raises(ValueError):  # noqa: PT011 (whatever Ray makes of the text)
+                engine._outcome(None)
+
+
 def test_an_outcome_says_whether_to_try_again(
     rig: Path, settings: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

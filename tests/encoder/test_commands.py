@@ -37,10 +37,10 @@ def tiny_preset(monkeypatch: pytest.MonkeyPatch, tiny_settings: Any) -> None:
 def refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> Callable[..., str]:
     """Runs the command, which must fail with code 2 and leave no output, and returns its one line."""
 
-    def run(rig: Path, *options: str, output: Path | None = None) -> str:
+    def run(rig: Path, *options: str, output: Path | str | None = None) -> str:
         folder = tmp_path / "out"
         folder.mkdir(exist_ok=True)
-        name = output or folder / "scene.dgs"
+        name = folder / "scene.dgs" if output is None else output
         try:
             code = encode_main([str(rig), "-o", str(name), "--preset", "tiny", *options])
         except SystemExit as error:
@@ -50,7 +50,7 @@ def refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> Callable[..., 
         assert printed.out == ""
         assert printed.err.count("\n") == 1
         assert printed.err.startswith("decogs-encode: error: ")
-        assert not name.is_file()
+        assert not Path(name).is_file()
         return printed.err
 
     return run
@@ -191,7 +191,8 @@ def test_options_that_cannot_be(
 
 def test_places_that_cannot_be(moving_rig: Path, refused: Any, tmp_path: Path) -> None:
     assert "missing: no such folder; create it first" in refused(moving_rig, output=tmp_path / "missing" / "x.dgs")
-    assert "is a folder; name a file in it" in refused(moving_rig, output=tmp_path)
+    for folder in (tmp_path, ".", "./", "/", ""):
+        assert "is a folder; name a file in it" in refused(moving_rig, output=folder)
     assert "there is no such folder" in refused(tmp_path / "no_rig")
     assert "no calibration" in refused(tmp_path)
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 import inspect
 import io
 import json
+import math
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from decogs.decoder import open_stream
@@ -63,6 +65,32 @@ def test_auto_looks_at_the_rig_first_and_builds_what_it_calls_for(
     assert "effects: " in screen.getvalue()
     with pytest.raises(UsageError, match="3dgstream has none of them"):
         encode_rig(still_rig, output, settings=tiny_settings, switches=Switches("3dgstream"), effects="auto")
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("threads", (1.5, "2", None, math.nan)),
+        ("scale", ("0.5", None, [1], math.inf)),
+        ("frames", ("0:2", 3, (0, 2), [0, 1], slice(0, 2.5), np.arange(3))),
+        ("only", ("0:2", 3, slice("a"))),
+        ("segment", ("2", 1.5, math.nan, 0)),
+        ("holdout", (5, None, "cam00", [None])),
+        ("targets", (5, {})),
+        ("switches", (5, {})),
+        ("max_memory", ("4G", 1.5, math.inf)),
+        ("output", (None, 5, b"x.dgs")),
+    ],
+)
+def test_what_a_parameter_does_not_take_is_named_before_anything_is_trained(
+    moving_rig: Path, tiny_settings: Any, tmp_path: Path, name: str, values: tuple[Any, ...]
+) -> None:
+    settings = replace(tiny_settings, segment=2, closed=True) if name == "only" else tiny_settings
+    for value in values:
+        given = {"rig": moving_rig, "output": tmp_path / "x.dgs", "settings": settings} | {name: value}
+        with pytest.raises(UsageError, match=f"^`{name}` "):
+            encode_rig(**given)
+    assert not list(tmp_path.glob("x.dgs*"))
 
 
 class Screen(io.StringIO):

@@ -23,10 +23,10 @@ class Terminal(io.StringIO):
 
 def follow(observer: EncodeLog | TerminalProgress, report: FrameReport) -> None:
     with observer as progress:
-        progress.started({"frames": [0, 2]})
+        progress.started({"frames": [2, 4]})
         for step in range(1, 101):
             progress.keyframe_step(step, 100, 0.5 / step)
-        progress.frame(replace(report, frame=0, kind="key", held_out_psnr=None))
+        progress.frame(replace(report, frame=2, kind="key", held_out_psnr=None))
         progress.frame(report)
         progress.finished({"bytes": 5})
 
@@ -45,6 +45,18 @@ def test_a_pipe_gets_lines_of_keyframe_and_frames(frame_report: FrameReport, mon
     assert len([line for line in lines if line.startswith("keyframe: ")]) == 10, "every tenth of 100 steps"
     assert lines[-2].startswith("frames: 1 of 2 frames, 0:00 elapsed, about 0:00 left")
     assert lines[-1] == "frames: 2 of 2 frames, 0:00 elapsed"
+
+
+def test_the_first_keyframe_is_none_of_the_frames_of_a_later_part(
+    frame_report: FrameReport, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("decogs.formats.progress._PAUSE", 0.0)
+    pipe = io.StringIO()
+    with TerminalProgress(pipe) as progress:
+        progress.started({"frames": [2, 4]})
+        for frame in (0, 2, 3):
+            progress.frame(replace(frame_report, frame=frame))
+    assert pipe.getvalue().splitlines()[-1] == "frames: 2 of 2 frames, 0:00 elapsed"
 
 
 def test_nobody_need_listen(frame_report: FrameReport, capfd: pytest.CaptureFixture[str]) -> None:
@@ -81,8 +93,8 @@ def test_later_keyframes_open_no_bar_and_replayed_frames_are_told(frame_report: 
     terminal = Terminal()
     with TerminalProgress(terminal) as progress:
         progress.started({"frames": [4, 7]})
-        for frame in range(3):
-            progress.frame(replace(frame_report, frame=frame, kind="key", replayed=frame < 2))
+        for frame in range(4, 7):
+            progress.frame(replace(frame_report, frame=frame, kind="key", replayed=frame < 6))
     shown = terminal.getvalue()
     assert "2/3 [" in shown, "one bar counts all of them"
     assert shown.count("replayed") == 2
@@ -124,7 +136,7 @@ def test_the_log_holds_one_json_object_per_event(frame_report: FrameReport, tmp_
     follow(EncodeLog(path), frame_report)
     records = [json.loads(line) for line in path.read_text().splitlines()]
     assert [record.pop("event") for record in records] == ["start", "frame", "frame", "end"]
-    assert records[0] == {"frames": [0, 2]}
+    assert records[0] == {"frames": [2, 4]}
     elapsed = [record.pop("elapsed") for record in records[1:]]
     assert elapsed == sorted(elapsed)
     assert records[2] == asdict(frame_report)

@@ -556,6 +556,22 @@ def test_too_many_open_files_are_called_so(tmp_path: Path, make: Any) -> None:
             resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
+def test_a_title_in_another_encoding_is_passed_over(tmp_path: Path, make: Any) -> None:
+    """With PyAV before 19, and after."""
+    make.video(tmp_path / "plain.mp4")
+    with av.open(str(tmp_path / "plain.mp4")) as plain, av.open(str(tmp_path / "a.mp4"), "w") as container:
+        container.metadata["title"] = "TITLE"
+        stream = container.add_stream_from_template(plain.streams.video[0])
+        for packet in plain.demux(video=0):
+            if packet.dts is not None:
+                packet.stream = stream
+                container.mux(packet)
+    data = (tmp_path / "a.mp4").read_bytes()
+    assert b"TITLE" in data
+    (tmp_path / "a.mp4").write_bytes(data.replace(b"TITLE", b"caf\xe9\xff"))
+    assert open_video(tmp_path / "a.mp4").frame_count == make.frames
+
+
 def test_a_path_that_is_not_utf8_is_read(tmp_path: Path, make: Any) -> None:
     rig = make.n3dv(tmp_path / "rig")
     odd = Path(os.fsdecode(os.fsencode(tmp_path) + b"/rig\xff"))
