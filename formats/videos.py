@@ -48,6 +48,7 @@ VIDEO_SUFFIXES = frozenset(suffix for suffixes in _DEMUXERS.values() for suffix 
 
 _BOXED_SUFFIXES = frozenset(_DEMUXERS["mov"])
 _FIRST_BOXES = frozenset({b"ftyp", b"styp", b"moov", b"mdat", b"free", b"skip", b"wide", b"pnot"})
+_PICTURE_BOXES = frozenset({b"moov", b"moof", b"mdat"})
 
 _KEYFRAMES_SEEN = 8
 """Of which a frame is decoded when a video is opened, spread over it."""
@@ -201,7 +202,7 @@ def _warning(colours: str) -> str:
 
 
 def _check_whole(path: Path) -> None:
-    """The top-level boxes of an mp4 or mov file end where the file ends. Source: ISO 14496-12, section 4.2."""
+    """The top-level boxes of an mp4 or mov file end before the file ends. Source: ISO 14496-12, section 4.2."""
     if path.suffix.lower() not in _BOXED_SUFFIXES:
         return
     try:
@@ -211,8 +212,12 @@ def _check_whole(path: Path) -> None:
                 file.seek(at)
                 size, kind, long_size = struct.unpack(">I4sQ", file.read(16).ljust(16, b"\0"))
                 size = end - at if size == 0 else long_size if size == 1 else size
-                if size < 8 or (at == 0 and kind not in _FIRST_BOXES):
-                    return  # not made of boxes: the decoder decides
+                if (
+                    size < 8
+                    or (at == 0 and kind not in _FIRST_BOXES)
+                    or (size > end - at and kind not in _PICTURE_BOXES)
+                ):
+                    return  # not made of boxes, or no more: some cameras append notes of their own
                 if size > end - at:
                     raise RigError(f"{path}: the video file is truncated; copy it again from its source")
                 at += size

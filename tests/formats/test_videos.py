@@ -224,6 +224,13 @@ def test_every_truncation_is_found_quietly(tmp_path: Path, make: Any, capfd: pyt
     assert capfd.readouterr() == ("", "")
 
 
+def test_notes_that_a_camera_appends_are_no_truncation(tmp_path: Path) -> None:
+    write(tmp_path / "a.mp4")
+    with (tmp_path / "a.mp4").open("ab") as file:
+        file.write(b"made by camera 7, lens 12" * 10)
+    assert len(list(open_video(tmp_path / "a.mp4").read(0, 6))) == 6
+
+
 @pytest.mark.parametrize("name", ["a.ts", "a.avi", "a.mkv", "a.mxf"])
 def test_a_stream_that_ends_early_is_found_when_it_is_opened(tmp_path: Path, name: str) -> None:
     """Or it has so many frames less, which the comparison with other cameras finds."""
