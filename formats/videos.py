@@ -50,6 +50,8 @@ _BOXED_SUFFIXES = frozenset(_DEMUXERS["mov"])
 _FIRST_BOXES = frozenset({b"ftyp", b"styp", b"moov", b"mdat", b"free", b"skip", b"wide", b"pnot"})
 _PICTURE_BOXES = frozenset({b"moov", b"moof", b"mdat"})
 
+_MAX_FRAMES = 1 << 22
+"""Of a video: five hours at 240 frames per second."""
 _KEYFRAMES_SEEN = 8
 """Of which a frame is decoded when a video is opened, spread over it."""
 _PIXELS_SEEN = 1 << 26
@@ -258,6 +260,7 @@ def _opened(path: Path) -> Iterator[tuple[InputContainer, VideoStream]]:
 
 
 def _list_packets(path: Path) -> _Listing:
+    most = min(path.stat().st_size, _MAX_FRAMES)  # a frame has a byte at least
     with _opened(path) as (container, stream):
         try:
             found = []
@@ -266,6 +269,8 @@ def _list_packets(path: Path) -> _Listing:
                     raise RigError(f"{path}: the video file is truncated or damaged; copy it again from its source")
                 if packet.size and not packet.is_discard:
                     found.append((packet.pts, packet.dts, packet.is_keyframe))
+                if len(found) > most:
+                    raise RigError(f"{path}: the video claims more than {most} frames; re-encode the video")
         except av.FFmpegError as error:
             raise _undecodable(path, "its packets", error) from None
         # Without times of presentation FFmpeg fills in those of decoding, in AVI a little later ones.

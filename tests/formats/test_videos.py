@@ -224,6 +224,16 @@ def test_every_truncation_is_found_quietly(tmp_path: Path, make: Any, capfd: pyt
     assert capfd.readouterr() == ("", "")
 
 
+def test_endless_frames_are_not_listed(tmp_path: Path, make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tables of a small file can claim the same bytes as millions of frames."""
+    make.video(tmp_path / "a.mp4", frames=6)
+    monkeypatch.setattr(videos, "_MAX_FRAMES", 5)
+    with pytest.raises(RigError, match=r"a\.mp4: the video claims more than 5 frames"):
+        open_video(tmp_path / "a.mp4")
+    monkeypatch.setattr(videos, "_MAX_FRAMES", 6)
+    assert open_video(tmp_path / "a.mp4").frame_count == 6
+
+
 def test_notes_that_a_camera_appends_are_no_truncation(tmp_path: Path) -> None:
     write(tmp_path / "a.mp4")
     with (tmp_path / "a.mp4").open("ab") as file:
