@@ -143,8 +143,8 @@ def _colour_names(path: Path, names: Collection[str]) -> tuple[str, str, str]:
     """The channels that are red, green and blue."""
     if {"R", "G", "B"} <= set(names):
         return "R", "G", "B"
-    if "Y" in names and {"RY", "BY"} & set(names):
-        raise RigError(f"{path}: luminance/chroma EXR (Y, RY, BY) is not read; write it as plain RGB")
+    if "Y" in names and ({"RY", "BY"} & set(names) or {"X", "Z"} <= set(names)):  # Z alone is depth
+        raise RigError(f"{path}: luminance/chroma (Y, RY, BY) and XYZ EXR are not read; write it as plain RGB")
     if "Y" not in names:
         found = ", ".join(repr(name) for name in sorted(names)) or "none"
         raise RigError(f"{path}: needs channels R, G, B (or Y), but has {found}; write it as plain RGB")

@@ -29,6 +29,7 @@ from .picture_headers import (
     tiff_as_stored,
 )
 from .quiet import quiet_opencv
+from .regular_files import open_regular
 
 __all__ = ["MAX_PIXELS", "PICTURE_SUFFIXES", "Picture", "PictureFacts", "picture_facts", "read_picture"]
 
@@ -81,7 +82,8 @@ def _warnings(header: PictureHeader) -> list[str]:
 
 def _read_bytes(path: Path) -> bytes:
     try:
-        return path.read_bytes()
+        with open_regular(path) as file:
+            return file.read()
     except OSError as error:
         raise RigError(f"{path}: cannot be read ({error.strerror}); put the picture back or fix its rights") from None
 

@@ -8,6 +8,7 @@ and frames flagged interlaced are found before training starts. What is found la
 from __future__ import annotations
 
 import errno
+import os
 import struct
 from collections.abc import Generator, Iterator
 from contextlib import closing, contextmanager
@@ -17,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import av
 import numpy as np
+from av.codec.context import Flags
 from av.sidedata.sidedata import Type as SideData
 from av.stream import Disposition
 from numpy.typing import NDArray
@@ -50,7 +52,10 @@ ANY_TEXT: dict[str, Any] = {} if int(av.__version__.split(".")[0]) >= 19 else {"
 
 _BOXED_SUFFIXES = frozenset(_DEMUXERS["mov"])
 _FIRST_BOXES = frozenset({b"ftyp", b"styp", b"moov", b"mdat", b"free", b"skip", b"wide", b"pnot"})
+_PICTURE_BOXES = frozenset({b"moov", b"moof", b"mdat"})
 
+_MAX_FRAMES = 1 << 22
+"""Of a video: five hours at 240 frames per second."""
 _KEYFRAMES_SEEN = 8
 """Of which a frame is decoded when a video is opened, spread over it."""
 _PIXELS_SEEN = 1 << 26
@@ -138,29 +143,28 @@ class VideoSource:
         return nearest
 
     def _picture(self, frame: VideoFrame, index: int) -> NDArray[np.uint8]:
-        _check_frame(self.path, frame, index)
+        _check_frame(self.path, frame, index, (self.width, self.height) if self.turn[0] else (self.height, self.width))
         try:
-            picture = _turned(to_rgb(frame, self.siting), self.turn)
+            return _turned(to_rgb(frame, self.siting), self.turn)
         except (ValueError, av.FFmpegError) as error:
             raise RigError(f"{self.path}: colours coded as {error} are not read; convert it to BT.709") from None
-        if picture.shape != (self.height, self.width, 3):
-            raise RigError(
-                f"{self.path}: frame {index} is {picture.shape[1]} x {picture.shape[0]} pixels, the video started with "
-                f"{self.width} x {self.height}; re-encode it to one size"
-            )
-        return picture
 
 
 @dataclass(frozen=True)
 class _Listing:
     """What a container says of a track: times of its frames (sorted; None if there are no usable ones) and of its
-    keyframes, in the track's own ``unit`` of seconds, the number of its packets, and frames per second."""
+    keyframes, in the track's own ``unit`` of seconds, the number of its packets, and frames per second.
+
+    ``in_coded_order``: the times are those of decoding, as AVI and most of MXF have no others, and frames may be shown
+    in another order.
+    """
 
     times: NDArray[np.int64] | None
     keyframes: NDArray[np.int64]
     packets: int
     unit: float
     stated_fps: float
+    in_coded_order: bool = False
 
 
 def open_video(path: Path) -> VideoSource:
@@ -170,7 +174,8 @@ def open_video(path: Path) -> VideoSource:
     or a variable frame rate.
     """
     if not path.is_file():
-        raise RigError(f"{path}: the video is missing; put it back or take its camera out of the calibration")
+        lacks = "is no regular file" if os.path.exists(path) else "the video is missing"
+        raise RigError(f"{path}: {lacks}; put the video back or take its camera out of the calibration")
     _check_whole(path)
     listing = _list_packets(path)
     if not listing.packets:
@@ -183,13 +188,16 @@ def open_video(path: Path) -> VideoSource:
         colours = colours_of(int(context.color_trc), int(context.color_primaries))
         # Pictures shown before the first one that a decoder shows: a cut at an open GOP leaves their packets.
         times = None if listing.times is None else listing.times[listing.times >= (first.pts or 0)]
-        count = _count(path) if times is None else times.size
         if times is not None:
             _check_constant_rate(path, times * (1000 * listing.unit))
-            _look_through(path, container, stream, times, listing.keyframes)
+        fps = _rate(listing.stated_fps, None if times is None else times * listing.unit)
+        if times is None or listing.in_coded_order:
+            times, count = None, _count(path, first)
+        else:
+            count = times.size
+            _look_through(path, container, stream, times, listing.keyframes, first)
         turn = _turn(path, first)
         width, height = (first.width, first.height) if turn[0] else (first.height, first.width)
-        fps = _rate(listing.stated_fps, None if times is None else times * listing.unit)
         video = VideoSource(path, width, height, count, fps, times, listing.keyframes, turn=turn)
         video._picture(first, 0)
     return replace(video, siting=chroma_siting(first), warnings=(_warning(colours),) if colours else ())
@@ -200,7 +208,7 @@ def _warning(colours: str) -> str:
 
 
 def _check_whole(path: Path) -> None:
-    """The top-level boxes of an mp4 or mov file end where the file ends. Source: ISO 14496-12, section 4.2."""
+    """The top-level boxes of an mp4 or mov file end before the file ends. Source: ISO 14496-12, section 4.2."""
     if path.suffix.lower() not in _BOXED_SUFFIXES:
         return
     try:
@@ -210,8 +218,12 @@ def _check_whole(path: Path) -> None:
                 file.seek(at)
                 size, kind, long_size = struct.unpack(">I4sQ", file.read(16).ljust(16, b"\0"))
                 size = end - at if size == 0 else long_size if size == 1 else size
-                if size < 8 or (at == 0 and kind not in _FIRST_BOXES):
-                    return  # not made of boxes: the decoder decides
+                if (
+                    size < 8
+                    or (at == 0 and kind not in _FIRST_BOXES)
+                    or (size > end - at and kind not in _PICTURE_BOXES)
+                ):
+                    return  # not made of boxes, or no more: some cameras append notes of their own
                 if size > end - at:
                     raise RigError(f"{path}: the video file is truncated; copy it again from its source")
                 at += size
@@ -247,10 +259,12 @@ def _opened(path: Path) -> Iterator[tuple[InputContainer, VideoStream]]:
         # A rig has tens of videos, which are read side by side: every further thread would hold another frame.
         context.thread_count = 1
         context.options = {"max_pixels": str(MAX_PIXELS)}
+        context.flags |= Flags.unaligned  # or columns that the stream crops would show on the left
         yield container, stream
 
 
 def _list_packets(path: Path) -> _Listing:
+    most = min(path.stat().st_size, _MAX_FRAMES)  # a frame has a byte at least
     with _opened(path) as (container, stream):
         try:
             found = []
@@ -258,16 +272,23 @@ def _list_packets(path: Path) -> _Listing:
                 if packet.is_corrupt:
                     raise RigError(f"{path}: the video file is truncated or damaged; copy it again from its source")
                 if packet.size and not packet.is_discard:
-                    found.append((packet.pts, packet.is_keyframe))
+                    found.append((packet.pts, packet.dts, packet.is_keyframe))
+                if len(found) > most:
+                    raise RigError(f"{path}: the video claims more than {most} frames; re-encode the video")
         except av.FFmpegError as error:
             raise _undecodable(path, "its packets", error) from None
+        # Without times of presentation FFmpeg fills in those of decoding, in AVI a little later ones.
+        guessed = container.format.name == "avi" or all(shown == decoded for shown, decoded, _ in found)
+        reorders = stream.codec_context.has_b_frames
         unit, stated = float(stream.time_base or 0), float(stream.average_rate or stream.guessed_rate or 0)
-    if any(time is None for time, _ in found):
+    if any(time is None for time, _, _ in found):
         return _Listing(None, np.zeros(0, np.int64), len(found), unit, stated)
-    times = np.sort(np.array([time for time, _ in found], np.int64))
-    keyframes = np.sort(np.array([time for time, is_key in found if is_key], np.int64))
+    coded = np.array([time for time, _, _ in found], np.int64)
+    times = np.sort(coded)
+    keyframes = np.sort(np.array([time for time, _, is_key in found if is_key], np.int64))
     usable = times.size == 1 or bool(times.size and np.diff(times).min() > 0)
-    return _Listing(times if usable else None, keyframes, len(found), unit, stated)
+    in_coded_order = guessed and reorders and bool((coded == times).all())
+    return _Listing(times if usable else None, keyframes, len(found), unit, stated, in_coded_order)
 
 
 def _look_through(
@@ -276,6 +297,7 @@ def _look_through(
     stream: VideoStream,
     times: NDArray[np.int64],
     keyframes: NDArray[np.int64],
+    first: VideoFrame,
 ) -> None:
     """Decodes a frame at some keyframes, and all from the last keyframe on where those are few."""
     shown = keyframes[keyframes >= times[0]]
@@ -286,7 +308,7 @@ def _look_through(
             return
         frame = next(_decoded(path, container, stream), None)
         if frame is not None and frame.pts is not None:
-            _check_frame(path, frame, int(np.searchsorted(times, frame.pts)))
+            _check_frame(path, frame, int(np.searchsorted(times, frame.pts)), (first.width, first.height))
     last = int(shown[-1])
     if (times >= last).sum() * stream.width * stream.height > _PIXELS_SEEN or not _seek(container, stream, last):
         return
@@ -296,17 +318,17 @@ def _look_through(
             continue
         # Pictures that need what lies before the keyframe may not be shown after a seek.
         index = int(np.searchsorted(times, frame.pts)) if index is None else index + 1
-        _check_frame(path, frame, index)
+        _check_frame(path, frame, index, (first.width, first.height))
     if index is not None and index + 1 < times.size:
         raise _ended(path, index + 1, times.size)
 
 
-def _count(path: Path) -> int:
-    """Frames of a video without usable times."""
+def _count(path: Path, first: VideoFrame) -> int:
+    """Frames of a video whose times do not tell them apart."""
     count = 0
     with _opened(path) as (container, stream):
         for frame in _decoded(path, container, stream):
-            _check_frame(path, frame, count)
+            _check_frame(path, frame, count, (first.width, first.height))
             count += 1
     return count
 
@@ -327,7 +349,8 @@ def _seek(container: InputContainer, stream: VideoStream, time: int) -> bool:
     return True
 
 
-def _check_frame(path: Path, frame: VideoFrame, index: int) -> None:
+def _check_frame(path: Path, frame: VideoFrame, index: int, size: tuple[int, int]) -> None:
+    """Raises RigError for a frame that is interlaced, damaged, or not of this width and height, as coded."""
     if frame.interlaced_frame:
         raise RigError(
             f"{path}: frame {index} is flagged interlaced; deinterlace the video (ffmpeg -vf bwdif), or, where its "
@@ -335,6 +358,11 @@ def _check_frame(path: Path, frame: VideoFrame, index: int) -> None:
         )
     if frame.is_corrupt:
         raise RigError(f"{path}: frame {index} is damaged; re-encode the video")
+    if (frame.width, frame.height) != size:
+        raise RigError(
+            f"{path}: frame {index} is {frame.width} x {frame.height} pixels, the video started with {size[0]} x "
+            f"{size[1]}; re-encode it to one size"
+        )
 
 
 def _turn(path: Path, frame: VideoFrame) -> tuple[int, int, int, int]:

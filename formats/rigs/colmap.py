@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from ..cameras import Camera, DistortionModel
 from ..errors import RigError
 from ..pictures import PICTURE_SUFFIXES
+from ..regular_files import open_regular
 from ..rotations import rotation_rows
 from ..videos import VIDEO_SUFFIXES
 from .calibration import calibrated_camera, rigid_pose
@@ -49,6 +50,8 @@ _ONE_FOCAL_LENGTH = frozenset(
 
 _SAME_POSE = 1e-4
 """Several images of one fixed camera may differ by this in rotation, and in position as a share of its distance."""
+_COPIED_POSE = 1e-9
+"""Poses that were calculated apart from each other differ by more."""
 
 
 @dataclass(frozen=True)
@@ -255,7 +258,20 @@ def _cameras_of(
                 "those of several cameras need a folder each, or lie in images/ with one picture each"
             )
         cameras.setdefault(place, camera)
+    _check_apart(model, list(cameras.values()))
     return cameras
+
+
+def _check_apart(model: Path, cameras: Sequence[Camera]) -> None:
+    """No two cameras stand in one place and look one way: frames of one camera would be taken for several of them."""
+    poses = np.array([camera.world_to_camera for camera in cameras])
+    for number, camera in enumerate(cameras):
+        like = np.flatnonzero(np.abs(poses[:number] - poses[number]).max(axis=(1, 2)) < _COPIED_POSE)
+        if like.size:
+            raise RigError(
+                f"{model}: {cameras[like[0]].name} and {camera.name} have one pose, as frames of one camera have; give "
+                "each camera a folder of its own for its frames"
+            )
 
 
 def _same_pose(one: Camera, other: Camera) -> bool:
@@ -350,7 +366,8 @@ class _Bytes:
 
 def _read_file(path: Path) -> bytes:
     try:
-        return path.read_bytes()
+        with open_regular(path) as file:
+            return file.read()
     except OSError as error:
         raise RigError(f"{path}: cannot be read ({error.strerror}); export the COLMAP model again") from None
 

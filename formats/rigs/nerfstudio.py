@@ -36,6 +36,8 @@ _COEFFICIENTS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 _LENS_NUMBERS = ("fl_x", "fl_y", "cx", "cy", "w", "h", "camera_angle_x", "camera_angle_y", *_COEFFICIENTS)
 _OTHER_LENSES = ("ftheta_p0", "latlong", "equirectangular")
 """Lenses of instant-ngp."""
+_LIKE_COEFFICIENTS = re.compile("[kpsb][0-9]|skew|distortion_params")
+"""Names of what would bend a picture; those that are not among the coefficients are not read."""
 
 _MASKS = ("mask_path", "fisheye_crop_radius")
 """What excludes pixels from training."""
@@ -173,10 +175,15 @@ def _check_in_step(path: Path, names: Sequence[str], groups: Sequence[Sequence[_
             raise _moving(str(path), "every entry has its own pose and time")
         _check_instants(path, names, times)
     elif all(len(_folders(group)) == len(group) > 1 for group in groups):
-        named = zip(names, groups, strict=True)
-        folders = [[str(Path(*(p for p in e.path.parent.parts if p != name))) for e in group] for name, group in named]
+        folders = [[_instant(entry.path, name) for entry in group] for name, group in zip(names, groups, strict=True)]
         if len(set(chain(*folders))) < sum(map(len, folders)):  # else cameras have none in common
             _check_instants(path, names, folders)
+
+
+def _instant(path: Path, camera: str) -> str:
+    """The folder of a picture, without the camera's own name: t0 of t0/cam00.png and of cam00/t0/rgb.png."""
+    folder = path.parent
+    return str(folder if path.stem == camera else Path(*(part for part in folder.parts if part != camera)))
 
 
 def _check_instants(path: Path, names: Sequence[str], instants: Sequence[Sequence[str]]) -> None:
@@ -260,6 +267,13 @@ def _distortion(fields: Fields) -> tuple[DistortionModel, tuple[float, ...]]:
     if model not in _FISHEYE | _OPENCV or others:
         key, what = (others[0], "is set") if others else ("camera_model", f"is {model!r}")
         raise fields.wrong(key, f"{what}, which is not supported; undistort the pictures first")
+    for key, value in fields.values.items():
+        if (
+            _LIKE_COEFFICIENTS.fullmatch(key)
+            and key not in _COEFFICIENTS
+            and (any(value) if isinstance(value, list) else value)
+        ):
+            raise fields.wrong(key, f"is not read; known are {', '.join(_COEFFICIENTS)}")
     k1, k2, k3, k4, k5, k6, p1, p2 = (fields.number(key, 0.0) for key in _COEFFICIENTS)
     if model in _FISHEYE:
         unknown = [key for key, value in zip(_COEFFICIENTS[4:], (k5, k6, p1, p2), strict=True) if value]

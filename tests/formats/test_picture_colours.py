@@ -354,10 +354,10 @@ def test_a_light_that_other_primaries_make_infinite_is_named(tmp_path: Path) -> 
 def test_luminance_and_chroma_are_refused_by_name(tmp_path: Path) -> None:
     """They cannot be written by the binding with subsampled chroma; what is told is the names."""
     plane = np.ones((4, 6), np.float16)
-    for names in (("Y", "RY", "BY"), ("Y", "BY")):
+    for names in (("Y", "RY", "BY"), ("Y", "BY"), ("X", "Y", "Z")):
         write_exr(tmp_path / "a.exr", dict.fromkeys(names, plane))
         with pytest.raises(
-            RigError, match=r"a\.exr: luminance/chroma EXR \(Y, RY, BY\) is not read; write it as plain"
+            RigError, match=r"a\.exr: luminance/chroma \(Y, RY, BY\) and XYZ EXR are not read; write it as plain"
         ):
             read_picture(tmp_path / "a.exr")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -204,6 +205,13 @@ def test_other_files_are_refused(tmp_path: Path, name: str, content: bytes, mess
     (tmp_path / name).write_bytes(content)
     with pytest.raises(RigError, match=message):
         read_picture(tmp_path / name)
+
+
+@pytest.mark.parametrize("look", [read_picture, picture_facts])
+def test_a_device_is_no_picture(tmp_path: Path, look: Callable[[Path], object]) -> None:
+    (tmp_path / "a.png").symlink_to("/dev/null")
+    with pytest.raises(RigError, match=r"a\.png: cannot be read \(this is no regular file\)"):
+        look(tmp_path / "a.png")
 
 
 def test_missing_picture(tmp_path: Path) -> None:

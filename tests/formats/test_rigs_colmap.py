@@ -95,6 +95,25 @@ def test_pictures_of_several_cameras_in_one_folder_are_told_what_to_do(tmp_path:
 # --- frames without a pose, poses without frames --------------------------------------------------------------------
 
 
+def test_frames_of_one_camera_are_not_taken_for_several_cameras(tmp_path: Path, make: Any) -> None:
+    names = ["cam00_0000", "cam00_0001", "cam01_0000", "cam01_0001"]
+    for name in names:
+        make.pictures(tmp_path / "made", frames=1)
+        (tmp_path / "images").mkdir(exist_ok=True)
+        (tmp_path / "made/0000.png").rename(tmp_path / f"images/{name}.png")
+    make.colmap_model(tmp_path / "sparse/0", [f"{name}.png" for name in names], text=False, indices=[0, 0, 1, 1])
+    with pytest.raises(RigError, match=r"sparse/0: cam00_0000 and cam00_0001 have one pose, .* a folder of its own"):
+        open_rig(tmp_path)
+
+
+def test_a_model_file_that_is_none(tmp_path: Path, make: Any) -> None:
+    images = make.colmap(tmp_path, text=True) / "sparse/0/images.txt"
+    images.unlink()
+    images.symlink_to("/dev/null")
+    with pytest.raises(RigError, match=r"images\.txt: cannot be read \(this is no regular file\)"):
+        open_rig(tmp_path)
+
+
 def test_folders_without_a_pose_are_said(tmp_path: Path, make: Any) -> None:
     for name in (*NAMES, "cam03", "cam04"):
         make.pictures(tmp_path / name)

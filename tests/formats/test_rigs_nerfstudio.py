@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -133,6 +134,17 @@ def test_cameras_out_of_step_are_refused(tmp_path: Path, make: Any) -> None:
         open_rig(write(tmp_path, make, again))
 
 
+@pytest.mark.parametrize("path", ["{k:04d}/{i:04d}.png", "frames/{k:02d}/images/{i:02d}.png"])
+def test_instants_that_are_called_as_cameras_are(tmp_path: Path, make: Any, path: str) -> None:
+    paths = {(i, k): path.format(i=i, k=k) for i in range(3) for k in range(3)}
+    make.pictures(tmp_path / "made", frames=3)
+    for (_, k), name in paths.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(tmp_path / f"made/{k:04d}.png", tmp_path / name)
+    rig = open_rig(write(tmp_path, make, [(i, name, {}) for (i, _), name in paths.items()]))
+    check(rig, make, [Path(paths[i, 0]).stem for i in range(3)])
+
+
 def test_a_folder_per_instant_where_one_camera_lacks_an_instant(tmp_path: Path, make: Any) -> None:
     path = "images/{frame:04d}/{camera}.png"
     pictures(tmp_path, make, path)
@@ -237,11 +249,19 @@ def test_the_rational_lens(tmp_path: Path, make: Any, change: dict[str, Any], la
         ({"ftheta_p0": 0.0}, "'ftheta_p0' is set, which is not supported; undistort"),
         ({"equirectangular": True}, "'equirectangular' is set, which is not supported; undistort"),
         ({"k4": 0.1}, "'k4' is a fourth radial coefficient"),
+        ({"distortion_params": [0.1, 0, 0, 0, 0, 0]}, "'distortion_params' is not read; known are k1, k2"),
+        ({"s1": 0.1}, "'s1' is not read; known are k1, k2"),
+        ({"skew": 0.1}, "'skew' is not read; known are k1, k2"),
     ],
 )
 def test_lens_fields_are_not_dropped(tmp_path: Path, make: Any, change: dict[str, Any], pattern: str) -> None:
     with pytest.raises(RigError, match=pattern):
         open_rig(make.nerfstudio(tmp_path, entries_of_videos(make) | change))
+
+
+def test_lens_fields_of_zero_bend_nothing(tmp_path: Path, make: Any) -> None:
+    zeros = {"distortion_params": [0, 0, 0, 0, 0, 0], "s1": 0, "skew": 0.0}
+    assert open_rig(make.nerfstudio(tmp_path, entries_of_videos(make) | zeros)).cameras[0].distortion[0] == 0.1
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,7 @@ import pytest
 from decogs.formats import videos
 from decogs.formats.errors import RigError
 from decogs.formats.rigs import open_rig, read_frames
+from decogs.formats.video_colours import to_rgb
 from decogs.formats.videos import VideoSource, open_video
 
 CODEC_TOLERANCE = 4
@@ -223,6 +224,23 @@ def test_every_truncation_is_found_quietly(tmp_path: Path, make: Any, capfd: pyt
     assert capfd.readouterr() == ("", "")
 
 
+def test_endless_frames_are_not_listed(tmp_path: Path, make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tables of a small file can claim the same bytes as millions of frames."""
+    make.video(tmp_path / "a.mp4", frames=6)
+    monkeypatch.setattr(videos, "_MAX_FRAMES", 5)
+    with pytest.raises(RigError, match=r"a\.mp4: the video claims more than 5 frames"):
+        open_video(tmp_path / "a.mp4")
+    monkeypatch.setattr(videos, "_MAX_FRAMES", 6)
+    assert open_video(tmp_path / "a.mp4").frame_count == 6
+
+
+def test_notes_that_a_camera_appends_are_no_truncation(tmp_path: Path) -> None:
+    write(tmp_path / "a.mp4")
+    with (tmp_path / "a.mp4").open("ab") as file:
+        file.write(b"made by camera 7, lens 12" * 10)
+    assert len(list(open_video(tmp_path / "a.mp4").read(0, 6))) == 6
+
+
 @pytest.mark.parametrize("name", ["a.ts", "a.avi", "a.mkv", "a.mxf"])
 def test_a_stream_that_ends_early_is_found_when_it_is_opened(tmp_path: Path, name: str) -> None:
     """Or it has so many frames less, which the comparison with other cameras finds."""
@@ -271,6 +289,14 @@ def test_no_video(tmp_path: Path, content: bytes, capfd: pytest.CaptureFixture[s
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.parametrize("kind", ["pipe", "device", "folder"])
+def test_what_is_no_file_is_not_waited_for(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "a.mp4"
+    {"pipe": lambda: os.mkfifo(path), "device": lambda: path.symlink_to("/dev/zero"), "folder": path.mkdir}[kind]()
+    with pytest.raises(RigError, match=r"a\.mp4: is no regular file"):
+        open_video(path)
+
+
 def test_missing_video(tmp_path: Path) -> None:
     with pytest.raises(RigError, match=r"gone\.mp4: the video is missing"):
         open_video(tmp_path / "gone.mp4")
@@ -282,6 +308,27 @@ def test_a_list_of_other_files_is_no_video(tmp_path: Path, make: Any, text: str)
     (tmp_path / "cam00.mp4").write_text(text)
     with pytest.raises(RigError, match=r"cam00\.mp4: the file is no video"):
         open_video(tmp_path / "cam00.mp4")
+
+
+@pytest.mark.parametrize(("name", "reordered"), [("a.avi", True), ("a.mxf", True), ("raw.mp4", True), ("a.mp4", False)])
+def test_frames_are_in_order_where_only_their_coding_has_times(tmp_path: Path, name: str, reordered: bool) -> None:
+    """AVI has no times of presentation, MXF few, and copying a stream without a container cannot restore them."""
+    if name != "raw.mp4":
+        source = long_video(tmp_path / name, g="50", bf="3", preset="faster")
+    else:
+        long_video(tmp_path / "b.mp4", g="50", bf="3", preset="faster")
+        with av.open(str(tmp_path / "b.mp4")) as whole, av.open(str(tmp_path / name), "w") as copy:
+            target = copy.add_stream_from_template(whole.streams.video[0])
+            for packet in (packet for packet in whole.demux(video=0) if packet.size):
+                packet.pts, packet.stream = packet.dts, target
+                copy.mux(packet)
+        source = open_video(tmp_path / name)
+    assert (source.times is None) == reordered
+    frames = list(source.read(0, source.frame_count))
+    with av.open(str(tmp_path / name)) as container:
+        shown = [to_rgb(frame, source.siting) for frame in container.decode(video=0)]
+    assert all((ours == theirs).all() for ours, theirs in zip(frames, shown, strict=True))
+    np.testing.assert_array_equal(list(source.read(120, 123)), frames[120:123])
 
 
 def test_reordered_frames_of_the_sample_rig() -> None:
@@ -372,6 +419,42 @@ def test_one_frame_that_nobody_saw_when_opening_stops_the_reading(
     assert sum(1 for _ in zip(range(3), reader, strict=False)) == 3
     with pytest.raises(RigError, match=r"a\.mkv: frame 3 is flagged interlaced"):
         next(reader)
+
+
+def test_a_size_that_changes_is_found_when_the_video_is_opened(tmp_path: Path) -> None:
+    with av.open(str(tmp_path / "a.ts"), "w") as container:
+        container_stream = container.add_stream("libx264", rate=25, options=X264 | {"bf": "0"})
+        container_stream.width, container_stream.height, container_stream.pix_fmt = 64, 48, "yuv420p"
+        for part, size in enumerate([(64, 48), (96, 64)]):
+            coder = av.CodecContext.create("libx264", "w")
+            coder.width, coder.height, coder.pix_fmt, coder.options = *size, "yuv420p", X264 | {"bf": "0"}
+            coder.time_base = Fraction(1, 25)
+            for t in range(12):
+                frame = av.VideoFrame.from_ndarray(texture(size), format="rgb24").reformat(format="yuv420p")
+                frame.pts = 12 * part + t
+                for packet in coder.encode(frame):
+                    packet.stream = container_stream
+                    container.mux(packet)
+            for packet in coder.encode():
+                packet.stream = container_stream
+                container.mux(packet)
+    with pytest.raises(RigError, match=r"a\.ts: frame 12 is 96 x 64 pixels, the video started with 64 x 48"):
+        open_video(tmp_path / "a.ts")
+
+
+def test_columns_that_the_stream_crops_are_not_shown(tmp_path: Path) -> None:
+    shown = write(tmp_path / "whole.mp4", frames=2)
+    with av.open(str(tmp_path / "whole.mp4")) as whole, av.open(str(tmp_path / "a.mp4"), "w") as copy:
+        source = whole.streams.video[0]
+        target = copy.add_stream_from_template(source)
+        crop = av.BitStreamFilterContext("h264_metadata=crop_left=10:crop_right=6:crop_top=4", source, target)
+        for packet in (packet for given in whole.demux(source) if given.size for packet in crop.filter(given)):
+            packet.stream = target
+            copy.mux(packet)
+    video = open_video(tmp_path / "a.mp4")
+    for picture, expected in zip(video.read(0, 2), shown, strict=True):
+        assert picture.shape == (44, 48, 3)
+        assert np.abs(picture.astype(float) - expected[4:, 10:58]).mean() < 3
 
 
 def test_pictures_before_an_open_gops_keyframe_are_not_counted(tmp_path: Path) -> None:
