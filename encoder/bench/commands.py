@@ -27,20 +27,20 @@ def bench_parser() -> Parser:
         epilog="Results are kept in OUTPUT/runs: an interrupted report goes on where it stopped.",
     )
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="KIND")
-    paper = kinds.add_parser(
-        "paper", help="the paper's tables and figures: methods, components, frame rates, tau and r"
-    )
-    choices = kinds.add_parser("choices", help="what the paper leaves open and every default, one table per question")
-    rates = kinds.add_parser("rates", help="rate and distortion: several rates, and other ways to keep the same frames")
-    effects = kinds.add_parser("effects", help="detected effects, all, none, and each one wrongly disabled")
-    curve = kinds.add_parser(
-        "curve", help="what accuracy costs in time: presets and single settings, the Pareto front, a page to explore"
-    )
-    views = kinds.add_parser("views", help="viewpoints where no camera stood: every camera left out in turn")
-    for kind in (paper, choices, rates, effects, curve):
+    for name, seeds, about in (
+        ("paper", 1, "the paper's tables and figures: methods, components, frame rates, tau and r"),
+        ("choices", 3, "what the paper leaves open and every default, one table per question"),
+        ("rates", 1, "rate and distortion: several rates, and other ways to keep the same frames"),
+        ("effects", 3, "detected effects, all, none, and each one wrongly disabled"),
+        ("curve", 3, "what accuracy costs in time: presets and single settings, the Pareto front, a page to explore"),
+    ):
+        # No abbreviations: --seed 7, one seed elsewhere, would be seven of them here.
+        kind = kinds.add_parser(name, help=about, allow_abbrev=False)
         _add_options(kind, frames="all")
-        _add_options_of_variants(kind)
+        _add_options_of_variants(kind, seeds)
+    views = kinds.add_parser("views", help="viewpoints where no camera stood: every camera left out in turn")
     _add_options(views, frames="the first alone")
+    views.add_argument("--seed", type=whole_number, default=0, metavar="N", help="of all runs (default 0)")
     views.add_argument(
         "--cameras", default="all", metavar="C", help="all, a number of them, evenly spread, or names with commas"
     )
@@ -56,12 +56,18 @@ def _add_options(parser: Parser, *, frames: str) -> None:
         "--preset", dest="settings", default="standard", metavar="P", help="what encodes start from (default standard)"
     )
     parser.add_argument("--threads", type=number_of_threads, default=0, metavar="N", help="default: all processors")
-    parser.add_argument("--seed", type=whole_number, default=0, metavar="N", help="of all runs (default 0)")
     parser.add_argument("--any-code", action="store_true", help="take results that other code made")
     parser.add_quiet()
 
 
-def _add_options_of_variants(parser: argparse.ArgumentParser) -> None:
+def _add_options_of_variants(parser: argparse.ArgumentParser, seeds: int) -> None:
+    parser.add_argument(
+        "--seeds",
+        type=_seeds,
+        default=range(seeds),
+        metavar="N",
+        help=f"so many seeds from 0 on, or a list (0,3,7): means, standard errors, differences (default {seeds})",
+    )
     parser.add_argument(
         "--holdout",
         action="append",
@@ -72,6 +78,12 @@ def _add_options_of_variants(parser: argparse.ArgumentParser) -> None:
         "--only", default="", metavar="PARTS", help="run for these tables only (with commas); none: no run"
     )
     parser.add_argument("--keep-streams", action="store_true", help="leave the .dgs files in OUTPUT/streams")
+
+
+def _seeds(text: str) -> Sequence[int]:
+    """So many seeds from 0 on, or those in a list with commas ("7," has one)."""
+    numbers = [whole_number(word) for word in text.removesuffix(",").split(",")]
+    return numbers if "," in text else range(numbers[0])
 
 
 def _bench(parser: Parser, options: argparse.Namespace, given: Sequence[str]) -> None:
@@ -120,7 +132,7 @@ def _report_of_variants(parser: Parser, options: argparse.Namespace, command: st
             scale=options.scale,
             preset=options.settings,
             threads=options.threads,
-            seed=options.seed,
+            seeds=options.seeds,
             any_code=options.any_code,
             keep_streams=options.keep_streams,
         ),

@@ -6,8 +6,10 @@ from collections.abc import Sequence
 
 from ..analysis import EffectChoice
 from ..settings.effects import EFFECT_NAMES
+from .differences import MOVING, Measure
+from .estimates import NOTHING, estimate
 from .plans import RigResults
-from .tables import NOTHING, markdown, mean_of, number
+from .tables import markdown
 from .variants import Question, Variant
 
 AUTO = Variant("effects-auto", "detected (auto)", effects=EffectChoice("auto"))
@@ -28,6 +30,7 @@ QUESTIONS = (
         "beyond degree 0 is left out, the row has a keyframe of its own.",
         (AUTO, ALL, NONE),
         (("psnr", "psnr_aligned", "psnr_dynamic", "psnr_static", "mtv"), ("selected", "seconds", "cpu", "megabytes")),
+        AUTO,
     ),
     Question(
         "without",
@@ -35,6 +38,7 @@ QUESTIONS = (
         "A row equal to auto's is the same run: the scene does not call for that effect.",
         (AUTO, *WITHOUT.values()),
         (("psnr", "psnr_aligned", "psnr_dynamic", "psnr_static", "selected", "cpu", "megabytes"),),
+        AUTO,
     ),
 )
 
@@ -54,13 +58,10 @@ def matrix(results: Sequence[RigResults]) -> list[str]:
 
 
 def _loss(result: RigResults, variant: Variant) -> str:
-    bench, run, auto = result.bench, result.run_of(variant), result.run_of(AUTO)
-    if run is None or auto is None:
+    bench, runs, auto = result.bench, result.runs_of(variant), result.runs_of(AUTO)
+    if not runs or not auto:
         return NOTHING
     if bench.key(variant) == bench.key(AUTO):
         return "not detected"
-    return " / ".join(_change(mean_of(run, name), mean_of(auto, name)) for name in ("psnr_aligned", "psnr_dynamic"))
-
-
-def _change(value: float | None, reference: float | None) -> str:
-    return number("+.2f")(None if value is None or reference is None else value - reference)
+    measures = (Measure("psnr_aligned", "aligned"), MOVING)
+    return " / ".join(measure.write(estimate(measure.paired(runs, auto).values())) for measure in measures)

@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from . import paper, rates
+from .differences import difference_table
+from .estimates import NOTHING, about_seeds, written
 from .machine import code_version
 from .perceptual import installed_network
 from .plans import Contest, Plan, RigResults
@@ -14,7 +16,7 @@ from .plots import plot_courses, plot_effort, plot_quality, plot_rates, plot_sca
 from .regions import measured_size
 from .rival_runs import RatePoint, point_of, point_of_rival, rival_file
 from .runs import KEYFRAME, RigBench, Run
-from .tables import COLUMNS, NOT_RUN, NOTHING, markdown, number
+from .tables import COLUMNS, NOT_RUN, markdown, number
 from .trade import COSTS, QUALITIES, Axis, Point, front, gain_heading, points_of
 from .variants import Question, Variant
 
@@ -25,7 +27,7 @@ _SHOWN_QUALITIES, _SHOWN_COSTS = ("psnr_dynamic", "ssim"), ("cpu", "kilobytes", 
 def report_page(plan: Plan, results: Sequence[RigResults], folder: Path, command: str) -> list[str]:
     """The page's lines; draws the pictures it shows into the ``folder``."""
     made = f"Made by `{command}`. " if command else ""
-    about = "Each row names its file in runs/; the last section says how it was measured."
+    about = "Each row names its files in runs/, one for each seed; the last section says how it was measured."
     lines = [f"# {plan.title}", "", f"{made}{about}", ""]
     if plan.summary is not None:
         lines += plan.summary(results)
@@ -42,6 +44,7 @@ def _rig_section(plan: Plan, result: RigResults, folder: Path) -> list[str]:
         lines += [f"### {question.title}", ""] + ([question.about, ""] if question.about else [])
         for columns in question.columns:
             lines += [*_table(result, question, columns), ""]
+        lines += difference_table(result, question)
         lines += [f"{name} failed: {error}" for name, error in _failed(result, question)]
     if untouched:
         lines += [f"Not run: {'; '.join(question.title for question in untouched)}.", ""]
@@ -54,7 +57,7 @@ def _rig_section(plan: Plan, result: RigResults, folder: Path) -> list[str]:
 
 def _is_untouched(result: RigResults, question: Question) -> bool:
     """Whether all that is there of a question is the preset's row, which other questions have, too."""
-    there = [variant for variant in question.variants if result.run_of(variant) is not None]
+    there = [variant for variant in question.variants if result.runs_of(variant)]
     missing = len(there) < len(question.variants) and not _failed(result, question)
     return bool(result.runs) and missing and all(result.is_preset(variant) for variant in there)
 
@@ -74,23 +77,27 @@ def _about_rig(result: RigResults) -> str:
     if keyframe is not None:
         first = keyframe.frames[0]
         text += (
-            f" Shared keyframe: preset {keyframe.preset}, {first.gaussians} Gaussians, {first.bytes} bytes, "
-            f"{sum(first.seconds.values()):.0f} s ({_file(bench, keyframe)})."
+            f" Shared keyframe, seed {keyframe.seed}: preset {keyframe.preset}, {first.gaussians} Gaussians, "
+            f"{first.bytes} bytes, "
+            f"{sum(first.seconds.values()):.0f} s ({_files(bench, [keyframe])})."
         )
     return text
 
 
 def _table(result: RigResults, question: Question, columns: Sequence[str]) -> list[str]:
-    runs = [run for variant in question.variants if (run := result.run_of(variant)) is not None]
+    seeds = len(result.bench.options.seeds)
+    runs_of = {variant.name: list(result.runs_of(variant).values()) for variant in question.variants}
+    table = [run for runs in runs_of.values() for run in runs]
     rows = []
     for variant in question.variants:
-        run = result.run_of(variant)
+        runs = runs_of[variant.name]
         label = variant.description + (" (the preset)" if result.is_preset(variant) else "")
-        if run is None:
+        if not runs:
             missing = "failed" if variant.name in result.failures else NOT_RUN
             rows.append([label, *([NOTHING] * len(columns)), missing])
         else:
-            rows.append([label, *(COLUMNS[key].value(run, runs) for key in columns), _file(result.bench, run)])
+            how = _files(result.bench, runs) + ("" if len(runs) == seeds else f" ({len(runs)} of {seeds} seeds)")
+            rows.append([label, *(COLUMNS[key].value(runs, table) for key in columns), how])
     return markdown(["", *(COLUMNS[key].heading for key in columns), "how"], rows)
 
 
@@ -98,7 +105,7 @@ def _contest_section(contest: Contest, result: RigResults) -> list[str]:
     """The encoder's rates and, kept in other ways, the frames of its source."""
     bench, source = result.bench, result.run_of(contest.source)
     rows = [
-        _rate_row(point_of(run, f"decogs, {variant.description}"), source, _file(bench, run))
+        _rate_row(point_of(run, f"decogs, {variant.description}"), source, _files(bench, [run]))
         for variant in contest.rates
         if (run := result.run_of(variant)) is not None
     ]
@@ -121,7 +128,7 @@ def _contest_section(contest: Contest, result: RigResults) -> list[str]:
         "",
         f"Rivals keep the decoded frames of “{contest.source.description}”, the first row; they are read again from "
         "what they wrote, rendered and measured like a stream. Those frames lie on our lattice already, which helps a "
-        "general-purpose compressor.",
+        "general-purpose compressor. Rows are of the first seed.",
         "",
         *markdown(headings, rows),
         "",
@@ -166,7 +173,7 @@ def _front_table(points: Sequence[Point], families: Mapping[str, str], cost: Axi
     for step in front(points, cost, quality):
         point = points[step.point]
         gain = NOTHING if step.gain is None else f"{step.gain:+.3g}"
-        amounts = [number(f".{axis.digits}f")(point.figures[axis.key]) for axis in (cost, quality)]
+        amounts = [written(point.estimate(axis), f".{axis.digits}f") for axis in (cost, quality)]
         rows.append([f"{families[point.family]}: {point.label}", *amounts, gain])
     return [
         f"The Pareto front of {quality.label} over {cost.label}: no other row is both cheaper and better. Gains are "
@@ -212,9 +219,13 @@ def _failed(result: RigResults, question: Question) -> list[tuple[str, str]]:
     return [(name, error) for name, error in result.failures.items() if name in names]
 
 
-def _file(bench: RigBench, run: Run) -> str:
-    """The name of the run's JSON in runs/; no link: runs are published as an archive, pages without them."""
-    return f"`{bench.file_of(run).stem}`"
+def _files(bench: RigBench, runs: Sequence[Run]) -> str:
+    """The names of the runs' JSONs in runs/, keys of one name in braces; no link: runs are published as an archive."""
+    names: dict[str, list[str]] = {}
+    for run in runs:
+        names.setdefault(bench.file_of(run).stem.removesuffix(run.key), []).append(run.key)
+    keys = {name: f"{{{','.join(found)}}}" if len(found) > 1 else found[0] for name, found in names.items()}
+    return ", ".join(f"`{name}{found}`" for name, found in keys.items())
 
 
 def _figures(plan: Plan, result: RigResults, folder: Path) -> list[str]:
@@ -286,12 +297,25 @@ def _how(plan: Plan, results: Sequence[RigResults]) -> list[str]:
         "not in it (`read_seconds` in the run's file).",
         "- MB, kB: 10^6, 10^3 bytes on disk.",
         *(_how_rivals() if plan.contest is not None else []),
-        "- One run and one seed for each row: differences below 0.1 dB mean little.",
+        *_about_seeds(results[0].bench.options.seeds),
         "",
         "Columns:",
         "",
         *(f"- {COLUMNS[key].heading}: {COLUMNS[key].meaning}" for key in used),
     ]
+    return lines
+
+
+def _about_seeds(seeds: Sequence[int]) -> list[str]:
+    lines = [f"- {about_seeds(seeds)}"]
+    if len(seeds) > 1:
+        lines += [
+            "- Differences are taken seed by seed and then averaged, so that what all rows of a seed have in common, "
+            "such as their keyframe, drops out. “gains”, “costs” and bold: larger than two standard errors. With three "
+            "seeds 18 % of the differences between equal rows are, by chance: trust what two rigs agree on. Last "
+            "frame: the dynamic region's PSNR there; bytes, CPU-s: of a later frame.",
+            f"- Pictures of single runs, rivals and the kernel's precision are of seed {seeds[0]}.",
+        ]
     return lines
 
 
@@ -312,7 +336,7 @@ def _circumstances(runs: Sequence[Run]) -> list[str]:
     lines = [
         f"- Machine: {'; '.join(sorted(machines))}; {_listed(threads)} threads; no GPU. Load average while running: "
         f"{min(loads):.1f} to {max(loads):.1f}.",
-        f"- Seed {_listed(seeds)}; runs of {dates[0]} to {dates[-1]}; code {_listed({run.code for run in runs})}.",
+        f"- Seeds: {_listed(seeds)}; runs of {dates[0]} to {dates[-1]}; code {_listed({run.code for run in runs})}.",
         "- Each run's file says the rest: command, settings, frame by frame figures. Paths in a command are names; "
         "what stands in brackets after it has no option and is set from Python.",
     ]

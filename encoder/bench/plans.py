@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from .courses import Course
 from .precision import Precision
@@ -71,7 +71,8 @@ class Plan:
 class RigResults:
     """A rig's runs by key, what went wrong by the variant's or rival's name, and rivals by theirs.
 
-    ``courses``: how the loss fell inside frames, by the variant's description. ``precision``: of the kernel.
+    ``courses``: how the loss fell inside frames, by the variant's description. ``precision``: of the kernel. These and
+    rivals are of the first seed.
     """
 
     bench: RigBench
@@ -81,9 +82,19 @@ class RigResults:
     courses: dict[str, Course] = field(default_factory=dict)
     precision: Precision | None = None
 
+    def runs_of(self, variant: Variant) -> dict[int, Run]:
+        """The variant's runs by seed, those that were made."""
+        keys = {seed: self.bench.key(replace(variant, seed=seed)) for seed in self.bench.options.seeds}
+        return {seed: self.runs[key] for seed, key in keys.items() if key in self.runs}
+
     def run_of(self, variant: Variant) -> Run | None:
-        """The variant's run; None when it was not made."""
+        """The variant's run with the first seed, for what shows one run; None when it was not made."""
         return self.runs.get(self.bench.key(variant))
+
+    def reference(self, question: Question) -> Variant | None:
+        """The row that the question's other rows are compared with; None when there is none."""
+        presets = (variant for variant in question.variants if self.is_preset(variant))
+        return question.reference or next(presets, None)
 
     def is_preset(self, variant: Variant) -> bool:
         """Whether the variant has the same settings as the preset, or as the keyframe's run."""

@@ -6,7 +6,7 @@ Needs the extra ``bench``.
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -47,7 +47,7 @@ def plot_quality(path: Path, runs: Mapping[str, Run]) -> None:
         axes = _panel(figure, 1, 2, place, title, "held-out PSNR, dB")
         for (label, run), colour in zip(runs.items(), COLOURS, strict=False):
             values = [getattr(frame, name) for frame in run.frames]
-            axes.plot(_frames(run), [np.nan if v is None else v for v in values], color=colour, label=label)
+            axes.plot(_frames(run), _numbers(values), color=colour, label=label)
     _save(figure, path)
 
 
@@ -81,7 +81,7 @@ def plot_rates(path: Path, points: Sequence[RatePoint]) -> None:
             values = [getattr(point, name) for point in mine]
             axes.plot(
                 [point.later_bytes / 1e3 for point in mine],
-                [np.nan if value is None else value for value in values],
+                _numbers(values),
                 color=colour,
                 label=family,
                 marker="o",
@@ -94,6 +94,7 @@ def plot_trade(path: Path, points: Sequence[Point], families: Mapping[str, str],
     """``quality`` over what a frame takes to encode, to keep and to decode, each with its Pareto front.
 
     ``families``: their titles by key. Members of the first one are named; what is far below all of them is left out.
+    Bars are standard errors over seeds.
     """
     figure = _figure(15, 5.2)
     lowest, highest = shown_range(points, quality)
@@ -113,20 +114,25 @@ def plot_trade(path: Path, points: Sequence[Point], families: Mapping[str, str],
         axes.plot(*best, color="#999999", linewidth=7, alpha=0.45, solid_capstyle="round", label="Pareto front")
         for (family, label), colour, marker in zip(families.items(), COLOURS, _MARKERS, strict=False):
             mine = [p for p in points if p.family == family and p.figures[quality.key] is not None]
-            where: list[Any] = [[p.figures[axis.key] for p in mine] for axis in (cost, quality)]
             if not mine:
                 continue
+            x_values, y_values = (_numbers(p.figures[axis.key] for p in mine) for axis in (cost, quality))
             first = family == next(iter(families))
-            axes.plot(
-                *where,
+            x_errors, y_errors = (_numbers(p.errors.get(axis.key) for p in mine) for axis in (cost, quality))
+            axes.errorbar(
+                x_values,
+                y_values,
+                xerr=x_errors,
+                yerr=y_errors,
                 color=colour,
                 label=label,
                 marker=marker,
                 markersize=9 if first else 6,
                 linewidth=1.1,
+                capsize=2,
                 zorder=4 if first else 2,
             )
-            for point, x, y in zip(mine, *where, strict=True) if first else ():
+            for point, x, y in zip(mine, x_values, y_values, strict=True) if first else ():
                 _name(axes, point.label, x, y)
         if cost.more_is_better:
             axes.invert_xaxis()
@@ -223,6 +229,11 @@ def _number_frames(axes: Axes) -> None:
     from matplotlib.ticker import MaxNLocator
 
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+
+
+def _numbers(values: Iterable[float | None]) -> list[float]:
+    """Values to draw; where there is none, a gap."""
+    return [np.nan if value is None else value for value in values]
 
 
 def _frames(run: Run) -> Sequence[int]:

@@ -35,7 +35,9 @@ class BenchProgress:
         self._progress.to(self._done, self._frames)
 
     def finished(self, run: Run) -> None:
-        self.measured(run.rig, run.variant, [frame.psnr for frame in run.frames if frame.psnr is not None])
+        self.measured(
+            run.rig, f"{run.variant}, seed {run.seed}", [frame.psnr for frame in run.frames if frame.psnr is not None]
+        )
 
     def measured(self, rig: str, variant: str, psnr: Sequence[float]) -> None:
         """A line on an encode's quality: the mean of its frames' PSNR, dB."""

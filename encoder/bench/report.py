@@ -10,8 +10,9 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from datetime import datetime, timezone
+from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -20,7 +21,7 @@ from decogs.formats.errors import TrainingError, UsageError
 from decogs.formats.outputs import Output, check_outputs, write_whole
 from decogs.formats.rigs import files_of
 
-from . import choices, curve, effects, paper, rates, summaries
+from . import choices, curve, differences, effects, paper, rates, summaries
 from .machine import code_version, machine_facts
 from .page import report_page
 from .plans import Contest, Plan, RigResults, Trade
@@ -33,7 +34,7 @@ from .runs import KEYFRAME, BenchOptions, RigBench, check_names
 from .tables import NOT_RUN, figures
 from .trade import trade_document
 from .trade_page import trade_page
-from .variants import Variant
+from .variants import Question, Variant
 
 NONE = "none"
 """For ``only``: nothing is run, the report is written from what is there."""
@@ -45,7 +46,12 @@ PAPER = Plan(
     paper.FIGURES,
     summary=summaries.against_baseline,
 )
-CHOICES = Plan("choices", "Choices, measured", choices.QUESTIONS)
+CHOICES = Plan(
+    "choices",
+    "Choices, measured",
+    choices.QUESTIONS,
+    summary=partial(differences.across_rigs, choices.QUESTIONS),
+)
 RATES = Plan(
     "rates",
     "Rate and distortion, measured",
@@ -138,19 +144,22 @@ def _run_missing(
     with BenchProgress(frames, terminal) as progress:
         for result, variants in missing:
             for variant in variants:
-                progress.started(result.bench.name, variant.name)
+                progress.started(result.bench.name, f"{variant.name}, seed {variant.seed}")
+                plain = replace(variant, seed=None)
                 try:
                     run = result.bench.run(
                         variant,
                         on_frame=progress.frame,
                         on_keyframe_step=progress.keyframe_step,
-                        keep_stream=variant in plan.lent,
-                        follow=variant in plan.followed,
+                        keep_stream=plain in plan.lent,
+                        follow=plain in plan.followed,
                     )
                 except TrainingError as error:
-                    result.failures[variant.name] = str(error)
+                    earlier = result.failures.get(variant.name)
+                    said = f"seed {variant.seed}: {error}"
+                    result.failures[variant.name] = said if earlier is None else f"{earlier}; {said}"
                     if on_warning:
-                        on_warning(f"{result.bench.name} {variant.name}: {error}")
+                        on_warning(f"{result.bench.name} {variant.name}, {said}")
                 else:
                     progress.finished(run)
 
@@ -163,7 +172,7 @@ def _run_rivals(
     missing = [
         (result, [rival for rival in here if find_rival(result.bench, contest.source, rival) is None])
         for result in results
-        if contest.source.name not in result.failures
+        if result.bench.find(contest.source) is not None
     ]
     frames = sum(len(result.bench.frames_of(contest.source)) * len(rivals) for result, rivals in missing)
     with BenchProgress(frames, terminal) as progress:
@@ -191,7 +200,7 @@ def _gather_trade(result: RigResults, trade: Trade, *, measure: bool) -> None:
     """``measure``: the kernel's precision where it is not there; a source that cannot be trained has none."""
     bench = result.bench
     result.precision = find_precision(bench, trade.source)
-    if result.precision is None and measure and trade.source.name not in result.failures:
+    if result.precision is None and measure and bench.find(trade.source) is not None:
         result.precision = measure_precision(bench, trade.source)
     for variant in trade.followed:
         run = bench.find(variant)
@@ -201,15 +210,15 @@ def _gather_trade(result: RigResults, trade: Trade, *, measure: bool) -> None:
 
 
 def _missing(bench: RigBench, wanted: Sequence[Variant]) -> list[Variant]:
-    """Those of which no result is there, each run once, whatever its names."""
+    """Those of which no result is there, seed by seed, each run once, whatever its names."""
     first: dict[str, Variant] = {}
-    for variant in wanted:
+    for variant in bench.seeded(wanted):
         first.setdefault(bench.key(variant), variant)
     return [variant for variant in first.values() if bench.find(variant) is None]
 
 
 def _gather(result: RigResults, variants: Sequence[Variant]) -> None:
-    for variant in variants:
+    for variant in result.bench.seeded(variants):
         run = result.bench.find(variant)
         if run is not None:
             result.runs[run.key] = run
@@ -232,14 +241,12 @@ def _rig_document(plan: Plan, result: RigResults) -> dict[str, Any]:
     document: dict[str, Any] = {
         "held_out": ",".join(bench.cameras),
         "frames": [bench.frames.start, bench.frames.stop],
+        "seeds": list(bench.options.seeds),
         "masks": regions.about,
         "static_share": float(regions.static.mean()),
         "dynamic_share": float(regions.dynamic.mean()),
         "failures": result.failures,
-        "questions": {
-            question.key: [_row_document(result, variant) for variant in question.variants]
-            for question in plan.questions
-        },
+        "questions": {question.key: _rows_document(result, question) for question in plan.questions},
     }
     if plan.contest is not None:
         document[plan.contest.key] = [_rival_document(result, plan.contest, rival) for rival in plan.contest.rivals]
@@ -248,12 +255,18 @@ def _rig_document(plan: Plan, result: RigResults) -> dict[str, Any]:
     return document
 
 
-def _row_document(result: RigResults, variant: Variant) -> dict[str, Any]:
-    run = result.run_of(variant)
+def _rows_document(result: RigResults, question: Question) -> list[dict[str, Any]]:
+    compared = {found.variant.name: found.document() for found in differences.differences(result, question)}
+    return [_row_document(result, variant, compared.get(variant.name)) for variant in question.variants]
+
+
+def _row_document(result: RigResults, variant: Variant, compared: dict[str, Any] | None) -> dict[str, Any]:
+    runs = result.runs_of(variant)
     row: dict[str, Any] = {"variant": variant.name, "description": variant.description}
-    if run is not None:
-        row |= {"run": f"runs/{result.bench.file_of(run).name}", "how": run.command, "figures": figures(run)}
-    return row
+    if runs:
+        row["runs"] = {seed: f"runs/{result.bench.file_of(run).name}" for seed, run in runs.items()}
+        row |= {"how": next(iter(runs.values())).command, "figures": figures(list(runs.values()))}
+    return row if compared is None else row | {"differences": compared}
 
 
 def _rival_document(result: RigResults, contest: Contest, rival: Rival) -> dict[str, Any]:

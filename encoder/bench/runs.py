@@ -4,6 +4,11 @@ A run is looked for by its rig and a digest of everything that decides it, so th
 where it stopped. One made by other code is made again in its place, unless the caller takes it as it is: the file says
 which code it was. Chosen: one file per run rather than one for all, so that an interruption or a damaged file costs one
 run. Rejected: the code in the digest (every edit would leave a file behind that nobody asks for again).
+
+Every variant is run with every seed of the report, each from that seed's shared keyframe, so that rows are paired
+within a seed. Chosen: the seed as a part of the variant, so that runs and streams of every seed are found alike.
+Rejected: all seeds in one file (an interruption would cost them all), and a RigBench for every seed (each would find
+the same regions and effects again).
 """
 
 from __future__ import annotations
@@ -62,14 +67,17 @@ FORMAT = 1
 
 KEYFRAME = Variant("keyframe", "the keyframe that all variants start from", frames=1, own_keyframe=True)
 
+MOST_SEEDS = 100
+
 
 @dataclass(frozen=True)
 class BenchOptions:
     """What all runs of a report share.
 
     ``holdout``: cameras to measure on; the rig's own, or cam00, when there are none. ``preset``: what variants start
-    from. ``frames``, ``scale``, ``threads``, ``seed``: as ``encode``'s. ``any_code``: take results that other code
-    made. ``keep_streams``: leave the .dgs files.
+    from. ``frames``, ``scale``, ``threads``: as ``encode``'s. ``seeds``: every variant is run with each of them;
+    figures are means, and what shows one run shows the first's. ``any_code``: take results that other code made.
+    ``keep_streams``: leave the .dgs files.
     """
 
     holdout: Sequence[str] = ()
@@ -77,7 +85,7 @@ class BenchOptions:
     scale: float = 1.0
     preset: str = "standard"
     threads: int = 0
-    seed: int = 0
+    seeds: Sequence[int] = (0,)
     any_code: bool = False
     keep_streams: bool = False
 
@@ -150,8 +158,7 @@ class RigBench:
 
     def __init__(self, rig_dir: str | os.PathLike[str], output: Path, options: BenchOptions) -> None:
         """Raises RigError and UsageError for a rig or options that cannot be measured; nothing is trained yet."""
-        if options.seed < 0:
-            raise UsageError(f"`seed` {options.seed}: give a number of at least 0")
+        _check_seeds(options.seeds)
         settings_of(KEYFRAME, options.preset)
         self.rig = open_rig(rig_dir)
         self.name = result_name(self.rig)
@@ -213,6 +220,10 @@ class RigBench:
         own, shared = self.settings(variant), settings_of(KEYFRAME, self.options.preset)
         return (own.keyframe, own.corrections) != (shared.keyframe, shared.corrections)
 
+    def seeded(self, variants: Sequence[Variant]) -> list[Variant]:
+        """The variants with each of the report's seeds, seed by seed."""
+        return [replace(variant, seed=seed) for seed in self.options.seeds for variant in variants]
+
     def frames_of(self, variant: Variant) -> Sequence[int]:
         """The rig's frames that the variant encodes, in its order."""
         strided = self.frames[:: variant.stride]
@@ -263,7 +274,7 @@ class RigBench:
         """
         self.runs_folder.mkdir(parents=True, exist_ok=True)
         self._streams.mkdir(parents=True, exist_ok=True)
-        keyframe = None if self._trains_keyframe(variant) else self.stream(KEYFRAME, on_keyframe_step)
+        keyframe = None if self._trains_keyframe(variant) else self.stream(_keyframe_of(variant), on_keyframe_step)
         loads = [load()]
         with recorded_course() if follow else nullcontext() as recording:
             log = None if recording is None else recording.log
@@ -302,10 +313,10 @@ class RigBench:
         return self._stream(variant)
 
     def tidy(self, lent: Sequence[Variant]) -> None:
-        """Removes the streams of ``lent``, which ``stream`` gave, and the folder of streams when it is empty."""
+        """Removes the streams of ``lent``, which ``stream`` gave, of all seeds, and their folder when it is empty."""
         if self.options.keep_streams or not self._streams.is_dir():
             return
-        for variant in lent:
+        for variant in self.seeded(lent):
             self._stream(variant).unlink(missing_ok=True)
         if not any(self._streams.iterdir()):
             self._streams.rmdir()
@@ -337,7 +348,7 @@ class RigBench:
             self._stream(variant),
             range(first, first + len(frames)),
             settings,
-            seed=self.options.seed,
+            seed=self._seed(variant),
             threads=self._threads,
             keyframe=None if keyframe is None else read_keyframe(keyframe).refined(variant.refined),
             on_frame=None if on_frame is None else lambda _: on_frame(),
@@ -348,6 +359,9 @@ class RigBench:
             report.output.unlink(missing_ok=True)
             raise KeyboardInterrupt
         return report
+
+    def _seed(self, variant: Variant) -> int:
+        return self.options.seeds[0] if variant.seed is None else variant.seed
 
     def _training_scale(self, variant: Variant) -> float:
         return self.options.scale * variant.scale
@@ -371,7 +385,7 @@ class RigBench:
                 "refined": variant.refined,
                 "rig": [self.name, rig.layout, rig.frame_count, [camera.name for camera in rig.cameras]],
                 "frames": [frames.start, frames.stop, frames.step] if isinstance(frames, range) else frames,
-                "options": [",".join(self.cameras), options.scale, options.seed, self._threads],
+                "options": [",".join(self.cameras), options.scale, self._seed(variant), self._threads],
             }
         )
 
@@ -390,7 +404,7 @@ class RigBench:
             camera=",".join(self.cameras),
             span=[min(frames), max(frames) + 1, variant.stride],
             scale=options.scale,
-            seed=options.seed,
+            seed=self._seed(variant),
             threads=self._threads,
             preset=variant.preset or options.preset,
             command=self._command(variant, frames),
@@ -412,7 +426,7 @@ class RigBench:
         words = ["decogs-encode", self.name, "-o", f"{variant.name}.dgs"]
         words += [word for camera in self.cameras for word in ("--holdout", camera)]
         words += ["--frames", f"{min(frames)}:{max(frames) + 1}", "--preset", variant.preset or options.preset]
-        words += ["--seed", str(options.seed), "--threads", str(self._threads)]
+        words += ["--seed", str(self._seed(variant)), "--threads", str(self._threads)]
         scale = self._training_scale(variant)
         words += [] if scale == 1 else ["--scale", f"{scale:g}"]
         words += [] if variant.method == EncodeSettings().method else ["--method", variant.method]
@@ -425,6 +439,16 @@ class RigBench:
         extra += [] if variant.timing is None else [f"frames {', '.join(map(str, frames))}"]
         extra += [f"{path} = {value}" for path, value in variant.settings.items()]
         return " ".join(words) + (f" ({', '.join(extra)})" if extra else "")
+
+
+def _keyframe_of(variant: Variant) -> Variant:
+    """The shared keyframe that the variant starts from: its seed's."""
+    return replace(KEYFRAME, seed=variant.seed)
+
+
+def _check_seeds(seeds: Sequence[int]) -> None:
+    if not 1 <= len(seeds) <= MOST_SEEDS or len(set(seeds)) < len(seeds) or min(seeds) < 0:
+        raise UsageError(f"`seeds`: give 1 to {MOST_SEEDS} different numbers of at least 0")
 
 
 def document(run: DataclassInstance) -> str:

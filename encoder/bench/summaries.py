@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from . import paper
+from .differences import MOVING
+from .estimates import NOTHING, estimate
 from .plans import RigResults
-from .runs import Run
-from .tables import NOTHING, cpu_seconds, drift, flicker, markdown, mean_of, wall_seconds, with_error
+from .tables import COLUMNS, markdown
+from .variants import Variant
 
 
 def against_baseline(results: Sequence[RigResults]) -> list[str]:
     """DecoGS against the baseline, rig by rig: what the paper claims, as ratios."""
-    rows = []
-    for result in results:
-        baseline = result.run_of(paper.BASELINE)
-        for variant in (paper.DECOGS_AUTO, paper.DECOGS, paper.DECOGS_PAPER):
-            run = result.run_of(variant)
-            if run is not None and baseline is not None:
-                rows.append([result.bench.name, variant.description, *_comparison(run, baseline)])
+    rows = [
+        [result.bench.name, variant.description, *_comparison(result, variant)]
+        for result in results
+        for variant in (paper.DECOGS_AUTO, paper.DECOGS, paper.DECOGS_PAPER)
+        if result.runs_of(variant) and result.runs_of(paper.BASELINE)
+    ]
     if not rows:
         return []
     headings = [
@@ -28,17 +29,17 @@ def against_baseline(results: Sequence[RigResults]) -> list[str]:
     return ["## DecoGS against the baseline", "", *markdown(headings, rows), ""]
 
 
-def _comparison(run: Run, baseline: Run) -> list[str]:
-    gain = _both(mean_of(run, "psnr_dynamic"), mean_of(baseline, "psnr_dynamic"), lambda a, b: f"{a - b:+.2f}")
-    still = _both(flicker(run), flicker(baseline), lambda a, b: f"{a:.4f} / {b:.4f}{_ratio(a, b)}")
-    wall = _both(wall_seconds(run), wall_seconds(baseline), lambda a, b: f"{a:.2f} / {b:.2f}{_ratio(a, b)}")
-    cpu = _both(cpu_seconds(run), cpu_seconds(baseline), lambda a, b: f"{a:.2f} / {b:.2f}{_ratio(a, b)}")
-    return [gain, still, wall, cpu, with_error(drift(run, "psnr")), with_error(drift(run, "psnr_dynamic"))]
+def _comparison(result: RigResults, variant: Variant) -> list[str]:
+    runs, baseline = result.runs_of(variant), result.runs_of(paper.BASELINE)
+    gain = MOVING.write(estimate(MOVING.paired(runs, baseline).values()))
+    ours, theirs = list(runs.values()), list(baseline.values())
+    ratios = []
+    for key in ("mtv", "seconds", "cpu"):
+        column = COLUMNS[key]
+        a, b = column.over(ours, ours), column.over(theirs, theirs)
+        ratios.append(NOTHING if a is None or b is None else _ratio(a.mean, b.mean, column.form))
+    return [gain, *ratios, *(COLUMNS[key].value(ours, ours) for key in ("slope", "slope_dynamic"))]
 
 
-def _both(a: float | None, b: float | None, write: Callable[[float, float], str]) -> str:
-    return NOTHING if a is None or b is None else write(a, b)
-
-
-def _ratio(a: float, b: float) -> str:
-    return f" = 1/{b / a:.1f}" if a > 0 and b > 0 else ""
+def _ratio(a: float, b: float, form: str) -> str:
+    return f"{a:{form}} / {b:{form}}" + (f" = 1/{b / a:.1f}" if a > 0 and b > 0 else "")

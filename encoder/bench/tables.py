@@ -5,30 +5,43 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
-from .metrics import Slope, slope
+from .estimates import NOTHING, Estimate, estimate, written
+from .metrics import slope
 from .perceptual import NOT_INSTALLED
 from .runs import Run, RunFrame
 
-NOTHING = "–"
 NOT_RUN = "not run"
 
-Figure = float | Slope | None
+Figure = float | Estimate | None
 
 
 @dataclass(frozen=True)
 class Column:
-    """A column's heading, what it means, its figure for one run of a table of runs, and how that is written."""
+    """A column's heading, what it means, its figure for one run of a table of runs, and how that is written.
+
+    ``form``: a format specification. ``nothing``: what stands where there is no figure.
+    """
 
     heading: str
     meaning: str
     figure: Callable[[Run, Sequence[Run]], Figure]
-    write: Callable[[Any], str]
+    form: str
+    nothing: str = NOTHING
 
-    def value(self, run: Run, runs: Sequence[Run]) -> str:
-        """The text of a run's cell; ``runs``: all of the table, for figures relative to others."""
-        return self.write(self.figure(run, runs))
+    def over(self, runs: Iterable[Run], table: Sequence[Run]) -> Estimate | None:
+        """The figure of a row's ``runs``, one for each seed: its mean and error over them; a single run's as it is.
+
+        ``table``: the runs of all rows, for figures relative to others.
+        """
+        figures = [self.figure(run, table) for run in runs]
+        if len(figures) == 1 and isinstance(figures[0], Estimate):
+            return figures[0]
+        return estimate(figure.mean if isinstance(figure, Estimate) else figure for figure in figures)
+
+    def value(self, runs: Iterable[Run], table: Sequence[Run]) -> str:
+        """The text of a row's cell."""
+        return written(self.over(runs, table), self.form, self.nothing)
 
 
 def mean(values: Iterable[float | None]) -> float | None:
@@ -68,10 +81,11 @@ def later(run: Run) -> list[RunFrame]:
     return run.frames[1:]
 
 
-def drift(run: Run, name: str) -> Slope | None:
-    """Slope of a PSNR over the frames, dB per 100 frames of the rig."""
+def drift(run: Run, name: str) -> Estimate | None:
+    """Slope of a PSNR over the frames and its error, dB per 100 frames of the rig."""
     known = [(frame.frame, getattr(frame, name)) for frame in run.frames if getattr(frame, name) is not None]
-    return slope([frame for frame, _ in known], [value for _, value in known])
+    found = slope([frame for frame, _ in known], [value for _, value in known])
+    return None if found is None else Estimate(found.per_100_frames, found.error)
 
 
 def in_common(run: Run, runs: Sequence[Run]) -> float | None:
@@ -91,17 +105,13 @@ def number(specification: str, nothing: str = NOTHING) -> Callable[[float | None
     return lambda value: nothing if value is None else format(value, specification)
 
 
-def with_error(value: Slope | None) -> str:
-    """A slope per 100 frames and its standard error, as text."""
-    return NOTHING if value is None else f"{value.per_100_frames:+.2f} ± {value.error:.2f}"
-
-
 def _average(heading: str, meaning: str, name: str, digits: int, nothing: str = NOTHING) -> Column:
     return Column(
         heading,
         f"{meaning}; mean over all frames",
         lambda run, _: mean_of(run, name),
-        number(f".{digits}f", nothing),
+        f".{digits}f",
+        nothing,
     )
 
 
@@ -114,26 +124,26 @@ COLUMNS: dict[str, Column] = {
         "dynamic, last frame",
         "PSNR in dB over the dynamic region of the last frame",
         lambda run, _: run.frames[-1].psnr_dynamic,
-        number(".2f"),
+        ".2f",
     ),
-    "last": Column("PSNR, last frame", "dB over the whole picture", lambda run, _: run.frames[-1].psnr, number(".2f")),
+    "last": Column("PSNR, last frame", "dB over the whole picture", lambda run, _: run.frames[-1].psnr, ".2f"),
     "last_static": Column(
         "static, last frame",
         "PSNR in dB over the static region of the last frame",
         lambda run, _: run.frames[-1].psnr_static,
-        number(".2f"),
+        ".2f",
     ),
     "static_change": Column(
         "static, last − first",
         "PSNR of the last frame less that of the keyframe, dB over the static region",
         lambda run, _: static_change(run),
-        number("+.3f"),
+        "+.3f",
     ),
     "psnr_common": Column(
         "PSNR, frames of all rows",
         "dB over the whole picture, mean over the frames that every row of the table has",
         in_common,
-        number(".2f"),
+        ".2f",
     ),
     "training": _average("training PSNR", "dB over the training views, undistorted", "training_psnr", 2),
     "ssim": _average("SSIM", "over the whole picture", "ssim", 4),
@@ -144,91 +154,90 @@ COLUMNS: dict[str, Column] = {
         "mTV ×100",
         "flicker: change of static pixels from frame to frame",
         lambda run, _: flicker(run),
-        number(".4f"),
+        ".4f",
     ),
     "mtv_undisturbed": Column(
         "mTV ×100, undisturbed",
         "flicker of static pixels outside every dilated difference mask of the held-out camera",
         lambda run, _: flicker(run, "variation_undisturbed"),
-        number(".4f"),
+        ".4f",
     ),
     "seconds": Column(
         "s/frame",
         "wall clock, decoded pictures to written packet, mean of the later frames",
         lambda run, _: wall_seconds(run),
-        number(".2f"),
+        ".2f",
     ),
     "cpu": Column(
         "CPU-s/frame",
         "the same in processor seconds, all cores added",
         lambda run, _: cpu_seconds(run),
-        number(".2f"),
+        ".2f",
     ),
     "fps": Column(
         "render FPS",
         "1 / the median time to render the held-out view of a decoded frame",
         lambda run, _: 1 / run.render_seconds,
-        number(".1f"),
+        ".1f",
     ),
     "decode_fps": Column(
         "decode FPS, one core",
         "1 / the median processor seconds to read a frame's packet, reconstruct its Gaussians and render the held-out "
         "view, all cores added, so that other work on the machine does not show",
         lambda run, _: decode_fps(run),
-        number(".1f"),
+        ".1f",
     ),
     "megabytes": Column(
         "MB/frame",
         "packet on disk, mean of the later frames",
         lambda run, _: mean(frame.bytes / 1e6 for frame in later(run)),
-        number(".4f"),
+        ".4f",
     ),
     "megabytes_all": Column(
         "MB/frame, keyframe included",
         "the file over all its frames",
         lambda run, _: run.stream_bytes / len(run.frames) / 1e6,
-        number(".4f"),
+        ".4f",
     ),
     "selected": Column(
         "selected",
         "share of Gaussians trained, mean of the later frames",
         lambda run, _: mean(frame.selected for frame in later(run)),
-        number(".1%"),
+        ".1%",
     ),
     "slope": Column(
         "slope",
-        "PSNR in dB per 100 frames, least squares over all frames, ± its standard error",
+        "PSNR in dB per 100 frames, least squares over all frames, ± its standard error; of several seeds, theirs",
         lambda run, _: drift(run, "psnr"),
-        with_error,
+        "+.2f",
     ),
     "slope_dynamic": Column(
         "slope dynamic",
         "the same of the dynamic region's PSNR",
         lambda run, _: drift(run, "psnr_dynamic"),
-        with_error,
+        "+.2f",
     ),
-    "gaussians": Column("Gaussians", "in the last frame", lambda run, _: run.frames[-1].gaussians, number("d")),
+    "gaussians": Column("Gaussians", "in the last frame", lambda run, _: run.frames[-1].gaussians, ".0f"),
     "keyframe_seconds": Column(
         "keyframe, s",
         "wall clock, decoded pictures to written keyframe",
         lambda run, _: math.fsum(run.frames[0].seconds.values()),
-        number(".1f"),
+        ".1f",
     ),
-    "keyframe_bytes": Column("keyframe, MB", "packet on disk", lambda run, _: run.frames[0].bytes / 1e6, number(".4f")),
+    "keyframe_bytes": Column("keyframe, MB", "packet on disk", lambda run, _: run.frames[0].bytes / 1e6, ".4f"),
 }
 
 
-def figures(run: Run) -> dict[str, float | None]:
-    """The figures of a run as numbers, for JSON: keys and units as in COLUMNS, a slope's error beside it."""
+def figures(runs: Sequence[Run]) -> dict[str, float | None]:
+    """The figures of a row's runs as numbers, for JSON: keys and units as in COLUMNS, an error beside its figure."""
     found: dict[str, float | None] = {}
     for key, column in COLUMNS.items():
-        if key == "psnr_common":  # a table's figure, not a run's
+        if key == "psnr_common":  # a table's figure, not a row's
             continue
-        figure = column.figure(run, [run])
-        if isinstance(figure, Slope):
-            found |= {key: figure.per_100_frames, f"{key}_error": figure.error}
-        else:
-            found[key] = figure
+        figure = column.over(runs, runs)
+        found[key] = None if figure is None else figure.mean
+        if figure is not None and figure.error is not None:
+            found[f"{key}_error"] = figure.error
     return found
 
 

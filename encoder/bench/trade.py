@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
+from .estimates import Estimate, estimate
 from .plans import Plan, RigResults
 from .runs import KEYFRAME, Run
 from .tables import cpu_seconds, decode_fps, later, mean, mean_of, wall_seconds
@@ -30,14 +31,23 @@ class Axis:
 
 @dataclass(frozen=True)
 class Point:
-    """A row of a family: its figures by axis, and the run and command they come from."""
+    """A row of a family: its figures by axis, means over seeds, and the runs and the first one's command.
+
+    ``errors``: the figures' standard errors, where there are several seeds.
+    """
 
     family: str
     label: str
     variant: str
-    run: str
+    runs: list[str]
     command: str
     figures: dict[str, float | None]
+    errors: dict[str, float | None] = field(default_factory=dict)
+
+    def estimate(self, axis: Axis) -> Estimate | None:
+        """The figure with its error."""
+        mean = self.figures[axis.key]
+        return None if mean is None else Estimate(mean, self.errors.get(axis.key))
 
 
 @dataclass(frozen=True)
@@ -109,16 +119,29 @@ def points_of(plan: Plan, result: RigResults) -> list[Point]:
     points = []
     for question in plan.questions:
         for variant in question.variants:
-            run = result.run_of(variant)
-            if run is not None:
-                source = run if variant.own_keyframe else result.run_of(KEYFRAME)
-                figures = {axis.key: axis.figure(run, source) for axis in (*COSTS, *QUALITIES)}
-                points.append(Point(question.key, variant.description, variant.name, run.key, run.command, figures))
+            runs = result.runs_of(variant)
+            if runs:
+                first, keys = next(iter(runs.values())), [run.key for run in runs.values()]
+                figures, errors = _figures(runs, runs if variant.own_keyframe else result.runs_of(KEYFRAME))
+                row = (question.key, variant.description, variant.name)
+                points.append(Point(*row, keys, first.command, figures, errors))
     return points
 
 
+def _figures(
+    runs: Mapping[int, Run], sources: Mapping[int, Run]
+) -> tuple[dict[str, float | None], dict[str, float | None]]:
+    """Means over seeds by axis, and their standard errors; ``sources``: what trained the keyframes."""
+    found = {
+        axis.key: estimate(axis.figure(run, sources.get(seed)) for seed, run in runs.items())
+        for axis in (*COSTS, *QUALITIES)
+    }
+    means = {key: None if figure is None else figure.mean for key, figure in found.items()}
+    return means, {key: None if figure is None else figure.error for key, figure in found.items()}
+
+
 def front(points: Sequence[Point], cost: Axis, quality: Axis) -> list[Step]:
-    """The points that no other one beats in both, from the cheapest to the dearest."""
+    """The points that no other one beats in both, from the cheapest to the dearest; by their means."""
     known = []
     for place, point in enumerate(points):
         price, value = point.figures[cost.key], point.figures[quality.key]

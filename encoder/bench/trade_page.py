@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from importlib import resources
 from typing import Any
 
+from .estimates import about_seeds
 from .plans import Plan, RigResults
 from .plots import COLOURS
 from .trade import axes_document, trade_document
@@ -28,6 +29,7 @@ def trade_page(plan: Plan, results: Sequence[RigResults], command: str) -> str:
         "axes": axes_document(),
         "colours": COLOURS,
         "families": {question.key: question.title for question in plan.questions},
+        "seeds": about_seeds(results[0].bench.options.seeds),
         "rigs": {result.bench.name: _rig(plan, result) for result in results},
     }
     return template.replace(_TITLE, html.escape(plan.title)).replace(_DATA, inline_json(data))

@@ -36,7 +36,7 @@ class Variant:
     measured at the report's all the same.
     ``timing``: one of `timing.TIMINGS`. ``frames``: only the first so many, or the last so many when negative.
     ``own_keyframe``: trains its own instead of starting from the one that all variants of a rig share. ``refined``:
-    starts from the shared one on a lattice so many times as fine.
+    starts from the shared one on a lattice so many times as fine. ``seed`` None: the first of the report's.
     """
 
     name: str
@@ -54,13 +54,15 @@ class Variant:
     frames: int | None = None
     own_keyframe: bool = False
     refined: int = 1
+    seed: int | None = None
 
 
 @dataclass(frozen=True)
 class Question:
     """A question put to every rig: its key (for ``--only``), heading, a sentence or two, and the rows that answer it.
 
-    ``columns``: keys of ``tables.COLUMNS``, one table for each group of them.
+    ``columns``: keys of ``tables.COLUMNS``, one table for each group of them. ``reference``: the row that the others
+    are compared with; None: the preset's, if it is there.
     """
 
     key: str
@@ -68,6 +70,7 @@ class Question:
     about: str
     variants: tuple[Variant, ...]
     columns: tuple[tuple[str, ...], ...]
+    reference: Variant | None = None
 
 
 def settings_of(variant: Variant, report_preset: str) -> EncodeSettings:

@@ -94,7 +94,8 @@ def test_the_papers_report(
     arguments = ["paper", str(three_frames), "-o", str(folder), "--holdout", "cam02", "--preset", "tiny"]
     assert bench_main([*arguments, "--threads", "2"]) == 0
     printed = capfd.readouterr()
-    assert (printed.out, printed.err) == (f"{folder / 'paper.md'}\n", ""), "quiet in a pipe"
+    assert printed.out == f"{folder / 'paper.md'}\n"
+    assert all(re.match(r"three .*, seed 0: \d frames, ", line) for line in printed.err.splitlines()), "a line a run"
     assert sorted(path.name for path in folder.iterdir()) == ["paper.json", "paper.md", "pictures", "runs"]
     text = (folder / "paper.md").read_text()
     for question in PAPER.questions:
@@ -193,9 +194,9 @@ def test_a_variant_that_cannot_be_trained_is_said_and_the_others_go_on(
     monkeypatch.setattr(runs, "encode_stream", failing)
     said: list[str] = []
     path = make_report(SMALL, [three_frames], tmp_path, OPTIONS, on_warning=said.append)
-    assert said == ["three paper-rule: the loss of camera cam01 is nan; lower the learning rates"]
+    assert said == ["three paper-rule, seed 0: the loss of camera cam01 is nan; lower the learning rates"]
     assert "| the paper's | – | – | failed |" in path.read_text()
-    assert "paper-rule failed: the loss of camera cam01 is nan" in path.read_text()
+    assert "paper-rule failed: seed 0: the loss of camera cam01 is nan" in path.read_text()
     assert "`three-plain-" in path.read_text()
     assert json.loads((tmp_path / "small.json").read_text())["rigs"]["three"]["failures"]
 
@@ -278,7 +279,8 @@ def test_choices_need_no_plots(three_frames: Path, tmp_path: Path, monkeypatch: 
     arguments = ["choices", str(three_frames), "-o", str(folder), "--preset", "tiny", "--only", "start-opacity"]
     assert bench_main(arguments) == 0
     text = (folder / "choices.md").read_text()
-    assert set(re.findall(r"`three-(opacity[\d.]+)-[0-9a-f]{10}`", text)) == {"opacity0.1", "opacity0.2", "opacity0.3"}
+    three_keys = r"`three-(opacity[\d.]+)-\{[0-9a-f,]{32}\}`"
+    assert set(re.findall(three_keys, text)) == {"opacity0.1", "opacity0.2", "opacity0.3"}, "three seeds of ten digits"
     *others, last = CHOICES.questions
     assert re.findall("^### (.*)$", text, re.MULTILINE) == [last.title]
     assert f"Not run: {'; '.join(question.title for question in others)}." in text
@@ -310,7 +312,13 @@ def refused(tmp_path: Path, three_frames: Path, capfd: pytest.CaptureFixture[str
         (["--holdout", "cam9"], "--holdout cam9: "),
         (["--frames", "2:1"], "--frames: "),
         (["--frames", "-1:"], "give --frames of at least 2"),
-        (["--seed", "-1"], "--seed -1: "),
+        (["--seeds", "-1"], "--seeds: give 1 to 100 different numbers"),
+        (["--seeds", "0"], "--seeds: give 1 to 100 different numbers"),
+        (["--seeds", "1,1"], "--seeds: give 1 to 100 different numbers"),
+        (["--seeds", "999999999999999999"], "--seeds: give 1 to 100 different numbers"),
+        (["--seeds", "two"], "argument --seeds: 'two' is no whole number"),
+        (["--seeds", ","], "argument --seeds: '' is no whole number"),
+        (["--seed", "1"], "unrecognized arguments: --seed 1"),
         (["--scale", "0"], "--scale 0: "),
         (["--threads", "-2"], "no number of threads"),
         (["--preset", "nope"], "--preset nope: "),
@@ -374,10 +382,10 @@ def test_progress_on_a_terminal_and_a_line_for_each_run_in_a_pipe(run_of: Any, f
             progress.finished(run_of([frame_of(0), frame_of(1)]))
         if isinstance(terminal, Terminal):
             assert "rig variant:" in terminal.getvalue()
-            assert "rig v: 2 frames, 30.00 dB" in terminal.getvalue()
+            assert "rig v, seed 0: 2 frames, 30.00 dB" in terminal.getvalue()
             assert "2/2 [" in terminal.getvalue()
         elif terminal is not None:
-            assert terminal.getvalue() == "rig v: 2 frames, 30.00 dB\n"
+            assert terminal.getvalue() == "rig v, seed 0: 2 frames, 30.00 dB\n"
 
 
 def test_recorded_masks_are_named_in_the_report(three_frames: Path, tmp_path: Path) -> None:

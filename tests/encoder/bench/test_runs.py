@@ -108,7 +108,14 @@ def test_a_run_is_found_whatever_it_is_called(bench: RigBench) -> None:
 
 @pytest.mark.parametrize(
     "change",
-    [{"frames": slice(0, 2)}, {"seed": 1}, {"scale": 0.5}, {"holdout": ["cam01"]}, {"threads": 2}, {"preset": "paper"}],
+    [
+        {"frames": slice(0, 2)},
+        {"seeds": (1,)},
+        {"scale": 0.5},
+        {"holdout": ["cam01"]},
+        {"threads": 2},
+        {"preset": "paper"},
+    ],
 )
 def test_other_options_are_another_run(bench: RigBench, three_frames: Path, tmp_path: Path, change: Any) -> None:
     bench.run(PRESET)
@@ -203,7 +210,10 @@ def test_a_rig_without_cam00_needs_a_name(tiny_rig: Any, tmp_path: Path) -> None
         ({"frames": slice(0, 1)}, "give `frames` of at least 2"),
         ({"frames": slice(7, None)}, "`frames`: "),
         ({"scale": 0.0}, "`scale` 0: "),
-        ({"seed": -1}, "`seed` -1: "),
+        ({"seeds": ()}, "`seeds`: give 1 to 100 different numbers"),
+        ({"seeds": (0, -1)}, "`seeds`: "),
+        ({"seeds": (1, 1)}, "`seeds`: "),
+        ({"seeds": range(10**12)}, "`seeds`: "),
         ({"threads": 5000}, "`threads` 5000"),
         ({"preset": "fast"}, "`settings` fast: "),
     ],

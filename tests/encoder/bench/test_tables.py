@@ -10,7 +10,7 @@ from decogs.encoder.bench.tables import COLUMNS, figures, markdown
 
 
 def value(key: str, run: Any, runs: list[Any] | None = None) -> str:
-    return COLUMNS[key].value(run, runs or [run])
+    return COLUMNS[key].value([run], runs or [run])
 
 
 @pytest.fixture
@@ -46,7 +46,7 @@ def test_flicker_is_the_mean_over_pairs_of_frames_times_100(run: Any) -> None:
 def test_slopes_are_per_100_frames_of_the_rig(run_of: Any, frame_of: Any) -> None:
     every_tenth = run_of([frame_of(10 * i, psnr=32.0 - i) for i in range(4)])
     assert value("slope", every_tenth) == "-10.00 ± 0.00"
-    assert figures(every_tenth)["slope"] == pytest.approx(-10)
+    assert figures([every_tenth])["slope"] == pytest.approx(-10)
 
 
 def test_frames_in_common(run_of: Any, frame_of: Any) -> None:
@@ -69,7 +69,7 @@ def test_lpips_says_when_it_is_not_installed(run_of: Any, frame_of: Any, run: An
 
 
 def test_figures_are_numbers_of_one_run(run: Any) -> None:
-    numbers = figures(run)
+    numbers = figures([run])
     assert numbers["megabytes"] == 0.002
     assert numbers["psnr_dynamic"] == pytest.approx((25 + 25 + 24) / 3), "not rounded"
     assert numbers["lpips"] is None

@@ -20,7 +20,7 @@ PSNR = next(axis for axis in QUALITIES if axis.key == "psnr")
 
 
 def at(cost: float | None, quality: float | None, axis: str = "cpu") -> Point:
-    return Point("family", "label", "variant", "run", "command", {axis: cost, "psnr": quality})
+    return Point("family", "label", "variant", ["run"], "command", {axis: cost, "psnr": quality})
 
 
 def test_the_front_leaves_out_what_another_point_beats() -> None:
@@ -39,7 +39,7 @@ def test_more_frames_a_second_are_cheaper() -> None:
 
 
 def test_a_plot_is_not_pressed_together_by_what_is_far_below() -> None:
-    other = Point("other", "label", "variant", "run", "command", {"psnr": 17.0})
+    other = Point("other", "label", "variant", ["run"], "command", {"psnr": 17.0})
     points = [at(1.0, 26.0), at(2.0, 28.0), other]
     assert shown_range(points, PSNR) == pytest.approx((25.6, 28.2))
     assert shown_range([at(1.0, None)], PSNR) == (0.0, 1.0)
