@@ -135,7 +135,9 @@ class VideoSource:
         if frame.pts is None:
             raise _missing(self.path, following)
         usual = (self.times[-1] - self.times[0]) / max(self.frame_count - 1, 1)
-        nearest = int(np.abs(self.times - frame.pts).argmin())
+        around = np.searchsorted(self.times, frame.pts) + np.array([-1, 0])
+        near = np.clip(around, 0, len(self.times) - 1)
+        nearest = int(near[np.abs(self.times[near] - frame.pts).argmin()])
         if abs(self.times[nearest] - frame.pts) > _RATE_TOLERANCE * usual:
             if frame.pts < self.times[0]:
                 return -1
