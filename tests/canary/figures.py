@@ -1,4 +1,4 @@
-"""The canary's figures: what every preset makes of every rig, from keyframes that are committed beside this file.
+"""The canary's figures: what every way of encoding makes of every rig, from keyframes committed beside this file.
 
     python tests/canary/figures.py            # shows what changed against expected.json
     python tests/canary/figures.py --write    # and makes it the new expectation
@@ -26,13 +26,21 @@ sys.path[:0] = [str(HERE.parent)] * (str(HERE.parent) not in sys.path)
 from canary.rigs import HELD_OUT, RIGS, write_rig  # noqa: E402
 from decogs.encoder import EffectChoice, encode  # noqa: E402
 from decogs.encoder.analysis.analyse import analyse  # noqa: E402
+from decogs.encoder.settings.encode import EncodeSettings  # noqa: E402
 from decogs.encoder.settings.presets import LADDER, preset  # noqa: E402
+from decogs.encoder.switches import with_method  # noqa: E402
 from decogs.formats.container import PacketKind  # noqa: E402
 from packets import iterate_packets  # noqa: E402
 
 EXPECTED = HERE / "expected.json"
 TOLERANCE = 0.02
 """dB; the bytes are compared exactly, so this only forgives how a machine measures."""
+WAYS: dict[str, EncodeSettings] = {
+    **{name: preset(name) for name in (*LADDER, "paper")},
+    "closed": replace(preset("draft"), closed=True, segment=2),
+    "3dgstream": with_method(preset("draft"), "3dgstream"),
+}
+"""How every rig is encoded: the presets, closed segments with a cross-fade, and the dense baseline."""
 _EFFECTS = EffectChoice("none", {"motion", "appearance_change", "emergence", "disappearance"})
 
 
@@ -46,12 +54,12 @@ def train_keyframe(name: str, rig: Path) -> None:
     encode(rig, keyframe_of(name), settings, frames=slice(1), holdout=[HELD_OUT], effects=_EFFECTS, threads=1)
 
 
-def measure(name: str, preset_name: str, rig: Path, folder: Path) -> dict[str, Any]:
+def measure(name: str, way: str, rig: Path, folder: Path) -> dict[str, Any]:
     """Bytes, digest and PSNR of the frames after the first."""
-    output = folder / f"{name}-{preset_name}.dgs"
-    report = encode(
-        rig, output, preset_name, holdout=[HELD_OUT], keyframe=keyframe_of(name), effects=_EFFECTS, threads=2
-    )
+    output = folder / f"{name}-{way}.dgs"
+    settings = WAYS[way]
+    effects = _EFFECTS if settings.method == "decogs" else None
+    report = encode(rig, output, settings, holdout=[HELD_OUT], keyframe=keyframe_of(name), effects=effects, threads=2)
     later = report.frames[1:]
     with output.open("rb") as stream:
         packets = [packet for packet in iterate_packets(stream) if packet.kind != PacketKind.INDEX and packet.frame]
@@ -78,7 +86,7 @@ def all_figures(folder: Path, *, keyframes: bool = False) -> dict[str, Any]:
         if keyframes:
             train_keyframe(name, rig)
         figures[name] = {"effects": effects_of(rig)}
-        figures[name] |= {preset_name: measure(name, preset_name, rig, folder) for preset_name in LADDER}
+        figures[name] |= {way: measure(name, way, rig, folder) for way in WAYS}
     return figures
 
 

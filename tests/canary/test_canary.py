@@ -11,9 +11,8 @@ from typing import Any
 
 import pytest
 
-from canary.figures import EXPECTED, TOLERANCE, effects_of, measure
+from canary.figures import EXPECTED, TOLERANCE, WAYS, effects_of, measure
 from canary.rigs import RIGS, write_rig
-from decogs.encoder.settings.presets import LADDER
 
 EXPECTATION: dict[str, Any] = json.loads(EXPECTED.read_text())
 
@@ -23,10 +22,10 @@ def rig(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
     return request.param, write_rig(request.param, tmp_path_factory.mktemp("canary") / request.param)
 
 
-@pytest.mark.parametrize("preset", LADDER)
-def test_later_frames_are_what_they_were(rig: tuple[str, Path], preset: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("way", WAYS)
+def test_later_frames_are_what_they_were(rig: tuple[str, Path], way: str, tmp_path: Path) -> None:
     name, folder = rig
-    expected, found = EXPECTATION[name][preset], measure(name, preset, folder, tmp_path)
+    expected, found = EXPECTATION[name][way], measure(name, way, folder, tmp_path)
     for what in ("held_out", "training"):
         assert found[what] == pytest.approx(expected[what], abs=TOLERANCE), what
     for what in ("kinds", "bytes", "digest"):
