@@ -81,10 +81,10 @@ lint: $(READY) ## ruff: rules and formatting
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-type: $(READY) ## mypy --strict over the four layers
+type: $(READY) ## mypy --strict over the five layers
 	$(BIN)/mypy
 
-layers: $(READY) ## import contracts: formats <- codec <- decoder <- encoder
+layers: $(READY) ## import contracts: formats <- codec <- decoder <- encoder <- bench
 	$(BIN)/lint-imports --no-logo
 
 unit: $(READY) ## pytest, a process for each processor
@@ -176,5 +176,5 @@ $(BLENDER_ENV)/ready:
 
 clean: ## remove what was built and every cache; environments and demo/ stay
 	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache $(READY) $(USER_READY)
-	find decogs formats codec decoder encoder share tests -name __pycache__ -prune -exec rm -rf {} +
+	find decogs formats codec decoder encoder bench share tests -name __pycache__ -prune -exec rm -rf {} +
 	find formats decoder encoder -name '*.abi3.so' -delete

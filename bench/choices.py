@@ -7,9 +7,10 @@ table.
 
 from __future__ import annotations
 
-from ..analysis import EffectChoice
-from ..settings.cache import CacheSettings
-from ..settings.frame import IterationSettings, SignificanceSettings
+from decogs.encoder.analysis import EffectChoice
+from decogs.encoder.settings.cache import CacheSettings
+from decogs.encoder.settings.frame import IterationSettings, SignificanceSettings
+
 from .timing import TIMINGS
 from .variants import Question, Times, Variant
 

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.encoder.output.convergence_log import ConvergenceLog
 from decogs.formats.outputs import write_whole
 
-from ..output.convergence_log import ConvergenceLog
 from .rounding import rounded
 
 _LATER = ("cache", "joint")

@@ -5,7 +5,8 @@ Rows share the keyframe wherever they do not change it. Axes, points and fronts 
 
 from __future__ import annotations
 
-from ..settings.presets import LADDER
+from decogs.encoder.settings.presets import LADDER
+
 from .rates import RATE_POINTS
 from .variants import Question, Variant
 

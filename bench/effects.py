@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ..analysis import EffectChoice
-from ..settings.effects import EFFECT_NAMES
+from decogs.encoder.analysis import EffectChoice
+from decogs.encoder.settings.effects import EFFECT_NAMES
+
 from .differences import MOVING, Measure
 from .estimates import NOTHING, estimate
 from .plans import RigResults

@@ -21,6 +21,12 @@ from decogs.codec.header import StreamHeader
 from decogs.decoder.picture_output import to_8bit
 from decogs.decoder.stream import open_stream
 from decogs.decoder.views import render_view
+from decogs.encoder.encoding import encode
+from decogs.encoder.input.ingest import frame_span
+from decogs.encoder.output.observer import EncodeObserver
+from decogs.encoder.psnr import psnr_of
+from decogs.encoder.settings.encode import EncodeSettings
+from decogs.encoder.settings.presets import preset
 from decogs.formats.cameras import scale_camera
 from decogs.formats.errors import UsageError
 from decogs.formats.frame_ranges import Frames
@@ -29,12 +35,6 @@ from decogs.formats.rigs import open_rig
 from decogs.formats.splats import Splats
 from decogs.formats.threads import thread_count
 
-from ..encoding import encode
-from ..input.ingest import frame_span
-from ..output.observer import EncodeObserver
-from ..psnr import psnr_of
-from ..settings.encode import EncodeSettings
-from ..settings.presets import preset
 from .machine import code_version, machine_facts
 from .metrics import BytePicture, Mask, psnr, square_error_map
 from .regions import held_out_pictures

@@ -9,12 +9,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TextIO
 
+from decogs.encoder.output.observer import EncodeObserver
+from decogs.encoder.output.reports import FrameReport
 from decogs.formats.errors import UsageError
 from decogs.formats.outputs import Output, check_outputs, write_whole
 from decogs.formats.rigs import files_of
 
-from ..output.observer import EncodeObserver
-from ..output.reports import FrameReport
 from .left_out import LeftOut, LeftOutOptions, RigViewpoints
 from .machine import code_version, machine_facts
 from .progress import BenchProgress

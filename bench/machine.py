@@ -13,7 +13,6 @@ from typing import Any
 
 LAYERS = ("formats", "codec", "decoder", "encoder")
 _NOT_IN_A_STREAM = (
-    "encoder/bench/",
     "encoder/commands.py",
     "encoder/output/progress.py",
     "decoder/commands.py",

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from decogs.codec.header import StreamHeader
 from decogs.decoder.picture_output import to_8bit
 from decogs.decoder.views import render_view
+from decogs.encoder.psnr import psnr_of
 from decogs.formats.splats import Splats
 
-from ..psnr import psnr_of
 from .metrics import BytePicture, aligned, mean_over, psnr, square_error_map, ssim_map, total_variation
 from .perceptual import Distance
 from .regions import Regions

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from ..analysis import EffectChoice
-from ..settings.optimiser import LearningRates
+from decogs.encoder.analysis import EffectChoice
+from decogs.encoder.settings.optimiser import LearningRates
+
 from .variants import Question, Times, Variant
 
 DECOGS = Variant("decogs", "DecoGS, all effects in every frame")

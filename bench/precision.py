@@ -15,10 +15,10 @@ from decogs.decoder.rasterise import Rendering, render
 from decogs.decoder.rasterise.reference import render_reference
 from decogs.decoder.stream import open_stream
 from decogs.decoder.views import through_lens, view_plan
+from decogs.encoder.psnr import psnr_of
 from decogs.formats.outputs import write_whole
 from decogs.formats.splats import FloatArray, Splats
 
-from ..psnr import psnr_of
 from .machine import code_version
 from .metrics import BytePicture
 from .regions import held_out_pictures

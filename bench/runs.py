@@ -31,6 +31,15 @@ from numpy.typing import NDArray
 
 from decogs.codec.header import StreamHeader
 from decogs.decoder.stream import open_stream
+from decogs.encoder.analysis import AUTO, Decision, with_effects
+from decogs.encoder.analysis.analyse import analyse
+from decogs.encoder.input.imported_keyframe import read_keyframe
+from decogs.encoder.input.ingest import Ingest, check_held_out, frame_span
+from decogs.encoder.output.convergence_log import ConvergenceLog
+from decogs.encoder.output.reports import EncodeReport, FrameReport, OnKeyframeStep
+from decogs.encoder.settings.effects import PRESET_EFFECTS
+from decogs.encoder.settings.encode import EncodeSettings
+from decogs.encoder.stream import encode_stream
 from decogs.formats.errors import UsageError
 from decogs.formats.frame_ranges import Frames
 from decogs.formats.outputs import GrowingFile, write_whole
@@ -38,15 +47,6 @@ from decogs.formats.rigs import Rig, open_rig
 from decogs.formats.splats import Splats
 from decogs.formats.threads import thread_count
 
-from ..analysis import AUTO, Decision, with_effects
-from ..analysis.analyse import analyse
-from ..input.imported_keyframe import read_keyframe
-from ..input.ingest import Ingest, check_held_out, frame_span
-from ..output.convergence_log import ConvergenceLog
-from ..output.reports import EncodeReport, FrameReport, OnKeyframeStep
-from ..settings.effects import PRESET_EFFECTS
-from ..settings.encode import EncodeSettings
-from ..stream import encode_stream
 from .courses import Course, course, read_course, recorded_course, write_course
 from .machine import code_version, load, machine_facts
 from .measuring import FrameQuality, HeldOut, StreamQuality, measure_scenes

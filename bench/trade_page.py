@@ -23,7 +23,7 @@ _TITLE, _DATA = "{{title}}", "{{data}}"
 
 def trade_page(plan: Plan, results: Sequence[RigResults], command: str) -> str:
     """The page for the rows there are; ``command`` is what made it."""
-    template = resources.files("decogs.encoder.bench").joinpath("trade_page.html").read_text("utf-8")
+    template = resources.files("decogs.bench").joinpath("trade_page.html").read_text("utf-8")
     data = {
         "command": command,
         "axes": axes_document(),

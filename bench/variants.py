@@ -6,13 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any
 
+from decogs.encoder.analysis import EffectChoice
+from decogs.encoder.coding.rate_control import with_quality
+from decogs.encoder.settings.encode import EncodeSettings
+from decogs.encoder.settings.presets import preset
+from decogs.encoder.switches import with_method, with_selection, without
 from decogs.formats.errors import UsageError
-
-from ..analysis import EffectChoice
-from ..coding.rate_control import with_quality
-from ..settings.encode import EncodeSettings
-from ..settings.presets import preset
-from ..switches import with_method, with_selection, without
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,15 @@ from typing import Any
 
 import pytest
 
+from decogs.bench.runs import Run, RunFrame
 from decogs.encoder import PRESETS, EncodeSettings
-from decogs.encoder.bench.runs import Run, RunFrame
 from decogs.encoder.settings.frame import MaskSettings, SelectionSettings
 from decogs.encoder.settings.threedgstream import BaselineSettings
+from encoder_fixtures import encoder_conftest
+
+tiny_rig, tiny_settings = encoder_conftest.tiny_rig, encoder_conftest.tiny_settings
+moving_rig, still_rig = encoder_conftest.moving_rig, encoder_conftest.still_rig
+shared_data = encoder_conftest.shared_data
 
 
 @pytest.fixture

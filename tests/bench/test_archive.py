@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from zipfile import ZipFile
 
-SCRIPT = Path(__file__).parents[2] / "bench" / "archive.py"
+SCRIPT = Path(__file__).with_name("archive.py")
 
 
 def archive(report: Path) -> subprocess.CompletedProcess[str]:

@@ -12,13 +12,13 @@ from typing import Any
 import cv2
 import pytest
 
-from decogs.encoder.bench import report, runs
-from decogs.encoder.bench.plans import Plan, Trade
-from decogs.encoder.bench.report import make_report
-from decogs.encoder.bench.runs import BenchOptions, RigBench
-from decogs.encoder.bench.trade import COSTS, QUALITIES
-from decogs.encoder.bench.trade_page import inline_json
-from decogs.encoder.bench.variants import Question, Variant
+from decogs.bench import report, runs
+from decogs.bench.plans import Plan, Trade
+from decogs.bench.report import make_report
+from decogs.bench.runs import BenchOptions, RigBench
+from decogs.bench.trade import COSTS, QUALITIES
+from decogs.bench.trade_page import inline_json
+from decogs.bench.variants import Question, Variant
 
 pytestmark = [
     pytest.mark.usefixtures("short_presets"),

@@ -10,12 +10,12 @@ from typing import Any
 
 import pytest
 
-from decogs.encoder.bench.differences import BYTES, CPU, MEASURES, MOVING, across_rigs, difference_table, differences
-from decogs.encoder.bench.estimates import Estimate, estimate, written
-from decogs.encoder.bench.plans import RigResults
-from decogs.encoder.bench.runs import KEYFRAME, BenchOptions, RigBench
-from decogs.encoder.bench.tables import COLUMNS, figures
-from decogs.encoder.bench.variants import Question, Variant
+from decogs.bench.differences import BYTES, CPU, MEASURES, MOVING, across_rigs, difference_table, differences
+from decogs.bench.estimates import Estimate, estimate, written
+from decogs.bench.plans import RigResults
+from decogs.bench.runs import KEYFRAME, BenchOptions, RigBench
+from decogs.bench.tables import COLUMNS, figures
+from decogs.bench.variants import Question, Variant
 
 pytestmark = pytest.mark.usefixtures("short_presets")
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from decogs.encoder.bench import effects
-from decogs.encoder.bench.report import EFFECTS, make_report
-from decogs.encoder.bench.runs import BenchOptions, RigBench
+from decogs.bench import effects
+from decogs.bench.report import EFFECTS, make_report
+from decogs.bench.runs import BenchOptions, RigBench
 
 pytestmark = pytest.mark.usefixtures("short_presets")
 

@@ -11,12 +11,12 @@ import cv2
 import numpy as np
 import pytest
 
+from decogs.bench import left_out
+from decogs.bench.commands import bench_main
+from decogs.bench.surfaces import Surfaces, midway
 from decogs.codec.header import StreamHeader
 from decogs.codec.lattice import default_lattice
 from decogs.decoder.stream import open_stream
-from decogs.encoder.bench import left_out
-from decogs.encoder.bench.commands import bench_main
-from decogs.encoder.bench.surfaces import Surfaces, midway
 from decogs.formats.cameras import Camera, camera_centre
 from decogs.formats.rigs import open_rig
 from decogs.formats.splats import SH_C0, Splats, join_splats, logit

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from decogs.encoder.bench.paper import METHODS
-from decogs.encoder.bench.plots import legend_columns
+from decogs.bench.paper import METHODS
+from decogs.bench.plots import legend_columns
 
 pytest.importorskip("matplotlib")
 

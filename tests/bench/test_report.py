@@ -17,18 +17,18 @@ import cv2
 import numpy as np
 import pytest
 
+from decogs.bench import page, runs
+from decogs.bench.commands import bench_main
+from decogs.bench.plans import Contest, Plan
+from decogs.bench.progress import BenchProgress
+from decogs.bench.rates import CURVES
+from decogs.bench.report import CHOICES, NONE, PAPER, RATES, make_report
+from decogs.bench.rivals import splat4d
+from decogs.bench.rivals.float_arrays import FloatDeltas
+from decogs.bench.rivals.sequences import FilePerFrame, Rival
+from decogs.bench.runs import BenchOptions
+from decogs.bench.variants import Question, Variant
 from decogs.codec.header import StreamHeader
-from decogs.encoder.bench import page, runs
-from decogs.encoder.bench.commands import bench_main
-from decogs.encoder.bench.plans import Contest, Plan
-from decogs.encoder.bench.progress import BenchProgress
-from decogs.encoder.bench.rates import CURVES
-from decogs.encoder.bench.report import CHOICES, NONE, PAPER, RATES, make_report
-from decogs.encoder.bench.rivals import splat4d
-from decogs.encoder.bench.rivals.float_arrays import FloatDeltas
-from decogs.encoder.bench.rivals.sequences import FilePerFrame, Rival
-from decogs.encoder.bench.runs import BenchOptions
-from decogs.encoder.bench.variants import Question, Variant
 from decogs.formats.errors import TrainingError, UsageError
 from decogs.formats.splat_files.ply import Ply
 from decogs.formats.splat_files.spz import Spz
@@ -354,7 +354,7 @@ def test_plots_without_their_library_are_one_line(refused: Callable[..., str], m
 
 
 def test_the_plotting_library_is_loaded_for_plots_only() -> None:
-    program = "import sys, decogs.encoder.bench.report; sys.exit('matplotlib' in sys.modules)"
+    program = "import sys, decogs.bench.report; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
 
 

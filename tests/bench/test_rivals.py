@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from decogs.encoder.bench.rivals import splat4d
-from decogs.encoder.bench.rivals.float_arrays import FloatArrays, FloatDeltas
-from decogs.encoder.bench.rivals.sequences import Coder, FilePerFrame, FrameFormat, SceneFrame, WithoutDirections
-from decogs.encoder.bench.rivals.splat4d import Splat4d, of_one_length
+from decogs.bench.rivals import splat4d
+from decogs.bench.rivals.float_arrays import FloatArrays, FloatDeltas
+from decogs.bench.rivals.sequences import Coder, FilePerFrame, FrameFormat, SceneFrame, WithoutDirections
+from decogs.bench.rivals.splat4d import Splat4d, of_one_length
 from decogs.formats.errors import UsageError
 from decogs.formats.splat_files.ply import Ply
 from decogs.formats.splat_files.splat import RECORD, Splat

@@ -11,14 +11,14 @@ import cv2
 import numpy as np
 import pytest
 
+from decogs.bench import machine, runs
+from decogs.bench.metrics import psnr, square_error_map, total_variation
+from decogs.bench.regions import find_regions
+from decogs.bench.runs import KEYFRAME, BenchOptions, RigBench, read_run
+from decogs.bench.variants import Variant
 from decogs.decoder.picture_output import to_8bit
 from decogs.decoder.stream import open_stream
 from decogs.decoder.views import render_view
-from decogs.encoder.bench import machine, runs
-from decogs.encoder.bench.metrics import psnr, square_error_map, total_variation
-from decogs.encoder.bench.regions import find_regions
-from decogs.encoder.bench.runs import KEYFRAME, BenchOptions, RigBench, read_run
-from decogs.encoder.bench.variants import Variant
 from decogs.formats.errors import UsageError
 from decogs.formats.rigs import open_rig
 

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import pytest
 
-from bench.scale import (
+from scale import (
     SECOND_THREAD,
     Machine,
     Take,

@@ -10,12 +10,12 @@ from typing import Any
 
 import pytest
 
-from decogs.encoder.bench import runs
-from decogs.encoder.bench.commands import bench_parser
-from decogs.encoder.bench.plans import Plan, Trade
-from decogs.encoder.bench.report import make_report
-from decogs.encoder.bench.runs import BenchOptions
-from decogs.encoder.bench.variants import Question, Variant
+from decogs.bench import runs
+from decogs.bench.commands import bench_parser
+from decogs.bench.plans import Plan, Trade
+from decogs.bench.report import make_report
+from decogs.bench.runs import BenchOptions
+from decogs.bench.variants import Question, Variant
 from decogs.formats.errors import TrainingError
 
 pytestmark = pytest.mark.usefixtures("short_presets")

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from decogs.encoder.bench.timing import TIMINGS, retimed
+from decogs.bench.timing import TIMINGS, retimed
 from decogs.formats.rigs import open_rig, read_frames
 
 

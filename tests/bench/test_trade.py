@@ -7,12 +7,12 @@ from typing import Any
 
 import pytest
 
-from decogs.encoder.bench.curve import PRESET_ROWS, QUESTIONS
-from decogs.encoder.bench.plans import Plan, RigResults
-from decogs.encoder.bench.report import CURVE
-from decogs.encoder.bench.runs import KEYFRAME, BenchOptions, RigBench
-from decogs.encoder.bench.trade import COSTS, QUALITIES, Point, Step, front, points_of, shown_range
-from decogs.encoder.bench.variants import Question, Variant, settings_of
+from decogs.bench.curve import PRESET_ROWS, QUESTIONS
+from decogs.bench.plans import Plan, RigResults
+from decogs.bench.report import CURVE
+from decogs.bench.runs import KEYFRAME, BenchOptions, RigBench
+from decogs.bench.trade import COSTS, QUALITIES, Point, Step, front, points_of, shown_range
+from decogs.bench.variants import Question, Variant, settings_of
 from decogs.encoder.settings.presets import LADDER
 
 CPU, FPS = (next(axis for axis in COSTS if axis.key == key) for key in ("cpu", "decode_fps"))

@@ -6,10 +6,10 @@ import re
 
 import pytest
 
+from decogs.bench import choices, paper, rates
+from decogs.bench.tables import COLUMNS
+from decogs.bench.variants import Question, Times, Variant, settings_of
 from decogs.encoder import PRESETS
-from decogs.encoder.bench import choices, paper, rates
-from decogs.encoder.bench.tables import COLUMNS
-from decogs.encoder.bench.variants import Question, Times, Variant, settings_of
 from decogs.formats.errors import UsageError
 
 
