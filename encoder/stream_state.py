@@ -21,6 +21,7 @@ from .coding.stream_header import stream_header
 from .input.compensation.stream import Compensation
 from .input.imported_keyframe import KeyframeSource
 from .input.ingest import Ingest, RigFrame
+from .methods import FRAME_METHODS
 from .output.stream_output import StreamOutput
 from .rasterise import IncrementalViews, fixed_view, training_kernel
 from .settings.encode import EncodeSettings
@@ -28,7 +29,6 @@ from .settings.frame import FrameSettings
 from .stopwatch import Stopwatch
 from .training.cross_fade import fade_cameras
 from .training.method import FrameTrainer, TrainedFrame, training_context
-from .training.methods import FRAME_METHODS
 from .training.warm_start import Motion
 
 

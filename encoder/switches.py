@@ -17,12 +17,12 @@ from decogs.formats.errors import UsageError
 from .change.selection import SELECTION_RULES
 from .coding.rate_control import RATE_CONTROLS, with_budget
 from .coding.time_control import with_target_psnr, with_time_budget
+from .methods import FRAME_METHODS, require_sparse
 from .registry import Registry
 from .settings.checked import Checked
 from .settings.encode import EncodeSettings
 from .settings.frame import ABLATIONS
 from .training.densification import DENSIFICATIONS
-from .training.methods import FRAME_METHODS, require_sparse
 from .training.optimiser import OPTIMISERS
 
 T = TypeVar("T")

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from decogs.codec.state import MAX_GAUSSIANS
+from decogs.encoder.methods.decogs import DeltaTrainer
 from decogs.encoder.settings.encode import EncodeSettings
 from decogs.encoder.settings.frame import FrameSettings
-from decogs.encoder.training.delta import DeltaTrainer
 from decogs.encoder.training.method import FrameInput, FrameTrainer, TrainedFrame, TrainingContext
 
 

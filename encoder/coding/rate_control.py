@@ -18,11 +18,11 @@ from typing import Any, Protocol, cast
 from decogs.formats.container import PacketKind
 from decogs.formats.errors import UsageError
 
+from ..methods import require_sparse
 from ..registry import Check, Fault, GuardedObject, Registry, anything, described, guarded
 from ..settings.checked import MOST_BYTES, MOST_LOSS
 from ..settings.encode import EncodeSettings
 from ..settings.frame import SignificanceSettings
-from ..training.methods import require_sparse
 
 NEUTRAL_QUALITY = 50.0
 """The preset as it is."""

@@ -26,7 +26,7 @@ import cv2
 import numpy as np
 
 import decogs.encoder.change.detection as detection
-import decogs.encoder.training.delta as frame_training
+import decogs.encoder.methods.decogs as frame_training
 import decogs.encoder.training.seeding as emergence
 from decogs.decoder.picture_output import to_8bit
 from decogs.decoder.views import render_view

@@ -11,10 +11,10 @@ import pytest
 
 from decogs.encoder.change.masks import FrameMask
 from decogs.encoder.input.ingest import Ingest
+from decogs.encoder.methods.decogs import DeltaTrainer
 from decogs.encoder.rasterise import FixedView, TrainingKernel
 from decogs.encoder.settings.cache import CacheSettings
 from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings, IterationSettings
-from decogs.encoder.training.delta import DeltaTrainer
 from decogs.encoder.training.method import TrainedFrame
 from decogs.encoder.training.schedule import MIN_STEPS, StoppingRule
 from decogs.formats.errors import TrainingError

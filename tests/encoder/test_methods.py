@@ -12,8 +12,8 @@ import pytest
 from decogs.decoder.stream import open_stream
 from decogs.encoder import PRESETS, EncodeSettings
 from decogs.encoder.change.selection import SELECTION_RULES
+from decogs.encoder.methods import FRAME_METHODS
 from decogs.encoder.switches import ABLATIONS, with_method, with_selection, without
-from decogs.encoder.training.methods import FRAME_METHODS
 from decogs.formats.errors import UsageError
 
 

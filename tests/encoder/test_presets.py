@@ -13,9 +13,9 @@ from typing import Any
 import pytest
 
 from decogs.encoder import PRESETS, EncodeSettings
+from decogs.encoder.methods import FRAME_METHODS
 from decogs.encoder.settings.cache import CacheSettings
 from decogs.encoder.settings.presets import LADDER, preset
-from decogs.encoder.training.methods import FRAME_METHODS
 from decogs.formats.errors import UsageError
 
 

@@ -18,10 +18,10 @@ from decogs.codec.state import take_rows
 from decogs.decoder.stream import open_stream
 from decogs.encoder.change.detection import Change
 from decogs.encoder.coding.coded_scene import CodedScene
+from decogs.encoder.methods.decogs import DeltaTrainer
 from decogs.encoder.settings.frame import EmergenceSettings, SignificanceSettings
 from decogs.encoder.stopwatch import Stopwatch
 from decogs.encoder.stream_state import FrameInWork, StreamState
-from decogs.encoder.training.delta import DeltaTrainer
 from decogs.encoder.training.method import FrameInput, TrainedFrame
 from decogs.encoder.training.optimiser import Adam
 from decogs.encoder.training.seeding import _confirmed, _Found

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-import decogs.encoder.training.delta as frame_training
+import decogs.encoder.methods.decogs as frame_training
 from decogs.codec.digest import digest
 from decogs.decoder.stream import open_stream
 from decogs.encoder import PRESETS, EncodeSettings, Switches, Targets
@@ -27,12 +27,12 @@ from decogs.encoder.coding.time_control import (
     with_time_budget,
 )
 from decogs.encoder.commands import encode_main
+from decogs.encoder.methods.decogs import DeltaTrainer
 from decogs.encoder.option_texts import seconds_per_frame
 from decogs.encoder.rasterise import FixedView
 from decogs.encoder.settings.frame import SignificanceSettings
 from decogs.encoder.settings.optimiser import LearningRates
 from decogs.encoder.switches import with_method
-from decogs.encoder.training.delta import DeltaTrainer
 from decogs.encoder.training.schedule import MIN_STEPS
 from decogs.formats.errors import UsageError
 from packets import iterate_packets

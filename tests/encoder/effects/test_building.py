@@ -13,10 +13,10 @@ from decogs.decoder.stream import open_stream
 from decogs.encoder import PRESETS
 from decogs.encoder.analysis import Decision, EffectChoice, effect_choice, with_effects
 from decogs.encoder.change.masks import MaskMemory
+from decogs.encoder.methods.decogs import DeltaTrainer
 from decogs.encoder.settings.effects import CAMERA_EFFECTS, EFFECT_NAMES, FRAME_EFFECTS
 from decogs.encoder.settings.encode import EncodeSettings
 from decogs.encoder.training import delta as frame_training
-from decogs.encoder.training.delta import DeltaTrainer
 from decogs.formats.container import PacketKind
 from decogs.formats.errors import UsageError
 

@@ -29,12 +29,11 @@ from ..input.ingest import View
 from ..parallel import side_by_side
 from ..rasterise import SplatGradients, TrainingKernel, gradients_like
 from ..settings.frame import FrameSettings
-from ..transformation_cache import TransformationCache
-from .densification import DENSIFICATIONS, ViewGradients
-from .losses import PhotometricLoss, focus_loss, require_finite, whole_picture_loss
-from .method import FrameInput, TrainedFrame, TrainingContext
-from .optimiser import ATTRIBUTES, OPTIMISERS, Optimiser
-from .schedule import (
+from ..training.densification import DENSIFICATIONS, ViewGradients
+from ..training.losses import PhotometricLoss, focus_loss, require_finite, whole_picture_loss
+from ..training.method import FrameInput, TrainedFrame, TrainingContext
+from ..training.optimiser import ATTRIBUTES, OPTIMISERS, Optimiser
+from ..training.schedule import (
     MIN_STEPS,
     SearchTime,
     StepSchedule,
@@ -43,11 +42,12 @@ from .schedule import (
     search_of,
     search_seconds,
 )
-from .seeding import SearchView, missed, seeds, worth_a_search
-from .significance import picture_weight, revert_insignificant
-from .stretch import step_unstretched
-from .view_order import view_order
-from .warm_start import shared_displacements
+from ..training.seeding import SearchView, missed, seeds, worth_a_search
+from ..training.significance import picture_weight, revert_insignificant
+from ..training.stretch import step_unstretched
+from ..training.view_order import view_order
+from ..training.warm_start import shared_displacements
+from ..transformation_cache import TransformationCache
 
 _DIVERGED = 1.5
 """Training that raises the squared error in focus by this factor (1.8 dB) has diverged; normally the error falls."""

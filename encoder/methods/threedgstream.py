@@ -25,12 +25,12 @@ from decogs.formats.rotations import rotation_matrices
 from decogs.formats.splats import Splats, join_splats, logit, sigmoid, take_splats
 
 from ..rasterise import SplatGradients, gradients_like
+from ..training.densification import ViewGradients
+from ..training.losses import PhotometricLoss, require_finite, whole_picture_loss
+from ..training.method import FrameInput, TrainedFrame, TrainingContext
+from ..training.optimiser import ATTRIBUTES, Adam
+from ..training.view_order import view_order
 from ..transformation_cache import TransformationCache
-from .densification import ViewGradients
-from .losses import PhotometricLoss, require_finite, whole_picture_loss
-from .method import FrameInput, TrainedFrame, TrainingContext
-from .optimiser import ATTRIBUTES, Adam
-from .view_order import view_order
 
 
 class BaselineTrainer:

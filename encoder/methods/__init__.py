@@ -11,9 +11,9 @@ from decogs.formats.errors import UsageError
 
 from ..registry import Fault, GuardedObject, Registry, described, guarded
 from ..settings.encode import EncodeSettings
-from .delta import DeltaTrainer
-from .densification import are_splats
-from .method import FrameInput, FrameMethod, TrainedFrame
+from ..training.densification import are_splats
+from ..training.method import FrameInput, FrameMethod, TrainedFrame
+from .decogs import DeltaTrainer
 from .threedgstream import BaselineTrainer
 
 
