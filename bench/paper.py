@@ -17,7 +17,7 @@ METHODS = (DECOGS_AUTO, DECOGS, DECOGS_PAPER, BASELINE)
 HELD = Variant(
     "keyframe-held",
     "the keyframe alone, nothing sent after it",
-    {"frame.masks.threshold": 255.0, "frame.masks.light_threshold": 0.0, "frame.cache": None},
+    {"frame.masks.threshold": 255.0, "frame.masks.light_threshold": 0.0},
 )
 """No pixel changes by more than 255 levels, and no light is faint. What its static PSNR loses, the recording itself has
 changed."""
@@ -29,9 +29,7 @@ STRIDES = (1, 5, 10)
 SWEEP_FRAMES = 16
 """Nine runs a rig: the first frames suffice."""
 
-_NO_CACHE = {"frame.cache": None, "frame.joint_iterations": 250}
 _3DGS_RATES = LearningRates(1.6e-4, 5e-3, 1e-3, 0.05, 2.5e-3, 1.25e-4)
-_SEEDS = {"frame.emergence.max_seeds": 2000}
 _REFINEMENT = {"frame.masks.since_trained": True, "frame.masks.residual": 25.0, "frame.masks.refine_frames": 8}
 
 _COST = ("seconds", "cpu", "fps", "megabytes", "megabytes_all", "selected")
@@ -56,14 +54,11 @@ _RECIPE = (
     Variant("recipe-4-views", "selection in 4 views", {"frame.selection.min_views": 4}, preset="paper"),
     Variant("recipe-8-views", "selection in 8 views", {"frame.selection.min_views": 8}, preset="paper"),
     Variant("recipe-dilation", "half the dilation", {"frame.masks.radius_fraction": Times(0.5)}, preset="paper"),
-    Variant("recipe-no-cache", "no cache, 250 steps of stage 2", _NO_CACHE, preset="paper"),
+    Variant("recipe-no-cache", "no cache, 250 steps", {"frame.joint_iterations": 250}, preset="paper", method="decogs"),
     Variant("recipe-rates", "stage 2 at 3DGS's learning rates", {"frame.rates": _3DGS_RATES}, preset="paper"),
     Variant("recipe-no-growth", "no densification", {"frame.grow_fraction": 0.0}, preset="paper"),
     Variant("recipe-reference", "compared as last trained", {"frame.masks.since_trained": True}, preset="paper"),
     Variant("recipe-refinement", "errors are gone back to", _REFINEMENT, preset="paper"),
-    Variant("recipe-emergence", "new objects get points", _SEEDS, preset="paper"),
-    Variant("recipe-stretch", "no needles (`max_stretch` 4)", {"frame.max_stretch": 4.0}, preset="paper"),
-    Variant("recipe-weight-emergence", "by weight, new objects get points", _SEEDS, preset="paper", selection="weight"),
     Variant(
         "recipe-weight-rates", "by weight, 3DGS's rates", {"frame.rates": _3DGS_RATES}, "paper", selection="weight"
     ),

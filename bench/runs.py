@@ -429,7 +429,7 @@ class RigBench:
         words += ["--seed", str(self._seed(variant)), "--threads", str(self._threads)]
         scale = self._training_scale(variant)
         words += [] if scale == 1 else ["--scale", f"{scale:g}"]
-        words += [] if variant.method == EncodeSettings().method else ["--method", variant.method]
+        words += ["--method", variant.method] if variant.method else []
         words += ["--ablate", ",".join(variant.ablate)] if variant.ablate else []
         words += ["--selection", variant.selection] if variant.selection else []
         words += [] if variant.quality is None else ["--quality", f"{variant.quality:g}"]

@@ -10,7 +10,7 @@ from decogs.encoder.analysis import EffectChoice
 from decogs.encoder.coding.rate_control import with_quality
 from decogs.encoder.settings.encode import EncodeSettings
 from decogs.encoder.settings.presets import preset
-from decogs.encoder.switches import with_method, with_selection, without
+from decogs.encoder.switches import Switches, with_switches
 from decogs.formats.errors import UsageError
 
 
@@ -32,17 +32,17 @@ class Variant:
     dotted path ("frame.masks.threshold"); values replace the setting, or are Times. ``preset`` None: the report's.
     ``method``, ``ablate``, ``selection``: as in `Switches`; ``quality``: as in `Targets`; ``effects``: None is all that
     the preset has. ``stride``: every so many frames. ``scale``: of the pictures it trains on, times the report's; it is
-    measured at the report's all the same.
-    ``timing``: one of `timing.TIMINGS`. ``frames``: only the first so many, or the last so many when negative.
-    ``own_keyframe``: trains its own instead of starting from the one that all variants of a rig share. ``refined``:
-    starts from the shared one on a lattice so many times as fine. ``seed`` None: the first of the report's.
+    measured at the report's all the same. ``timing``: one of `timing.TIMINGS`. ``frames``: only the first so many, or
+    the last so many when negative. ``own_keyframe``: trains its own instead of starting from the one that all variants
+    of a rig share. ``refined``: starts from the shared one on a lattice so many times as fine. ``seed`` None: the first
+    of the report's.
     """
 
     name: str
     description: str
     settings: Mapping[str, Any] = field(default_factory=dict)
     preset: str | None = None
-    method: str = "decogs"
+    method: str | None = None
     ablate: tuple[str, ...] = ()
     selection: str | None = None
     quality: float | None = None
@@ -89,9 +89,7 @@ def settings_of(variant: Variant, report_preset: str) -> EncodeSettings:
             settings = _changed(settings, path.split("."), value)
         except AttributeError:
             raise UsageError(f"variant {variant.name}: there is no setting {path!r}; see encoder/settings/") from None
-    settings = without(with_method(settings, variant.method), variant.ablate)
-    if variant.selection is not None:
-        settings = with_selection(settings, variant.selection)
+    settings = with_switches(settings, Switches(variant.method, variant.ablate, variant.selection))
     if variant.quality is not None:
         if not variant.own_keyframe:
             raise UsageError(f"variant {variant.name}: changes quality but shares the keyframe; set own_keyframe")

@@ -21,7 +21,7 @@ from .coding.stream_header import stream_header
 from .input.compensation.stream import Compensation
 from .input.imported_keyframe import KeyframeSource
 from .input.ingest import Ingest, RigFrame
-from .methods import FRAME_METHODS
+from .methods import method_of
 from .output.stream_output import StreamOutput
 from .rasterise import IncrementalViews, fixed_view, training_kernel
 from .settings.encode import EncodeSettings
@@ -101,7 +101,7 @@ class StreamState:
     ) -> None:
         self.ingest, self.settings, self.source, self._output = ingest, settings, source, output
         self.seed, self.threads = seed, threads
-        self.method = FRAME_METHODS.get(settings.method)
+        self.method = method_of(settings)
         self.kernel = training_kernel(device, threads)
         self.compensation = Compensation(ingest, self.kernel, settings.corrections)
         self.views = IncrementalViews([])

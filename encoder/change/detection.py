@@ -81,7 +81,7 @@ class ChangeDetector:
             if self._before_flash is None and everywhere:
                 self._before_flash = BeforeFlash(frame, state, motion, self._memory.copy())
             with watch.stage("selection"):
-                selected = self._select(masks, len(state))
+                selected = self._select(masks)
         if not selected.any() and (everything := self._memory.whole(pictures, shown)):
             return Change(everything, ~nothing, overlooked=True)
         return Change(masks, selected)
@@ -102,7 +102,7 @@ class ChangeDetector:
         """The same change with S_t of the scene that the views show now, so many Gaussians."""
         if change.overlooked or not self._views:
             return replace(change, selected=np.ones(population, bool))
-        return replace(change, selected=self._select(change.masks, population))
+        return replace(change, selected=self._select(change.masks))
 
     def flash_is_over(self, frame: int, pictures: Sequence[FloatArray]) -> BeforeFlash | None:
         """The state before a flash if the pictures match it again; the masks' state returns to it as well."""
@@ -140,10 +140,8 @@ class ChangeDetector:
             return None
         return [view.rgb for view in self._views]
 
-    def _select(self, masks: Sequence[FrameMask], population: int) -> NDArray[np.bool_]:
+    def _select(self, masks: Sequence[FrameMask]) -> NDArray[np.bool_]:
         used, settings = showing(masks), self._settings.frame.selection
-        if "select" in self._settings.frame.ablated:
-            return np.ones(population, bool)
         selected = self._inside(used, [masks[i].changing for i in used], settings)
         if any(masks[i].refines for i in used):
             stricter = replace(settings, min_fraction=settings.refine_fraction)

@@ -86,7 +86,7 @@ def with_budget(settings: EncodeSettings, bytes_per_frame: float) -> EncodeSetti
     if not 1 <= bytes_per_frame <= MOST_BYTES:
         raise UsageError(f"{asked}: that is {bytes_per_frame:g} bytes a frame; give at least 1, at most {MOST_BYTES:g}")
     require_sparse(settings, asked, "codes every change")
-    if not settings.frame.significance.threshold or settings.frame.cache is not None:
+    if not settings.frame.significance.threshold:
         raise UsageError(f"{asked}: these settings code every change; choose `settings` draft, standard or high")
     return replace(settings, frame_budget=bytes_per_frame)
 

@@ -1,4 +1,7 @@
-"""Frame methods by name: ours and those of installed packages (docs/extending.md)."""
+"""Frame methods by name: ours and those of installed packages (docs/extending.md).
+
+What they share is in ``training/``, as functions; none inherits from another.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,8 @@ from ..registry import Fault, GuardedObject, Registry, described, guarded
 from ..settings.encode import EncodeSettings
 from ..training.densification import are_splats
 from ..training.method import FrameInput, FrameMethod, TrainedFrame
-from .decogs import DeltaTrainer
+from .decogs import DecogsTrainer
+from .paper import PaperTrainer
 from .threedgstream import BaselineTrainer
 
 
@@ -55,9 +59,27 @@ def _guarded_method(method: Any, fault: Fault) -> FrameMethod:
 FRAME_METHODS: Registry[FrameMethod] = Registry(
     "method",
     "decogs.frame_methods",
-    {"decogs": FrameMethod(DeltaTrainer), "3dgstream": FrameMethod(BaselineTrainer, dense=True)},
+    {
+        "decogs": FrameMethod(DecogsTrainer),
+        "paper": FrameMethod(PaperTrainer),
+        "3dgstream": FrameMethod(BaselineTrainer, dense=True),
+    },
     _guarded_method,
 )
+
+
+def method_of(settings: EncodeSettings) -> FrameMethod:
+    """The settings' method; with parts of it left out, the one that the bench offers for that.
+
+    Raises UsageError for a name that is not installed, and for a method that has no such parts.
+    """
+    if not settings.frame.ablated:
+        return FRAME_METHODS.get(settings.method)
+    name = f"{settings.method}-ablated"
+    if name not in FRAME_METHODS.names():
+        part = settings.frame.ablated[0]
+        raise UsageError(f"`ablate` {part}: `method` {settings.method} has no such part; drop one of the two")
+    return FRAME_METHODS.get(name)
 
 
 def require_sparse(settings: EncodeSettings, asked: str, why: str) -> None:

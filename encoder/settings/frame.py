@@ -24,9 +24,6 @@ from .checked import (
 )
 from .optimiser import LearningRates
 
-ABLATIONS = ("select", "focus", "gate")
-"""The parts of DecoGS that can be left out; `switches.without` says what then happens."""
-
 
 @dataclass(frozen=True)
 class MaskSettings(Checked):
@@ -204,6 +201,6 @@ class FrameSettings(Checked):
     adaptive_iterations: IterationSettings = field(default_factory=IterationSettings)
     significance: SignificanceSettings = field(default_factory=SignificanceSettings)
     emergence: EmergenceSettings = field(default_factory=EmergenceSettings)
-    ablated: Annotated[tuple[str, ...], OneOf(ABLATIONS)] = ()
+    ablated: Annotated[tuple[str, ...], OneOf(("focus", "gate"))] = ()
     optimiser: str = "adam"
     densification: str = "clone-split"
