@@ -93,7 +93,11 @@ PRESETS: dict[str, EncodeSettings] = {
     "paper": EncodeSettings(
         method="paper",
         keyframe=KeyframeSettings(iterations=3000, sh_degree=1),
-        frame=FrameSettings(selection=SelectionSettings(rule="paper"), emergence=EmergenceSettings(max_seeds=0)),
+        frame=FrameSettings(
+            selection=SelectionSettings(rule="paper"),
+            focus=FocusWeights(over="picture"),
+            emergence=EmergenceSettings(max_seeds=0),
+        ),
     ),
 }
 """The ladder (measured in DESIGN.md), and ``paper``: its numbers wherever it gives them."""
