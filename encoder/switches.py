@@ -92,12 +92,9 @@ def _get(registry: Registry[T], name: str, parameter: str) -> T:
 def with_method(settings: EncodeSettings, name: str) -> EncodeSettings:
     """The same settings with later frames trained by another method; raises UsageError for an unknown one."""
     _get(FRAME_METHODS, name, "method")
-    return _checked(replace(settings, method=name))
-
-
-def _checked(settings: EncodeSettings) -> EncodeSettings:
-    method_of(settings)
-    return settings
+    changed = replace(settings, method=name)
+    method_of(changed)
+    return changed
 
 
 def with_selection(settings: EncodeSettings, rule: str) -> EncodeSettings:
@@ -125,4 +122,6 @@ def without(settings: EncodeSettings, parts: Sequence[str]) -> EncodeSettings:
         require_sparse(settings, "`ablate` select", "has no such part")
         settings = with_selection(settings, "all")
     ablated = tuple(name for name in ABLATIONS[1:] if name in (*settings.frame.ablated, *parts))
-    return _checked(replace(settings, frame=replace(settings.frame, ablated=ablated)))
+    changed = replace(settings, frame=replace(settings.frame, ablated=ablated))
+    method_of(changed)
+    return changed

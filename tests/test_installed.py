@@ -80,7 +80,7 @@ def test_the_player_is_installed_as_it_was_built() -> None:
         ("formats", ".", "_ycbcr", "decogs_rgb_of_ycbcr"),
         ("decoder", "rasterise", "_forward", "decogs_render"),
         ("encoder", "rasterise", "_training", "decogs_backward"),
-        ("encoder", "transformation_cache", "_cache", "decogs_cache_step"),
+        ("encoder", "methods/transformation_cache", "_cache", "decogs_cache_step"),
     ],
 )
 def test_the_kernels_are_installed(layer: str, package: str, stem: str, function: str, instruction_set: str) -> None:

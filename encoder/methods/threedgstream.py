@@ -30,7 +30,7 @@ from ..training.losses import PhotometricLoss, require_finite, whole_picture_los
 from ..training.method import FrameInput, TrainedFrame, TrainingContext
 from ..training.optimiser import ATTRIBUTES, Adam
 from ..training.view_order import view_order
-from ..transformation_cache import TransformationCache
+from .transformation_cache import TransformationCache
 
 
 class BaselineTrainer:

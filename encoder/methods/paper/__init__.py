@@ -26,8 +26,8 @@ from ...training.method import FrameInput, TrainedFrame, TrainingContext
 from ...training.schedule import StepSchedule, seconds_at_least
 from ...training.selective_densification import densify
 from ...training.working_set import WorkingSet
-from ...transformation_cache import TransformationCache
 from ..decogs import DecogsTrainer
+from ..transformation_cache import TransformationCache
 from .stages import moved, train_cache, train_jointly
 
 

@@ -11,7 +11,7 @@ from ...training.densification import ViewGradients
 from ...training.frame_training import FrameTraining
 from ...training.schedule import StepSchedule, rates_at
 from ...training.working_set import WorkingSet
-from ...transformation_cache import TransformationCache
+from ..transformation_cache import TransformationCache
 
 
 def moved(work: WorkingSet, cache: TransformationCache) -> Splats:
