@@ -32,7 +32,7 @@ _TOLERANCE = 0.01
 """Share of the error by which a loss counts: a smaller one is the scene's own error over very many pixels."""
 
 
-@dataclass
+@dataclass(frozen=True)
 class Benefit:
     """Gain of one correction of one camera over the frames so far, in blocks, on unchanged and on changed pixels.
 
@@ -46,8 +46,8 @@ class Benefit:
     blocks: F64 = field(default_factory=lambda: np.zeros(2))
     frames: int = 0
 
-    def saw(self, corrected: FloatArray, left: FloatArray, shown: FloatArray, changed: NDArray[np.bool_]) -> None:
-        """Takes a frame's picture with the correction, the one without, and the scene, all (3, H, W).
+    def seen(self, corrected: FloatArray, left: FloatArray, shown: FloatArray, changed: NDArray[np.bool_]) -> Benefit:
+        """With a frame's picture with the correction, the one without, and the scene, all (3, H, W).
 
         ``changed`` (H, W): where the picture changed.
         """
@@ -55,13 +55,15 @@ class Benefit:
             np.square(np.minimum(np.abs(picture - shown), _LARGEST), dtype=np.float64).sum(axis=0)
             for picture in (corrected, left)
         )
-        for place, where in enumerate((~changed, changed)):
+        sums = []
+        for where in (~changed, changed):
             there = _block_sums(where.astype(np.float64)) > 0
             gains = _block_sums(np.where(where, others - mine, 0))[there]
-            sums = (gains.sum(), np.square(gains).sum(), float(others[where].sum()), len(gains))
-            for known, seen in zip((self.gained, self.squares, self.error, self.blocks), sums, strict=True):
-                known[place] = _MEMORY * known[place] + seen
-        self.frames += 1
+            sums.append((gains.sum(), np.square(gains).sum(), float(others[where].sum()), len(gains)))
+        known = (self.gained, self.squares, self.error, self.blocks)
+        seen = (_MEMORY * old + new for old, new in zip(known, np.transpose(sums), strict=True))
+        gained, squares, error, blocks = seen
+        return Benefit(gained, squares, error, blocks, self.frames + 1)
 
     @property
     def pays(self) -> bool:

@@ -20,14 +20,15 @@ from numpy.typing import NDArray
 from decogs.formats.cameras import Camera, camera_centre, scale_camera, turned
 from decogs.formats.splats import Splats, join_splats, take_splats
 
-from ..rasterise import FixedView, IncrementalViews, TrainingKernel, gradients_like
+from ..rasterise import FixedView, TrainingKernel, gradients_like
+from ..rasterise.scene_views import SceneViews
 from ..settings.frame import FocusWeights, FrameSettings
-from .losses import PhotometricLoss, focus_loss, require_finite
-from .method import TrainedFrame
-from .optimiser import ATTRIBUTES, OPTIMISERS, Optimiser
-from .significance import picture_weight
-from .stretch import step_unstretched
-from .view_order import view_order
+from ..training.losses import PhotometricLoss, focus_loss, require_finite
+from ..training.method import TrainedFrame
+from ..training.optimiser import ATTRIBUTES, OPTIMISERS, Optimiser
+from ..training.significance import picture_weight
+from ..training.stretch import step_unstretched
+from ..training.view_order import view_order
 
 _PIXELS = 240_000
 """Most of a picture of the fade. In smaller ones, details of the real ones come loose: .4 dB at a fifth of 352x264."""
@@ -47,13 +48,13 @@ class CrossFade:
     """What a frame goes over to: the next segment's ``scene`` of the same frame, and its ``share`` by now, 0 to 1.
 
     ``rows``: Gaussians of the scene before the frame that may change for it. ``views``: where the two scenes are
-    compared, of `fade_cameras`; they show any scene.
+    compared, of `fade_cameras`.
     """
 
     scene: Splats
     share: float
     rows: NDArray[np.int64]
-    views: IncrementalViews
+    views: SceneViews
 
 
 def fade_cameras(cameras: Sequence[Camera]) -> list[Camera]:
@@ -118,7 +119,7 @@ class _Fading:
     detached: NDArray[np.int64]
 
 
-def go_over(
+def cross_fade(
     kernel: TrainingKernel,
     scene: Splats,
     trained: TrainedFrame,
@@ -153,7 +154,7 @@ def go_over(
         view.backward(out=gradients)
         late = settings.late_decay ** max(0.0, 2 * step / steps - 1)
         step_unstretched(optimiser, gradients, rates.scaled(_RATES * late), settings.max_stretch)
-    return _gone_over(trained, fading, optimiser, share)
+    return _cross_faded(trained, fading, optimiser, share)
 
 
 def _fading(scene: Splats, trained: TrainedFrame, fade: CrossFade) -> _Fading:
@@ -176,9 +177,8 @@ def _losses(
 ) -> list[tuple[FixedView, PhotometricLoss]]:
     """The fade's views in which the two scenes differ, ready to be drawn, and each one's loss against their mixture."""
     found = []
-    fade.views.show(scene)
-    fade.views.detach(fading.detached)
-    for view in fade.views.views:
+    fade.views.of(scene).detach(fading.detached)
+    for view in fade.views:
         view.draw(fading.values, fading.rows)
         mine, theirs = view.rgb, kernel.forward(fade.scene, view.camera).rgb
         differs = np.abs(theirs - mine).max(axis=0) > _DIFFERS
@@ -188,7 +188,7 @@ def _losses(
     return found
 
 
-def _gone_over(trained: TrainedFrame, fading: _Fading, optimiser: Optimiser, share: float) -> TrainedFrame:
+def _cross_faded(trained: TrainedFrame, fading: _Fading, optimiser: Optimiser, share: float) -> TrainedFrame:
     """The frame with the values that the optimiser has; ``share``: a picture's weight in its losses.
 
     What hardly shows of the difference of two scenes may show of the scene: a value counts as training has found, too.

@@ -5,14 +5,24 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.codec.lattice import Lattice, in_steps, nearest_points
-from decogs.codec.state import ARRAYS, Attributes
+from decogs.codec.deltas import Delta, difference
+from decogs.codec.lattice import Lattice, in_steps, nearest_points, quantise
+from decogs.codec.state import ARRAYS, Attributes, State, take_rows
 from decogs.formats.splats import Splats
 
 from ..settings.frame import SignificanceSettings
+from ..training.method import TrainedFrame
 from ..training.rate_distortion import cheapest_changes
 
 _COLOURS = ("opacity_logits", "sh")
+
+
+def delta_of(state: State, lattice: Lattice, trained: TrainedFrame, settings: SignificanceSettings) -> Delta:
+    """What a frame's training changes of the ``state`` before it, on the lattice."""
+    before = take_rows(state, trained.kept)
+    current = quantised(trained.values, before, lattice, trained.sensitivity, settings)
+    added = quantise(trained.added, lattice)
+    return difference(state, trained.kept, current, removed=trained.removed, added=added)
 
 
 def quantised(

@@ -10,19 +10,20 @@ from decogs.formats.callbacks import OnWarning
 from decogs.formats.container import Packet
 from decogs.formats.errors import DecogsError
 
-from .closed_segments import with_following
-from .input.imported_keyframe import KeyframeSource
-from .input.imported_splats import SplatSource
-from .input.ingest import Ingest
-from .input.recordings import is_current
-from .loop import StreamEncoder
-from .output.convergence_log import ConvergenceLog
-from .output.metrics import write_metrics
-from .output.reports import EncodeReport, FrameReport, OnFrame, OnKeyframeStep
-from .output.resume import Interrupted, check_resumable
-from .output.stream_output import FileOutput, StreamOutput, open_output
-from .parallel import ahead
-from .settings.encode import EncodeSettings
+from ..frame.context import Context
+from ..input.imported_keyframe import KeyframeSource
+from ..input.imported_splats import SplatSource
+from ..input.ingest import Ingest
+from ..input.recordings import is_current
+from ..output.convergence_log import ConvergenceLog
+from ..output.metrics import write_metrics
+from ..output.reports import EncodeReport, FrameReport, OnFrame, OnKeyframeStep
+from ..output.resume import Interrupted, check_resumable
+from ..output.stream_output import FileOutput, StreamOutput, open_output
+from ..parallel import ahead
+from ..segments.next_segment import with_following
+from ..settings.encode import EncodeSettings
+from .encoder import StreamEncoder
 
 
 def encode_stream(
@@ -56,17 +57,15 @@ def encode_stream(
     """
     with output if isinstance(output, StreamOutput) else open_output(output, resume=resume) as target:
         left = _left(target, settings) if resume else None
-        encoder = StreamEncoder(
+        context = Context.of(
             ingest,
             settings,
-            target,
             seed=seed,
             threads=threads,
-            keyframe=keyframe,
             device=device,
-            convergence=convergence,
-            on_warning=on_warning,
+            on_loss=None if convergence is None else convergence.step,
         )
+        encoder = StreamEncoder(context, target, keyframe, convergence=convergence, on_warning=on_warning)
         encoder.check_header(span.start)
         resumed = (0 if left is None else len(left.entries)) if resume else None
         packets: Iterator[Packet] = iter(())
