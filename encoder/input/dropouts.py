@@ -6,8 +6,8 @@ like is not kept; what the scene looks like is.
 
 Chosen: two signs that need no setting. A picture is *blank* when it is one colour all over up to noise, whereas the
 camera has shown something before; it is *frozen* when it repeats the camera's picture before it bit for bit while most
-cameras show a change: no sensor does that, but recorders fill a gap so. Rejected: a bound on the share of pixels that
-change (a lamp that is switched on changes them all, and is to be seen).
+cameras show a change: no sensor does that, but recorders fill a gap so. A lamp that is switched on changes all pixels,
+and is to be seen.
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
 """Which recordings a stream is of, so that none is gone on with from other footage.
 
-Chosen: a digest of each training camera's first picture as it is decoded, in the header's settings. Videos that are
-packed anew, moved or renamed stay the same recordings; a scale or a lens plays no part, nor does what a held-out camera
-shows. Rejected: files' bytes (another container is no other footage), all frames' pictures (a digest a frame costs more
-than a frame in which nothing happens). A decoder of videos whose pictures differ by a level makes them other pictures,
-and the encode's bytes others.
+The header's settings have a digest of each training camera's first picture as it is decoded. Videos that are packed
+anew, moved or renamed stay the same recordings; scale, lenses and held-out cameras play no part. A decoder of videos
+whose pictures differ by a level makes them other pictures, and the encode's bytes others.
 """
 
 from __future__ import annotations

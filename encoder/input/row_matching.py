@@ -1,7 +1,7 @@
 """Which Gaussian of one frame is which of the next, by their positions: each the other's nearest.
 
-Chosen: a grid whose cells are as wide as the search reaches; candidates are those of a cell and its 26 neighbours.
-Rejected: an approximate search (results differ between machines), a tree (a library more).
+A grid has cells as wide as the search reaches; candidates are those of a cell and its 26 neighbours. The search is
+exact, since results must not differ between machines.
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
 """Depths where a view has none, continued from the surfaces around.
 
-Chosen: known depths continue as planes. A plane of the world has an inverse depth that is linear in the pixel's
-coordinates, so that walls, floors and table tops go on beyond where two views see them. Rejected: the nearest known
-depths as they are (walls bend towards the camera, single wrong points spread over a curtain; figures in
-encoder/DESIGN.md, "Keyframe").
+Known depths continue as planes: a plane of the world has an inverse depth that is linear in the pixel's coordinates, so
+that walls, floors and table tops go on beyond where two views see them.
 """
 
 from __future__ import annotations
@@ -56,7 +54,7 @@ def continues(known: Array) -> NDArray[np.bool_]:
     """Pixels (H, W) in which known inverse depths (H, W; 0: unknown) go on as planes, near known ones.
 
     Each of two halves of the known depths, the fields of a chequerboard, says how they go on; where they agree, planes
-    are what is there. Figures in encoder/DESIGN.md, "Keyframe".
+    are what is there.
     """
     reach = round(_NEAR * known.shape[1])
     near = cv2.dilate((known > 0).astype(np.uint8), np.ones((2 * reach + 1,) * 2, np.uint8)) > 0

@@ -1,7 +1,7 @@
 """Packs a folder of full reports and their runs, which git does not keep, into one archive to publish beside a release.
 
-``make report`` runs it: ``python tests/bench/archive.py report/full`` writes report/full.zip. Unpacked in that folder, the
-runs count as made.
+``make report`` runs it: ``python tests/bench/archive.py report/full`` writes report/full.zip. Unpacked in that folder,
+the runs count as made.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Exposure and white balance of a camera as shifts of its colours' odds against the scene's, per channel.
 
 A gain on light before a display's curve, which nobody knows, is within 0.02 dB of a factor on the odds v / (1 - v) of
-the coded value (encoder/DESIGN.md): black and white stay, nothing is clipped, and the inverse is the same with
+the coded value: black and white stay, nothing is clipped, and the inverse is the same with
 1 / factor.
 """
 
