@@ -25,7 +25,7 @@ from decogs.encoder.settings.frame import SignificanceSettings
 
 ROOT = Path(__file__).parents[2]
 DOCS = sorted((ROOT / "docs").glob("*.md"))
-LAYERS = ("formats", "codec", "decoder", "encoder", "player")
+LAYERS = ("formats", "codec", "decoder", "encoder", "bench", "player")
 DOCUMENTS = [
     ROOT / "README.md",
     ROOT / "CONTRIBUTING.md",
@@ -124,6 +124,15 @@ def test_links_lead_somewhere(document: Path) -> None:
     for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", document.read_text()):
         if not target.startswith("http"):
             assert (document.parent / target).exists(), target
+
+
+def test_each_room_of_the_encoder_is_in_the_table_of_rooms() -> None:
+    text = (ROOT / "CONTRIBUTING.md").read_text()
+    table = text[text.index("| room | what is in it |") :].split("\n\n")[0]
+    listed = [name for row in table.splitlines() for name in re.findall(r"`([^`]+)`", row.split("|")[1])]
+    entries = [path for path in (ROOT / "encoder").iterdir() if path.name not in {"__init__.py", "__pycache__"}]
+    rooms = [f"{path.name}/" if path.is_dir() else path.name for path in entries if path.suffix in {"", ".py"}]
+    assert sorted(listed) == sorted(rooms)
 
 
 def test_the_report_lists_each_of_its_pages_and_keeps_no_picture_that_none_shows() -> None:
