@@ -19,14 +19,14 @@ from decogs.formats.pictures import Picture
 from decogs.formats.rigs import Rig, files_with
 
 _SETTING, _PICTURES = "recorded", "pictures"
-_DIGITS = 8
+_DIGEST_DIGITS = 8
 
 
 def digest_of(picture: Picture) -> str:
     """A picture's digest, hexadecimal; equal for equal pictures, and by accident for one of 2^32 others."""
     content = hashlib.sha256(f"{picture.dtype} {picture.shape}".encode())
     content.update(np.ascontiguousarray(picture).data)
-    return content.hexdigest()[:_DIGITS]
+    return content.hexdigest()[:_DIGEST_DIGITS]
 
 
 def setting_of(recorded: Mapping[str, str], cameras: Sequence[str]) -> dict[str, Any]:
@@ -37,11 +37,11 @@ def setting_of(recorded: Mapping[str, str], cameras: Sequence[str]) -> dict[str,
 def recorded_in(header: StreamHeader) -> dict[str, str]:
     """The digests of the first frame's pictures by camera; none for a stream that does not tell."""
     group = header.settings.get(_SETTING)
-    told = group.get(_PICTURES) if isinstance(group, Mapping) else None
-    if not isinstance(told, list) or not all(isinstance(text, str) for text in told):
+    texts = group.get(_PICTURES) if isinstance(group, Mapping) else None
+    if not isinstance(texts, list) or not all(isinstance(text, str) for text in texts):
         return {}
     names = [camera.name for camera in header.cameras if camera.name not in header.held_out]
-    return dict(zip(names, told, strict=True)) if len(names) == len(told) else {}
+    return dict(zip(names, texts, strict=True)) if len(names) == len(texts) else {}
 
 
 def difference(header: StreamHeader, recorded: Mapping[str, str]) -> str:
