@@ -30,12 +30,12 @@ def digest_of(picture: Picture) -> str:
 
 
 def setting_of(recorded: Mapping[str, str], cameras: Sequence[str]) -> dict[str, Any]:
-    """What the header's settings tell of the first pictures: digests in the order of ``cameras``; nothing without."""
+    """What the header's settings hold of the first pictures: digests in the order of ``cameras``; nothing without."""
     return {_SETTING: {_PICTURES: [recorded[name] for name in cameras if name in recorded]}} if recorded else {}
 
 
 def recorded_in(header: StreamHeader) -> dict[str, str]:
-    """The digests of the first frame's pictures by camera; none for a stream that does not tell."""
+    """The digests of the first frame's pictures by camera; none for a stream without."""
     group = header.settings.get(_SETTING)
     texts = group.get(_PICTURES) if isinstance(group, Mapping) else None
     if not isinstance(texts, list) or not all(isinstance(text, str) for text in texts):

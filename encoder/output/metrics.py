@@ -1,4 +1,4 @@
-"""What a stream tells of its own quality: METRICS packets (SPEC.md, section 3), which decoding passes over."""
+"""What a stream says of its own quality: METRICS packets (SPEC.md, section 3), which decoding passes over."""
 
 from __future__ import annotations
 
