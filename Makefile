@@ -155,8 +155,8 @@ bench: $(READY) ## time the rasteriser, sparse training steps against dense ones
 	$(BIN)/python tests/bench/decode.py
 	$(BIN)/python tests/bench/player.py
 
-# Hours: runs that are there, made by the same code, are not made again. The pages in report/ are the short form.
-report: $(READY) ## every table, picture and run behind the pages of report/, into report/full and report/full.zip
+# Hours: runs that are there, made by the same code, are not made again. tables.py fills those of report/.
+report: $(READY) ## make report/full and report/full.zip: every table, picture and run; and the tables of report/ from them
 	$(BIN)/decogs-bench paper $(RIGS) -o $(FULL) $(BENCH_ARGS)
 	$(BIN)/decogs-bench paper $(DOME) -o $(FULL)/dome --holdout cam10 --frames :20 --only methods,fresh $(BENCH_ARGS)
 	$(BIN)/decogs-bench choices $(CHOICE_RIGS) -o $(FULL) --frames :16 $(BENCH_ARGS)
@@ -167,6 +167,7 @@ report: $(READY) ## every table, picture and run behind the pages of report/, in
 	$(BIN)/decogs-bench curve $(RATE_RIGS) -o $(FULL) --frames :8 $(BENCH_ARGS)
 	$(BIN)/decogs-bench curve $(DOME) -o $(FULL)/dome --holdout cam00 --holdout cam10 --holdout cam26 $(SHORT_CURVE) $(BENCH_ARGS)
 	$(BIN)/decogs-bench curve $(RING) -o $(FULL)/ring --holdout cam00 --holdout cam04 --holdout cam08 $(SHORT_CURVE) $(BENCH_ARGS)
+	$(BIN)/python report/tables.py $(FULL)
 	$(BIN)/python tests/bench/archive.py $(FULL)
 
 blender-addon: ## pack the Blender extension as build/decogs-blender.zip; Python's standard library is enough
