@@ -1,4 +1,4 @@
-"""Fills the tables of the pages in this folder from the full reports, as the last step of `make report`.
+"""Fills tables and pictures of the pages in this folder from the full reports, as the last step of `make report`.
 
     .venv/bin/python report/tables.py [FULL]        FULL: where they are, report/full
 
@@ -10,13 +10,14 @@ beneath them the questions of the report, each with its name here. A table with 
     beta: weights of whole picture and focus -->
     <!-- end -->
 
-A single question without a name gets a row for each of its variants; several get a row each.
+A question with a name gets one row; of one without, each variant gets a row.
 """
 
 from __future__ import annotations
 
 import json
 import re
+import shutil
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -77,34 +78,25 @@ def lines(rigs: dict[str, dict[str, Any]], questions: dict[str, str], keys: list
     """A table with a column for each rig. ``questions``: by their keys, their names here; ``keys``: of FIGURES."""
     units = ", ".join(FIGURES[key].heading for key in keys)
     headings = [f"`{rig}`" + (f": {units}" if number == 0 else "") for number, rig in enumerate(rigs)]
-    if len(questions) == 1 and not next(iter(questions.values())).strip():
-        rows = row_each(rigs, *questions, keys)
+    if any(name.strip() for name in questions.values()):
+        rows = [[name.strip(), *(variants(rig, key, keys) for rig in rigs.values())] for key, name in questions.items()]
     else:
-        rows = [
-            [
-                name.strip(),
-                *("<br>".join(f"{row['description']}: {cell(row, keys)}" for row in found) for found in by_rig),
-            ]
-            for key, name in questions.items()
-            for by_rig in [[rows_of(rig, key) for rig in rigs.values()]]
-        ]
-    return [
-        f"| | {' | '.join(headings)} |",
-        "|---" * (len(rigs) + 1) + "|",
-        *(f"| {' | '.join(row)} |" for row in rows),
-    ]
+        rows = [row for key in questions for row in row_each(rigs, key, keys)]
+    return ["| " + " | ".join(row) + " |" for row in [["", *headings], ["---"] * (len(rigs) + 1), *rows]]
+
+
+def variants(rig: dict[str, Any], question: str, keys: list[str]) -> str:
+    """All variants in one cell, a line each."""
+    return "<br>".join(f"{row['description']}: {cell(row, keys)}" for row in rows_of(rig, question))
 
 
 def row_each(rigs: dict[str, dict[str, Any]], question: str, keys: list[str]) -> list[list[str]]:
     """A row for each variant; what is as in the first row is "=", and a row of nothing else is left out."""
-    names = {identity(row): row["description"] for row in rows_of(next(iter(rigs.values())), question)}
     by_rig = [{identity(row): cell(row, keys) for row in rows_of(rig, question)} for rig in rigs.values()]
-    first = [cells.get(next(iter(names)), "–") for cells in by_rig]
-    rows = [[name, *(cells.get(key, "–") for cells in by_rig)] for key, name in names.items()]
-    others = [
-        [row[0], *("=" if now == then else now for now, then in zip(row[1:], first, strict=True))] for row in rows[1:]
-    ]
-    return [rows[0], *(row for row in others if set(row[1:]) != {"="})]
+    names = {identity(row): row["description"] for row in rows_of(next(iter(rigs.values())), question)}
+    first, *others = [[name, *(cells.get(key, "–") for cells in by_rig)] for key, name in names.items()]
+    marked = [["=" if now == then else now for now, then in zip(row, first, strict=True)] for row in others]
+    return [first, *(row for row in marked if set(row[1:]) != {"="})]
 
 
 def identity(row: dict[str, Any]) -> str:
@@ -134,12 +126,16 @@ def written(figures: dict[str, Any], key: str) -> str:
 
 
 def main(full: Path) -> None:
+    """Tables of all pages, and the pictures that they show, as far as ``full`` has them."""
     for page in sorted(HERE.glob("*.md")):
         before = page.read_text("utf-8")
         after = filled(before, full)
         if after != before:
             page.write_text(after, "utf-8")
             print(f"{page.name}: tables made anew")
+        for picture in re.findall(r"\]\((pictures/[^)]+)\)", after):
+            if (full / picture).exists():
+                shutil.copyfile(full / picture, HERE / picture)
 
 
 if __name__ == "__main__":

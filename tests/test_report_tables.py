@@ -46,8 +46,8 @@ def test_a_question_gets_a_row_for_each_variant(script: dict[str, Any], full: Pa
     page = PAGE.format("some.json:a some.json:b | psnr_dynamic megabytes\nsteps:")
     made = script["filled"](page, full)
     assert table(made) == [
-        "| | `a`: dB where things move, kB | `b` |",
-        "|---|---|---|",
+        "|  | `a`: dB where things move, kB | `b` |",
+        "| --- | --- | --- |",
         "| 0 steps | 27.62, 7.9 | 30.00 ± 0.13, 7.9 |",
         "| 1 steps | 27.50, 7.9 | = |",
     ]
