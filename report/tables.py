@@ -67,9 +67,12 @@ def filled(page: str, full: Path) -> str:
         reports = [source.rsplit(":", 1) for source in sources.split()]
         if not all((full / file).exists() for file, _ in reports):
             return found[0]
-        rigs = {rig: json.loads((full / file).read_text("utf-8"))["rigs"][rig] for file, rig in reports}
         questions = dict(tuple(line.partition(":")[::2]) for line in names.strip().splitlines())
-        return opening + "\n".join(lines(rigs, questions, keys.split())) + "\n" + end
+        try:
+            rigs = {rig: json.loads((full / file).read_text("utf-8"))["rigs"][rig] for file, rig in reports}
+            return opening + "\n".join(lines(rigs, questions, keys.split())) + "\n" + end
+        except KeyError as unknown:
+            raise SystemExit(f"{opening}names {unknown}, which its reports do not have; correct it") from None
 
     return TABLE.sub(table, page)
 
@@ -106,9 +109,7 @@ def identity(row: dict[str, Any]) -> str:
 
 def rows_of(rig: dict[str, Any], question: str) -> list[dict[str, Any]]:
     """The rows of a question; rivals are beside the questions."""
-    found: list[dict[str, Any]] | None = rig["questions"].get(question, rig.get(question))
-    if found is None:
-        raise SystemExit(f"{question}: is no question of that report; correct the comment before the table")
+    found: list[dict[str, Any]] = rig[question] if question in rig else rig["questions"][question]
     return found
 
 

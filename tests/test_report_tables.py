@@ -69,9 +69,10 @@ def test_a_table_without_its_sources_stays(script: dict[str, Any], full: Path) -
     assert script["filled"](page, full) == page
 
 
-def test_a_question_that_is_not_in_the_report_is_named(script: dict[str, Any], full: Path) -> None:
-    with pytest.raises(SystemExit, match="gone: is no question of that report"):
-        script["filled"](PAGE.format("some.json:a | psnr_dynamic\ngone:"), full)
+@pytest.mark.parametrize("comment", ["gone | psnr_dynamic\nsteps:", "a | gone\nsteps:", "a | psnr_dynamic\ngone:"])
+def test_a_rig_figure_or_question_that_is_not_there_is_named(script: dict[str, Any], full: Path, comment: str) -> None:
+    with pytest.raises(SystemExit, match="names 'gone', which its reports do not have"):
+        script["filled"](PAGE.format(f"some.json:{comment}"), full)
 
 
 def test_every_table_of_the_pages_has_known_figures_and_rows(script: dict[str, Any]) -> None:
