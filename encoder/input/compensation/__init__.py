@@ -40,9 +40,9 @@ Show = Callable[[int], FloatArray]
 _KINDS = {"colours": ("exposure", "red", "blue"), "shake": ("yaw", "pitch", "roll")}
 """Parts of a correction that are judged separately, and their numbers."""
 
-_CHANCE = 2.6
+_CHANCE_DEVIATIONS = 2.6
 """Deviations of the median of many cameras that drift each by itself within which it is chance, at 99 %."""
-_FEW = 3.5
+_FEW_CAMERAS_FACTOR = 3.5
 """What that grows by over one less than the cameras' number: within a tenth of Student's t from 4 cameras on."""
 
 _ALTERNATIONS = 2
@@ -283,7 +283,13 @@ def _light_of(shifts: F64) -> F64:
     kinds = np.stack([shifts[:, 0] - shifts[:, 1], shifts[:, 1], shifts[:, 2] - shifts[:, 1]], axis=1)
     median = np.median(kinds, axis=0)
     # The median of n normal values has 1.2533 / sqrt n of their deviation.
-    chance = _CHANCE * (1 + _FEW / (len(shifts) - 1)) * 1.2533 * kinds.std(axis=0, ddof=1) / np.sqrt(len(shifts))
+    chance = (
+        _CHANCE_DEVIATIONS
+        * (1 + _FEW_CAMERAS_FACTOR / (len(shifts) - 1))
+        * 1.2533
+        * kinds.std(axis=0, ddof=1)
+        / np.sqrt(len(shifts))
+    )
     with np.errstate(divide="ignore", invalid="ignore"):
         left = np.where(median == 0, 0, 1 - np.square(chance / median))
     red, green, blue = median * np.maximum(left, 0)

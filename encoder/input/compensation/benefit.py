@@ -18,17 +18,17 @@ from decogs.formats.splats import FloatArray
 F64 = NDArray[np.float64]
 
 _MAX_PIXELS = 40_000
-_LARGEST = 25 / 255
+_MAX_ERROR = 25 / 255
 """Error beyond which all count alike: pixels that training has not followed give no evidence."""
-_MEMORY = 0.9
+_SUMS_DECAY = 0.9
 """Share of earlier sums that remains a frame later: some ten frames decide."""
-_FRAMES = 2
+_MIN_FRAMES = 2
 """Frames needed for a decision: the first one is trained without the alternative."""
-_BLOCK = 8
+_BLOCK_PIXELS = 8
 """Pixels across of one observation: where training has not followed, whole patches are wrong."""
-_SURE = 4.0
+_MIN_DEVIATIONS = 4.0
 """Standard deviations of the mean by which a loss counts."""
-_TOLERANCE = 0.01
+_ERROR_TOLERANCE = 0.01
 """Share of the error by which a loss counts: a smaller one is the scene's own error over very many pixels."""
 
 
@@ -52,7 +52,7 @@ class Benefit:
         ``changed`` (H, W): where the picture changed.
         """
         mine, others = (
-            np.square(np.minimum(np.abs(picture - shown), _LARGEST), dtype=np.float64).sum(axis=0)
+            np.square(np.minimum(np.abs(picture - shown), _MAX_ERROR), dtype=np.float64).sum(axis=0)
             for picture in (corrected, left)
         )
         sums = []
@@ -61,23 +61,23 @@ class Benefit:
             gains = _block_sums(np.where(where, others - mine, 0))[there]
             sums.append((gains.sum(), np.square(gains).sum(), float(others[where].sum()), len(gains)))
         known = (self.gained, self.squares, self.error, self.blocks)
-        seen = (_MEMORY * old + new for old, new in zip(known, np.transpose(sums), strict=True))
+        seen = (_SUMS_DECAY * old + new for old, new in zip(known, np.transpose(sums), strict=True))
         gained, squares, error, blocks = seen
         return Benefit(gained, squares, error, blocks, self.frames + 1)
 
     @property
     def pays(self) -> bool:
         """Whether it made neither kind of pixels significantly worse."""
-        surely = self.gained < -_SURE * np.sqrt(self.squares)
-        clearly = self.gained < -_TOLERANCE * self.error
-        return self.frames < _FRAMES or not bool((surely & clearly).any())
+        surely = self.gained < -_MIN_DEVIATIONS * np.sqrt(self.squares)
+        clearly = self.gained < -_ERROR_TOLERANCE * self.error
+        return self.frames < _MIN_FRAMES or not bool((surely & clearly).any())
 
 
 def _block_sums(values: F64) -> F64:
     """Sums of ``values`` (H, W) over blocks, in any order; what is left over at the edges is dropped."""
-    rows, columns = (size // _BLOCK for size in values.shape)
-    whole = values[: rows * _BLOCK, : columns * _BLOCK]
-    return np.asarray(whole.reshape(rows, _BLOCK, columns, _BLOCK).sum(axis=(1, 3)).ravel())
+    rows, columns = (size // _BLOCK_PIXELS for size in values.shape)
+    whole = values[: rows * _BLOCK_PIXELS, : columns * _BLOCK_PIXELS]
+    return np.asarray(whole.reshape(rows, _BLOCK_PIXELS, columns, _BLOCK_PIXELS).sum(axis=(1, 3)).ravel())
 
 
 def on_grid(picture: NDArray[Any]) -> NDArray[Any]:
