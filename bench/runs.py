@@ -39,7 +39,7 @@ from decogs.encoder.output.convergence_log import ConvergenceLog
 from decogs.encoder.output.reports import EncodeReport, FrameReport, OnKeyframeStep
 from decogs.encoder.settings.effects import PRESET_EFFECTS
 from decogs.encoder.settings.encode import EncodeSettings
-from decogs.encoder.stream import encode_stream
+from decogs.encoder.stream.run import encode_stream
 from decogs.formats.errors import UsageError
 from decogs.formats.frame_ranges import Frames
 from decogs.formats.outputs import GrowingFile, write_whole

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 from decogs.formats.errors import UsageError
 
 from .change.selection import SELECTION_RULES
-from .coding.rate_control import RATE_CONTROLS, with_budget
+from .coding.rate_control import with_budget
 from .coding.time_control import with_target_psnr, with_time_budget
 from .methods import FRAME_METHODS, method_of, require_sparse
 from .registry import Registry
@@ -31,7 +31,6 @@ ABLATIONS = ("select", "focus", "gate")
 
 _NAMED: dict[str, Registry[Any]] = {
     "method": FRAME_METHODS,
-    "rate_control": RATE_CONTROLS,
     "frame.selection.rule": SELECTION_RULES,
     "frame.optimiser": OPTIMISERS,
     "frame.densification": DENSIFICATIONS,
