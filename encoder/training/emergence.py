@@ -41,9 +41,9 @@ def add_emerging_in_time(
     share = search.affords(deadline - began, search_seconds(training.settings.emergence.max_rays, len(used)))
     if not share:
         return 0.0
-    looked, rays = search_of(share, len(used))
-    apart = -(-len(used) // looked)
-    add_emerging(training, work, used[training.frame.index % apart :: apart], rays)
+    views, rays = search_of(share, len(used))
+    every = -(-len(used) // views)
+    add_emerging(training, work, used[training.frame.index % every :: every], rays)
     seconds = time.perf_counter() - began
     search.took(seconds, share)
     schedule.put_off(seconds)

@@ -68,10 +68,10 @@ class FrameTraining:
         order = view_order(len(self.used), self.random)
         return (Step(stage, number, self.used[place]) for number, place in enumerate(order))
 
-    def gradients(self, step: Step, work: WorkingSet, shown: Splats) -> SplatGradients:
-        """Gradients of the values ``shown`` (M), from the pixels that they cover; raises TrainingError for NaN."""
+    def gradients(self, step: Step, work: WorkingSet, drawn: Splats) -> SplatGradients:
+        """Gradients of the values ``drawn`` (M), from the pixels that they cover; raises TrainingError for NaN."""
         view = self.context.static_views[step.view]
-        view.draw(shown, work.rows)
+        view.draw(drawn, work.rows)
         value = self.losses[step.view].evaluate_drawn(view)
         require_finite(value, self.context.views[step.view].camera)
         if self.frame.stopping.on_loss is not None:
@@ -83,18 +83,18 @@ class FrameTraining:
         camera = self.context.views[view].pinhole
         gathered.add(gradients.view / np.float32(self.losses[view].emphasis), camera.width, camera.height)
 
-    def draw(self, views: Sequence[int], work: WorkingSet, shown: Splats) -> None:
-        """Draws these views with the values ``shown``."""
+    def draw(self, views: Sequence[int], work: WorkingSet, drawn: Splats) -> None:
+        """Draws these views with the values ``drawn``."""
         for index in views:
-            self.context.static_views[index].draw(shown, work.rows)
+            self.context.static_views[index].draw(drawn, work.rows)
 
     def errors(self, views: Sequence[int]) -> list[FloatArray]:
         """Errors of views as last drawn, in their regions of interest, (3, pixels) each, colours 0 to 1."""
 
         def missing(index: int) -> FloatArray:
             focus = np.flatnonzero(self.focus(index))
-            shown = np.clip(_pixels(self.context.static_views[index].rgb, focus), 0, 1)
-            return shown - _pixels(self.frame.pictures[index], focus)
+            drawn = np.clip(_pixels(self.context.static_views[index].rgb, focus), 0, 1)
+            return drawn - _pixels(self.frame.pictures[index], focus)
 
         with side_by_side(self.context.threads) as each:
             return list(each(missing, views))
@@ -103,12 +103,12 @@ class FrameTraining:
         """Sum of the squared `errors`."""
         return sum(float(np.square(errors).sum(dtype=np.float64)) for errors in self.errors(views))
 
-    def outcome(self, work: WorkingSet, shown: Splats, before: float, views: Sequence[int]) -> TrainedFrame:
+    def outcome(self, work: WorkingSet, drawn: Splats, before: float, views: Sequence[int]) -> TrainedFrame:
         """The trained frame; no change if these views' squared error, ``before`` at the start, has grown by half."""
-        self.draw(views, work, shown)
+        self.draw(views, work, drawn)
         if self.squared_error(views) > _DIVERGED * before:
             return work.unchanged()
-        return work.result(shown, self.picture_weight)
+        return work.result(drawn, self.picture_weight)
 
     def focus(self, index: int) -> NDArray[np.bool_]:
         """The recorded part of a view's region of interest, (H, W)."""

@@ -21,10 +21,10 @@ _LARGE = 0.01
 """Sigma, in units of the rig's extent, from which a Gaussian is split and not cloned (3DGS's)."""
 
 
-def densify(training: FrameTraining, work: WorkingSet, shown: Splats, gathered: ViewGradients) -> bool:
+def densify(training: FrameTraining, work: WorkingSet, drawn: Splats, gathered: ViewGradients) -> bool:
     """Adds Gaussians where ``gathered`` gradients are large, and removes transparent ones; whether it did either.
 
-    ``shown`` (M): the values as drawn, where the working set's own are moved by a cache.
+    ``drawn`` (M): the values as drawn, where the working set's own are moved by a cache.
     """
     settings = training.settings
     selected = work.may_grow()
@@ -32,7 +32,7 @@ def densify(training: FrameTraining, work: WorkingSet, shown: Splats, gathered: 
     room = training.context.max_gaussians - work.population + int(faint.sum())
     # Rounded up: a small scene that may never grow loses quality over hundreds of frames.
     room = min(math.ceil(settings.grow_fraction * selected.sum()), room)
-    grows = room > 0 and _grow(training, work, shown, gathered, selected & ~faint, room)
+    grows = room > 0 and _grow(training, work, drawn, gathered, selected & ~faint, room)
     work.remove(np.flatnonzero(faint))
     return grows or bool(faint.any())
 
@@ -40,7 +40,7 @@ def densify(training: FrameTraining, work: WorkingSet, shown: Splats, gathered: 
 def _grow(
     training: FrameTraining,
     work: WorkingSet,
-    shown: Splats,
+    drawn: Splats,
     gathered: ViewGradients,
     eligible: NDArray[np.bool_],
     room: int,
@@ -59,7 +59,7 @@ def _grow(
     parents = growth.parents
     if not len(parents):
         return False
-    shift = shown.means[parents] - own.means[parents]
+    shift = drawn.means[parents] - own.means[parents]
     stray = ~training.in_any_focus(growth.children.means + shift)
     growth.children.means[stray] = own.means[parents[stray]]
     own.means[parents] = growth.parent_means

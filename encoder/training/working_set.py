@@ -70,13 +70,13 @@ class WorkingSet:
         """Which of ``rows`` outlive the frame: all except transparent new ones."""
         return self.old | (sigmoid(self.values.opacity_logits) >= self._prune_opacity)
 
-    def result(self, shown: Splats, picture_weight: float) -> TrainedFrame:
-        """The frame as ``shown`` (M); ``picture_weight``: from millionths of a picture's mean loss to this frame's."""
+    def result(self, drawn: Splats, picture_weight: float) -> TrainedFrame:
+        """The frame as ``drawn`` (M); ``picture_weight``: from millionths of a picture's mean loss to this frame's."""
         return TrainedFrame(
             self.rows[self.old],
-            take_splats(shown, self.old),
+            take_splats(drawn, self.old),
             np.setdiff1d(self._detached, self.rows),
-            take_splats(shown, ~self.old & self.lasting()),
+            take_splats(drawn, ~self.old & self.lasting()),
             sensitivity=Splats(*(self._sensitivity(name, picture_weight) for name in ATTRIBUTES)),
         )
 
