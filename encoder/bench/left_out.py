@@ -31,6 +31,7 @@ from decogs.formats.threads import thread_count
 
 from ..encoding import encode
 from ..input.ingest import frame_span
+from ..job import EncodeJob
 from ..output.observer import EncodeObserver
 from ..psnr import psnr_of
 from ..settings.encode import EncodeSettings
@@ -195,7 +196,7 @@ class RigViewpoints:
         # What an interrupted report left of it is worth nothing: it is timed as a whole.
         stream.with_name(stream.name + ".part").unlink(missing_ok=True)
         stream.unlink(missing_ok=True)
-        return encode(
+        job = EncodeJob(
             self.rig,
             stream,
             settings,
@@ -204,8 +205,8 @@ class RigViewpoints:
             holdout=left_out,
             seed=seed,
             threads=self._threads,
-            progress=progress,
         )
+        return encode(job, progress=progress)
 
     def _reference(self, progress: EncodeObserver | None) -> Path:
         """The same frames encoded with every camera, whatever the settings of the report."""

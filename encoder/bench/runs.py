@@ -40,12 +40,14 @@ from decogs.formats.threads import thread_count
 
 from ..analysis import AUTO, Decision, with_effects
 from ..analysis.analyse import analyse
+from ..frame.context import Context
 from ..input.imported_keyframe import read_keyframe
 from ..input.ingest import Ingest, check_held_out, frame_span
 from ..output.convergence_log import ConvergenceLog
 from ..output.reports import EncodeReport, FrameReport, OnKeyframeStep
 from ..settings.effects import PRESET_EFFECTS
 from ..settings.encode import EncodeSettings
+from ..stream.options import RunOptions
 from ..stream.run import encode_stream
 from .courses import Course, course, read_course, recorded_course, write_course
 from .machine import code_version, load, machine_facts
@@ -343,18 +345,20 @@ class RigBench:
         )
         # What an interrupted report left of it is worth nothing: runs are timed as a whole.
         GrowingFile(self._stream(variant), leftover="dropped").release()
-        report = encode_stream(
+        context = Context.of(
             ingest,
-            self._stream(variant),
-            range(first, first + len(frames)),
             settings,
             seed=self._seed(variant),
             threads=self._threads,
+            on_loss=None if convergence is None else convergence.step,
+        )
+        options = RunOptions(
             keyframe=None if keyframe is None else read_keyframe(keyframe).refined(variant.refined),
             on_frame=None if on_frame is None else lambda _: on_frame(),
             on_keyframe_step=on_keyframe_step,
             convergence=convergence,
         )
+        report = encode_stream(context, self._stream(variant), range(first, first + len(frames)), options)
         if report.interrupted:
             report.output.unlink(missing_ok=True)
             raise KeyboardInterrupt
