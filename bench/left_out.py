@@ -23,6 +23,7 @@ from decogs.decoder.stream import open_stream
 from decogs.decoder.views import render_view
 from decogs.encoder.encoding import encode
 from decogs.encoder.input.ingest import frame_span
+from decogs.encoder.job import EncodeJob
 from decogs.encoder.output.observer import EncodeObserver
 from decogs.encoder.psnr import psnr_of
 from decogs.encoder.settings.encode import EncodeSettings
@@ -195,7 +196,7 @@ class RigViewpoints:
         # What an interrupted report left of it is worth nothing: it is timed as a whole.
         stream.with_name(stream.name + ".part").unlink(missing_ok=True)
         stream.unlink(missing_ok=True)
-        return encode(
+        job = EncodeJob(
             self.rig,
             stream,
             settings,
@@ -204,8 +205,8 @@ class RigViewpoints:
             holdout=left_out,
             seed=seed,
             threads=self._threads,
-            progress=progress,
         )
+        return encode(job, progress=progress)
 
     def _reference(self, progress: EncodeObserver | None) -> Path:
         """The same frames encoded with every camera, whatever the settings of the report."""

@@ -33,12 +33,14 @@ from decogs.codec.header import StreamHeader
 from decogs.decoder.stream import open_stream
 from decogs.encoder.analysis import AUTO, Decision, with_effects
 from decogs.encoder.analysis.analyse import analyse
+from decogs.encoder.frame.context import Context
 from decogs.encoder.input.imported_keyframe import read_keyframe
 from decogs.encoder.input.ingest import Ingest, check_held_out, frame_span
 from decogs.encoder.output.convergence_log import ConvergenceLog
 from decogs.encoder.output.reports import EncodeReport, FrameReport, OnKeyframeStep
 from decogs.encoder.settings.effects import PRESET_EFFECTS
 from decogs.encoder.settings.encode import EncodeSettings
+from decogs.encoder.stream.options import RunOptions
 from decogs.encoder.stream.run import encode_stream
 from decogs.formats.errors import UsageError
 from decogs.formats.frame_ranges import Frames
@@ -343,18 +345,20 @@ class RigBench:
         )
         # What an interrupted report left of it is worth nothing: runs are timed as a whole.
         GrowingFile(self._stream(variant), leftover="dropped").release()
-        report = encode_stream(
+        context = Context.of(
             ingest,
-            self._stream(variant),
-            range(first, first + len(frames)),
             settings,
             seed=self._seed(variant),
             threads=self._threads,
+            on_loss=None if convergence is None else convergence.step,
+        )
+        options = RunOptions(
             keyframe=None if keyframe is None else read_keyframe(keyframe).refined(variant.refined),
             on_frame=None if on_frame is None else lambda _: on_frame(),
             on_keyframe_step=on_keyframe_step,
             convergence=convergence,
         )
+        report = encode_stream(context, self._stream(variant), range(first, first + len(frames)), options)
         if report.interrupted:
             report.output.unlink(missing_ok=True)
             raise KeyboardInterrupt

@@ -32,7 +32,7 @@ import decogs.encoder.training.emergence as emergence
 import decogs.encoder.training.seeding as seeding
 from decogs.decoder.picture_output import to_8bit
 from decogs.decoder.views import render_view
-from decogs.encoder import PRESETS, EffectChoice, EncodeReport, EncodeSettings, Targets, encode
+from decogs.encoder import PRESETS, EffectChoice, EncodeReport, EncodeSettings, Targets
 from decogs.encoder.change.masks import MaskMemory
 from decogs.encoder.coding.time_control import counted_seconds
 from decogs.encoder.rasterise import FixedView
@@ -40,6 +40,7 @@ from decogs.encoder.training.frame_training import FrameTraining
 from decogs.formats.cameras import Camera, scale_camera
 from decogs.formats.rigs import open_rig, read_frames
 from decogs.formats.splats import SH_C0, Splats, join_splats
+from encode_rig import encode_rig as encode
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
 EFFECTS = EffectChoice("none", {"motion", "appearance_change", "emergence", "disappearance"})

@@ -71,9 +71,10 @@ def test_the_whole_report(three_frames: Path, tmp_path: Path, monkeypatch: pytes
     sizes: dict[str, tuple[int, float]] = {}
     encode = runs.encode_stream
 
-    def observed(ingest: Any, output: Path, *arguments: Any, **options: Any) -> Any:
-        sizes[output.name.split("-")[1]] = (ingest.views[0].pinhole.width, options["convergence"] is not None)
-        return encode(ingest, output, *arguments, **options)
+    def observed(context: Any, output: Path, span: range, options: Any) -> Any:
+        width = context.ingest.views[0].pinhole.width
+        sizes[output.name.split("-")[1]] = (width, options.convergence is not None)
+        return encode(context, output, span, options)
 
     monkeypatch.setattr(runs, "encode_stream", observed)
     path = make_report(PLAN, [three_frames], tmp_path, OPTIONS, command="decogs-bench curve <three>")

@@ -17,6 +17,7 @@ from decogs.bench.surfaces import Surfaces, midway
 from decogs.codec.header import StreamHeader
 from decogs.codec.lattice import default_lattice
 from decogs.decoder.stream import open_stream
+from decogs.encoder import EncodeJob
 from decogs.formats.cameras import Camera, camera_centre
 from decogs.formats.rigs import open_rig
 from decogs.formats.splats import SH_C0, Splats, join_splats, logit
@@ -97,9 +98,9 @@ def left(monkeypatch: pytest.MonkeyPatch, short_presets: None) -> list[tuple[str
     names: list[tuple[str, ...]] = []
     encode = left_out.encode
 
-    def observed(*arguments: Any, holdout: tuple[str, ...], **options: Any) -> Any:
-        names.append(holdout)
-        return encode(*arguments, holdout=holdout, **options)
+    def observed(job: EncodeJob, **options: Any) -> Any:
+        names.append(tuple(job.holdout))
+        return encode(job, **options)
 
     monkeypatch.setattr(left_out, "encode", observed)
     monkeypatch.setattr(left_out, "REFERENCE", "tiny")
@@ -166,15 +167,16 @@ def test_a_presets_effects_are_detected_as_in_an_encode_of_the_users(
     found: list[Any] = []
     encode = left_out.encode
 
-    def observed(rig: Any, stream: Path, settings: Any, **options: Any) -> Any:
-        report = encode(rig, stream, settings, **options)
-        with open_stream(stream) as made:
+    def observed(job: EncodeJob, **options: Any) -> Any:
+        report = encode(job, **options)
+        with open_stream(job.output) as made:
             found.append(made.header.settings["effects"])
         return report
 
     monkeypatch.setattr(left_out, "encode", observed)
     run_without_cam00(three_frames, tmp_path)
-    observed(open_rig(three_frames), tmp_path / "users.dgs", "tiny", frames=slice(1), holdout=("cam00",), threads=1)
+    rig, stream = open_rig(three_frames), tmp_path / "users.dgs"
+    observed(EncodeJob(rig, stream, "tiny", frames=slice(1), holdout=("cam00",), threads=1))
     assert found == [found[-1]] * 3
 
 

@@ -31,9 +31,9 @@ def encoded(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
     made: list[tuple[str, int]] = []
     encode_stream = runs.encode_stream
 
-    def observed(ingest: Any, output: Path, *arguments: Any, seed: int, **options: Any) -> Any:
-        made.append((output.name.split("-")[1], seed))
-        return encode_stream(ingest, output, *arguments, seed=seed, **options)
+    def observed(context: Any, output: Path, *arguments: Any) -> Any:
+        made.append((output.name.split("-")[1], context.seed))
+        return encode_stream(context, output, *arguments)
 
     monkeypatch.setattr(runs, "encode_stream", observed)
     return made
@@ -44,10 +44,10 @@ def test_a_report_of_two_seeds(
 ) -> None:
     encode_stream = runs.encode_stream
 
-    def stopped(ingest: Any, output: Path, *arguments: Any, seed: int, **options: Any) -> Any:
-        if (output.name.split("-")[1], seed) == ("few", 1):
+    def stopped(context: Any, output: Path, *arguments: Any) -> Any:
+        if (output.name.split("-")[1], context.seed) == ("few", 1):
             raise KeyboardInterrupt
-        return encode_stream(ingest, output, *arguments, seed=seed, **options)
+        return encode_stream(context, output, *arguments)
 
     with monkeypatch.context() as patched:
         patched.setattr(runs, "encode_stream", stopped)
@@ -96,10 +96,10 @@ def test_a_seed_that_cannot_be_trained_is_said_and_the_others_count(
 ) -> None:
     encode_stream = runs.encode_stream
 
-    def failing(ingest: Any, output: Path, *arguments: Any, seed: int, **options: Any) -> Any:
-        if "few" in output.name and seed == 0:
+    def failing(context: Any, output: Path, *arguments: Any) -> Any:
+        if "few" in output.name and context.seed == 0:
             raise TrainingError("the loss is nan")
-        return encode_stream(ingest, output, *arguments, seed=seed, **options)
+        return encode_stream(context, output, *arguments)
 
     monkeypatch.setattr(runs, "encode_stream", failing)
     text = make_report(PLAN, [three_frames], tmp_path, OPTIONS).read_text()

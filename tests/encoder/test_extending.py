@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from decogs.decoder.stream import open_stream
-from decogs.encoder import Switches, encode
+from decogs.encoder import Switches
 from decogs.encoder.change.selection import SELECTION_RULES, ViewEvidence, select
 from decogs.encoder.methods import FRAME_METHODS
 from decogs.encoder.registry import Registry, anything, guarded
@@ -25,6 +25,7 @@ from decogs.encoder.training.method import FrameMethod, TrainedFrame
 from decogs.encoder.training.optimiser import OPTIMISERS
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import Splats, empty_splats, take_splats
+from encode_rig import encode_rig as encode
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "extending.md"
 

@@ -24,10 +24,10 @@ import pytest
 from decogs.codec.corrections import Correction
 from decogs.codec.header import StreamHeader
 from decogs.encoder import Switches, Targets
-from decogs.encoder import encode as encode_rig
 from decogs.encoder.methods.decogs import DecogsTrainer
 from decogs.formats.container import FRAME_KINDS, StreamWriter
 from decogs.formats.errors import DecogsError, UsageError
+from encode_rig import encode_rig
 from packets import iterate_packets
 
 

@@ -17,7 +17,6 @@ import decogs.encoder.training.schedule as schedule
 from decogs.codec.digest import digest
 from decogs.decoder.stream import open_stream
 from decogs.encoder import PRESETS, EncodeSettings, Switches, Targets
-from decogs.encoder import encode as encode_rig
 from decogs.encoder.coding.scene import Scene
 from decogs.encoder.coding.time_control import (
     TIME_TOLERANCE,
@@ -36,6 +35,7 @@ from decogs.encoder.settings.optimiser import LearningRates
 from decogs.encoder.switches import with_method
 from decogs.encoder.training.schedule import MIN_STEPS
 from decogs.formats.errors import UsageError
+from encode_rig import encode_rig
 from packets import iterate_packets
 
 BUDGET = 1.0
