@@ -189,7 +189,10 @@ def _add_machine(group: argparse._ArgumentGroup) -> None:
 
 def _add_research(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
-        "--method", metavar="M", help="decogs (default), 3dgstream (the dense baseline, slower), or one of a package"
+        "--method",
+        metavar="M",
+        help="decogs, paper (two stages with a cache), 3dgstream (the dense baseline, slower), or one of a package "
+        "(default: the preset's)",
     )
     group.add_argument(
         "--ablate",

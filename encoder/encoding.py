@@ -24,6 +24,7 @@ from .input.imported_splats import SplatSource, is_splat_file, read_splat_source
 from .input.ingest import Ingest, frame_span
 from .job import EncodeJob
 from .memory_limit import EncodeMemory, memory_within
+from .methods import FRAME_METHODS, require_sparse
 from .output.convergence_log import ConvergenceLog
 from .output.encode_log import EncodeLog
 from .output.observer import EncodeObserver, Observers
@@ -40,7 +41,6 @@ from .stream.options import RunOptions
 from .stream.run import encode_stream
 from .switches import Switches, check_together, with_switches
 from .targets import Targets, with_targets
-from .training.methods import FRAME_METHODS, require_sparse
 
 _Source = KeyframeSource | SplatSource
 

@@ -18,12 +18,12 @@ from statistics import fmean
 
 import numpy as np
 
+from decogs.bench.metrics import psnr, square_error_map
+from decogs.bench.regions import find_regions, held_out_pictures
 from decogs.decoder.picture_output import to_8bit
 from decogs.decoder.stream import open_stream
 from decogs.decoder.views import render_view
 from decogs.encoder import EncodeJob, encode
-from decogs.encoder.bench.metrics import psnr, square_error_map
-from decogs.encoder.bench.regions import find_regions, held_out_pictures
 from decogs.formats.rigs import open_rig
 
 FEWEST_MOVING = 0.005

@@ -59,7 +59,7 @@ def measure(name: str, way: str, rig: Path, folder: Path) -> dict[str, Any]:
     """Bytes, digest and PSNR of the frames after the first."""
     output = folder / f"{name}-{way}.dgs"
     settings = WAYS[way]
-    effects = _EFFECTS if settings.method == "decogs" else None
+    effects = None if settings.method == "3dgstream" else _EFFECTS
     report = encode(rig, output, settings, holdout=[HELD_OUT], keyframe=keyframe_of(name), effects=effects, threads=2)
     later = report.frames[1:]
     with output.open("rb") as stream:

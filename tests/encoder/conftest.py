@@ -50,8 +50,7 @@ TINY = EncodeSettings(
     ),
     frame=FrameSettings(
         masks=MaskSettings(threshold=10.0),
-        cache=CACHE,
-        cache_iterations=10,
+        cache=None,
         joint_iterations=10,
         warm_start=0.9,
         grow_gradient=1e-5,

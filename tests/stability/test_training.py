@@ -109,7 +109,7 @@ def test_nothing_selected(moving: Any, encode: Any, settings: Any) -> None:
 
 
 def test_everything_selected(moving: Any, encode: Any, settings: Any) -> None:
-    everything = replace(settings, frame=replace(settings.frame, ablated=("select",)))
+    everything = replace(settings, frame=replace(settings.frame, selection=SelectionSettings(rule="all")))
     encoded = encode(moving[0], settings=everything, keyframe=moving[1].path)
     check_stream(encoded)
     assert encoded.report.frames[1].selected == 1.0
@@ -371,12 +371,10 @@ def test_one_training_view_with_known_points(moving: Any, tiny_rig: Any, setting
     assert report.frames[3].training_psnr > report.frames[0].training_psnr - 2
 
 
-@pytest.mark.parametrize("ablated", [(), ("select",)])
-def test_pruning_everything_in_a_later_frame_is_taken_back(
-    moving: Any, encode: Any, settings: Any, ablated: tuple[str, ...]
-) -> None:
+@pytest.mark.parametrize("rule", ["weight", "all"])
+def test_pruning_everything_in_a_later_frame_is_taken_back(moving: Any, encode: Any, settings: Any, rule: str) -> None:
     """All that is selected, or the whole scene, counts as transparent: the frame is given up, the scene stays."""
-    frame = replace(settings.frame, ablated=ablated, prune_opacity=1.0)
+    frame = replace(settings.frame, selection=SelectionSettings(rule=rule), prune_opacity=1.0)
     encoded = encode(moving[0], settings=replace(settings, frame=frame), keyframe=moving[1].path)
     check_stream(encoded)
     assert encoded.report.frames[1].rejected
