@@ -112,8 +112,9 @@ def check_rig(stats: RigStatistics, each: Callable[..., Iterator[Any]] = map) ->
     """Judges a rig by its calibration, the matches of its first pictures, and those of what moves."""
     late = np.full(len(stats.cameras), np.nan)
     if stats.step == 1:
-        moving = np.array([changes.restructured for changes in stats.changes])
-        late = delays(stats.cameras, stats.pictures, moving, typical_noise(stats.noise).tolist(), each)
+        noise = typical_noise(stats.noise).tolist()
+        steady = [not path.shakes for path in stats.paths]
+        late = delays(stats.cameras, stats.pictures, steady, noise, each)
     return judged(stats.cameras, stats.matches, late)
 
 

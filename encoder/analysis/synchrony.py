@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -39,14 +40,16 @@ _BEYOND_CHANCE = 3.0
 def delays(
     cameras: Sequence[Camera],
     pictures: Sequence[U8],
-    moving: F64,
+    steady: Sequence[bool],
     noise: Sequence[float],
     each: Callable[..., Iterator[Any]],
 ) -> F64:
     """By how many frames (cameras,) each one is late, -1, 0 or 1; NaN where too little moves.
 
-    ``pictures``: of successive frames, (F, H, W, 3) each. ``moving`` (cameras, F): how much moves; ``noise``: levels.
+    ``pictures``: of successive frames, (F, H, W, 3) each. ``steady``: whether a camera stands still, so that it shows
+    when most moves; ``noise``: levels.
     """
+    moving = np.array(list(each(_moving, pictures, steady, noise)))
     agreement = np.zeros((len(cameras), len(LAGS)))
     ballots = np.zeros((len(cameras), len(LAGS)))
     pairs = neighbouring(cameras)
@@ -70,9 +73,17 @@ def _delay(agreement: F64, ballots: F64) -> float:
     return float(LAGS[best]) if clear else 0.0
 
 
+def _moving(pictures: U8, steady: bool, noise: float) -> F64:
+    """The share of a camera's picture that moves, of every frame (F,) against the one before."""
+    moving = np.zeros(len(pictures))
+    if steady:
+        moving[1:] = [change_maps(*pair, noise).restructured.mean() for pair in pairwise(pictures)]
+    return moving
+
+
 def _moments(moving: F64) -> list[int]:
-    """The frames, none the first or last, in which most moves over all cameras."""
-    most = np.nanmean(np.nan_to_num(moving[:, 1:-1]), axis=0) if moving.shape[1] > 2 else np.empty(0)
+    """The frames, none the first or last, in which most moves over all cameras; ``moving`` (cameras, F)."""
+    most = moving[:, 1:-1].mean(axis=0)
     found = np.argsort(-most, kind="stable")[:_MOMENTS]
     return [int(frame) + 1 for frame in found if most[frame] > 0]
 

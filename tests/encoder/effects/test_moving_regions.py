@@ -1,18 +1,18 @@
-"""What one frame brings: motion, only light, or nothing; in doubt motion."""
+"""Where a frame moves, and that light alone is no motion; in doubt motion."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from decogs.encoder.analysis.frame_effects import FrameEffects, frame_effects
+from decogs.encoder import PRESETS
+from decogs.encoder.analysis.enabled import enabled_effects
+from decogs.encoder.analysis.moving_regions import moving_regions
 from decogs.encoder.change.masks import FrameMask, difference_mask, dilate
-
-LIGHT_ONLY = FrameEffects(motion=False, appearance_change=True)
-MOTION_ONLY = FrameEffects(motion=True, appearance_change=False)
 
 
 def planes(picture: np.ndarray) -> np.ndarray:
@@ -24,16 +24,19 @@ def masked(now: np.ndarray, before: np.ndarray) -> FrameMask:
     return FrameMask(raw, dilate(raw, 6))
 
 
-@pytest.fixture
-def told(texture: np.ndarray, with_noise: Callable[..., np.ndarray]) -> Callable[..., FrameEffects]:
-    """The effects of views that go from the texture to each of these pictures."""
+Moving = list[np.ndarray] | None
 
-    def tell(*pictures: np.ndarray) -> FrameEffects:
+
+@pytest.fixture
+def moving(texture: np.ndarray, with_noise: Callable[..., np.ndarray]) -> Callable[..., Moving]:
+    """What moves in views that go from the texture to each of these pictures."""
+
+    def look(*pictures: np.ndarray) -> Moving:
         before = [planes(with_noise(texture, 2 * k)) for k in range(len(pictures))]
         now = [planes(with_noise(picture, 2 * k + 1)) for k, picture in enumerate(pictures)]
-        return frame_effects(now, before, [masked(*pair) for pair in zip(now, before, strict=True)])
+        return moving_regions(now, before, [masked(*pair) for pair in zip(now, before, strict=True)])
 
-    return tell
+    return look
 
 
 @pytest.fixture
@@ -48,44 +51,49 @@ def lit(texture: np.ndarray) -> np.ndarray:
     return texture * np.linspace(1.0, 1.3, texture.shape[1])[None, :, None]
 
 
-def test_a_frame_like_the_last_brings_nothing(told: Callable[..., FrameEffects], texture: np.ndarray) -> None:
-    assert told(texture, texture) == FrameEffects(motion=False, appearance_change=False)
+def test_nothing_moves_in_a_frame_like_the_last(moving: Callable[..., Moving], texture: np.ndarray) -> None:
+    assert moving(texture, texture) is None
 
 
-def test_light_alone_is_no_motion(told: Callable[..., FrameEffects], lit: np.ndarray) -> None:
-    effects = told(lit, lit)
-    assert effects == LIGHT_ONLY
-    assert not effects.emergence
-    assert not effects.disappearance
+def test_light_alone_is_no_motion(moving: Callable[..., Moving], lit: np.ndarray) -> None:
+    assert moving(lit, lit) is None
 
 
-def test_motion_may_bring_something_new(told: Callable[..., FrameEffects], moved: np.ndarray) -> None:
-    effects = told(moved, moved)
-    assert effects == MOTION_ONLY
-    assert effects.emergence
-    assert effects.disappearance
+def test_motion_in_one_view_is_motion(moving: Callable[..., Moving], moved: np.ndarray, lit: np.ndarray) -> None:
+    regions = moving(lit, moved, lit)
+    assert regions is not None
+    assert [bool(region.any()) for region in regions] == [False, True, False]
 
 
-def test_motion_in_one_view_is_motion(told: Callable[..., FrameEffects], moved: np.ndarray, lit: np.ndarray) -> None:
-    assert told(lit, moved, lit) == FrameEffects(motion=True, appearance_change=True)
-
-
-def test_what_moves_is_told_from_what_is_lit(told: Callable[..., FrameEffects], moved: np.ndarray) -> None:
+def test_what_moves_is_told_from_what_is_lit(moving: Callable[..., Moving], moved: np.ndarray) -> None:
     """A patch moves on the left, light falls on the right, in one picture."""
     moved[20:100, 120:] = np.minimum(moved[20:100, 120:] * 1.2, 255)
-    effects = told(moved, moved)
-    assert effects.motion
-    assert effects.appearance_change
-    for moving in effects.moving:
-        assert moving[45:75, 65:95].mean() > 0.9
-        assert moving[30:90, 130:].mean() < 0.05
+    regions = moving(moved, moved)
+    assert regions is not None
+    for region in regions:
+        assert region[45:75, 65:95].mean() > 0.9
+        assert region[30:90, 130:].mean() < 0.05
 
 
-def test_a_speck_is_in_doubt(told: Callable[..., FrameEffects], texture: np.ndarray) -> None:
+def test_motion_enables_all_that_an_encode_has_and_light_one_effect(
+    moved: np.ndarray, lit: np.ndarray, texture: np.ndarray
+) -> None:
+    """Light trains no geometry, whatever the preset has."""
+    settings = replace(PRESETS["standard"], effects=("motion", "appearance_change", "emergence"))
+    before = planes(texture)
+    for picture, effects in ((moved, settings.effects), (lit, ("appearance_change",))):
+        now = planes(np.clip(picture, 0, 255).astype(np.uint8))
+        found = enabled_effects(settings, [now], [before], [masked(now, before)])
+        assert found.effects == effects
+        assert (found.settings == settings) == (found.moving is not None) == ("motion" in effects)
+        assert (found.settings.frame.rates.means > 0) == ("motion" in effects)
+
+
+def test_a_speck_is_in_doubt(moving: Callable[..., Moving], texture: np.ndarray) -> None:
     """It only brightens, but a hundred pixels are too few to tell."""
     speck = texture.copy()
     speck[50:60, 50:60] = np.minimum(speck[50:60, 50:60] + 30, 255)
-    assert told(speck).motion
+    assert moving(speck) is not None
 
 
 def test_large_pictures_are_looked_at_small(texture: np.ndarray, moved: np.ndarray) -> None:
@@ -95,7 +103,7 @@ def test_large_pictures_are_looked_at_small(texture: np.ndarray, moved: np.ndarr
     seconds = []
     for _ in range(5):
         began = time.perf_counter()
-        assert frame_effects([now], [before], [mask]).motion
+        assert moving_regions([now], [before], [mask]) is not None
         seconds.append(time.perf_counter() - began)
     assert min(seconds) < 0.15
 
@@ -103,4 +111,4 @@ def test_large_pictures_are_looked_at_small(texture: np.ndarray, moved: np.ndarr
 def test_views_must_be_the_same(texture: np.ndarray) -> None:
     picture = planes(texture)
     with pytest.raises(ValueError, match="zip"):
-        frame_effects([picture], [picture], [])
+        moving_regions([picture], [picture], [])
