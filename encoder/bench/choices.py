@@ -16,7 +16,6 @@ from .variants import Question, Times, Variant
 _QUALITY = ("psnr", "psnr_dynamic", "psnr_static", "last_dynamic", "slope_dynamic", "mtv")
 _COST = ("selected", "seconds", "cpu", "megabytes")
 _BOTH = (_QUALITY + _COST,)
-_KEYFRAME = (("psnr", "ssim", "training", "gaussians", "keyframe_seconds", "keyframe_bytes"),)
 
 _FAST_CACHE = CacheSettings(learning_rate=1e-2)
 
@@ -321,15 +320,5 @@ QUESTIONS = (
         "As a share of the selected.",
         tuple(Variant(f"grow{g:g}", f"{g:g}", {"frame.grow_fraction": g}) for g in (0.0, 0.003, 0.01, 0.03)),
         _BOTH,
-    ),
-    Question(
-        "start-opacity",
-        "First opacity of the keyframe's Gaussians",
-        "The keyframe alone, trained anew for every row.",
-        tuple(
-            Variant(f"opacity{o:g}", f"{o:g}", {"keyframe.start_opacity": o}, frames=1, own_keyframe=True)
-            for o in (0.1, 0.2, 0.3)
-        ),
-        _KEYFRAME,
     ),
 )
