@@ -24,8 +24,8 @@ CHANGE_LEVELS = 4.0
 CHANGE_NOISE = 4.0
 _RESTRUCTURED_LEVELS = 6.0
 """Least residual of an affine fit that counts, in levels: video coding leaves 2 to 3 at sharp texture."""
-_UNEXPLAINED = 0.5
-_WINDOW = (7, 7)
+_LEFT_OVER_SHARE = 0.5
+_FIT_WINDOW = (7, 7)
 WINDOW_PIXELS = 49
 _NEAR_FRACTION = 0.0355
 """Radius around restructured pixels within which a change belongs to them, as a share of the picture's width: the
@@ -52,7 +52,7 @@ def change_maps(before: U8, now: U8, noise: float) -> ChangeMaps:
         return ChangeMaps(changed, changed)
     left_over, energy = _left_over(before, now)
     least = max(_RESTRUCTURED_LEVELS, CHANGE_NOISE * noise) ** 2
-    return ChangeMaps(changed, changed & (left_over > least) & (left_over > _UNEXPLAINED * energy))
+    return ChangeMaps(changed, changed & (left_over > least) & (left_over > _LEFT_OVER_SHARE * energy))
 
 
 def _largest_difference(before: NDArray[Any], now: NDArray[Any]) -> U8:
@@ -65,10 +65,10 @@ def _largest_difference(before: NDArray[Any], now: NDArray[Any]) -> U8:
 def _left_over(before: U8, now: U8) -> tuple[F32, F32]:
     """Mean squared residual of affine fits in the window around each pixel, and mean squared change."""
     first, second = (cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) for picture in (before, now))
-    means = [cv2.boxFilter(grey, cv2.CV_32F, _WINDOW) for grey in (first, second)]
-    squares = [cv2.sqrBoxFilter(grey, cv2.CV_32F, _WINDOW) for grey in (first, second)]
+    means = [cv2.boxFilter(grey, cv2.CV_32F, _FIT_WINDOW) for grey in (first, second)]
+    squares = [cv2.sqrBoxFilter(grey, cv2.CV_32F, _FIT_WINDOW) for grey in (first, second)]
     was, became = (square - mean * mean for square, mean in zip(squares, means, strict=True))
-    product = cv2.blur(cv2.multiply(first, second, dtype=cv2.CV_32F), _WINDOW)
+    product = cv2.blur(cv2.multiply(first, second, dtype=cv2.CV_32F), _FIT_WINDOW)
     # The negative of a pattern counts as different content.
     common = np.maximum(product - means[0] * means[1], 0) ** 2
     left_over = np.maximum(became - common / (was + 1), was - common / (became + 1))

@@ -49,18 +49,18 @@ _MAX_SHARED = 100
 """Most points of a pair of cameras: the median of so many has an eighth of the noise of one."""
 _DIFFERENT = 0.2
 """Share of a camera's points at either end that may deviate."""
-_FEW = 20
+_MIN_POINTS = 20
 """Least points that a determined camera shares with others."""
-_GRID = 24
+_GRID_ROWS = 24
 """Rows and columns of the grid of pixels that stands for a whole picture."""
 _OVERALL = 0.5
 """Least change of the median of a camera's pixels over its gain: a quarter of the pixels may deviate."""
 _COMPARABLE = 3
 """Cameras that a median needs: of two that differ, either may be the one that drifts."""
 _LINEAR: F64 = linear_from_srgb(np.arange(256) / 255)
-_CLIPPED = 5
+_CLIPPED_LEVELS = 5
 """Levels from either end of the scale within which a value is no measure of the light."""
-_ROUNDS = 12
+_REWEIGHTINGS = 12
 _SMALLEST = 0.002
 """Deviation of a log ratio below which all weigh alike: a fifth of what noise does to the mean of a window."""
 
@@ -134,7 +134,7 @@ def light_at(pictures: U8, pixels: F64) -> F64:
     for index, picture in enumerate(pictures):
         around = picture.reshape(-1, 3).take(places, axis=0)
         # Below black, 8 bits go on from white: both ends are one comparison.
-        ends = (around - np.uint8(_CLIPPED)) > 255 - 2 * _CLIPPED
+        ends = (around - np.uint8(_CLIPPED_LEVELS)) > 255 - 2 * _CLIPPED_LEVELS
         clipped = (ends[..., 0] | ends[..., 1] | ends[..., 2]).mean(axis=0)
         known = clipped <= _MAX_CLIPPED
         red, green, blue = np.log(_LINEAR.take(around).mean(axis=0)[known]).T
@@ -148,13 +148,15 @@ def light_overall(pictures: U8) -> F64:
     NaN if hardly any pixel is determined.
     """
     height, width = pictures.shape[1:3]
-    row, column = (np.linspace(0, size, _GRID, endpoint=False) + size / (2 * _GRID) for size in (height, width))
+    row, column = (
+        np.linspace(0, size, _GRID_ROWS, endpoint=False) + size / (2 * _GRID_ROWS) for size in (height, width)
+    )
     lights = light_at(pictures, np.stack(np.meshgrid(column, row), axis=-1).reshape(-1, 2))
     changes = lights - lights[:1]
     medians = np.full((len(changes), 3), np.nan)
     for frame, change in enumerate(changes):
         known = change[np.isfinite(change).all(axis=1)]
-        if len(known) >= _FEW:
+        if len(known) >= _MIN_POINTS:
             medians[frame] = np.median(known, axis=0)
     return medians
 
@@ -248,7 +250,7 @@ def _comparable(first: I64, second: I64, cameras: int) -> list[I64]:
     while True:
         both = kept[first] & kept[second]
         counts = np.bincount(first[both], minlength=cameras) + np.bincount(second[both], minlength=cameras)
-        enough = kept & (counts >= _FEW)
+        enough = kept & (counts >= _MIN_POINTS)
         if (enough == kept).all():
             break
         kept = enough
@@ -268,7 +270,7 @@ def _least_deviations(first: I64, second: I64, differences: F64, cameras: int) -
     """Gains (cameras,) with least absolute deviations from ``differences`` (N,), first minus second."""
     weights = np.ones(len(differences))
     gains = np.zeros(cameras)
-    for _ in range(_ROUNDS):
+    for _ in range(_REWEIGHTINGS):
         coupling = np.bincount(first * cameras + second, weights, cameras**2).reshape(cameras, cameras)
         coupling += coupling.T
         normal = np.diag(coupling.sum(axis=1)) - coupling

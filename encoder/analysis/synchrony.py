@@ -27,11 +27,11 @@ U8 = NDArray[np.uint8]
 LAGS = (-1, 0, 1)
 _MOMENTS = 2
 """Frames looked at: those in which most moves."""
-_NEAR = 1.5
+_LINE_PIXELS = 1.5
 """Distance from the epipolar line, in pixels, at which a match speaks for nothing."""
 _CLEARLY = 1.25
 """A lag counts whose matches agree so many times as well as those of the same frame."""
-_FEWEST = 15.0
+_MIN_AGREEMENT = 15.0
 """Matches on the line that a judgement needs."""
 _BEYOND_CHANCE = 3.0
 """A lag counts if it has more matches on the line than the same frame by so many deviations of their number."""
@@ -65,7 +65,7 @@ def delays(
 
 def _delay(agreement: F64, ballots: F64) -> float:
     best = int(np.argmax(agreement))
-    if agreement[best] < _FEWEST:
+    if agreement[best] < _MIN_AGREEMENT:
         return np.nan
     same = agreement[LAGS.index(0)]
     more = max(_CLEARLY * same, same + _BEYOND_CHANCE * math.sqrt(same + agreement[best]))
@@ -102,5 +102,5 @@ def _agreement(cameras: Sequence[Camera], one: int, two: int, here: list[Feature
     for lag in range(len(LAGS)):
         pair = matched(one, two, here[LAGS.index(0)], there[lag])
         distances = np.abs(pair.epipolar_distances(cameras))
-        found.append(float(np.maximum(1 - distances / _NEAR, 0).sum()))
+        found.append(float(np.maximum(1 - distances / _LINE_PIXELS, 0).sum()))
     return np.array(found)

@@ -53,9 +53,9 @@ _CONFIRMED_FRACTION = 0.85
 """Share of the room that confirmed points may take at first; the rest is for guesses."""
 _COARSE_CONFIDENCE = 0.5
 """Confidence in points of the coarse sweep alone, relative to those of the fine one."""
-_FEW = 100
+_MIN_CONFIRMED = 100
 """Least confirmed points of a view for its nearest depth to count."""
-_CLEAR = 0.5
+_HOUSING_DEPTH = 0.5
 """Share of a view's nearest confirmed depth below which other views' points count as its camera's housing."""
 
 
@@ -155,7 +155,7 @@ def _first_points(
     clouds = [given, *(thin_candidates(c, stride) for c in candidates)]
     clouds += [_where_unconfirmed(*three) for three in zip(coarse, rough, all_depths, strict=True)]
     proposed = join(clouds)
-    proposed = take(proposed, ~too_near(proposed, all_depths, _CLEAR))
+    proposed = take(proposed, ~too_near(proposed, all_depths, _HOUSING_DEPTH))
 
     most = max(1, round(cap * _CONFIRMED_FRACTION))
     cloud, pixels = _choose(proposed, all_depths, most)
@@ -207,7 +207,7 @@ def _view_depths(
         return ViewDepths(view, depths, None, None, 0.0)
     confirmed = np.zeros((view.height, view.width), np.float32)
     confirmed[candidates.row, candidates.column] = candidates.inverse_depth
-    nearest = 1 / float(np.percentile(candidates.inverse_depth, 99.9)) if len(candidates) >= _FEW else 0.0
+    nearest = 1 / float(np.percentile(candidates.inverse_depth, 99.9)) if len(candidates) >= _MIN_CONFIRMED else 0.0
     return ViewDepths(view, depths, depth_map.inverse_depth, confirmed, nearest)
 
 

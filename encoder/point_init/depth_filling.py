@@ -16,7 +16,7 @@ from .views import Array, floats
 
 F64 = NDArray[np.float64]
 
-_WINDOW = 0.05
+_PLANE_HALF_WIDTH = 0.05
 """Half the side of the window in which a plane is fitted, in units of the picture's width."""
 _FLAT = 0.01
 """Largest deviation of a window's inverse depths from their plane, relative to their mean: beyond it lies an edge."""
@@ -31,9 +31,9 @@ _NEARER, _FARTHER = 1.1, 0.95
 
 _FIELD, _LEAST_FIELD = 0.1, 8
 """Side of a chequerboard's field, in units of the picture's width, and in pixels at least."""
-_AGREEING = 0.02
+_SAME_DEPTH = 0.02
 """Relative difference below which two continued depths agree."""
-_NEAR = 0.1
+_TRUSTED_REACH = 0.1
 """Farthest that a plane is trusted to go on, in units of the picture's width."""
 
 
@@ -58,7 +58,7 @@ def continues(known: Array) -> NDArray[np.bool_]:
     Each of two halves of the known depths, the fields of a chequerboard, says how they go on; where they agree, planes
     are what is there. Figures in encoder/DESIGN.md, "Keyframe".
     """
-    reach = round(_NEAR * known.shape[1])
+    reach = round(_TRUSTED_REACH * known.shape[1])
     near = cv2.dilate((known > 0).astype(np.uint8), np.ones((2 * reach + 1,) * 2, np.uint8)) > 0
     row, column = np.indices(known.shape) // max(_LEAST_FIELD, round(_FIELD * known.shape[1]))
     dark = (row + column) % 2 == 1
@@ -66,7 +66,7 @@ def continues(known: Array) -> NDArray[np.bool_]:
     if not all(half.any() for half in halves):
         return np.zeros(known.shape, np.bool_)
     one, other = (np.maximum(fill_depths(half), np.float32(1e-12)) for half in halves)
-    return np.asarray(near & (np.abs(np.log(one / other)) < _AGREEING))
+    return np.asarray(near & (np.abs(np.log(one / other)) < _SAME_DEPTH))
 
 
 def _weights(known: Array) -> Array:
@@ -86,7 +86,7 @@ def _local_planes(known: Array) -> tuple[Array, NDArray[np.bool_]]:
     Also the pixels (H, W) that have a known depth and a window that is flat.
     """
     u, v = _coordinates(known.shape)
-    reach = max(3, round(_WINDOW * known.shape[1]))
+    reach = max(3, round(_PLANE_HALF_WIDTH * known.shape[1]))
     there, depth = (known > 0).astype(np.float64), known.astype(np.float64)
     share = np.maximum(_window_mean(there, reach), 1e-9)
 

@@ -14,7 +14,7 @@ from ..point_init import FirstPoints
 
 DISSIMILARITY = 0.2
 """Lambda of 3DGS's loss, where many views see a surface."""
-_FEW, _MANY = 2.0, 5.0
+_FEW_VIEWS, _MANY_VIEWS = 2.0, 5.0
 """Views per confirmed point, in the mean: of 360 degrees with nine cameras or a cage with seven, 2.3; of arcs and
 domes, 5 to 10."""
 
@@ -24,4 +24,4 @@ def dissimilarity_for(points: FirstPoints, few_views_dissimilarity: float) -> fl
     views = points.seen.sum(axis=0)
     confirmed = views[views > 0]
     mean = float(confirmed.mean()) if len(confirmed) else 0.0
-    return float(np.interp(mean, [_FEW, _MANY], [few_views_dissimilarity, DISSIMILARITY]))
+    return float(np.interp(mean, [_FEW_VIEWS, _MANY_VIEWS], [few_views_dissimilarity, DISSIMILARITY]))

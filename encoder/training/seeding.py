@@ -33,20 +33,20 @@ from ..settings.frame import EmergenceSettings
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 
-_NEAREST = 0.6
+_NEAREST_SHARE = 0.6
 """Nearest depth searched, as a share of the first percentile of the rendered depths."""
-_AGREEING = 0.6
+_AGREEING_VIEWS = 0.6
 """Share of the views that see a point whose colours must agree; the others may be occluded."""
-_SAME = 0.1
+_SAME_COST = 0.1
 """Share of the allowed spread within which two depths of a ray explain it equally well; the nearer one wins."""
-_NEAR = 4.0
+_CELL_RAYS = 4.0
 """Size of a neighbourhood, as a multiple of the distance between rays."""
 _SIGMA_PER_SPACING = 0.6
 _FAINTEST = np.float32(1e-6)
 """Alpha of a ray that meets nothing: keeps its depth at 0."""
 _PART = 500
 """Rays per batch: enough for numpy to dominate Python's overhead; batches run in parallel."""
-_BLOCK = 64
+_BLOCK_PIXELS = 64
 """Side of a block of pixels that is smoothed at once."""
 _MARGIN = 2
 """Pixels right and below of a position that its value may be read from: positions are rounded to parts of a pixel."""
@@ -188,19 +188,19 @@ class _Smoothed:
 
         What lies up to _MARGIN pixels right and below is there too: neighbours count, also those that weigh nothing.
         """
-        down, right = rows // _BLOCK, columns // _BLOCK
-        further = np.minimum(columns + _MARGIN, self._width - 1) // _BLOCK
+        down, right = rows // _BLOCK_PIXELS, columns // _BLOCK_PIXELS
+        further = np.minimum(columns + _MARGIN, self._width - 1) // _BLOCK_PIXELS
         for band in np.unique(down):
             here = np.flatnonzero(down == band)
             for block in np.union1d(right[here], further[here]):
                 self._make(int(band), int(block))
-            yield here, int(band) * _BLOCK, self._bands[int(band)]
+            yield here, int(band) * _BLOCK_PIXELS, self._bands[int(band)]
 
     def _make(self, band: int, block: int) -> None:
         if (band, block) in self._made:
             return
-        top, left = band * _BLOCK, block * _BLOCK
-        bottom, right = min(top + _BLOCK + _MARGIN, self._height), min(left + _BLOCK, self._width)
+        top, left = band * _BLOCK_PIXELS, block * _BLOCK_PIXELS
+        bottom, right = min(top + _BLOCK_PIXELS + _MARGIN, self._height), min(left + _BLOCK_PIXELS, self._width)
         above, before = min(top, 1), min(left, 1)
         planes = self._planes(slice(top - above, bottom + 1), slice(left - before, right + 1))
         smooth = cv2.blur(cv2.merge(list(planes)), (3, 3))
@@ -222,7 +222,7 @@ class _Search:
         self._change = [_Smoothed(view.camera, partial(_difference, view)) for view in views]
         depths = np.concatenate([view.surface(slice(None, None, 17)) for view in views])
         near, far = np.percentile(depths[depths > 0], [1, 99]) if (depths > 0).any() else (1.0, 1.0)
-        self._inverse = np.linspace(1 / (_NEAREST * near), 1 / far, settings.depths)
+        self._inverse = np.linspace(1 / (_NEAREST_SHARE * near), 1 / far, settings.depths)
 
     def rays(self, step: int) -> list[_Rays]:
         """Rays of every ``step``-th pixel that a view misses, in the views' order, in parts of _PART."""
@@ -262,7 +262,7 @@ class _Search:
         asking = np.flatnonzero((best <= tolerance) & (surface > 0))
         there = self._disagreement_at_surface(_take(rays, asking))
         explained[asking] = there <= 2 * best[asking] + tolerance / 4
-        fits = front & (cost <= np.minimum(best[ray] + _SAME * tolerance, tolerance)) & ~explained[ray]
+        fits = front & (cost <= np.minimum(best[ray] + _SAME_COST * tolerance, tolerance)) & ~explained[ray]
         rows = np.flatnonzero(fits)
         rows = rows[np.lexsort((depth[rows], ray[rows]))]
         rows = rows[np.unique(ray[rows], return_index=True)[1]]  # the foremost of each ray
@@ -339,7 +339,7 @@ class _Search:
 def _mean_of_best(differences: FloatArray, seen: IntArray, enough: BoolArray) -> FloatArray:
     """The mean (P,) of the smallest of each point's differences (V, P), infinite where not ``enough`` see it."""
     ordered = np.sort(differences, axis=0)
-    wanted = np.ceil(_AGREEING * seen).astype(np.int64)
+    wanted = np.ceil(_AGREEING_VIEWS * seen).astype(np.int64)
     counted = np.arange(len(ordered))[:, None] < wanted
     total = np.where(counted, ordered, 0).sum(axis=0, dtype=np.float32)
     return np.where(enough, total / np.maximum(wanted, 1), np.inf).astype(np.float32)
@@ -392,7 +392,7 @@ def _confirmed(found: _Found, step: int) -> _Found:
     """
     if not len(found.points):
         return found
-    size = _NEAR * max(1.5, step**0.5) * float(np.median(found.pixel))
+    size = _CELL_RAYS * max(1.5, step**0.5) * float(np.median(found.pixel))
     keep = np.zeros(len(found.views), bool)
     for shift in (0.0, 0.5):
         cells = np.floor((found.points - found.points.min(axis=0)) / size + shift).astype(np.int64)

@@ -42,7 +42,7 @@ _KINDS = {"colours": ("exposure", "red", "blue"), "shake": ("yaw", "pitch", "rol
 
 _CHANCE = 2.6
 """Deviations of the median of many cameras that drift each by itself within which it is chance, at 99 %."""
-_FEW = 3.5
+_FEW_CAMERAS = 3.5
 """What that grows by over one less than the cameras' number: within a tenth of Student's t from 4 cameras on."""
 
 _ALTERNATIONS = 2
@@ -277,7 +277,9 @@ def _light_of(shifts: F64) -> F64:
     kinds = np.stack([shifts[:, 0] - shifts[:, 1], shifts[:, 1], shifts[:, 2] - shifts[:, 1]], axis=1)
     median = np.median(kinds, axis=0)
     # The median of n normal values has 1.2533 / sqrt n of their deviation.
-    chance = _CHANCE * (1 + _FEW / (len(shifts) - 1)) * 1.2533 * kinds.std(axis=0, ddof=1) / np.sqrt(len(shifts))
+    chance = (
+        _CHANCE * (1 + _FEW_CAMERAS / (len(shifts) - 1)) * 1.2533 * kinds.std(axis=0, ddof=1) / np.sqrt(len(shifts))
+    )
     with np.errstate(divide="ignore", invalid="ignore"):
         left = np.where(median == 0, 0, 1 - np.square(chance / median))
     red, green, blue = median * np.maximum(left, 0)

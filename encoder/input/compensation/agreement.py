@@ -40,7 +40,7 @@ _OPAQUE = 0.9
 _SAME_DEPTH = 0.02
 """A point is seen where the depth of the view there is its own, to this share."""
 
-_ROUNDS = 6
+_SHIFT_ROUNDS = 6
 
 _LATER_SAMPLES = 6000
 """Points of later frames, from all views together: the light of a single one is known to a per cent."""
@@ -48,7 +48,7 @@ _LATER_SAMPLES = 6000
 _AROUND = np.mgrid[-1:2, -1:2].reshape(2, 1, -1)
 """Pixels over which a point's colours are averaged."""
 
-_FEW = 100
+_MIN_SHARED = 100
 """Points shared with other views below which a view is undetermined."""
 
 
@@ -105,7 +105,7 @@ def shared_changes(
     for channel in range(3):
         known = surface.seen & unclipped(now[..., channel]) & unclipped(before[..., channel])
         known &= known.sum(axis=0) > 1
-        enough[:, channel] = known.sum(axis=1) >= _FEW
+        enough[:, channel] = known.sum(axis=1) >= _MIN_SHARED
         if not enough[:, channel].any():
             continue
         v, s = (np.where(known, side[..., channel], np.float32(0.5)) for side in (now, before))
@@ -145,7 +145,7 @@ def shifts_of_points(values: FloatArray, seen: NDArray[np.bool_]) -> tuple[F64, 
     for channel in range(3):
         valid = seen & unclipped(values[..., channel])
         valid &= valid.sum(axis=0) > 1
-        enough &= valid.sum(axis=1) >= _FEW
+        enough &= valid.sum(axis=1) >= _MIN_SHARED
         shifts[:, channel] = [shift for shift, _ in _channel_shifts(values[..., channel], valid)]
     return shifts, enough
 
@@ -208,7 +208,7 @@ def _solved(logs: FloatArray, slope: FloatArray, known: NDArray[np.bool_]) -> tu
     """
     weights = np.square(slope) * known
     shifts = np.zeros(len(logs))
-    for _ in range(_ROUNDS):
+    for _ in range(_SHIFT_ROUNDS):
         total = np.maximum(weights.sum(axis=0), np.float32(1e-9))
         mean = (weights * logs).sum(axis=0) / total
         normal = np.diag(weights.sum(axis=1, dtype=np.float64)) - _shared(weights, total)

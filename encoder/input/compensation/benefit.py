@@ -17,18 +17,18 @@ from decogs.formats.splats import FloatArray
 
 F64 = NDArray[np.float64]
 
-_MAX_PIXELS = 40_000
+_COMPARED_PIXELS = 40_000
 _LARGEST = 25 / 255
 """Error beyond which all count alike: pixels that training has not followed give no evidence."""
-_MEMORY = 0.9
+_KEPT_SHARE = 0.9
 """Share of earlier sums that remains a frame later: some ten frames decide."""
 _FRAMES = 2
 """Frames needed for a decision: the first one is trained without the alternative."""
-_BLOCK = 8
+_PATCH_PIXELS = 8
 """Pixels across of one observation: where training has not followed, whole patches are wrong."""
-_SURE = 4.0
+_LOSS_DEVIATIONS = 4.0
 """Standard deviations of the mean by which a loss counts."""
-_TOLERANCE = 0.01
+_LOSS_SHARE = 0.01
 """Share of the error by which a loss counts: a smaller one is the scene's own error over very many pixels."""
 
 
@@ -60,25 +60,25 @@ class Benefit:
             gains = _block_sums(np.where(where, others - mine, 0))[there]
             sums = (gains.sum(), np.square(gains).sum(), float(others[where].sum()), len(gains))
             for known, seen in zip((self.gained, self.squares, self.error, self.blocks), sums, strict=True):
-                known[place] = _MEMORY * known[place] + seen
+                known[place] = _KEPT_SHARE * known[place] + seen
         self.frames += 1
 
     @property
     def pays(self) -> bool:
         """Whether it made neither kind of pixels significantly worse."""
-        surely = self.gained < -_SURE * np.sqrt(self.squares)
-        clearly = self.gained < -_TOLERANCE * self.error
+        surely = self.gained < -_LOSS_DEVIATIONS * np.sqrt(self.squares)
+        clearly = self.gained < -_LOSS_SHARE * self.error
         return self.frames < _FRAMES or not bool((surely & clearly).any())
 
 
 def _block_sums(values: F64) -> F64:
     """Sums of ``values`` (H, W) over blocks, in any order; what is left over at the edges is dropped."""
-    rows, columns = (size // _BLOCK for size in values.shape)
-    whole = values[: rows * _BLOCK, : columns * _BLOCK]
-    return np.asarray(whole.reshape(rows, _BLOCK, columns, _BLOCK).sum(axis=(1, 3)).ravel())
+    rows, columns = (size // _PATCH_PIXELS for size in values.shape)
+    whole = values[: rows * _PATCH_PIXELS, : columns * _PATCH_PIXELS]
+    return np.asarray(whole.reshape(rows, _PATCH_PIXELS, columns, _PATCH_PIXELS).sum(axis=(1, 3)).ravel())
 
 
 def on_grid(picture: NDArray[Any]) -> NDArray[Any]:
-    """The picture (..., H, W) on a regular grid of its pixels, at most ``_MAX_PIXELS``."""
-    step = max(1, round(np.sqrt(picture.shape[-2] * picture.shape[-1] / _MAX_PIXELS)))
+    """The picture (..., H, W) on a regular grid of its pixels, at most ``_COMPARED_PIXELS``."""
+    step = max(1, round(np.sqrt(picture.shape[-2] * picture.shape[-1] / _COMPARED_PIXELS)))
     return picture[..., ::step, ::step]

@@ -19,10 +19,10 @@ from ...numerics import tukey
 
 _DARKEST, _BRIGHTEST = 6 / 255, 249 / 255
 
-_MAX_PIXELS = 40_000
+_GRID_PIXELS = 40_000
 """A regular grid of about so many pixels suffices: the mean's own noise is then below 0.1 of an 8-bit level."""
 
-_ROUNDS = 8
+_FIT_ROUNDS = 8
 _TUKEY = 4.685
 """Tukey's biweight at 95 % efficiency, in standard deviations."""
 
@@ -47,7 +47,7 @@ def odds_shift(recorded: FloatArray, shown: FloatArray, valid: FloatArray | None
 
     ``valid`` (H, W) is 0 where nothing was recorded. Undetermined channels get 0.
     """
-    step = max(1, round(np.sqrt(shown[0].size / _MAX_PIXELS)))
+    step = max(1, round(np.sqrt(shown[0].size / _GRID_PIXELS)))
     grid = np.s_[::step, ::step]
     known = None if valid is None else valid[grid] > 0
     pairs = [_channel_shift(recorded[channel][grid], shown[channel][grid], known) for channel in range(len(shown))]
@@ -84,7 +84,7 @@ def _channel_shift(recorded: FloatArray, shown: FloatArray, known: NDArray[np.bo
     slope = s * (1 - s)
     shift = float(np.median(logit(v) - logit(s)))
     precision = 0.0
-    for _ in range(_ROUNDS):
+    for _ in range(_FIT_ROUNDS):
         factor = np.float32(np.exp(-shift))
         corrected = factor * v / (1 + (factor - 1) * v)
         weights = tukey_weights(corrected - s) * slope
