@@ -16,7 +16,6 @@ import math
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import repeat
 
 import numpy as np
 from numpy.typing import NDArray
@@ -407,8 +406,8 @@ class _DeltaTraining:
             with side_by_side(self._threads) as each:
                 found = each(lambda index: self._search_view(index, losses[index].target, masks[index]), new)
                 searched |= zip(new, found, strict=True)
-                misses |= zip(new, each(missed, map(searched.__getitem__, new), repeat(settings)), strict=True)
-            if not worth_a_search(list(misses.values()), settings):
+                misses |= zip(new, each(missed, map(searched.__getitem__, new)), strict=True)
+            if not worth_a_search(list(misses.values())):
                 return empty_splats(work.base.sh_degree)
         fewer = replace(settings, max_rays=max(1, round(rays * settings.max_rays)))
         given = [searched[i] for i in views], [misses[i] for i in views]

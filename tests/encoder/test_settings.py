@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import math
 import pkgutil
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass, replace
 from importlib import import_module
@@ -89,6 +91,16 @@ def test_every_field_has_a_range_and_keeps_to_it(kind: type, name: str) -> None:
     for value in wrong_values(kind, name):
         with pytest.raises(UsageError, match=rf"^`{name}` .* \({kind.__name__}\)$"):
             replace(made(kind), **{name: value})
+
+
+@pytest.mark.parametrize("kind", classes(), ids=lambda kind: kind.__name__)
+def test_every_field_says_on_its_line_what_it_is(kind: type) -> None:
+    """Unit and which way is slower stand beside type, range and default; settings within settings say it themselves."""
+    lines = inspect.getsource(kind).splitlines()
+    for field in fields(kind):
+        if not re.match(r"\w+Settings|FocusWeights", str(field.type)):
+            (line,) = [line for line in lines if line.startswith(f"    {field.name}: ")]
+            assert re.search(r"  # \S+", line), f"{kind.__name__}.{field.name}"
 
 
 @pytest.mark.parametrize("name", [field.name for field in fields(Targets)])
