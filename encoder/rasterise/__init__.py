@@ -11,7 +11,6 @@ from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 
 from .fixed_view import FixedView
-from .incremental_views import IncrementalViews
 from .native import HostPicture, LossValue, RenderedPicture, SplatGradients, TrainingKernel, gradients_like
 
 DEVICES = ("auto", "cpu", "cuda")
@@ -57,7 +56,6 @@ __all__ = [
     "DEVICES",
     "FixedView",
     "HostPicture",
-    "IncrementalViews",
     "LossValue",
     "RenderedPicture",
     "SplatGradients",

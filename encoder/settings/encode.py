@@ -21,7 +21,6 @@ _UNUSED = {"decogs": "baseline", "3dgstream": "frame"}
 """Settings that a method does not read; methods of other packages do not read the baseline's."""
 
 _USUAL = (
-    ("", "rate_control", "content"),
     ("keyframe", "optimiser", "adam"),
     ("keyframe", "densification", "clone-split"),
     ("frame", "optimiser", "adam"),
@@ -55,7 +54,6 @@ class EncodeSettings(Checked):
     effects: Annotated[tuple[str, ...], OneOf(EFFECT_NAMES)] = PRESET_EFFECTS  # enabled ones; fewer: faster, smaller
     detect_per_frame: bool = False  # frames and keyframe enable only what their pictures show: faster
     corrections: CorrectionSettings = field(default_factory=CorrectionSettings)  # of drifting cameras
-    rate_control: str = "content"  # keeps the frame_budget; a name in RATE_CONTROLS
 
     def __post_init__(self) -> None:
         super().__post_init__()

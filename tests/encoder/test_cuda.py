@@ -21,7 +21,7 @@ import pytest
 import torch
 from torch import Tensor
 
-import decogs.encoder.stream_state as stream_state
+import decogs.encoder.frame.context as context
 import rasterise_cases as cases
 from decogs.encoder.rasterise import FixedView, SplatGradients, TrainingKernel, fixed_view, training_kernel
 from decogs.encoder.rasterise.cuda import CudaKernel, missing_for_cuda
@@ -550,7 +550,7 @@ def test_a_whole_encode_runs_on_it(
     backend: Backend, encode: Any, moving_rig: Path, tiny_settings: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Keyframe and a later frame, cache included. Roundings grow as training goes on (seen: 0.01 dB)."""
-    monkeypatch.setattr(stream_state, "training_kernel", lambda device, threads: backend.make())
+    monkeypatch.setattr(context, "training_kernel", lambda device, threads: backend.make())
     settings = replace(
         tiny_settings,
         keyframe=replace(tiny_settings.keyframe, iterations=14, cap=400, grow_every=6, settle_iterations=4),
