@@ -60,7 +60,7 @@ _COMPARABLE = 3
 _LINEAR: F64 = linear_from_srgb(np.arange(256) / 255)
 _CLIPPED_LEVELS = 5
 """Levels from either end of the scale within which a value is no measure of the light."""
-_REWEIGHTINGS = 12
+_GAIN_REWEIGHTINGS = 12
 _SMALLEST = 0.002
 """Deviation of a log ratio below which all weigh alike: a fifth of what noise does to the mean of a window."""
 
@@ -270,7 +270,7 @@ def _least_deviations(first: I64, second: I64, differences: F64, cameras: int) -
     """Gains (cameras,) with least absolute deviations from ``differences`` (N,), first minus second."""
     weights = np.ones(len(differences))
     gains = np.zeros(cameras)
-    for _ in range(_REWEIGHTINGS):
+    for _ in range(_GAIN_REWEIGHTINGS):
         coupling = np.bincount(first * cameras + second, weights, cameras**2).reshape(cameras, cameras)
         coupling += coupling.T
         normal = np.diag(coupling.sum(axis=1)) - coupling

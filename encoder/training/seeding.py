@@ -39,7 +39,7 @@ _MIN_MISSED = 2e-4
 """Share of all views' pixels that must be missed before a search begins."""
 _DEPTHS = 64
 """Steps along a ray."""
-_MIN_VIEWS = 4
+_MIN_MISSING_VIEWS = 4
 """Views that must miss the same point."""
 _MAY_NOT_MISS = 0.25
 """Share of the views that see the point and need not miss it."""
@@ -61,7 +61,7 @@ _FAINTEST = np.float32(1e-6)
 """Alpha of a ray that meets nothing: keeps its depth at 0."""
 _PART = 500
 """Rays per batch: enough for numpy to dominate Python's overhead; batches run in parallel."""
-_BLOCK_PIXELS = 64
+_SMOOTHED_BLOCK = 64
 """Side of a block of pixels that is smoothed at once."""
 _MARGIN = 2
 """Pixels right and below of a position that its value may be read from: positions are rounded to parts of a pixel."""
@@ -199,19 +199,19 @@ class _Smoothed:
 
         What lies up to _MARGIN pixels right and below is there too: neighbours count, also those that weigh nothing.
         """
-        down, right = rows // _BLOCK_PIXELS, columns // _BLOCK_PIXELS
-        further = np.minimum(columns + _MARGIN, self._width - 1) // _BLOCK_PIXELS
+        down, right = rows // _SMOOTHED_BLOCK, columns // _SMOOTHED_BLOCK
+        further = np.minimum(columns + _MARGIN, self._width - 1) // _SMOOTHED_BLOCK
         for band in np.unique(down):
             here = np.flatnonzero(down == band)
             for block in np.union1d(right[here], further[here]):
                 self._make(int(band), int(block))
-            yield here, int(band) * _BLOCK_PIXELS, self._bands[int(band)]
+            yield here, int(band) * _SMOOTHED_BLOCK, self._bands[int(band)]
 
     def _make(self, band: int, block: int) -> None:
         if (band, block) in self._made:
             return
-        top, left = band * _BLOCK_PIXELS, block * _BLOCK_PIXELS
-        bottom, right = min(top + _BLOCK_PIXELS + _MARGIN, self._height), min(left + _BLOCK_PIXELS, self._width)
+        top, left = band * _SMOOTHED_BLOCK, block * _SMOOTHED_BLOCK
+        bottom, right = min(top + _SMOOTHED_BLOCK + _MARGIN, self._height), min(left + _SMOOTHED_BLOCK, self._width)
         above, before = min(top, 1), min(left, 1)
         planes = self._planes(slice(top - above, bottom + 1), slice(left - before, right + 1))
         smooth = cv2.blur(cv2.merge(list(planes)), (3, 3))
@@ -312,7 +312,7 @@ class _Search:
             misses += inside & ~hit
             keep = misses <= allowed
             ray, place, seen, misses = ray[keep], place[keep], seen[keep], misses[keep]
-        keep = (misses <= _MAY_NOT_MISS * seen) & (seen - misses >= _MIN_VIEWS)
+        keep = (misses <= _MAY_NOT_MISS * seen) & (seen - misses >= _MIN_MISSING_VIEWS)
         return ray[keep], place[keep]
 
     def _disagreements(
@@ -340,7 +340,7 @@ class _Search:
             rendered = view.surface(at)
             before[inside] += (rendered <= 0) | (depth[inside] < (1 - _IN_FRONT / 2) * rendered)
             seen[inside] += 1
-        enough = seen >= _MIN_VIEWS - 1
+        enough = seen >= _MIN_MISSING_VIEWS - 1
         return [_mean_of_best(each, seen, enough) for each in differences], enough & (before >= 0.7 * seen)
 
 
