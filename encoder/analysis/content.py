@@ -27,8 +27,7 @@ def _without_motion(settings: EncodeSettings) -> EncodeSettings:
     frame = settings.frame
     rates = replace(frame.rates, means=0.0, log_scales=0.0, quaternions=0.0)
     significance = replace(frame.significance, threshold=_LIGHT_THRESHOLD * frame.significance.threshold)
-    adaptive = frame.adaptive_iterations
-    pace = replace(adaptive, min_factor=min(_LIGHT_ITERATIONS, adaptive.max_factor))
+    pace = replace(frame.adaptive_iterations, min_factor=_LIGHT_ITERATIONS)
     return replace(
         settings,
         frame=replace(

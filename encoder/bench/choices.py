@@ -69,16 +69,6 @@ QUESTIONS = (
         _BOTH,
     ),
     Question(
-        "neighbours",
-        "Whose displacement a warm start takes",
-        "A Gaussian's own, or the median over its nearest selected neighbours.",
-        tuple(
-            Variant(f"neighbours{n}", f"{n} nearest" if n > 1 else "its own", {"frame.warm_neighbours": n})
-            for n in (1, 8, 24, 64)
-        ),
-        _BOTH,
-    ),
-    Question(
         "cache",
         "Neural transformation cache",
         "None, or anew in every frame; with and without the warm start; at its rate and at five times. "

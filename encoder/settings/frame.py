@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Annotated
 
-from decogs.formats.errors import UsageError
-
 from .cache import CacheSettings
 from .checked import (
     Checked,
@@ -75,16 +73,7 @@ class IterationSettings(Checked):
     """How many of its iterations a frame runs: a frame that misses twice as much runs twice as many."""
 
     usual_miss: Share = 0.0  # of the region, missed by over 25 levels in a usual frame; less: slower; 0: all run
-    min_factor: Annotated[float, Within(0.01, 100)] = 1.0  # of the iterations, at least; less: faster, drifts
-    max_factor: Annotated[float, Within(0.01, 100)] = 3.0  # of the iterations, at most; more: slower
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.min_factor > self.max_factor:
-            raise UsageError(
-                f"`min_factor` {self.min_factor:g}: it is above `max_factor` {self.max_factor:g}; give at most that "
-                "(IterationSettings)"
-            )
+    min_factor: Annotated[float, Within(0.01, 3)] = 1.0  # of the iterations, at least; less: faster, drifts
 
 
 @dataclass(frozen=True)
@@ -119,7 +108,6 @@ class FrameSettings(Checked):
     cache_iterations: Steps = 150  # of stage 1; more: slower
     joint_iterations: Steps = 100  # of stage 2; more: slower, follows faster motion
     warm_start: Share = 0.0  # of the neighbourhood's last displacement, to begin with; no slower
-    warm_neighbours: Count = 8  # selected Gaussians whose median displacement that is; more: slower
     grow_gradient: Rate = 1e-4  # mean view gradient from which a Gaussian is split (the paper's tau_d); less: slower
     grow_fraction: Share = 0.05  # of the selected Gaussians that a frame may add, at most; more: slower, larger
     prune_opacity: Share = 0.01  # below it a Gaussian is removed; 0: never, larger
@@ -127,7 +115,6 @@ class FrameSettings(Checked):
     rates: LearningRates = field(  # of stage 2; means in units of the rig's extent
         default_factory=lambda: LearningRates(1.28e-3, 2e-2, 8e-3, 0.1, 2e-2, 1e-3)
     )
-    late_decay: Share = 0.2  # of the rates, left at the end of stage 2
     beta1: Decay = 0.9  # Adam's, of the gradient, in stage 2; no slower
     beta2: Decay = 0.999  # Adam's, of its square
     max_stretch: Stretch = 0.0  # ratio of a Gaussian's largest to middle size that stage 2 may reach; 0: any

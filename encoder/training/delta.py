@@ -34,6 +34,7 @@ from .losses import PhotometricLoss, focus_loss, require_finite, whole_picture_l
 from .method import FrameInput, TrainedFrame, TrainingContext
 from .optimiser import ATTRIBUTES, OPTIMISERS, Optimiser
 from .schedule import (
+    LATE_DECAY,
     MIN_STEPS,
     SearchTime,
     StepSchedule,
@@ -166,7 +167,7 @@ class _DeltaTraining:
     def _start_warm(self, work: _Working, motion: FloatArray) -> None:
         share = np.float32(self._settings.warm_start)
         if share and motion.any():
-            work.base.means[:] += share * shared_displacements(work.base.means, motion, self._settings.warm_neighbours)
+            work.base.means[:] += share * shared_displacements(work.base.means, motion)
 
     def _loss(self, picture: FloatArray, mask: FrameMask, view: View) -> PhotometricLoss:
         weights = self._settings.focus
@@ -234,7 +235,7 @@ class _DeltaTraining:
                 if judged:
                     break
                 schedule.skip_to(decide_at)
-            late = settings.late_decay ** max(0.0, 2 * schedule.position / settings.joint_iterations - 1)
+            late = LATE_DECAY ** max(0.0, 2 * schedule.position / settings.joint_iterations - 1)
             rates_now = rates.scaled(late * min(schedule.hurry**0.5, _MAX_HASTE))
             step_unstretched(work.optimiser, gradients, rates_now, settings.max_stretch)
             schedule.step()

@@ -35,6 +35,12 @@ OnLoss = Callable[[str, int, float], None]
 MIN_STEPS = 12
 """Least steps of a stage, however late it is: fewer have no effect and cost hardly less."""
 
+LATE_DECAY = 0.2
+"""What is left of a later frame's rates at the end of its steps, falling over their second half."""
+
+_MAX_ITERATIONS = 3.0
+"""Most iterations of a frame, in units of the usual number: with more, a cut would take minutes."""
+
 _CLEARLY = np.float32(25 / 255)
 """Colour error from which a pixel is clearly missed: the paper's tau, applied to the rendering."""
 
@@ -79,7 +85,7 @@ def iteration_factor(settings: IterationSettings, errors: Sequence[FloatArray]) 
     if not (settings.usual_miss and pixels):
         return 1.0
     missed = sum(int((np.abs(each).max(axis=0) > _CLEARLY).sum()) for each in errors)
-    return float(np.clip(missed / pixels / settings.usual_miss, settings.min_factor, settings.max_factor))
+    return float(np.clip(missed / pixels / settings.usual_miss, settings.min_factor, _MAX_ITERATIONS))
 
 
 class StepSchedule:

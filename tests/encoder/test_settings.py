@@ -19,7 +19,7 @@ import decogs.encoder.settings as settings_package
 from decogs.encoder import PRESETS, CorrectionSettings, EncodeSettings, Switches, Targets, encode
 from decogs.encoder.settings.checked import Checked, OneOf, Within
 from decogs.encoder.settings.effects import EFFECT_NAMES
-from decogs.encoder.settings.frame import ABLATIONS, FrameSettings, IterationSettings
+from decogs.encoder.settings.frame import ABLATIONS, FrameSettings
 from decogs.encoder.settings.optimiser import LearningRates
 from decogs.encoder.settings.reading import read_settings
 from decogs.encoder.switches import check_together
@@ -126,9 +126,9 @@ def test_the_bounds_themselves_are_taken() -> None:
     ):
         FrameSettings(max_stretch=0.5)
     with pytest.raises(
-        UsageError, match=r"^`warm_neighbours` 0: give a whole number from 1 to 1000000 \(FrameSettings"
+        UsageError, match=r"^`joint_iterations` -1: give a whole number from 0 to 1000000 \(FrameSettings"
     ):
-        FrameSettings(warm_neighbours=0)
+        FrameSettings(joint_iterations=-1)
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -145,7 +145,6 @@ def test_settings_are_read_back_from_a_header_and_checked_there(name: str) -> No
     [
         (lambda: EncodeSettings(closed=True), "`closed`: say how many frames a segment has, with `segment`"),
         (lambda: EncodeSettings(closed=True, segment=3, time_budget=1.0), "`closed`: `time_budget` carries time"),
-        (lambda: IterationSettings(min_factor=2, max_factor=1), "`min_factor` 2: it is above `max_factor` 1"),
         (
             lambda: FrameSettings(ablated=("focsu",)),
             r"`ablated` \('focsu',\): give a tuple of names from select, focus",
