@@ -26,6 +26,7 @@ from ..settings.frame import FocusWeights, FrameSettings
 from ..training.losses import PhotometricLoss, focus_loss, require_finite
 from ..training.method import TrainedFrame
 from ..training.optimiser import ATTRIBUTES, OPTIMISERS, Optimiser
+from ..training.schedule import LATE_DECAY
 from ..training.significance import picture_weight
 from ..training.stretch import step_unstretched
 from ..training.view_order import view_order
@@ -152,7 +153,7 @@ def cross_fade(
         if on_loss is not None:
             on_loss("fade", step, value.total)
         view.backward(out=gradients)
-        late = settings.late_decay ** max(0.0, 2 * step / steps - 1)
+        late = LATE_DECAY ** max(0.0, 2 * step / steps - 1)
         step_unstretched(optimiser, gradients, rates.scaled(_RATES * late), settings.max_stretch)
     return _cross_faded(trained, fading, optimiser, share)
 

@@ -74,7 +74,7 @@ def _start_warm(work: WorkingSet, frame: FrameInput) -> None:
     """Moves the Gaussians on by a share of their neighbourhood's last displacement."""
     share, motion = np.float32(frame.settings.warm_start), frame.motion[work.rows]
     if share and motion.any():
-        work.values.means[:] += share * shared_displacements(work.values.means, motion, frame.settings.warm_neighbours)
+        work.values.means[:] += share * shared_displacements(work.values.means, motion)
 
 
 def _iteration_factor(training: FrameTraining, work: WorkingSet, probes: Sequence[int]) -> float:
