@@ -10,11 +10,11 @@ from decogs.formats.splats import Splats
 
 from ..input.compensation import Corrector, Show, corrector_of
 from ..input.ingest import Ingest
+from ..methods import method_of
 from ..rasterise import TrainingKernel, training_kernel
 from ..rasterise.scene_views import SceneViews
 from ..settings.encode import EncodeSettings
 from ..training.method import FrameMethod
-from ..training.methods import FRAME_METHODS
 from ..training.schedule import OnLoss, StoppingRule
 from .cross_fade import fade_cameras
 
@@ -61,7 +61,7 @@ class Context:
             kernel,
             SceneViews(kernel, cameras),
             SceneViews(kernel, lambda: fade_cameras(cameras())),
-            FRAME_METHODS.get(settings.method),
+            method_of(settings),
             corrector_of(ingest.views, settings.corrections),
             seed,
             threads,

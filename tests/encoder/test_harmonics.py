@@ -11,10 +11,10 @@ import pytest
 
 from decogs.codec.state import Attributes
 from decogs.decoder import open_stream
-from decogs.encoder import encode
 from decogs.encoder.analysis import EffectChoice
 from decogs.encoder.training import harmonics
 from decogs.encoder.training.harmonics import MIN_SHOWN, as_far_as_shown
+from encode_rig import encode_rig as encode
 
 COUNT = 1000
 FEW, ENOUGH = round(MIN_SHOWN * COUNT) - 1, round(MIN_SHOWN * COUNT)
