@@ -57,13 +57,14 @@ class SelectionSettings(Checked):
 class FocusWeights(Checked):
     """The weights of ``(1 - lambda) (beta1 L1 + beta2 L1_focus) + lambda (1 - SSIM_focus)``; none is slower.
 
-    Source: DecoGS, focus-aware loss (docs/METHOD.md, "Focus-aware loss").
+    The focus terms are means over the "region" of interest, whose pixels weigh more the fewer they are, or over the whole
+    "picture", as the text has it. Source: DecoGS, focus-aware loss (docs/METHOD.md, "Focus-aware loss").
     """
 
     dissimilarity: Share = 0.2  # lambda
     whole: Multiple = 0.2  # beta1
     focus: Multiple = 0.8  # beta2
-    over: Annotated[str, OneOf(("region", "picture"))] = "region"  # whose means focus terms are; the text's: "picture"
+    over: Annotated[str, OneOf(("region", "picture"))] = "region"  # what they are means over
 
 
 @dataclass(frozen=True)
