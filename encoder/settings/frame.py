@@ -57,8 +57,8 @@ class SelectionSettings(Checked):
 class FocusWeights(Checked):
     """The weights of ``(1 - lambda) (beta1 L1 + beta2 L1_focus) + lambda (1 - SSIM_focus)``; none is slower.
 
-    The focus terms are means over the "region" of interest, whose pixels weigh more the fewer they are, or over the whole
-    "picture", as the text has it. Source: DecoGS, focus-aware loss (docs/METHOD.md, "Focus-aware loss").
+    The focus terms are means over the "region" of interest, whose pixels weigh more the fewer they are, or over the
+    whole "picture", as the text has it. Source: DecoGS, focus-aware loss (docs/METHOD.md, "Focus-aware loss").
     """
 
     dissimilarity: Share = 0.2  # lambda
