@@ -14,6 +14,7 @@ from decogs.codec.lattice import Lattice
 from decogs.codec.state import State, same_values
 
 from .analysis.enabled import enabled_effects
+from .backends import IncrementalViews, fixed_view, training_kernel
 from .change.detection import Change, ChangeDetector
 from .coding.coded_scene import CodedScene, Written
 from .coding.rate_control import RATE_CONTROLS, RateControl
@@ -22,7 +23,6 @@ from .input.compensation.stream import Compensation
 from .input.imported_keyframe import KeyframeSource
 from .input.ingest import Ingest, RigFrame
 from .output.stream_output import StreamOutput
-from .rasterise import IncrementalViews, fixed_view, training_kernel
 from .settings.encode import EncodeSettings
 from .settings.frame import FrameSettings
 from .stopwatch import Stopwatch

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 
 import rasterise_cases as cases
-from decogs.encoder.rasterise import SplatGradients, TrainingKernel
+from decogs.encoder.backends import SplatGradients, TrainingKernel
 
 FIELDS = ("means", "log_scales", "quaternions", "opacity_logits", "sh")
 GRADIENT_ROUNDINGS = 150

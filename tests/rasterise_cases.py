@@ -325,7 +325,7 @@ def decoder_digest(threads: int) -> str:
 
 def encoder_digest(threads: int) -> str:
     """Hash of pictures, all gradients, weights, centres, loss and Adam steps of every case."""
-    from decogs.encoder.rasterise import FixedView, TrainingKernel
+    from decogs.encoder.backends import FixedView, TrainingKernel
 
     kernel = TrainingKernel(threads)
     digest = hashlib.sha256()

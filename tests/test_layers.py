@@ -44,7 +44,7 @@ def test_contracts_hold(copied_house: Path) -> None:
     [
         ("formats/splats.py", "decogs.codec"),
         ("codec/__init__.py", "decogs.decoder"),
-        ("decoder/rasterise/native.py", "decogs.encoder.rasterise"),
+        ("decoder/rasterise/native.py", "decogs.encoder.backends"),
         ("formats/rigs/n3dv.py", "torch"),
         ("decoder/__init__.py", "torch"),
         ("encoder/settings/frame.py", "decogs.encoder.training.method"),

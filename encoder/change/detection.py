@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from decogs.codec.state import State
 from decogs.formats.splats import FloatArray
 
-from ..rasterise import FixedView
+from ..backends import FixedView
 from ..settings.encode import EncodeSettings
 from ..settings.frame import SelectionSettings
 from ..stopwatch import Stopwatch

@@ -11,11 +11,11 @@ from decogs.formats.callbacks import OnWarning
 from decogs.formats.container import Packet, PacketKind
 from decogs.formats.splats import FloatArray, Splats
 
+from ..backends import IncrementalViews, TrainingKernel
 from ..change.detection import Change
 from ..change.masks import FrameMask, showing
 from ..input.ingest import Ingest, RigFrame, display_referred
 from ..psnr import mean_picture_psnr, mean_psnr, psnr_of, square_error
-from ..rasterise import IncrementalViews, TrainingKernel
 from ..stopwatch import Stopwatch
 from .footage import matches, warning_of
 from .reports import FrameReport

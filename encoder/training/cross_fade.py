@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from decogs.formats.cameras import Camera, camera_centre, scale_camera, turned
 from decogs.formats.splats import Splats, join_splats, take_splats
 
-from ..rasterise import FixedView, IncrementalViews, TrainingKernel, gradients_like
+from ..backends import FixedView, IncrementalViews, TrainingKernel, gradients_like
 from ..settings.frame import FocusWeights, FrameSettings
 from .losses import PhotometricLoss, focus_loss, require_finite
 from .method import TrainedFrame

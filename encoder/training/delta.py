@@ -24,10 +24,10 @@ from numpy.typing import NDArray
 from decogs.formats.cameras import in_picture, project
 from decogs.formats.splats import FloatArray, Splats, empty_splats, join_splats, sigmoid, take_splats
 
+from ..backends import SplatGradients, TrainingKernel, gradients_like
 from ..change.masks import FrameMask, showing
 from ..input.ingest import View
 from ..parallel import side_by_side
-from ..rasterise import SplatGradients, TrainingKernel, gradients_like
 from ..settings.frame import FrameSettings
 from ..transformation_cache import TransformationCache
 from .densification import DENSIFICATIONS, ViewGradients

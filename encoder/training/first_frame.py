@@ -13,12 +13,12 @@ from decogs.formats.errors import RigError
 from decogs.formats.splats import FloatArray
 
 from ..analysis.view_dependence import as_far_as_shown
+from ..backends import TrainingKernel
 from ..input.compensation.stream import Compensation
 from ..input.dropouts import BLACK, blankness
 from ..input.ingest import Ingest, RigFrame, View
 from ..output.reports import OnKeyframeStep
 from ..point_init import FirstPoints, first_points
-from ..rasterise import TrainingKernel
 from ..settings.encode import EncodeSettings
 from ..stopwatch import Stopwatch
 from .keyframe import prealigned_pictures, train_keyframe

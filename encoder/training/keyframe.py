@@ -22,13 +22,13 @@ from decogs.formats.cameras import camera_centre
 from decogs.formats.errors import TrainingError
 from decogs.formats.splats import FloatArray, Splats, round_splats, sigmoid, take_splats
 
+from ..backends import RenderedPicture, TrainingKernel, gradients_like
 from ..input.compensation import Corrector
 from ..input.ingest import View
 from ..input.resizing import resized
 from ..output.reports import OnKeyframeStep
 from ..point_init import FirstPoints
 from ..psnr import psnr_of
-from ..rasterise import RenderedPicture, TrainingKernel, gradients_like
 from ..settings.keyframe import KeyframeSettings
 from ..settings.optimiser import LearningRates
 from .densification import DENSIFICATIONS, ViewGradients

@@ -17,7 +17,7 @@ from decogs.formats.cameras import Camera
 from decogs.formats.errors import TrainingError
 from decogs.formats.splats import FloatArray
 
-from ..rasterise import FixedView, LossValue, TrainingKernel
+from ..backends import FixedView, LossValue, TrainingKernel
 from ..settings.frame import FocusWeights
 
 

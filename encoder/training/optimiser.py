@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from decogs.formats.splats import FloatArray, Splats, join_splats, take_splats
 
-from ..rasterise import SplatGradients, TrainingKernel
+from ..backends import SplatGradients, TrainingKernel
 from ..registry import Registry, described, guarded
 from ..settings.optimiser import LearningRates
 

@@ -25,11 +25,11 @@ from decogs.formats.splats import Splats, logit, sh_degree_of, sigmoid, take_spl
 from decogs.formats.up_direction import AXES, turn_between, up_of
 
 from ..analysis.view_dependence import as_far_as_shown
+from ..backends import TrainingKernel
 from ..input.imported_keyframe import KeyframeSource
 from ..input.imported_splats import SplatSource
 from ..input.ingest import Ingest, RigFrame
 from ..psnr import mean_psnr
-from ..rasterise import TrainingKernel
 from ..settings.encode import EncodeSettings
 
 MAX_LOST = 0.1

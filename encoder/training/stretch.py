@@ -15,7 +15,7 @@ import numpy as np
 
 from decogs.formats.splats import FloatArray
 
-from ..rasterise import SplatGradients
+from ..backends import SplatGradients
 from ..settings.optimiser import LearningRates
 from .optimiser import Optimiser
 

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from decogs.formats.rotations import rotation_matrices
 from decogs.formats.splats import Splats, join_splats, logit, sigmoid, take_splats
 
-from ..rasterise import SplatGradients, gradients_like
+from ..backends import SplatGradients, gradients_like
 from ..transformation_cache import TransformationCache
 from .densification import ViewGradients
 from .losses import PhotometricLoss, require_finite, whole_picture_loss

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from decogs.formats.kernels import check_memory, checked_handle, load_kernel
 from decogs.formats.splats import FloatArray
 
-from ..rasterise.native import AdamStep
+from ..backends.cpu.native import AdamStep
 from ..settings.cache import CacheSettings
 
 

@@ -31,10 +31,10 @@ import decogs.encoder.training.seeding as emergence
 from decogs.decoder.picture_output import to_8bit
 from decogs.decoder.views import render_view
 from decogs.encoder import PRESETS, EffectChoice, EncodeReport, EncodeSettings, Targets, encode
+from decogs.encoder.backends import FixedView
 from decogs.encoder.change.masks import MaskMemory
 from decogs.encoder.coding.coded_scene import CodedScene
 from decogs.encoder.coding.time_control import counted_seconds
-from decogs.encoder.rasterise import FixedView
 from decogs.formats.cameras import Camera, scale_camera
 from decogs.formats.rigs import open_rig, read_frames
 from decogs.formats.splats import SH_C0, Splats, join_splats

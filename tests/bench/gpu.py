@@ -17,8 +17,8 @@ from statistics import median
 import numpy as np
 import torch
 
-from decogs.encoder.rasterise import FixedView, TrainingKernel, fixed_view, gradients_like
-from decogs.encoder.rasterise.cuda import CudaKernel, missing_for_cuda
+from decogs.encoder.backends import FixedView, TrainingKernel, fixed_view, gradients_like
+from decogs.encoder.backends.cuda.kernel import CudaKernel, missing_for_cuda
 from decogs.encoder.settings.optimiser import LearningRates
 from decogs.encoder.training.optimiser import Adam
 from decogs.formats.cameras import Camera

@@ -15,7 +15,7 @@ from statistics import median
 
 import numpy as np
 
-from decogs.encoder.rasterise import FixedView, TrainingKernel, gradients_like
+from decogs.encoder.backends import FixedView, TrainingKernel, gradients_like
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import Splats, join_splats, take_splats
 from rasterise import Step, front_camera, milliseconds, random_scene

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from decogs.encoder.rasterise import TrainingKernel
+from decogs.encoder.backends import TrainingKernel
 
 STEP = 1e-5
 """Relative error of a step: some fifteen roundings (1e-6), and float32's 0.999, which is 1.3e-5 off in 1 - beta2 and

@@ -14,8 +14,8 @@ import pytest
 import decogs.encoder.change.detection as detection
 from decogs.codec.digest import digest
 from decogs.decoder.stream import open_stream
+from decogs.encoder.backends import TrainingKernel
 from decogs.encoder.input.ingest import Ingest
-from decogs.encoder.rasterise import TrainingKernel
 from decogs.encoder.settings.encode import EncodeSettings
 from decogs.encoder.settings.threedgstream import BaselineSettings
 from decogs.encoder.training.method import TrainedFrame

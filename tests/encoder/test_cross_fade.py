@@ -17,9 +17,9 @@ from decogs.decoder.stream import open_stream
 from decogs.decoder.views import render_view
 from decogs.encoder import EncodeSettings
 from decogs.encoder import encode as encode_rig
+from decogs.encoder.backends import IncrementalViews, fixed_view, training_kernel
 from decogs.encoder.closed_segments import with_following
 from decogs.encoder.input.ingest import RigFrame
-from decogs.encoder.rasterise import IncrementalViews, fixed_view, training_kernel
 from decogs.encoder.settings.frame import FrameSettings, SignificanceSettings
 from decogs.encoder.training.cross_fade import CrossFade, fade_cameras, go_over
 from decogs.encoder.training.method import TrainedFrame

@@ -23,9 +23,9 @@ from torch import Tensor
 
 import decogs.encoder.stream_state as stream_state
 import rasterise_cases as cases
-from decogs.encoder.rasterise import FixedView, SplatGradients, TrainingKernel, fixed_view, training_kernel
-from decogs.encoder.rasterise.cuda import CudaKernel, missing_for_cuda
-from decogs.encoder.rasterise.photometric import TiledLoss, photometric_loss
+from decogs.encoder.backends import FixedView, SplatGradients, TrainingKernel, fixed_view, training_kernel
+from decogs.encoder.backends.cuda.kernel import CudaKernel, missing_for_cuda
+from decogs.encoder.backends.cuda.photometric import TiledLoss, photometric_loss
 from decogs.formats.errors import UsageError
 from decogs.formats.rotations import rotation_matrices
 from decogs.formats.spherical_harmonics import sh_basis
@@ -487,7 +487,7 @@ def test_the_loss_is_the_native_kernels(size: tuple[int, int], ssim_scale: float
 @pytest.mark.parametrize("ssim_scale", [0.0, 0.2])
 @pytest.mark.parametrize("weighted", [False, True])
 def test_the_fused_loss_on_a_gpu_is_its_twin(size: tuple[int, int], ssim_scale: float, weighted: bool) -> None:
-    from decogs.encoder.rasterise.photometric_fused import FusedLoss
+    from decogs.encoder.backends.cuda.photometric_fused import FusedLoss
 
     rng, (width, height) = np.random.default_rng(6), size
     on_gpu = lambda values: torch.tensor(np.asarray(values, np.float32), device="cuda")  # noqa: E731
@@ -602,7 +602,7 @@ def test_the_device_is_chosen_or_what_is_missing_is_named(monkeypatch: pytest.Mo
     with pytest.raises(UsageError, match="`device` tpu: choose from auto, cpu, cuda"):
         training_kernel("tpu")
     with monkeypatch.context() as without_torch:
-        without_torch.delitem(sys.modules, "decogs.encoder.rasterise.cuda")
+        without_torch.delitem(sys.modules, "decogs.encoder.backends.cuda.kernel")
         without_torch.setitem(sys.modules, "torch", None)
         with pytest.raises(UsageError, match="`device` cuda: torch cannot be imported"):
             training_kernel("cuda")

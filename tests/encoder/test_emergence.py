@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
+from decogs.encoder.backends import FixedView, TrainingKernel
 from decogs.encoder.change.masks import FrameMask
 from decogs.encoder.input.ingest import View
 from decogs.encoder.numerics import bilinear
-from decogs.encoder.rasterise import FixedView, TrainingKernel
 from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings
 from decogs.encoder.training import seeding
 from decogs.encoder.training.seeding import SearchView, missed, worth_a_search

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rasterise_cases as cases
-from decogs.encoder.rasterise import FixedView, TrainingKernel
+from decogs.encoder.backends import FixedView, TrainingKernel
 from decogs.formats.splats import Splats, join_splats, take_splats
 
 FIELDS = ("means", "log_scales", "quaternions", "opacity_logits", "sh", "view")

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from decogs.encoder.backends import FixedView, TrainingKernel
 from decogs.encoder.change.masks import FrameMask
 from decogs.encoder.input.ingest import Ingest
-from decogs.encoder.rasterise import FixedView, TrainingKernel
 from decogs.encoder.settings.cache import CacheSettings
 from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings, IterationSettings
 from decogs.encoder.training.delta import DeltaTrainer

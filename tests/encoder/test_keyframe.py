@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from decogs.codec.lattice import dequantise, quantise
+from decogs.encoder.backends import TrainingKernel
 from decogs.encoder.input.ingest import Ingest, View
 from decogs.encoder.point_init import FirstPoints
 from decogs.encoder.psnr import mean_psnr, psnr_of
-from decogs.encoder.rasterise import TrainingKernel
 from decogs.encoder.settings.keyframe import KeyframeSettings
 from decogs.encoder.training.keyframe import (
     _KeyframeTraining,

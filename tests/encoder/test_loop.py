@@ -29,9 +29,9 @@ from decogs.decoder.picture_output import to_8bit
 from decogs.decoder.stream import open_stream
 from decogs.decoder.views import render_view
 from decogs.encoder import PRESETS
+from decogs.encoder.backends import FixedView
 from decogs.encoder.change.masks import MaskMemory
 from decogs.encoder.input.ingest import frame_span
-from decogs.encoder.rasterise import FixedView
 from decogs.encoder.settings.frame import MaskSettings, SelectionSettings
 from decogs.formats.container import PacketKind, StreamWriter
 from decogs.formats.errors import RigError, UsageError

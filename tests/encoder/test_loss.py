@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from decogs.encoder.rasterise import TrainingKernel
+from decogs.encoder.backends import TrainingKernel
 
 ROUNDING = 2.0**-24
 GRADIENT = 60 * ROUNDING

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-from decogs.encoder.rasterise import LossValue, TrainingKernel
+from decogs.encoder.backends import LossValue, TrainingKernel
 from decogs.encoder.settings.frame import FocusWeights
 from decogs.encoder.training.losses import PhotometricLoss, focus_loss, whole_picture_loss
 

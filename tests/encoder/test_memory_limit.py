@@ -25,7 +25,7 @@ PROGRAM = """
 import json, re, sys
 from pathlib import Path
 from decogs.encoder.encoding import encode
-from decogs.encoder.rasterise import TrainingKernel
+from decogs.encoder.backends import TrainingKernel
 
 def peak():
     return int(re.search("VmHWM: *\t* *([0-9]+) kB", Path("/proc/self/status").read_text())[1]) << 10

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from decogs.encoder.rasterise import SplatGradients, TrainingKernel
+from decogs.encoder.backends import SplatGradients, TrainingKernel
 from decogs.encoder.settings.optimiser import LearningRates
 from decogs.encoder.training.optimiser import ATTRIBUTES, Adam
 from decogs.formats.splats import Splats, take_splats

@@ -8,7 +8,7 @@ import pytest
 
 import rasterise_cases as cases
 from decogs.decoder.rasterise import render
-from decogs.encoder.rasterise import SplatGradients, TrainingKernel
+from decogs.encoder.backends import SplatGradients, TrainingKernel
 from decogs.formats.kernels import INSTRUCTION_SETS
 from decogs.formats.splats import Splats, empty_splats, join_splats
 from gradient_twin import FIELDS, compare_gradient, kernel_gradients, twin_gradients

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from decogs.encoder.backends import FixedView, TrainingKernel
 from decogs.encoder.change.detection import Change, ChangeDetector
 from decogs.encoder.change.masks import FrameMask
 from decogs.encoder.change.selection import ViewEvidence, select, view_evidence
-from decogs.encoder.rasterise import FixedView, TrainingKernel
 from decogs.encoder.settings.encode import EncodeSettings
 from decogs.encoder.settings.frame import SelectionSettings
 from decogs.formats.cameras import Camera

@@ -9,8 +9,8 @@ import pytest
 
 from decogs.codec.lattice import default_lattice, dequantise, quantise
 from decogs.codec.state import ARRAYS
+from decogs.encoder.backends import SplatGradients, TrainingKernel
 from decogs.encoder.coding.quantised_changes import quantised
-from decogs.encoder.rasterise import SplatGradients, TrainingKernel
 from decogs.encoder.settings.frame import FocusWeights, SignificanceSettings
 from decogs.encoder.settings.optimiser import LearningRates
 from decogs.encoder.training.losses import focus_loss, whole_picture_loss

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from decogs.encoder.backends import TrainingKernel
 from decogs.encoder.input.ingest import View
-from decogs.encoder.rasterise import TrainingKernel
 from decogs.encoder.training.surroundings import surroundings
 from decogs.formats.cameras import Camera, in_picture, project
 from decogs.formats.splats import Splats, round_splats

@@ -17,6 +17,7 @@ from decogs.codec.digest import digest
 from decogs.decoder.stream import open_stream
 from decogs.encoder import PRESETS, EncodeSettings, Switches, Targets
 from decogs.encoder import encode as encode_rig
+from decogs.encoder.backends import FixedView
 from decogs.encoder.coding.coded_scene import CodedScene
 from decogs.encoder.coding.time_control import (
     TIME_TOLERANCE,
@@ -28,7 +29,6 @@ from decogs.encoder.coding.time_control import (
 )
 from decogs.encoder.commands import encode_main
 from decogs.encoder.option_texts import seconds_per_frame
-from decogs.encoder.rasterise import FixedView
 from decogs.encoder.settings.frame import SignificanceSettings
 from decogs.encoder.settings.optimiser import LearningRates
 from decogs.encoder.switches import with_method

@@ -16,7 +16,7 @@ import pytest
 import rasterise_cases as cases
 from decogs.decoder.rasterise import native, render
 from decogs.decoder.rasterise.incremental_view import IncrementalView
-from decogs.encoder.rasterise import FixedView, TrainingKernel
+from decogs.encoder.backends import FixedView, TrainingKernel
 from decogs.formats.errors import UsageError
 from decogs.formats.kernels import load_kernel
 from decogs.formats.splats import take_splats
@@ -93,7 +93,7 @@ import resource, sys
 import numpy as np
 from decogs.decoder.rasterise import render
 from decogs.decoder.rasterise.native import render_planes
-from decogs.encoder.rasterise import TrainingKernel
+from decogs.encoder.backends import TrainingKernel
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import Splats
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 import rasterise_cases as cases
 from decogs.decoder.rasterise.native import render_planes
-from decogs.encoder.rasterise import FixedView, TrainingKernel
+from decogs.encoder.backends import FixedView, TrainingKernel
 from decogs.formats.splats import take_splats
 from gradient_twin import FIELDS, kernel_gradients
 

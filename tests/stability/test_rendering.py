@@ -15,7 +15,7 @@ import pytest
 import rasterise_cases as cases
 from decogs.decoder.rasterise import render
 from decogs.decoder.rasterise.native import render_planes
-from decogs.encoder.rasterise import FixedView, TrainingKernel
+from decogs.encoder.backends import FixedView, TrainingKernel
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import Splats, empty_splats, join_splats, take_splats

@@ -23,12 +23,12 @@ from decogs.decoder.stream import open_stream
 from decogs.decoder.views import render_view
 from decogs.encoder import PRESETS
 from decogs.encoder import encode as encode_rig
+from decogs.encoder.backends import TrainingKernel
 from decogs.encoder.change.flashes import BeforeFlash
 from decogs.encoder.commands import encode_main
 from decogs.encoder.input.dropouts import BLACK, BLANK, FROZEN, blankness
 from decogs.encoder.input.ingest import Ingest
 from decogs.encoder.psnr import psnr_of
-from decogs.encoder.rasterise import TrainingKernel
 from decogs.encoder.settings.frame import SelectionSettings
 from decogs.encoder.stream import encode_stream
 from decogs.formats.errors import DecogsError, RigError, TrainingError

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from decogs.codec.corrections import CorrectedCameras, Corrections
 from decogs.formats.splats import FloatArray, Splats
 
-from ...rasterise import IncrementalViews, TrainingKernel
+from ...backends import IncrementalViews, TrainingKernel
 from ...settings.compensation import CorrectionSettings
 from ...stopwatch import Stopwatch
 from ..ingest import Ingest, RigFrame

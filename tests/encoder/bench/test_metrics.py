@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from decogs.encoder.backends import TrainingKernel
 from decogs.encoder.bench.metrics import mean_over, psnr, slope, square_error_map, ssim_map, total_variation
-from decogs.encoder.rasterise import TrainingKernel
 
 
 def picture(seed: int, height: int = 24, width: int = 31) -> np.ndarray:

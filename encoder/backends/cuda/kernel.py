@@ -39,8 +39,8 @@ from decogs.decoder.rasterise.reference import BLUR, CLOSEST
 from decogs.formats.cameras import Camera, camera_centre
 from decogs.formats.splats import FloatArray, Splats, take_splats
 
-from .fixed_view import FixedView
-from .native import LossValue, RenderedPicture, SplatGradients, TrainingKernel, gradients_like
+from ..cpu.fixed_view import FixedView
+from ..cpu.native import LossValue, RenderedPicture, SplatGradients, TrainingKernel, gradients_like
 from .photometric import TiledLoss
 
 _TILE = 16

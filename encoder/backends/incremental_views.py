@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from decogs.formats.splats import Splats
 
-from .fixed_view import FixedView
+from .cpu.fixed_view import FixedView
 
 
 class IncrementalViews:

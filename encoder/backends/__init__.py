@@ -10,9 +10,9 @@ from __future__ import annotations
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 
-from .fixed_view import FixedView
+from .cpu.fixed_view import FixedView
+from .cpu.native import HostPicture, LossValue, RenderedPicture, SplatGradients, TrainingKernel, gradients_like
 from .incremental_views import IncrementalViews
-from .native import HostPicture, LossValue, RenderedPicture, SplatGradients, TrainingKernel, gradients_like
 
 DEVICES = ("auto", "cpu", "cuda")
 
@@ -28,7 +28,7 @@ def check_device(device: str) -> None:
 
 def _missing_for_cuda() -> str | None:
     try:
-        from .cuda import missing_for_cuda
+        from .cuda.kernel import missing_for_cuda
     except ImportError as error:
         return f"torch cannot be imported ({error})"
     return missing_for_cuda()
@@ -39,7 +39,7 @@ def training_kernel(device: str = "auto", threads: int = 0) -> TrainingKernel:
     check_device(device)
     if device != "cuda":
         return TrainingKernel(threads)
-    from .cuda import CudaKernel
+    from .cuda.kernel import CudaKernel
 
     return CudaKernel(threads)
 
@@ -48,7 +48,7 @@ def fixed_view(kernel: TrainingKernel, camera: Camera) -> FixedView:
     """A fixed view of the pinhole ``camera`` on the kernel's device."""
     if type(kernel) is TrainingKernel:
         return FixedView(kernel, camera)
-    from .cuda import CudaFixedView, CudaKernel
+    from .cuda.kernel import CudaFixedView, CudaKernel
 
     return CudaFixedView(kernel, camera) if isinstance(kernel, CudaKernel) else FixedView(kernel, camera)
 
