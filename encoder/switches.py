@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 
 from decogs.formats.errors import UsageError
 
+from .backends.cpu.optimiser import OPTIMISERS
 from .change.selection import SELECTION_RULES
 from .coding.rate_control import RATE_CONTROLS, with_budget
 from .coding.time_control import with_target_psnr, with_time_budget
@@ -23,7 +24,6 @@ from .settings.encode import EncodeSettings
 from .settings.frame import ABLATIONS
 from .training.densification import DENSIFICATIONS
 from .training.methods import FRAME_METHODS, require_sparse
-from .training.optimiser import OPTIMISERS
 
 T = TypeVar("T")
 

@@ -21,12 +21,12 @@ from decogs.formats.cameras import Camera, camera_centre, scale_camera, turned
 from decogs.formats.splats import Splats, join_splats, take_splats
 
 from ..backends import FixedView, IncrementalViews, TrainingKernel, gradients_like
+from ..backends.cpu.optimiser import ATTRIBUTES, OPTIMISERS, Optimiser
+from ..backends.cpu.stretch import step_unstretched
 from ..settings.frame import FocusWeights, FrameSettings
 from .losses import PhotometricLoss, focus_loss, require_finite
 from .method import TrainedFrame
-from .optimiser import ATTRIBUTES, OPTIMISERS, Optimiser
 from .significance import picture_weight
-from .stretch import step_unstretched
 from .view_order import view_order
 
 _PIXELS = 240_000

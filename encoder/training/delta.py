@@ -25,6 +25,8 @@ from decogs.formats.cameras import in_picture, project
 from decogs.formats.splats import FloatArray, Splats, empty_splats, join_splats, sigmoid, take_splats
 
 from ..backends import SplatGradients, TrainingKernel, gradients_like
+from ..backends.cpu.optimiser import ATTRIBUTES, OPTIMISERS, Optimiser
+from ..backends.cpu.stretch import step_unstretched
 from ..change.masks import FrameMask, showing
 from ..input.ingest import View
 from ..parallel import side_by_side
@@ -33,7 +35,6 @@ from ..transformation_cache import TransformationCache
 from .densification import DENSIFICATIONS, ViewGradients
 from .losses import PhotometricLoss, focus_loss, require_finite, whole_picture_loss
 from .method import FrameInput, TrainedFrame, TrainingContext
-from .optimiser import ATTRIBUTES, OPTIMISERS, Optimiser
 from .schedule import (
     MIN_STEPS,
     SearchTime,
@@ -45,7 +46,6 @@ from .schedule import (
 )
 from .seeding import SearchView, missed, seeds, worth_a_search
 from .significance import picture_weight, revert_insignificant
-from .stretch import step_unstretched
 from .view_order import view_order
 from .warm_start import shared_displacements
 

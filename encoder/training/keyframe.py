@@ -23,6 +23,8 @@ from decogs.formats.errors import TrainingError
 from decogs.formats.splats import FloatArray, Splats, round_splats, sigmoid, take_splats
 
 from ..backends import RenderedPicture, TrainingKernel, gradients_like
+from ..backends.cpu.optimiser import OPTIMISERS
+from ..backends.cpu.stretch import step_unstretched
 from ..input.compensation import Corrector
 from ..input.ingest import View
 from ..input.resizing import resized
@@ -35,11 +37,9 @@ from .densification import DENSIFICATIONS, ViewGradients
 from .few_views import dissimilarity_for
 from .large_pictures import PictureFit, as_ever, fit_to_pictures, shrunk_camera, shrunk_weights
 from .losses import whole_picture_loss
-from .optimiser import OPTIMISERS
 from .rate_distortion import cheapest
 from .schedule import WHOLE, StoppingRule, TargetWatch
 from .significance import picture_weight
-from .stretch import step_unstretched
 from .surroundings import surroundings
 from .view_order import view_order
 

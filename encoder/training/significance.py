@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from decogs.codec.lattice import KEPT_SCALE
 from decogs.formats.splats import FloatArray, Splats
 
+from ..backends.cpu.optimiser import ATTRIBUTES, Optimiser
 from .losses import PhotometricLoss
-from .optimiser import ATTRIBUTES, Optimiser
 
 _GEOMETRY = ("means", "log_scales", "quaternions")
 

@@ -25,11 +25,11 @@ from decogs.formats.rotations import rotation_matrices
 from decogs.formats.splats import Splats, join_splats, logit, sigmoid, take_splats
 
 from ..backends import SplatGradients, gradients_like
+from ..backends.cpu.optimiser import ATTRIBUTES, Adam
 from ..transformation_cache import TransformationCache
 from .densification import ViewGradients
 from .losses import PhotometricLoss, require_finite, whole_picture_loss
 from .method import FrameInput, TrainedFrame, TrainingContext
-from .optimiser import ATTRIBUTES, Adam
 from .view_order import view_order
 
 

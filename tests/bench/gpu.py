@@ -18,9 +18,9 @@ import numpy as np
 import torch
 
 from decogs.encoder.backends import FixedView, TrainingKernel, fixed_view, gradients_like
+from decogs.encoder.backends.cpu.optimiser import Adam
 from decogs.encoder.backends.cuda.kernel import CudaKernel, missing_for_cuda
 from decogs.encoder.settings.optimiser import LearningRates
-from decogs.encoder.training.optimiser import Adam
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import Splats, take_splats
 from rasterise import front_camera, random_scene

@@ -17,7 +17,8 @@ from statistics import median
 
 import numpy as np
 
-from decogs.encoder.backends import TrainingKernel, native
+from decogs.encoder.backends import TrainingKernel
+from decogs.encoder.backends.cpu import native
 from decogs.formats.cameras import Camera
 from decogs.formats.kernels import INSTRUCTION_SETS, best_instruction_set
 from decogs.formats.splats import Splats

@@ -18,12 +18,12 @@ from decogs.decoder.views import render_view
 from decogs.encoder import EncodeSettings
 from decogs.encoder import encode as encode_rig
 from decogs.encoder.backends import IncrementalViews, fixed_view, training_kernel
+from decogs.encoder.backends.cpu.optimiser import ATTRIBUTES
 from decogs.encoder.closed_segments import with_following
 from decogs.encoder.input.ingest import RigFrame
 from decogs.encoder.settings.frame import FrameSettings, SignificanceSettings
 from decogs.encoder.training.cross_fade import CrossFade, fade_cameras, go_over
 from decogs.encoder.training.method import TrainedFrame
-from decogs.encoder.training.optimiser import ATTRIBUTES
 from decogs.formats.cameras import camera_centre
 from decogs.formats.splats import empty_splats, take_splats
 

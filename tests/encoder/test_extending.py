@@ -15,6 +15,7 @@ import pytest
 
 from decogs.decoder.stream import open_stream
 from decogs.encoder import Switches, encode
+from decogs.encoder.backends.cpu.optimiser import OPTIMISERS
 from decogs.encoder.change.selection import SELECTION_RULES, ViewEvidence, select
 from decogs.encoder.coding.rate_control import RATE_CONTROLS
 from decogs.encoder.registry import Registry, anything, guarded
@@ -23,7 +24,6 @@ from decogs.encoder.switches import with_selection
 from decogs.encoder.training.densification import DENSIFICATIONS
 from decogs.encoder.training.method import FrameMethod, TrainedFrame
 from decogs.encoder.training.methods import FRAME_METHODS
-from decogs.encoder.training.optimiser import OPTIMISERS
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import Splats, empty_splats, take_splats
 

@@ -12,6 +12,7 @@ import pytest
 
 from decogs.codec.lattice import dequantise, quantise
 from decogs.encoder.backends import TrainingKernel
+from decogs.encoder.backends.cpu.stretch import stretches
 from decogs.encoder.input.ingest import Ingest, View
 from decogs.encoder.point_init import FirstPoints
 from decogs.encoder.psnr import mean_psnr, psnr_of
@@ -22,7 +23,6 @@ from decogs.encoder.training.keyframe import (
     splats_from_points,
     train_keyframe,
 )
-from decogs.encoder.training.stretch import stretches
 from decogs.formats.cameras import in_picture, project
 from decogs.formats.errors import TrainingError
 from decogs.formats.rigs import open_rig

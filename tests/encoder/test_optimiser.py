@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from decogs.encoder.backends import SplatGradients, TrainingKernel
+from decogs.encoder.backends.cpu.optimiser import ATTRIBUTES, Adam
 from decogs.encoder.settings.optimiser import LearningRates
-from decogs.encoder.training.optimiser import ATTRIBUTES, Adam
 from decogs.formats.splats import Splats, take_splats
 
 RATES = LearningRates(1e-3, 2e-3, 3e-3, 4e-3, 5e-3, 6e-3)

@@ -16,6 +16,7 @@ from decogs.codec.header import StreamHeader
 from decogs.codec.lattice import default_lattice, dequantise
 from decogs.codec.state import take_rows
 from decogs.decoder.stream import open_stream
+from decogs.encoder.backends.cpu.optimiser import Adam
 from decogs.encoder.change.detection import Change
 from decogs.encoder.coding.coded_scene import CodedScene
 from decogs.encoder.settings.frame import EmergenceSettings, SignificanceSettings
@@ -23,7 +24,6 @@ from decogs.encoder.stopwatch import Stopwatch
 from decogs.encoder.stream_state import FrameInWork, StreamState
 from decogs.encoder.training.delta import DeltaTrainer
 from decogs.encoder.training.method import FrameInput, TrainedFrame
-from decogs.encoder.training.optimiser import Adam
 from decogs.encoder.training.seeding import _confirmed, _Found
 from decogs.encoder.training.warm_start import Motion
 from decogs.formats.splats import Splats, empty_splats

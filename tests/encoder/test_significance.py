@@ -10,11 +10,11 @@ import pytest
 from decogs.codec.lattice import default_lattice, dequantise, quantise
 from decogs.codec.state import ARRAYS
 from decogs.encoder.backends import SplatGradients, TrainingKernel
+from decogs.encoder.backends.cpu.optimiser import Adam
 from decogs.encoder.coding.quantised_changes import quantised
 from decogs.encoder.settings.frame import FocusWeights, SignificanceSettings
 from decogs.encoder.settings.optimiser import LearningRates
 from decogs.encoder.training.losses import focus_loss, whole_picture_loss
-from decogs.encoder.training.optimiser import Adam
 from decogs.encoder.training.rate_distortion import cheapest, cheapest_changes
 from decogs.encoder.training.significance import picture_weight, revert_insignificant
 from decogs.formats.splats import Splats

@@ -15,8 +15,8 @@ import numpy as np
 
 from decogs.formats.splats import FloatArray
 
-from ..backends import SplatGradients
-from ..settings.optimiser import LearningRates
+from ...settings.optimiser import LearningRates
+from .native import SplatGradients
 from .optimiser import Optimiser
 
 

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from decogs.formats.splats import FloatArray, Splats, join_splats, take_splats
 
-from ..backends import SplatGradients, TrainingKernel
-from ..registry import Registry, described, guarded
-from ..settings.optimiser import LearningRates
+from ...registry import Registry, described, guarded
+from ...settings.optimiser import LearningRates
+from .native import SplatGradients, TrainingKernel
 
 if TYPE_CHECKING:
     from typing_extensions import Self
