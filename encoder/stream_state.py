@@ -14,7 +14,7 @@ from decogs.codec.lattice import Lattice
 from decogs.codec.state import State, same_values
 
 from .analysis.enabled import enabled_effects
-from .backends import IncrementalViews, fixed_view, training_kernel
+from .backends import IncrementalViews, training_kernel
 from .change.detection import Change, ChangeDetector
 from .coding.coded_scene import CodedScene, Written
 from .coding.rate_control import RATE_CONTROLS, RateControl
@@ -144,7 +144,7 @@ class StreamState:
     def show_again(self, watch: Stopwatch) -> None:
         """Shows the scene that stands after all, where no other one could be trained."""
         with watch.stage("commit"):
-            self.views.views.extend(fixed_view(self.kernel, view.pinhole) for view in self.ingest.views)
+            self.views.views.extend(self.kernel.fixed_view(view.pinhole) for view in self.ingest.views)
             self.views.show(self.scene.splats)
 
     def start_anew(self, frame: RigFrame, watch: Stopwatch) -> None:
@@ -160,7 +160,7 @@ class StreamState:
             if not self.method.dense:
                 # Where a closed segment starts they are there, and keep their memory.
                 if not self.views.views:
-                    self.views.views.extend(fixed_view(self.kernel, view.pinhole) for view in views)
+                    self.views.views.extend(self.kernel.fixed_view(view.pinhole) for view in views)
                 self.views.show(scene)
             self.trainer = self.method.trainer(
                 training_context(
@@ -205,7 +205,7 @@ class StreamState:
         """Views in which two closed segments are compared; they show what they were last made to show."""
         if not self._fade_views.views:
             cameras = fade_cameras([view.pinhole for view in self.ingest.views])
-            self._fade_views.views.extend(fixed_view(self.kernel, camera) for camera in cameras)
+            self._fade_views.views.extend(self.kernel.fixed_view(camera) for camera in cameras)
         return self._fade_views
 
     def rehearse(self, now: FrameInWork, trained: TrainedFrame, settings: FrameSettings) -> FrameInWork:

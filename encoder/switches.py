@@ -14,7 +14,6 @@ from typing import Any, TypeVar
 
 from decogs.formats.errors import UsageError
 
-from .backends.cpu.optimiser import OPTIMISERS
 from .change.selection import SELECTION_RULES
 from .coding.rate_control import RATE_CONTROLS, with_budget
 from .coding.time_control import with_target_psnr, with_time_budget
@@ -31,9 +30,7 @@ _NAMED: dict[str, Registry[Any]] = {
     "method": FRAME_METHODS,
     "rate_control": RATE_CONTROLS,
     "frame.selection.rule": SELECTION_RULES,
-    "frame.optimiser": OPTIMISERS,
     "frame.densification": DENSIFICATIONS,
-    "keyframe.optimiser": OPTIMISERS,
     "keyframe.densification": DENSIFICATIONS,
 }
 """Settings that are names in a registry, which packages may extend."""

@@ -1,69 +1,73 @@
-"""Renders with gradients: the native training kernel, and tests against the float64 twin in ``decoder.rasterise``.
+"""Where training runs: backends by name, behind one protocol (`protocol`).
 
-``training_kernel`` and ``fixed_view`` choose the backend; ``TrainingKernel`` and ``FixedView``, the native one, are its
-interface as well. ``auto`` means the CPU, where the same seed gives the same bytes. The CUDA backend (``cuda``) alone
-needs torch and is imported when it is asked for.
+``cpu`` is the reference: native kernels, the same bits for the same seed. ``cuda`` needs torch and gsplat, which are
+imported when it is asked for. ``auto`` is the CPU, since on a GPU the same seed gives other bytes every time.
 """
 
 from __future__ import annotations
 
-from decogs.formats.cameras import Camera
+from typing import Protocol
+
 from decogs.formats.errors import UsageError
 
-from .cpu.fixed_view import FixedView
-from .cpu.native import HostPicture, LossValue, RenderedPicture, SplatGradients, TrainingKernel, gradients_like
+from . import cpu, cuda
 from .incremental_views import IncrementalViews
+from .protocol import (
+    ATTRIBUTES,
+    Drawable,
+    FixedView,
+    Gradients,
+    LossValue,
+    Optimiser,
+    RenderedPicture,
+    SplatGradients,
+    TrainingKernel,
+    ViewGradients,
+    gradients_like,
+)
 
-DEVICES = ("auto", "cpu", "cuda")
+
+class _Backend(Protocol):
+    def missing(self) -> str | None:
+        """What keeps this machine from training there, in words; None when nothing is known to."""
+        ...
+
+    def training_kernel(self, threads: int) -> TrainingKernel: ...
+
+
+_BACKENDS: dict[str, _Backend] = {"auto": cpu, "cpu": cpu, "cuda": cuda}
+DEVICES = tuple(_BACKENDS)
 
 
 def check_device(device: str) -> None:
     """Raises UsageError unless training can run on ``device``, one of DEVICES."""
-    if device not in DEVICES:
+    if device not in _BACKENDS:
         raise UsageError(f"`device` {device}: choose from {', '.join(DEVICES)}")
-    missing = _missing_for_cuda() if device == "cuda" else None
+    missing = _BACKENDS[device].missing()
     if missing:
-        raise UsageError(f"`device` cuda: {missing}; install gsplat and a CUDA build of torch, or use cpu")
-
-
-def _missing_for_cuda() -> str | None:
-    try:
-        from .cuda.kernel import missing_for_cuda
-    except ImportError as error:
-        return f"torch cannot be imported ({error})"
-    return missing_for_cuda()
+        raise UsageError(f"`device` {device}: {missing}, or use cpu")
 
 
 def training_kernel(device: str = "auto", threads: int = 0) -> TrainingKernel:
     """The kernel that trains on ``device``, one of DEVICES; raises UsageError where that cannot be."""
     check_device(device)
-    if device != "cuda":
-        return TrainingKernel(threads)
-    from .cuda.kernel import CudaKernel
-
-    return CudaKernel(threads)
-
-
-def fixed_view(kernel: TrainingKernel, camera: Camera) -> FixedView:
-    """A fixed view of the pinhole ``camera`` on the kernel's device."""
-    if type(kernel) is TrainingKernel:
-        return FixedView(kernel, camera)
-    from .cuda.kernel import CudaFixedView, CudaKernel
-
-    return CudaFixedView(kernel, camera) if isinstance(kernel, CudaKernel) else FixedView(kernel, camera)
+    return _BACKENDS[device].training_kernel(threads)
 
 
 __all__ = [
+    "ATTRIBUTES",
     "DEVICES",
+    "Drawable",
     "FixedView",
-    "HostPicture",
+    "Gradients",
     "IncrementalViews",
     "LossValue",
+    "Optimiser",
     "RenderedPicture",
     "SplatGradients",
     "TrainingKernel",
+    "ViewGradients",
     "check_device",
-    "fixed_view",
     "gradients_like",
     "training_kernel",
 ]

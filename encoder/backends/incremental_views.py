@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from decogs.formats.splats import Splats
 
-from .cpu.fixed_view import FixedView
+from .protocol import FixedView
 
 
 class IncrementalViews:

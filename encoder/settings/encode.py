@@ -22,9 +22,7 @@ _UNUSED = {"decogs": "baseline", "3dgstream": "frame"}
 
 _USUAL = (
     ("", "rate_control", "content"),
-    ("keyframe", "optimiser", "adam"),
     ("keyframe", "densification", "clone-split"),
-    ("frame", "optimiser", "adam"),
     ("frame", "densification", "clone-split"),
 )
 """Extension points that a header names only where a package's are taken."""

@@ -182,7 +182,7 @@ class FrameSettings(Checked):
     ``adaptive_iterations``: how the iterations follow from what a frame misses.
     ``significance``: which changes are coded, without a cache. ``emergence``: how new objects are seeded.
     ``ablated``: parts of the method that are left out (`switches.without`).
-    ``optimiser``, ``densification``: names in OPTIMISERS and DENSIFICATIONS.
+    ``densification``: a name in DENSIFICATIONS.
     """
 
     masks: MaskSettings = field(default_factory=MaskSettings)
@@ -205,5 +205,4 @@ class FrameSettings(Checked):
     significance: SignificanceSettings = field(default_factory=SignificanceSettings)
     emergence: EmergenceSettings = field(default_factory=EmergenceSettings)
     ablated: Annotated[tuple[str, ...], OneOf(ABLATIONS)] = ()
-    optimiser: str = "adam"
     densification: str = "clone-split"

@@ -39,7 +39,7 @@ class KeyframeSettings(Checked):
     at all. They are at most ``surroundings_fraction`` of the cap. More is larger.
     ``rd_lambda``: the rate-distortion trade-off of rotations and view-dependent colours: squared change of a picture's
     mean loss, in millionths, per bit. Higher is smaller and less exact; 0 rounds to the nearest.
-    ``optimiser``, ``densification``: names in OPTIMISERS and DENSIFICATIONS.
+    ``densification``: a name in DENSIFICATIONS.
     """
 
     iterations: Count = 1000
@@ -67,7 +67,6 @@ class KeyframeSettings(Checked):
     surroundings: Annotated[float, Within(0, 100)] = 0.0
     surroundings_fraction: Annotated[float, Within(0, 0.9)] = 0.025
     rd_lambda: Loss = 2.3e-3
-    optimiser: str = "adam"
     densification: str = "clone-split"
 
     def __post_init__(self) -> None:

@@ -20,11 +20,9 @@ from numpy.typing import NDArray
 from decogs.formats.cameras import Camera, camera_centre, scale_camera, turned
 from decogs.formats.splats import Splats, join_splats, take_splats
 
-from ..backends import FixedView, IncrementalViews, TrainingKernel, gradients_like
-from ..backends.cpu.optimiser import ATTRIBUTES, OPTIMISERS, Optimiser
-from ..backends.cpu.stretch import step_unstretched
+from ..backends import ATTRIBUTES, FixedView, IncrementalViews, Optimiser, TrainingKernel
 from ..settings.frame import FocusWeights, FrameSettings
-from .losses import PhotometricLoss, focus_loss, require_finite
+from .losses import PhotometricLoss, StepLosses, focus_loss
 from .method import TrainedFrame
 from .significance import picture_weight
 from .view_order import view_order
@@ -138,21 +136,20 @@ def go_over(
     losses = _losses(kernel, fade, scene, fading, settings.focus)
     if not losses:
         return trained
-    new = OPTIMISERS.get(settings.optimiser)
-    optimiser = new(fading.values, kernel, beta1=settings.beta1, beta2=settings.beta2)
+    optimiser = kernel.optimiser(fading.values, beta1=settings.beta1, beta2=settings.beta2)
     share = picture_weight([loss for _, loss in losses])
-    gradients, rates = gradients_like(fading.values), replace(settings.rates, means=settings.rates.means * extent)
+    seen, rates = StepLosses(), replace(settings.rates, means=settings.rates.means * extent)
     order, steps = view_order(len(losses), np.random.default_rng(seed)), _STEPS * settings.joint_iterations
     for step in range(steps):
         view, loss = losses[next(order)]
-        view.draw(optimiser.splats, fading.rows)
+        view.draw(optimiser, fading.rows)
         value = loss.evaluate_drawn(view)
-        require_finite(value, view.camera)
+        seen.add(value, view.camera)
         if on_loss is not None:
             on_loss("fade", step, value.total)
-        view.backward(out=gradients)
         late = settings.late_decay ** max(0.0, 2 * step / steps - 1)
-        step_unstretched(optimiser, gradients, rates.scaled(_RATES * late), settings.max_stretch)
+        optimiser.step(view.backward(), rates.scaled(_RATES * late), max_stretch=settings.max_stretch)
+    seen.check()
     return _gone_over(trained, fading, optimiser, share)
 
 

@@ -24,16 +24,14 @@ from numpy.typing import NDArray
 from decogs.formats.cameras import in_picture, project
 from decogs.formats.splats import FloatArray, Splats, empty_splats, join_splats, sigmoid, take_splats
 
-from ..backends import SplatGradients, TrainingKernel, gradients_like
-from ..backends.cpu.optimiser import ATTRIBUTES, OPTIMISERS, Optimiser
-from ..backends.cpu.stretch import step_unstretched
+from ..backends import ATTRIBUTES, Drawable, Gradients, Optimiser, SplatGradients, TrainingKernel, ViewGradients
 from ..change.masks import FrameMask, showing
 from ..input.ingest import View
 from ..parallel import side_by_side
 from ..settings.frame import FrameSettings
 from ..transformation_cache import TransformationCache
-from .densification import DENSIFICATIONS, ViewGradients
-from .losses import PhotometricLoss, focus_loss, require_finite, whole_picture_loss
+from .densification import DENSIFICATIONS
+from .losses import PhotometricLoss, StepLosses, focus_loss, whole_picture_loss
 from .method import FrameInput, TrainedFrame, TrainingContext
 from .schedule import (
     MIN_STEPS,
@@ -110,7 +108,7 @@ class _DeltaTraining:
         )
         self._used = showing(frame.masks)
         self._random = np.random.default_rng((context.seed, frame.index))
-        self._values: list[float] = []
+        self._seen = StepLosses()
         self.searching = 0.0
 
     def run(self) -> tuple[TrainedFrame, StepSchedule]:
@@ -153,7 +151,7 @@ class _DeltaTraining:
 
     def _draw_probes(self, work: _Working) -> None:
         for index in self._probes():
-            self._watch[index].draw(work.shown, work.rows)
+            self._watch[index].draw(work.drawn, work.rows)
 
     def _iteration_factor(self, work: _Working, losses: Sequence[PhotometricLoss], masks: Sequence[FrameMask]) -> float:
         """Factor of this frame's iterations in stage 2."""
@@ -167,7 +165,10 @@ class _DeltaTraining:
     def _start_warm(self, work: _Working, motion: FloatArray) -> None:
         share = np.float32(self._settings.warm_start)
         if share and motion.any():
-            work.base.means[:] += share * shared_displacements(work.base.means, motion, self._settings.warm_neighbours)
+            means = work.base.means
+            work.optimiser.put(
+                means=means + share * shared_displacements(means, motion, self._settings.warm_neighbours)
+            )
 
     def _loss(self, picture: FloatArray, mask: FrameMask, view: View) -> PhotometricLoss:
         weights = self._settings.focus
@@ -177,15 +178,14 @@ class _DeltaTraining:
 
     def _stage1(self, work: _Working, losses: Sequence[PhotometricLoss], cache: TransformationCache) -> ViewGradients:
         """Trains the cache alone; the last third gathers the gradients for densification."""
-        gathered = ViewGradients(len(work.rows))
+        gathered = self._kernel.view_gradients(len(work.rows))
         iterations = self._settings.cache_iterations
         schedule = StepSchedule(iterations, self._stopping.deadline_before(iterations, self._settings.joint_iterations))
         for step, index in self._views_at_random():
             if schedule.is_over:
                 break
             work.show(*cache.moved())
-            gradients = self._gradients(work, losses, index)
-            self._report_loss("cache", step)
+            gradients = self._gradients(work, losses, index, ("cache", step)).host()
             cache.backward(gradients.means, gradients.quaternions)
             cache.step()
             if 3 * schedule.position >= 2 * iterations:
@@ -204,7 +204,7 @@ class _DeltaTraining:
         """Trains the Gaussians' own values, with the cache if there is one; without it, includes densification."""
         settings = self._settings
         rates = replace(settings.rates, means=settings.rates.means * self._extent)
-        gathered, self._values = ViewGradients(len(work.rows)), []
+        gathered = self._kernel.view_gradients(len(work.rows))
         grow_from, grow_at = settings.joint_iterations // 4, settings.joint_iterations // 2
         decide_at = max(grow_at + 1, round(settings.significance.decide_at * settings.joint_iterations))
         judged = self._cache is not None or settings.significance.threshold == 0
@@ -219,13 +219,12 @@ class _DeltaTraining:
             self._show(work)
             if self._cache is None and schedule.reaches(grow_from):
                 self._search_emerging(work, losses, masks, schedule)
-                gathered = ViewGradients(len(work.rows))
-            gradients = self._gradients(work, losses, index)
-            self._report_loss("joint", step)
+                gathered = self._kernel.view_gradients(len(work.rows))
+            gradients = self._gradients(work, losses, index, ("joint", step))
             if grow_from <= schedule.position < grow_at:
                 self._gather(gathered, gradients, losses, index)
             if self._cache is not None:
-                gradients = self._through_cache(work, gradients, self._cache)
+                gradients = self._through_cache(work, gradients.host(), self._cache)
             if schedule.reaches(decide_at) and not judged:
                 judged = True
                 self._revert_insignificant(work, scene, losses)
@@ -237,13 +236,15 @@ class _DeltaTraining:
                 schedule.skip_to(decide_at)
             late = settings.late_decay ** max(0.0, 2 * schedule.position / settings.joint_iterations - 1)
             rates_now = rates.scaled(late * min(schedule.hurry**0.5, _MAX_HASTE))
-            step_unstretched(work.optimiser, gradients, rates_now, settings.max_stretch)
+            work.optimiser.step(gradients, rates_now, max_stretch=settings.max_stretch)
             schedule.step()
+        self._seen.check()
         self._show(work)
         return schedule
 
     def _revert_insignificant(self, work: _Working, scene: Splats, losses: Sequence[PhotometricLoss]) -> None:
         """Reverts what hardly shows; geometry sooner where light alone changes the pictures."""
+        self._seen.check()
         settings, old, factor = self._settings.significance, work.rows < len(scene), None
         if self._frame.lit is not None:
             factor = np.ones(len(work.rows), np.float32)
@@ -254,10 +255,6 @@ class _DeltaTraining:
     def _picture_weight(self, losses: Sequence[PhotometricLoss]) -> float:
         return picture_weight([losses[i] for i in self._used])
 
-    def _report_loss(self, stage: str, step: int) -> None:
-        if self._stopping.on_loss is not None:
-            self._stopping.on_loss(stage, step, self._values[-1])
-
     def _target(self, losses: Sequence[PhotometricLoss], masks: Sequence[FrameMask]) -> TargetWatch | None:
         if self._stopping.target_psnr is None:
             return None
@@ -267,7 +264,7 @@ class _DeltaTraining:
     def _show(self, work: _Working) -> None:
         """Shows the base values, moved by the cache if there is one."""
         if self._cache is None:
-            work.show(work.base.means, work.base.quaternions)
+            work.drawn = work.optimiser
             return
         means, quaternions, rows = work.base.means.copy(), work.base.quaternions.copy(), work.selected
         self._cache.rebase(means[rows], quaternions[rows])
@@ -284,20 +281,22 @@ class _DeltaTraining:
         return replace(gradients, means=means, quaternions=quaternions)
 
     def _gather(
-        self, gathered: ViewGradients, gradients: SplatGradients, losses: Sequence[PhotometricLoss], index: int
+        self, gathered: ViewGradients, gradients: Gradients, losses: Sequence[PhotometricLoss], index: int
     ) -> None:
         """Adds a view's gradients, rescaled to those of the plain loss, the threshold's scale."""
-        camera = self._views[index].pinhole
-        gathered.add(gradients.view / np.float32(losses[index].emphasis), camera.width, camera.height)
+        gathered.add(gradients, self._views[index].pinhole, losses[index].emphasis)
 
-    def _gradients(self, work: _Working, losses: Sequence[PhotometricLoss], index: int) -> SplatGradients:
-        """Gradients of the shown values, from the pixels that Gaussians under training cover."""
+    def _gradients(
+        self, work: _Working, losses: Sequence[PhotometricLoss], index: int, place: tuple[str, int]
+    ) -> Gradients:
+        """Gradients of the drawn values, from the pixels they cover; ``place``: stage and step, for the log."""
         view = self._watch[index]
-        view.draw(work.shown, work.rows)
+        view.draw(work.drawn, work.rows)
         value = losses[index].evaluate_drawn(view)
-        require_finite(value, self._views[index].camera)
-        self._values.append(value.total)
-        return view.backward(out=work.gradients)
+        self._seen.add(value, self._views[index].camera)
+        if self._stopping.on_loss is not None:
+            self._stopping.on_loss(*place, value.total)
+        return view.backward()
 
     def _views_at_random(self) -> Iterator[tuple[int, int]]:
         """Endless steps, each with its view."""
@@ -305,6 +304,7 @@ class _DeltaTraining:
 
     def _densify(self, work: _Working, view_gradients: ViewGradients, masks: Sequence[FrameMask]) -> None:
         """Densifies ``work`` where gradients are large and prunes transparent Gaussians."""
+        self._seen.check()
         settings = self._settings
         faint = work.selected & (sigmoid(work.base.opacity_logits) < settings.prune_opacity)
         room = self._max_gaussians - work.population + int(faint.sum())
@@ -343,8 +343,7 @@ class _DeltaTraining:
         shift = work.shown.means[parents] - work.base.means[parents]
         stray = ~self._inside_focus(growth.children.means + shift, masks)
         growth.children.means[stray] = work.base.means[parents[stray]]
-        work.base.means[parents] = growth.parent_means
-        work.base.log_scales[parents] = growth.parent_log_scales
+        work.optimiser.put(parents, means=growth.parent_means, log_scales=growth.parent_log_scales)
         work.append(growth.children)
         return True
 
@@ -358,6 +357,7 @@ class _DeltaTraining:
         self, work: _Working, losses: Sequence[PhotometricLoss], masks: Sequence[FrameMask], schedule: StepSchedule
     ) -> None:
         """Adds emerging objects; with a deadline, only in some frames and from some of the views."""
+        self._seen.check()
         if self._stopping.deadline is None:
             self._add_emerging(work, losses, masks, self._used)
             return
@@ -403,7 +403,7 @@ class _DeltaTraining:
         for probe in (views[::3], views):
             new = [index for index in probe if index not in searched]
             for index in new:
-                self._watch[index].draw(work.shown, work.rows, depth=True)
+                self._watch[index].draw(work.drawn, work.rows, depth=True)
             with side_by_side(self._threads) as each:
                 found = each(lambda index: self._search_view(index, losses[index].target, masks[index]), new)
                 searched |= zip(new, found, strict=True)
@@ -458,21 +458,25 @@ class _Working:
     """The Gaussians under training in a frame, separate from their scene.
 
     ``rows`` (M,), ascending, are their rows in the scene; new Gaussians get rows behind its last. ``base``: their own
-    values; ``shown``: these moved by the cache. ``selected`` (M,): all, except in an ablation.
+    values; ``drawn``: what views draw, these in place or, moved by the cache, in the host's memory; ``shown``: its
+    values. ``selected`` (M,): all, except in an ablation.
     """
 
     def __init__(self, scene: Splats, rows: NDArray[np.int64], kernel: TrainingKernel, settings: FrameSettings) -> None:
         self._population = self._next_row = len(scene)
         self._prune_opacity = settings.prune_opacity
         self.detached = self.rows = rows
-        new = OPTIMISERS.get(settings.optimiser)
-        self.optimiser = new(take_splats(scene, rows), kernel, beta1=settings.beta1, beta2=settings.beta2)
+        self.optimiser = kernel.optimiser(take_splats(scene, rows), beta1=settings.beta1, beta2=settings.beta2)
         self.selected = np.ones(len(rows), bool)
-        self.shown, self.gradients = self.base, gradients_like(self.base)
+        self.drawn: Drawable = self.optimiser
 
     @property
     def base(self) -> Splats:
         return self.optimiser.splats
+
+    @property
+    def shown(self) -> Splats:
+        return self.drawn if isinstance(self.drawn, Splats) else self.drawn.splats
 
     @property
     def population(self) -> int:
@@ -480,7 +484,7 @@ class _Working:
         return self._population - len(self.detached) + len(self.rows)
 
     def show(self, means: FloatArray, quaternions: FloatArray) -> None:
-        self.shown = replace(self.base, means=means, quaternions=quaternions)
+        self.drawn = replace(self.base, means=means, quaternions=quaternions)
 
     def append(self, children: Splats) -> None:
         """Appends Gaussians; every per-Gaussian buffer grows (docs/METHOD.md, "Selective densification")."""
@@ -488,7 +492,7 @@ class _Working:
         self.rows = np.concatenate([self.rows, np.arange(self._next_row, self._next_row + len(children))])
         self.selected = np.concatenate([self.selected, np.ones(len(children), bool)])
         self._next_row += len(children)
-        self._resized()
+        self.drawn = self.optimiser
 
     def remove(self, positions: NDArray[np.int64]) -> None:
         """Removes the Gaussians at ``positions`` of ``rows`` from training and scene."""
@@ -496,7 +500,7 @@ class _Working:
         stays[positions] = False
         self.rows, self.selected = self.rows[stays], self.selected[stays]
         self.optimiser.keep(stays)
-        self._resized()
+        self.drawn = self.optimiser
 
     def admit(self, rows: NDArray[np.int64], splats: Splats, momentum: Optimiser | None) -> None:
         """Adds unselected ``rows`` of the scene to the training."""
@@ -510,7 +514,7 @@ class _Working:
         if momentum is not None:
             old = self.rows[self.rows < self._population]
             self.optimiser.remember(momentum, np.arange(len(old)), old)
-        self._resized()
+        self.drawn = self.optimiser
 
     def before(self, scene: Splats) -> Splats:
         """Values of ``rows`` in the ``scene``; new Gaussians have their current ones."""
@@ -541,6 +545,3 @@ class _Working:
         """The frame without any change to the ``scene``."""
         nothing = empty_splats(scene.sh_degree)
         return TrainedFrame(self.detached, take_splats(scene, self.detached), np.zeros(0, np.int64), nothing)
-
-    def _resized(self) -> None:
-        self.shown, self.gradients = self.base, gradients_like(self.base)

@@ -17,8 +17,7 @@ from decogs.decoder.stream import open_stream
 from decogs.decoder.views import render_view
 from decogs.encoder import EncodeSettings
 from decogs.encoder import encode as encode_rig
-from decogs.encoder.backends import IncrementalViews, fixed_view, training_kernel
-from decogs.encoder.backends.cpu.optimiser import ATTRIBUTES
+from decogs.encoder.backends import ATTRIBUTES, IncrementalViews, training_kernel
 from decogs.encoder.closed_segments import with_following
 from decogs.encoder.input.ingest import RigFrame
 from decogs.encoder.settings.frame import FrameSettings, SignificanceSettings
@@ -90,7 +89,7 @@ def test_large_cameras_are_compared_in_smaller_pictures(tiny_rig: Any) -> None:
 
 
 def fade_views(kernel: Any, cameras: Sequence[Any]) -> IncrementalViews:
-    return IncrementalViews([fixed_view(kernel, camera) for camera in fade_cameras(cameras)])
+    return IncrementalViews([kernel.fixed_view(camera) for camera in fade_cameras(cameras)])
 
 
 def test_a_frame_comes_to_show_the_mixture(tiny_rig: Any) -> None:

@@ -15,7 +15,6 @@ import pytest
 
 from decogs.decoder.stream import open_stream
 from decogs.encoder import Switches, encode
-from decogs.encoder.backends.cpu.optimiser import OPTIMISERS
 from decogs.encoder.change.selection import SELECTION_RULES, ViewEvidence, select
 from decogs.encoder.coding.rate_control import RATE_CONTROLS
 from decogs.encoder.registry import Registry, anything, guarded
@@ -93,7 +92,7 @@ def test_the_documents_method_encodes_when_it_is_installed(
 @pytest.fixture(autouse=True)
 def nothing_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each test finds packages anew."""
-    for registry in (SELECTION_RULES, FRAME_METHODS, DENSIFICATIONS, OPTIMISERS, RATE_CONTROLS):
+    for registry in (SELECTION_RULES, FRAME_METHODS, DENSIFICATIONS, RATE_CONTROLS):
         monkeypatch.setattr(registry, "_loaded", {})
 
 
@@ -268,10 +267,6 @@ def test_what_other_extensions_do_wrong_is_said_with_their_package(monkeypatch: 
         DENSIFICATIONS.get("broken")(
             _splats(2), np.zeros(2), np.ones(2, bool), threshold=0, room=1, large=1, random=None
         )  # type: ignore[arg-type]
-    with pytest.raises(
-        UsageError, match=r"^broken: the optimiser .*decogs-example returned None, an optimiser without"
-    ):
-        OPTIMISERS.get("broken")(_splats(2), None)  # type: ignore[arg-type]
     with pytest.raises(UsageError, match=r"^broken: the rate control .*decogs-example is no function but None$"):
         RATE_CONTROLS.get("broken")(1e4, 0)
     monkeypatch.setattr(RATE_CONTROLS, "_loaded", {})

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from decogs.encoder.backends import FixedView, TrainingKernel
+from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
+from decogs.encoder.backends.cpu.fixed_view import CpuFixedView
 from decogs.encoder.change.masks import FrameMask
 from decogs.encoder.input.ingest import Ingest
 from decogs.encoder.settings.cache import CacheSettings
@@ -46,8 +47,8 @@ class Case:
         return [FrameMask(mask, mask) for _ in self.pictures]
 
     def trainer(self, settings: FrameSettings, *, threads: int = 2, seed: int = 0) -> DeltaTrainer:
-        kernel = TrainingKernel(threads)
-        watch = [FixedView(kernel, view.pinhole) for view in self.ingest.views]
+        kernel = CpuKernel(threads)
+        watch = [CpuFixedView(kernel, view.pinhole) for view in self.ingest.views]
         for view in watch:
             view.set_scene(self.scene)
             view.redraw()
@@ -87,7 +88,7 @@ def applied(scene: Splats, frame: TrainedFrame) -> Splats:
 
 
 def error(case: Case, splats: Splats) -> float:
-    kernel = TrainingKernel(2)
+    kernel = CpuKernel(2)
     return float(
         np.mean(
             [
@@ -230,7 +231,7 @@ def test_what_is_trained_is_what_a_whole_rendering_trains(case: Case) -> None:
     trainer = case.trainer(DIRECT)
     motion = np.zeros_like(case.scene.means)
     frame = train(trainer, case.scene, case.selected, case.pictures, case.masks(everywhere=True), motion, frame=1)
-    now, kernel = applied(case.scene, frame), TrainingKernel(1)
+    now, kernel = applied(case.scene, frame), CpuKernel(1)
     for view, watching in zip(case.ingest.views, trainer.context.static_views, strict=True):
         watching.commit(now, np.flatnonzero(case.selected))
         watching.redraw()
@@ -283,7 +284,7 @@ def test_what_the_scene_misses_at_its_start_makes_a_frame_longer_or_shorter(case
         )
         return steps_of(case, trainer, pictures)
 
-    shown = [TrainingKernel(2).forward(case.scene, view.pinhole).rgb for view in case.ingest.views]
+    shown = [CpuKernel(2).forward(case.scene, view.pinhole).rgb for view in case.ingest.views]
     assert steps(shown, 0.5) == 15
     assert steps(case.pictures, 1e-6) == 60
     assert steps([1 - picture for picture in shown], 0.0) == 30

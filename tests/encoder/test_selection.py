@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from decogs.encoder.backends import FixedView, TrainingKernel
+from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
+from decogs.encoder.backends.cpu.fixed_view import CpuFixedView
 from decogs.encoder.change.detection import Change, ChangeDetector
 from decogs.encoder.change.masks import FrameMask
 from decogs.encoder.change.selection import ViewEvidence, select, view_evidence
@@ -68,8 +69,8 @@ def hidden_scene(tiny_rig: Any) -> Splats:
     return scene
 
 
-def watching(splats: Splats, camera: Camera) -> FixedView:
-    view = FixedView(TrainingKernel(1), camera)
+def watching(splats: Splats, camera: Camera) -> CpuFixedView:
+    view = CpuFixedView(CpuKernel(1), camera)
     view.set_scene(splats)
     return view
 
@@ -109,7 +110,7 @@ def test_what_is_behind_the_camera_or_outside_the_picture_is_not_selected(tiny_r
 
 def test_weights_are_alpha_times_transmittance_summed_over_pixels(tiny_rig: Any, hidden_scene: Splats) -> None:
     # The weights of all Gaussians add up to the picture's alpha, and those inside the mask to alpha inside it.
-    kernel, camera = TrainingKernel(1), tiny_rig.camera(1)
+    kernel, camera = CpuKernel(1), tiny_rig.camera(1)
     mask = np.zeros((tiny_rig.height, tiny_rig.width), bool)
     mask[10:30, 5:40] = True
     found = view_evidence(watching(hidden_scene, camera), mask)

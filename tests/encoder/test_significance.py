@@ -9,8 +9,8 @@ import pytest
 
 from decogs.codec.lattice import default_lattice, dequantise, quantise
 from decogs.codec.state import ARRAYS
-from decogs.encoder.backends import SplatGradients, TrainingKernel
-from decogs.encoder.backends.cpu.optimiser import Adam
+from decogs.encoder.backends import Optimiser, SplatGradients
+from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.coding.quantised_changes import quantised
 from decogs.encoder.settings.frame import FocusWeights, SignificanceSettings
 from decogs.encoder.settings.optimiser import LearningRates
@@ -29,10 +29,10 @@ def some_splats(seed: int) -> Splats:
     return Splats(*(random.normal(size=shape).astype(np.float32) for shape in shapes))
 
 
-def trained(start: Splats, sizes: Splats) -> tuple[Adam, SplatGradients]:
+def trained(start: Splats, sizes: Splats) -> tuple[Optimiser, SplatGradients]:
     """Three Adam steps: every number moves by .03, whatever its gradient."""
     gradients = SplatGradients(*vars(sizes).values(), np.zeros(COUNT, np.float32))
-    optimiser = Adam(start, TrainingKernel(1))
+    optimiser = CpuKernel(1).optimiser(start)
     for _ in range(3):
         optimiser.step(gradients, RATES)
     return optimiser, gradients

@@ -8,75 +8,39 @@ Rejected: torch.optim.Adam (steps every row, and its sparse variant has no row s
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.decoder.rasterise.native import RowArray
 from decogs.formats.splats import FloatArray, Splats, join_splats, take_splats
 
-from ...registry import Registry, described, guarded
 from ...settings.optimiser import LearningRates
-from .native import SplatGradients, TrainingKernel
+from ..protocol import ATTRIBUTES, Drawable, Gradients, SplatGradients, gradients_like
+from .stretch import limit_stretch
 
 if TYPE_CHECKING:
-    from typing_extensions import Self
-
-ATTRIBUTES = ("means", "log_scales", "quaternions", "opacity_logits", "sh")
+    from .cpu_kernel import CpuKernel
 
 
-class Optimiser(Protocol):
-    """The stored values under training, stepped in place. Attributes are those of ``Splats``, named in ATTRIBUTES."""
-
-    @property
-    def splats(self) -> Splats:
-        """The values, N rows."""
-        ...
-
-    def step(self, gradients: SplatGradients, rates: LearningRates, *, rows: NDArray[np.int64] | None = None) -> None:
-        """One step of every attribute whose rate is not 0, on ``rows`` or on all; other rows keep every bit."""
-        ...
-
-    def hold(self, held: Mapping[str, NDArray[np.bool_]]) -> None:
-        """From now on these numbers of each attribute keep their values, until rows come or go."""
-        ...
-
-    def gradient_size(self, name: str) -> FloatArray:
-        """Size of an attribute's gradients so far, shaped like it: the loss's sensitivity to a change."""
-        ...
-
-    def keep(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> None:
-        """Drops every other row, or puts rows into a new order."""
-        ...
-
-    def append(self, added: Splats) -> None:
-        """Adds rows without momentum."""
-        ...
-
-    def copied(self) -> Self:
-        """The same values and momentum, stepped apart from now on; nothing is held."""
-        ...
-
-    def remember(self, other: Any, rows: NDArray[np.int64], theirs: NDArray[np.int64]) -> None:
-        """Takes over the momentum of an ``other`` of its kind: of its rows ``theirs`` for ``rows``."""
-        ...
+def drawn_splats(drawn: Drawable) -> Splats:
+    """The values of what is drawn; the kernel reads them where they are."""
+    return drawn if isinstance(drawn, Splats) else drawn.splats
 
 
-class NewOptimiser(Protocol):
-    """Makes an optimiser of a copy of ``splats``; ``kernel`` steps natively."""
-
-    def __call__(
-        self, splats: Splats, kernel: TrainingKernel, /, *, beta1: float = 0.9, beta2: float = 0.999
-    ) -> Optimiser: ...
+def room_for_gradients(drawn: Drawable) -> SplatGradients:
+    """Room for the gradients of what is drawn; an optimiser has some, from step to step."""
+    return drawn.gradients if isinstance(drawn, CpuOptimiser) else gradients_like(drawn_splats(drawn))
 
 
-class Adam:
-    """The stored values under training and their Adam moments; ``splats`` is stepped in place."""
+class CpuOptimiser:
+    """The stored values under training, their Adam moments, and room for their gradients."""
 
     def __init__(
         self,
         splats: Splats,
-        kernel: TrainingKernel,
+        kernel: CpuKernel,
         *,
         beta1: float = 0.9,
         beta2: float = 0.999,
@@ -89,20 +53,32 @@ class Adam:
         self._second = _zeros_like(splats)
         self._steps = 0
         self._held: dict[str, tuple[NDArray[np.bool_], FloatArray]] = {}
+        self.gradients = gradients_like(splats)
 
-    def copied(self) -> Adam:
-        """The same values and momentum, stepped apart from now on; nothing is held."""
-        other = Adam(self.splats, self._kernel, beta1=self._beta1, beta2=self._beta2, epsilon=self._epsilon)
+    def __len__(self) -> int:
+        return len(self.splats)
+
+    def copied(self) -> CpuOptimiser:
+        other = CpuOptimiser(self.splats, self._kernel, beta1=self._beta1, beta2=self._beta2, epsilon=self._epsilon)
         other.remember(self, np.arange(len(self.splats)), np.arange(len(self.splats)))
         return other
 
-    def step(self, gradients: SplatGradients, rates: LearningRates, *, rows: NDArray[np.int64] | None = None) -> None:
-        """One step of every attribute whose rate is not 0, on ``rows`` or on all."""
+    def step(
+        self,
+        gradients: Gradients,
+        rates: LearningRates,
+        *,
+        rows: RowArray | None = None,
+        max_stretch: float = 0.0,
+    ) -> None:
         self._steps += 1
+        found = gradients.host()
+        # Nothing is looked at where sizes are not trained, as in frames that only light changes.
+        before = self.splats.log_scales.copy() if max_stretch and rates.log_scales else None
         for name, rate in self._moving(rates):
             self._kernel.adam(
                 getattr(self.splats, name),
-                getattr(gradients, name),
+                getattr(found, name),
                 getattr(self._first, name),
                 getattr(self._second, name),
                 rate=rate,
@@ -114,6 +90,8 @@ class Adam:
             )
         for name, (held, values) in self._held.items():
             np.copyto(getattr(self.splats, name), values, where=held)
+        if before is not None:
+            limit_stretch(self.splats.log_scales, before, max_stretch)
 
     def _moving(self, rates: LearningRates) -> Iterator[tuple[str, float | FloatArray]]:
         """The attributes whose rate is not 0, and that rate: one for each number of a Gaussian's ``sh``."""
@@ -124,48 +102,35 @@ class Adam:
         if any(by_coefficient):
             yield "sh", np.repeat(np.array(by_coefficient, np.float32), 3)
 
+    def put(self, rows: RowArray | None = None, **values: FloatArray) -> None:
+        for name, new in values.items():
+            getattr(self.splats, name)[slice(None) if rows is None else rows] = new
+
     def hold(self, held: Mapping[str, NDArray[np.bool_]]) -> None:
-        """From now on these numbers of each attribute keep their values, until rows come or go."""
         self._held |= {name: (mask, getattr(self.splats, name).copy()) for name, mask in held.items()}
 
     def gradient_size(self, name: str) -> FloatArray:
-        """Root mean square of an attribute's gradients so far, shaped like it, the recent ones weighing most.
-
-        Before the first step, 0.
-        """
         seen = 1 - float(np.float32(self._beta2)) ** max(1, self._steps)
         second: FloatArray = getattr(self._second, name)
         return np.asarray(np.sqrt(second * np.float32(1 / seen)))
 
-    def keep(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> None:
-        """Drops every other row, or puts rows into a new order."""
-        self.splats, self._held = take_splats(self.splats, rows), {}
-        self._first, self._second = take_splats(self._first, rows), take_splats(self._second, rows)
+    def keep(self, rows: NDArray[np.bool_] | RowArray) -> None:
+        self._replace(*(take_splats(each, rows) for each in (self.splats, self._first, self._second)))
 
-    def remember(self, other: Adam, rows: NDArray[np.int64], theirs: NDArray[np.int64]) -> None:
-        """Takes over the momentum of another optimiser's rows ``theirs`` for ``rows``, and its count of steps."""
+    def append(self, added: Splats) -> None:
+        mine, zeros = (self.splats, self._first, self._second), _zeros_like(added)
+        self._replace(*(join_splats(*pair) for pair in zip(mine, (added, zeros, zeros), strict=True)))
+
+    def remember(self, other: CpuOptimiser, rows: RowArray, theirs: RowArray) -> None:
         self._steps = other._steps
         for own, moments in ((self._first, other._first), (self._second, other._second)):
             for name in ATTRIBUTES:
                 getattr(own, name)[rows] = getattr(moments, name)[theirs]
 
-    def append(self, added: Splats) -> None:
-        """Adds rows without momentum."""
-        self.splats, self._held = join_splats(self.splats, added), {}
-        self._first = join_splats(self._first, _zeros_like(added))
-        self._second = join_splats(self._second, _zeros_like(added))
+    def _replace(self, splats: Splats, first: Splats, second: Splats) -> None:
+        self.splats, self._first, self._second = splats, first, second
+        self._held, self.gradients = {}, gradients_like(splats)
 
 
 def _zeros_like(splats: Splats) -> Splats:
     return Splats(*(np.zeros_like(getattr(splats, name)) for name in ATTRIBUTES))
-
-
-def _wrong_optimiser(made: object, *given: object, **named: object) -> str:
-    wanted = [name for name in vars(Optimiser) if not name.startswith("_")]
-    missing = [name for name in wanted if not hasattr(made, name)]
-    return f"{described(made)}, an optimiser without `{missing[0]}`" if missing else ""
-
-
-OPTIMISERS: Registry[NewOptimiser] = Registry(
-    "optimiser", "decogs.optimisers", {"adam": Adam}, guarded(_wrong_optimiser)
-)
