@@ -7,8 +7,9 @@ device: ``Optimiser.splats``, ``Gradients.host``, a loss's ``total``, a picture'
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 import numpy as np
@@ -33,36 +34,35 @@ class RenderedPicture(Protocol):
     @property
     def rgb(self) -> FloatArray:
         """Colours (3, H, W) float32, display-referred."""
-        ...
 
     @property
     def alpha(self) -> FloatArray:
         """Opacity (H, W) float32, 0 to 1."""
-        ...
 
     @property
     def depth(self) -> FloatArray | None:
         """Depth (H, W) float32 in world units, summed with the rendering weights; None where it was not rendered."""
-        ...
 
 
-class LossValue(Protocol):
-    """What a picture costs."""
+class LossValue:
+    """What a picture costs: ``total``, and its weighted sums of absolute differences and of 1 - SSIM.
+
+    ``read`` brings both sums, when a number is first asked for.
+    """
+
+    def __init__(self, l1_scale: float, ssim_scale: float, read: Callable[[], Sequence[float]]) -> None:
+        self._scales, self._read = (l1_scale, ssim_scale), read
+
+    @cached_property
+    def sums(self) -> tuple[float, float]:
+        """Of absolute differences and of 1 - SSIM."""
+        l1, ssim = self._read()
+        return float(l1), float(ssim)
 
     @property
     def total(self) -> float:
         """The loss itself."""
-        ...
-
-    @property
-    def l1(self) -> float:
-        """Its weighted sum of absolute differences."""
-        ...
-
-    @property
-    def ssim(self) -> float:
-        """Its weighted sum of 1 - SSIM."""
-        ...
+        return self._scales[0] * self.sums[0] + self._scales[1] * self.sums[1]
 
 
 @dataclass(frozen=True)
@@ -92,66 +92,52 @@ class Gradients(Protocol):
 
     def host(self) -> SplatGradients:
         """The same in the host's memory."""
-        ...
 
 
 class Optimiser(Protocol):
-    """Gaussians under training, stepped in place by Adam; attributes are named as in ATTRIBUTES.
-
-    A row that is not stepped keeps value and moments bit for bit.
-    """
+    """Gaussians under training, stepped in place by Adam; attributes are named as in ATTRIBUTES."""
 
     def __len__(self) -> int: ...
 
     @property
     def splats(self) -> Splats:
         """The values, N rows, to be read only: `put` changes them."""
-        ...
 
     def step(
         self,
         gradients: Gradients,
         rates: LearningRates,
         *,
-        rows: RowArray | None = None,
         max_stretch: float = 0.0,
     ) -> None:
-        """One step of every attribute whose rate is not 0, on ``rows`` or on all.
+        """One step of every attribute whose rate is not 0.
 
         With ``max_stretch``, no Gaussian's largest size is then more than so many times its middle one, unless it was.
         """
-        ...
 
     def put(self, rows: RowArray | None = None, **values: FloatArray) -> None:
         """Sets attributes, of ``rows`` or of all, to ``values``; momentum stays."""
-        ...
 
     def hold(self, held: Mapping[str, NDArray[np.bool_]]) -> None:
         """From now on these numbers of each attribute keep their values, until rows come or go."""
-        ...
 
     def gradient_size(self, name: str) -> FloatArray:
         """Root mean square of an attribute's gradients so far, shaped like it, the recent ones weighing most.
 
         It is the loss's sensitivity to a change. Before the first step, 0.
         """
-        ...
 
     def keep(self, rows: NDArray[np.bool_] | RowArray) -> None:
         """Drops every other row, or puts rows into a new order."""
-        ...
 
     def append(self, added: Splats) -> None:
         """Adds rows without momentum."""
-        ...
 
     def copied(self) -> Self:
         """The same values and momentum, stepped apart from now on; nothing is held."""
-        ...
 
     def remember(self, other: Any, rows: RowArray, theirs: RowArray) -> None:
         """Takes over the momentum of an ``other`` of its kind: of its rows ``theirs`` for ``rows``."""
-        ...
 
 
 Drawable: TypeAlias = "Splats | Optimiser"
@@ -169,11 +155,9 @@ class ViewGradients(Protocol):
 
         A length of 0 means not drawn.
         """
-        ...
 
     def mean(self) -> NDArray[np.float64]:
         """The mean (N,) over the views that drew each Gaussian; 0 for one that no view drew."""
-        ...
 
 
 class FixedView(Protocol):
@@ -193,44 +177,36 @@ class FixedView(Protocol):
     @property
     def rgb(self) -> FloatArray:
         """The picture (3, H, W) float32, display-referred; the next ``draw`` writes over it."""
-        ...
 
     @property
     def alpha(self) -> FloatArray:
         """Opacity (H, W) float32 of the picture, 0 to 1."""
-        ...
 
     @property
     def depth(self) -> FloatArray:
         """Depth (H, W) float32 in world units, summed with the rendering weights."""
-        ...
 
     @property
     def met(self) -> NDArray[np.uint8]:
         """One per 16x16 tile: whether a Gaussian of the last ``draw`` meets it. Nothing else can change its pixels."""
-        ...
 
     def set_scene(self, scene: Splats) -> None:
         """Starts with a whole scene (N Gaussians), all of it static; the picture is there after ``redraw``."""
-        ...
 
     def redraw(self, marks: NDArray[np.bool_] | None = None) -> FloatArray:
         """Brings the picture up to date with the static scene; every Gaussian's rendering weight, (2, N).
 
         The weight is the sum of alpha times transmittance: in row 0 over all pixels, in row 1 over ``marks`` (H, W).
         """
-        ...
 
     def detach(self, rows: RowArray) -> None:
         """Takes the Gaussians ``rows`` out of the static scene: they are what changes until ``commit``."""
-        ...
 
     def draw(self, moving: Drawable, rows: RowArray, *, depth: bool = False) -> None:
         """Brings the picture up to date with ``moving`` (M Gaussians) in it, which are the scene's ``rows``, ascending.
 
         Rows are detached ones, or new ones, numbered from N on. Detached ones that are left out do not show.
         """
-        ...
 
     def loss(
         self,
@@ -245,7 +221,6 @@ class FixedView(Protocol):
 
         The arrays must not change until the next ``detach``: a device keeps its copy of them for a frame.
         """
-        ...
 
     def backward(self, v_rgb: FloatArray | None = None, *, out: SplatGradients | None = None) -> Gradients:
         """Gradients of the Gaussians of the last ``draw`` (M), for the cotangent (3, H, W) of its picture.
@@ -253,7 +228,6 @@ class FixedView(Protocol):
         The cotangent is read in the tiles of ``met`` only; None means the gradient of the ``loss`` of that draw.
         With ``out``, they are put there.
         """
-        ...
 
     def commit(self, scene: Splats, rows: RowArray, renumbered: RowArray | None = None) -> None:
         """Makes everything static again: ``scene`` is the scene from now on, its ``rows`` were detached or are new.
@@ -261,11 +235,9 @@ class FixedView(Protocol):
         ``renumbered`` (N,) gives every old Gaussian's row in ``scene``, in the same order and none above the old one,
         -1 for one that is gone, which must have been detached; None when all kept theirs.
         """
-        ...
 
     def centres(self) -> FloatArray:
         """Projected centres (N, 2) of the static scene, in pixels; NaN where a Gaussian is not drawn."""
-        ...
 
 
 class TrainingKernel(Protocol):
@@ -284,7 +256,6 @@ class TrainingKernel(Protocol):
         depth: bool = False,
     ) -> RenderedPicture:
         """Renders and remembers what the way back needs; UsageError when the scene covers the picture too often."""
-        ...
 
     def picture_loss(
         self,
@@ -301,7 +272,6 @@ class TrainingKernel(Protocol):
         arrays must not change as long as they live: a device keeps its copy of them. Source: Wang 2004, Kerbl 2023
         eq. 7.
         """
-        ...
 
     def backward(
         self,
@@ -316,20 +286,15 @@ class TrainingKernel(Protocol):
 
         With ``out``, they are put there.
         """
-        ...
 
     def centres(self, count: int) -> tuple[FloatArray, FloatArray]:
         """Projected centres (N, 2) in pixels and depths (N,) of the last picture; NaN where nothing was drawn."""
-        ...
 
     def fixed_view(self, camera: Camera) -> FixedView:
         """A fixed view of the pinhole ``camera``."""
-        ...
 
     def optimiser(self, splats: Splats, *, beta1: float = 0.9, beta2: float = 0.999) -> Optimiser:
         """A copy of ``splats``, ready to be trained by Adam (Kingma 2015)."""
-        ...
 
     def view_gradients(self, count: int) -> ViewGradients:
         """Gathers the view gradients of ``count`` Gaussians."""
-        ...

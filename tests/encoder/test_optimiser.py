@@ -72,20 +72,6 @@ def test_steps_are_those_of_adam(kernel: TrainingKernel) -> None:
     assert equal_bits(start, some_splats(1)), "the caller's arrays must not be stepped"
 
 
-def test_rows_that_are_not_stepped_keep_value_and_moments_bit_for_bit(kernel: TrainingKernel) -> None:
-    start = some_splats(1)
-    optimiser = kernel.optimiser(start)
-    stepped = np.array([3, 17, 20], np.int64)
-    others = np.setdiff1d(np.arange(COUNT), stepped)
-    for seed in (2, 3):
-        optimiser.step(gradients_of(some_splats(seed)), RATES, rows=stepped)
-    assert equal_bits(take_splats(optimiser.splats, others), take_splats(start, others))
-    assert not optimiser.gradient_size("means")[others].any()
-    assert optimiser.gradient_size("means")[stepped].any()
-    for name, expected in adam(start, [some_splats(2), some_splats(3)]).items():
-        np.testing.assert_allclose(getattr(optimiser.splats, name)[stepped], expected[stepped], rtol=5e-7, atol=5e-7)
-
-
 def test_zero_gradients_with_zero_moments_move_nothing(kernel: TrainingKernel) -> None:
     start = some_splats(1)
     optimiser = kernel.optimiser(start)

@@ -16,7 +16,7 @@ from decogs.formats.splats import FloatArray, Splats
 from decogs.formats.threads import thread_count
 
 from ..arguments import check_cotangents
-from ..protocol import Drawable, SplatGradients
+from ..protocol import Drawable, LossValue, SplatGradients
 from .fixed_view import CpuFixedView
 from .native import (
     NativeCotangents,
@@ -40,15 +40,6 @@ class HostPicture:
     rgb: FloatArray
     alpha: FloatArray
     depth: FloatArray | None
-
-
-@dataclass(frozen=True)
-class HostLoss:
-    """A loss, its weighted L1 and SSIM sums."""
-
-    total: float
-    l1: float
-    ssim: float
 
 
 class CpuKernel:
@@ -136,7 +127,7 @@ class CpuKernel:
         ssim_scale: float,
         l1_weight: FloatArray | None = None,
         focus: FloatArray | None = None,
-    ) -> HostLoss:
+    ) -> LossValue:
         if not hasattr(self, "_picture"):
             raise ValueError("picture_loss needs a forward before it")
         value, self._cotangent = self.loss(
@@ -155,7 +146,7 @@ class CpuKernel:
         focus: FloatArray | None = None,
         tiles: NDArray[np.uint8] | None = None,
         gradient: FloatArray | None = None,
-    ) -> tuple[HostLoss, FloatArray]:
+    ) -> tuple[LossValue, FloatArray]:
         """``picture_loss`` of any ``image``, and its gradient.
 
         Shapes: image, target and gradient (3, H, W); l1_weight and focus (H, W). With ``tiles``, one number per 16x16
@@ -177,8 +168,7 @@ class CpuKernel:
         given = NativeLoss(*planes, address(tiles), l1_scale, ssim_scale, width, height)
         sums = NativeSums()
         self._library.decogs_loss(self.handle, ctypes.byref(given), address(gradient), ctypes.byref(sums))
-        total = l1_scale * sums.l1 + ssim_scale * sums.ssim
-        return HostLoss(total, sums.l1, sums.ssim), gradient
+        return LossValue(l1_scale, ssim_scale, lambda: (sums.l1, sums.ssim)), gradient
 
     def adam(
         self,
@@ -192,28 +182,21 @@ class CpuKernel:
         beta1: float = 0.9,
         beta2: float = 0.999,
         epsilon: float = 1e-15,
-        rows: NDArray[np.int64] | None = None,
     ) -> None:
-        """One Adam step (Kingma 2015) in place on ``rows`` of ``value``; ``step`` counts from 1.
+        """One Adam step (Kingma 2015) of ``value`` in place; ``step`` counts from 1.
 
         ``rate`` is one number, or one per column of ``value`` seen as (N, columns).
         """
-        count, columns = len(value), math.prod(value.shape[1:])
+        columns = math.prod(value.shape[1:])
         rates = np.empty(columns, np.float32)
         rates[:] = rate
         if any(a.shape != value.shape for a in (gradient, first, second)):
             raise ValueError(f"gradient and moments must have the shape of the value, {value.shape}")
-        if rows is not None:
-            if rows.dtype != np.int64:
-                raise ValueError(f"rows must be int64, not {rows.dtype}")
-            if rows.min(initial=0) < 0 or rows.max(initial=-1) >= count:
-                raise ValueError(f"rows must lie below {count}")
         setting = adam_step(step, beta1, beta2, epsilon)
         self._library.decogs_adam(
             self.handle,
             ctypes.byref(setting),
-            count if rows is None else len(rows),
-            address(rows),
+            len(value),
             columns,
             *(float_address(a) for a in (rates, value, gradient, first, second)),
         )

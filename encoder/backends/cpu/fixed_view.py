@@ -26,12 +26,12 @@ from decogs.formats.kernels import checked_handle
 from decogs.formats.splats import FloatArray, Splats
 
 from ..arguments import check_cotangents, check_marks, rows_of
-from ..protocol import Drawable, SplatGradients
+from ..protocol import Drawable, LossValue, SplatGradients
 from .native import NativeCotangents, address, float_address, native_gradients, tile_count, training_library
 from .optimiser import drawn_splats, room_for_gradients
 
 if TYPE_CHECKING:
-    from .cpu_kernel import CpuKernel, HostLoss
+    from .cpu_kernel import CpuKernel
 
 
 class CpuFixedView:
@@ -121,7 +121,7 @@ class CpuFixedView:
         ssim_scale: float,
         l1_weight: FloatArray | None = None,
         focus: FloatArray | None = None,
-    ) -> HostLoss:
+    ) -> LossValue:
         value, self._cotangent = self._kernel.loss(
             self._rgb,
             target,

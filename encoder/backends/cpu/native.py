@@ -134,7 +134,6 @@ def training_library() -> ctypes.CDLL:
         handle,
         pointer(AdamStep),
         ctypes.c_int64,
-        ctypes.c_void_p,
         ctypes.c_int,
         *[ctypes.c_void_p] * 5,
     ]

@@ -1,8 +1,7 @@
-"""Adam over the stored values of a scene, with rows that come, go, or must not move.
+"""Adam over the stored values of the Gaussians under training, with rows that come and go and numbers that are held.
 
-Chosen: one set of moments per attribute, stepped natively on the given rows only, so that a row that is not stepped
-keeps value and moments bit for bit (the method's "Adam reset" is then a matter of starting without moments).
-Rejected: torch.optim.Adam (steps every row, and its sparse variant has no row sets that change).
+Only what is trained is here, so that nothing else has moments (docs/METHOD.md, "Optimiser-state reset"). Rejected:
+torch.optim.Adam (its parameters have no rows that come and go).
 """
 
 from __future__ import annotations
@@ -68,7 +67,6 @@ class CpuOptimiser:
         gradients: Gradients,
         rates: LearningRates,
         *,
-        rows: RowArray | None = None,
         max_stretch: float = 0.0,
     ) -> None:
         self._steps += 1
@@ -86,7 +84,6 @@ class CpuOptimiser:
                 beta1=self._beta1,
                 beta2=self._beta2,
                 epsilon=self._epsilon,
-                rows=rows,
             )
         for name, (held, values) in self._held.items():
             np.copyto(getattr(self.splats, name), values, where=held)

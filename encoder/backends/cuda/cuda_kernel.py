@@ -12,7 +12,6 @@ from collections.abc import Callable
 from functools import cached_property, partial
 from typing import Any, NamedTuple
 
-import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
@@ -22,7 +21,7 @@ from decogs.formats.cameras import Camera
 from decogs.formats.splats import FloatArray, Splats, sh_degree_of, take_splats
 
 from ..arguments import check_cotangents
-from ..protocol import ATTRIBUTES, Drawable, SplatGradients
+from ..protocol import ATTRIBUTES, Drawable, LossValue, SplatGradients
 from .device import Resident, read, read_floats, upload
 from .fixed_view import CudaFixedView
 from .gradients import CudaViewGradients, DeviceGradients
@@ -60,29 +59,6 @@ class DevicePicture:
     @cached_property
     def depth(self) -> FloatArray | None:
         return None if self._depth is None else read_floats(self._depth)
-
-
-class DeviceLoss:
-    """A loss on the device: ``sums`` (2,), of L1 and of 1 - SSIM, travel when a number is first asked for."""
-
-    def __init__(self, sums: Tensor, l1_scale: float, ssim_scale: float) -> None:
-        self._sums, self._scales = sums, (l1_scale, ssim_scale)
-
-    @cached_property
-    def _read(self) -> NDArray[np.float64]:
-        return read(self._sums)
-
-    @property
-    def total(self) -> float:
-        return self._scales[0] * self.l1 + self._scales[1] * self.ssim
-
-    @property
-    def l1(self) -> float:
-        return float(self._read[0])
-
-    @property
-    def ssim(self) -> float:
-        return float(self._read[1])
 
 
 class _Drawn(NamedTuple):
@@ -140,7 +116,7 @@ class CudaKernel:
         ssim_scale: float,
         l1_weight: FloatArray | None = None,
         focus: FloatArray | None = None,
-    ) -> DeviceLoss:
+    ) -> LossValue:
         if self._drawn is None:
             raise ValueError("picture_loss needs a forward before it")
         given = [None if a is None else self._arrays.of(a) for a in (target, l1_weight, focus)]
@@ -150,7 +126,7 @@ class CudaKernel:
 
     def loss_of(
         self, image: Tensor, given: list[Tensor | None], wanted: Tensor | None, l1_scale: float, ssim_scale: float
-    ) -> tuple[DeviceLoss, Tensor]:
+    ) -> tuple[LossValue, Tensor]:
         """The loss of ``image`` (H, W, C >= 3) against target, weight of L1 and focus, all on the device.
 
         Summed over the tiles ``wanted`` (rows, columns), or all; with its gradient (H, W, 4).
@@ -159,7 +135,7 @@ class CudaKernel:
         if size not in self._losses:
             self._losses[size] = self._loss_maker(*size, self.device)
         sums, gradient = self._losses[size](image, *given, wanted=wanted, l1_scale=l1_scale, ssim_scale=ssim_scale)
-        return DeviceLoss(sums, l1_scale, ssim_scale), gradient
+        return LossValue(l1_scale, ssim_scale, lambda: read(sums).tolist()), gradient
 
     def backward(
         self,

@@ -19,13 +19,13 @@ from decogs.formats.cameras import Camera
 from decogs.formats.splats import FloatArray, Splats, sh_degree_of
 
 from ..arguments import check_cotangents, check_marks, rows_of
-from ..protocol import Drawable, SplatGradients
+from ..protocol import Drawable, LossValue, SplatGradients
 from .device import read, read_floats
 from .gradients import DeviceGradients
 from .projection import DEPTH, Lens, Lists, Projected, back_to
 
 if TYPE_CHECKING:
-    from .cuda_kernel import CudaKernel, DeviceLoss
+    from .cuda_kernel import CudaKernel
 
 
 class CudaFixedView:
@@ -128,7 +128,7 @@ class CudaFixedView:
         ssim_scale: float,
         l1_weight: FloatArray | None = None,
         focus: FloatArray | None = None,
-    ) -> DeviceLoss:
+    ) -> LossValue:
         given = (target, l1_weight, focus)
         if any(a is not b for a, b in zip(given, self._given, strict=True)):
             self._given = given

@@ -1,7 +1,7 @@
 """Adam on the device: values, moments and gradients stay there, and a step waits for nothing.
 
 Chosen: the formula of kernel/adam.h in a few launches for all attributes together. Rejected: gsplat's ``SelectiveAdam``
-(no bias correction); torch.optim.Adam (no sets of rows that change).
+(no bias correction); torch.optim.Adam (its parameters have no rows that come and go).
 """
 
 from __future__ import annotations
@@ -55,31 +55,24 @@ class CudaOptimiser:
         gradients: Gradients,
         rates: LearningRates,
         *,
-        rows: RowArray | None = None,
         max_stretch: float = 0.0,
     ) -> None:
         self._steps, self._read = self._steps + 1, None
-        found, rate_of = tensors_of(gradients, self._device), _rates_by_part(rates)
         before = self.values["log_scales"].clone() if max_stretch and rates.log_scales else None
-        mine = [_part(each, name) for each in (self.values, self._first, self._second) for name in rate_of]
-        by, stepped = [_part(found, name) for name in rate_of], mine
-        if rows is not None:
-            where = upload(rows, self._device)
-            by, stepped = [each[where] for each in by], [each[where] for each in mine]
-        self._adam(stepped, by, [*rate_of.values()])
-        if rows is not None:
-            for each, new in zip(mine, stepped, strict=True):
-                each[where] = new
+        found, rate_of = tensors_of(gradients, self._device), _rates_by_part(rates)
+        of = [[_part(each, name) for name in rate_of] for each in (self.values, self._first, self._second, found)]
+        self._adam(of[0], of[1], of[2], of[3], [*rate_of.values()])
         for name, (held, values) in self._held.items():
             self.values[name].copy_(torch.where(held, values, self.values[name]))
         if before is not None:
             limit_stretch(self.values["log_scales"], before, max_stretch)
 
-    def _adam(self, stepped: list[Tensor], by: list[Tensor], rates: list[float]) -> None:
+    def _adam(
+        self, values: list[Tensor], first: list[Tensor], second: list[Tensor], by: list[Tensor], rates: list[float]
+    ) -> None:
         """Kingma 2015, algorithm 1, in place on values, first and second moments, for gradients ``by``."""
-        if not by:
+        if not rates:
             return
-        values, first, second = (stepped[i : i + len(by)] for i in range(0, 3 * len(by), len(by)))
         torch._foreach_mul_(first, self._beta1)
         torch._foreach_add_(first, by, alpha=1 - self._beta1)
         torch._foreach_mul_(second, self._beta2)

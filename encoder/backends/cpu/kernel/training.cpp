@@ -94,11 +94,9 @@ int decogs_loss(void* handle, const LossInput* in, float* gradient, LossSums* su
     return status_of([&] { *sums = t.loss.run(t.pool, *in, gradient); });
 }
 
-int decogs_adam(void* handle, const AdamStep* step, int64_t row_count, const int64_t* rows, int columns, const float* rates,
-                float* value, const float* gradient, float* first, float* second) {
-    return status_of([&] {
-        adam_rows(trainer_of(handle).pool, *step, row_count, rows, columns, rates, value, gradient, first, second);
-    });
+int decogs_adam(void* handle, const AdamStep* step, int64_t count, int columns, const float* rates, float* value,
+                const float* gradient, float* first, float* second) {
+    return status_of([&] { adam_rows(trainer_of(handle).pool, *step, count, columns, rates, value, gradient, first, second); });
 }
 
 // Projected means (count, 2), in pixels, and depths (count,) of the last decogs_forward; NaN where culled.
