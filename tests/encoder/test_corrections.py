@@ -19,7 +19,8 @@ from decogs.decoder.decoding import decode
 from decogs.decoder.rasterise import Rendering, render
 from decogs.decoder.stream import open_stream
 from decogs.decoder.views import render_view
-from decogs.encoder.backends import HostPicture, RenderedPicture
+from decogs.encoder.backends import RenderedPicture
+from decogs.encoder.backends.cpu.cpu_kernel import HostPicture
 from decogs.encoder.input.compensation import Corrector, corrector_of
 from decogs.encoder.input.compensation.agreement import agreeing_shifts
 from decogs.encoder.input.compensation.benefit import Benefit
