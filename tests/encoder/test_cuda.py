@@ -27,7 +27,7 @@ import gradient_twin
 import rasterise_cases as cases
 from decogs.encoder.backends import FixedView, Gradients, cuda, gradients_like, training_kernel
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
-from decogs.encoder.backends.cuda import cuda_kernel, device, fixed_view
+from decogs.encoder.backends.cuda import cuda_kernel, device, fixed_view, projection
 from decogs.encoder.backends.cuda import gradients as gradients_module
 from decogs.encoder.backends.cuda import optimiser as optimiser_module
 from decogs.encoder.backends.cuda.cuda_kernel import CudaKernel
@@ -366,7 +366,7 @@ def test_a_step_reads_nothing_and_brings_nothing(monkeypatch: pytest.MonkeyPatch
 
     step()
     with monkeypatch.context() as watched, Unread():
-        for module in (device, cuda_kernel, fixed_view, gradients_module, optimiser_module):
+        for module in (device, cuda_kernel, fixed_view, gradients_module, optimiser_module, projection):
             for name in ("read", "read_floats", "upload"):
                 watched.setattr(module, name, None, raising=False)
         step()

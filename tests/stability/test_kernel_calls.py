@@ -85,10 +85,6 @@ def test_rows_outside_the_scene_are_refused() -> None:
     kernel.forward(SCENE, CAMERA)
     with pytest.raises(ValueError, match="last forward"):
         kernel.centres(7)
-    value = np.zeros((3, 2), np.float32)
-    for wrong in (rows(3), rows(-1)):
-        with pytest.raises(ValueError, match="rows must lie below 3"):
-            kernel.adam(value, value, value.copy(), value.copy(), rate=1.0, step=1, rows=wrong)
 
 
 SHORT_OF_MEMORY = """

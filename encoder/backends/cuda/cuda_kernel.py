@@ -12,6 +12,7 @@ from collections.abc import Callable
 from functools import cached_property, partial
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
@@ -104,7 +105,7 @@ class CudaKernel:
         colours, alphas = self.splatting.composite(inputs, lens, self.splatting.tile_lists(projected, lens))
         rgb, depths = colours[..., :3], colours[..., DEPTH]
         if any(background):
-            rgb = rgb + (1 - alphas) * torch.tensor(background, device=self.device)
+            rgb = rgb + (1 - alphas) * self.upload(np.array(background, np.float32))
         self._drawn, self._gradient = _Drawn(leaves, projected, inputs, rgb, alphas, depths), None
         return DevicePicture(rgb.detach(), alphas.detach(), depths.detach() if depth else None)
 

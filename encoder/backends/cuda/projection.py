@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 import torch.nn.functional as functional
 from torch import Tensor
@@ -24,6 +25,7 @@ from torch import Tensor
 from decogs.decoder.rasterise.reference import BLUR, CLOSEST
 from decogs.formats.cameras import Camera, camera_centre
 
+from .device import upload
 from .gradients import NAMES, DeviceGradients
 
 _TILE = 16
@@ -40,9 +42,9 @@ class Lens:
         intrinsics = [[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]]
         self.width, self.height, self.near = camera.width, camera.height, max(camera.near, _NEAREST)
         self.columns, self.rows = -(-camera.width // _TILE), -(-camera.height // _TILE)
-        self.pose = torch.tensor(camera.world_to_camera[None], dtype=torch.float32, device=device)
-        self.intrinsics = torch.tensor([intrinsics], dtype=torch.float32, device=device)
-        self.centre = torch.tensor(camera_centre(camera), dtype=torch.float32, device=device)
+        self.pose = upload(camera.world_to_camera[None].astype(np.float32), device)
+        self.intrinsics = upload(np.array([intrinsics], np.float32), device)
+        self.centre = upload(camera_centre(camera).astype(np.float32), device)
 
     @cached_property
     def tile_of(self) -> Tensor:
