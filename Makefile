@@ -13,8 +13,12 @@ INSTALL = -m pip install $(PIP_ARGS) --quiet --no-compile -c constraints.txt
 RIGS ?= $(addprefix ../shared/data/rigs/,workbench candle popup)
 CHOICE_RIGS ?= ../shared/data/rigs/workbench
 RATE_RIGS ?= ../shared/data/rigs/workbench
+RING ?= ../shared/data/rigs/stage
+DOME ?= ../shared/data/real/panoptic_basketball
 EFFECT_RIGS ?= $(addprefix ../shared/data/rigs/,still candle popup workbench workbench_drift)
 BENCH_ARGS ?=
+FULL := report/full
+SHORT_CURVE := --only presets,iterations --scale .5 --frames :8
 
 # Developers and tests have .venv, users and the demo .venv-user: without torch, a third of the download.
 VENV := .venv
@@ -151,16 +155,20 @@ bench: $(READY) ## time the rasteriser, sparse training steps against dense ones
 	$(BIN)/python tests/bench/decode.py
 	$(BIN)/python tests/bench/player.py
 
-# Hours: what is already in report/runs, made by the same code, is not made again.
-report: $(READY) ## the paper's tables, our choices, rate against distortion, accuracy against time, into report/; runs.zip has every run
-	$(BIN)/decogs-bench paper $(RIGS) -o report $(BENCH_ARGS)
-	$(BIN)/decogs-bench choices $(CHOICE_RIGS) -o report --frames :16 $(BENCH_ARGS)
-	$(BIN)/decogs-bench choices ../shared/data/rigs/popup -o report/popup --only pace $(BENCH_ARGS)
-	$(BIN)/decogs-bench choices ../shared/data/rigs/candle -o report/candle --only faint-light $(BENCH_ARGS)
-	$(BIN)/decogs-bench rates $(RATE_RIGS) -o report $(BENCH_ARGS)
-	$(BIN)/decogs-bench effects $(EFFECT_RIGS) -o report --frames :20 --preset draft $(BENCH_ARGS)
-	$(BIN)/decogs-bench curve $(RATE_RIGS) -o report --frames :8 $(BENCH_ARGS)
-	$(BIN)/python tests/bench/archive.py report
+# Hours: runs that are there, made by the same code, are not made again. tables.py fills those of report/.
+report: $(READY) ## make report/full and report/full.zip: every table, picture and run; and the tables of report/ from them
+	$(BIN)/decogs-bench paper $(RIGS) -o $(FULL) $(BENCH_ARGS)
+	$(BIN)/decogs-bench paper $(DOME) -o $(FULL)/dome --holdout cam10 --frames :20 --only methods,fresh $(BENCH_ARGS)
+	$(BIN)/decogs-bench choices $(CHOICE_RIGS) -o $(FULL) --frames :16 $(BENCH_ARGS)
+	$(BIN)/decogs-bench choices ../shared/data/rigs/popup -o $(FULL)/popup --only pace $(BENCH_ARGS)
+	$(BIN)/decogs-bench choices ../shared/data/rigs/candle -o $(FULL)/candle --only faint-light $(BENCH_ARGS)
+	$(BIN)/decogs-bench rates $(RATE_RIGS) -o $(FULL) $(BENCH_ARGS)
+	$(BIN)/decogs-bench effects $(EFFECT_RIGS) -o $(FULL) --frames :20 --preset draft $(BENCH_ARGS)
+	$(BIN)/decogs-bench curve $(RATE_RIGS) -o $(FULL) --frames :8 $(BENCH_ARGS)
+	$(BIN)/decogs-bench curve $(DOME) -o $(FULL)/dome --holdout cam00 --holdout cam10 --holdout cam26 $(SHORT_CURVE) $(BENCH_ARGS)
+	$(BIN)/decogs-bench curve $(RING) -o $(FULL)/ring --holdout cam00 --holdout cam04 --holdout cam08 $(SHORT_CURVE) $(BENCH_ARGS)
+	$(BIN)/python report/tables.py $(FULL)
+	$(BIN)/python tests/bench/archive.py $(FULL)
 
 blender-addon: ## pack the Blender extension as build/decogs-blender.zip; Python's standard library is enough
 	$(PYTHON) blender/build.py $(BLENDER_ADDON)

@@ -44,8 +44,7 @@ KEPT_SCALE = (0.7, 1.5)
 _EXTENT_STEPS = 5500.0
 
 _STEPS = {"log_scales": 0.18, "quaternions": 1 / 32, "opacity_logits": 0.25, "sh_dc": 1 / 12, "sh_rest": 1 / 8}
-"""A keyframe's training rounds to them one after the other, and what is left makes up for it
-(encoder/DESIGN.md, "A keyframe is trained to its lattice")."""
+"""A keyframe's training rounds to them one after the other, and what is left makes up for it."""
 
 
 def default_lattice(extent: float, *, centre: Vector = (0.0, 0.0, 0.0), scale: float = 1.0) -> Lattice:

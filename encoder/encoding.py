@@ -36,7 +36,7 @@ from .parts.output import open_part
 from .settings.compensation import CorrectionSettings
 from .settings.encode import EncodeSettings
 from .settings.presets import preset
-from .stream import encode_stream
+from .stream.run import encode_stream
 from .switches import Switches, check_together, with_switches
 from .targets import Targets, with_targets
 from .training.methods import FRAME_METHODS, require_sparse

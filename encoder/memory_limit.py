@@ -13,10 +13,10 @@ from dataclasses import dataclass
 
 from decogs.formats.errors import UsageError
 
+from .frame.cross_fade import fade_cameras
 from .input.ingest import Ingest
 from .point_init import first_points_memory
 from .settings.encode import EncodeSettings
-from .training.cross_fade import fade_cameras
 from .training.method import MAX_GROWTH
 
 _PICTURE = 12

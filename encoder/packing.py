@@ -23,17 +23,19 @@ from decogs.codec.state import DEFAULT_MAX_GAUSSIANS
 from decogs.decoder.limits import DEFAULT_MAX_MEMORY
 from decogs.formats.callbacks import OnProgress, OnWarning
 from decogs.formats.cameras import Camera
-from decogs.formats.container import MAX_FRAME
+from decogs.formats.container import MAX_FRAME, Packet
 from decogs.formats.errors import StreamError, TrainingError, UsageError
 from decogs.formats.frame_names import numbered_files
 from decogs.formats.outputs import Output, check_outputs
 from decogs.formats.splat_files import Room
 from decogs.formats.splat_files.reading import SplatFile, read_splats
-from decogs.formats.splats import Splats, take_splats
+from decogs.formats.splats import FloatArray, Splats, take_splats
 
-from .coding.coded_scene import CodedScene
+from .coding.packets import frame_packet, key_packet
+from .coding.scene import Scene
 from .input.row_matching import Rows, mutual_nearest
-from .output.stream_output import open_output
+from .output.stream_output import StreamOutput, open_output
+from .settings.encode import EncodeSettings
 from .settings.frame import SignificanceSettings
 from .training.method import TrainedFrame
 
@@ -96,7 +98,9 @@ def pack(
                 file = _read(path, room, warn, first=index == 0)
                 if packing is None:
                     header = _header(path, file, scale, fps=fps, first=named[0][0])
-                    packing = _Packing(CodedScene(header, stream, level=_LEVEL, segment=segment), exact=lossless)
+                    packing = _Packing(
+                        header, stream, EncodeSettings(segment=segment, zstd_level=_LEVEL), exact=lossless
+                    )
                 sizes.append(packing.add(path, file.splats))
                 if on_frame is not None:
                     on_frame(index + 1, len(named))
@@ -112,8 +116,9 @@ def pack(
 class _Packing:
     """The stream so far; ``_place`` is the row in the last file of each Gaussian of the state."""
 
-    def __init__(self, scene: CodedScene, *, exact: bool) -> None:
-        self._scene, self._exact = scene, exact
+    def __init__(self, header: StreamHeader, output: StreamOutput, settings: EncodeSettings, *, exact: bool) -> None:
+        self._header, self._output, self._settings, self._exact = header, output, settings, exact
+        self._scene: Scene | None = None
         self._place: Rows = np.zeros(0, np.int64)
         self._frames = 0
         self.by_position = 0
@@ -121,23 +126,26 @@ class _Packing:
     def add(self, path: Path, splats: Splats) -> int:
         """Codes the next frame; bytes of its packet."""
         try:
-            written = self._first(splats) if not self._frames else self._next(path, splats)
+            packet = self._first(splats) if self._scene is None else self._next(self._scene, path, splats)
         except TrainingError as error:
             raise UsageError(f"{path}: {error}") from None
+        self._scene = Scene.open(self._header, packet) if self._scene is None else self._scene.after(packet)
+        self._output.write(packet.kind, packet.frame, packet.payload)
         self._frames += 1
-        return written
+        return packet.size
 
-    def _first(self, splats: Splats) -> int:
-        state, self._place = keyframe_state(quantise(splats, self._scene.header.lattice))
-        return self._scene.begin(state, {}).packet.size
+    def _first(self, splats: Splats) -> Packet:
+        state, self._place = keyframe_state(quantise(splats, self._header.lattice))
+        self._output.begin(self._header.to_bytes())
+        return key_packet(self._header, state, {}, self._settings.zstd_level).packet
 
-    def _next(self, path: Path, splats: Splats) -> int:
-        scene, header = self._scene, self._scene.header
+    def _next(self, scene: Scene, path: Path, splats: Splats) -> Packet:
+        header = self._header
         if splats.sh_degree != header.sh_degree:
             raise UsageError(
                 f"{path}: has SH degree {splats.sh_degree}, the first file has {header.sh_degree}; export all alike"
             )
-        kept, rows = self._matched(splats)
+        kept, rows = self._matched(scene.splats.means, splats)
         removed = np.setdiff1d(np.arange(len(scene.splats)), kept)
         added = np.setdiff1d(np.arange(len(splats)), rows)
         values = take_splats(splats, rows)
@@ -146,13 +154,11 @@ class _Packing:
         trained = TrainedFrame(kept, values, removed, take_splats(splats, added))
         # The stream has new Gaussians in Morton order, behind the others.
         added = added[morton_order(quantise(trained.added, header.lattice).means)]
-        written = scene.code(self._frames, trained, SignificanceSettings(), {})
         self._place = np.concatenate([rows, added])
-        return written.packet.size
+        return frame_packet(scene, self._frames, trained, SignificanceSettings(), {}, self._settings).packet
 
-    def _matched(self, splats: Splats) -> tuple[Rows, Rows]:
-        """Rows of the state that go on, ascending, and their rows in the file."""
-        before = self._scene.splats.means
+    def _matched(self, before: FloatArray, splats: Splats) -> tuple[Rows, Rows]:
+        """Rows of the state, whose positions were ``before``, that go on, ascending, and their rows in the file."""
         if len(splats) == len(before):
             way = np.linalg.norm(splats.means[self._place].astype(np.float64) - before, axis=1)
             if np.median(way) <= _STRAY * robust_extent(before)[0]:

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 from decogs.formats.errors import UsageError
 
 from .change.selection import SELECTION_RULES
-from .coding.rate_control import RATE_CONTROLS, with_budget
+from .coding.rate_control import with_budget
 from .coding.time_control import with_target_psnr, with_time_budget
 from .registry import Registry
 from .settings.checked import Checked
@@ -28,7 +28,6 @@ T = TypeVar("T")
 
 _NAMED: dict[str, Registry[Any]] = {
     "method": FRAME_METHODS,
-    "rate_control": RATE_CONTROLS,
     "frame.selection.rule": SELECTION_RULES,
     "frame.densification": DENSIFICATIONS,
     "keyframe.densification": DENSIFICATIONS,

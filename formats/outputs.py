@@ -1,11 +1,10 @@
 """Files that a command writes: none that it reads, no two in one place, each whole under its name or not there.
 
-Chosen: a file grows beside its name, as ``NAME.part``, locked (flock) by the process that writes it, is flushed to the
+A file grows beside its name, as ``NAME.part``, locked (flock) by the process that writes it, is flushed to the
 disk and then renamed. Every file that our own code writes goes through `GrowingFile`; pictures, videos and USD are
 written by libraries, which want a name: in a folder, or under a name, of their own, and are moved. What is asked for is
 compared before anything is opened (`check_outputs`): by device and inode where a file is there, by its resolved path
-where not, so that links and other spellings of a name are seen through. Rejected: a lock file of its own (a kill leaves
-it).
+where not, so that links and other spellings of a name are seen through.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """A stranger's file tried in a process of its own first, where the library that reads it cannot be trusted with it.
 
 A few wrong bytes make OpenUSD end the process, fill gigabytes from 3 kB, or count for minutes, and Python can neither
-catch nor interrupt that. Chosen: what came through a process with bounded memory and time is read again, in ours.
-Rejected: checks of every length that OpenUSD reads (they would be a second reader, of a format without specification);
-results handed over (a form for each of them).
+catch nor interrupt that. What came through a process with bounded memory and time is read again, in ours. Checking
+every length instead would be a second reader, of a format without specification.
 """
 
 from __future__ import annotations

@@ -12,8 +12,8 @@ Layout, every array in world units and in one fixed order per group::
 Choices, and why:
 
 * *The root turns.* A file always has Y up and metres, which every program understands in the same way; what the world
-  has is brought there by one transform on /World, and no array has other values for it. Rejected: stating ``upAxis``
-  and ``metersPerUnit`` instead (neither -Y nor a turned world can be stated, and programs differ in heeding units).
+  has is brought there by one transform on /World, and no array has other values for it: ``upAxis`` and
+  ``metersPerUnit`` can state neither -Y nor a turned world, and programs differ in heeding units.
 * *Groups.* Gaussians that never change go to one group without a single time sample, the others to a second one. Crate
   files do not compress float arrays, so this is what keeps a file proportional to motion.
 * *Fixed order, invisible ids.* A group holds every Gaussian that lives at any frame of a segment, always in the same
@@ -23,8 +23,7 @@ Choices, and why:
 * *Segments.* Whoever writes may give a group other rows from a frame on (`UsdWriter.regroup`): all attributes have
   samples there, and just before it the rows until then are written as they are at that frame, so that interpolation is
   right up to there. Without, every row that ever changes would be written in every frame, and a file would grow with
-  the square of the take. Rejected: a prim a segment with animated visibility (Blender shows them all at once), value
-  clips (many files, no .usdz, no pipe).
+  the square of the take.
 * *Never without rows at first.* Validators look at an attribute's default and its earliest sample: a group that gets
   rows later has its first ones from the beginning, hidden; one that never does is not written.
 * *Samples only where something changes.* An attribute's default is its first value. The first change writes the old
@@ -37,10 +36,10 @@ Choices, and why:
   that is not alive has opacity 0.
 * *Splat prims* hold what the decoder has, in single precision and with all of its SH, since a file of them is for
   programs that draw Gaussians. Every array of a group has its length at every time, as readers demand, so a row that is
-  not alive stays with opacity 0, and fades from one frame to the next where readers interpolate. Half precision was
-  rejected: 2^-11 of ten metres is half a centimetre. At each frame the values are the decoder's bits.
+  not alive stays with opacity 0, and fades from one frame to the next where readers interpolate. At each frame the
+  values are the decoder's bits.
 * *Both flavours* in one file: splats have the purpose "render" and name the instancers, of purpose "proxy", as what
-  stands in for them. Rejected: a variant set (no importer lets one choose), two sets without a purpose (drawn twice).
+  stands in for them: no importer lets one choose a variant, and two sets without a purpose are drawn twice.
 * *No material.* Hydra renderers use displayColor and displayOpacity of each instance by themselves. A material that
   reads its opacity from displayOpacity makes everything invisible in Blender.
 * *Colours* are linear, as displayColor asks: the sRGB transfer function is undone for the view-independent colour. View

@@ -1,8 +1,7 @@
 """Renders a scene of Gaussians through a pinhole camera: a fast native kernel and a readable float64 twin.
 
-Chosen: EWA splatting with the opacity-compensated low-pass filter of Mip-Splatting, so that a picture at another scale
+EWA splatting with the opacity-compensated low-pass filter of Mip-Splatting, so that a picture at another scale
 keeps its brightness; one C++ source compiled per instruction set; tiles of 16x16 pixels composited in 4x4 blocks.
-Rejected: numba (two to five times slower, silently when a loop fails to vectorise), torch per tile (seconds a picture).
 
 A backend is a function with the signature of ``native.render_planes``; a CUDA one (gsplat,
 ``rasterize_mode="antialiased"``) fits behind it.

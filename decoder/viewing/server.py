@@ -1,9 +1,8 @@
 """A server for one stream and the page that plays it, for this machine only.
 
-Chosen: the standard library's server, one thread a connection, which browsers keep open. It is bound to 127.0.0.1,
-knows a fixed list of addresses (no path is ever looked up on the disk), answers ranges, and refuses requests that a web
-site had its visitors' browsers send under a name of its own (DNS rebinding). Rejected: ``http.server``'s own file
-handler, which has no ranges and gives away a folder.
+The standard library's server, one thread a connection, which browsers keep open. It is bound to 127.0.0.1, knows a
+fixed list of addresses (no path is ever looked up on the disk), answers ranges, and refuses requests that a web site
+had its visitors' browsers send under a name of its own (DNS rebinding).
 
 A stream that grows is opened anew for each request, under the name that it has by then.
 """

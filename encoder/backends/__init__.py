@@ -11,7 +11,6 @@ from typing import Protocol
 from decogs.formats.errors import UsageError
 
 from . import cpu, cuda
-from .incremental_views import IncrementalViews
 from .protocol import (
     ATTRIBUTES,
     Drawable,
@@ -60,7 +59,6 @@ __all__ = [
     "Drawable",
     "FixedView",
     "Gradients",
-    "IncrementalViews",
     "LossValue",
     "Optimiser",
     "RenderedPicture",

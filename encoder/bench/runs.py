@@ -46,7 +46,7 @@ from ..output.convergence_log import ConvergenceLog
 from ..output.reports import EncodeReport, FrameReport, OnKeyframeStep
 from ..settings.effects import PRESET_EFFECTS
 from ..settings.encode import EncodeSettings
-from ..stream import encode_stream
+from ..stream.run import encode_stream
 from .courses import Course, course, read_course, recorded_course, write_course
 from .machine import code_version, load, machine_facts
 from .measuring import FrameQuality, HeldOut, StreamQuality, measure_scenes

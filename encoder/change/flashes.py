@@ -13,42 +13,42 @@ ids).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from decogs.codec.state import State
 from decogs.formats.splats import FloatArray
 
-from .masks import FrameMask, MaskMemory, showing
+from ..settings.frame import MaskSettings
+from .masks import CLEARLY, MOST, MaskMemory, PixelChange, difference_mask, showing
 
-_EVERYWHERE = 0.5
+_FLASH_SHARE = 0.5
 """Share of changed pixels from which on a frame may be a flash."""
-_AS_BEFORE = 0.25
+_RETURN_SHARE = 0.25
 """Share of pixels that may differ from before after a flash, since motion continues."""
-_LONGEST = 8
+LONGEST_FLASH = 8
 """Frames after which a light counts as permanent."""
 
 
-@dataclass(frozen=True)
-class BeforeFlash:
-    """State before the frame ``since``, which changed nearly everything: the scene, its last motion, the masks."""
-
-    since: int
-    state: State
-    motion: FloatArray
-    masks: MaskMemory
-
-    def is_over(self, pictures: Sequence[FloatArray]) -> bool:
-        """Whether the pictures (3, H, W) of a frame match those before the flash."""
-        return self.masks.changed_fraction(pictures) < _AS_BEFORE
-
-    def stays(self, frame: int) -> bool:
-        """Whether the light counts as permanent."""
-        return frame - self.since > _LONGEST
-
-
-def may_be_flash(masks: Sequence[FrameMask]) -> bool:
+def may_be_flash(changes: Sequence[PixelChange]) -> bool:
     """Whether nearly everything has changed."""
-    seen = showing(masks)
-    return bool(seen) and float(np.mean([masks[index].raw.mean() for index in seen])) > _EVERYWHERE
+    seen = showing(changes)
+    return bool(seen) and float(np.mean([changes[index].raw.mean() for index in seen])) > _FLASH_SHARE
+
+
+def matches(memory: MaskMemory, pictures: Sequence[FloatArray], settings: MaskSettings) -> bool:
+    """Whether the ``pictures`` (3, H, W) of a frame are again those before a flash, whose ``memory`` was kept."""
+    return memory.changed_fraction(pictures, settings) < _RETURN_SHARE
+
+
+def is_missed(
+    memory: MaskMemory, pictures: Sequence[FloatArray], shown: Sequence[FloatArray], changes: Sequence[PixelChange]
+) -> bool:
+    """Whether most pixels clearly changed and the scene, as ``shown``, misses them, though no change was found."""
+    used = showing(changes)
+    if not used or any(change.raw.any() for change in changes):
+        return False
+    missed = [
+        (difference_mask(pictures[i], memory.references[i], CLEARLY) & difference_mask(pictures[i], shown[i], CLEARLY))
+        for i in used
+    ]
+    return float(np.median([mask.mean() for mask in missed])) > MOST

@@ -7,8 +7,7 @@ and the focus region is the max-pool of M with radius r.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import cv2
@@ -50,18 +49,32 @@ _LIGHT_WINDOW = 7
 
 
 @dataclass(frozen=True)
+class PixelChange:
+    """Where one view's picture changed, ``raw`` (H, W), and its ``noise`` floor in 8-bit levels.
+
+    ``lost``: reason why the picture does not show its frame (`input.dropouts`); "" otherwise.
+    """
+
+    raw: BoolArray
+    noise: float
+    lost: str = ""
+
+
+@dataclass(frozen=True)
 class FrameMask:
     """One view's masks, bool (H, W): ``raw`` is where the picture changed, ``dilated`` the region of interest.
 
     The region of interest covers the changed pixels, faint light, their surroundings, and ``refined``, pixels that
     changed some frames ago (None: no pixels).
 
-    ``lost``: reason why the picture does not show its frame (`input.dropouts`), with empty masks; "" otherwise.
+    ``faint_reach``: the share of the area away from other changes that the faintest light reaches. ``lost``: reason why
+    the picture does not show its frame (`input.dropouts`), with empty masks; "" otherwise.
     """
 
     raw: BoolArray
     dilated: BoolArray
     refined: BoolArray | None = None
+    faint_reach: float = 0.0
     lost: str = ""
 
     @property
@@ -75,7 +88,7 @@ class FrameMask:
         return self.dilated if self.refined is None else self.dilated & ~self.refined
 
 
-def showing(masks: Sequence[FrameMask]) -> list[int]:
+def showing(masks: Sequence[PixelChange | FrameMask]) -> list[int]:
     """The views whose pictures show their frame."""
     return [index for index, mask in enumerate(masks) if not mask.lost]
 
@@ -158,185 +171,185 @@ def _light_reach(
     return [float((changes[away] > threshold / 255).sum() / area) for threshold in thresholds]
 
 
+@dataclass(frozen=True)
 class MaskMemory:
-    """The masks of a stream's frames, with the state between frames.
+    """What the masks of one frame hand to the next; one entry for each view.
 
-    ``pictures``: the first frame's, one planar float32 (3, H, W) per view; views may differ in size. ``shown``: their
-    renderings, if a lack of time may leave frames unfinished (`trained`).
+    ``references``: pictures (3, H, W) that the next ones are compared with. ``before``: the frame before. ``changed``:
+    pixels (H, W) that changed in an earlier frame. ``refine_until``: frame up to which a pixel stays in the region of
+    interest. ``blank``: whether the first picture shows nothing. ``usual_miss``: 8-bit levels that a trained picture
+    misses by, where a time budget may leave frames unfinished; None elsewhere. ``frame``: number of the next frame.
+    ``only_light``: light alone changed the frame before.
     """
 
-    def __init__(
-        self,
-        pictures: Sequence[FloatArray],
-        settings: MaskSettings,
-        shown: Sequence[FloatArray] | None = None,
-        *,
-        threads: int = 1,
-    ) -> None:
-        self._settings, self._threads = settings, threads
-        self._usual = None if shown is None else [_usual_miss(*pair) for pair in zip(pictures, shown, strict=True)]
-        self._references = self._before = list(pictures)
-        self._blank = [bool(blankness(picture)) for picture in pictures]
-        self._lost = [""] * len(pictures)
-        self._changed = [np.zeros(picture.shape[1:], bool) for picture in pictures]
-        self._frame, self._only_light = 0, False
-        self._faint_reach = [0.0] * len(pictures)
-        self._refine_until = [np.zeros(picture.shape[1:], np.int32) for picture in pictures]
+    references: Sequence[FloatArray]
+    before: Sequence[FloatArray]
+    changed: Sequence[BoolArray]
+    refine_until: Sequence[IntArray]
+    blank: Sequence[bool]
+    usual_miss: Sequence[float] | None = None
+    frame: int = 0
+    only_light: bool = False
 
-    @property
-    def references(self) -> Sequence[FloatArray]:
-        """Reference of every view's next picture."""
-        return self._references
+    @classmethod
+    def begin(cls, pictures: Sequence[FloatArray], shown: Sequence[FloatArray] | None = None) -> MaskMemory:
+        """That of a scene's first frame: its ``pictures``, and renderings of it if frames may be left unfinished."""
+        return cls(
+            references=tuple(pictures),
+            before=tuple(pictures),
+            changed=[np.zeros(picture.shape[1:], bool) for picture in pictures],
+            refine_until=[np.zeros(picture.shape[1:], np.int32) for picture in pictures],
+            blank=[bool(blankness(picture)) for picture in pictures],
+            usual_miss=None if shown is None else [_usual_miss(*pair) for pair in zip(pictures, shown, strict=True)],
+        )
 
-    def masks(self, current: Sequence[FloatArray], shown: Sequence[FloatArray]) -> list[FrameMask]:
-        """The masks of every view's ``current`` picture, in the views' order; ``shown``: the scene before this frame.
+    def pixel_changes(
+        self, pictures: Sequence[FloatArray], shown: Sequence[FloatArray], settings: MaskSettings, threads: int = 1
+    ) -> list[PixelChange]:
+        """Where every view's picture changed; ``shown``: the scene before the frame.
 
         Raises ValueError when they are not the same views. Source: DecoGS, difference mask.
         """
-        every = range(len(self._references))
-        views = list(zip(every, current, self._references, shown, self._changed, self._refine_until, strict=True))
-        with side_by_side(self._threads) as each:
-            masks = list(each(lambda view: self._mask(*view), views))
-        self._lost = self._lost_pictures(current, masks)
-        return [_left_out(mask, why) if why else mask for mask, why in zip(masks, self._lost, strict=True)]
 
-    def whole(self, current: Sequence[FloatArray], shown: Sequence[FloatArray]) -> list[FrameMask]:
-        """Full masks of every view that shows its frame, if most pixels clearly changed and the scene misses them.
+        def change(now: FloatArray, reference: FloatArray, shown: FloatArray, changed: BoolArray) -> PixelChange:
+            noise = _noise_floor(now, reference, settings)
+            raw = without_specks(difference_mask(now, reference, max(settings.threshold, noise)), settings.speck_area)
+            if settings.residual and changed.any():
+                raw |= _without_lines(difference_mask(now, shown, settings.residual) & changed)
+            return PixelChange(raw, noise)
 
-        An empty list for other frames. Call ``masks`` with the same pictures first.
-        """
-        used = [index for index, why in enumerate(self._lost) if not why]
-        pairs = [(current[i], self._references[i], shown[i]) for i in used]
-        missed = [
-            (difference_mask(now, was, CLEARLY) & difference_mask(now, seen, CLEARLY)).mean()
-            for now, was, seen in pairs
-        ]
-        if not used or float(np.median(missed)) <= MOST:
-            return []
-        everywhere = [np.ones(now.shape[1:], bool) for now in current]
-        masks = [FrameMask(each, each) for each in everywhere]
-        return [_left_out(mask, why) if why else mask for mask, why in zip(masks, self._lost, strict=True)]
+        views = list(zip(pictures, self.references, shown, self.changed, strict=True))
+        with side_by_side(threads) as each:
+            changes = list(each(lambda view: change(*view), views))
+        reasons = self._lost_pictures(pictures, changes)
+        return [replace(change, lost=why) for change, why in zip(changes, reasons, strict=True)]
 
-    def changed_fraction(self, current: Sequence[FloatArray]) -> float:
-        """Share of pixels, median over the views, that differ from the reference."""
-        threshold, pairs = self._settings.threshold, zip(current, self._references, strict=True)
-        return float(np.median([difference_mask(now, reference, threshold).mean() for now, reference in pairs]))
+    def masks(
+        self, pictures: Sequence[FloatArray], changes: Sequence[PixelChange], settings: MaskSettings, threads: int = 1
+    ) -> list[FrameMask]:
+        """The region of interest of every view around its ``changes``."""
 
-    def copy(self) -> MaskMemory:
-        """An independent copy of the state."""
-        copied = copy(self)
-        copied._references, copied._faint_reach = list(self._references), list(self._faint_reach)
-        copied._changed = [changed.copy() for changed in self._changed]
-        copied._refine_until = [until.copy() for until in self._refine_until]
-        return copied
+        def mask(now: FloatArray, reference: FloatArray, until: IntArray, change: PixelChange) -> FrameMask:
+            around, refining = _grown(change.raw, settings), until > self.frame
+            threshold, reach = self._light(now, reference, around, change.noise / _LIGHT_WINDOW, settings)
+            if threshold:
+                faint = faint_light_mask(now, reference, threshold)
+                around = _grown(change.raw | without_specks(faint, settings.speck_area), settings)
+            if change.lost:
+                nowhere = np.zeros_like(change.raw)
+                return FrameMask(nowhere, nowhere, faint_reach=reach, lost=change.lost)
+            return FrameMask(change.raw, around | refining, refining & ~around, reach)
 
-    def _lost_pictures(self, current: Sequence[FloatArray], masks: Sequence[FrameMask]) -> list[str]:
-        """Reason why each view's picture does not show its frame, or ""."""
-        lost = ["" if never else blankness(now) for now, never in zip(current, self._blank, strict=True)]
-        again = [repeats(now, before) for now, before in zip(current, self._before, strict=True)]
-        flags = zip(masks, lost, again, strict=True)
-        changed = sum(bool(mask.raw.any()) for mask, why, repeat in flags if not (why or repeat))
-        if 2 * changed <= lost.count(""):
-            return lost
-        return [why or (FROZEN if repeat else "") for why, repeat in zip(lost, again, strict=True)]
-
-    def _mask(
-        self,
-        index: int,
-        now: FloatArray,
-        reference: FloatArray,
-        shown: FloatArray,
-        changed: BoolArray,
-        refine_until: IntArray,
-    ) -> FrameMask:
-        settings = self._settings
-        noise = self._noise(now, reference)
-        raw = without_specks(difference_mask(now, reference, max(settings.threshold, noise)), settings.speck_area)
-        if settings.residual and changed.any():
-            raw |= _without_lines(difference_mask(now, shown, settings.residual) & changed)
-        around, refining = self._grown(raw), refine_until > self._frame
-        threshold, self._faint_reach[index] = self._light(now, reference, around, noise / _LIGHT_WINDOW)
-        if threshold:
-            faint = faint_light_mask(now, reference, threshold)
-            around = self._grown(raw | without_specks(faint, settings.speck_area))
-        return FrameMask(raw, around | refining, refining & ~around)
-
-    def _light(self, now: FloatArray, reference: FloatArray, around: BoolArray, noise: float) -> tuple[float, float]:
-        """Levels from which faint light counts, at least its ``noise``, 0 for nowhere; and the reach of the faintest.
-
-        The reach is a share of the area not ``around`` other changes.
-        """
-        if not self._settings.light_threshold:
-            return 0.0, 0.0
-        least = max(_FAINTEST * self._settings.light_threshold, noise)
-        usual = max(self._settings.light_threshold, noise)
-        spread, faintly = _light_reach(now, reference, around, (usual, least))
-        if self._only_light or faintly > _EVERYWHERE:
-            return least, faintly
-        return (usual if spread > _SPREADS else 0.0), faintly
-
-    def _noise(self, now: FloatArray, reference: FloatArray) -> float:
-        """Levels below which a difference may be noise; 0 where most of the picture clearly changed."""
-        settings = self._settings
-        if not settings.noise_multiple:
-            return 0.0
-        noise = settings.noise_multiple * frame_noise(now, reference, settings.threshold / settings.noise_multiple)
-        changed = noise > settings.threshold and difference_mask(now, reference, CLEARLY).mean() > MOST
-        return 0.0 if changed else noise
-
-    def _grown(self, mask: BoolArray) -> BoolArray:
-        return dilate(mask, self._settings.radius(mask.shape[1]))
+        views = list(zip(pictures, self.references, self.refine_until, changes, strict=True))
+        with side_by_side(threads) as each:
+            return list(each(lambda view: mask(*view), views))
 
     def trained(
         self,
-        current: Sequence[FloatArray],
+        pictures: Sequence[FloatArray],
         masks: Sequence[FrameMask],
+        settings: MaskSettings,
         *,
         moved: bool,
         shown: Sequence[FloatArray] | None = None,
-    ) -> None:
-        """Records that the regions of interest were trained on ``current``; ``moved``: including positions.
+        threads: int = 1,
+    ) -> MaskMemory:
+        """After the regions of interest were trained; ``moved``: including positions.
 
         ``shown``: the scene's renderings. Pixels whose error exceeds the usual one of the first frame count as
         unfinished and keep their reference.
         """
-        self._only_light = not moved and float(np.median(self._faint_reach)) > _GLIMMER
 
-        def note(index: int) -> None:
-            now, mask = current[index], masks[index]
-            if moved and self._settings.refine_frames:
-                self._refine(index, now)
-            done = mask.dilated
-            if shown is not None and self._usual is not None:
-                done = done & ~difference_mask(shown[index], now, self._usual[index])
-            self._references[index] = np.where(done, now, self._references[index])
-            self._changed[index] |= mask.dilated
+        def view(index: int) -> tuple[FloatArray, BoolArray, IntArray]:
+            now, mask, reference = pictures[index], masks[index], self.references[index]
+            if mask.lost:
+                return reference, self.changed[index], self.refine_until[index]
+            until, done = self.refine_until[index], mask.dilated
+            if moved and settings.refine_frames:
+                until = _refined(until, now, reference, settings, self.frame + 1 + settings.refine_frames)
+            if shown is not None and self.usual_miss is not None:
+                done = done & ~difference_mask(shown[index], now, self.usual_miss[index])
+            return np.where(done, now, reference), self.changed[index] | mask.dilated, until
 
-        with side_by_side(self._threads) as each:
-            list(each(note, showing(masks)))
+        with side_by_side(threads) as each:
+            found = list(each(view, range(len(masks))))
+        references, changed, refine_until = zip(*found, strict=True)
+        only_light = not moved and float(np.median([mask.faint_reach for mask in masks])) > _GLIMMER
+        return replace(self, references=references, changed=changed, refine_until=refine_until, only_light=only_light)
 
-    def _refine(self, index: int, now: FloatArray) -> None:
-        """Keeps clearly changed pixels of a view in its region of interest for some frames."""
-        settings = self._settings
-        clearly = difference_mask(now, self._references[index], settings.refine_threshold)
-        clearly = self._grown(without_specks(clearly, settings.speck_area))
-        self._refine_until[index][clearly] = self._frame + 1 + settings.refine_frames
+    def advance(
+        self,
+        pictures: Sequence[FloatArray],
+        masks: Sequence[FrameMask],
+        settings: MaskSettings,
+        *,
+        held: bool = False,
+    ) -> MaskMemory:
+        """For the next frame; ``held``: this frame's changes still wait for training."""
+        references = self.references
+        if not (held or settings.since_trained):
+            reasons = [mask.lost for mask in masks] or [""] * len(pictures)
+            views = zip(pictures, references, reasons, strict=True)
+            references = [was if why else now for now, was, why in views]
+        return replace(self, references=references, before=tuple(pictures), frame=self.frame + 1)
 
-    def passed(self, current: Sequence[FloatArray], *, held: bool = False) -> None:
-        """Goes on to the next frame; ``held``: this frame's changes still wait for training."""
-        self._before = list(current)
-        self._frame += 1
-        if not (held or self._settings.since_trained):
-            pairs = zip(current, self._references, self._lost, strict=True)
-            self._references = [was if why else now for now, was, why in pairs]
+    def changed_fraction(self, pictures: Sequence[FloatArray], settings: MaskSettings) -> float:
+        """Share of pixels, median over the views, that differ from the reference."""
+        pairs = zip(pictures, self.references, strict=True)
+        return float(np.median([difference_mask(*pair, settings.threshold).mean() for pair in pairs]))
+
+    def _lost_pictures(self, pictures: Sequence[FloatArray], changes: Sequence[PixelChange]) -> list[str]:
+        """Reason why each view's picture does not show its frame, or ""."""
+        lost = ["" if never else blankness(now) for now, never in zip(pictures, self.blank, strict=True)]
+        again = [repeats(now, before) for now, before in zip(pictures, self.before, strict=True)]
+        flags = zip(changes, lost, again, strict=True)
+        changed = sum(bool(change.raw.any()) for change, why, repeat in flags if not (why or repeat))
+        if 2 * changed <= lost.count(""):
+            return lost
+        return [why or (FROZEN if repeat else "") for why, repeat in zip(lost, again, strict=True)]
+
+    def _light(
+        self, now: FloatArray, reference: FloatArray, around: BoolArray, noise: float, settings: MaskSettings
+    ) -> tuple[float, float]:
+        """Levels from which faint light counts, at least its ``noise``, 0 for nowhere; and the reach of the faintest.
+
+        The reach is a share of the area not ``around`` other changes.
+        """
+        if not settings.light_threshold:
+            return 0.0, 0.0
+        least = max(_FAINTEST * settings.light_threshold, noise)
+        usual = max(settings.light_threshold, noise)
+        spread, faintly = _light_reach(now, reference, around, (usual, least))
+        if self.only_light or faintly > _EVERYWHERE:
+            return least, faintly
+        return (usual if spread > _SPREADS else 0.0), faintly
+
+
+def full_masks(changes: Sequence[PixelChange]) -> list[FrameMask]:
+    """Masks of all pixels, of every view that shows its frame."""
+    return [FrameMask(full := np.full_like(change.raw, not change.lost), full, lost=change.lost) for change in changes]
+
+
+def _noise_floor(now: FloatArray, reference: FloatArray, settings: MaskSettings) -> float:
+    """Levels below which a difference may be noise; 0 where most of the picture clearly changed."""
+    if not settings.noise_multiple:
+        return 0.0
+    noise = settings.noise_multiple * frame_noise(now, reference, settings.threshold / settings.noise_multiple)
+    changed = noise > settings.threshold and difference_mask(now, reference, CLEARLY).mean() > MOST
+    return 0.0 if changed else noise
+
+
+def _grown(mask: BoolArray, settings: MaskSettings) -> BoolArray:
+    return dilate(mask, settings.radius(mask.shape[1]))
+
+
+def _refined(until: IntArray, now: FloatArray, reference: FloatArray, settings: MaskSettings, last: int) -> IntArray:
+    """Keeps clearly changed pixels in the region of interest until the frame ``last``."""
+    clearly = without_specks(difference_mask(now, reference, settings.refine_threshold), settings.speck_area)
+    return np.where(_grown(clearly, settings), np.int32(last), until)
 
 
 def _usual_miss(picture: FloatArray, shown: FloatArray) -> float:
     """Error, in 8-bit levels, that a tenth of the pixels of a fully trained picture (3, H, W) exceed."""
     miss = np.abs(np.clip(shown, 0, 1) - picture).max(axis=0)
     return 255 * float(np.quantile(miss, _USUALLY))
-
-
-def _left_out(mask: FrameMask, why: str) -> FrameMask:
-    nowhere = np.zeros_like(mask.raw)
-    return FrameMask(nowhere, nowhere, lost=why)

@@ -11,14 +11,12 @@ budget).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import Any, Protocol, cast
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 from decogs.formats.container import PacketKind
 from decogs.formats.errors import UsageError
 
-from ..registry import Check, Fault, GuardedObject, Registry, anything, described, guarded
 from ..settings.checked import MOST_BYTES, MOST_LOSS
 from ..settings.encode import EncodeSettings
 from ..settings.frame import SignificanceSettings
@@ -96,79 +94,69 @@ def over_budget(sizes: Sequence[int], frame_budget: float) -> float:
     return max(0.0, sum(sizes) / (len(sizes) * frame_budget) - 1) if sizes else 0.0
 
 
-class RateControl(Protocol):
-    """Keeps later frames to a mean of so many bytes by their significance threshold.
+@dataclass(frozen=True)
+class RateControl:
+    """Multiplies the significance threshold so that later frames keep to a mean of ``budget`` bytes.
 
     It learns from the packets alone, which a stream holds, so that a resumed encode has the same bytes. Another one is
-    made where a closed segment starts.
+    made where a closed segment starts. ``segment``: frames from one keyframe to the next, or 0. Keyframes after the
+    first count as frames. The other frames of their segment pay evenly for their bytes beyond the budget, so a clip of
+    whole segments meets it. Rejected: saving up for them (their size is unknown; on workbench it doubles from one to
+    the next).
+
+    ``frames`` so far and the bytes ``spent`` on them; ``place``: frames since the last keyframe, whose size is ``key``;
+    ``content``: log2 of a delta's size at the settings' own threshold, in budgets; ``octaves``: log2 of the factor.
     """
 
-    def significance(self, settings: SignificanceSettings, /) -> SignificanceSettings:
-        """The settings for the next frame."""
-        ...
-
-    def wrote(self, kind: int, size: int, /) -> None:
-        """Learns from a packet after the first keyframe's: its PacketKind and its bytes on disk."""
-        ...
-
-
-class ContentRateControl:
-    """Multiplies the settings' significance threshold so that later frames keep to a mean of ``budget`` bytes.
-
-    ``segment``: frames from one keyframe to the next, or 0. Keyframes after the first count as frames. The other frames
-    of their segment pay evenly for their bytes beyond the budget, so a clip of whole segments meets it. Rejected:
-    saving up for them (their size is unknown; on workbench it doubles from one to the next).
-    """
-
-    def __init__(self, budget: float, segment: int) -> None:
-        self._budget, self._segment = budget, segment
-        self._frames, self._spent = 0, 0
-        self._place = 0
-        self._key: int | None = None
-        self._content: float | None = None
-        self._octaves = 0.0
+    budget: float
+    segment: int
+    frames: int = 0
+    spent: int = 0
+    place: int = 0
+    key: int | None = None
+    content: float | None = None
+    octaves: float = 0.0
 
     @property
     def factor(self) -> float:
         """Of the significance threshold, for the next frame."""
-        return float(2.0**self._octaves)
+        return float(2.0**self.octaves)
 
     def significance(self, settings: SignificanceSettings) -> SignificanceSettings:
         """The settings for the next frame: its threshold, and what a bit is worth to match."""
         return _scaled(settings, self.factor)
 
-    def wrote(self, kind: int, size: int) -> None:
-        """Learns from a packet after the first keyframe's: ``size`` in bytes on disk.
+    def after(self, kind: int, size: int) -> RateControl:
+        """The control after a packet other than the first keyframe's: its PacketKind and its bytes on disk.
 
         Keyframes and frames without a change give no estimate of a delta's size.
         """
-        self._place = 0 if self._begins_with_key(kind) else self._place + 1
-        self._frames += 1
-        self._spent += size
-        if kind == PacketKind.KEY and self._segment:
-            self._key = size
+        # A first packet that is a keyframe begins a closed segment, which has its own control.
+        place = 0 if not self.frames and kind == PacketKind.KEY else self.place + 1
+        key, content = self.key, self.content
+        if kind == PacketKind.KEY and self.segment:
+            key = size
         elif kind == PacketKind.DELTA:
-            content = math.log2(size / self._budget) + _RESPONSE * self._octaves
-            past = content if self._content is None else self._content
-            self._content = _MEMORY * past + (1 - _MEMORY) * content
-        if self._content is not None:
-            octaves = (self._content - math.log2(self._target())) / _RESPONSE
-            self._octaves = round(min(max(octaves, -_OCTAVES), _OCTAVES) * _OCTAVE_STEPS) / _OCTAVE_STEPS
+            found = math.log2(size / self.budget) + _RESPONSE * self.octaves
+            past = found if content is None else content
+            content = _MEMORY * past + (1 - _MEMORY) * found
+        now = replace(self, frames=self.frames + 1, spent=self.spent + size, place=place, key=key, content=content)
+        return now if content is None else replace(now, octaves=now._octaves(content))
 
-    def _begins_with_key(self, kind: int) -> bool:
-        """Whether this packet, the first, is a keyframe: that of a closed segment, with its own control."""
-        return not self._frames and kind == PacketKind.KEY
+    def _octaves(self, content: float) -> float:
+        octaves = (content - math.log2(self._target())) / _RESPONSE
+        return round(min(max(octaves, -_OCTAVES), _OCTAVES) * _OCTAVE_STEPS) / _OCTAVE_STEPS
 
     def _target(self) -> float:
         """What the next frame is to take, in budgets."""
-        saved = self._budget * self._frames - self._spent
-        share = self._budget
-        if self._key is not None:
-            payment = (self._key - self._budget) / max(1, self._segment - 1)
+        saved = self.budget * self.frames - self.spent
+        share = self.budget
+        if self.key is not None:
+            payment = (self.key - self.budget) / max(1, self.segment - 1)
             share -= payment
-            saved += payment * (self._segment - 1 - self._place % self._segment)
+            saved += payment * (self.segment - 1 - self.place % self.segment)
         low, high = _TARGET_RANGE
-        return min(max((share + saved / _HORIZON) / self._budget, low * share / self._budget), high)
+        return min(max((share + saved / _HORIZON) / self.budget, low * share / self.budget), high)
 
 
 def _scaled(settings: SignificanceSettings, factor: float) -> SignificanceSettings:
@@ -189,18 +177,3 @@ def _rounded(value: float) -> float:
 def _rounded_loss(value: float) -> float:
     """The same, within what settings take."""
     return min(_rounded(value), MOST_LOSS)
-
-
-def _guarded_control(new: Any, fault: Fault) -> Callable[[float, int], RateControl]:
-    def wrong_significance(found: object, *given: object) -> str:
-        return "" if isinstance(found, SignificanceSettings) else f"{described(found)}, no SignificanceSettings"
-
-    made = guarded(anything)(new, fault)
-    checks: dict[str, Check] = {"significance": wrong_significance, "wrote": anything}
-    return lambda budget, segment: cast("RateControl", GuardedObject(made(budget, segment), checks, fault))
-
-
-RATE_CONTROLS: Registry[Callable[[float, int], RateControl]] = Registry(
-    "rate control", "decogs.rate_controls", {"content": ContentRateControl}, _guarded_control
-)
-"""Made for a budget in bytes a frame and the frames of a segment, 0 for none."""

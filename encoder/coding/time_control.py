@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from decogs.formats.errors import UsageError
 
@@ -75,60 +75,64 @@ def over_time(frames: Sequence[Mapping[str, float]], budget: float) -> float:
     return max(0.0, sum(map(counted_seconds, frames)) / (len(frames) * budget) - 1)
 
 
+@dataclass(frozen=True)
 class TimeControl:
-    """Deadlines for the training of later frames, so that a clip's frames take ``budget`` seconds on average."""
+    """Deadlines for the training of later frames, so that a clip's frames take ``budget`` seconds on average.
 
-    def __init__(self, budget: float) -> None:
-        self._budget = budget
-        self._saved = self._kept = 0.0
-        self._held = 0
-        self._planned = 0.0
-        self._beyond: float | None = None
-        self._after: float | None = None
+    ``saved``: seconds that frames so far have left; ``kept``: those of the ``held`` frames since the last trained one.
+    ``beyond``: what frames take beyond their deadlines, ``after`` what the last one took after training; None before
+    the first.
+    """
+
+    budget: float
+    saved: float = 0.0
+    kept: float = 0.0
+    held: int = 0
+    beyond: float | None = None
+    after: float | None = None
 
     def holds(self, seconds: Mapping[str, float], least: float) -> bool:
         """Whether the next frame is better held, its time kept for the frame after it.
 
         ``seconds``: what the frame has taken so far, by stage; ``least``: what training takes at least, in seconds.
         """
-        if self._held >= _MAX_HELD:
+        if self.held >= _MAX_HELD:
             return False
-        there = max(self._budget + self._kept, self._allowance())
-        return self._owes_much() or there < counted_seconds(seconds) + least + (self._after or 0.0)
+        there = max(self.budget + self.kept, self._allowance())
+        return self._owes_much() or there < counted_seconds(seconds) + least + (self.after or 0.0)
 
     def deadline(self, seconds: Mapping[str, float]) -> float:
         """When the next frame's training is to be over, in seconds of ``time.perf_counter``.
 
         ``seconds``: what the frame has taken so far, by stage.
         """
-        self._planned = self._allowance() - (self._beyond or 0.0)
-        return time.perf_counter() + self._planned - counted_seconds(seconds)
+        return time.perf_counter() + self._planned() - counted_seconds(seconds)
 
-    def took(self, seconds: Mapping[str, float], *, held: bool = False) -> None:
-        """Learns from a frame that is over; ``held``: that was held for the sake of the next one."""
-        spared = self._budget - counted_seconds(seconds)
+    def took(self, seconds: Mapping[str, float], *, held: bool = False) -> TimeControl:
+        """The control after a frame; ``held``: that was held for the sake of the next one."""
+        spared = self.budget - counted_seconds(seconds)
+        if held and self._owes_much():
+            return replace(self, held=self.held + 1, saved=self.saved + spared)
         if held:
-            self._held += 1
-            if self._owes_much():
-                self._saved += spared
-            else:
-                self._kept += spared
-            return
-        self._saved += self._kept + spared
-        self._held, self._kept = 0, 0.0
-        if "training" in seconds:
-            after = sum(seconds.get(stage, 0.0) for stage in _AFTER_TRAINING)
-            past = after if self._beyond is None else self._beyond
-            self._after = after
-            # Training that ended before its deadline says only what comes after it.
-            beyond = max(after, counted_seconds(seconds) - self._planned)
-            self._beyond = _MEMORY * past + (1 - _MEMORY) * beyond
+            return replace(self, held=self.held + 1, kept=self.kept + spared)
+        done = replace(self, saved=self.saved + (self.kept + spared), held=0, kept=0.0)
+        if "training" not in seconds:
+            return done
+        after = sum(seconds.get(stage, 0.0) for stage in _AFTER_TRAINING)
+        past = after if self.beyond is None else self.beyond
+        # Training that ended before its deadline says only what comes after it.
+        beyond = max(after, counted_seconds(seconds) - self._planned())
+        return replace(done, after=after, beyond=_MEMORY * past + (1 - _MEMORY) * beyond)
 
     def _owes_much(self) -> bool:
-        return self._saved < -_MAX_OWED * self._budget
+        return self.saved < -_MAX_OWED * self.budget
+
+    def _planned(self) -> float:
+        """Seconds for the next frame up to its deadline."""
+        return self._allowance() - (self.beyond or 0.0)
 
     def _allowance(self) -> float:
         """Seconds for the next frame: its own budget, what held frames kept for it, and a share of what was saved."""
         low, high = _ALLOWANCE_RANGE
-        own = min(max(self._budget + self._saved / _HORIZON, low * self._budget), high * self._budget)
-        return own + self._kept
+        own = min(max(self.budget + self.saved / _HORIZON, low * self.budget), high * self.budget)
+        return own + self.kept

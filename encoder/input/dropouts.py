@@ -6,8 +6,8 @@ like is not kept; what the scene looks like is.
 
 Chosen: two signs that need no setting. A picture is *blank* when it is one colour all over up to noise, whereas the
 camera has shown something before; it is *frozen* when it repeats the camera's picture before it bit for bit while most
-cameras show a change: no sensor does that, but recorders fill a gap so. Rejected: a bound on the share of pixels that
-change (a lamp that is switched on changes them all, and is to be seen).
+cameras show a change: no sensor does that, but recorders fill a gap so. A lamp that is switched on changes all pixels,
+and is to be seen.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from decogs.formats.splats import FloatArray
 BLACK, BLANK, FROZEN = "black", "of a single colour", "a repeat of the previous one"
 """Why a picture is left out."""
 
-_SPREAD = 10 / 255
+_MAX_BLANK_SPREAD = 10 / 255
 """Noise of three levels, more than any sensor's in the dark, keeps 98 % of a blank picture's pixels inside this."""
-_LOOKED_AT = 2000
+_SAMPLED_PIXELS = 2000
 """Pixels, evenly spread, that suffice for the decision."""
 
 
 def blankness(picture: FloatArray) -> str:
     """BLACK or BLANK when the picture (3, H, W) shows nothing, empty when it shows something."""
-    step = max(1, math.isqrt(picture[0].size // _LOOKED_AT))
+    step = max(1, math.isqrt(picture[0].size // _SAMPLED_PIXELS))
     low, high = np.percentile(picture[:, ::step, ::step].reshape(3, -1), [1, 99], axis=1)
-    if (high - low).max() > _SPREAD:
+    if (high - low).max() > _MAX_BLANK_SPREAD:
         return ""
-    return BLACK if high.max() <= _SPREAD else BLANK
+    return BLACK if high.max() <= _MAX_BLANK_SPREAD else BLANK
 
 
 def repeats(picture: FloatArray, before: FloatArray) -> bool:

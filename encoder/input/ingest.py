@@ -31,11 +31,11 @@ NEAR_FRACTION = 0.1
 """Near plane of a rig camera as a share of the median depth it sees: beyond any housing, before any subject."""
 
 
-_ROUNDING = 2.0**-24
+_FLOAT32_ROUNDING = 2.0**-24
 """Of a float32 position, relative to its distance from the world's origin."""
-_SHOWS = 0.5
+_MAX_ROUNDING_PIXELS = 0.5
 """Pixels."""
-_MIN_APART = 1e-6
+_MIN_CAMERA_DISTANCE = 1e-6
 """World units between the outermost cameras. Steps of a lattice end at 1e-12, a five thousandth of what is seen; a
 thousandth of this loses 4 dB without a word."""
 
@@ -195,13 +195,13 @@ def _check_near_origin(rig: Rig, cameras: Sequence[Camera]) -> None:
     """Raises RigError when a rounding of a position would show, seen from as far as the cameras are apart."""
     centres = np.array([camera_centre(camera) for camera in cameras])
     far, apart = np.linalg.norm(centres, axis=1).max(), np.linalg.norm(np.ptp(centres, axis=0))
-    if 0 < apart < _MIN_APART:
+    if 0 < apart < _MIN_CAMERA_DISTANCE:
         raise RigError(
             f"{rig.path}: the cameras are only {apart:.3g} units apart, too little for the quantisation of positions; "
             "scale the calibration up, for instance to metres"
         )
-    pixels = far * _ROUNDING * max(max(camera.fx, camera.fy) for camera in cameras)
-    if apart > 0 and pixels > _SHOWS * apart:
+    pixels = far * _FLOAT32_ROUNDING * max(max(camera.fx, camera.fy) for camera in cameras)
+    if apart > 0 and pixels > _MAX_ROUNDING_PIXELS * apart:
         raise RigError(
             f"{rig.path}: the cameras are {far:.3g} units from the world's origin and {apart:.3g} apart, so 32-bit "
             f"positions would be off by {pixels / apart:.1f} pixels; move the calibration's origin to the rig"

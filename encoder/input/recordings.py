@@ -1,10 +1,8 @@
 """Which recordings a stream is of, so that none is gone on with from other footage.
 
-Chosen: a digest of each training camera's first picture as it is decoded, in the header's settings. Videos that are
-packed anew, moved or renamed stay the same recordings; a scale or a lens plays no part, nor does what a held-out camera
-shows. Rejected: files' bytes (another container is no other footage), all frames' pictures (a digest a frame costs more
-than a frame in which nothing happens). A decoder of videos whose pictures differ by a level makes them other pictures,
-and the encode's bytes others.
+The header's settings have a digest of each training camera's first picture as it is decoded. Videos that are packed
+anew, moved or renamed stay the same recordings; scale, lenses and held-out cameras play no part. A decoder of videos
+whose pictures differ by a level makes them other pictures, and the encode's bytes others.
 """
 
 from __future__ import annotations
@@ -21,29 +19,29 @@ from decogs.formats.pictures import Picture
 from decogs.formats.rigs import Rig, files_with
 
 _SETTING, _PICTURES = "recorded", "pictures"
-_DIGITS = 8
+_DIGEST_DIGITS = 8
 
 
 def digest_of(picture: Picture) -> str:
     """A picture's digest, hexadecimal; equal for equal pictures, and by accident for one of 2^32 others."""
     content = hashlib.sha256(f"{picture.dtype} {picture.shape}".encode())
     content.update(np.ascontiguousarray(picture).data)
-    return content.hexdigest()[:_DIGITS]
+    return content.hexdigest()[:_DIGEST_DIGITS]
 
 
 def setting_of(recorded: Mapping[str, str], cameras: Sequence[str]) -> dict[str, Any]:
-    """What the header's settings tell of the first pictures: digests in the order of ``cameras``; nothing without."""
+    """What the header's settings hold of the first pictures: digests in the order of ``cameras``; nothing without."""
     return {_SETTING: {_PICTURES: [recorded[name] for name in cameras if name in recorded]}} if recorded else {}
 
 
 def recorded_in(header: StreamHeader) -> dict[str, str]:
-    """The digests of the first frame's pictures by camera; none for a stream that does not tell."""
+    """The digests of the first frame's pictures by camera; none for a stream without."""
     group = header.settings.get(_SETTING)
-    told = group.get(_PICTURES) if isinstance(group, Mapping) else None
-    if not isinstance(told, list) or not all(isinstance(text, str) for text in told):
+    texts = group.get(_PICTURES) if isinstance(group, Mapping) else None
+    if not isinstance(texts, list) or not all(isinstance(text, str) for text in texts):
         return {}
     names = [camera.name for camera in header.cameras if camera.name not in header.held_out]
-    return dict(zip(names, told, strict=True)) if len(names) == len(told) else {}
+    return dict(zip(names, texts, strict=True)) if len(names) == len(texts) else {}
 
 
 def difference(header: StreamHeader, recorded: Mapping[str, str]) -> str:

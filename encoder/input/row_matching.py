@@ -1,7 +1,7 @@
 """Which Gaussian of one frame is which of the next, by their positions: each the other's nearest.
 
-Chosen: a grid whose cells are as wide as the search reaches; candidates are those of a cell and its 26 neighbours.
-Rejected: an approximate search (results differ between machines), a tree (a library more).
+A grid has cells as wide as the search reaches; candidates are those of a cell and its 26 neighbours. The search is
+exact, since results must not differ between machines.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 Rows = NDArray[np.int64]
-_PAIRS = 1 << 22
+_MAX_PAIRS = 1 << 22
 """Candidate pairs looked at in one go, which bounds the memory."""
-_CELLS = 1 << 20
+_MAX_CELLS = 1 << 20
 """Along an axis; what lies beyond shares the outermost."""
 
 
@@ -52,15 +52,18 @@ def _nearest(points: NDArray[np.float32], among: NDArray[np.float32], low: NDArr
 
 
 def _cells(points: NDArray[np.float32], low: NDArray[np.float64], reach: float) -> Rows:
-    return np.clip(np.floor((points - low) / reach), 0, _CELLS - 3).astype(np.int64) + 1
+    return np.clip(np.floor((points - low) / reach), 0, _MAX_CELLS - 3).astype(np.int64) + 1
 
 
 def _keys(cells: Rows) -> Rows:
-    return np.asarray((cells[:, 0] * _CELLS + cells[:, 1]) * _CELLS + cells[:, 2], np.int64)
+    return np.asarray((cells[:, 0] * _MAX_CELLS + cells[:, 1]) * _MAX_CELLS + cells[:, 2], np.int64)
 
 
 def _chunks(counts: Rows) -> list[slice]:
     """Slices of so many points that their candidates stay within bounds; a point's are never parted."""
-    ends = np.searchsorted(np.cumsum(counts), np.arange(_PAIRS, counts.sum() + _PAIRS, _PAIRS), side="left") + 1
+    ends = (
+        np.searchsorted(np.cumsum(counts), np.arange(_MAX_PAIRS, counts.sum() + _MAX_PAIRS, _MAX_PAIRS), side="left")
+        + 1
+    )
     edges = np.unique(np.clip(np.concatenate([[0], ends, [len(counts)]]), 0, len(counts)))
     return [slice(a, b) for a, b in itertools.pairwise(edges.tolist())]

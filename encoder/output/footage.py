@@ -13,11 +13,11 @@ from decogs.formats.splats import FloatArray
 from ..input.ingest import View
 from ..parallel import side_by_side
 
-_POOR = 10 ** (-20 / 10)
+_POOR_MSE = 10 ** (-20 / 10)
 """Mean square error of 20 dB: what is better than that is no other footage, however plain the pictures are."""
-_RELATED = 0.25
+_MIN_CORRELATION = 0.25
 """Correlation of a rendering with a picture: nothing in common has about none, a scene that is hardly trained most."""
-_FALLEN, _LOW = 10 ** (6 / 10), 10 ** (-25 / 10)
+_MAX_MSE_RATIO, _LOW_MSE = 10 ** (6 / 10), 10 ** (-25 / 10)
 """Mean square error that has grown by 6 dB, and to 25 dB. From the first frame to a later one of the same footage it
 grew by .4 dB at most in `workbench`; with a neighbour's pictures instead by 8 to 16, to 21 dB or less."""
 
@@ -32,7 +32,7 @@ class Match:
 
     def is_of_other_footage(self, first: float) -> bool:
         """Whether this is no picture of the scene; ``first``: the error in the stream's first frame."""
-        return self.is_strange or self.error > max(_FALLEN * first, _LOW)
+        return self.is_strange or self.error > max(_MAX_MSE_RATIO * first, _LOW_MSE)
 
 
 def matches(
@@ -49,7 +49,9 @@ def _match(view: View, picture: FloatArray, rendered: FloatArray) -> Match:
         return Match(view.camera.name, 0.0, is_strange=False)
     target, drawn = (values[:, recorded].astype(np.float64) for values in (picture, np.clip(rendered, 0, 1)))
     error = float(np.mean((drawn - target) ** 2))
-    return Match(view.camera.name, error, is_strange=error > _POOR and _correlation(drawn, target) < _RELATED)
+    return Match(
+        view.camera.name, error, is_strange=error > _POOR_MSE and _correlation(drawn, target) < _MIN_CORRELATION
+    )
 
 
 def _correlation(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:

@@ -1,4 +1,4 @@
-"""What a stream tells of its own quality: METRICS packets (SPEC.md, section 3), which decoding passes over."""
+"""What a stream says of its own quality: METRICS packets (SPEC.md, section 3), which decoding passes over."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ def write_metrics(output: StreamOutput, frame: int, report: FrameReport) -> None
     """Appends a packet with the frame's PSNR in dB, a JSON object: ``psnr`` over the training views, as reported, and
     ``held_out_psnr`` where cameras were held out; and where the pictures were scaled, their ``scale`` and
     ``held_out_own_size_psnr``. What is no finite number is left out, an empty packet too."""
-    told = {"psnr": report.training_psnr, "held_out_psnr": report.held_out_psnr}
-    told["held_out_own_size_psnr"] = report.held_out_own_size_psnr
+    figures = {"psnr": report.training_psnr, "held_out_psnr": report.held_out_psnr}
+    figures["held_out_own_size_psnr"] = report.held_out_own_size_psnr
     known = {
-        name: round(value, _DECIMALS) for name, value in told.items() if value is not None and math.isfinite(value)
+        name: round(value, _DECIMALS) for name, value in figures.items() if value is not None and math.isfinite(value)
     }
     if known and report.scale != 1:
         known["scale"] = report.scale

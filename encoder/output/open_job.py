@@ -25,7 +25,7 @@ class OpenJobProgress(EncodeObserver):
     def __init__(self, output: TextIO) -> None:
         self._output, self._frames, self._done = output, range(0), 0
         self._from = 0.0
-        self._told = -1
+        self._last_percent = -1
 
     def look_step(self, step: int, steps: int) -> None:
         if step == 1:
@@ -56,8 +56,8 @@ class OpenJobProgress(EncodeObserver):
         self._say(f"openjd_status: {text}")
 
     def _progress(self, percent: float) -> None:
-        if int(percent) > self._told:
-            self._told = int(percent)
+        if int(percent) > self._last_percent:
+            self._last_percent = int(percent)
             self._say(f"openjd_progress: {percent:.1f}")
 
     def _say(self, line: str) -> None:

@@ -1,11 +1,10 @@
 """Resuming an interrupted encode: the stream that it left, and whether it fits this encode.
 
-Chosen: no file beside the stream. Keyframe, lattice and near planes are the stream's own, and every whole frame is
-replayed by the loop: all that encoding it did but for the training, whose result is in the packet. Nothing random is
-carried from frame to frame, so that the finished file has the bytes of one that was never cut off; with a time budget,
-whose control begins anew, it has those of the frames that were there. That it is the same footage, the first frame's
-pictures tell (`input.recordings`). Rejected: a snapshot of the encoder (another
-format to keep, and one more thing that a kill can tear).
+The stream is all that is kept. Keyframe, lattice and near planes are its own, and every whole frame is replayed: all
+that encoding it did but for the training, whose result is in the packet. Nothing random is carried from frame to frame,
+so the finished file has the bytes of one that was never cut off. A time budget's control begins anew; then only the
+frames that were there keep their bytes. The first frame's pictures show that it is the same footage
+(`input.recordings`).
 """
 
 from __future__ import annotations

@@ -121,20 +121,20 @@ class FileOutput(StreamOutput):
         return self._left
 
     def begin(self, header: bytes) -> None:
-        with self._told():
+        with self._disk_errors():
             file = self._growing.file
             file.seek(0)
             file.truncate()
             self.writer = StreamWriter(file, header)
 
     def write(self, kind: int, frame: int, payload: bytes) -> int:
-        with self._told():
+        with self._disk_errors():
             return super().write(kind, frame, payload)
 
     def open(self) -> StreamWriter:
         left, file = self._left, self._growing.file
         if self.writer is None and left is not None:
-            with self._told():
+            with self._disk_errors():
                 if left.path != self.growing:
                     with left.path.open("rb") as published:
                         shutil.copyfileobj(published, file)
@@ -149,12 +149,12 @@ class FileOutput(StreamOutput):
         if not frames:
             self._growing.discard()
         elif not self._failed:
-            with self._told():
+            with self._disk_errors():
                 _cut_after(frames, self._growing.file, self.writer)
                 self.writer.finish()
 
     def publish(self) -> int:
-        with self._told():
+        with self._disk_errors():
             self._growing.publish()
         return super().publish()
 
@@ -162,7 +162,7 @@ class FileOutput(StreamOutput):
         self._growing.release()
 
     @contextmanager
-    def _told(self) -> Iterator[None]:
+    def _disk_errors(self) -> Iterator[None]:
         """What the disk does not take becomes one line that says where, and what to do."""
         try:
             yield

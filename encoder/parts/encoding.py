@@ -8,18 +8,19 @@ from decogs.formats.callbacks import OnWarning
 from decogs.formats.container import FRAME_KINDS, PacketKind, PacketReader
 from decogs.formats.errors import StreamError, UsageError
 
-from ..closed_segments import with_following
+from ..frame.context import Context
 from ..input.imported_keyframe import KeyframeSource
 from ..input.imported_splats import SplatSource
 from ..input.ingest import Ingest, RigFrame
 from ..input.recordings import is_current
-from ..loop import StreamEncoder
 from ..output.convergence_log import ConvergenceLog
 from ..output.metrics import write_metrics
 from ..output.reports import EncodeReport, FrameReport, OnFrame, OnKeyframeStep
 from ..output.stream_output import StreamOutput
 from ..parallel import ahead
+from ..segments.next_segment import with_following
 from ..settings.encode import EncodeSettings
+from ..stream.encoder import StreamEncoder
 from .base import Base
 from .manifest import Part, frames_read, inputs_of, made_with, recorded, with_part
 from .output import PartOutput
@@ -65,17 +66,16 @@ def encode_part(
         base.check(part)
     with output:
         out = PartOutput(output, part)
-        encoder = StreamEncoder(
+        context = Context.of(
             ingest,
             settings,
-            out,
             seed=seed,
             threads=threads,
-            keyframe=keyframe if base is None else base.source,
             device=device,
-            convergence=convergence,
-            on_warning=on_warning,
+            on_loss=None if convergence is None else convergence.step,
         )
+        source = keyframe if base is None else base.source
+        encoder = StreamEncoder(context, out, source, convergence=convergence, on_warning=on_warning)
         encoder.check_header(take.start)
         if base is not None:
             encoder.take_over(base.keyframe, take)

@@ -47,15 +47,15 @@ _VIEW_BYTES, _PLANE_BYTES = 100, 6
 """Of a pixel of the fine sweep: its view, depths and candidates; the costs of a plane, along rows and columns."""
 _MATCHED, _COMPARED = 4, 8
 """Neighbours for matching, and for checking the consistency of depths."""
-_SURPLUS = 3.0
+_CANDIDATES_PER_POINT = 3.0
 """Candidates per point of the cap from which points are chosen."""
 _CONFIRMED_FRACTION = 0.85
 """Share of the room that confirmed points may take at first; the rest is for guesses."""
 _COARSE_CONFIDENCE = 0.5
 """Confidence in points of the coarse sweep alone, relative to those of the fine one."""
-_FEW = 100
+_MIN_CONFIRMED_POINTS = 100
 """Least confirmed points of a view for its nearest depth to count."""
-_CLEAR = 0.5
+_HOUSING_DEPTH_FRACTION = 0.5
 """Share of a view's nearest confirmed depth below which other views' points count as its camera's housing."""
 
 
@@ -151,11 +151,11 @@ def _first_points(
     candidates, maps = _sweep_all(each, fine, ranges, samples)
     all_depths = [_view_depths(*all_of_view) for all_of_view in zip(fine, ranges, candidates, maps, strict=True)]
 
-    stride = max(1, int((sum(len(c) for c in candidates) / (_SURPLUS * cap)) ** 0.5))
+    stride = max(1, int((sum(len(c) for c in candidates) / (_CANDIDATES_PER_POINT * cap)) ** 0.5))
     clouds = [given, *(thin_candidates(c, stride) for c in candidates)]
     clouds += [_where_unconfirmed(*three) for three in zip(coarse, rough, all_depths, strict=True)]
     proposed = join(clouds)
-    proposed = take(proposed, ~too_near(proposed, all_depths, _CLEAR))
+    proposed = take(proposed, ~too_near(proposed, all_depths, _HOUSING_DEPTH_FRACTION))
 
     most = max(1, round(cap * _CONFIRMED_FRACTION))
     cloud, pixels = _choose(proposed, all_depths, most)
@@ -207,7 +207,9 @@ def _view_depths(
         return ViewDepths(view, depths, None, None, 0.0)
     confirmed = np.zeros((view.height, view.width), np.float32)
     confirmed[candidates.row, candidates.column] = candidates.inverse_depth
-    nearest = 1 / float(np.percentile(candidates.inverse_depth, 99.9)) if len(candidates) >= _FEW else 0.0
+    nearest = (
+        1 / float(np.percentile(candidates.inverse_depth, 99.9)) if len(candidates) >= _MIN_CONFIRMED_POINTS else 0.0
+    )
     return ViewDepths(view, depths, depth_map.inverse_depth, confirmed, nearest)
 
 

@@ -16,16 +16,16 @@ from numpy.typing import NDArray
 from .plane_sweep import DepthMap
 from .views import Array, SweepView, between, floats, inside, pixel_rays, project
 
-_TOLERANCE = 1.0
+_MAX_SHIFT_PIXELS = 1.0
 """Largest difference of equal depths, as a displacement in the other picture, in pixels."""
-_LOOK_ALIKE = 0.5
+_MIN_TEXTURE_CORRELATION = 0.5
 """Least correlation of two windows of the same texture."""
-_WINDOW = 7
+_WINDOW_PIXELS = 7
 _NOISE_VARIANCE = 0.01**2
 _DETAIL, _UNEVEN = 0.6, 2.0
 _EVEN, _SPECK = 0.03, 1e-3
 """Relative change of depth from pixel to pixel within a patch, and share of a picture up to which it is a speck."""
-_JUMP = 0.08
+_OCCLUSION_STEP = 0.08
 """Relative change of inverse depth within 3 x 3 pixels at an occlusion edge."""
 
 
@@ -101,7 +101,7 @@ def _similarities(view: SweepView, others: Sequence[SweepView], places: Sequence
 
     Windows without texture above noise in either view count as equal.
     """
-    window = (_WINDOW, _WINDOW)
+    window = (_WINDOW_PIXELS, _WINDOW_PIXELS)
     mean = cv2.blur(view.centred, window)
     variance = cv2.blur(view.centred * view.centred, window) - mean * mean + _NOISE_VARIANCE
     scores = np.empty((len(others), view.height, view.width), np.float32)
@@ -138,7 +138,9 @@ def _specks(keep: NDArray[np.bool_], inverse_depth: Array) -> NDArray[np.bool_]:
 def _edges(inverse_depth: Array) -> NDArray[np.bool_]:
     """Pixels at an occlusion edge: their windows cover two surfaces, their colours may be mixed."""
     kernel = np.ones((3, 3), np.uint8)
-    return np.asarray(cv2.dilate(inverse_depth, kernel) - cv2.erode(inverse_depth, kernel) > _JUMP * inverse_depth)
+    return np.asarray(
+        cv2.dilate(inverse_depth, kernel) - cv2.erode(inverse_depth, kernel) > _OCCLUSION_STEP * inverse_depth
+    )
 
 
 def _looseness(view: SweepView) -> Array:
@@ -174,15 +176,15 @@ def agree(
         seen = _sample(depths_j.inverse_depth, place.u, place.v, 0.0)
         valid = (seen > 0) & (place.depth > 0) & _within(views[j], place.u, place.v)
         pixels = (place.depth * seen - 1) * (_sideways(view, views[j]) / np.maximum(place.depth, 1e-12))
-        same = valid & (np.abs(pixels) <= _TOLERANCE)
+        same = valid & (np.abs(pixels) <= _MAX_SHIFT_PIXELS)
         there = np.divide(1.0, seen, out=np.zeros_like(seen), where=same) - np.float32(place.shift)
         same &= there > 0
         total += np.divide(place.base, there, out=np.zeros_like(seen), where=same)
         count += same
-        through += valid & (pixels < -3 * _TOLERANCE)
+        through += valid & (pixels < -3 * _MAX_SHIFT_PIXELS)
     inverse_depth = total / (count + 1)
     score = _better_half(_similarities(view, [views[j] for j in matched], places[: len(matched)]))
-    keep = (count >= np.where(usable >= 4, 2, 1)) & (score >= _LOOK_ALIKE) & (through <= count)
+    keep = (count >= np.where(usable >= 4, 2, 1)) & (score >= _MIN_TEXTURE_CORRELATION) & (through <= count)
     keep &= (inverse_depth > 1e-12) & ~_edges(own)
     keep &= (count >= 2) | ~_specks(keep, inverse_depth)
     row, column = np.nonzero(keep)

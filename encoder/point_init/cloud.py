@@ -13,13 +13,13 @@ from .agreement import Candidates, depth_ratio
 from .frusta import DepthRange
 from .views import Array, SweepView, inside, project
 
-_SEEN_THROUGH = 0.04
+_IN_FRONT_FRACTION = 0.04
 """Relative depth by which a point lies in front of a view's surface if that view sees through it."""
 
-_ON_SURFACE = 0.02
+_ON_SURFACE_FRACTION = 0.02
 """Relative difference of depth within which a point is what a view shows, and its colour there the point's."""
 
-_CLOSEST = 0.7
+_MIN_SPACING_PIXELS = 0.7
 """Least useful distance between points, in pixels."""
 _TRIALS = 10
 
@@ -120,7 +120,7 @@ def spread(cloud: Cloud, pixels: float) -> NDArray[np.int64]:
 def spread_to_count(cloud: Cloud, most: int) -> tuple[Cloud, float]:
     """At most ``most`` evenly spread points, the surest ones, and how many pixels apart they are."""
     cloud = take(cloud, np.argsort(-cloud.confidence, kind="stable"))
-    pixels, low, high, chosen = _CLOSEST, 0.0, np.inf, np.zeros(0, np.int64)
+    pixels, low, high, chosen = _MIN_SPACING_PIXELS, 0.0, np.inf, np.zeros(0, np.int64)
     for _ in range(_TRIALS):
         trial = spread(cloud, pixels)
         if len(trial) > most:
@@ -132,11 +132,13 @@ def spread_to_count(cloud: Cloud, most: int) -> tuple[Cloud, float]:
         guess = (
             pixels * (len(trial) / (0.985 * most)) ** 0.6
         )  # surfaces: the count falls with the square of the distance
-        pixels = min(max(guess, 1.02 * low), 0.5 * (low + high) if high < np.inf else np.inf, 4 * max(low, _CLOSEST))
+        pixels = min(
+            max(guess, 1.02 * low), 0.5 * (low + high) if high < np.inf else np.inf, 4 * max(low, _MIN_SPACING_PIXELS)
+        )
     if not len(chosen) and len(cloud):  # cannot be for surfaces; thin the surest evenly instead
         chosen = np.arange(0, len(cloud), -(-len(cloud) // most))
         high = pixels
-    return take(cloud, chosen), float(high) if high < np.inf else _CLOSEST
+    return take(cloud, chosen), float(high) if high < np.inf else _MIN_SPACING_PIXELS
 
 
 def look_from_all(cloud: Cloud, all_depths: Sequence[ViewDepths]) -> Sight:
@@ -147,8 +149,8 @@ def look_from_all(cloud: Cloud, all_depths: Sequence[ViewDepths]) -> Sight:
         if view_depths.confirmed is None:
             continue
         ratio, column, row = depth_ratio(view_depths.view, view_depths.confirmed, cloud.xyz)
-        through += ratio < 1 - _SEEN_THROUGH
-        here = np.abs(ratio - 1) <= _SEEN_THROUGH
+        through += ratio < 1 - _IN_FRONT_FRACTION
+        here = np.abs(ratio - 1) <= _IN_FRONT_FRACTION
         in_place += here
         rgb[here] += view_depths.view.picture[row[here], column[here]]
     return Sight(through, in_place, rgb / (1 + in_place[:, None]).astype(np.float32))
@@ -159,7 +161,7 @@ def shown_in(view_depths: ViewDepths, xyz: NDArray[np.float64]) -> NDArray[np.bo
     if view_depths.confirmed is None:
         return np.zeros(len(xyz), bool)
     ratio, _, _ = depth_ratio(view_depths.view, view_depths.confirmed, xyz)
-    return np.asarray(np.abs(ratio - 1) <= _ON_SURFACE)
+    return np.asarray(np.abs(ratio - 1) <= _ON_SURFACE_FRACTION)
 
 
 def too_near(cloud: Cloud, all_depths: Sequence[ViewDepths], share: float) -> NDArray[np.bool_]:

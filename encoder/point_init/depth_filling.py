@@ -1,9 +1,7 @@
 """Depths where a view has none, continued from the surfaces around.
 
-Chosen: known depths continue as planes. A plane of the world has an inverse depth that is linear in the pixel's
-coordinates, so that walls, floors and table tops go on beyond where two views see them. Rejected: the nearest known
-depths as they are (walls bend towards the camera, single wrong points spread over a curtain; figures in
-encoder/DESIGN.md, "Keyframe").
+Known depths continue as planes: a plane of the world has an inverse depth that is linear in the pixel's coordinates, so
+that walls, floors and table tops go on beyond where two views see them.
 """
 
 from __future__ import annotations
@@ -16,11 +14,11 @@ from .views import Array, floats
 
 F64 = NDArray[np.float64]
 
-_WINDOW = 0.05
+_HALF_WINDOW_WIDTHS = 0.05
 """Half the side of the window in which a plane is fitted, in units of the picture's width."""
-_FLAT = 0.01
+_MAX_PLANE_DEVIATION = 0.01
 """Largest deviation of a window's inverse depths from their plane, relative to their mean: beyond it lies an edge."""
-_FILLED = 0.15
+_WINDOW_KNOWN_FRACTION = 0.15
 """Least share of a window's pixels with known depths."""
 _MIN_PLANES = 100
 """Pixels with a plane below which known depths continue as they are."""
@@ -31,9 +29,9 @@ _NEARER, _FARTHER = 1.1, 0.95
 
 _FIELD, _LEAST_FIELD = 0.1, 8
 """Side of a chequerboard's field, in units of the picture's width, and in pixels at least."""
-_AGREEING = 0.02
+_MAX_DEPTH_DIFFERENCE = 0.02
 """Relative difference below which two continued depths agree."""
-_NEAR = 0.1
+_MAX_REACH_WIDTHS = 0.1
 """Farthest that a plane is trusted to go on, in units of the picture's width."""
 
 
@@ -56,9 +54,9 @@ def continues(known: Array) -> NDArray[np.bool_]:
     """Pixels (H, W) in which known inverse depths (H, W; 0: unknown) go on as planes, near known ones.
 
     Each of two halves of the known depths, the fields of a chequerboard, says how they go on; where they agree, planes
-    are what is there. Figures in encoder/DESIGN.md, "Keyframe".
+    are what is there.
     """
-    reach = round(_NEAR * known.shape[1])
+    reach = round(_MAX_REACH_WIDTHS * known.shape[1])
     near = cv2.dilate((known > 0).astype(np.uint8), np.ones((2 * reach + 1,) * 2, np.uint8)) > 0
     row, column = np.indices(known.shape) // max(_LEAST_FIELD, round(_FIELD * known.shape[1]))
     dark = (row + column) % 2 == 1
@@ -66,7 +64,7 @@ def continues(known: Array) -> NDArray[np.bool_]:
     if not all(half.any() for half in halves):
         return np.zeros(known.shape, np.bool_)
     one, other = (np.maximum(fill_depths(half), np.float32(1e-12)) for half in halves)
-    return np.asarray(near & (np.abs(np.log(one / other)) < _AGREEING))
+    return np.asarray(near & (np.abs(np.log(one / other)) < _MAX_DEPTH_DIFFERENCE))
 
 
 def _weights(known: Array) -> Array:
@@ -86,7 +84,7 @@ def _local_planes(known: Array) -> tuple[Array, NDArray[np.bool_]]:
     Also the pixels (H, W) that have a known depth and a window that is flat.
     """
     u, v = _coordinates(known.shape)
-    reach = max(3, round(_WINDOW * known.shape[1]))
+    reach = max(3, round(_HALF_WINDOW_WIDTHS * known.shape[1]))
     there, depth = (known > 0).astype(np.float64), known.astype(np.float64)
     share = np.maximum(_window_mean(there, reach), 1e-9)
 
@@ -100,7 +98,7 @@ def _local_planes(known: Array) -> tuple[Array, NDArray[np.bool_]]:
     determinant = uu * vv - uv * uv
     a, b = (vv * ud - uv * vd) / determinant, (uu * vd - uv * ud) / determinant
     left = np.maximum(mean(depth * depth) - middle**2 - a * ud - b * vd, 0)
-    flat = (known > 0) & (share > _FILLED) & (np.sqrt(left) < _FLAT * middle)
+    flat = (known > 0) & (share > _WINDOW_KNOWN_FRACTION) & (np.sqrt(left) < _MAX_PLANE_DEVIATION * middle)
     return np.stack([a, b, middle - a * mean_u - b * mean_v], axis=-1).astype(np.float32), flat
 
 

@@ -17,7 +17,7 @@ _WIDEST_RANGE = 400.0
 _MIN_OVERLAP = 0.1
 """Least share of a view's pixels that another view sees at a shared depth."""
 _PEAK_FRACTION = 0.25
-_FEWEST_POINTS = 200
+_MIN_RANGE_POINTS = 200
 """Least points in a view for its depth range to come from them."""
 
 
@@ -141,10 +141,10 @@ def depths_of(
     depth = (own - view.centre) @ view.rotation[2]
     u, v, others = project(view, all_views)
     others = others[inside(view, u, v) & (others > 0)]
-    if len(others) < _FEWEST_POINTS:
+    if len(others) < _MIN_RANGE_POINTS:
         return shared
     near, far = np.percentile(others, [1, 99])
-    if len(depth) >= _FEWEST_POINTS:
+    if len(depth) >= _MIN_RANGE_POINTS:
         near, far = min(near, np.percentile(depth, 0.1)), max(far, np.percentile(depth, 99.9))
     return DepthRange(float(near) * 0.9, float(far) * 1.15)
 

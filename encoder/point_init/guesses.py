@@ -19,25 +19,25 @@ from .views import Array, SweepView, inside, pixel_rays, project
 
 CELL = 8
 """Side, in pixels, of picture cells, each of which gets a point."""
-_APART = 2.4
+_GUESS_SPACING = 2.4
 """Distance between guesses over that between confirmed points: more of them would not know their places better."""
-_BELIEVED = 0.5
+_SWEEP_DEPTH_FRACTION = 0.5
 """Share of the guesses at the unconfirmed depth of the view's own sweep, where it is plausible."""
 _SCATTER, _WIDE_SCATTER = 0.02, 0.5
 """Relative standard deviation of the depth of the other guesses around that of known points near them: in a view in
 which enough is confirmed, and in one in which nothing is."""
-_ENOUGH = 0.4
+_SUFFICIENT_FRACTION = 0.4
 """Sufficient share of confirmed pixels."""
 _CONFIDENCE = 0.05
-_FEW_KNOWN = 0.01
+_OWN_DEPTHS_FRACTION = 0.01
 """Share of a view's pixels with confirmed depths below which points of other views give its depths."""
-_WITHOUT_POINTS = 20_000
+_GUESSES_WITHOUT_POINTS = 20_000
 """Total number of guesses without any confirmed point."""
 _CONTINUED_SCATTER = 0.003
 """Relative standard deviation of the depth of continued points."""
 _CONTINUED_PER_CELL = 16.0
 """Continued points in a cell, at most."""
-_CLEAR = 0.9
+_MIN_DEPTH_FRACTION = 0.9
 """Share of the nearest confirmed depth of any view that sees it at which a guess must lie at least."""
 
 
@@ -51,7 +51,7 @@ def guess_points(
     found, continued = [empty_cloud()], [np.zeros(0, np.bool_)]
     if not len(cloud):
         size = rig_size([view_depths.view for view_depths in all_depths]) or 1.0
-        each = max(1, _WITHOUT_POINTS // len(all_depths))
+        each = max(1, _GUESSES_WITHOUT_POINTS // len(all_depths))
         for view_depths in all_depths:
             depths = view_depths.depths or DepthRange(size / 2, size * 5)
             found.append(random_in_frustum(view_depths.view, depths, each, random))
@@ -60,7 +60,7 @@ def guess_points(
     for view_depths in all_depths:
         surfaces, others = fill_empty_cells(view_depths, join([cloud, *found]), pixels, random)
         guess = join([surfaces, others])
-        right = ~((look_from_all(guess, all_depths).through > 0) | too_near(guess, all_depths, _CLEAR))
+        right = ~((look_from_all(guess, all_depths).through > 0) | too_near(guess, all_depths, _MIN_DEPTH_FRACTION))
         found.append(take(guess, right))
         continued.append((np.arange(len(guess)) < len(surfaces))[right])
     return join(found), np.concatenate(continued)
@@ -89,7 +89,7 @@ def projected_depths(view: SweepView, xyz: NDArray[np.float64]) -> Array:
 def random_in_frustum(view: SweepView, depths: DepthRange, count: int, random: np.random.Generator) -> Cloud:
     """Random points of the view's colours, evenly over its picture and over inverse depth."""
     column, row = random.integers(0, view.width, count), random.integers(0, view.height, count)
-    return _guess(view, column, row, random.uniform(1 / depths.far, 1 / depths.near, count), _APART)
+    return _guess(view, column, row, random.uniform(1 / depths.far, 1 / depths.near, count), _GUESS_SPACING)
 
 
 def fill_empty_cells(
@@ -104,23 +104,23 @@ def fill_empty_cells(
     if not len(empty):
         return empty_cloud(), empty_cloud()
     known = view_depths.confirmed
-    if known is None or np.count_nonzero(known) < _FEW_KNOWN * known.size:
+    if known is None or np.count_nonzero(known) < _OWN_DEPTHS_FRACTION * known.size:
         known = projected_depths(view, cloud.xyz)
     filled = fill_depths(known)
-    doubt = 1 - min(1.0, np.count_nonzero(known) / (_ENOUGH * known.size))
+    doubt = 1 - min(1.0, np.count_nonzero(known) / (_SUFFICIENT_FRACTION * known.size))
     goes_on = continues(known) if doubt == 0 else np.zeros(known.shape, np.bool_)
     continued = _continued(view, empty, filled, goes_on, pixels, random) if goes_on.any() else empty_cloud()
 
-    column, row = _pixels_of(view, empty, min((CELL / (_APART * pixels)) ** 2, 4.0), random)
+    column, row = _pixels_of(view, empty, min((CELL / (_GUESS_SPACING * pixels)) ** 2, 4.0), random)
     column, row = column[~goes_on[row, column]], row[~goes_on[row, column]]
     scatter = _SCATTER + (_WIDE_SCATTER - _SCATTER) * doubt
     inverse = filled[row, column] * np.exp(scatter * random.standard_normal(len(row)))
     if view_depths.believed is not None and known.any():
         low, high = np.percentile(known[known > 0], [1, 99])
         own = view_depths.believed[row, column]
-        use = (random.random(len(row)) < _BELIEVED) & (own > 0.8 * low) & (own < 1.1 * high)
+        use = (random.random(len(row)) < _SWEEP_DEPTH_FRACTION) & (own > 0.8 * low) & (own < 1.1 * high)
         inverse[use] = own[use]
-    return continued, _guess(view, column, row, inverse, _APART)
+    return continued, _guess(view, column, row, inverse, _GUESS_SPACING)
 
 
 def _continued(

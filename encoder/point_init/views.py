@@ -14,7 +14,7 @@ Array = NDArray[np.float32]
 _LUMINANCE = np.array([0.299, 0.587, 0.114], np.float32)
 _WINDOW_SIGMA = 3.0
 """Standard deviation, in pixels, of the window in which brightness and contrast are normalised."""
-_NOISE = 0.012
+_MIN_CONTRAST = 0.012
 """Contrast below which a window is noise rather than texture, picture units (3 of 255 steps)."""
 
 
@@ -63,7 +63,7 @@ def make_view(camera: Camera, picture: Array, scale: float) -> SweepView:
     luminance = floats(picture @ _LUMINANCE)
     mean = cv2.GaussianBlur(luminance, (0, 0), _WINDOW_SIGMA)
     centred = luminance - mean
-    contrast = np.sqrt(cv2.GaussianBlur(centred * centred, (0, 0), _WINDOW_SIGMA) + np.float32(_NOISE**2))
+    contrast = np.sqrt(cv2.GaussianBlur(centred * centred, (0, 0), _WINDOW_SIGMA) + np.float32(_MIN_CONTRAST**2))
     rotation, translation = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
     return SweepView(
         camera=camera,

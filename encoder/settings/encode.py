@@ -21,7 +21,6 @@ _UNUSED = {"decogs": "baseline", "3dgstream": "frame"}
 """Settings that a method does not read; methods of other packages do not read the baseline's."""
 
 _USUAL = (
-    ("", "rate_control", "content"),
     ("keyframe", "densification", "clone-split"),
     ("frame", "densification", "clone-split"),
 )
@@ -43,8 +42,8 @@ class EncodeSettings(Checked):
     ``cross_fade``: frames before such a start that go over to it. More is slower and larger; 0 is a jump.
     ``cuts``: a frame that shows another scene gets a new keyframe, except with a time budget. Fewer keyframes are
     faster, and 6 to 8 dB worse there.
-    ``frame_budget``: mean bytes of the frames after the first, kept by ``rate_control``, a name in RATE_CONTROLS. Lower
-    is less exact; None codes what ``frame.significance`` says.
+    ``frame_budget``: mean bytes of the frames after the first. Lower is less exact; None codes what
+    ``frame.significance`` says.
     ``time_budget``: mean seconds of the frames after the first. Higher is slower; None runs the whole schedule.
     ``target_psnr``: dB at which a frame's training stops. Higher is slower; None runs the whole schedule.
     ``effects``: the enabled ones. Fewer is faster and smaller. ``detect_per_frame``: each frame enables only
@@ -70,7 +69,6 @@ class EncodeSettings(Checked):
     effects: Annotated[tuple[str, ...], OneOf(EFFECT_NAMES)] = PRESET_EFFECTS
     detect_per_frame: bool = False
     corrections: CorrectionSettings = field(default_factory=CorrectionSettings)
-    rate_control: str = "content"
 
     def __post_init__(self) -> None:
         super().__post_init__()

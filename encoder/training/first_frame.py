@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
+from decogs.codec.corrections import Corrections
 from decogs.codec.header import StreamHeader
 from decogs.codec.keyframes import keyframe_state
 from decogs.codec.lattice import Lattice, quantise
@@ -14,7 +15,9 @@ from decogs.formats.splats import FloatArray
 
 from ..analysis.view_dependence import as_far_as_shown
 from ..backends import TrainingKernel
-from ..input.compensation.stream import Compensation
+from ..input.compensation import Corrector
+from ..input.compensation.frame import matched
+from ..input.compensation.matching import colours_at
 from ..input.dropouts import BLACK, blankness
 from ..input.ingest import Ingest, RigFrame, View
 from ..output.reports import OnKeyframeStep
@@ -26,6 +29,15 @@ from .large_pictures import fit_to_pictures
 from .schedule import StoppingRule
 
 
+@dataclass(frozen=True)
+class FirstFrame:
+    """A scene's first frame: its Gaussians on their ``lattice``, and how its cameras' ``colours`` differ, for good."""
+
+    state: State
+    lattice: Lattice
+    colours: Corrections
+
+
 def train_first_frame(
     kernel: TrainingKernel,
     ingest: Ingest,
@@ -35,16 +47,17 @@ def train_first_frame(
     *,
     seed: int,
     threads: int,
-    compensation: Compensation,
+    corrector: Corrector | None,
     stopping: StoppingRule,
     on_step: OnKeyframeStep | None,
     header: StreamHeader | None = None,
     first_id: int = 0,
-) -> tuple[State, Lattice]:
-    """The keyframe's Gaussians and their lattice; sets the ingest's near planes and the cameras' colours.
+) -> FirstFrame:
+    """The keyframe's Gaussians; sets the ingest's near planes.
 
-    ``header``: of a stream that goes on with another scene. Near planes, colours, lattice and degree of SH are then
-    those that it has, and the frame's colours are matched already. ``first_id``: of the Gaussians.
+    ``corrector``: of the cameras whose drift is compensated. ``header``: of a stream that goes on with another scene.
+    Near planes, colours, lattice and degree of SH are then those that it has, and the frame's colours are matched
+    already. ``first_id``: of the Gaussians.
 
     If a camera shakes, a short training finds its pose, and the search for first points runs again. With detection per
     frame, view dependence is detected here. Raises RigError for a black picture and TrainingError for failed training.
@@ -66,11 +79,12 @@ def train_first_frame(
         return points
 
     keyframe = settings.keyframe if header is None else replace(settings.keyframe, sh_degree=header.sh_degree)
-    corrector = compensation.corrector
+    colours: Corrections = {} if header is None else header.camera_colours
     with watch.stage("first_points"):
         points = points_of(frame.training)
-        if header is None:
-            frame = compensation.match_colours(frame, points.xyz, points.seen)
+        if header is None and settings.corrections.match_colours:
+            colours = colours_at(ingest.views, frame.training, points.xyz, points.seen)
+            frame = matched(frame, ingest.views, colours)
     if corrector is not None and corrector.cameras.camera_shake:
         with watch.stage("pre-alignment"):
             prealigned = prealigned_pictures(
@@ -95,7 +109,7 @@ def train_first_frame(
     if settings.detect_per_frame and header is None:
         values = as_far_as_shown(values)
     state, _ = keyframe_state(values, first_id=first_id)
-    return state, trained.lattice
+    return FirstFrame(state, trained.lattice, colours)
 
 
 def _check_shows(frame: RigFrame, views: Sequence[View]) -> None:

@@ -8,6 +8,8 @@ at four times the cost).
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from decogs.formats.splats import FloatArray
@@ -27,26 +29,26 @@ def shared_displacements(means: FloatArray, displacements: FloatArray, neighbour
     return np.asarray(np.median(displacements[around], axis=1), np.float32)
 
 
+@dataclass(frozen=True)
 class Motion:
-    """Displacement of every Gaussian in the last frame; ``last`` (N, 3), world units."""
+    """Displacement of every Gaussian in the last frame; ``last`` (N, 3), world units; frames ``held`` since then."""
 
-    def __init__(self) -> None:
-        self.last: FloatArray = np.zeros((0, 3), np.float32)
-        self._held = 0
+    last: FloatArray
+    held: int = 0
 
-    def begin(self, population: int) -> None:
-        """Starts with a keyframe, whose Gaussians have no known motion."""
-        self.last = np.zeros((population, 3), np.float32)
+    @classmethod
+    def at_rest(cls, population: int) -> Motion:
+        """Of a keyframe, whose Gaussians have no known motion."""
+        return cls(np.zeros((population, 3), np.float32))
 
     def expected(self) -> FloatArray:
         """Predicted displacement up to the next frame, at constant velocity over held frames."""
-        return np.asarray(self.last * np.float32(1 + self._held), np.float32)
+        return np.asarray(self.last * np.float32(1 + self.held), np.float32)
 
-    def hold(self) -> None:
-        """Counts a frame without training; the scene stays."""
-        self._held += 1
+    def hold(self) -> Motion:
+        """After a frame without training: the scene stays."""
+        return Motion(self.last, self.held + 1)
 
-    def moved(self, displacements: FloatArray) -> None:
-        """Takes the displacements since the last frame that was not held."""
-        self.last = displacements / np.float32(1 + self._held)
-        self._held = 0
+    def moved(self, displacements: FloatArray) -> Motion:
+        """After these displacements since the last frame that was not held."""
+        return Motion(displacements / np.float32(1 + self.held))

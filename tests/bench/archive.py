@@ -1,6 +1,7 @@
-"""Packs every report's runs, which git does not keep, into one archive to publish beside a release.
+"""Packs a folder of full reports and their runs, which git does not keep, into one archive to publish beside a release.
 
-``make report`` runs it: ``python tests/bench/archive.py report``. Unpacked in that folder, the runs count as made.
+``make report`` runs it: ``python tests/bench/archive.py report/full`` writes report/full.zip. Unpacked in that folder,
+the runs count as made.
 """
 
 from __future__ import annotations
@@ -12,17 +13,21 @@ from zipfile import ZIP_DEFLATED, ZipFile
 
 from decogs.formats.outputs import write_whole
 
+KINDS = {".md", ".json", ".png", ".html"}
+"""What reports and runs consist of; anything else is unfinished, or a stream."""
 
-def main(report: Path) -> None:
-    runs = sorted(path for path in report.rglob("runs/*") if path.suffix in {".json", ".png"})
-    if not runs:
-        sys.exit(f"{report}: has no runs to pack; `make report` makes them")
+
+def main(reports: Path) -> None:
+    files = sorted(path for path in reports.rglob("*") if path.suffix in KINDS)
+    if not files:
+        sys.exit(f"{reports}: has no reports to pack; `make report` makes them")
     packed = io.BytesIO()
     with ZipFile(packed, "w", ZIP_DEFLATED) as archive:
-        for path in runs:
-            archive.write(path, path.relative_to(report))
-    write_whole(report / "runs.zip", packed.getvalue())
-    print(f"{report / 'runs.zip'}: {len(runs)} files, {packed.tell() / 1e6:.1f} MB")
+        for path in files:
+            archive.write(path, path.relative_to(reports))
+    target = reports.parent / f"{reports.name}.zip"
+    write_whole(target, packed.getvalue())
+    print(f"{target}: {len(files)} files, {packed.tell() / 1e6:.1f} MB")
 
 
 if __name__ == "__main__":

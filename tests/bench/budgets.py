@@ -25,7 +25,8 @@ from unittest.mock import patch
 import cv2
 import numpy as np
 
-import decogs.encoder.change.detection as detection
+import decogs.encoder.frame.encode_frame as encode_frame
+import decogs.encoder.frame.plan as plan
 import decogs.encoder.training.delta as frame_training
 import decogs.encoder.training.seeding as emergence
 from decogs.decoder.picture_output import to_8bit
@@ -33,7 +34,6 @@ from decogs.decoder.views import render_view
 from decogs.encoder import PRESETS, EffectChoice, EncodeReport, EncodeSettings, Targets, encode
 from decogs.encoder.backends.cpu.fixed_view import CpuFixedView
 from decogs.encoder.change.masks import MaskMemory
-from decogs.encoder.coding.coded_scene import CodedScene
 from decogs.encoder.coding.time_control import counted_seconds
 from decogs.formats.cameras import Camera, scale_camera
 from decogs.formats.rigs import open_rig, read_frames
@@ -85,10 +85,10 @@ class WorkClock:
                 "along_rays",
                 lambda _, search, rays: len(search._views) * (800 + 20 * len(rays.pixels)),
             ),
-            (MaskMemory, "_mask", lambda _, memory, now, *rest: 0.02 * now[0].size),
+            (MaskMemory, "pixel_changes", lambda _, memory, now, *rest: 0.02 * sum(each[0].size for each in now)),
             (MaskMemory, "trained", lambda _, memory, now, *rest, **more: 0.02 * sum(each[0].size for each in now)),
-            (detection, "select", lambda _, evidence, *rest: 0.01 * len(evidence) * len(evidence[0].weight)),
-            (CodedScene, "_write", lambda written, *rest: 2000 + 0.3 * len(written.packet.payload)),
+            (plan, "select", lambda _, evidence, *rest: 0.01 * len(evidence) * len(evidence[0].weight)),
+            (encode_frame, "frame_packet", lambda written, *rest, **more: 2000 + 0.3 * len(written.packet.payload)),
         ):
             stack.enter_context(patch.object(owner, name, self._counted(getattr(owner, name), cost)))
         return stack

@@ -1,7 +1,8 @@
 """Writes the conformance vectors of a bitstream version: streams, and what a reader must make of each.
 
-    python tests/conformance/make_vectors.py        into tests/conformance/1.0
+    python tests/conformance/make_vectors.py        into tests/conformance/1.0.tar
 
+The archive is stored as it is, uncompressed: its bytes depend on no library, and Git compresses it anyway.
 Nothing depends on the machine or on a version of zstd: the few zstd frames are put together by hand or spelled out.
 `limit_vectors.large_vectors` are not kept as files; tests make them when they need them.
 """
@@ -9,9 +10,10 @@ Nothing depends on the machine or on a version of zstd: the few zstd frames are 
 from __future__ import annotations
 
 import hashlib
+import io
 import json
-import shutil
 import struct
+import tarfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -30,11 +32,13 @@ from plain_header import Header
 from plain_state import State, digest, floats
 from stream_writer import Vector
 
-FOLDER = Path(__file__).parent / "1.0"
+VERSION = "1.0"
+ARCHIVE = Path(__file__).parent / f"{VERSION}.tar"
 
 PROVENANCE = """\
-What:     conformance vectors of the .dgs bitstream, version 1.0 (formats/SPEC.md); ../README.md says how to use them
-Made by:  tests/conformance/make_vectors.py, byte by byte; a test compares these files with what it makes
+What:     conformance vectors of the .dgs bitstream, version 1.0 (formats/SPEC.md); tests/conformance/README.md says how
+          to use them
+Made by:  tests/conformance/make_vectors.py, byte by byte; a test compares this archive with what it makes
 From:     nothing else: scenes are numbers from the mixing function of SPEC.md, section 5, and good/worked-example is
           the stream printed in section 12
 zstd:     two blocks were compressed once by zstd 1.5.7 and are spelled out in the script; all others are stored, or raw
@@ -87,7 +91,7 @@ def hashes(state: State, header: Header) -> dict[str, Any]:
 
 
 def files() -> dict[str, bytes]:
-    """Every file of the suite by its name in the folder."""
+    """Every file of the suite by its name in the archive's folder."""
     made = list(vectors())
     names = [vector.name for vector in made]
     assert len(set(names)) == len(names), "two vectors have the same name"
@@ -99,14 +103,26 @@ def files() -> dict[str, bytes]:
     }
 
 
+def archive(named: dict[str, bytes]) -> bytes:
+    """The files as an archive, in the order of their names, with neither times nor owners."""
+    made = io.BytesIO()
+    with tarfile.open(fileobj=made, mode="w", format=tarfile.USTAR_FORMAT) as tar:
+        for name, data in sorted(named.items()):
+            member = tarfile.TarInfo(f"{VERSION}/{name}")
+            member.size = len(data)
+            tar.addfile(member, io.BytesIO(data))
+    return made.getvalue()
+
+
+def kept() -> dict[str, bytes]:
+    """The files of the committed archive, as `files` names them."""
+    with tarfile.open(ARCHIVE) as tar:
+        return {member.name.removeprefix(f"{VERSION}/"): tar.extractfile(member).read() for member in tar}
+
+
 def main() -> None:
     """Writes the suite anew."""
-    made = files()
-    shutil.rmtree(FOLDER, ignore_errors=True)
-    for name, data in made.items():
-        path = FOLDER / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(data)
+    ARCHIVE.write_bytes(archive(files()))
 
 
 if __name__ == "__main__":

@@ -51,14 +51,20 @@ import plain_container
 import plain_decoder
 import stream_writer
 
-FOLDER = make_vectors.FOLDER
-EXPECTED: dict[str, dict[str, Any]] = json.loads((FOLDER / "expected.json").read_text())
+KEPT = make_vectors.kept()
+EXPECTED: dict[str, dict[str, Any]] = json.loads(KEPT["expected.json"])
 GOOD = sorted(name for name, expected in EXPECTED.items() if expected["failure"] is None)
 BROKEN = sorted(set(EXPECTED) - set(GOOD))
 
 
 def vector(name: str) -> bytes:
-    return (FOLDER / f"{name}.dgs").read_bytes()
+    return KEPT[f"{name}.dgs"]
+
+
+def vector_file(name: str, folder: Path) -> Path:
+    path = folder / "vector.dgs"
+    path.write_bytes(vector(name))
+    return path
 
 
 @dataclass(frozen=True)
@@ -190,16 +196,16 @@ def test_large_vectors_have_their_outcomes(decode: Decoder) -> None:
         check(decode(large.data, {}), make_vectors.outcome(large), large.data)
 
 
-def test_the_files_are_what_the_script_makes() -> None:
+def test_the_archive_is_what_the_script_makes() -> None:
     made = make_vectors.files()
-    kept = {path.relative_to(FOLDER).as_posix(): path for path in FOLDER.rglob("*") if path.is_file()}
-    assert sorted(kept) == sorted(made)
-    for name, path in kept.items():
-        assert path.read_bytes() == made[name], name
+    assert sorted(KEPT) == sorted(made)
+    for name, data in KEPT.items():
+        assert data == made[name], name
+    assert make_vectors.ARCHIVE.read_bytes() == make_vectors.archive(made)
 
 
 def test_the_suite_is_small_and_has_every_reason_code() -> None:
-    assert sum(path.stat().st_size for path in FOLDER.rglob("*")) < 1_000_000
+    assert make_vectors.ARCHIVE.stat().st_size < 1_000_000
     assert {expected["failure"]["reason"] for expected in EXPECTED.values() if expected["failure"]} == ALL_REASONS
 
 
@@ -213,14 +219,14 @@ def test_a_stream_cut_after_a_packet_is_a_shorter_stream(decode: Decoder, name: 
 
 
 @pytest.mark.parametrize("name", [name for name in sorted(EXPECTED) if "payload_bytes" not in str(EXPECTED[name])])
-def test_an_opened_file_has_those_states_or_an_error(name: str) -> None:
+def test_an_opened_file_has_those_states_or_an_error(name: str, tmp_path: Path) -> None:
     """Through the index, where there is one: what it says wrong is an error, never another state."""
     expected, states = EXPECTED[name], []
     limits = expected.get("limits", {})
     population = {"max_gaussians": limits["gaussians"]} if "gaussians" in limits else {}
     reason = None
     try:
-        with open_stream(FOLDER / f"{name}.dgs", strict=True, **population) as stream:
+        with open_stream(vector_file(name, tmp_path), strict=True, **population) as stream:
             states.extend(product_hashes(f.state, stream.header, f.corrections) for f in stream.frames())
     except StreamError as error:
         reason = error.reason
@@ -246,7 +252,7 @@ def test_a_followed_stream_has_those_states_and_that_reason(name: str) -> None:
 @pytest.mark.parametrize("name", [name for name in GOOD if "limits" not in EXPECTED[name]])
 def test_every_command_reads_a_good_vector(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """decogs-info, decogs-decode and decogs-export, strictly."""
-    stream, frames = str(FOLDER / f"{name}.dgs"), len(EXPECTED[name]["frames"])
+    stream, frames = str(vector_file(name, tmp_path)), len(EXPECTED[name]["frames"])
     for shown in ([], ["--json"], ["--bytes"]):
         assert info_main([stream, "--strict", *shown]) == 0, capsys.readouterr().err
     facts = info(stream, strict=True)

@@ -14,23 +14,23 @@ import cv2
 import numpy as np
 import pytest
 
-import decogs.encoder.change.detection as detection
-import decogs.encoder.coding.coded_scene as coded_scene
+import decogs.encoder.frame.plan as plan
+import decogs.encoder.stream.encoder as stream_encoder
 from decogs.codec.corrections import Correction
 from decogs.codec.state import State
 from decogs.decoder.picture_output import to_8bit
 from decogs.decoder.stream import open_stream
 from decogs.decoder.views import render_view
 from decogs.encoder import EncodeReport, EncodeSettings, FrameReport
+from decogs.encoder.frame.encode_frame import Encoded as EncodedFrame
 from decogs.encoder.input.imported_keyframe import read_keyframe
 from decogs.encoder.input.ingest import Ingest
 from decogs.encoder.settings.cache import CacheSettings
 from decogs.encoder.settings.frame import FrameSettings, MaskSettings
 from decogs.encoder.settings.keyframe import KeyframeSettings
 from decogs.encoder.settings.threedgstream import BaselineSettings
-from decogs.encoder.stream import encode_stream
+from decogs.encoder.stream.run import encode_stream
 from decogs.formats.cameras import Camera
-from decogs.formats.container import Packet
 from decogs.formats.rigs import open_rig
 from decogs.formats.splats import SH_C0, Splats, join_splats
 
@@ -234,13 +234,15 @@ def _encode(output: Path, rig: Path, **options: Any) -> Encoded:
     ingest = Ingest(opened, holdout=chosen["holdout"], scale=chosen["scale"], lens=lens)
     states: list[State] = []
     selected: dict[int, np.ndarray] = {}
-    take, select = coded_scene.CodedScene.take, detection.select
+    select, begin, encode_one = plan.select, stream_encoder.begin_scene, stream_encoder.encode_frame
 
-    def observed_take(scene: coded_scene.CodedScene, packet: Packet) -> None:
-        take(scene, packet)
-        # The next closed segment's scene is trained, too, for the frames that go over to it.
-        if scene._output is not None:
-            states.append(scene.state)
+    def observed(encode: Callable[..., EncodedFrame]) -> Callable[..., EncodedFrame]:
+        def and_noted(*arguments: Any) -> EncodedFrame:
+            encoded = encode(*arguments)
+            states.append(encoded.scene.state)
+            return encoded
+
+        return and_noted
 
     def observed_select(*arguments: Any) -> np.ndarray:
         chosen = select(*arguments)
@@ -251,8 +253,9 @@ def _encode(output: Path, rig: Path, **options: Any) -> Encoded:
         return chosen
 
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(coded_scene.CodedScene, "take", observed_take)
-        patched.setattr(detection, "select", observed_select)
+        patched.setattr(stream_encoder, "begin_scene", observed(begin))
+        patched.setattr(stream_encoder, "encode_frame", observed(encode_one))
+        patched.setattr(plan, "select", observed_select)
         report = encode_stream(
             ingest,
             output,

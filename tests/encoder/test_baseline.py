@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-import decogs.encoder.change.detection as detection
+import decogs.encoder.frame.plan as plan
 from decogs.codec.digest import digest
 from decogs.decoder.stream import open_stream
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
+from decogs.encoder.change.masks import MaskMemory
 from decogs.encoder.input.ingest import Ingest
 from decogs.encoder.settings.encode import EncodeSettings
 from decogs.encoder.settings.threedgstream import BaselineSettings
@@ -224,8 +225,8 @@ def test_no_mask_is_made_and_nothing_selected(
     def never(*_: Any) -> None:
         raise AssertionError("a mask or a selection was asked for")
 
-    monkeypatch.setattr(detection.MaskMemory, "masks", never)
-    monkeypatch.setattr(detection, "view_evidence", never)
+    monkeypatch.setattr(MaskMemory, "pixel_changes", never)
+    monkeypatch.setattr(plan, "view_evidence", never)
     again = encode(moving_rig, settings=replace(tiny_settings, method="3dgstream"), keyframe=moving.path)
     assert again.data == dense.data
 

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-import decogs.encoder.coding.coded_scene as coded_scene
-import decogs.encoder.stream_state as stream_state
+import decogs.encoder.coding.scene as scene
 from decogs.codec.corrections import Correction
 from decogs.codec.digest import digest
 from decogs.codec.state import ARRAYS
 from decogs.decoder.stream import open_stream
 from decogs.encoder import CorrectionSettings, EncodeSettings, Targets
 from decogs.encoder import encode as encode_rig
-from decogs.encoder.coding.rate_control import RATE_CONTROLS, ContentRateControl, with_budget
+from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
+from decogs.encoder.coding.rate_control import RateControl, with_budget
 from decogs.encoder.settings.frame import SignificanceSettings
 from decogs.formats.container import FRAME_KINDS, PacketKind
 from decogs.formats.errors import UsageError
@@ -117,13 +117,13 @@ def test_a_segment_shows_its_scene_in_the_views_of_the_one_before(
 ) -> None:
     """New views for every segment leave holes in the heap: a take's memory grew by 50 kB a frame."""
     made: list[str] = []
-    new_view = stream_state.fixed_view
+    new_view = CpuKernel.fixed_view
 
     def counted(kernel: Any, camera: Any) -> Any:
         made.append(camera.name)
         return new_view(kernel, camera)
 
-    monkeypatch.setattr(stream_state, "fixed_view", counted)
+    monkeypatch.setattr(CpuKernel, "fixed_view", counted)
     encode(rig_of(MOMENTS), settings=closed(tiny_settings), keyframe=key)
     assert made
     assert len(made) == len(set(made)), "one for each camera"
@@ -184,25 +184,21 @@ def test_streams_without_closed_segments_say_nothing_of_them(moving: Any) -> Non
         assert not {"closed", "catch_up", "cross_fade"} & set(stream.header.settings)
 
 
-def test_a_packages_rate_control_is_made_anew_for_every_closed_segment(
+def test_every_closed_segment_has_a_rate_control_of_its_own(
     encode: Any, rig_of: Any, key: Path, tiny_settings: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As docs/extending.md says."""
-    heard: list[list[int]] = []
+    heard: list[tuple[int, int]] = []
+    after = RateControl.after
 
-    class Listening(ContentRateControl):
-        def __init__(self, budget: float, segment: int) -> None:
-            super().__init__(budget, segment)
-            heard.append([])
+    def noted(control: RateControl, kind: int, size: int) -> RateControl:
+        heard.append((control.frames, kind))
+        return after(control, kind, size)
 
-        def wrote(self, kind: int, size: int) -> None:
-            super().wrote(kind, size)
-            heard[-1].append(kind)
-
-    monkeypatch.setattr(RATE_CONTROLS, "get", lambda _: Listening)
+    monkeypatch.setattr(RateControl, "after", noted)
     encoded = encode(rig_of(MOMENTS), settings=closed(of_budget(tiny_settings), cross_fade=0), keyframe=key)
     kinds = [packet.kind for packet in packets(encoded.path)]
-    assert heard == [kinds[1:3], kinds[3:]], "the first segment's hears of what follows the first keyframe"
+    assert [kind for _, kind in heard] == kinds[1:], "what follows the first keyframe"
+    assert [frames for frames, _ in heard] == [*range(2), *range(len(kinds) - 3)], "each counts from its start"
 
 
 @pytest.mark.parametrize(
@@ -224,7 +220,7 @@ def test_segments_whose_ids_are_too_far_apart_to_be_listed(
     rig_of: Any, encode: Any, key: Path, tiny_settings: EncodeSettings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """From the seventeenth segment on, its Gaussians and the first keyframe's are 2^35 ids apart."""
-    monkeypatch.setattr(coded_scene, "IDS_PER_SEGMENT", 1 << 36)
+    monkeypatch.setattr(scene, "IDS_PER_SEGMENT", 1 << 36)
     encoded = encode(rig_of(MOMENTS), settings=closed(remembering(tiny_settings)), keyframe=key)
     ids = encoded.states[3].ids
     assert int(ids[-1]) >= 1 << 36, "it has Gaussians of its own"

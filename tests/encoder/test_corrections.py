@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-import decogs.encoder.coding.coded_scene as coded_scene
+import decogs.encoder.coding.packets as packets
 from decogs.codec.corrections import ANGLE_STEP, COLOUR_STEP, Correction
 from decogs.codec.digest import digest
 from decogs.decoder.camera_corrections import as_it_stood, with_odds
@@ -21,8 +21,8 @@ from decogs.decoder.stream import open_stream
 from decogs.decoder.views import render_view
 from decogs.encoder.backends import RenderedPicture
 from decogs.encoder.backends.cpu.cpu_kernel import HostPicture
-from decogs.encoder.input.compensation import Corrector, corrector_of
-from decogs.encoder.input.compensation.agreement import agreeing_shifts
+from decogs.encoder.input.compensation import CorrectionMemory, Corrector, corrector_of
+from decogs.encoder.input.compensation.agreement import SharedSurface, agreeing_shifts
 from decogs.encoder.input.compensation.benefit import Benefit
 from decogs.encoder.input.compensation.colour import odds_shift, without_odds
 from decogs.encoder.input.compensation.shake import angles_of, turn_of, unturned
@@ -192,8 +192,8 @@ def test_a_camera_is_corrected_for_what_it_is_named(
     pictures = [draw(i).rgb for i in range(len(views))]
     pictures[1] = recorded_of(pictures[1], shift)
     corrector = Corrector(views, settings)
-    corrector.see(draw)
-    told = [corrector.find(pictures, lambda number: draw(number).rgb), corrector.find_jointly(pictures, draw)]
+    memory = corrector.begin(draw)
+    told = [corrector.find(memory, pictures, lambda number: draw(number).rgb), corrector.find_jointly(pictures, draw)]
     for found in told:
         assert set(found) == {"cam01"}
         numbers = np.array([found["cam01"].exposure, found["cam01"].red, found["cam01"].blue])
@@ -223,8 +223,8 @@ def test_light_stays_in_a_cameras_picture(tiny_rig: Any, light: np.ndarray, all_
         pictures.append(np.asarray(odds / (1 + odds), np.float32))
     cameras = tiny_rig.names if all_named else ("cam01",)
     corrector = Corrector(views, CorrectionSettings(exposure=cameras, white_balance=cameras))
-    corrector.see(draw)
-    found = corrector.find(pictures, lambda number: draw(number).rgb)
+    memory = corrector.begin(draw)
+    found = corrector.find(memory, pictures, lambda number: draw(number).rgb)
     for name in cameras:
         odds = np.log(found[name].odds)
         np.testing.assert_allclose(odds, own if name == "cam01" else 0, atol=0.02)
@@ -243,8 +243,8 @@ def test_light_that_only_some_points_see_stays_too(tiny_rig: Any) -> None:
         pictures.append(recorded_of(draw(number).rgb, (0, 0, 0), seed=number))
         pictures[-1] = np.where(where[0] < 0.6, 1 - 0.5 * (1 - pictures[-1]), pictures[-1]).astype(np.float32)
     corrector = Corrector(views, CorrectionSettings(exposure=("cam01",), white_balance=("cam01",)))
-    corrector.see(draw)
-    found = corrector.find(pictures, lambda number: draw(number).rgb)
+    memory = corrector.begin(draw)
+    found = corrector.find(memory, pictures, lambda number: draw(number).rgb)
     np.testing.assert_allclose(np.log(found["cam01"].odds), 0, atol=0.02)
     assert np.abs(odds_shift(pictures[1], draw(1).rgb).shift).max() > 0.1, "alone it looks like a drift"
 
@@ -258,12 +258,12 @@ def test_a_correction_pays_where_the_scene_agrees_with_it() -> None:
     for corrected, left, pays in ((right, recorded, True), (recorded, right, False), (recorded, recorded, True)):
         benefit = Benefit()
         for _ in range(3):
-            benefit.saw(corrected, left, shown, changed)
+            benefit = benefit.seen(corrected, left, shown, changed)
         assert benefit.pays is pays
     mixed = Benefit()
     half = np.where(changed, recorded, right)
     for _ in range(3):
-        mixed.saw(half, np.where(changed, right, recorded), shown, changed)
+        mixed = mixed.seen(half, np.where(changed, right, recorded), shown, changed)
     assert not mixed.pays, "it gains on what does not change and loses on what does"
 
 
@@ -275,14 +275,14 @@ def test_light_that_the_scene_has_not_followed_yet_is_no_cameras_loss(tiny_rig: 
         recorded_of(draw(n).rgb, dimmer * (view.camera.name != "cam01"), seed=n) for n, view in enumerate(views)
     ]
     corrector = Corrector(views, CorrectionSettings(exposure=("cam01",), white_balance=("cam01",)))
-    corrector.see(draw)
-    corrector.begin({"cam01": Correction()})
+    memory = replace(corrector.begin(draw), first={"cam01": Correction()})
     unchanged = [np.zeros(picture.shape[1:], bool) for picture in recorded]
     show = lambda number: draw(number).rgb  # noqa: E731
     for _ in range(4):
-        found = corrector.find(recorded, show)
+        found = corrector.find(memory, recorded, show)
         np.testing.assert_allclose(np.log(found["cam01"].odds), 0.3, atol=0.02)
-        assert corrector.judge(recorded, found, show, unchanged) == []
+        memory = corrector.judge(memory, recorded, found, show, unchanged)
+        assert not memory.dropped
 
 
 def test_held_out_and_unknown_cameras_cannot_be_corrected(moving_rig: Path) -> None:
@@ -453,9 +453,9 @@ def test_a_correction_that_does_not_pay_is_dropped(
     """A camera is said to darken that does not; after two frames it is left alone, in a resumed encode, too."""
     find = Corrector.find
 
-    def wrong(self: Corrector, recorded: Any, show: Any) -> Any:
-        found = find(self, recorded, show)
-        if ("cam01", "colours") not in self._dropped and self._first:
+    def wrong(self: Corrector, memory: Any, recorded: Any, show: Any) -> Any:
+        found = find(self, memory, recorded, show)
+        if ("cam01", "colours") not in memory.dropped and memory.first:
             found["cam01"] = replace(found["cam01"], exposure=found["cam01"].exposure - 2000)
         return found
 
@@ -482,9 +482,9 @@ def never(*_: Any, **__: Any) -> None:
 def test_nothing_runs_when_no_camera_is_named(
     moving: Any, encode: Any, moving_rig: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name in ("see", "find", "find_jointly", "undo", "judge", "__init__"):
+    for name in ("begin", "find", "find_jointly", "undo", "judge", "__init__"):
         monkeypatch.setattr(Corrector, name, never)
-    monkeypatch.setattr(coded_scene, "write_corrections", never)
+    monkeypatch.setattr(packets, "write_corrections", never)
     plain = encode(moving_rig, stop=3)
     assert all("corrections" not in frame.seconds and "corrections" not in frame.costs for frame in plain.report.frames)
     with open_stream(plain.path) as stream:
@@ -512,11 +512,13 @@ def test_gains_and_shake_of_the_shared_rig_are_found(shared_data: Any) -> None:
     views = [View(camera, camera, None) for camera in drift.cameras if camera.name in names]
     corrector = Corrector(views, CorrectionSettings(exposure=names, white_balance=names, shake=("cam03",)))
     # Whole pictures against each other: no surface is shown, so that no camera is told by what it shares.
+    none = np.zeros((len(views), 0), np.int64)
+    nowhere = SharedSurface(none, none, none > 0)
     found, gains = [], []
     for frame in (0, 4, 8):
         (_, shown), (_, recorded) = (next(read_frames(rig, frame, frame + 1, names=names)) for rig in (clean, drift))
         pictures = [[planar(picture / np.float32(255)) for picture in side] for side in (shown, recorded)]
-        told = corrector.find(pictures[1], pictures[0].__getitem__)
+        told = corrector.find(CorrectionMemory(nowhere), pictures[1], pictures[0].__getitem__)
         found += [[told[n].exposure, told[n].red, told[n].blue] for n in names]
         gains += [[np.log(truth[n][kind][frame]) for kind in ("gain", "red", "blue")] for n in names]
         angles = np.degrees(np.array([told["cam03"].yaw, told["cam03"].pitch, told["cam03"].roll]) * ANGLE_STEP)

@@ -17,11 +17,12 @@ from decogs.decoder.stream import open_stream
 from decogs.decoder.views import render_view
 from decogs.encoder import EncodeSettings
 from decogs.encoder import encode as encode_rig
-from decogs.encoder.backends import ATTRIBUTES, IncrementalViews, training_kernel
-from decogs.encoder.closed_segments import with_following
+from decogs.encoder.backends import ATTRIBUTES, training_kernel
+from decogs.encoder.backends.scene_views import SceneViews
+from decogs.encoder.frame.cross_fade import CrossFade, cross_fade, fade_cameras
 from decogs.encoder.input.ingest import RigFrame
+from decogs.encoder.segments.next_segment import with_following
 from decogs.encoder.settings.frame import FrameSettings, SignificanceSettings
-from decogs.encoder.training.cross_fade import CrossFade, fade_cameras, go_over
 from decogs.encoder.training.method import TrainedFrame
 from decogs.formats.cameras import camera_centre
 from decogs.formats.splats import empty_splats, take_splats
@@ -88,8 +89,8 @@ def test_large_cameras_are_compared_in_smaller_pictures(tiny_rig: Any) -> None:
     assert small.width / small.height == pytest.approx(4 / 3, rel=0.01)
 
 
-def fade_views(kernel: Any, cameras: Sequence[Any]) -> IncrementalViews:
-    return IncrementalViews([kernel.fixed_view(camera) for camera in fade_cameras(cameras)])
+def fade_views(kernel: Any, cameras: Sequence[Any]) -> SceneViews:
+    return SceneViews(kernel, lambda: fade_cameras(cameras))
 
 
 def test_a_frame_comes_to_show_the_mixture(tiny_rig: Any) -> None:
@@ -103,7 +104,7 @@ def test_a_frame_comes_to_show_the_mixture(tiny_rig: Any) -> None:
     trained = TrainedFrame(np.zeros(0, np.int64), none, np.zeros(0, np.int64), none)
     settings = FrameSettings(cache=None, joint_iterations=60, significance=SignificanceSettings(threshold=1e-3))
     given = {"extent": 2.0, "seed": (0, 1)}
-    gone = go_over(kernel, scene, trained, fade, settings, **given)
+    gone = cross_fade(kernel, scene, trained, fade, settings, **given)
     np.testing.assert_array_equal(gone.kept, rows)
     assert not len(gone.removed)
     assert not len(gone.added)
@@ -114,7 +115,7 @@ def test_a_frame_comes_to_show_the_mixture(tiny_rig: Any) -> None:
         was, now, wanted = (render(splats, camera, threads=1).image for splats in (scene, after, following))
         mixture = (was + wanted) / 2
         assert np.square(now - mixture).mean() < 0.3 * np.square(was - mixture).mean()
-    assert go_over(kernel, scene, trained, replace(fade, scene=scene), settings, **given) is trained
+    assert cross_fade(kernel, scene, trained, replace(fade, scene=scene), settings, **given) is trained
 
 
 def test_what_was_trained_and_added_goes_over_as_well(tiny_rig: Any) -> None:
@@ -126,7 +127,7 @@ def test_what_was_trained_and_added_goes_over_as_well(tiny_rig: Any) -> None:
     trained = TrainedFrame(kept, take_splats(following, kept), removed, new)
     fade = CrossFade(following, 0.5, rows, fade_views(kernel, cameras))
     settings = FrameSettings(cache=None, joint_iterations=8)
-    gone = go_over(kernel, scene, trained, fade, settings, extent=2.0, seed=(0, 1))
+    gone = cross_fade(kernel, scene, trained, fade, settings, extent=2.0, seed=(0, 1))
     np.testing.assert_array_equal(gone.kept, np.setdiff1d(np.union1d(kept, rows), removed))
     np.testing.assert_array_equal(gone.removed, removed)
     assert len(gone.added) == len(new)

@@ -22,7 +22,7 @@ import torch
 from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode, _disable_current_modes
 
-import decogs.encoder.stream_state as stream_state
+import decogs.encoder.frame.context as context
 import gradient_twin
 import rasterise_cases as cases
 from decogs.encoder.backends import FixedView, Gradients, cuda, gradients_like, training_kernel
@@ -666,7 +666,7 @@ def test_a_whole_encode_runs_on_it(
     backend: Backend, encode: Any, moving_rig: Path, tiny_settings: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Keyframe and a later frame, cache included. Roundings grow as training goes on (seen: 0.01 dB)."""
-    monkeypatch.setattr(stream_state, "training_kernel", lambda device, threads: backend.make())
+    monkeypatch.setattr(context, "training_kernel", lambda device, threads: backend.make())
     settings = replace(
         tiny_settings,
         keyframe=replace(tiny_settings.keyframe, iterations=14, cap=400, grow_every=6, settle_iterations=4),

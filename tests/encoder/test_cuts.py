@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-import decogs.encoder.loop as loop
+import decogs.encoder.frame.encode_frame as encode_frame
 from decogs.codec.digest import digest
 from decogs.decoder.picture_output import to_8bit
 from decogs.decoder.rasterise import render
@@ -161,7 +161,7 @@ def test_a_cut_that_cannot_be_a_keyframe_is_trained_as_other_frames_are(
             raise TrainingError("no points")
         return train_first_frame(*arguments, header=header, **options)
 
-    monkeypatch.setattr(loop, "train_first_frame", fails)
+    monkeypatch.setattr(encode_frame, "train_first_frame", fails)
     encoded = encode(cut_rig)
     assert check_decoded(encoded)[2] == "delta"
     kept = encode(cut_rig, settings=replace(tiny_settings, cuts=False))

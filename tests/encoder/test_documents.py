@@ -1,4 +1,4 @@
-"""README and docs/: links lead somewhere, commands run as they are shown, and the README stays short."""
+"""Documents: links lead somewhere, commands of README and docs/ run as they are shown, and the README stays short."""
 
 from __future__ import annotations
 
@@ -25,7 +25,15 @@ from decogs.encoder.settings.frame import SignificanceSettings
 
 ROOT = Path(__file__).parents[2]
 DOCS = sorted((ROOT / "docs").glob("*.md"))
-DOCUMENTS = [ROOT / "README.md", ROOT / "report" / "README.md", *DOCS]
+LAYERS = ("formats", "codec", "decoder", "encoder", "bench", "player")
+DOCUMENTS = [
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    *sorted((ROOT / "report").glob("*.md")),
+    *sorted(path for layer in LAYERS for path in (ROOT / layer).rglob("*.md") if "node_modules" not in path.parts),
+    ROOT / "tests" / "conformance" / "README.md",
+    *DOCS,
+]
 MAINS: dict[str, Callable[[list[str]], int]] = {
     "decogs-analyze": analyze_main,
     "decogs-encode": encode_main,
@@ -116,6 +124,27 @@ def test_links_lead_somewhere(document: Path) -> None:
     for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", document.read_text()):
         if not target.startswith("http"):
             assert (document.parent / target).exists(), target
+
+
+def test_each_room_of_the_encoder_is_in_the_table_of_rooms() -> None:
+    text = (ROOT / "CONTRIBUTING.md").read_text()
+    table = text[text.index("| room | what is in it |") :].split("\n\n")[0]
+    listed = [name for row in table.splitlines() for name in re.findall(r"`([^`]+)`", row.split("|")[1])]
+    entries = [path for path in (ROOT / "encoder").iterdir() if path.name not in {"__init__.py", "__pycache__"}]
+    rooms = [f"{path.name}/" if path.is_dir() else path.name for path in entries if path.suffix in {"", ".py"}]
+    assert sorted(listed) == sorted(rooms)
+
+
+def test_the_report_lists_each_of_its_pages_and_keeps_no_picture_that_none_shows() -> None:
+    pages = sorted((ROOT / "report").glob("*.md"))
+    linked = {target for page in pages for target in re.findall(r"\]\(([^)#]+)\)", page.read_text())}
+    kept = [path for path in (ROOT / "report").rglob("*") if path.is_file() and not is_full_report(path)]
+    assert {path.relative_to(ROOT / "report").as_posix() for path in kept} - linked == {"README.md"}
+
+
+def is_full_report(path: Path) -> bool:
+    """What `make report` makes and git does not keep."""
+    return "full" in path.parts or path.name == "full.zip"
 
 
 def test_the_readme_is_short() -> None:

@@ -16,9 +16,8 @@ import pytest
 from decogs.decoder.stream import open_stream
 from decogs.encoder import Switches, encode
 from decogs.encoder.change.selection import SELECTION_RULES, ViewEvidence, select
-from decogs.encoder.coding.rate_control import RATE_CONTROLS
 from decogs.encoder.registry import Registry, anything, guarded
-from decogs.encoder.settings.frame import SelectionSettings, SignificanceSettings
+from decogs.encoder.settings.frame import SelectionSettings
 from decogs.encoder.switches import with_selection
 from decogs.encoder.training.densification import DENSIFICATIONS
 from decogs.encoder.training.method import FrameMethod, TrainedFrame
@@ -92,7 +91,7 @@ def test_the_documents_method_encodes_when_it_is_installed(
 @pytest.fixture(autouse=True)
 def nothing_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each test finds packages anew."""
-    for registry in (SELECTION_RULES, FRAME_METHODS, DENSIFICATIONS, RATE_CONTROLS):
+    for registry in (SELECTION_RULES, FRAME_METHODS, DENSIFICATIONS):
         monkeypatch.setattr(registry, "_loaded", {})
 
 
@@ -267,12 +266,6 @@ def test_what_other_extensions_do_wrong_is_said_with_their_package(monkeypatch: 
         DENSIFICATIONS.get("broken")(
             _splats(2), np.zeros(2), np.ones(2, bool), threshold=0, room=1, large=1, random=None
         )  # type: ignore[arg-type]
-    with pytest.raises(UsageError, match=r"^broken: the rate control .*decogs-example is no function but None$"):
-        RATE_CONTROLS.get("broken")(1e4, 0)
-    monkeypatch.setattr(RATE_CONTROLS, "_loaded", {})
-    offered(monkeypatch, returns(SimpleNamespace(significance=returns(3), wrote=returns(None))))
-    with pytest.raises(UsageError, match=r"^broken: the rate .*decogs-example returned int, no SignificanceSettings$"):
-        RATE_CONTROLS.get("broken")(1e4, 0).significance(SignificanceSettings())
 
 
 def test_a_rule_of_a_package_is_a_setting_as_ours_are(

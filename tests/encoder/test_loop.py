@@ -17,9 +17,9 @@ import cv2
 import numpy as np
 import pytest
 
-import decogs.encoder.loop as loop
-import decogs.encoder.output.frame_report as frame_report
 import decogs.encoder.stopwatch as stopwatch
+import decogs.encoder.stream.encoder as stream_encoder
+import decogs.encoder.stream.frame_report as frame_report
 from decogs.codec.corrections import Correction
 from decogs.codec.digest import digest
 from decogs.codec.lattice import dequantise
@@ -233,10 +233,10 @@ def test_processor_seconds_are_those_of_the_frame_without_the_measuring(
 
         return run
 
-    monkeypatch.setattr(loop, "Stopwatch", lambda: stopwatch.Stopwatch(began=spent[0]))
+    monkeypatch.setattr(stream_encoder, "Stopwatch", lambda: stopwatch.Stopwatch(began=spent[0]))
     monkeypatch.setattr(stopwatch.time, "process_time", lambda: spent[0])
     monkeypatch.setattr(frame_report, "mean_psnr", costly(frame_report.mean_psnr, 1.0))  # twice a frame
-    monkeypatch.setattr(MaskMemory, "masks", costly(MaskMemory.masks, 0.125))
+    monkeypatch.setattr(MaskMemory, "pixel_changes", costly(MaskMemory.pixel_changes, 0.125))
     key, _, skip, _ = encode(moving_rig, keyframe=moving.path).report.frames
     assert (key.kind, skip.kind) == ("key", "skip")
     assert (key.cpu_seconds, skip.cpu_seconds) == (0.0, 0.125)

@@ -8,10 +8,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from decogs.encoder.change.masks import FrameMask, MaskMemory, difference_mask, dilate, faint_light_mask, without_specks
+from decogs.encoder.change.flashes import is_missed
+from decogs.encoder.change.masks import (
+    FrameMask,
+    MaskMemory,
+    difference_mask,
+    dilate,
+    faint_light_mask,
+    full_masks,
+    without_specks,
+)
 from decogs.encoder.change.noise import frame_noise
 from decogs.encoder.settings.frame import MaskSettings
 from decogs.formats.errors import UsageError
+from mask_steps import MaskSteps
 
 RNG = np.random.default_rng(7)
 
@@ -105,7 +115,7 @@ def test_a_change_too_slow_for_the_threshold_adds_up_until_it_is_seen() -> None:
     settings = MaskSettings(threshold=10.0, radius_fraction=0.0)
     for since_trained, expected in ((False, [0, 0, 0, 0]), (True, [0, 0, 1, 0])):
         chosen = replace(settings, since_trained=since_trained)
-        memory, seen = MaskMemory([np.zeros((3, 8, 8), np.float32)], chosen), []
+        memory, seen = MaskSteps([np.zeros((3, 8, 8), np.float32)], chosen), []
         for level in (4, 8, 12, 16):  # 8-bit levels of one pixel
             now = np.zeros((3, 8, 8), np.float32)
             now[:, 2, 5] = level / 255
@@ -121,7 +131,7 @@ def test_only_the_region_of_interest_takes_over_the_new_picture() -> None:
     before, now = np.zeros((3, 4, 4), np.float32), np.ones((3, 4, 4), np.float32)
     raw, dilated = np.zeros((4, 4), bool), np.zeros((4, 4), bool)
     dilated[1:3] = True
-    memory = MaskMemory([before], MaskSettings(since_trained=True, radius_fraction=0))
+    memory = MaskSteps([before], MaskSettings(since_trained=True, radius_fraction=0))
     memory.trained([now], [FrameMask(raw, dilated)], moved=True)
     memory.passed([now])
     np.testing.assert_array_equal(memory.masks([now], [now])[0].raw, ~dilated)
@@ -135,7 +145,7 @@ def test_what_was_got_wrong_is_mended_where_the_picture_has_changed_before() -> 
     expected = np.zeros((12, 12), bool)
     expected[2:5, 2:5] = True
     for residual, found in ((0.0, np.zeros((12, 12), bool)), (25.0, expected), (26.0, np.zeros((12, 12), bool))):
-        memory = MaskMemory([picture], MaskSettings(residual=residual, radius_fraction=0))
+        memory = MaskSteps([picture], MaskSettings(residual=residual, radius_fraction=0))
         assert not memory.masks([picture], [wrong])[0].raw.any()
         memory.trained([picture], [FrameMask(changed, changed)], moved=True)
         np.testing.assert_array_equal(memory.masks([picture], [wrong])[0].raw, found)
@@ -149,7 +159,7 @@ def test_where_something_moved_what_clearly_changed_stays_in_focus_for_some_fram
     settings = MaskSettings(
         threshold=10.0, radius_fraction=0.0, since_trained=True, refine_frames=2, refine_threshold=25.0
     )
-    memory, focus = MaskMemory([still], settings), []
+    memory, focus = MaskSteps([still], settings), []
     for _ in range(4):
         mask = memory.masks([now], [now])[0]
         focus.append([tuple(place) for place in np.argwhere(mask.dilated)])
@@ -162,7 +172,7 @@ def test_where_something_moved_what_clearly_changed_stays_in_focus_for_some_fram
 
 def test_what_is_being_mended_has_not_changed() -> None:
     still, now = np.zeros((3, 8, 8), np.float32), np.ones((3, 8, 8), np.float32)
-    memory = MaskMemory([still], MaskSettings(since_trained=True, refine_frames=1))
+    memory = MaskSteps([still], MaskSettings(since_trained=True, refine_frames=1))
     memory.trained([now], memory.masks([now], [now]), moved=True)
     memory.passed([now])
     mask = memory.masks([now], [now])[0]
@@ -172,21 +182,13 @@ def test_what_is_being_mended_has_not_changed() -> None:
     assert not mask.changing.any()
 
 
-def test_a_copy_of_the_memory_keeps_what_it_was_mending() -> None:
-    still, now = np.zeros((3, 8, 8), np.float32), np.ones((3, 8, 8), np.float32)
-    memory = MaskMemory([still], MaskSettings(since_trained=True, refine_frames=1))
-    before = memory.copy()
-    memory.trained([now], memory.masks([now], [now]), moved=True)
-    assert not before.masks([still], [still])[0].dilated.any()
-
-
 @pytest.mark.parametrize("levels", [3, 6])
 @pytest.mark.parametrize("moved", [True, False])
 def test_faint_light_counts_after_a_frame_in_which_only_light_changed(moved: bool, levels: float) -> None:
     before = np.full((3, 40, 40), 0.5, np.float32)
     lit = before.copy()
     lit[:, 10:26, 10:26] += levels / 255  # a sixth of the picture: it does not spread
-    memory = MaskMemory([before], MaskSettings(threshold=10.0, radius_fraction=0.0, light_threshold=4.0))
+    memory = MaskSteps([before], MaskSettings(threshold=10.0, radius_fraction=0.0, light_threshold=4.0))
     first = memory.masks([lit], [lit])
     assert not first[0].dilated.any(), "nothing is known of the light yet"
     memory.trained([lit], first, moved=moved)
@@ -207,7 +209,7 @@ def test_light_that_reached_next_to_nothing_is_not_looked_for_more_closely(colum
     shaded, lit = before.copy(), before.copy()
     shaded[:, :7, :columns] += 3 / 255  # a fortieth of the picture, or a twentieth
     lit[:, 70:98, 70:98] += 3 / 255
-    memory = MaskMemory([before], MaskSettings(threshold=10.0, radius_fraction=0.0, light_threshold=4.0))
+    memory = MaskSteps([before], MaskSettings(threshold=10.0, radius_fraction=0.0, light_threshold=4.0))
     memory.trained([shaded], memory.masks([shaded], [shaded]), moved=False)
     assert memory.masks([lit], [lit])[0].dilated.any() == counts
 
@@ -223,7 +225,7 @@ def test_light_that_falls_slowly_over_much_of_the_picture_counts_while_something
     settings = MaskSettings(
         threshold=10.0, radius_fraction=0.018, speck_area=8, since_trained=True, light_threshold=4.0
     )
-    memory = MaskMemory([before], settings)
+    memory = MaskSteps([before], settings)
     memory.trained([before], memory.masks([before], [before]), moved=True)
     mask = memory.masks([now], [now])[0]
     lit = mask.dilated[:, : round(share * 160) - 8]
@@ -270,20 +272,21 @@ def test_a_change_of_most_pixels_that_no_mask_has_is_taken_whole() -> None:
     """Half of the pixels, clearly, against what they were trained on and against what is shown; no lost view."""
     before = np.tile(np.linspace(0.1, 0.6, 8, dtype=np.float32), (3, 8, 1))
     now = before.copy()
-    memory = MaskMemory([before, before, before], MaskSettings(threshold=200.0))
+    settings = MaskSettings(threshold=200.0)
+    memory = MaskMemory.begin([before, before, before])
     for rows, shown, found in ((8, before, True), (4, before, False), (8, now, False)):
         now[:] = before
         now[:, :rows] += 0.3
         black = np.zeros((3, 8, 8), np.float32)
-        masks = memory.masks([now, now, black], [shown] * 3)
-        assert not any(mask.dilated.any() for mask in masks)
-        whole = memory.whole([now, now, black], [shown] * 3)
-        assert [bool(mask.dilated.all()) for mask in whole] == ([True, True, False] if found else [])
+        changes = memory.pixel_changes([now, now, black], [shown] * 3, settings)
+        assert not any(change.raw.any() for change in changes)
+        assert is_missed(memory, [now, now, black], [shown] * 3, changes) == found
+        assert [bool(mask.dilated.all()) for mask in full_masks(changes)] == [True, True, False]
 
 
 def frame_masks(current: list[np.ndarray], references: list[np.ndarray], settings: MaskSettings) -> list[FrameMask]:
     """Masks of a stream's second frame."""
-    return MaskMemory(references, settings).masks(current, references)
+    return MaskSteps(references, settings).masks(current, references)
 
 
 def test_unfit_input_is_refused() -> None:

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 import decogs.encoder.parts.encoding as parts
-import decogs.encoder.stream as stream
+import decogs.encoder.stream.run as stream
 from decogs.encoder import EncodeSettings
 from decogs.encoder import encode as encode_rig
 from decogs.encoder.input.ingest import Ingest

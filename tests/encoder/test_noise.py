@@ -14,10 +14,10 @@ from canary.figures import keyframe_of
 from canary.rigs import HELD_OUT, write_rig
 from decogs.encoder import EffectChoice, encode
 from decogs.encoder.analysis.sensor_noise import SensorNoise
-from decogs.encoder.change.masks import MaskMemory
 from decogs.encoder.change.noise import frame_noise, picture_noise
 from decogs.encoder.settings.frame import MaskSettings
 from decogs.encoder.settings.presets import preset
+from mask_steps import MaskSteps
 
 RNG = np.random.default_rng(5)
 SIZE = (96, 128)
@@ -55,10 +55,10 @@ def test_a_change_of_most_of_the_picture_is_no_noise(name: str, deviation: float
     scene = texture()
     before, now = recorded(scene, deviation), recorded(CHANGES[name](scene), deviation)
     settings = MaskSettings(threshold=10.0, radius_fraction=0.0)
-    plain = MaskMemory([before], settings).masks([now], [before])[0].raw.mean()
+    plain = MaskSteps([before], settings).masks([now], [before])[0].raw.mean()
     aware = MaskSettings(threshold=10.0, radius_fraction=0.0, noise_multiple=6.0)
     assert plain > 0.5
-    assert MaskMemory([before], aware).masks([now], [before])[0].raw.mean() == plain
+    assert MaskSteps([before], aware).masks([now], [before])[0].raw.mean() == plain
 
 
 @pytest.mark.parametrize("name", [name for name in CHANGES if name != "a pan"])

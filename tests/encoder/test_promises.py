@@ -17,11 +17,14 @@ from decogs.codec.lattice import default_lattice, dequantise
 from decogs.codec.state import take_rows
 from decogs.decoder.stream import open_stream
 from decogs.encoder.backends.cpu.optimiser import CpuOptimiser
-from decogs.encoder.change.detection import Change
-from decogs.encoder.coding.coded_scene import CodedScene
+from decogs.encoder.coding.changes import delta_of
+from decogs.encoder.frame.commit import commit
+from decogs.encoder.frame.events import Event, Kind
+from decogs.encoder.frame.memory import Memory
+from decogs.encoder.frame.plan import FramePlan, Selection
 from decogs.encoder.settings.frame import EmergenceSettings, SignificanceSettings
+from decogs.encoder.settings.presets import preset
 from decogs.encoder.stopwatch import Stopwatch
-from decogs.encoder.stream_state import FrameInWork, StreamState
 from decogs.encoder.training.delta import DeltaTrainer
 from decogs.encoder.training.method import FrameInput, TrainedFrame
 from decogs.encoder.training.seeding import _confirmed, _Found
@@ -90,8 +93,7 @@ def test_a_delta_keeps_the_quaternions_that_turn_alike(moving: Any) -> None:
         np.zeros(0, np.int64),
         empty_splats(values.sh_degree),
     )
-    stub: Any = SimpleNamespace(header=SimpleNamespace(lattice=lattice), state=state)
-    assert len(CodedScene._delta(stub, trained, SignificanceSettings()).rows) == 0
+    assert len(delta_of(state, lattice, trained, SignificanceSettings()).rows) == 0
 
 
 # Rates
@@ -125,21 +127,32 @@ def test_the_masks_remember_what_was_trained_and_whether_it_moved(
 ) -> None:
     """Light alone is not remembered as motion: the faint light around it counts in the next frame."""
     told: list[bool] = []
-    before = moving.states[0]
-    after = replace(before, frame=1, sh=before.sh + 1) if changed else replace(before, frame=1)
-    memory = SimpleNamespace(trained=lambda *_, moved, **__: told.append(moved), passed=lambda *_, **__: None)
-    scene = SimpleNamespace(state=after, splats=None, displacements=lambda _: np.zeros((0, 3), np.float32))
-    stub: Any = SimpleNamespace(
-        changes=memory,
-        scene=scene,
-        motion=Motion(),
-        views=SimpleNamespace(update=lambda *_: None),
-        compensation=SimpleNamespace(judge=lambda *_: []),
+    state = moving.states[0]
+
+    def trained(*_: Any, moved: bool, **__: Any) -> Any:
+        told.append(moved)
+        return masks
+
+    masks: Any = SimpleNamespace(trained=trained, advance=lambda *_, **__: masks)
+    stub: Any = SimpleNamespace
+    memory = Memory(stub(), masks, Motion.at_rest(len(state)), None, None, None)
+    before: Any = stub(state=state, splats=None)
+    after: Any = stub(
+        state=replace(state, frame=1, sh=state.sh + 1) if changed else replace(state, frame=1),
+        splats=None,
+        displacements=lambda _: np.zeros((len(state), 3), np.float32),
     )
-    frame: Any = SimpleNamespace(training=[])
-    change = Change([SimpleNamespace(dilated=None)], np.ones(3, bool))  # type: ignore[list-item]
-    now = FrameInWork(frame, frame, {}, change, before, Stopwatch())
-    StreamState.commit(stub, now, np.arange(3), effects)
+    context = stub(
+        settings=preset("draft"),
+        method=stub(dense=False),
+        views=stub(follow=lambda *_: None),
+        corrector=None,
+        threads=1,
+    )
+    plan = FramePlan(Selection([stub(dilated=None)], np.ones(3, bool)), effects, preset("draft").frame)  # type: ignore[list-item]
+    frame: Any = stub(pictures=[], restarted=False)
+    event = Event(Kind.CHANGE, before, memory, [])
+    commit(context, event, plan, frame, after, stub(kept=np.arange(3), hurried=False, rejected=False), Stopwatch())
     assert told == (["motion" in effects] if changed else [])
 
 

@@ -17,7 +17,7 @@ from decogs.encoder import PRESETS, EncodeSettings, Targets
 from decogs.encoder import encode as encode_rig
 from decogs.encoder.coding.rate_control import (
     TOLERANCE,
-    ContentRateControl,
+    RateControl,
     over_budget,
     with_budget,
     with_lossless,
@@ -84,11 +84,11 @@ def response(exponent: float, content: Content, noise: float = 0.0) -> Callable[
 
 def controlled(frames: int, answer: Callable[[int, float], int]) -> tuple[list[int], list[float]]:
     """Sizes and factors of a clip's later frames."""
-    control, sizes, factors = ContentRateControl(BUDGET, 0), [], []
+    control, sizes, factors = RateControl(BUDGET, 0), [], []
     for frame in range(frames):
         factors.append(control.factor)
         sizes.append(answer(frame, control.factor))
-        control.wrote(PacketKind.DELTA, sizes[-1])
+        control = control.after(PacketKind.DELTA, sizes[-1])
     return sizes, factors
 
 
@@ -125,9 +125,9 @@ def test_a_bit_is_worth_more_the_more_changes_must_be_worth() -> None:
         (BUDGET * 100, 256 * settings.threshold),
         (1, settings.threshold / 256),
     ):
-        control = ContentRateControl(BUDGET, 0)
+        control = RateControl(BUDGET, 0)
         for _ in range(30):
-            control.wrote(PacketKind.DELTA, size)
+            control = control.after(PacketKind.DELTA, size)
         significance = control.significance(settings)
         factor = threshold / settings.threshold
         for name in ("threshold", "rd_lambda", "colour_rd_lambda"):
@@ -136,26 +136,26 @@ def test_a_bit_is_worth_more_the_more_changes_must_be_worth() -> None:
 
 
 def test_what_a_still_scene_saves_is_not_thrown_at_its_first_motion() -> None:
-    control = ContentRateControl(BUDGET, 0)
+    control = RateControl(BUDGET, 0)
     answer, sizes = response(0.6, lambda frame: 1.0), []
     for frame in range(60):
         if 10 <= frame < 30:
-            control.wrote(PacketKind.SKIP, 50)
+            control = control.after(PacketKind.SKIP, 50)
             continue
         sizes.append(answer(frame, control.factor))
-        control.wrote(PacketKind.DELTA, sizes[-1])
+        control = control.after(PacketKind.DELTA, sizes[-1])
     assert max(sizes) < 3 * BUDGET
     assert (sum(sizes) + 20 * 50) / 60 == pytest.approx(BUDGET, rel=TOLERANCE)
 
 
 @pytest.mark.parametrize("key", [1.5, 3.0, 5.0])
 def test_the_frames_of_a_segment_pay_for_its_keyframe_evenly(key: float) -> None:
-    control, sizes = ContentRateControl(BUDGET, 10), []
+    control, sizes = RateControl(BUDGET, 10), []
     answer = response(0.6, lambda frame: 1.0)
     for frame in range(1, 60):
         opens = frame % 10 == 0
         sizes.append(round(key * BUDGET) if opens else answer(frame, control.factor))
-        control.wrote(PacketKind.KEY if opens else PacketKind.DELTA, sizes[-1])
+        control = control.after(PacketKind.KEY if opens else PacketKind.DELTA, sizes[-1])
     for end in (29, 39, 49, 59):
         assert np.mean(sizes[:end]) == pytest.approx(BUDGET, rel=TOLERANCE)
     paying = np.array([size for frame, size in enumerate(sizes, 1) if frame > 35 and frame % 10])
@@ -166,10 +166,10 @@ def test_it_knows_nothing_but_sizes() -> None:
     """The same packets, the same factors: what an encode that goes on relies on."""
     answer = response(0.6, doubling, noise=0.3)
     sizes, factors = controlled(30, answer)
-    again = ContentRateControl(BUDGET, 0)
+    again = RateControl(BUDGET, 0)
     for size, factor in zip(sizes, factors, strict=True):
         assert again.factor == factor
-        again.wrote(PacketKind.DELTA, size)
+        again = again.after(PacketKind.DELTA, size)
 
 
 # Encodes
@@ -293,11 +293,11 @@ def test_lossless_writes_every_change_as_it_was_trained(
         pairs.append((written, quantise(values, lattice, near=before)))
         return written
 
-    import decogs.encoder.coding.coded_scene as coded_scene
+    import decogs.encoder.coding.changes as changes
 
     pairs: list[Any] = []
-    quantise, quantised = coded_scene.quantise, coded_scene.quantised
-    monkeypatch.setattr(coded_scene, "quantised", noted)
+    quantise, quantised = changes.quantise, changes.quantised
+    monkeypatch.setattr(changes, "quantised", noted)
     given = {"keyframe": moving.path, "stop": 2}
     lossless = encode(moving_rig, settings=with_lossless(economical), **given)
     ((written, nearest),) = pairs

@@ -9,10 +9,10 @@ import pytest
 
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.backends.cpu.fixed_view import CpuFixedView
-from decogs.encoder.change.detection import Change, ChangeDetector
+from decogs.encoder.backends.scene_views import SceneViews
 from decogs.encoder.change.masks import FrameMask
 from decogs.encoder.change.selection import ViewEvidence, select, view_evidence
-from decogs.encoder.settings.encode import EncodeSettings
+from decogs.encoder.frame.plan import Selection, light_only
 from decogs.encoder.settings.frame import SelectionSettings
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import Splats, join_splats
@@ -119,17 +119,15 @@ def test_weights_are_alpha_times_transmittance_summed_over_pixels(tiny_rig: Any,
     assert found.masked_weight.sum() == pytest.approx(alpha[mask].sum(), rel=1e-5)
 
 
-def test_lit_gaussians_are_the_selected_ones_away_from_what_moves(tiny_rig: Any) -> None:
+def test_what_light_alone_changes_is_the_selected_away_from_what_moves(tiny_rig: Any) -> None:
     """Two spots change in every view; things move around the left one only."""
     scene = join_splats(tiny_rig.patch((-0.4, 0.0, 0.0), 1, 1, 0.1, 1), tiny_rig.patch((0.4, 0.0, 0.0), 1, 1, 0.1, 2))
-    views = [watching(scene, tiny_rig.camera(index)) for index in range(5)]
+    views = SceneViews(CpuKernel(1), lambda: [tiny_rig.camera(index) for index in range(5)]).of(scene)
     shape = tiny_rig.height, tiny_rig.width
-    pictures = [np.zeros((3, *shape), np.float32) for _ in views]
-    detector = ChangeDetector(pictures, views, EncodeSettings(), threads=1)
     everywhere, nowhere, left = np.ones(shape, bool), np.zeros(shape, bool), np.zeros(shape, bool)
     left[:, : tiny_rig.width // 2] = True
-    change = Change([FrameMask(everywhere, everywhere) for _ in views], np.ones(2, bool))
-    np.testing.assert_array_equal(detector.lit(change, [left] * 5), [False, True])
-    np.testing.assert_array_equal(detector.lit(change, [nowhere] * 5), [True, True])
-    only_moving = Change(change.masks, np.array([True, False]))
-    assert not detector.lit(only_moving, [left] * 5).any()
+    both = Selection([FrameMask(everywhere, everywhere) for _ in views], np.ones(2, bool))
+    np.testing.assert_array_equal(light_only(views, both, [left] * 5, WEIGHT), [False, True])
+    np.testing.assert_array_equal(light_only(views, both, [nowhere] * 5, WEIGHT), [True, True])
+    only_moving = Selection(both.masks, np.array([True, False]))
+    assert not light_only(views, only_moving, [left] * 5, WEIGHT).any()

@@ -155,7 +155,6 @@ STANDARD, DENSE = PRESETS["standard"], EncodeSettings(method="3dgstream")
     ("settings", "message"),
     [
         (replace(STANDARD, method="4dgs"), "`method` 4dgs: there is no such method; choose from decogs, 3dgstream"),
-        (replace(STANDARD, rate_control="x"), "`rate_control` x: there is no such rate control; choose from content"),
         (
             replace(STANDARD, frame=replace(STANDARD.frame, selection=replace(STANDARD.frame.selection, rule="x"))),
             "`rule` x: there is no such selection rule; choose from paper, weight",

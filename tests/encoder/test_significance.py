@@ -11,7 +11,7 @@ from decogs.codec.lattice import default_lattice, dequantise, quantise
 from decogs.codec.state import ARRAYS
 from decogs.encoder.backends import Optimiser, SplatGradients
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
-from decogs.encoder.coding.quantised_changes import quantised
+from decogs.encoder.coding.changes import quantised
 from decogs.encoder.settings.frame import FocusWeights, SignificanceSettings
 from decogs.encoder.settings.optimiser import LearningRates
 from decogs.encoder.training.losses import focus_loss, whole_picture_loss

@@ -18,7 +18,7 @@ from decogs.decoder.stream import open_stream
 from decogs.encoder import PRESETS, EncodeSettings, Switches, Targets
 from decogs.encoder import encode as encode_rig
 from decogs.encoder.backends.cpu.fixed_view import CpuFixedView
-from decogs.encoder.coding.coded_scene import CodedScene
+from decogs.encoder.coding.scene import Scene
 from decogs.encoder.coding.time_control import (
     TIME_TOLERANCE,
     TimeControl,
@@ -94,7 +94,7 @@ def clip(frames: int, needs: Callable[[int], float], noise: float = 0.0) -> list
             seconds["training"] = min(needs(frame), max(left, 0.05)) * float(np.exp(random.normal(0, noise)))
             seconds |= {"write": 0.08, "commit": 0.04}
         seconds["measure"] = 5.0
-        control.took(seconds)
+        control = control.took(seconds)
         spent.append(seconds)
     return spent
 
@@ -119,7 +119,7 @@ def test_what_takes_longer_again_and_again_is_learned() -> None:
     for frame in range(15):
         left = control.deadline({}) - time.perf_counter()
         spent.append({"training": max(left, 0.05) + 0.4 * (frame % 3 == 0), "write": 0.05})
-        control.took(spent[-1])
+        control = control.took(spent[-1])
     assert over_time(spent, BUDGET) < TIME_TOLERANCE
 
 
@@ -133,7 +133,7 @@ def held_clip(frames: int, masks: float, least: float) -> tuple[list[float], lis
             seconds["training"] = max(control.deadline(seconds) - time.perf_counter(), least)
             trained.append(seconds["training"])
             seconds |= {"write": 0.08, "commit": 0.04}
-        control.took(seconds, held=held[-1])
+        control = control.took(seconds, held=held[-1])
         spent.append(counted_seconds(seconds))
     return spent, held, trained
 
@@ -263,7 +263,7 @@ def test_what_moves_is_begun_as_far_on_as_frames_have_passed(
     """Frames 1, 3 and 4 are trained and 2 is held: what moved on the way to 3 took two frames, on the way to 4 one."""
     begun: list[Any] = []
     reached: list[Any] = []
-    train, displacements = DeltaTrainer.train, CodedScene.displacements
+    train, displacements = DeltaTrainer.train, Scene.displacements
 
     def noted(trainer: Any, frame: Any) -> Any:
         begun.append(frame.motion)
@@ -276,7 +276,7 @@ def test_what_moves_is_begun_as_far_on_as_frames_have_passed(
     held = iter([False, True, False, False])
     monkeypatch.setattr(TimeControl, "holds", lambda *_: next(held))
     monkeypatch.setattr(DeltaTrainer, "train", noted)
-    monkeypatch.setattr(CodedScene, "displacements", measured)
+    monkeypatch.setattr(Scene, "displacements", measured)
     rig = tiny_rig.write(tmp_path / "rig", frames=[0, 1, 3, 0, 1])
     given = {"holdout": [tiny_rig.held_out], "keyframe": moving.path, "settings": patient}
     report = encode_rig(rig, tmp_path / "x.dgs", **given, targets=Targets(time_budget=10.0))

@@ -15,7 +15,7 @@ from decogs.codec.lattice import Lattice, default_lattice, dequantise, quantise
 from decogs.codec.reconstruct import reconstruct
 from decogs.codec.state import ARRAYS, Attributes, State, take_rows
 from decogs.codec.syntax import write_delta, write_key
-from decogs.encoder.coding.quantised_changes import quantised
+from decogs.encoder.coding.changes import quantised
 from decogs.encoder.settings.frame import SignificanceSettings
 from decogs.formats.cameras import Camera
 from decogs.formats.container import Packet, PacketKind

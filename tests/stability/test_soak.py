@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-import decogs.encoder.change.detection as detection
-import decogs.encoder.coding.coded_scene as coded_scene
+import decogs.encoder.coding.scene as scene
+import decogs.encoder.frame.plan as plan
 from decogs.codec.digest import digest
 from decogs.codec.state import ARRAYS, State
 from decogs.decoder.picture_output import to_8bit
@@ -21,7 +21,7 @@ from decogs.decoder.rasterise import render
 from decogs.decoder.stream import open_stream
 from decogs.encoder.input.ingest import Ingest
 from decogs.encoder.settings.encode import EncodeSettings
-from decogs.encoder.stream import encode_stream
+from decogs.encoder.stream.run import encode_stream
 from decogs.encoder.training.method import MAX_GROWTH
 from decogs.formats.cameras import scale_camera
 from decogs.formats.rigs import open_rig
@@ -75,7 +75,7 @@ def quick(settings: EncodeSettings) -> EncodeSettings:
 @pytest.fixture(scope="module")
 def long_encode(long_rig: Path, settings: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Observed]:
     seen, path = Observed(), tmp_path_factory.mktemp("encoded") / "long.dgs"
-    reconstruct, select = coded_scene.reconstruct, detection.select
+    reconstruct, select = scene.reconstruct, plan.select
 
     def observed_reconstruct(*arguments: Any, **options: Any) -> State:
         seen.last = reconstruct(*arguments, **options)
@@ -96,8 +96,8 @@ def long_encode(long_rig: Path, settings: Any, tmp_path_factory: pytest.TempPath
         seen.training_psnr.append(report.training_psnr)
 
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(coded_scene, "reconstruct", observed_reconstruct)
-        patched.setattr(detection, "select", observed_select)
+        patched.setattr(scene, "reconstruct", observed_reconstruct)
+        patched.setattr(plan, "select", observed_select)
         ingest = Ingest(open_rig(long_rig), holdout=["cam02"])
         encode_stream(ingest, path, range(FRAMES), quick(settings), seed=0, threads=1, on_frame=observed_frame)
     return path, seen

@@ -16,21 +16,20 @@ import numpy as np
 import OpenEXR
 import pytest
 
-import decogs.encoder.change.flashes as flashes
 import decogs.encoder.change.masks as masks_module
+import decogs.encoder.frame.events as events
 from decogs.codec.digest import digest
 from decogs.decoder.stream import open_stream
 from decogs.decoder.views import render_view
 from decogs.encoder import PRESETS
 from decogs.encoder import encode as encode_rig
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
-from decogs.encoder.change.flashes import BeforeFlash
 from decogs.encoder.commands import encode_main
 from decogs.encoder.input.dropouts import BLACK, BLANK, FROZEN, blankness
 from decogs.encoder.input.ingest import Ingest
 from decogs.encoder.psnr import psnr_of
 from decogs.encoder.settings.frame import SelectionSettings
-from decogs.encoder.stream import encode_stream
+from decogs.encoder.stream.run import encode_stream
 from decogs.formats.errors import DecogsError, RigError, TrainingError
 from decogs.formats.rigs import open_rig
 from decogs.formats.rigs.rig import Points
@@ -180,9 +179,8 @@ def test_a_flash_that_shows_something_is_followed_and_leaves_no_mark(
 def test_a_light_that_stays_on_is_no_flash(
     still: Any, encode: Any, settings: Any, edit_picture: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    known = BeforeFlash(since=1, state=still[1].states[0], motion=np.zeros((0, 3), np.float32), masks=None)  # type: ignore[arg-type]
-    assert [known.stays(frame) for frame in (9, 10)] == [False, True], "eight frames after the one it came in, and nine"
-    monkeypatch.setattr(flashes, "_LONGEST", 1)
+    assert events.LONGEST_FLASH == 8
+    monkeypatch.setattr(events, "LONGEST_FLASH", 1)
     rig = copied(still[0], tmp_path)
     for name in (*TRAINING, "cam02"):
         for frame in range(1, 4):

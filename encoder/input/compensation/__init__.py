@@ -13,7 +13,7 @@ have by chance, each drifting by itself.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -30,7 +30,7 @@ from .benefit import Benefit, on_grid
 from .colour import OddsShift, odds_shift, without_odds
 from .shake import angles_of, turn_of, unturned
 
-__all__ = ["CorrectionSettings", "Corrector", "corrector_of"]
+__all__ = ["CorrectionMemory", "CorrectionSettings", "Corrector", "corrector_of"]
 
 F64 = NDArray[np.float64]
 
@@ -40,9 +40,9 @@ Show = Callable[[int], FloatArray]
 _KINDS = {"colours": ("exposure", "red", "blue"), "shake": ("yaw", "pitch", "roll")}
 """Parts of a correction that are judged separately, and their numbers."""
 
-_CHANCE = 2.6
+_CHANCE_DEVIATIONS = 2.6
 """Deviations of the median of many cameras that drift each by itself within which it is chance, at 99 %."""
-_FEW = 3.5
+_FEW_CAMERAS_FACTOR = 3.5
 """What that grows by over one less than the cameras' number: within a tenth of Student's t from 4 cameras on."""
 
 _ALTERNATIONS = 2
@@ -59,6 +59,24 @@ def corrector_of(views: Sequence[View], settings: CorrectionSettings) -> Correct
     return Corrector(views, settings)
 
 
+@dataclass(frozen=True)
+class CorrectionMemory:
+    """What one frame's corrections hand to the next.
+
+    ``surface``: where cameras are compared. ``first``: the first frame's corrections, which stay where later ones are
+    dropped. ``benefits``: of the corrections so far, by camera and kind; those ``dropped`` made pictures worse.
+    """
+
+    surface: SharedSurface
+    first: Corrections = field(default_factory=dict)
+    benefits: Mapping[tuple[str, str], Benefit] = field(default_factory=dict)
+    dropped: frozenset[tuple[str, str]] = frozenset()
+
+    def restarted(self) -> CorrectionMemory:
+        """Without what frames after the first have shown."""
+        return CorrectionMemory(self.surface, self.first)
+
+
 class Corrector:
     """Estimates and compensates the drift of the named cameras. ``cameras``: the stream header's entry."""
 
@@ -68,62 +86,50 @@ class Corrector:
         self.cameras = CorrectedCameras(*(self._known(names) for names in lists))
         self._named = [name for name in self._views if self.cameras.of(name)]
         self._has_colours = bool(self.cameras.exposure_drift or self.cameras.white_balance_drift)
-        self._first: Corrections = {}
-        self._benefits: dict[tuple[str, str], Benefit] = {}
-        self._dropped: set[tuple[str, str]] = set()
-        nowhere = np.zeros((len(views), 0), np.int64)
-        self._surface = SharedSurface(nowhere, nowhere, nowhere > 0)
 
-    def see(self, draw: DrawView) -> None:
-        """Takes the surface on which later frames compare cameras from the keyframe's scene."""
+    def begin(self, draw: DrawView) -> CorrectionMemory:
+        """The memory of a scene's first frame; ``draw``: of the keyframe."""
+        views = [view for _, view in self._views.values()]
         if self._has_colours:
-            self._surface = shared_surface([view for _, view in self._views.values()], draw)
+            return CorrectionMemory(shared_surface(views, draw))
+        nowhere = np.zeros((len(views), 0), np.int64)
+        return CorrectionMemory(SharedSurface(nowhere, nowhere, nowhere > 0))
 
-    def find(self, recorded: Sequence[FloatArray], show: Show) -> Corrections:
-        """Corrections of a frame's ``recorded`` pictures (3, H, W) against the scene as ``show`` draws it.
-
-        ``see`` comes first.
-        """
+    def find(self, memory: CorrectionMemory, recorded: Sequence[FloatArray], show: Show) -> Corrections:
+        """Corrections of a frame's ``recorded`` pictures (3, H, W) against the scene as ``show`` draws it."""
         straight, rotations = list(recorded), dict.fromkeys(self._named, np.eye(3))
         for name in self.cameras.camera_shake:
             number, view = self._views[name]
             rotations[name] = self._measured(name, recorded, show).rotation
             straight[number] = unturned(recorded[number], view.pinhole, rotations[name])
-        shifts = self._own_shifts(straight, show) if self._has_colours else {}
+        shifts = self._own_shifts(memory.surface, straight, show) if self._has_colours else {}
         found = {
             name: self._correction(name, _Drift(shifts.get(name, _NO_SHIFT), rotations[name])) for name in self._named
         }
-        for name, kind in self._dropped:
-            found[name] = self._as_at_first(name, kind, found[name])
+        for name, kind in memory.dropped:
+            found[name] = _as_at_first(memory, name, kind, found[name])
         return found
-
-    def begin(self, corrections: Corrections) -> None:
-        """Takes the first frame's corrections, which stay where later ones are dropped."""
-        self._first = corrections
-
-    def restart(self) -> None:
-        """Forgets the benefit of every correction, and which are dropped."""
-        self._benefits, self._dropped = {}, set()
 
     def judge(
         self,
+        memory: CorrectionMemory,
         recorded: Sequence[FloatArray],
         corrections: Corrections,
         show: Show,
         changed: Sequence[NDArray[np.bool_]],
-    ) -> list[str]:
-        """Corrections dropped after this frame, such as "cam04: colours". ``show``: the scene as trained.
+    ) -> CorrectionMemory:
+        """The memory after a frame, without the corrections that made its pictures worse.
 
-        ``changed``: where every view's picture changed, (H, W). A scene that has not followed its light yet misses
-        every camera by it; what the other cameras miss in common is therefore no camera's loss.
+        ``show``: the scene as trained. ``changed``: where every view's picture changed, (H, W). A scene that has not
+        followed its light yet misses every camera by it; what the other cameras miss in common is therefore no camera's
+        loss.
         """
-        before = set(self._dropped)
-        left_behind: dict[str, F64] = {}
+        benefits, left_behind = dict(memory.benefits), dict[str, F64]()
         for name, correction in corrections.items():
             number, _ = self._views[name]
             for kind in _KINDS:
-                left_out = self._as_at_first(name, kind, correction)
-                if (name, kind) in self._dropped or left_out == correction:
+                left_out = _as_at_first(memory, name, kind, correction)
+                if (name, kind) in memory.dropped or left_out == correction:
                     continue
                 corrected, left = (
                     on_grid(self._compensated(name, recorded[number], each)) for each in (correction, left_out)
@@ -132,11 +138,10 @@ class Corrector:
                 if self._has_colours:
                     left_behind = left_behind or self._left_behind(recorded, corrections, show)
                     shown = without_odds(shown, _odds_of(-_of_the_others(left_behind, name)))
-                benefit = self._benefits.setdefault((name, kind), Benefit())
-                benefit.saw(corrected, left, shown, on_grid(changed[number]))
-                if not benefit.pays:
-                    self._dropped.add((name, kind))
-        return [f"{name}: {kind}" for name, kind in sorted(self._dropped - before)]
+                benefit = benefits.get((name, kind), Benefit())
+                benefits[name, kind] = benefit.seen(corrected, left, shown, on_grid(changed[number]))
+        dropped = {key for key, benefit in benefits.items() if not benefit.pays}
+        return replace(memory, benefits=benefits, dropped=memory.dropped | dropped)
 
     def _left_behind(self, recorded: Sequence[FloatArray], corrections: Corrections, show: Show) -> dict[str, F64]:
         """Shift (3,) of the odds from the scene to every camera's corrected picture."""
@@ -182,11 +187,6 @@ class Corrector:
             picture = unturned(picture, self._views[name][1].pinhole, correction.rotation)
         return picture
 
-    def _as_at_first(self, name: str, kind: str, correction: Correction) -> Correction:
-        """The correction with the first frame's numbers of that kind."""
-        first = self._first.get(name, Correction())
-        return replace(correction, **{number: getattr(first, number) for number in _KINDS[kind]})
-
     def _known(self, names: Sequence[str]) -> tuple[str, ...]:
         for name in names:
             if name not in self._views:
@@ -206,10 +206,10 @@ class Corrector:
                 colour = odds_shift(unturned(picture, view.pinhole, rotation), shown, view.valid)
         return _Drift(colour, rotation)
 
-    def _own_shifts(self, pictures: Sequence[FloatArray], show: Show) -> dict[str, OddsShift]:
+    def _own_shifts(self, surface: SharedSurface, pictures: Sequence[FloatArray], show: Show) -> dict[str, OddsShift]:
         """Shifts of the pictures' colours against the scene's, without the scene's change of light, by camera."""
         shown = [show(number) for number in range(len(pictures))]
-        changes = shared_changes(self._surface, pictures, shown)
+        changes = shared_changes(surface, pictures, shown)
         names, total = list(self._views), changes.shifts + changes.common
         own = {name: shift for name, shift, known in zip(names, total, changes.known, strict=True) if known}
         alone = {} if len(own) == len(names) else self._shifts_of_pictures(pictures, shown)
@@ -259,6 +259,12 @@ class _Drift(NamedTuple):
 _NO_SHIFT = OddsShift(np.zeros(3), np.zeros(3))
 
 
+def _as_at_first(memory: CorrectionMemory, name: str, kind: str, correction: Correction) -> Correction:
+    """The correction with the first frame's numbers of that kind."""
+    first = memory.first.get(name, Correction())
+    return replace(correction, **{number: getattr(first, number) for number in _KINDS[kind]})
+
+
 def _of_others(shifts: dict[str, F64], named: Sequence[str], of_all: Callable[[F64], F64]) -> F64:
     """Median shift (3,) of the cameras that are not named, or ``of_all`` when every one is."""
     others = [shift for name, shift in shifts.items() if name not in named]
@@ -277,7 +283,13 @@ def _light_of(shifts: F64) -> F64:
     kinds = np.stack([shifts[:, 0] - shifts[:, 1], shifts[:, 1], shifts[:, 2] - shifts[:, 1]], axis=1)
     median = np.median(kinds, axis=0)
     # The median of n normal values has 1.2533 / sqrt n of their deviation.
-    chance = _CHANCE * (1 + _FEW / (len(shifts) - 1)) * 1.2533 * kinds.std(axis=0, ddof=1) / np.sqrt(len(shifts))
+    chance = (
+        _CHANCE_DEVIATIONS
+        * (1 + _FEW_CAMERAS_FACTOR / (len(shifts) - 1))
+        * 1.2533
+        * kinds.std(axis=0, ddof=1)
+        / np.sqrt(len(shifts))
+    )
     with np.errstate(divide="ignore", invalid="ignore"):
         left = np.where(median == 0, 0, 1 - np.square(chance / median))
     red, green, blue = median * np.maximum(left, 0)

@@ -33,22 +33,22 @@ F64 = NDArray[np.float64]
 DrawView = Callable[[int], RenderedPicture]
 """The scene through the training view of that number, with its depth."""
 
-_SAMPLES = 2000
+_POINTS_PER_VIEW = 2000
 """Points of the surface taken from each view."""
 
-_OPAQUE = 0.9
-_SAME_DEPTH = 0.02
+_OPAQUE_ALPHA = 0.9
+_SAME_DEPTH_FRACTION = 0.02
 """A point is seen where the depth of the view there is its own, to this share."""
 
-_ROUNDS = 6
+_SOLVER_ROUNDS = 6
 
-_LATER_SAMPLES = 6000
+_LATER_POINTS = 6000
 """Points of later frames, from all views together: the light of a single one is known to a per cent."""
 
 _AROUND = np.mgrid[-1:2, -1:2].reshape(2, 1, -1)
 """Pixels over which a point's colours are averaged."""
 
-_FEW = 100
+_MIN_SHARED_POINTS = 100
 """Points shared with other views below which a view is undetermined."""
 
 
@@ -83,7 +83,7 @@ class SharedChanges(NamedTuple):
 def shared_surface(views: Sequence[View], draw: DrawView) -> SharedSurface:
     """Points of the scene's surface, found in every view that sees them."""
     depths = [_depth(draw(number)) for number in range(len(views))]
-    samples = _LATER_SAMPLES // len(views)
+    samples = _LATER_POINTS // len(views)
     points = np.concatenate([_surface(view, depth, samples) for view, depth in zip(views, depths, strict=True)])
     pixels = [_pixels(view, depth, points) for view, depth in zip(views, depths, strict=True)]
     row, column = (np.stack([found[k] for found in pixels]).astype(np.int64) for k in range(2))
@@ -105,7 +105,7 @@ def shared_changes(
     for channel in range(3):
         known = surface.seen & unclipped(now[..., channel]) & unclipped(before[..., channel])
         known &= known.sum(axis=0) > 1
-        enough[:, channel] = known.sum(axis=1) >= _FEW
+        enough[:, channel] = known.sum(axis=1) >= _MIN_SHARED_POINTS
         if not enough[:, channel].any():
             continue
         v, s = (np.where(known, side[..., channel], np.float32(0.5)) for side in (now, before))
@@ -124,7 +124,9 @@ def agreeing_shifts(views: Sequence[View], pictures: Sequence[FloatArray], draw:
     ``pictures``: (3, H, W) of every view, turns taken out. A view that shares nothing with others gets 0.
     """
     depths = [_depth(draw(number)) for number in range(len(views))]
-    points = np.concatenate([_surface(view, depth, _SAMPLES) for view, depth in zip(views, depths, strict=True)])
+    points = np.concatenate(
+        [_surface(view, depth, _POINTS_PER_VIEW) for view, depth in zip(views, depths, strict=True)]
+    )
     if not len(points):
         return [OddsShift(np.zeros(3), np.zeros(3))] * len(views)
     seen = [
@@ -145,7 +147,7 @@ def shifts_of_points(values: FloatArray, seen: NDArray[np.bool_]) -> tuple[F64, 
     for channel in range(3):
         valid = seen & unclipped(values[..., channel])
         valid &= valid.sum(axis=0) > 1
-        enough &= valid.sum(axis=1) >= _FEW
+        enough &= valid.sum(axis=1) >= _MIN_SHARED_POINTS
         shifts[:, channel] = [shift for shift, _ in _channel_shifts(values[..., channel], valid)]
     return shifts, enough
 
@@ -155,7 +157,7 @@ def _depth(picture: RenderedPicture) -> FloatArray:
     assert picture.depth is not None
     with np.errstate(divide="ignore", invalid="ignore"):
         depth: FloatArray = picture.depth / picture.alpha
-    return np.where(picture.alpha > _OPAQUE, depth, np.float32(np.nan))
+    return np.where(picture.alpha > _OPAQUE_ALPHA, depth, np.float32(np.nan))
 
 
 def _surface(view: View, depth: FloatArray, samples: int) -> F64:
@@ -185,7 +187,7 @@ def _pixels(view: View, depth: FloatArray, points: F64) -> tuple[F64, F64, NDArr
     inside = in_picture(view.pinhole, u, v, z)
     column, row = (np.where(inside, pixel, 0).astype(np.int64) for pixel in (u, v))
     with np.errstate(invalid="ignore"):
-        inside &= np.abs(depth[row, column] / np.where(inside, z, 1) - 1) < _SAME_DEPTH
+        inside &= np.abs(depth[row, column] / np.where(inside, z, 1) - 1) < _SAME_DEPTH_FRACTION
     if view.valid is not None:
         inside &= view.valid[row, column] > 0
     return np.where(inside, v, 0), np.where(inside, u, 0), inside
@@ -208,7 +210,7 @@ def _solved(logs: FloatArray, slope: FloatArray, known: NDArray[np.bool_]) -> tu
     """
     weights = np.square(slope) * known
     shifts = np.zeros(len(logs))
-    for _ in range(_ROUNDS):
+    for _ in range(_SOLVER_ROUNDS):
         total = np.maximum(weights.sum(axis=0), np.float32(1e-9))
         mean = (weights * logs).sum(axis=0) / total
         normal = np.diag(weights.sum(axis=1, dtype=np.float64)) - _shared(weights, total)

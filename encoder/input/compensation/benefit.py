@@ -18,21 +18,21 @@ from decogs.formats.splats import FloatArray
 F64 = NDArray[np.float64]
 
 _MAX_PIXELS = 40_000
-_LARGEST = 25 / 255
+_MAX_ERROR = 25 / 255
 """Error beyond which all count alike: pixels that training has not followed give no evidence."""
-_MEMORY = 0.9
+_SUMS_DECAY = 0.9
 """Share of earlier sums that remains a frame later: some ten frames decide."""
-_FRAMES = 2
+_MIN_FRAMES = 2
 """Frames needed for a decision: the first one is trained without the alternative."""
-_BLOCK = 8
+_BLOCK_PIXELS = 8
 """Pixels across of one observation: where training has not followed, whole patches are wrong."""
-_SURE = 4.0
+_MIN_DEVIATIONS = 4.0
 """Standard deviations of the mean by which a loss counts."""
-_TOLERANCE = 0.01
+_ERROR_TOLERANCE = 0.01
 """Share of the error by which a loss counts: a smaller one is the scene's own error over very many pixels."""
 
 
-@dataclass
+@dataclass(frozen=True)
 class Benefit:
     """Gain of one correction of one camera over the frames so far, in blocks, on unchanged and on changed pixels.
 
@@ -46,36 +46,38 @@ class Benefit:
     blocks: F64 = field(default_factory=lambda: np.zeros(2))
     frames: int = 0
 
-    def saw(self, corrected: FloatArray, left: FloatArray, shown: FloatArray, changed: NDArray[np.bool_]) -> None:
-        """Takes a frame's picture with the correction, the one without, and the scene, all (3, H, W).
+    def seen(self, corrected: FloatArray, left: FloatArray, shown: FloatArray, changed: NDArray[np.bool_]) -> Benefit:
+        """With a frame's picture with the correction, the one without, and the scene, all (3, H, W).
 
         ``changed`` (H, W): where the picture changed.
         """
         mine, others = (
-            np.square(np.minimum(np.abs(picture - shown), _LARGEST), dtype=np.float64).sum(axis=0)
+            np.square(np.minimum(np.abs(picture - shown), _MAX_ERROR), dtype=np.float64).sum(axis=0)
             for picture in (corrected, left)
         )
-        for place, where in enumerate((~changed, changed)):
+        sums = []
+        for where in (~changed, changed):
             there = _block_sums(where.astype(np.float64)) > 0
             gains = _block_sums(np.where(where, others - mine, 0))[there]
-            sums = (gains.sum(), np.square(gains).sum(), float(others[where].sum()), len(gains))
-            for known, seen in zip((self.gained, self.squares, self.error, self.blocks), sums, strict=True):
-                known[place] = _MEMORY * known[place] + seen
-        self.frames += 1
+            sums.append((gains.sum(), np.square(gains).sum(), float(others[where].sum()), len(gains)))
+        known = (self.gained, self.squares, self.error, self.blocks)
+        seen = (_SUMS_DECAY * old + new for old, new in zip(known, np.transpose(sums), strict=True))
+        gained, squares, error, blocks = seen
+        return Benefit(gained, squares, error, blocks, self.frames + 1)
 
     @property
     def pays(self) -> bool:
         """Whether it made neither kind of pixels significantly worse."""
-        surely = self.gained < -_SURE * np.sqrt(self.squares)
-        clearly = self.gained < -_TOLERANCE * self.error
-        return self.frames < _FRAMES or not bool((surely & clearly).any())
+        surely = self.gained < -_MIN_DEVIATIONS * np.sqrt(self.squares)
+        clearly = self.gained < -_ERROR_TOLERANCE * self.error
+        return self.frames < _MIN_FRAMES or not bool((surely & clearly).any())
 
 
 def _block_sums(values: F64) -> F64:
     """Sums of ``values`` (H, W) over blocks, in any order; what is left over at the edges is dropped."""
-    rows, columns = (size // _BLOCK for size in values.shape)
-    whole = values[: rows * _BLOCK, : columns * _BLOCK]
-    return np.asarray(whole.reshape(rows, _BLOCK, columns, _BLOCK).sum(axis=(1, 3)).ravel())
+    rows, columns = (size // _BLOCK_PIXELS for size in values.shape)
+    whole = values[: rows * _BLOCK_PIXELS, : columns * _BLOCK_PIXELS]
+    return np.asarray(whole.reshape(rows, _BLOCK_PIXELS, columns, _BLOCK_PIXELS).sum(axis=(1, 3)).ravel())
 
 
 def on_grid(picture: NDArray[Any]) -> NDArray[Any]:

@@ -1,7 +1,7 @@
 """Exposure and white balance of a camera as shifts of its colours' odds against the scene's, per channel.
 
 A gain on light before a display's curve, which nobody knows, is within 0.02 dB of a factor on the odds v / (1 - v) of
-the coded value (encoder/DESIGN.md): black and white stay, nothing is clipped, and the inverse is the same with
+the coded value: black and white stay, nothing is clipped, and the inverse is the same with
 1 / factor.
 """
 
@@ -22,12 +22,12 @@ _DARKEST, _BRIGHTEST = 6 / 255, 249 / 255
 _MAX_PIXELS = 40_000
 """A regular grid of about so many pixels suffices: the mean's own noise is then below 0.1 of an 8-bit level."""
 
-_ROUNDS = 8
+_REWEIGHTINGS = 8
 _TUKEY = 4.685
 """Tukey's biweight at 95 % efficiency, in standard deviations."""
 
 _MIN_SPREAD = 2 / 255
-_MEDIAN_OF = 4000
+_MEDIAN_SAMPLES = 4000
 """Residuals whose median is taken, which gives it to two per cent."""
 
 
@@ -61,7 +61,7 @@ def unclipped(values: FloatArray) -> NDArray[np.bool_]:
 
 def tukey_weights(residuals: FloatArray) -> FloatArray:
     """Tukey's biweight of residuals in picture units, by their own spread: 1 for none, 0 for what does not belong."""
-    some = residuals.ravel()[:: max(1, residuals.size // _MEDIAN_OF)]
+    some = residuals.ravel()[:: max(1, residuals.size // _MEDIAN_SAMPLES)]
     spread = max(1.4826 * float(np.median(np.abs(some))), _MIN_SPREAD)
     return tukey(residuals, _TUKEY * spread)
 
@@ -84,7 +84,7 @@ def _channel_shift(recorded: FloatArray, shown: FloatArray, known: NDArray[np.bo
     slope = s * (1 - s)
     shift = float(np.median(logit(v) - logit(s)))
     precision = 0.0
-    for _ in range(_ROUNDS):
+    for _ in range(_REWEIGHTINGS):
         factor = np.float32(np.exp(-shift))
         corrected = factor * v / (1 + (factor - 1) * v)
         weights = tukey_weights(corrected - s) * slope

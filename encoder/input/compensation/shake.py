@@ -22,13 +22,13 @@ from .colour import tukey_weights
 F64 = NDArray[np.float64]
 
 _LEVELS = (0.25, 0.5, 1.0)
-_MAX_PIXELS = 200_000
+_MAX_SHAKE_PIXELS = 200_000
 """The finest level has at most so many: a hundredth of a pixel is found there, which is enough in larger pictures."""
 
-_ROUNDS = 4
+_STEPS_PER_LEVEL = 4
 """Steps per level; each one leaves a few per cent of the error of the one before."""
 
-_SMALLEST_SIDE = 24
+_MIN_SIDE_PIXELS = 24
 
 
 def unturned(picture: FloatArray, camera: Camera, rotation: F64) -> FloatArray:
@@ -55,15 +55,15 @@ def turn_of(recorded: FloatArray, shown: FloatArray, camera: Camera, valid: Floa
 
     Both (3, H, W) of the pinhole ``camera``, of like colours. ``valid`` (H, W) is 0 where nothing was recorded.
     """
-    rotation, finest = np.eye(3), min(1.0, np.sqrt(_MAX_PIXELS / shown[0].size))
+    rotation, finest = np.eye(3), min(1.0, np.sqrt(_MAX_SHAKE_PIXELS / shown[0].size))
     for level in _LEVELS:
         small = scale_camera(camera, level * finest)
-        if level < 1 and min(small.width, small.height) < _SMALLEST_SIDE:
+        if level < 1 and min(small.width, small.height) < _MIN_SIDE_PIXELS:
             continue
         target, source = resized(shown, small), resized(recorded, small)
         known = None if valid is None else cv2.resize(valid, (small.width, small.height)) > 0.99
         columns = _flow_gradients(target, small)
-        for _ in range(_ROUNDS):
+        for _ in range(_STEPS_PER_LEVEL):
             step = _step(unturned(source, small, rotation) - target, columns, known)
             rotation = _product(_exponential(step), rotation)
     return rotation

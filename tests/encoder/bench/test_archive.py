@@ -1,4 +1,4 @@
-"""Runs are packed for a release as they lie, and unpack to the same files."""
+"""Reports and runs are packed for a release as they lie, and unpack to the same files."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ def archive(report: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
-def test_runs_of_all_reports_come_back_as_they_were(tmp_path: Path) -> None:
-    files = {"runs/a-1.json": b"{}", "runs/a-1.png": b"png", "popup/runs/a-1.json": b"[]"}
-    for name, content in {**files, "runs/b.json.part": b"half", "paper.json": b"page"}.items():
-        (tmp_path / "report" / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / "report" / name).write_bytes(content)
-    result = archive(tmp_path / "report")
+def test_reports_and_runs_come_back_as_they_were(tmp_path: Path) -> None:
+    files = {"runs/a-1.json": b"{}", "pictures/a.png": b"png", "popup/runs/a-1.json": b"[]", "paper.md": b"page"}
+    for name, content in {**files, "runs/b.json.part": b"half", "streams/a.dgs": b"stream"}.items():
+        (tmp_path / "full" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "full" / name).write_bytes(content)
+    result = archive(tmp_path / "full")
     assert result.returncode == 0, result.stderr
-    with ZipFile(tmp_path / "report" / "runs.zip") as packed:
+    with ZipFile(tmp_path / "full.zip") as packed:
         assert {name: packed.read(name) for name in packed.namelist()} == files
 
 
-def test_a_report_without_runs_is_an_error(tmp_path: Path) -> None:
-    result = archive(tmp_path)
+def test_a_folder_without_reports_is_an_error(tmp_path: Path) -> None:
+    result = archive(tmp_path / "full")
     assert result.returncode == 1
-    assert result.stderr == f"{tmp_path}: has no runs to pack; `make report` makes them\n"
-    assert not (tmp_path / "runs.zip").exists()
+    assert result.stderr == f"{tmp_path / 'full'}: has no reports to pack; `make report` makes them\n"
+    assert not (tmp_path / "full.zip").exists()

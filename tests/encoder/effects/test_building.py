@@ -143,7 +143,7 @@ def test_none_trains_and_compares_nothing(
     def never(*_: Any, **__: Any) -> Any:
         raise AssertionError("built without being called for")
 
-    monkeypatch.setattr(MaskMemory, "masks", never)
+    monkeypatch.setattr(MaskMemory, "pixel_changes", never)
     monkeypatch.setattr(DeltaTrainer, "train", never)
     encoded = encode(moving_rig, settings=built("none", settings=tiny_settings))
     assert {frame.kind for frame in encoded.report.frames[1:]} == {"skip"}

@@ -1,0 +1,73 @@
+"""Views of a scene, redrawn only where it changed: the pictures that masks, selection and training look at."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.formats.cameras import Camera
+from decogs.formats.splats import FloatArray, Splats
+
+from .protocol import FixedView, TrainingKernel
+
+
+class SceneViews(Sequence[FixedView]):
+    """One fixed view for each of the ``cameras``, which are asked for when the views are made.
+
+    Whoever needs a scene's pictures asks for that scene: it is drawn unless it is what the views show.
+    """
+
+    def __init__(self, kernel: TrainingKernel, cameras: Callable[[], Sequence[Camera]]) -> None:
+        self._kernel, self._cameras = kernel, cameras
+        self._views: list[FixedView] = []
+        self._shown: Splats | None = None
+
+    def __len__(self) -> int:
+        return len(self._views)
+
+    def __getitem__(self, index: int) -> FixedView:  # type: ignore[override]
+        return self._views[index]
+
+    def of(self, scene: Splats) -> SceneViews:
+        """The views, all of them showing this scene."""
+        if not self._views:
+            self._views += [self._kernel.fixed_view(camera) for camera in self._cameras()]
+        if self._shown is not scene:
+            for view in self._views:
+                view.set_scene(scene)
+                view.redraw()
+            self._shown = scene
+        return self
+
+    def pictures(self, scene: Splats) -> list[FloatArray]:
+        """What the views show of this scene, (3, H, W) each."""
+        return [view.rgb for view in self.of(scene)]
+
+    def detach(self, rows: NDArray[np.int64]) -> None:
+        """Takes Gaussians out of the static part, to train them; then the views show no whole scene."""
+        self._shown = None
+        for view in self._views:
+            view.detach(rows)
+
+    def follow(
+        self, scene: Splats, trained: NDArray[np.int64], before: NDArray[np.int64], after: NDArray[np.int64]
+    ) -> None:
+        """Goes on to ``scene``, in which only the rows ``trained`` (M,) of what was shown before training differ.
+
+        ``before``, ``after``: the Gaussians' ids, ascending, in that scene and in this one.
+        """
+        renumbered = np.searchsorted(after, before)
+        renumbered[~np.isin(before, after, assume_unique=True)] = -1
+        new = np.flatnonzero(~np.isin(after, before, assume_unique=True))
+        rows = np.concatenate([np.setdiff1d(renumbered[trained], [-1]), new])
+        for view in self._views:
+            view.commit(scene, rows, renumbered)
+            view.redraw()
+        self._shown = scene
+
+    def release(self) -> None:
+        """Frees the views; the next scene that is asked for makes them again."""
+        self._views.clear()
+        self._shown = None

@@ -1,0 +1,104 @@
+"""The end of a frame: the views show the new scene, and the next frame gets its memory."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from decogs.codec.state import same_values
+
+from ..change.masks import MaskMemory
+from ..coding.scene import Scene
+from ..input.compensation.frame import ended
+from ..stopwatch import Stopwatch
+from ..training.method import TrainedFrame
+from ..training.warm_start import Motion
+from .context import Context
+from .events import Event, Kind, PendingFrame
+from .memory import Memory
+from .plan import FramePlan, Selection
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a frame: what was selected, and the ``effects`` that it was trained for.
+
+    ``overlooked``: the masks missed a change of most of the pictures. ``cut``: it is a keyframe of another scene.
+    ``held``: its training waits for time. ``rejected``: training made the pictures worse, and changed nothing.
+    ``uncorrected``: corrections that ended with it.
+    """
+
+    selection: Selection
+    effects: tuple[str, ...] = ()
+    overlooked: bool = False
+    cut: bool = False
+    held: bool = False
+    rejected: bool = False
+    uncorrected: Sequence[str] = ()
+
+
+def commit(
+    context: Context,
+    event: Event,
+    plan: FramePlan,
+    frame: PendingFrame,
+    scene: Scene,
+    trained: TrainedFrame | None,
+    watch: Stopwatch,
+) -> tuple[Memory, Outcome]:
+    """The memory after a frame whose new ``scene`` stands; ``trained``: what training changed, None for none."""
+    memory, before = event.memory, event.scene
+    if trained is not None and not context.method.dense:
+        with watch.stage("commit"):
+            if frame.restarted:
+                context.views.of(scene.splats)
+            else:
+                context.views.follow(scene.splats, trained.kept, before.state.ids, scene.state.ids)
+    memory = replace(
+        memory,
+        masks=_masks_after(context, event, plan, frame, scene, trained),
+        motion=_motion_after(memory.motion, plan, frame, before, scene),
+    )
+    uncorrected: Sequence[str] = ()
+    if context.corrector is not None and memory.corrections is not None and plan.selection.masks:
+        with watch.stage("corrections"):
+            changed = [mask.dilated for mask in plan.selection.masks]
+            judged = context.corrector.judge(
+                memory.corrections, frame.recorded.training, frame.corrections, context.show(scene.splats), changed
+            )
+            uncorrected = ended(memory.corrections, judged)
+            memory = replace(memory, corrections=judged)
+    outcome = Outcome(
+        plan.selection,
+        () if plan.held else plan.effects,
+        overlooked=event.kind is Kind.EVERYTHING and bool(event.changes),
+        held=plan.held,
+        rejected=trained is not None and trained.rejected,
+        uncorrected=uncorrected,
+    )
+    return memory, outcome
+
+
+def _masks_after(
+    context: Context,
+    event: Event,
+    plan: FramePlan,
+    frame: PendingFrame,
+    scene: Scene,
+    trained: TrainedFrame | None,
+) -> MaskMemory:
+    memory, settings, masks = event.memory.masks, context.settings.frame.masks, plan.selection.masks
+    # Training that was rejected, or whose changes were all reverted, has made up for nothing.
+    if trained is not None and masks and not same_values(event.scene.state, scene.state):
+        shown = context.views.pictures(scene.splats) if trained.hurried else None
+        moved = "motion" in plan.effects
+        memory = memory.trained(frame.pictures, masks, settings, moved=moved, shown=shown, threads=context.threads)
+    return memory.advance(frame.pictures, masks, settings, held=plan.held)
+
+
+def _motion_after(motion: Motion, plan: FramePlan, frame: PendingFrame, before: Scene, scene: Scene) -> Motion:
+    """Of a held frame, what moves is taken to move on."""
+    if frame.restarted:
+        # What has moved since the first frame is no velocity.
+        return Motion.at_rest(len(scene.state))
+    return motion.hold() if plan.held else motion.moved(scene.displacements(before.state))

@@ -1,0 +1,81 @@
+"""What all frames of one encode share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from decogs.formats.cameras import Camera
+from decogs.formats.splats import Splats
+
+from ..backends import TrainingKernel, training_kernel
+from ..backends.scene_views import SceneViews
+from ..input.compensation import Corrector, Show, corrector_of
+from ..input.ingest import Ingest
+from ..settings.encode import EncodeSettings
+from ..training.method import FrameMethod
+from ..training.methods import FRAME_METHODS
+from ..training.schedule import OnLoss, StoppingRule
+from .cross_fade import fade_cameras
+
+
+@dataclass(frozen=True)
+class Context:
+    """The rig, the settings and where frames are trained and drawn.
+
+    ``views``: the training views; ``fade_views``: where two closed segments are compared. Both show what they are asked
+    for. ``corrector``: of the cameras whose drift is compensated, or None. ``on_loss`` follows every training step.
+    """
+
+    ingest: Ingest
+    settings: EncodeSettings
+    kernel: TrainingKernel
+    views: SceneViews
+    fade_views: SceneViews
+    method: FrameMethod
+    corrector: Corrector | None
+    seed: int
+    threads: int
+    on_loss: OnLoss | None = None
+
+    @classmethod
+    def of(
+        cls,
+        ingest: Ingest,
+        settings: EncodeSettings,
+        *,
+        seed: int,
+        threads: int,
+        device: str = "auto",
+        on_loss: OnLoss | None = None,
+    ) -> Context:
+        """Raises UsageError for a device or a method that is not there, or a camera that cannot be compensated."""
+        kernel = training_kernel(device, threads)
+
+        def cameras() -> Sequence[Camera]:
+            return [view.pinhole for view in ingest.views]
+
+        return cls(
+            ingest,
+            settings,
+            kernel,
+            SceneViews(kernel, cameras),
+            SceneViews(kernel, lambda: fade_cameras(cameras())),
+            FRAME_METHODS.get(settings.method),
+            corrector_of(ingest.views, settings.corrections),
+            seed,
+            threads,
+            on_loss,
+        )
+
+    def show(self, scene: Splats) -> Show:
+        """The ``scene`` through the training view of a number, as it is drawn from frame to frame."""
+        return self.render(scene) if self.method.dense else lambda number: self.views.of(scene)[number].rgb
+
+    def render(self, scene: Splats) -> Show:
+        """The ``scene`` through the training view of a number, drawn for this alone."""
+        return lambda number: self.kernel.forward(scene, self.ingest.views[number].pinhole).rgb
+
+    def stopping(self, deadline: float | None = None) -> StoppingRule:
+        """What ends a training, by the settings' target and the ``deadline``."""
+        return StoppingRule(deadline, self.settings.target_psnr, self.on_loss)

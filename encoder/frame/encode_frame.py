@@ -1,0 +1,239 @@
+"""One frame from its pictures to its packet, in ten steps.
+
+A frame that an earlier encode wrote takes the same way: its packet stands where training would. So does one of the next
+closed segment, with a memory of its own. Every step takes frozen values and gives new ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+
+from decogs.codec.header import StreamHeader
+from decogs.codec.lattice import dequantise
+from decogs.codec.state import State, changed_between
+from decogs.formats.container import Packet, PacketKind
+from decogs.formats.errors import TrainingError
+from decogs.formats.splats import Splats, empty_splats
+
+from ..coding.packets import Written, frame_packet, key_packet, read_back
+from ..coding.scene import Scene
+from ..coding.time_control import TimeControl
+from ..input.compensation.frame import compensated, corrections_of, matched
+from ..input.ingest import RigFrame
+from ..output.reports import OnKeyframeStep
+from ..stopwatch import Stopwatch
+from ..training.first_frame import train_first_frame
+from ..training.keyframe import scene_extent
+from ..training.method import TrainedFrame
+from .commit import Outcome, commit
+from .context import Context
+from .cross_fade import CrossFade, cross_fade
+from .events import Event, Kind, PendingFrame, what_happened
+from .memory import Memory, new_memory, restarted
+from .plan import FramePlan, Selection, find_selection, plan_frame
+from .train import train_frame
+
+
+class Following(Protocol):
+    """The segment after a frame's own."""
+
+    def fade(self, frame: int, scene: Scene) -> CrossFade | None:
+        """What the rig's ``frame``, which starts from ``scene``, goes over to; None where it does not."""
+        ...
+
+
+@dataclass(frozen=True)
+class Task:
+    """A frame to encode, as ``recorded``; ``packet``: what an earlier encode made of it, instead of training.
+
+    ``following``: the closed segment that it goes over to, if any. ``on_step`` follows the training of a keyframe.
+    """
+
+    recorded: RigFrame
+    packet: Packet | None = None
+    following: Following | None = None
+    on_step: OnKeyframeStep | None = None
+    watch: Stopwatch = field(default_factory=Stopwatch)
+
+
+@dataclass(frozen=True)
+class Encoded:
+    """An encoded frame: its packet, the scene that a decoder then has, what the next frame needs, and what came of it.
+
+    ``pictures``: the frame without what its cameras add.
+    """
+
+    written: Written
+    scene: Scene
+    memory: Memory
+    outcome: Outcome
+    pictures: RigFrame
+
+
+def encode_frame(context: Context, scene: Scene, memory: Memory, task: Task) -> Encoded:
+    """Encodes a later frame of a stream from the scene before it."""
+    frame, event = observe(context, scene, memory, task)
+    if event.kind is Kind.CUT:
+        try:
+            return encode_cut(context, event, task)
+        except TrainingError:
+            # Such as pictures in which no points are found: the frame is trained as others are.
+            event = replace(event, kind=Kind.CHANGE)
+    return encode_change(context, event, frame, task)
+
+
+def observe(context: Context, scene: Scene, memory: Memory, task: Task) -> tuple[PendingFrame, Event]:
+    """Steps 2 and 3: the frame without what its cameras add, and what happened in it."""
+    watch, packet = task.watch, task.packet
+    recorded = matched(task.recorded, context.ingest.views, scene.header.camera_colours)
+    scene, memory, is_start = restarted(context, scene, memory, recorded.index - scene.header.first_frame, watch)
+    if packet is not None:
+        _, corrections = read_back(packet, scene.header)
+    else:
+        show = context.show(scene.splats)
+        corrections = corrections_of(recorded, context.corrector, memory.corrections, show, watch)
+    frame = PendingFrame(recorded, compensated(recorded, context.corrector, corrections), corrections, is_start)
+    if packet is not None and scene.begins_anew(packet):
+        return frame, Event(Kind.CUT, scene, memory, [])
+    event = what_happened(context, scene, memory, frame, watch)
+    if event.kind is Kind.CUT and packet is not None:
+        event = replace(event, kind=Kind.CHANGE)
+    return frame, event
+
+
+def encode_change(context: Context, event: Event, frame: PendingFrame, task: Task) -> Encoded:
+    """Steps 4 to 10: the regions that changed, the Gaussians in them, their training, the packet."""
+    watch, packet = task.watch, task.packet
+    selection = find_selection(context, event, frame, watch)
+    fade = None if task.following is None else task.following.fade(frame.recorded.index, event.scene)
+    plan = plan_frame(context, event, selection, frame, fade, watch)
+    if packet is None:
+        written, scene, trained = _train_and_code(context, event, plan, frame, fade, watch)
+    else:
+        written, _ = read_back(packet, event.scene.header)
+        scene = event.scene.after(packet)
+        plan, trained = _as_written(context, event.scene, scene, plan, packet)
+    memory, outcome = commit(context, event, plan, frame, scene, trained, watch)
+    if memory.rate is not None:
+        memory = replace(memory, rate=memory.rate.after(written.packet.kind, written.packet.size))
+    return Encoded(written, scene, memory, outcome, frame.compensated)
+
+
+def encode_cut(context: Context, event: Event, task: Task) -> Encoded:
+    """A keyframe of another scene than the one before it; raises TrainingError where none can be trained."""
+    before = event.scene
+    context.views.release()
+    if task.packet is not None:
+        key = before.after(task.packet).state
+    else:
+        recorded = matched(task.recorded, context.ingest.views, before.header.camera_colours)
+        first = train_first_frame(
+            context.kernel,
+            context.ingest,
+            recorded,
+            context.settings,
+            task.watch,
+            seed=context.seed,
+            threads=context.threads,
+            corrector=context.corrector,
+            stopping=context.stopping(),
+            on_step=task.on_step,
+            header=before.header,
+            first_id=before.state.next_id,
+        )
+        key = replace(first.state, frame=before.state.frame + 1)
+    return begin_scene(context, before.header, key, task, event)
+
+
+def begin_scene(context: Context, header: StreamHeader, key: State, task: Task, cut: Event | None = None) -> Encoded:
+    """The first frame of a stream, or of another scene after a ``cut``: its Gaussians are the ``key``'s."""
+    watch, packet, corrector = task.watch, task.packet, context.corrector
+    splats = dequantise(key, header.lattice)
+    recorded, drift = matched(task.recorded, context.ingest.views, header.camera_colours), None
+    if corrector is not None:
+        views = context.ingest.views
+        drift = corrector.begin(lambda number: context.kernel.forward(splats, views[number].pinhole, depth=True))
+    if packet is not None:
+        written, corrections = read_back(packet, header)
+    else:
+        corrections = corrections_of(recorded, corrector, drift, context.render(splats), watch)
+        with watch.stage("write"):
+            written = key_packet(header, key, corrections, context.settings.zstd_level)
+    scene = Scene.open(header, written.packet) if cut is None else cut.scene.after(written.packet)
+    frame = compensated(recorded, corrector, corrections)
+    with watch.stage("commit"):
+        memory = new_memory(
+            context,
+            scene,
+            frame,
+            None if drift is None else replace(drift, first=corrections),
+            time=_time_control(context) if cut is None else cut.memory.time,
+            first=cut.memory.first if cut is not None else frame if context.settings.closed else None,
+        )
+    selection = Selection([], np.ones(len(key), bool))
+    return Encoded(written, scene, memory, Outcome(selection, cut=cut is not None), frame)
+
+
+def _time_control(context: Context) -> TimeControl | None:
+    budget = context.settings.time_budget
+    return None if budget is None else TimeControl(budget)
+
+
+def _train_and_code(
+    context: Context, event: Event, plan: FramePlan, frame: PendingFrame, fade: CrossFade | None, watch: Stopwatch
+) -> tuple[Written, Scene, TrainedFrame | None]:
+    """Steps 7 to 9: what the frame changes, its packet, and the scene as a decoder then has it."""
+    index = frame.recorded.index - event.scene.header.first_frame
+    before, trained = train_frame(context, event, plan, frame, watch) if plan.trains else (event.scene, None)
+    if fade is not None:
+        with watch.stage("training"):
+            if trained is None:
+                context.views.of(before.splats)
+            context.views.detach(fade.rows)
+            trained = cross_fade(
+                context.kernel,
+                before.splats,
+                trained or _nothing(before.splats),
+                fade,
+                plan.settings,
+                extent=scene_extent(context.ingest.views) or 1.0,
+                seed=(context.seed, index),
+                on_loss=context.on_loss,
+            )
+    with watch.stage("write"):
+        written = frame_packet(
+            before,
+            index,
+            trained,
+            plan.settings.significance,
+            frame.corrections,
+            context.settings,
+            whole=event.is_return,
+        )
+        return written, before.after(written.packet), trained
+
+
+def _nothing(scene: Splats) -> TrainedFrame:
+    rows, empty = np.zeros(0, np.int64), empty_splats(scene.sh_degree)
+    return TrainedFrame(rows, empty, rows, empty)
+
+
+def _as_written(
+    context: Context, before: Scene, scene: Scene, plan: FramePlan, packet: Packet
+) -> tuple[FramePlan, TrainedFrame | None]:
+    """What an earlier encode did with the frame, as its packet tells: the plan, and what was trained."""
+    # Those that a cross-fade changes are not among those that the masks select.
+    changed = changed_between(before.state, scene.state)
+    is_trained = bool(plan.effects) or bool(changed.any())
+    # What was held is still to be done. With a time budget, a packet of nothing is all that signals it.
+    held = is_trained and context.settings.time_budget is not None and packet.kind == PacketKind.SKIP
+    plan = replace(plan, held=held)
+    if not is_trained or held:
+        return plan, None
+    rows = np.flatnonzero(plan.selection.selected | changed)
+    if not context.method.dense:
+        context.views.of(before.splats).detach(rows)
+    return plan, replace(_nothing(before.splats), kept=rows)

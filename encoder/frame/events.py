@@ -1,0 +1,104 @@
+"""What happened between the frame before and this one: one question, one answer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+
+from decogs.codec.corrections import Corrections
+from decogs.formats.splats import FloatArray
+
+from ..change.cuts import shows_another_scene
+from ..change.flashes import LONGEST_FLASH, is_missed, matches, may_be_flash
+from ..change.masks import PixelChange, showing
+from ..coding.scene import Scene
+from ..input.ingest import RigFrame
+from ..stopwatch import Stopwatch
+from .context import Context
+from .memory import BeforeFlash, Memory
+
+
+class Kind(Enum):
+    """What a frame shows, against the scene before it."""
+
+    NOTHING = "no effect is enabled that could change the scene"
+    CHANGE = "the scene, in part of which something changed, or in none"
+    EVERYTHING = "a change of most of the picture, which no mask finds, or a method that trains everything"
+    CUT = "another scene"
+
+
+@dataclass(frozen=True)
+class PendingFrame:
+    """A frame to encode: as recorded, without what its cameras add (``pictures``), and how that was taken off.
+
+    ``restarted``: the scene before it is the first keyframe's, since the frame begins a closed segment.
+    """
+
+    recorded: RigFrame
+    compensated: RigFrame
+    corrections: Corrections
+    restarted: bool = False
+
+    @property
+    def pictures(self) -> Sequence[FloatArray]:
+        """The training views' pictures (3, H, W), compensated."""
+        return self.compensated.training
+
+
+@dataclass(frozen=True)
+class Event:
+    """What happened, with the ``scene`` and ``memory`` that the frame goes on from.
+
+    ``changes``: where each picture changed. ``is_return``: a flash is over, so that the decoder's state is another than
+    that of ``scene``.
+    """
+
+    kind: Kind
+    scene: Scene
+    memory: Memory
+    changes: Sequence[PixelChange]
+    is_return: bool = False
+
+
+def what_happened(context: Context, scene: Scene, memory: Memory, frame: PendingFrame, watch: Stopwatch) -> Event:
+    """What a frame shows, and the scene that it goes on from: the one before a flash, once that is over."""
+    settings = context.settings
+    if context.method.dense:
+        return Event(Kind.EVERYTHING, scene, memory, [])
+    with watch.stage("masks"):
+        scene, memory, is_return = _after_flash(scene, memory, frame, context)
+        if not settings.frame_effects:
+            return Event(Kind.NOTHING, scene, memory, [], is_return)
+        shown = context.views.pictures(scene.splats)
+        changes = memory.masks.pixel_changes(frame.pictures, shown, settings.frame.masks, context.threads)
+        kind = Kind.CHANGE
+        if is_missed(memory.masks, frame.pictures, shown, changes):
+            kind = Kind.EVERYTHING
+        elif may_be_flash(changes):
+            if _is_cut(context, memory, frame, changes):
+                return Event(Kind.CUT, scene, memory, changes, is_return)
+            if memory.before_flash is None:
+                before = BeforeFlash(frame.recorded.index, scene.state, memory.motion.last, memory.masks)
+                memory = replace(memory, before_flash=before)
+    return Event(kind, scene, memory, changes, is_return)
+
+
+def _after_flash(scene: Scene, memory: Memory, frame: PendingFrame, context: Context) -> tuple[Scene, Memory, bool]:
+    """Scene and memory from before a flash if the pictures are those again; and whether they are."""
+    kept = memory.before_flash
+    if kept is None:
+        return scene, memory, False
+    if matches(kept.masks, frame.pictures, context.settings.frame.masks):
+        motion = replace(memory.motion, last=kept.motion)
+        return scene.gone_back(kept.state), replace(memory, motion=motion, masks=kept.masks, before_flash=None), True
+    if frame.recorded.index - kept.since > LONGEST_FLASH:
+        memory = replace(memory, before_flash=None)
+    return scene, memory, False
+
+
+def _is_cut(context: Context, memory: Memory, frame: PendingFrame, changes: Sequence[PixelChange]) -> bool:
+    # A keyframe needs every camera.
+    if not context.settings.cuts or context.settings.time_budget is not None or len(showing(changes)) < len(changes):
+        return False
+    return shows_another_scene(frame.pictures, memory.masks.references)

@@ -1,0 +1,99 @@
+"""What one frame hands to the next and a decoder does not need."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from decogs.codec.state import State
+from decogs.formats.splats import FloatArray
+
+from ..change.masks import MaskMemory
+from ..coding.rate_control import RateControl
+from ..coding.scene import Scene
+from ..coding.time_control import TimeControl
+from ..input.compensation import CorrectionMemory
+from ..input.ingest import RigFrame
+from ..stopwatch import Stopwatch
+from ..training.method import FrameTrainer, training_context
+from ..training.warm_start import Motion
+from .context import Context
+
+
+@dataclass(frozen=True)
+class BeforeFlash:
+    """What was there before the frame ``since``, which changed nearly everything: the scene, its motion, the masks."""
+
+    since: int
+    state: State
+    motion: FloatArray
+    masks: MaskMemory
+
+
+@dataclass(frozen=True)
+class Memory:
+    """What a frame hands to the next.
+
+    ``first``: the stream's first frame, compensated, to which closed segments return; None in other streams. ``rate``
+    and ``time`` keep to budgets, where there are some.
+    """
+
+    trainer: FrameTrainer
+    masks: MaskMemory
+    motion: Motion
+    corrections: CorrectionMemory | None
+    rate: RateControl | None
+    time: TimeControl | None
+    before_flash: BeforeFlash | None = None
+    first: RigFrame | None = None
+
+
+def new_memory(
+    context: Context,
+    scene: Scene,
+    frame: RigFrame,
+    corrections: CorrectionMemory | None,
+    *,
+    time: TimeControl | None,
+    first: RigFrame | None,
+) -> Memory:
+    """The memory after a ``scene``'s first ``frame``, compensated: nothing is left of the frames before."""
+    settings = context.settings
+    shown = None if context.method.dense else context.views.pictures(scene.splats)
+    trainer = context.method.trainer(
+        training_context(
+            context.kernel,
+            context.ingest.views,
+            context.views,
+            settings,
+            scene.splats,
+            seed=context.seed,
+            threads=context.threads,
+        )
+    )
+    budget = settings.frame_budget
+    return Memory(
+        trainer,
+        MaskMemory.begin(frame.training, shown if settings.time_budget is not None else None),
+        Motion.at_rest(len(scene.state)),
+        corrections,
+        None if budget is None else RateControl(budget, settings.segment),
+        time,
+        first=first,
+    )
+
+
+def restarted(
+    context: Context, scene: Scene, memory: Memory, frame: int, watch: Stopwatch
+) -> tuple[Scene, Memory, bool]:
+    """Scene and memory before ``frame``, and whether it begins a closed segment.
+
+    Such a frame starts from the first keyframe; nothing is left of the frames before it.
+    """
+    segment = context.settings.segment
+    if memory.first is None or frame % segment:
+        return scene, memory, False
+    with watch.stage("commit"):
+        scene = scene.restarted(frame, segment)
+        corrections = None if memory.corrections is None else memory.corrections.restarted()
+        memory = new_memory(context, scene, memory.first, corrections, time=memory.time, first=memory.first)
+    return scene, memory, True

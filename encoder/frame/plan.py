@@ -1,0 +1,148 @@
+"""What a frame calls for: its masks, S_t, effects, steps, thresholds and time, all decided here."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..analysis.enabled import enabled_effects
+from ..backends import FixedView
+from ..change.masks import FrameMask, full_masks, showing
+from ..change.selection import select, view_evidence
+from ..coding.scene import Scene
+from ..settings.frame import FrameSettings, SelectionSettings
+from ..stopwatch import Stopwatch
+from .context import Context
+from .cross_fade import CrossFade, with_exact_changes
+from .events import Event, Kind, PendingFrame
+from .memory import Memory
+
+_MOVING_FRACTION = 0.1
+"""Share of its rendering weight where things move from which a Gaussian may move."""
+
+
+@dataclass(frozen=True)
+class Selection:
+    """A frame's regions of interest, one mask a view (none for a dense method), and S_t, (N,)."""
+
+    masks: Sequence[FrameMask]
+    selected: NDArray[np.bool_]
+
+    @property
+    def share(self) -> float:
+        """Share of selected Gaussians, 0 to 1."""
+        return float(self.selected.mean()) if len(self.selected) else 0.0
+
+
+@dataclass(frozen=True)
+class FramePlan:
+    """How a frame is trained and coded: what is selected, its effects by name, none where nothing is, and its settings.
+
+    ``light_only`` (N,): the selected Gaussians that light alone changes, in a frame in which others move; else None.
+    ``held``: its training waits for a later frame's time.
+    """
+
+    selection: Selection
+    effects: tuple[str, ...]
+    settings: FrameSettings
+    light_only: NDArray[np.bool_] | None = None
+    held: bool = False
+
+    @property
+    def trains(self) -> bool:
+        """Whether the frame is trained."""
+        return bool(self.effects) and not self.held
+
+
+def find_selection(context: Context, event: Event, frame: PendingFrame, watch: Stopwatch) -> Selection:
+    """The masks around what changed, and the Gaussians that they select."""
+    population = len(event.scene.state)
+    if event.kind is Kind.EVERYTHING:
+        return Selection(full_masks(event.changes), np.ones(population, bool))
+    if event.kind is Kind.NOTHING:
+        return Selection([], np.zeros(population, bool))
+    with watch.stage("masks"):
+        masks = event.memory.masks.masks(
+            frame.pictures, event.changes, context.settings.frame.masks, threads=context.threads
+        )
+    if not any(mask.dilated.any() for mask in masks):
+        return Selection(masks, np.zeros(population, bool))
+    with watch.stage("selection"):
+        return Selection(masks, _selected(context, event.scene, masks))
+
+
+def select_again(context: Context, scene: Scene, event: Event, selection: Selection) -> Selection:
+    """The same masks with S_t of a scene that was trained since."""
+    if event.kind is Kind.EVERYTHING:
+        return replace(selection, selected=np.ones(len(scene.state), bool))
+    return replace(selection, selected=_selected(context, scene, selection.masks))
+
+
+def plan_frame(
+    context: Context, event: Event, selection: Selection, frame: PendingFrame, fade: CrossFade | None, watch: Stopwatch
+) -> FramePlan:
+    """All that a frame is trained and coded with."""
+    settings, memory = context.settings, event.memory
+    effects, lit = settings.frame_effects if selection.selected.any() else (), None
+    if effects and settings.detect_per_frame:
+        with watch.stage("effects"):
+            found = enabled_effects(
+                settings, frame.pictures, memory.masks.references, selection.masks, threads=context.threads
+            )
+            effects, settings = found.effects, found.settings
+            if found.moving is not None:
+                views = context.views.of(event.scene.splats)
+                lit = light_only(views, selection, found.moving, settings.frame.selection)
+    now = settings.frame
+    if memory.rate is not None:
+        now = replace(now, significance=memory.rate.significance(now.significance))
+    settings_now = now if fade is None else with_exact_changes(now)
+    return FramePlan(selection, effects, settings_now, lit, held=bool(effects) and _is_held(memory, watch))
+
+
+def _is_held(memory: Memory, watch: Stopwatch) -> bool:
+    """Whether a frame that needs training gets none, so that a later one has enough time."""
+    return memory.time is not None and memory.time.holds(watch.seconds, memory.trainer.min_seconds)
+
+
+def _selected(context: Context, scene: Scene, masks: Sequence[FrameMask]) -> NDArray[np.bool_]:
+    used, settings = showing(masks), context.settings.frame.selection
+    if "select" in context.settings.frame.ablated:
+        return np.ones(len(scene.state), bool)
+    views = context.views.of(scene.splats)
+    selected = _inside(views, used, [masks[i].changing for i in used], settings)
+    if any(masks[i].refines for i in used):
+        stricter = replace(settings, min_fraction=settings.refine_fraction)
+        selected |= _inside(views, used, [masks[i].dilated for i in used], stricter)
+    return selected
+
+
+def light_only(
+    views: Sequence[FixedView],
+    selection: Selection,
+    moving: Sequence[NDArray[np.bool_]],
+    settings: SelectionSettings,
+) -> NDArray[np.bool_]:
+    """Selected Gaussians (N,) that hardly show where things move: light changes them.
+
+    ``moving``: the pixels of each view, (H, W), in and around what moves; the ``views`` show the scene.
+    """
+    used = [index for index in showing(selection.masks) if moving[index].any()]
+    if not used:
+        return selection.selected
+    regions = [moving[index] & selection.masks[index].dilated for index in used]
+    may_move = replace(settings, rule="weight", min_fraction=_MOVING_FRACTION)
+    return selection.selected & ~_inside(views, used, regions, may_move)
+
+
+def _inside(
+    views: Sequence[FixedView],
+    used: Sequence[int],
+    regions: Sequence[NDArray[np.bool_]],
+    settings: SelectionSettings,
+) -> NDArray[np.bool_]:
+    """The Gaussians that the rule selects for these regions (H, W) of the ``used`` views."""
+    return select([view_evidence(views[i], region) for i, region in zip(used, regions, strict=True)], settings)

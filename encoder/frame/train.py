@@ -1,0 +1,65 @@
+"""The training of one frame: the changes of the selected Gaussians."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..coding.scene import Scene
+from ..stopwatch import Stopwatch
+from ..training.method import FrameInput, TrainedFrame
+from ..training.warm_start import Motion
+from .context import Context
+from .events import Event, PendingFrame
+from .memory import Memory
+from .plan import FramePlan, select_again
+
+
+def train_frame(
+    context: Context, event: Event, plan: FramePlan, frame: PendingFrame, watch: Stopwatch
+) -> tuple[Scene, TrainedFrame]:
+    """The changes of a frame, and the scene that they are against.
+
+    The first frame of a closed segment catches up with all that has happened since the stream's first one, in
+    ``settings.catch_up`` rounds, each with a search for new objects. A round that diverges is the last, and changes
+    nothing.
+    """
+    scene, memory = event.scene, event.memory
+    if not frame.restarted:
+        return scene, _trained(context, scene, memory, plan, frame, watch)
+    plan = replace(plan, light_only=None)  # Every round selects again.
+    trained = _trained(context, scene, memory, plan, frame, watch)
+    for _ in range(1, context.settings.catch_up):
+        if trained.rejected:
+            break
+        before = scene
+        with watch.stage("commit"):
+            scene = before.with_changes(trained, plan.settings.significance)
+            context.views.follow(scene.splats, trained.kept, before.state.ids, scene.state.ids)
+        with watch.stage("selection"):
+            plan = replace(plan, selection=select_again(context, scene, event, plan.selection))
+        memory = replace(memory, motion=Motion.at_rest(len(scene.state)))
+        trained = replace(_trained(context, scene, memory, plan, frame, watch), rejected=False)
+    return scene, trained
+
+
+def _trained(
+    context: Context, scene: Scene, memory: Memory, plan: FramePlan, frame: PendingFrame, watch: Stopwatch
+) -> TrainedFrame:
+    deadline = None if memory.time is None else memory.time.deadline(watch.seconds)
+    given = FrameInput(
+        frame.recorded.index - scene.header.first_frame,
+        scene.splats,
+        plan.selection.selected,
+        plan.light_only,
+        frame.pictures,
+        plan.selection.masks,
+        memory.motion.expected(),
+        plan.settings,
+        context.stopping(deadline),
+    )
+    with watch.stage("training"):
+        if not context.method.dense:
+            context.views.of(scene.splats).detach(np.flatnonzero(given.selected))
+        return memory.trainer.train(given)

@@ -1,0 +1,44 @@
+"""A frame's pictures without what its cameras add: their constant colours, and the drift of the named ones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from decogs.codec.corrections import Corrections
+
+from ...stopwatch import Stopwatch
+from ..ingest import RigFrame, View
+from . import CorrectionMemory, Corrector, Show
+from .colour import without_odds
+
+
+def matched(frame: RigFrame, views: Sequence[View], colours: Corrections) -> RigFrame:
+    """The frame without the constant differences between its cameras' ``colours``."""
+    if not colours:
+        return frame
+    pictures = [
+        without_odds(picture, colours[view.camera.name].odds) if view.camera.name in colours else picture
+        for view, picture in zip(views, frame.training, strict=True)
+    ]
+    return replace(frame, training=pictures)
+
+
+def corrections_of(
+    frame: RigFrame, corrector: Corrector | None, memory: CorrectionMemory | None, show: Show, watch: Stopwatch
+) -> Corrections:
+    """A matched frame's corrections against the scene before it, as ``show`` draws it."""
+    if corrector is None or memory is None:
+        return {}
+    with watch.stage("corrections"):
+        return corrector.find(memory, frame.training, show)
+
+
+def compensated(frame: RigFrame, corrector: Corrector | None, corrections: Corrections) -> RigFrame:
+    """A matched frame with its ``corrections`` undone."""
+    return frame if corrector is None else replace(frame, training=corrector.undo(frame.training, corrections))
+
+
+def ended(before: CorrectionMemory, after: CorrectionMemory) -> list[str]:
+    """The corrections dropped from one frame to the next, such as "cam04: colours"."""
+    return [f"{name}: {kind}" for name, kind in sorted(after.dropped - before.dropped)]

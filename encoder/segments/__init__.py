@@ -1,0 +1,1 @@
+"""Closed segments: each starts from the first keyframe and depends on no other."""

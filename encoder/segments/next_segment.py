@@ -1,0 +1,92 @@
+"""Closed segments: every one starts from the first keyframe's Gaussians, as a closed GOP of a video starts afresh.
+
+A segment then depends on the first keyframe, the first frame's pictures and those of its own frames and of the next
+one's first, and on nothing else, so that segments can be encoded apart from each other (`parts`). Gaussians that never
+change have the same bits in the whole stream, across all segments. The frames before a start go over to it, so that it
+does not show: the next segment is trained backwards from its start for a few frames, and `frame.cross_fade` mixes.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from decogs.codec.state import changed_between
+
+from ..backends.scene_views import SceneViews
+from ..coding.scene import Scene
+from ..frame.context import Context
+from ..frame.cross_fade import CrossFade
+from ..frame.encode_frame import Encoded, Task, encode_change, observe
+from ..frame.events import Kind
+from ..frame.memory import Memory
+from ..input.ingest import RigFrame
+from ..settings.encode import EncodeSettings
+
+_LAST_SHARE = 0.9
+"""Share of the next segment in the last frame before it. Below 1, since training lags behind its target."""
+
+
+def with_following(
+    frames: Iterable[RigFrame], first: int, settings: EncodeSettings
+) -> Iterator[tuple[RigFrame, Sequence[RigFrame]]]:
+    """Every frame, with those that follow up to the start of the next segment if it goes over to that, else none.
+
+    ``first``: the take's first frame. A take's last segment has none after it.
+    """
+    waiting: deque[RigFrame] = deque()
+    for frame in frames:
+        waiting.append(frame)
+        left = -(frame.index - first) % settings.segment if settings.fading else 0
+        while waiting and (not left or left > settings.fading):
+            now = waiting.popleft()
+            yield now, tuple(waiting)
+    while waiting:
+        yield waiting.popleft(), ()
+
+
+@dataclass(frozen=True)
+class NextSegment:
+    """What the closed segment from the rig's frame ``start`` on shows of the last frames before it, and of that one.
+
+    ``first``: its first frame, encoded; None where that shows another scene. ``scenes``: by frame, as far as they show
+    the same one. ``fade_views``: where two segments are compared. ``length``: how many frames go over to it.
+    """
+
+    start: int
+    first: Encoded | None
+    scenes: Mapping[int, Scene]
+    fade_views: SceneViews
+    length: int
+
+    def fade(self, frame: int, scene: Scene) -> CrossFade | None:
+        """What ``frame`` goes over to; ``scene``: before it. None where the two segments do not show the same."""
+        mine, first = scene.state, scene.first
+        old = np.isin(mine.ids, first.ids, assume_unique=True)
+        if frame not in self.scenes or not old.any():
+            return None
+        theirs = self.scenes[frame]
+        differ = first.ids[changed_between(first, mine) | changed_between(first, theirs.state)]
+        share = _LAST_SHARE * (self.length + 1 - (self.start - frame)) / self.length
+        rows = np.flatnonzero(~old | np.isin(mine.ids, differ, assume_unique=True))
+        return CrossFade(theirs.splats, share, rows, self.fade_views)
+
+
+def train_next_segment(context: Context, scene: Scene, memory: Memory, frames: Sequence[RigFrame]) -> NextSegment:
+    """The next segment, trained from its start backwards: ``frames`` are those before it and its first one."""
+    start, unlogged = frames[-1].index, replace(context, on_loss=None)
+    first: Encoded | None = None
+    scenes: dict[int, Scene] = {}
+    for place, frame in enumerate(reversed(frames)):
+        # Frames are counted on from the start, not back, as an encode expects.
+        task = Task(replace(frame, index=start + place))
+        pending, event = observe(unlogged, scene, memory, task)
+        if event.kind is Kind.CUT:
+            break
+        encoded = encode_change(unlogged, event, pending, task)
+        scene, memory, first = encoded.scene, encoded.memory, first or encoded
+        scenes[frame.index] = scene
+    return NextSegment(start, first, scenes, context.fade_views, context.settings.fading)

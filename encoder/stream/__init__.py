@@ -1,0 +1,1 @@
+"""A range of a rig's frames into one output: begun, resumed, interrupted or finished."""

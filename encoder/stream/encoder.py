@@ -1,0 +1,233 @@
+"""The frames of one encode, one after the other, into an open stream; those that an earlier encode wrote come first."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from decogs.codec.corrections import CorrectedCameras, Corrections
+from decogs.codec.digest import digest
+from decogs.codec.header import StreamHeader
+from decogs.codec.lattice import Lattice, default_lattice
+from decogs.codec.reconstruct import reconstruct
+from decogs.formats.callbacks import OnWarning
+from decogs.formats.container import Packet
+from decogs.formats.errors import RigError, StreamError
+from decogs.formats.splats import sh_degree_of
+
+from ..coding.stream_header import stream_header
+from ..frame.context import Context
+from ..frame.encode_frame import Encoded, Task, begin_scene, encode_frame
+from ..input.imported_keyframe import KeyframeSource
+from ..input.imported_splats import SplatSource
+from ..input.ingest import RigFrame
+from ..input.recordings import difference, recorded_in
+from ..output.convergence_log import ConvergenceLog
+from ..output.reports import FrameReport, OnKeyframeStep
+from ..output.resume import Interrupted
+from ..output.stream_output import StreamOutput
+from ..segments.next_segment import NextSegment, train_next_segment
+from ..stopwatch import Stopwatch
+from ..training.first_frame import FirstFrame, train_first_frame
+from ..training.splat_keyframe import import_splats
+from .frame_report import FrameReporter
+
+
+class StreamEncoder:
+    """Encodes frames one after the other into an open stream; ``keyframe`` is one to begin with, untrained.
+
+    ``keyframe`` may be a file of Gaussians, which is made one. ``convergence`` takes the loss of every step of
+    training, ``on_warning`` what the user should know at once.
+    """
+
+    def __init__(
+        self,
+        context: Context,
+        output: StreamOutput,
+        keyframe: KeyframeSource | SplatSource | None = None,
+        *,
+        convergence: ConvergenceLog | None = None,
+        on_warning: OnWarning | None = None,
+    ) -> None:
+        self._context, self._output = context, output
+        self._keyframe, self._convergence, self._on_warning = keyframe, convergence, on_warning
+        self._header: StreamHeader | None = None
+        self._last: Encoded | None = None
+        self._next: NextSegment | None = None
+        self._reporter = FrameReporter(context, on_warning)
+
+    def check_header(self, first: int) -> None:
+        """Raises RigError, before anything is trained, for a rig that no stream's header can hold."""
+        try:
+            self._new_header(first, default_lattice(1.0), self._context.settings.keyframe.sh_degree).to_bytes()
+        except StreamError as error:
+            problem = str(error).partition(" in packet ")[0].removeprefix("header: ")
+            path = self._context.ingest.rig.path
+            raise RigError(f"{path}: a stream cannot hold this rig ({problem}); change its calibration") from None
+
+    def encode_key(self, frame: RigFrame, on_step: OnKeyframeStep | None) -> FrameReport:
+        """Trains or takes over the first frame and writes header and keyframe; the output begins only then."""
+        task = Task(frame, on_step=on_step, watch=self._begin(frame))
+        first = self._first_frame(task)
+        degree = sh_degree_of(first.state.coefficients)
+        header = self._new_header(frame.index, first.lattice, degree, colours=first.colours, recorded=frame.recorded)
+        encoded = begin_scene(self._context, header, first.state, task)
+        with task.watch.stage("write"):
+            self._output.begin(header.to_bytes())
+        if isinstance(self._keyframe, KeyframeSource):
+            self._check_keyframe(self._keyframe, encoded, frame, task.watch)
+        return self._write(encoded, task.watch)
+
+    def encode_next(
+        self, frame: RigFrame, on_step: OnKeyframeStep | None = None, following: Sequence[RigFrame] = ()
+    ) -> FrameReport:
+        """Encodes the next frame.
+
+        ``on_step`` follows the training of a new keyframe, where the frame shows another scene. ``following``: those
+        up to the start of the closed segment that the frame goes over to.
+        """
+        watch = self._begin(frame)
+        ahead = self._next_segment([frame, *following], watch)
+        coded = ahead.first if ahead is not None and ahead.start == frame.index else None
+        task = Task(frame, None if coded is None else coded.written.packet, ahead, on_step, watch)
+        assert self._last is not None
+        encoded = encode_frame(self._context, self._last.scene, self._last.memory, task)
+        if coded is not None:
+            encoded = replace(encoded, outcome=replace(encoded.outcome, rejected=coded.outcome.rejected))
+        return self._write(encoded, watch)
+
+    def take_over(self, left: Interrupted, span: range) -> None:
+        """Goes on from what an earlier encode left of frames ``span``: its header, near planes and cameras' colours.
+
+        Raises UsageError unless it is the beginning of this encode.
+        """
+        ingest, header = self._context.ingest, left.header
+        if isinstance(self._keyframe, SplatSource):
+            # Rotation and lattice were found from pictures; the digest in the header identifies the file.
+            self._keyframe = _keyframe_made(self._keyframe, left)
+        source = self._keyframe
+        if source is not None:
+            source.check(ingest, span.start)
+            header = source.header
+        near = header.near_planes
+        ingest.set_near_planes({camera.name: near.get(camera.name, 0.0) for camera in ingest.rig.cameras})
+        self._header = self._new_header(
+            span.start,
+            header.lattice,
+            header.sh_degree,
+            colours=header.camera_colours,
+            recorded=recorded_in(left.header),
+        )
+        left.check(self._header, len(span))
+        if source is not None:
+            key = reconstruct(None, next(left.packets()), self._header)
+            left.check_keyframe(same=digest(key) == digest(source.state))
+
+    def replay(self, frame: RigFrame, packet: Packet, origin: str = "") -> FrameReport:
+        """Does all that encoding the frame did but for the training: the result is in the packet.
+
+        ``origin``: where the packet comes from, for a frame that is compared with its pictures; "" for none.
+        """
+        assert self._header is not None
+        task = Task(frame, packet)
+        if self._last is None:
+            key = reconstruct(None, packet, self._header)
+            self._last = begin_scene(self._context, self._header, key, task)
+        else:
+            self._last = encode_frame(self._context, self._last.scene, self._last.memory, task)
+        if origin:
+            self._reporter.check_footage(self._last, origin, task.watch)
+        return replace(self._reporter.report(self._last, task.watch), replayed=True, effects=[], overlooked=False)
+
+    def _next_segment(self, frames: Sequence[RigFrame], watch: Stopwatch) -> NextSegment | None:
+        """The segment that begins with the last of ``frames``, if it was trained for those that go over to it."""
+        start, last = frames[-1].index, self._last
+        is_known = self._next is not None and self._next.start == start
+        if len(frames) > 1 and not is_known and last is not None and not self._context.method.dense:
+            with watch.stage("next segment"):
+                self._next = train_next_segment(self._context, last.scene, last.memory, frames)
+        return self._next if self._next is not None and self._next.start == start else None
+
+    def _write(self, encoded: Encoded, watch: Stopwatch) -> FrameReport:
+        """Appends the frame's packet, and takes down how long the frame took."""
+        packet = encoded.written.packet
+        with watch.stage("write"):
+            self._output.write(packet.kind, packet.frame, packet.payload)
+        memory = encoded.memory
+        if memory.time is not None and self._last is not None:
+            memory = replace(memory, time=memory.time.took(watch.seconds, held=encoded.outcome.held))
+        self._last = replace(encoded, memory=memory)
+        return self._reporter.report(encoded, watch)
+
+    def _first_frame(self, task: Task) -> FirstFrame:
+        """Trained from the pictures, or taken from the keyframe that was given."""
+        context, source = self._context, self._keyframe
+        if isinstance(source, SplatSource):
+            with task.watch.stage("import"):
+                imported = import_splats(context.kernel, context.ingest, task.recorded, context.settings, source)
+            source = self._keyframe = imported.source
+            for text in imported.warnings:
+                self._warn(text)
+        if source is None:
+            return train_first_frame(
+                context.kernel,
+                context.ingest,
+                task.recorded,
+                context.settings,
+                task.watch,
+                seed=context.seed,
+                threads=context.threads,
+                corrector=context.corrector,
+                stopping=context.stopping(),
+                on_step=task.on_step,
+            )
+        source.check(context.ingest, task.recorded.index)
+        context.ingest.set_near_planes(source.header.near_planes)
+        return FirstFrame(source.state, source.header.lattice, source.header.camera_colours)
+
+    def _check_keyframe(self, source: KeyframeSource, encoded: Encoded, frame: RigFrame, watch: Stopwatch) -> None:
+        """Warns where an earlier stream's keyframe is of other footage."""
+        if not recorded_in(source.header):
+            self._reporter.check_footage(encoded, f"`keyframe` {source.path}", watch)
+        elif problem := difference(source.header, frame.recorded):
+            self._warn(f"`keyframe` {source.path}: it was made from {problem}; is it of other footage?")
+
+    def _new_header(
+        self,
+        first: int,
+        lattice: Lattice,
+        sh_degree: int,
+        *,
+        colours: Corrections | None = None,
+        recorded: Mapping[str, str] | None = None,
+    ) -> StreamHeader:
+        """The header of a stream that begins with the rig's frame ``first``."""
+        context, source = self._context, self._keyframe
+        return stream_header(
+            context.ingest,
+            context.settings,
+            first=first,
+            lattice=lattice,
+            sh_degree=sh_degree,
+            seed=context.seed,
+            corrected=CorrectedCameras() if context.corrector is None else context.corrector.cameras,
+            colours=colours or {},
+            inherited=source.settings if isinstance(source, KeyframeSource) else None,
+            recorded=recorded or {},
+        )
+
+    def _begin(self, frame: RigFrame) -> Stopwatch:
+        if self._convergence is not None:
+            self._convergence.begin(frame.index)
+        return Stopwatch()
+
+    def _warn(self, text: str) -> None:
+        if self._on_warning is not None:
+            self._on_warning(text)
+
+
+def _keyframe_made(source: SplatSource, left: Interrupted) -> KeyframeSource:
+    """What an earlier encode made of a file's Gaussians; that it was this file, the header tells."""
+    made = reconstruct(None, next(left.packets()), left.header)
+    settings = {**left.header.settings, "keyframe": source.document}
+    return KeyframeSource(source.path, replace(left.header, settings=settings), made)

@@ -1,0 +1,107 @@
+"""Measures a frame against its pictures and reports it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from statistics import fmean
+
+from decogs.decoder.views import render_view
+from decogs.formats.callbacks import OnWarning
+from decogs.formats.container import PacketKind
+from decogs.formats.splats import FloatArray
+
+from ..change.masks import showing
+from ..frame.context import Context
+from ..frame.encode_frame import Encoded
+from ..input.ingest import display_referred
+from ..output.footage import matches, warning_of
+from ..output.reports import FrameReport
+from ..psnr import mean_picture_psnr, mean_psnr, psnr_of, square_error
+from ..stopwatch import Stopwatch
+
+_STAGE = "measure"
+
+
+class FrameReporter:
+    """Reports the frames of a stream."""
+
+    def __init__(self, context: Context, on_warning: OnWarning | None) -> None:
+        self._context, self._on_warning = context, on_warning
+        self._first_errors: dict[str, float] = {}
+
+    def report(self, encoded: Encoded, watch: Stopwatch) -> FrameReport:
+        """The report of an encoded frame, with PSNRs against its pictures."""
+        cpu_seconds = watch.cpu_seconds()
+        context, outcome, frame = self._context, encoded.outcome, encoded.pictures
+        with watch.stage(_STAGE):
+            training = self._training_psnr(encoded)
+            held_out = mean_psnr(context.kernel, encoded.scene.splats, context.ingest.held_out_views, frame.held_out)
+            own_size = self._own_size_psnr(encoded)
+        views, packet = context.ingest.views, encoded.written.packet
+        return FrameReport(
+            frame.index,
+            PacketKind(packet.kind).name.lower(),
+            packet.size,
+            len(encoded.scene.splats),
+            outcome.selection.share,
+            training,
+            held_out if frame.held_out else None,
+            watch.seconds,
+            encoded.written.costs,
+            cpu_seconds,
+            effects=list(outcome.effects),
+            left_out={
+                view.camera.name: mask.lost
+                for view, mask in zip(views, outcome.selection.masks, strict=False)
+                if mask.lost
+            },
+            rejected=outcome.rejected,
+            uncorrected=list(outcome.uncorrected),
+            overlooked=outcome.overlooked,
+            cut=outcome.cut,
+            scale=context.ingest.scale,
+            held_out_own_size_psnr=own_size,
+        )
+
+    def check_footage(self, encoded: Encoded, origin: str, watch: Stopwatch) -> None:
+        """Warns where the scene of an earlier encode, named by ``origin``, is not what the rig's pictures show.
+
+        A later frame's pictures are expected to fit nearly as well as the first ones that were compared.
+        """
+        with watch.stage(_STAGE):
+            used = self._used(encoded)
+            views, pictures = self._context.ingest.views, encoded.pictures.training
+            compared = [views[i] for i in used], [pictures[i] for i in used], self._shown(encoded, used)
+            found = matches(*compared, threads=self._context.threads)
+            self._first_errors = self._first_errors or {match.camera: match.error for match in found}
+            cameras = [m.camera for m in found if m.is_of_other_footage(self._first_errors.get(m.camera, m.error))]
+            if cameras and self._on_warning is not None:
+                self._on_warning(warning_of(origin, encoded.pictures.index, cameras))
+
+    def _used(self, encoded: Encoded) -> Sequence[int]:
+        """The views whose pictures show the frame; all if there are none."""
+        return showing(encoded.outcome.selection.masks) or range(len(self._context.ingest.views))
+
+    def _training_psnr(self, encoded: Encoded) -> float:
+        used, views = self._used(encoded), self._context.ingest.views
+        pictures = [encoded.pictures.training[i] for i in used]
+        shown = self._shown(encoded, used)
+        return mean_picture_psnr([views[i] for i in used], shown, pictures, threads=self._context.threads)
+
+    def _own_size_psnr(self, encoded: Encoded) -> float | None:
+        """Of what a decoder shows of the held-out cameras, against what they recorded; None without a scale."""
+        frame, scene = encoded.pictures, encoded.scene
+        if not frame.own_size:
+            return None
+        views = [view.camera.name for view in self._context.ingest.held_out_views]
+        return fmean(
+            psnr_of(
+                square_error(render_view(scene.header, scene.splats, name, threads=self._context.threads).image, own)
+            )
+            for name, own in zip(views, map(display_referred, frame.own_size), strict=True)
+        )
+
+    def _shown(self, encoded: Encoded, used: Sequence[int]) -> list[FloatArray]:
+        """What these views show of the scene, (3, H, W) each."""
+        show = self._context.show(encoded.scene.splats)
+        return [show(i) for i in used]
