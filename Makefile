@@ -11,6 +11,7 @@ PIP_ARGS ?=
 # Python compiles what it imports; pip would compile all, which takes longer than the download.
 INSTALL = -m pip install $(PIP_ARGS) --quiet --no-compile -c constraints.txt
 RIGS ?= $(addprefix ../shared/data/rigs/,workbench candle popup)
+RECIPE_RIGS ?= $(addprefix ../shared/data/rigs/,workbench popup)
 CHOICE_RIGS ?= ../shared/data/rigs/workbench
 RATE_RIGS ?= ../shared/data/rigs/workbench
 RING ?= ../shared/data/rigs/stage
@@ -85,10 +86,10 @@ lint: $(READY) ## ruff: rules and formatting
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-type: $(READY) ## mypy --strict over the four layers
+type: $(READY) ## mypy --strict over the five layers
 	$(BIN)/mypy
 
-layers: $(READY) ## import contracts: formats <- codec <- decoder <- encoder
+layers: $(READY) ## import contracts: formats <- codec <- decoder <- encoder <- bench
 	$(BIN)/lint-imports --no-logo
 
 unit: $(READY) ## pytest, a process for each processor
@@ -157,7 +158,8 @@ bench: $(READY) ## time the rasteriser, sparse training steps against dense ones
 
 # Hours: runs that are there, made by the same code, are not made again. tables.py fills those of report/.
 report: $(READY) ## make report/full and report/full.zip: every table, picture and run; and the tables of report/ from them
-	$(BIN)/decogs-bench paper $(RIGS) -o $(FULL) $(BENCH_ARGS)
+	$(BIN)/decogs-bench paper $(RIGS) -o $(FULL) --only methods,fresh,components,frame-rate,sweep,time,scanlines $(BENCH_ARGS)
+	$(BIN)/decogs-bench paper $(RECIPE_RIGS) -o $(FULL)/recipe --only recipe --seeds 3 --scale .5 --frames 8: $(BENCH_ARGS)
 	$(BIN)/decogs-bench paper $(DOME) -o $(FULL)/dome --holdout cam10 --frames :20 --only methods,fresh $(BENCH_ARGS)
 	$(BIN)/decogs-bench choices $(CHOICE_RIGS) -o $(FULL) --frames :16 $(BENCH_ARGS)
 	$(BIN)/decogs-bench choices ../shared/data/rigs/popup -o $(FULL)/popup --only pace $(BENCH_ARGS)
@@ -184,5 +186,5 @@ $(BLENDER_ENV)/ready:
 
 clean: ## remove what was built and every cache; environments and demo/ stay
 	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache $(READY) $(USER_READY)
-	find decogs formats codec decoder encoder share tests -name __pycache__ -prune -exec rm -rf {} +
+	find decogs formats codec decoder encoder bench share tests -name __pycache__ -prune -exec rm -rf {} +
 	find formats decoder encoder -name '*.abi3.so' -delete

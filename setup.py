@@ -50,7 +50,7 @@ KERNELS = {
     "decogs.formats._ycbcr": ("formats/kernel", "ycbcr.cpp"),
     "decogs.decoder.rasterise._forward": ("decoder/rasterise/kernel", "forward.cpp"),
     "decogs.encoder.backends.cpu._training": ("encoder/backends/cpu/kernel", "training.cpp"),
-    "decogs.encoder.transformation_cache._cache": ("encoder/transformation_cache/kernel", "cache.cpp"),
+    "decogs.encoder.methods.transformation_cache._cache": ("encoder/methods/transformation_cache/kernel", "cache.cpp"),
 }
 
 

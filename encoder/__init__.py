@@ -5,6 +5,7 @@
 
 from .analysis import EffectChoice
 from .encoding import encode
+from .job import EncodeJob
 from .output.observer import EncodeObserver
 from .output.progress import TerminalProgress
 from .output.reports import EncodeReport, FrameReport
@@ -20,6 +21,7 @@ __all__ = [
     "PRESETS",
     "CorrectionSettings",
     "EffectChoice",
+    "EncodeJob",
     "EncodeObserver",
     "EncodeReport",
     "EncodeSettings",

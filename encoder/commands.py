@@ -30,6 +30,7 @@ from decogs.formats.frame_ranges import frame_range
 from decogs.formats.rigs import Rig, open_rig
 
 if TYPE_CHECKING:
+    from .job import EncodeJob
     from .output.observer import EncodeObserver
     from .output.reports import EncodeReport
 
@@ -188,7 +189,10 @@ def _add_machine(group: argparse._ArgumentGroup) -> None:
 
 def _add_research(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
-        "--method", metavar="M", help="decogs (default), 3dgstream (the dense baseline, slower), or one of a package"
+        "--method",
+        metavar="M",
+        help="decogs, paper (two stages with a cache), 3dgstream (the dense baseline, slower), or one of a package "
+        "(default: the preset's)",
     )
     group.add_argument(
         "--ablate",
@@ -319,34 +323,11 @@ def _encode_or_part(parser: Parser, options: argparse.Namespace) -> int:
 
 def _encode_on_cluster(parser: Parser, options: argparse.Namespace) -> int:
     from .cluster.encoding import encode_on_cluster
-    from .option_texts import names
-    from .switches import Switches
-    from .targets import Targets
 
     _check_cluster(options)
-    _, bytes_per_frame, words = _budget(options)
+    job, words = _job(options)
     with reworded(words), progress("encoding", quiet=options.quiet) as on_progress:
-        report = encode_on_cluster(
-            options.rig_dir,
-            options.output,
-            options.settings,
-            cluster=options.cluster,
-            segment=options.segment,
-            frames=frame_range(options.frames),
-            scale=options.scale,
-            holdout=options.holdout,
-            switches=Switches(options.method, names(options.ablate), options.selection),
-            targets=Targets(options.quality, bytes_per_frame, options.lossless, None, options.target_psnr),
-            effects=options.effects,
-            keyframe=options.keyframe,
-            resume=options.resume,
-            metrics=options.metrics,
-            seed=options.seed,
-            threads=options.threads,
-            device=options.device,
-            progress=on_progress,
-            on_warning=warn_as(parser),
-        )
+        report = encode_on_cluster(job, options.cluster, progress=on_progress, on_warning=warn_as(parser))
     parts, frames = counted(report.parts, "part"), counted(report.frames, "frame")
     print_text(f"{printable(options.output)}: {parts}, {frames}, {report.total_bytes} bytes")
     return 0
@@ -354,8 +335,6 @@ def _encode_on_cluster(parser: Parser, options: argparse.Namespace) -> int:
 
 def _check_cluster(options: argparse.Namespace) -> None:
     """Raises UsageError for options that no cluster takes."""
-    if not (options.segment and options.closed):
-        raise UsageError("`cluster`: tasks are closed segments; add `segment` and `closed`")
     given = {"only": options.only, "time_budget": options.time_budget, "log": options.log}
     given |= {"convergence_log": options.convergence_log, "output": "-" if options.output == "-" else None}
     given |= {"max_memory": options.max_memory, "progress_lines": options.progress_lines}
@@ -364,43 +343,37 @@ def _check_cluster(options: argparse.Namespace) -> None:
             raise UsageError(f"`cluster`: it does not go with `{name}` {value}; drop one of the two")
 
 
-def _encode(parser: Parser, options: argparse.Namespace) -> int:
-    from .encoding import encode
+def _job(options: argparse.Namespace) -> tuple[EncodeJob, dict[str, str]]:
+    """The job that the options ask for, and how the options call what errors may name."""
+    from .job import EncodeJob
     from .option_texts import names, seconds_per_frame
     from .switches import Switches
     from .targets import Targets
 
-    output = path_or_pipe(options.output, "the stream")
     rig, bytes_per_frame, words = _budget(options)
     seconds = None if options.time_budget is None else seconds_per_frame(options.time_budget)
     if seconds is not None:
         words[f"`time_budget` {seconds:g}"] = f"--time-budget {options.time_budget}"
+    same = ["settings", "scale", "holdout", "effects", "keyframe", "segment", "closed", "resume", "metrics"]
+    same += ["seed", "threads", "device", "max_memory", "log", "convergence_log"]
+    job = EncodeJob(
+        rig,
+        path_or_pipe(options.output, "the stream"),
+        frames=frame_range(options.frames),
+        only=frame_range(options.only),
+        switches=Switches(options.method, names(options.ablate), options.selection),
+        targets=Targets(options.quality, bytes_per_frame, options.lossless, seconds, options.target_psnr),
+        **{name: getattr(options, name) for name in same},
+    )
+    return job, words
+
+
+def _encode(parser: Parser, options: argparse.Namespace) -> int:
+    from .encoding import encode
+
+    job, words = _job(options)
     with reworded(words), _observed(parser, options) as progress:
-        report = encode(
-            rig,
-            output,
-            options.settings,
-            frames=frame_range(options.frames),
-            scale=options.scale,
-            holdout=options.holdout,
-            switches=Switches(options.method, names(options.ablate), options.selection),
-            targets=Targets(options.quality, bytes_per_frame, options.lossless, seconds, options.target_psnr),
-            effects=options.effects,
-            keyframe=options.keyframe,
-            segment=options.segment,
-            closed=options.closed,
-            only=frame_range(options.only),
-            resume=options.resume,
-            seed=options.seed,
-            threads=options.threads,
-            device=options.device,
-            max_memory=options.max_memory,
-            log=options.log,
-            convergence_log=options.convergence_log,
-            metrics=options.metrics,
-            progress=progress,
-            on_warning=warn_as(parser),
-        )
+        report = encode(job, progress=progress, on_warning=warn_as(parser))
     print_text("\n".join(_summary(report)), to_stderr=options.output == "-")
     warnings = [*_left_out(report), _rejected(report), *_uncorrected(report), _overlooked(report), _cut(report)]
     warnings += [_missed_budget(report), _missed_time(report)]

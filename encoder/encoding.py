@@ -5,14 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from decogs.formats.callbacks import OnWarning
 from decogs.formats.container import MAX_FRAME
 from decogs.formats.errors import UsageError
-from decogs.formats.frame_ranges import Frames
 from decogs.formats.outputs import Output, check_outputs
 from decogs.formats.rigs import Rig, files_of, open_rig
 from decogs.formats.threads import thread_count
@@ -20,10 +19,13 @@ from decogs.formats.threads import thread_count
 from .analysis import Decision, EffectChoice, effect_choice, with_effects
 from .analysis.analyse import analyse
 from .backends import check_device
+from .frame.context import Context
 from .input.imported_keyframe import KeyframeSource, read_keyframe
 from .input.imported_splats import SplatSource, is_splat_file, read_splat_source
 from .input.ingest import Ingest, frame_span
-from .memory_limit import memory_within
+from .job import EncodeJob
+from .memory_limit import EncodeMemory, memory_within
+from .methods import FRAME_METHODS, require_sparse
 from .output.convergence_log import ConvergenceLog
 from .output.encode_log import EncodeLog
 from .output.observer import EncodeObserver, Observers
@@ -33,160 +35,63 @@ from .parts.base import Base, read_base
 from .parts.encoding import encode_part
 from .parts.manifest import part_frames
 from .parts.output import open_part
-from .settings.compensation import CorrectionSettings
 from .settings.encode import EncodeSettings
 from .settings.presets import preset
+from .stream.options import RunOptions
 from .stream.run import encode_stream
 from .switches import Switches, check_together, with_switches
 from .targets import Targets, with_targets
-from .training.methods import FRAME_METHODS, require_sparse
 
 _Source = KeyframeSource | SplatSource
 
 
 def encode(
-    rig: str | os.PathLike[str] | Rig,
-    output: str | os.PathLike[str] | BinaryIO,
-    settings: str | EncodeSettings = "standard",
-    *,
-    frames: Frames = None,
-    scale: float = 1.0,
-    holdout: Sequence[str] = (),
-    switches: Switches | None = None,
-    targets: Targets | None = None,
-    effects: EffectChoice | str | None = None,
-    corrections: CorrectionSettings | None = None,
-    keyframe: str | os.PathLike[str] | None = None,
-    segment: int | None = None,
-    closed: bool = False,
-    only: Frames = None,
-    resume: bool = False,
-    metrics: bool = False,
-    seed: int = 0,
-    threads: int = 0,
-    device: str = "auto",
-    max_memory: int | None = None,
-    log: str | os.PathLike[str] | None = None,
-    convergence_log: str | os.PathLike[str] | None = None,
-    progress: EncodeObserver | None = None,
-    on_warning: OnWarning | None = None,
+    job: EncodeJob, *, progress: EncodeObserver | None = None, on_warning: OnWarning | None = None
 ) -> EncodeReport:
-    """Encodes a rig of synchronised, calibrated cameras as a .dgs stream.
+    """Encodes a rig as a .dgs stream, or a part of one.
 
-    ``rig``: its folder or calibration file, or the rig itself. ``output``: the file to write, or an open one that takes
-    bytes, such as a pipe. No file of the rig, nor the one of ``keyframe``, is ever written over; an output that another
-    encode writes, or has left unfinished, is refused. ``settings``: a name in PRESETS, or settings.
-
-    Input: ``frames``: consecutive ones, as a slice or a range; all when None. ``scale``: of the pictures
-    trained on, above 0 and at most 4. ``holdout``: names of cameras kept out of training and measured on.
-
-    Method: ``switches``: the method of later frames and its parts; ``targets``: quality, bytes and time; both on
-    top of the settings. ``effects``: those to enable, as `EffectChoice` or as a text (`effect_choice`), such as
-    "auto,-camera_shake"; None is "auto" for a named preset, and for settings what they say; the baseline has none.
-    ``corrections``: cameras whose drift is known, instead of those that ``effects`` detects. ``keyframe``: an
-    earlier stream of the same rig, first frame and held-out cameras whose keyframe is taken as it is; or another
-    trainer's .ply or .spz. ``segment``: frames from one keyframe to the next; later ones are coded as differences
-    from the first. ``closed``: every such segment starts from the first keyframe's Gaussians and depends on no
-    other (`closed_segments`). ``only``: the frames of the rig to encode of all ``frames``, whole closed segments or
-    the first frame alone: the output is then a part, for `join`. Parts but the first take the keyframe from another
-    part, as ``keyframe``. ``resume``: go on with what an encode with the same options left in ``output`` + ".part",
-    or as a shorter stream; the file gets the bytes of one that was not cut off.
-
-    ``metrics``: the stream tells the PSNR of every frame, which the player shows; not with ``resume``.
-
-    Resources: ``seed``: the same one gives the same bytes, except with a time budget. ``threads``: 0 means all
-    processors; the stream does not depend on it. ``device``: "cuda" takes gsplat and gives other bits every time;
-    "auto" is the CPU. ``max_memory``: bytes that the encode may take beyond the program itself (`memory_limit`); one
-    that may take more does not read the next frame ahead, or is refused before it starts. None is no limit.
-
-    Reports: ``log``: file for JSON lines. ``convergence_log``: file for the loss of every training step, as JSON
-    lines; with ``resume``, both are continued. ``progress`` observes every step and frame. ``on_warning`` is called
-    as soon as something is found that the user should know of the rig, and of a stream or keyframe that does not show
-    its pictures.
+    ``progress`` observes every step and frame. ``on_warning`` is called as soon as something is found that the user
+    should know of the rig, and of a stream or keyframe that does not show its pictures.
 
     Ctrl-C after the first frame ends the stream early but whole. Raises RigError, UsageError, StreamError for a damaged
     ``keyframe``, or TrainingError; nothing is then left under the output's name.
     """
-    check_device(device)
-    if metrics and resume:
-        raise UsageError("`metrics` cannot be resumed: what was left may lack them; leave out one of the two")
-    if not (isinstance(seed, int) and seed >= 0):
-        raise UsageError(f"`seed` {seed}: give a number of at least 0, a whole one")
-    chosen = chosen_settings(settings, switches, targets, segment, closed=closed)
-    base = _base(chosen, only, keyframe, resume=resume)
-    source = None if keyframe is None or base is not None else _read_source(keyframe, max_memory)
-    if not isinstance(rig, Rig):
-        rig = open_rig(rig)
     warn = on_warning or (lambda text: None)
-    for warning in rig.warnings:
-        warn(warning)
-    span = frame_span(rig, frames)
-    part = None if only is None else part_frames(only, span, chosen.segment)
-    wanted = wanted_effects(effects, settings, chosen.method)
-    ingest = Ingest(rig, holdout=holdout, scale=scale)
-    stream = Path(output) if isinstance(output, (str, os.PathLike)) else output
-    log, convergence_log = (None if path is None else Path(path) for path in (log, convergence_log))
-    _check_outputs(stream, log, convergence_log, rig, None if base is None and source is None else keyframe)
-    taken = source if base is None else base.source
-    memory = memory_within(
-        ingest,
-        chosen,
-        max_memory,
-        gaussians=0 if taken is None else taken.count,
-        frames=len(span),
-        threads=thread_count(threads),
-    )
+    work = _prepared(job, warn)
     with ExitStack() as open_files:
-        taken_output = open_output(stream, resume=resume) if part is None else open_part(stream)
-        target = open_files.enter_context(taken_output)
-        observers = [] if log is None else [open_files.enter_context(EncodeLog(log, append=resume))]
-        curve = None
-        if convergence_log is not None:
-            curve = open_files.enter_context(ConvergenceLog(convergence_log, append=resume))
+        taken = open_output(work.output, resume=job.resume) if work.part is None else open_part(work.output)
+        target = open_files.enter_context(taken)
+        observers = [] if job.log is None else [open_files.enter_context(EncodeLog(Path(job.log), append=job.resume))]
         observer = Observers([*observers, *([] if progress is None else [progress])])
-        if base is not None:
-            asked = chosen if corrections is None else replace(chosen, corrections=corrections)
-            chosen = base.settings(asked, wanted)
-        elif wanted is not None:
-            chosen = _with_effects(
-                chosen, wanted, rig, holdout=holdout, span=span, threads=threads, observer=observer, warn=warn
-            )
-        if corrections is not None and base is None:
-            chosen = replace(chosen, corrections=corrections)
+        curve = None
+        if job.convergence_log is not None:
+            curve = open_files.enter_context(ConvergenceLog(Path(job.convergence_log), append=job.resume))
+        chosen = _decided(job, work, observer, warn)
+        ingest = work.ingest
         if chosen.corrections.lens:
-            ingest = Ingest(rig, holdout=holdout, scale=scale, lens=chosen.corrections.lens)
-        observer.started(
-            {
-                "rig": str(rig.path),
-                "layout": rig.layout,
-                "cameras": [camera.name for camera in rig.cameras],
-                "held_out": list(holdout),
-                "frames": [span.start, span.stop] if part is None else [part.start, part.stop],
-                "scale": scale,
-                "held_out_sizes": ingest.held_out_sizes,
-                "seed": seed,
-                "keyframe": None if keyframe is None else str(keyframe),
-                "resume": resume,
-                "memory": memory.size,
-                "settings": chosen.as_document(),
-            }
+            ingest = Ingest(work.rig, holdout=job.holdout, scale=job.scale, lens=chosen.corrections.lens)
+        observer.started(_facts(job, work, ingest, chosen))
+        context = Context.of(
+            ingest,
+            chosen,
+            seed=job.seed,
+            threads=thread_count(job.threads),
+            device=job.device,
+            on_loss=None if curve is None else curve.step,
         )
-        given: dict[str, Any] = {
-            "seed": seed,
-            "threads": thread_count(threads),
-            "keyframe": source,
-            "device": device,
-            "metrics": metrics,
-            "read_ahead": memory.reads_ahead,
-            "on_frame": observer.frame,
-            "on_keyframe_step": observer.keyframe_step,
-            "convergence": curve,
-            "on_warning": warn,
-        }
-        if part is None:
-            report = encode_stream(ingest, target, span, chosen, resume=resume, **given)
+        options = RunOptions(
+            keyframe=work.source,
+            metrics=job.metrics,
+            read_ahead=work.memory.reads_ahead,
+            on_frame=observer.frame,
+            on_keyframe_step=observer.keyframe_step,
+            convergence=curve,
+            on_warning=warn,
+        )
+        if work.part is None:
+            report = encode_stream(context, target, work.span, options, resume=job.resume)
         else:
-            report = encode_part(ingest, target, part, span, chosen, base=base, **given)
+            report = encode_part(context, target, work.part, work.span, options, work.base, device=job.device)
         report = replace(report, held_out_sizes=ingest.held_out_sizes)
         observer.finished(
             {
@@ -199,70 +104,135 @@ def encode(
     return report
 
 
-def _check_outputs(
-    stream: Path | BinaryIO,
-    log: Path | None,
-    convergence_log: Path | None,
-    rig: Rig,
-    keyframe: str | os.PathLike[str] | None,
-) -> None:
+@dataclass(frozen=True)
+class _Work:
+    """A job that was checked: what is read, from where it starts, and where it goes.
+
+    ``base``: the part that a part starts from. ``source``: another keyframe to begin with. ``span``: the take's frames,
+    ``part``: those of a part, None for a whole stream.
+    """
+
+    rig: Rig
+    ingest: Ingest
+    output: Path | BinaryIO
+    settings: EncodeSettings
+    wanted: EffectChoice | None
+    span: range
+    part: range | None
+    base: Base | None
+    source: _Source | None
+    memory: EncodeMemory
+
+
+def _prepared(job: EncodeJob, warn: OnWarning) -> _Work:
+    """All that can be checked before work begins; raises what `encode` raises."""
+    check_device(job.device)
+    if job.metrics and job.resume:
+        raise UsageError("`metrics` cannot be resumed: what was left may lack them; leave out one of the two")
+    if not (isinstance(job.seed, int) and job.seed >= 0):
+        raise UsageError(f"`seed` {job.seed}: give a number of at least 0, a whole one")
+    settings = chosen_settings(job)
+    base = _base(settings, job)
+    source = None if job.keyframe is None or base is not None else _read_source(job.keyframe, job.max_memory)
+    rig = job.rig if isinstance(job.rig, Rig) else open_rig(job.rig)
+    for warning in rig.warnings:
+        warn(warning)
+    span = frame_span(rig, job.frames)
+    part = None if job.only is None else part_frames(job.only, span, settings.segment)
+    wanted = wanted_effects(job, settings)
+    ingest = Ingest(rig, holdout=job.holdout, scale=job.scale)
+    output = Path(job.output) if isinstance(job.output, (str, os.PathLike)) else job.output
+    _check_outputs(job, output, rig, reads_keyframe=base is not None or source is not None)
+    begun = source if base is None else base.source
+    memory = memory_within(
+        ingest,
+        settings,
+        job.max_memory,
+        gaussians=0 if begun is None else begun.count,
+        frames=len(span),
+        threads=thread_count(job.threads),
+    )
+    return _Work(rig, ingest, output, settings, wanted, span, part, base, source, memory)
+
+
+def _decided(job: EncodeJob, work: _Work, observer: EncodeObserver, warn: OnWarning) -> EncodeSettings:
+    """The settings with the requested effects and corrections, for which the rig may have to be analysed."""
+    if work.base is not None:
+        asked = work.settings if job.corrections is None else replace(work.settings, corrections=job.corrections)
+        return work.base.settings(asked, work.wanted)
+    settings = work.settings
+    if work.wanted is not None:
+        settings = _with_effects(settings, work.wanted, job, work, observer, warn)
+    return settings if job.corrections is None else replace(settings, corrections=job.corrections)
+
+
+def _facts(job: EncodeJob, work: _Work, ingest: Ingest, settings: EncodeSettings) -> dict[str, Any]:
+    """What the log says of an encode before its first frame."""
+    frames = work.span if work.part is None else work.part
+    return {
+        "rig": str(work.rig.path),
+        "layout": work.rig.layout,
+        "cameras": [camera.name for camera in work.rig.cameras],
+        "held_out": list(job.holdout),
+        "frames": [frames.start, frames.stop],
+        "scale": job.scale,
+        "held_out_sizes": ingest.held_out_sizes,
+        "seed": job.seed,
+        "keyframe": None if job.keyframe is None else str(job.keyframe),
+        "resume": job.resume,
+        "memory": work.memory.size,
+        "settings": settings.as_document(),
+    }
+
+
+def _check_outputs(job: EncodeJob, stream: Path | BinaryIO, rig: Rig, *, reads_keyframe: bool) -> None:
     """Raises UsageError when the encode would write over something it reads, or twice into one file."""
     outputs = [Output("output", stream, grows=True)]
-    logs = {"log": log, "convergence_log": convergence_log}
-    outputs += [Output(name, path) for name, path in logs.items() if path is not None]
-    read = [] if keyframe is None else [(Path(keyframe), "is read, as `keyframe`")]
+    logs = {"log": job.log, "convergence_log": job.convergence_log}
+    outputs += [Output(name, Path(path)) for name, path in logs.items() if path is not None]
+    read = [(Path(job.keyframe), "is read, as `keyframe`")] if job.keyframe is not None and reads_keyframe else []
     check_outputs(outputs, [*files_of(rig), *read])
 
 
-def _base(
-    settings: EncodeSettings, only: Frames, keyframe: str | os.PathLike[str] | None, *, resume: bool
-) -> Base | None:
+def _base(settings: EncodeSettings, job: EncodeJob) -> Base | None:
     """The part that another one, of the frames ``only``, starts from; None where there is none."""
-    if only is None:
+    if job.only is None:
         return None
     if not settings.closed:
         raise UsageError("`only`: parts are made of closed segments; add `segment` and `closed`")
-    if resume:
+    if job.resume:
         raise UsageError("`resume`: a part is encoded whole or not at all; drop `resume`")
-    return None if keyframe is None or is_splat_file(keyframe) else read_base(Path(keyframe))
+    return None if job.keyframe is None or is_splat_file(job.keyframe) else read_base(Path(job.keyframe))
 
 
 def _read_source(path: str | os.PathLike[str], max_memory: int | None) -> _Source:
     return read_splat_source(path, max_memory) if is_splat_file(path) else read_keyframe(path)
 
 
-def chosen_settings(
-    settings: str | EncodeSettings,
-    switches: Switches | None,
-    targets: Targets | None,
-    segment: int | None,
-    *,
-    closed: bool,
-) -> EncodeSettings:
+def chosen_settings(job: EncodeJob) -> EncodeSettings:
     """The settings with all that is asked for on top of them; raises UsageError for what cannot be."""
-    chosen = preset(settings) if isinstance(settings, str) else settings
+    chosen = preset(job.settings) if isinstance(job.settings, str) else job.settings
     if not isinstance(chosen, EncodeSettings):
-        raise UsageError(f"`settings` {settings!r}: give the name of a preset, or EncodeSettings")
-    for name, value, kind in (("switches", switches, Switches), ("targets", targets, Targets)):
+        raise UsageError(f"`settings` {job.settings!r}: give the name of a preset, or EncodeSettings")
+    for name, value, kind in (("switches", job.switches, Switches), ("targets", job.targets, Targets)):
         if not isinstance(value, (kind, type(None))):
             raise UsageError(f"`{name}` {value!r}: give {kind.__name__}, or None")
-    if switches is not None:
-        chosen = with_switches(chosen, switches)
-    if segment is not None:
-        if not (hasattr(segment, "__index__") and 1 <= segment <= MAX_FRAME):
-            raise UsageError(f"`segment` {segment}: give a number of frames, at least 1 and at most {MAX_FRAME}")
-        chosen = replace(chosen, segment=segment)
-    chosen = chosen if targets is None else with_targets(chosen, targets)
-    chosen = replace(chosen, closed=True) if closed else chosen
+    if job.switches is not None:
+        chosen = with_switches(chosen, job.switches)
+    if job.segment is not None:
+        if not (hasattr(job.segment, "__index__") and 1 <= job.segment <= MAX_FRAME):
+            raise UsageError(f"`segment` {job.segment}: give a number of frames, at least 1 and at most {MAX_FRAME}")
+        chosen = replace(chosen, segment=job.segment)
+    chosen = chosen if job.targets is None else with_targets(chosen, job.targets)
+    chosen = replace(chosen, closed=True) if job.closed else chosen
     check_together(chosen)
     return chosen
 
 
-def wanted_effects(
-    effects: EffectChoice | str | None, settings: str | EncodeSettings, method: str
-) -> EffectChoice | None:
-    """The choice of effects, "auto" for a named preset without one; None where ``settings`` say it themselves."""
-    if effects is None and isinstance(settings, str) and not FRAME_METHODS.get(method).dense:
+def wanted_effects(job: EncodeJob, settings: EncodeSettings) -> EffectChoice | None:
+    """The choice of effects, "auto" for a named preset without one; None where the job's settings say it themselves."""
+    effects = job.effects
+    if effects is None and isinstance(job.settings, str) and not FRAME_METHODS.get(settings.method).dense:
         effects = "auto"
     if not isinstance(effects, (str, EffectChoice, type(None))):
         raise UsageError(f"`effects` {effects!r}: give an EffectChoice, or a text such as 'auto,-camera_shake'")
@@ -272,24 +242,21 @@ def wanted_effects(
 def _with_effects(
     settings: EncodeSettings,
     wanted: EffectChoice,
-    rig: Rig,
-    *,
-    holdout: Sequence[str],
-    span: range,
-    threads: int,
+    job: EncodeJob,
+    work: _Work,
     observer: EncodeObserver,
     warn: OnWarning,
 ) -> EncodeSettings:
-    """The settings with the requested effects, for which the rig may have to be analysed."""
+    """The settings with the requested effects."""
     require_sparse(settings, f"`effects` {wanted}", "has none of them")
 
     def decisions() -> Sequence[Decision]:
-        look = slice(span.start, span.stop)
-        found = analyse(rig, frames=look, holdout=holdout, threads=threads, on_step=observer.look_step)
+        look = slice(work.span.start, work.span.stop)
+        found = analyse(work.rig, frames=look, holdout=job.holdout, threads=job.threads, on_step=observer.look_step)
         for warning in found.check.warnings():
             warn(warning)
         observer.looked({decision.effect: decision.cameras for decision in found.decisions if decision.detected})
         return found.decisions
 
-    cameras = [camera.name for camera in rig.cameras if camera.name not in holdout]
+    cameras = [camera.name for camera in work.rig.cameras if camera.name not in job.holdout]
     return with_effects(settings, wanted, cameras, decisions)

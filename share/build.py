@@ -18,10 +18,10 @@ import shtab
 from argparse_manpage.manpage import Manpage
 
 from decogs import __version__
+from decogs.bench.commands import bench_parser
 from decogs.decoder.commands import decode_parser, export_parser, info_parser, view_parser
 from decogs.encoder import PRESETS
 from decogs.encoder.analysis.commands import analyze_parser
-from decogs.encoder.bench.commands import bench_parser
 from decogs.encoder.commands import encode_parser, join_parser, pack_parser
 
 SHARE = Path(__file__).parent

@@ -3,16 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from decogs.codec.state import MAX_GAUSSIANS
+from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
+from decogs.encoder.backends.cpu.fixed_view import CpuFixedView
+from decogs.encoder.change.masks import FrameMask
+from decogs.encoder.input.ingest import Ingest
+from decogs.encoder.methods.decogs import DecogsTrainer
+from decogs.encoder.methods.paper import PaperTrainer
 from decogs.encoder.settings.encode import EncodeSettings
 from decogs.encoder.settings.frame import FrameSettings
-from decogs.encoder.training.delta import DeltaTrainer
 from decogs.encoder.training.method import FrameInput, FrameTrainer, TrainedFrame, TrainingContext
+from decogs.formats.rigs import open_rig
+from decogs.formats.splats import Splats
+
+BOX = (np.array([-3.0, -3.0, -1.0]), np.array([3.0, 3.0, 1.0]))
 
 
 def training_context(kernel: Any, views: Sequence[Any], static_views: Sequence[Any], **other: Any) -> TrainingContext:
@@ -26,12 +36,13 @@ def training_context(kernel: Any, views: Sequence[Any], static_views: Sequence[A
     return TrainingContext(kernel, views, static_views, **(given | other))
 
 
-def delta_trainer(
+def sparse_trainer(
     kernel: Any, views: Sequence[Any], static_views: Sequence[Any], settings: FrameSettings, **other: Any
-) -> DeltaTrainer:
-    """A trainer whose frames have these ``settings`` unless they say otherwise (`train`)."""
+) -> DecogsTrainer | PaperTrainer:
+    """A trainer whose frames have these ``settings`` unless they say otherwise (`train`); the paper's, with a cache."""
+    new = DecogsTrainer if settings.cache is None else PaperTrainer
     whole = replace(EncodeSettings(), frame=settings)
-    return DeltaTrainer(training_context(kernel, views, static_views, settings=whole, **other))
+    return new(training_context(kernel, views, static_views, settings=whole, **other))
 
 
 def train(
@@ -47,8 +58,61 @@ def train(
     lit: Any = None,
     **effort: Any,
 ) -> TrainedFrame:
+    context: TrainingContext | None = getattr(trainer, "context", None)  # which the baseline has not
     if settings is None:
-        settings = trainer.context.settings.frame if isinstance(trainer, DeltaTrainer) else FrameSettings()
-    for view in trainer.context.static_views if isinstance(trainer, DeltaTrainer) else ():
+        settings = FrameSettings() if context is None else context.settings.frame
+    for view in () if context is None else context.static_views:
         view.detach(np.flatnonzero(selected))
     return trainer.train(FrameInput(frame, scene, selected, lit, pictures, masks, motion, settings, **effort))
+
+
+@dataclass(frozen=True)
+class Case:
+    """The rig's true scene of frame 0, of which the square is selected, and the pictures of frame 1."""
+
+    ingest: Ingest
+    scene: Splats
+    selected: np.ndarray
+    pictures: list[np.ndarray]
+
+    def masks(self, *, everywhere: bool) -> list[FrameMask]:
+        mask = np.full(self.pictures[0].shape[1:], everywhere)
+        return [FrameMask(mask, mask) for _ in self.pictures]
+
+    def static_views(self, kernel: CpuKernel) -> list[CpuFixedView]:
+        """The views as they show the scene."""
+        views = [CpuFixedView(kernel, view.pinhole) for view in self.ingest.views]
+        for view in views:
+            view.set_scene(self.scene)
+            view.redraw()
+        return views
+
+    def trainer(self, settings: FrameSettings, *, threads: int = 2, seed: int = 0) -> DecogsTrainer | PaperTrainer:
+        kernel = CpuKernel(threads)
+        views, watch = self.ingest.views, self.static_views(kernel)
+        return sparse_trainer(kernel, views, watch, settings, box=BOX, seed=seed, threads=threads)
+
+    def train(
+        self, settings: FrameSettings, *, everywhere: bool = True, threads: int = 2, **other: Any
+    ) -> TrainedFrame:
+        trainer = self.trainer(settings, threads=threads, seed=other.pop("seed", 0))
+        given: dict[str, Any] = {
+            "scene": self.scene,
+            "selected": self.selected,
+            "pictures": self.pictures,
+            "masks": self.masks(everywhere=everywhere),
+            "motion": np.zeros_like(self.scene.means),
+            "frame": 1,
+        }
+        return train(trainer, **(given | other))
+
+
+def moved_square(moving_rig: Path, tiny_rig: Any) -> Case:
+    """The tiny rig's square (the last 25 Gaussians), which moves in frame 1."""
+    scene = tiny_rig.scene_at(0)
+    ingest = Ingest(open_rig(moving_rig))
+    return Case(ingest, scene, np.arange(len(scene)) >= len(scene) - 25, next(ingest.frames(1, 2)).training)
+
+
+def bits(splats: Splats) -> bytes:
+    return b"".join(array.tobytes() for array in vars(splats).values())

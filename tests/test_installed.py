@@ -16,7 +16,7 @@ import pytest
 from packaging.requirements import Requirement
 
 ROOT = Path(__file__).resolve().parents[1]
-LAYERS = ("formats", "codec", "decoder", "encoder")
+LAYERS = ("formats", "codec", "decoder", "encoder", "bench")
 INSTALLED = metadata.distribution("decogs")
 INSTRUCTION_SETS = ("base", "avx2", "avx512") if platform.machine() in ("x86_64", "AMD64") else ("base",)
 
@@ -57,7 +57,7 @@ def test_nothing_else_is_installed() -> None:
     assert not [str(file) for file in files if file.parts[0] == "decogs" and "test" in str(file)]
 
 
-@pytest.mark.parametrize(("layer", "file"), [("formats", "SPEC.md"), ("encoder", "bench/trade_page.html")])
+@pytest.mark.parametrize(("layer", "file"), [("formats", "SPEC.md"), ("bench", "trade_page.html")])
 def test_files_that_are_no_modules_are_installed(layer: str, file: str) -> None:
     assert (layer_folder(layer) / file).read_bytes() == (ROOT / layer / file).read_bytes()
 
@@ -80,7 +80,7 @@ def test_the_player_is_installed_as_it_was_built() -> None:
         ("formats", ".", "_ycbcr", "decogs_rgb_of_ycbcr"),
         ("decoder", "rasterise", "_forward", "decogs_render"),
         ("encoder", "backends/cpu", "_training", "decogs_backward"),
-        ("encoder", "transformation_cache", "_cache", "decogs_cache_step"),
+        ("encoder", "methods/transformation_cache", "_cache", "decogs_cache_step"),
     ],
 )
 def test_the_kernels_are_installed(layer: str, package: str, stem: str, function: str, instruction_set: str) -> None:

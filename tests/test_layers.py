@@ -1,4 +1,4 @@
-"""The arrows formats <- codec <- decoder <- encoder hold, and the check that guards them sees a breach."""
+"""The arrows formats <- codec <- decoder <- encoder <- bench hold, and the check that guards them sees a breach."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-LAYERS = ("formats", "codec", "decoder", "encoder")
+LAYERS = ("formats", "codec", "decoder", "encoder", "bench")
 
 
 @pytest.fixture
@@ -48,6 +48,7 @@ def test_contracts_hold(copied_house: Path) -> None:
         ("formats/rigs/n3dv.py", "torch"),
         ("decoder/__init__.py", "torch"),
         ("encoder/backends/cuda/optimiser.py", "decogs.encoder.backends.cpu.stretch"),
+        ("encoder/psnr.py", "decogs.bench.metrics"),
         ("encoder/settings/frame.py", "decogs.encoder.training.method"),
     ],
 )

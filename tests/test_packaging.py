@@ -23,7 +23,7 @@ else:
     import tomli as tomllib
 
 ROOT = Path(__file__).resolve().parents[1]
-LAYERS = ("formats", "codec", "decoder", "encoder")
+LAYERS = ("formats", "codec", "decoder", "encoder", "bench")
 
 
 @pytest.fixture(scope="module")

@@ -10,29 +10,26 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from decogs.formats.callbacks import OnProgress, OnWarning
 from decogs.formats.errors import UsageError
-from decogs.formats.frame_ranges import Frames
 from decogs.formats.outputs import GrowingFile, Output, check_outputs, is_device, write_whole
 from decogs.formats.rigs import Rig, files_of, open_rig
 
-from ..analysis import EffectChoice
 from ..backends import check_device
 from ..encoding import chosen_settings, wanted_effects
 from ..input.ingest import frame_span
 from ..input.recordings import is_current
+from ..job import EncodeJob
 from ..output.resume import is_expendable
 from ..parts.base import Base, read_base
 from ..parts.joining import JoinReport, join
 from ..parts.manifest import frames_read
 from ..parts.output import is_of_part
-from ..settings.encode import EncodeSettings
-from ..switches import Switches
-from ..targets import Targets
 from .ray_engine import RayEngine
 from .tasks import Outcome
 
@@ -40,119 +37,95 @@ _KEYFRAME = "key.dgs"
 
 
 def encode_on_cluster(
-    rig: str | os.PathLike[str],
-    output: str | os.PathLike[str],
-    settings: str | EncodeSettings = "standard",
-    *,
-    cluster: str,
-    segment: int,
-    frames: Frames = None,
-    scale: float = 1.0,
-    holdout: Sequence[str] = (),
-    switches: Switches | None = None,
-    targets: Targets | None = None,
-    effects: EffectChoice | str | None = None,
-    keyframe: str | os.PathLike[str] | None = None,
-    resume: bool = False,
-    metrics: bool = False,
-    seed: int = 0,
-    threads: int = 0,
-    device: str = "auto",
-    progress: OnProgress | None = None,
-    on_warning: OnWarning | None = None,
+    job: EncodeJob, cluster: str, *, progress: OnProgress | None = None, on_warning: OnWarning | None = None
 ) -> JoinReport:
-    """Encodes a rig as `encode` does with closed segments, each segment as a task; the stream has the same bytes.
+    """Encodes a job with closed segments, each segment as a task; the stream has the bytes that `encode` writes.
 
-    ``cluster``: "local" or the address of a Ray cluster (`RayEngine`). Its machines find the rig, and ``keyframe``,
-    under the paths given here, and have the same releases installed. ``threads``: of each task; 0 is one. ``resume``:
-    go on with what is in ``output`` + ".parts". ``progress``: frames done, and frames in all. Other parameters are
-    those of `encode`. Raises its errors, UsageError without Ray, TryAgainError when the cluster fails.
+    ``cluster``: "local" or the address of a Ray cluster (`RayEngine`). Its machines find the rig, and ``job.keyframe``,
+    under the paths given here, and have the same releases installed. ``job.threads``: of each task; 0 is one.
+    ``job.resume``: go on with what is in ``output`` + ".parts". ``progress``: frames done, and frames in all. Raises
+    the errors of `encode`, UsageError without Ray, TryAgainError when the cluster fails.
     """
-    check_device(device)
-    chosen = chosen_settings(settings, switches, targets, segment, closed=True)
-    stream, opened = Path(output), open_rig(rig)
-    for warning in opened.warnings:
+    if not (job.segment and job.closed):
+        raise UsageError("`cluster`: tasks are closed segments; add `segment` and `closed`")
+    if isinstance(job.rig, Rig) or not isinstance(job.output, (str, os.PathLike)):
+        raise UsageError("`cluster`: give paths as `rig` and `output`, which every machine finds")
+    check_device(job.device)
+    chosen = chosen_settings(job)
+    stream, rig = Path(job.output), open_rig(job.rig)
+    for warning in rig.warnings:
         _warn(on_warning, warning)
-    read = [] if keyframe is None else [(Path(keyframe), "is read, as `keyframe`")]
-    check_outputs([Output("output", stream, grows=True)], [*files_of(opened), *read])
-    take = frame_span(opened, frames)
-    options: dict[str, Any] = {
-        "settings": chosen,
-        "frames": take,
-        "scale": scale,
-        "holdout": tuple(holdout),
-        "effects": wanted_effects(effects, settings, chosen.method),
-        "metrics": metrics,
-        "seed": seed,
-        "device": device,
-    }
-    engine = RayEngine(cluster, threads=threads, device=device)
-    if not (resume or is_device(stream)):
+    read = [] if job.keyframe is None else [(Path(job.keyframe), "is read, as `keyframe`")]
+    check_outputs([Output("output", stream, grows=True)], [*files_of(rig), *read])
+    take = frame_span(rig, job.frames)
+    task = replace(
+        job,
+        rig=os.fspath(rig.path.absolute()),
+        settings=chosen,
+        effects=wanted_effects(job, chosen),
+        switches=None,
+        targets=None,
+        frames=take,
+        holdout=tuple(job.holdout),
+        keyframe=None if job.keyframe is None else os.fspath(Path(job.keyframe).absolute()),
+        resume=False,
+        threads=0,
+    )
+    engine = RayEngine(cluster, threads=job.threads, device=job.device)
+    if not (job.resume or is_device(stream)):
         GrowingFile(stream, resumable=False).release()  # What cannot be written is said before the training.
-    folder = _folder(stream, resume=resume)
+    folder = _folder(stream, resume=job.resume)
+
+    def run(task: EncodeJob, parts: Sequence[range], key: bytes | None, files: dict[range, Path], done: int) -> None:
+        """Runs parts and writes each one under its name as it comes; raises UsageError for one that cannot be."""
+        most = done
+        for event in engine.run(task, parts, key):
+            if isinstance(event, int):
+                most = max(most, done + event)
+                if progress is not None:
+                    progress(min(most, len(take)), len(take))
+                continue
+            part, outcome = event
+            _check(outcome)
+            for warning in outcome.warnings:
+                _warn(on_warning, warning)
+            write_whole(files[part], outcome.data, expendable=partial(is_expendable, is_of_part))
+
     with engine:
         if engine.notice:
             _warn(on_warning, engine.notice)
         key = folder / _KEYFRAME
         if not _is_part(key):
             first = range(take.start, take.start + 1)
-            given = options if keyframe is None else options | {"keyframe": os.fspath(Path(keyframe).absolute())}
-            _run(engine, opened.path, [first], None, given, {first: key}, 0, len(take), progress, on_warning)
-        _check_resumed(key, options, take, opened)
-        files = {part: folder / f"{part.start}-{part.stop}.dgs" for part in _segments(take, segment)}
+            run(task, [first], None, {first: key}, 0)
+        _check_resumed(key, task, take, rig)
+        files = {part: folder / f"{part.start}-{part.stop}.dgs" for part in _segments(take, job.segment)}
         missing = [
             part
             for part, path in files.items()
-            if not (_is_part(path, of=key) and is_current(path, opened, frames_read(part, take, chosen)))
+            if not (_is_part(path, of=key) and is_current(path, rig, frames_read(part, take, chosen)))
         ]
         done = len(take) - sum(map(len, missing))
-        rest = options | {"threads": max(1, threads)}
-        _run(engine, opened.path, missing, key.read_bytes(), rest, files, done, len(take), progress, on_warning)
-    report = join(list(files.values()), stream, resume=resume)
+        rest = replace(task, keyframe=None, threads=max(1, job.threads))
+        run(rest, missing, key.read_bytes(), files, done)
+    report = join(list(files.values()), stream, resume=job.resume)
     _remove([key, *files.values()], folder, on_warning)
     return report
 
 
-def _run(
-    engine: RayEngine,
-    rig: Path,
-    parts: Sequence[range],
-    keyframe: bytes | None,
-    options: dict[str, Any],
-    files: dict[range, Path],
-    done: int,
-    total: int,
-    progress: OnProgress | None,
-    on_warning: OnWarning | None,
-) -> None:
-    """Runs parts and writes each one under its name as it comes; raises UsageError for one that cannot be."""
-    most = done
-    for event in engine.run(os.fspath(rig.absolute()), parts, keyframe, options):
-        if isinstance(event, int):
-            most = max(most, done + event)
-            if progress is not None:
-                progress(min(most, total), total)
-            continue
-        part, outcome = event
-        _check(outcome)
-        for warning in outcome.warnings:
-            _warn(on_warning, warning)
-        write_whole(files[part], outcome.data, expendable=partial(is_expendable, is_of_part))
-
-
-def _check_resumed(key: Path, options: dict[str, Any], take: range, rig: Rig) -> None:
+def _check_resumed(key: Path, job: EncodeJob, take: range, rig: Rig) -> None:
     """Raises UsageError when the keyframe that is there is that of other recordings or options."""
     base = _part_at(key)
     if not is_current(key, rig, range(take.start, take.start + 1)):
         raise UsageError(
             f"{key}: the first frame's recordings are newer; delete it and the parts beside it to start over"
         )
-    base.settings(options["settings"], options["effects"])
+    base.settings(chosen_settings(job), wanted_effects(job, chosen_settings(job)))
     header = base.keyframe.header
     was: dict[str, Any] = {"frames": base.part.take, "holdout": set(header.held_out), "metrics": base.part.metrics}
-    now: dict[str, Any] = {"frames": take, "holdout": set(options["holdout"]), "metrics": options["metrics"]}
+    now: dict[str, Any] = {"frames": take, "holdout": set(job.holdout), "metrics": job.metrics}
     was |= {name: header.settings.get(name) for name in ("seed", "scale")}
-    now |= {name: options[name] for name in ("seed", "scale")}
+    now |= {"seed": job.seed, "scale": job.scale}
     if changed := [name for name in was if was[name] != now[name]]:
         raise UsageError(
             f"{key.parent}: its encode had another `{changed[0]}`; give the same options, or delete its parts"

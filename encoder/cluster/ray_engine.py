@@ -5,12 +5,13 @@ from __future__ import annotations
 import logging
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from typing import Any
 
 from decogs.formats.errors import TryAgainError, UsageError
 
+from ..job import EncodeJob
 from .tasks import Outcome, run_part
 
 LOCAL = "local"
@@ -38,8 +39,8 @@ class _Board:
         return sum(self._done.values())
 
 
-def _task(number: int, board: Any, rig: str, frames: range, keyframe: bytes | None, options: dict[str, Any]) -> Outcome:
-    return run_part(rig, frames, keyframe, options, lambda done: board.tell.remote(number, done))
+def _task(number: int, board: Any, job: EncodeJob, frames: range, keyframe: bytes | None) -> Outcome:
+    return run_part(job, frames, keyframe, lambda done: board.tell.remote(number, done))
 
 
 class RayEngine:
@@ -94,17 +95,17 @@ class RayEngine:
         self._ray.shutdown()
 
     def run(
-        self, rig: str, parts: Sequence[range], keyframe: bytes | None, options: Mapping[str, Any]
+        self, job: EncodeJob, parts: Sequence[range], keyframe: bytes | None
     ) -> Iterator[tuple[range, Outcome] | int]:
         """Runs the parts as tasks: each one with its outcome when it is done, and now and then how many frames are.
 
         Raises TryAgainError when a part fails again and again.
         """
         ray = self._ray
-        shared = {"keyframe": None if keyframe is None else ray.put(keyframe), "options": ray.put(dict(options))}
+        shared, key = ray.put(job), None if keyframe is None else ray.put(keyframe)
 
         def start(number: int) -> Any:
-            return self._run.remote(number, self._board, rig, parts[number], shared["keyframe"], shared["options"])
+            return self._run.remote(number, self._board, shared, parts[number], key)
 
         running = {start(number): (number, 1) for number in range(len(parts))}
         try:

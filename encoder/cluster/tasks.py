@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from decogs.formats.errors import DecogsError, TryAgainError
 
 from ..encoding import encode
+from ..job import EncodeJob
 from ..output.observer import EncodeObserver
 from ..output.reports import FrameReport
 
@@ -38,17 +38,17 @@ class _Counting(EncodeObserver):
             self._tell(self._done)
 
 
-def run_part(rig: str, frames: range, keyframe: bytes | None, options: Mapping[str, Any], tell: Tell) -> Outcome:
-    """Encodes one part in a folder that goes away; ``keyframe``: the part that it starts from."""
+def run_part(job: EncodeJob, frames: range, keyframe: bytes | None, tell: Tell) -> Outcome:
+    """Encodes ``frames`` of a job in a folder that goes away; ``keyframe``: the part that they start from."""
     warnings: list[str] = []
     with tempfile.TemporaryDirectory(prefix="decogs-") as folder:
-        given = dict(options)
+        output, key = Path(folder, "part.dgs"), Path(folder, "key.dgs")
+        job = replace(job, output=output, only=frames)
         if keyframe is not None:
-            given["keyframe"] = Path(folder, "key.dgs")
-            given["keyframe"].write_bytes(keyframe)
-        output = Path(folder, "part.dgs")
+            key.write_bytes(keyframe)
+            job = replace(job, keyframe=key)
         try:
-            encode(rig, output, only=frames, progress=_Counting(frames, tell), on_warning=warnings.append, **given)
+            encode(job, progress=_Counting(frames, tell), on_warning=warnings.append)
         except TryAgainError as error:
             return Outcome(problem=str(error), again=True)
         except DecogsError as error:

@@ -17,10 +17,10 @@ from dataclasses import dataclass, replace
 from decogs.formats.container import PacketKind
 from decogs.formats.errors import UsageError
 
+from ..methods import require_sparse
 from ..settings.checked import MOST_BYTES, MOST_LOSS
 from ..settings.encode import EncodeSettings
 from ..settings.frame import SignificanceSettings
-from ..training.methods import require_sparse
 
 NEUTRAL_QUALITY = 50.0
 """The preset as it is."""
@@ -84,7 +84,7 @@ def with_budget(settings: EncodeSettings, bytes_per_frame: float) -> EncodeSetti
     if not 1 <= bytes_per_frame <= MOST_BYTES:
         raise UsageError(f"{asked}: that is {bytes_per_frame:g} bytes a frame; give at least 1, at most {MOST_BYTES:g}")
     require_sparse(settings, asked, "codes every change")
-    if not settings.frame.significance.threshold or settings.frame.cache is not None:
+    if not settings.frame.significance.threshold:
         raise UsageError(f"{asked}: these settings code every change; choose `settings` draft, standard or high")
     return replace(settings, frame_budget=bytes_per_frame)
 

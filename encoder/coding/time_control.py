@@ -18,8 +18,8 @@ from dataclasses import dataclass, replace
 
 from decogs.formats.errors import UsageError
 
+from ..methods import require_sparse
 from ..settings.encode import EncodeSettings
-from ..training.methods import require_sparse
 
 TIME_TOLERANCE = 0.05
 """By which share of the budget the mean of a clip may be above it; a miss is reported beyond it."""

@@ -12,9 +12,9 @@ from ..backends import TrainingKernel, training_kernel
 from ..backends.scene_views import SceneViews
 from ..input.compensation import Corrector, Show, corrector_of
 from ..input.ingest import Ingest
+from ..methods import method_of
 from ..settings.encode import EncodeSettings
 from ..training.method import FrameMethod
-from ..training.methods import FRAME_METHODS
 from ..training.schedule import OnLoss, StoppingRule
 from .cross_fade import fade_cameras
 
@@ -61,7 +61,7 @@ class Context:
             kernel,
             SceneViews(kernel, cameras),
             SceneViews(kernel, lambda: fade_cameras(cameras())),
-            FRAME_METHODS.get(settings.method),
+            method_of(settings),
             corrector_of(ingest.views, settings.corrections),
             seed,
             threads,

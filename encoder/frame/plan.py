@@ -110,8 +110,6 @@ def _is_held(memory: Memory, watch: Stopwatch) -> bool:
 
 def _selected(context: Context, scene: Scene, masks: Sequence[FrameMask]) -> NDArray[np.bool_]:
     used, settings = showing(masks), context.settings.frame.selection
-    if "select" in context.settings.frame.ablated:
-        return np.ones(len(scene.state), bool)
     views = context.views.of(scene.splats)
     selected = _inside(views, used, [masks[i].changing for i in used], settings)
     if any(masks[i].refines for i in used):

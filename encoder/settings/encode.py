@@ -21,10 +21,11 @@ _UNUSED = {"decogs": "baseline", "3dgstream": "frame"}
 """Settings that a method does not read; methods of other packages do not read the baseline's."""
 
 _USUAL = (
-    ("keyframe", "densification", "clone-split"),
-    ("frame", "densification", "clone-split"),
+    ("keyframe.densification", "clone-split"),
+    ("frame.densification", "clone-split"),
+    ("frame.focus.over", "region"),
 )
-"""Extension points that a header names only where a package's are taken."""
+"""Settings that a header names only where they are another than this."""
 
 
 @dataclass(frozen=True)
@@ -110,8 +111,11 @@ class EncodeSettings(Checked):
         if not self.closed:
             for name in ("closed", "catch_up", "cross_fade"):
                 del document[name]
-        for part, name, usual in _USUAL:
-            owner = document.get(part, {}) if part else document
+        for path, usual in _USUAL:
+            *parts, name = path.split(".")
+            owner = document
+            for part in parts:
+                owner = owner.get(part, {})
             if owner.get(name) == usual:
                 del owner[name]
         return document

@@ -24,9 +24,6 @@ from .checked import (
 )
 from .optimiser import LearningRates
 
-ABLATIONS = ("select", "focus", "gate")
-"""The parts of DecoGS that can be left out; `switches.without` says what then happens."""
-
 
 @dataclass(frozen=True)
 class MaskSettings(Checked):
@@ -87,12 +84,15 @@ class SelectionSettings(Checked):
 class FocusWeights(Checked):
     """The weights of ``(1 - lambda) (beta1 L1 + beta2 L1_focus) + lambda (1 - SSIM_focus)``.
 
-    Source: DecoGS, focus-aware loss (docs/METHOD.md, "Focus-aware loss").
+    ``over``: what the two terms of the focus are means over. "picture": the text's, whose norms are over whole pictures
+    that are 0 outside the region of interest. "region": the region of interest, whose pixels weigh more the fewer they
+    are. Source: DecoGS, focus-aware loss (docs/METHOD.md, "Focus-aware loss").
     """
 
     dissimilarity: Share = 0.2
     whole: Annotated[float, Within(0, 1000)] = 0.2
     focus: Annotated[float, Within(0, 1000)] = 0.8
+    over: Annotated[str, OneOf(("region", "picture"))] = "region"
 
 
 @dataclass(frozen=True)
@@ -169,9 +169,8 @@ class SignificanceSettings(Checked):
 class FrameSettings(Checked):
     """How a later frame is trained. The defaults are the paper's where it gives a number.
 
-    ``cache_iterations``, ``joint_iterations``: steps of stage 1 and stage 2. More is slower and follows faster motion.
-    ``cache``: the neural transformation cache; None leaves stage 1 out. It starts anew
-    in every frame.
+    ``joint_iterations``: steps. More is slower and follows faster motion. ``cache_iterations``, ``cache``: steps of
+    method "paper" before them, and its neural transformation cache; None: `CacheSettings`.
     ``warm_start``: share of the last displacement to begin with, 0 to 1: the median over the ``warm_neighbours``
     nearest selected Gaussians.
     ``grow_gradient``: the paper's tau_d. Lower adds more. ``grow_fraction``: most additions of one frame, as a share
@@ -180,7 +179,8 @@ class FrameSettings(Checked):
     that. ``beta1``, ``beta2``: Adam's decay rates in stage 2.
     ``max_stretch``: largest ratio of a Gaussian's largest to its middle size that stage 2 may bring about; 0: any.
     ``adaptive_iterations``: how the iterations follow from what a frame misses.
-    ``significance``: which changes are coded, without a cache. ``emergence``: how new objects are seeded.
+    ``significance``: which changes are coded. ``emergence``: how new objects are seeded. Method "paper" reverts no
+    change, seeds nothing, and always runs its iterations.
     ``ablated``: parts of the method that are left out (`switches.without`).
     ``densification``: a name in DENSIFICATIONS.
     """
@@ -204,5 +204,5 @@ class FrameSettings(Checked):
     adaptive_iterations: IterationSettings = field(default_factory=IterationSettings)
     significance: SignificanceSettings = field(default_factory=SignificanceSettings)
     emergence: EmergenceSettings = field(default_factory=EmergenceSettings)
-    ablated: Annotated[tuple[str, ...], OneOf(ABLATIONS)] = ()
+    ablated: Annotated[tuple[str, ...], OneOf(("focus", "gate"))] = ()
     densification: str = "clone-split"

@@ -91,8 +91,13 @@ LADDER = ("live", "draft", "standard", "high", "archive")
 PRESETS: dict[str, EncodeSettings] = {
     **dict(zip(LADDER, (_LIVE, _DRAFT, _STANDARD, _HIGH, _ARCHIVE), strict=True)),
     "paper": EncodeSettings(
+        method="paper",
         keyframe=KeyframeSettings(iterations=3000, sh_degree=1),
-        frame=FrameSettings(selection=SelectionSettings(rule="paper"), emergence=EmergenceSettings(max_seeds=0)),
+        frame=FrameSettings(
+            selection=SelectionSettings(rule="paper"),
+            focus=FocusWeights(over="picture"),
+            emergence=EmergenceSettings(max_seeds=0),
+        ),
     ),
 }
 """The ladder (measured in DESIGN.md), and ``paper``: its numbers wherever it gives them."""

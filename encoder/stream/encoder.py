@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 from decogs.codec.corrections import CorrectedCameras, Corrections
 from decogs.codec.digest import digest
 from decogs.codec.header import StreamHeader
 from decogs.codec.lattice import Lattice, default_lattice
 from decogs.codec.reconstruct import reconstruct
-from decogs.formats.callbacks import OnWarning
 from decogs.formats.container import Packet
 from decogs.formats.errors import RigError, StreamError
 from decogs.formats.splats import sh_degree_of
@@ -22,39 +21,41 @@ from ..input.imported_keyframe import KeyframeSource
 from ..input.imported_splats import SplatSource
 from ..input.ingest import RigFrame
 from ..input.recordings import difference, recorded_in
-from ..output.convergence_log import ConvergenceLog
-from ..output.reports import FrameReport, OnKeyframeStep
+from ..output.reports import FrameReport
 from ..output.resume import Interrupted
 from ..output.stream_output import StreamOutput
-from ..segments.next_segment import NextSegment, train_next_segment
+from ..parallel import ahead
+from ..segments.next_segment import NextSegment, train_next_segment, with_following
 from ..stopwatch import Stopwatch
 from ..training.first_frame import FirstFrame, train_first_frame
 from ..training.splat_keyframe import import_splats
 from .frame_report import FrameReporter
+from .options import RunOptions
+
+
+@dataclass(frozen=True)
+class Earlier:
+    """The ``packets`` that an earlier encode made of the first frames.
+
+    ``origin``: what they are from, for a warning; the frames whose places are ``compared`` show whether the pictures
+    are those that they were made from.
+    """
+
+    packets: Iterable[Packet] = ()
+    origin: str = ""
+    compared: tuple[int, ...] = (0,)
 
 
 class StreamEncoder:
-    """Encodes frames one after the other into an open stream; ``keyframe`` is one to begin with, untrained.
+    """Encodes frames one after the other into an open stream."""
 
-    ``keyframe`` may be a file of Gaussians, which is made one. ``convergence`` takes the loss of every step of
-    training, ``on_warning`` what the user should know at once.
-    """
-
-    def __init__(
-        self,
-        context: Context,
-        output: StreamOutput,
-        keyframe: KeyframeSource | SplatSource | None = None,
-        *,
-        convergence: ConvergenceLog | None = None,
-        on_warning: OnWarning | None = None,
-    ) -> None:
+    def __init__(self, context: Context, output: StreamOutput, options: RunOptions) -> None:
         self._context, self._output = context, output
-        self._keyframe, self._convergence, self._on_warning = keyframe, convergence, on_warning
+        self._options, self._keyframe = options, options.keyframe
         self._header: StreamHeader | None = None
         self._last: Encoded | None = None
         self._next: NextSegment | None = None
-        self._reporter = FrameReporter(context, on_warning)
+        self._reporter = FrameReporter(context, options.on_warning)
 
     def check_header(self, first: int) -> None:
         """Raises RigError, before anything is trained, for a rig that no stream's header can hold."""
@@ -65,9 +66,22 @@ class StreamEncoder:
             path = self._context.ingest.rig.path
             raise RigError(f"{path}: a stream cannot hold this rig ({problem}); change its calibration") from None
 
-    def encode_key(self, frame: RigFrame, on_step: OnKeyframeStep | None) -> FrameReport:
+    def encode(self, frames: Iterable[RigFrame], first: int, earlier: Earlier) -> Iterator[FrameReport]:
+        """Encodes ``frames`` of a take that begins with the rig's frame ``first``; ``earlier`` ones are replayed."""
+        written = iter(earlier.packets)
+        read = ahead(frames) if self._options.read_ahead and self._context.threads > 1 else frames
+        for place, (frame, following) in enumerate(with_following(read, first, self._context.settings)):
+            packet = next(written, None)
+            if packet is not None:
+                yield self._replay(frame, packet, earlier.origin if place in earlier.compared else "")
+            elif self._last is None:
+                yield self._encode_key(frame)
+            else:
+                yield self._encode_next(frame, self._last, following)
+
+    def _encode_key(self, frame: RigFrame) -> FrameReport:
         """Trains or takes over the first frame and writes header and keyframe; the output begins only then."""
-        task = Task(frame, on_step=on_step, watch=self._begin(frame))
+        task = Task(frame, on_step=self._options.on_keyframe_step, watch=self._begin(frame))
         first = self._first_frame(task)
         degree = sh_degree_of(first.state.coefficients)
         header = self._new_header(frame.index, first.lattice, degree, colours=first.colours, recorded=frame.recorded)
@@ -78,20 +92,14 @@ class StreamEncoder:
             self._check_keyframe(self._keyframe, encoded, frame, task.watch)
         return self._write(encoded, task.watch)
 
-    def encode_next(
-        self, frame: RigFrame, on_step: OnKeyframeStep | None = None, following: Sequence[RigFrame] = ()
-    ) -> FrameReport:
-        """Encodes the next frame.
-
-        ``on_step`` follows the training of a new keyframe, where the frame shows another scene. ``following``: those
-        up to the start of the closed segment that the frame goes over to.
-        """
+    def _encode_next(self, frame: RigFrame, last: Encoded, following: Sequence[RigFrame]) -> FrameReport:
+        """Encodes a frame after the ``last``; ``following``: those up to the start of the segment it goes over to."""
         watch = self._begin(frame)
-        ahead = self._next_segment([frame, *following], watch)
-        coded = ahead.first if ahead is not None and ahead.start == frame.index else None
-        task = Task(frame, None if coded is None else coded.written.packet, ahead, on_step, watch)
-        assert self._last is not None
-        encoded = encode_frame(self._context, self._last.scene, self._last.memory, task)
+        segment = self._next_segment([frame, *following], last, watch)
+        coded = segment.first if segment is not None and segment.start == frame.index else None
+        packet = None if coded is None else coded.written.packet
+        task = Task(frame, packet, segment, self._options.on_keyframe_step, watch)
+        encoded = encode_frame(self._context, last.scene, last.memory, task)
         if coded is not None:
             encoded = replace(encoded, outcome=replace(encoded.outcome, rejected=coded.outcome.rejected))
         return self._write(encoded, watch)
@@ -123,7 +131,7 @@ class StreamEncoder:
             key = reconstruct(None, next(left.packets()), self._header)
             left.check_keyframe(same=digest(key) == digest(source.state))
 
-    def replay(self, frame: RigFrame, packet: Packet, origin: str = "") -> FrameReport:
+    def _replay(self, frame: RigFrame, packet: Packet, origin: str = "") -> FrameReport:
         """Does all that encoding the frame did but for the training: the result is in the packet.
 
         ``origin``: where the packet comes from, for a frame that is compared with its pictures; "" for none.
@@ -139,11 +147,11 @@ class StreamEncoder:
             self._reporter.check_footage(self._last, origin, task.watch)
         return replace(self._reporter.report(self._last, task.watch), replayed=True, effects=[], overlooked=False)
 
-    def _next_segment(self, frames: Sequence[RigFrame], watch: Stopwatch) -> NextSegment | None:
+    def _next_segment(self, frames: Sequence[RigFrame], last: Encoded, watch: Stopwatch) -> NextSegment | None:
         """The segment that begins with the last of ``frames``, if it was trained for those that go over to it."""
-        start, last = frames[-1].index, self._last
+        start = frames[-1].index
         is_known = self._next is not None and self._next.start == start
-        if len(frames) > 1 and not is_known and last is not None and not self._context.method.dense:
+        if len(frames) > 1 and not is_known and not self._context.method.dense:
             with watch.stage("next segment"):
                 self._next = train_next_segment(self._context, last.scene, last.memory, frames)
         return self._next if self._next is not None and self._next.start == start else None
@@ -217,13 +225,13 @@ class StreamEncoder:
         )
 
     def _begin(self, frame: RigFrame) -> Stopwatch:
-        if self._convergence is not None:
-            self._convergence.begin(frame.index)
+        if self._options.convergence is not None:
+            self._options.convergence.begin(frame.index)
         return Stopwatch()
 
     def _warn(self, text: str) -> None:
-        if self._on_warning is not None:
-            self._on_warning(text)
+        if self._options.on_warning is not None:
+            self._options.on_warning(text)
 
 
 def _keyframe_made(source: SplatSource, left: Interrupted) -> KeyframeSource:

@@ -90,12 +90,14 @@ def focus_loss(
 ) -> PhotometricLoss:
     """The focus-aware loss of a later frame; ``mask`` (H, W) is the dilated difference mask of the view.
 
-    SSIM compares the masked pictures (docs/METHOD.md, "Focus-aware loss": how the paper's formula is read). Without a
-    focus, L1 alone remains.
+    SSIM compares the masked pictures; ``weights.over`` says what the terms of the focus are means over (docs/METHOD.md,
+    "Focus-aware loss": how the paper's formula is read). Without a focus, L1 alone remains.
     """
     focus = np.where(mask, np.float32(1) if valid is None else valid, np.float32(0))
     whole_size = max(1.0, 3.0 * (mask.size if valid is None else float(valid.sum())))
     focus_size = 3.0 * float(focus.sum())
+    if weights.over == "picture" and focus_size > 0:
+        focus_size = whole_size
     whole_weight = np.float32(weights.whole / whole_size)
     in_focus = whole_weight + np.float32(weights.focus / focus_size) if focus_size > 0 else whole_weight
     weight = np.where(mask, in_focus, whole_weight)

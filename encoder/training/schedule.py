@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import median
 
 import numpy as np
@@ -27,13 +27,17 @@ from numpy.typing import NDArray
 
 from decogs.formats.splats import FloatArray
 
-from ..settings.frame import IterationSettings
+from ..settings.frame import FrameSettings, IterationSettings
+from ..settings.optimiser import LearningRates
 
 OnLoss = Callable[[str, int, float], None]
 """Called with the stage, the iteration within it (from 0) and the loss of the view that it drew."""
 
 MIN_STEPS = 12
 """Least steps of a stage, however late it is: fewer have no effect and cost hardly less."""
+
+_MAX_HASTE = 3.0
+"""Largest factor of the rates when a deadline leaves few steps, which must still cover the motion."""
 
 _CLEARLY = np.float32(25 / 255)
 """Colour error from which a pixel is clearly missed: the paper's tau, applied to the rendering."""
@@ -146,6 +150,22 @@ class StepSchedule:
         more = max(fitting, MIN_STEPS - len(self._seconds), 0)
         left = self._iterations - self.position
         return max(self._own_stride, left / (1 + more))
+
+
+def rates_at(settings: FrameSettings, extent: float, schedule: StepSchedule) -> LearningRates:
+    """Learning rates where the schedule stands, those of positions in world units.
+
+    Over its second half they fall; in a hurry they grow.
+    """
+    late = settings.late_decay ** max(0.0, 2 * schedule.position / settings.joint_iterations - 1)
+    rates = replace(settings.rates, means=settings.rates.means * extent)
+    return rates.scaled(late * min(schedule.hurry**0.5, _MAX_HASTE))
+
+
+def seconds_at_least(spent: float, schedule: StepSchedule) -> float:
+    """Seconds of a frame that took as many as ``spent``, had its schedule had the least steps only."""
+    step, steps = schedule.steps_seconds
+    return spent - steps + MIN_STEPS * step
 
 
 class SearchTime:

@@ -27,17 +27,20 @@ import numpy as np
 
 import decogs.encoder.frame.encode_frame as encode_frame
 import decogs.encoder.frame.plan as plan
-import decogs.encoder.training.delta as frame_training
-import decogs.encoder.training.seeding as emergence
+import decogs.encoder.methods.decogs as decogs
+import decogs.encoder.training.emergence as emergence
+import decogs.encoder.training.seeding as seeding
 from decogs.decoder.picture_output import to_8bit
 from decogs.decoder.views import render_view
-from decogs.encoder import PRESETS, EffectChoice, EncodeReport, EncodeSettings, Targets, encode
+from decogs.encoder import PRESETS, EffectChoice, EncodeReport, EncodeSettings, Targets
 from decogs.encoder.backends.cpu.fixed_view import CpuFixedView
 from decogs.encoder.change.masks import MaskMemory
 from decogs.encoder.coding.time_control import counted_seconds
+from decogs.encoder.training.frame_training import FrameTraining
 from decogs.formats.cameras import Camera, scale_camera
 from decogs.formats.rigs import open_rig, read_frames
 from decogs.formats.splats import SH_C0, Splats, join_splats
+from encode_rig import encode_rig as encode
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
 EFFECTS = EffectChoice("none", {"motion", "appearance_change", "emergence", "disappearance"})
@@ -73,15 +76,15 @@ class WorkClock:
             (CpuFixedView, "redraw", lambda _, view, *rest: 300 + 15 * view.met.size + 0.05 * len(view._loaded())),
             (CpuFixedView, "commit", lambda _, view, scene, rows, *rest: 100 + 0.2 * len(rows) + 0.02 * len(scene)),
             (CpuFixedView, "detach", lambda _, view, rows: 50 + 0.1 * len(rows)),
-            (frame_training, "shared_displacements", lambda _, means, *rest: 2 * len(means)),
-            (frame_training._DeltaTraining, "_errors", lambda out, *rest: 0.05 * sum(each.shape[1] for each in out)),
-            (frame_training._DeltaTraining, "_loss", lambda _, trainer, picture, *rest: 0.003 * picture[0].size),
-            (frame_training._DeltaTraining, "_densify", lambda _, trainer, work, *rest: 2000 + 1.0 * len(work.rows)),
-            (frame_training, "revert_insignificant", lambda _, optimiser, *rest: 0.2 * len(optimiser.splats)),
-            (frame_training, "missed", lambda _, look, *rest: 0.005 * look.depth.size),
-            (emergence._Search, "__init__", lambda _, search, views, *rest: 0.1 * sum(x.depth.size for x in views)),
+            (decogs, "shared_displacements", lambda _, means, *rest: 2 * len(means)),
+            (FrameTraining, "errors", lambda out, *rest: 0.05 * sum(each.shape[1] for each in out)),
+            (decogs, "frame_training", lambda made, *rest: 0.003 * sum(each[0].size for each in made.frame.pictures)),
+            (decogs, "densify", lambda _, training, work, *rest: 2000 + 1.0 * len(work.rows)),
+            (decogs, "revert_insignificant", lambda _, optimiser, *rest: 0.2 * len(optimiser.splats)),
+            (emergence, "missed", lambda _, look, *rest: 0.005 * look.depth.size),
+            (seeding._Search, "__init__", lambda _, search, views, *rest: 0.1 * sum(x.depth.size for x in views)),
             (
-                emergence._Search,
+                seeding._Search,
                 "along_rays",
                 lambda _, search, rays: len(search._views) * (800 + 20 * len(rays.pixels)),
             ),

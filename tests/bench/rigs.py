@@ -18,12 +18,12 @@ from statistics import fmean
 
 import numpy as np
 
+from decogs.bench.metrics import psnr, square_error_map
+from decogs.bench.regions import find_regions, held_out_pictures
 from decogs.decoder.picture_output import to_8bit
 from decogs.decoder.stream import open_stream
 from decogs.decoder.views import render_view
-from decogs.encoder import encode
-from decogs.encoder.bench.metrics import psnr, square_error_map
-from decogs.encoder.bench.regions import find_regions, held_out_pictures
+from decogs.encoder import EncodeJob, encode
 from decogs.formats.rigs import open_rig
 
 FEWEST_MOVING = 0.005
@@ -65,7 +65,9 @@ def measure(data: Path, row: Row) -> str:
     began = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "scene.dgs"
-        report = encode(rig, path, frames=slice(row.first, row.stop), holdout=row.left_out, scale=row.scale, threads=1)
+        report = encode(
+            EncodeJob(rig, path, frames=slice(row.first, row.stop), holdout=row.left_out, scale=row.scale, threads=1)
+        )
         seconds = time.process_time() - began
         with open_stream(path) as stream:
             header, scenes = stream.header, [frame.splats for frame in stream.frames()]

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from decogs.decoder import decode, export, open_stream
 from decogs.decoder.free_camera import read_free_cameras
-from decogs.encoder import encode
+from decogs.encoder import EncodeJob, encode
 
 RIG = Path(__file__).parents[1] / "demo" / "workbench"
 FRAMES = 6
@@ -88,7 +88,7 @@ def main(python: str, extension: str, folder: str) -> None:
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir(parents=True)
     stream, usd = out / "sample.dgs", out / "sample.usdc"
-    encode(RIG, stream, settings="live", frames=slice(0, FRAMES), scale=0.5)
+    encode(EncodeJob(RIG, stream, settings="live", frames=slice(0, FRAMES), scale=0.5))
     decode(stream, out / "decoded", view="cam00", undistorted=True, drift_free=True)
     export(stream, usd)
     script = Path(__file__).with_name("in_blender.py")

@@ -24,12 +24,13 @@ HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE.parent)] * (str(HERE.parent) not in sys.path)
 
 from canary.rigs import HELD_OUT, RIGS, write_rig  # noqa: E402
-from decogs.encoder import EffectChoice, encode  # noqa: E402
+from decogs.encoder import EffectChoice  # noqa: E402
 from decogs.encoder.analysis.analyse import analyse  # noqa: E402
 from decogs.encoder.settings.encode import EncodeSettings  # noqa: E402
 from decogs.encoder.settings.presets import LADDER, preset  # noqa: E402
 from decogs.encoder.switches import with_method  # noqa: E402
 from decogs.formats.container import PacketKind  # noqa: E402
+from encode_rig import encode_rig as encode  # noqa: E402
 from packets import iterate_packets  # noqa: E402
 
 EXPECTED = HERE / "expected.json"
@@ -58,7 +59,7 @@ def measure(name: str, way: str, rig: Path, folder: Path) -> dict[str, Any]:
     """Bytes, digest and PSNR of the frames after the first."""
     output = folder / f"{name}-{way}.dgs"
     settings = WAYS[way]
-    effects = _EFFECTS if settings.method == "decogs" else None
+    effects = None if settings.method == "3dgstream" else _EFFECTS
     report = encode(rig, output, settings, holdout=[HELD_OUT], keyframe=keyframe_of(name), effects=effects, threads=2)
     later = report.frames[1:]
     with output.open("rb") as stream:

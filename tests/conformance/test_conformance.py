@@ -30,7 +30,7 @@ from decogs.decoder import info
 from decogs.decoder.commands import decode_main, export_main, info_main
 from decogs.decoder.following import follow_stream
 from decogs.decoder.stream import open_stream
-from decogs.encoder import PRESETS, encode
+from decogs.encoder import PRESETS
 from decogs.formats.cameras import Camera
 from decogs.formats.container import (
     FRAME_KINDS,
@@ -50,6 +50,8 @@ import make_vectors
 import plain_container
 import plain_decoder
 import stream_writer
+
+from encode_rig import encode_rig as encode
 
 KEPT = make_vectors.kept()
 EXPECTED: dict[str, dict[str, Any]] = json.loads(KEPT["expected.json"])

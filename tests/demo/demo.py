@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from decogs.decoder import decode, export, info
-from decogs.encoder import TerminalProgress, encode
+from decogs.encoder import EncodeJob, TerminalProgress, encode
 from decogs.formats.errors import DecogsError
 from decogs.formats.pictures import Picture, read_picture
 from decogs.formats.rigs import open_rig, read_frames
@@ -31,7 +31,7 @@ def main() -> None:
     stream, pictures, scene, beside = (OUTPUT / name for name in ("scene.dgs", HELD_OUT, "scene.usdc", "beside.png"))
 
     with TerminalProgress(sys.stderr) as progress:
-        encoded = encode(RIG, stream, holdout=(HELD_OUT,), log=OUTPUT / "encode.jsonl", progress=progress)
+        encoded = encode(EncodeJob(RIG, stream, holdout=(HELD_OUT,), log=OUTPUT / "encode.jsonl"), progress=progress)
     if encoded.interrupted:
         sys.exit(f"demo: interrupted; {stream} holds the first {len(encoded.frames)} frames")
     started = time.perf_counter()

@@ -22,6 +22,7 @@ from decogs.decoder.picture_output import to_8bit
 from decogs.decoder.stream import open_stream
 from decogs.decoder.views import render_view
 from decogs.encoder import EncodeReport, EncodeSettings, FrameReport
+from decogs.encoder.frame.context import Context
 from decogs.encoder.frame.encode_frame import Encoded as EncodedFrame
 from decogs.encoder.input.imported_keyframe import read_keyframe
 from decogs.encoder.input.ingest import Ingest
@@ -29,6 +30,7 @@ from decogs.encoder.settings.cache import CacheSettings
 from decogs.encoder.settings.frame import FrameSettings, MaskSettings
 from decogs.encoder.settings.keyframe import KeyframeSettings
 from decogs.encoder.settings.threedgstream import BaselineSettings
+from decogs.encoder.stream.options import RunOptions
 from decogs.encoder.stream.run import encode_stream
 from decogs.formats.cameras import Camera
 from decogs.formats.rigs import open_rig
@@ -48,8 +50,7 @@ TINY = EncodeSettings(
     ),
     frame=FrameSettings(
         masks=MaskSettings(threshold=10.0),
-        cache=CACHE,
-        cache_iterations=10,
+        cache=None,
         joint_iterations=10,
         warm_start=0.9,
         grow_gradient=1e-5,
@@ -256,18 +257,14 @@ def _encode(output: Path, rig: Path, **options: Any) -> Encoded:
         patched.setattr(stream_encoder, "begin_scene", observed(begin))
         patched.setattr(stream_encoder, "encode_frame", observed(encode_one))
         patched.setattr(plan, "select", observed_select)
-        report = encode_stream(
-            ingest,
-            output,
-            range(chosen["start"], chosen["stop"] or opened.frame_count),
-            chosen["settings"],
-            seed=chosen["seed"],
-            threads=chosen["threads"],
+        options = RunOptions(
             keyframe=None if chosen["keyframe"] is None else read_keyframe(chosen["keyframe"]),
-            resume=chosen["resume"],
             on_frame=chosen["on_frame"],
             on_keyframe_step=chosen["on_keyframe_step"],
         )
+        span = range(chosen["start"], chosen["stop"] or opened.frame_count)
+        context = Context.of(ingest, chosen["settings"], seed=chosen["seed"], threads=chosen["threads"])
+        report = encode_stream(context, output, span, options, resume=chosen["resume"])
     return Encoded(output, report, states, selected)
 
 

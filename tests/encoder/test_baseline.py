@@ -17,10 +17,10 @@ from decogs.decoder.stream import open_stream
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.change.masks import MaskMemory
 from decogs.encoder.input.ingest import Ingest
+from decogs.encoder.methods.threedgstream import BaselineTrainer
 from decogs.encoder.settings.encode import EncodeSettings
 from decogs.encoder.settings.threedgstream import BaselineSettings
 from decogs.encoder.training.method import TrainedFrame
-from decogs.encoder.training.threedgstream import BaselineTrainer
 from decogs.formats.container import PacketKind
 from decogs.formats.errors import TrainingError
 from decogs.formats.rigs import open_rig

@@ -16,12 +16,12 @@ from decogs.codec.digest import digest
 from decogs.codec.state import ARRAYS
 from decogs.decoder.stream import open_stream
 from decogs.encoder import CorrectionSettings, EncodeSettings, Targets
-from decogs.encoder import encode as encode_rig
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.coding.rate_control import RateControl, with_budget
 from decogs.encoder.settings.frame import SignificanceSettings
 from decogs.formats.container import FRAME_KINDS, PacketKind
 from decogs.formats.errors import UsageError
+from encode_rig import encode_rig
 from packets import iterate_packets
 
 MOMENTS, OTHERS = (0, 1, 3, 1, 3, 0), (0, 3, 0, 1, 3, 0)

@@ -17,13 +17,14 @@ from typing import Any
 
 import pytest
 
-from decogs.encoder import encode
+from decogs.encoder import EncodeJob
 from decogs.encoder.cluster.encoding import encode_on_cluster
 from decogs.encoder.cluster.ray_engine import RayEngine
 from decogs.encoder.cluster.tasks import run_part
 from decogs.encoder.commands import encode_main
 from decogs.encoder.settings.frame import SignificanceSettings
 from decogs.formats.errors import TryAgainError, UsageError
+from encode_rig import encode_rig as encode
 
 MOMENTS = (0, 1, 3, 1, 3, 0, 3, 1)
 SEGMENT = 2
@@ -69,7 +70,7 @@ def nodes() -> Iterator[Any]:
 def run(rig: Path, settings: Any, tmp_path: Path) -> Callable[..., bytes]:
     def run(cluster: str, **options: Any) -> bytes:
         output = tmp_path / "scene.dgs"
-        encode_on_cluster(rig, output, settings, cluster=cluster, segment=SEGMENT, **options)
+        encode_on_cluster(EncodeJob(rig, output, settings, segment=SEGMENT, closed=True, **options), cluster)
         assert [path.name for path in tmp_path.iterdir()] == ["scene.dgs"]
         return output.read_bytes()
 
@@ -164,15 +165,9 @@ def test_one_machine_is_a_cluster_too(run: Any, whole: bytes) -> None:
 
 def test_a_problem_that_stays_is_told_in_one_line(nodes: Any, rig: Path, settings: Any, tmp_path: Path) -> None:
     (tmp_path / "key.ply").write_bytes(b"no ply")
+    job = EncodeJob(rig, tmp_path / "scene.dgs", settings, segment=SEGMENT, closed=True, keyframe=tmp_path / "key.ply")
     with pytest.raises(UsageError, match=r"key\.ply"):
-        encode_on_cluster(
-            rig,
-            tmp_path / "scene.dgs",
-            settings,
-            cluster=nodes.address,
-            segment=SEGMENT,
-            keyframe=tmp_path / "key.ply",
-        )
+        encode_on_cluster(job, nodes.address)
     assert not (tmp_path / "scene.dgs").exists()
 
 
@@ -193,9 +188,9 @@ class Here:
     def __exit__(self, *_: object) -> None:
         pass
 
-    def run(self, rig: str, parts: Any, keyframe: bytes | None, options: Any) -> Iterator[Any]:
+    def run(self, job: EncodeJob, parts: Any, keyframe: bytes | None) -> Iterator[Any]:
         for part in parts:
-            yield part, run_part(rig, part, keyframe, options, lambda done: None)
+            yield part, run_part(job, part, keyframe, lambda done: None)
 
 
 @pytest.fixture
@@ -205,8 +200,10 @@ def here(monkeypatch: pytest.MonkeyPatch, rig: Path, tiny_settings: Any, tmp_pat
 
     def run(**options: Any) -> list[str]:
         told: list[str] = []
-        given = {"cluster": "local", "segment": SEGMENT, "frames": slice(4), "on_warning": told.append} | options
-        encode_on_cluster(rig, tmp_path / "scene.dgs", tiny_settings, **given)
+        given = {"segment": SEGMENT, "closed": True, "frames": slice(4)} | options
+        encode_on_cluster(
+            EncodeJob(rig, tmp_path / "scene.dgs", tiny_settings, **given), "local", on_warning=told.append
+        )
         return told
 
     return run
@@ -338,12 +335,12 @@ def test_what_a_task_was_given_may_be_lost(monkeypatch: pytest.MonkeyPatch) -> N
 def test_an_outcome_says_whether_to_try_again(
     rig: Path, settings: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    options = {"settings": replace(settings, segment=SEGMENT, closed=True), "threads": 1}
+    job = EncodeJob(str(rig), tmp_path / "part.dgs", replace(settings, segment=SEGMENT, closed=True), threads=1)
     told: list[int] = []
-    outcome = run_part(str(rig), range(1), None, options, told.append)
+    outcome = run_part(job, range(1), None, told.append)
     assert (outcome.problem, outcome.again, told) == ("", False, [1])
     assert outcome.data
-    lacking = run_part(str(rig), range(2, 4), None, options, told.append)
+    lacking = run_part(job, range(2, 4), None, told.append)
     assert "parts after the first start from its keyframe" in lacking.problem
     assert not lacking.again
 
@@ -351,7 +348,7 @@ def test_an_outcome_says_whether_to_try_again(
         raise TryAgainError("the disk is full")
 
     monkeypatch.setattr("decogs.encoder.cluster.tasks.encode", full)
-    again = run_part(str(rig), range(1), None, options, told.append)
+    again = run_part(job, range(1), None, told.append)
     assert (again.problem, again.again) == ("the disk is full", True)
 
 

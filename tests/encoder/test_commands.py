@@ -138,7 +138,8 @@ def test_switches_reach_the_encoder(moving: Any, dense: Any, moving_rig: Path, t
     assert output.read_bytes() == dense.data
     assert encode_main([*given, "--ablate", "select,gate", "--frames", ":1"]) == 0
     with open_stream(output) as stream:
-        assert stream.header.settings["frame"]["ablated"] == ["select", "gate"]
+        assert stream.header.settings["frame"]["ablated"] == ["gate"]
+        assert stream.header.settings["frame"]["selection"]["rule"] == "all"
     assert encode_main([*given, "--selection", "paper", "--method", "decogs", "--frames", ":1"]) == 0
     with open_stream(output) as stream:
         assert stream.header.settings["frame"]["selection"]["rule"] == "paper"
@@ -153,7 +154,7 @@ def test_switches_reach_the_encoder(moving: Any, dense: Any, moving_rig: Path, t
         (["--holdout", "cam9"], "--holdout cam9: "),
         ([o for i in range(5) for o in ("--holdout", f"cam0{i}")], "every camera is held out; leave at least one"),
         (["--preset", "nope"], "--preset nope: there is no such preset; choose from live, draft, standard"),
-        (["--method", "nope"], "--method nope: there is no such method; choose from decogs, 3dgstream"),
+        (["--method", "nope"], "--method nope: there is no such method; choose from decogs, paper, 3dgstream"),
         (["--ablate", "select,x"], "--ablate x: there is no such part; choose from select, focus, gate"),
         (["--selection", "x"], "--selection x: there is no such selection rule; choose from paper, weight"),
         (["--method", "3dgstream", "--selection", "paper"], "--method 3dgstream trains every Gaussian; drop one"),

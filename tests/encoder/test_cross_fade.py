@@ -16,7 +16,6 @@ from decogs.decoder.rasterise import render
 from decogs.decoder.stream import open_stream
 from decogs.decoder.views import render_view
 from decogs.encoder import EncodeSettings
-from decogs.encoder import encode as encode_rig
 from decogs.encoder.backends import ATTRIBUTES, training_kernel
 from decogs.encoder.backends.scene_views import SceneViews
 from decogs.encoder.frame.cross_fade import CrossFade, cross_fade, fade_cameras
@@ -26,6 +25,7 @@ from decogs.encoder.settings.frame import FrameSettings, SignificanceSettings
 from decogs.encoder.training.method import TrainedFrame
 from decogs.formats.cameras import camera_centre
 from decogs.formats.splats import empty_splats, take_splats
+from encode_rig import encode_rig
 
 STILL = (0, 1, 3, 3, 3, 3, 3)
 """Moments of a take whose second segment, of frame 6, begins as things have come to rest."""

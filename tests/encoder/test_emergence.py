@@ -19,7 +19,7 @@ from decogs.encoder.training import seeding
 from decogs.encoder.training.seeding import SearchView, missed, worth_a_search
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import SH_C0, Splats, join_splats, take_splats
-from one_frame import delta_trainer, train
+from one_frame import sparse_trainer, train
 
 SETTINGS = EmergenceSettings()
 CENTRE, RADIUS = np.array([0.1, -0.05, -0.2]), 0.28
@@ -212,7 +212,7 @@ def trained(kernel: CpuKernel, wall: Splats, shown: Splats, emergence: Emergence
     for watching in watch:
         watching.set_scene(wall)
         watching.redraw()
-    trainer = delta_trainer(kernel, views, watch, settings, box=box)
+    trainer = sparse_trainer(kernel, views, watch, settings, box=box)
     selected = np.abs(wall.means[:, 0]) < 0.1
     frame = train(
         trainer,

@@ -15,10 +15,10 @@ import pytest
 
 from decogs.decoder import open_stream
 from decogs.encoder import PRESETS, Switches, Targets, TerminalProgress
-from decogs.encoder import encode as encode_rig
 from decogs.formats.container import FRAME_KINDS, PacketKind
 from decogs.formats.errors import RigError, StreamError, UsageError
 from decogs.formats.rigs import open_rig
+from encode_rig import encode_rig
 from packets import iterate_packets
 
 

@@ -14,16 +14,17 @@ import numpy as np
 import pytest
 
 from decogs.decoder.stream import open_stream
-from decogs.encoder import Switches, encode
+from decogs.encoder import Switches
 from decogs.encoder.change.selection import SELECTION_RULES, ViewEvidence, select
+from decogs.encoder.methods import FRAME_METHODS
 from decogs.encoder.registry import Registry, anything, guarded
 from decogs.encoder.settings.frame import SelectionSettings
 from decogs.encoder.switches import with_selection
 from decogs.encoder.training.densification import DENSIFICATIONS
 from decogs.encoder.training.method import FrameMethod, TrainedFrame
-from decogs.encoder.training.methods import FRAME_METHODS
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import Splats, empty_splats, take_splats
+from encode_rig import encode_rig as encode
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "extending.md"
 
@@ -73,7 +74,7 @@ def test_the_documents_method_encodes_when_it_is_installed(
         "keyframe": moving.path,
         "switches": Switches("recolour"),
     }
-    with pytest.raises(UsageError, match=r"^`method` recolour: there is no such method; choose from decogs, 3dgs"):
+    with pytest.raises(UsageError, match=r"^`method` recolour: there is no such method; choose from decogs, paper"):
         encode(moving_rig, tmp_path / "x.dgs", **given)
     monkeypatch.syspath_prepend(installed)
     report = encode(moving_rig, tmp_path / "x.dgs", **given)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,74 +10,28 @@ import numpy as np
 import pytest
 
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
-from decogs.encoder.backends.cpu.fixed_view import CpuFixedView
-from decogs.encoder.change.masks import FrameMask
-from decogs.encoder.input.ingest import Ingest
+from decogs.encoder.methods.decogs import DecogsTrainer
+from decogs.encoder.methods.paper import PaperTrainer
 from decogs.encoder.settings.cache import CacheSettings
 from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings, IterationSettings
-from decogs.encoder.training.delta import DeltaTrainer
 from decogs.encoder.training.method import TrainedFrame
 from decogs.encoder.training.schedule import MIN_STEPS, StoppingRule
 from decogs.formats.errors import TrainingError
-from decogs.formats.rigs import open_rig
 from decogs.formats.splats import Splats, take_splats
-from one_frame import delta_trainer, train
+from one_frame import Case, bits, moved_square, train
 
-BOX = (np.array([-3.0, -3.0, -1.0]), np.array([3.0, 3.0, 1.0]))
 CACHE = CacheSettings(levels=4, features=2, table_log2=8, base_resolution=4, hidden_width=16, learning_rate=5e-3)
 MOVING = FrameSettings(
     cache=CACHE, cache_iterations=30, joint_iterations=30, grow_fraction=0.0, emergence=EmergenceSettings(max_seeds=0)
 )
 DIRECT = replace(MOVING, cache=None)
 NOTHING = replace(MOVING, cache=replace(CACHE, learning_rate=0.0), cache_iterations=1, joint_iterations=0)
-"""A cache that learns nothing and stays the identity: what densification and the warm start alone do."""
-
-
-@dataclass(frozen=True)
-class Case:
-    """The rig's true scene of frame 0, of which the square is selected, and the pictures of frame 1."""
-
-    ingest: Ingest
-    scene: Splats
-    selected: np.ndarray
-    pictures: list[np.ndarray]
-
-    def masks(self, *, everywhere: bool) -> list[FrameMask]:
-        mask = np.full(self.pictures[0].shape[1:], everywhere)
-        return [FrameMask(mask, mask) for _ in self.pictures]
-
-    def trainer(self, settings: FrameSettings, *, threads: int = 2, seed: int = 0) -> DeltaTrainer:
-        kernel = CpuKernel(threads)
-        watch = [CpuFixedView(kernel, view.pinhole) for view in self.ingest.views]
-        for view in watch:
-            view.set_scene(self.scene)
-            view.redraw()
-        return delta_trainer(kernel, self.ingest.views, watch, settings, box=BOX, seed=seed, threads=threads)
-
-    def train(
-        self, settings: FrameSettings, *, everywhere: bool = True, threads: int = 2, **other: Any
-    ) -> TrainedFrame:
-        trainer = self.trainer(settings, threads=threads, seed=other.pop("seed", 0))
-        given: dict[str, Any] = {
-            "scene": self.scene,
-            "selected": self.selected,
-            "pictures": self.pictures,
-            "masks": self.masks(everywhere=everywhere),
-            "motion": np.zeros_like(self.scene.means),
-            "frame": 1,
-        }
-        return train(trainer, **(given | other))
+"""A cache that learns nothing and stays the identity: what densification alone does."""
 
 
 @pytest.fixture(scope="module")
 def case(moving_rig: Path, tiny_rig: Any) -> Case:
-    scene = tiny_rig.scene_at(0)
-    ingest = Ingest(open_rig(moving_rig))
-    return Case(ingest, scene, np.arange(len(scene)) >= len(scene) - 25, next(ingest.frames(1, 2)).training)
-
-
-def bits(splats: Splats) -> bytes:
-    return b"".join(array.tobytes() for array in vars(splats).values())
+    return moved_square(moving_rig, tiny_rig)
 
 
 def applied(scene: Splats, frame: TrainedFrame) -> Splats:
@@ -135,7 +89,7 @@ def test_results_depend_on_the_seed_and_not_on_threads(case: Case) -> None:
 
 def test_the_warm_start_carries_the_last_displacement_on(case: Case) -> None:
     motion = np.random.default_rng(0).normal(0, 0.1, case.scene.means.shape).astype(np.float32)
-    frame = case.train(replace(NOTHING, warm_start=0.75, warm_neighbours=1), motion=motion)
+    frame = case.train(replace(DIRECT, joint_iterations=0, warm_start=0.75, warm_neighbours=1), motion=motion)
     expected = case.scene.means[case.selected] + np.float32(0.75) * motion[case.selected]
     np.testing.assert_allclose(frame.values.means, expected, atol=1e-6)
 
@@ -238,34 +192,7 @@ def test_what_is_trained_is_what_a_whole_rendering_trains(case: Case) -> None:
         np.testing.assert_array_equal(watching.rgb, kernel.forward(now, view.pinhole).rgb)
 
 
-def test_without_the_gate_everything_moves_and_momentum_lasts(case: Case) -> None:
-    settings = replace(DIRECT, ablated=("gate",))
-    given = (case.selected, case.pictures, case.masks(everywhere=True), np.zeros_like(case.scene.means))
-    results = []
-    for forget in (False, True):
-        trainer = case.trainer(settings)
-        frame = train(trainer, case.scene, *given, frame=1)
-        np.testing.assert_array_equal(frame.kept, np.arange(len(case.scene)))
-        moved = (frame.values.means != case.scene.means).any(axis=1)
-        assert moved[~case.selected].mean() > 0.8  # the wall reaches a little beyond what the cameras see
-        for view in trainer.context.static_views:
-            view.set_scene(case.scene)
-        if forget:
-            trainer.ungated = None
-        results.append(bits(train(trainer, case.scene, *given, frame=2).values))
-    assert results[0] != results[1]
-
-
-def test_without_the_focus_the_masks_are_not_in_the_loss(case: Case) -> None:
-    def with_masks(settings: FrameSettings, everywhere: bool) -> bytes:
-        return bits(case.train(replace(settings, grow_fraction=0.0), everywhere=everywhere).values)
-
-    plain = replace(DIRECT, ablated=("focus",))
-    assert with_masks(plain, True) == with_masks(plain, False)
-    assert with_masks(DIRECT, True) != with_masks(DIRECT, False)
-
-
-def steps_of(case: Case, trainer: DeltaTrainer, pictures: list[np.ndarray]) -> int:
+def steps_of(case: Case, trainer: DecogsTrainer | PaperTrainer, pictures: list[np.ndarray]) -> int:
     """The steps of stage 2."""
     steps: list[int] = []
     stopping = StoppingRule(on_loss=lambda stage, step, loss: steps.append(step))

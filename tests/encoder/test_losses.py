@@ -63,7 +63,14 @@ def check(loss: PhotometricLoss, expected: torch.Tensor, image: torch.Tensor) ->
 
 
 @pytest.mark.parametrize("valid", [None, VALID])
-@pytest.mark.parametrize("weights", [FocusWeights(), FocusWeights(dissimilarity=0.3, whole=0.6, focus=0.5)])
+@pytest.mark.parametrize(
+    "weights",
+    [
+        FocusWeights(),
+        FocusWeights(dissimilarity=0.3, whole=0.6, focus=0.5),
+        FocusWeights(dissimilarity=0.3, over="picture"),
+    ],
+)
 def test_focus_loss_is_the_formula_of_the_method(valid: np.ndarray | None, weights: FocusWeights) -> None:
     image = torch.tensor(IMAGE, dtype=torch.float64, requires_grad=True)
     target = torch.tensor(TARGET, dtype=torch.float64)
@@ -71,9 +78,10 @@ def test_focus_loss_is_the_formula_of_the_method(valid: np.ndarray | None, weigh
     focus = torch.tensor(MASK).double() * counted
     difference = (image - target).abs()
     lam = weights.dissimilarity
+    share = focus.sum() / counted.sum() if weights.over == "picture" else 1
     expected = (1 - lam) * (
-        weights.whole * mean_over(difference, counted) + weights.focus * mean_over(difference, focus)
-    ) + lam * mean_over(1 - ssim_map(focus * image, focus * target), focus)
+        weights.whole * mean_over(difference, counted) + share * weights.focus * mean_over(difference, focus)
+    ) + share * lam * mean_over(1 - ssim_map(focus * image, focus * target), focus)
     check(focus_loss(TARGET, MASK, valid, weights), expected, image)
 
 
@@ -117,7 +125,8 @@ def test_a_pixel_in_focus_outweighs_one_outside() -> None:
     np.testing.assert_allclose(inside, 0.2 / IMAGE.size + 0.8 / (3 * MASK.sum()), rtol=1e-5)
 
 
-def test_emphasis_is_the_weight_of_a_pixel_in_focus_over_that_in_the_mean_of_the_picture() -> None:
-    loss = focus_loss(TARGET, MASK, None, FocusWeights(dissimilarity=0.0, whole=0.2, focus=0.8))
+@pytest.mark.parametrize("over", ["region", "picture"])
+def test_emphasis_is_the_weight_of_a_pixel_in_focus_over_that_in_the_mean_of_the_picture(over: str) -> None:
+    loss = focus_loss(TARGET, MASK, None, FocusWeights(dissimilarity=0.0, whole=0.2, focus=0.8, over=over))
     _, gradient = evaluated(loss)
     np.testing.assert_allclose(np.abs(gradient[:, MASK]) * IMAGE.size, loss.emphasis, rtol=1e-5)

@@ -12,20 +12,19 @@ from typing import Any
 
 import pytest
 
-import decogs.encoder.parts.encoding as parts
-import decogs.encoder.stream.run as stream
+import decogs.encoder.stream.encoder as stream_encoder
 from decogs.encoder import EncodeSettings
-from decogs.encoder import encode as encode_rig
 from decogs.encoder.input.ingest import Ingest
 from decogs.encoder.memory_limit import encode_memory, memory_within
 from decogs.formats.errors import UsageError
 from decogs.formats.rigs import open_rig
+from encode_rig import encode_rig
 
 PROGRAM = """
 import json, re, sys
 from pathlib import Path
-from decogs.encoder.encoding import encode
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
+from decogs.encoder import EncodeJob, encode
 
 def peak():
     return int(re.search("VmHWM: *\t* *([0-9]+) kB", Path("/proc/self/status").read_text())[1]) << 10
@@ -35,7 +34,7 @@ rig, output, log, options = sys.argv[1:]
 options = json.loads(options)
 options["frames"] = slice(*options["frames"])
 before = peak()
-encode(rig, output, log=log, **options)
+encode(EncodeJob(rig, output, log=log, **options))
 print(peak() - before)
 """
 
@@ -110,8 +109,8 @@ def test_where_memory_is_tight_nothing_is_read_ahead_and_the_stream_is_the_same(
     with pytest.raises(UsageError, match=r"`max_memory`: 5 cameras of up to 64x48 and 1200 Gaussians may need \d+M, m"):
         memory_within(ingest, tiny_settings, tight.size - 1, **given)
 
-    used, ahead = [], stream.ahead
-    monkeypatch.setattr(stream, "ahead", lambda frames: used.append(1) or ahead(frames))
+    used, ahead = [], stream_encoder.ahead
+    monkeypatch.setattr(stream_encoder, "ahead", lambda frames: used.append(1) or ahead(frames))
     for name, limit, expected in (("ample", ample.size, 1), ("tight", tight.size, 0)):
         used.clear()
         encode_rig(moving_rig, tmp_path / name, tiny_settings, threads=2, max_memory=limit)
@@ -124,8 +123,8 @@ def test_a_part_keeps_to_the_limit_as_well(
 ) -> None:
     closed = replace(tiny_settings, segment=2, closed=True)
     ample = memory_within(Ingest(open_rig(moving_rig)), closed, None, gaussians=0, frames=4, threads=2)
-    used, ahead = [], parts.ahead
-    monkeypatch.setattr(parts, "ahead", lambda frames: used.append(1) or ahead(frames))
+    used, ahead = [], stream_encoder.ahead
+    monkeypatch.setattr(stream_encoder, "ahead", lambda frames: used.append(1) or ahead(frames))
     for name, limit, expected in (("ample", ample.size, 1), ("tight", ample.size - 1, 0)):
         used.clear()
         given = {"only": slice(0, 2), "segment": 2, "closed": True, "threads": 2}

@@ -1,4 +1,4 @@
-"""Methods and ablations as settings, and what leaving out the selection does to an encode."""
+"""Methods, selection rules and ablations as settings."""
 
 from __future__ import annotations
 
@@ -9,25 +9,27 @@ from typing import Any
 
 import pytest
 
+from decogs.codec.digest import digest
 from decogs.decoder.stream import open_stream
 from decogs.encoder import PRESETS, EncodeSettings
 from decogs.encoder.change.selection import SELECTION_RULES
-from decogs.encoder.switches import ABLATIONS, with_method, with_selection, without
-from decogs.encoder.training.methods import FRAME_METHODS
+from decogs.encoder.methods import FRAME_METHODS
+from decogs.encoder.settings.cache import CacheSettings
+from decogs.encoder.switches import ABLATIONS, Switches, with_method, with_selection, with_switches, without
 from decogs.formats.errors import UsageError
 
 
 def test_the_names_users_know() -> None:
-    assert FRAME_METHODS.names() == ("decogs", "3dgstream")
+    assert FRAME_METHODS.names()[:3] == ("decogs", "paper", "3dgstream")
     assert ABLATIONS == ("select", "focus", "gate")
-    assert SELECTION_RULES.names() == ("paper", "weight")
+    assert SELECTION_RULES.names()[:2] == ("paper", "weight")
 
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_a_switch_changes_its_own_setting_only(name: str) -> None:
     settings = PRESETS[name]
     assert with_method(settings, "3dgstream") == replace(settings, method="3dgstream")
-    assert with_method(with_method(settings, "3dgstream"), "decogs") == settings
+    assert with_method(with_method(settings, "3dgstream"), settings.method) == settings
     for rule in SELECTION_RULES.names():
         selection = replace(settings.frame.selection, rule=rule)
         assert with_selection(settings, rule) == replace(settings, frame=replace(settings.frame, selection=selection))
@@ -37,7 +39,7 @@ def test_a_switch_changes_its_own_setting_only(name: str) -> None:
 
 def test_ablations_add_up_whatever_their_order() -> None:
     everything = without(EncodeSettings(), ABLATIONS)
-    assert everything.frame.ablated == ABLATIONS
+    assert (everything.frame.ablated, everything.frame.selection.rule) == (("focus", "gate"), "all")
     assert without(without(EncodeSettings(), ["gate", "select"]), ["focus", "gate"]) == everything
 
 
@@ -49,15 +51,18 @@ DENSE = EncodeSettings(method="3dgstream")
     [
         (lambda: with_method(EncodeSettings(), "4dgs"), "`method` 4dgs: there is no such method; choose from decogs, "),
         (
-            lambda: with_selection(EncodeSettings(), "all"),
-            "`selection` all: there is no such selection rule; choose from paper, ",
+            lambda: with_selection(EncodeSettings(), "most"),
+            "`selection` most: there is no such selection rule; choose from paper, ",
         ),
         (lambda: without(EncodeSettings(), ["gate", "loss"]), "`ablate` loss: there is no such part; choose from sele"),
         (lambda: without(DENSE, ["focus"]), "`ablate` focus: `method` 3dgstream has no such part; drop one of the two"),
-        (lambda: with_method(without(EncodeSettings(), ["focus"]), "3dgstream"), "`method` 3dgstream: it has no focus"),
+        (
+            lambda: with_method(without(EncodeSettings(), ["focus"]), "3dgstream"),
+            "`ablate` focus: `method` 3dgstream",
+        ),
         (lambda: with_selection(DENSE, "paper"), "`selection` paper: `method` 3dgstream trains every Gaussian; drop"),
         (
-            lambda: with_selection(without(EncodeSettings(), ["select"]), "paper"),
+            lambda: with_switches(EncodeSettings(), Switches(ablate=["select"], selection="paper")),
             "`selection` paper: `ablate` select takes every Gaussian; drop one of the two",
         ),
     ],
@@ -67,14 +72,17 @@ def test_what_does_not_exist_or_has_no_meaning_is_refused(change: Callable[[], o
         change()
 
 
-def test_without_the_selection_all_are_trained_where_pictures_changed(
+def test_the_papers_method_encodes_from_any_preset(
     encode: Any, moving: Any, moving_rig: Path, tiny_settings: Any
 ) -> None:
-    encoded = encode(moving_rig, settings=without(tiny_settings, ["select"]), keyframe=moving.path)
-    assert [frame.selected for frame in encoded.report.frames] == [1, 1, 0, 1]
-    assert [frame.kind for frame in encoded.report.frames] == ["key", "delta", "skip", "delta"]
-    assert encoded.selected == {}, "no rule is asked"
-    with open_stream(encoded.path) as ablated, open_stream(moving.path) as whole:
-        counts = [next(stream.frames(1, 2)).changes.touched for stream in (ablated, whole)]
-    # Almost all move: only a change of less than half a lattice step is none.
-    assert counts[0] > 0.9 * len(encoded.states[0]) > 2 * counts[1]
+    cache = CacheSettings(levels=4, features=2, table_log2=8, base_resolution=4, hidden_width=16)
+    frame = replace(tiny_settings.frame, cache=cache, cache_iterations=10)
+    encoded = encode(
+        moving_rig, settings=with_method(replace(tiny_settings, frame=frame), "paper"), keyframe=moving.path
+    )
+    with open_stream(encoded.path) as stream:
+        assert stream.header.settings["method"] == "paper"
+    before, after = (encoded.report.frames[index].training_psnr for index in (0, 1))
+    assert [each.kind for each in encoded.report.frames] == ["key", "delta", "skip", "delta"]
+    assert after > before - 1, "what moved is followed"
+    assert digest(encoded.states[1]) != digest(moving.states[1]), "by other steps than the default's"

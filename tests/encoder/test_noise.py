@@ -12,11 +12,12 @@ import pytest
 
 from canary.figures import keyframe_of
 from canary.rigs import HELD_OUT, write_rig
-from decogs.encoder import EffectChoice, encode
+from decogs.encoder import EffectChoice
 from decogs.encoder.analysis.sensor_noise import SensorNoise
 from decogs.encoder.change.noise import frame_noise, picture_noise
 from decogs.encoder.settings.frame import MaskSettings
 from decogs.encoder.settings.presets import preset
+from encode_rig import encode_rig as encode
 from mask_steps import MaskSteps
 
 RNG = np.random.default_rng(5)

@@ -18,12 +18,12 @@ import pytest
 
 import decogs.encoder.output.stream_output as stream_output
 from decogs.codec.header import StreamHeader
-from decogs.encoder import encode as encode_rig
 from decogs.encoder.analysis.commands import analyze_main
 from decogs.encoder.training.keyframe import train_keyframe
 from decogs.formats.container import StreamWriter
 from decogs.formats.errors import RigError, UsageError
 from decogs.formats.outputs import GrowingFile
+from encode_rig import encode_rig
 from packets import iterate_packets
 
 

@@ -15,7 +15,6 @@ import pytest
 from decogs.encoder import PRESETS, EncodeSettings
 from decogs.encoder.settings.cache import CacheSettings
 from decogs.encoder.settings.presets import LADDER, preset
-from decogs.encoder.training.methods import FRAME_METHODS
 from decogs.formats.errors import UsageError
 
 
@@ -43,7 +42,7 @@ def test_settings_are_plain_json_that_says_everything(name: str) -> None:
 
 
 def test_settings_tell_of_the_method_in_use_and_not_of_the_other() -> None:
-    ours, dense = (EncodeSettings(method=method).as_document() for method in FRAME_METHODS.names())
+    ours, dense = (EncodeSettings(method=method).as_document() for method in ("decogs", "3dgstream"))
     assert (ours["method"], dense["method"]) == ("decogs", "3dgstream")
     assert set(ours) - set(dense) == {"frame"}
     assert set(dense) - set(ours) == {"baseline"}
@@ -97,15 +96,16 @@ def test_paper_holds_the_papers_numbers() -> None:
     assert (paper.selection.rule, paper.selection.min_views) == ("paper", 2)
     assert (paper.cache_iterations, paper.joint_iterations) == (150, 100)
     assert (paper.grow_gradient, paper.focus.dissimilarity) == (1e-4, 0.2)
-    assert paper.warm_start == 0
     cache = paper.cache
     assert cache is not None
     assert (cache.levels, cache.features, cache.table, cache.base_resolution) == (16, 4, 1 << 15, 16)
     assert (cache.level_scale, cache.hidden_layers, cache.hidden_width, cache.learning_rate) == (2.0, 2, 64, 2e-3)
+    assert cache == CacheSettings()
 
 
-def test_the_papers_preset_has_nothing_beyond_the_paper() -> None:
+def test_paper_is_the_papers_method_with_the_texts_reading_of_its_loss() -> None:
+    """docs/METHOD.md lists what differs from the text all the same."""
     frame = PRESETS["paper"].frame
-    assert (frame.emergence.max_seeds, frame.warm_start, frame.selection.rule) == (0, 0.0, "paper")
-    assert (frame.cache_iterations, frame.joint_iterations, frame.masks.threshold) == (150, 100, 25.0)
-    assert frame.cache == CacheSettings()
+    assert (PRESETS["paper"].method, frame.focus.over) == ("paper", "picture")
+    assert {PRESETS[name].method for name in LADDER} == {"decogs"}
+    assert (frame.emergence.max_seeds, frame.warm_start, frame.masks.since_trained) == (0, 0.0, False)

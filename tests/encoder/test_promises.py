@@ -22,10 +22,10 @@ from decogs.encoder.frame.commit import commit
 from decogs.encoder.frame.events import Event, Kind
 from decogs.encoder.frame.memory import Memory
 from decogs.encoder.frame.plan import FramePlan, Selection
+from decogs.encoder.methods.decogs import DecogsTrainer
 from decogs.encoder.settings.frame import EmergenceSettings, SignificanceSettings
 from decogs.encoder.settings.presets import preset
 from decogs.encoder.stopwatch import Stopwatch
-from decogs.encoder.training.delta import DeltaTrainer
 from decogs.encoder.training.method import FrameInput, TrainedFrame
 from decogs.encoder.training.seeding import _confirmed, _Found
 from decogs.encoder.training.warm_start import Motion
@@ -165,9 +165,9 @@ def test_a_frame_that_was_given_up_is_tried_again_also_after_a_resume(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Frame 2 shows what frame 1 did: had frame 1 counted as trained, the miss would be there for good."""
-    train = DeltaTrainer.train
+    train = DecogsTrainer.train
 
-    def runs_away(self: DeltaTrainer, frame: FrameInput) -> TrainedFrame:
+    def runs_away(self: DecogsTrainer, frame: FrameInput) -> TrainedFrame:
         trained, scene, selected = train(self, frame), frame.scene, frame.selected
         if frame.index > 1:
             return trained
@@ -175,7 +175,7 @@ def test_a_frame_that_was_given_up_is_tried_again_also_after_a_resume(
         values = type(scene)(*(getattr(scene, name)[rows] for name in vars(scene)))
         return TrainedFrame(rows, values, np.zeros(0, np.int64), empty_splats(scene.sh_degree), rejected=True)
 
-    monkeypatch.setattr(DeltaTrainer, "train", runs_away)
+    monkeypatch.setattr(DecogsTrainer, "train", runs_away)
     masks = replace(tiny_settings.frame.masks, since_trained=True)
     given = {"settings": replace(tiny_settings, frame=replace(tiny_settings.frame, masks=masks))}
     given["keyframe"] = moving.path

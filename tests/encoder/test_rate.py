@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 from decogs.encoder import PRESETS, EncodeSettings, Targets
-from decogs.encoder import encode as encode_rig
 from decogs.encoder.coding.rate_control import (
     TOLERANCE,
     RateControl,
@@ -28,6 +27,7 @@ from decogs.encoder.settings.frame import SignificanceSettings
 from decogs.encoder.switches import with_method
 from decogs.formats.container import PacketKind
 from decogs.formats.errors import UsageError
+from encode_rig import encode_rig
 from packets import iterate_packets
 
 BUDGET = 10_000

@@ -24,10 +24,10 @@ import pytest
 from decogs.codec.corrections import Correction
 from decogs.codec.header import StreamHeader
 from decogs.encoder import Switches, Targets
-from decogs.encoder import encode as encode_rig
-from decogs.encoder.training.delta import DeltaTrainer
+from decogs.encoder.methods.decogs import DecogsTrainer
 from decogs.formats.container import FRAME_KINDS, StreamWriter
 from decogs.formats.errors import DecogsError, UsageError
+from encode_rig import encode_rig
 from packets import iterate_packets
 
 
@@ -69,7 +69,7 @@ def test_the_bytes_are_those_of_an_uninterrupted_encode(
 def test_frames_that_are_there_are_not_trained_again(
     encode: Any, moving: Any, moving_rig: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(DeltaTrainer, "train", never)
+    monkeypatch.setattr(DecogsTrainer, "train", never)
     output = part(tmp_path, moving.data[: ends(moving.path)[4]])
     assert encode(moving_rig, output=output, resume=True, on_keyframe_step=never).data == moving.data
 

@@ -14,15 +14,16 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 import pytest
 
 import decogs.encoder.settings as settings_package
-from decogs.encoder import PRESETS, CorrectionSettings, EncodeSettings, Switches, Targets, encode
+from decogs.encoder import PRESETS, CorrectionSettings, EncodeSettings, Switches, Targets
 from decogs.encoder.settings.checked import Checked, OneOf, Within
 from decogs.encoder.settings.effects import EFFECT_NAMES
-from decogs.encoder.settings.frame import ABLATIONS, FrameSettings, IterationSettings
+from decogs.encoder.settings.frame import FrameSettings, IterationSettings
 from decogs.encoder.settings.keyframe import KeyframeSettings
 from decogs.encoder.settings.optimiser import LearningRates
 from decogs.encoder.settings.reading import read_settings
 from decogs.encoder.switches import check_together
 from decogs.formats.errors import UsageError
+from encode_rig import encode_rig as encode
 
 
 def classes() -> list[type]:
@@ -71,7 +72,7 @@ def wrong_values(kind: type, name: str) -> Iterator[object]:
     if plain is str:
         yield ""
     if get_origin(plain) is tuple:
-        yield from ("cam01", ["cam01"], (1,), ("",), (EFFECT_NAMES[0],) * 2, (ABLATIONS[0],) * 2)
+        yield from ("cam01", ["cam01"], (1,), ("",), (EFFECT_NAMES[0],) * 2, ("focus",) * 2)
     if get_origin(plain) is Mapping:
         yield from ({"cam01": math.nan}, {"cam01": 1e3}, {1: 0.1}, {"": 0.1}, {"cam01": None}, ("cam01",))
 
@@ -138,7 +139,7 @@ def test_settings_are_read_back_from_a_header_and_checked_there(name: str) -> No
         (lambda: KeyframeSettings(grow_from=0.7), "`grow_from` 0.7: it is after `grow_to` 0.6"),
         (
             lambda: FrameSettings(ablated=("focsu",)),
-            r"`ablated` \('focsu',\): give a tuple of names from select, focus",
+            r"`ablated` \('focsu',\): give a tuple of names from focus, gate",
         ),
         (lambda: EncodeSettings(effects=("motoin",)), r"`effects` \('motoin',\): give a tuple of names from motion, "),
     ],
@@ -154,7 +155,7 @@ STANDARD, DENSE = PRESETS["standard"], EncodeSettings(method="3dgstream")
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        (replace(STANDARD, method="4dgs"), "`method` 4dgs: there is no such method; choose from decogs, 3dgstream"),
+        (replace(STANDARD, method="4dgs"), "`method` 4dgs: there is no such method; choose from decogs, paper,"),
         (
             replace(STANDARD, frame=replace(STANDARD.frame, selection=replace(STANDARD.frame.selection, rule="x"))),
             "`rule` x: there is no such selection rule; choose from paper, weight",

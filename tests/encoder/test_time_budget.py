@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-import decogs.encoder.training.delta as frame_training
+import decogs.encoder.methods.decogs as frame_training
+import decogs.encoder.training.schedule as schedule
 from decogs.codec.digest import digest
 from decogs.decoder.stream import open_stream
 from decogs.encoder import PRESETS, EncodeSettings, Switches, Targets
-from decogs.encoder import encode as encode_rig
 from decogs.encoder.backends.cpu.fixed_view import CpuFixedView
 from decogs.encoder.coding.scene import Scene
 from decogs.encoder.coding.time_control import (
@@ -28,13 +28,14 @@ from decogs.encoder.coding.time_control import (
     with_time_budget,
 )
 from decogs.encoder.commands import encode_main
+from decogs.encoder.methods.decogs import DecogsTrainer
 from decogs.encoder.option_texts import seconds_per_frame
 from decogs.encoder.settings.frame import SignificanceSettings
 from decogs.encoder.settings.optimiser import LearningRates
 from decogs.encoder.switches import with_method
-from decogs.encoder.training.delta import DeltaTrainer
 from decogs.encoder.training.schedule import MIN_STEPS
 from decogs.formats.errors import UsageError
+from encode_rig import encode_rig
 from packets import iterate_packets
 
 BUDGET = 1.0
@@ -263,7 +264,7 @@ def test_what_moves_is_begun_as_far_on_as_frames_have_passed(
     """Frames 1, 3 and 4 are trained and 2 is held: what moved on the way to 3 took two frames, on the way to 4 one."""
     begun: list[Any] = []
     reached: list[Any] = []
-    train, displacements = DeltaTrainer.train, Scene.displacements
+    train, displacements = DecogsTrainer.train, Scene.displacements
 
     def noted(trainer: Any, frame: Any) -> Any:
         begun.append(frame.motion)
@@ -275,7 +276,7 @@ def test_what_moves_is_begun_as_far_on_as_frames_have_passed(
 
     held = iter([False, True, False, False])
     monkeypatch.setattr(TimeControl, "holds", lambda *_: next(held))
-    monkeypatch.setattr(DeltaTrainer, "train", noted)
+    monkeypatch.setattr(DecogsTrainer, "train", noted)
     monkeypatch.setattr(Scene, "displacements", measured)
     rig = tiny_rig.write(tmp_path / "rig", frames=[0, 1, 3, 0, 1])
     given = {"holdout": [tiny_rig.held_out], "keyframe": moving.path, "settings": patient}
@@ -313,7 +314,7 @@ def test_few_steps_still_get_as_far_as_things_move(
     factors.clear()
     encode_rig(restless_rig, tmp_path / "x.dgs", **given, targets=Targets(time_budget=0.22))
     # 12 to 20 steps instead of 60: strides of 3 to 5.
-    assert 1.5 < max(factors) <= frame_training._MAX_HASTE
+    assert 1.5 < max(factors) <= schedule._MAX_HASTE
 
 
 def test_time_enough_gives_the_states_of_no_budget(
@@ -422,7 +423,7 @@ def test_anytime_tells_every_step_and_changes_no_byte(
     records = [json.loads(line) for line in path.read_text().splitlines()]
     assert all(record.keys() == {"frame", "stage", "iteration", "seconds", "loss"} for record in records)
     keyframe, frame = tiny_settings.keyframe, tiny_settings.frame
-    later = {"cache": frame.cache_iterations, "joint": frame.joint_iterations}
+    later = {"joint": frame.joint_iterations}
     expected = {0: {"keyframe": keyframe.iterations, "settle": keyframe.settle_iterations}, 1: later, 3: later}
     for index, stages in expected.items():
         own = [record for record in records if record["frame"] == index]

@@ -10,8 +10,8 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
+from decogs.encoder.methods.transformation_cache import CacheWeights, TransformationCache
 from decogs.encoder.settings.cache import CacheSettings
-from decogs.encoder.transformation_cache import CacheWeights, TransformationCache
 from decogs.formats.errors import TrainingError, UsageError
 from decogs.formats.kernels import INSTRUCTION_SETS
 from instruction_sets import printed_on
@@ -318,7 +318,7 @@ def test_any_number_of_threads_gives_the_same_bits() -> None:
 CHILD = """
 import hashlib, sys
 import numpy as np
-from decogs.encoder.transformation_cache import CacheSettings, TransformationCache
+from decogs.encoder.methods.transformation_cache import CacheSettings, TransformationCache
 
 rng = np.random.default_rng(0)
 found = hashlib.sha256()

@@ -25,10 +25,11 @@ from decogs.codec.state import ARRAYS, Attributes
 from decogs.codec.syntax import write_delta, write_key, write_skip
 from decogs.decoder.frame import DecodedFrame
 from decogs.decoder.stream import Stream, open_stream
-from decogs.encoder import PRESETS, encode
+from decogs.encoder import PRESETS
 from decogs.formats.cameras import Camera
 from decogs.formats.container import FRAME_KINDS, PacketKind, StreamWriter
 from decogs.formats.errors import StreamError
+from encode_rig import encode_rig as encode
 from node_player import missing_for_player, run_player_tests
 from packets import iterate_packets
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -14,15 +12,7 @@ import numpy as np
 import pytest
 
 from decogs.encoder import PRESETS, EncodeSettings
-
-_FOUND = importlib.util.spec_from_file_location(
-    "encoder_conftest", Path(__file__).parents[1] / "encoder" / "conftest.py"
-)
-assert _FOUND is not None
-assert _FOUND.loader is not None
-_tiny = importlib.util.module_from_spec(_FOUND)
-sys.modules["encoder_conftest"] = _tiny
-_FOUND.loader.exec_module(_tiny)
+from encoder_fixtures import encoder_conftest as _tiny
 
 tiny_rig, encode = _tiny.tiny_rig, _tiny.encode
 

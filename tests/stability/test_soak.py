@@ -19,8 +19,10 @@ from decogs.codec.state import ARRAYS, State
 from decogs.decoder.picture_output import to_8bit
 from decogs.decoder.rasterise import render
 from decogs.decoder.stream import open_stream
+from decogs.encoder.frame.context import Context
 from decogs.encoder.input.ingest import Ingest
 from decogs.encoder.settings.encode import EncodeSettings
+from decogs.encoder.stream.options import RunOptions
 from decogs.encoder.stream.run import encode_stream
 from decogs.encoder.training.method import MAX_GROWTH
 from decogs.formats.cameras import scale_camera
@@ -99,7 +101,8 @@ def long_encode(long_rig: Path, settings: Any, tmp_path_factory: pytest.TempPath
         patched.setattr(scene, "reconstruct", observed_reconstruct)
         patched.setattr(plan, "select", observed_select)
         ingest = Ingest(open_rig(long_rig), holdout=["cam02"])
-        encode_stream(ingest, path, range(FRAMES), quick(settings), seed=0, threads=1, on_frame=observed_frame)
+        context = Context.of(ingest, quick(settings), seed=0, threads=1)
+        encode_stream(context, path, range(FRAMES), RunOptions(on_frame=observed_frame))
     return path, seen
 
 
@@ -178,15 +181,8 @@ def test_a_thousand_frames_lose_no_quality(
     for seed in (1, 2):
         reports: list[Any] = []
         ingest = Ingest(open_rig(long_rig), holdout=["cam02"])
-        encode_stream(
-            ingest,
-            tmp_path / "again.dgs",
-            range(FRAMES),
-            quick(settings),
-            seed=seed,
-            threads=1,
-            on_frame=reports.append,
-        )
+        context = Context.of(ingest, quick(settings), seed=seed, threads=1)
+        encode_stream(context, tmp_path / "again.dgs", range(FRAMES), RunOptions(on_frame=reports.append))
         trained.append(fall([report.training_psnr for report in reports]))
         left_out.append(fall([report.held_out_psnr for report in reports]))
         (tmp_path / "again.dgs").unlink()

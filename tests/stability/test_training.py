@@ -22,9 +22,9 @@ from decogs.codec.digest import digest
 from decogs.decoder.stream import open_stream
 from decogs.decoder.views import render_view
 from decogs.encoder import PRESETS
-from decogs.encoder import encode as encode_rig
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.commands import encode_main
+from decogs.encoder.frame.context import Context
 from decogs.encoder.input.dropouts import BLACK, BLANK, FROZEN, blankness
 from decogs.encoder.input.ingest import Ingest
 from decogs.encoder.psnr import psnr_of
@@ -34,6 +34,7 @@ from decogs.formats.errors import DecogsError, RigError, TrainingError
 from decogs.formats.rigs import open_rig
 from decogs.formats.rigs.rig import Points
 from decogs.formats.splats import SH_C0
+from encode_rig import encode_rig
 
 TRAINING = ("cam00", "cam01", "cam03", "cam04")
 ARRAYS = ("means", "log_scales", "quaternions", "opacity_logits", "sh")
@@ -108,7 +109,7 @@ def test_nothing_selected(moving: Any, encode: Any, settings: Any) -> None:
 
 
 def test_everything_selected(moving: Any, encode: Any, settings: Any) -> None:
-    everything = replace(settings, frame=replace(settings.frame, ablated=("select",)))
+    everything = replace(settings, frame=replace(settings.frame, selection=SelectionSettings(rule="all")))
     encoded = encode(moving[0], settings=everything, keyframe=moving[1].path)
     check_stream(encoded)
     assert encoded.report.frames[1].selected == 1.0
@@ -362,7 +363,7 @@ def test_one_training_view_with_known_points(moving: Any, tiny_rig: Any, setting
     colours = np.clip(255 * (0.5 + SH_C0 * truth.sh[:, 0]), 0, 255).astype(np.uint8)
     rig = replace(open_rig(moving[0]), points=Points(truth.means, colours))
     ingest, path = Ingest(rig, holdout=[name for name in tiny_rig.names if name != "cam00"]), tmp_path / "x.dgs"
-    report = encode_stream(ingest, path, range(4), settings, seed=0, threads=1)
+    report = encode_stream(Context.of(ingest, settings, seed=0, threads=1), path, range(4))
     with open_stream(path) as stream:
         frames = list(stream.frames())
     assert all(np.isfinite(getattr(frame.splats, name)).all() for frame in frames for name in ARRAYS)
@@ -370,12 +371,10 @@ def test_one_training_view_with_known_points(moving: Any, tiny_rig: Any, setting
     assert report.frames[3].training_psnr > report.frames[0].training_psnr - 2
 
 
-@pytest.mark.parametrize("ablated", [(), ("select",)])
-def test_pruning_everything_in_a_later_frame_is_taken_back(
-    moving: Any, encode: Any, settings: Any, ablated: tuple[str, ...]
-) -> None:
+@pytest.mark.parametrize("rule", ["weight", "all"])
+def test_pruning_everything_in_a_later_frame_is_taken_back(moving: Any, encode: Any, settings: Any, rule: str) -> None:
     """All that is selected, or the whole scene, counts as transparent: the frame is given up, the scene stays."""
-    frame = replace(settings.frame, ablated=ablated, prune_opacity=1.0)
+    frame = replace(settings.frame, selection=SelectionSettings(rule=rule), prune_opacity=1.0)
     encoded = encode(moving[0], settings=replace(settings, frame=frame), keyframe=moving[1].path)
     check_stream(encoded)
     assert encoded.report.frames[1].rejected

@@ -13,10 +13,12 @@ from decogs.decoder.stream import open_stream
 from decogs.encoder import PRESETS
 from decogs.encoder.analysis import Decision, EffectChoice, effect_choice, with_effects
 from decogs.encoder.change.masks import MaskMemory
+from decogs.encoder.methods import decogs, paper
+from decogs.encoder.methods.decogs import DecogsTrainer
 from decogs.encoder.settings.effects import CAMERA_EFFECTS, EFFECT_NAMES, FRAME_EFFECTS
 from decogs.encoder.settings.encode import EncodeSettings
-from decogs.encoder.training import delta as frame_training
-from decogs.encoder.training.delta import DeltaTrainer
+from decogs.encoder.settings.frame import EmergenceSettings
+from decogs.encoder.training import emergence, selective_densification
 from decogs.formats.container import PacketKind
 from decogs.formats.errors import UsageError
 
@@ -144,7 +146,7 @@ def test_none_trains_and_compares_nothing(
         raise AssertionError("built without being called for")
 
     monkeypatch.setattr(MaskMemory, "pixel_changes", never)
-    monkeypatch.setattr(DeltaTrainer, "train", never)
+    monkeypatch.setattr(DecogsTrainer, "train", never)
     encoded = encode(moving_rig, settings=built("none", settings=tiny_settings))
     assert {frame.kind for frame in encoded.report.frames[1:]} == {"skip"}
     with open_stream(encoded.path) as stream:
@@ -161,13 +163,14 @@ def test_a_change_of_light_builds_no_cache_and_seeks_nothing_new(
         raise AssertionError("built without being called for")
 
     for place, name in (
-        (frame_training, "TransformationCache"),
-        (frame_training._DeltaTraining, "_grow"),
-        (frame_training, "seeds"),
-        (frame_training, "shared_displacements"),
+        (paper, "train_cache"),
+        (selective_densification, "_grow"),
+        (emergence, "seeds"),
+        (decogs, "shared_displacements"),
     ):
         monkeypatch.setattr(place, name, never)
-    settings = replace(tiny_settings, frame=replace(PRESETS["paper"].frame, masks=tiny_settings.frame.masks))
+    frame = replace(PRESETS["paper"].frame, masks=tiny_settings.frame.masks, warm_start=0.9)
+    settings = replace(tiny_settings, method="paper", frame=replace(frame, emergence=EmergenceSettings()))
     encoded = encode(moving_rig, settings=built("appearance_change", settings=settings))
     deltas = [frame for frame in encoded.report.frames if frame.kind == "delta"]
     assert deltas

@@ -12,9 +12,9 @@ import pytest
 import decogs.encoder.analysis.view_dependence as view_dependence
 from decogs.codec.state import Attributes
 from decogs.decoder import open_stream
-from decogs.encoder import encode
 from decogs.encoder.analysis import EffectChoice
 from decogs.encoder.analysis.view_dependence import MIN_SHOWN, as_far_as_shown
+from encode_rig import encode_rig as encode
 
 COUNT = 1000
 FEW, ENOUGH = round(MIN_SHOWN * COUNT) - 1, round(MIN_SHOWN * COUNT)

@@ -1,0 +1,169 @@
+"""The default method: the selected Gaussians follow the pictures, everything else stays.
+
+They start from the last displacement of their neighbourhood, and train for a number of steps that goes with what the
+frame misses. Its marks, in shares of the steps: emerging objects get Gaussians at a quarter, densification follows at
+half, and changes that hardly show are reverted at ``significance.decide_at``. Gradients and Adam's moments exist for
+the selected Gaussians only. Equations: docs/METHOD.md, "Focus-aware loss" to "Optimiser-state reset".
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..backends import Gradients
+from ..training.emergence import add_emerging_in_time
+from ..training.frame_training import FrameTraining, LossOfView, Step, frame_training
+from ..training.losses import focus_loss
+from ..training.method import FrameInput, TrainedFrame, TrainingContext
+from ..training.schedule import SearchTime, StepSchedule, iteration_factor, rates_at, seconds_at_least
+from ..training.selective_densification import densify
+from ..training.significance import revert_insignificant
+from ..training.warm_start import shared_displacements
+from ..training.working_set import WorkingSet
+
+_MAX_PROBES = 4
+"""Views whose error is measured when time is short: each is rendered twice, which takes as long as a step."""
+
+
+class DecogsTrainer:
+    """Trains the later frames of one stream. Between frames it keeps how long steps and searches take, nothing else."""
+
+    def __init__(self, context: TrainingContext, *, loss: LossOfView = focus_loss) -> None:
+        self.context, self._loss = context, loss
+        self.min_seconds = self._step_seconds = 0.0
+        self._search = SearchTime()
+
+    def train(self, frame: FrameInput, /) -> TrainedFrame:
+        """Trains the selected Gaussians; diverged training changes nothing. A deadline or a target ends it early."""
+        return self.train_set(frame, WorkingSet(frame, self.context.kernel))
+
+    def train_set(self, frame: FrameInput, work: WorkingSet) -> TrainedFrame:
+        """The same with a ``work`` that exists, whose optimiser may remember."""
+        began = time.perf_counter()
+        training = frame_training(self.context, frame, self._loss)
+        probes = self._probes(training)
+        before = training.squared_error(probes)
+        _start_warm(work, frame)
+        factor = _iteration_factor(training, work, probes)
+        schedule = StepSchedule(frame.settings.joint_iterations, frame.stopping.deadline, factor=factor)
+        growth = _Growth(training, work, self._search)
+        _train(training, work, schedule, growth)
+        trained = training.outcome(work, work.optimiser, before, probes)
+        if frame.stopping.deadline is not None:
+            self._step_seconds, _ = schedule.steps_seconds
+            self.min_seconds = seconds_at_least(time.perf_counter() - began - growth.searching, schedule)
+        return trained if trained.rejected else replace(trained, hurried=schedule.is_cut_short)
+
+    def _probes(self, training: FrameTraining) -> Sequence[int]:
+        """A sample of the used views for measuring errors: every third, fewer when time is short."""
+        deadline, every = training.frame.stopping.deadline, 3
+        if deadline is not None:
+            seconds = self._step_seconds * training.settings.joint_iterations
+            if seconds > deadline - time.perf_counter():
+                every = max(every, -(-len(training.used) // _MAX_PROBES))
+        return training.used[::every]
+
+
+def _start_warm(work: WorkingSet, frame: FrameInput) -> None:
+    """Moves the Gaussians on by a share of their neighbourhood's last displacement."""
+    share, motion = np.float32(frame.settings.warm_start), frame.motion[work.rows]
+    if share and motion.any():
+        means = work.values.means
+        moved = means + share * shared_displacements(means, motion, frame.settings.warm_neighbours)
+        work.optimiser.put(means=moved)
+
+
+def _iteration_factor(training: FrameTraining, work: WorkingSet, probes: Sequence[int]) -> float:
+    """Factor of this frame's iterations."""
+    if not training.settings.adaptive_iterations.usual_miss:
+        return 1.0
+    training.draw(probes, work, work.optimiser)
+    return iteration_factor(training.settings.adaptive_iterations, training.errors(probes))
+
+
+def _train(training: FrameTraining, work: WorkingSet, schedule: StepSchedule, growth: _Growth) -> None:
+    """Trains the Gaussians' values to the end of the schedule, or until they are judged and good enough."""
+    end = _End(training, work)
+    for step in training.steps("joint"):
+        if schedule.is_over:
+            break
+        growth.before(schedule)
+        gradients = training.gradients(step, work, work.optimiser)
+        growth.after(schedule, gradients, step.view)
+        if end.is_reached(schedule, step):
+            break
+        rates = rates_at(training.settings, training.context.extent, schedule)
+        work.optimiser.step(gradients, rates, max_stretch=training.settings.max_stretch)
+        schedule.step()
+
+
+class _Growth:
+    """What joins the scene in a frame: emerging objects at a quarter of the schedule, clones and halves at half of it.
+
+    ``searching``: seconds of the search for emerging objects, in a frame with a deadline.
+    """
+
+    def __init__(self, training: FrameTraining, work: WorkingSet, search: SearchTime) -> None:
+        self._training, self._work, self._search = training, work, search
+        iterations = training.settings.joint_iterations
+        self._from, self._at = iterations // 4, iterations // 2
+        self._gathered = training.context.kernel.view_gradients(len(work.rows))
+        self.searching = 0.0
+
+    def before(self, schedule: StepSchedule) -> None:
+        """Adds what is due before a step."""
+        training, work = self._training, self._work
+        if schedule.reaches(self._at):
+            densify(training, work, work.values, self._gathered)
+        if schedule.reaches(self._from):
+            self.searching = add_emerging_in_time(training, work, schedule, self._search)
+            self._gathered = training.context.kernel.view_gradients(len(work.rows))
+
+    def after(self, schedule: StepSchedule, gradients: Gradients, view: int) -> None:
+        """Gathers a step's gradients in the second quarter."""
+        if self._from <= schedule.position < self._at:
+            self._training.gather(self._gathered, gradients, view)
+
+
+class _End:
+    """Judges a frame's changes once, and ends it where they are judged and the target quality is reached."""
+
+    def __init__(self, training: FrameTraining, work: WorkingSet) -> None:
+        self._training, self._work = training, work
+        settings = training.settings
+        # Densification comes first: a Gaussian that is held stays as it is until rows come or go.
+        after = settings.joint_iterations // 2 + 1
+        self._judge_at = max(after, round(settings.significance.decide_at * settings.joint_iterations))
+        self._judged = settings.significance.threshold == 0
+        self._target = training.target_watch()
+
+    def is_reached(self, schedule: StepSchedule, step: Step) -> bool:
+        """Whether training ends with this drawn step; what is good enough unjudged goes on to its judgement."""
+        if schedule.reaches(self._judge_at) and not self._judged:
+            self._judged = True
+            _revert_insignificant(self._training, self._work)
+            if self._target is not None:
+                self._target.restart()
+        elif self._target is not None and self._target.saw(step.view, self._drawn(step)):
+            if self._judged:
+                return True
+            schedule.skip_to(self._judge_at)
+        return False
+
+    def _drawn(self, step: Step) -> np.ndarray:
+        return self._training.context.static_views[step.view].rgb
+
+
+def _revert_insignificant(training: FrameTraining, work: WorkingSet) -> None:
+    """Reverts what hardly shows; geometry sooner where light alone changes the pictures."""
+    training.seen.check()
+    settings, old, lit, factor = training.settings.significance, work.old, training.frame.lit, None
+    if lit is not None:
+        factor = np.ones(len(work.rows), np.float32)
+        factor[old] = np.where(lit[work.rows[old]], settings.lit_factor, 1)
+    threshold = settings.threshold * training.picture_weight
+    revert_insignificant(work.optimiser, work.before(), old, threshold, factor)

@@ -1,0 +1,79 @@
+"""New objects of a later frame: the search in its views, and how long it may take."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import repeat
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.formats.splats import Splats, empty_splats
+
+from ..parallel import side_by_side
+from .frame_training import FrameTraining
+from .schedule import SearchTime, StepSchedule, search_of, search_seconds
+from .seeding import SearchView, missed, seeds, worth_a_search
+from .working_set import WorkingSet
+
+
+def add_emerging(training: FrameTraining, work: WorkingSet, views: Sequence[int], rays: float = 1.0) -> None:
+    """Adds the frame's emerging objects to ``work``, from these ``views`` and a share of the ``rays``."""
+    found = _emerging(training, work, views, rays)
+    if len(found):
+        work.append(found)
+
+
+def add_emerging_in_time(
+    training: FrameTraining, work: WorkingSet, schedule: StepSchedule, search: SearchTime
+) -> float:
+    """Adds emerging objects as far as the frame's deadline allows; the seconds that it took, 0 without a deadline.
+
+    With one, only some frames search, in some of the views.
+    """
+    used, deadline = training.used, training.frame.stopping.deadline
+    if deadline is None:
+        add_emerging(training, work, used)
+        return 0.0
+    began = time.perf_counter()
+    share = search.affords(deadline - began, search_seconds(training.settings.emergence.max_rays, len(used)))
+    if not share:
+        return 0.0
+    views, rays = search_of(share, len(used))
+    every = -(-len(used) // views)
+    add_emerging(training, work, used[training.frame.index % every :: every], rays)
+    seconds = time.perf_counter() - began
+    search.took(seconds, share)
+    schedule.put_off(seconds)
+    return seconds
+
+
+def _emerging(training: FrameTraining, work: WorkingSet, views: Sequence[int], rays: float) -> Splats:
+    """Seeds of emerging objects; a third of the views decides whether to search in all."""
+    training.seen.check()
+    settings, degree = training.settings.emergence, work.values.sh_degree
+    if settings.max_seeds <= 0:
+        return empty_splats(degree)
+    threads = training.context.threads
+    searched: dict[int, SearchView] = {}
+    misses: dict[int, NDArray[np.bool_]] = {}
+    for probe in (views[::3], views):
+        new = [index for index in probe if index not in searched]
+        for index in new:
+            training.context.static_views[index].draw(work.optimiser, work.rows, depth=True)
+        with side_by_side(threads) as each:
+            searched |= zip(new, each(lambda index: _search_view(training, index), new), strict=True)
+            misses |= zip(new, each(missed, map(searched.__getitem__, new), repeat(settings)), strict=True)
+        if not worth_a_search(list(misses.values()), settings):
+            return empty_splats(degree)
+    fewer = replace(settings, max_rays=max(1, round(rays * settings.max_rays)))
+    return seeds([searched[i] for i in views], [misses[i] for i in views], fewer, degree, threads=threads)
+
+
+def _search_view(training: FrameTraining, index: int) -> SearchView:
+    """What a view was last drawn with, beside its picture."""
+    drawn, picture = training.context.static_views[index], training.frame.pictures[index]
+    camera = training.context.views[index].pinhole
+    return SearchView(camera, picture, drawn.rgb, drawn.alpha, drawn.depth, training.focus(index))
