@@ -17,7 +17,6 @@ from .variants import Question, Times, Variant
 _QUALITY = ("psnr", "psnr_dynamic", "psnr_static", "last_dynamic", "slope_dynamic", "mtv")
 _COST = ("selected", "seconds", "cpu", "megabytes")
 _BOTH = (_QUALITY + _COST,)
-_KEYFRAME = (("psnr", "ssim", "training", "gaussians", "keyframe_seconds", "keyframe_bytes"),)
 
 
 def _warm(share: float) -> dict[str, object]:
@@ -55,16 +54,6 @@ QUESTIONS = (
         "Warm start, without a transformation cache",
         "The share of its last displacement that a Gaussian begins the next frame with.",
         tuple(Variant(f"warm{w:g}", f"{w:g}", {"frame.warm_start": w}) for w in (0.0, 0.5, 0.9, 1.0)),
-        _BOTH,
-    ),
-    Question(
-        "neighbours",
-        "Whose displacement a warm start takes",
-        "A Gaussian's own, or the median over its nearest selected neighbours.",
-        tuple(
-            Variant(f"neighbours{n}", f"{n} nearest" if n > 1 else "its own", {"frame.warm_neighbours": n})
-            for n in (1, 8, 24, 64)
-        ),
         _BOTH,
     ),
     Question(
@@ -317,15 +306,5 @@ QUESTIONS = (
         "As a share of the selected.",
         tuple(Variant(f"grow{g:g}", f"{g:g}", {"frame.grow_fraction": g}) for g in (0.0, 0.003, 0.01, 0.03)),
         _BOTH,
-    ),
-    Question(
-        "start-opacity",
-        "First opacity of the keyframe's Gaussians",
-        "The keyframe alone, trained anew for every row.",
-        tuple(
-            Variant(f"opacity{o:g}", f"{o:g}", {"keyframe.start_opacity": o}, frames=1, own_keyframe=True)
-            for o in (0.1, 0.2, 0.3)
-        ),
-        _KEYFRAME,
     ),
 )

@@ -19,9 +19,7 @@ NONE = Variant("effects-none", "none", effects=EffectChoice("none"))
 WITHOUT = {
     name: Variant(f"effects-no-{name}", f"auto, without {name}", effects=EffectChoice("auto", dropped={name}))
     for name in EFFECT_NAMES
-    if name != "high_dynamic_range"
 }
-"""High dynamic range is reported, and has no part to leave out."""
 
 QUESTIONS = (
     Question(

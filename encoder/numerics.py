@@ -11,18 +11,18 @@ from numpy.typing import NDArray
 P = TypeVar("P", bound="np.integer[Any] | np.floating[Any]")
 F = TypeVar("F", np.float32, np.float64)
 
-_WIDTH = 1024
+_LOOKUP_WIDTH = 1024
 """Positions are looked up in rows of so many: ``cv2.remap`` takes at most 32 767 rows and columns."""
 
 
 def bilinear(picture: NDArray[P], u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[P]:
     """Values (P, C) of a picture (H, W, C) at positions (P,), corner of the picture at 0; its borders go on outside."""
-    rows = -(-len(u) // _WIDTH)
-    at = np.zeros((2, rows * _WIDTH), np.float32)
+    rows = -(-len(u) // _LOOKUP_WIDTH)
+    at = np.zeros((2, rows * _LOOKUP_WIDTH), np.float32)
     at[0, : len(u)], at[1, : len(u)] = u - 0.5, v - 0.5
     if not rows:
         return np.zeros((0, picture.shape[2]), picture.dtype)
-    columns, lines = at.reshape(2, rows, _WIDTH)
+    columns, lines = at.reshape(2, rows, _LOOKUP_WIDTH)
     found = cv2.remap(picture, columns, lines, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(found.reshape(-1, picture.shape[2])[: len(u)], picture.dtype)
 

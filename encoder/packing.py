@@ -47,7 +47,7 @@ _STRAY = 0.05
 _LEVEL = 15
 _COPIES = 12
 """Of its floats that a Gaussian takes: 11 were measured of two frames that are matched by position (SH degree 3)."""
-_WIDTH, _HEIGHT, _FOCAL = 1280, 720, 1100.0
+_CAMERA_WIDTH, _CAMERA_HEIGHT, _FOCAL = 1280, 720, 1100.0
 _PACKED = "packed"
 """The setting that tells a packed stream from an encode, which could be gone on with."""
 
@@ -237,5 +237,7 @@ def _overview(extent: float, centre: Vector, up: Literal["Y", "-Y"]) -> Camera:
     """A camera before the scene, upright as files of this format are, from which its extent fills the picture."""
     pose = np.diag([1.0, 1.0, 1.0, 1.0] if up == "-Y" else [1.0, -1.0, -1.0, 1.0])
     pose[:3, 3] = -pose[:3, :3] @ np.asarray(centre)
-    pose[2, 3] += extent * (0.5 + _FOCAL / _HEIGHT)
-    return Camera("overview", _WIDTH, _HEIGHT, _FOCAL, _FOCAL, _WIDTH / 2, _HEIGHT / 2, pose)
+    pose[2, 3] += extent * (0.5 + _FOCAL / _CAMERA_HEIGHT)
+    return Camera(
+        "overview", _CAMERA_WIDTH, _CAMERA_HEIGHT, _FOCAL, _FOCAL, _CAMERA_WIDTH / 2, _CAMERA_HEIGHT / 2, pose
+    )

@@ -18,6 +18,7 @@ from decogs.formats.threads import thread_count
 
 from ..input.ingest import frame_span
 from ..parallel import side_by_side
+from ..settings.effects import FRAME_EFFECTS
 from . import EFFECTS
 from .effect import Decision, Evidence, Span
 from .rig_check import RigCheck, check_rig
@@ -66,6 +67,7 @@ class Analysis:
         widths = [max(len(row[column]) for row in rows) for column in range(len(_HEADINGS))]
         for row in rows:
             yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        yield _ELSEWHERE
         yield ""
         yield from self.check.table()
 
@@ -117,6 +119,7 @@ def analyse(
 
 
 _HEADINGS = ("effect", "detected", "confidence", "evidence", "threshold", "cameras", "frames", "cost")
+_ELSEWHERE = f"decided by every frame of an encode: {', '.join(FRAME_EFFECTS)}; by its keyframe: view_dependence"
 
 
 def _row(stats: RigStatistics, finding: Finding) -> tuple[str, ...]:
@@ -143,8 +146,7 @@ def _cameras(stats: RigStatistics, names: Sequence[str]) -> str:
 
 
 def _frames(spans: Sequence[Span]) -> str:
-    shown = [f"{first}-{last}" if last > first else f"{first}" for first, last in spans[:3]]
-    return " ".join(shown) + (f" and {len(spans) - 3} more" if len(spans) > 3 else "") if shown else "-"
+    return " ".join(f"{first}-{last}" if last > first else f"{first}" for first, last in spans) or "-"
 
 
 def _finding_json(stats: RigStatistics, finding: Finding) -> dict[str, Any]:

@@ -14,12 +14,29 @@ from dataclasses import dataclass, replace
 
 from decogs.formats.errors import UsageError
 
-from ..settings.effects import CAMERA_EFFECTS, EFFECT_BASES, EFFECT_NAMES, FRAME_EFFECTS
+from ..settings.effects import CAMERA_EFFECTS, EFFECT_BASES, EFFECT_NAMES, PRESET_EFFECTS, WITHDRAWN
 from ..settings.encode import EncodeSettings
-from .effect import Decision
-from .every_effect import EFFECTS
+from .camera_shake import CameraShake
+from .colour_drift import EXPOSURE_DRIFT, WHITE_BALANCE_DRIFT
+from .colour_mismatch import ColourMismatch
+from .content import WITHOUT
+from .effect import Decision, Effect
+from .lens_distortion import LensDistortion
+from .sensor_noise import SensorNoise
 
 AUTO, ALL, NONE = EFFECT_BASES
+
+EFFECTS: tuple[Effect, ...] = (
+    ColourMismatch(),
+    EXPOSURE_DRIFT,
+    WHITE_BALANCE_DRIFT,
+    CameraShake(),
+    LensDistortion(),
+    SensorNoise(),
+)
+"""The effects that the analysis of a rig decides about, in the order in which they are shown."""
+
+_WITHOUT = {**WITHOUT, **{effect.name: effect.disabled for effect in EFFECTS}}
 
 
 @dataclass(frozen=True)
@@ -38,6 +55,10 @@ class EffectChoice:
         unknown = [name for name in (*sorted(self.added), *sorted(self.dropped)) if name not in EFFECT_NAMES]
         if self.base not in EFFECT_BASES:
             unknown.insert(0, self.base)
+        if unknown and unknown[0] in WITHDRAWN:
+            raise UsageError(
+                f"`effects` {self}: {unknown[0]} is no effect any more: {WITHDRAWN[unknown[0]]}; leave it out"
+            )
         if unknown:
             raise UsageError(
                 f"`effects` {self}: there is no effect {unknown[0]!r}; choose auto, all, none or from "
@@ -55,8 +76,8 @@ class EffectChoice:
         return ",".join([*base, *sorted(self.added), *(f"-{name}" for name in sorted(self.dropped))])
 
     def names(self, detected: Collection[str]) -> tuple[str, ...]:
-        """The requested names, in order, given the detected ones; effects detected per frame count as detected."""
-        bases = {AUTO: {*FRAME_EFFECTS, *detected}, ALL: set(EFFECT_NAMES), NONE: set[str]()}
+        """The requested names, in order, given those the rig calls for; frames and the keyframe decide about others."""
+        bases = {AUTO: {*PRESET_EFFECTS, *detected}, ALL: set(EFFECT_NAMES), NONE: set[str]()}
         names = (bases[self.base] | self.added) - self.dropped
         return tuple(name for name in EFFECT_NAMES if name in names)
 
@@ -94,19 +115,20 @@ def with_effects(
     ``cameras``: names of all that train, for an effect that is requested though it is not detected.
     ``decisions``: of the rig (`analysis.analyse`), called only if the wanted effects depend on them.
     """
-    fixed = wanted.base != AUTO and not set(wanted.names(())) - {*FRAME_EFFECTS, "view_dependence"}
+    fixed = wanted.base != AUTO and not set(wanted.names(())) - set(PRESET_EFFECTS)
     found = {} if fixed else {decision.effect: decision for decision in decisions()}
     names = wanted.names([name for name, decision in found.items() if decision.detected])
     built = []
-    for effect in EFFECTS:
-        chosen = without = effect.disabled(settings)
-        if effect.name in names:
-            decision = found.get(effect.name)
+    enabled = {effect.name: effect.enabled for effect in EFFECTS}
+    for name in EFFECT_NAMES:
+        chosen = without = _WITHOUT[name](settings)
+        if name in names:
+            decision = found.get(name)
             if decision is not None and (not decision.detected or _is_common(decision, cameras)):
                 decision = replace(decision, cameras=tuple(cameras))
-            chosen = settings if decision is None else effect.enabled(settings, decision)
+            chosen = settings if decision is None else enabled[name](settings, decision)
         if chosen != without:
-            built.append(effect.name)
+            built.append(name)
         settings = chosen
     return replace(settings, effects=tuple(built), detect_per_frame=wanted.base == AUTO)
 
@@ -118,7 +140,7 @@ def _is_common(decision: Decision, cameras: Sequence[str]) -> bool:
 
 def disable(settings: EncodeSettings, names: Collection[str]) -> EncodeSettings:
     """``settings`` without the effects of these names, for a frame in which they are not detected."""
-    for effect in EFFECTS:
-        if effect.name in names:
-            settings = effect.disabled(settings)
+    for name in EFFECT_NAMES:
+        if name in names:
+            settings = _WITHOUT[name](settings)
     return settings

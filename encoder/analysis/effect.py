@@ -69,7 +69,7 @@ class Decision:
 
 
 class Effect(Protocol):
-    """One effect a scene may call for; every effect is one module."""
+    """One effect that the analysis of a rig decides about."""
 
     @property
     def name(self) -> str:
@@ -85,11 +85,11 @@ class Effect(Protocol):
         ...
 
     def enabled(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
-        """Settings of an encode that has the effect, for the cameras of the decision; the same unless overridden."""
-        return settings
+        """Settings of an encode that has the effect, for the cameras of the decision."""
+        ...
 
     def disabled(self, settings: EncodeSettings) -> EncodeSettings:
-        """Settings of an encode, or of a frame, that does nothing for the effect."""
+        """Settings of an encode that does nothing for the effect."""
         ...
 
 
@@ -107,39 +107,16 @@ def cameras_beyond(evidence: Evidence) -> BoolArray:
     return np.asarray(evidence.reached.any(axis=1))
 
 
-def spans(stats: RigStatistics, counts: BoolArray, *, gap: int = 0) -> tuple[Span, ...]:
-    """Inclusive spans of rig frames for the analysed frames that count, with pauses of up to ``gap`` frames closed.
+def one_span(stats: RigStatistics, counts: BoolArray) -> tuple[Span, ...]:
+    """The inclusive span of rig frames from the first to the last analysed frame that counts (F,): drifts pass zero.
 
     In a thinned clip, a change may have begun right after the previous analysed frame.
     """
-    found: list[Span] = []
-    last = -1
-    for index in np.flatnonzero(counts).tolist():
-        start = stats.frames[index - 1] + 1 if index else stats.frames[0]
-        if found and index - last <= gap + 1:
-            found[-1] = (found[-1][0], stats.frames[index])
-        else:
-            found.append((start, stats.frames[index]))
-        last = index
-    return tuple(found)
-
-
-def one_span(stats: RigStatistics, counts: BoolArray) -> tuple[Span, ...]:
-    """The span from the first to the last frame that counts, for drifts that pass through zero."""
-    return spans(stats, counts, gap=len(stats.frames))
-
-
-def seen_together(evidence: Evidence, cameras: int = 2) -> BoolArray:
-    """Frames (F,) in which the evidence reaches its limit in at least that many cameras, or in all if there are fewer.
-
-    A change of the scene is visible in more than one view; evidence in a single view may be chance.
-    """
-    return np.asarray(evidence.reached.sum(axis=0) >= min(cameras, len(evidence.values)))
-
-
-def in_doubt(stats: RigStatistics, evidence: Evidence) -> bool:
-    """Whether all cameras are undetermined although there are frames to compare: every camera shakes."""
-    return len(stats.frames) > 1 and not np.isfinite(evidence.peak)
+    rows = np.flatnonzero(counts).tolist()
+    if not rows:
+        return ()
+    first = stats.frames[rows[0] - 1] + 1 if rows[0] else stats.frames[0]
+    return ((first, stats.frames[rows[-1]]),)
 
 
 def stated(evidence: Evidence, known: str, unknown: str) -> str:
@@ -156,13 +133,11 @@ def decided(
     frames: tuple[Span, ...] | None = None,
     reason: str,
     cost: str,
-    sure: float | None = None,
     figures: Mapping[str, Any] | None = None,
 ) -> Decision:
     """The decision for an effect that is detected if any camera ``counts`` (cameras,).
 
-    Other decisions have no cameras, frames and cost. ``frames``: all if not given. ``sure``: the confidence, if not
-    that of the evidence.
+    Other decisions have no cameras, frames and cost. ``frames``: all if not given.
     """
     detected = bool(counts.any())
     if frames is None:
@@ -170,7 +145,7 @@ def decided(
     return Decision(
         effect=effect.name,
         detected=detected,
-        confidence=confidence(evidence) if sure is None else sure,
+        confidence=confidence(evidence),
         cameras=tuple(name for name, count in zip(stats.names, counts, strict=True) if count),
         frames=frames if detected else (),
         reason=reason,

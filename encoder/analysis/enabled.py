@@ -10,7 +10,7 @@ from decogs.formats.splats import FloatArray
 from ..change.masks import BoolArray, FrameMask
 from ..settings.encode import EncodeSettings
 from .building import disable
-from .frame_effects import frame_effects
+from .moving_regions import moving_regions
 
 
 @dataclass(frozen=True)
@@ -33,16 +33,14 @@ def enabled_effects(
     *,
     threads: int = 1,
 ) -> EnabledEffects:
-    """Those of ``settings``' effects that are detected in a frame.
+    """Those of ``settings``' effects that a changed frame calls for: all where something moves, else light alone.
 
     ``pictures``, ``references``: those of the frame, (3, H, W) each.
     """
     effects = settings.frame_effects
-    found = frame_effects(pictures, references, masks, threads=threads)
-    # Moving objects change their shading: without colours workbench_drift loses half a dB in moving regions.
-    disabled = [] if found.motion else [name for name in effects if not getattr(found, name)]
-    return EnabledEffects(
-        tuple(name for name in effects if name not in disabled),
-        disable(settings, disabled),
-        found.moving if found.motion else None,
-    )
+    moving = moving_regions(pictures, references, masks, threads=threads)
+    if moving is not None:
+        # Moving objects change their shading: without colours workbench_drift loses half a dB in moving regions.
+        return EnabledEffects(effects, settings, moving)
+    light = tuple(name for name in effects if name == "appearance_change")
+    return EnabledEffects(light, disable(settings, set(effects) - set(light)), None)

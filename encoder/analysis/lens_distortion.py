@@ -29,13 +29,13 @@ _LIMIT = 1.0
 """Least displacement that counts, in pixels of the analysed size: three times SIFT's accuracy. Beyond the calibration,
 it is that at the radius within which nine of ten matches lie: the fit has no data farther out."""
 _RADIUS_QUANTILE = 0.9
-_SURE = 3.0
+_BOUND_DEVIATIONS = 3.0
 """Deviations of the fit, subtracted from its result for a lower bound of the distortion."""
 _MIN_MATCHES = 30
 _MIN_FRACTION = 0.5
 """Least share of a camera's matches near their epipolar lines after the fit; by chance one in ten wrong matches is."""
 _UNKNOWNS = 4
-_ROUNDS = 12
+_GAUSS_NEWTON_STEPS = 12
 _FIRST_REACH, _SHRINKS = 20.0, 0.7
 _MIN_DEVIATION = 0.3
 """SIFT's accuracy, in pixels."""
@@ -81,7 +81,7 @@ class LensDistortion:
 
 
 def _surely(pixels: F64, deviation: F64) -> F64:
-    return np.asarray(np.maximum(np.abs(pixels) - _SURE * deviation, 0.0))
+    return np.asarray(np.maximum(np.abs(pixels) - _BOUND_DEVIATIONS * deviation, 0.0))
 
 
 def _reason(stats: RigStatistics, evidence: Evidence, uncalibrated: BoolArray) -> str:
@@ -162,7 +162,7 @@ class _Fit:
         """k1 of every camera and its standard deviation."""
         unknowns = np.zeros((len(self.cameras), _UNKNOWNS))
         scales = np.tile([_K1_PRIOR, *[_ROTATION_PRIOR] * 3], len(self.cameras))
-        for turn in range(_ROUNDS):
+        for turn in range(_GAUSS_NEWTON_STEPS):
             missed = self._missed(unknowns[self._first], unknowns[self._second])
             reach = _FIRST_REACH * _SHRINKS**turn
             sizes = np.abs(missed)

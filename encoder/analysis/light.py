@@ -19,18 +19,15 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from decogs.formats.cameras import Camera
 from decogs.formats.colour import linear_from_srgb
-from decogs.formats.splats import logit
 
 from .matches import NEAR_LINE, Matches, PairMatches
 
 F64 = NDArray[np.float64]
-F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
 I64 = NDArray[np.int64]
 
@@ -52,21 +49,20 @@ _MAX_SHARED = 100
 """Most points of a pair of cameras: the median of so many has an eighth of the noise of one."""
 _DIFFERENT = 0.2
 """Share of a camera's points at either end that may deviate."""
-_FEW = 20
+_MIN_POINTS = 20
 """Least points that a determined camera shares with others."""
-_GRID = 24
+_GRID_ROWS = 24
 """Rows and columns of the grid of pixels that stands for a whole picture."""
 _OVERALL = 0.5
 """Least change of the median of a camera's pixels over its gain: a quarter of the pixels may deviate."""
 _COMPARABLE = 3
 """Cameras that a median needs: of two that differ, either may be the one that drifts."""
 _LINEAR: F64 = linear_from_srgb(np.arange(256) / 255)
-_CLIPPED = 5
+_CLIPPED_LEVELS = 5
 """Levels from either end of the scale within which a value is no measure of the light."""
-_ROUNDS = 12
+_GAIN_REWEIGHTINGS = 12
 _SMALLEST = 0.002
 """Deviation of a log ratio below which all weigh alike: a fifth of what noise does to the mean of a window."""
-_LIGHT, _ODDS = slice(0, 3), slice(3, 6)
 
 
 @dataclass(frozen=True)
@@ -88,14 +84,12 @@ class Light:
     """The cameras' own gains against their first frames, without the scene's light; arrays (cameras, F).
 
     ``exposure``, ``white_balance``: sizes of the gain that 80 % of a camera's points share, as logarithms; NaN if
-    undetermined. ``gains`` (cameras, F, 3): log gains over all channels, of red over green and of blue
-    over green; ``odds`` (cameras, F, 3): shifts of the log odds of red, green and blue.
+    undetermined. ``gains`` (cameras, F, 3): log gains over all channels, of red over green and of blue over green.
     """
 
     exposure: F64
     white_balance: F64
     gains: F64
-    odds: F64
 
     @property
     def drifts(self) -> NDArray[np.bool_]:
@@ -103,10 +97,6 @@ class Light:
         return np.asarray(
             (_peaks(self.exposure) >= EXPOSURE_LIMIT) | (_peaks(self.white_balance) >= WHITE_BALANCE_LIMIT)
         )
-
-    def curves(self) -> list[F32 | None]:
-        """Per camera, the curves (F, 3, 256) that undo its own drift; None for a camera that does not drift."""
-        return [_curves(odds) if drift else None for odds, drift in zip(self.odds, self.drifts, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -120,17 +110,6 @@ class Mismatch:
     shares: F64
 
 
-def without_drift(pictures: U8, curves: F32 | None) -> U8:
-    """The pictures (F, H, W, 3) as a steady camera records them; the very same array when there are no ``curves`` (F,
-    3, 256)."""
-    if curves is None:
-        return pictures
-    steady = np.empty_like(pictures)
-    for index, picture in enumerate(pictures):
-        cv2.LUT(picture, np.rint(curves[index].T).astype(np.uint8)[None], dst=steady[index])
-    return steady
-
-
 def shared_points(cameras: Sequence[Camera], matches: Matches) -> SharedPoints:
     """The matches that lie on each other's epipolar lines."""
     pairs = [_believed(cameras, pair) for pair in matches.pairs]
@@ -141,12 +120,11 @@ def shared_points(cameras: Sequence[Camera], matches: Matches) -> SharedPoints:
 
 
 def light_at(pictures: U8, pixels: F64) -> F64:
-    """The colours of a camera's pictures (F, H, W, 3) at pixels (N, 2), as (F, N, 6) logarithms.
+    """The colours of a camera's pictures (F, H, W, 3) at pixels (N, 2), as (F, N, 3) logarithms of linear light.
 
-    Of linear light over all channels, of red over green, of blue over green; of the odds v / (1 - v) of red, green and
-    blue. NaN next to black or white.
+    Over all channels, of red over green, of blue over green. NaN next to black or white.
     """
-    found = np.full((len(pictures), len(pixels), 6), np.nan)
+    found = np.full((len(pictures), len(pixels), 3), np.nan)
     height, width = pictures.shape[1:3]
     row, column = (
         np.clip(np.floor(pixels[:, axis]).astype(np.int64) + shift, 0, size - 1)
@@ -156,29 +134,29 @@ def light_at(pictures: U8, pixels: F64) -> F64:
     for index, picture in enumerate(pictures):
         around = picture.reshape(-1, 3).take(places, axis=0)
         # Below black, 8 bits go on from white: both ends are one comparison.
-        ends = (around - np.uint8(_CLIPPED)) > 255 - 2 * _CLIPPED
+        ends = (around - np.uint8(_CLIPPED_LEVELS)) > 255 - 2 * _CLIPPED_LEVELS
         clipped = (ends[..., 0] | ends[..., 1] | ends[..., 2]).mean(axis=0)
         known = clipped <= _MAX_CLIPPED
         red, green, blue = np.log(_LINEAR.take(around).mean(axis=0)[known]).T
-        value = around.mean(axis=0)[known] / 255
-        light = np.stack([(red + green + blue) / 3, red - green, blue - green], axis=1)
-        found[index, known] = np.concatenate([light, logit(value)], axis=1)
+        found[index, known] = np.stack([(red + green + blue) / 3, red - green, blue - green], axis=1)
     return found
 
 
 def light_overall(pictures: U8) -> F64:
-    """The change of a camera's pictures (F, H, W, 3) against the first, medians (F, 6) of `light_at` a grid of pixels.
+    """The change of a camera's pictures (F, H, W, 3) against the first, medians (F, 3) of `light_at` a grid of pixels.
 
     NaN if hardly any pixel is determined.
     """
     height, width = pictures.shape[1:3]
-    row, column = (np.linspace(0, size, _GRID, endpoint=False) + size / (2 * _GRID) for size in (height, width))
+    row, column = (
+        np.linspace(0, size, _GRID_ROWS, endpoint=False) + size / (2 * _GRID_ROWS) for size in (height, width)
+    )
     lights = light_at(pictures, np.stack(np.meshgrid(column, row), axis=-1).reshape(-1, 2))
     changes = lights - lights[:1]
-    medians = np.full((len(changes), 6), np.nan)
+    medians = np.full((len(changes), 3), np.nan)
     for frame, change in enumerate(changes):
         known = change[np.isfinite(change).all(axis=1)]
-        if len(known) >= _FEW:
+        if len(known) >= _MIN_POINTS:
             medians[frame] = np.median(known, axis=0)
     return medians
 
@@ -189,7 +167,7 @@ def own_light(points: SharedPoints, lights: Sequence[F64], overall: Sequence[F64
     ``lights``: of each, `light_at` its `SharedPoints.pixels_of`; ``overall``: of each, `light_overall`.
     """
     changes = _differences(points, [light - light[:1] for light in lights])
-    shape = len(lights), changes.shape[0], 6
+    shape = len(lights), changes.shape[0], 3
     gains, shares = np.zeros(shape), np.full(shape, np.nan)
     shares[:, :1] = 0
     for frame in range(1, shape[1]):
@@ -201,7 +179,7 @@ def own_light(points: SharedPoints, lights: Sequence[F64], overall: Sequence[F64
     exposure, balance = np.abs(shares[..., 0]), np.abs(shares[..., 1:3]).max(axis=2)
     nothing = np.isnan(shares[:, 1:, 0]).all(axis=1) if shape[1] > 1 else np.zeros(len(lights), bool)
     exposure[nothing], balance[nothing] = np.nan, np.nan
-    return Light(exposure, balance, gains[..., _LIGHT], gains[..., _ODDS])
+    return Light(exposure, balance, gains)
 
 
 def mismatch(points: SharedPoints, lights: Sequence[F64]) -> Mismatch:
@@ -211,12 +189,11 @@ def mismatch(points: SharedPoints, lights: Sequence[F64]) -> Mismatch:
     """
     differences = _differences(points, [light[:1] for light in lights])[0]
     known = np.isfinite(differences).all(axis=1)
-    gains, shares = _solved(points.first[known], points.second[known], differences[known], len(lights))
-    return Mismatch(gains[:, _LIGHT], shares[:, _LIGHT])
+    return Mismatch(*_solved(points.first[known], points.second[known], differences[known], len(lights)))
 
 
 def _seen_overall(shares: F64, overall: F64) -> F64:
-    """The ``shares`` (cameras, F, 6) of gains, 0 where the cameras' ``overall`` changes contradict them.
+    """The ``shares`` (cameras, F, 3) of gains, 0 where the cameras' ``overall`` changes contradict them.
 
     Overall changes that differ among most cameras, as under local light, do not count.
     """
@@ -237,9 +214,9 @@ def _believed(cameras: Sequence[Camera], pair: PairMatches) -> tuple[I64, I64, F
 
 
 def _differences(points: SharedPoints, values: Sequence[F64]) -> F64:
-    """Difference of a point's values (F, N, 6) in its first and its second camera, from each camera's of its points."""
+    """Difference of a point's values (F, N, 3) in its first and its second camera, from each camera's of its points."""
     frames = values[0].shape[0]
-    sides = np.full((2, frames, len(points.first), 6), np.nan)
+    sides = np.full((2, frames, len(points.first), 3), np.nan)
     for camera, own in enumerate(values):
         firsts = int((points.first == camera).sum())
         sides[0][:, points.first == camera], sides[1][:, points.second == camera] = own[:, :firsts], own[:, firsts:]
@@ -247,15 +224,15 @@ def _differences(points: SharedPoints, values: Sequence[F64]) -> F64:
 
 
 def _solved(first: I64, second: I64, differences: F64, cameras: int) -> tuple[F64, F64]:
-    """Gains (cameras, 6) that fit the points' ``differences`` (N, 6) best, and the share that 80 % of the points show.
+    """Gains (cameras, 3) that fit the points' ``differences`` (N, 3) best, and the share that 80 % of the points show.
 
     Cameras without comparable ones have gain 0 and share NaN.
     """
-    gains, shares = np.zeros((cameras, 6)), np.full((cameras, 6), np.nan)
+    gains, shares = np.zeros((cameras, 3)), np.full((cameras, 3), np.nan)
     for group in _comparable(first, second, cameras):
         inside = np.isin(first, group) & np.isin(second, group)
         a, b, known = first[inside], second[inside], differences[inside]
-        for column in range(6):
+        for column in range(3):
             solved = _least_deviations(
                 np.searchsorted(group, a), np.searchsorted(group, b), known[:, column], len(group)
             )
@@ -273,7 +250,7 @@ def _comparable(first: I64, second: I64, cameras: int) -> list[I64]:
     while True:
         both = kept[first] & kept[second]
         counts = np.bincount(first[both], minlength=cameras) + np.bincount(second[both], minlength=cameras)
-        enough = kept & (counts >= _FEW)
+        enough = kept & (counts >= _MIN_POINTS)
         if (enough == kept).all():
             break
         kept = enough
@@ -293,7 +270,7 @@ def _least_deviations(first: I64, second: I64, differences: F64, cameras: int) -
     """Gains (cameras,) with least absolute deviations from ``differences`` (N,), first minus second."""
     weights = np.ones(len(differences))
     gains = np.zeros(cameras)
-    for _ in range(_ROUNDS):
+    for _ in range(_GAIN_REWEIGHTINGS):
         coupling = np.bincount(first * cameras + second, weights, cameras**2).reshape(cameras, cameras)
         coupling += coupling.T
         normal = np.diag(coupling.sum(axis=1)) - coupling
@@ -310,12 +287,6 @@ def _shared(values: F64) -> F64:
     low, high = np.quantile(values, [_DIFFERENT, 1 - _DIFFERENT], axis=0)
     nearer = np.where(np.abs(low) < np.abs(high), low, high)
     return np.asarray(np.where(low * high > 0, nearer, 0.0))
-
-
-def _curves(odds: F64) -> F32:
-    """Level to the level without a shift of the odds (F, 3), (F, 3, 256)."""
-    value, factor = np.arange(256) / 255, np.exp(-odds)[..., None]
-    return np.asarray(255 * factor * value / (1 + (factor - 1) * value), np.float32)
 
 
 def _peaks(values: F64) -> F64:

@@ -158,8 +158,10 @@ def _mutual(here: NDArray[np.float32], there: NDArray[np.float32]) -> tuple[NDAr
     # Descriptors have length 1, so that squared distances are 2 less twice the products; OpenCV's matcher takes ten
     # times as long as one product of matrices.
     products = here @ there.T
-    rows, best, back = np.arange(len(here)), products.argmax(axis=1), products.argmax(axis=0)
-    nearest = np.maximum(1 - products[rows, best], 0)
+    rows, best = np.arange(len(here)), products.argmax(axis=1)
+    product = products[rows, best]
+    # Largest values take a fifteenth of the time that their rows would.
+    is_mutual = product == products.max(axis=0)[best]
     products[rows, best] = -np.inf
-    found = np.flatnonzero((nearest < _RATIO**2 * (1 - products.max(axis=1))) & (back[best] == rows))
+    found = np.flatnonzero((np.maximum(1 - product, 0) < _RATIO**2 * (1 - products.max(axis=1))) & is_mutual)
     return found, best[found]

@@ -24,15 +24,15 @@ changes an edge of 100 levels, two pixels wide, by 5 levels."""
 
 _MAX_CORNERS, _CORNER_QUALITY, _CORNER_DISTANCE = 1000, 0.02, 7
 _PARTS, _CORNERS_PER_PART = (5, 4), 10
-_FEWEST = 12
-_WINDOW, _LEVELS = (15, 15), (1, 2)
+_MIN_CORNERS = 12
+_TRACKED_WINDOW, _HALVINGS_TRIED = (15, 15), (1, 2)
 """Halvings of the picture in the search; more where fewer leave it undetermined, and at once after a frame that needed
 more."""
 _UNTIL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
 """Steps of a corner's search, and the step in pixels that ends it: a third of what counts, for a single corner."""
 _STILL_FRACTION = 0.3
 _ALIKE = 0.5
-_ROUNDS = 8
+_SIMILARITY_ROUNDS = 8
 _COMPLEX = np.array([1, 1j])
 _SMALLEST_SPREAD = 0.02
 """Least spread of displacements, in pixels: that of noise."""
@@ -62,12 +62,12 @@ def camera_path(pictures: U8) -> CameraPath:
     transforms = np.tile(np.eye(2, 3), (count, 1, 1))
     first = _normalised(pictures[0])
     corners = _corners(first)
-    if len(corners) < _FEWEST:
+    if len(corners) < _MIN_CORNERS:
         return CameraPath(displacement, transforms)
     displacement[0] = 0.0
     for index in range(1, count):
         now = _normalised(pictures[index])
-        for levels in _LEVELS if np.isfinite(displacement[index - 1]) else _LEVELS[1:]:
+        for levels in _HALVINGS_TRIED if np.isfinite(displacement[index - 1]) else _HALVINGS_TRIED[1:]:
             transforms[index], displacement[index] = _tracked(first, now, corners, levels)
             if np.isfinite(displacement[index]):
                 break
@@ -77,10 +77,10 @@ def camera_path(pictures: U8) -> CameraPath:
 def _tracked(first: U8, now: U8, corners: F32, levels: int) -> tuple[F64, float]:
     """The similarity (2, 3) from the first picture to another, and its displacement."""
     found, status, _ = cv2.calcOpticalFlowPyrLK(
-        first, now, corners, None, winSize=_WINDOW, maxLevel=levels, criteria=_UNTIL
+        first, now, corners, None, winSize=_TRACKED_WINDOW, maxLevel=levels, criteria=_UNTIL
     )  # type: ignore[call-overload]
     kept = status.ravel() == 1
-    if kept.sum() < _FEWEST:
+    if kept.sum() < _MIN_CORNERS:
         return np.eye(2, 3), np.nan
     centre = np.array([(first.shape[1] - 1) / 2, (first.shape[0] - 1) / 2])
     at = corners[kept, 0].astype(np.float64) - centre
@@ -118,7 +118,7 @@ def _similarity(at: F64, moved: F64) -> tuple[F64, float]:
     shift = complex(np.median(moved[:, 0]), np.median(moved[:, 1]))
     fitted = np.full(len(at), shift)
     factor = 0j
-    for _ in range(_ROUNDS):
+    for _ in range(_SIMILARITY_ROUNDS):
         missed = np.abs(moves - fitted)
         spread = max(1.5 * float(np.median(missed)), _SMALLEST_SPREAD)
         weight = np.maximum(0.0, 1 - (missed / (4 * spread)) ** 2)

@@ -29,22 +29,22 @@ _TURNED = 0.4
 """Degrees from which a camera counts as turned ..."""
 _TURNED_PIXELS = 2.5
 """... if they are so many pixels: matches are not exact."""
-_FEWEST = 12
+_MIN_TURN_MATCHES = 12
 """Matches that a judgement needs."""
-_FEWEST_OF_PAIR = 20
+_MIN_PAIR_MATCHES = 20
 """Matches of a pair of cameras from which its epipolar lines are estimated."""
-_FEWEST_CAMERAS = 4
+_MIN_CAMERAS = 4
 """Of three that disagree, any may be the one."""
 _PLAUSIBLE = 0.12
 """Largest offset of a right match, in focal lengths: seven degrees."""
-_NEAREST = 0.003
+_LAST_REACH = 0.003
 """Reach of the last rounds' weights, in focal lengths: about a pixel."""
-_ROUNDS = 16
-_UNEXPLAINED = 0.35
+_TURN_ROUNDS = 16
+_MAX_LEFT_OVER = 0.35
 """Largest median of what a turn leaves of the offsets, in shares of the turn."""
 _PLAUSIBLE_DISTANCE = 15.0
 """Largest distance of a right match from its line, in pixels: a camera turned by three degrees."""
-_NEARER = 0.3
+_NEARER_SHARE = 0.3
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def turns(cameras: Sequence[Camera], matches: Matches) -> F64:
     left = set(range(len(cameras)))
     misplaced: dict[int, float] = {}
     found = _turns(cameras, matches, left)
-    while len(left) > _FEWEST_CAMERAS:
+    while len(left) > _MIN_CAMERAS:
         suspects = [camera for camera in sorted(left) if is_turned(cameras[camera], found.get(camera, math.nan))]
         if not suspects:
             break
@@ -95,9 +95,9 @@ def epipolar_residuals(cameras: Sequence[Camera], matches: Matches) -> F64:
     for pair in matches.pairs:
         distances = np.abs(pair.epipolar_distances(cameras))
         possible = distances[distances < _PLAUSIBLE_DISTANCE]
-        if len(possible) >= _FEWEST_OF_PAIR:
+        if len(possible) >= _MIN_PAIR_MATCHES:
             for camera in (pair.first, pair.second):
-                found[camera] = np.fmin(found[camera], float(np.quantile(possible, _NEARER)))
+                found[camera] = np.fmin(found[camera], float(np.quantile(possible, _NEARER_SHARE)))
     return found
 
 
@@ -146,21 +146,21 @@ def triangulated(one: Camera, two: Camera, here: F64, there: F64) -> tuple[F64, 
 def _turn(cameras: Sequence[Camera], matches: Matches, camera: int, others: set[int]) -> float:
     """The rotation that explains most offsets, in degrees: a turn by w moves a ray r by w x r."""
     rays, offsets = reprojections(cameras, matches, camera, others)
-    if len(rays) < _FEWEST:
+    if len(rays) < _MIN_TURN_MATCHES:
         return math.nan
     x, y = rays.T
     rows = np.stack([[x * y, -1 - x * x, y], [1 + y * y, -x * y, -x]], axis=0).transpose(2, 0, 1)
     turn, reach = np.zeros(3), _PLAUSIBLE
-    for _ in range(_ROUNDS):
+    for _ in range(_TURN_ROUNDS):
         missed = offsets - rows @ turn
         weight = tukey(np.linalg.norm(missed, axis=1), reach)[:, None, None]
         normal = np.einsum("nij,nik->jk", rows * weight, rows) + 1e-9 * np.eye(3)
         turn = np.linalg.solve(normal, np.einsum("nij,ni->j", rows * weight, offsets))
-        reach = max(0.7 * reach, _NEAREST)
+        reach = max(0.7 * reach, _LAST_REACH)
     size = float(np.linalg.norm(turn))
     missed = np.linalg.norm(offsets - rows @ turn, axis=1)
     # A turn that leaves most offsets as they were is the mean of wrong matches.
-    believed = float(np.median(missed)) < _UNEXPLAINED * size or not is_turned(cameras[camera], math.degrees(size))
+    believed = float(np.median(missed)) < _MAX_LEFT_OVER * size or not is_turned(cameras[camera], math.degrees(size))
     return math.degrees(size) if believed else math.nan
 
 

@@ -34,9 +34,9 @@ _BESIDE = 0.5
 """Least distance of a misplaced camera's matches from their epipolar lines, in pixels ..."""
 _TIMES_USUAL = 4.0
 """... and in multiples of the other cameras' median."""
-_GRID = 16, 12
+_GRID_SIZE = 16, 12
 """Columns and rows of the pixels that stand for a picture."""
-_FEWEST = 25
+_MIN_DEPTHS = 25
 """Triangulated points from which a camera's depths are known."""
 
 
@@ -112,8 +112,9 @@ def check_rig(stats: RigStatistics, each: Callable[..., Iterator[Any]] = map) ->
     """Judges a rig by its calibration, the matches of its first pictures, and those of what moves."""
     late = np.full(len(stats.cameras), np.nan)
     if stats.step == 1:
-        moving = np.array([changes.restructured for changes in stats.changes])
-        late = delays(stats.cameras, stats.pictures, moving, typical_noise(stats.noise).tolist(), each)
+        noise = typical_noise(stats.noise).tolist()
+        steady = [not path.shakes for path in stats.paths]
+        late = delays(stats.cameras, stats.pictures, steady, noise, each)
     return judged(stats.cameras, stats.matches, late)
 
 
@@ -184,11 +185,11 @@ def _surface(cameras: Sequence[Camera], matches: Matches, row: int) -> F64 | Non
         pixels.append((pair.first_pixels if row == pair.first else pair.second_pixels)[good])
         depths.append(project(cameras[row], points[good])[2])
     at, depth = np.concatenate(pixels), np.concatenate(depths)
-    if len(at) < _FEWEST:
+    if len(at) < _MIN_DEPTHS:
         return None
     camera = cameras[row]
     columns, rows = (
-        (np.arange(n) + 0.5) / n * size for n, size in zip(_GRID, (camera.width, camera.height), strict=True)
+        (np.arange(n) + 0.5) / n * size for n, size in zip(_GRID_SIZE, (camera.width, camera.height), strict=True)
     )
     grid = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
     behind = depth[np.argmin(((grid[:, None] - at[None]) ** 2).sum(axis=2), axis=1)]

@@ -24,10 +24,7 @@ from decogs.formats.rigs import Rig, read_frames
 from ..change.noise import picture_noise
 from ..input.ingest import check_held_out, display_referred
 from ..parallel import Each, ahead, side_by_side
-from .arrivals import Arrivals, camera_arrivals
-from .arrivals import undetermined as undetermined_arrivals
-from .changes import ChangeShares, successive_changes
-from .light import Light, Mismatch, light_at, light_overall, mismatch, own_light, shared_points, without_drift
+from .light import Light, Mismatch, light_at, light_overall, mismatch, own_light, shared_points
 from .matches import Matches, find_matches
 from .registration import CameraPath, camera_path
 
@@ -52,9 +49,8 @@ class RigStatistics:
 
     ``cameras`` at the analysed size (lens included), ``scales`` that size over the rig's. ``frames``: the rig's
     numbers of the analysed frames, every ``step``-th. ``pictures``: per camera (F, H, W, 3) uint8, display-referred.
-    Arrays (cameras, F): ``noise``, standard deviation of the difference of successive pictures over sqrt 2, in 8-bit
-    levels of full-size pixels; ``above_white``, share of pixels beyond 1 in scene-linear pictures, NaN for 8-bit ones;
-    ``brightest``, the largest value of those.
+    ``noise`` (cameras, F): standard deviation of the difference of successive pictures over sqrt 2, in 8-bit levels of
+    full-size pixels.
     """
 
     cameras: tuple[Camera, ...]
@@ -63,13 +59,9 @@ class RigStatistics:
     step: int
     pictures: tuple[U8, ...]
     noise: F64
-    above_white: F64
-    brightest: F64
     light: Light
     mismatch: Mismatch
     paths: tuple[CameraPath, ...]
-    changes: tuple[ChangeShares, ...]
-    arrivals: tuple[Arrivals, ...]
     matches: Matches
 
     @property
@@ -94,32 +86,28 @@ def gather_statistics(
     cameras, scales = _small_cameras(rig, holdout)
     span = range(rig.frame_count) if frames is None else frames
     chosen = _thinned(span, cameras)
-    steps = _Steps(len(chosen) + 3 * len(cameras), on_step)
+    steps = _Steps(len(chosen) + 2 * len(cameras), on_step)
     with side_by_side(threads) as each:
         recorded = read_frames(rig, chosen[0], chosen[-1] + 1, step=chosen.step, names=[one.name for one in cameras])
-        seen = _read(recorded if threads == 1 else ahead(recorded), cameras, chosen, each, steps)
-        matches = find_matches(cameras, [pictures[0] for pictures in seen.pictures], each)
+        pictures, noise = _read(recorded if threads == 1 else ahead(recorded), cameras, chosen, each, steps)
+        matches = find_matches(cameras, [own[0] for own in pictures], each)
         points = shared_points(cameras, matches)
         pixels = [points.pixels_of(row) for row in range(len(cameras))]
-        lights = [steps.over(found) for found in each(light_at, seen.pictures, pixels)]
-        light = own_light(points, lights, list(each(light_overall, seen.pictures)))
-        paths = [steps.over(path) for path in each(camera_path, seen.pictures)]
-        steady = each(without_drift, seen.pictures, light.curves())
-        noise = _of_resting(seen.noise, paths)
-        changes = [steps.over(found) for found in each(_changes, steady, seen.pictures, typical_noise(noise), paths)]
+        lights = [steps.over(found) for found in each(light_at, pictures, pixels)]
+        light = own_light(points, lights, list(each(light_overall, pictures)))
+        paths = [steps.over(path) for path in each(camera_path, pictures)]
     return RigStatistics(
-        cameras, scales, tuple(chosen), chosen.step, tuple(seen.pictures), noise, seen.above_white, seen.brightest,
-        light, mismatch(points, lights), tuple(paths),
-        tuple(shares for shares, _ in changes), tuple(came for _, came in changes), matches,
-    )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class _Seen:
-    pictures: list[U8]
-    noise: F64
-    above_white: F64
-    brightest: F64
+        cameras,
+        scales,
+        tuple(chosen),
+        chosen.step,
+        tuple(pictures),
+        _of_resting(noise, paths),
+        light,
+        mismatch(points, lights),
+        tuple(paths),
+        matches,
+    )
 
 
 class _Steps:
@@ -152,24 +140,21 @@ def _thinned(span: range, cameras: Sequence[Camera]) -> range:
 
 def _read(
     frames: Iterable[tuple[int, list[Picture]]], cameras: Sequence[Camera], chosen: range, each: Each, steps: _Steps
-) -> _Seen:
-    shape = len(cameras), len(chosen)
+) -> tuple[list[U8], F64]:
+    """Small pictures of every camera, and the noise (cameras, F)."""
     pictures = [np.empty((len(chosen), camera.height, camera.width, 3), np.uint8) for camera in cameras]
-    noise, above, brightest = (np.full(shape, np.nan) for _ in range(3))
+    noise = np.full((len(cameras), len(chosen)), np.nan)
     before: list[F32] = []
     noisy = _noise_columns(len(chosen))
     for column, (_, now) in enumerate(frames):
         for row, small in enumerate(each(_small, now, cameras)):
             pictures[row][column] = small
-            if now[row].dtype != np.uint8:
-                above[row, column] = float((now[row] > 1).any(axis=2).mean())
-                brightest[row, column] = float(now[row].max())
         sparse = list(each(_sparse, now)) if {column, column + 1} & noisy else []
         if column in noisy:
             noise[:, column] = list(each(picture_noise, before, sparse))
         before = sparse
         steps.over(None)
-    return _Seen(pictures, noise, above, brightest)
+    return pictures, noise
 
 
 def _noise_columns(frames: int) -> set[int]:
@@ -205,14 +190,3 @@ def typical_noise(noise: F64) -> F64:
     overall = float(np.median(known)) if known.size else 0.0
     rows = [row[np.isfinite(row)] for row in noise]
     return np.array([float(np.median(row)) if row.size else overall for row in rows])
-
-
-def _changes(pictures: U8, recorded: U8, noise: float, path: CameraPath) -> tuple[ChangeShares, Arrivals]:
-    """Changes from each frame to the next, and over all frames; a shaking camera has none.
-
-    ``pictures``: ``recorded`` without the camera's drift, whose remainder grows over frames as slow light does.
-    """
-    if path.shakes:
-        return ChangeShares.undetermined(len(pictures)), undetermined_arrivals(len(pictures))
-    maps = successive_changes(pictures, noise)
-    return ChangeShares.of(maps, pictures, noise, slow=pictures is recorded), camera_arrivals(pictures, maps, noise)

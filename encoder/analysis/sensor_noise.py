@@ -10,7 +10,7 @@ from ..settings.encode import EncodeSettings
 from .effect import Decision, Evidence, cameras_beyond, decided, stated
 from .rig_statistics import RigStatistics
 
-_ROUNDING = 0.3
+_ROUNDING_LEVELS = 0.3
 """Deviation of rounding to 8 bits, in levels: 1 / sqrt 12, rounded up."""
 _MULTIPLE = 6
 """Least size of a change, in deviations of the difference of two pictures."""
@@ -22,7 +22,7 @@ class SensorNoise:
     name = "sensor_noise"
 
     def evidence(self, stats: RigStatistics) -> Evidence:
-        return Evidence(stats.noise, "levels", _ROUNDING)
+        return Evidence(stats.noise, "levels", _ROUNDING_LEVELS)
 
     def decide(self, stats: RigStatistics, evidence: Evidence) -> Decision:
         noisy = cameras_beyond(evidence)

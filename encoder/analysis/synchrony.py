@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -26,11 +27,11 @@ U8 = NDArray[np.uint8]
 LAGS = (-1, 0, 1)
 _MOMENTS = 2
 """Frames looked at: those in which most moves."""
-_NEAR = 1.5
+_LINE_PIXELS = 1.5
 """Distance from the epipolar line, in pixels, at which a match speaks for nothing."""
 _CLEARLY = 1.25
 """A lag counts whose matches agree so many times as well as those of the same frame."""
-_FEWEST = 15.0
+_MIN_AGREEMENT = 15.0
 """Matches on the line that a judgement needs."""
 _BEYOND_CHANCE = 3.0
 """A lag counts if it has more matches on the line than the same frame by so many deviations of their number."""
@@ -39,14 +40,16 @@ _BEYOND_CHANCE = 3.0
 def delays(
     cameras: Sequence[Camera],
     pictures: Sequence[U8],
-    moving: F64,
+    steady: Sequence[bool],
     noise: Sequence[float],
     each: Callable[..., Iterator[Any]],
 ) -> F64:
     """By how many frames (cameras,) each one is late, -1, 0 or 1; NaN where too little moves.
 
-    ``pictures``: of successive frames, (F, H, W, 3) each. ``moving`` (cameras, F): how much moves; ``noise``: levels.
+    ``pictures``: of successive frames, (F, H, W, 3) each. ``steady``: whether a camera stands still, so that it shows
+    when most moves; ``noise``: levels.
     """
+    moving = np.array(list(each(_moving, pictures, steady, noise)))
     agreement = np.zeros((len(cameras), len(LAGS)))
     ballots = np.zeros((len(cameras), len(LAGS)))
     pairs = neighbouring(cameras)
@@ -62,7 +65,7 @@ def delays(
 
 def _delay(agreement: F64, ballots: F64) -> float:
     best = int(np.argmax(agreement))
-    if agreement[best] < _FEWEST:
+    if agreement[best] < _MIN_AGREEMENT:
         return np.nan
     same = agreement[LAGS.index(0)]
     more = max(_CLEARLY * same, same + _BEYOND_CHANCE * math.sqrt(same + agreement[best]))
@@ -70,9 +73,17 @@ def _delay(agreement: F64, ballots: F64) -> float:
     return float(LAGS[best]) if clear else 0.0
 
 
+def _moving(pictures: U8, steady: bool, noise: float) -> F64:
+    """The share of a camera's picture that moves, of every frame (F,) against the one before."""
+    moving = np.zeros(len(pictures))
+    if steady:
+        moving[1:] = [change_maps(*pair, noise).restructured.mean() for pair in pairwise(pictures)]
+    return moving
+
+
 def _moments(moving: F64) -> list[int]:
-    """The frames, none the first or last, in which most moves over all cameras."""
-    most = np.nanmean(np.nan_to_num(moving[:, 1:-1]), axis=0) if moving.shape[1] > 2 else np.empty(0)
+    """The frames, none the first or last, in which most moves over all cameras; ``moving`` (cameras, F)."""
+    most = moving[:, 1:-1].mean(axis=0)
     found = np.argsort(-most, kind="stable")[:_MOMENTS]
     return [int(frame) + 1 for frame in found if most[frame] > 0]
 
@@ -91,5 +102,5 @@ def _agreement(cameras: Sequence[Camera], one: int, two: int, here: list[Feature
     for lag in range(len(LAGS)):
         pair = matched(one, two, here[LAGS.index(0)], there[lag])
         distances = np.abs(pair.epipolar_distances(cameras))
-        found.append(float(np.maximum(1 - distances / _NEAR, 0).sum()))
+        found.append(float(np.maximum(1 - distances / _LINE_PIXELS, 0).sum()))
     return np.array(found)

@@ -36,9 +36,9 @@ later frames."""
 _RESPONSE = 0.5
 """Bytes fall with this power of the threshold: measured .41 to .65 (report/budgets.md). Up to four times as steep, or
 however flat, the control still settles."""
-_HORIZON = 12
+_BYTES_HORIZON = 12
 """Frames over which savings and overspends are made up for: fewer follow the budget closer, more are steadier."""
-_MEMORY = 0.5
+_FACTOR_KEPT = 0.5
 """Share of the estimate that a new packet does not change: a frame's bytes are noisy."""
 _TARGET_RANGE = (0.8, 2.0)
 """Bounds of a single frame's aim, in budgets: the savings of a still scene are not spent on the first frame that moves,
@@ -139,7 +139,7 @@ class RateControl:
         elif kind == PacketKind.DELTA:
             found = math.log2(size / self.budget) + _RESPONSE * self.octaves
             past = found if content is None else content
-            content = _MEMORY * past + (1 - _MEMORY) * found
+            content = _FACTOR_KEPT * past + (1 - _FACTOR_KEPT) * found
         now = replace(self, frames=self.frames + 1, spent=self.spent + size, place=place, key=key, content=content)
         return now if content is None else replace(now, octaves=now._octaves(content))
 
@@ -156,7 +156,7 @@ class RateControl:
             share -= payment
             saved += payment * (self.segment - 1 - self.place % self.segment)
         low, high = _TARGET_RANGE
-        return min(max((share + saved / _HORIZON) / self.budget, low * share / self.budget), high)
+        return min(max((share + saved / _BYTES_HORIZON) / self.budget, low * share / self.budget), high)
 
 
 def _scaled(settings: SignificanceSettings, factor: float) -> SignificanceSettings:

@@ -24,7 +24,7 @@ from ..settings.encode import EncodeSettings
 TIME_TOLERANCE = 0.05
 """By which share of the budget the mean of a clip may be above it; a miss is reported beyond it."""
 
-_HORIZON = 6
+_SECONDS_HORIZON = 6
 """Frames over which what was saved or overspent is made up for."""
 _ALLOWANCE_RANGE = (0.5, 2.0)
 """A single frame's time, in budgets: what was saved in a still scene is not thrown at the first frame that moves."""
@@ -32,7 +32,7 @@ _MAX_HELD = 7
 """Frames held in a row, a quarter of a second: a longer freeze shows nothing of what happens; a miss is reported."""
 _MAX_OWED = 2.0
 """Budgets that frames may have overspent before one is held for that alone."""
-_MEMORY = 0.7
+_OVERHEAD_KEPT = 0.7
 """Share of the estimate of what a frame takes beyond its deadline that a new frame does not change."""
 _AFTER_TRAINING = ("write", "commit")
 _UNCOUNTED = "measure"
@@ -122,7 +122,7 @@ class TimeControl:
         past = after if self.beyond is None else self.beyond
         # Training that ended before its deadline says only what comes after it.
         beyond = max(after, counted_seconds(seconds) - self._planned())
-        return replace(done, after=after, beyond=_MEMORY * past + (1 - _MEMORY) * beyond)
+        return replace(done, after=after, beyond=_OVERHEAD_KEPT * past + (1 - _OVERHEAD_KEPT) * beyond)
 
     def _owes_much(self) -> bool:
         return self.saved < -_MAX_OWED * self.budget
@@ -134,5 +134,5 @@ class TimeControl:
     def _allowance(self) -> float:
         """Seconds for the next frame: its own budget, what held frames kept for it, and a share of what was saved."""
         low, high = _ALLOWANCE_RANGE
-        own = min(max(self.budget + self.saved / _HORIZON, low * self.budget), high * self.budget)
+        own = min(max(self.budget + self.saved / _SECONDS_HORIZON, low * self.budget), high * self.budget)
         return own + self.kept

@@ -73,8 +73,7 @@ def _start_warm(work: WorkingSet, frame: FrameInput) -> None:
     share, motion = np.float32(frame.settings.warm_start), frame.motion[work.rows]
     if share and motion.any():
         means = work.values.means
-        moved = means + share * shared_displacements(means, motion, frame.settings.warm_neighbours)
-        work.optimiser.put(means=moved)
+        work.optimiser.put(means=means + share * shared_displacements(means, motion))
 
 
 def _iteration_factor(training: FrameTraining, work: WorkingSet, probes: Sequence[int]) -> float:

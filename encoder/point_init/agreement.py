@@ -22,7 +22,7 @@ _MIN_TEXTURE_CORRELATION = 0.5
 """Least correlation of two windows of the same texture."""
 _WINDOW_PIXELS = 7
 _NOISE_VARIANCE = 0.01**2
-_DETAIL, _UNEVEN = 0.6, 2.0
+_DETAIL, _SPACING_RANGE = 0.6, 2.0
 _EVEN, _SPECK = 0.03, 1e-3
 """Relative change of depth from pixel to pixel within a patch, and share of a picture up to which it is a speck."""
 _OCCLUSION_STEP = 0.08
@@ -146,7 +146,7 @@ def _edges(inverse_depth: Array) -> NDArray[np.bool_]:
 def _looseness(view: SweepView) -> Array:
     """Factor (H, W) of the distance between points: less where texture is strong."""
     typical = max(float(np.median(view.contrast)), 1e-6)
-    return np.asarray(np.clip((view.contrast / typical) ** -_DETAIL, 1 / _UNEVEN, _UNEVEN))
+    return np.asarray(np.clip((view.contrast / typical) ** -_DETAIL, 1 / _SPACING_RANGE, _SPACING_RANGE))
 
 
 def agree(

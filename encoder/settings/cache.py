@@ -14,30 +14,25 @@ from .checked import Checked, Decay, Share, Within
 class CacheSettings(Checked):
     """All numbers of the cache; the defaults are 3DGStream's released configuration.
 
-    The grid has ``levels`` levels of ``features`` features; level k has round(base_resolution * level_scale**k)
-    vertices along each side of the box, stored densely where they fit into 2**table_log2 entries, hashed where not.
-    More levels, features, entries or hidden units are slower. Adam: ``learning_rate``, ``beta1``, ``beta2``,
-    ``epsilon``. ``translation_scale`` is the world units that an output of 1 stands for. ``grid_spread``: table entries
-    start uniform in +-spread (Instant-NGP). ``identity_start``: the last layer starts at zero, so that the untrained
-    cache is the identity; False starts it at random. ``gradient_limit``: gradients handed in are
-    clipped to this, far above any real one, so that no square overflows.
+    Level k has round(base_resolution * level_scale**k) vertices along each side of the box, stored densely where they
+    fit into the table, hashed where not.
     """
 
-    levels: Annotated[int, Within(1, 32)] = 16
-    features: Annotated[int, Within(1, 32)] = 4
-    table_log2: Annotated[int, Within(6, 24)] = 15
-    base_resolution: Annotated[int, Within(2, 1 << 20)] = 16
-    level_scale: Annotated[float, Within(1, 16)] = 2.0
-    hidden_layers: Annotated[int, Within(0, 16)] = 2
-    hidden_width: Annotated[int, Within(1, 4096)] = 64
-    learning_rate: Share = 2e-3
-    beta1: Decay = 0.9
-    beta2: Decay = 0.999
-    epsilon: Annotated[float, Within(1e-20, 1)] = 1e-8
-    translation_scale: Annotated[float, Within(1e-9, 1e9)] = 1.0
-    grid_spread: Share = 1e-4
-    identity_start: bool = True
-    gradient_limit: Annotated[float, Within(1e-3, 1e12)] = 1e6
+    levels: Annotated[int, Within(1, 32)] = 16  # of the grid; more: slower
+    features: Annotated[int, Within(1, 32)] = 4  # of a vertex; more: slower
+    table_log2: Annotated[int, Within(6, 24)] = 15  # of the entries of a level; more: slower
+    base_resolution: Annotated[int, Within(2, 1 << 20)] = 16  # vertices along a side of the coarsest level
+    level_scale: Annotated[float, Within(1, 16)] = 2.0  # from one level to the next
+    hidden_layers: Annotated[int, Within(0, 16)] = 2  # more: slower
+    hidden_width: Annotated[int, Within(1, 4096)] = 64  # units of a layer; more: slower
+    learning_rate: Share = 2e-3  # Adam's
+    beta1: Decay = 0.9  # Adam's, of the gradient
+    beta2: Decay = 0.999  # Adam's, of its square
+    epsilon: Annotated[float, Within(1e-20, 1)] = 1e-8  # Adam's
+    translation_scale: Annotated[float, Within(1e-9, 1e9)] = 1.0  # world units that an output of 1 stands for
+    grid_spread: Share = 1e-4  # entries start uniform in +- that (Instant-NGP)
+    identity_start: bool = True  # the last layer starts at zero; else at random
+    gradient_limit: Annotated[float, Within(1e-3, 1e12)] = 1e6  # far above any real one, so that no square overflows
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -1,6 +1,7 @@
 """What each field of settings may be, said in its type, and checked when settings are made.
 
-``iterations: Annotated[int, Within(1, 1_000_000)] = 1000`` is type, range and default on one line. Rejected: a table of
+``iterations: Annotated[int, Within(1, 1_000_000)] = 1000`` is type, range and default on one line; a comment there
+says what it is, its unit, and which way is slower. Rejected: a table of
 ranges beside the fields (a new field is forgotten there); `dataclasses.field` with metadata (the default moves into a
 call, and type checkers see `Any`); pydantic (a dependency for a hundred comparisons).
 """
@@ -58,6 +59,7 @@ Loss = Annotated[float, Within(0, MOST_LOSS)]
 Decay = Annotated[float, Within(0, 0.999_999)]
 """Of Adam's moments."""
 Stretch = Annotated[float, Within(1, 1e6, or_zero=True)]
+Multiple = Annotated[float, Within(0, 1000)]
 
 
 class Checked:

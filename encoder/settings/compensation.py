@@ -11,15 +11,10 @@ from .checked import Checked, Within
 
 @dataclass(frozen=True)
 class CorrectionSettings(Checked):
-    """The cameras whose drift is compensated, by name. Each one is a little slower.
+    """The cameras whose drift is compensated, by name; each one is a little slower."""
 
-    ``exposure``, ``white_balance``: cameras in which these drift. ``shake``: cameras that rotate about their centre.
-    ``lens``: distortion that the calibration lacks, as OpenCV's k1, by camera.
-    ``match_colours``: whether constant differences of exposure and white balance between cameras are compensated.
-    """
-
-    exposure: tuple[str, ...] = ()
-    white_balance: tuple[str, ...] = ()
-    shake: tuple[str, ...] = ()
-    lens: Mapping[str, Annotated[float, Within(-10, 10)]] = field(default_factory=dict)
-    match_colours: bool = False
+    exposure: tuple[str, ...] = ()  # cameras whose exposure drifts
+    white_balance: tuple[str, ...] = ()  # cameras whose white balance drifts
+    shake: tuple[str, ...] = ()  # cameras that rotate about their centre
+    lens: Mapping[str, Annotated[float, Within(-10, 10)]] = field(default_factory=dict)  # k1 that calibration lacks
+    match_colours: bool = False  # constant differences between all cameras, too

@@ -32,44 +32,27 @@ _USUAL = (
 class EncodeSettings(Checked):
     """Everything that an encode can be set to.
 
-    ``keyframe``, ``frame``, ``baseline``: training of the first frame, of later frames, and of later frames by the
-    dense baseline. ``method``: a name in FRAME_METHODS; "3dgstream" is slower.
-    ``lattice_scale``: the lattice's steps in units of the default ones. Higher is smaller and less exact.
-    ``zstd_level``: higher is slower and smaller.
-    ``segment``: frames from one keyframe to the next; 0: a single keyframe. Fewer is larger, and seeks faster. The
-    scene does not depend on it, only how frames are coded, unless segments are ``closed``: each one then starts from
-    the first keyframe's Gaussians and depends on no other segment (`closed_segments`), and ``catch_up`` is how often
-    its first frame is trained, one time after the other. More is slower and larger, and nearer to the pictures.
-    ``cross_fade``: frames before such a start that go over to it. More is slower and larger; 0 is a jump.
-    ``cuts``: a frame that shows another scene gets a new keyframe, except with a time budget. Fewer keyframes are
-    faster, and 6 to 8 dB worse there.
-    ``frame_budget``: mean bytes of the frames after the first. Lower is less exact; None codes what
-    ``frame.significance`` says.
-    ``time_budget``: mean seconds of the frames after the first. Higher is slower; None runs the whole schedule.
-    ``target_psnr``: dB at which a frame's training stops. Higher is slower; None runs the whole schedule.
-    ``effects``: the enabled ones. Fewer is faster and smaller. ``detect_per_frame``: each frame enables only
-    those that are detected in its own pictures, and the keyframe limits view dependence to what its pictures show. That
-    is faster.
-    ``corrections``: cameras whose drift is compensated.
+    The scene does not depend on ``segment``, only how frames are coded, unless segments are ``closed``: each one then
+    starts from the first keyframe's Gaussians and depends on no other segment (`closed_segments`).
     """
 
     keyframe: KeyframeSettings = field(default_factory=KeyframeSettings)
     frame: FrameSettings = field(default_factory=FrameSettings)
-    lattice_scale: Annotated[float, Within(1e-3, 1e3)] = 1.0
-    zstd_level: Annotated[int, Within(1, 22)] = DEFAULT_LEVEL
-    method: str = "decogs"
+    lattice_scale: Annotated[float, Within(1e-3, 1e3)] = 1.0  # of the default steps; more: smaller, less exact
+    zstd_level: Annotated[int, Within(1, 22)] = DEFAULT_LEVEL  # more: slower, smaller
+    method: str = "decogs"  # of later frames, a name in FRAME_METHODS; "3dgstream" is slower
     baseline: BaselineSettings = field(default_factory=BaselineSettings)
-    segment: Annotated[int, Within(0, MAX_FRAME)] = 0
-    closed: bool = False
-    catch_up: Annotated[int, Within(1, 1000)] = 3
-    cross_fade: Annotated[int, Within(0, 1000)] = 3
-    cuts: bool = True
-    frame_budget: Bytes | None = None
-    time_budget: Annotated[float, Within(1e-4, 1e6)] | None = None
-    target_psnr: Annotated[float, Within(1e-9, 100)] | None = None
-    effects: Annotated[tuple[str, ...], OneOf(EFFECT_NAMES)] = PRESET_EFFECTS
-    detect_per_frame: bool = False
-    corrections: CorrectionSettings = field(default_factory=CorrectionSettings)
+    segment: Annotated[int, Within(0, MAX_FRAME)] = 0  # frames between keyframes; fewer: larger, seek faster; 0: one
+    closed: bool = False  # segments depend on no other: slower
+    catch_up: Annotated[int, Within(1, 1000)] = 3  # trainings of a closed segment's first frame; more: slower, larger
+    cross_fade: Annotated[int, Within(0, 1000)] = 3  # frames that go over to such a start; more: slower; 0: a jump
+    cuts: bool = True  # a new keyframe where the scene is another: slower, 6 to 8 dB better; not with a time budget
+    frame_budget: Bytes | None = None  # mean bytes of a later frame; fewer: less exact; None: by frame.significance
+    time_budget: Annotated[float, Within(1e-4, 1e6)] | None = None  # mean seconds of a later frame; None: all steps
+    target_psnr: Annotated[float, Within(1e-9, 100)] | None = None  # dB at which training stops; more: slower; None: no
+    effects: Annotated[tuple[str, ...], OneOf(EFFECT_NAMES)] = PRESET_EFFECTS  # enabled ones; fewer: faster, smaller
+    detect_per_frame: bool = False  # frames and keyframe enable only what their pictures show: faster
+    corrections: CorrectionSettings = field(default_factory=CorrectionSettings)  # of drifting cameras
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -9,14 +9,14 @@ from .checked import Checked, Rate
 
 @dataclass(frozen=True)
 class LearningRates(Checked):
-    """Adam's step sizes, in the unit of each stored value (``means``: world units). Larger is faster, settles later."""
+    """Adam's step sizes, each in the unit of its stored value. Larger is faster, and settles later."""
 
-    means: Rate
-    log_scales: Rate
-    quaternions: Rate
-    opacity_logits: Rate
-    sh_dc: Rate
-    sh_rest: Rate
+    means: Rate  # world units
+    log_scales: Rate  # logarithms
+    quaternions: Rate  # of a quaternion of length one
+    opacity_logits: Rate  # logits
+    sh_dc: Rate  # spherical harmonics of degree 0
+    sh_rest: Rate  # of higher degrees
 
     def scaled(self, factor: float) -> LearningRates:
         """All of them times ``factor``."""

@@ -1,6 +1,6 @@
 """Everything that can be set, and the named sets of it.
 
-A preset is a starting point; every field says in its own docstring which way is slower.
+A preset is a starting point; every field says on its line which way is slower.
 """
 
 from __future__ import annotations

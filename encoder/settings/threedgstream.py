@@ -17,27 +17,18 @@ _BASE_RATES = LearningRates(
 
 @dataclass(frozen=True)
 class BaselineSettings(Checked):
-    """The numbers of 3DGStream's recipe; the defaults are its released configuration.
-
-    ``cache_iterations``, ``spawn_iterations``: steps of stage 1 and stage 2, one view each; more is slower.
-    ``spawn_gradient``: mean view gradient, over the last ``spawn_window`` steps of stage 1, from which a Gaussian
-    spawns another; lower spawns more, and is slower. ``spawn_spread``: standard deviation of its place about the
-    parent's, in the parent's own sigmas; ``spawn_opacity``: its opacity, 0 to 1; ``spawn_growth``: its size in units of
-    the parent's. Every ``prune_every`` steps of stage 2, spawned Gaussians of less than ``prune_opacity`` or with a
-    sigma above ``prune_size`` (in units of the rig's extent) go. ``rates``: stage 2, ``means`` in units of the rig's
-    extent. ``dissimilarity``: lambda of 3DGS's loss.
-    """
+    """The numbers of 3DGStream's recipe; the defaults are its released configuration."""
 
     cache: CacheSettings = field(default_factory=CacheSettings)
-    cache_iterations: Steps = 150
-    spawn_iterations: Steps = 100
-    spawn_gradient: Rate = 1.5e-4
-    spawn_window: Count = 20
-    spawn_spread: Annotated[float, Within(0, 1000)] = 2.0
-    spawn_opacity: Opacity = 0.1
-    spawn_growth: Size = 1.25
-    prune_every: Count = 20
-    prune_opacity: Share = 0.01
-    prune_size: Annotated[float, Within(1e-9, 1e9)] = 0.1
-    rates: LearningRates = field(default_factory=lambda: _BASE_RATES.scaled(15))
-    dissimilarity: Share = 0.2
+    cache_iterations: Steps = 150  # of stage 1, one view each; more: slower
+    spawn_iterations: Steps = 100  # of stage 2, one view each; more: slower
+    spawn_gradient: Rate = 1.5e-4  # mean view gradient from which a Gaussian spawns another; less: slower
+    spawn_window: Count = 20  # last steps of stage 1 over which that is a mean
+    spawn_spread: Annotated[float, Within(0, 1000)] = 2.0  # deviation from the parent's place, in the parent's sigmas
+    spawn_opacity: Opacity = 0.1  # of a spawned Gaussian
+    spawn_growth: Size = 1.25  # of its size, in units of the parent's
+    prune_every: Count = 20  # steps of stage 2
+    prune_opacity: Share = 0.01  # below it a spawned Gaussian goes
+    prune_size: Annotated[float, Within(1e-9, 1e9)] = 0.1  # sigma above which it goes, in units of the rig's extent
+    rates: LearningRates = field(default_factory=lambda: _BASE_RATES.scaled(15))  # of stage 2
+    dissimilarity: Share = 0.2  # lambda of 3DGS's loss

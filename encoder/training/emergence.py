@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import repeat
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,8 +64,8 @@ def _emerging(training: FrameTraining, work: WorkingSet, views: Sequence[int], r
             training.context.static_views[index].draw(work.optimiser, work.rows, depth=True)
         with side_by_side(threads) as each:
             searched |= zip(new, each(lambda index: _search_view(training, index), new), strict=True)
-            misses |= zip(new, each(missed, map(searched.__getitem__, new), repeat(settings)), strict=True)
-        if not worth_a_search(list(misses.values()), settings):
+            misses |= zip(new, each(missed, map(searched.__getitem__, new)), strict=True)
+        if not worth_a_search(list(misses.values())):
             return empty_splats(degree)
     fewer = replace(settings, max_rays=max(1, round(rays * settings.max_rays)))
     return seeds([searched[i] for i in views], [misses[i] for i in views], fewer, degree, threads=threads)

@@ -11,17 +11,17 @@ from __future__ import annotations
 import numpy as np
 
 from ..point_init import FirstPoints
-from ..settings.keyframe import KeyframeSettings
 
-_FEW, _MANY = 2.0, 5.0
+DISSIMILARITY = 0.2
+"""Lambda of 3DGS's loss, where many views see a surface."""
+_FEW_VIEWS, _MANY_VIEWS = 2.0, 5.0
 """Views per confirmed point, in the mean: of 360 degrees with nine cameras or a cage with seven, 2.3; of arcs and
 domes, 5 to 10."""
 
 
-def dissimilarity_for(points: FirstPoints, settings: KeyframeSettings) -> float:
-    """Lambda of the keyframe's loss, between the settings' for few and for many views."""
+def dissimilarity_for(points: FirstPoints, few_views_dissimilarity: float) -> float:
+    """Lambda of the keyframe's loss, between that for few and that for many views."""
     views = points.seen.sum(axis=0)
     confirmed = views[views > 0]
     mean = float(confirmed.mean()) if len(confirmed) else 0.0
-    weights = [settings.few_views_dissimilarity, settings.dissimilarity]
-    return float(np.interp(mean, [_FEW, _MANY], weights))
+    return float(np.interp(mean, [_FEW_VIEWS, _MANY_VIEWS], [few_views_dissimilarity, DISSIMILARITY]))

@@ -13,7 +13,6 @@ from decogs.codec.state import State
 from decogs.formats.errors import RigError
 from decogs.formats.splats import FloatArray
 
-from ..analysis.view_dependence import as_far_as_shown
 from ..backends import TrainingKernel
 from ..input.compensation import Corrector
 from ..input.compensation.frame import matched
@@ -24,6 +23,7 @@ from ..output.reports import OnKeyframeStep
 from ..point_init import FirstPoints, first_points
 from ..settings.encode import EncodeSettings
 from ..stopwatch import Stopwatch
+from .harmonics import as_far_as_shown
 from .keyframe import prealigned_pictures, train_keyframe
 from .large_pictures import fit_to_pictures
 from .schedule import StoppingRule

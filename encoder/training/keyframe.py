@@ -32,7 +32,7 @@ from ..psnr import psnr_of
 from ..settings.keyframe import KeyframeSettings
 from ..settings.optimiser import LearningRates
 from .densification import DENSIFICATIONS
-from .few_views import dissimilarity_for
+from .few_views import DISSIMILARITY, dissimilarity_for
 from .large_pictures import PictureFit, as_ever, fit_to_pictures, shrunk_camera, shrunk_weights
 from .losses import whole_picture_loss
 from .rate_distortion import cheapest
@@ -40,6 +40,24 @@ from .schedule import WHOLE, StoppingRule, TargetWatch
 from .significance import picture_weight
 from .surroundings import surroundings
 from .view_order import view_order
+
+_START_OPACITY, _START_SIGMA = 0.2, 0.5
+"""Of the first Gaussians; sigma in units of the points' spacing."""
+_GUESS_OPACITY, _GUESS_SIGMA = 0.1, 1.0
+"""The same of points that no view confirms, which stand for what is not known: large and faint ones spread over it,
+small and opaque ones leave holes that needles fill."""
+_GROW_FROM, _GROW_TO = 0.15, 0.6
+"""Shares of the schedule between which Gaussians are added: later ones are not trained to the end."""
+_GROW_GRADIENT = 2e-4
+"""Mean view gradient from which a Gaussian is split (3DGS's)."""
+_PRUNE_OPACITY = 0.005
+"""Below it a Gaussian is removed (3DGS's)."""
+_MAX_STRETCH = 10.0
+"""Largest ratio of a Gaussian's largest to its middle size: needles look wrong from elsewhere."""
+_PATIENCE = 4
+"""Checks without a new best after which training stops: the score of few tiles jumps."""
+_MEANS_DECAY, _LATE_DECAY = 0.05, 0.2
+"""What is left of the step sizes at the end: of positions over the schedule, of all over its second half."""
 
 _CORRECT_EVERY, _CORRECT_FROM, _CORRECT_TO = 0.04, 0.05, 0.6
 """Shares of the schedule: interval, begin and end of the estimates of camera drift. At the end, the scene's depth and
@@ -67,14 +85,14 @@ def scene_extent(views: Sequence[View]) -> float:
     return float(1.1 * np.linalg.norm(centres - centres.mean(axis=0), axis=1).max())
 
 
-def splats_from_points(points: FirstPoints, settings: KeyframeSettings) -> Splats:
+def splats_from_points(points: FirstPoints, sh_degree: int) -> Splats:
     """One round Gaussian per first point, of its colour and of a size in proportion to the points' spacing.
 
     Points whose places are not known get a size and an opacity of their own.
     """
-    sizes = np.where(points.placed, settings.start_size, settings.guess_size).astype(np.float32)
-    opacities = np.where(points.placed, settings.start_opacity, settings.guess_opacity)
-    return round_splats(points.xyz, points.rgb, points.spacing * sizes, opacities, settings.sh_degree)
+    sizes = np.where(points.placed, _START_SIGMA, _GUESS_SIGMA).astype(np.float32)
+    opacities = np.where(points.placed, _START_OPACITY, _GUESS_OPACITY)
+    return round_splats(points.xyz, points.rgb, points.spacing * sizes, opacities, sh_degree)
 
 
 def train_keyframe(
@@ -107,8 +125,9 @@ def train_keyframe(
         views,
         pictures,
         points,
-        replace(settings, dissimilarity=dissimilarity_for(points, settings)),
+        settings,
         random=random,
+        dissimilarity=dissimilarity_for(points, settings.few_views_dissimilarity),
         corrector=corrector,
         lattice=lattice,
         lattice_scale=lattice_scale,
@@ -153,6 +172,7 @@ class _KeyframeTraining:
         settings: KeyframeSettings,
         *,
         random: np.random.Generator,
+        dissimilarity: float = DISSIMILARITY,
         corrector: Corrector | None,
         lattice: Lattice | None = None,
         lattice_scale: float = 1.0,
@@ -161,7 +181,7 @@ class _KeyframeTraining:
     ) -> None:
         self._kernel, self._views, self._random = kernel, views, random
         self._settings = settings = replace(settings, iterations=fit.iterations)
-        self._recorded, self._corrector = pictures, corrector
+        self._recorded, self._corrector, self._dissimilarity = pictures, corrector, dissimilarity
         self._lattice, self._lattice_scale = lattice, lattice_scale
         self._extent = scene_extent(views) or 1.0
         self._pictures = list(pictures)
@@ -173,7 +193,7 @@ class _KeyframeTraining:
         self._reported_loss = float("nan")
         self._look(fit.scales[0].factor)
         self._kept_back = [_kept_back(view, c) for view, c in zip(views, counted, strict=True)]
-        self._optimiser = kernel.optimiser(splats_from_points(points, settings))
+        self._optimiser = kernel.optimiser(splats_from_points(points, settings.sh_degree))
         self._view_gradients = kernel.view_gradients(len(self._optimiser))
         self._order = view_order(len(views), random)
 
@@ -229,7 +249,7 @@ class _KeyframeTraining:
         """Trains until schedule, target or stop, which goes back to the best; returns the steps."""
         settings = self._settings
         best, best_optimiser, waited, step = -np.inf, self._optimiser, 0, 0
-        while step < settings.iterations and waited < settings.patience and not self._is_good_enough:
+        while step < settings.iterations and waited < _PATIENCE and not self._is_good_enough:
             for scale in self._fit.scales[1:]:
                 if scale.begin == step:
                     self._look(scale.factor)
@@ -313,7 +333,7 @@ class _KeyframeTraining:
         gradients = self._kernel.backward(self._optimiser)
         self._view_gradients.add(gradients, camera)
         rates = self._rates(step / self._settings.iterations)
-        self._optimiser.step(gradients, rates, max_stretch=self._settings.max_stretch)
+        self._optimiser.step(gradients, rates, max_stretch=_MAX_STRETCH)
         self._densify(step)
         return value
 
@@ -352,7 +372,7 @@ class _KeyframeTraining:
         self._factor = factor
         self._cameras = [shrunk_camera(view.pinhole, factor) for view in self._views]
         self._losses = [
-            whole_picture_loss(resized(picture, camera), shrunk_weights(counted, camera), self._settings.dissimilarity)
+            whole_picture_loss(resized(picture, camera), shrunk_weights(counted, camera), self._dissimilarity)
             for picture, counted, camera in zip(self._pictures, self._counted, self._cameras, strict=True)
         ]
         self._target = self._target_watch()
@@ -377,22 +397,22 @@ class _KeyframeTraining:
 
     def _rates(self, progress: float) -> LearningRates:
         progress, longest = self._fit.rate_progress(progress), self._fit.longer * self._extent
-        rates = self._settings.rates.scaled(self._settings.late_decay ** max(0.0, 2 * progress - 1))
-        return replace(rates, means=self._settings.rates.means * longest * self._settings.means_decay**progress)
+        rates = self._settings.rates.scaled(_LATE_DECAY ** max(0.0, 2 * progress - 1))
+        return replace(rates, means=self._settings.rates.means * longest * _MEANS_DECAY**progress)
 
     def _densify(self, step: int) -> None:
         settings, progress = self._settings, step / self._settings.iterations
-        if (step + 1) % settings.grow_every or not settings.grow_from < progress < settings.grow_to:
+        if (step + 1) % settings.grow_every or not _GROW_FROM < progress < _GROW_TO:
             return
         self._check_finite()
         splats = self._optimiser.splats
-        keep = sigmoid(splats.opacity_logits) >= settings.prune_opacity
+        keep = sigmoid(splats.opacity_logits) >= _PRUNE_OPACITY
         room = settings.seen_cap - int(keep.sum())
         growth = DENSIFICATIONS.get(settings.densification)(
             splats,
             self._view_gradients.mean(),
             keep,
-            threshold=settings.grow_gradient,
+            threshold=_GROW_GRADIENT,
             room=room,
             large=0.01 * self._extent,
             random=self._random,

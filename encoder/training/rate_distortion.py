@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from decogs.codec.state import IntArray
 from decogs.formats.splats import FloatArray
 
-_ROUNDS = 4
+_TABLE_ROUNDS = 4
 """Iterations of choosing values and updating the table of their bits; more change next to nothing."""
 _COMMONEST = 256
 """Candidates of a channel: all values that rotations and colours have on a lattice, a bound for any others."""
 _COMMONEST_CHANGES = 16
 """The same of changes, nearly all of which are smaller than ten steps."""
-_GRID = 2.0**20
+_PARTS_OF_BIT = 2.0**20
 """Parts of a bit: on this grid, the last bit of a logarithm, which differs by machine, is lost."""
 
 Doubles = NDArray[np.float64]
@@ -60,10 +60,10 @@ def _cheapest(
 ) -> NDArray[Any]:
     """One channel's (N,) integers, coded with so many ``zeros`` more; candidates: ``most`` of the commonest."""
     chosen = nearest
-    for _ in range(_ROUNDS):
+    for _ in range(_TABLE_ROUNDS):
         table, places, counts = np.unique(np.append(chosen, 0), return_inverse=True, return_counts=True)
         counts[places[-1]] += zeros - 1  # The 0 that was appended is none of them; the table may still need one.
-        bits = np.rint(_GRID * np.log2((len(chosen) + zeros) / np.maximum(counts, 1))) / _GRID
+        bits = np.rint(_PARTS_OF_BIT * np.log2((len(chosen) + zeros) / np.maximum(counts, 1))) / _PARTS_OF_BIT
         best, least = chosen, (change * (chosen - values)) ** 2 + bit * bits[places[:-1]]
         for place in np.argsort(-counts, kind="stable")[:most]:
             cost = (change * (table[place] - values)) ** 2 + bit * bits[place]

@@ -38,6 +38,11 @@ MIN_STEPS = 12
 
 _MAX_HASTE = 3.0
 """Largest factor of the rates when a deadline leaves few steps, which must still cover the motion."""
+LATE_DECAY = 0.2
+"""What is left of a later frame's rates at the end of its steps, falling over their second half."""
+
+_MAX_ITERATIONS = 3.0
+"""Most iterations of a frame, in units of the usual number: with more, a cut would take minutes."""
 
 _CLEARLY = np.float32(25 / 255)
 """Colour error from which a pixel is clearly missed: the paper's tau, applied to the rendering."""
@@ -83,7 +88,7 @@ def iteration_factor(settings: IterationSettings, errors: Sequence[FloatArray]) 
     if not (settings.usual_miss and pixels):
         return 1.0
     missed = sum(int((np.abs(each).max(axis=0) > _CLEARLY).sum()) for each in errors)
-    return float(np.clip(missed / pixels / settings.usual_miss, settings.min_factor, settings.max_factor))
+    return float(np.clip(missed / pixels / settings.usual_miss, settings.min_factor, _MAX_ITERATIONS))
 
 
 class StepSchedule:
@@ -157,7 +162,7 @@ def rates_at(settings: FrameSettings, extent: float, schedule: StepSchedule) -> 
 
     Over its second half they fall; in a hurry they grow.
     """
-    late = settings.late_decay ** max(0.0, 2 * schedule.position / settings.joint_iterations - 1)
+    late = LATE_DECAY ** max(0.0, 2 * schedule.position / settings.joint_iterations - 1)
     rates = replace(settings.rates, means=settings.rates.means * extent)
     return rates.scaled(late * min(schedule.hurry**0.5, _MAX_HASTE))
 

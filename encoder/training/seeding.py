@@ -33,20 +33,35 @@ from ..settings.frame import EmergenceSettings
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 
-_NEAREST = 0.6
+_MISSED_LEVELS = 25.0
+"""8-bit levels by which a rendering must miss the picture: fewer find fainter objects, and more wrong ones."""
+_MIN_MISSED = 2e-4
+"""Share of all views' pixels that must be missed before a search begins."""
+_DEPTHS = 64
+"""Steps along a ray."""
+_MIN_MISSING_VIEWS = 4
+"""Views that must miss the same point."""
+_MAY_NOT_MISS = 0.25
+"""Share of the views that see the point and need not miss it."""
+_SPREAD_LEVELS = 14.0
+"""8-bit levels by which colours of one point may differ."""
+_IN_FRONT = 0.02
+"""Share of the rendered depth by which a seed must lie before it."""
+_SEED_OPACITY = 0.3
+_NEAREST_SHARE = 0.6
 """Nearest depth searched, as a share of the first percentile of the rendered depths."""
-_AGREEING = 0.6
+_AGREEING_VIEWS = 0.6
 """Share of the views that see a point whose colours must agree; the others may be occluded."""
-_SAME = 0.1
+_SAME_COST = 0.1
 """Share of the allowed spread within which two depths of a ray explain it equally well; the nearer one wins."""
-_NEAR = 4.0
+_CELL_RAYS = 4.0
 """Size of a neighbourhood, as a multiple of the distance between rays."""
 _SIGMA_PER_SPACING = 0.6
 _FAINTEST = np.float32(1e-6)
 """Alpha of a ray that meets nothing: keeps its depth at 0."""
 _PART = 500
 """Rays per batch: enough for numpy to dominate Python's overhead; batches run in parallel."""
-_BLOCK = 64
+_SMOOTHED_BLOCK = 64
 """Side of a block of pixels that is smoothed at once."""
 _MARGIN = 2
 """Pixels right and below of a position that its value may be read from: positions are rounded to parts of a pixel."""
@@ -72,12 +87,8 @@ class SearchView:
         return np.asarray(self.depth.ravel()[pixels] / np.maximum(self.alpha.ravel()[pixels], _FAINTEST))
 
 
-def missed(view: SearchView, settings: EmergenceSettings) -> BoolArray:
+def missed(view: SearchView, levels: float = _MISSED_LEVELS) -> BoolArray:
     """Pixels (H, W) of the focus where rendering and picture clearly differ, without edges one pixel wide."""
-    return _missed(view, settings.residual)
-
-
-def _missed(view: SearchView, levels: float) -> BoolArray:
     focus = np.flatnonzero(view.focus)
     rendered, picture = (np.take(planes.reshape(3, -1), focus, axis=1) for planes in (view.rendered, view.picture))
     wrong = np.zeros(view.focus.shape, bool)
@@ -85,10 +96,10 @@ def _missed(view: SearchView, levels: float) -> BoolArray:
     return cv2.morphologyEx(wrong.view(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)).view(np.bool_)
 
 
-def worth_a_search(masks: Sequence[BoolArray], settings: EmergenceSettings) -> bool:
+def worth_a_search(masks: Sequence[BoolArray]) -> bool:
     """Whether ``masks`` of missed pixels cover more than a tiny share of their pictures."""
     missing = sum(int(mask.sum()) for mask in masks)
-    return missing > settings.min_fraction * sum(mask.size for mask in masks)
+    return missing > _MIN_MISSED * sum(mask.size for mask in masks)
 
 
 def seeds(
@@ -103,15 +114,15 @@ def seeds(
 
     ``views``: all training views; ``cores``: their ``missed`` masks; ``sh_degree``: the scene's. Deterministic.
     """
-    if settings.max_seeds <= 0 or not worth_a_search(cores, settings):
+    if settings.max_seeds <= 0 or not worth_a_search(cores):
         return empty_splats(sh_degree)
     step = max(1, -(-sum(int(core.sum()) for core in cores) // settings.max_rays))
     with side_by_side(threads) as each:
-        search = _Search(views, cores, settings, each)
+        search = _Search(views, cores, each)
         found = list(each(search.along_rays, search.rays(step)))
     if not found:
         return empty_splats(sh_degree)
-    return _splats(_thinned(_confirmed(_join(found), step), settings.max_seeds), cores, settings, sh_degree)
+    return _splats(_thinned(_confirmed(_join(found), step), settings.max_seeds), cores, sh_degree)
 
 
 @dataclass(frozen=True)
@@ -188,19 +199,19 @@ class _Smoothed:
 
         What lies up to _MARGIN pixels right and below is there too: neighbours count, also those that weigh nothing.
         """
-        down, right = rows // _BLOCK, columns // _BLOCK
-        further = np.minimum(columns + _MARGIN, self._width - 1) // _BLOCK
+        down, right = rows // _SMOOTHED_BLOCK, columns // _SMOOTHED_BLOCK
+        further = np.minimum(columns + _MARGIN, self._width - 1) // _SMOOTHED_BLOCK
         for band in np.unique(down):
             here = np.flatnonzero(down == band)
             for block in np.union1d(right[here], further[here]):
                 self._make(int(band), int(block))
-            yield here, int(band) * _BLOCK, self._bands[int(band)]
+            yield here, int(band) * _SMOOTHED_BLOCK, self._bands[int(band)]
 
     def _make(self, band: int, block: int) -> None:
         if (band, block) in self._made:
             return
-        top, left = band * _BLOCK, block * _BLOCK
-        bottom, right = min(top + _BLOCK + _MARGIN, self._height), min(left + _BLOCK, self._width)
+        top, left = band * _SMOOTHED_BLOCK, block * _SMOOTHED_BLOCK
+        bottom, right = min(top + _SMOOTHED_BLOCK + _MARGIN, self._height), min(left + _SMOOTHED_BLOCK, self._width)
         above, before = min(top, 1), min(left, 1)
         planes = self._planes(slice(top - above, bottom + 1), slice(left - before, right + 1))
         smooth = cv2.blur(cv2.merge(list(planes)), (3, 3))
@@ -213,16 +224,14 @@ class _Smoothed:
 class _Search:
     """Every view's wide mask, smoothed picture and rendered depth, which all rays are compared with."""
 
-    def __init__(
-        self, views: Sequence[SearchView], cores: Sequence[BoolArray], settings: EmergenceSettings, each: Each
-    ) -> None:
-        self._views, self._cores, self._settings = views, cores, settings
-        self._wide = list(each(lambda view, core: _wide(view, core, settings.residual / 2), views, cores))
+    def __init__(self, views: Sequence[SearchView], cores: Sequence[BoolArray], each: Each) -> None:
+        self._views, self._cores = views, cores
+        self._wide = list(each(_wide, views, cores))
         self._smooth = [_Smoothed(view.camera, partial(_picture, view)) for view in views]
         self._change = [_Smoothed(view.camera, partial(_difference, view)) for view in views]
         depths = np.concatenate([view.surface(slice(None, None, 17)) for view in views])
         near, far = np.percentile(depths[depths > 0], [1, 99]) if (depths > 0).any() else (1.0, 1.0)
-        self._inverse = np.linspace(1 / (_NEAREST * near), 1 / far, settings.depths)
+        self._inverse = np.linspace(1 / (_NEAREST_SHARE * near), 1 / far, _DEPTHS)
 
     def rays(self, step: int) -> list[_Rays]:
         """Rays of every ``step``-th pixel that a view misses, in the views' order, in parts of _PART."""
@@ -243,9 +252,9 @@ class _Search:
 
     def along_rays(self, rays: _Rays) -> _Found:
         """At most one seed per ray."""
-        settings, surface, count = self._settings, rays.surface, len(rays.pixels)
+        surface, count = rays.surface, len(rays.pixels)
         inverse = np.broadcast_to(self._inverse, (count, len(self._inverse)))
-        limit = np.where(surface > 0, (1 - settings.in_front) * surface, np.inf)
+        limit = np.where(surface > 0, (1 - _IN_FRONT) * surface, np.inf)
         ray, place = np.nonzero(inverse * limit[:, None] > 1)
         ray, place = self._inside_hull(rays, ray, place)
         # Between the steps of the coarse search, which are a few pixels apart in the views farthest off.
@@ -255,14 +264,14 @@ class _Search:
         depth = 1 / (self._inverse[place][:, None] + offsets).ravel()
         points = rays.origins[ray] + rays.directions[ray] * depth[:, None]
         (cost,), front = self._disagreements([self._smooth], rays.views[ray], points, [rays.smooth[ray]])
-        tolerance = np.float32(settings.spread / 255)
+        tolerance = np.float32(_SPREAD_LEVELS / 255)
         best = np.full(count, np.inf, np.float32)
         np.minimum.at(best, ray, np.where(front, cost, np.inf).astype(np.float32))
         explained = np.zeros(count, bool)
         asking = np.flatnonzero((best <= tolerance) & (surface > 0))
         there = self._disagreement_at_surface(_take(rays, asking))
         explained[asking] = there <= 2 * best[asking] + tolerance / 4
-        fits = front & (cost <= np.minimum(best[ray] + _SAME * tolerance, tolerance)) & ~explained[ray]
+        fits = front & (cost <= np.minimum(best[ray] + _SAME_COST * tolerance, tolerance)) & ~explained[ray]
         rows = np.flatnonzero(fits)
         rows = rows[np.lexsort((depth[rows], ray[rows]))]
         rows = rows[np.unique(ray[rows], return_index=True)[1]]  # the foremost of each ray
@@ -291,8 +300,7 @@ class _Search:
 
     def _inside_hull(self, rays: _Rays, ray: IntArray, place: IntArray) -> tuple[IntArray, IntArray]:
         """The samples that lie inside the masks of nearly all other views that see them."""
-        settings = self._settings
-        allowed = settings.missing_fraction * len(self._views)
+        allowed = _MAY_NOT_MISS * len(self._views)
         seen = np.ones(len(ray), np.int64)
         misses = np.zeros(len(ray), np.int64)
         for other in _far_first(int(rays.views[0]), len(self._views)):
@@ -304,7 +312,7 @@ class _Search:
             misses += inside & ~hit
             keep = misses <= allowed
             ray, place, seen, misses = ray[keep], place[keep], seen[keep], misses[keep]
-        keep = (misses <= settings.missing_fraction * seen) & (seen - misses >= settings.min_views)
+        keep = (misses <= _MAY_NOT_MISS * seen) & (seen - misses >= _MIN_MISSING_VIEWS)
         return ray[keep], place[keep]
 
     def _disagreements(
@@ -330,24 +338,24 @@ class _Search:
                 colours = each[other].between(u[inside], v[inside])
                 differences[kind, other, inside] = np.abs(colours - reference[inside]).max(axis=1)
             rendered = view.surface(at)
-            before[inside] += (rendered <= 0) | (depth[inside] < (1 - self._settings.in_front / 2) * rendered)
+            before[inside] += (rendered <= 0) | (depth[inside] < (1 - _IN_FRONT / 2) * rendered)
             seen[inside] += 1
-        enough = seen >= self._settings.min_views - 1
+        enough = seen >= _MIN_MISSING_VIEWS - 1
         return [_mean_of_best(each, seen, enough) for each in differences], enough & (before >= 0.7 * seen)
 
 
 def _mean_of_best(differences: FloatArray, seen: IntArray, enough: BoolArray) -> FloatArray:
     """The mean (P,) of the smallest of each point's differences (V, P), infinite where not ``enough`` see it."""
     ordered = np.sort(differences, axis=0)
-    wanted = np.ceil(_AGREEING * seen).astype(np.int64)
+    wanted = np.ceil(_AGREEING_VIEWS * seen).astype(np.int64)
     counted = np.arange(len(ordered))[:, None] < wanted
     total = np.where(counted, ordered, 0).sum(axis=0, dtype=np.float32)
     return np.where(enough, total / np.maximum(wanted, 1), np.inf).astype(np.float32)
 
 
-def _wide(view: SearchView, core: BoolArray, levels: float) -> BoolArray:
-    """``core`` and the pixels missed by ``levels``, a pixel wider, flat: a new object may resemble what it hides."""
-    missing = (_missed(view, levels) | core).view(np.uint8)
+def _wide(view: SearchView, core: BoolArray) -> BoolArray:
+    """``core`` and the pixels missed by half as much, a pixel wider, flat: a new object may resemble what it hides."""
+    missing = (missed(view, _MISSED_LEVELS / 2) | core).view(np.uint8)
     return cv2.dilate(missing, np.ones((3, 3), np.uint8)).view(np.bool_).ravel()
 
 
@@ -392,7 +400,7 @@ def _confirmed(found: _Found, step: int) -> _Found:
     """
     if not len(found.points):
         return found
-    size = _NEAR * max(1.5, step**0.5) * float(np.median(found.pixel))
+    size = _CELL_RAYS * max(1.5, step**0.5) * float(np.median(found.pixel))
     keep = np.zeros(len(found.views), bool)
     for shift in (0.0, 0.5):
         cells = np.floor((found.points - found.points.min(axis=0)) / size + shift).astype(np.int64)
@@ -418,7 +426,7 @@ def _thinned(found: _Found, most: int) -> _Found:
         cell *= 1.2
 
 
-def _splats(found: _Found, cores: Sequence[BoolArray], settings: EmergenceSettings, sh_degree: int) -> Splats:
+def _splats(found: _Found, cores: Sequence[BoolArray], sh_degree: int) -> Splats:
     """Isotropic, half-transparent Gaussians, wide enough to close the gaps between them."""
     count = len(found.points)
     if not count:
@@ -427,4 +435,4 @@ def _splats(found: _Found, cores: Sequence[BoolArray], settings: EmergenceSettin
     area = 2 * sum(int(core.sum()) for core in cores) / len(cores)
     spacing = float(np.clip(np.sqrt(area / count), 1.5, 6.0))
     sigmas = _SIGMA_PER_SPACING * spacing * found.pixel
-    return round_splats(found.points, found.colours, sigmas, np.full(count, settings.opacity), sh_degree)
+    return round_splats(found.points, found.colours, sigmas, np.full(count, _SEED_OPACITY), sh_degree)

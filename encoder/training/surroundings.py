@@ -22,7 +22,7 @@ from ..input.ingest import View
 from ..input.resizing import resized, resized_plane
 from ..point_init.depth_filling import fill_depths, push_pull
 
-_WIDTH = 96
+_SHRUNK_WIDTH = 96
 """Pixels of a shrunk picture's width: what goes on is blurred."""
 _CELL, _COARSER = 3, 1.25
 """Distance of the Gaussians in shrunk pictures, in pixels, and its factor while there are too many."""
@@ -30,7 +30,7 @@ _RINGS = ((0.0, 0.33, 1), (0.33, 1.0, 2))
 """From and to where in a margin they are how many times as far apart."""
 _SIZE = 0.6
 """Their sigma in units of this distance: together they are closed."""
-_CLEAR = 1.0
+_CLEARANCE_SIGMAS = 1.0
 """Distance from every picture, in sigmas: what reaches in changes a picture that is trained already."""
 _OPACITY = 0.9
 _SOLID = 0.5
@@ -82,7 +82,7 @@ def surroundings(
 
 
 def _widened(kernel: TrainingKernel, view: View, picture: FloatArray, splats: Splats, reach: float) -> _WidePicture:
-    camera = scale_camera(view.pinhole, min(1.0, _WIDTH / view.pinhole.width))
+    camera = scale_camera(view.pinhole, min(1.0, _SHRUNK_WIDTH / view.pinhole.width))
     margin = round(reach * camera.width)
     wide = replace(
         camera,
@@ -130,7 +130,7 @@ def _shown(views: Sequence[View], blobs: _Blobs) -> NDArray[np.bool_]:
     for camera in (view.pinhole for view in views):
         u, v, depth = project(camera, blobs.xyz)
         with np.errstate(divide="ignore", invalid="ignore"):
-            x, y = (_CLEAR * focal * blobs.sigma / depth for focal in (camera.fx, camera.fy))
+            x, y = (_CLEARANCE_SIGMAS * focal * blobs.sigma / depth for focal in (camera.fx, camera.fy))
         shown |= (depth > 0) & (u > -x) & (u < camera.width + x) & (v > -y) & (v < camera.height + y)
     return shown
 

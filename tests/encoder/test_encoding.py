@@ -15,6 +15,7 @@ import pytest
 
 from decogs.decoder import open_stream
 from decogs.encoder import PRESETS, Switches, Targets, TerminalProgress
+from decogs.encoder.settings.effects import CAMERA_EFFECTS
 from decogs.formats.container import FRAME_KINDS, PacketKind
 from decogs.formats.errors import RigError, StreamError, UsageError
 from decogs.formats.rigs import open_rig
@@ -58,7 +59,7 @@ def test_auto_looks_at_the_rig_first_and_builds_what_it_calls_for(
     )
     look, start, *_ = (json.loads(line) for line in log.read_text().splitlines())
     assert look["event"] == "look"
-    assert not {"motion", "appearance_change", "emergence", "disappearance"} & look["detected"].keys()
+    assert not {*CAMERA_EFFECTS} & look["detected"].keys()
     assert tiny_rig.held_out not in {name for names in look["detected"].values() for name in names}
     assert start["settings"]["detect_per_frame"] is True, "a frame may still bring what the clip did not show"
     assert "analysing" in screen.getvalue()

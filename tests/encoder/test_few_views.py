@@ -6,11 +6,8 @@ import numpy as np
 import pytest
 
 from decogs.encoder.point_init import FirstPoints
-from decogs.encoder.settings.keyframe import KeyframeSettings
 from decogs.encoder.settings.presets import LADDER, PRESETS
 from decogs.encoder.training.few_views import dissimilarity_for
-
-SETTINGS = KeyframeSettings(dissimilarity=0.2, few_views_dissimilarity=0.05)
 
 
 def points(*views_of_each: int) -> FirstPoints:
@@ -35,13 +32,12 @@ def points(*views_of_each: int) -> FirstPoints:
     ids=["two", "fewer", "halfway", "five", "more", "guesses do not count", "guesses alone"],
 )
 def test_structure_weighs_less_the_fewer_views_confirm_a_point(views_of_each: tuple[int, ...], expected: float) -> None:
-    assert dissimilarity_for(points(*views_of_each), SETTINGS) == pytest.approx(expected)
+    assert dissimilarity_for(points(*views_of_each), 0.05) == pytest.approx(expected)
 
 
 def test_the_ladder_follows_the_views_and_the_papers_preset_does_not() -> None:
     for name in LADDER:
-        assert dissimilarity_for(points(2), PRESETS[name].keyframe) < dissimilarity_for(
-            points(5), PRESETS[name].keyframe
-        )
-    paper = PRESETS["paper"].keyframe
+        few = PRESETS[name].keyframe.few_views_dissimilarity
+        assert dissimilarity_for(points(2), few) < dissimilarity_for(points(5), few)
+    paper = PRESETS["paper"].keyframe.few_views_dissimilarity
     assert dissimilarity_for(points(2), paper) == dissimilarity_for(points(5), paper) == 0.2

@@ -19,6 +19,7 @@ from decogs.encoder.input.ingest import Ingest, View
 from decogs.encoder.point_init import FirstPoints
 from decogs.encoder.psnr import mean_psnr, psnr_of
 from decogs.encoder.settings.keyframe import KeyframeSettings
+from decogs.encoder.training import keyframe
 from decogs.encoder.training.keyframe import (
     _KeyframeTraining,
     scene_extent,
@@ -82,18 +83,18 @@ def test_first_gaussians_are_round_and_have_colour_opacity_and_size_of_their_poi
         np.array([[0.1, 0.5, 0.9], [1.0, 0.0, 0.3]], np.float32),
         np.array([0.2, 0.4], np.float32),
     )
-    splats = splats_from_points(given, replace(SHORT, sh_degree=2, start_opacity=0.25, start_size=0.5))
+    splats = splats_from_points(given, sh_degree=2)
     np.testing.assert_array_equal(splats.means, given.xyz)
     assert splats.sh.shape == (2, 9, 3)
     np.testing.assert_allclose(0.5 + 0.28209479177387814 * splats.sh[:, 0], given.rgb, atol=1e-6)
     assert not splats.sh[:, 1:].any()
     np.testing.assert_allclose(np.exp(splats.log_scales), [[0.1] * 3, [0.2] * 3], rtol=1e-6)
-    np.testing.assert_allclose(1 / (1 + np.exp(-splats.opacity_logits)), [0.25, 0.25], rtol=1e-6)
+    np.testing.assert_allclose(1 / (1 + np.exp(-splats.opacity_logits)), [0.2, 0.2], rtol=1e-6)
     np.testing.assert_array_equal(splats.quaternions, [[1, 0, 0, 0]] * 2)
 
 
 def test_training_learns_the_pictures(case: Case) -> None:
-    before = mean_psnr(CpuKernel(2), splats_from_points(points(), SHORT), case.views, case.pictures)
+    before = mean_psnr(CpuKernel(2), splats_from_points(points(), SHORT.sh_degree), case.views, case.pictures)
     result = trained(case, replace(SHORT, iterations=200, validation_fraction=0.0))
     after = mean_psnr(CpuKernel(2), result.splats, case.views, case.pictures)
     assert after > before + 3.0
@@ -106,30 +107,38 @@ def test_the_same_seed_gives_the_same_bits_and_another_does_not(case: Case) -> N
     assert not equal_bits(first, other)
 
 
-def test_growth_respects_the_cap(case: Case) -> None:
-    eager = replace(SHORT, grow_gradient=0.0, cap=430)
+def test_growth_respects_the_cap(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(keyframe, "_GROW_GRADIENT", 0.0)
+    eager = replace(SHORT, cap=430)
     grown = trained(case, eager)
     assert 400 < len(grown.splats) <= 430
-    assert len(trained(case, replace(eager, grow_gradient=1e9)).splats) <= 400
+    assert len(trained(case, replace(eager, grow_every=1000)).splats) <= 400
 
 
-def test_transparent_gaussians_are_pruned(case: Case) -> None:
-    # Opacity starts at 0.1; at 100 % every Gaussian is below the limit, which cannot end well and is said so.
+def test_transparent_gaussians_are_pruned(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Opacity starts at 0.2; at 100 % every Gaussian is below the limit, which cannot end well and is said so.
+    monkeypatch.setattr(keyframe, "_GROW_GRADIENT", 1e9)
+    monkeypatch.setattr(keyframe, "_PRUNE_OPACITY", 1.0)
     with pytest.raises(TrainingError, match="every Gaussian became transparent"):
-        trained(case, replace(SHORT, prune_opacity=1.0, grow_gradient=1e9))
-    settings = replace(SHORT, prune_opacity=0.1, grow_gradient=1e9)
-    assert 0 < len(trained(case, settings).splats) < len(trained(case, replace(settings, prune_opacity=0.0)).splats)
+        trained(case)
+    monkeypatch.setattr(keyframe, "_PRUNE_OPACITY", 0.1)
+    pruned = trained(case)
+    monkeypatch.setattr(keyframe, "_PRUNE_OPACITY", 0.0)
+    assert 0 < len(pruned.splats) < len(trained(case).splats)
 
 
-def test_three_noisy_views_overfit_and_the_kept_back_tiles_say_when_to_stop(tmp_path: Path, tiny_rig: Any) -> None:
+def test_three_noisy_views_overfit_and_the_kept_back_tiles_say_when_to_stop(
+    tmp_path: Path, tiny_rig: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     case = case_of(tiny_rig.write(tmp_path / "noisy", frames=[0], noise=40.0), ["cam01", "cam03"])
     assert len(case.views) == 3
-    settings = replace(SHORT, iterations=500, cap=2000, validation_fraction=0.1, patience=3)
+    settings = replace(SHORT, iterations=500, cap=2000, validation_fraction=0.1)
     stopped = trained(case, settings, first=points(2000))
-    to_the_end = trained(case, replace(settings, patience=10**6), first=points(2000))
+    # Checks begin past the middle; the best state is kept, so the stop comes _PATIENCE checks after it at least.
+    assert stopped.steps >= 250 + keyframe._PATIENCE * settings.validation_every
+    monkeypatch.setattr(keyframe, "_PATIENCE", 10**6)
+    to_the_end = trained(case, settings, first=points(2000))
     assert stopped.steps < to_the_end.steps == 500
-    # Checks begin past the middle; the best state is kept, so the stop comes `patience` checks after it at least.
-    assert stopped.steps >= 250 + settings.patience * settings.validation_every
     kernel = CpuKernel(2)
     fitted = [mean_psnr(kernel, result.splats, case.views, case.pictures) for result in (stopped, to_the_end)]
     assert fitted[0] < fitted[1], "it did overfit: more steps fit the training views better"
@@ -148,7 +157,8 @@ def test_an_early_stop_goes_back_to_the_best_state(case: Case, monkeypatch: pyte
         return -float(len(states))
 
     monkeypatch.setattr(_KeyframeTraining, "validation_psnr", scored)
-    result = trained(case, replace(SHORT, validation_every=10, patience=1, settle_iterations=0))
+    monkeypatch.setattr(keyframe, "_PATIENCE", 1)
+    result = trained(case, replace(SHORT, validation_every=10, settle_iterations=0))
     assert (result.steps < SHORT.iterations, len(states)) == (True, 2)
     best, later = ({row.tobytes() for row in state} for state in states)
     kept = {row.tobytes() for row in result.splats.means}
@@ -165,14 +175,16 @@ def test_an_early_stop_goes_back_over_growth_and_settles(case: Case, monkeypatch
         return -float(len(counts))
 
     monkeypatch.setattr(_KeyframeTraining, "validation_psnr", scored)
-    growing = replace(SHORT, validation_every=10, patience=1, grow_to=1.0, grow_gradient=0.0, cap=10_000)
+    for name, value in (("_PATIENCE", 1), ("_GROW_TO", 1.0), ("_GROW_GRADIENT", 0.0)):
+        monkeypatch.setattr(keyframe, name, value)
+    growing = replace(SHORT, validation_every=10, cap=10_000)
     result = trained(case, growing)
     assert counts[0] < counts[1]
     assert len(result.splats) <= counts[0]
 
 
 def test_without_kept_back_tiles_there_is_no_stop(case: Case) -> None:
-    result = trained(case, replace(SHORT, validation_fraction=0.0, patience=1))
+    result = trained(case, replace(SHORT, validation_fraction=0.0))
     assert result.steps == SHORT.iterations
 
 
@@ -218,13 +230,14 @@ def moves(drawn: list[np.ndarray]) -> np.ndarray:
     return np.array([np.abs(after - before).mean() for before, after in pairwise(drawn)])
 
 
-STEADY = replace(SHORT, validation_fraction=0.0, grow_gradient=1e9, prune_opacity=0.0)
+STEADY = replace(SHORT, validation_fraction=0.0, grow_every=1000)
 
 
-def test_positions_go_ever_shorter_ways(case: Case) -> None:
+def test_positions_go_ever_shorter_ways(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
     ways = {}
     for decay in (0.05, 1.0):
-        kernel, settings = Watching(), replace(STEADY, settle_iterations=0, means_decay=decay)
+        monkeypatch.setattr(keyframe, "_MEANS_DECAY", decay)
+        kernel, settings = Watching(), replace(STEADY, settle_iterations=0)
         train_keyframe(kernel, case.views, case.pictures, points(), settings, seed=0)
         way = moves(kernel.means[:60])
         ways[decay] = way[-10:].mean() / way[:10].mean()
@@ -261,14 +274,14 @@ def test_every_gaussian_kept_is_drawn_in_some_training_view_or_lies_beside_the_p
     joined = first_points(
         *(np.concatenate([getattr(p, n) for p in (first, behind)]) for n in ("xyz", "rgb", "spacing"))
     )
-    result = trained(case, replace(SHORT, grow_gradient=1e9), first=joined)
+    result = trained(case, replace(SHORT, grow_every=1000), first=joined)
     kernel, drawn = CpuKernel(1), np.zeros(len(result.splats), bool)
     for view in case.views:
         kernel.forward(result.splats, view.pinhole)
         drawn |= np.isfinite(kernel.centres(len(result.splats))[1])
     assert drawn.all()
     assert len(result.splats) <= 400
-    wider = trained(case, replace(SHORT, grow_gradient=1e9, surroundings=0.5), first=joined).splats
+    wider = trained(case, replace(SHORT, grow_every=1000, surroundings=0.5), first=joined).splats
     beside = len(wider) - len(result.splats)
     assert 0 < beside <= 0.025 * SHORT.cap
     for view in case.views:
@@ -325,10 +338,11 @@ def test_bits_of_rotations_and_view_dependent_colours_must_be_worth_it(case: Cas
         assert kinds[0] > kinds[1] > kinds[2] == 1, "where no bit is worth it, each channel's commonest is left"
 
 
-def test_no_gaussian_is_longer_than_the_limit_on_stretch(case: Case) -> None:
+def test_no_gaussian_is_longer_than_the_limit_on_stretch(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
     longest = {}
     for max_stretch in (0.0, 1.1):
-        result = trained(case, replace(SHORT, max_stretch=max_stretch))
+        monkeypatch.setattr(keyframe, "_MAX_STRETCH", max_stretch)
+        result = trained(case)
         longest[max_stretch] = np.exp(stretches(result.splats.log_scales).max())
     # Two sizes are each rounded by half a step of the lattice after training.
     assert longest[1.1] <= 1.1 * np.exp(result.lattice.log_scales) * (1 + 1e-5)
@@ -382,9 +396,6 @@ def test_extent_is_1_1_times_the_farthest_camera_from_their_middle(case: Case) -
 
 def test_points_whose_places_are_not_known_have_a_size_and_an_opacity_of_their_own() -> None:
     given = replace(points(3), placed=np.array([True, True, False]))
-    splats = splats_from_points(given, replace(SHORT, guess_size=4.0, guess_opacity=0.03))
-    np.testing.assert_allclose(
-        np.exp(splats.log_scales[:, 0]), given.spacing * [SHORT.start_size, SHORT.start_size, 4.0], rtol=1e-6
-    )
-    expected = [SHORT.start_opacity, SHORT.start_opacity, 0.03]
-    np.testing.assert_allclose(1 / (1 + np.exp(-splats.opacity_logits)), expected, rtol=1e-6)
+    splats = splats_from_points(given, SHORT.sh_degree)
+    np.testing.assert_allclose(np.exp(splats.log_scales[:, 0]), given.spacing * [0.5, 0.5, 1.0], rtol=1e-6)
+    np.testing.assert_allclose(1 / (1 + np.exp(-splats.opacity_logits)), [0.2, 0.2, 0.1], rtol=1e-6)

@@ -13,7 +13,7 @@ import pytest
 from canary.figures import keyframe_of
 from canary.rigs import HELD_OUT, write_rig
 from decogs.encoder import EffectChoice
-from decogs.encoder.analysis.sensor_noise import SensorNoise
+from decogs.encoder.analysis import building
 from decogs.encoder.change.noise import frame_noise, picture_noise
 from decogs.encoder.settings.frame import MaskSettings
 from decogs.encoder.settings.presets import preset
@@ -106,7 +106,7 @@ def test_an_encode_loses_nothing_of_it_to_the_noise_threshold(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Training views within 1 dB of the same encode without the threshold."""
-    monkeypatch.setattr(SensorNoise, "disabled", lambda self, settings: settings)
+    monkeypatch.setitem(building._WITHOUT, "sensor_noise", lambda settings: settings)
     rig = write_rig("arc", tmp_path / "rig")
     for path in sorted(rig.glob("cam*/*.png")):
         if int(path.stem):

@@ -111,9 +111,9 @@ def test_rates_fall_over_the_second_half_of_a_frame(
 
     monkeypatch.setattr(CpuOptimiser, "step", noted)
     steps = 20
-    frame = replace(tiny_settings.frame, late_decay=0.1, joint_iterations=steps)
+    frame = replace(tiny_settings.frame, joint_iterations=steps)
     encode(moving_rig, settings=replace(tiny_settings, frame=frame), keyframe=moving.path, stop=2)
-    expected = [0.1 ** max(0.0, 2 * done / steps - 1) for done in range(steps)]
+    expected = [0.2 ** max(0.0, 2 * done / steps - 1) for done in range(steps)]
     np.testing.assert_allclose(np.array(rates) / rates[0], expected, rtol=1e-6)
 
 

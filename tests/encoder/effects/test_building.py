@@ -11,7 +11,7 @@ import pytest
 
 from decogs.decoder.stream import open_stream
 from decogs.encoder import PRESETS
-from decogs.encoder.analysis import Decision, EffectChoice, effect_choice, with_effects
+from decogs.encoder.analysis import EFFECTS, Decision, EffectChoice, effect_choice, with_effects
 from decogs.encoder.change.masks import MaskMemory
 from decogs.encoder.methods import decogs, paper
 from decogs.encoder.methods.decogs import DecogsTrainer
@@ -28,16 +28,16 @@ STANDARD = PRESETS["standard"]
 def decisions(*detected: str, cameras: tuple[str, ...] = ("cam01",), **figures: Any) -> list[Decision]:
     return [
         Decision(
-            effect=name,
-            detected=name in detected,
+            effect=effect.name,
+            detected=effect.name in detected,
             confidence=1.0,
-            cameras=cameras if name in detected else (),
+            cameras=cameras if effect.name in detected else (),
             frames=(),
             reason="",
             cost="",
             figures=figures,
         )
-        for name in EFFECT_NAMES
+        for effect in EFFECTS
     ]
 
 
@@ -86,6 +86,14 @@ def test_what_states_nothing_or_contradicts_itself_is_refused(text: str, problem
         effect_choice(text)
 
 
+@pytest.mark.parametrize("text", ["high_dynamic_range", "auto,-high_dynamic_range"])
+def test_a_former_name_is_refused_with_what_to_write(text: str) -> None:
+    with pytest.raises(
+        UsageError, match=f"^`effects` {text}: high_dynamic_range is no effect any more: .*; leave it out$"
+    ):
+        effect_choice(text)
+
+
 def test_a_choice_of_effects_is_checked_and_says_itself() -> None:
     with pytest.raises(UsageError, match="there is no effect 'some'; choose auto, all, none or from motion"):
         EffectChoice("some")
@@ -97,9 +105,9 @@ def test_a_choice_of_effects_is_checked_and_says_itself() -> None:
 def test_auto_asks_every_frame_and_takes_what_the_scene_calls_for() -> None:
     settings = built("auto", decisions("exposure_drift"))
     assert settings.detect_per_frame
-    assert settings.effects == (*FRAME_EFFECTS, "exposure_drift")
+    assert settings.effects == (*FRAME_EFFECTS, "exposure_drift", "view_dependence")
     assert settings.corrections.exposure == ("cam01",)
-    assert settings.keyframe.sh_degree == 0, "no views disagree"
+    assert settings.keyframe.sh_degree == STANDARD.keyframe.sh_degree, "the keyframe decides"
     assert built("auto,-exposure_drift", decisions("exposure_drift")).corrections == STANDARD.corrections
 
 
@@ -116,8 +124,8 @@ def test_where_most_cameras_drift_all_are_corrected() -> None:
     assert few.exposure == few.shake == ("cam01", "cam02")
 
 
-def test_what_the_scene_calls_for_changes_nothing_that_the_preset_has() -> None:
-    settings = built("auto", decisions(*FRAME_EFFECTS, "view_dependence"))
+def test_a_rig_that_calls_for_nothing_changes_nothing_that_the_preset_has() -> None:
+    settings = built("auto", decisions())
     assert replace(settings, effects=STANDARD.effects, detect_per_frame=False) == STANDARD
 
 

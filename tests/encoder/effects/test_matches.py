@@ -1,4 +1,4 @@
-"""What neighbouring cameras share: lenses that bend beyond the calibration, and colours that depend on the view."""
+"""What neighbouring cameras share: points, and lenses that bend beyond the calibration."""
 
 from __future__ import annotations
 
@@ -11,12 +11,10 @@ import numpy as np
 import pytest
 
 from decogs.decoder.lens import distort_pixels, undistort_pixels, with_k1
-from decogs.encoder.analysis.effect import Evidence
 from decogs.encoder.analysis.lens_distortion import LensDistortion
 from decogs.encoder.analysis.light import light_at, light_overall, mismatch, own_light, shared_points
 from decogs.encoder.analysis.matches import features_of, find_matches, matched
 from decogs.encoder.analysis.rig_statistics import RigStatistics
-from decogs.encoder.analysis.view_dependence import ViewDependence
 from decogs.formats.cameras import Camera
 
 Views = tuple[list[Camera], list[np.ndarray]]
@@ -35,13 +33,9 @@ def statistics_of(cameras: list[Camera], pictures: list[np.ndarray]) -> RigStati
         step=1,
         pictures=tuple(picture[None] for picture in pictures),
         noise=untold,
-        above_white=untold,
-        brightest=untold,
         light=own_light(points, lights, [light_overall(picture[None]) for picture in pictures]),
         mismatch=mismatch(points, lights),
         paths=(),
-        changes=(),
-        arrivals=(),
         matches=matches,
     )
 
@@ -97,32 +91,6 @@ def test_cameras_that_share_nothing_tell_nothing() -> None:
     cameras = [Camera(f"cam{k}", 352, 264, 300.0, 300.0, 176.0, 132.0, np.eye(4)) for k in range(3)]
     lens = decision(LensDistortion(), (cameras, [plain] * 3))
     assert (lens.detected, lens.confidence) == (False, 0.0)
-    gloss = decision(ViewDependence(), (cameras, [plain] * 3))
-    assert (gloss.detected, gloss.confidence) == (True, 0.0)
-
-
-@pytest.mark.xfail(strict=True, reason="slant resamples a strong texture by as many levels as gloss changes it")
-def test_a_matte_wall_of_strong_texture_does_not_depend_on_the_view(plane_views: Callable[..., Views]) -> None:
-    assert not decision(ViewDependence(), plane_views()).detected
-
-
-def test_views_that_agree_rule_it_out(plane_views: Callable[..., Views]) -> None:
-    stats = statistics_of(*plane_views())
-    agreeing = Evidence(np.full((5, 1), 1.5), "levels", 4.0)
-    found = ViewDependence().decide(stats, agreeing)
-    assert (found.detected, found.cost) == (False, "none")
-    assert found.confidence > 0.8
-
-
-def test_sheen_depends_on_the_view(plane_views: Callable[..., Views]) -> None:
-    """A highlight that stays where it is in every picture, wherever the wall goes."""
-    cameras, pictures = plane_views()
-    across, down = np.meshgrid(np.linspace(-1, 1, 352), np.linspace(-1, 1, 264))
-    sheen = 70 * np.exp(-((across / 0.5) ** 2) - (down / 0.5) ** 2)[..., None]
-    glossy = [np.clip(picture + sheen, 0, 255).astype(np.uint8) for picture in pictures]
-    matte, shiny = (ViewDependence().evidence(statistics_of(cameras, seen)).peak for seen in (pictures, glossy))
-    assert decision(ViewDependence(), (cameras, glossy)).detected
-    assert shiny > 1.5 * matte
 
 
 def test_matches_are_those_of_opencvs_matcher(plane_views: Callable[..., Views]) -> None:

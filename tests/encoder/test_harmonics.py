@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-import decogs.encoder.analysis.view_dependence as view_dependence
 from decogs.codec.state import Attributes
 from decogs.decoder import open_stream
 from decogs.encoder.analysis import EffectChoice
-from decogs.encoder.analysis.view_dependence import MIN_SHOWN, as_far_as_shown
+from decogs.encoder.training import harmonics
+from decogs.encoder.training.harmonics import MIN_SHOWN, as_far_as_shown
 from encode_rig import encode_rig as encode
 
 COUNT = 1000
@@ -61,7 +61,7 @@ def test_only_auto_asks_the_keyframe(
     degree: int,
 ) -> None:
     """Were all of the tiny rig's harmonics too few. An encode cut off goes on with the degree it began with."""
-    monkeypatch.setattr(view_dependence, "MIN_SHOWN", 2.0)
+    monkeypatch.setattr(harmonics, "MIN_SHOWN", 2.0)
     output, again = tmp_path / "scene.dgs", tmp_path / "again.dgs"
     options = {"holdout": [tiny_rig.held_out], "settings": tiny_settings, "effects": effects}
     encode(moving_rig, output, **options)

@@ -1,6 +1,6 @@
-"""Effects of one frame, detected from the masks' pictures in milliseconds per view, for the encoder's loop.
+"""Where things move in one frame, told from light alone, in milliseconds per view, for the encoder's loop.
 
-The measures are those of a clip (``changes.py``), inside each view's mask, at the size of the rig's statistics. A
+Pictures and their references are compared inside each view's mask, at the size of the rig's statistics (`changes`). A
 doubtful case counts as motion: training resting positions costs time, not training moving ones costs quality.
 """
 
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 
 import cv2
 import numpy as np
@@ -19,40 +19,23 @@ from decogs.formats.splats import FloatArray
 from ..change.masks import BoolArray, FrameMask
 from ..change.noise import picture_noise
 from ..parallel import side_by_side
-from . import appearance_change, motion
 from .changes import WINDOW_PIXELS, change_maps
 from .rig_statistics import MAX_PIXELS
 
+_RESTRUCTURED = 0.15
+"""Restructured share of nearby changes from which something moves: the geometric mean of its largest value for light
+alone (9.5 %, candle) and its least for motion (24 %, real rigs)."""
 _MIN_CHANGED = 4 * WINDOW_PIXELS
 """Least changed pixels of all views for a frame to be clear."""
 
 
 @dataclass(frozen=True)
-class FrameEffects:
-    """Effects of a frame. Without ``motion`` only colours and opacities need training.
-
-    ``emergence`` and ``disappearance`` cannot be detected from two pictures, so motion implies them. ``moving``: of
-    each view, the pixels (H, W) in and around what moves; elsewhere light alone changes the picture.
-    """
-
-    motion: bool
-    appearance_change: bool
-    moving: Sequence[BoolArray] = field(default=(), compare=False)
-
-    @property
-    def emergence(self) -> bool:
-        """Whether something may have come: with any motion."""
-        return self.motion
-
-    @property
-    def disappearance(self) -> bool:
-        """Whether something may have gone: with any motion."""
-        return self.motion
-
-
-@dataclass(frozen=True)
 class _Pixels:
-    """Pixel counts of one view: changed, restructured, and changed near restructured ones."""
+    """Pixel counts of one view: changed, restructured, and changed near restructured ones.
+
+    Under a change of light alone, the few restructured pixels (clipped highlights, a flame's rim) lie inside a large
+    explained change.
+    """
 
     changed: int
     restructured: int
@@ -60,31 +43,31 @@ class _Pixels:
 
     @property
     def moves(self) -> bool:
-        return self.restructured >= max(motion.LIMIT * self.near, WINDOW_PIXELS)
+        return self.restructured >= max(_RESTRUCTURED * self.near, WINDOW_PIXELS)
 
 
-def frame_effects(
+def moving_regions(
     current: Sequence[FloatArray],
     previous: Sequence[FloatArray],
     masks: Sequence[FrameMask],
     *,
     threads: int = 1,
-) -> FrameEffects:
-    """Effects of a frame, from every view's picture (3, H, W) 0..1, its reference and its mask.
+) -> list[BoolArray] | None:
+    """Of each view, the pixels (H, W) in and around what moves; None where light alone changes, or nothing does.
 
-    Raises ValueError when they are not the same views.
+    ``current``, ``previous``: of every view its picture (3, H, W) 0..1 and its reference. Raises ValueError when they
+    are not the same views.
     """
     with side_by_side(threads) as each:
         found = list(each(lambda view: _changes(*view), zip(current, previous, masks, strict=True)))
-    moving = [region for _, region in found]
     views = [pixels for pixels, _ in found if pixels is not None]
     if not views:
-        return FrameEffects(motion=False, appearance_change=False, moving=moving)
+        return None
     # All views together count as one more, since views may be unclear one by one.
     together = _Pixels(*(sum(getattr(view, each.name) for view in views) for each in fields(_Pixels)))
-    moves = together.changed < _MIN_CHANGED or any(view.moves for view in (*views, together))
-    lit = any(v.changed - v.near >= appearance_change.LIMIT * max(v.changed, 1) for v in views)
-    return FrameEffects(motion=moves, appearance_change=lit or not moves, moving=moving)
+    if together.changed < _MIN_CHANGED or any(view.moves for view in (*views, together)):
+        return [region for _, region in found]
+    return None
 
 
 def _changes(current: FloatArray, previous: FloatArray, mask: FrameMask) -> tuple[_Pixels | None, BoolArray]:
