@@ -15,7 +15,7 @@ from decogs.formats.errors import UsageError
 
 from .frame.cross_fade import fade_cameras
 from .input.ingest import Ingest
-from .point_init import first_points_memory
+from .keyframe.first_points import first_points_memory
 from .settings.encode import EncodeSettings
 from .training.method import MAX_GROWTH
 

@@ -22,11 +22,10 @@ from ..coding.packets import Written, frame_packet, key_packet, read_back
 from ..coding.scene import Scene
 from ..coding.time_control import TimeControl
 from ..input.compensation.frame import compensated, corrections_of, matched
-from ..input.ingest import RigFrame
+from ..input.ingest import RigFrame, scene_extent
+from ..keyframe.first_frame import FirstFrame, train_first_frame
 from ..output.reports import OnKeyframeStep
 from ..stopwatch import Stopwatch
-from ..training.first_frame import FirstFrame, train_first_frame
-from ..training.keyframe import scene_extent
 from ..training.method import TrainedFrame
 from .commit import Outcome, commit
 from .context import Context

@@ -162,6 +162,12 @@ def _resized(picture: Picture, size: Size) -> Picture:
     return cv2.resize(picture, size, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_CUBIC)  # type: ignore[return-value]
 
 
+def scene_extent(views: Sequence[View]) -> float:
+    """Size of the rig, 1.1 times the largest distance of a camera from their mean; 3DGS scales position rates by it."""
+    centres = np.array([camera_centre(view.pinhole) for view in views])
+    return float(1.1 * np.linalg.norm(centres - centres.mean(axis=0), axis=1).max())
+
+
 def check_held_out(rig: Rig, holdout: Sequence[str]) -> None:
     """Raises UsageError when a name of ``holdout`` is no camera of the rig."""
     names = [camera.name for camera in rig.cameras]

@@ -17,18 +17,18 @@ from decogs.formats.splats import sh_degree_of
 from ..coding.stream_header import stream_header
 from ..frame.context import Context
 from ..frame.encode_frame import Encoded, Task, begin_scene, encode_frame, train_keyframe
+from ..frame.next_segment import NextSegment, train_next_segment, with_following
 from ..input.imported_keyframe import KeyframeSource
 from ..input.imported_splats import SplatSource
 from ..input.ingest import RigFrame
 from ..input.recordings import difference, recorded_in
+from ..keyframe.first_frame import FirstFrame
+from ..keyframe.import_splats import import_splats
 from ..output.reports import FrameReport
 from ..output.resume import Interrupted
 from ..output.stream_output import StreamOutput
 from ..parallel import ahead
-from ..segments.next_segment import NextSegment, train_next_segment, with_following
 from ..stopwatch import Stopwatch
-from ..training.first_frame import FirstFrame
-from ..training.splat_keyframe import import_splats
 from .frame_report import FrameReporter
 from .options import RunOptions
 

@@ -17,10 +17,9 @@ from decogs.formats.splats import FloatArray, Splats
 
 from ..backends import FixedView, TrainingKernel
 from ..change.masks import FrameMask
-from ..input.ingest import View
+from ..input.ingest import View, scene_extent
 from ..settings.encode import EncodeSettings
 from ..settings.frame import FrameSettings
-from .keyframe import scene_extent
 from .schedule import WHOLE, StoppingRule
 
 MAX_GROWTH = 1.25

@@ -19,8 +19,8 @@ from decogs.encoder import EncodeSettings
 from decogs.encoder.backends import ATTRIBUTES, training_kernel
 from decogs.encoder.backends.scene_views import SceneViews
 from decogs.encoder.frame.cross_fade import CrossFade, cross_fade, fade_cameras
+from decogs.encoder.frame.next_segment import with_following
 from decogs.encoder.input.ingest import RigFrame
-from decogs.encoder.segments.next_segment import with_following
 from decogs.encoder.settings.frame import FrameSettings, SignificanceSettings
 from decogs.encoder.training.method import TrainedFrame
 from decogs.formats.cameras import camera_centre

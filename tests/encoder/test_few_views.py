@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from decogs.encoder.point_init import FirstPoints
+from decogs.encoder.keyframe.few_views import dissimilarity_for
+from decogs.encoder.keyframe.first_points import FirstPoints
 from decogs.encoder.settings.presets import LADDER, PRESETS
-from decogs.encoder.training.few_views import dissimilarity_for
 
 
 def points(*views_of_each: int) -> FirstPoints:

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from decogs.encoder.point_init import FirstPoints, first_points
-from decogs.encoder.point_init.agreement import agree
-from decogs.encoder.point_init.cloud import Cloud, ViewDepths, neighbour_distances, spread_to_count, too_near
-from decogs.encoder.point_init.depth_filling import continues, fill_depths
-from decogs.encoder.point_init.frusta import DepthRange, shared_depths
-from decogs.encoder.point_init.plane_sweep import DepthMap, choose_planes, sweep
-from decogs.encoder.point_init.views import inside, make_view, pixel_rays, project
+from decogs.encoder.keyframe.first_points import FirstPoints, first_points
+from decogs.encoder.keyframe.first_points.agreement import agree
+from decogs.encoder.keyframe.first_points.cloud import Cloud, ViewDepths, neighbour_distances, spread_to_count, too_near
+from decogs.encoder.keyframe.first_points.depth_filling import continues, fill_depths
+from decogs.encoder.keyframe.first_points.frusta import DepthRange, shared_depths
+from decogs.encoder.keyframe.first_points.plane_sweep import DepthMap, choose_planes, sweep
+from decogs.encoder.keyframe.first_points.views import inside, make_view, pixel_rays, project
 from decogs.formats.cameras import Camera, camera_centre
 from decogs.formats.errors import TrainingError
 

@@ -12,8 +12,8 @@ import pytest
 from decogs.codec.state import Attributes
 from decogs.decoder import open_stream
 from decogs.encoder.analysis import EffectChoice
-from decogs.encoder.training import harmonics
-from decogs.encoder.training.harmonics import MIN_SHOWN, as_far_as_shown
+from decogs.encoder.keyframe import harmonics
+from decogs.encoder.keyframe.harmonics import MIN_SHOWN, as_far_as_shown
 from encode_rig import encode_rig as encode
 
 COUNT = 1000

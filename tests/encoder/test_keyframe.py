@@ -15,17 +15,16 @@ from decogs.encoder.backends import Drawable
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.backends.cpu.optimiser import drawn_splats
 from decogs.encoder.backends.cpu.stretch import stretches
-from decogs.encoder.input.ingest import Ingest, View
-from decogs.encoder.point_init import FirstPoints
-from decogs.encoder.psnr import mean_psnr, psnr_of
-from decogs.encoder.settings.keyframe import KeyframeSettings
-from decogs.encoder.training import keyframe
-from decogs.encoder.training.keyframe import (
+from decogs.encoder.input.ingest import Ingest, View, scene_extent
+from decogs.encoder.keyframe import train as keyframe
+from decogs.encoder.keyframe.first_points import FirstPoints
+from decogs.encoder.keyframe.train import (
     _KeyframeTraining,
-    scene_extent,
     splats_from_points,
     train_keyframe,
 )
+from decogs.encoder.psnr import mean_psnr, psnr_of
+from decogs.encoder.settings.keyframe import KeyframeSettings
 from decogs.formats.cameras import in_picture, project
 from decogs.formats.errors import TrainingError
 from decogs.formats.rigs import open_rig

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from decogs.encoder.input.resizing import resized
-from decogs.encoder.settings.keyframe import KeyframeSettings
-from decogs.encoder.settings.presets import PRESETS
-from decogs.encoder.training.large_pictures import (
+from decogs.encoder.keyframe.large_pictures import (
     PictureScale,
     as_ever,
     fit_to_pictures,
     shrunk_camera,
     shrunk_weights,
 )
+from decogs.encoder.settings.keyframe import KeyframeSettings
+from decogs.encoder.settings.presets import PRESETS
 from decogs.formats.cameras import Camera, project
 
 SETTINGS = KeyframeSettings(iterations=1000, cap=1000)

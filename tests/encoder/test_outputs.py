@@ -19,7 +19,7 @@ import pytest
 import decogs.encoder.output.stream_output as stream_output
 from decogs.codec.header import StreamHeader
 from decogs.encoder.analysis.commands import analyze_main
-from decogs.encoder.training.keyframe import train_keyframe
+from decogs.encoder.keyframe.train import train_keyframe
 from decogs.formats.container import StreamWriter
 from decogs.formats.errors import RigError, UsageError
 from decogs.formats.outputs import GrowingFile
@@ -34,7 +34,7 @@ def untrained(monkeypatch: pytest.MonkeyPatch) -> None:
     def never(*_: Any, **__: Any) -> None:
         raise AssertionError("a keyframe is trained")
 
-    monkeypatch.setattr("decogs.encoder.training.first_frame.train_keyframe", never)
+    monkeypatch.setattr("decogs.encoder.keyframe.first_frame.train_keyframe", never)
     assert train_keyframe is not never
 
 

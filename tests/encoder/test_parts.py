@@ -21,10 +21,10 @@ from decogs.codec.corrections import Correction
 from decogs.decoder.stream import open_stream
 from decogs.encoder import PRESETS, CorrectionSettings, EffectChoice, EncodeSettings, Targets, join
 from decogs.encoder.commands import encode_main, join_main
+from decogs.encoder.keyframe.train import train_keyframe
 from decogs.encoder.parts.manifest import part_frames, read_part
 from decogs.encoder.settings.frame import SignificanceSettings
 from decogs.encoder.settings.reading import read_settings
-from decogs.encoder.training.keyframe import train_keyframe
 from decogs.formats.container import PacketKind
 from decogs.formats.errors import UsageError
 from encode_rig import encode_rig as encode
@@ -598,5 +598,5 @@ def test_what_the_keyframe_cost_is_not_paid_again(
         raise AssertionError("a part trains no keyframe")
 
     monkeypatch.setattr(f"{train_keyframe.__module__}.train_keyframe", never)
-    monkeypatch.setattr("decogs.encoder.training.first_frame.train_keyframe", never)
+    monkeypatch.setattr("decogs.encoder.keyframe.first_frame.train_keyframe", never)
     make(tmp_path / "part.dgs", (6, 7), keyframe=key)

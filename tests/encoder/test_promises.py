@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-import decogs.encoder.training.keyframe as keyframe
+import decogs.encoder.keyframe.train as keyframe
 import decogs.encoder.training.method as method
 from decogs.codec.header import StreamHeader
 from decogs.codec.lattice import default_lattice, dequantise

@@ -14,7 +14,7 @@ from decogs.decoder import export
 from decogs.decoder.rasterise.reference import BLUR
 from decogs.decoder.stream import open_stream
 from decogs.encoder.input.imported_splats import read_splat_source
-from decogs.encoder.training.splat_keyframe import MAX_LOST, with_compensation
+from decogs.encoder.keyframe.import_splats import MAX_LOST, with_compensation
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 from decogs.formats.splat_files.ply import Ply

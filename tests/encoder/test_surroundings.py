@@ -9,7 +9,7 @@ import pytest
 
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.input.ingest import View
-from decogs.encoder.training.surroundings import surroundings
+from decogs.encoder.keyframe.surroundings import surroundings
 from decogs.formats.cameras import Camera, in_picture, project
 from decogs.formats.splats import Splats, round_splats
 

@@ -384,14 +384,14 @@ def test_pruning_everything_in_a_later_frame_is_taken_back(moving: Any, encode: 
 def test_pruning_a_whole_keyframe_ends_with_a_clear_line(
     moving: Any, settings: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("decogs.encoder.training.keyframe._PRUNE_OPACITY", 1.0)
+    monkeypatch.setattr("decogs.encoder.keyframe.train._PRUNE_OPACITY", 1.0)
     with pytest.raises(TrainingError, match="every Gaussian became transparent"):
         encode_rig(moving[0], tmp_path / "x.dgs", settings=settings)
     assert not (tmp_path / "x.dgs").exists()
 
 
 def test_the_cap_is_reached_and_kept(moving: Any, encode: Any, settings: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("decogs.encoder.training.keyframe._GROW_GRADIENT", 0.0)
+    monkeypatch.setattr("decogs.encoder.keyframe.train._GROW_GRADIENT", 0.0)
     keyframe = replace(settings.keyframe, cap=300)
     encoded = encode(moving[0], settings=replace(settings, keyframe=keyframe), stop=2)
     check_stream(encoded)

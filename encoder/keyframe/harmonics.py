@@ -1,6 +1,6 @@
 """How far a keyframe's colours depend on the direction they are seen from: gloss, mirrors, sheen.
 
-The keyframe is trained with the preset's spherical harmonics, and rounding (`training/keyframe.py`) keeps the visible
+The keyframe is trained with the preset's spherical harmonics, and rounding (`keyframe/train.py`) keeps the visible
 ones: on three synthetic rigs 2 to 3 of a thousand Gaussians keep any, on a recorded dome 119. Below ``MIN_SHOWN`` the
 stream has none, and later frames train none.
 

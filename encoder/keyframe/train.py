@@ -18,28 +18,27 @@ from numpy.typing import NDArray
 
 from decogs.codec.lattice import Lattice, default_lattice, dequantise, quantise, robust_extent
 from decogs.codec.state import Attributes
-from decogs.formats.cameras import camera_centre
 from decogs.formats.errors import TrainingError
 from decogs.formats.splats import FloatArray, Splats, round_splats, sigmoid, take_splats
 
 from ..backends import LossValue, RenderedPicture, TrainingKernel
 from ..input.compensation import Corrector
-from ..input.ingest import View
+from ..input.ingest import View, scene_extent
 from ..input.resizing import resized
 from ..output.reports import OnKeyframeStep
-from ..point_init import FirstPoints
 from ..psnr import psnr_of
 from ..settings.keyframe import KeyframeSettings
 from ..settings.optimiser import LearningRates
-from .densification import DENSIFICATIONS
+from ..training.densification import DENSIFICATIONS
+from ..training.losses import whole_picture_loss
+from ..training.rate_distortion import cheapest
+from ..training.schedule import WHOLE, StoppingRule, TargetWatch
+from ..training.significance import picture_weight
+from ..training.view_order import view_order
 from .few_views import DISSIMILARITY, dissimilarity_for
+from .first_points import FirstPoints
 from .large_pictures import PictureFit, as_ever, fit_to_pictures, shrunk_camera, shrunk_weights
-from .losses import whole_picture_loss
-from .rate_distortion import cheapest
-from .schedule import WHOLE, StoppingRule, TargetWatch
-from .significance import picture_weight
 from .surroundings import surroundings
-from .view_order import view_order
 
 _START_OPACITY, _START_SIGMA = 0.2, 0.5
 """Of the first Gaussians; sigma in units of the points' spacing."""
@@ -77,12 +76,6 @@ class TrainedKeyframe:
     splats: Splats
     lattice: Lattice
     steps: int
-
-
-def scene_extent(views: Sequence[View]) -> float:
-    """Size of the rig, 1.1 times the largest distance of a camera from their mean; 3DGS scales position rates by it."""
-    centres = np.array([camera_centre(view.pinhole) for view in views])
-    return float(1.1 * np.linalg.norm(centres - centres.mean(axis=0), axis=1).max())
 
 
 def splats_from_points(points: FirstPoints, sh_degree: int) -> Splats:

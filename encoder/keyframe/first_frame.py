@@ -20,13 +20,13 @@ from ..input.compensation.matching import colours_at
 from ..input.dropouts import BLACK, blankness
 from ..input.ingest import Ingest, RigFrame, View
 from ..output.reports import OnKeyframeStep
-from ..point_init import FirstPoints, first_points
 from ..settings.encode import EncodeSettings
 from ..stopwatch import Stopwatch
+from ..training.schedule import StoppingRule
+from .first_points import FirstPoints, first_points
 from .harmonics import as_far_as_shown
-from .keyframe import prealigned_pictures, train_keyframe
 from .large_pictures import fit_to_pictures
-from .schedule import StoppingRule
+from .train import prealigned_pictures, train_keyframe
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import TrainingError
 
-from ..parallel import Each, side_by_side
+from ...parallel import Each, side_by_side
 from .agreement import Candidates, agree, no_candidates
 from .cloud import (
     Cloud,

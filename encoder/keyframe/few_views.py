@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..point_init import FirstPoints
+from .first_points import FirstPoints
 
 DISSIMILARITY = 0.2
 """Lambda of 3DGS's loss, where many views see a surface."""

@@ -18,13 +18,13 @@ from decogs.codec.state import changed_between
 
 from ..backends.scene_views import SceneViews
 from ..coding.scene import Scene
-from ..frame.context import Context
-from ..frame.cross_fade import CrossFade
-from ..frame.encode_frame import Encoded, Task, encode_change, observe
-from ..frame.events import Kind
-from ..frame.memory import Memory
 from ..input.ingest import RigFrame
 from ..settings.encode import EncodeSettings
+from .context import Context
+from .cross_fade import CrossFade
+from .encode_frame import Encoded, Task, encode_change, observe
+from .events import Kind
+from .memory import Memory
 
 _LAST_SHARE = 0.9
 """Share of the next segment in the last frame before it. Below 1, since training lags behind its target."""

@@ -20,7 +20,7 @@ from decogs.formats.splats import FloatArray, Splats, round_splats
 from ..backends import TrainingKernel
 from ..input.ingest import View
 from ..input.resizing import resized, resized_plane
-from ..point_init.depth_filling import fill_depths, push_pull
+from .first_points.depth_filling import fill_depths, push_pull
 
 _SHRUNK_WIDTH = 96
 """Pixels of a shrunk picture's width: what goes on is blurred."""
