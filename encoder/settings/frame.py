@@ -57,15 +57,13 @@ class SelectionSettings(Checked):
 class FocusWeights(Checked):
     """The weights of ``(1 - lambda) (beta1 L1 + beta2 L1_focus) + lambda (1 - SSIM_focus)``; none is slower.
 
-    ``over``: what the two terms of the focus are means over. "picture": the text's, whose norms are over whole pictures
-    that are 0 outside the region of interest. "region": the region of interest, whose pixels weigh more the fewer they
-    are. Source: DecoGS, focus-aware loss (docs/METHOD.md, "Focus-aware loss").
+    Source: DecoGS, focus-aware loss (docs/METHOD.md, "Focus-aware loss").
     """
 
     dissimilarity: Share = 0.2  # lambda
     whole: Multiple = 0.2  # beta1
     focus: Multiple = 0.8  # beta2
-    over: Annotated[str, OneOf(("region", "picture"))] = "region"
+    over: Annotated[str, OneOf(("region", "picture"))] = "region"  # what the focus terms are means over; none is slower
 
 
 @dataclass(frozen=True)
@@ -104,8 +102,8 @@ class FrameSettings(Checked):
 
     masks: MaskSettings = field(default_factory=MaskSettings)
     selection: SelectionSettings = field(default_factory=SelectionSettings)
-    cache: CacheSettings | None = field(default_factory=CacheSettings)  # None leaves stage 1 out: faster
-    cache_iterations: Steps = 150  # of stage 1; more: slower
+    cache: CacheSettings | None = field(default_factory=CacheSettings)  # of stage 1; None: the default one
+    cache_iterations: Steps = 150  # of stage 1, which method "paper" has; more: slower
     joint_iterations: Steps = 100  # of stage 2; more: slower, follows faster motion
     warm_start: Share = 0.0  # of the neighbourhood's last displacement, to begin with; no slower
     grow_gradient: Rate = 1e-4  # mean view gradient from which a Gaussian is split (the paper's tau_d); less: slower
