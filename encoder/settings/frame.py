@@ -57,13 +57,14 @@ class SelectionSettings(Checked):
 class FocusWeights(Checked):
     """The weights of ``(1 - lambda) (beta1 L1 + beta2 L1_focus) + lambda (1 - SSIM_focus)``; none is slower.
 
-    Source: DecoGS, focus-aware loss (docs/METHOD.md, "Focus-aware loss").
+    The focus terms are means over the "region" of interest, whose pixels weigh more the fewer they are, or over the
+    whole "picture", as the text has it. Source: DecoGS, focus-aware loss (docs/METHOD.md, "Focus-aware loss").
     """
 
     dissimilarity: Share = 0.2  # lambda
     whole: Multiple = 0.2  # beta1
     focus: Multiple = 0.8  # beta2
-    over: Annotated[str, OneOf(("region", "picture"))] = "region"  # what the focus terms are means over; none is slower
+    over: Annotated[str, OneOf(("region", "picture"))] = "region"  # what they are means over
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,7 @@ class SignificanceSettings(Checked):
     """
 
     threshold: Loss = 0.0  # by which a change that is coded moves the loss; more: smaller, less exact; 0 codes all
-    decide_at: Share = 0.6  # of stage 2, after which insignificant changes are reverted, once
+    decide_at: Share = 0.6  # of the steps, after which insignificant changes are reverted, once
     lit_factor: Annotated[float, Within(0, 1e6)] = 1.0  # of the threshold, for shapes that light changes; more: smaller
     rd_lambda: Loss = 0.0  # squared loss that a bit of a shape is worth; more: smaller, less exact; 0: nearest value
     colour_rd_lambda: Loss = 0.0  # the same of colours and opacities, whose errors add up where light changes
@@ -98,27 +99,29 @@ class SignificanceSettings(Checked):
 
 @dataclass(frozen=True)
 class FrameSettings(Checked):
-    """How a later frame is trained. The defaults are the paper's where it gives a number."""
+    """How a later frame is trained. The defaults are the paper's where it gives a number.
+
+    Method "paper" reverts no change, seeds nothing, and always runs its iterations.
+    """
 
     masks: MaskSettings = field(default_factory=MaskSettings)
     selection: SelectionSettings = field(default_factory=SelectionSettings)
-    cache: CacheSettings | None = field(default_factory=CacheSettings)  # of stage 1; None: the default one
-    cache_iterations: Steps = 150  # of stage 1, which method "paper" has; more: slower
-    joint_iterations: Steps = 100  # of stage 2; more: slower, follows faster motion
+    cache: CacheSettings | None = field(default_factory=CacheSettings)  # of method "paper"; None: CacheSettings()
+    cache_iterations: Steps = 150  # steps of method "paper" that train the cache, before the others; more: slower
+    joint_iterations: Steps = 100  # steps; more: slower, follows faster motion
     warm_start: Share = 0.0  # of the neighbourhood's last displacement, to begin with; no slower
     grow_gradient: Rate = 1e-4  # mean view gradient from which a Gaussian is split (the paper's tau_d); less: slower
     grow_fraction: Share = 0.05  # of the selected Gaussians that a frame may add, at most; more: slower, larger
     prune_opacity: Share = 0.01  # below it a Gaussian is removed; 0: never, larger
     focus: FocusWeights = field(default_factory=FocusWeights)
-    rates: LearningRates = field(  # of stage 2; means in units of the rig's extent
+    rates: LearningRates = field(  # of the steps; means in units of the rig's extent
         default_factory=lambda: LearningRates(1.28e-3, 2e-2, 8e-3, 0.1, 2e-2, 1e-3)
     )
-    beta1: Decay = 0.9  # Adam's, of the gradient, in stage 2; no slower
+    beta1: Decay = 0.9  # Adam's, of the gradient; no slower
     beta2: Decay = 0.999  # Adam's, of its square
-    max_stretch: Stretch = 0.0  # ratio of a Gaussian's largest to middle size that stage 2 may reach; 0: any
+    max_stretch: Stretch = 0.0  # ratio of a Gaussian's largest to middle size that training may reach; 0: any
     adaptive_iterations: IterationSettings = field(default_factory=IterationSettings)
     significance: SignificanceSettings = field(default_factory=SignificanceSettings)
     emergence: EmergenceSettings = field(default_factory=EmergenceSettings)
     ablated: Annotated[tuple[str, ...], OneOf(("focus", "gate"))] = ()  # parts of the method that are left out
-    optimiser: str = "adam"  # a name in OPTIMISERS
     densification: str = "clone-split"  # a name in DENSIFICATIONS

@@ -36,13 +36,14 @@ OnLoss = Callable[[str, int, float], None]
 MIN_STEPS = 12
 """Least steps of a stage, however late it is: fewer have no effect and cost hardly less."""
 
-_MAX_HASTE = 3.0
-"""Largest factor of the rates when a deadline leaves few steps, which must still cover the motion."""
 LATE_DECAY = 0.2
 """What is left of a later frame's rates at the end of its steps, falling over their second half."""
 
 _MAX_ITERATIONS = 3.0
 """Most iterations of a frame, in units of the usual number: with more, a cut would take minutes."""
+
+_MAX_HASTE = 3.0
+"""Largest factor of the rates when a deadline leaves few steps, which must still cover the motion."""
 
 _CLEARLY = np.float32(25 / 255)
 """Colour error from which a pixel is clearly missed: the paper's tau, applied to the rendering."""
