@@ -26,7 +26,7 @@ def short_presets(monkeypatch: pytest.MonkeyPatch, tiny_settings: EncodeSettings
     """Presets "tiny" and "paper" in which every method, the baseline included, takes a few steps only."""
     cache = tiny_settings.frame.cache
     assert cache is not None
-    baseline = BaselineSettings(cache=cache, cache_iterations=6, spawn_iterations=6, spawn_window=2, prune_every=3)
+    baseline = BaselineSettings(cache=cache, cache_iterations=6, spawn_iterations=6, prune_every=3)
     tiny = replace(tiny_settings, baseline=baseline)
     paper = replace(
         tiny.frame, masks=MaskSettings(), selection=SelectionSettings(rule="paper"), warm_start=0.0, joint_iterations=5
