@@ -49,7 +49,7 @@ NEEDED_FLAGS = {
 KERNELS = {
     "decogs.formats._ycbcr": ("formats/kernel", "ycbcr.cpp"),
     "decogs.decoder.rasterise._forward": ("decoder/rasterise/kernel", "forward.cpp"),
-    "decogs.encoder.rasterise._training": ("encoder/rasterise/kernel", "training.cpp"),
+    "decogs.encoder.backends.cpu._training": ("encoder/backends/cpu/kernel", "training.cpp"),
     "decogs.encoder.methods.transformation_cache._cache": ("encoder/methods/transformation_cache/kernel", "cache.cpp"),
 }
 
@@ -152,7 +152,7 @@ def kernels() -> list[Extension]:
         Extension(
             f"{name}_{instruction_set}",
             [f"{folder}/{source}"],
-            include_dirs=["decoder/rasterise/kernel", "encoder/rasterise/kernel"],
+            include_dirs=["decoder/rasterise/kernel", "encoder/backends/cpu/kernel"],
             depends=headers,
             extra_compile_args=[*COMMON_FLAGS, f"-Ddecogs=decogs_{instruction_set}", *flags],
             extra_link_args=["-pthread"],

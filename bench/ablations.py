@@ -16,14 +16,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.encoder.backends import Optimiser, TrainingKernel
 from decogs.encoder.change.selection import ViewEvidence
 from decogs.encoder.methods.decogs import DecogsTrainer
 from decogs.encoder.methods.paper import PaperTrainer
-from decogs.encoder.rasterise import TrainingKernel
 from decogs.encoder.settings.frame import FocusWeights, SelectionSettings
 from decogs.encoder.training.losses import PhotometricLoss, focus_loss, whole_picture_loss
 from decogs.encoder.training.method import FrameInput, FrameMethod, TrainedFrame, TrainingContext
-from decogs.encoder.training.optimiser import Optimiser
 from decogs.encoder.training.working_set import WorkingSet
 from decogs.formats.splats import FloatArray
 

@@ -18,6 +18,7 @@ from decogs.formats.threads import thread_count
 
 from .analysis import Decision, EffectChoice, effect_choice, with_effects
 from .analysis.analyse import analyse
+from .backends import check_device
 from .frame.context import Context
 from .input.imported_keyframe import KeyframeSource, read_keyframe
 from .input.imported_splats import SplatSource, is_splat_file, read_splat_source
@@ -34,7 +35,6 @@ from .parts.base import Base, read_base
 from .parts.encoding import encode_part
 from .parts.manifest import part_frames
 from .parts.output import open_part
-from .rasterise import check_device
 from .settings.encode import EncodeSettings
 from .settings.presets import preset
 from .stream.options import RunOptions

@@ -8,9 +8,9 @@ import numpy as np
 
 from decogs.formats.splats import FloatArray, Splats
 
+from .backends import TrainingKernel
 from .input.ingest import View
 from .parallel import side_by_side
-from .rasterise import TrainingKernel
 
 
 def psnr_of(mean_square: float) -> float:

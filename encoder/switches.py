@@ -22,7 +22,6 @@ from .registry import Registry
 from .settings.checked import Checked
 from .settings.encode import EncodeSettings
 from .training.densification import DENSIFICATIONS
-from .training.optimiser import OPTIMISERS
 
 T = TypeVar("T")
 
@@ -32,9 +31,7 @@ ABLATIONS = ("select", "focus", "gate")
 _NAMED: dict[str, Registry[Any]] = {
     "method": FRAME_METHODS,
     "frame.selection.rule": SELECTION_RULES,
-    "frame.optimiser": OPTIMISERS,
     "frame.densification": DENSIFICATIONS,
-    "keyframe.optimiser": OPTIMISERS,
     "keyframe.densification": DENSIFICATIONS,
 }
 """Settings that are names in a registry, which packages may extend."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 
@@ -29,9 +30,32 @@ def best_instruction_set() -> str:
     return wanted
 
 
-def load_kernel(package: Path, stem: str) -> ctypes.CDLL:
-    """The kernel library ``stem`` in folder ``package`` for this machine; UsageError when it was never built."""
-    return _loaded(kernel_path(package, stem, best_instruction_set()))
+def load_kernel(package: Path, stem: str, structs: Sequence[type[ctypes.Structure]]) -> ctypes.CDLL:
+    """The kernel library ``stem`` in folder ``package`` for this machine.
+
+    ``structs``: those of its interface, in the order of its ``decogs_sizes``. UsageError when the library was never
+    built, or from other sources: it would read garbage.
+    """
+    path = kernel_path(package, stem, best_instruction_set())
+    library = _loaded(path)
+    if _sizes(library, len(structs)) != [*map(ctypes.sizeof, structs), 0]:
+        raise UsageError(
+            f"{path}: the compiled kernel is of another version of decogs; install decogs again (in a checkout: make)"
+        )
+    return library
+
+
+def _sizes(library: ctypes.CDLL, count: int) -> list[int]:
+    """Sizes of ``count`` structs and the 0 behind them, as the library has them; nothing from one that does not say."""
+    try:
+        sizes = library.decogs_sizes
+    except AttributeError:
+        return []
+    sizes.restype = ctypes.POINTER(ctypes.c_int64)
+    found: list[int] = []
+    while len(found) <= count and 0 not in found:
+        found.append(sizes()[len(found)])
+    return found
 
 
 def _loaded(path: Path) -> ctypes.CDLL:

@@ -193,7 +193,7 @@ def _samples(plane: Any, *, wide: bool = False, padded: bool = False) -> NDArray
 
 @lru_cache(maxsize=1)
 def _library() -> ctypes.CDLL:
-    library = load_kernel(Path(__file__).parent, "_ycbcr")
+    library = load_kernel(Path(__file__).parent, "_ycbcr", [_Samples])
     library.decogs_rgb_of_ycbcr.restype = check_memory
     library.decogs_rgb_of_ycbcr.argtypes = [ctypes.POINTER(_Samples), ctypes.c_void_p]
     return library

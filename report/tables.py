@@ -44,6 +44,7 @@ FIGURES = {
     "psnr": Figure("dB of the whole picture", "{:.2f}".format),
     "psnr_aligned": Figure("dB of the whole picture", "{:.2f}".format),
     "psnr_dynamic": Figure("dB where things move", "{:.2f}".format),
+    "psnr_static": Figure("where nothing does", "{:.2f}".format),
     "last_dynamic": Figure("last frame", "{:.2f}".format),
     "mtv": Figure("flicker", "{:.4f}".format),
     "cpu": Figure("CPU-s", "{:.2f}".format),

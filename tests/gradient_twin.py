@@ -7,7 +7,8 @@ import numpy as np
 import torch
 
 import rasterise_cases as cases
-from decogs.encoder.rasterise import SplatGradients, TrainingKernel
+from decogs.encoder.backends import SplatGradients
+from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 
 FIELDS = ("means", "log_scales", "quaternions", "opacity_logits", "sh")
 GRADIENT_ROUNDINGS = 150
@@ -31,7 +32,7 @@ def twin_gradients(
 
 
 def kernel_gradients(case: cases.Case, planes: tuple[np.ndarray, ...], threads: int = 1) -> SplatGradients:
-    kernel = TrainingKernel(threads)
+    kernel = CpuKernel(threads)
     kernel.forward(case.splats, case.camera, case.background, depth=True)
     return kernel.backward(case.splats, planes[0], v_alpha=planes[1], v_depth=planes[2])
 

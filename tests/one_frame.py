@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 
 from decogs.codec.state import MAX_GAUSSIANS
+from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
+from decogs.encoder.backends.cpu.fixed_view import CpuFixedView
 from decogs.encoder.change.masks import FrameMask
 from decogs.encoder.input.ingest import Ingest
 from decogs.encoder.methods.decogs import DecogsTrainer
 from decogs.encoder.methods.paper import PaperTrainer
-from decogs.encoder.rasterise import FixedView, TrainingKernel
 from decogs.encoder.settings.encode import EncodeSettings
 from decogs.encoder.settings.frame import FrameSettings
 from decogs.encoder.training.method import FrameInput, FrameTrainer, TrainedFrame, TrainingContext
@@ -78,16 +79,16 @@ class Case:
         mask = np.full(self.pictures[0].shape[1:], everywhere)
         return [FrameMask(mask, mask) for _ in self.pictures]
 
-    def static_views(self, kernel: TrainingKernel) -> list[FixedView]:
+    def static_views(self, kernel: CpuKernel) -> list[CpuFixedView]:
         """The views as they show the scene."""
-        views = [FixedView(kernel, view.pinhole) for view in self.ingest.views]
+        views = [CpuFixedView(kernel, view.pinhole) for view in self.ingest.views]
         for view in views:
             view.set_scene(self.scene)
             view.redraw()
         return views
 
     def trainer(self, settings: FrameSettings, *, threads: int = 2, seed: int = 0) -> DecogsTrainer | PaperTrainer:
-        kernel = TrainingKernel(threads)
+        kernel = CpuKernel(threads)
         views, watch = self.ingest.views, self.static_views(kernel)
         return sparse_trainer(kernel, views, watch, settings, box=BOX, seed=seed, threads=threads)
 

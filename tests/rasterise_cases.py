@@ -325,16 +325,17 @@ def decoder_digest(threads: int) -> str:
 
 def encoder_digest(threads: int) -> str:
     """Hash of pictures, all gradients, weights, centres, loss and Adam steps of every case."""
-    from decogs.encoder.rasterise import FixedView, TrainingKernel
+    from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
+    from decogs.encoder.backends.cpu.fixed_view import CpuFixedView
 
-    kernel = TrainingKernel(threads)
+    kernel = CpuKernel(threads)
     digest = hashlib.sha256()
     for case in [make() for make in CASES.values()] + [large_case()]:
         splats = case.splats
         picture = kernel.forward(splats, case.camera, case.background, depth=True)
         v_rgb, v_alpha, v_depth = cotangents(case)
         g = kernel.backward(splats, v_rgb, v_alpha=v_alpha, v_depth=v_depth)
-        view, third = FixedView(kernel, case.camera), np.arange(0, len(splats), 3)
+        view, third = CpuFixedView(kernel, case.camera), np.arange(0, len(splats), 3)
         view.set_scene(splats)
         digest.update(view.redraw(v_depth > 0).tobytes())
         view.detach(third)

@@ -79,7 +79,7 @@ def test_the_player_is_installed_as_it_was_built() -> None:
     [
         ("formats", ".", "_ycbcr", "decogs_rgb_of_ycbcr"),
         ("decoder", "rasterise", "_forward", "decogs_render"),
-        ("encoder", "rasterise", "_training", "decogs_backward"),
+        ("encoder", "backends/cpu", "_training", "decogs_backward"),
         ("encoder", "methods/transformation_cache", "_cache", "decogs_cache_step"),
     ],
 )

@@ -1,7 +1,7 @@
 """A fixed camera's picture, kept up to date while few Gaussians of its scene change from frame to frame.
 
 Static Gaussians are neither projected, nor sorted, nor drawn again; pictures have the bits of ``render``. Design and
-rejected alternatives: kernel/incremental_view.h. Training builds on the same kernel, see ``decogs.encoder.rasterise``.
+rejected alternatives: kernel/incremental_view.h. Training builds on the same kernel, see ``decogs.encoder.backends``.
 """
 
 from __future__ import annotations

@@ -160,7 +160,7 @@ def check_renumbered(renumbered: RowArray | None, detached: NDArray[np.bool_], p
 
 @lru_cache(maxsize=1)
 def _library() -> ctypes.CDLL:
-    library = load_kernel(Path(__file__).parent, "_forward")
+    library = load_kernel(Path(__file__).parent, "_forward", [NativeScene, NativeCamera, NativePlanes, NativePicture])
     library.decogs_renderer_create.restype = ctypes.c_void_p
     library.decogs_renderer_create.argtypes = [ctypes.c_int]
     library.decogs_renderer_destroy.argtypes = [ctypes.c_void_p]

@@ -20,7 +20,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..rasterise import FixedView
+from ..backends import FixedView
 from ..registry import Registry, described, guarded
 from ..settings.frame import SelectionSettings
 

@@ -20,6 +20,7 @@ from decogs.formats.errors import UsageError
 from decogs.formats.outputs import GrowingFile, Output, check_outputs, is_device, write_whole
 from decogs.formats.rigs import Rig, files_of, open_rig
 
+from ..backends import check_device
 from ..encoding import chosen_settings, wanted_effects
 from ..input.ingest import frame_span
 from ..input.recordings import is_current
@@ -29,7 +30,6 @@ from ..parts.base import Base, read_base
 from ..parts.joining import JoinReport, join
 from ..parts.manifest import frames_read
 from ..parts.output import is_of_part
-from ..rasterise import check_device
 from .ray_engine import RayEngine
 from .tasks import Outcome
 

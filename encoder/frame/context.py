@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import Splats
 
+from ..backends import TrainingKernel, training_kernel
+from ..backends.scene_views import SceneViews
 from ..input.compensation import Corrector, Show, corrector_of
 from ..input.ingest import Ingest
 from ..methods import method_of
-from ..rasterise import TrainingKernel, training_kernel
-from ..rasterise.scene_views import SceneViews
 from ..settings.encode import EncodeSettings
 from ..training.method import FrameMethod
 from ..training.schedule import OnLoss, StoppingRule

@@ -20,15 +20,13 @@ from numpy.typing import NDArray
 from decogs.formats.cameras import Camera, camera_centre, scale_camera, turned
 from decogs.formats.splats import Splats, join_splats, take_splats
 
-from ..rasterise import FixedView, TrainingKernel, gradients_like
-from ..rasterise.scene_views import SceneViews
+from ..backends import ATTRIBUTES, FixedView, Optimiser, TrainingKernel
+from ..backends.scene_views import SceneViews
 from ..settings.frame import FocusWeights, FrameSettings
-from ..training.losses import PhotometricLoss, focus_loss, require_finite
+from ..training.losses import PhotometricLoss, StepLosses, focus_loss
 from ..training.method import TrainedFrame
-from ..training.optimiser import ATTRIBUTES, OPTIMISERS, Optimiser
 from ..training.schedule import LATE_DECAY
 from ..training.significance import picture_weight
-from ..training.stretch import step_unstretched
 from ..training.view_order import view_order
 
 _PIXELS = 240_000
@@ -140,21 +138,20 @@ def cross_fade(
     losses = _losses(kernel, fade, scene, fading, settings.focus)
     if not losses:
         return trained
-    new = OPTIMISERS.get(settings.optimiser)
-    optimiser = new(fading.values, kernel, beta1=settings.beta1, beta2=settings.beta2)
+    optimiser = kernel.optimiser(fading.values, beta1=settings.beta1, beta2=settings.beta2)
     share = picture_weight([loss for _, loss in losses])
-    gradients, rates = gradients_like(fading.values), replace(settings.rates, means=settings.rates.means * extent)
+    seen, rates = StepLosses(), replace(settings.rates, means=settings.rates.means * extent)
     order, steps = view_order(len(losses), np.random.default_rng(seed)), _STEPS * settings.joint_iterations
     for step in range(steps):
         view, loss = losses[next(order)]
-        view.draw(optimiser.splats, fading.rows)
+        view.draw(optimiser, fading.rows)
         value = loss.evaluate_drawn(view)
-        require_finite(value, view.camera)
+        seen.add(value, view.camera)
         if on_loss is not None:
             on_loss("fade", step, value.total)
-        view.backward(out=gradients)
         late = LATE_DECAY ** max(0.0, 2 * step / steps - 1)
-        step_unstretched(optimiser, gradients, rates.scaled(_RATES * late), settings.max_stretch)
+        optimiser.step(view.backward(), rates.scaled(_RATES * late), max_stretch=settings.max_stretch)
+    seen.check()
     return _cross_faded(trained, fading, optimiser, share)
 
 

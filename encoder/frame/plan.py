@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..analysis.enabled import enabled_effects
+from ..backends import FixedView
 from ..change.masks import FrameMask, full_masks, showing
 from ..change.selection import select, view_evidence
 from ..coding.scene import Scene
-from ..rasterise import FixedView
 from ..settings.frame import FrameSettings, SelectionSettings
 from ..stopwatch import Stopwatch
 from .context import Context

@@ -14,8 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..rasterise import SplatGradients
-from ..training.densification import ViewGradients
+from ..backends import Gradients
 from ..training.emergence import add_emerging_in_time
 from ..training.frame_training import FrameTraining, LossOfView, Step, frame_training
 from ..training.losses import focus_loss
@@ -23,7 +22,6 @@ from ..training.method import FrameInput, TrainedFrame, TrainingContext
 from ..training.schedule import SearchTime, StepSchedule, iteration_factor, rates_at, seconds_at_least
 from ..training.selective_densification import densify
 from ..training.significance import revert_insignificant
-from ..training.stretch import step_unstretched
 from ..training.warm_start import shared_displacements
 from ..training.working_set import WorkingSet
 
@@ -54,7 +52,7 @@ class DecogsTrainer:
         schedule = StepSchedule(frame.settings.joint_iterations, frame.stopping.deadline, factor=factor)
         growth = _Growth(training, work, self._search)
         _train(training, work, schedule, growth)
-        trained = training.outcome(work, work.values, before, probes)
+        trained = training.outcome(work, work.optimiser, before, probes)
         if frame.stopping.deadline is not None:
             self._step_seconds, _ = schedule.steps_seconds
             self.min_seconds = seconds_at_least(time.perf_counter() - began - growth.searching, schedule)
@@ -74,14 +72,15 @@ def _start_warm(work: WorkingSet, frame: FrameInput) -> None:
     """Moves the Gaussians on by a share of their neighbourhood's last displacement."""
     share, motion = np.float32(frame.settings.warm_start), frame.motion[work.rows]
     if share and motion.any():
-        work.values.means[:] += share * shared_displacements(work.values.means, motion)
+        means = work.values.means
+        work.optimiser.put(means=means + share * shared_displacements(means, motion))
 
 
 def _iteration_factor(training: FrameTraining, work: WorkingSet, probes: Sequence[int]) -> float:
     """Factor of this frame's iterations."""
     if not training.settings.adaptive_iterations.usual_miss:
         return 1.0
-    training.draw(probes, work, work.values)
+    training.draw(probes, work, work.optimiser)
     return iteration_factor(training.settings.adaptive_iterations, training.errors(probes))
 
 
@@ -92,12 +91,12 @@ def _train(training: FrameTraining, work: WorkingSet, schedule: StepSchedule, gr
         if schedule.is_over:
             break
         growth.before(schedule)
-        gradients = training.gradients(step, work, work.values)
+        gradients = training.gradients(step, work, work.optimiser)
         growth.after(schedule, gradients, step.view)
         if end.is_reached(schedule, step):
             break
         rates = rates_at(training.settings, training.context.extent, schedule)
-        step_unstretched(work.optimiser, gradients, rates, training.settings.max_stretch)
+        work.optimiser.step(gradients, rates, max_stretch=training.settings.max_stretch)
         schedule.step()
 
 
@@ -111,7 +110,7 @@ class _Growth:
         self._training, self._work, self._search = training, work, search
         iterations = training.settings.joint_iterations
         self._from, self._at = iterations // 4, iterations // 2
-        self._gathered = ViewGradients(len(work.rows))
+        self._gathered = training.context.kernel.view_gradients(len(work.rows))
         self.searching = 0.0
 
     def before(self, schedule: StepSchedule) -> None:
@@ -121,9 +120,9 @@ class _Growth:
             densify(training, work, work.values, self._gathered)
         if schedule.reaches(self._from):
             self.searching = add_emerging_in_time(training, work, schedule, self._search)
-            self._gathered = ViewGradients(len(work.rows))
+            self._gathered = training.context.kernel.view_gradients(len(work.rows))
 
-    def after(self, schedule: StepSchedule, gradients: SplatGradients, view: int) -> None:
+    def after(self, schedule: StepSchedule, gradients: Gradients, view: int) -> None:
         """Gathers a step's gradients in the second quarter."""
         if self._from <= schedule.position < self._at:
             self._training.gather(self._gathered, gradients, view)
@@ -160,6 +159,7 @@ class _End:
 
 def _revert_insignificant(training: FrameTraining, work: WorkingSet) -> None:
     """Reverts what hardly shows; geometry sooner where light alone changes the pictures."""
+    training.seen.check()
     settings, old, lit, factor = training.settings.significance, work.old, training.frame.lit, None
     if lit is not None:
         factor = np.ones(len(work.rows), np.float32)

@@ -24,12 +24,10 @@ from numpy.typing import NDArray
 from decogs.formats.rotations import rotation_matrices
 from decogs.formats.splats import Splats, join_splats, logit, sigmoid, take_splats
 
-from ..rasterise import SplatGradients, gradients_like
+from ..backends import ATTRIBUTES, SplatGradients, gradients_like
 from ..settings.optimiser import LearningRates
-from ..training.densification import ViewGradients
 from ..training.losses import PhotometricLoss, require_finite, whole_picture_loss
 from ..training.method import FrameInput, TrainedFrame, TrainingContext
-from ..training.optimiser import ATTRIBUTES, Adam
 from ..training.view_order import view_order
 from .transformation_cache import TransformationCache
 
@@ -81,14 +79,14 @@ class BaselineTrainer:
     def _stage1(self, scene: Splats, losses: Sequence[PhotometricLoss]) -> NDArray[np.float64]:
         """Moves ``scene`` by a freshly trained cache; returns the mean view gradients that spawning goes by."""
         settings, cache = self._settings, self._cache
-        gathered, gradients = ViewGradients(len(scene)), gradients_like(scene)
+        gathered, gradients = self._kernel.view_gradients(len(scene)), gradients_like(scene)
         cache.restart()
         cache.place(scene.means, scene.quaternions)
         for step in range(settings.cache_iterations):
             scene.means[:], scene.quaternions[:] = cache.moved()
             camera = self._views[self._descend(scene, losses, gradients, ("cache", step))].pinhole
             if step >= settings.cache_iterations - _SPAWN_WINDOW:
-                gathered.add(gradients.view, camera.width, camera.height)
+                gathered.add(gradients, camera)
             cache.backward(gradients.means, gradients.quaternions)
             cache.step()
         scene.means[:], scene.quaternions[:] = cache.moved()
@@ -117,7 +115,7 @@ class BaselineTrainer:
         """Trains the spawned Gaussians alone, in the whole scene, and takes away those that come to nothing."""
         settings = self._settings
         rates = replace(RATES, means=RATES.means * self._extent)
-        optimiser = Adam(spawned, self._kernel)
+        optimiser = self._kernel.optimiser(spawned)
         scene = join_splats(lasting, spawned)
         gradients = gradients_like(scene)
         for step in range(1, settings.spawn_iterations + 1):

@@ -16,6 +16,7 @@ import numpy as np
 
 from decogs.codec.state import changed_between
 
+from ..backends.scene_views import SceneViews
 from ..coding.scene import Scene
 from ..frame.context import Context
 from ..frame.cross_fade import CrossFade
@@ -23,7 +24,6 @@ from ..frame.encode_frame import Encoded, Task, encode_change, observe
 from ..frame.events import Kind
 from ..frame.memory import Memory
 from ..input.ingest import RigFrame
-from ..rasterise.scene_views import SceneViews
 from ..settings.encode import EncodeSettings
 
 _LAST_SHARE = 0.9

@@ -21,9 +21,7 @@ _UNUSED = {"decogs": "baseline", "3dgstream": "frame"}
 """Settings that a method does not read; methods of other packages do not read the baseline's."""
 
 _USUAL = (
-    ("keyframe.optimiser", "adam"),
     ("keyframe.densification", "clone-split"),
-    ("frame.optimiser", "adam"),
     ("frame.densification", "clone-split"),
     ("frame.focus.over", "region"),
 )

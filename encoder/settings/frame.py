@@ -124,5 +124,4 @@ class FrameSettings(Checked):
     significance: SignificanceSettings = field(default_factory=SignificanceSettings)
     emergence: EmergenceSettings = field(default_factory=EmergenceSettings)
     ablated: Annotated[tuple[str, ...], OneOf(("focus", "gate"))] = ()  # parts of the method that are left out
-    optimiser: str = "adam"  # a name in OPTIMISERS
     densification: str = "clone-split"  # a name in DENSIFICATIONS

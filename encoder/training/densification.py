@@ -23,26 +23,6 @@ from ..registry import Registry, described, guarded
 _SPLIT_SHRINK = np.float32(np.log(1.6))
 
 
-class ViewGradients:
-    """Mean gradient of each Gaussian's projected centre over the views that drew it, in 3DGS's normalised units.
-
-    3DGS measures it in coordinates that run from -1 to 1 over the picture, hence the factor of half the picture's size.
-    """
-
-    def __init__(self, count: int) -> None:
-        self._sum = np.zeros(count, np.float64)
-        self._views = np.zeros(count, np.int64)
-
-    def add(self, view: NDArray[np.float32], width: int, height: int) -> None:
-        """Takes one view's gradient lengths (N,) in pixels; 0 means not drawn or not selected."""
-        self._sum += view.astype(np.float64) * (max(width, height) / 2)
-        self._views += view > 0
-
-    def mean(self) -> NDArray[np.float64]:
-        """The mean (N,) over the views that drew each Gaussian; 0 for one that no view drew."""
-        return self._sum / np.maximum(self._views, 1)
-
-
 @dataclass(frozen=True)
 class Growth:
     """Proposal of a densification: ``children`` to append, one per row of ``parents``, and the parents' new values."""

@@ -51,6 +51,7 @@ def add_emerging_in_time(
 
 def _emerging(training: FrameTraining, work: WorkingSet, views: Sequence[int], rays: float) -> Splats:
     """Seeds of emerging objects; a third of the views decides whether to search in all."""
+    training.seen.check()
     settings, degree = training.settings.emergence, work.values.sh_degree
     if settings.max_seeds <= 0:
         return empty_splats(degree)
@@ -60,7 +61,7 @@ def _emerging(training: FrameTraining, work: WorkingSet, views: Sequence[int], r
     for probe in (views[::3], views):
         new = [index for index in probe if index not in searched]
         for index in new:
-            training.context.static_views[index].draw(work.values, work.rows, depth=True)
+            training.context.static_views[index].draw(work.optimiser, work.rows, depth=True)
         with side_by_side(threads) as each:
             searched |= zip(new, each(lambda index: _search_view(training, index), new), strict=True)
             misses |= zip(new, each(missed, map(searched.__getitem__, new)), strict=True)

@@ -13,6 +13,7 @@ from decogs.codec.state import State
 from decogs.formats.errors import RigError
 from decogs.formats.splats import FloatArray
 
+from ..backends import TrainingKernel
 from ..input.compensation import Corrector
 from ..input.compensation.frame import matched
 from ..input.compensation.matching import colours_at
@@ -20,7 +21,6 @@ from ..input.dropouts import BLACK, blankness
 from ..input.ingest import Ingest, RigFrame, View
 from ..output.reports import OnKeyframeStep
 from ..point_init import FirstPoints, first_points
-from ..rasterise import TrainingKernel
 from ..settings.encode import EncodeSettings
 from ..stopwatch import Stopwatch
 from .harmonics import as_far_as_shown

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 from decogs.formats.cameras import in_picture, project
 from decogs.formats.splats import FloatArray, Splats
 
+from ..backends import Drawable, Gradients, ViewGradients
 from ..change.masks import FrameMask, showing
 from ..input.ingest import View
 from ..parallel import side_by_side
-from ..rasterise import SplatGradients
 from ..settings.frame import FocusWeights, FrameSettings
-from .densification import ViewGradients
-from .losses import PhotometricLoss, focus_loss, require_finite
+from .losses import PhotometricLoss, StepLosses, focus_loss
 from .method import FrameInput, TrainedFrame, TrainingContext
 from .schedule import TargetWatch
 from .significance import picture_weight
@@ -44,7 +43,8 @@ class Step(NamedTuple):
 class FrameTraining:
     """One frame's training. ``losses``: one a view. ``used``: the views whose pictures show their frame.
 
-    ``random`` is the only source of chance, and the same for a frame whatever was trained before.
+    ``seen``: its steps' losses, unread. ``random`` is the only source of chance, and the same for a frame whatever was
+    trained before.
     """
 
     context: TrainingContext
@@ -52,6 +52,7 @@ class FrameTraining:
     losses: Sequence[PhotometricLoss]
     used: Sequence[int]
     random: np.random.Generator
+    seen: StepLosses = field(default_factory=StepLosses)
 
     @property
     def settings(self) -> FrameSettings:
@@ -68,22 +69,21 @@ class FrameTraining:
         order = view_order(len(self.used), self.random)
         return (Step(stage, number, self.used[place]) for number, place in enumerate(order))
 
-    def gradients(self, step: Step, work: WorkingSet, drawn: Splats) -> SplatGradients:
-        """Gradients of the values ``drawn`` (M), from the pixels that they cover; raises TrainingError for NaN."""
+    def gradients(self, step: Step, work: WorkingSet, drawn: Drawable) -> Gradients:
+        """Gradients of the values ``drawn`` (M), from the pixels that they cover."""
         view = self.context.static_views[step.view]
         view.draw(drawn, work.rows)
         value = self.losses[step.view].evaluate_drawn(view)
-        require_finite(value, self.context.views[step.view].camera)
+        self.seen.add(value, self.context.views[step.view].camera)
         if self.frame.stopping.on_loss is not None:
             self.frame.stopping.on_loss(step.stage, step.number, value.total)
-        return view.backward(out=work.gradients)
+        return view.backward()
 
-    def gather(self, gathered: ViewGradients, gradients: SplatGradients, view: int) -> None:
+    def gather(self, gathered: ViewGradients, gradients: Gradients, view: int) -> None:
         """Adds a view's gradients, rescaled to those of the plain loss, the scale of the paper's tau_d."""
-        camera = self.context.views[view].pinhole
-        gathered.add(gradients.view / np.float32(self.losses[view].emphasis), camera.width, camera.height)
+        gathered.add(gradients, self.context.views[view].pinhole, self.losses[view].emphasis)
 
-    def draw(self, views: Sequence[int], work: WorkingSet, drawn: Splats) -> None:
+    def draw(self, views: Sequence[int], work: WorkingSet, drawn: Drawable) -> None:
         """Draws these views with the values ``drawn``."""
         for index in views:
             self.context.static_views[index].draw(drawn, work.rows)
@@ -103,12 +103,16 @@ class FrameTraining:
         """Sum of the squared `errors`."""
         return sum(float(np.square(errors).sum(dtype=np.float64)) for errors in self.errors(views))
 
-    def outcome(self, work: WorkingSet, drawn: Splats, before: float, views: Sequence[int]) -> TrainedFrame:
-        """The trained frame; no change if these views' squared error, ``before`` at the start, has grown by half."""
+    def outcome(self, work: WorkingSet, drawn: Drawable, before: float, views: Sequence[int]) -> TrainedFrame:
+        """The trained frame; no change if these views' squared error, ``before`` at the start, has grown by half.
+
+        Raises TrainingError for a loss that is not finite.
+        """
+        self.seen.check()
         self.draw(views, work, drawn)
         if self.squared_error(views) > _DIVERGED * before:
             return work.unchanged()
-        return work.result(drawn, self.picture_weight)
+        return work.result(drawn if isinstance(drawn, Splats) else drawn.splats, self.picture_weight)
 
     def focus(self, index: int) -> NDArray[np.bool_]:
         """The recorded part of a view's region of interest, (H, W)."""

@@ -22,24 +22,22 @@ from decogs.formats.cameras import camera_centre
 from decogs.formats.errors import TrainingError
 from decogs.formats.splats import FloatArray, Splats, round_splats, sigmoid, take_splats
 
+from ..backends import LossValue, RenderedPicture, TrainingKernel
 from ..input.compensation import Corrector
 from ..input.ingest import View
 from ..input.resizing import resized
 from ..output.reports import OnKeyframeStep
 from ..point_init import FirstPoints
 from ..psnr import psnr_of
-from ..rasterise import RenderedPicture, TrainingKernel, gradients_like
 from ..settings.keyframe import KeyframeSettings
 from ..settings.optimiser import LearningRates
-from .densification import DENSIFICATIONS, ViewGradients
+from .densification import DENSIFICATIONS
 from .few_views import DISSIMILARITY, dissimilarity_for
 from .large_pictures import PictureFit, as_ever, fit_to_pictures, shrunk_camera, shrunk_weights
 from .losses import whole_picture_loss
-from .optimiser import OPTIMISERS
 from .rate_distortion import cheapest
 from .schedule import WHOLE, StoppingRule, TargetWatch
 from .significance import picture_weight
-from .stretch import step_unstretched
 from .surroundings import surroundings
 from .view_order import view_order
 
@@ -67,6 +65,9 @@ the poses of rotated cameras are known."""
 
 _PREALIGNMENT_STEPS = 100
 """Steps after which a rotated camera's pose is known to a twentieth of a pixel."""
+
+_REPORT_EVERY = 10
+"""Steps after which progress shows another loss: reading one waits for the device."""
 
 
 @dataclass(frozen=True)
@@ -188,11 +189,12 @@ class _KeyframeTraining:
         self._stopping, self._is_good_enough = stopping, False
         self._regions = [None if c is None else c > 0 for c in counted]
         self._fit, self._factor = fit, 0
-        self._values: list[list[float]] = []
+        self._values: list[list[LossValue]] = []
+        self._reported_loss = float("nan")
         self._look(fit.scales[0].factor)
         self._kept_back = [_kept_back(view, c) for view, c in zip(views, counted, strict=True)]
-        self._optimiser = OPTIMISERS.get(settings.optimiser)(splats_from_points(points, settings.sh_degree), kernel)
-        self._renew_gradients()
+        self._optimiser = kernel.optimiser(splats_from_points(points, settings.sh_degree))
+        self._view_gradients = kernel.view_gradients(len(self._optimiser))
         self._order = view_order(len(views), random)
 
     def run(self, on_step: OnKeyframeStep | None) -> TrainedKeyframe:
@@ -224,14 +226,15 @@ class _KeyframeTraining:
             most=settings.cap - settings.seen_cap,
         )
         self._optimiser.append(more)
-        self._renew_gradients()
+        self._view_gradients = self._kernel.view_gradients(len(self._optimiser))
         return len(more)
 
     def _check_learnt(self) -> None:
         """Raises TrainingError when training has diverged: the loss has not fallen."""
+        self._check_finite()
         count = len(self._views)
         rounds = [
-            [sum(values[i : i + count]) / count for i in range(0, len(values) - count + 1, count)]
+            [sum(v.total for v in values[i : i + count]) / count for i in range(0, len(values) - count + 1, count)]
             for values in self._values
         ]
         # Shrunk pictures have less that can be missed: the last loss may be above the first one's.
@@ -253,10 +256,8 @@ class _KeyframeTraining:
             if self._corrector is not None and self._corrects_at(step):
                 self._correct(self._corrector, step)
             loss = self._step(step)
-            self._report_loss("keyframe", step, loss)
             step += 1
-            if on_step:
-                on_step(step, self._planned, loss)
+            self._report("keyframe", step - 1, step, loss, on_step)
             if (
                 settings.validation_fraction
                 and self._factor == 1
@@ -271,7 +272,7 @@ class _KeyframeTraining:
                     waited += 1
         if step < settings.iterations and not self._is_good_enough:
             self._optimiser = best_optimiser
-            self._renew_gradients()
+            self._view_gradients = self._kernel.view_gradients(len(best_optimiser))
         return step
 
     def _settle_on_lattice(self, steps: int, on_step: OnKeyframeStep | None) -> Lattice:
@@ -291,17 +292,14 @@ class _KeyframeTraining:
             if more == 2 * total // 3:
                 self._fix(("means",), quantise(self._optimiser.splats, lattice), lattice)
             loss = self._step(self._settings.iterations)
-            self._report_loss("settle", more, loss)
-            if on_step:
-                on_step(min(self._planned, steps + 1 + more), self._planned, loss)
+            self._report("settle", more, min(self._planned, steps + 1 + more), loss, on_step)
         return lattice
 
     def _fix(self, names: Sequence[str], points: Attributes, lattice: Lattice) -> None:
         """Sets these attributes to ``points`` of the lattice and holds them."""
-        splats, there = self._optimiser.splats, dequantise(points, lattice)
-        for name in names:
-            getattr(splats, name)[:] = getattr(there, name)
-        self._optimiser.hold({name: np.ones(getattr(splats, name).shape, bool) for name in names})
+        there = dequantise(points, lattice)
+        self._optimiser.put(**{name: getattr(there, name) for name in names})
+        self._optimiser.hold({name: np.ones(getattr(there, name).shape, bool) for name in names})
 
     def _judged(self, lattice: Lattice) -> Attributes:
         """Lattice points: rate-distortion optimised for rotations and view-dependent colours, else the nearest."""
@@ -324,28 +322,37 @@ class _KeyframeTraining:
     def _planned(self) -> int:
         return self._settings.iterations + self._settings.settle_iterations
 
-    def _step(self, step: int) -> float:
+    def _step(self, step: int) -> LossValue:
         index = next(self._order)
         camera, loss = self._cameras[index], self._losses[index]
-        splats = self._optimiser.splats
-        picture = self._kernel.forward(splats, camera, sh_degree=self._degree(step))
+        picture = self._kernel.forward(self._optimiser, camera, sh_degree=self._degree(step))
         value = loss.evaluate(self._kernel)
         if self._target is not None:
             self._is_good_enough = self._target.saw(index, picture.rgb)
-        if not np.isfinite(value.total):
-            raise TrainingError(
-                f"the keyframe's loss is {value.total} at step {step}; the pictures or poses are unusable"
-            )
-        self._values[-1].append(value.total)
-        self._kernel.backward(splats, out=self._gradients)
-        self._view_gradients.add(self._gradients.view, camera.width, camera.height)
-        step_unstretched(self._optimiser, self._gradients, self._rates(step / self._settings.iterations), _MAX_STRETCH)
+        self._values[-1].append(value)
+        gradients = self._kernel.backward(self._optimiser)
+        self._view_gradients.add(gradients, camera)
+        rates = self._rates(step / self._settings.iterations)
+        self._optimiser.step(gradients, rates, max_stretch=_MAX_STRETCH)
         self._densify(step)
-        return value.total
+        return value
 
-    def _report_loss(self, stage: str, step: int, loss: float) -> None:
+    def _check_finite(self) -> None:
+        """Raises TrainingError for a loss that is not finite."""
+        for step, value in enumerate(value for values in self._values for value in values):
+            if not np.isfinite(value.total):
+                raise TrainingError(
+                    f"the keyframe's loss is {value.total} at step {step}; the pictures or poses are unusable"
+                )
+
+    def _report(self, stage: str, place: int, step: int, loss: LossValue, on_step: OnKeyframeStep | None) -> None:
+        """Reports a step to observers; to read its loss waits for the device."""
         if self._stopping.on_loss is not None:
-            self._stopping.on_loss(stage, step, loss)
+            self._stopping.on_loss(stage, place, loss.total)
+        if on_step:
+            if (step - 1) % _REPORT_EVERY == 0:
+                self._reported_loss = loss.total
+            on_step(step, self._planned, self._reported_loss)
 
     def _corrects_at(self, step: int) -> bool:
         iterations = self._settings.iterations
@@ -354,6 +361,7 @@ class _KeyframeTraining:
 
     def _correct(self, corrector: Corrector, step: int) -> None:
         """Replaces the target pictures by compensated ones; drift is estimated against the scene so far."""
+        self._check_finite()
         self._pictures = self.compensated(corrector, step)
         self._look(self._factor)
 
@@ -374,7 +382,7 @@ class _KeyframeTraining:
 
         def draw(number: int) -> RenderedPicture:
             camera = self._views[number].pinhole
-            return self._kernel.forward(self._optimiser.splats, camera, sh_degree=self._degree(step), depth=True)
+            return self._kernel.forward(self._optimiser, camera, sh_degree=self._degree(step), depth=True)
 
         return corrector.undo(self._recorded, corrector.find_jointly(self._recorded, draw))
 
@@ -396,6 +404,7 @@ class _KeyframeTraining:
         settings, progress = self._settings, step / self._settings.iterations
         if (step + 1) % settings.grow_every or not _GROW_FROM < progress < _GROW_TO:
             return
+        self._check_finite()
         splats = self._optimiser.splats
         keep = sigmoid(splats.opacity_logits) >= _PRUNE_OPACITY
         room = settings.seen_cap - int(keep.sum())
@@ -409,18 +418,12 @@ class _KeyframeTraining:
             random=self._random,
         )
         parents = growth.parents
-        splats.means[parents] = growth.parent_means
-        splats.log_scales[parents] = growth.parent_log_scales
+        self._optimiser.put(parents, means=growth.parent_means, log_scales=growth.parent_log_scales)
         self._optimiser.append(growth.children)
         self._optimiser.keep(np.concatenate([keep, np.ones(len(parents), bool)]))
-        if not len(self._optimiser.splats):
+        if not len(self._optimiser):
             raise TrainingError("every Gaussian became transparent; the pictures and poses contradict each other")
-        self._renew_gradients()
-
-    def _renew_gradients(self) -> None:
-        """Room for those of as many Gaussians as there are now."""
-        self._gradients = gradients_like(self._optimiser.splats)
-        self._view_gradients = ViewGradients(len(self._optimiser.splats))
+        self._view_gradients = self._kernel.view_gradients(len(self._optimiser))
 
     def validation_psnr(self, step: int) -> float:
         """PSNR over the tiles kept out of the loss."""
@@ -428,7 +431,7 @@ class _KeyframeTraining:
         for view, target, kept in zip(self._views, self._pictures, self._kept_back, strict=True):
             if kept is None:
                 continue
-            picture = self._kernel.forward(self._optimiser.splats, view.pinhole, sh_degree=self._degree(step))
+            picture = self._kernel.forward(self._optimiser, view.pinhole, sh_degree=self._degree(step))
             square += float((((np.clip(picture.rgb, 0, 1) - target) ** 2) * kept).sum())
             pixels += 3 * float(kept.sum())
         return psnr_of(square / max(pixels, 1.0))

@@ -17,7 +17,7 @@ from decogs.formats.cameras import Camera
 from decogs.formats.errors import TrainingError
 from decogs.formats.splats import FloatArray
 
-from ..rasterise import FixedView, LossValue, TrainingKernel
+from ..backends import FixedView, LossValue, TrainingKernel
 from ..settings.frame import FocusWeights
 
 
@@ -54,6 +54,23 @@ class PhotometricLoss:
             l1_weight=self.l1_weight,
             focus=self.focus,
         )
+
+
+class StepLosses:
+    """Losses of a frame's steps. To read one waits for the device, so they are checked together, now and then."""
+
+    def __init__(self) -> None:
+        self._unchecked: list[tuple[LossValue, Camera]] = []
+
+    def add(self, value: LossValue, camera: Camera) -> None:
+        """Takes the loss of a step, which drew ``camera``."""
+        self._unchecked.append((value, camera))
+
+    def check(self) -> None:
+        """Raises TrainingError for a loss since the last check that is not finite."""
+        unchecked, self._unchecked = self._unchecked, []
+        for value, camera in unchecked:
+            require_finite(value, camera)
 
 
 def require_finite(value: LossValue, camera: Camera) -> None:

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from decogs.formats.splats import FloatArray, Splats
 
+from ..backends import FixedView, TrainingKernel
 from ..change.masks import FrameMask
 from ..input.ingest import View
-from ..rasterise import FixedView, TrainingKernel
 from ..settings.encode import EncodeSettings
 from ..settings.frame import FrameSettings
 from .keyframe import scene_extent

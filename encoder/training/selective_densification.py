@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from decogs.formats.splats import Splats, sigmoid
 
-from .densification import DENSIFICATIONS, ViewGradients
+from ..backends import ViewGradients
+from .densification import DENSIFICATIONS
 from .frame_training import FrameTraining
 from .working_set import WorkingSet
 
@@ -26,6 +27,7 @@ def densify(training: FrameTraining, work: WorkingSet, drawn: Splats, gathered: 
 
     ``drawn`` (M): the values as drawn, where the working set's own are moved by a cache.
     """
+    training.seen.check()
     settings = training.settings
     selected = work.may_grow()
     faint = selected & (sigmoid(work.values.opacity_logits) < settings.prune_opacity)
@@ -62,7 +64,6 @@ def _grow(
     shift = drawn.means[parents] - own.means[parents]
     stray = ~training.in_any_focus(growth.children.means + shift)
     growth.children.means[stray] = own.means[parents[stray]]
-    own.means[parents] = growth.parent_means
-    own.log_scales[parents] = growth.parent_log_scales
+    work.optimiser.put(parents, means=growth.parent_means, log_scales=growth.parent_log_scales)
     work.append(growth.children)
     return True

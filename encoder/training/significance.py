@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from decogs.codec.lattice import KEPT_SCALE
 from decogs.formats.splats import FloatArray, Splats
 
+from ..backends import ATTRIBUTES, Optimiser
 from .losses import PhotometricLoss
-from .optimiser import ATTRIBUTES, Optimiser
 
 _GEOMETRY = ("means", "log_scales", "quaternions")
 
@@ -47,7 +47,7 @@ def revert_insignificant(
     ``before`` (M) has the optimiser's rows. Rows that are not ``old`` (M,) are new and keep their values. ``threshold``
     is in units of the loss; ``geometry_factor`` (M,): its factor for positions, sizes and rotations of each row.
     """
-    _keep_scale(optimiser.splats.quaternions, before.quaternions)
+    optimiser.put(quaternions=_kept_scale(optimiser.splats.quaternions, before.quaternions))
     held = {}
     for name in ATTRIBUTES:
         values, was = getattr(optimiser.splats, name), getattr(before, name)
@@ -56,13 +56,14 @@ def revert_insignificant(
             limit *= geometry_factor[:, None]
         idle = optimiser.gradient_size(name) * np.abs(values - was) < limit
         idle[~old] = False
-        np.copyto(values, was, where=idle)
+        optimiser.put(**{name: np.where(idle, was, values)})
         held[name] = idle
     optimiser.hold(held)
 
 
-def _keep_scale(quaternions: FloatArray, before: FloatArray) -> None:
-    """Scales quaternions so that the formerly largest component keeps its value; the rotations stay."""
+def _kept_scale(quaternions: FloatArray, before: FloatArray) -> FloatArray:
+    """The quaternions, scaled so that the formerly largest component keeps its value; the rotations stay."""
+    quaternions = quaternions.copy()
     row, largest = np.arange(len(before)), np.abs(before).argmax(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         scale = before[row, largest] / quaternions[row, largest]
@@ -70,3 +71,4 @@ def _keep_scale(quaternions: FloatArray, before: FloatArray) -> None:
     usable = (scale > 1 / high) & (scale < 1 / low)
     quaternions[usable] *= scale[usable, None]
     quaternions[row[usable], largest[usable]] = before[row[usable], largest[usable]]
+    return quaternions

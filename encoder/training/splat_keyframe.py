@@ -24,11 +24,11 @@ from decogs.formats.similarity import NO_CHANGE, Similarity, transformed_splats
 from decogs.formats.splats import Splats, logit, sh_degree_of, sigmoid, take_splats
 from decogs.formats.up_direction import AXES, turn_between, up_of
 
+from ..backends import TrainingKernel
 from ..input.imported_keyframe import KeyframeSource
 from ..input.imported_splats import SplatSource
 from ..input.ingest import Ingest, RigFrame
 from ..psnr import mean_psnr
-from ..rasterise import TrainingKernel
 from ..settings.encode import EncodeSettings
 from .harmonics import as_far_as_shown
 

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from decogs.formats.cameras import Camera, camera_centre, in_picture, project, ray_slopes, scale_camera, turned
 from decogs.formats.splats import FloatArray, Splats, round_splats
 
+from ..backends import TrainingKernel
 from ..input.ingest import View
 from ..input.resizing import resized, resized_plane
 from ..point_init.depth_filling import fill_depths, push_pull
-from ..rasterise import TrainingKernel
 
 _SHRUNK_WIDTH = 96
 """Pixels of a shrunk picture's width: what goes on is blurred."""

@@ -7,9 +7,8 @@ from numpy.typing import NDArray
 
 from decogs.formats.splats import FloatArray, Splats, empty_splats, join_splats, sigmoid, take_splats
 
-from ..rasterise import TrainingKernel, gradients_like
+from ..backends import ATTRIBUTES, TrainingKernel
 from .method import FrameInput, TrainedFrame
-from .optimiser import ATTRIBUTES, OPTIMISERS
 
 
 class WorkingSet:
@@ -24,9 +23,8 @@ class WorkingSet:
         self._scene, self._next_row = frame.scene, len(frame.scene)
         settings = frame.settings
         self._prune_opacity = settings.prune_opacity
-        new = OPTIMISERS.get(settings.optimiser)
-        self.optimiser = new(take_splats(frame.scene, self.rows), kernel, beta1=settings.beta1, beta2=settings.beta2)
-        self.gradients = gradients_like(self.values)
+        values = take_splats(frame.scene, self.rows)
+        self.optimiser = kernel.optimiser(values, beta1=settings.beta1, beta2=settings.beta2)
 
     @property
     def values(self) -> Splats:
@@ -52,7 +50,6 @@ class WorkingSet:
         self.optimiser.append(added)
         self.rows = np.concatenate([self.rows, np.arange(self._next_row, self._next_row + len(added))])
         self._next_row += len(added)
-        self.gradients = gradients_like(self.values)
 
     def remove(self, positions: NDArray[np.int64]) -> None:
         """Removes the Gaussians at ``positions`` of ``rows`` from training and scene."""
@@ -60,7 +57,6 @@ class WorkingSet:
         stays[positions] = False
         self.rows = self.rows[stays]
         self.optimiser.keep(stays)
-        self.gradients = gradients_like(self.values)
 
     def before(self) -> Splats:
         """Values of ``rows`` before the frame; new Gaussians have their current ones."""

@@ -120,6 +120,12 @@ int decogs_instruction_set() {
     return 0;
 }
 
+// Sizes of the structs of this interface, in the order in which Python's loader states them, and a 0 at the end.
+const int64_t* decogs_sizes() {
+    static const int64_t sizes[] = {sizeof(decogs::Samples), 0};
+    return sizes;
+}
+
 // 0, or 1 when there is no memory. `rgb`: height x width x 3.
 int decogs_rgb_of_ycbcr(const decogs::Samples* samples, uint8_t* rgb) {
     const std::unique_ptr<int32_t[]> rows(new (std::nothrow) int32_t[3 * (int64_t{samples->width} + 3)]);

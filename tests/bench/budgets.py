@@ -33,9 +33,9 @@ import decogs.encoder.training.seeding as seeding
 from decogs.decoder.picture_output import to_8bit
 from decogs.decoder.views import render_view
 from decogs.encoder import PRESETS, EffectChoice, EncodeReport, EncodeSettings, Targets
+from decogs.encoder.backends.cpu.fixed_view import CpuFixedView
 from decogs.encoder.change.masks import MaskMemory
 from decogs.encoder.coding.time_control import counted_seconds
-from decogs.encoder.rasterise import FixedView
 from decogs.encoder.training.frame_training import FrameTraining
 from decogs.formats.cameras import Camera, scale_camera
 from decogs.formats.rigs import open_rig, read_frames
@@ -62,16 +62,20 @@ class WorkClock:
         stack = ExitStack()
         stack.enter_context(patch.object(time, "perf_counter", self))
         for owner, name, cost in (
-            (FixedView, "draw", lambda _, view, moving, *rest, **more: 300 + 20 * view.met.sum() + 0.3 * len(moving)),
-            (FixedView, "loss", lambda _, view, *rest, **more: 100 + 10 * view.met.sum()),
             (
-                FixedView,
+                CpuFixedView,
+                "draw",
+                lambda _, view, moving, *rest, **more: 300 + 20 * view.met.sum() + 0.3 * len(moving),
+            ),
+            (CpuFixedView, "loss", lambda _, view, *rest, **more: 100 + 10 * view.met.sum()),
+            (
+                CpuFixedView,
                 "backward",
                 lambda _, view, *rest, **more: 200 + 20 * view.met.sum() + 0.2 * len(view._drawn[1]),
             ),
-            (FixedView, "redraw", lambda _, view, *rest: 300 + 15 * view.met.size + 0.05 * len(view._loaded())),
-            (FixedView, "commit", lambda _, view, scene, rows, *rest: 100 + 0.2 * len(rows) + 0.02 * len(scene)),
-            (FixedView, "detach", lambda _, view, rows: 50 + 0.1 * len(rows)),
+            (CpuFixedView, "redraw", lambda _, view, *rest: 300 + 15 * view.met.size + 0.05 * len(view._loaded())),
+            (CpuFixedView, "commit", lambda _, view, scene, rows, *rest: 100 + 0.2 * len(rows) + 0.02 * len(scene)),
+            (CpuFixedView, "detach", lambda _, view, rows: 50 + 0.1 * len(rows)),
             (decogs, "shared_displacements", lambda _, means, *rest: 2 * len(means)),
             (FrameTraining, "errors", lambda out, *rest: 0.05 * sum(each.shape[1] for each in out)),
             (decogs, "frame_training", lambda made, *rest: 0.003 * sum(each[0].size for each in made.frame.pictures)),

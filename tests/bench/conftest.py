@@ -24,15 +24,19 @@ shared_data = encoder_conftest.shared_data
 @pytest.fixture
 def short_presets(monkeypatch: pytest.MonkeyPatch, tiny_settings: EncodeSettings) -> None:
     """Presets "tiny" and "paper" in which every method, the baseline included, takes a few steps only."""
-    cache = tiny_settings.frame.cache
-    assert cache is not None
+    cache = tiny_settings.baseline.cache
     baseline = BaselineSettings(cache=cache, cache_iterations=6, spawn_iterations=6, prune_every=3)
     tiny = replace(tiny_settings, baseline=baseline)
     paper = replace(
-        tiny.frame, masks=MaskSettings(), selection=SelectionSettings(rule="paper"), warm_start=0.0, joint_iterations=5
+        tiny.frame,
+        masks=MaskSettings(),
+        selection=SelectionSettings(rule="paper"),
+        cache=cache,
+        cache_iterations=5,
+        joint_iterations=5,
     )
     monkeypatch.setitem(PRESETS, "tiny", tiny)
-    monkeypatch.setitem(PRESETS, "paper", replace(tiny, frame=paper))
+    monkeypatch.setitem(PRESETS, "paper", replace(tiny, method="paper", frame=paper))
 
 
 @pytest.fixture(scope="session")

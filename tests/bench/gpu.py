@@ -17,10 +17,10 @@ from statistics import median
 import numpy as np
 import torch
 
-from decogs.encoder.rasterise import FixedView, TrainingKernel, fixed_view, gradients_like
-from decogs.encoder.rasterise.cuda import CudaKernel, missing_for_cuda
+from decogs.encoder.backends import cuda
+from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
+from decogs.encoder.backends.cuda.cuda_kernel import CudaKernel
 from decogs.encoder.settings.optimiser import LearningRates
-from decogs.encoder.training.optimiser import Adam
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import Splats, take_splats
 from rasterise import front_camera, random_scene
@@ -41,24 +41,19 @@ def milliseconds(function: Callable[[], object]) -> float:
 class DenseStep:
     """A training step of a whole scene: its parts as functions without arguments."""
 
-    def __init__(self, kernel: TrainingKernel, splats: Splats, camera: Camera) -> None:
-        rng = np.random.default_rng(1)
-        self.kernel, self.camera = kernel, camera
-        self.optimiser = Adam(splats, kernel)
-        self.target = rng.random((3, camera.height, camera.width), dtype=np.float32)
-        self.gradients = gradients_like(splats)
+    def __init__(self, kernel: CudaKernel, splats: Splats, camera: Camera) -> None:
+        self.kernel, self.camera, self.optimiser = kernel, camera, kernel.optimiser(splats)
+        self.target = np.random.default_rng(1).random((3, camera.height, camera.width), dtype=np.float32)
         self.parts = (self.forward, self.loss, self.backward, self.adam)
 
     def forward(self) -> None:
-        self.picture = self.kernel.forward(self.optimiser.splats, self.camera)
+        self.kernel.forward(self.optimiser, self.camera)
 
     def loss(self) -> None:
-        size = 3.0 * self.target[0].size
-        scales = {"l1_scale": 0.8 / size, "ssim_scale": 0.2 / size}
-        _, self.cotangent = self.kernel.loss(self.picture.rgb, self.target, **scales)
+        self.kernel.picture_loss(self.target, **scales(self.target))
 
     def backward(self) -> None:
-        self.kernel.backward(self.optimiser.splats, self.cotangent, out=self.gradients)
+        self.gradients = self.kernel.backward(self.optimiser)
 
     def adam(self) -> None:
         self.optimiser.step(self.gradients, RATES)
@@ -67,29 +62,31 @@ class DenseStep:
 class SparseStep:
     """A training step of the Gaussians ``rows`` while the others rest."""
 
-    def __init__(self, kernel: TrainingKernel, splats: Splats, camera: Camera, rows: np.ndarray) -> None:
-        self.rows = rows
-        self.optimiser = Adam(take_splats(splats, rows), kernel)
-        self.gradients = gradients_like(self.optimiser.splats)
+    def __init__(self, kernel: CudaKernel, splats: Splats, camera: Camera, rows: np.ndarray) -> None:
+        self.rows, self.optimiser = rows, kernel.optimiser(take_splats(splats, rows))
         self.target = np.random.default_rng(1).random((3, camera.height, camera.width), dtype=np.float32)
-        self.view: FixedView = fixed_view(kernel, camera)
+        self.view = kernel.fixed_view(camera)
         self.view.set_scene(splats)
         self.view.redraw()
         self.view.detach(rows)
         self.parts = (self.draw, self.loss, self.backward, self.adam)
 
     def draw(self) -> None:
-        self.view.draw(self.optimiser.splats, self.rows)
+        self.view.draw(self.optimiser, self.rows)
 
     def loss(self) -> None:
-        size = 3.0 * self.target[0].size
-        self.view.loss(self.target, l1_scale=0.8 / size, ssim_scale=0.2 / size)
+        self.view.loss(self.target, **scales(self.target))
 
     def backward(self) -> None:
-        self.view.backward(out=self.gradients)
+        self.gradients = self.view.backward()
 
     def adam(self) -> None:
         self.optimiser.step(self.gradients, RATES)
+
+
+def scales(target: np.ndarray) -> dict[str, float]:
+    """Of a mean over a whole picture."""
+    return {"l1_scale": 0.8 / target.size, "ssim_scale": 0.2 / target.size}
 
 
 def bench_steps(kernel: CudaKernel, splats: Splats, camera: Camera, rounds: int) -> None:
@@ -127,10 +124,10 @@ def bench_transfers(splats: Splats, camera: Camera, rounds: int) -> None:
 
 def compare(kernel: CudaKernel, splats: Splats, camera: Camera) -> None:
     """Pictures and gradients on the device against the native kernel's."""
-    native = TrainingKernel(0)
+    native = CpuKernel(0)
     cotangent = np.random.default_rng(2).normal(size=(3, camera.height, camera.width)).astype(np.float32)
     pictures = [each.forward(splats, camera).rgb for each in (native, kernel)]
-    gradients = [each.backward(splats, cotangent) for each in (native, kernel)]
+    gradients = [each.backward(splats, cotangent).host() for each in (native, kernel)]
     off = np.abs(pictures[1] - pictures[0])
     print(f"picture: rms {np.sqrt(np.mean(off**2)):.2e}, largest {off.max():.2e}")
     for name in ("means", "log_scales", "quaternions", "opacity_logits", "sh", "view"):
@@ -146,7 +143,7 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=150_000, help="Gaussians (default 150000)")
     parser.add_argument("--size", default="1352x1014", help="of the picture (default 1352x1014)")
     args = parser.parse_args()
-    missing = missing_for_cuda()
+    missing = cuda.missing()
     if missing:
         sys.exit(f"nothing to measure: {missing}")
     width, height = (int(side) for side in args.size.split("x"))

@@ -17,7 +17,8 @@ from statistics import median
 
 import numpy as np
 
-from decogs.encoder.rasterise import TrainingKernel, native
+from decogs.encoder.backends.cpu import native
+from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.formats.cameras import Camera
 from decogs.formats.kernels import INSTRUCTION_SETS, best_instruction_set
 from decogs.formats.splats import Splats
@@ -77,19 +78,19 @@ def instruction_set(name: str) -> Iterator[None]:
         native.training_library.cache_clear()
 
 
-def kernels_by_instruction_set() -> dict[str, TrainingKernel]:
+def kernels_by_instruction_set() -> dict[str, CpuKernel]:
     """One single-threaded kernel for each instruction set this machine runs."""
     kernels = {}
     for name in INSTRUCTION_SETS[: INSTRUCTION_SETS.index(best_instruction_set()) + 1]:
         with instruction_set(name):
-            kernels[name] = TrainingKernel(1)
+            kernels[name] = CpuKernel(1)
     return kernels
 
 
 class Step:
     """A training step of one scene: its parts as functions without arguments."""
 
-    def __init__(self, kernel: TrainingKernel, splats: Splats, camera: Camera) -> None:
+    def __init__(self, kernel: CpuKernel, splats: Splats, camera: Camera) -> None:
         rng = np.random.default_rng(1)
         self.kernel, self.splats, self.camera = kernel, splats, camera
         self.target = rng.random((3, camera.height, camera.width), dtype=np.float32)
@@ -113,7 +114,7 @@ def milliseconds(function: Callable[[], None], clock: Callable[[], float]) -> fl
     return (clock() - start) * 1e3
 
 
-def bench_steps(kernels: dict[str, TrainingKernel], rounds: int) -> None:
+def bench_steps(kernels: dict[str, CpuKernel], rounds: int) -> None:
     """The table: milliseconds per part, instruction set, scene and SH degree."""
     best = list(kernels)[-1]
     print(f"{'scene':24} SH  " + "".join(f"| {name:^30} " for name in kernels) + f"| prototype {best}")
@@ -141,7 +142,7 @@ def bench_threads(rounds: int) -> None:
     print("means that other work had them")
     for count, width, height in SIZES:
         splats, camera = random_scene(count, 0), front_camera(width, height)
-        steps = {threads: Step(TrainingKernel(threads), splats, camera) for threads in (1, 2)}
+        steps = {threads: Step(CpuKernel(threads), splats, camera) for threads in (1, 2)}
         ratios: list[tuple[float, ...]] = []
         for _ in range(rounds):
             wall = {}
@@ -157,31 +158,24 @@ def bench_threads(rounds: int) -> None:
         print(f"{f'{count // 1000}k Gaussians, {width}x{height}':24} {shown}", flush=True)
 
 
-def bench_adam(kernels: dict[str, TrainingKernel], rounds: int) -> None:
-    """One Adam step on 150 000 Gaussians of degree 3, 59 values each, and on a tenth of them."""
+def bench_adam(kernels: dict[str, CpuKernel], rounds: int) -> None:
+    """One Adam step on 150 000 Gaussians of degree 3, 59 values each."""
     rng = np.random.default_rng(2)
     shapes = ((150_000, 3), (150_000, 3), (150_000, 4), (150_000,), (150_000, 16, 3))
     gradients = [rng.normal(size=shape).astype(np.float32) for shape in shapes]
     state = [[np.zeros_like(g) for g in gradients] for _ in range(3)]
-    tenth = np.flatnonzero(np.repeat(rng.random(1500) < 0.1, 100)).astype(np.int64)
 
-    def step(kernel: TrainingKernel, rows: np.ndarray | None) -> None:
+    def step(kernel: CpuKernel) -> None:
         for gradient, *arrays in zip(gradients, *state, strict=True):
-            kernel.adam(arrays[0], gradient, *arrays[1:], rate=1e-3, step=5, rows=rows)
+            kernel.adam(arrays[0], gradient, *arrays[1:], rate=1e-3, step=5)
 
-    print("\nAdam, 150k Gaussians of 59 values: all, and a tenth of them in stretches of 100")
-    times: dict[str, list[tuple[float, float]]] = {name: [] for name in kernels}
+    print("\nAdam, 150k Gaussians of 59 values")
+    times: dict[str, list[float]] = {name: [] for name in kernels}
     for _ in range(rounds):
         for name, kernel in kernels.items():
-            clock = time.process_time
-            times[name].append(
-                (
-                    milliseconds(lambda k=kernel: step(k, None), clock),
-                    milliseconds(lambda k=kernel: step(k, tenth), clock),
-                )
-            )
-    for name, rows in times.items():
-        print(f"{name:8} {median(r[0] for r in rows):6.1f} ms  {median(r[1] for r in rows):6.1f} ms")
+            times[name].append(milliseconds(lambda k=kernel: step(k), time.process_time))
+    for name, found in times.items():
+        print(f"{name:8} {median(found):6.1f} ms")
 
 
 def main() -> None:

@@ -15,7 +15,9 @@ from statistics import median
 
 import numpy as np
 
-from decogs.encoder.rasterise import FixedView, TrainingKernel, gradients_like
+from decogs.encoder.backends import gradients_like
+from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
+from decogs.encoder.backends.cpu.fixed_view import CpuFixedView
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import Splats, join_splats, take_splats
 from rasterise import Step, front_camera, milliseconds, random_scene
@@ -36,10 +38,10 @@ def nearest(splats: Splats, count: int) -> np.ndarray:
 class SparseStep:
     """A training step of the Gaussians ``rows``; the others rest."""
 
-    def __init__(self, kernel: TrainingKernel, splats: Splats, camera: Camera, rows: np.ndarray) -> None:
+    def __init__(self, kernel: CpuKernel, splats: Splats, camera: Camera, rows: np.ndarray) -> None:
         self.rows, self.moving = rows, take_splats(splats, rows)
         self.target = np.random.default_rng(1).random((3, camera.height, camera.width), dtype=np.float32)
-        self.view = FixedView(kernel, camera)
+        self.view = CpuFixedView(kernel, camera)
         self.view.set_scene(splats)
         self.view.redraw()
         self.view.detach(self.rows)
@@ -53,7 +55,7 @@ class SparseStep:
 
 def bench_shares(rounds: int, count: int, width: int, height: int) -> None:
     """Dense against sparse, by the share of Gaussians that move."""
-    splats, camera, kernel = random_scene(count, 1), front_camera(width, height), TrainingKernel(1)
+    splats, camera, kernel = random_scene(count, 1), front_camera(width, height), CpuKernel(1)
     whole = Step(kernel, splats, camera)
     steps = [SparseStep(kernel, splats, camera, nearest(splats, int(share * count))) for share in SHARES]
 
@@ -77,7 +79,7 @@ def shifted(splats: Splats, offset: float) -> Splats:
 
 def bench_size(rounds: int, count: int, width: int, height: int) -> None:
     """The same moving Gaussians in a scene of N, of twice as many beside them, and of twice as many around them."""
-    camera, kernel = front_camera(2 * width, height), TrainingKernel(1)
+    camera, kernel = front_camera(2 * width, height), CpuKernel(1)
     scene, others = random_scene(count, 1), random_scene(count, 1)
     others = take_splats(others, np.arange(count)[::-1])
     moving = nearest(scene, int(0.05 * count))

@@ -11,9 +11,9 @@ import pytest
 
 from decogs.bench.ablations import DECOGS, PAPER
 from decogs.decoder.stream import open_stream
+from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.change.selection import SELECTION_RULES
 from decogs.encoder.methods import FRAME_METHODS, method_of
-from decogs.encoder.rasterise import TrainingKernel
 from decogs.encoder.settings.cache import CacheSettings
 from decogs.encoder.settings.encode import EncodeSettings
 from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings
@@ -35,7 +35,7 @@ def case(moving_rig: Path, tiny_rig: Any) -> Case:
 
 
 def ablated(case: Case, method: FrameMethod, *parts: str, **settings: Any) -> tuple[FrameTrainer, FrameSettings]:
-    frame, kernel = replace(SETTINGS, ablated=parts, **settings), TrainingKernel(2)
+    frame, kernel = replace(SETTINGS, ablated=parts, **settings), CpuKernel(2)
     whole = EncodeSettings(frame=frame)
     context = training_context(kernel, case.ingest.views, case.static_views(kernel), settings=whole, box=BOX)
     return method.trainer(context), frame

@@ -1,4 +1,4 @@
-"""The training kernel's Adam against torch.optim.Adam in float64, on all rows and on some."""
+"""The training kernel's Adam against torch.optim.Adam in float64."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from decogs.encoder.rasterise import TrainingKernel
+from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 
 STEP = 1e-5
 """Relative error of a step: some fifteen roundings (1e-6), and float32's 0.999, which is 1.3e-5 off in 1 - beta2 and
@@ -44,7 +44,7 @@ def test_steps_are_torchs(shape: tuple[int, ...], one_rate: bool) -> None:
     steps = gradients(6, shape)
     start = np.random.default_rng(8).normal(size=shape).astype(np.float32) * np.float32(0.01)
     value, first, second = start.copy(), np.zeros_like(start), np.zeros_like(start)
-    kernel = TrainingKernel(2)
+    kernel = CpuKernel(2)
     for k, gradient in enumerate(steps):
         rate = 0.01 if one_rate else rates.astype(np.float32)
         kernel.adam(value, gradient, first, second, rate=rate, step=k + 1)
@@ -61,52 +61,17 @@ def test_first_step_goes_the_whole_rate() -> None:
     # Kingma 2015, section 2.1: bias correction makes the first step rate * sign(gradient), whatever its size.
     gradient = np.array([1e-12, -1e-6, 1.0, 1e6, 0.0], np.float32)
     value, first, second = np.zeros(5, np.float32), np.zeros(5, np.float32), np.zeros(5, np.float32)
-    TrainingKernel(1).adam(value, gradient, first, second, rate=0.5, step=1, epsilon=1e-30)
+    CpuKernel(1).adam(value, gradient, first, second, rate=0.5, step=1, epsilon=1e-30)
     np.testing.assert_allclose(value, [-0.5, 0.5, -0.5, -0.5, 0.0], rtol=1e-6)
-
-
-@pytest.mark.parametrize("shape", [(40,), (40, 3), (9000, 4), (300, 9, 3)])
-@pytest.mark.parametrize("share", [0.0, 0.02, 0.5, 0.98, 1.0])
-def test_rows_step_as_all_do_and_the_others_keep_every_bit(shape: tuple[int, ...], share: float) -> None:
-    rng = np.random.default_rng(9)
-    start = [rng.normal(size=shape).astype(np.float32) for _ in range(2)]
-    start += [np.abs(rng.normal(size=shape)).astype(np.float32)]
-    gradient = rng.normal(size=shape).astype(np.float32)
-    rate = np.linspace(0.001, 0.02, int(np.prod(shape[1:]))).astype(np.float32)
-    chosen = rng.random(shape[0]) < share
-    some, every = [a.copy() for a in start], [a.copy() for a in start]
-    TrainingKernel(2).adam(some[0], gradient, *some[1:], rate=rate, step=4, rows=np.flatnonzero(chosen))
-    TrainingKernel(1).adam(every[0], gradient, *every[1:], rate=rate, step=4)
-    for before, after, dense in zip(start, some, every, strict=True):
-        np.testing.assert_array_equal(after[chosen], dense[chosen])
-        np.testing.assert_array_equal(after[~chosen], before[~chosen])
-        assert (dense != before).mean() > 0.9  # a step does step
-
-
-def test_order_of_rows_does_not_matter() -> None:
-    rng = np.random.default_rng(10)
-    gradient = rng.normal(size=(500, 3)).astype(np.float32)
-    rows = rng.permutation(500)[:200]
-    results = []
-    for order in (rows, np.sort(rows)):
-        value, first, second = (np.zeros((500, 3), np.float32) for _ in range(3))
-        TrainingKernel(2).adam(value, gradient, first, second, rate=0.1, step=1, rows=order)
-        results.append(value)
-    np.testing.assert_array_equal(*results)
 
 
 def test_nothing_to_step() -> None:
     nothing = np.zeros((0, 3), np.float32)
-    TrainingKernel(1).adam(nothing, nothing, nothing, nothing, rate=0.1, step=1)
+    CpuKernel(1).adam(nothing, nothing, nothing, nothing, rate=0.1, step=1)
 
 
 def test_shapes_that_do_not_fit_are_refused() -> None:
     value = np.zeros((4, 3), np.float32)
-    kernel = TrainingKernel(1)
+    kernel = CpuKernel(1)
     with pytest.raises(ValueError, match="shape"):
         kernel.adam(value, value[:3], value.copy(), value.copy(), rate=0.1, step=1)
-    rows = np.zeros(2, np.int32)
-    with pytest.raises(ValueError, match="int64"):
-        kernel.adam(value, value.copy(), value.copy(), value.copy(), rate=0.1, step=1, rows=rows)  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="float32"):
-        kernel.adam(value.astype(np.float64), value, value.copy(), value.copy(), rate=0.1, step=1)

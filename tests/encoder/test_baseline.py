@@ -14,11 +14,11 @@ import pytest
 import decogs.encoder.frame.plan as plan
 from decogs.codec.digest import digest
 from decogs.decoder.stream import open_stream
+from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.change.masks import MaskMemory
 from decogs.encoder.input.ingest import Ingest
 from decogs.encoder.methods import threedgstream
 from decogs.encoder.methods.threedgstream import BaselineTrainer
-from decogs.encoder.rasterise import TrainingKernel
 from decogs.encoder.settings.encode import EncodeSettings
 from decogs.encoder.settings.threedgstream import BaselineSettings
 from decogs.encoder.training.method import TrainedFrame
@@ -46,7 +46,7 @@ class Case:
         settings = replace(EncodeSettings(), method="3dgstream", baseline=replace(self.settings, **changes))
         return BaselineTrainer(
             training_context(
-                TrainingKernel(threads),
+                CpuKernel(threads),
                 self.ingest.views,
                 [],
                 settings=settings,
@@ -77,7 +77,7 @@ def bits(splats: Splats) -> bytes:
 
 
 def error(case: Case, splats: Splats) -> float:
-    kernel = TrainingKernel(2)
+    kernel = CpuKernel(2)
     pairs = zip(case.ingest.views, case.pictures, strict=True)
     return float(np.mean([((kernel.forward(splats, v.pinhole).rgb - p) ** 2).mean() for v, p in pairs]))
 

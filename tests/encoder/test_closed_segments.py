@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 import decogs.encoder.coding.scene as scene
-import decogs.encoder.rasterise.scene_views as scene_views
 from decogs.codec.corrections import Correction
 from decogs.codec.digest import digest
 from decogs.codec.state import ARRAYS
 from decogs.decoder.stream import open_stream
 from decogs.encoder import CorrectionSettings, EncodeSettings, Targets
+from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.coding.rate_control import RateControl, with_budget
 from decogs.encoder.settings.frame import SignificanceSettings
 from decogs.formats.container import FRAME_KINDS, PacketKind
@@ -117,13 +117,13 @@ def test_a_segment_shows_its_scene_in_the_views_of_the_one_before(
 ) -> None:
     """New views for every segment leave holes in the heap: a take's memory grew by 50 kB a frame."""
     made: list[str] = []
-    new_view = scene_views.fixed_view
+    new_view = CpuKernel.fixed_view
 
     def counted(kernel: Any, camera: Any) -> Any:
         made.append(camera.name)
         return new_view(kernel, camera)
 
-    monkeypatch.setattr(scene_views, "fixed_view", counted)
+    monkeypatch.setattr(CpuKernel, "fixed_view", counted)
     encode(rig_of(MOMENTS), settings=closed(tiny_settings), keyframe=key)
     assert made
     assert len(made) == len(set(made)), "one for each camera"

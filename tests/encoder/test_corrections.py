@@ -19,13 +19,14 @@ from decogs.decoder.decoding import decode
 from decogs.decoder.rasterise import Rendering, render
 from decogs.decoder.stream import open_stream
 from decogs.decoder.views import render_view
+from decogs.encoder.backends import RenderedPicture
+from decogs.encoder.backends.cpu.cpu_kernel import HostPicture
 from decogs.encoder.input.compensation import CorrectionMemory, Corrector, corrector_of
 from decogs.encoder.input.compensation.agreement import SharedSurface, agreeing_shifts
 from decogs.encoder.input.compensation.benefit import Benefit
 from decogs.encoder.input.compensation.colour import odds_shift, without_odds
 from decogs.encoder.input.compensation.shake import angles_of, turn_of, unturned
 from decogs.encoder.input.ingest import Ingest, View
-from decogs.encoder.rasterise import HostPicture, RenderedPicture
 from decogs.encoder.settings.compensation import CorrectionSettings
 from decogs.formats.cameras import Camera, scale_camera
 from decogs.formats.errors import UsageError

@@ -16,14 +16,13 @@ from decogs.decoder.rasterise import render
 from decogs.decoder.stream import open_stream
 from decogs.decoder.views import render_view
 from decogs.encoder import EncodeSettings
+from decogs.encoder.backends import ATTRIBUTES, training_kernel
+from decogs.encoder.backends.scene_views import SceneViews
 from decogs.encoder.frame.cross_fade import CrossFade, cross_fade, fade_cameras
 from decogs.encoder.input.ingest import RigFrame
-from decogs.encoder.rasterise import training_kernel
-from decogs.encoder.rasterise.scene_views import SceneViews
 from decogs.encoder.segments.next_segment import with_following
 from decogs.encoder.settings.frame import FrameSettings, SignificanceSettings
 from decogs.encoder.training.method import TrainedFrame
-from decogs.encoder.training.optimiser import ATTRIBUTES
 from decogs.formats.cameras import camera_centre
 from decogs.formats.splats import empty_splats, take_splats
 from encode_rig import encode_rig

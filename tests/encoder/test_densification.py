@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from decogs.encoder.training.densification import ViewGradients, grow, strongest
+from decogs.encoder.backends import TrainingKernel, gradients_like
+from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
+from decogs.encoder.backends.cuda.cuda_kernel import CudaKernel
+from decogs.encoder.training.densification import grow, strongest
 from decogs.formats.rotations import rotation_matrices
 from decogs.formats.splats import Splats
+from rasterise_cases import pinhole
 
 ATTRIBUTES = ("means", "log_scales", "quaternions", "opacity_logits", "sh")
 
@@ -84,9 +89,12 @@ def test_strongest_keeps_to_threshold_eligibility_and_room() -> None:
         assert len(strongest(gradients, eligible, 0.0, room)) == 0
 
 
-def test_view_gradients_are_means_over_the_views_that_drew_the_gaussian() -> None:
-    gathered = ViewGradients(3)
-    gathered.add(np.array([2e-3, 0, 0], np.float32), 64, 48)
-    gathered.add(np.array([4e-3, 1e-3, 0], np.float32), 48, 64)
+@pytest.mark.parametrize("kernel", [CpuKernel(1), CudaKernel(device="cpu", gsplat=object())])
+def test_view_gradients_are_means_over_the_views_that_drew_the_gaussian(kernel: TrainingKernel) -> None:
+    gathered = kernel.view_gradients(3)
+    for lengths, size in (([2e-3, 0, 0], (64, 48)), ([8e-3, 2e-3, 0], (48, 64))):
+        gradients = gradients_like(some_splats(3, sigma=1.0))
+        gradients.view[:] = lengths
+        gathered.add(gradients, pinhole(*size, 50.0), emphasis=1.0 if size[0] == 64 else 2.0)
     # 3DGS measures in coordinates from -1 to 1: half the longer side, 32 pixels, to one unit.
     np.testing.assert_allclose(gathered.mean(), [3e-3 * 32, 1e-3 * 32, 0], rtol=1e-6)

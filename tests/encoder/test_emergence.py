@@ -9,10 +9,11 @@ import cv2
 import numpy as np
 import pytest
 
+from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
+from decogs.encoder.backends.cpu.fixed_view import CpuFixedView
 from decogs.encoder.change.masks import FrameMask
 from decogs.encoder.input.ingest import View
 from decogs.encoder.numerics import bilinear
-from decogs.encoder.rasterise import FixedView, TrainingKernel
 from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings
 from decogs.encoder.training import seeding
 from decogs.encoder.training.seeding import SearchView, missed, worth_a_search
@@ -64,23 +65,23 @@ def wall(tiny_rig: Any) -> Splats:
 
 
 @pytest.fixture(scope="module")
-def kernel() -> TrainingKernel:
-    return TrainingKernel(2)
+def kernel() -> CpuKernel:
+    return CpuKernel(2)
 
 
-def search_view(kernel: TrainingKernel, camera: Camera, shown: Splats, rendered: Splats) -> SearchView:
+def search_view(kernel: CpuKernel, camera: Camera, shown: Splats, rendered: Splats) -> SearchView:
     picture = kernel.forward(rendered, camera, depth=True)
     assert picture.depth is not None
     seen, focus = kernel.forward(shown, camera), np.ones(picture.alpha.shape, bool)
     return SearchView(camera, seen.rgb, picture.rgb, picture.alpha, picture.depth, focus)
 
 
-def search_views(kernel: TrainingKernel, shown: Splats, rendered: Splats) -> list[SearchView]:
+def search_views(kernel: CpuKernel, shown: Splats, rendered: Splats) -> list[SearchView]:
     return [search_view(kernel, camera, shown, rendered) for camera in cameras()]
 
 
 @pytest.fixture(scope="module")
-def appeared(kernel: TrainingKernel, wall: Splats) -> list[SearchView]:
+def appeared(kernel: CpuKernel, wall: Splats) -> list[SearchView]:
     return search_views(kernel, join_splats(wall, sphere()), wall)
 
 
@@ -131,14 +132,14 @@ def test_seeds_have_the_scenes_harmonics_and_half_transparent_round_shapes(appea
     assert (np.exp(found.log_scales) < 4 * 2.2 / 110).all()
 
 
-def test_what_is_rendered_already_needs_no_seeds(kernel: TrainingKernel, wall: Splats) -> None:
+def test_what_is_rendered_already_needs_no_seeds(kernel: CpuKernel, wall: Splats) -> None:
     whole = join_splats(wall, sphere())
     same = search_views(kernel, whole, whole)
     assert not worth_a_search([missed(view) for view in same])
     assert len(seeds(same, SETTINGS, 0)) == 0
 
 
-def test_a_change_of_light_on_old_surfaces_needs_no_seeds(kernel: TrainingKernel, wall: Splats) -> None:
+def test_a_change_of_light_on_old_surfaces_needs_no_seeds(kernel: CpuKernel, wall: Splats) -> None:
     whole = join_splats(wall, sphere())
     changed = search_views(kernel, relit(whole), whole)
     assert worth_a_search([missed(view) for view in changed])
@@ -146,11 +147,11 @@ def test_a_change_of_light_on_old_surfaces_needs_no_seeds(kernel: TrainingKernel
     assert len(seeds(changed, SETTINGS, 0)) < 0.02 * SETTINGS.max_rays
 
 
-def test_what_disappears_needs_no_seeds(kernel: TrainingKernel, wall: Splats) -> None:
+def test_what_disappears_needs_no_seeds(kernel: CpuKernel, wall: Splats) -> None:
     assert len(seeds(search_views(kernel, wall, join_splats(wall, sphere())), SETTINGS, 0)) < 10
 
 
-def test_views_that_contradict_each_other_give_no_seeds(kernel: TrainingKernel, wall: Splats) -> None:
+def test_views_that_contradict_each_other_give_no_seeds(kernel: CpuKernel, wall: Splats) -> None:
     """A different blot in every picture is no object."""
     random = np.random.default_rng(3)
     blotted = []
@@ -200,14 +201,14 @@ def test_no_view_may_be_empty_of_depth_to_fail(appeared: list[SearchView]) -> No
     assert np.isfinite(seeds(bare, SETTINGS, 0).means).all()
 
 
-def trained(kernel: TrainingKernel, wall: Splats, shown: Splats, emergence: EmergenceSettings) -> tuple[Splats, float]:
+def trained(kernel: CpuKernel, wall: Splats, shown: Splats, emergence: EmergenceSettings) -> tuple[Splats, float]:
     """The Gaussians a frame adds, and the mean square error it ends with."""
     views = [View(camera, camera, None) for camera in cameras()]
     pictures = [kernel.forward(shown, view.pinhole).rgb for view in views]
     everywhere = np.ones((HEIGHT, WIDTH), bool)
     settings = FrameSettings(cache=None, joint_iterations=40, grow_fraction=0.0, emergence=emergence)
     box = (np.full(3, -3.0), np.full(3, 3.0))
-    watch = [FixedView(kernel, view.pinhole) for view in views]
+    watch = [CpuFixedView(kernel, view.pinhole) for view in views]
     for watching in watch:
         watching.set_scene(wall)
         watching.redraw()
@@ -232,7 +233,7 @@ def trained(kernel: TrainingKernel, wall: Splats, shown: Splats, emergence: Emer
     return frame.added, float(np.mean(errors))
 
 
-def test_a_trained_frame_shows_the_new_object(kernel: TrainingKernel, wall: Splats) -> None:
+def test_a_trained_frame_shows_the_new_object(kernel: CpuKernel, wall: Splats) -> None:
     shown = join_splats(wall, sphere())
     added, error = trained(kernel, wall, shown, SETTINGS)
     none, without = trained(kernel, wall, shown, replace(SETTINGS, max_seeds=0))
@@ -243,7 +244,7 @@ def test_a_trained_frame_shows_the_new_object(kernel: TrainingKernel, wall: Spla
     assert (added.opacity_logits > np.log(FrameSettings().prune_opacity)).all()
 
 
-def test_a_trained_frame_without_anything_new_adds_nothing(kernel: TrainingKernel, wall: Splats) -> None:
+def test_a_trained_frame_without_anything_new_adds_nothing(kernel: CpuKernel, wall: Splats) -> None:
     assert len(trained(kernel, wall, wall, SETTINGS)[0]) == 0
 
 

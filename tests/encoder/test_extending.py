@@ -22,7 +22,6 @@ from decogs.encoder.settings.frame import SelectionSettings
 from decogs.encoder.switches import with_selection
 from decogs.encoder.training.densification import DENSIFICATIONS
 from decogs.encoder.training.method import FrameMethod, TrainedFrame
-from decogs.encoder.training.optimiser import OPTIMISERS
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import Splats, empty_splats, take_splats
 from encode_rig import encode_rig as encode
@@ -93,7 +92,7 @@ def test_the_documents_method_encodes_when_it_is_installed(
 @pytest.fixture(autouse=True)
 def nothing_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each test finds packages anew."""
-    for registry in (SELECTION_RULES, FRAME_METHODS, DENSIFICATIONS, OPTIMISERS):
+    for registry in (SELECTION_RULES, FRAME_METHODS, DENSIFICATIONS):
         monkeypatch.setattr(registry, "_loaded", {})
 
 
@@ -268,10 +267,6 @@ def test_what_other_extensions_do_wrong_is_said_with_their_package(monkeypatch: 
         DENSIFICATIONS.get("broken")(
             _splats(2), np.zeros(2), np.ones(2, bool), threshold=0, room=1, large=1, random=None
         )  # type: ignore[arg-type]
-    with pytest.raises(
-        UsageError, match=r"^broken: the optimiser .*decogs-example returned None, an optimiser without"
-    ):
-        OPTIMISERS.get("broken")(_splats(2), None)  # type: ignore[arg-type]
 
 
 def test_a_rule_of_a_package_is_a_setting_as_ours_are(

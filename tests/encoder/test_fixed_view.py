@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import partial
+
 import numpy as np
 import pytest
 
 import rasterise_cases as cases
-from decogs.encoder.rasterise import FixedView, TrainingKernel
+from decogs.encoder.backends import gradients_like
+from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
+from decogs.encoder.backends.cpu.fixed_view import CpuFixedView
 from decogs.formats.splats import Splats, join_splats, take_splats
 
 FIELDS = ("means", "log_scales", "quaternions", "opacity_logits", "sh", "view")
@@ -47,8 +52,8 @@ def test_draws_and_gradients_are_the_dense_ones_bit_for_bit(seed: int) -> None:
     """Random detached rows, moves, removals and additions; the set of moving Gaussians changes between draws too."""
     rng = np.random.default_rng(seed)
     scene = small_scene(seed)
-    kernel, dense = TrainingKernel(2), TrainingKernel(1)
-    view = FixedView(kernel, CAMERA)
+    kernel, dense = CpuKernel(2), CpuKernel(1)
+    view = CpuFixedView(kernel, CAMERA)
     view.set_scene(scene)
     for share in (0.05, 0.0, 0.3, 1.0, 0.1):
         weights = view.redraw()
@@ -79,7 +84,7 @@ def test_draws_and_gradients_are_the_dense_ones_bit_for_bit(seed: int) -> None:
         view.commit(scene, renumbered[rows], renumbered[: len(now) - len(new)] if len(gone) else None)
 
 
-def assert_shows(view: FixedView, scene: Splats, dense: TrainingKernel, *, depth: bool) -> None:
+def assert_shows(view: CpuFixedView, scene: Splats, dense: CpuKernel, *, depth: bool) -> None:
     picture = dense.forward(scene, CAMERA, depth=True)
     assert np.array_equal(view.rgb, picture.rgb)
     if depth:
@@ -90,7 +95,7 @@ def assert_shows(view: FixedView, scene: Splats, dense: TrainingKernel, *, depth
 
 def fresh_weights(scene: Splats, marks: np.ndarray | None) -> np.ndarray:
     """Weights of a view that has no history."""
-    view = FixedView(TrainingKernel(1), CAMERA)
+    view = CpuFixedView(CpuKernel(1), CAMERA)
     view.set_scene(scene)
     return view.redraw(marks)
 
@@ -100,7 +105,7 @@ def test_weights_are_the_textbooks(name: str) -> None:
     case = cases.CASES[name]()
     book = cases.textbook(case)
     marks = np.random.default_rng(4).random((case.camera.height, case.camera.width)) < 0.3
-    view = FixedView(TrainingKernel(2), case.camera)
+    view = CpuFixedView(CpuKernel(2), case.camera)
     view.set_scene(case.splats)
     weights = view.redraw(marks)
     for got, counted in zip(weights, (np.ones_like(marks), marks), strict=True):
@@ -111,16 +116,41 @@ def test_weights_are_the_textbooks(name: str) -> None:
 
 def test_marks_are_weighed_whatever_was_drawn_before() -> None:
     scene, rng = small_scene(3), np.random.default_rng(3)
-    view = FixedView(TrainingKernel(2), CAMERA)
+    view = CpuFixedView(CpuKernel(2), CAMERA)
     view.set_scene(scene)
     for share in (0.0, 0.01, 0.5, 1.0):
         marks = rng.random((CAMERA.height, CAMERA.width)) < share
         assert np.array_equal(view.redraw(marks), fresh_weights(scene, marks))
 
 
+def test_any_byte_but_0_is_a_mark() -> None:
+    scene = small_scene(3)
+    marks = np.random.default_rng(3).random((CAMERA.height, CAMERA.width)) < 0.01
+    view = CpuFixedView(CpuKernel(1), CAMERA)
+    view.set_scene(scene)
+    view.redraw()
+    weights = view.redraw((marks * np.uint8(254)).view(np.bool_))
+    assert np.array_equal(weights, fresh_weights(scene, marks))
+
+
+@pytest.mark.parametrize("name", FIELDS)
+def test_room_of_another_shape_is_refused(name: str) -> None:
+    scene, rows, kernel = small_scene(3), np.arange(9), CpuKernel(1)
+    view = CpuFixedView(kernel, CAMERA)
+    view.set_scene(scene)
+    view.detach(rows)
+    view.draw(take_splats(scene, rows), rows)
+    kernel.forward(scene, CAMERA)
+    for drawn, way_back in ((take_splats(scene, rows), view.backward), (scene, partial(kernel.backward, scene))):
+        room = gradients_like(drawn)
+        wrong = replace(room, **{name: getattr(room, name)[1:]})
+        with pytest.raises(ValueError, match=f"gradients `{name}` of"):
+            way_back(np.zeros_like(view.rgb), out=wrong)
+
+
 def test_only_tiles_that_change_are_drawn_again() -> None:
     scene = small_scene(1)
-    view = FixedView(TrainingKernel(1), CAMERA)
+    view = CpuFixedView(CpuKernel(1), CAMERA)
     view.set_scene(scene)
     view.redraw()
     rows = np.array([17], np.int64)
@@ -136,7 +166,7 @@ def test_only_tiles_that_change_are_drawn_again() -> None:
 
 def test_the_loss_of_some_tiles_has_the_gradient_of_the_whole() -> None:
     rng = np.random.default_rng(8)
-    kernel = TrainingKernel(2)
+    kernel = CpuKernel(2)
     for width, height in ((83, 61), (200, 150), (16, 16), (300, 40)):
         image, target = (rng.random((3, height, width)).astype(np.float32) for _ in range(2))
         focus = (rng.random((height, width)) < 0.5).astype(np.float32)
@@ -158,8 +188,8 @@ def test_the_loss_of_some_tiles_has_the_gradient_of_the_whole() -> None:
 
 def test_the_loss_of_what_was_drawn_leads_back_as_its_gradient_does() -> None:
     rng, scene, rows = np.random.default_rng(6), small_scene(6), np.arange(0, 300, 9)
-    kernel = TrainingKernel(2)
-    view = FixedView(kernel, CAMERA)
+    kernel = CpuKernel(2)
+    view = CpuFixedView(kernel, CAMERA)
     view.set_scene(scene)
     view.redraw()
     view.detach(rows)
@@ -171,14 +201,14 @@ def test_the_loss_of_what_was_drawn_leads_back_as_its_gradient_does() -> None:
         with pytest.raises(ValueError, match="the draw's loss or a cotangent"):
             view.backward()
         value, cotangent = kernel.loss(view.rgb, target, tiles=view.met, **given)
-        assert view.loss(target, **given) == value
+        assert view.loss(target, **given).sums == value.sums
         found, expected = view.backward(), view.backward(np.nan_to_num(cotangent))
         for name in FIELDS:
             assert np.array_equal(getattr(found, name), getattr(expected, name)), name
 
 
 def test_misuse_is_refused() -> None:
-    view = FixedView(TrainingKernel(1), CAMERA)
+    view = CpuFixedView(CpuKernel(1), CAMERA)
     scene = small_scene(2)
     view.set_scene(scene)
     with pytest.raises(ValueError, match="ascend"):
@@ -196,4 +226,4 @@ def test_misuse_is_refused() -> None:
     with pytest.raises(ValueError, match="new numbers"):
         view.commit(scene, np.zeros(0, np.int64), np.zeros(3, np.int64))
     with pytest.raises(ValueError, match="tiles"):
-        TrainingKernel(1).loss(view.rgb, view.rgb, l1_scale=1, ssim_scale=1, tiles=np.zeros(3, np.uint8))
+        CpuKernel(1).loss(view.rgb, view.rgb, l1_scale=1, ssim_scale=1, tiles=np.zeros(3, np.uint8))

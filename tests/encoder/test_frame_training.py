@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.methods.decogs import DecogsTrainer
 from decogs.encoder.methods.paper import PaperTrainer
-from decogs.encoder.rasterise import TrainingKernel
 from decogs.encoder.settings.cache import CacheSettings
 from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings, IterationSettings
 from decogs.encoder.training.method import TrainedFrame
@@ -43,7 +43,7 @@ def applied(scene: Splats, frame: TrainedFrame) -> Splats:
 
 
 def error(case: Case, splats: Splats) -> float:
-    kernel = TrainingKernel(2)
+    kernel = CpuKernel(2)
     return float(
         np.mean(
             [
@@ -187,7 +187,7 @@ def test_what_is_trained_is_what_a_whole_rendering_trains(case: Case) -> None:
     trainer = case.trainer(DIRECT)
     motion = np.zeros_like(case.scene.means)
     frame = train(trainer, case.scene, case.selected, case.pictures, case.masks(everywhere=True), motion, frame=1)
-    now, kernel = applied(case.scene, frame), TrainingKernel(1)
+    now, kernel = applied(case.scene, frame), CpuKernel(1)
     for view, watching in zip(case.ingest.views, trainer.context.static_views, strict=True):
         watching.commit(now, np.flatnonzero(case.selected))
         watching.redraw()
@@ -211,7 +211,7 @@ def test_what_the_scene_misses_at_its_start_makes_a_frame_longer_or_shorter(case
         )
         return steps_of(case, trainer, pictures)
 
-    shown = [TrainingKernel(2).forward(case.scene, view.pinhole).rgb for view in case.ingest.views]
+    shown = [CpuKernel(2).forward(case.scene, view.pinhole).rgb for view in case.ingest.views]
     assert steps(shown, 0.5) == 15
     # Strides of a third of a step add up to 30 with rounding.
     assert steps(case.pictures, 1e-6) in (90, 91)

@@ -11,10 +11,13 @@ import numpy as np
 import pytest
 
 from decogs.codec.lattice import dequantise, quantise
+from decogs.encoder.backends import Drawable
+from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
+from decogs.encoder.backends.cpu.optimiser import drawn_splats
+from decogs.encoder.backends.cpu.stretch import stretches
 from decogs.encoder.input.ingest import Ingest, View
 from decogs.encoder.point_init import FirstPoints
 from decogs.encoder.psnr import mean_psnr, psnr_of
-from decogs.encoder.rasterise import TrainingKernel
 from decogs.encoder.settings.keyframe import KeyframeSettings
 from decogs.encoder.training import keyframe
 from decogs.encoder.training.keyframe import (
@@ -23,7 +26,6 @@ from decogs.encoder.training.keyframe import (
     splats_from_points,
     train_keyframe,
 )
-from decogs.encoder.training.stretch import stretches
 from decogs.formats.cameras import in_picture, project
 from decogs.formats.errors import TrainingError
 from decogs.formats.rigs import open_rig
@@ -68,7 +70,7 @@ def first_points(xyz: np.ndarray, rgb: np.ndarray, spacing: np.ndarray) -> First
 
 
 def trained(case: Case, settings: KeyframeSettings = SHORT, *, seed: int = 0, first: FirstPoints | None = None) -> Any:
-    return train_keyframe(TrainingKernel(2), case.views, case.pictures, first or points(), settings, seed=seed)
+    return train_keyframe(CpuKernel(2), case.views, case.pictures, first or points(), settings, seed=seed)
 
 
 def equal_bits(first: Splats, second: Splats) -> bool:
@@ -92,9 +94,9 @@ def test_first_gaussians_are_round_and_have_colour_opacity_and_size_of_their_poi
 
 
 def test_training_learns_the_pictures(case: Case) -> None:
-    before = mean_psnr(TrainingKernel(2), splats_from_points(points(), SHORT.sh_degree), case.views, case.pictures)
+    before = mean_psnr(CpuKernel(2), splats_from_points(points(), SHORT.sh_degree), case.views, case.pictures)
     result = trained(case, replace(SHORT, iterations=200, validation_fraction=0.0))
-    after = mean_psnr(TrainingKernel(2), result.splats, case.views, case.pictures)
+    after = mean_psnr(CpuKernel(2), result.splats, case.views, case.pictures)
     assert after > before + 3.0
     assert result.steps == 200
 
@@ -137,7 +139,7 @@ def test_three_noisy_views_overfit_and_the_kept_back_tiles_say_when_to_stop(
     monkeypatch.setattr(keyframe, "_PATIENCE", 10**6)
     to_the_end = trained(case, settings, first=points(2000))
     assert stopped.steps < to_the_end.steps == 500
-    kernel = TrainingKernel(2)
+    kernel = CpuKernel(2)
     fitted = [mean_psnr(kernel, result.splats, case.views, case.pictures) for result in (stopped, to_the_end)]
     assert fitted[0] < fitted[1], "it did overfit: more steps fit the training views better"
     held_out = [
@@ -186,7 +188,7 @@ def test_without_kept_back_tiles_there_is_no_stop(case: Case) -> None:
     assert result.steps == SHORT.iterations
 
 
-class Listening(TrainingKernel):
+class Listening(CpuKernel):
     """Notes the SH degree of every picture rendered for training."""
 
     def __init__(self) -> None:
@@ -208,7 +210,7 @@ def test_sh_degree_rises_by_one_each_quarter(case: Case, degree: int, expected: 
     assert all(result.splats.sh[:, k].any() for k in range((degree + 1) ** 2))
 
 
-class Watching(TrainingKernel):
+class Watching(CpuKernel):
     """A kernel that notes positions and sizes at every picture drawn."""
 
     def __init__(self) -> None:
@@ -216,9 +218,10 @@ class Watching(TrainingKernel):
         self.means: list[np.ndarray] = []
         self.log_scales: list[np.ndarray] = []
 
-    def forward(self, splats: Splats, *arguments: Any, **options: Any) -> Any:
-        self.means.append(splats.means.copy())
-        self.log_scales.append(splats.log_scales.copy())
+    def forward(self, splats: Drawable, *arguments: Any, **options: Any) -> Any:
+        values = drawn_splats(splats)
+        self.means.append(values.means.copy())
+        self.log_scales.append(values.log_scales.copy())
         return super().forward(splats, *arguments, **options)
 
 
@@ -272,7 +275,7 @@ def test_every_gaussian_kept_is_drawn_in_some_training_view_or_lies_beside_the_p
         *(np.concatenate([getattr(p, n) for p in (first, behind)]) for n in ("xyz", "rgb", "spacing"))
     )
     result = trained(case, replace(SHORT, grow_every=1000), first=joined)
-    kernel, drawn = TrainingKernel(1), np.zeros(len(result.splats), bool)
+    kernel, drawn = CpuKernel(1), np.zeros(len(result.splats), bool)
     for view in case.views:
         kernel.forward(result.splats, view.pinhole)
         drawn |= np.isfinite(kernel.centres(len(result.splats))[1])
@@ -286,7 +289,7 @@ def test_every_gaussian_kept_is_drawn_in_some_training_view_or_lies_beside_the_p
 
 
 def test_the_pictures_of_the_training_views_are_learned_as_well_with_gaussians_beside_them(case: Case) -> None:
-    kernel, settings = TrainingKernel(2), replace(SHORT, iterations=200, settle_iterations=60)
+    kernel, settings = CpuKernel(2), replace(SHORT, iterations=200, settle_iterations=60)
     without, beside = (
         mean_psnr(kernel, trained(case, replace(settings, surroundings=reach)).splats, case.views, case.pictures)
         for reach in (0.0, 0.5)
@@ -297,7 +300,7 @@ def test_the_pictures_of_the_training_views_are_learned_as_well_with_gaussians_b
 def test_steps_are_reported(case: Case) -> None:
     told: list[tuple[int, int, float]] = []
     train_keyframe(
-        TrainingKernel(2), case.views, case.pictures, points(), SHORT, seed=0, on_step=lambda *step: told.append(step)
+        CpuKernel(2), case.views, case.pictures, points(), SHORT, seed=0, on_step=lambda *step: told.append(step)
     )
     assert [step for step, _, _ in told] == list(range(1, 66))
     assert {planned for _, planned, _ in told} == {65}
@@ -349,7 +352,7 @@ def test_no_gaussian_is_longer_than_the_limit_on_stretch(case: Case, monkeypatch
 def test_the_lattice_is_as_coarse_as_asked_for(case: Case) -> None:
     options = {"seed": 0, "settings": replace(SHORT, settle_iterations=0)}
     fine, coarse = (
-        train_keyframe(TrainingKernel(2), case.views, case.pictures, points(), lattice_scale=scale, **options).lattice
+        train_keyframe(CpuKernel(2), case.views, case.pictures, points(), lattice_scale=scale, **options).lattice
         for scale in (1.0, 3.0)
     )
     assert coarse.means == pytest.approx(3 * np.array(fine.means))
@@ -369,7 +372,7 @@ def test_what_cannot_be_trained_is_said_in_one_line(case: Case) -> None:
 def test_psnr_is_over_recorded_pixels_of_clipped_pictures(case: Case, tiny_rig: Any) -> None:
     bright = tiny_rig.patch((0, 0, 0.5), 40, 30, 0.11, 1)
     bright.sh[:] = 5.0  # far above white
-    kernel, view = TrainingKernel(1), case.views[0]
+    kernel, view = CpuKernel(1), case.views[0]
     picture = np.clip(kernel.forward(bright, view.pinhole).rgb.astype(np.float64), 0, 1)
     square = (picture - case.pictures[0]) ** 2
     assert mean_psnr(kernel, bright, [view], [case.pictures[0]]) == pytest.approx(

@@ -29,9 +29,9 @@ from decogs.decoder.picture_output import to_8bit
 from decogs.decoder.stream import open_stream
 from decogs.decoder.views import render_view
 from decogs.encoder import PRESETS
+from decogs.encoder.backends.cpu.fixed_view import CpuFixedView
 from decogs.encoder.change.masks import MaskMemory
 from decogs.encoder.input.ingest import frame_span
-from decogs.encoder.rasterise import FixedView
 from decogs.encoder.settings.frame import MaskSettings, SelectionSettings
 from decogs.formats.container import PacketKind, StreamWriter
 from decogs.formats.errors import RigError, UsageError
@@ -340,10 +340,10 @@ def test_a_frame_without_changes_costs_its_masks_and_nothing_else(
         raise AssertionError("a still frame was drawn, weighed, trained or committed")
 
     for name in ("detach", "draw", "backward", "commit"):
-        monkeypatch.setattr(FixedView, name, never)
+        monkeypatch.setattr(CpuFixedView, name, never)
     redrawn: list[object] = []
-    redraw = FixedView.redraw
-    monkeypatch.setattr(FixedView, "redraw", lambda view, *a: (redrawn.append(view), redraw(view, *a))[1])
+    redraw = CpuFixedView.redraw
+    monkeypatch.setattr(CpuFixedView, "redraw", lambda view, *a: (redrawn.append(view), redraw(view, *a))[1])
     again = encode(still_rig, keyframe=still.path)
     assert [set(report.seconds) for report in again.report.frames[1:]] == [{"masks", "write", "measure"}] * 3
     assert len(redrawn) == len(set(map(id, redrawn))), "for the keyframe, and never again"

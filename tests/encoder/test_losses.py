@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 import torch
 
-from decogs.encoder.rasterise import LossValue, TrainingKernel
+from decogs.encoder.backends import LossValue
+from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.settings.frame import FocusWeights
 from decogs.encoder.training.losses import PhotometricLoss, focus_loss, whole_picture_loss
 
@@ -50,7 +51,7 @@ def mean_over(values: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
 def evaluated(loss: PhotometricLoss) -> tuple[LossValue, np.ndarray]:
     """The loss of IMAGE and its gradient."""
     scales = {"l1_scale": loss.l1_scale, "ssim_scale": loss.ssim_scale}
-    return TrainingKernel(1).loss(IMAGE, loss.target, **scales, l1_weight=loss.l1_weight, focus=loss.focus)
+    return CpuKernel(1).loss(IMAGE, loss.target, **scales, l1_weight=loss.l1_weight, focus=loss.focus)
 
 
 def check(loss: PhotometricLoss, expected: torch.Tensor, image: torch.Tensor) -> None:

@@ -23,13 +23,13 @@ from encode_rig import encode_rig
 PROGRAM = """
 import json, re, sys
 from pathlib import Path
-from decogs.encoder.rasterise import TrainingKernel
+from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder import EncodeJob, encode
 
 def peak():
     return int(re.search("VmHWM: *\t* *([0-9]+) kB", Path("/proc/self/status").read_text())[1]) << 10
 
-TrainingKernel(1)
+CpuKernel(1)
 rig, output, log, options = sys.argv[1:]
 options = json.loads(options)
 options["frames"] = slice(*options["frames"])

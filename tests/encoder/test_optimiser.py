@@ -1,16 +1,26 @@
-"""Adam over splats against Adam written out in float64, and what must not move at all."""
+"""Adam over splats against Adam written out in float64, and what must not move at all, on every backend.
+
+The CUDA backend runs on torch's processor device here: the same code, other kernels.
+"""
 
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from decogs.encoder.rasterise import SplatGradients, TrainingKernel
+from decogs.encoder.backends import ATTRIBUTES, Optimiser, SplatGradients, TrainingKernel
+from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
+from decogs.encoder.backends.cuda.cuda_kernel import CudaKernel
 from decogs.encoder.settings.optimiser import LearningRates
-from decogs.encoder.training.optimiser import ATTRIBUTES, Adam
 from decogs.formats.splats import Splats, take_splats
 
 RATES = LearningRates(1e-3, 2e-3, 3e-3, 4e-3, 5e-3, 6e-3)
 COUNT = 40
+
+
+@pytest.fixture(params=["native", "torch"])
+def kernel(request: pytest.FixtureRequest) -> TrainingKernel:
+    return CpuKernel(2) if request.param == "native" else CudaKernel(device="cpu", gsplat=object())
 
 
 def some_splats(seed: int, count: int = COUNT) -> Splats:
@@ -51,9 +61,9 @@ def equal_bits(first: Splats, second: Splats) -> bool:
     return all(getattr(first, name).tobytes() == getattr(second, name).tobytes() for name in ATTRIBUTES)
 
 
-def test_steps_are_those_of_adam() -> None:
+def test_steps_are_those_of_adam(kernel: TrainingKernel) -> None:
     start, gradients = some_splats(1), [some_splats(seed) for seed in (2, 3, 4)]
-    optimiser = Adam(start, TrainingKernel(2))
+    optimiser = kernel.optimiser(start)
     for gradient in gradients:
         optimiser.step(gradients_of(gradient), RATES)
     for name, expected in adam(start, gradients).items():
@@ -62,30 +72,16 @@ def test_steps_are_those_of_adam() -> None:
     assert equal_bits(start, some_splats(1)), "the caller's arrays must not be stepped"
 
 
-def test_rows_that_are_not_stepped_keep_value_and_moments_bit_for_bit() -> None:
+def test_zero_gradients_with_zero_moments_move_nothing(kernel: TrainingKernel) -> None:
     start = some_splats(1)
-    optimiser = Adam(start, TrainingKernel(2))
-    stepped = np.array([3, 17, 20], np.int64)
-    others = np.setdiff1d(np.arange(COUNT), stepped)
-    for seed in (2, 3):
-        optimiser.step(gradients_of(some_splats(seed)), RATES, rows=stepped)
-    assert equal_bits(take_splats(optimiser.splats, others), take_splats(start, others))
-    assert not optimiser.gradient_size("means")[others].any()
-    assert optimiser.gradient_size("means")[stepped].any()
-    for name, expected in adam(start, [some_splats(2), some_splats(3)]).items():
-        np.testing.assert_allclose(getattr(optimiser.splats, name)[stepped], expected[stepped], rtol=5e-7, atol=5e-7)
-
-
-def test_zero_gradients_with_zero_moments_move_nothing() -> None:
-    start = some_splats(1)
-    optimiser = Adam(start, TrainingKernel(1))
+    optimiser = kernel.optimiser(start)
     optimiser.step(gradients_of(zeros_of(start)), RATES)
     assert equal_bits(optimiser.splats, start)
 
 
-def test_remembered_momentum_moves_its_rows_and_no_other() -> None:
+def test_remembered_momentum_moves_its_rows_and_no_other(kernel: TrainingKernel) -> None:
     start = some_splats(1)
-    before, after = Adam(start, TrainingKernel(1)), Adam(start, TrainingKernel(1))
+    before, after = kernel.optimiser(start), kernel.optimiser(start)
     before.step(gradients_of(some_splats(2)), RATES)
     rows = np.arange(10, 20)
     after.remember(before, rows, rows + 5)
@@ -95,9 +91,9 @@ def test_remembered_momentum_moves_its_rows_and_no_other() -> None:
     assert (step[rows] != 0).all()
 
 
-def test_an_attribute_with_rate_zero_stays() -> None:
+def test_an_attribute_with_rate_zero_stays(kernel: TrainingKernel) -> None:
     start = some_splats(1)
-    optimiser = Adam(start, TrainingKernel(1))
+    optimiser = kernel.optimiser(start)
     optimiser.step(gradients_of(some_splats(2)), LearningRates(0.0, 1e-3, 1e-3, 0.0, 1e-3, 0.0))
     np.testing.assert_array_equal(optimiser.splats.means, start.means)
     np.testing.assert_array_equal(optimiser.splats.opacity_logits, start.opacity_logits)
@@ -106,10 +102,9 @@ def test_an_attribute_with_rate_zero_stays() -> None:
     assert (optimiser.splats.log_scales != start.log_scales).all()
 
 
-def test_added_rows_come_without_momentum_and_leave_the_others_theirs() -> None:
+def test_added_rows_come_without_momentum_and_leave_the_others_theirs(kernel: TrainingKernel) -> None:
     start, added = some_splats(1), some_splats(9, 5)
-    kernel = TrainingKernel(1)
-    grown, alone = Adam(start, kernel), Adam(start, kernel)
+    grown, alone = kernel.optimiser(start), kernel.optimiser(start)
     for optimiser in (grown, alone):
         optimiser.step(gradients_of(some_splats(2)), RATES)
     grown.append(added)
@@ -123,9 +118,9 @@ def test_added_rows_come_without_momentum_and_leave_the_others_theirs() -> None:
     assert (grown.splats.means[new] != added.means).all()
 
 
-def test_kept_rows_take_their_momentum_with_them() -> None:
-    kernel, order = TrainingKernel(1), np.array([30, 2, 11])
-    thinned, whole = Adam(some_splats(1), kernel), Adam(some_splats(1), kernel)
+def test_kept_rows_take_their_momentum_with_them(kernel: TrainingKernel) -> None:
+    order = np.array([30, 2, 11])
+    thinned, whole = kernel.optimiser(some_splats(1)), kernel.optimiser(some_splats(1))
     for optimiser in (thinned, whole):
         optimiser.step(gradients_of(some_splats(2)), RATES)
     thinned.keep(order)
@@ -139,9 +134,9 @@ def test_scaled_rates() -> None:
     assert RATES.scaled(0.5) == LearningRates(5e-4, 1e-3, 1.5e-3, 2e-3, 2.5e-3, 3e-3)
 
 
-def test_what_is_held_stays_and_the_rest_goes_as_without() -> None:
+def test_what_is_held_stays_and_the_rest_goes_as_without(kernel: TrainingKernel) -> None:
     start, gradients = some_splats(1), gradients_of(some_splats(2))
-    free, holding = (Adam(start, TrainingKernel(1)) for _ in range(2))
+    free, holding = (kernel.optimiser(start) for _ in range(2))
     held = {name: np.random.default_rng(3).random(getattr(start, name).shape) < 0.5 for name in ATTRIBUTES}
     holding.hold(held)
     for optimiser in (free, holding, free, holding):
@@ -151,9 +146,9 @@ def test_what_is_held_stays_and_the_rest_goes_as_without() -> None:
         np.testing.assert_array_equal(getattr(holding.splats, name), expected)
 
 
-def test_attributes_are_held_one_after_the_other() -> None:
+def test_attributes_are_held_one_after_the_other(kernel: TrainingKernel) -> None:
     start, gradients = some_splats(1), gradients_of(some_splats(2))
-    optimiser = Adam(start, TrainingKernel(1))
+    optimiser = kernel.optimiser(start)
     optimiser.hold({"means": np.ones((COUNT, 3), bool)})
     optimiser.step(gradients, RATES)
     later = optimiser.splats.log_scales.copy()
@@ -164,9 +159,9 @@ def test_attributes_are_held_one_after_the_other() -> None:
     assert (later != start.log_scales).all()
 
 
-def test_a_copy_goes_on_as_the_original_would_and_apart_from_it() -> None:
+def test_a_copy_goes_on_as_the_original_would_and_apart_from_it(kernel: TrainingKernel) -> None:
     gradients = gradients_of(some_splats(2))
-    original = Adam(some_splats(1), TrainingKernel(1), beta1=0.7, beta2=0.99)
+    original = kernel.optimiser(some_splats(1), beta1=0.7, beta2=0.99)
     original.step(gradients, RATES)
     copy, there = original.copied(), original.splats.sh.copy()
     copy.step(gradients, RATES)
@@ -175,19 +170,19 @@ def test_a_copy_goes_on_as_the_original_would_and_apart_from_it() -> None:
     assert equal_bits(copy.splats, original.splats)
 
 
-def test_nothing_is_held_any_more_once_rows_come_or_go() -> None:
+def test_nothing_is_held_any_more_once_rows_come_or_go(kernel: TrainingKernel) -> None:
     start, gradients = some_splats(1), gradients_of(some_splats(2))
     for change in (lambda o: o.keep(np.arange(COUNT)), lambda o: o.append(take_splats(start, np.arange(0)))):
-        optimiser = Adam(start, TrainingKernel(1))
+        optimiser = kernel.optimiser(start)
         optimiser.hold({"means": np.ones((COUNT, 3), bool)})
         change(optimiser)
         optimiser.step(gradients, RATES)
         assert (optimiser.splats.means != start.means).all()
 
 
-def test_gradient_size_is_the_root_mean_square_of_what_came() -> None:
+def test_gradient_size_is_the_root_mean_square_of_what_came(kernel: TrainingKernel) -> None:
     start, gradients = some_splats(1), [some_splats(seed) for seed in (2, 3, 4)]
-    optimiser = Adam(start, TrainingKernel(1), beta2=0.9)
+    optimiser = kernel.optimiser(start, beta2=0.9)
     assert not optimiser.gradient_size("means").any(), "nothing has come yet"
     for gradient in gradients:
         optimiser.step(gradients_of(gradient), RATES)
@@ -195,3 +190,59 @@ def test_gradient_size_is_the_root_mean_square_of_what_came() -> None:
     squares = sum(w * g.means.astype(np.float64) ** 2 for w, g in zip(weights, gradients, strict=True))
     # float32 moments: a few units in the last place (1.2e-7).
     np.testing.assert_allclose(optimiser.gradient_size("means"), np.sqrt(squares / weights.sum()), rtol=1e-6)
+
+
+def test_what_is_put_there_is_trained_on_and_momentum_stays(kernel: TrainingKernel) -> None:
+    start, gradients, rows = some_splats(1), gradients_of(some_splats(2)), np.array([3, 17, 20], np.int64)
+    optimiser = kernel.optimiser(start)
+    optimiser.step(gradients, RATES)
+    size = optimiser.gradient_size("means")
+    new, old = some_splats(5, 3), optimiser.splats.opacity_logits.copy()
+    optimiser.put(rows, means=new.means, opacity_logits=new.opacity_logits)
+    optimiser.put(sh=start.sh)
+    np.testing.assert_array_equal(optimiser.splats.means[rows], new.means)
+    np.testing.assert_array_equal(optimiser.splats.opacity_logits[rows], new.opacity_logits)
+    np.testing.assert_array_equal(optimiser.splats.sh, start.sh)
+    np.testing.assert_array_equal(optimiser.gradient_size("means"), size)
+    others = np.setdiff1d(np.arange(COUNT), rows)
+    np.testing.assert_array_equal(optimiser.splats.opacity_logits[others], old[others])
+    assert (optimiser.splats.means[others] != start.means[others]).all()
+    optimiser.step(gradients, RATES)
+    # The same gradient twice: Adam moves every number by its rate.
+    np.testing.assert_allclose(np.abs(optimiser.splats.means[rows] - new.means), RATES.means, rtol=1e-3)
+
+
+def test_no_backend_lets_gaussians_grow_longer_than_the_limit() -> None:
+    """Some are too long at the start, some become so, and their largest size is held back alike."""
+    start, rates = some_splats(1), LearningRates(0, 0.5, 0, 0, 0, 0)
+    start.log_scales[:20] *= np.float32(0.1)
+    sizes, free = [], kernel_free(start, rates)
+    for kernel in (CpuKernel(1), CudaKernel(device="cpu", gsplat=object())):
+        optimiser: Optimiser = kernel.optimiser(start)
+        for seed in (2, 3):
+            optimiser.step(gradients_of(some_splats(seed)), rates, max_stretch=2.0)
+        sizes.append(optimiser.splats.log_scales)
+    # float32 sums of numbers up to 4.
+    np.testing.assert_allclose(sizes[1], sizes[0], atol=2e-6)
+    ordered = np.sort(sizes[1], axis=1)
+    before = np.sort(start.log_scales, axis=1)
+    allowed = np.maximum(before[:, 2] - before[:, 1], np.log(2.0))
+    assert (ordered[:, 2] - ordered[:, 1] <= allowed + 1e-6).all()
+    assert (sizes[1] != free).any(axis=1).sum() >= COUNT / 4
+
+
+def kernel_free(start: Splats, rates: LearningRates) -> np.ndarray:
+    """Sizes after the same steps without a limit."""
+    optimiser = CudaKernel(device="cpu", gsplat=object()).optimiser(start)
+    for seed in (2, 3):
+        optimiser.step(gradients_of(some_splats(seed)), rates)
+    return optimiser.splats.log_scales
+
+
+def test_values_read_from_a_device_are_copies_that_nobody_writes_by_mistake() -> None:
+    optimiser = CudaKernel(device="cpu", gsplat=object()).optimiser(some_splats(1))
+    read = optimiser.splats
+    with pytest.raises(ValueError, match="read-only"):
+        read.means[:] = 0
+    optimiser.step(gradients_of(some_splats(2)), RATES)
+    assert equal_bits(read, some_splats(1))

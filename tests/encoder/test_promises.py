@@ -16,6 +16,7 @@ from decogs.codec.header import StreamHeader
 from decogs.codec.lattice import default_lattice, dequantise
 from decogs.codec.state import take_rows
 from decogs.decoder.stream import open_stream
+from decogs.encoder.backends.cpu.optimiser import CpuOptimiser
 from decogs.encoder.coding.changes import delta_of
 from decogs.encoder.frame.commit import commit
 from decogs.encoder.frame.events import Event, Kind
@@ -26,7 +27,6 @@ from decogs.encoder.settings.frame import EmergenceSettings, SignificanceSetting
 from decogs.encoder.settings.presets import preset
 from decogs.encoder.stopwatch import Stopwatch
 from decogs.encoder.training.method import FrameInput, TrainedFrame
-from decogs.encoder.training.optimiser import Adam
 from decogs.encoder.training.seeding import _confirmed, _Found
 from decogs.encoder.training.warm_start import Motion
 from decogs.formats.splats import Splats, empty_splats
@@ -103,13 +103,13 @@ def test_rates_fall_over_the_second_half_of_a_frame(
     encode: Any, moving: Any, moving_rig: Path, tiny_settings: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rates: list[float] = []
-    step = Adam.step
+    step = CpuOptimiser.step
 
-    def noted(self: Any, gradients: Any, given: Any) -> None:
+    def noted(self: Any, gradients: Any, given: Any, **options: Any) -> None:
         rates.append(given.log_scales)
-        step(self, gradients, given)
+        step(self, gradients, given, **options)
 
-    monkeypatch.setattr(Adam, "step", noted)
+    monkeypatch.setattr(CpuOptimiser, "step", noted)
     steps = 20
     frame = replace(tiny_settings.frame, joint_iterations=steps)
     encode(moving_rig, settings=replace(tiny_settings, frame=frame), keyframe=moving.path, stop=2)

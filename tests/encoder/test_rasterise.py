@@ -8,7 +8,8 @@ import pytest
 
 import rasterise_cases as cases
 from decogs.decoder.rasterise import render
-from decogs.encoder.rasterise import SplatGradients, TrainingKernel
+from decogs.encoder.backends import SplatGradients
+from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.formats.kernels import INSTRUCTION_SETS
 from decogs.formats.splats import Splats, empty_splats, join_splats
 from gradient_twin import FIELDS, compare_gradient, kernel_gradients, twin_gradients
@@ -44,7 +45,7 @@ def test_each_plane_has_its_own_gradient(plane: int) -> None:
             assert not actual.sh.any()
         else:
             compare_gradient(getattr(actual, field), expected[field])
-    kernel = TrainingKernel(1)
+    kernel = CpuKernel(1)
     if plane == 0:  # planes that are not asked for change nothing
         kernel.forward(case.splats, case.camera, case.background)
         bare = kernel.backward(case.splats, planes[0])
@@ -93,7 +94,7 @@ def test_lower_degree_ignores_the_higher_coefficients() -> None:
     case = cases.CASES["degree-3"]()
     planes = cases.cotangents(case)
     low = cases.edited(case.splats, sh=case.splats.sh[:, :4])
-    kernel = TrainingKernel(1)
+    kernel = CpuKernel(1)
     picture = kernel.forward(case.splats, case.camera, case.background, sh_degree=1, depth=True)
     g = kernel.backward(case.splats, planes[0], v_alpha=planes[1], v_depth=planes[2])
     expected_picture = kernel.forward(low, case.camera, case.background, depth=True)
@@ -105,7 +106,7 @@ def test_lower_degree_ignores_the_higher_coefficients() -> None:
 
 
 def test_the_decoder_shows_the_same_bits() -> None:
-    kernel = TrainingKernel(1)
+    kernel = CpuKernel(1)
     for case in [make() for make in cases.CASES.values()] + [cases.large_case()]:
         picture = kernel.forward(case.splats, case.camera, case.background, depth=True)
         shown = render(case.splats, case.camera, case.background, threads=1)
@@ -132,7 +133,7 @@ def test_gradients_land_in_the_given_arrays() -> None:
     planes = cases.cotangents(case)
     expected = kernel_gradients(case, planes)
     out = SplatGradients(*(np.full_like(getattr(expected, f), np.nan) for f in (*FIELDS, "view")))
-    kernel = TrainingKernel(1)
+    kernel = CpuKernel(1)
     kernel.forward(case.splats, case.camera, case.background, depth=True)
     assert kernel.backward(case.splats, planes[0], v_alpha=planes[1], v_depth=planes[2], out=out) is out
     for field in (*FIELDS, "view"):
@@ -141,7 +142,7 @@ def test_gradients_land_in_the_given_arrays() -> None:
 
 def test_centres_are_the_projections_of_what_was_drawn() -> None:
     case = cases.CASES["around"]()
-    kernel = TrainingKernel(1)
+    kernel = CpuKernel(1)
     kernel.forward(case.splats, case.camera, case.background)
     centres, depths = kernel.centres(len(case.splats))
     seen = cases.textbook(case).weights.max((1, 2)) > 0
@@ -157,7 +158,7 @@ def test_centres_are_the_projections_of_what_was_drawn() -> None:
 
 
 def test_no_gaussians_and_none_in_sight() -> None:
-    kernel = TrainingKernel(2)
+    kernel = CpuKernel(2)
     nothing = empty_splats(2)
     camera = cases.pinhole(19, 7, 12.0)
     picture = kernel.forward(nothing, camera, (0.5, 0.25, 1.0), depth=True)
@@ -198,7 +199,7 @@ def test_spoilt_gaussians_leave_the_others_gradients_alone(field: str, value: fl
 
 def test_a_kernel_serves_one_scene_after_another() -> None:
     # Buffers shrink, grow and are used again: nothing of a scene may show in the next one's gradients.
-    kernel = TrainingKernel(2)
+    kernel = CpuKernel(2)
     for name in ("crowd", "one-pixel", "degree-3", "stack", "17x13", "crowd"):
         case = cases.CASES[name]()
         planes = cases.cotangents(case)
@@ -212,7 +213,7 @@ def test_a_kernel_serves_one_scene_after_another() -> None:
 def test_misuse_is_refused() -> None:
     case = cases.CASES["17x13"]()
     v_rgb, v_alpha, _ = cases.cotangents(case)
-    kernel = TrainingKernel(1)
+    kernel = CpuKernel(1)
     with pytest.raises(ValueError, match="forward"):
         kernel.backward(case.splats, v_rgb)
     kernel.forward(case.splats, case.camera)

@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
+from decogs.encoder.backends.cpu.fixed_view import CpuFixedView
+from decogs.encoder.backends.scene_views import SceneViews
 from decogs.encoder.change.masks import FrameMask
 from decogs.encoder.change.selection import ViewEvidence, select, view_evidence
 from decogs.encoder.frame.plan import Selection, light_only
-from decogs.encoder.rasterise import FixedView, TrainingKernel
-from decogs.encoder.rasterise.scene_views import SceneViews
 from decogs.encoder.settings.frame import SelectionSettings
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import Splats, join_splats
@@ -68,8 +69,8 @@ def hidden_scene(tiny_rig: Any) -> Splats:
     return scene
 
 
-def watching(splats: Splats, camera: Camera) -> FixedView:
-    view = FixedView(TrainingKernel(1), camera)
+def watching(splats: Splats, camera: Camera) -> CpuFixedView:
+    view = CpuFixedView(CpuKernel(1), camera)
     view.set_scene(splats)
     return view
 
@@ -109,7 +110,7 @@ def test_what_is_behind_the_camera_or_outside_the_picture_is_not_selected(tiny_r
 
 def test_weights_are_alpha_times_transmittance_summed_over_pixels(tiny_rig: Any, hidden_scene: Splats) -> None:
     # The weights of all Gaussians add up to the picture's alpha, and those inside the mask to alpha inside it.
-    kernel, camera = TrainingKernel(1), tiny_rig.camera(1)
+    kernel, camera = CpuKernel(1), tiny_rig.camera(1)
     mask = np.zeros((tiny_rig.height, tiny_rig.width), bool)
     mask[10:30, 5:40] = True
     found = view_evidence(watching(hidden_scene, camera), mask)
@@ -121,7 +122,7 @@ def test_weights_are_alpha_times_transmittance_summed_over_pixels(tiny_rig: Any,
 def test_what_light_alone_changes_is_the_selected_away_from_what_moves(tiny_rig: Any) -> None:
     """Two spots change in every view; things move around the left one only."""
     scene = join_splats(tiny_rig.patch((-0.4, 0.0, 0.0), 1, 1, 0.1, 1), tiny_rig.patch((0.4, 0.0, 0.0), 1, 1, 0.1, 2))
-    views = SceneViews(TrainingKernel(1), lambda: [tiny_rig.camera(index) for index in range(5)]).of(scene)
+    views = SceneViews(CpuKernel(1), lambda: [tiny_rig.camera(index) for index in range(5)]).of(scene)
     shape = tiny_rig.height, tiny_rig.width
     everywhere, nowhere, left = np.ones(shape, bool), np.zeros(shape, bool), np.zeros(shape, bool)
     left[:, : tiny_rig.width // 2] = True

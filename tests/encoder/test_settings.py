@@ -170,10 +170,6 @@ STANDARD, DENSE = PRESETS["standard"], EncodeSettings(method="3dgstream")
             "`rule` x: there is no such selection rule; choose from paper, weight",
         ),
         (
-            replace(STANDARD, keyframe=replace(STANDARD.keyframe, optimiser="sgd")),
-            "`optimiser` sgd: there is no such optimiser; choose from adam",
-        ),
-        (
             replace(STANDARD, frame=replace(STANDARD.frame, densification="x")),
             "`densification` x: there is no such densification; choose from clone-split",
         ),

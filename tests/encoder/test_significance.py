@@ -9,12 +9,12 @@ import pytest
 
 from decogs.codec.lattice import default_lattice, dequantise, quantise
 from decogs.codec.state import ARRAYS
+from decogs.encoder.backends import Optimiser, SplatGradients
+from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.coding.changes import quantised
-from decogs.encoder.rasterise import SplatGradients, TrainingKernel
 from decogs.encoder.settings.frame import FocusWeights, SignificanceSettings
 from decogs.encoder.settings.optimiser import LearningRates
 from decogs.encoder.training.losses import focus_loss, whole_picture_loss
-from decogs.encoder.training.optimiser import Adam
 from decogs.encoder.training.rate_distortion import cheapest, cheapest_changes
 from decogs.encoder.training.significance import picture_weight, revert_insignificant
 from decogs.formats.splats import Splats
@@ -29,10 +29,10 @@ def some_splats(seed: int) -> Splats:
     return Splats(*(random.normal(size=shape).astype(np.float32) for shape in shapes))
 
 
-def trained(start: Splats, sizes: Splats) -> tuple[Adam, SplatGradients]:
+def trained(start: Splats, sizes: Splats) -> tuple[Optimiser, SplatGradients]:
     """Three Adam steps: every number moves by .03, whatever its gradient."""
     gradients = SplatGradients(*vars(sizes).values(), np.zeros(COUNT, np.float32))
-    optimiser = Adam(start, TrainingKernel(1))
+    optimiser = CpuKernel(1).optimiser(start)
     for _ in range(3):
         optimiser.step(gradients, RATES)
     return optimiser, gradients

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from decogs.encoder.training.stretch import limit_stretch, stretches
+from decogs.encoder.backends.cpu.stretch import limit_stretch, stretches
 
 
 def sizes(*rows: tuple[float, float, float]) -> np.ndarray:

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.input.ingest import View
-from decogs.encoder.rasterise import TrainingKernel
 from decogs.encoder.training.surroundings import surroundings
 from decogs.formats.cameras import Camera, in_picture, project
 from decogs.formats.splats import Splats, round_splats
@@ -35,13 +35,13 @@ def wall() -> Splats:
 
 @pytest.fixture(scope="module")
 def scene() -> tuple[list[View], list[np.ndarray], Splats]:
-    kernel, cameras = TrainingKernel(1), [camera(-0.5), camera(0.5)]
+    kernel, cameras = CpuKernel(1), [camera(-0.5), camera(0.5)]
     pictures = [kernel.forward(wall(), each).rgb for each in cameras]
     return [View(each, each, None) for each in cameras], pictures, wall()
 
 
 def beside(scene: tuple[list[View], list[np.ndarray], Splats], reach: float = 0.5, most: int = 2000) -> Splats:
-    return surroundings(TrainingKernel(1), *scene, reach=reach, most=most)
+    return surroundings(CpuKernel(1), *scene, reach=reach, most=most)
 
 
 def test_they_lie_on_the_wall_and_in_no_picture(scene: tuple[list[View], list[np.ndarray], Splats]) -> None:
@@ -55,7 +55,7 @@ def test_they_lie_on_the_wall_and_in_no_picture(scene: tuple[list[View], list[np
 def test_a_camera_that_looks_past_the_pictures_sees_the_wall_go_on_in_its_colours(
     scene: tuple[list[View], list[np.ndarray], Splats],
 ) -> None:
-    found, kernel = beside(scene), TrainingKernel(1)
+    found, kernel = beside(scene), CpuKernel(1)
     wide = replace(camera(0.0), width=200, cx=100.0)
     seen = kernel.forward(found, wide)
     strips = {"left": np.s_[:, 20:80, :12], "right": np.s_[:, 20:80, -12:]}
@@ -90,13 +90,11 @@ def test_pixels_that_were_not_recorded_do_not_count(scene: tuple[list[View], lis
     spoilt = [picture.copy() for picture in pictures]
     for picture in spoilt:
         picture[:, :, :30] = 1.0
-    one, other = (
-        surroundings(TrainingKernel(1), views, each, splats, reach=0.3, most=999) for each in (pictures, spoilt)
-    )
+    one, other = (surroundings(CpuKernel(1), views, each, splats, reach=0.3, most=999) for each in (pictures, spoilt))
     np.testing.assert_allclose(one.sh, other.sh, atol=1e-3)
 
 
 def test_a_scene_that_shows_nothing_goes_on_as_nothing(scene: tuple[list[View], list[np.ndarray], Splats]) -> None:
     views, pictures, splats = scene
     hidden = replace(splats, opacity_logits=np.full_like(splats.opacity_logits, -9))
-    assert len(surroundings(TrainingKernel(1), views, pictures, hidden, reach=0.5, most=999)) == 0
+    assert len(surroundings(CpuKernel(1), views, pictures, hidden, reach=0.5, most=999)) == 0

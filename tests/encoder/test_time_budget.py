@@ -17,6 +17,7 @@ import decogs.encoder.training.schedule as schedule
 from decogs.codec.digest import digest
 from decogs.decoder.stream import open_stream
 from decogs.encoder import PRESETS, EncodeSettings, Switches, Targets
+from decogs.encoder.backends.cpu.fixed_view import CpuFixedView
 from decogs.encoder.coding.scene import Scene
 from decogs.encoder.coding.time_control import (
     TIME_TOLERANCE,
@@ -29,7 +30,6 @@ from decogs.encoder.coding.time_control import (
 from decogs.encoder.commands import encode_main
 from decogs.encoder.methods.decogs import DecogsTrainer
 from decogs.encoder.option_texts import seconds_per_frame
-from decogs.encoder.rasterise import FixedView
 from decogs.encoder.settings.frame import SignificanceSettings
 from decogs.encoder.settings.optimiser import LearningRates
 from decogs.encoder.switches import with_method
@@ -205,14 +205,14 @@ def test_a_clip_keeps_its_time_and_its_changes_are_still_judged(
 ) -> None:
     """On a clock of the test's own that only drawing moves: 10 ms for every picture."""
     now, judged = [0.0], []
-    draw, revert_insignificant = FixedView.draw, frame_training.revert_insignificant
+    draw, revert_insignificant = CpuFixedView.draw, frame_training.revert_insignificant
 
     def slow(view: Any, *arguments: Any, **options: Any) -> None:
         now[0] += 0.01
         draw(view, *arguments, **options)
 
     monkeypatch.setattr(time, "perf_counter", lambda: now[0])
-    monkeypatch.setattr(FixedView, "draw", slow)
+    monkeypatch.setattr(CpuFixedView, "draw", slow)
     monkeypatch.setattr(frame_training, "revert_insignificant", lambda *a: (judged.append(1), revert_insignificant(*a)))
     output, given = tmp_path / "x.dgs", {"holdout": [tiny_rig.held_out], "keyframe": moving.path, "settings": patient}
     encode_rig(restless_rig, tmp_path / "free.dgs", **given)
@@ -237,14 +237,14 @@ def test_a_held_frame_is_taken_up_by_the_next_one(
 ) -> None:
     """On a clock that only drawing moves: the square stands until there is time, then it is where it should be."""
     now = [0.0]
-    draw = FixedView.draw
+    draw = CpuFixedView.draw
 
     def slow(view: Any, *arguments: Any, **options: Any) -> None:
         now[0] += 0.01
         draw(view, *arguments, **options)
 
     monkeypatch.setattr(time, "perf_counter", lambda: now[0])
-    monkeypatch.setattr(FixedView, "draw", slow)
+    monkeypatch.setattr(CpuFixedView, "draw", slow)
     rig = tiny_rig.write(tmp_path / "rig", frames=[0, *[1, 3, 0] * 4])
     given = {"holdout": [tiny_rig.held_out], "keyframe": moving.path, "settings": patient}
     report = encode_rig(rig, tmp_path / "x.dgs", **given, targets=Targets(time_budget=0.11))
@@ -297,14 +297,14 @@ def test_few_steps_still_get_as_far_as_things_move(
 ) -> None:
     """On a clock that only drawing moves: rates grow where only a few of the steps fit."""
     now = [0.0]
-    draw = FixedView.draw
+    draw = CpuFixedView.draw
 
     def slow(view: Any, *arguments: Any, **options: Any) -> None:
         now[0] += 0.01
         draw(view, *arguments, **options)
 
     monkeypatch.setattr(time, "perf_counter", lambda: now[0])
-    monkeypatch.setattr(FixedView, "draw", slow)
+    monkeypatch.setattr(CpuFixedView, "draw", slow)
     factors: list[float] = []
     scaled = LearningRates.scaled
     monkeypatch.setattr(LearningRates, "scaled", lambda r, f: (factors.append(f), scaled(r, f))[1])
@@ -389,12 +389,12 @@ def test_changes_are_judged_before_a_target_ends_training(
     encode: Any, moving: Any, moving_rig: Path, patient: EncodeSettings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     judged: list[int] = []
-    revert_insignificant, backward = frame_training.revert_insignificant, FixedView.backward
+    revert_insignificant, backward = frame_training.revert_insignificant, CpuFixedView.backward
     steps: list[int] = []
     monkeypatch.setattr(
         frame_training, "revert_insignificant", lambda *a: (judged.append(len(steps)), revert_insignificant(*a))
     )
-    monkeypatch.setattr(FixedView, "backward", lambda *a, **o: (steps.append(1), backward(*a, **o))[1])
+    monkeypatch.setattr(CpuFixedView, "backward", lambda *a, **o: (steps.append(1), backward(*a, **o))[1])
     encode(moving_rig, settings=with_target_psnr(patient, 10.0), keyframe=moving.path, stop=2)
     views = 4
     assert judged == [views + 1], "at once when every view was seen to be good enough"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import shutil
 import subprocess
@@ -12,13 +13,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from zstandard import backend_c
 
 import rasterise_cases as cases
 from decogs.decoder.rasterise import native, render
 from decogs.decoder.rasterise.incremental_view import IncrementalView
-from decogs.encoder.rasterise import FixedView, TrainingKernel
+from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
+from decogs.encoder.backends.cpu.fixed_view import CpuFixedView
 from decogs.formats.errors import UsageError
-from decogs.formats.kernels import load_kernel
+from decogs.formats.kernels import best_instruction_set, kernel_path, load_kernel
 from decogs.formats.splats import take_splats
 
 CASE = cases.CASES["17x13"]()
@@ -38,7 +41,7 @@ def changed(renumbered: np.ndarray | None, population: int, *, detached: np.ndar
 
 
 def committed(renumbered: np.ndarray | None, population: int, *, detached: np.ndarray) -> None:
-    view = FixedView(TrainingKernel(1), CAMERA)
+    view = CpuFixedView(CpuKernel(1), CAMERA)
     view.set_scene(SCENE)
     view.detach(detached[:1])
     view.detach(detached[1:])
@@ -72,20 +75,16 @@ def test_new_numbers_that_the_kernel_cannot_use_are_refused(
 
 
 def test_rows_outside_the_scene_are_refused() -> None:
-    view = FixedView(TrainingKernel(1), CAMERA)
+    view = CpuFixedView(CpuKernel(1), CAMERA)
     view.set_scene(SCENE)
     with pytest.raises(ValueError, match="rows must ascend"):
         view.draw(take_splats(SCENE, rows(0)), rows(1 << 40))
-    kernel = TrainingKernel(1)
+    kernel = CpuKernel(1)
     with pytest.raises(ValueError, match="last forward"):
         kernel.centres(6)
     kernel.forward(SCENE, CAMERA)
     with pytest.raises(ValueError, match="last forward"):
         kernel.centres(7)
-    value = np.zeros((3, 2), np.float32)
-    for wrong in (rows(3), rows(-1)):
-        with pytest.raises(ValueError, match="rows must lie below 3"):
-            kernel.adam(value, value, value.copy(), value.copy(), rate=1.0, step=1, rows=wrong)
 
 
 SHORT_OF_MEMORY = """
@@ -93,7 +92,7 @@ import resource, sys
 import numpy as np
 from decogs.decoder.rasterise import render
 from decogs.decoder.rasterise.native import render_planes
-from decogs.encoder.rasterise import TrainingKernel
+from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import Splats
 
@@ -103,7 +102,7 @@ def covering(count):
     return Splats(*(np.ascontiguousarray(value, np.float32) for value in values))
 
 camera = Camera("a", 512, 512, 512.0, 512.0, 256.0, 256.0, np.eye(4))
-kernel = TrainingKernel(2)
+kernel = CpuKernel(2)
 draw = {"render": lambda scene: render(scene, camera, threads=2), "train": lambda scene: kernel.forward(scene, camera)}
 few, many = covering(8), covering(60_000)
 before = draw[sys.argv[1]](few)
@@ -133,7 +132,7 @@ def test_memory_that_runs_out_on_the_pools_threads_is_an_exception(what: str) ->
 @pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
 def test_a_forked_child_renders_and_trains() -> None:
     """The threads of the parent's pools do not exist there."""
-    camera, kernel = cases.pinhole(45, 37, 40.0), TrainingKernel(2)  # three rows of tiles: work for two threads
+    camera, kernel = cases.pinhole(45, 37, 40.0), CpuKernel(2)  # three rows of tiles: work for two threads
     expected, picture = render(SCENE, camera, threads=2).image, kernel.forward(SCENE, camera).rgb
     with native.renderer(2)._lock:  # as if another thread were in the midst of a picture
         child = os.fork()
@@ -159,7 +158,7 @@ def test_a_forked_child_renders_and_trains() -> None:
 
 def test_a_missing_kernel_is_said_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="the compiled kernel is missing"):
-        load_kernel(tmp_path, "_forward")
+        load_kernel(tmp_path, "_forward", [])
     shutil.copy(native.__file__, tmp_path / "native.py")
     program = f"""
 import importlib.util
@@ -175,3 +174,20 @@ except Exception as error:
     assert run.stdout.startswith("UsageError ")
     assert "_forward_" in run.stdout
     assert run.stderr == "", "nothing of a renderer that never came to be"
+
+
+def test_a_kernel_of_other_sources_is_refused(tmp_path: Path) -> None:
+    """A struct more, one less, a longer one, two changed about, and a library from before sizes were compared."""
+    package, set_ = Path(native.__file__).parent, best_instruction_set()
+    structs = [native.NativeScene, native.NativeCamera, native.NativePlanes, native.NativePicture]
+    load_kernel(package, "_forward", structs)
+
+    class Longer(native.NativePicture):
+        _fields_ = (("more", ctypes.c_void_p),)
+
+    for wrong in (structs[:-1], [*structs, Longer], [*structs[:-1], Longer], structs[::-1], []):
+        with pytest.raises(UsageError, match=r"_forward_\w+\.abi3\.so: the compiled kernel is of another version"):
+            load_kernel(package, "_forward", wrong)
+    shutil.copy(backend_c.__file__, kernel_path(tmp_path, "_forward", set_))
+    with pytest.raises(UsageError, match="the compiled kernel is of another version"):
+        load_kernel(tmp_path, "_forward", structs)

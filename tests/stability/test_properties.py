@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 
 import rasterise_cases as cases
 from decogs.decoder.rasterise.native import render_planes
-from decogs.encoder.rasterise import FixedView, TrainingKernel
+from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
+from decogs.encoder.backends.cpu.fixed_view import CpuFixedView
 from decogs.formats.splats import take_splats
 from gradient_twin import FIELDS, kernel_gradients
 
@@ -65,9 +66,9 @@ def ordinary_scenes(draw: st.DrawFn) -> cases.Case:
 
 def everything(case: cases.Case, threads: int) -> list[np.ndarray]:
     """Pictures, gradients, and what a fixed view makes of them, whole and with a third of the Gaussians detached."""
-    kernel, planes = TrainingKernel(threads), cases.cotangents(case)
+    kernel, planes = CpuKernel(threads), cases.cotangents(case)
     gradients = kernel_gradients(case, planes, threads)
-    view, third = FixedView(kernel, case.camera), np.arange(0, len(case.splats), 3)
+    view, third = CpuFixedView(kernel, case.camera), np.arange(0, len(case.splats), 3)
     view.set_scene(case.splats)
     weights = view.redraw(planes[1] > 0)
     view.detach(third)

@@ -15,7 +15,8 @@ import pytest
 import rasterise_cases as cases
 from decogs.decoder.rasterise import render
 from decogs.decoder.rasterise.native import render_planes
-from decogs.encoder.rasterise import FixedView, TrainingKernel
+from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
+from decogs.encoder.backends.cpu.fixed_view import CpuFixedView
 from decogs.formats.cameras import Camera
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import Splats, empty_splats, join_splats, take_splats
@@ -213,7 +214,7 @@ def test_focal_lengths_from_1_to_1e5(focal: float) -> None:
 def test_pictures_of_one_pixel_and_of_prime_sides(size: tuple[int, int]) -> None:
     case = cases.Case(cases.scene(7, 25, 1), cases.pinhole(*size, 0.8 * max(size)))
     check(case)
-    view = FixedView(TrainingKernel(1), case.camera)
+    view = CpuFixedView(CpuKernel(1), case.camera)
     view.set_scene(case.splats)
     view.redraw()
     np.testing.assert_array_equal(view.rgb, render_planes(case.splats, case.camera, (0, 0, 0), 1)[0])
@@ -225,10 +226,10 @@ def test_no_gaussians_at_all(degree: int) -> None:
     shown = render(nothing, camera, (0.25, 0.5, 0.75))
     np.testing.assert_array_equal(shown.image, np.broadcast_to(np.float32([0.25, 0.5, 0.75]), shown.image.shape))
     assert not shown.alpha.any()
-    kernel = TrainingKernel(1)
+    kernel = CpuKernel(1)
     kernel.forward(nothing, camera)
     assert len(kernel.backward(nothing, np.ones((3, 7, 19), np.float32)).means) == 0
-    view = FixedView(kernel, camera)
+    view = CpuFixedView(kernel, camera)
     view.set_scene(nothing)
     assert view.redraw(np.ones((7, 19), bool)).shape == (2, 0)
     view.detach(np.zeros(0, np.int64))
@@ -254,7 +255,7 @@ def test_a_scene_that_covers_the_picture_too_often_is_refused_in_training() -> N
     row = np.float32([[0, 0, 2]]), np.ones((1, 3)), np.float32([[1, 0, 0, 0]]), np.full(1, 5.0), np.zeros((1, 1, 3))
     splats = Splats(*(np.repeat(value, count, axis=0).astype(np.float32) for value in row))
     wide = Camera("wide", 4096, 4096, 4e3, 4e3, 2048.0, 2048.0, np.eye(4))
-    kernel = TrainingKernel(1)
+    kernel = CpuKernel(1)
     with pytest.raises(UsageError, match="4096x4096 is covered too many times"):
         kernel.forward(splats, wide)
     small = cases.CASES["17x13"]()

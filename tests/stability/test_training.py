@@ -22,12 +22,12 @@ from decogs.codec.digest import digest
 from decogs.decoder.stream import open_stream
 from decogs.decoder.views import render_view
 from decogs.encoder import PRESETS
+from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.commands import encode_main
 from decogs.encoder.frame.context import Context
 from decogs.encoder.input.dropouts import BLACK, BLANK, FROZEN, blankness
 from decogs.encoder.input.ingest import Ingest
 from decogs.encoder.psnr import psnr_of
-from decogs.encoder.rasterise import TrainingKernel
 from decogs.encoder.settings.frame import SelectionSettings
 from decogs.encoder.stream.run import encode_stream
 from decogs.formats.errors import DecogsError, RigError, TrainingError
@@ -405,7 +405,7 @@ def test_the_cap_is_reached_and_kept(moving: Any, encode: Any, settings: Any, mo
 
 
 def test_an_adam_step_without_gradient_changes_no_bit() -> None:
-    kernel, random = TrainingKernel(1), np.random.default_rng(3)
+    kernel, random = CpuKernel(1), np.random.default_rng(3)
     value = random.normal(size=(37, 3)).astype(np.float32)
     value[0] = [0.0, -0.0, 1e-41]
     before, moments = value.copy(), [np.zeros_like(value), np.zeros_like(value)]
@@ -421,7 +421,7 @@ def test_adam_steps_are_finite_whatever_the_size_of_the_gradient(size: float) ->
 
     Bound: without a history a step is the rate (Kingma 2015, section 2.1); eight roundings.
     """
-    kernel, rate = TrainingKernel(1), 0.5
+    kernel, rate = CpuKernel(1), 0.5
     value, gradient = np.zeros((1, 20), np.float32), np.full((1, 20), size, np.float32)
     kernel.adam(value, gradient, np.zeros_like(value), np.zeros_like(value), rate=rate, step=1)
     assert np.isfinite(value).all()

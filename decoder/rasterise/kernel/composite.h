@@ -196,7 +196,7 @@ inline void composite_tile(const TileLists& lists, const Camera& cam, int tile, 
 // Draws the whole scene.
 inline void render_picture(Pool& pool, Binner& binner, const Scene& scene, const Camera& cam, const Planes& out, TileLists& lists,
                            Trace* trace, uint64_t max_pairs = kMaxPairs) {
-    binner.run(pool, scene, cam, lists, max_pairs);
+    binner.run(pool, scene, cam, nullptr, scene.count, lists, 0, max_pairs);
     if (trace) trace->resize(lists);
     pool.run(lists.rows, [&](int row) {
         for (int column = 0; column < lists.columns; ++column)

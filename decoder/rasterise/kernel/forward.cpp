@@ -16,6 +16,12 @@ IncrementalView& view_of(void* handle) { return *static_cast<IncrementalView*>(h
 
 extern "C" {
 
+// Sizes of the structs of this interface, in the order in which Python's loader states them, and a 0 at the end.
+const int64_t* decogs_sizes() {
+    static const int64_t sizes[] = {sizeof(Scene), sizeof(Camera), sizeof(Planes), sizeof(Picture), 0};
+    return sizes;
+}
+
 void* decogs_renderer_create(int threads) {
     return created([&] { return new Renderer(threads); });
 }
@@ -45,9 +51,10 @@ int decogs_incremental_set_scene(void* handle, void* view, const Scene* scene) {
 // Detaches the `gone_count` Gaussians `gone` and commits the Gaussians of `changed` as `rows`.
 int decogs_incremental_change(void* handle, void* view, const int64_t* gone, int64_t gone_count, const Scene* changed, const int64_t* rows,
                            int64_t population, const int64_t* renumbered, int64_t before) {
+    Renderer& renderer = renderer_of(handle);
     return status_of([&] {
         view_of(view).detach(gone, gone_count);
-        view_of(view).commit(renderer_of(handle).pool, *changed, nullptr, rows, changed->count, population, renumbered, before);
+        view_of(view).commit(renderer.pool, renderer.binner, *changed, nullptr, rows, changed->count, population, renumbered, before);
     });
 }
 

@@ -44,7 +44,7 @@ class IncrementalView {
     // Loads a whole scene as static.
     void set_scene(Pool& pool, Binner& binner, const Scene& scene) {
         for (Tile& tile : tiles_) tile = Tile();
-        binner.run(pool, scene, camera_, lists_, max_pairs_);
+        binner.run(pool, scene, camera_, nullptr, scene.count, lists_, 0, max_pairs_);
         for (int t = 0; t < lists_.tiles(); ++t) {
             tiles_[t].statics.reserve(lists_.first_entry[t + 1] - lists_.first_entry[t]);
             for (uint32_t e = lists_.first_entry[t]; e < lists_.first_entry[t + 1]; ++e) {
@@ -56,40 +56,39 @@ class IncrementalView {
 
     // Detaches Gaussians from their tiles, so that they may change. Returns these tiles, ascending.
     std::vector<uint32_t> detach(const int64_t* rows, int64_t count) {
-        std::vector<uint8_t> detached(lists_.projected.size(), 0);
+        is_detached_.resize(lists_.projected.size(), 0);
         std::vector<uint32_t> left;
-        for (int64_t i = 0; i < count; ++i) {
-            detached[rows[i]] = 1;
-            touch(lists_.projected[rows[i]], lists_.columns, lists_.rows, left);
-        }
+        for (int64_t i = 0; i < count; ++i) touch(lists_.projected[rows[i]], lists_.columns, lists_.rows, left);
+        for (int64_t i = 0; i < count; ++i) is_detached_[rows[i]] = 1;
         std::sort(left.begin(), left.end());
         left.erase(std::unique(left.begin(), left.end()), left.end());
         for (uint32_t t : left) {
             auto& statics = tiles_[t].statics;
-            statics.erase(std::remove_if(statics.begin(), statics.end(), [&](const Static& r) { return detached[r.gaussian] != 0; }), statics.end());
+            statics.erase(std::remove_if(statics.begin(), statics.end(), [&](const Static& r) { return is_detached_[r.gaussian] != 0; }), statics.end());
             tiles_[t].stale = true;
         }
+        for (int64_t i = 0; i < count; ++i) is_detached_[rows[i]] = 0;
         return left;
     }
 
     // Makes all of the now `population` Gaussians static. `rows` (ascending) were detached or are new; their values are the rows
     // `from` of `scene` (null: all of it, in order). `renumbered`: the new row of each of the `before` old ones, -1 for removed
     // ones, which were detached; null: rows keep their numbers.
-    void commit(Pool& pool, const Scene& scene, const int64_t* from, const int64_t* rows, int64_t count, int64_t population,
-                const int64_t* renumbered, int64_t before) {
+    void commit(Pool& pool, Binner& binner, const Scene& scene, const int64_t* from, const int64_t* rows, int64_t count,
+                int64_t population, const int64_t* renumbered, int64_t before) {
         if (renumbered) renumber(renumbered, before);
         lists_.projected.resize(population);
-        bring(pool, scene, from, rows, count);
+        bring(pool, binner, scene, from, rows, count);
         active_.clear();
         for (int t = 0; t < lists_.tiles(); ++t)
-            if (first_arrival_[t + 1] > first_arrival_[t]) active_.push_back(t);
+            if (is_met(t)) active_.push_back(t);
         each_active(pool, [&](int t) {
             Tile& tile = tiles_[t];
             std::vector<Static> merged;
-            merged.reserve(tile.statics.size() + first_arrival_[t + 1] - first_arrival_[t]);
+            merged.reserve(tile.statics.size() + arrived_.first_entry[t + 1] - arrived_.first_entry[t]);
             each_in_order(
                 t, rows, [&](const Static& r) { merged.push_back(r); },
-                [&](const Arrival& a) { merged.push_back({a.depth, static_cast<uint32_t>(rows[a.index]), 0.0f, -1}); });
+                [&](const Entry& a, uint32_t depth) { merged.push_back({depth, static_cast<uint32_t>(rows[a.gaussian]), 0.0f, -1}); });
             tile.statics.swap(merged);
             tile.stale = true;
         });
@@ -116,81 +115,37 @@ class IncrementalView {
         std::vector<Static> statics;  // by depth; equal depths in the scene's order
         bool stale = true;             // the picture does not show the static scene
     };
-    struct Arrival {  // a newly projected Gaussian in a tile
-        uint32_t depth, index, pair;
-    };
 
-    // Projects the scene's rows `from` (null: all) as rows `to`, and bins them: radix sort by depth, counting sort by tile.
-    void bring(Pool& pool, const Scene& scene, const int64_t* from, const int64_t* to, int64_t count) {
-        if (count && static_cast<int64_t>(lists_.projected.size()) <= to[count - 1]) lists_.projected.resize(to[count - 1] + 1);
-        projected_.resize((count + kLanes - 1) / kLanes * kLanes);
-        pairs_of_.resize(count);
-        const int chunks = static_cast<int>((count + kChunk - 1) / kChunk);
-        chunk_tiles_.resize(std::max<size_t>(chunk_tiles_.size(), chunks));
+    // Projects and bins the scene's rows `from` (null: all) as rows `to`.
+    void bring(Pool& pool, Binner& binner, const Scene& scene, const int64_t* from, const int64_t* to, int64_t count) {
         uint64_t statics = 0;
         for (const Tile& tile : tiles_) statics += tile.statics.size();
-        count_.restart(statics, max_pairs_);
-        pool.run(chunks, [&](int chunk) {
-            const int64_t begin = static_cast<int64_t>(chunk) * kChunk, end = std::min<int64_t>(count, begin + kChunk);
-            chunk_tiles_[chunk].clear();
-            uint64_t added = 0;
-            for (int64_t base = begin; base < end && count_.fits_with(added); base += kLanes) {
-                const size_t so_far = chunk_tiles_[chunk].size();
-                int64_t rows[kLanes];
-                for (int64_t i = 0; i < kLanes; ++i) rows[i] = from ? from[std::min(base + i, count - 1)] : std::min(base + i, count - 1);
-                project_rows(scene, camera_, rows, &projected_[base]);
-                for (int64_t i = base; i < std::min(base + kLanes, end); ++i) {
-                    lists_.projected[to[i]] = projected_[i];
-                    pairs_of_[i] = touch(projected_[i], lists_.columns, lists_.rows, chunk_tiles_[chunk]);
-                }
-                added = chunk_tiles_[chunk].size() - so_far;
-            }
-            count_.fits_with(added);
-        });
-        count_.check();
-        first_pair_.resize(count + 1);
-        order_.clear();
-        uint32_t pairs = 0;
-        for (int64_t i = 0; i < count; ++i) {
-            first_pair_[i] = pairs;
-            pairs += pairs_of_[i];
-            if (pairs_of_[i]) order_.push_back({depth_key(projected_[i].depth), static_cast<uint32_t>(i)});
-        }
-        first_pair_[count] = pairs;
-        tile_of_pair_.clear();
-        for (int chunk = 0; chunk < chunks; ++chunk) tile_of_pair_.insert(tile_of_pair_.end(), chunk_tiles_[chunk].begin(), chunk_tiles_[chunk].end());
-        sort_by_depth(order_, scratch_);
-        first_arrival_.assign(lists_.tiles() + 1, 0);
-        for (uint32_t tile : tile_of_pair_) ++first_arrival_[tile + 1];
-        for (int t = 0; t < lists_.tiles(); ++t) first_arrival_[t + 1] += first_arrival_[t];
-        cursor_.assign(first_arrival_.begin(), first_arrival_.end() - 1);
-        arrivals_.resize(pairs);
-        for (const Key& k : order_)
-            for (uint32_t pair = first_pair_[k.gaussian]; pair < first_pair_[k.gaussian + 1]; ++pair)
-                arrivals_[cursor_[tile_of_pair_[pair]]++] = {k.depth, k.gaussian, pair};
+        binner.run(pool, scene, camera_, from, count, arrived_, statics, max_pairs_);
+        if (count && static_cast<int64_t>(lists_.projected.size()) <= to[count - 1]) lists_.projected.resize(to[count - 1] + 1);
+        for (int64_t i = 0; i < count; ++i) lists_.projected[to[i]] = arrived_.projected[i];
     }
 
-    // Merges a tile's static Gaussians and arrivals by depth.
+    bool is_met(int t) const { return arrived_.first_entry[t + 1] > arrived_.first_entry[t]; }
+
+    // Merges a tile's static Gaussians and arrivals by depth; an arrival is its entry and the key of its depth.
     template <class OnResting, class OnArrival>
     void each_in_order(int t, const int64_t* rows, const OnResting& on_resting, const OnArrival& on_arrival) const {
-        uint32_t a = first_arrival_[t];
-        const uint32_t end = first_arrival_[t + 1];
-        for (const Static& r : tiles_[t].statics) {
-            for (; a < end; ++a) {
-                const Arrival& next = arrivals_[a];
-                if (next.depth > r.depth || (next.depth == r.depth && rows[next.index] > static_cast<int64_t>(r.gaussian))) break;
-                on_arrival(next);
-            }
-            on_resting(r);
+        auto r = tiles_[t].statics.begin(), last = tiles_[t].statics.end();
+        for (uint32_t a = arrived_.first_entry[t]; a < arrived_.first_entry[t + 1]; ++a) {
+            const Entry& next = arrived_.entries[a];
+            const uint32_t depth = depth_key(arrived_.projected[next.gaussian].depth);
+            for (; r != last && (r->depth < depth || (r->depth == depth && static_cast<int64_t>(r->gaussian) < rows[next.gaussian])); ++r)
+                on_resting(*r);
+            on_arrival(next, depth);
         }
-        for (; a < end; ++a) on_arrival(arrivals_[a]);
+        for (; r != last; ++r) on_resting(*r);
     }
 
     // Makes room for the lists of the active tiles; `merge` fills each.
     void make_room() {
         lists_.first_entry.assign(lists_.tiles() + 1, 0);
         for (int t : active_)
-            lists_.first_entry[t + 1] = static_cast<uint32_t>(tiles_[t].statics.size()) + first_arrival_[t + 1] - first_arrival_[t];
+            lists_.first_entry[t + 1] = static_cast<uint32_t>(tiles_[t].statics.size()) + arrived_.first_entry[t + 1] - arrived_.first_entry[t];
         for (int t = 0; t < lists_.tiles(); ++t) lists_.first_entry[t + 1] += lists_.first_entry[t];
         lists_.entries.resize(lists_.first_entry[lists_.tiles()]);
     }
@@ -200,7 +155,7 @@ class IncrementalView {
         Entry* to = lists_.entries.data() + lists_.first_entry[t];
         each_in_order(
             t, rows, [&](const Static& r) { *to++ = {r.gaussian, kNoPair, r.blocks}; },
-            [&](const Arrival& a) { *to++ = {static_cast<uint32_t>(rows[a.index]), a.pair, -1}; });
+            [&](const Entry& a, uint32_t) { *to++ = {static_cast<uint32_t>(rows[a.gaussian]), a.pair, -1}; });
     }
 
     // Activates stale and `wanted` tiles for a redraw of the static scene.
@@ -212,7 +167,7 @@ class IncrementalView {
             active_.push_back(t);
             tiles_[t].stale = false;
         }
-        first_arrival_.assign(lists_.tiles() + 1, 0);
+        arrived_.first_entry.assign(lists_.tiles() + 1, 0);
         make_room();
     }
 
@@ -245,13 +200,8 @@ class IncrementalView {
     TileLists lists_;  // `projected` of the whole scene; entries of the active tiles only
     std::vector<Tile> tiles_;
     std::vector<int> active_;  // tiles under work
-    // Buffers of the last `bring`.
-    std::vector<Projected> projected_;
-    std::vector<uint32_t> pairs_of_, first_pair_, tile_of_pair_, first_arrival_, cursor_;
-    std::vector<std::vector<uint32_t>> chunk_tiles_;
-    std::vector<Key> order_, scratch_;
-    std::vector<Arrival> arrivals_;
-    PairCount count_;
+    TileLists arrived_;        // of the last `bring`, numbered from 0
+    std::vector<uint8_t> is_detached_;  // scratch of `detach`: all 0 between calls
 };
 
 }  // namespace decogs

@@ -24,7 +24,7 @@ struct Entry {
 
 struct TileLists {
     int columns = 0, rows = 0;
-    std::vector<Projected> projected;   // per Gaussian of the scene
+    std::vector<Projected> projected;   // per Gaussian
     std::vector<uint32_t> first_pair;   // per Gaussian, exclusive prefix sum; the total is last
     std::vector<uint32_t> tile_of_pair;
     std::vector<uint32_t> first_entry;  // per tile, exclusive prefix sum; the total is last
@@ -129,29 +129,30 @@ class PairCount {
 
 class Binner {
    public:
-    // Throws TooManyPairs above `max_pairs`.
-    void run(Pool& pool, const Scene& scene, const Camera& cam, TileLists& lists, uint64_t max_pairs = kMaxPairs) {
-        const int64_t n = scene.count;
+    // Bins the `count` Gaussians that are the scene's `rows` (null: all, in order); `lists` numbers them from 0. Throws TooManyPairs
+    // above `max_pairs`, of which `taken` are others'.
+    void run(Pool& pool, const Scene& scene, const Camera& cam, const int64_t* rows, int64_t count, TileLists& lists,
+             uint64_t taken = 0, uint64_t max_pairs = kMaxPairs) {
         lists.columns = (cam.width + kTile - 1) / kTile;
         lists.rows = (cam.height + kTile - 1) / kTile;
-        const int64_t padded = (n + kLanes - 1) / kLanes * kLanes;
+        const int64_t padded = (count + kLanes - 1) / kLanes * kLanes;
         lists.projected.resize(padded);
-        const int chunks = static_cast<int>((n + kChunk - 1) / kChunk);
+        const int chunks = static_cast<int>((count + kChunk - 1) / kChunk);
         chunk_tiles_.resize(std::max<size_t>(chunk_tiles_.size(), chunks));
-        count_.resize(n);
-        pairs_.restart(0, max_pairs);
-        pool.run(chunks, [&](int chunk) { project_chunk(scene, cam, lists, chunk); });
+        count_.resize(count);
+        pairs_.restart(taken, max_pairs);
+        pool.run(chunks, [&](int chunk) { project_chunk(scene, cam, rows, count, lists, chunk); });
         pairs_.check();
 
-        lists.first_pair.resize(n + 1);
+        lists.first_pair.resize(count + 1);
         uint64_t pairs = 0;
         drawn_.clear();
-        for (int64_t i = 0; i < n; ++i) {
+        for (int64_t i = 0; i < count; ++i) {
             lists.first_pair[i] = static_cast<uint32_t>(pairs);
             pairs += count_[i];
             if (count_[i]) drawn_.push_back({depth_key(lists.projected[i].depth), static_cast<uint32_t>(i)});
         }
-        lists.first_pair[n] = static_cast<uint32_t>(pairs);
+        lists.first_pair[count] = static_cast<uint32_t>(pairs);
         lists.tile_of_pair.resize(pairs);
         uint32_t at = 0;
         for (int c = 0; c < chunks; ++c) {
@@ -163,15 +164,17 @@ class Binner {
     }
 
    private:
-    void project_chunk(const Scene& scene, const Camera& cam, TileLists& lists, int chunk) {
-        const int64_t n = scene.count, begin = static_cast<int64_t>(chunk) * kChunk, end = std::min(n, begin + kChunk);
+    void project_chunk(const Scene& scene, const Camera& cam, const int64_t* from, int64_t count, TileLists& lists, int chunk) {
+        const int64_t begin = static_cast<int64_t>(chunk) * kChunk, end = std::min(count, begin + kChunk);
         auto& tiles = chunk_tiles_[chunk];
         tiles.clear();
         uint64_t added = 0;
         for (int64_t base = begin; base < end && pairs_.fits_with(added); base += kLanes) {
             const size_t before = tiles.size();
             int64_t rows[kLanes];
-            for (int i = 0; i < kLanes; ++i) rows[i] = std::min(base + i, n - 1);
+            for (int i = 0; i < kLanes; ++i) rows[i] = std::min(base + i, count - 1);
+            if (from)
+                for (int64_t& row : rows) row = from[row];
             project_rows(scene, cam, rows, &lists.projected[base]);
             for (int64_t i = base; i < std::min(base + kLanes, end); ++i)
                 count_[i] = touch(lists.projected[i], lists.columns, lists.rows, tiles);

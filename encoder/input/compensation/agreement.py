@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from decogs.formats.cameras import in_picture, project, ray_slopes, turned
 from decogs.formats.splats import FloatArray, logit
 
+from ...backends import RenderedPicture
 from ...numerics import bilinear
-from ...rasterise import RenderedPicture
 from ..ingest import View
 from .colour import OddsShift, tukey_weights, unclipped
 

@@ -8,7 +8,7 @@
 | densification | mean view gradient >= tau_d, inside the focus | `training.selective_densification` |
 | stage 2 | the values of S_t, together with the cache | `stages.train_jointly` |
 | loss | (1 - lambda) (beta1 L1 + beta2 L1_focus) + lambda (1 - SSIM_focus) | `training.losses.focus_loss` |
-| gate, reset | no gradient and no moments outside S_t | `training.working_set`, `rasterise.fixed_view` |
+| gate, reset | no gradient and no moments outside S_t | `training.working_set`, `backends.cpu.fixed_view` |
 | commit | the cache's motion becomes the Gaussians' own | `WorkingSet.result` |
 
 METHOD.md lists where the preset and the text differ.

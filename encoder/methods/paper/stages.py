@@ -6,8 +6,7 @@ from dataclasses import replace
 
 from decogs.formats.splats import Splats
 
-from ...rasterise import SplatGradients
-from ...training.densification import ViewGradients
+from ...backends import SplatGradients, ViewGradients
 from ...training.frame_training import FrameTraining
 from ...training.schedule import StepSchedule, rates_at
 from ...training.working_set import WorkingSet
@@ -23,14 +22,14 @@ def moved(work: WorkingSet, cache: TransformationCache) -> Splats:
 
 def train_cache(training: FrameTraining, work: WorkingSet, cache: TransformationCache) -> ViewGradients:
     """Stage 1: trains the cache alone; the gradients of its last third, for densification."""
-    gathered, settings = ViewGradients(len(work.rows)), training.settings
+    gathered, settings = training.context.kernel.view_gradients(len(work.rows)), training.settings
     iterations = settings.cache_iterations
     deadline = training.frame.stopping.deadline_before(iterations, settings.joint_iterations)
     schedule = StepSchedule(iterations, deadline)
     for step in training.steps("cache"):
         if schedule.is_over:
             break
-        gradients = training.gradients(step, work, moved(work, cache))
+        gradients = training.gradients(step, work, moved(work, cache)).host()
         cache.backward(gradients.means, gradients.quaternions)
         cache.step()
         if 3 * schedule.position >= 2 * iterations:
@@ -47,7 +46,7 @@ def train_jointly(
     for step in training.steps("joint"):
         if schedule.is_over:
             break
-        gradients = _through(cache, training.gradients(step, work, moved(work, cache)))
+        gradients = _through(cache, training.gradients(step, work, moved(work, cache)).host())
         if target is not None and target.saw(step.view, training.context.static_views[step.view].rgb):
             break
         work.optimiser.step(gradients, rates_at(training.settings, training.context.extent, schedule))

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from decogs.formats.errors import TrainingError, UsageError
 from decogs.formats.splats import FloatArray
 
-from ...rasterise.native import adam_step
+from ...backends.cpu.native import adam_step
 from ...settings.cache import CacheSettings
 from .native import CacheKernel, Parameters
 from .weights import CacheWeights

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from decogs.formats.kernels import check_memory, checked_handle, load_kernel
 from decogs.formats.splats import FloatArray
 
-from ...rasterise.native import AdamStep
+from ...backends.cpu.native import AdamStep
 from ...settings.cache import CacheSettings
 
 GRADIENT_LIMIT = 1e6
@@ -36,7 +36,7 @@ class _Trained(ctypes.Structure):
 
 @lru_cache(maxsize=1)
 def _library() -> ctypes.CDLL:
-    library = load_kernel(Path(__file__).parent, "_cache")
+    library = load_kernel(Path(__file__).parent, "_cache", [_Shape, AdamStep, _Trained])
     pointer, array, count = ctypes.POINTER, ctypes.c_void_p, ctypes.c_int64
     library.decogs_cache_create.restype = array
     library.decogs_cache_create.argtypes = [pointer(_Shape), ctypes.c_int]

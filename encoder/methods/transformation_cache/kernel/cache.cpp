@@ -10,6 +10,12 @@ Cache& cache_of(void* handle) { return *static_cast<Cache*>(handle); }
 
 extern "C" {
 
+// Sizes of the structs of this interface, in the order in which Python's loader states them, and a 0 at the end.
+const int64_t* decogs_sizes() {
+    static const int64_t sizes[] = {sizeof(CacheShape), sizeof(AdamStep), sizeof(Trained), 0};
+    return sizes;
+}
+
 void* decogs_cache_create(const CacheShape* shape, int threads) {
     return created([&] { return new Cache(*shape, threads); });
 }

@@ -22,6 +22,13 @@ FixedView& view_of(void* handle) { return *static_cast<FixedView*>(handle); }
 
 extern "C" {
 
+// Sizes of the structs of this interface, in the order in which Python's loader states them, and a 0 at the end.
+const int64_t* decogs_sizes() {
+    static const int64_t sizes[] = {sizeof(Scene),     sizeof(Camera),    sizeof(Planes),   sizeof(Cotangents),
+                                    sizeof(Gradients), sizeof(LossInput), sizeof(LossSums), sizeof(AdamStep), 0};
+    return sizes;
+}
+
 void* decogs_trainer_create(int threads) {
     return created([&] { return new Trainer(threads); });
 }
@@ -62,7 +69,8 @@ int decogs_view_detach(void* view, const int64_t* rows, int64_t count) {
 }
 
 int decogs_view_draw(void* handle, void* view, const Scene* moving, const int64_t* rows, const Planes* out, uint8_t* met) {
-    return status_of([&] { view_of(view).draw(trainer_of(handle).pool, *moving, rows, *out, met); });
+    Trainer& t = trainer_of(handle);
+    return status_of([&] { view_of(view).draw(t.pool, t.binner, *moving, rows, *out, met); });
 }
 
 int decogs_view_backward(void* handle, void* view, const Scene* moving, const Cotangents* cotangents, const Gradients* out) {
@@ -71,7 +79,8 @@ int decogs_view_backward(void* handle, void* view, const Scene* moving, const Co
 
 int decogs_view_commit(void* handle, void* view, const Scene* scene, const int64_t* rows, int64_t count, const int64_t* renumbered,
                        int64_t before) {
-    return status_of([&] { view_of(view).commit(trainer_of(handle).pool, *scene, rows, count, renumbered, before); });
+    Trainer& t = trainer_of(handle);
+    return status_of([&] { view_of(view).commit(t.pool, t.binner, *scene, rows, count, renumbered, before); });
 }
 
 int decogs_view_redraw(void* handle, void* view, const uint8_t* marks, const Planes* out, float* weights, int64_t count) {
@@ -85,11 +94,9 @@ int decogs_loss(void* handle, const LossInput* in, float* gradient, LossSums* su
     return status_of([&] { *sums = t.loss.run(t.pool, *in, gradient); });
 }
 
-int decogs_adam(void* handle, const AdamStep* step, int64_t row_count, const int64_t* rows, int columns, const float* rates,
-                float* value, const float* gradient, float* first, float* second) {
-    return status_of([&] {
-        adam_rows(trainer_of(handle).pool, *step, row_count, rows, columns, rates, value, gradient, first, second);
-    });
+int decogs_adam(void* handle, const AdamStep* step, int64_t count, int columns, const float* rates, float* value,
+                const float* gradient, float* first, float* second) {
+    return status_of([&] { adam_rows(trainer_of(handle).pool, *step, count, columns, rates, value, gradient, first, second); });
 }
 
 // Projected means (count, 2), in pixels, and depths (count,) of the last decogs_forward; NaN where culled.

@@ -6,8 +6,6 @@ to TF32 by default, which SSIM's small differences of large sums do not bear). N
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 import torch
 import torch.nn.functional as functional
@@ -15,13 +13,6 @@ from torch import Tensor
 
 TAPS = np.exp(-(np.arange(-5, 6) ** 2) / 4.5)
 """Wang 2004: 11 x 11 Gaussian window of sigma 1.5, not yet of sum 1."""
-
-
-class LossSums(NamedTuple):
-    """L1 and 1 - SSIM, weighted and summed over the pixels wanted."""
-
-    l1: float
-    dissimilarity: float
 
 
 def photometric_loss(
@@ -33,8 +24,11 @@ def photometric_loss(
     wanted: Tensor,
     l1_scale: float,
     ssim_scale: float,
-) -> tuple[LossSums, Tensor]:
-    """``TrainingKernel.loss``, summed over the pixels ``wanted`` (H, W); the gradient (3, H, W) is the whole loss's."""
+) -> tuple[Tensor, Tensor]:
+    """Sums (2,) of L1 and of 1 - SSIM, weighted, over the pixels ``wanted`` (H, W), float64.
+
+    And the gradient (3, H, W) of ``TrainingKernel.picture_loss``, of the whole picture.
+    """
     image = image.detach().requires_grad_()
     l1, dissimilarity = (image - target).abs(), torch.zeros_like(image)
     if l1_weight is not None:
@@ -44,8 +38,8 @@ def photometric_loss(
     elif ssim_scale and focus is not None:
         dissimilarity = focus * _dissimilarity(focus * image, focus * target)
     (gradient,) = torch.autograd.grad(l1_scale * l1.sum() + ssim_scale * dissimilarity.sum(), image)
-    sums = [float((part.detach() * wanted).sum(dtype=torch.float64)) for part in (l1, dissimilarity)]
-    return LossSums(*sums), gradient
+    sums = [(part.detach() * wanted).sum(dtype=torch.float64) for part in (l1, dissimilarity)]
+    return torch.stack(sums), gradient
 
 
 def _dissimilarity(a: Tensor, b: Tensor) -> Tensor:
@@ -83,7 +77,7 @@ class TiledLoss:
         wanted: Tensor | None,
         l1_scale: float,
         ssim_scale: float,
-    ) -> tuple[LossSums, Tensor]:
+    ) -> tuple[Tensor, Tensor]:
         pixels = torch.ones((self._height, self._width), dtype=torch.bool, device=image.device)
         if wanted is not None:
             grown = wanted.repeat_interleave(16, 0).repeat_interleave(16, 1)

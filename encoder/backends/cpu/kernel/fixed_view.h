@@ -69,12 +69,12 @@ class FixedView : public IncrementalView {
 
     // Draws `moving`, the current values of the detached Gaussians and of new ones, as the scene's `rows` (ascending): all tiles
     // that they overlap, or overlapped at the last draw. `met` (one byte per tile): whether they overlap it now.
-    void draw(Pool& pool, const Scene& moving, const int64_t* rows, const Planes& out, uint8_t* met) {
-        bring(pool, moving, nullptr, rows, moving.count);
+    void draw(Pool& pool, Binner& binner, const Scene& moving, const int64_t* rows, const Planes& out, uint8_t* met) {
+        bring(pool, binner, moving, nullptr, rows, moving.count);
         active_.clear();
         for (int t = 0; t < lists_.tiles(); ++t) {
             Shown& shown = shown_[t];
-            met[t] = first_arrival_[t + 1] > first_arrival_[t];
+            met[t] = is_met(t);
             if (!met[t] && !shown.moved && !(out.depth && shown.shallow)) continue;
             active_.push_back(t);
             tiles_[t].stale = true;
@@ -90,13 +90,14 @@ class FixedView : public IncrementalView {
 
     // Gradients of `moving` through the last draw.
     void backward(Pool& pool, const Scene& moving, const Cotangents& cotangents, const Gradients& out) {
-        moments_.resize(tile_of_pair_.size() * kMoments);
+        moments_.resize(arrived_.tile_of_pair.size() * kMoments);
         each_active(pool, [&](int t) { backward_tile(lists_, trace_, camera_, t, cotangents, moments_.data()); });
-        backward_scene(pool, moving, camera_, {projected_.data(), first_pair_.data()}, moments_.data(), out);
+        backward_scene(pool, moving, camera_, {arrived_.projected.data(), arrived_.first_pair.data()}, moments_.data(), out);
     }
 
-    void commit(Pool& pool, const Scene& scene, const int64_t* rows, int64_t count, const int64_t* renumbered, int64_t before) {
-        IncrementalView::commit(pool, scene, rows, rows, count, scene.count, renumbered, before);
+    void commit(Pool& pool, Binner& binner, const Scene& scene, const int64_t* rows, int64_t count, const int64_t* renumbered,
+                int64_t before) {
+        IncrementalView::commit(pool, binner, scene, rows, rows, count, scene.count, renumbered, before);
         for (Shown& shown : shown_) shown.moved = false;
     }
 
@@ -142,8 +143,10 @@ class FixedView : public IncrementalView {
 
     bool any_marked(const uint8_t* marks, int t) const {
         const int x0 = t % lists_.columns * kTile, y0 = t / lists_.columns * kTile, width = std::min(kTile, camera_.width - x0);
-        for (int y = y0; y < std::min(camera_.height, y0 + kTile); ++y)
-            if (std::memchr(marks + static_cast<int64_t>(y) * camera_.width + x0, 1, width)) return true;
+        for (int y = y0; y < std::min(camera_.height, y0 + kTile); ++y) {
+            const uint8_t* first = marks + static_cast<int64_t>(y) * camera_.width + x0;
+            if (std::any_of(first, first + width, [](uint8_t mark) { return mark != 0; })) return true;
+        }
         return false;
     }
 

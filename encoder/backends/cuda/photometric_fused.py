@@ -19,7 +19,7 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from .photometric import TAPS, LossSums
+from .photometric import TAPS
 
 TILE = 16
 _WINDOW = [float(tap) for tap in TAPS / TAPS.sum()]
@@ -48,8 +48,8 @@ class FusedLoss:
         wanted: Tensor | None,
         l1_scale: float,
         ssim_scale: float,
-    ) -> tuple[LossSums, Tensor]:
-        """Sums of L1 and of 1 - SSIM over the tiles ``wanted`` (rows, columns), and the gradient of the whole loss.
+    ) -> tuple[Tensor, Tensor]:
+        """Sums (2,) of L1 and of 1 - SSIM over the tiles ``wanted`` (rows, columns), and the whole loss's gradient.
 
         ``image`` (H, W, C >= 3) as the rasteriser leaves it; ``target`` (3, H, W). The gradient (H, W, 4), whose last
         plane is 0, is 0 outside ``wanted``.
@@ -72,8 +72,9 @@ class FusedLoss:
             image, target, weight, seen, self._back_along_rows, self._taps, tiles, gradient, self._sums, l1_scale,
             *size, **stride, **flags, SSIM=bool(ssim_scale),
         )  # fmt: skip
-        l1, dissimilarity = self._sums.sum((1, 2), dtype=torch.float64).tolist()
-        return LossSums(l1, dissimilarity if ssim_scale else 0.0), gradient
+        if not ssim_scale:
+            self._sums[1].zero_()
+        return self._sums.sum((1, 2), dtype=torch.float64), gradient
 
 
 @triton.jit

@@ -15,21 +15,6 @@ import numpy as np
 
 from decogs.formats.splats import FloatArray
 
-from ..rasterise import SplatGradients
-from ..settings.optimiser import LearningRates
-from .optimiser import Optimiser
-
-
-def step_unstretched(optimiser: Optimiser, gradients: SplatGradients, rates: LearningRates, max_stretch: float) -> None:
-    """One step of the optimiser, after which no Gaussian is longer than the limit; ``max_stretch`` 0: none.
-
-    Nothing is looked at where sizes are not trained, as in frames that only light changes.
-    """
-    before = optimiser.splats.log_scales.copy() if max_stretch and rates.log_scales else None
-    optimiser.step(gradients, rates)
-    if before is not None:
-        limit_stretch(optimiser.splats.log_scales, before, max_stretch)
-
 
 def stretches(log_scales: FloatArray) -> FloatArray:
     """Logarithm (N,) of the largest over the middle size of every Gaussian; ``log_scales`` (N, 3)."""

@@ -1,4 +1,4 @@
-// Adam (Kingma 2015, algorithm 1) on selected rows; all others keep value and moments, bit for bit.
+// Adam (Kingma 2015, algorithm 1).
 #pragma once
 
 #include <algorithm>
@@ -39,21 +39,17 @@ inline void adam_run(const AdamStep& step, int64_t count, int columns, const flo
     }
 }
 
-inline void adam_rows(Pool& pool, const AdamStep& step, int64_t row_count, const int64_t* rows, int columns,
-                      const float* rates, float* value, const float* gradient, float* first, float* second) {
+// One step on `count` rows of `columns` values.
+inline void adam_rows(Pool& pool, const AdamStep& step, int64_t count, int columns, const float* rates, float* value,
+                      const float* gradient, float* first, float* second) {
     constexpr int64_t kValues = 2048;  // of a task
-    if (row_count == 0 || columns == 0) return;
+    if (count == 0 || columns == 0) return;
     const int64_t size = std::max<int64_t>(1, kValues / columns);
     std::vector<float> repeated(columns + kLanes);
     for (size_t k = 0; k < repeated.size(); ++k) repeated[k] = rates[k % columns];
-    pool.run(static_cast<int>((row_count + size - 1) / size), [&](int task) {
-        const int64_t end = std::min(row_count, (task + 1) * size);
-        for (int64_t r = task * size, next; r < end; r = next) {  // consecutive rows are one run of values
-            next = rows ? r + 1 : end;
-            while (next < end && rows[next] == rows[next - 1] + 1) ++next;
-            const int64_t at = (rows ? rows[r] : r) * columns;
-            adam_run(step, (next - r) * columns, columns, repeated.data(), value + at, gradient + at, first + at, second + at);
-        }
+    pool.run(static_cast<int>((count + size - 1) / size), [&](int task) {
+        const int64_t at = task * size * columns, values = std::min(size, count - task * size) * columns;
+        adam_run(step, values, columns, repeated.data(), value + at, gradient + at, first + at, second + at);
     });
 }
 

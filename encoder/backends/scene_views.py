@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import FloatArray, Splats
 
-from . import TrainingKernel, fixed_view
-from .fixed_view import FixedView
+from .protocol import FixedView, TrainingKernel
 
 
 class SceneViews(Sequence[FixedView]):
@@ -34,7 +33,7 @@ class SceneViews(Sequence[FixedView]):
     def of(self, scene: Splats) -> SceneViews:
         """The views, all of them showing this scene."""
         if not self._views:
-            self._views += [fixed_view(self._kernel, camera) for camera in self._cameras()]
+            self._views += [self._kernel.fixed_view(camera) for camera in self._cameras()]
         if self._shown is not scene:
             for view in self._views:
                 view.set_scene(scene)

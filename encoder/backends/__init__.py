@@ -1,0 +1,71 @@
+"""Where training runs: backends by name, behind one protocol (`protocol`).
+
+``cpu`` is the reference: native kernels, the same bits for the same seed. ``cuda`` needs torch and gsplat, which are
+imported when it is asked for. ``auto`` is the CPU, since on a GPU the same seed gives other bytes every time.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from decogs.formats.errors import UsageError
+
+from . import cpu, cuda
+from .protocol import (
+    ATTRIBUTES,
+    Drawable,
+    FixedView,
+    Gradients,
+    LossValue,
+    Optimiser,
+    RenderedPicture,
+    SplatGradients,
+    TrainingKernel,
+    ViewGradients,
+    gradients_like,
+)
+
+
+class _Backend(Protocol):
+    def missing(self) -> str | None:
+        """What keeps this machine from training there, in words; None when nothing is known to."""
+        ...
+
+    def training_kernel(self, threads: int) -> TrainingKernel: ...
+
+
+_BACKENDS: dict[str, _Backend] = {"auto": cpu, "cpu": cpu, "cuda": cuda}
+DEVICES = tuple(_BACKENDS)
+
+
+def check_device(device: str) -> None:
+    """Raises UsageError unless training can run on ``device``, one of DEVICES."""
+    if device not in _BACKENDS:
+        raise UsageError(f"`device` {device}: choose from {', '.join(DEVICES)}")
+    missing = _BACKENDS[device].missing()
+    if missing:
+        raise UsageError(f"`device` {device}: {missing}, or use cpu")
+
+
+def training_kernel(device: str = "auto", threads: int = 0) -> TrainingKernel:
+    """The kernel that trains on ``device``, one of DEVICES; raises UsageError where that cannot be."""
+    check_device(device)
+    return _BACKENDS[device].training_kernel(threads)
+
+
+__all__ = [
+    "ATTRIBUTES",
+    "DEVICES",
+    "Drawable",
+    "FixedView",
+    "Gradients",
+    "LossValue",
+    "Optimiser",
+    "RenderedPicture",
+    "SplatGradients",
+    "TrainingKernel",
+    "ViewGradients",
+    "check_device",
+    "gradients_like",
+    "training_kernel",
+]
