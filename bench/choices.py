@@ -166,33 +166,6 @@ QUESTIONS = (
         _BOTH,
     ),
     Question(
-        "residual",
-        "Going back to what was got wrong",
-        "Where a picture has changed before, pixels count as changed while the rendering misses them by so much.",
-        tuple(
-            Variant(f"residual{r:g}", f"{r:g} levels" if r else "never", {"frame.masks.residual": r})
-            for r in (0.0, 15.0, 25.0, 40.0)
-        ),
-        _BOTH,
-    ),
-    Question(
-        "mending",
-        "How long clearly changed pixels are refined",
-        "For so many frames it stays in the region of interest, for Gaussians with that share of their weight there.",
-        (
-            Variant("mend0", "never", {"frame.masks.refine_frames": 0}),
-            *(
-                Variant(
-                    f"mend{n}-{share:g}",
-                    f"{n} frames, a share of {share:g}",
-                    {"frame.masks.refine_frames": n, "frame.selection.refine_fraction": share},
-                )
-                for n, share in ((4, 0.8), (8, 0.5), (8, 0.8), (16, 0.8))
-            ),
-        ),
-        _BOTH,
-    ),
-    Question(
         "faint-light",
         "From what change on light counts over much of the picture; half of it where light alone changes",
         "In 8-bit levels of the mean over 7 x 7 pixels; with the detected effects.",

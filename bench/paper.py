@@ -34,7 +34,6 @@ RECIPE_FRAMES = 9
 _ONE_STAGE = {"frame.joint_iterations": 250}
 _SEEDS = {"frame.emergence.max_seeds": 2000}
 _3DGS_RATES = LearningRates(1.6e-4, 5e-3, 1e-3, 0.05, 2.5e-3, 1.25e-4)
-_REFINEMENT = {"frame.masks.since_trained": True, "frame.masks.residual": 25.0, "frame.masks.refine_frames": 8}
 
 _COST = ("seconds", "cpu", "fps", "megabytes", "megabytes_all", "selected")
 _BRIEF = ("psnr", "psnr_dynamic", "psnr_static", "last_dynamic", "mtv", "selected", "cpu", "megabytes")
@@ -66,7 +65,6 @@ _RECIPE = (
     Variant("recipe-rates", "stage 2 at 3DGS's learning rates", {"frame.rates": _3DGS_RATES}, preset="paper"),
     Variant("recipe-no-growth", "no densification", {"frame.grow_fraction": 0.0}, preset="paper"),
     Variant("recipe-reference", "compared as last trained", {"frame.masks.since_trained": True}, preset="paper"),
-    Variant("recipe-refinement", "errors are refined", _REFINEMENT, preset="paper"),
     Variant(
         "recipe-weight-rates", "by weight, 3DGS's rates", {"frame.rates": _3DGS_RATES}, "paper", selection="weight"
     ),

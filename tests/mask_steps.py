@@ -18,12 +18,12 @@ class MaskSteps:
     def __init__(self, pictures: Pictures, settings: MaskSettings) -> None:
         self.memory, self.settings = MaskMemory.begin(pictures), settings
 
-    def masks(self, pictures: Pictures, shown: Pictures) -> list[FrameMask]:
-        changes = self.memory.pixel_changes(pictures, shown, self.settings)
+    def masks(self, pictures: Pictures) -> list[FrameMask]:
+        changes = self.memory.pixel_changes(pictures, self.settings)
         return self.memory.masks(pictures, changes, self.settings)
 
     def trained(self, pictures: Pictures, masks: Sequence[FrameMask], *, moved: bool) -> None:
-        self.memory = self.memory.trained(pictures, masks, self.settings, moved=moved)
+        self.memory = self.memory.trained(pictures, masks, moved=moved)
 
     def passed(self, pictures: Pictures) -> None:
         self.memory = self.memory.advance(pictures, [], self.settings)

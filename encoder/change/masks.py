@@ -22,7 +22,6 @@ from ..settings.frame import MaskSettings
 from .noise import frame_noise
 
 BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int32]
 
 _LEVEL_SLACK = 1e-3
 """Pictures that came from 8-bit files differ by whole levels, up to float32 rounding of about 3e-5 of a level; this
@@ -64,8 +63,7 @@ class PixelChange:
 class FrameMask:
     """One view's masks, bool (H, W): ``raw`` is where the picture changed, ``dilated`` the region of interest.
 
-    The region of interest covers the changed pixels, faint light, their surroundings, and ``refined``, pixels that
-    changed some frames ago (None: no pixels).
+    The region of interest covers the changed pixels, faint light, and their surroundings.
 
     ``faint_reach``: the share of the area away from other changes that the faintest light reaches. ``lost``: reason why
     the picture does not show its frame (`input.dropouts`), with empty masks; "" otherwise.
@@ -73,19 +71,8 @@ class FrameMask:
 
     raw: BoolArray
     dilated: BoolArray
-    refined: BoolArray | None = None
     faint_reach: float = 0.0
     lost: str = ""
-
-    @property
-    def refines(self) -> bool:
-        """Whether the region of interest has pixels that are only being refined."""
-        return self.refined is not None and bool(self.refined.any())
-
-    @property
-    def changing(self) -> BoolArray:
-        """The region of interest without pixels that are only being refined."""
-        return self.dilated if self.refined is None else self.dilated & ~self.refined
 
 
 def showing(masks: Sequence[PixelChange | FrameMask]) -> list[int]:
@@ -148,14 +135,6 @@ def without_specks(mask: BoolArray, area: int) -> BoolArray:
     return kept
 
 
-def _without_lines(mask: BoolArray) -> BoolArray:
-    """The mask opened by 2 x 2 pixels: renderings miss edges one pixel wide everywhere."""
-    square = np.ones((2, 2), np.uint8)
-    cores = cv2.erode(mask.view(np.uint8), square, anchor=(0, 0))
-    opened: BoolArray = cv2.dilate(cores, square, anchor=(1, 1)).view(np.bool_)
-    return opened
-
-
 def _light_reach(
     now: FloatArray, reference: FloatArray, around: BoolArray, thresholds: tuple[float, ...]
 ) -> list[float]:
@@ -175,20 +154,15 @@ def _light_reach(
 class MaskMemory:
     """What the masks of one frame hand to the next; one entry for each view.
 
-    ``references``: pictures (3, H, W) that the next ones are compared with. ``before``: the frame before. ``changed``:
-    pixels (H, W) that changed in an earlier frame. ``refine_until``: frame up to which a pixel stays in the region of
-    interest. ``blank``: whether the first picture shows nothing. ``usual_miss``: 8-bit levels that a trained picture
-    misses by, where a time budget may leave frames unfinished; None elsewhere. ``frame``: number of the next frame.
-    ``only_light``: light alone changed the frame before.
+    ``references``: pictures (3, H, W) that the next ones are compared with. ``before``: the frame before. ``blank``:
+    whether the first picture shows nothing. ``usual_miss``: 8-bit levels that a trained picture misses by, where a time
+    budget may leave frames unfinished; None elsewhere. ``only_light``: light alone changed the frame before.
     """
 
     references: Sequence[FloatArray]
     before: Sequence[FloatArray]
-    changed: Sequence[BoolArray]
-    refine_until: Sequence[IntArray]
     blank: Sequence[bool]
     usual_miss: Sequence[float] | None = None
-    frame: int = 0
     only_light: bool = False
 
     @classmethod
@@ -197,28 +171,24 @@ class MaskMemory:
         return cls(
             references=tuple(pictures),
             before=tuple(pictures),
-            changed=[np.zeros(picture.shape[1:], bool) for picture in pictures],
-            refine_until=[np.zeros(picture.shape[1:], np.int32) for picture in pictures],
             blank=[bool(blankness(picture)) for picture in pictures],
             usual_miss=None if shown is None else [_usual_miss(*pair) for pair in zip(pictures, shown, strict=True)],
         )
 
     def pixel_changes(
-        self, pictures: Sequence[FloatArray], shown: Sequence[FloatArray], settings: MaskSettings, threads: int = 1
+        self, pictures: Sequence[FloatArray], settings: MaskSettings, threads: int = 1
     ) -> list[PixelChange]:
-        """Where every view's picture changed; ``shown``: the scene before the frame.
+        """Where every view's picture changed.
 
         Raises ValueError when they are not the same views. Source: DecoGS, difference mask.
         """
 
-        def change(now: FloatArray, reference: FloatArray, shown: FloatArray, changed: BoolArray) -> PixelChange:
+        def change(now: FloatArray, reference: FloatArray) -> PixelChange:
             noise = _noise_floor(now, reference, settings)
-            raw = without_specks(difference_mask(now, reference, max(settings.threshold, noise)), settings.speck_area)
-            if settings.residual and changed.any():
-                raw |= _without_lines(difference_mask(now, shown, settings.residual) & changed)
-            return PixelChange(raw, noise)
+            raw = difference_mask(now, reference, max(settings.threshold, noise))
+            return PixelChange(without_specks(raw, settings.speck_area), noise)
 
-        views = list(zip(pictures, self.references, shown, self.changed, strict=True))
+        views = list(zip(pictures, self.references, strict=True))
         with side_by_side(threads) as each:
             changes = list(each(lambda view: change(*view), views))
         reasons = self._lost_pictures(pictures, changes)
@@ -229,18 +199,18 @@ class MaskMemory:
     ) -> list[FrameMask]:
         """The region of interest of every view around its ``changes``."""
 
-        def mask(now: FloatArray, reference: FloatArray, until: IntArray, change: PixelChange) -> FrameMask:
-            around, refining = _grown(change.raw, settings), until > self.frame
+        def mask(now: FloatArray, reference: FloatArray, change: PixelChange) -> FrameMask:
+            around = _grown(change.raw, settings)
             threshold, reach = self._light(now, reference, around, change.noise / _LIGHT_WINDOW, settings)
             if threshold:
                 faint = faint_light_mask(now, reference, threshold)
                 around = _grown(change.raw | without_specks(faint, settings.speck_area), settings)
             if change.lost:
                 nowhere = np.zeros_like(change.raw)
-                return FrameMask(nowhere, nowhere, faint_reach=reach, lost=change.lost)
-            return FrameMask(change.raw, around | refining, refining & ~around, reach)
+                return FrameMask(nowhere, nowhere, reach, change.lost)
+            return FrameMask(change.raw, around, reach)
 
-        views = list(zip(pictures, self.references, self.refine_until, changes, strict=True))
+        views = list(zip(pictures, self.references, changes, strict=True))
         with side_by_side(threads) as each:
             return list(each(lambda view: mask(*view), views))
 
@@ -248,7 +218,6 @@ class MaskMemory:
         self,
         pictures: Sequence[FloatArray],
         masks: Sequence[FrameMask],
-        settings: MaskSettings,
         *,
         moved: bool,
         shown: Sequence[FloatArray] | None = None,
@@ -260,22 +229,19 @@ class MaskMemory:
         unfinished and keep their reference.
         """
 
-        def view(index: int) -> tuple[FloatArray, BoolArray, IntArray]:
-            now, mask, reference = pictures[index], masks[index], self.references[index]
+        def reference(index: int) -> FloatArray:
+            now, mask, before = pictures[index], masks[index], self.references[index]
             if mask.lost:
-                return reference, self.changed[index], self.refine_until[index]
-            until, done = self.refine_until[index], mask.dilated
-            if moved and settings.refine_frames:
-                until = _refined(until, now, reference, settings, self.frame + 1 + settings.refine_frames)
+                return before
+            done = mask.dilated
             if shown is not None and self.usual_miss is not None:
                 done = done & ~difference_mask(shown[index], now, self.usual_miss[index])
-            return np.where(done, now, reference), self.changed[index] | mask.dilated, until
+            return np.where(done, now, before)
 
         with side_by_side(threads) as each:
-            found = list(each(view, range(len(masks))))
-        references, changed, refine_until = zip(*found, strict=True)
+            references = list(each(reference, range(len(masks))))
         only_light = not moved and float(np.median([mask.faint_reach for mask in masks])) > _GLIMMER
-        return replace(self, references=references, changed=changed, refine_until=refine_until, only_light=only_light)
+        return replace(self, references=references, only_light=only_light)
 
     def advance(
         self,
@@ -291,7 +257,7 @@ class MaskMemory:
             reasons = [mask.lost for mask in masks] or [""] * len(pictures)
             views = zip(pictures, references, reasons, strict=True)
             references = [was if why else now for now, was, why in views]
-        return replace(self, references=references, before=tuple(pictures), frame=self.frame + 1)
+        return replace(self, references=references, before=tuple(pictures))
 
     def changed_fraction(self, pictures: Sequence[FloatArray], settings: MaskSettings) -> float:
         """Share of pixels, median over the views, that differ from the reference."""
@@ -341,12 +307,6 @@ def _noise_floor(now: FloatArray, reference: FloatArray, settings: MaskSettings)
 
 def _grown(mask: BoolArray, settings: MaskSettings) -> BoolArray:
     return dilate(mask, settings.radius(mask.shape[1]))
-
-
-def _refined(until: IntArray, now: FloatArray, reference: FloatArray, settings: MaskSettings, last: int) -> IntArray:
-    """Keeps clearly changed pixels in the region of interest until the frame ``last``."""
-    clearly = without_specks(difference_mask(now, reference, settings.refine_threshold), settings.speck_area)
-    return np.where(_grown(clearly, settings), np.int32(last), until)
 
 
 def _usual_miss(picture: FloatArray, shown: FloatArray) -> float:

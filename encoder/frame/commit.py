@@ -92,7 +92,7 @@ def _masks_after(
     if trained is not None and masks and not same_values(event.scene.state, scene.state):
         shown = context.views.pictures(scene.splats) if trained.hurried else None
         moved = "motion" in plan.effects
-        memory = memory.trained(frame.pictures, masks, settings, moved=moved, shown=shown, threads=context.threads)
+        memory = memory.trained(frame.pictures, masks, moved=moved, shown=shown, threads=context.threads)
     return memory.advance(frame.pictures, masks, settings, held=plan.held)
 
 

@@ -25,7 +25,7 @@ from ..input.compensation.frame import compensated, corrections_of, matched
 from ..input.ingest import RigFrame
 from ..output.reports import OnKeyframeStep
 from ..stopwatch import Stopwatch
-from ..training.first_frame import train_first_frame
+from ..training.first_frame import FirstFrame, train_first_frame
 from ..training.keyframe import scene_extent
 from ..training.method import TrainedFrame
 from .commit import Outcome, commit
@@ -130,22 +130,27 @@ def encode_cut(context: Context, event: Event, task: Task) -> Encoded:
         key = before.after(task.packet).state
     else:
         recorded = matched(task.recorded, context.ingest.views, before.header.camera_colours)
-        first = train_first_frame(
-            context.kernel,
-            context.ingest,
-            recorded,
-            context.settings,
-            task.watch,
-            seed=context.seed,
-            threads=context.threads,
-            corrector=context.corrector,
-            stopping=context.stopping(),
-            on_step=task.on_step,
-            header=before.header,
-            first_id=before.state.next_id,
-        )
+        first = train_keyframe(context, recorded, task, before)
         key = replace(first.state, frame=before.state.frame + 1)
     return begin_scene(context, before.header, key, task, event)
+
+
+def train_keyframe(context: Context, recorded: RigFrame, task: Task, before: Scene | None = None) -> FirstFrame:
+    """The Gaussians of a stream's first frame, or of one that shows another scene than the one ``before``."""
+    return train_first_frame(
+        context.kernel,
+        context.ingest,
+        recorded,
+        context.settings,
+        task.watch,
+        seed=context.seed,
+        threads=context.threads,
+        corrector=context.corrector,
+        stopping=context.stopping(),
+        on_step=task.on_step,
+        header=None if before is None else before.header,
+        first_id=0 if before is None else before.state.next_id,
+    )
 
 
 def begin_scene(context: Context, header: StreamHeader, key: State, task: Task, cut: Event | None = None) -> Encoded:

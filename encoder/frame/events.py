@@ -70,10 +70,9 @@ def what_happened(context: Context, scene: Scene, memory: Memory, frame: Pending
         scene, memory, is_return = _after_flash(scene, memory, frame, context)
         if not settings.frame_effects:
             return Event(Kind.NOTHING, scene, memory, [], is_return)
-        shown = context.views.pictures(scene.splats)
-        changes = memory.masks.pixel_changes(frame.pictures, shown, settings.frame.masks, context.threads)
+        changes = memory.masks.pixel_changes(frame.pictures, settings.frame.masks, context.threads)
         kind = Kind.CHANGE
-        if is_missed(memory.masks, frame.pictures, shown, changes):
+        if is_missed(memory.masks, frame.pictures, context.views.pictures(scene.splats), changes):
             kind = Kind.EVERYTHING
         elif may_be_flash(changes):
             if _is_cut(context, memory, frame, changes):

@@ -111,11 +111,7 @@ def _is_held(memory: Memory, watch: Stopwatch) -> bool:
 def _selected(context: Context, scene: Scene, masks: Sequence[FrameMask]) -> NDArray[np.bool_]:
     used, settings = showing(masks), context.settings.frame.selection
     views = context.views.of(scene.splats)
-    selected = _inside(views, used, [masks[i].changing for i in used], settings)
-    if any(masks[i].refines for i in used):
-        stricter = replace(settings, min_fraction=settings.refine_fraction)
-        selected |= _inside(views, used, [masks[i].dilated for i in used], stricter)
-    return selected
+    return _inside(views, used, [masks[i].dilated for i in used], settings)
 
 
 def light_only(

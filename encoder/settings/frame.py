@@ -32,9 +32,6 @@ class MaskSettings(Checked):
     speck_area: Steps = 0  # pixels of a connected change, below which it is dropped; 0, the paper's: slower
     since_trained: bool = False  # compare with the picture last trained, not with the frame before: slow changes add up
     noise_multiple: Multiple = 0.0  # least threshold, in deviations of a camera's noise; 0: off, slower
-    residual: Levels = 0.0  # changed pixels stay so while the rendering misses them by more; less: slower; 0: off
-    refine_frames: Steps = 0  # frames that clearly changed pixels stay in the region (disocclusion); more: slower
-    refine_threshold: Levels = 25.0  # of such a change; less: slower
     light_threshold: Levels = 0.0  # of a window's mean, where light changes much; less selects more: slower; 0: off
 
     def radius(self, width: int) -> int:
@@ -50,7 +47,6 @@ class SelectionSettings(Checked):
     min_views: Count = 2  # views that must show a change (the paper's kappa); more selects fewer: faster
     min_fraction: Share = 0.65  # of a Gaussian's rendering weight, inside the masks; more selects fewer: faster
     visible_weight: Annotated[float, Within(0, 1e6)] = 0.02  # pixels of rendering weight with which a view sees one
-    refine_fraction: Share = 0.8  # the min_fraction of pixels that are only refined; more: faster
 
 
 @dataclass(frozen=True)

@@ -41,8 +41,6 @@ _LIVE = EncodeSettings(
             radius_fraction=0.018,
             speck_area=8,
             since_trained=True,
-            residual=25.0,
-            refine_frames=8,
             light_threshold=4.0,
         ),
         cache=None,
@@ -66,12 +64,10 @@ _LIVE = EncodeSettings(
 )
 _DRAFT = _better(_LIVE, keyframe={"iterations": 500, "cap": 40_000}, frame={"joint_iterations": 60})
 _STANDARD = _better(_DRAFT, keyframe={"iterations": 1500, "cap": 52_000}, frame={"joint_iterations": 120})
-_HIGH = _better(
-    _STANDARD, keyframe={"iterations": 3000, "cap": 80_000, "sh_degree": 2}, frame={"joint_iterations": 250}
-)
+_HIGH = _better(_STANDARD, keyframe={}, frame={"joint_iterations": 250})
 _ARCHIVE = _better(
     _HIGH,
-    keyframe={"iterations": 5000},
+    keyframe={},
     frame={
         "joint_iterations": 400,
         "significance": SignificanceSettings(

@@ -16,7 +16,7 @@ from decogs.formats.splats import sh_degree_of
 
 from ..coding.stream_header import stream_header
 from ..frame.context import Context
-from ..frame.encode_frame import Encoded, Task, begin_scene, encode_frame
+from ..frame.encode_frame import Encoded, Task, begin_scene, encode_frame, train_keyframe
 from ..input.imported_keyframe import KeyframeSource
 from ..input.imported_splats import SplatSource
 from ..input.ingest import RigFrame
@@ -27,7 +27,7 @@ from ..output.stream_output import StreamOutput
 from ..parallel import ahead
 from ..segments.next_segment import NextSegment, train_next_segment, with_following
 from ..stopwatch import Stopwatch
-from ..training.first_frame import FirstFrame, train_first_frame
+from ..training.first_frame import FirstFrame
 from ..training.splat_keyframe import import_splats
 from .frame_report import FrameReporter
 from .options import RunOptions
@@ -177,18 +177,7 @@ class StreamEncoder:
             for text in imported.warnings:
                 self._warn(text)
         if source is None:
-            return train_first_frame(
-                context.kernel,
-                context.ingest,
-                task.recorded,
-                context.settings,
-                task.watch,
-                seed=context.seed,
-                threads=context.threads,
-                corrector=context.corrector,
-                stopping=context.stopping(),
-                on_step=task.on_step,
-            )
+            return train_keyframe(context, task.recorded, task)
         source.check(context.ingest, task.recorded.index)
         context.ingest.set_near_planes(source.header.near_planes)
         return FirstFrame(source.state, source.header.lattice, source.header.camera_colours)

@@ -109,25 +109,6 @@ def test_gaussians_not_selected_are_bit_identical_before_and_after(moving: Any) 
     assert frames[3].changes.added > 0
 
 
-def test_what_clearly_changed_is_trained_on_for_some_frames_where_no_other_view_saw_it(
-    encode: Any, moving: Any, tiny_rig: Any, tiny_settings: Any, tmp_path: Path
-) -> None:
-    rig = tiny_rig.write(tmp_path / "rig", frames=[0, 1, 1, 1, 1])
-    masks = replace(tiny_settings.frame.masks, since_trained=True)
-    trained = {}
-    for name, frames, share in (("never", 0, 0.8), ("two frames", 2, 0.8), ("for none's weight", 2, 1.0)):
-        frame = replace(
-            tiny_settings.frame,
-            masks=replace(masks, refine_frames=frames),
-            selection=replace(tiny_settings.frame.selection, refine_fraction=share),
-        )
-        encoded = encode(rig, settings=replace(tiny_settings, frame=frame), keyframe=moving.path)
-        check_promise(decoded(encoded.path), encoded.selected)
-        trained[name] = [frame.selected > 0 for frame in encoded.report.frames[1:]]
-    assert trained["never"] == trained["for none's weight"] == [True, False, False, False]
-    assert trained["two frames"] == [True, True, True, False]
-
-
 def test_the_promise_holds_with_the_papers_selection_removals_and_no_cache(
     encode: Any, moving_rig: Path, tiny_settings: Any
 ) -> None:

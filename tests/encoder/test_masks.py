@@ -119,7 +119,7 @@ def test_a_change_too_slow_for_the_threshold_adds_up_until_it_is_seen() -> None:
         for level in (4, 8, 12, 16):  # 8-bit levels of one pixel
             now = np.zeros((3, 8, 8), np.float32)
             now[:, 2, 5] = level / 255
-            masks = memory.masks([now], [now])
+            masks = memory.masks([now])
             seen.append(int(masks[0].raw.sum()))
             if masks[0].raw.any():
                 memory.trained([now], masks, moved=True)
@@ -134,52 +134,7 @@ def test_only_the_region_of_interest_takes_over_the_new_picture() -> None:
     memory = MaskSteps([before], MaskSettings(since_trained=True, radius_fraction=0))
     memory.trained([now], [FrameMask(raw, dilated)], moved=True)
     memory.passed([now])
-    np.testing.assert_array_equal(memory.masks([now], [now])[0].raw, ~dilated)
-
-
-def test_what_was_got_wrong_is_mended_where_the_picture_has_changed_before() -> None:
-    picture, wrong = np.full((3, 12, 12), 0.5, np.float32), np.full((3, 12, 12), 0.5, np.float32)
-    wrong[:, 2:5, 2:5] = wrong[:, 8:11, 8:11] = wrong[:, 3, 8] = 0.6  # by 25.5 levels: two squares and a pixel
-    changed = np.zeros((12, 12), bool)
-    changed[:7] = True
-    expected = np.zeros((12, 12), bool)
-    expected[2:5, 2:5] = True
-    for residual, found in ((0.0, np.zeros((12, 12), bool)), (25.0, expected), (26.0, np.zeros((12, 12), bool))):
-        memory = MaskSteps([picture], MaskSettings(residual=residual, radius_fraction=0))
-        assert not memory.masks([picture], [wrong])[0].raw.any()
-        memory.trained([picture], [FrameMask(changed, changed)], moved=True)
-        np.testing.assert_array_equal(memory.masks([picture], [wrong])[0].raw, found)
-
-
-@pytest.mark.parametrize("moved", [True, False])
-def test_where_something_moved_what_clearly_changed_stays_in_focus_for_some_frames(moved: bool) -> None:
-    still = np.zeros((3, 8, 8), np.float32)
-    now = still.copy()
-    now[:, 2, 2], now[:, 5, 5] = 40 / 255, 15 / 255  # clearly, and just seen
-    settings = MaskSettings(
-        threshold=10.0, radius_fraction=0.0, since_trained=True, refine_frames=2, refine_threshold=25.0
-    )
-    memory, focus = MaskSteps([still], settings), []
-    for _ in range(4):
-        mask = memory.masks([now], [now])[0]
-        focus.append([tuple(place) for place in np.argwhere(mask.dilated)])
-        if mask.dilated.any():
-            memory.trained([now], [mask], moved=moved)
-        memory.passed([now])
-    refined = [(2, 2)] if moved else []
-    assert focus == [[(2, 2), (5, 5)], refined, refined, []]
-
-
-def test_what_is_being_mended_has_not_changed() -> None:
-    still, now = np.zeros((3, 8, 8), np.float32), np.ones((3, 8, 8), np.float32)
-    memory = MaskSteps([still], MaskSettings(since_trained=True, refine_frames=1))
-    memory.trained([now], memory.masks([now], [now]), moved=True)
-    memory.passed([now])
-    mask = memory.masks([now], [now])[0]
-    assert mask.dilated.all()
-    assert mask.refines
-    assert not mask.raw.any()
-    assert not mask.changing.any()
+    np.testing.assert_array_equal(memory.masks([now])[0].raw, ~dilated)
 
 
 @pytest.mark.parametrize("levels", [3, 6])
@@ -189,12 +144,12 @@ def test_faint_light_counts_after_a_frame_in_which_only_light_changed(moved: boo
     lit = before.copy()
     lit[:, 10:26, 10:26] += levels / 255  # a sixth of the picture: it does not spread
     memory = MaskSteps([before], MaskSettings(threshold=10.0, radius_fraction=0.0, light_threshold=4.0))
-    first = memory.masks([lit], [lit])
+    first = memory.masks([lit])
     assert not first[0].dilated.any(), "nothing is known of the light yet"
     memory.trained([lit], first, moved=moved)
     expected = np.zeros((40, 40), bool)
     expected[10:26, 10:26] = not moved
-    mask = memory.masks([lit], [lit])[0]
+    mask = memory.masks([lit])[0]
     differs = mask.dilated != expected
     differs[9:27, 9:27] &= False  # the mean reaches 2 levels a pixel beyond the border, or inside it
     assert not differs.any()
@@ -210,8 +165,8 @@ def test_light_that_reached_next_to_nothing_is_not_looked_for_more_closely(colum
     shaded[:, :7, :columns] += 3 / 255  # a fortieth of the picture, or a twentieth
     lit[:, 70:98, 70:98] += 3 / 255
     memory = MaskSteps([before], MaskSettings(threshold=10.0, radius_fraction=0.0, light_threshold=4.0))
-    memory.trained([shaded], memory.masks([shaded], [shaded]), moved=False)
-    assert memory.masks([lit], [lit])[0].dilated.any() == counts
+    memory.trained([shaded], memory.masks([shaded]), moved=False)
+    assert memory.masks([lit])[0].dilated.any() == counts
 
 
 @pytest.mark.parametrize(("share", "levels"), [(0.15, 6), (0.6, 6), (1.0, 3)])
@@ -226,8 +181,8 @@ def test_light_that_falls_slowly_over_much_of_the_picture_counts_while_something
         threshold=10.0, radius_fraction=0.018, speck_area=8, since_trained=True, light_threshold=4.0
     )
     memory = MaskSteps([before], settings)
-    memory.trained([before], memory.masks([before], [before]), moved=True)
-    mask = memory.masks([now], [now])[0]
+    memory.trained([before], memory.masks([before]), moved=True)
+    mask = memory.masks([now])[0]
     lit = mask.dilated[:, : round(share * 160) - 8]
     assert lit.all() if share > 0.2 else not lit.any()
     assert mask.raw[40:70, 100:130].all()
@@ -278,7 +233,7 @@ def test_a_change_of_most_pixels_that_no_mask_has_is_taken_whole() -> None:
         now[:] = before
         now[:, :rows] += 0.3
         black = np.zeros((3, 8, 8), np.float32)
-        changes = memory.pixel_changes([now, now, black], [shown] * 3, settings)
+        changes = memory.pixel_changes([now, now, black], settings)
         assert not any(change.raw.any() for change in changes)
         assert is_missed(memory, [now, now, black], [shown] * 3, changes) == found
         assert [bool(mask.dilated.all()) for mask in full_masks(changes)] == [True, True, False]
@@ -286,7 +241,7 @@ def test_a_change_of_most_pixels_that_no_mask_has_is_taken_whole() -> None:
 
 def frame_masks(current: list[np.ndarray], references: list[np.ndarray], settings: MaskSettings) -> list[FrameMask]:
     """Masks of a stream's second frame."""
-    return MaskSteps(references, settings).masks(current, references)
+    return MaskSteps(references, settings).masks(current)
 
 
 def test_unfit_input_is_refused() -> None:

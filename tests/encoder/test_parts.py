@@ -47,7 +47,7 @@ def rig(tiny_rig: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def settings(tiny_settings: EncodeSettings) -> EncodeSettings:
     """With all that goes from frame to frame, and a camera that is compensated."""
-    masks = replace(tiny_settings.frame.masks, since_trained=True, residual=15.0, refine_frames=2)
+    masks = replace(tiny_settings.frame.masks, since_trained=True)
     significance = SignificanceSettings(threshold=1.0, decide_at=0.5)
     frame = replace(tiny_settings.frame, masks=masks, cache=None, joint_iterations=20, significance=significance)
     corrections = CorrectionSettings(exposure=("cam01",))

@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from dataclasses import fields, is_dataclass
-from itertools import pairwise
-from typing import Any
 
 import pytest
 
@@ -44,43 +40,6 @@ def test_settings_tell_of_the_method_in_use_and_not_of_the_other() -> None:
     assert (ours["method"], dense["method"]) == ("decogs", "3dgstream")
     assert set(ours) - set(dense) == {"frame"}
     assert set(dense) - set(ours) == {"baseline"}
-
-
-SLOWER = {
-    "keyframe.iterations": +1,
-    "keyframe.cap": +1,
-    "keyframe.sh_degree": +1,
-    "frame.joint_iterations": +1,
-    "frame.significance.threshold": -1,
-    "frame.significance.rd_lambda": -1,
-    "frame.significance.colour_rd_lambda": -1,
-    "lattice_scale": -1,
-}
-"""Which way the settings call slower or larger, and better."""
-
-
-def leaves(settings: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Path and value of every single value."""
-    for field in fields(settings):
-        name, value = f"{path}{field.name}", getattr(settings, field.name)
-        if is_dataclass(value):
-            yield from leaves(value, f"{name}.")
-        else:
-            yield name, value
-
-
-@pytest.mark.parametrize(("faster", "slower"), list(pairwise(LADDER)))
-def test_each_preset_is_the_one_before_with_some_settings_made_better(faster: str, slower: str) -> None:
-    before = dict(leaves(PRESETS[faster]))
-    changed = {path: value for path, value in leaves(PRESETS[slower]) if value != before[path]}
-    for path, value in changed.items():
-        assert (value - before[path]) * SLOWER[path] > 0, f"{path} goes the wrong way from {faster} to {slower}"
-    assert changed.keys() >= {"keyframe.iterations", "frame.joint_iterations"}
-
-
-def test_the_ladder_sets_nothing_that_is_not_named_here() -> None:
-    first, last = (dict(leaves(PRESETS[name])) for name in (LADDER[0], LADDER[-1]))
-    assert {path for path in first if first[path] != last[path]} == SLOWER.keys()
 
 
 def test_paper_holds_the_papers_numbers() -> None:

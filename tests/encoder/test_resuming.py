@@ -110,7 +110,7 @@ def test_what_masks_remember_is_replayed(
 ) -> None:
     frame = replace(
         tiny_settings.frame,
-        masks=replace(tiny_settings.frame.masks, since_trained=True, residual=15.0, refine_frames=2),
+        masks=replace(tiny_settings.frame.masks, since_trained=True),
         cache=None,
         joint_iterations=20,
     )
@@ -130,7 +130,7 @@ def test_which_effects_a_frame_called_for_is_replayed(
         return Correction(exposure=(0, 1200, 1700, 2200)[frame])
 
     rig = tiny_rig.write(tmp_path / "rig", frames=[0] * 4, faults=lit)
-    masks = replace(tiny_settings.frame.masks, threshold=14.0, since_trained=True, refine_frames=2, light_threshold=4.0)
+    masks = replace(tiny_settings.frame.masks, threshold=14.0, since_trained=True, light_threshold=4.0)
     settings = replace(tiny_settings, detect_per_frame=True, frame=replace(tiny_settings.frame, masks=masks))
     given = {"settings": settings, "keyframe": moving.path}
     whole = encode(rig, **given)
