@@ -25,10 +25,24 @@ from decogs.formats.rotations import rotation_matrices
 from decogs.formats.splats import Splats, join_splats, logit, sigmoid, take_splats
 
 from ..backends import ATTRIBUTES, SplatGradients, gradients_like
+from ..settings.optimiser import LearningRates
 from ..training.losses import PhotometricLoss, require_finite, whole_picture_loss
 from ..training.method import FrameInput, TrainedFrame, TrainingContext
 from ..training.view_order import view_order
 from .transformation_cache import TransformationCache
+
+DISSIMILARITY = 0.2
+"""Lambda of 3DGS's loss."""
+RATES = LearningRates(
+    means=1.6e-4, log_scales=5e-3, quaternions=1e-3, opacity_logits=5e-2, sh_dc=2.5e-3, sh_rest=2.5e-3 / 20
+).scaled(15)
+"""Of stage 2: 3DGS's own (Kerbl 2023) times 15, ``means`` in units of the rig's extent."""
+_SPAWN_WINDOW = 20
+"""Last steps of stage 1 over which view gradients are gathered."""
+_SPAWN_SPREAD = 2.0
+"""Standard deviation of a spawned Gaussian's place about its parent's, in the parent's own sigmas."""
+_SPAWN_OPACITY, _SPAWN_GROWTH = 0.1, 1.25
+"""Of a spawned Gaussian: opacity, and size in units of its parent's."""
 
 
 class BaselineTrainer:
@@ -53,7 +67,7 @@ class BaselineTrainer:
         self._random = np.random.default_rng((self._seed, frame.index))
         self._order = view_order(len(self._views), self._random)
         losses = [
-            whole_picture_loss(picture, view.valid, self._settings.dissimilarity)
+            whole_picture_loss(picture, view.valid, DISSIMILARITY)
             for picture, view in zip(pictures, self._views, strict=True)
         ]
         kept = np.arange(self._population)
@@ -71,7 +85,7 @@ class BaselineTrainer:
         for step in range(settings.cache_iterations):
             scene.means[:], scene.quaternions[:] = cache.moved()
             camera = self._views[self._descend(scene, losses, gradients, ("cache", step))].pinhole
-            if step >= settings.cache_iterations - settings.spawn_window:
+            if step >= settings.cache_iterations - _SPAWN_WINDOW:
                 gathered.add(gradients, camera)
             cache.backward(gradients.means, gradients.quaternions)
             cache.step()
@@ -86,21 +100,21 @@ class BaselineTrainer:
         parents = take_splats(scene, np.flatnonzero(inside & (gradients >= settings.spawn_gradient)))
         scales = np.exp(parents.log_scales.astype(np.float64))
         rotations = rotation_matrices(parents.quaternions.astype(np.float64))
-        drawn = settings.spawn_spread * scales * self._random.normal(size=scales.shape)
+        drawn = _SPAWN_SPREAD * scales * self._random.normal(size=scales.shape)
         upright = np.zeros_like(parents.quaternions)
         upright[:, 0] = 1
         return Splats(
             (parents.means + np.einsum("nij,nj->ni", rotations, drawn)).astype(np.float32),
-            parents.log_scales + np.float32(np.log(settings.spawn_growth)),
+            parents.log_scales + np.float32(np.log(_SPAWN_GROWTH)),
             upright,
-            np.full(len(parents), logit(settings.spawn_opacity), np.float32),
+            np.full(len(parents), logit(_SPAWN_OPACITY), np.float32),
             parents.sh,
         )
 
     def _stage2(self, lasting: Splats, spawned: Splats, losses: Sequence[PhotometricLoss]) -> Splats:
         """Trains the spawned Gaussians alone, in the whole scene, and takes away those that come to nothing."""
         settings = self._settings
-        rates = replace(settings.rates, means=settings.rates.means * self._extent)
+        rates = replace(RATES, means=RATES.means * self._extent)
         optimiser = self._kernel.optimiser(spawned)
         scene = join_splats(lasting, spawned)
         gradients = gradients_like(scene)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from decogs.formats.errors import UsageError
 
-from .checked import Checked, Decay, Share, Within
+from .checked import Checked, Share, Within
 
 
 @dataclass(frozen=True)
@@ -26,13 +26,10 @@ class CacheSettings(Checked):
     hidden_layers: Annotated[int, Within(0, 16)] = 2  # more: slower
     hidden_width: Annotated[int, Within(1, 4096)] = 64  # units of a layer; more: slower
     learning_rate: Share = 2e-3  # Adam's
-    beta1: Decay = 0.9  # Adam's, of the gradient
-    beta2: Decay = 0.999  # Adam's, of its square
     epsilon: Annotated[float, Within(1e-20, 1)] = 1e-8  # Adam's
     translation_scale: Annotated[float, Within(1e-9, 1e9)] = 1.0  # world units that an output of 1 stands for
     grid_spread: Share = 1e-4  # entries start uniform in +- that (Instant-NGP)
     identity_start: bool = True  # the last layer starts at zero; else at random
-    gradient_limit: Annotated[float, Within(1e-3, 1e12)] = 1e6  # far above any real one, so that no square overflows
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -25,7 +25,7 @@ shared_data = encoder_conftest.shared_data
 def short_presets(monkeypatch: pytest.MonkeyPatch, tiny_settings: EncodeSettings) -> None:
     """Presets "tiny" and "paper" in which every method, the baseline included, takes a few steps only."""
     cache = tiny_settings.baseline.cache
-    baseline = BaselineSettings(cache=cache, cache_iterations=6, spawn_iterations=6, spawn_window=2, prune_every=3)
+    baseline = BaselineSettings(cache=cache, cache_iterations=6, spawn_iterations=6, prune_every=3)
     tiny = replace(tiny_settings, baseline=baseline)
     paper = replace(
         tiny.frame,

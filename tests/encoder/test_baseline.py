@@ -17,6 +17,7 @@ from decogs.decoder.stream import open_stream
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.change.masks import MaskMemory
 from decogs.encoder.input.ingest import Ingest
+from decogs.encoder.methods import threedgstream
 from decogs.encoder.methods.threedgstream import BaselineTrainer
 from decogs.encoder.settings.encode import EncodeSettings
 from decogs.encoder.settings.threedgstream import BaselineSettings
@@ -89,8 +90,8 @@ def test_the_released_numbers() -> None:
     settings = BaselineSettings()
     assert (settings.cache_iterations, settings.spawn_iterations) == (150, 100)
     assert (settings.cache.learning_rate, settings.cache.levels, settings.cache.table) == (2e-3, 16, 1 << 15)
-    assert (settings.spawn_gradient, settings.prune_opacity, settings.dissimilarity) == (1.5e-4, 0.01, 0.2)
-    rates = settings.rates
+    assert (settings.spawn_gradient, settings.prune_opacity, threedgstream.DISSIMILARITY) == (1.5e-4, 0.01, 0.2)
+    rates = threedgstream.RATES
     np.testing.assert_allclose(
         [rates.means, rates.sh_dc, rates.sh_rest, rates.opacity_logits, rates.log_scales, rates.quaternions],
         [0.0024, 0.0375, 0.0375 / 20, 0.75, 0.075, 0.015],

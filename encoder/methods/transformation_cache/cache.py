@@ -19,6 +19,8 @@ from .weights import CacheWeights
 
 _OUTPUTS = 7
 """Translation 3, rotation 4. 3DGStream's eighth output is unused and left out."""
+_BETA1, _BETA2 = 0.9, 0.999
+"""Adam's (3DGStream's released configuration)."""
 _LANES = 16
 """The kernel rounds the sides of the network's matrices up to this (kernel/network.h)."""
 
@@ -99,7 +101,7 @@ class TransformationCache:
 
         Once per `moved`. Returns the gradients in the base values given to `place` or `rebase`, (M, 3) and (M, 4), for
         stage 2; the grid's reading points count as constants.
-        Raises TrainingError for NaN; infinite gradients are clipped to ``gradient_limit`` as all are.
+        Raises TrainingError for NaN; infinite gradients are clipped to GRADIENT_LIMIT as all are.
         """
         if not self._has_moved:
             raise RuntimeError("backward() needs moved() first, each time")
@@ -117,7 +119,7 @@ class TransformationCache:
             return
         self._count += 1
         s = self.settings
-        adam = adam_step(self._count, s.beta1, s.beta2, s.epsilon)
+        adam = adam_step(self._count, _BETA1, _BETA2, s.epsilon)
         self._kernel.step(adam, s.learning_rate, self._rows, self._head)
         self._has_gradients = False
 

@@ -15,6 +15,9 @@ from decogs.formats.splats import FloatArray
 from ...backends.cpu.native import AdamStep
 from ...settings.cache import CacheSettings
 
+GRADIENT_LIMIT = 1e6
+"""Gradients handed in are clipped to it: far above any real one, so that no square overflows."""
+
 
 class _Shape(ctypes.Structure):
     _fields_ = [
@@ -86,7 +89,7 @@ class CacheKernel:
             (ctypes.c_double * 3)(*low),
             (ctypes.c_double * 3)(*high),
             settings.translation_scale,
-            settings.gradient_limit,
+            GRADIENT_LIMIT,
         )
         self._handle = checked_handle(self._library.decogs_cache_create(ctypes.byref(shape), threads))
         self._count = 0
