@@ -108,7 +108,7 @@ class TimeControl:
         """
         return time.perf_counter() + self._planned() - counted_seconds(seconds)
 
-    def took(self, seconds: Mapping[str, float], *, held: bool = False) -> TimeControl:
+    def record_time(self, seconds: Mapping[str, float], *, held: bool = False) -> TimeControl:
         """The control after a frame; ``held``: that was held for the sake of the next one."""
         spared = self.budget - counted_seconds(seconds)
         if held and self._owes_much():

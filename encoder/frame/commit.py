@@ -23,14 +23,14 @@ from .plan import FramePlan, Selection
 class Outcome:
     """What came of a frame: what was selected, and the ``effects`` that it was trained for.
 
-    ``overlooked``: the masks missed a change of most of the pictures. ``cut``: it is a keyframe of another scene.
-    ``held``: its training waits for time. ``rejected``: training made the pictures worse, and changed nothing.
+    ``full_frame_change``: the masks missed a change of most of the pictures. ``cut``: it is a keyframe of another
+    scene. ``held``: its training waits for time. ``rejected``: training made the pictures worse, and changed nothing.
     ``uncorrected``: corrections that ended with it.
     """
 
     selection: Selection
     effects: tuple[str, ...] = ()
-    overlooked: bool = False
+    full_frame_change: bool = False
     cut: bool = False
     held: bool = False
     rejected: bool = False
@@ -71,7 +71,7 @@ def commit(
     outcome = Outcome(
         plan.selection,
         () if plan.held else plan.effects,
-        overlooked=event.kind is Kind.EVERYTHING and bool(event.changes),
+        full_frame_change=event.kind is Kind.EVERYTHING and bool(event.changes),
         held=plan.held,
         rejected=trained is not None and trained.rejected,
         uncorrected=uncorrected,
@@ -90,7 +90,7 @@ def _masks_after(
     memory, settings, masks = event.memory.masks, context.settings.frame.masks, plan.selection.masks
     # Training that was rejected, or whose changes were all reverted, has made up for nothing.
     if trained is not None and masks and not same_values(event.scene.state, scene.state):
-        shown = context.views.pictures(scene.splats) if trained.hurried else None
+        shown = context.views.pictures(scene.splats) if trained.truncated else None
         moved = "motion" in plan.effects
         memory = memory.trained(frame.pictures, masks, moved=moved, shown=shown, threads=context.threads)
     return memory.advance(frame.pictures, masks, settings, held=plan.held)

@@ -86,7 +86,7 @@ def plan_frame(
 ) -> FramePlan:
     """All that a frame is trained and coded with."""
     settings, memory = context.settings, event.memory
-    effects, lit = settings.frame_effects if selection.selected.any() else (), None
+    effects, by_light = settings.frame_effects if selection.selected.any() else (), None
     if effects and settings.detect_per_frame:
         with watch.stage("effects"):
             found = enabled_effects(
@@ -95,12 +95,12 @@ def plan_frame(
             effects, settings = found.effects, found.settings
             if found.moving is not None:
                 views = context.views.of(event.scene.splats)
-                lit = light_only(views, selection, found.moving, settings.frame.selection)
+                by_light = light_only(views, selection, found.moving, settings.frame.selection)
     now = settings.frame
     if memory.rate is not None:
         now = replace(now, significance=memory.rate.significance(now.significance))
     settings_now = now if fade is None else with_exact_changes(now)
-    return FramePlan(selection, effects, settings_now, lit, held=bool(effects) and _is_held(memory, watch))
+    return FramePlan(selection, effects, settings_now, by_light, held=bool(effects) and _is_held(memory, watch))
 
 
 def _is_held(memory: Memory, watch: Stopwatch) -> bool:

@@ -56,7 +56,7 @@ class DecogsTrainer:
         if frame.stopping.deadline is not None:
             self._step_seconds, _ = schedule.steps_seconds
             self.min_seconds = seconds_at_least(time.perf_counter() - began - growth.searching, schedule)
-        return trained if trained.rejected else replace(trained, hurried=schedule.is_cut_short)
+        return trained if trained.rejected else replace(trained, truncated=schedule.is_truncated)
 
     def _probes(self, training: FrameTraining) -> Sequence[int]:
         """A sample of the used views for measuring errors: every third, fewer when time is short."""
@@ -147,7 +147,7 @@ class _End:
             _revert_insignificant(self._training, self._work)
             if self._target is not None:
                 self._target.restart()
-        elif self._target is not None and self._target.saw(step.view, self._drawn(step)):
+        elif self._target is not None and self._target.update(step.view, self._drawn(step)):
             if self._judged:
                 return True
             schedule.skip_to(self._judge_at)
@@ -160,9 +160,9 @@ class _End:
 def _revert_insignificant(training: FrameTraining, work: WorkingSet) -> None:
     """Reverts what hardly shows; geometry sooner where light alone changes the pictures."""
     training.seen.check()
-    settings, old, lit, factor = training.settings.significance, work.old, training.frame.lit, None
-    if lit is not None:
+    settings, old, light_only, factor = training.settings.significance, work.old, training.frame.light_only, None
+    if light_only is not None:
         factor = np.ones(len(work.rows), np.float32)
-        factor[old] = np.where(lit[work.rows[old]], settings.lit_factor, 1)
+        factor[old] = np.where(light_only[work.rows[old]], settings.lit_factor, 1)
     threshold = settings.threshold * training.picture_weight
     revert_insignificant(work.optimiser, work.before(), old, threshold, factor)

@@ -57,7 +57,7 @@ class FrameReporter:
             },
             rejected=outcome.rejected,
             uncorrected=list(outcome.uncorrected),
-            overlooked=outcome.overlooked,
+            full_frame_change=outcome.full_frame_change,
             cut=outcome.cut,
             scale=context.ingest.scale,
             held_out_own_size_psnr=own_size,

@@ -152,7 +152,7 @@ def test_the_masks_remember_what_was_trained_and_whether_it_moved(
     plan = FramePlan(Selection([stub(dilated=None)], np.ones(3, bool)), effects, preset("draft").frame)  # type: ignore[list-item]
     frame: Any = stub(pictures=[], restarted=False)
     event = Event(Kind.CHANGE, before, memory, [])
-    commit(context, event, plan, frame, after, stub(kept=np.arange(3), hurried=False, rejected=False), Stopwatch())
+    commit(context, event, plan, frame, after, stub(kept=np.arange(3), truncated=False, rejected=False), Stopwatch())
     assert told == (["motion" in effects] if changed else [])
 
 

@@ -95,7 +95,7 @@ def clip(frames: int, needs: Callable[[int], float], noise: float = 0.0) -> list
             seconds["training"] = min(needs(frame), max(left, 0.05)) * float(np.exp(random.normal(0, noise)))
             seconds |= {"write": 0.08, "commit": 0.04}
         seconds["measure"] = 5.0
-        control = control.took(seconds)
+        control = control.record_time(seconds)
         spent.append(seconds)
     return spent
 
@@ -120,7 +120,7 @@ def test_what_takes_longer_again_and_again_is_learned() -> None:
     for frame in range(15):
         left = control.deadline({}) - time.perf_counter()
         spent.append({"training": max(left, 0.05) + 0.4 * (frame % 3 == 0), "write": 0.05})
-        control = control.took(spent[-1])
+        control = control.record_time(spent[-1])
     assert over_time(spent, BUDGET) < TIME_TOLERANCE
 
 
@@ -134,7 +134,7 @@ def held_clip(frames: int, masks: float, least: float) -> tuple[list[float], lis
             seconds["training"] = max(control.deadline(seconds) - time.perf_counter(), least)
             trained.append(seconds["training"])
             seconds |= {"write": 0.08, "commit": 0.04}
-        control = control.took(seconds, held=held[-1])
+        control = control.record_time(seconds, held=held[-1])
         spent.append(counted_seconds(seconds))
     return spent, held, trained
 
@@ -314,7 +314,7 @@ def test_few_steps_still_get_as_far_as_things_move(
     factors.clear()
     encode_rig(restless_rig, tmp_path / "x.dgs", **given, targets=Targets(time_budget=0.22))
     # 12 to 20 steps instead of 60: strides of 3 to 5.
-    assert 1.5 < max(factors) <= schedule._MAX_HASTE
+    assert 1.5 < max(factors) <= schedule._MAX_RATE_GAIN
 
 
 def test_time_enough_gives_the_states_of_no_budget(

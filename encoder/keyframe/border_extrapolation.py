@@ -1,7 +1,7 @@
-"""Gaussians beside the training pictures: what is there goes on, blurred, instead of ending in black.
+"""Gaussians beside the training pictures: their borders extrapolated, blurred, instead of black.
 
-A free viewpoint looks past the borders of all pictures. Depths go on as planes, colours as ever wider means of what is
-at the border, so that detail fades with the distance from it. No picture contradicts these Gaussians: none stands where
+A free viewpoint looks past the borders of all pictures. Depths go on as planes, colours as means over more and more
+of the border, so that detail fades with the distance from it. No picture contradicts these Gaussians: none stands where
 one looks. Rejected: a background of the pictures' mean colour, which shows through surfaces in training.
 Figures: DESIGN.md, "Keyframe".
 """
@@ -59,7 +59,7 @@ class _Blobs:
     sigma: NDArray[np.float64]
 
 
-def surroundings(
+def border_extrapolation(
     kernel: TrainingKernel,
     views: Sequence[View],
     pictures: Sequence[FloatArray],
