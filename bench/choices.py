@@ -139,23 +139,6 @@ QUESTIONS = (
         _BOTH,
     ),
     Question(
-        "visibility",
-        "Visibility in the selection",
-        "A Gaussian counts in a view only if its rendering weight there reaches so many pixels; 0 is no test, so that "
-        "the paper's rule also takes what is hidden.",
-        tuple(
-            Variant(
-                f"visible-{rule}-{weight:g}",
-                f"rule {rule}, {weight:g} pixels",
-                {"frame.selection.visible_weight": weight},
-                selection=rule,
-            )
-            for rule in ("paper", "weight")
-            for weight in (0.0, 0.02)
-        ),
-        _BOTH,
-    ),
-    Question(
         "reference",
         "What a frame is compared with",
         "The frame before, or for every pixel the picture on which it was last trained.",
@@ -250,13 +233,6 @@ QUESTIONS = (
             Variant("exact", "everything, unrounded", {"frame.significance": SignificanceSettings()}, refined=128),
             *(Variant(f"worth{w:g}", f"{w:g}", {"frame.significance.threshold": w}) for w in (0.0, 0.075, 0.15, 0.3)),
         ),
-        _BOTH,
-    ),
-    Question(
-        "hold-at",
-        "When changes are judged",
-        "The share of stage 2 after which insignificant changes are reverted.",
-        tuple(Variant(f"hold{h:g}", f"{h:g}", {"frame.significance.decide_at": h}) for h in (0.5, 0.6, 0.75)),
         _BOTH,
     ),
     Question(

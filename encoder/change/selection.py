@@ -24,6 +24,9 @@ from ..backends import FixedView
 from ..registry import Registry, described, guarded
 from ..settings.frame import SelectionSettings
 
+VISIBLE_WEIGHT = 0.02
+"""Pixels of rendering weight from which a view sees a Gaussian: the paper's rule would take what is hidden."""
+
 
 @dataclass(frozen=True)
 class ViewEvidence:
@@ -55,7 +58,7 @@ def by_centres(views: Sequence[ViewEvidence], settings: SelectionSettings, /) ->
 def by_weight(views: Sequence[ViewEvidence], settings: SelectionSettings, /) -> NDArray[np.bool_]:
     """Part of the weight is in the mask in enough views, and enough of it over all views that see the Gaussian."""
     chosen = _in_enough_views(views, [view.masked_weight > 0 for view in views], settings)
-    visible = [view.weight >= settings.visible_weight for view in views]
+    visible = [view.weight >= VISIBLE_WEIGHT for view in views]
     masked = sum(np.where(seen, view.masked_weight, 0) for seen, view in zip(visible, views, strict=True))
     total = sum(np.where(seen, view.weight, 0) for seen, view in zip(visible, views, strict=True))
     return np.asarray(chosen & (masked > settings.min_fraction * total))
@@ -91,8 +94,7 @@ def _in_enough_views(
     views: Sequence[ViewEvidence], inside: Sequence[NDArray[np.bool_]], settings: SelectionSettings
 ) -> NDArray[np.bool_]:
     votes = sum(
-        ((view.weight >= settings.visible_weight) & met).astype(np.int32)
-        for view, met in zip(views, inside, strict=True)
+        ((view.weight >= VISIBLE_WEIGHT) & met).astype(np.int32) for view, met in zip(views, inside, strict=True)
     )
     return np.asarray(votes >= min(settings.min_views, len(views)))
 

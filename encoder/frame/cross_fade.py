@@ -150,7 +150,7 @@ def cross_fade(
         if on_loss is not None:
             on_loss("fade", step, value.total)
         late = LATE_DECAY ** max(0.0, 2 * step / steps - 1)
-        optimiser.step(view.backward(), rates.scaled(_RATES * late), max_stretch=settings.max_stretch)
+        optimiser.step(view.backward(), rates.scaled(_RATES * late))
     seen.check()
     return _cross_faded(trained, fading, optimiser, share)
 

@@ -17,7 +17,6 @@ from .checked import (
     Rate,
     Share,
     Steps,
-    Stretch,
     Within,
 )
 from .optimiser import LearningRates
@@ -46,7 +45,6 @@ class SelectionSettings(Checked):
     rule: str = "weight"  # a name in SELECTION_RULES
     min_views: Count = 2  # views that must show a change (the paper's kappa); more selects fewer: faster
     min_fraction: Share = 0.65  # of a Gaussian's rendering weight, inside the masks; more selects fewer: faster
-    visible_weight: Annotated[float, Within(0, 1e6)] = 0.02  # pixels of rendering weight with which a view sees one
 
 
 @dataclass(frozen=True)
@@ -87,8 +85,6 @@ class SignificanceSettings(Checked):
     """
 
     threshold: Loss = 0.0  # by which a change that is coded moves the loss; more: smaller, less exact; 0 codes all
-    decide_at: Share = 0.6  # of the steps, after which insignificant changes are reverted, once
-    lit_factor: Annotated[float, Within(0, 1e6)] = 1.0  # of the threshold, for shapes that light changes; more: smaller
     rd_lambda: Loss = 0.0  # squared loss that a bit of a shape is worth; more: smaller, less exact; 0: nearest value
     colour_rd_lambda: Loss = 0.0  # the same of colours and opacities, whose errors add up where light changes
 
@@ -115,7 +111,6 @@ class FrameSettings(Checked):
     )
     beta1: Decay = 0.9  # Adam's, of the gradient; no slower
     beta2: Decay = 0.999  # Adam's, of its square
-    max_stretch: Stretch = 0.0  # ratio of a Gaussian's largest to middle size that training may reach; 0: any
     adaptive_iterations: IterationSettings = field(default_factory=IterationSettings)
     significance: SignificanceSettings = field(default_factory=SignificanceSettings)
     emergence: EmergenceSettings = field(default_factory=EmergenceSettings)

@@ -50,12 +50,9 @@ _LIVE = EncodeSettings(
         focus=FocusWeights(dissimilarity=0.05),
         beta1=0.7,
         beta2=0.99,
-        max_stretch=4.0,
         adaptive_iterations=IterationSettings(usual_miss=0.15),
         significance=SignificanceSettings(
             threshold=0.15,
-            decide_at=0.5,
-            lit_factor=4.0,
             rd_lambda=5e-3,
             colour_rd_lambda=1.25e-3,
         ),
@@ -72,8 +69,6 @@ _ARCHIVE = _better(
         "joint_iterations": 400,
         "significance": SignificanceSettings(
             threshold=0.034,
-            decide_at=0.5,
-            lit_factor=4.0,
             rd_lambda=5e-4,
             colour_rd_lambda=1.25e-4,
         ),

@@ -40,7 +40,7 @@ def remembering(settings: EncodeSettings) -> EncodeSettings:
         masks=masks,
         cache=None,
         joint_iterations=20,
-        significance=SignificanceSettings(threshold=1.0, decide_at=0.5),
+        significance=SignificanceSettings(threshold=1.0),
     )
     return replace(settings, frame=frame, detect_per_frame=True)
 

@@ -48,7 +48,7 @@ def rig(tiny_rig: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def settings(tiny_settings: EncodeSettings) -> EncodeSettings:
     """With all that goes from frame to frame, and a camera that is compensated."""
     masks = replace(tiny_settings.frame.masks, since_trained=True)
-    significance = SignificanceSettings(threshold=1.0, decide_at=0.5)
+    significance = SignificanceSettings(threshold=1.0)
     frame = replace(tiny_settings.frame, masks=masks, cache=None, joint_iterations=20, significance=significance)
     corrections = CorrectionSettings(exposure=("cam01",))
     return replace(tiny_settings, frame=frame, detect_per_frame=True, corrections=corrections)

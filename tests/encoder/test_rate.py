@@ -132,7 +132,6 @@ def test_a_bit_is_worth_more_the_more_changes_must_be_worth() -> None:
         factor = threshold / settings.threshold
         for name in ("threshold", "rd_lambda", "colour_rd_lambda"):
             assert getattr(significance, name) == pytest.approx(factor * getattr(settings, name), rel=1e-5)
-        assert (significance.decide_at, significance.lit_factor) == (settings.decide_at, settings.lit_factor)
 
 
 def test_what_a_still_scene_saves_is_not_thrown_at_its_first_motion() -> None:
@@ -178,7 +177,7 @@ def test_it_knows_nothing_but_sizes() -> None:
 @pytest.fixture(scope="module")
 def economical(tiny_settings: EncodeSettings) -> EncodeSettings:
     """The tiny settings with changes judged, as the presets do."""
-    significance = SignificanceSettings(threshold=6.5, decide_at=0.5, rd_lambda=10.0, colour_rd_lambda=2.5)
+    significance = SignificanceSettings(threshold=6.5, rd_lambda=10.0, colour_rd_lambda=2.5)
     frame = replace(tiny_settings.frame, cache=None, joint_iterations=20, grow_fraction=0.0, significance=significance)
     return replace(tiny_settings, frame=frame)
 

@@ -17,8 +17,8 @@ from decogs.encoder.settings.frame import SelectionSettings
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import Splats, join_splats
 
-PAPER = SelectionSettings(rule="paper", min_views=2, visible_weight=0.02)
-WEIGHT = SelectionSettings(rule="weight", min_views=2, min_fraction=0.3, visible_weight=0.02)
+PAPER = SelectionSettings(rule="paper", min_views=2)
+WEIGHT = SelectionSettings(rule="weight", min_views=2, min_fraction=0.3)
 
 
 def evidence(inside: list[int] | None, weight: list[float], masked: list[float]) -> ViewEvidence:
@@ -37,7 +37,7 @@ def test_paper_rule_counts_views_in_which_the_centre_is_inside_and_visible() -> 
         evidence([1, 0, 0, 0, 0], [1, 1, 1, 1.000, 1], [0] * 5),
     ]
     for kappa, expected in ((1, [1, 1, 1, 1, 0]), (2, [1, 1, 0, 0, 0]), (3, [1, 0, 0, 0, 0])):
-        settings = SelectionSettings(rule="paper", min_views=kappa, visible_weight=0.02)
+        settings = SelectionSettings(rule="paper", min_views=kappa)
         np.testing.assert_array_equal(select(views, settings), np.array(expected, bool))
 
 
@@ -48,7 +48,7 @@ def test_weight_rule_asks_for_a_share_of_what_is_seen_and_for_views() -> None:
         evidence(None, [10, 10, 10, 5.00, 0], [2.9, 3.1, 0.0, 0.000, 0]),
     ]
     np.testing.assert_array_equal(select(views, WEIGHT), np.array([0, 1, 0, 0, 0], bool))
-    one_view = SelectionSettings(rule="weight", min_views=1, min_fraction=0.3, visible_weight=0.02)
+    one_view = SelectionSettings(rule="weight", min_views=1, min_fraction=0.3)
     np.testing.assert_array_equal(select(views, one_view), np.array([0, 1, 1, 0, 0], bool))
 
 

@@ -175,7 +175,7 @@ def patient(tiny_settings: EncodeSettings) -> EncodeSettings:
         tiny_settings.frame,
         cache=None,
         joint_iterations=60,
-        significance=SignificanceSettings(threshold=6.5, decide_at=0.5),
+        significance=SignificanceSettings(threshold=6.5),
     )
     return replace(tiny_settings, frame=frame)
 
