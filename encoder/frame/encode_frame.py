@@ -228,14 +228,14 @@ def _nothing(scene: Splats) -> TrainedFrame:
 def _as_written(
     context: Context, before: Scene, scene: Scene, plan: FramePlan, packet: Packet
 ) -> tuple[FramePlan, TrainedFrame | None]:
-    """What an earlier encode did with the frame, as its packet tells: the plan, and what was trained."""
+    """What an earlier encode did with the frame, as its packet states: the plan, and what was trained."""
     # Those that a cross-fade changes are not among those that the masks select.
     changed = changed_between(before.state, scene.state)
     is_trained = bool(plan.effects) or bool(changed.any())
-    # What was held is still to be done. With a time budget, a packet of nothing is all that signals it.
-    held = is_trained and context.settings.time_budget is not None and packet.kind == PacketKind.SKIP
-    plan = replace(plan, held=held)
-    if not is_trained or held:
+    # A deferred frame's changes are still to be trained. With a time budget, a skip in place of changes signals it.
+    deferred = is_trained and context.settings.time_budget is not None and packet.kind == PacketKind.SKIP
+    plan = replace(plan, deferred=deferred)
+    if not is_trained or deferred:
         return plan, None
     rows = np.flatnonzero(plan.selection.selected | changed)
     if not context.method.dense:

@@ -260,7 +260,7 @@ class _KeyframeTraining:
                 score = self.validation_psnr(step)
                 if score > best:
                     best, waited = score, 0
-                    best_optimiser = self._optimiser.copied()
+                    best_optimiser = self._optimiser.copy()
                 else:
                     waited += 1
         if step < settings.iterations and not self._is_good_enough:
@@ -289,10 +289,10 @@ class _KeyframeTraining:
         return lattice
 
     def _fix(self, names: Sequence[str], points: Attributes, lattice: Lattice) -> None:
-        """Sets these attributes to ``points`` of the lattice and holds them."""
+        """Sets these attributes to ``points`` of the lattice and freezes them."""
         there = dequantise(points, lattice)
         self._optimiser.put(**{name: getattr(there, name) for name in names})
-        self._optimiser.hold({name: np.ones(getattr(there, name).shape, bool) for name in names})
+        self._optimiser.freeze({name: np.ones(getattr(there, name).shape, bool) for name in names})
 
     def _rd_quantised(self, lattice: Lattice) -> Attributes:
         """Lattice points: rate-distortion optimised for rotations and view-dependent colours, else the nearest."""

@@ -23,7 +23,7 @@ class FrameReport:
     ``seconds``: wall clock by stage. ``cpu_seconds``: processor time of all threads, from decoded pictures to the
     written packet, without measuring (the stage "measure").
     ``replayed``: the frame was written by an earlier encode. ``effects``: those that it was trained for; none for a
-    first frame, a replayed one and one that is only held.
+    first frame, a replayed one and a deferred one, which a time budget leaves untrained.
     ``left_out``: cameras without a usable picture of the frame, and why (`input.dropouts`).
     ``rejected``: training made the pictures worse, so the scene was kept.
     ``uncorrected``: compensation that ends with this frame because it gained nothing, such as "cam04: colours".

@@ -97,7 +97,7 @@ class FrameTrainer(Protocol):
 
     @property
     def min_seconds(self) -> float:
-        """Least seconds of a frame; 0 while unknown. A time budget holds frames that have less."""
+        """Least seconds of a frame; 0 while unknown. A time budget defers frames that have less."""
         ...
 
     def train(self, frame: FrameInput, /) -> TrainedFrame:
