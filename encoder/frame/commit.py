@@ -64,7 +64,7 @@ def commit(
         with watch.stage("corrections"):
             changed = [mask.dilated for mask in plan.selection.masks]
             judged = context.corrector.judge(
-                memory.corrections, frame.recorded.training, frame.corrections, context.show(scene.splats), changed
+                memory.corrections, frame.recorded.training, frame.corrections, context.renderer(scene.splats), changed
             )
             uncorrected = ended(memory.corrections, judged)
             memory = replace(memory, corrections=judged)
@@ -90,9 +90,9 @@ def _masks_after(
     memory, settings, masks = event.memory.masks, context.settings.frame.masks, plan.selection.masks
     # Training that was rejected, or whose changes were all reverted, has made up for nothing.
     if trained is not None and masks and not same_values(event.scene.state, scene.state):
-        shown = context.views.pictures(scene.splats) if trained.truncated else None
+        rendered = context.views.pictures(scene.splats) if trained.truncated else None
         moved = "motion" in plan.effects
-        memory = memory.trained(frame.pictures, masks, moved=moved, shown=shown, threads=context.threads)
+        memory = memory.trained(frame.pictures, masks, moved=moved, shown=rendered, threads=context.threads)
     return memory.advance(frame.pictures, masks, settings, held=plan.deferred)
 
 

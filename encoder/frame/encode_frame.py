@@ -92,8 +92,8 @@ def observe(context: Context, scene: Scene, memory: Memory, task: Task) -> tuple
     if packet is not None:
         _, corrections = read_back(packet, scene.header)
     else:
-        show = context.show(scene.splats)
-        corrections = corrections_of(recorded, context.corrector, memory.corrections, show, watch)
+        render = context.renderer(scene.splats)
+        corrections = corrections_of(recorded, context.corrector, memory.corrections, render, watch)
     frame = PendingFrame(recorded, compensated(recorded, context.corrector, corrections), corrections, is_start)
     if packet is not None and scene.begins_anew(packet):
         return frame, Event(Kind.CUT, scene, memory, [])
@@ -163,7 +163,7 @@ def begin_scene(context: Context, header: StreamHeader, key: State, task: Task, 
     if packet is not None:
         written, corrections = read_back(packet, header)
     else:
-        corrections = corrections_of(recorded, corrector, drift, context.render(splats), watch)
+        corrections = corrections_of(recorded, corrector, drift, context.fresh_renderer(splats), watch)
         with watch.stage("write"):
             written = key_packet(header, key, corrections, context.settings.zstd_level)
     scene = Scene.open(header, written.packet) if cut is None else cut.scene.after(written.packet)

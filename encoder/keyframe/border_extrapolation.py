@@ -115,7 +115,7 @@ def _blobs_beside(views: Sequence[View], wide: Sequence[_WidePicture], distance:
         for picture in wide:
             row, column = _free_cells(picture, blobs.xyz, cell, begin, end)
             more = _blobs_at(picture, row, column, cell)
-            unseen = ~_shown(views, more)
+            unseen = ~_reach_into_pictures(views, more)
             blobs = _Blobs(
                 np.concatenate([blobs.xyz, more.xyz[unseen]]),
                 np.concatenate([blobs.rgb, more.rgb[unseen]]),
@@ -124,15 +124,15 @@ def _blobs_beside(views: Sequence[View], wide: Sequence[_WidePicture], distance:
     return blobs
 
 
-def _shown(views: Sequence[View], blobs: _Blobs) -> NDArray[np.bool_]:
-    """Which of them reach into the picture of a view."""
-    shown = np.zeros(len(blobs.xyz), np.bool_)
+def _reach_into_pictures(views: Sequence[View], blobs: _Blobs) -> NDArray[np.bool_]:
+    """Which of them, (P,), reach into the picture of a view."""
+    reaching = np.zeros(len(blobs.xyz), np.bool_)
     for camera in (view.pinhole for view in views):
         u, v, depth = project(camera, blobs.xyz)
         with np.errstate(divide="ignore", invalid="ignore"):
             x, y = (_CLEARANCE_SIGMAS * focal * blobs.sigma / depth for focal in (camera.fx, camera.fy))
-        shown |= (depth > 0) & (u > -x) & (u < camera.width + x) & (v > -y) & (v < camera.height + y)
-    return shown
+        reaching |= (depth > 0) & (u > -x) & (u < camera.width + x) & (v > -y) & (v < camera.height + y)
+    return reaching
 
 
 def _free_cells(
