@@ -21,7 +21,6 @@ from .methods import FRAME_METHODS, method_of, require_sparse
 from .registry import Registry
 from .settings.checked import Checked
 from .settings.encode import EncodeSettings
-from .training.densification import DENSIFICATIONS
 
 T = TypeVar("T")
 
@@ -31,8 +30,6 @@ ABLATIONS = ("select", "focus", "gate")
 _NAMED: dict[str, Registry[Any]] = {
     "method": FRAME_METHODS,
     "frame.selection.rule": SELECTION_RULES,
-    "frame.densification": DENSIFICATIONS,
-    "keyframe.densification": DENSIFICATIONS,
 }
 """Settings that are names in a registry, which packages may extend."""
 

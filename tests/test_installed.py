@@ -44,7 +44,6 @@ def test_a_layer_is_installed_whole(layer: str) -> None:
     expected = ROOT / layer if is_editable() else Path(str(INSTALLED.locate_file("decogs"))).resolve() / layer
     assert layer_folder(layer) == expected
     assert modules_in(expected) == modules_in(ROOT / layer)
-    assert (expected / "py.typed").is_file()
 
 
 def test_nothing_else_is_installed() -> None:

@@ -29,7 +29,7 @@ from ..output.reports import OnKeyframeStep
 from ..psnr import psnr_of
 from ..settings.keyframe import KeyframeSettings
 from ..settings.optimiser import LearningRates
-from ..training.densification import DENSIFICATIONS
+from ..training.densification import clone_and_split
 from ..training.losses import whole_picture_loss
 from ..training.rate_distortion import cheapest
 from ..training.schedule import WHOLE, StoppingRule, TargetWatch
@@ -401,7 +401,7 @@ class _KeyframeTraining:
         splats = self._optimiser.splats
         keep = sigmoid(splats.opacity_logits) >= _PRUNE_OPACITY
         room = settings.seen_cap - int(keep.sum())
-        growth = DENSIFICATIONS.get(settings.densification)(
+        growth = clone_and_split(
             splats,
             self._view_gradients.mean(),
             keep,

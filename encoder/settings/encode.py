@@ -20,11 +20,7 @@ from .threedgstream import BaselineSettings
 _UNUSED = {"decogs": "baseline", "3dgstream": "frame"}
 """Settings that a method does not read; methods of other packages do not read the baseline's."""
 
-_USUAL = (
-    ("keyframe.densification", "clone-split"),
-    ("frame.densification", "clone-split"),
-    ("frame.focus.over", "region"),
-)
+_USUAL = (("frame.focus.over", "region"),)
 """Settings that a header names only where they are another than this."""
 
 

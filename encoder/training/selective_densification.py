@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from decogs.formats.splats import Splats, sigmoid
 
 from ..backends import ViewGradients
-from .densification import DENSIFICATIONS
+from .densification import clone_and_split
 from .frame_training import FrameTraining
 from .working_set import WorkingSet
 
@@ -49,7 +49,7 @@ def _grow(
 ) -> bool:
     """Adds at most ``room`` Gaussians; a child outside every region of interest starts at its parent's position."""
     settings, own = training.settings, work.values
-    growth = DENSIFICATIONS.get(settings.densification)(
+    growth = clone_and_split(
         own,
         gathered.mean(),
         eligible,

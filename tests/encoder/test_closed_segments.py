@@ -34,7 +34,7 @@ def closed(settings: EncodeSettings, **changes: Any) -> EncodeSettings:
 
 def remembering(settings: EncodeSettings) -> EncodeSettings:
     """With all that goes from frame to frame: references, refined pixels, motion, effects of a frame."""
-    masks = replace(settings.frame.masks, since_trained=True, residual=15.0, refine_frames=2, light_threshold=4.0)
+    masks = replace(settings.frame.masks, since_trained=True, light_threshold=4.0)
     frame = replace(
         settings.frame,
         masks=masks,
