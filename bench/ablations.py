@@ -76,7 +76,7 @@ class _UngatedSet(WorkingSet):
         super().__init__(replace(frame, selected=np.ones(len(everything), bool)), kernel)
         self._selected = frame.selected
         if momentum is not None:
-            self.optimiser.remember(momentum, everything, everything)
+            self.optimiser.copy_momentum(momentum, everything, everything)
 
     def may_grow(self) -> NDArray[np.bool_]:
         grows = ~self.old

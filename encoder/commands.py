@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from decogs.formats.command_line import (
     Parser,
     counted,
+    in_option_names,
     number,
     number_of_bytes,
     number_of_threads,
@@ -19,7 +20,6 @@ from decogs.formats.command_line import (
     printable,
     progress,
     retryable,
-    reworded,
     run,
     size_text,
     warn_as,
@@ -325,8 +325,8 @@ def _encode_on_cluster(parser: Parser, options: argparse.Namespace) -> int:
     from .cluster.encoding import encode_on_cluster
 
     _check_cluster(options)
-    job, words = _job(options)
-    with reworded(words), progress("encoding", quiet=options.quiet) as on_progress:
+    job, option_names = _job(options)
+    with in_option_names(option_names), progress("encoding", quiet=options.quiet) as on_progress:
         report = encode_on_cluster(job, options.cluster, progress=on_progress, on_warning=warn_as(parser))
     parts, frames = counted(report.parts, "part"), counted(report.frames, "frame")
     print_text(f"{printable(options.output)}: {parts}, {frames}, {report.total_bytes} bytes")
@@ -344,16 +344,16 @@ def _check_cluster(options: argparse.Namespace) -> None:
 
 
 def _job(options: argparse.Namespace) -> tuple[EncodeJob, dict[str, str]]:
-    """The job that the options ask for, and how the options call what errors may name."""
+    """The job that the options ask for, and the options' names for what errors may name."""
     from .job import EncodeJob
     from .option_texts import names, seconds_per_frame
     from .switches import Switches
     from .targets import Targets
 
-    rig, bytes_per_frame, words = _budget(options)
+    rig, bytes_per_frame, option_names = _budget(options)
     seconds = None if options.time_budget is None else seconds_per_frame(options.time_budget)
     if seconds is not None:
-        words[f"`time_budget` {seconds:g}"] = f"--time-budget {options.time_budget}"
+        option_names[f"`time_budget` {seconds:g}"] = f"--time-budget {options.time_budget}"
     same = ["settings", "scale", "holdout", "effects", "keyframe", "segment", "closed", "resume", "metrics"]
     same += ["seed", "threads", "device", "max_memory", "log", "convergence_log"]
     job = EncodeJob(
@@ -365,17 +365,17 @@ def _job(options: argparse.Namespace) -> tuple[EncodeJob, dict[str, str]]:
         targets=Targets(options.quality, bytes_per_frame, options.lossless, seconds, options.target_psnr),
         **{name: getattr(options, name) for name in same},
     )
-    return job, words
+    return job, option_names
 
 
 def _encode(parser: Parser, options: argparse.Namespace) -> int:
     from .encoding import encode
 
-    job, words = _job(options)
-    with reworded(words), _observed(parser, options) as progress:
+    job, option_names = _job(options)
+    with in_option_names(option_names), _observed(parser, options) as progress:
         report = encode(job, progress=progress, on_warning=warn_as(parser))
     print_text("\n".join(_summary(report)), to_stderr=options.output == "-")
-    warnings = [*_left_out(report), _rejected(report), *_uncorrected(report), _overlooked(report), _cut(report)]
+    warnings = [*_left_out(report), _rejected(report), *_uncorrected(report), _full_frame_changes(report), _cut(report)]
     warnings += [_missed_budget(report), _missed_time(report)]
     for warning in filter(None, warnings):
         warn_as(parser)(warning)
@@ -418,8 +418,8 @@ def _budget(options: argparse.Namespace) -> tuple[Rig | str, float | None, dict[
 
 
 def _asked(bytes_per_frame: float, option: str, value: float) -> tuple[float, dict[str, str]]:
-    words = {f"`bytes_per_frame` {bytes_per_frame:g}": f"{option} {value:g}", "`bytes_per_frame`": option}
-    return bytes_per_frame, words
+    option_names = {f"`bytes_per_frame` {bytes_per_frame:g}": f"{option} {value:g}", "`bytes_per_frame`": option}
+    return bytes_per_frame, option_names
 
 
 def _summary(report: EncodeReport) -> list[str]:
@@ -480,8 +480,8 @@ def _uncorrected(report: EncodeReport) -> list[str]:
     ]
 
 
-def _overlooked(report: EncodeReport) -> str:
-    at = [frame.frame for frame in report.frames if frame.overlooked]
+def _full_frame_changes(report: EncodeReport) -> str:
+    at = [frame.frame for frame in report.frames if frame.full_frame_change]
     return (
         f"the masks missed a change of most of the pictures; every Gaussian was trained in {_frames(at)}" if at else ""
     )

@@ -41,7 +41,7 @@ from .training.method import TrainedFrame
 
 _NEUTRAL, _PER_OCTAVE, _NEUTRAL_SCALE = 50.0, 25.0, 0.5
 _HYSTERESIS = 0.75
-"""Steps from a value's integer within which the integer stays: noise between frames that are alike is not coded."""
+"""Lattice steps from a value's integer within which the integer stays: noise between frames is not coded."""
 _STRAY = 0.05
 """Median way of a row between two frames, as a share of the scene, beyond which rows are in no common order."""
 _LEVEL = 15
@@ -49,7 +49,7 @@ _COPIES = 12
 """Of its floats that a Gaussian takes: 11 were measured of two frames that are matched by position (SH degree 3)."""
 _CAMERA_WIDTH, _CAMERA_HEIGHT, _FOCAL = 1280, 720, 1100.0
 _PACKED = "packed"
-"""The setting that tells a packed stream from an encode, which could be gone on with."""
+"""The setting that marks a packed stream; without it, it is of an encode that could be resumed."""
 
 
 @dataclass(frozen=True)
@@ -79,10 +79,9 @@ def pack(
     ``files``: their name, with a place for the frame's number (`decogs.formats.frame_names`). Rows of files with the
     same number of Gaussians are the same Gaussian, unless they jump about; else they are matched by position.
     ``quality``: 0 to 100, of the lattice: 25 less double its steps. ``lossless``: every change is coded, exact to the
-    lattice of quality 100. ``segment``: frames from one keyframe to the next, 0 for a single one. One frame is held at
-    a time, in ``max_memory`` bytes beyond the program itself; ``on_frame(done, all)``.
-    Raises UsageError for files that cannot be read or do not fit each other; nothing is then left under the output's
-    name.
+    lattice of quality 100. ``segment``: frames from one keyframe to the next, 0 for a single one. One frame is in
+    memory at a time, in ``max_memory`` bytes beyond the program itself; ``on_frame(done, all)``. Raises UsageError for
+    files that cannot be read or do not fit each other; nothing is then left under the output's name.
     """
     named = numbered_files(Path(files))
     scale = _checked_scale(quality, fps, segment, len(named), lossless=lossless)
@@ -150,7 +149,7 @@ class _Packing:
         added = np.setdiff1d(np.arange(len(splats)), rows)
         values = take_splats(splats, rows)
         if not self._exact:
-            values = _held(take_splats(scene.splats, kept), values, header.lattice)
+            values = _with_hysteresis(take_splats(scene.splats, kept), values, header.lattice)
         trained = TrainedFrame(kept, values, removed, take_splats(splats, added))
         # The stream has new Gaussians in Morton order, behind the others.
         added = added[morton_order(quantise(trained.added, header.lattice).means)]
@@ -168,10 +167,10 @@ class _Packing:
         return mutual_nearest(before, splats.means, float(reach))
 
 
-def _held(before: Splats, now: Splats, lattice: Lattice) -> Splats:
-    """``now``, but the decoder's values where they are near enough; rotations as they are."""
+def _with_hysteresis(before: Splats, now: Splats, lattice: Lattice) -> Splats:
+    """``now``, with the decoder's values where they are within the hysteresis; rotations as they are."""
 
-    def held(was: NDArray[np.float32], values: NDArray[np.float32], step: object) -> NDArray[np.float32]:
+    def steady(was: NDArray[np.float32], values: NDArray[np.float32], step: object) -> NDArray[np.float32]:
         near = np.abs(values.astype(np.float64) - was) <= _HYSTERESIS * np.asarray(step, np.float64)
         return np.where(near, was, values)
 
@@ -179,10 +178,10 @@ def _held(before: Splats, now: Splats, lattice: Lattice) -> Splats:
     sh_steps[0] = lattice.sh_dc
     return replace(
         now,
-        means=held(before.means, now.means, lattice.means),
-        log_scales=held(before.log_scales, now.log_scales, lattice.log_scales),
-        opacity_logits=held(before.opacity_logits, now.opacity_logits, lattice.opacity_logits),
-        sh=held(before.sh, now.sh, sh_steps),
+        means=steady(before.means, now.means, lattice.means),
+        log_scales=steady(before.log_scales, now.log_scales, lattice.log_scales),
+        opacity_logits=steady(before.opacity_logits, now.opacity_logits, lattice.opacity_logits),
+        sh=steady(before.sh, now.sh, sh_steps),
     )
 
 

@@ -163,13 +163,13 @@ def _noise_columns(frames: int) -> set[int]:
 
 
 def _small(picture: Picture, camera: Camera) -> U8:
-    shown = picture if picture.dtype == np.uint8 else np.rint(display_referred(picture) * 255).astype(np.uint8)
-    if shown.shape[:2] != (camera.height, camera.width):
+    levels = picture if picture.dtype == np.uint8 else np.rint(display_referred(picture) * 255).astype(np.uint8)
+    if levels.shape[:2] != (camera.height, camera.width):
         # As floats: the same levels after rounding, in two thirds of the time that OpenCV takes for bytes.
         size = camera.width, camera.height
-        resized = cv2.resize(shown.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+        resized = cv2.resize(levels.astype(np.float32), size, interpolation=cv2.INTER_AREA)
         return np.asarray(cv2.convertScaleAbs(resized), np.uint8)
-    return np.asarray(shown, np.uint8)
+    return np.asarray(levels, np.uint8)
 
 
 def _sparse(picture: Picture) -> F32:

@@ -118,8 +118,8 @@ class Optimiser(Protocol):
     def put(self, rows: RowArray | None = None, **values: FloatArray) -> None:
         """Sets attributes, of ``rows`` or of all, to ``values``; momentum stays."""
 
-    def hold(self, held: Mapping[str, NDArray[np.bool_]]) -> None:
-        """From now on these numbers of each attribute keep their values, until rows come or go."""
+    def freeze(self, frozen: Mapping[str, NDArray[np.bool_]]) -> None:
+        """Keeps these values of each attribute as they are until rows come or go."""
 
     def gradient_size(self, name: str) -> FloatArray:
         """Root mean square of an attribute's gradients so far, shaped like it, the recent ones weighing most.
@@ -133,10 +133,10 @@ class Optimiser(Protocol):
     def append(self, added: Splats) -> None:
         """Adds rows without momentum."""
 
-    def copied(self) -> Self:
-        """The same values and momentum, stepped apart from now on; nothing is held."""
+    def copy(self) -> Self:
+        """An independent optimiser with the same values and momentum; nothing is frozen."""
 
-    def remember(self, other: Any, rows: RowArray, theirs: RowArray) -> None:
+    def copy_momentum(self, other: Any, rows: RowArray, theirs: RowArray) -> None:
         """Takes over the momentum of an ``other`` of its kind: of its rows ``theirs`` for ``rows``."""
 
 

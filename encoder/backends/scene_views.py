@@ -22,7 +22,7 @@ class SceneViews(Sequence[FixedView]):
     def __init__(self, kernel: TrainingKernel, cameras: Callable[[], Sequence[Camera]]) -> None:
         self._kernel, self._cameras = kernel, cameras
         self._views: list[FixedView] = []
-        self._shown: Splats | None = None
+        self._drawn: Splats | None = None
 
     def __len__(self) -> int:
         return len(self._views)
@@ -34,11 +34,11 @@ class SceneViews(Sequence[FixedView]):
         """The views, all of them showing this scene."""
         if not self._views:
             self._views += [self._kernel.fixed_view(camera) for camera in self._cameras()]
-        if self._shown is not scene:
+        if self._drawn is not scene:
             for view in self._views:
                 view.set_scene(scene)
                 view.redraw()
-            self._shown = scene
+            self._drawn = scene
         return self
 
     def pictures(self, scene: Splats) -> list[FloatArray]:
@@ -47,14 +47,14 @@ class SceneViews(Sequence[FixedView]):
 
     def detach(self, rows: NDArray[np.int64]) -> None:
         """Takes Gaussians out of the static part, to train them; then the views show no whole scene."""
-        self._shown = None
+        self._drawn = None
         for view in self._views:
             view.detach(rows)
 
     def follow(
         self, scene: Splats, trained: NDArray[np.int64], before: NDArray[np.int64], after: NDArray[np.int64]
     ) -> None:
-        """Goes on to ``scene``, in which only the rows ``trained`` (M,) of what was shown before training differ.
+        """Goes on to ``scene``, in which only the rows ``trained`` (M,) of the scene before training differ.
 
         ``before``, ``after``: the Gaussians' ids, ascending, in that scene and in this one.
         """
@@ -65,9 +65,9 @@ class SceneViews(Sequence[FixedView]):
         for view in self._views:
             view.commit(scene, rows, renumbered)
             view.redraw()
-        self._shown = scene
+        self._drawn = scene
 
     def release(self) -> None:
         """Frees the views; the next scene that is asked for makes them again."""
         self._views.clear()
-        self._shown = None
+        self._drawn = None

@@ -92,8 +92,8 @@ def observe(context: Context, scene: Scene, memory: Memory, task: Task) -> tuple
     if packet is not None:
         _, corrections = read_back(packet, scene.header)
     else:
-        show = context.show(scene.splats)
-        corrections = corrections_of(recorded, context.corrector, memory.corrections, show, watch)
+        render = context.renderer(scene.splats)
+        corrections = corrections_of(recorded, context.corrector, memory.corrections, render, watch)
     frame = PendingFrame(recorded, compensated(recorded, context.corrector, corrections), corrections, is_start)
     if packet is not None and scene.begins_anew(packet):
         return frame, Event(Kind.CUT, scene, memory, [])
@@ -163,7 +163,7 @@ def begin_scene(context: Context, header: StreamHeader, key: State, task: Task, 
     if packet is not None:
         written, corrections = read_back(packet, header)
     else:
-        corrections = corrections_of(recorded, corrector, drift, context.render(splats), watch)
+        corrections = corrections_of(recorded, corrector, drift, context.fresh_renderer(splats), watch)
         with watch.stage("write"):
             written = key_packet(header, key, corrections, context.settings.zstd_level)
     scene = Scene.open(header, written.packet) if cut is None else cut.scene.after(written.packet)
@@ -228,14 +228,14 @@ def _nothing(scene: Splats) -> TrainedFrame:
 def _as_written(
     context: Context, before: Scene, scene: Scene, plan: FramePlan, packet: Packet
 ) -> tuple[FramePlan, TrainedFrame | None]:
-    """What an earlier encode did with the frame, as its packet tells: the plan, and what was trained."""
+    """What an earlier encode did with the frame, as its packet states: the plan, and what was trained."""
     # Those that a cross-fade changes are not among those that the masks select.
     changed = changed_between(before.state, scene.state)
     is_trained = bool(plan.effects) or bool(changed.any())
-    # What was held is still to be done. With a time budget, a packet of nothing is all that signals it.
-    held = is_trained and context.settings.time_budget is not None and packet.kind == PacketKind.SKIP
-    plan = replace(plan, held=held)
-    if not is_trained or held:
+    # A deferred frame's changes are still to be trained. With a time budget, a skip in place of changes signals it.
+    deferred = is_trained and context.settings.time_budget is not None and packet.kind == PacketKind.SKIP
+    plan = replace(plan, deferred=deferred)
+    if not is_trained or deferred:
         return plan, None
     rows = np.flatnonzero(plan.selection.selected | changed)
     if not context.method.dense:

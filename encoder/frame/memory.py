@@ -58,7 +58,7 @@ def new_memory(
 ) -> Memory:
     """The memory after a ``scene``'s first ``frame``, compensated: nothing is left of the frames before."""
     settings = context.settings
-    shown = None if context.method.dense else context.views.pictures(scene.splats)
+    rendered = None if context.method.dense else context.views.pictures(scene.splats)
     trainer = context.method.trainer(
         training_context(
             context.kernel,
@@ -73,7 +73,7 @@ def new_memory(
     budget = settings.frame_budget
     return Memory(
         trainer,
-        MaskMemory.begin(frame.training, shown if settings.time_budget is not None else None),
+        MaskMemory.begin(frame.training, rendered if settings.time_budget is not None else None),
         Motion.at_rest(len(scene.state)),
         corrections,
         None if budget is None else RateControl(budget, settings.segment),

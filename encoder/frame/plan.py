@@ -42,19 +42,19 @@ class FramePlan:
     """How a frame is trained and coded: what is selected, its effects by name, none where nothing is, and its settings.
 
     ``light_only`` (N,): the selected Gaussians that light alone changes, in a frame in which others move; else None.
-    ``held``: its training waits for a later frame's time.
+    ``deferred``: it is not trained, and the next frame gets its time.
     """
 
     selection: Selection
     effects: tuple[str, ...]
     settings: FrameSettings
     light_only: NDArray[np.bool_] | None = None
-    held: bool = False
+    deferred: bool = False
 
     @property
     def trains(self) -> bool:
         """Whether the frame is trained."""
-        return bool(self.effects) and not self.held
+        return bool(self.effects) and not self.deferred
 
 
 def find_selection(context: Context, event: Event, frame: PendingFrame, watch: Stopwatch) -> Selection:
@@ -86,7 +86,7 @@ def plan_frame(
 ) -> FramePlan:
     """All that a frame is trained and coded with."""
     settings, memory = context.settings, event.memory
-    effects, lit = settings.frame_effects if selection.selected.any() else (), None
+    effects, by_light = settings.frame_effects if selection.selected.any() else (), None
     if effects and settings.detect_per_frame:
         with watch.stage("effects"):
             found = enabled_effects(
@@ -95,17 +95,17 @@ def plan_frame(
             effects, settings = found.effects, found.settings
             if found.moving is not None:
                 views = context.views.of(event.scene.splats)
-                lit = light_only(views, selection, found.moving, settings.frame.selection)
+                by_light = light_only(views, selection, found.moving, settings.frame.selection)
     now = settings.frame
     if memory.rate is not None:
         now = replace(now, significance=memory.rate.significance(now.significance))
     settings_now = now if fade is None else with_exact_changes(now)
-    return FramePlan(selection, effects, settings_now, lit, held=bool(effects) and _is_held(memory, watch))
+    return FramePlan(selection, effects, settings_now, by_light, deferred=bool(effects) and _is_deferred(memory, watch))
 
 
-def _is_held(memory: Memory, watch: Stopwatch) -> bool:
-    """Whether a frame that needs training gets none, so that a later one has enough time."""
-    return memory.time is not None and memory.time.holds(watch.seconds, memory.trainer.min_seconds)
+def _is_deferred(memory: Memory, watch: Stopwatch) -> bool:
+    """Whether a frame that needs training is deferred, so that a later one has enough time."""
+    return memory.time is not None and memory.time.defers(watch.seconds, memory.trainer.min_seconds)
 
 
 def _selected(context: Context, scene: Scene, masks: Sequence[FrameMask]) -> NDArray[np.bool_]:

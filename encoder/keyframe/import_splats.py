@@ -30,7 +30,7 @@ from ..input.imported_splats import SplatSource
 from ..input.ingest import Ingest, RigFrame
 from ..psnr import mean_psnr
 from ..settings.encode import EncodeSettings
-from .harmonics import as_far_as_shown
+from .harmonics import trim_sh_degree
 
 MAX_LOST = 0.1
 """dB of the first frame's training views that rounding may cost."""
@@ -139,16 +139,16 @@ def _compensation(splats: Splats, cameras: Sequence[Camera]) -> NDArray[np.float
             z = position[:, 2]
             x, y = position[:, 0] / z, position[:, 1] / z
             u, v = x * camera.fx + camera.cx, y * camera.fy + camera.cy
-            shown = (z > camera.near) & (u > 0) & (u < camera.width) & (v > 0) & (v < camera.height)
+            visible = (z > camera.near) & (u > 0) & (u < camera.width) & (v > 0) & (v < camera.height)
             turned = pose[:3, :3] @ axes
             across = (turned[:, 0] - x[:, None] * turned[:, 2]) * (camera.fx / z)[:, None]
             down = (turned[:, 1] - y[:, None] * turned[:, 2]) * (camera.fy / z)[:, None]
             a, c = (across**2).sum(axis=1), (down**2).sum(axis=1)
             det = (np.cross(across, down) ** 2).sum(axis=1)
             log = 0.5 * np.log(np.maximum(det, 1e-30) / (det + _BLUR * (a + c) + _BLUR**2))
-        shown &= np.isfinite(log)
-        logs[shown] += log[shown]
-        seen += shown
+        visible &= np.isfinite(log)
+        logs[visible] += log[visible]
+        seen += visible
     return np.asarray(np.exp(logs / np.maximum(seen, 1)))
 
 
@@ -180,7 +180,7 @@ def _on_lattice(
         scale = settings.lattice_scale / 2**halvings
         lattice = default_lattice(extent, centre=centre, scale=scale)
         points = quantise(splats, lattice)
-        points = as_far_as_shown(points) if settings.detect_per_frame else points
+        points = trim_sh_degree(points) if settings.detect_per_frame else points
         lost = whole - mean_psnr(kernel, dequantise(points, lattice), ingest.views, frame.training)
         if lost <= MAX_LOST:
             break

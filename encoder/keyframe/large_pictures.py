@@ -4,8 +4,8 @@ Coarse to fine: the first steps see shrunk pictures, the last ones the pictures 
 the pixels, and what the first steps do, moving, growing and colouring Gaussians that are far off, shows in shrunk
 pictures as well. The renderer's filter belongs to the pixel (Mip-Splatting, Yu 2024), so that a scene from shrunk
 pictures fits larger ones. Gaussians are farther apart in such pictures, so they take longer steps, and fewer. Fewer
-first points leave room for those that densification puts where details are. Smaller pictures are trained as ever.
-Figures: DESIGN.md.
+first points leave room for those that densification puts where details are. Smaller pictures keep the settings'
+schedule. Figures: DESIGN.md.
 """
 
 from __future__ import annotations
@@ -65,8 +65,8 @@ class PictureFit:
         return _FINE_RATES + (1 - _FINE_RATES) * (progress - _FINE_FROM) / (1 - _FINE_FROM)
 
 
-def as_ever(settings: KeyframeSettings) -> PictureFit:
-    """The schedule of small pictures, whatever their size."""
+def unscaled_schedule(settings: KeyframeSettings) -> PictureFit:
+    """The schedule of pictures of any size as if they were small."""
     return PictureFit(settings.iterations, (PictureScale(0, 1),), settings.seen_cap, 1.0)
 
 
@@ -74,7 +74,7 @@ def fit_to_pictures(cameras: Sequence[Camera], settings: KeyframeSettings) -> Pi
     """The schedule for the pictures of these cameras: by their mean number of pixels."""
     pixels = float(np.mean([camera.width * camera.height for camera in cameras]))
     if pixels < LARGE:
-        return as_ever(settings)
+        return unscaled_schedule(settings)
     factors = [1]
     while pixels >= _COARSEST * (2 * factors[0]) ** 2:
         factors.insert(0, 2 * factors[0])

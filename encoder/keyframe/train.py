@@ -35,10 +35,10 @@ from ..training.rate_distortion import cheapest
 from ..training.schedule import WHOLE, StoppingRule, TargetWatch
 from ..training.significance import picture_weight
 from ..training.view_order import view_order
+from .border_extrapolation import border_extrapolation
 from .few_views import DISSIMILARITY, dissimilarity_for
 from .first_points import FirstPoints
-from .large_pictures import PictureFit, as_ever, fit_to_pictures, shrunk_camera, shrunk_weights
-from .surroundings import surroundings
+from .large_pictures import PictureFit, fit_to_pictures, shrunk_camera, shrunk_weights, unscaled_schedule
 
 _START_OPACITY, _START_SIGMA = 0.2, 0.5
 """Of the first Gaussians; sigma in units of the points' spacing."""
@@ -149,7 +149,7 @@ def prealigned_pictures(
     )
     random = np.random.default_rng(seed)
     training = _KeyframeTraining(
-        kernel, views, pictures, points, short, random=random, corrector=corrector, fit=as_ever(short)
+        kernel, views, pictures, points, short, random=random, corrector=corrector, fit=unscaled_schedule(short)
     )
     training.run(None)
     return training.compensated(corrector, _PREALIGNMENT_STEPS)
@@ -184,7 +184,7 @@ class _KeyframeTraining:
         self._fit, self._factor = fit, 0
         self._values: list[list[LossValue]] = []
         self._reported_loss = float("nan")
-        self._look(fit.scales[0].factor)
+        self._set_picture_scale(fit.scales[0].factor)
         self._kept_back = [_kept_back(view, c) for view, c in zip(views, counted, strict=True)]
         self._optimiser = kernel.optimiser(splats_from_points(points, settings.sh_degree))
         self._view_gradients = kernel.view_gradients(len(self._optimiser))
@@ -192,8 +192,8 @@ class _KeyframeTraining:
 
     def run(self, on_step: OnKeyframeStep | None) -> TrainedKeyframe:
         steps = self._train(on_step)
-        self._check_learnt()  # Gaussians beside the pictures of a scene that fell apart would learn them.
-        beside = self._continue_beside()
+        self._check_learnt()  # Before extrapolating: a diverged scene would be copied into the border.
+        beside = self._extrapolate_border()
         lattice = self._settle_on_lattice(steps, on_step)
         self._check_learnt()
         splats = self._optimiser.splats
@@ -205,12 +205,12 @@ class _KeyframeTraining:
             splats = take_splats(splats, seen)
         return TrainedKeyframe(splats, lattice, steps)
 
-    def _continue_beside(self) -> int:
-        """Adds what goes on beside the pictures, which training leaves black; returns how many Gaussians."""
+    def _extrapolate_border(self) -> int:
+        """Adds Gaussians beside the pictures, where training leaves black; returns how many."""
         settings = self._settings
         if not settings.surroundings:
             return 0
-        more = surroundings(
+        more = border_extrapolation(
             self._kernel,
             self._views,
             self._pictures,
@@ -245,7 +245,7 @@ class _KeyframeTraining:
         while step < settings.iterations and waited < _PATIENCE and not self._is_good_enough:
             for scale in self._fit.scales[1:]:
                 if scale.begin == step:
-                    self._look(scale.factor)
+                    self._set_picture_scale(scale.factor)
             if self._corrector is not None and self._corrects_at(step):
                 self._correct(self._corrector, step)
             loss = self._step(step)
@@ -260,7 +260,7 @@ class _KeyframeTraining:
                 score = self.validation_psnr(step)
                 if score > best:
                     best, waited = score, 0
-                    best_optimiser = self._optimiser.copied()
+                    best_optimiser = self._optimiser.copy()
                 else:
                     waited += 1
         if step < settings.iterations and not self._is_good_enough:
@@ -276,10 +276,10 @@ class _KeyframeTraining:
             extent, centre = robust_extent(self._optimiser.splats.means)
             lattice = default_lattice(extent, centre=centre, scale=self._lattice_scale)
         if self._factor != 1:
-            self._look(1)
+            self._set_picture_scale(1)
         for more in range(total):
             if more == 0:
-                self._fix(("quaternions", "sh"), self._judged(lattice), lattice)
+                self._fix(("quaternions", "sh"), self._rd_quantised(lattice), lattice)
             if more == total // 3:
                 self._fix(("log_scales",), quantise(self._optimiser.splats, lattice), lattice)
             if more == 2 * total // 3:
@@ -289,12 +289,12 @@ class _KeyframeTraining:
         return lattice
 
     def _fix(self, names: Sequence[str], points: Attributes, lattice: Lattice) -> None:
-        """Sets these attributes to ``points`` of the lattice and holds them."""
+        """Sets these attributes to ``points`` of the lattice and freezes them."""
         there = dequantise(points, lattice)
         self._optimiser.put(**{name: getattr(there, name) for name in names})
-        self._optimiser.hold({name: np.ones(getattr(there, name).shape, bool) for name in names})
+        self._optimiser.freeze({name: np.ones(getattr(there, name).shape, bool) for name in names})
 
-    def _judged(self, lattice: Lattice) -> Attributes:
+    def _rd_quantised(self, lattice: Lattice) -> Attributes:
         """Lattice points: rate-distortion optimised for rotations and view-dependent colours, else the nearest."""
         splats, bit = self._optimiser.splats, self._settings.rd_lambda
         points, share = quantise(splats, lattice), np.float32(picture_weight(self._losses))
@@ -321,7 +321,7 @@ class _KeyframeTraining:
         picture = self._kernel.forward(self._optimiser, camera, sh_degree=self._degree(step))
         value = loss.evaluate(self._kernel)
         if self._target is not None:
-            self._is_good_enough = self._target.saw(index, picture.rgb)
+            self._is_good_enough = self._target.update(index, picture.rgb)
         self._values[-1].append(value)
         gradients = self._kernel.backward(self._optimiser)
         self._view_gradients.add(gradients, camera)
@@ -356,10 +356,10 @@ class _KeyframeTraining:
         """Replaces the target pictures by compensated ones; drift is estimated against the scene so far."""
         self._check_finite()
         self._pictures = self.compensated(corrector, step)
-        self._look(self._factor)
+        self._set_picture_scale(self._factor)
 
-    def _look(self, factor: int) -> None:
-        """From now on, steps see the pictures as they are compensated now, shrunk by ``factor``."""
+    def _set_picture_scale(self, factor: int) -> None:
+        """From now on, steps train on the pictures as compensated so far, shrunk by ``factor``."""
         if factor != self._factor:
             self._values.append([])
         self._factor = factor

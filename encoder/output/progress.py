@@ -87,7 +87,7 @@ def frame_line(report: FrameReport) -> str:
     stages += "  rejected" if report.rejected else ""
     stages += "".join(f"  compensation ended: {fault}" for fault in report.uncorrected)
     stages += "  another scene" if report.cut else ""
-    stages += "  change missed by the masks" if report.overlooked else ""
+    stages += "  full-frame change" if report.full_frame_change else ""
     return (
         f"frame {report.frame:4d} {report.kind:5}  train {report.training_psnr:6.2f} dB{held_out}  "
         f"selected {report.selected:6.1%}  {report.bytes:8d} bytes  {stages}"

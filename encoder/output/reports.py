@@ -23,12 +23,12 @@ class FrameReport:
     ``seconds``: wall clock by stage. ``cpu_seconds``: processor time of all threads, from decoded pictures to the
     written packet, without measuring (the stage "measure").
     ``replayed``: the frame was written by an earlier encode. ``effects``: those that it was trained for; none for a
-    first frame, a replayed one and one that is only held.
+    first frame, a replayed one and a deferred one, which a time budget leaves untrained.
     ``left_out``: cameras without a usable picture of the frame, and why (`input.dropouts`).
     ``rejected``: training made the pictures worse, so the scene was kept.
     ``uncorrected``: compensation that ends with this frame because it gained nothing, such as "cam04: colours".
-    ``overlooked``: the masks found no change although most of the pictures had changed; every Gaussian was trained.
-    ``cut``: the frame shows another scene than the one before, and got a new keyframe.
+    ``full_frame_change``: the masks found no change although most of the pictures had changed; every Gaussian was
+    trained. ``cut``: the frame shows another scene than the one before, and got a new keyframe.
     """
 
     frame: int
@@ -46,7 +46,7 @@ class FrameReport:
     left_out: dict[str, str] = field(default_factory=dict)
     rejected: bool = False
     uncorrected: list[str] = field(default_factory=list)
-    overlooked: bool = False
+    full_frame_change: bool = False
     cut: bool = False
     scale: float = 1.0
     held_out_own_size_psnr: float | None = None

@@ -58,13 +58,13 @@ class StreamEncoder:
         self._reporter = FrameReporter(context, options.on_warning)
 
     def check_header(self, first: int) -> None:
-        """Raises RigError, before anything is trained, for a rig that no stream's header can hold."""
+        """Raises RigError, before anything is trained, for a rig that no stream's header can defer."""
         try:
             self._new_header(first, default_lattice(1.0), self._context.settings.keyframe.sh_degree).to_bytes()
         except StreamError as error:
             problem = str(error).partition(" in packet ")[0].removeprefix("header: ")
             path = self._context.ingest.rig.path
-            raise RigError(f"{path}: a stream cannot hold this rig ({problem}); change its calibration") from None
+            raise RigError(f"{path}: a stream cannot defer this rig ({problem}); change its calibration") from None
 
     def encode(self, frames: Iterable[RigFrame], first: int, earlier: Earlier) -> Iterator[FrameReport]:
         """Encodes ``frames`` of a take that begins with the rig's frame ``first``; ``earlier`` ones are replayed."""
@@ -145,7 +145,8 @@ class StreamEncoder:
             self._last = encode_frame(self._context, self._last.scene, self._last.memory, task)
         if origin:
             self._reporter.check_footage(self._last, origin, task.watch)
-        return replace(self._reporter.report(self._last, task.watch), replayed=True, effects=[], overlooked=False)
+        report = self._reporter.report(self._last, task.watch)
+        return replace(report, replayed=True, effects=[], full_frame_change=False)
 
     def _next_segment(self, frames: Sequence[RigFrame], last: Encoded, watch: Stopwatch) -> NextSegment | None:
         """The segment that begins with the last of ``frames``, if it was trained for those that go over to it."""
@@ -157,13 +158,13 @@ class StreamEncoder:
         return self._next if self._next is not None and self._next.start == start else None
 
     def _write(self, encoded: Encoded, watch: Stopwatch) -> FrameReport:
-        """Appends the frame's packet, and takes down how long the frame took."""
+        """Appends the frame's packet, and records its time."""
         packet = encoded.written.packet
         with watch.stage("write"):
             self._output.write(packet.kind, packet.frame, packet.payload)
         memory = encoded.memory
         if memory.time is not None and self._last is not None:
-            memory = replace(memory, time=memory.time.took(watch.seconds, held=encoded.outcome.held))
+            memory = replace(memory, time=memory.time.record_time(watch.seconds, deferred=encoded.outcome.deferred))
         self._last = replace(encoded, memory=memory)
         return self._reporter.report(encoded, watch)
 

@@ -14,7 +14,7 @@ from decogs.formats.splats import Splats, empty_splats
 from ..parallel import side_by_side
 from .frame_training import FrameTraining
 from .schedule import SearchTime, StepSchedule, search_of, search_seconds
-from .seeding import SearchView, missed, seeds, worth_a_search
+from .seeding import SearchView, enough_missed_pixels, missed, seeds
 from .working_set import WorkingSet
 
 
@@ -44,7 +44,7 @@ def add_emerging_in_time(
     every = -(-len(used) // views)
     add_emerging(training, work, used[training.frame.index % every :: every], rays)
     seconds = time.perf_counter() - began
-    search.took(seconds, share)
+    search.record_time(seconds, share)
     schedule.put_off(seconds)
     return seconds
 
@@ -65,7 +65,7 @@ def _emerging(training: FrameTraining, work: WorkingSet, views: Sequence[int], r
         with side_by_side(threads) as each:
             searched |= zip(new, each(lambda index: _search_view(training, index), new), strict=True)
             misses |= zip(new, each(missed, map(searched.__getitem__, new)), strict=True)
-        if not worth_a_search(list(misses.values())):
+        if not enough_missed_pixels(list(misses.values())):
             return empty_splats(degree)
     fewer = replace(settings, max_rays=max(1, round(rays * settings.max_rays)))
     return seeds([searched[i] for i in views], [misses[i] for i in views], fewer, degree, threads=threads)

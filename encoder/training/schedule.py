@@ -42,7 +42,7 @@ LATE_DECAY = 0.2
 _MAX_ITERATIONS = 3.0
 """Most iterations of a frame, in units of the usual number: with more, a cut would take minutes."""
 
-_MAX_HASTE = 3.0
+_MAX_RATE_GAIN = 3.0
 """Largest factor of the rates when a deadline leaves few steps, which must still cover the motion."""
 
 _CLEARLY = np.float32(25 / 255)
@@ -111,14 +111,14 @@ class StepSchedule:
         return self.position >= self._iterations
 
     @property
-    def hurry(self) -> float:
-        """Last stride over the stride without a deadline; 1 at the beginning."""
+    def relative_stride(self) -> float:
+        """Last stride over that without a deadline; 1 at the beginning."""
         return self._last_stride / self._own_stride
 
     @property
-    def is_cut_short(self) -> bool:
+    def is_truncated(self) -> bool:
         """Whether a deadline left only the least steps, too few to follow what moved."""
-        return self._deadline is not None and len(self._seconds) <= MIN_STEPS and self.hurry > 1
+        return self._deadline is not None and len(self._seconds) <= MIN_STEPS and self.relative_stride > 1
 
     @property
     def steps_seconds(self) -> tuple[float, float]:
@@ -161,15 +161,15 @@ class StepSchedule:
 def rates_at(settings: FrameSettings, extent: float, schedule: StepSchedule) -> LearningRates:
     """Learning rates where the schedule stands, those of positions in world units.
 
-    Over its second half they fall; in a hurry they grow.
+    Over its second half they fall; where a deadline lengthens the strides, they grow.
     """
     late = LATE_DECAY ** max(0.0, 2 * schedule.position / settings.joint_iterations - 1)
     rates = replace(settings.rates, means=settings.rates.means * extent)
-    return rates.scaled(late * min(schedule.hurry**0.5, _MAX_HASTE))
+    return rates.scaled(late * min(schedule.relative_stride**0.5, _MAX_RATE_GAIN))
 
 
 def seconds_at_least(spent: float, schedule: StepSchedule) -> float:
-    """Seconds of a frame that took as many as ``spent``, had its schedule had the least steps only."""
+    """Seconds of a frame that took ``spent`` seconds, had it had the least steps only."""
     step, steps = schedule.steps_seconds
     return spent - steps + MIN_STEPS * step
 
@@ -198,7 +198,7 @@ class SearchTime:
             return 0.0
         return min(1.0, max(MIN_SEARCH, self._credit / max(whole, 1e-9)))
 
-    def took(self, seconds: float, share: float) -> None:
+    def record_time(self, seconds: float, share: float) -> None:
         """Records the duration of a ``share`` of a search."""
         self._credit -= seconds
         self._whole = seconds / share if self._whole is None else (self._whole + seconds / share) / 2
@@ -219,7 +219,7 @@ def search_of(share: float, views: int) -> tuple[int, float]:
 
 
 class TargetWatch:
-    """Detects when renderings reach a target PSNR against ``pictures`` (3, H, W) in ``regions`` (H, W; None: all).
+    """Detects that renderings reach a target PSNR against ``pictures`` (3, H, W) in ``regions`` (H, W; None: all).
 
     The PSNR is that of the mean squared error over the regions of all views and their three channels, colours clipped
     to 0..1. Each view counts with its last rendering, so the check renders nothing. Without regions it never succeeds.
@@ -238,9 +238,9 @@ class TargetWatch:
         """Forgets all renderings so far."""
         self._squares = np.array([np.nan if target.size else 0.0 for target in self._targets])
 
-    def saw(self, index: int, shown: FloatArray) -> bool:
-        """Takes a rendering of view ``index``; whether the last renderings of all views reach the target."""
-        difference = np.clip(_pixels(shown, self._rows[index]), 0, 1) - self._targets[index]
+    def update(self, index: int, rendered: FloatArray) -> bool:
+        """Takes a rendering of view ``index``; whether the last ones of all views reach the target."""
+        difference = np.clip(_pixels(rendered, self._rows[index]), 0, 1) - self._targets[index]
         self._squares[index] = float(np.square(difference).sum(dtype=np.float64))
         return bool(self._squares.sum() <= self._max_squares)
 

@@ -96,7 +96,7 @@ def missed(view: SearchView, levels: float = _MISSED_LEVELS) -> BoolArray:
     return cv2.morphologyEx(wrong.view(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)).view(np.bool_)
 
 
-def worth_a_search(masks: Sequence[BoolArray]) -> bool:
+def enough_missed_pixels(masks: Sequence[BoolArray]) -> bool:
     """Whether ``masks`` of missed pixels cover more than a tiny share of their pictures."""
     missing = sum(int(mask.sum()) for mask in masks)
     return missing > _MIN_MISSED * sum(mask.size for mask in masks)
@@ -114,7 +114,7 @@ def seeds(
 
     ``views``: all training views; ``cores``: their ``missed`` masks; ``sh_degree``: the scene's. Deterministic.
     """
-    if settings.max_seeds <= 0 or not worth_a_search(cores):
+    if settings.max_seeds <= 0 or not enough_missed_pixels(cores):
         return empty_splats(sh_degree)
     step = max(1, -(-sum(int(core.sum()) for core in cores) // settings.max_rays))
     with side_by_side(threads) as each:

@@ -14,7 +14,7 @@ import pytest
 import decogs.encoder.coding.packets as packets
 from decogs.codec.corrections import ANGLE_STEP, COLOUR_STEP, Correction
 from decogs.codec.digest import digest
-from decogs.decoder.camera_corrections import as_it_stood, with_odds
+from decogs.decoder.camera_corrections import apply_gain, as_it_stood
 from decogs.decoder.decoding import decode
 from decogs.decoder.rasterise import Rendering, render
 from decogs.decoder.stream import open_stream
@@ -24,7 +24,7 @@ from decogs.encoder.backends.cpu.cpu_kernel import HostPicture
 from decogs.encoder.input.compensation import CorrectionMemory, Corrector, corrector_of
 from decogs.encoder.input.compensation.agreement import SharedSurface, agreeing_shifts
 from decogs.encoder.input.compensation.benefit import Benefit
-from decogs.encoder.input.compensation.colour import odds_shift, without_odds
+from decogs.encoder.input.compensation.colour import logit_shift, remove_gain
 from decogs.encoder.input.compensation.shake import angles_of, turn_of, unturned
 from decogs.encoder.input.ingest import Ingest, View
 from decogs.encoder.settings.compensation import CorrectionSettings
@@ -52,7 +52,7 @@ def some_picture(seed: int, height: int = 90, width: int = 120) -> np.ndarray:
 
 def recorded_of(shown: np.ndarray, shift: tuple[float, ...], seed: int = 0, noise: float = 1.2) -> np.ndarray:
     odds: Any = tuple(np.exp(shift))
-    clean = with_odds(shown.transpose(1, 2, 0).astype(np.float64), odds)
+    clean = apply_gain(shown.transpose(1, 2, 0).astype(np.float64), odds)
     noisy = clean + np.random.default_rng(seed).normal(0, noise / 255, clean.shape)
     return planar(np.clip(np.rint(255 * noisy) / 255, 0, 1))
 
@@ -65,14 +65,14 @@ def test_the_shift_is_found_whatever_moves() -> None:
     shown = some_picture(1)
     recorded = recorded_of(shown, SHIFT)
     recorded[:, 20:60, 10:64] = some_picture(9)[:, :40, :54]
-    found = odds_shift(recorded, shown)
+    found = logit_shift(recorded, shown)
     np.testing.assert_allclose(found.shift, SHIFT, atol=0.005)
     assert np.all(found.precision > 100)
 
 
 def test_a_jump_of_two_stops_is_found() -> None:
     shown = some_picture(2)
-    np.testing.assert_allclose(odds_shift(recorded_of(shown, (1.4, 1.4, 1.4)), shown).shift, 1.4, atol=0.01)
+    np.testing.assert_allclose(logit_shift(recorded_of(shown, (1.4, 1.4, 1.4)), shown).shift, 1.4, atol=0.01)
 
 
 def test_what_is_clipped_or_was_not_recorded_does_not_tell() -> None:
@@ -80,8 +80,8 @@ def test_what_is_clipped_or_was_not_recorded_does_not_tell() -> None:
     recorded, valid = recorded_of(shown, SHIFT), np.ones((90, 120), np.float32)
     recorded[:, :30], recorded[:, 30:40] = 1.0, 0.0
     recorded[:, :, 100:], valid[:, 100:] = 0.5, 0
-    np.testing.assert_allclose(odds_shift(recorded, shown, valid).shift, SHIFT, atol=0.005)
-    nothing = odds_shift(np.zeros_like(shown), shown)
+    np.testing.assert_allclose(logit_shift(recorded, shown, valid).shift, SHIFT, atol=0.005)
+    nothing = logit_shift(np.zeros_like(shown), shown)
     assert not nothing.shift.any()
     assert not nothing.precision.any()
 
@@ -89,9 +89,9 @@ def test_what_is_clipped_or_was_not_recorded_does_not_tell() -> None:
 def test_taking_a_shift_out_gives_the_scenes_colours() -> None:
     shown = some_picture(4)
     recorded = recorded_of(shown, SHIFT, noise=0)
-    np.testing.assert_allclose(without_odds(recorded, Correction(819, 0, 0).odds).shape, shown.shape)
+    np.testing.assert_allclose(remove_gain(recorded, Correction(819, 0, 0).odds_gain).shape, shown.shape)
     odds: Any = tuple(np.exp(SHIFT))
-    np.testing.assert_allclose(without_odds(recorded, odds), shown, atol=0.004)  # 8 bits, a step widened by the odds
+    np.testing.assert_allclose(remove_gain(recorded, odds), shown, atol=0.004)  # 8 bits, a step widened by the odds
 
 
 # Pose
@@ -226,7 +226,7 @@ def test_light_stays_in_a_cameras_picture(tiny_rig: Any, light: np.ndarray, all_
     memory = corrector.begin(draw)
     found = corrector.find(memory, pictures, lambda number: draw(number).rgb)
     for name in cameras:
-        odds = np.log(found[name].odds)
+        odds = np.log(found[name].odds_gain)
         np.testing.assert_allclose(odds, own if name == "cam01" else 0, atol=0.02)
 
 
@@ -245,8 +245,8 @@ def test_light_that_only_some_points_see_stays_too(tiny_rig: Any) -> None:
     corrector = Corrector(views, CorrectionSettings(exposure=("cam01",), white_balance=("cam01",)))
     memory = corrector.begin(draw)
     found = corrector.find(memory, pictures, lambda number: draw(number).rgb)
-    np.testing.assert_allclose(np.log(found["cam01"].odds), 0, atol=0.02)
-    assert np.abs(odds_shift(pictures[1], draw(1).rgb).shift).max() > 0.1, "alone it looks like a drift"
+    np.testing.assert_allclose(np.log(found["cam01"].odds_gain), 0, atol=0.02)
+    assert np.abs(logit_shift(pictures[1], draw(1).rgb).shift).max() > 0.1, "alone it looks like a drift"
 
 
 def test_a_correction_pays_where_the_scene_agrees_with_it() -> None:
@@ -254,7 +254,7 @@ def test_a_correction_pays_where_the_scene_agrees_with_it() -> None:
     changed[:40] = True
     recorded = recorded_of(shown, SHIFT)
     odds: Any = tuple(np.exp(SHIFT))
-    right = without_odds(recorded, odds)
+    right = remove_gain(recorded, odds)
     for corrected, left, pays in ((right, recorded, True), (recorded, right, False), (recorded, recorded, True)):
         benefit = Benefit()
         for _ in range(3):
@@ -280,7 +280,7 @@ def test_light_that_the_scene_has_not_followed_yet_is_no_cameras_loss(tiny_rig: 
     show = lambda number: draw(number).rgb  # noqa: E731
     for _ in range(4):
         found = corrector.find(memory, recorded, show)
-        np.testing.assert_allclose(np.log(found["cam01"].odds), 0.3, atol=0.02)
+        np.testing.assert_allclose(np.log(found["cam01"].odds_gain), 0.3, atol=0.02)
         memory = corrector.judge(memory, recorded, found, show, unchanged)
         assert not memory.dropped
 
@@ -390,8 +390,8 @@ def test_a_decoder_shows_what_a_camera_recorded(corrected: Any, faulty_rig: Path
             decode(corrected.path, folder, view=name, drift_free=drift_free)
             for frame, path in enumerate(sorted(folder.iterdir())):
                 video = read_picture(faulty_rig / name / f"{frame:04d}.png")
-                left = odds_shift(*(planar(picture / np.float32(255)) for picture in (video, read_picture(path))))
-                expected = np.log(told[frame][name].odds) if drift_free else 0
+                left = logit_shift(*(planar(picture / np.float32(255)) for picture in (video, read_picture(path))))
+                expected = np.log(told[frame][name].odds_gain) if drift_free else 0
                 # The scene is a crude one: whole pictures of it are up to .11 off what the shared points tell.
                 np.testing.assert_allclose(left.shift, expected, atol=0.12)
 

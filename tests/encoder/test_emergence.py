@@ -16,7 +16,7 @@ from decogs.encoder.input.ingest import View
 from decogs.encoder.numerics import bilinear
 from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings
 from decogs.encoder.training import seeding
-from decogs.encoder.training.seeding import SearchView, missed, worth_a_search
+from decogs.encoder.training.seeding import SearchView, enough_missed_pixels, missed
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import SH_C0, Splats, join_splats, take_splats
 from one_frame import sparse_trainer, train
@@ -135,14 +135,14 @@ def test_seeds_have_the_scenes_harmonics_and_half_transparent_round_shapes(appea
 def test_what_is_rendered_already_needs_no_seeds(kernel: CpuKernel, wall: Splats) -> None:
     whole = join_splats(wall, sphere())
     same = search_views(kernel, whole, whole)
-    assert not worth_a_search([missed(view) for view in same])
+    assert not enough_missed_pixels([missed(view) for view in same])
     assert len(seeds(same, SETTINGS, 0)) == 0
 
 
 def test_a_change_of_light_on_old_surfaces_needs_no_seeds(kernel: CpuKernel, wall: Splats) -> None:
     whole = join_splats(wall, sphere())
     changed = search_views(kernel, relit(whole), whole)
-    assert worth_a_search([missed(view) for view in changed])
+    assert enough_missed_pixels([missed(view) for view in changed])
     # At the silhouette a pixel's mean depth is of neither surface: some rays are fooled (27), at most 2 %.
     assert len(seeds(changed, SETTINGS, 0)) < 0.02 * SETTINGS.max_rays
 

@@ -125,7 +125,7 @@ def test_an_encode_loses_nothing_of_it_to_the_noise_threshold(
         )
         psnr.append(min(frame.training_psnr for frame in report.frames[1:]))
         assert report.frames[1].kind != "skip"
-        assert not any(frame.overlooked for frame in report.frames), "the masks themselves see it"
+        assert not any(frame.full_frame_change for frame in report.frames), "the masks themselves see it"
     assert psnr[1] > psnr[0] - 1
 
 

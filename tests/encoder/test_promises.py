@@ -75,7 +75,7 @@ def test_the_largest_component_of_a_keyframes_rotations_is_one(monkeypatch: pyte
     optimiser = SimpleNamespace(splats=splats, gradient_size=lambda name: np.zeros_like(getattr(splats, name)))
     stub: Any = SimpleNamespace(_optimiser=optimiser, _settings=SimpleNamespace(rd_lambda=1.0), _losses=[])
     lattice = default_lattice(1.0)
-    one, judged = round(1 / lattice.quaternions), keyframe._KeyframeTraining._judged(stub, lattice).quaternions
+    one, judged = round(1 / lattice.quaternions), keyframe._KeyframeTraining._rd_quantised(stub, lattice).quaternions
     np.testing.assert_array_equal(judged[:9], [[one, 0, 0, 0]] * 9)
     np.testing.assert_array_equal(judged[9, 1:], [one, 0, 0], "not the commonest, 0")
 
@@ -152,7 +152,7 @@ def test_the_masks_remember_what_was_trained_and_whether_it_moved(
     plan = FramePlan(Selection([stub(dilated=None)], np.ones(3, bool)), effects, preset("draft").frame)  # type: ignore[list-item]
     frame: Any = stub(pictures=[], restarted=False)
     event = Event(Kind.CHANGE, before, memory, [])
-    commit(context, event, plan, frame, after, stub(kept=np.arange(3), hurried=False, rejected=False), Stopwatch())
+    commit(context, event, plan, frame, after, stub(kept=np.arange(3), truncated=False, rejected=False), Stopwatch())
     assert told == (["motion" in effects] if changed else [])
 
 

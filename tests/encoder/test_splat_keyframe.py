@@ -48,7 +48,7 @@ def begin(moving_rig: Path, tiny_settings: Any, tiny_rig: Any, tmp_path: Path) -
 
 @pytest.mark.parametrize("name", ["scene.ply", "scene.spz"])
 def test_an_exported_keyframe_comes_back(begin: Any, moving: Any, exported: Path, name: str) -> None:
-    """Within the .1 dB that a lattice may cost; what comes after it is trained as ever."""
+    """Within the .1 dB that a lattice may cost; later frames are trained as after any keyframe."""
     report, warnings = begin(exported / name, frames=range(0, 2))
     was = moving.report.frames
     assert report.frames[0].training_psnr > was[0].training_psnr - MAX_LOST

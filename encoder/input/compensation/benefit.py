@@ -46,13 +46,15 @@ class Benefit:
     blocks: F64 = field(default_factory=lambda: np.zeros(2))
     frames: int = 0
 
-    def seen(self, corrected: FloatArray, left: FloatArray, shown: FloatArray, changed: NDArray[np.bool_]) -> Benefit:
+    def seen(
+        self, corrected: FloatArray, left: FloatArray, rendered: FloatArray, changed: NDArray[np.bool_]
+    ) -> Benefit:
         """With a frame's picture with the correction, the one without, and the scene, all (3, H, W).
 
         ``changed`` (H, W): where the picture changed.
         """
         mine, others = (
-            np.square(np.minimum(np.abs(picture - shown), _MAX_ERROR), dtype=np.float64).sum(axis=0)
+            np.square(np.minimum(np.abs(picture - rendered), _MAX_ERROR), dtype=np.float64).sum(axis=0)
             for picture in (corrected, left)
         )
         sums = []

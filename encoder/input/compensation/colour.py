@@ -1,4 +1,4 @@
-"""Exposure and white balance of a camera as shifts of its colours' odds against the scene's, per channel.
+"""Exposure and white balance of a camera as shifts of its colours' logits against the scene's, per channel.
 
 A gain on light before a display's curve, which nobody knows, is within 0.02 dB of a factor on the odds v / (1 - v) of
 the coded value: black and white stay, nothing is clipped, and the inverse is the same with
@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.decoder.camera_corrections import with_odds
+from decogs.decoder.camera_corrections import apply_gain
 from decogs.formats.splats import FloatArray, logit
 
 from ...numerics import tukey
@@ -31,27 +31,29 @@ _MEDIAN_SAMPLES = 4000
 """Residuals whose median is taken, which gives it to two per cent."""
 
 
-class OddsShift(NamedTuple):
-    """Per channel, (3,) float64: the shift of the logarithm of the odds, and how well it is known (0: not at all)."""
+class LogitShift(NamedTuple):
+    """Per channel, (3,) float64: the shift of the logit log(v / (1 - v)), and its precision (0: unknown)."""
 
     shift: NDArray[np.float64]
     precision: NDArray[np.float64]
 
-    def without(self, shift: NDArray[np.float64]) -> OddsShift:
+    def without(self, shift: NDArray[np.float64]) -> LogitShift:
         """What is left when ``shift`` (3,) counts as none."""
         return self._replace(shift=self.shift - shift)
 
 
-def odds_shift(recorded: FloatArray, shown: FloatArray, valid: FloatArray | None = None) -> OddsShift:
-    """How far the odds of ``recorded`` are from those of ``shown``, both (3, H, W), whatever moves between the two.
+def logit_shift(recorded: FloatArray, rendered: FloatArray, valid: FloatArray | None = None) -> LogitShift:
+    """How far the logits of ``recorded`` are from those of ``rendered``, both (3, H, W), robust to motion.
 
     ``valid`` (H, W) is 0 where nothing was recorded. Undetermined channels get 0.
     """
-    step = max(1, round(np.sqrt(shown[0].size / _MAX_PIXELS)))
+    step = max(1, round(np.sqrt(rendered[0].size / _MAX_PIXELS)))
     grid = np.s_[::step, ::step]
     known = None if valid is None else valid[grid] > 0
-    pairs = [_channel_shift(recorded[channel][grid], shown[channel][grid], known) for channel in range(len(shown))]
-    return OddsShift(np.array([shift for shift, _ in pairs]), np.array([precision for _, precision in pairs]))
+    pairs = [
+        _channel_shift(recorded[channel][grid], rendered[channel][grid], known) for channel in range(len(rendered))
+    ]
+    return LogitShift(np.array([shift for shift, _ in pairs]), np.array([precision for _, precision in pairs]))
 
 
 def unclipped(values: FloatArray) -> NDArray[np.bool_]:
@@ -66,21 +68,21 @@ def tukey_weights(residuals: FloatArray) -> FloatArray:
     return tukey(residuals, _TUKEY * spread)
 
 
-def without_odds(picture: FloatArray, odds: tuple[float, float, float]) -> FloatArray:
+def remove_gain(picture: FloatArray, odds_gain: tuple[float, float, float]) -> FloatArray:
     """A recorded picture (3, H, W) in the scene's own colours."""
-    red, green, blue = odds
-    planes = with_odds(picture.transpose(1, 2, 0), (1 / red, 1 / green, 1 / blue))
+    red, green, blue = odds_gain
+    planes = apply_gain(picture.transpose(1, 2, 0), (1 / red, 1 / green, 1 / blue))
     return np.ascontiguousarray(planes.transpose(2, 0, 1))
 
 
-def _channel_shift(recorded: FloatArray, shown: FloatArray, known: NDArray[np.bool_] | None) -> tuple[float, float]:
+def _channel_shift(recorded: FloatArray, rendered: FloatArray, known: NDArray[np.bool_] | None) -> tuple[float, float]:
     """Gauss-Newton on the corrected picture; weighed by the scene's value, so that recorded noise has no bias."""
-    inside = unclipped(recorded) & unclipped(shown)
+    inside = unclipped(recorded) & unclipped(rendered)
     if known is not None:
         inside &= known
     if not inside.any():
         return 0.0, 0.0
-    v, s = recorded[inside], shown[inside]
+    v, s = recorded[inside], rendered[inside]
     slope = s * (1 - s)
     shift = float(np.median(logit(v) - logit(s)))
     precision = 0.0

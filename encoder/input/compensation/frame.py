@@ -9,8 +9,8 @@ from decogs.codec.corrections import Corrections
 
 from ...stopwatch import Stopwatch
 from ..ingest import RigFrame, View
-from . import CorrectionMemory, Corrector, Show
-from .colour import without_odds
+from . import CorrectionMemory, Corrector, RenderView
+from .colour import remove_gain
 
 
 def matched(frame: RigFrame, views: Sequence[View], colours: Corrections) -> RigFrame:
@@ -18,20 +18,20 @@ def matched(frame: RigFrame, views: Sequence[View], colours: Corrections) -> Rig
     if not colours:
         return frame
     pictures = [
-        without_odds(picture, colours[view.camera.name].odds) if view.camera.name in colours else picture
+        remove_gain(picture, colours[view.camera.name].odds_gain) if view.camera.name in colours else picture
         for view, picture in zip(views, frame.training, strict=True)
     ]
     return replace(frame, training=pictures)
 
 
 def corrections_of(
-    frame: RigFrame, corrector: Corrector | None, memory: CorrectionMemory | None, show: Show, watch: Stopwatch
+    frame: RigFrame, corrector: Corrector | None, memory: CorrectionMemory | None, render: RenderView, watch: Stopwatch
 ) -> Corrections:
-    """A matched frame's corrections against the scene before it, as ``show`` draws it."""
+    """A matched frame's corrections against the scene before it, as ``render`` draws it."""
     if corrector is None or memory is None:
         return {}
     with watch.stage("corrections"):
-        return corrector.find(memory, frame.training, show)
+        return corrector.find(memory, frame.training, render)
 
 
 def compensated(frame: RigFrame, corrector: Corrector | None, corrections: Corrections) -> RigFrame:

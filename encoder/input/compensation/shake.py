@@ -50,17 +50,17 @@ def unturned(picture: FloatArray, camera: Camera, rotation: F64) -> FloatArray:
     return np.ascontiguousarray(warped.transpose(2, 0, 1))
 
 
-def turn_of(recorded: FloatArray, shown: FloatArray, camera: Camera, valid: FloatArray | None = None) -> F64:
-    """The rotation (3, 3) by which the camera was turned when it recorded the picture, against the ``shown`` one.
+def turn_of(recorded: FloatArray, rendered: FloatArray, camera: Camera, valid: FloatArray | None = None) -> F64:
+    """The rotation (3, 3) by which the camera was turned when it recorded the picture, against the ``rendered`` view.
 
     Both (3, H, W) of the pinhole ``camera``, of like colours. ``valid`` (H, W) is 0 where nothing was recorded.
     """
-    rotation, finest = np.eye(3), min(1.0, np.sqrt(_MAX_SHAKE_PIXELS / shown[0].size))
+    rotation, finest = np.eye(3), min(1.0, np.sqrt(_MAX_SHAKE_PIXELS / rendered[0].size))
     for level in _LEVELS:
         small = scale_camera(camera, level * finest)
         if level < 1 and min(small.width, small.height) < _MIN_SIDE_PIXELS:
             continue
-        target, source = resized(shown, small), resized(recorded, small)
+        target, source = resized(rendered, small), resized(recorded, small)
         known = None if valid is None else cv2.resize(valid, (small.width, small.height)) > 0.99
         columns = _flow_gradients(target, small)
         for _ in range(_STEPS_PER_LEVEL):

@@ -64,4 +64,4 @@ class PaperTrainer:
         trained = training.outcome(work, moved(work, cache), before, sample)
         if frame.stopping.deadline is not None:
             self.min_seconds = seconds_at_least(time.perf_counter() - began, schedule)
-        return trained if trained.rejected else replace(trained, hurried=schedule.is_cut_short)
+        return trained if trained.rejected else replace(trained, truncated=schedule.is_truncated)

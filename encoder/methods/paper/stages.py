@@ -47,7 +47,7 @@ def train_jointly(
         if schedule.is_over:
             break
         gradients = _through(cache, training.gradients(step, work, moved(work, cache)).host())
-        if target is not None and target.saw(step.view, training.context.static_views[step.view].rgb):
+        if target is not None and target.update(step.view, training.context.static_views[step.view].rgb):
             break
         work.optimiser.step(gradients, rates_at(training.settings, training.context.extent, schedule))
         schedule.step()

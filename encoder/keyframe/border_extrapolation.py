@@ -1,7 +1,7 @@
-"""Gaussians beside the training pictures: what is there goes on, blurred, instead of ending in black.
+"""Gaussians beside the training pictures: their borders extrapolated, blurred, instead of black.
 
-A free viewpoint looks past the borders of all pictures. Depths go on as planes, colours as ever wider means of what is
-at the border, so that detail fades with the distance from it. No picture contradicts these Gaussians: none stands where
+A free viewpoint looks past the borders of all pictures. Depths go on as planes, colours as means over more and more
+of the border, so that detail fades with the distance from it. No picture contradicts these Gaussians: none stands where
 one looks. Rejected: a background of the pictures' mean colour, which shows through surfaces in training.
 Figures: DESIGN.md, "Keyframe".
 """
@@ -59,7 +59,7 @@ class _Blobs:
     sigma: NDArray[np.float64]
 
 
-def surroundings(
+def border_extrapolation(
     kernel: TrainingKernel,
     views: Sequence[View],
     pictures: Sequence[FloatArray],
@@ -115,7 +115,7 @@ def _blobs_beside(views: Sequence[View], wide: Sequence[_WidePicture], distance:
         for picture in wide:
             row, column = _free_cells(picture, blobs.xyz, cell, begin, end)
             more = _blobs_at(picture, row, column, cell)
-            unseen = ~_shown(views, more)
+            unseen = ~_reach_into_pictures(views, more)
             blobs = _Blobs(
                 np.concatenate([blobs.xyz, more.xyz[unseen]]),
                 np.concatenate([blobs.rgb, more.rgb[unseen]]),
@@ -124,15 +124,15 @@ def _blobs_beside(views: Sequence[View], wide: Sequence[_WidePicture], distance:
     return blobs
 
 
-def _shown(views: Sequence[View], blobs: _Blobs) -> NDArray[np.bool_]:
-    """Which of them reach into the picture of a view."""
-    shown = np.zeros(len(blobs.xyz), np.bool_)
+def _reach_into_pictures(views: Sequence[View], blobs: _Blobs) -> NDArray[np.bool_]:
+    """Which of them, (P,), reach into the picture of a view."""
+    reaching = np.zeros(len(blobs.xyz), np.bool_)
     for camera in (view.pinhole for view in views):
         u, v, depth = project(camera, blobs.xyz)
         with np.errstate(divide="ignore", invalid="ignore"):
             x, y = (_CLEARANCE_SIGMAS * focal * blobs.sigma / depth for focal in (camera.fx, camera.fy))
-        shown |= (depth > 0) & (u > -x) & (u < camera.width + x) & (v > -y) & (v < camera.height + y)
-    return shown
+        reaching |= (depth > 0) & (u > -x) & (u < camera.width + x) & (v > -y) & (v < camera.height + y)
+    return reaching
 
 
 def _free_cells(
