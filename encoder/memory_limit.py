@@ -41,7 +41,7 @@ _IN_VIEW = 1000
 """Of a Gaussian in a view: its projection, and its entries in the tiles that it meets, some ten of them; both again
 while it is trained."""
 _NEXT_SEGMENT = 28
-"""Of a training pixel while the next closed segment is trained for the frames that go over to it: references, the
+"""Of a training pixel while the next closed segment is trained for a cross-fade: references, the
 picture before, masks."""
 _FADE_VIEW = 52
 """Of a pixel of a view in which two segments are compared: as drawn, its gradient, the mixture, weights."""
@@ -84,11 +84,11 @@ def encode_memory(
 
 
 def _fade_memory(ingest: Ingest, gaussians: int) -> int:
-    """Bytes that it takes to train the next closed segment, or then to go over to it, whichever is more."""
+    """Bytes of training the next closed segment, or of the fade into it, whichever is more."""
     compared = fade_cameras([view.pinhole for view in ingest.views])
     each = sum(camera.width * camera.height for camera in compared) * _FADE_VIEW
-    apart = sum(view.pinhole.width * view.pinhole.height for view in ingest.views) * _NEXT_SEGMENT
-    return max(apart, each + gaussians * len(compared) * _IN_FADE_VIEW)
+    segment = sum(view.pinhole.width * view.pinhole.height for view in ingest.views) * _NEXT_SEGMENT
+    return max(segment, each + gaussians * len(compared) * _IN_FADE_VIEW)
 
 
 def memory_within(

@@ -98,8 +98,8 @@ def part_frames(only: Frames, take: range, segment: int) -> range:
 
 def frames_read(frames: range, take: range, settings: EncodeSettings) -> range:
     """The frames that a part of ``frames`` is made from: with a cross-fade, the next segment's first one as well."""
-    goes_over = settings.fading > 0 and (frames.stop - take.start) % settings.segment == 0
-    return range(frames.start, min(frames.stop + goes_over, take.stop))
+    fades = settings.fading > 0 and (frames.stop - take.start) % settings.segment == 0
+    return range(frames.start, min(frames.stop + fades, take.stop))
 
 
 def inputs_of(rig: Rig, first: RigFrame) -> dict[str, str]:
