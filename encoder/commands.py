@@ -506,10 +506,10 @@ def _frames(numbers: Sequence[int]) -> str:
 
 def _missed_budget(report: EncodeReport) -> str:
     """The warning of a stream that exceeds its byte budget; empty when it does not."""
-    from .coding.rate_control import TOLERANCE, over_budget
+    from .coding.rate_control import BYTES_TOLERANCE, over_budget
 
     sizes, budget = [frame.bytes for frame in report.frames[1:]], report.frame_budget
-    if budget is None or (over := over_budget(sizes, budget)) <= TOLERANCE:
+    if budget is None or (over := over_budget(sizes, budget)) <= BYTES_TOLERANCE:
         return ""
     return (
         f"frames after the first take {_mean(sizes):.0f} bytes (mean), {over:.0%} more than the budget of "

@@ -25,7 +25,7 @@ from ..settings.frame import SignificanceSettings
 NEUTRAL_QUALITY = 50.0
 """The preset as it is."""
 
-TOLERANCE = 0.05
+BYTES_TOLERANCE = 0.05
 """Share of the budget by which a clip's mean may miss it without a warning."""
 
 _QUALITIES_PER_OCTAVE = 16.0
@@ -36,7 +36,7 @@ later frames."""
 _RESPONSE_EXPONENT = 0.5
 """Bytes fall with this power of the threshold: measured .41 to .65 (report/budgets.md). The control settles even if
 they fall four times as steeply, or hardly at all."""
-_BYTES_HORIZON = 12
+_BYTES_HORIZON_FRAMES = 12
 """Frames over which savings and overspends are balanced: fewer follow the budget closer, more are steadier."""
 _ESTIMATE_KEPT = 0.5
 """Weight of the old estimate against the newest packet's: a frame's bytes are noisy."""
@@ -156,7 +156,7 @@ class RateControl:
             share -= payment
             saved += payment * (self.segment - 1 - self.place % self.segment)
         low, high = _TARGET_RANGE
-        return min(max((share + saved / _BYTES_HORIZON) / self.budget, low * share / self.budget), high)
+        return min(max((share + saved / _BYTES_HORIZON_FRAMES) / self.budget, low * share / self.budget), high)
 
 
 def _scaled(settings: SignificanceSettings, factor: float) -> SignificanceSettings:

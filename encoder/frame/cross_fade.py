@@ -28,7 +28,7 @@ from ..training.schedule import LATE_DECAY
 from ..training.significance import picture_weight
 from ..training.view_order import view_order
 
-_MAX_PIXELS = 240_000
+_MAX_FADE_PIXELS = 240_000
 """Maximum pixels per cross-fade view. Smaller views blur detail: -.4 dB at a fifth of 352x264."""
 
 _STEPS_FACTOR, _RATES_FACTOR = 2, 0.4
@@ -56,7 +56,7 @@ class CrossFade:
 
 
 def fade_cameras(cameras: Sequence[Camera]) -> list[Camera]:
-    """The ``cameras``, and others half way between neighbours, with pictures of at most _MAX_PIXELS.
+    """The ``cameras``, and others half way between neighbours, with pictures of at most _MAX_FADE_PIXELS.
 
     Two are neighbours if no third one is nearer to both. One that has a single neighbour, as at the end of an arc, has
     another camera half way in the opposite direction.
@@ -92,7 +92,7 @@ def _between(camera: Camera, other: Camera, share: float) -> Camera:
 
 
 def _small(camera: Camera) -> Camera:
-    return scale_camera(camera, min(1.0, math.sqrt(_MAX_PIXELS / (camera.width * camera.height))))
+    return scale_camera(camera, min(1.0, math.sqrt(_MAX_FADE_PIXELS / (camera.width * camera.height))))
 
 
 def with_exact_changes(settings: FrameSettings) -> FrameSettings:
