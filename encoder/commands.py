@@ -95,9 +95,9 @@ def _add_quality(group: argparse._ArgumentGroup) -> None:
         "--quality",
         type=number,
         metavar="Q",
-        help="0 (smallest) to 100 (most exact), default 50: the preset. Every 16 points lower double the significance "
-        "threshold and what a bit is worth, and make lattice steps 1.19 times as coarse (with --keyframe, the lattice "
-        "is the keyframe's)",
+        help="0 (smallest) to 100 (most exact), default 50: the preset. 16 points lower: twice the threshold and "
+        "lambda, lattice steps 1.19 times as coarse, roughly .7 times the bytes (with --keyframe, the lattice is the "
+        "keyframe's)",
     )
     group.add_argument("--lossless", action="store_true", help="code every change, exact to the lattice")
     group.add_argument(
@@ -154,8 +154,8 @@ def _add_long_takes(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         "--only",
         metavar="A:B",
-        help="encode a part, for decogs-join: these frames of the rig, whole segments, from the first keyframe in "
-        "--keyframe PART.DGS; or the first frame alone, which makes that keyframe. Exit code 75: try again",
+        help="encode only frames A:B (whole segments) as a part for decogs-join, with --keyframe PART.DGS; A:A+1 of "
+        "the first frame makes the part whose keyframe the others take. Exit code 75: try again",
     )
     group.add_argument(
         "--cluster",
@@ -500,16 +500,16 @@ def _frames(numbers: Sequence[int]) -> str:
             runs[-1][1] = frame
         else:
             runs.append([frame, frame])
-    said = ", ".join(f"{first} to {last}" if last > first else str(first) for first, last in runs)
-    return f"frame{'s'[: len(numbers) > 1]} {said}"
+    text = ", ".join(f"{first} to {last}" if last > first else str(first) for first, last in runs)
+    return f"frame{'s'[: len(numbers) > 1]} {text}"
 
 
 def _missed_budget(report: EncodeReport) -> str:
-    """What to say of a stream that takes more than it should; empty when it does not."""
-    from .coding.rate_control import TOLERANCE, over_budget
+    """The warning of a stream that exceeds its byte budget; empty when it does not."""
+    from .coding.rate_control import BYTES_TOLERANCE, over_budget
 
     sizes, budget = [frame.bytes for frame in report.frames[1:]], report.frame_budget
-    if budget is None or (over := over_budget(sizes, budget)) <= TOLERANCE:
+    if budget is None or (over := over_budget(sizes, budget)) <= BYTES_TOLERANCE:
         return ""
     return (
         f"frames after the first take {_mean(sizes):.0f} bytes (mean), {over:.0%} more than the budget of "
@@ -518,16 +518,16 @@ def _missed_budget(report: EncodeReport) -> str:
 
 
 def _missed_time(report: EncodeReport) -> str:
-    """What to say of frames that take longer than they should; empty when they do not."""
+    """The warning of frames that exceed their time budget; empty when they do not."""
     from .coding.time_control import TIME_TOLERANCE, counted_seconds, over_time
 
     frames, budget = [frame.seconds for frame in report.frames[1:] if not frame.replayed], report.time_budget
     if budget is None or (over := over_time(frames, budget)) <= TIME_TOLERANCE:
         return ""
-    took, trained = _mean([counted_seconds(f) for f in frames]), _mean([f.get("training", 0.0) for f in frames])
+    spent, trained = _mean([counted_seconds(f) for f in frames]), _mean([f.get("training", 0.0) for f in frames])
     return (
-        f"frames after the first take {took:.3g} s (mean), {over:.0%} more than the budget of {budget:.3g}; "
-        f"masks, selection and coding take a fixed {took - trained:.3g} s of it; raise the budget, or lower --scale "
+        f"frames after the first take {spent:.3g} s (mean), {over:.0%} more than the budget of {budget:.3g}; "
+        f"masks, selection and coding take a fixed {spent - trained:.3g} s of it; raise the budget, or lower --scale "
         "or --preset"
     )
 

@@ -39,16 +39,16 @@ from .settings.encode import EncodeSettings
 from .settings.frame import SignificanceSettings
 from .training.method import TrainedFrame
 
-_NEUTRAL, _PER_OCTAVE, _NEUTRAL_SCALE = 50.0, 25.0, 0.5
-_HYSTERESIS = 0.75
+_NEUTRAL_QUALITY, _QUALITIES_PER_DOUBLING, _NEUTRAL_SCALE = 50.0, 25.0, 0.5
+_HYSTERESIS_STEPS = 0.75
 """Lattice steps from a value's integer within which the integer stays: noise between frames is not coded."""
-_STRAY = 0.05
+_MAX_JUMP_FRACTION = 0.05
 """Median way of a row between two frames, as a share of the scene, beyond which rows are in no common order."""
-_LEVEL = 15
-_COPIES = 12
+_ZSTD_LEVEL = 15
+_FLOAT_COPIES = 12
 """Of its floats that a Gaussian takes: 11 were measured of two frames that are matched by position (SH degree 3)."""
-_CAMERA_WIDTH, _CAMERA_HEIGHT, _FOCAL = 1280, 720, 1100.0
-_PACKED = "packed"
+_CAMERA_WIDTH, _CAMERA_HEIGHT, _FOCAL_PIXELS = 1280, 720, 1100.0
+_PACKED_SETTING = "packed"
 """The setting that marks a packed stream; without it, it is of an encode that could be resumed."""
 
 
@@ -67,7 +67,7 @@ def pack(
     output: str | os.PathLike[str] | BinaryIO,
     *,
     fps: float | None = None,
-    quality: float = _NEUTRAL,
+    quality: float = _NEUTRAL_QUALITY,
     lossless: bool = False,
     segment: int = 0,
     max_memory: int = DEFAULT_MAX_MEMORY,
@@ -89,8 +89,8 @@ def pack(
     inputs = [path for _, path in named]
     check_outputs([Output("output", target, grows=True)], [(path, "is read") for path in inputs])
     warn = on_warning or (lambda text: None)
-    room, sizes = Room(DEFAULT_MAX_GAUSSIANS, max_memory, _COPIES), list[int]()
-    with open_output(target, resumable=False, expendable=lambda left, _: _PACKED in left.settings) as stream:
+    room, sizes = Room(DEFAULT_MAX_GAUSSIANS, max_memory, _FLOAT_COPIES), list[int]()
+    with open_output(target, resumable=False, expendable=lambda left, _: _PACKED_SETTING in left.settings) as stream:
         try:
             packing, file = None, None
             for index, path in enumerate(inputs):
@@ -98,7 +98,7 @@ def pack(
                 if packing is None:
                     header = _header(path, file, scale, fps=fps, first=named[0][0])
                     packing = _Packing(
-                        header, stream, EncodeSettings(segment=segment, zstd_level=_LEVEL), exact=lossless
+                        header, stream, EncodeSettings(segment=segment, zstd_level=_ZSTD_LEVEL), exact=lossless
                     )
                 sizes.append(packing.add(path, file.splats))
                 if on_frame is not None:
@@ -160,7 +160,7 @@ class _Packing:
         """Rows of the state, whose positions were ``before``, that go on, ascending, and their rows in the file."""
         if len(splats) == len(before):
             way = np.linalg.norm(splats.means[self._place].astype(np.float64) - before, axis=1)
-            if np.median(way) <= _STRAY * robust_extent(before)[0]:
+            if np.median(way) <= _MAX_JUMP_FRACTION * robust_extent(before)[0]:
                 return np.arange(len(before)), self._place
         self.by_position += 1
         reach = max(robust_extent(before)[0], 1e-12) / np.sqrt(len(before))
@@ -171,7 +171,7 @@ def _with_hysteresis(before: Splats, now: Splats, lattice: Lattice) -> Splats:
     """``now``, with the decoder's values where they are within the hysteresis; rotations as they are."""
 
     def steady(was: NDArray[np.float32], values: NDArray[np.float32], step: object) -> NDArray[np.float32]:
-        near = np.abs(values.astype(np.float64) - was) <= _HYSTERESIS * np.asarray(step, np.float64)
+        near = np.abs(values.astype(np.float64) - was) <= _HYSTERESIS_STEPS * np.asarray(step, np.float64)
         return np.where(near, was, values)
 
     sh_steps = np.full((before.sh.shape[1], 1), lattice.sh_rest)
@@ -195,7 +195,9 @@ def _checked_scale(quality: float, fps: float | None, segment: int, frames: int,
         raise UsageError(f"`segment` {segment}: give a number of frames, or 0 for a single keyframe")
     if frames > MAX_FRAME:
         raise UsageError(f"a stream holds {MAX_FRAME} frames, and there are {frames} files; give fewer")
-    return float(_NEUTRAL_SCALE * 2 ** ((_NEUTRAL - (100.0 if lossless else quality)) / _PER_OCTAVE))
+    return float(
+        _NEUTRAL_SCALE * 2 ** ((_NEUTRAL_QUALITY - (100.0 if lossless else quality)) / _QUALITIES_PER_DOUBLING)
+    )
 
 
 def _read(path: Path, room: Room, warn: OnWarning, *, first: bool) -> SplatFile:
@@ -223,7 +225,7 @@ def _header(path: Path, file: SplatFile, scale: float, *, fps: float | None, fir
         first_frame=min(first, MAX_FRAME),
         effects=(*effects, *(("view_dependence",) if file.splats.sh_degree else ())),
         units="world units of the files",
-        settings={"lattice_scale": scale, _PACKED: path.name},
+        settings={"lattice_scale": scale, _PACKED_SETTING: path.name},
     )
     try:
         header.to_bytes()
@@ -236,7 +238,14 @@ def _overview(extent: float, centre: Vector, up: Literal["Y", "-Y"]) -> Camera:
     """A camera before the scene, upright as files of this format are, from which its extent fills the picture."""
     pose = np.diag([1.0, 1.0, 1.0, 1.0] if up == "-Y" else [1.0, -1.0, -1.0, 1.0])
     pose[:3, 3] = -pose[:3, :3] @ np.asarray(centre)
-    pose[2, 3] += extent * (0.5 + _FOCAL / _CAMERA_HEIGHT)
+    pose[2, 3] += extent * (0.5 + _FOCAL_PIXELS / _CAMERA_HEIGHT)
     return Camera(
-        "overview", _CAMERA_WIDTH, _CAMERA_HEIGHT, _FOCAL, _FOCAL, _CAMERA_WIDTH / 2, _CAMERA_HEIGHT / 2, pose
+        "overview",
+        _CAMERA_WIDTH,
+        _CAMERA_HEIGHT,
+        _FOCAL_PIXELS,
+        _FOCAL_PIXELS,
+        _CAMERA_WIDTH / 2,
+        _CAMERA_HEIGHT / 2,
+        pose,
     )

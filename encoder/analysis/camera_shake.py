@@ -8,7 +8,7 @@ import numpy as np
 
 from ..settings.encode import EncodeSettings
 from .effect import Decision, Evidence, cameras_beyond, decided, one_span, stated
-from .registration import SHAKE_LIMIT
+from .registration import SHAKE_LIMIT_PIXELS
 from .rig_statistics import RigStatistics
 
 
@@ -18,7 +18,7 @@ class CameraShake:
     name = "camera_shake"
 
     def evidence(self, stats: RigStatistics) -> Evidence:
-        return Evidence(np.stack([path.displacement for path in stats.paths]), "px", SHAKE_LIMIT)
+        return Evidence(np.stack([path.displacement for path in stats.paths]), "px", SHAKE_LIMIT_PIXELS)
 
     def decide(self, stats: RigStatistics, evidence: Evidence) -> Decision:
         shaking = cameras_beyond(evidence)

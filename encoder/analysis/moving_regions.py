@@ -22,10 +22,10 @@ from ..parallel import side_by_side
 from .changes import WINDOW_PIXELS, change_maps
 from .rig_statistics import MAX_PIXELS
 
-_RESTRUCTURED = 0.15
+_MOVING_SHARE = 0.15
 """Restructured share of nearby changes from which something moves: the geometric mean of its largest value for light
 alone (9.5 %, candle) and its least for motion (24 %, real rigs)."""
-_MIN_CHANGED = 4 * WINDOW_PIXELS
+_MIN_CHANGED_PIXELS = 4 * WINDOW_PIXELS
 """Least changed pixels of all views for a frame to be clear."""
 
 
@@ -43,7 +43,7 @@ class _Pixels:
 
     @property
     def moves(self) -> bool:
-        return self.restructured >= max(_RESTRUCTURED * self.near, WINDOW_PIXELS)
+        return self.restructured >= max(_MOVING_SHARE * self.near, WINDOW_PIXELS)
 
 
 def moving_regions(
@@ -65,7 +65,7 @@ def moving_regions(
         return None
     # All views together count as one more, since views may be unclear one by one.
     together = _Pixels(*(sum(getattr(view, each.name) for view in views) for each in fields(_Pixels)))
-    if together.changed < _MIN_CHANGED or any(view.moves for view in (*views, together)):
+    if together.changed < _MIN_CHANGED_PIXELS or any(view.moves for view in (*views, together)):
         return [region for _, region in found]
     return None
 

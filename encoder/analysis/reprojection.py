@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 from decogs.formats.cameras import Camera, camera_centre, in_camera, turned
 
 from ..numerics import tukey
-from .matches import NEAR_LINE, Matches, PairMatches, epipolar_distances
+from .matches import NEAR_LINE_PIXELS, Matches, PairMatches, epipolar_distances
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
-NARROWEST, WIDEST = math.radians(2), math.radians(50)
+MIN_RAYS_ANGLE, MAX_RAYS_ANGLE = math.radians(2), math.radians(50)
 """Angles between two rays within which they place a point: below, depth is a guess; above, surfaces look different."""
-_TURNED = 0.4
+_TURNED_DEGREES = 0.4
 """Degrees from which a camera counts as turned ..."""
 _TURNED_PIXELS = 2.5
 """... if they are so many pixels: matches are not exact."""
@@ -35,16 +35,16 @@ _MIN_PAIR_MATCHES = 20
 """Matches of a pair of cameras from which its epipolar lines are estimated."""
 _MIN_CAMERAS = 4
 """Of three that disagree, any may be the one."""
-_PLAUSIBLE = 0.12
+_MAX_OFFSET = 0.12
 """Largest offset of a right match, in focal lengths: seven degrees."""
 _LAST_REACH = 0.003
 """Reach of the last rounds' weights, in focal lengths: about a pixel."""
 _TURN_ROUNDS = 16
-_MAX_LEFT_OVER = 0.35
+_MAX_RESIDUAL_SHARE = 0.35
 """Largest median of what a turn leaves of the offsets, in shares of the turn."""
-_PLAUSIBLE_DISTANCE = 15.0
+_MAX_LINE_DISTANCE_PIXELS = 15.0
 """Largest distance of a right match from its line, in pixels: a camera turned by three degrees."""
-_NEARER_SHARE = 0.3
+_NEAREST_MATCHES_SHARE = 0.3
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def _turns(cameras: Sequence[Camera], matches: Matches, left: set[int]) -> dict[
 
 def is_turned(camera: Camera, turn: float) -> bool:
     """Whether a turn, in degrees, counts; NaN does not."""
-    return turn >= max(_TURNED, math.degrees(_TURNED_PIXELS / camera.fx))
+    return turn >= max(_TURNED_DEGREES, math.degrees(_TURNED_PIXELS / camera.fx))
 
 
 def epipolar_residuals(cameras: Sequence[Camera], matches: Matches) -> F64:
@@ -94,10 +94,10 @@ def epipolar_residuals(cameras: Sequence[Camera], matches: Matches) -> F64:
     found = np.full(len(cameras), np.nan)
     for pair in matches.pairs:
         distances = np.abs(pair.epipolar_distances(cameras))
-        possible = distances[distances < _PLAUSIBLE_DISTANCE]
+        possible = distances[distances < _MAX_LINE_DISTANCE_PIXELS]
         if len(possible) >= _MIN_PAIR_MATCHES:
             for camera in (pair.first, pair.second):
-                found[camera] = np.fmin(found[camera], float(np.quantile(possible, _NEARER_SHARE)))
+                found[camera] = np.fmin(found[camera], float(np.quantile(possible, _NEAREST_MATCHES_SHARE)))
     return found
 
 
@@ -113,7 +113,7 @@ def reprojections(cameras: Sequence[Camera], matches: Matches, camera: int, othe
         good &= depth > 0
         seen = np.stack([x[good], y[good]], axis=1) / depth[good, None]
         own = _own(pairs[one], camera).rays[rows_one][good]
-        possible = np.abs(own - seen).max(axis=1) < _PLAUSIBLE
+        possible = np.abs(own - seen).max(axis=1) < _MAX_OFFSET
         rays.append(own[possible])
         offsets.append((own - seen)[possible])
     return np.concatenate(rays), np.concatenate(offsets)
@@ -138,8 +138,8 @@ def triangulated(one: Camera, two: Camera, here: F64, there: F64) -> tuple[F64, 
     reach_a, reach_b = (along_a - cosine * along_b) / apart, (cosine * along_a - along_b) / apart
     points = (centres[0] + reach_a[:, None] * a + centres[1] + reach_b[:, None] * b) / 2
     angle = np.arccos(np.clip(cosine, -1, 1))
-    near = np.abs(epipolar_distances(one, two, here, there)) < NEAR_LINE
-    good = near & (reach_a > 0) & (reach_b > 0) & (angle > NARROWEST) & (angle < WIDEST)
+    near = np.abs(epipolar_distances(one, two, here, there)) < NEAR_LINE_PIXELS
+    good = near & (reach_a > 0) & (reach_b > 0) & (angle > MIN_RAYS_ANGLE) & (angle < MAX_RAYS_ANGLE)
     return points, good
 
 
@@ -150,7 +150,7 @@ def _turn(cameras: Sequence[Camera], matches: Matches, camera: int, others: set[
         return math.nan
     x, y = rays.T
     rows = np.stack([[x * y, -1 - x * x, y], [1 + y * y, -x * y, -x]], axis=0).transpose(2, 0, 1)
-    turn, reach = np.zeros(3), _PLAUSIBLE
+    turn, reach = np.zeros(3), _MAX_OFFSET
     for _ in range(_TURN_ROUNDS):
         missed = offsets - rows @ turn
         weight = tukey(np.linalg.norm(missed, axis=1), reach)[:, None, None]
@@ -160,7 +160,9 @@ def _turn(cameras: Sequence[Camera], matches: Matches, camera: int, others: set[
     size = float(np.linalg.norm(turn))
     missed = np.linalg.norm(offsets - rows @ turn, axis=1)
     # A turn that leaves most offsets as they were is the mean of wrong matches.
-    believed = float(np.median(missed)) < _MAX_LEFT_OVER * size or not is_turned(cameras[camera], math.degrees(size))
+    believed = float(np.median(missed)) < _MAX_RESIDUAL_SHARE * size or not is_turned(
+        cameras[camera], math.degrees(size)
+    )
     return math.degrees(size) if believed else math.nan
 
 

@@ -12,7 +12,7 @@ from .rig_statistics import RigStatistics
 
 _ROUNDING_LEVELS = 0.3
 """Deviation of rounding to 8 bits, in levels: 1 / sqrt 12, rounded up."""
-_MULTIPLE = 6
+_THRESHOLD_DEVIATIONS = 6
 """Least size of a change, in deviations of the difference of two pictures."""
 
 
@@ -26,7 +26,7 @@ class SensorNoise:
 
     def decide(self, stats: RigStatistics, evidence: Evidence) -> Decision:
         noisy = cameras_beyond(evidence)
-        thresholds = _MULTIPLE * np.sqrt(2) * np.nan_to_num(evidence.camera_peaks)
+        thresholds = _THRESHOLD_DEVIATIONS * np.sqrt(2) * np.nan_to_num(evidence.camera_peaks)
         return decided(
             stats,
             self,
@@ -45,7 +45,7 @@ class SensorNoise:
         """No camera's threshold lies within its own noise; where none would, there is nothing to look for."""
         if max(decision.figures["min_threshold"].values()) <= settings.frame.masks.threshold:
             return self.disabled(settings)
-        masks = replace(settings.frame.masks, noise_multiple=float(_MULTIPLE))
+        masks = replace(settings.frame.masks, noise_multiple=float(_THRESHOLD_DEVIATIONS))
         return replace(settings, frame=replace(settings.frame, masks=masks))
 
     def disabled(self, settings: EncodeSettings) -> EncodeSettings:

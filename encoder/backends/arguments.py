@@ -11,7 +11,7 @@ from decogs.formats.splats import FloatArray
 
 from .protocol import Drawable
 
-_MAX_NEW = 1 << 22
+_MAX_NEW_GAUSSIANS = 1 << 22
 """How far behind the scene's last Gaussian new ones are numbered at most; the kernel holds a place for each number."""
 
 
@@ -19,7 +19,7 @@ def rows_of(moving: Drawable, rows: RowArray, population: int) -> RowArray:
     """The rows of Gaussians that change in a scene of ``population``: ascending, one for each."""
     if len(moving) != len(rows):
         raise ValueError(f"{len(moving)} Gaussians for {len(rows)} rows")
-    return checked_rows(rows, population + _MAX_NEW)
+    return checked_rows(rows, population + _MAX_NEW_GAUSSIANS)
 
 
 def check_marks(marks: NDArray[np.bool_] | None, camera: Camera) -> None:

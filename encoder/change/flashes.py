@@ -25,7 +25,7 @@ _FLASH_SHARE = 0.5
 """Share of changed pixels from which on a frame may be a flash."""
 _RETURN_SHARE = 0.25
 """Share of pixels that may differ from before after a flash, since motion continues."""
-LONGEST_FLASH = 8
+MAX_FLASH_FRAMES = 8
 """Frames after which a light counts as permanent."""
 
 

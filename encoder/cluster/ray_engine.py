@@ -16,13 +16,13 @@ from .tasks import Outcome, run_part
 
 LOCAL = "local"
 _ADDRESS = re.compile(r"(ray://)?[^/\s:]+:[0-9]{1,5}")
-_WITH_TOKEN = (2, 60)
+_FIRST_TOKEN_RELEASE = (2, 60)
 """The first release that is known to ask for a token by itself where it starts a cluster."""
-_RESTARTS = 4
+_MAX_RESTARTS = 4
 """Times that Ray runs a task again whose worker died."""
-_TRIES = 3
+_MAX_TRIES = 3
 """Times that a task is given to Ray: again where it says that another try may go well, or Ray has lost it."""
-_LOOK = 0.5
+_POLL_SECONDS = 0.5
 """Seconds between two looks at the progress."""
 
 
@@ -57,7 +57,7 @@ class RayEngine:
             import ray
         except ImportError:
             raise UsageError("`cluster`: Ray is not installed; pip install 'ray[client]>=2.60'") from None
-        if tuple(int(number) for number in re.findall(r"\d+", ray.__version__)[:2]) < _WITH_TOKEN:
+        if tuple(int(number) for number in re.findall(r"\d+", ray.__version__)[:2]) < _FIRST_TOKEN_RELEASE:
             raise UsageError(
                 f"`cluster`: Ray {ray.__version__} takes tasks from everyone on the network; "
                 "pip install 'ray[client]>=2.60'"
@@ -88,7 +88,7 @@ class RayEngine:
                 f"`cluster` {self._address}: no cluster answers ({reason[0]}); start it first"
             ) from None
         self._board = ray.remote(num_cpus=0, max_restarts=-1)(_Board).remote()
-        self._run = ray.remote(max_retries=_RESTARTS, **self._needs)(_task)
+        self._run = ray.remote(max_retries=_MAX_RESTARTS, **self._needs)(_task)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -110,13 +110,13 @@ class RayEngine:
         running = {start(number): (number, 1) for number in range(len(parts))}
         try:
             while running:
-                ready, _ = ray.wait(list(running), timeout=_LOOK)
+                ready, _ = ray.wait(list(running), timeout=_POLL_SECONDS)
                 for reference in ready:
                     number, tries = running.pop(reference)
                     outcome = self._outcome(reference)
                     if not outcome.again:
                         yield parts[number], outcome
-                    elif tries < _TRIES:
+                    elif tries < _MAX_TRIES:
                         running[start(number)] = (number, tries + 1)
                     else:
                         raise TryAgainError(f"{outcome.problem} (tried {tries} times)")
@@ -141,5 +141,5 @@ class RayEngine:
     def _frames_done(self) -> int:
         """Frames that the tasks have told of; 0 while the board is being moved to another machine."""
         with suppress(self._ray.exceptions.RayError):
-            return int(self._ray.get(self._board.frames.remote(), timeout=_LOOK))
+            return int(self._ray.get(self._board.frames.remote(), timeout=_POLL_SECONDS))
         return 0

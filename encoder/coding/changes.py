@@ -1,4 +1,4 @@
-"""Trained values as lattice points: what a frame changes, in as few bits as its effect on the pictures is worth."""
+"""A frame's changes as lattice points, by rate-distortion optimised quantisation."""
 
 from __future__ import annotations
 

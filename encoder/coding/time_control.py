@@ -24,7 +24,7 @@ from ..settings.encode import EncodeSettings
 TIME_TOLERANCE = 0.05
 """By which share of the budget the mean of a clip may be above it; a miss is reported beyond it."""
 
-_SECONDS_HORIZON = 6
+_SECONDS_HORIZON_FRAMES = 6
 """Frames over which saved or overspent time is balanced."""
 _ALLOWANCE_RANGE = (0.5, 2.0)
 """Bounds of a single frame's time, in budgets: savings of a still scene are not spent on the first frame that moves."""
@@ -34,9 +34,9 @@ _MAX_OVERSPENT_BUDGETS = 2.0
 """Overspent time, in budgets of a frame, above which a frame is deferred for that alone."""
 _OVERHEAD_KEPT = 0.7
 """Weight of the old estimate of a frame's seconds beyond its deadline against the newest frame's."""
-_AFTER_TRAINING = ("write", "commit")
-_UNCOUNTED = "measure"
-_FIXED = "trains a fixed number of steps"
+_STAGES_AFTER_TRAINING = ("write", "commit")
+_UNCOUNTED_STAGE = "measure"
+_FIXED_SCHEDULE = "trains a fixed number of steps"
 _MIN_SECONDS, _MAX_SECONDS = 1e-4, 1e6
 """Bounds of a frame's time: a clock's resolution, and twelve days."""
 
@@ -48,7 +48,7 @@ def with_time_budget(settings: EncodeSettings, seconds: float) -> EncodeSettings
     """
     if not _MIN_SECONDS <= seconds <= _MAX_SECONDS:
         raise UsageError(f"`time_budget` {seconds:g}: give from {_MIN_SECONDS:g} to {_MAX_SECONDS:g} seconds a frame")
-    require_sparse(settings, "`time_budget`", _FIXED)
+    require_sparse(settings, "`time_budget`", _FIXED_SCHEDULE)
     return replace(settings, time_budget=seconds)
 
 
@@ -59,13 +59,13 @@ def with_target_psnr(settings: EncodeSettings, target: float) -> EncodeSettings:
     """
     if not (math.isfinite(target) and 0 < target <= 100):
         raise UsageError(f"`target_psnr` {target:g}: give decibels above 0 and at most 100, such as 30")
-    require_sparse(settings, "`target_psnr`", _FIXED)
+    require_sparse(settings, "`target_psnr`", _FIXED_SCHEDULE)
     return replace(settings, target_psnr=target)
 
 
 def counted_seconds(seconds: Mapping[str, float]) -> float:
     """A frame's seconds by stage, added, without the measuring."""
-    return sum(value for stage, value in seconds.items() if stage != _UNCOUNTED)
+    return sum(value for stage, value in seconds.items() if stage != _UNCOUNTED_STAGE)
 
 
 def over_time(frames: Sequence[Mapping[str, float]], budget: float) -> float:
@@ -118,7 +118,7 @@ class TimeControl:
         done = replace(self, saved=self.saved + (self.kept + spared), deferred=0, kept=0.0)
         if "training" not in seconds:
             return done
-        after = sum(seconds.get(stage, 0.0) for stage in _AFTER_TRAINING)
+        after = sum(seconds.get(stage, 0.0) for stage in _STAGES_AFTER_TRAINING)
         past = after if self.beyond is None else self.beyond
         # Of training that ended before its deadline, only what came after it counts.
         beyond = max(after, counted_seconds(seconds) - self._planned())
@@ -134,5 +134,5 @@ class TimeControl:
     def _allowance(self) -> float:
         """Seconds for the next frame: its own budget, those of deferred frames before it, a share of what was saved."""
         low, high = _ALLOWANCE_RANGE
-        own = min(max(self.budget + self.saved / _SECONDS_HORIZON, low * self.budget), high * self.budget)
+        own = min(max(self.budget + self.saved / _SECONDS_HORIZON_FRAMES, low * self.budget), high * self.budget)
         return own + self.kept

@@ -1,7 +1,7 @@
 """One frame from its pictures to its packet, in ten steps.
 
-A frame that an earlier encode wrote takes the same way: its packet stands where training would. So does one of the next
-closed segment, with a memory of its own. Every step takes frozen values and gives new ones.
+A frame that an earlier encode wrote takes the same steps, with its packet in place of training. So does one of the next
+closed segment, with a memory of its own. Every step takes frozen values and returns new ones.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Following(Protocol):
     """The segment after a frame's own."""
 
     def fade(self, frame: int, scene: Scene) -> CrossFade | None:
-        """What the rig's ``frame``, which starts from ``scene``, goes over to; None where it does not."""
+        """The cross-fade of the rig's ``frame``, which starts from ``scene``; None where there is none."""
         ...
 
 
@@ -48,7 +48,7 @@ class Following(Protocol):
 class Task:
     """A frame to encode, as ``recorded``; ``packet``: what an earlier encode made of it, instead of training.
 
-    ``following``: the closed segment that it goes over to, if any. ``on_step`` follows the training of a keyframe.
+    ``following``: the closed segment that it is faded towards, if any. ``on_step`` follows the training of a keyframe.
     """
 
     recorded: RigFrame

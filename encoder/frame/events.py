@@ -10,7 +10,7 @@ from decogs.codec.corrections import Corrections
 from decogs.formats.splats import FloatArray
 
 from ..change.cuts import shows_another_scene
-from ..change.flashes import LONGEST_FLASH, is_missed, matches, may_be_flash
+from ..change.flashes import MAX_FLASH_FRAMES, is_missed, matches, may_be_flash
 from ..change.masks import PixelChange, showing
 from ..coding.scene import Scene
 from ..input.ingest import RigFrame
@@ -91,7 +91,7 @@ def _after_flash(scene: Scene, memory: Memory, frame: PendingFrame, context: Con
     if matches(kept.masks, frame.pictures, context.settings.frame.masks):
         motion = replace(memory.motion, last=kept.motion)
         return scene.gone_back(kept.state), replace(memory, motion=motion, masks=kept.masks, before_flash=None), True
-    if frame.recorded.index - kept.since > LONGEST_FLASH:
+    if frame.recorded.index - kept.since > MAX_FLASH_FRAMES:
         memory = replace(memory, before_flash=None)
     return scene, memory, False
 

@@ -20,7 +20,7 @@ from .cross_fade import CrossFade, with_exact_changes
 from .events import Event, Kind, PendingFrame
 from .memory import Memory
 
-_MOVING_FRACTION = 0.1
+_MOVING_WEIGHT_SHARE = 0.1
 """Share of its rendering weight where things move from which a Gaussian may move."""
 
 
@@ -128,7 +128,7 @@ def light_only(
     if not used:
         return selection.selected
     regions = [moving[index] & selection.masks[index].dilated for index in used]
-    may_move = replace(settings, rule="weight", min_fraction=_MOVING_FRACTION)
+    may_move = replace(settings, rule="weight", min_fraction=_MOVING_WEIGHT_SHARE)
     return selection.selected & ~_inside(views, used, regions, may_move)
 
 

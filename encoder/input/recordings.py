@@ -18,7 +18,7 @@ from decogs.codec.header import StreamHeader
 from decogs.formats.pictures import Picture
 from decogs.formats.rigs import Rig, files_with
 
-_SETTING, _PICTURES = "recorded", "pictures"
+_RECORDED_SETTING, _PICTURES_SETTING = "recorded", "pictures"
 _DIGEST_DIGITS = 8
 
 
@@ -31,13 +31,17 @@ def digest_of(picture: Picture) -> str:
 
 def setting_of(recorded: Mapping[str, str], cameras: Sequence[str]) -> dict[str, Any]:
     """What the header's settings hold of the first pictures: digests in the order of ``cameras``; nothing without."""
-    return {_SETTING: {_PICTURES: [recorded[name] for name in cameras if name in recorded]}} if recorded else {}
+    return (
+        {_RECORDED_SETTING: {_PICTURES_SETTING: [recorded[name] for name in cameras if name in recorded]}}
+        if recorded
+        else {}
+    )
 
 
 def recorded_in(header: StreamHeader) -> dict[str, str]:
     """The digests of the first frame's pictures by camera; none for a stream without."""
-    group = header.settings.get(_SETTING)
-    texts = group.get(_PICTURES) if isinstance(group, Mapping) else None
+    group = header.settings.get(_RECORDED_SETTING)
+    texts = group.get(_PICTURES_SETTING) if isinstance(group, Mapping) else None
     if not isinstance(texts, list) or not all(isinstance(text, str) for text in texts):
         return {}
     names = [camera.name for camera in header.cameras if camera.name not in header.held_out]

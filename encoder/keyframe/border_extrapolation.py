@@ -22,18 +22,18 @@ from ..input.ingest import View
 from ..input.resizing import resized, resized_plane
 from .first_points.depth_filling import fill_depths, push_pull
 
-_SHRUNK_WIDTH = 96
+_SHRUNK_PIXELS_ACROSS = 96
 """Pixels of a shrunk picture's width: what goes on is blurred."""
-_CELL, _COARSER = 3, 1.25
+_SPACING_PIXELS, _SPACING_GROWTH = 3, 1.25
 """Distance of the Gaussians in shrunk pictures, in pixels, and its factor while there are too many."""
 _RINGS = ((0.0, 0.33, 1), (0.33, 1.0, 2))
 """From and to where in a margin they are how many times as far apart."""
-_SIZE = 0.6
+_SIGMA_SPACINGS = 0.6
 """Their sigma in units of this distance: together they are closed."""
 _CLEARANCE_SIGMAS = 1.0
 """Distance from every picture, in sigmas: what reaches in changes a picture that is trained already."""
-_OPACITY = 0.9
-_SOLID = 0.5
+_BLOB_OPACITY = 0.9
+_SURFACE_OPACITY = 0.5
 """Opacity from which a pixel's depth is that of a surface."""
 
 
@@ -73,16 +73,16 @@ def border_extrapolation(
     ``pictures`` (3, H, W) are those of ``views``; depths are those of the trained ``splats``.
     """
     wide = [_widened(kernel, *each, splats, reach) for each in zip(views, pictures, strict=True)]
-    cell = float(_CELL)
+    cell = float(_SPACING_PIXELS)
     blobs = _blobs_beside(views, wide, cell)
     while len(blobs.xyz) > most:
-        cell *= _COARSER
+        cell *= _SPACING_GROWTH
         blobs = _blobs_beside(views, wide, cell)
-    return round_splats(blobs.xyz, blobs.rgb, blobs.sigma, np.full(len(blobs.xyz), _OPACITY), splats.sh_degree)
+    return round_splats(blobs.xyz, blobs.rgb, blobs.sigma, np.full(len(blobs.xyz), _BLOB_OPACITY), splats.sh_degree)
 
 
 def _widened(kernel: TrainingKernel, view: View, picture: FloatArray, splats: Splats, reach: float) -> _WidePicture:
-    camera = scale_camera(view.pinhole, min(1.0, _SHRUNK_WIDTH / view.pinhole.width))
+    camera = scale_camera(view.pinhole, min(1.0, _SHRUNK_PIXELS_ACROSS / view.pinhole.width))
     margin = round(reach * camera.width)
     wide = replace(
         camera,
@@ -94,7 +94,7 @@ def _widened(kernel: TrainingKernel, view: View, picture: FloatArray, splats: Sp
     rendered = kernel.forward(splats, camera, depth=True)
     assert rendered.depth is not None
     recorded = np.ones_like(rendered.alpha) if view.valid is None else resized_plane(view.valid, camera)
-    solid = (rendered.alpha >= _SOLID) & (rendered.depth > 0) & (recorded > 0.999)
+    solid = (rendered.alpha >= _SURFACE_OPACITY) & (rendered.depth > 0) & (recorded > 0.999)
     inverse = np.divide(rendered.alpha, rendered.depth, out=np.zeros_like(rendered.depth), where=solid)
     colours = resized(picture, camera).transpose(1, 2, 0)
     border = ((margin, margin), (margin, margin))
@@ -161,5 +161,5 @@ def _blobs_at(picture: _WidePicture, row: NDArray[np.int64], column: NDArray[np.
     return _Blobs(
         camera_centre(camera) + rays * depth[:, None],
         picture.rgb[row, column],
-        _SIZE * cell * depth / np.sqrt(camera.fx * camera.fy),
+        _SIGMA_SPACINGS * cell * depth / np.sqrt(camera.fx * camera.fy),
     )

@@ -40,12 +40,12 @@ from .few_views import DISSIMILARITY, dissimilarity_for
 from .first_points import FirstPoints
 from .large_pictures import PictureFit, fit_to_pictures, shrunk_camera, shrunk_weights, unscaled_schedule
 
-_START_OPACITY, _START_SIGMA = 0.2, 0.5
+_START_OPACITY, _START_SIGMA_SPACINGS = 0.2, 0.5
 """Of the first Gaussians; sigma in units of the points' spacing."""
-_GUESS_OPACITY, _GUESS_SIGMA = 0.1, 1.0
+_GUESS_OPACITY, _GUESS_SIGMA_SPACINGS = 0.1, 1.0
 """The same of points that no view confirms, which stand for what is not known: large and faint ones spread over it,
 small and opaque ones leave holes that needles fill."""
-_GROW_FROM, _GROW_TO = 0.15, 0.6
+_GROW_BEGIN, _GROW_END = 0.15, 0.6
 """Shares of the schedule between which Gaussians are added: later ones are not trained to the end."""
 _GROW_GRADIENT = 2e-4
 """Mean view gradient from which a Gaussian is split (3DGS's)."""
@@ -53,19 +53,19 @@ _PRUNE_OPACITY = 0.005
 """Below it a Gaussian is removed (3DGS's)."""
 _MAX_STRETCH = 10.0
 """Largest ratio of a Gaussian's largest to its middle size: needles look wrong from elsewhere."""
-_PATIENCE = 4
+_PATIENCE_CHECKS = 4
 """Checks without a new best after which training stops: the score of few tiles jumps."""
 _MEANS_DECAY, _LATE_DECAY = 0.05, 0.2
 """What is left of the step sizes at the end: of positions over the schedule, of all over its second half."""
 
-_CORRECT_EVERY, _CORRECT_FROM, _CORRECT_TO = 0.04, 0.05, 0.6
+_CORRECTION_INTERVAL, _CORRECTION_BEGIN, _CORRECTION_END = 0.04, 0.05, 0.6
 """Shares of the schedule: interval, begin and end of the estimates of camera drift. At the end, the scene's depth and
 the poses of rotated cameras are known."""
 
 _PREALIGNMENT_STEPS = 100
 """Steps after which a rotated camera's pose is known to a twentieth of a pixel."""
 
-_REPORT_EVERY = 10
+_REPORT_EVERY_STEPS = 10
 """Steps after which progress shows another loss: reading one waits for the device."""
 
 
@@ -83,7 +83,7 @@ def splats_from_points(points: FirstPoints, sh_degree: int) -> Splats:
 
     Points whose places are not known get a size and an opacity of their own.
     """
-    sizes = np.where(points.placed, _START_SIGMA, _GUESS_SIGMA).astype(np.float32)
+    sizes = np.where(points.placed, _START_SIGMA_SPACINGS, _GUESS_SIGMA_SPACINGS).astype(np.float32)
     opacities = np.where(points.placed, _START_OPACITY, _GUESS_OPACITY)
     return round_splats(points.xyz, points.rgb, points.spacing * sizes, opacities, sh_degree)
 
@@ -242,7 +242,7 @@ class _KeyframeTraining:
         """Trains until schedule, target or stop, which goes back to the best; returns the steps."""
         settings = self._settings
         best, best_optimiser, waited, step = -np.inf, self._optimiser, 0, 0
-        while step < settings.iterations and waited < _PATIENCE and not self._is_good_enough:
+        while step < settings.iterations and waited < _PATIENCE_CHECKS and not self._is_good_enough:
             for scale in self._fit.scales[1:]:
                 if scale.begin == step:
                     self._set_picture_scale(scale.factor)
@@ -343,14 +343,14 @@ class _KeyframeTraining:
         if self._stopping.on_loss is not None:
             self._stopping.on_loss(stage, place, loss.total)
         if on_step:
-            if (step - 1) % _REPORT_EVERY == 0:
+            if (step - 1) % _REPORT_EVERY_STEPS == 0:
                 self._reported_loss = loss.total
             on_step(step, self._planned, self._reported_loss)
 
     def _corrects_at(self, step: int) -> bool:
         iterations = self._settings.iterations
-        every = max(1, round(_CORRECT_EVERY * iterations))
-        return step % every == 0 and _CORRECT_FROM <= step / iterations <= _CORRECT_TO
+        every = max(1, round(_CORRECTION_INTERVAL * iterations))
+        return step % every == 0 and _CORRECTION_BEGIN <= step / iterations <= _CORRECTION_END
 
     def _correct(self, corrector: Corrector, step: int) -> None:
         """Replaces the target pictures by compensated ones; drift is estimated against the scene so far."""
@@ -395,7 +395,7 @@ class _KeyframeTraining:
 
     def _densify(self, step: int) -> None:
         settings, progress = self._settings, step / self._settings.iterations
-        if (step + 1) % settings.grow_every or not _GROW_FROM < progress < _GROW_TO:
+        if (step + 1) % settings.grow_every or not _GROW_BEGIN < progress < _GROW_END:
             return
         self._check_finite()
         splats = self._optimiser.splats

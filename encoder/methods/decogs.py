@@ -29,7 +29,7 @@ _LIGHT_ONLY_FACTOR = 4.0
 """Of the significance threshold, for places, sizes and turns of what light alone changes in a frame in which others
 move: they keep to colour and opacity. Without it `stage` takes 7 % more bytes at the same quality."""
 
-_MAX_PROBES = 4
+_MAX_PROBE_VIEWS = 4
 """Views whose error is measured when time is short: each is rendered twice, which takes as long as a step."""
 
 
@@ -68,7 +68,7 @@ class DecogsTrainer:
         if deadline is not None:
             seconds = self._step_seconds * training.settings.joint_iterations
             if seconds > deadline - time.perf_counter():
-                every = max(every, -(-len(training.used) // _MAX_PROBES))
+                every = max(every, -(-len(training.used) // _MAX_PROBE_VIEWS))
         return training.used[::every]
 
 

@@ -37,9 +37,9 @@ RATES = LearningRates(
     means=1.6e-4, log_scales=5e-3, quaternions=1e-3, opacity_logits=5e-2, sh_dc=2.5e-3, sh_rest=2.5e-3 / 20
 ).scaled(15)
 """Of stage 2: 3DGS's own (Kerbl 2023) times 15, ``means`` in units of the rig's extent."""
-_SPAWN_WINDOW = 20
+_SPAWN_WINDOW_STEPS = 20
 """Last steps of stage 1 over which view gradients are gathered."""
-_SPAWN_SPREAD = 2.0
+_SPAWN_SPREAD_SIGMAS = 2.0
 """Standard deviation of a spawned Gaussian's place about its parent's, in the parent's own sigmas."""
 _SPAWN_OPACITY, _SPAWN_GROWTH = 0.1, 1.25
 """Of a spawned Gaussian: opacity, and size in units of its parent's."""
@@ -85,7 +85,7 @@ class BaselineTrainer:
         for step in range(settings.cache_iterations):
             scene.means[:], scene.quaternions[:] = cache.moved()
             camera = self._views[self._descend(scene, losses, gradients, ("cache", step))].pinhole
-            if step >= settings.cache_iterations - _SPAWN_WINDOW:
+            if step >= settings.cache_iterations - _SPAWN_WINDOW_STEPS:
                 gathered.add(gradients, camera)
             cache.backward(gradients.means, gradients.quaternions)
             cache.step()
@@ -100,7 +100,7 @@ class BaselineTrainer:
         parents = take_splats(scene, np.flatnonzero(inside & (gradients >= settings.spawn_gradient)))
         scales = np.exp(parents.log_scales.astype(np.float64))
         rotations = rotation_matrices(parents.quaternions.astype(np.float64))
-        drawn = _SPAWN_SPREAD * scales * self._random.normal(size=scales.shape)
+        drawn = _SPAWN_SPREAD_SIGMAS * scales * self._random.normal(size=scales.shape)
         upright = np.zeros_like(parents.quaternions)
         upright[:, 0] = 1
         return Splats(

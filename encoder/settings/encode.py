@@ -41,7 +41,7 @@ class EncodeSettings(Checked):
     segment: Annotated[int, Within(0, MAX_FRAME)] = 0  # frames between keyframes; fewer: larger, seek faster; 0: one
     closed: bool = False  # segments depend on no other: slower
     catch_up: Annotated[int, Within(1, 1000)] = 3  # trainings of a closed segment's first frame; more: slower, larger
-    cross_fade: Annotated[int, Within(0, 1000)] = 3  # frames that go over to such a start; more: slower; 0: a jump
+    cross_fade: Annotated[int, Within(0, 1000)] = 3  # frames that are faded into such a start; more: slower; 0: a jump
     cuts: bool = True  # a new keyframe where the scene is another: slower, 6 to 8 dB better; not with a time budget
     frame_budget: Bytes | None = None  # mean bytes of a later frame; fewer: less exact; None: by frame.significance
     time_budget: Annotated[float, Within(1e-4, 1e6)] | None = None  # mean seconds of a later frame; None: all steps
@@ -67,7 +67,7 @@ class EncodeSettings(Checked):
 
     @property
     def fading(self) -> int:
-        """How many frames before the start of a segment go over to it."""
+        """How many frames before the start of a segment are faded into it."""
         return min(self.cross_fade, self.segment - 1) if self.closed else 0
 
     def as_document(self) -> dict[str, Any]:

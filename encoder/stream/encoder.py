@@ -93,7 +93,7 @@ class StreamEncoder:
         return self._write(encoded, task.watch)
 
     def _encode_next(self, frame: RigFrame, last: Encoded, following: Sequence[RigFrame]) -> FrameReport:
-        """Encodes a frame after the ``last``; ``following``: those up to the start of the segment it goes over to."""
+        """Encodes a frame after the ``last``; ``following``: those up to the start of the segment it is faded into."""
         watch = self._begin(frame)
         segment = self._next_segment([frame, *following], last, watch)
         coded = segment.first if segment is not None and segment.start == frame.index else None
@@ -149,7 +149,7 @@ class StreamEncoder:
         return replace(report, replayed=True, effects=[], full_frame_change=False)
 
     def _next_segment(self, frames: Sequence[RigFrame], last: Encoded, watch: Stopwatch) -> NextSegment | None:
-        """The segment that begins with the last of ``frames``, if it was trained for those that go over to it."""
+        """The segment that begins with the last of ``frames``, if it was trained for their fade into it."""
         start = frames[-1].index
         is_known = self._next is not None and self._next.start == start
         if len(frames) > 1 and not is_known and not self._context.method.dense:
@@ -225,7 +225,7 @@ class StreamEncoder:
 
 
 def _keyframe_made(source: SplatSource, left: Interrupted) -> KeyframeSource:
-    """What an earlier encode made of a file's Gaussians; that it was this file, the header tells."""
+    """The keyframe that an earlier encode made of a file's Gaussians; the header has that file's digest."""
     made = reconstruct(None, next(left.packets()), left.header)
     settings = {**left.header.settings, "keyframe": source.document}
     return KeyframeSource(source.path, replace(left.header, settings=settings), made)

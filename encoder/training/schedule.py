@@ -39,20 +39,20 @@ MIN_STEPS = 12
 LATE_DECAY = 0.2
 """What is left of a later frame's rates at the end of its steps, falling over their second half."""
 
-_MAX_ITERATIONS = 3.0
+_MAX_ITERATION_FACTOR = 3.0
 """Most iterations of a frame, in units of the usual number: with more, a cut would take minutes."""
 
 _MAX_RATE_GAIN = 3.0
 """Largest factor of the rates when a deadline leaves few steps, which must still cover the motion."""
 
-_CLEARLY = np.float32(25 / 255)
+_MISSED_ERROR = np.float32(25 / 255)
 """Colour error from which a pixel is clearly missed: the paper's tau, applied to the rendering."""
 
-_SEARCH_FRACTION = 0.1
+_SEARCH_TIME_FRACTION = 0.1
 """Mean share of training time for the search for emerging objects when time is short."""
-MIN_SEARCH = 1 / 16
+MIN_SEARCH_SHARE = 1 / 16
 """Share of a whole search below which it finds nothing."""
-_MIN_SEARCHED = 8
+_MIN_SEARCH_VIEWS = 8
 """Least views of a useful search: four views must miss a point."""
 
 
@@ -88,8 +88,8 @@ def iteration_factor(settings: IterationSettings, errors: Sequence[FloatArray]) 
     pixels = sum(each.shape[1] for each in errors)
     if not (settings.usual_miss and pixels):
         return 1.0
-    missed = sum(int((np.abs(each).max(axis=0) > _CLEARLY).sum()) for each in errors)
-    return float(np.clip(missed / pixels / settings.usual_miss, settings.min_factor, _MAX_ITERATIONS))
+    missed = sum(int((np.abs(each).max(axis=0) > _MISSED_ERROR).sum()) for each in errors)
+    return float(np.clip(missed / pixels / settings.usual_miss, settings.min_factor, _MAX_ITERATION_FACTOR))
 
 
 class StepSchedule:
@@ -191,12 +191,12 @@ class SearchTime:
         ``guess``: estimated seconds of a whole search, used before the first one.
         """
         whole = guess if self._whole is None else self._whole
-        smallest = MIN_SEARCH * whole
+        smallest = MIN_SEARCH_SHARE * whole
         if left > 0:
-            self._credit = min(self._credit + _SEARCH_FRACTION * left, max(left, smallest))
+            self._credit = min(self._credit + _SEARCH_TIME_FRACTION * left, max(left, smallest))
         if self._credit <= 0 or (self._whole is not None and self._credit < smallest):
             return 0.0
-        return min(1.0, max(MIN_SEARCH, self._credit / max(whole, 1e-9)))
+        return min(1.0, max(MIN_SEARCH_SHARE, self._credit / max(whole, 1e-9)))
 
     def record_time(self, seconds: float, share: float) -> None:
         """Records the duration of a ``share`` of a search."""
@@ -214,7 +214,7 @@ def search_of(share: float, views: int) -> tuple[int, float]:
 
     Every ray is compared with every view.
     """
-    looked = max(min(_MIN_SEARCHED, views), min(views, round(views * math.sqrt(share))))
+    looked = max(min(_MIN_SEARCH_VIEWS, views), min(views, round(views * math.sqrt(share))))
     return looked, min(1.0, share * views / max(1, looked))
 
 

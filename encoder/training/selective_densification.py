@@ -18,7 +18,7 @@ from .densification import clone_and_split
 from .frame_training import FrameTraining
 from .working_set import WorkingSet
 
-_LARGE = 0.01
+_LARGE_SIGMA_EXTENTS = 0.01
 """Sigma, in units of the rig's extent, from which a Gaussian is split and not cloned (3DGS's)."""
 
 
@@ -55,7 +55,7 @@ def _grow(
         eligible,
         threshold=settings.grow_gradient,
         room=room,
-        large=_LARGE * training.context.extent,
+        large=_LARGE_SIGMA_EXTENTS * training.context.extent,
         random=training.random,
     )
     parents = growth.parents

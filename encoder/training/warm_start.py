@@ -16,11 +16,13 @@ from decogs.formats.splats import FloatArray
 
 from ..numerics import nearest
 
-_NEIGHBOURS = 8
+_NEIGHBOUR_GAUSSIANS = 8
 """Nearest Gaussians whose median displacement is taken: one, its own, takes 8 % more bytes."""
 
 
-def shared_displacements(means: FloatArray, displacements: FloatArray, neighbours: int = _NEIGHBOURS) -> FloatArray:
+def shared_displacements(
+    means: FloatArray, displacements: FloatArray, neighbours: int = _NEIGHBOUR_GAUSSIANS
+) -> FloatArray:
     """The median displacement of every point's ``neighbours`` nearest, itself among them; all (M, 3), world units.
 
     1 neighbour leaves the displacements as they are.

@@ -10,7 +10,7 @@ import pytest
 
 from decogs.encoder.settings.frame import IterationSettings
 from decogs.encoder.training.schedule import (
-    MIN_SEARCH,
+    MIN_SEARCH_SHARE,
     MIN_STEPS,
     SearchTime,
     StepSchedule,
@@ -199,8 +199,8 @@ def test_a_stage_gets_its_share_of_what_is_left(clock: Clock) -> None:
 def test_searching_takes_its_share_on_average_and_begins_at_once(seconds: float) -> None:
     search, spent, when = SearchTime(), 0.0, []
     for frame in range(200):
-        if search.affords(1.0, MIN_SEARCH):
-            search.record_time(seconds, MIN_SEARCH)
+        if search.affords(1.0, MIN_SEARCH_SHARE):
+            search.record_time(seconds, MIN_SEARCH_SHARE)
             spent += seconds
             when.append(frame)
     assert when[0] == 0
@@ -218,14 +218,14 @@ def test_a_search_is_as_large_as_there_is_time_for(left: float) -> None:
         if share:
             search.record_time(10 * share, share)
     assert sum(taken) / (100 * left) == pytest.approx(0.1, rel=0.2)
-    assert max(taken) <= max(left, 10 * MIN_SEARCH) * 1.001
-    assert taken[0] == pytest.approx(max(10 * MIN_SEARCH, 0.1 * left))
+    assert max(taken) <= max(left, 10 * MIN_SEARCH_SHARE) * 1.001
+    assert taken[0] == pytest.approx(max(10 * MIN_SEARCH_SHARE, 0.1 * left))
 
 
 def test_a_share_of_a_search_has_fewer_views_and_fewer_rays() -> None:
     for views in (4, 12, 31):
         assert search_of(1.0, views) == (views, 1.0)
-        for share in (MIN_SEARCH, 0.25, 0.5):
+        for share in (MIN_SEARCH_SHARE, 0.25, 0.5):
             looked, rays = search_of(share, views)
             assert min(views, 8) <= looked <= views
             assert looked * rays == pytest.approx(share * views), "the pairs of a ray and a view"

@@ -45,7 +45,7 @@ _SOLVER_ROUNDS = 6
 _LATER_POINTS = 6000
 """Points of later frames, from all views together: the light of a single one is known to a per cent."""
 
-_AROUND = np.mgrid[-1:2, -1:2].reshape(2, 1, -1)
+_COLOUR_WINDOW = np.mgrid[-1:2, -1:2].reshape(2, 1, -1)
 """Pixels over which a point's colours are averaged."""
 
 _MIN_SHARED_POINTS = 100
@@ -65,8 +65,8 @@ class SharedSurface:
         height, width = picture.shape[1:]
         found = np.zeros((self.seen.shape[1], 3), np.float32)
         there = self.seen[number]
-        rows = np.clip(self.row[number, there, None] + _AROUND[0], 0, height - 1)
-        columns = np.clip(self.column[number, there, None] + _AROUND[1], 0, width - 1)
+        rows = np.clip(self.row[number, there, None] + _COLOUR_WINDOW[0], 0, height - 1)
+        columns = np.clip(self.column[number, there, None] + _COLOUR_WINDOW[1], 0, width - 1)
         found[there] = picture[:, rows, columns].mean(axis=2).T
         return found
 

@@ -17,7 +17,7 @@ from decogs.formats.splats import FloatArray
 
 F64 = NDArray[np.float64]
 
-_MAX_PIXELS = 40_000
+_GRID_PIXELS = 40_000
 _MAX_ERROR = 25 / 255
 """Error beyond which all count alike: pixels that training has not followed give no evidence."""
 _SUMS_DECAY = 0.9
@@ -83,6 +83,6 @@ def _block_sums(values: F64) -> F64:
 
 
 def on_grid(picture: NDArray[Any]) -> NDArray[Any]:
-    """The picture (..., H, W) on a regular grid of its pixels, at most ``_MAX_PIXELS``."""
-    step = max(1, round(np.sqrt(picture.shape[-2] * picture.shape[-1] / _MAX_PIXELS)))
+    """The picture (..., H, W) on a regular grid of its pixels, at most ``_GRID_PIXELS``."""
+    step = max(1, round(np.sqrt(picture.shape[-2] * picture.shape[-1] / _GRID_PIXELS)))
     return picture[..., ::step, ::step]

@@ -19,14 +19,14 @@ from ...numerics import tukey
 
 _DARKEST, _BRIGHTEST = 6 / 255, 249 / 255
 
-_MAX_PIXELS = 40_000
+_GRID_PIXELS = 40_000
 """A regular grid of about so many pixels suffices: the mean's own noise is then below 0.1 of an 8-bit level."""
 
 _REWEIGHTINGS = 8
-_TUKEY = 4.685
+_TUKEY_DEVIATIONS = 4.685
 """Tukey's biweight at 95 % efficiency, in standard deviations."""
 
-_MIN_SPREAD = 2 / 255
+_MIN_RESIDUAL_SPREAD = 2 / 255
 _MEDIAN_SAMPLES = 4000
 """Residuals whose median is taken, which gives it to two per cent."""
 
@@ -47,7 +47,7 @@ def logit_shift(recorded: FloatArray, rendered: FloatArray, valid: FloatArray | 
 
     ``valid`` (H, W) is 0 where nothing was recorded. Undetermined channels get 0.
     """
-    step = max(1, round(np.sqrt(rendered[0].size / _MAX_PIXELS)))
+    step = max(1, round(np.sqrt(rendered[0].size / _GRID_PIXELS)))
     grid = np.s_[::step, ::step]
     known = None if valid is None else valid[grid] > 0
     pairs = [
@@ -64,8 +64,8 @@ def unclipped(values: FloatArray) -> NDArray[np.bool_]:
 def tukey_weights(residuals: FloatArray) -> FloatArray:
     """Tukey's biweight of residuals in picture units, by their own spread: 1 for none, 0 for what does not belong."""
     some = residuals.ravel()[:: max(1, residuals.size // _MEDIAN_SAMPLES)]
-    spread = max(1.4826 * float(np.median(np.abs(some))), _MIN_SPREAD)
-    return tukey(residuals, _TUKEY * spread)
+    spread = max(1.4826 * float(np.median(np.abs(some))), _MIN_RESIDUAL_SPREAD)
+    return tukey(residuals, _TUKEY_DEVIATIONS * spread)
 
 
 def remove_gain(picture: FloatArray, odds_gain: tuple[float, float, float]) -> FloatArray:

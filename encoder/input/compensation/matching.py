@@ -25,7 +25,7 @@ from ...numerics import bilinear
 from ..ingest import View
 from .agreement import shifts_of_points
 
-_MIN_VIEWS = 3
+_MIN_POINT_VIEWS = 3
 """Views of a point that counts: of two that differ, either may be the one that reflects a light."""
 
 
@@ -37,7 +37,7 @@ def colours_at(
     ``pictures``: (3, H, W) of every view. ``xyz`` (P, 3): points of the surface, which the views see where ``seen``
     (V, P). A view that shares too few of them with others has no difference.
     """
-    counts = seen.sum(axis=0) >= _MIN_VIEWS
+    counts = seen.sum(axis=0) >= _MIN_POINT_VIEWS
     points, seen = xyz[counts].astype(np.float64), seen[:, counts]
     values = np.stack([_colours(view, picture, points) for view, picture in zip(views, pictures, strict=True)])
     shifts, known = shifts_of_points(values, seen)

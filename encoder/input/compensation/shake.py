@@ -21,7 +21,7 @@ from .colour import tukey_weights
 
 F64 = NDArray[np.float64]
 
-_LEVELS = (0.25, 0.5, 1.0)
+_PYRAMID_SCALES = (0.25, 0.5, 1.0)
 _MAX_SHAKE_PIXELS = 200_000
 """The finest level has at most so many: a hundredth of a pixel is found there, which is enough in larger pictures."""
 
@@ -56,7 +56,7 @@ def turn_of(recorded: FloatArray, rendered: FloatArray, camera: Camera, valid: F
     Both (3, H, W) of the pinhole ``camera``, of like colours. ``valid`` (H, W) is 0 where nothing was recorded.
     """
     rotation, finest = np.eye(3), min(1.0, np.sqrt(_MAX_SHAKE_PIXELS / rendered[0].size))
-    for level in _LEVELS:
+    for level in _PYRAMID_SCALES:
         small = scale_camera(camera, level * finest)
         if level < 1 and min(small.width, small.height) < _MIN_SIDE_PIXELS:
             continue

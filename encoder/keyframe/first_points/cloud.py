@@ -21,7 +21,7 @@ _ON_SURFACE_FRACTION = 0.02
 
 _MIN_SPACING_PIXELS = 0.7
 """Least useful distance between points, in pixels."""
-_TRIALS = 10
+_MAX_TRIALS = 10
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ def spread_to_count(cloud: Cloud, most: int) -> tuple[Cloud, float]:
     """At most ``most`` evenly spread points, the surest ones, and how many pixels apart they are."""
     cloud = take(cloud, np.argsort(-cloud.confidence, kind="stable"))
     pixels, low, high, chosen = _MIN_SPACING_PIXELS, 0.0, np.inf, np.zeros(0, np.int64)
-    for _ in range(_TRIALS):
+    for _ in range(_MAX_TRIALS):
         trial = spread(cloud, pixels)
         if len(trial) > most:
             low = pixels
