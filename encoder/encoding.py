@@ -251,8 +251,8 @@ def _with_effects(
     require_sparse(settings, f"`effects` {wanted}", "has none of them")
 
     def decisions() -> Sequence[Decision]:
-        look = slice(work.span.start, work.span.stop)
-        found = analyse(work.rig, frames=look, holdout=job.holdout, threads=job.threads, on_step=observer.look_step)
+        span = slice(work.span.start, work.span.stop)
+        found = analyse(work.rig, frames=span, holdout=job.holdout, threads=job.threads, on_step=observer.look_step)
         for warning in found.check.warnings():
             warn(warning)
         observer.looked({decision.effect: decision.cameras for decision in found.decisions if decision.detected})

@@ -2,7 +2,7 @@
 
 There are no pictures: nothing is trained, and the lattice alone sets rate and quality. The loop is closed as in an
 encode: every frame is compared with what a decoder has of the frame before. A stream's header needs a camera, and
-files have none: one is made up, named "overview", that looks at the first frame's Gaussians.
+files have none: one is made up, named "overview", that sees the first frame's Gaussians.
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ _DERIVATIVE_STEP = 1e-5
 
 
 class LensDistortion:
-    """Lenses that bend more than the calibration says."""
+    """Lenses with distortion beyond their calibration."""
 
     name = "lens_distortion"
 
@@ -53,8 +53,8 @@ class LensDistortion:
         beyond, error, k1 = _beyond_calibration(stats)
         calibrated = np.array([_calibrated(camera) for camera in stats.cameras])
         values = np.full((len(stats.cameras), len(stats.frames)), np.nan)
-        # Undetermined counts for a lens that is calibrated; a calibrated zero says nothing where the fit could not
-        # tell.
+        # Undetermined counts for a lens that is calibrated; a calibrated zero is no evidence where the fit is
+        # undetermined.
         values[:, 0] = np.fmax(_surely(beyond, error), np.where(calibrated > 0, calibrated, np.nan))
         details = {"k1": k1, "beyond_px": beyond, "deviation_px": error, "calibrated_px": calibrated}
         return Evidence(values, "px", _LIMIT_PIXELS, {name: column[:, None] for name, column in details.items()})

@@ -1,4 +1,4 @@
-"""Where things move in one frame, told from light alone, in milliseconds per view, for the encoder's loop.
+"""Where things move in one frame, as opposed to changing light; milliseconds per view.
 
 Pictures and their references are compared inside each view's mask, at the size of the rig's statistics (`changes`). A
 doubtful case counts as motion: training resting positions costs time, not training moving ones costs quality.

@@ -1,4 +1,4 @@
-"""What can be expected of a rig before an hour is spent on it: what its cameras see together, whether they agree."""
+"""What to expect of a rig before it is encoded: overlap of its cameras, pose errors, delays."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .synchrony import delays
 F64 = NDArray[np.float64]
 
 RIGHT, ROUGH, WRONG = "right", "rough", "wrong"
-"""What new views between the cameras can be expected to look: right; right in the main, details blurred; not right."""
+"""Expected quality of new views between the cameras: right; right on the whole, with blurred details; not right."""
 _EXPECTATIONS = {
     RIGHT: "new views between the cameras should look right",
     ROUGH: "new views between the cameras should look right on the whole, with blurred or broken details",

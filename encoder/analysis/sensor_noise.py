@@ -17,7 +17,7 @@ _THRESHOLD_DEVIATIONS = 6
 
 
 class SensorNoise:
-    """Noise between frames when nothing happens."""
+    """Noise between frames of static pixels."""
 
     name = "sensor_noise"
 
@@ -42,7 +42,7 @@ class SensorNoise:
         )
 
     def enabled(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
-        """No camera's threshold lies within its own noise; where none would, there is nothing to look for."""
+        """Raises each camera's threshold above its noise; nothing, where the threshold is above it already."""
         if max(decision.figures["min_threshold"].values()) <= settings.frame.masks.threshold:
             return self.disabled(settings)
         masks = replace(settings.frame.masks, noise_multiple=float(_THRESHOLD_DEVIATIONS))

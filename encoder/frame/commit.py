@@ -1,4 +1,4 @@
-"""The end of a frame: the views show the new scene, and the next frame gets its memory."""
+"""The end of a frame: the views are updated to the new scene, and the next frame gets its memory."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .plan import FramePlan, Selection
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a frame: what was selected, and the ``effects`` that it was trained for.
+    """A frame's outcome: what was selected, and the ``effects`` that it was trained for.
 
     ``full_frame_change``: the masks missed a change of most of the pictures. ``cut``: it is a keyframe of another
     scene. ``deferred``: its training waits for time. ``rejected``: training made the pictures worse, and changed

@@ -60,9 +60,9 @@ class Task:
 
 @dataclass(frozen=True)
 class Encoded:
-    """An encoded frame: its packet, the scene that a decoder then has, what the next frame needs, and what came of it.
+    """An encoded frame: its packet, the scene that a decoder then has, the next frame's memory, and its outcome.
 
-    ``pictures``: the frame without what its cameras add.
+    ``pictures``: the frame, compensated.
     """
 
     written: Written
@@ -85,7 +85,7 @@ def encode_frame(context: Context, scene: Scene, memory: Memory, task: Task) -> 
 
 
 def observe(context: Context, scene: Scene, memory: Memory, task: Task) -> tuple[PendingFrame, Event]:
-    """Steps 2 and 3: the frame without what its cameras add, and what happened in it."""
+    """Steps 2 and 3: the compensated frame, and what happened in it."""
     watch, packet = task.watch, task.packet
     recorded = matched(task.recorded, context.ingest.views, scene.header.camera_colours)
     scene, memory, is_start = restarted(context, scene, memory, recorded.index - scene.header.first_frame, watch)

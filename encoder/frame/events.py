@@ -1,4 +1,4 @@
-"""What happened between the frame before and this one: one question, one answer."""
+"""What happened since the frame before: nothing, a change, a full-frame change, a cut, or the end of a flash."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Kind(Enum):
 
 @dataclass(frozen=True)
 class PendingFrame:
-    """A frame to encode: as recorded, without what its cameras add (``pictures``), and how that was taken off.
+    """A frame to encode: as recorded, compensated (``pictures``), and the corrections between the two.
 
     ``restarted``: the scene before it is the first keyframe's, since the frame begins a closed segment.
     """

@@ -1,4 +1,4 @@
-"""What one frame hands to the next and a decoder does not need."""
+"""The state that one frame hands to the next and a decoder does not need."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .context import Context
 
 @dataclass(frozen=True)
 class BeforeFlash:
-    """What was there before the frame ``since``, which changed nearly everything: the scene, its motion, the masks."""
+    """The scene, its motion and the masks before the frame ``since``, which changed nearly everything."""
 
     since: int
     state: State

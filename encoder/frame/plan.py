@@ -1,4 +1,4 @@
-"""What a frame calls for: its masks, S_t, effects, steps, thresholds and time, all decided here."""
+"""A frame's plan: its masks, S_t, effects, steps, thresholds and time, all decided here."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def select_again(context: Context, scene: Scene, event: Event, selection: Select
 def plan_frame(
     context: Context, event: Event, selection: Selection, frame: PendingFrame, fade: CrossFade | None, watch: Stopwatch
 ) -> FramePlan:
-    """All that a frame is trained and coded with."""
+    """The settings with which a frame is trained and coded."""
     settings, memory = context.settings, event.memory
     effects, by_light = settings.frame_effects if selection.selected.any() else (), None
     if effects and settings.detect_per_frame:

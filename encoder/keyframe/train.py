@@ -52,9 +52,9 @@ _GROW_GRADIENT = 2e-4
 _PRUNE_OPACITY = 0.005
 """Below it a Gaussian is removed (3DGS's)."""
 _MAX_STRETCH = 10.0
-"""Largest ratio of a Gaussian's largest to its middle size: needles look wrong from elsewhere."""
+"""Largest ratio of a Gaussian's largest to its middle size: needles are wrong from other viewpoints."""
 _PATIENCE_CHECKS = 4
-"""Checks without a new best after which training stops: the score of few tiles jumps."""
+"""Checks without a new best after which training stops: the score of few tiles is noisy."""
 _MEANS_DECAY, _LATE_DECAY = 0.05, 0.2
 """What is left of the step sizes at the end: of positions over the schedule, of all over its second half."""
 

@@ -122,7 +122,7 @@ def is_expendable(is_such: IsSuch, part: Path) -> bool:
                     header = StreamHeader.from_bytes(packet.payload)
                 frames += packet.kind in FRAME_KINDS
         except StreamError:
-            return False  # It is no stream, or damaged: whoever has it may know what it is worth.
+            return False  # It is no stream, or damaged, and may still be of use to somebody.
     return header is None or is_such(header, frames)
 
 

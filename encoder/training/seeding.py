@@ -165,9 +165,9 @@ def _take(part: P, rows: IntArray | slice) -> P:
 
 
 class _Smoothed:
-    """A picture (H, W, 3) averaged over 3 x 3 pixels, made block by block where somebody asks for it.
+    """A picture (H, W, 3) averaged over 3 x 3 pixels, block by block on demand.
 
-    The search looks at few pixels of many large pictures. ``planes`` (3, h, w) are given for a range of rows and of
+    The search reads few pixels of many large pictures. ``planes`` (3, h, w) are given for a range of rows and of
     columns. Threads may ask at the same time: a block that two of them make is the same twice.
     """
 
@@ -261,7 +261,7 @@ class _Search:
         limit = np.where(surface > 0, (1 - _IN_FRONT_SHARE) * surface, np.inf)
         ray, place = np.nonzero(inverse * limit[:, None] > 1)
         ray, place = self._inside_hull(rays, ray, place)
-        # Between the steps of the coarse search, which are a few pixels apart in the views farthest off.
+        # Between the steps of the coarse search, which are a few pixels in the most distant views.
         ray = np.repeat(ray, 3)
         gap = self._inverse[0] - self._inverse[-1]
         offsets = np.array([-1, 0, 1]) / 3 * gap / max(1, len(self._inverse) - 1)

@@ -1,4 +1,4 @@
-"""The Gaussians under training in a later frame, apart from their scene."""
+"""The Gaussians under training in a later frame: S_t and those that the frame adds."""
 
 from __future__ import annotations
 

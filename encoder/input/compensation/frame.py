@@ -1,4 +1,4 @@
-"""A frame's pictures without what its cameras add: their constant colours, and the drift of the named ones."""
+"""A frame's compensated pictures: without its cameras' constant colour differences, and the drift of named ones."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def matched(frame: RigFrame, views: Sequence[View], colours: Corrections) -> Rig
 def corrections_of(
     frame: RigFrame, corrector: Corrector | None, memory: CorrectionMemory | None, render: RenderView, watch: Stopwatch
 ) -> Corrections:
-    """A matched frame's corrections against the scene before it, as ``render`` draws it."""
+    """A matched frame's corrections against the scene before it, drawn by ``render``."""
     if corrector is None or memory is None:
         return {}
     with watch.stage("corrections"):
