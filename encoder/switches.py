@@ -51,7 +51,7 @@ def with_switches(settings: EncodeSettings, switches: Switches) -> EncodeSetting
     """The same settings with these switches; raises UsageError for unknown names, and what excludes each other."""
     if switches.method is not None:
         settings = with_method(settings, switches.method)
-    settings = without(settings, switches.ablate)
+    settings = ablate(settings, switches.ablate)
     if switches.selection is None:
         return settings
     if "select" in switches.ablate:
@@ -101,7 +101,7 @@ def with_selection(settings: EncodeSettings, rule: str) -> EncodeSettings:
     return replace(settings, frame=replace(settings.frame, selection=selection))
 
 
-def without(settings: EncodeSettings, parts: Sequence[str]) -> EncodeSettings:
+def ablate(settings: EncodeSettings, parts: Sequence[str]) -> EncodeSettings:
     """The same settings with parts of the method left out, in addition to those that already are.
 
     ``select``: every Gaussian is selected in any frame whose pictures changed. ``focus``: the plain loss over the whole

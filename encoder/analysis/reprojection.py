@@ -108,7 +108,7 @@ def reprojections(cameras: Sequence[Camera], matches: Matches, camera: int, othe
     for one, two in combinations(sorted(pairs), 2):
         rows_one, rows_two = _in_both(_own(pairs[one], camera), _own(pairs[two], camera))
         here, there = _own(pairs[one], one).rays[rows_one], _own(pairs[two], two).rays[rows_two]
-        points, good = triangulated(cameras[one], cameras[two], here, there)
+        points, good = triangulate(cameras[one], cameras[two], here, there)
         x, y, depth = np.moveaxis(in_camera(cameras[camera], points), -1, 0)
         good &= depth > 0
         seen = np.stack([x[good], y[good]], axis=1) / depth[good, None]
@@ -119,7 +119,7 @@ def reprojections(cameras: Sequence[Camera], matches: Matches, camera: int, othe
     return np.concatenate(rays), np.concatenate(offsets)
 
 
-def triangulated(one: Camera, two: Camera, here: F64, there: F64) -> tuple[F64, NDArray[np.bool_]]:
+def triangulate(one: Camera, two: Camera, here: F64, there: F64) -> tuple[F64, NDArray[np.bool_]]:
     """Points (N, 3) nearest to pairs of rays x/z, y/z (N, 2), and whether they are reliable.
 
     A point is the middle of the shortest segment between its rays. It is reliable if that lies in front of both

@@ -85,7 +85,7 @@ def gather_statistics(
     """
     cameras, scales = _small_cameras(rig, holdout)
     span = range(rig.frame_count) if frames is None else frames
-    chosen = _thinned(span, cameras)
+    chosen = _thin(span, cameras)
     steps = _Steps(len(chosen) + 2 * len(cameras), on_step)
     with side_by_side(threads) as each:
         recorded = read_frames(rig, chosen[0], chosen[-1] + 1, step=chosen.step, names=[one.name for one in cameras])
@@ -131,7 +131,7 @@ def _small_cameras(rig: Rig, holdout: Sequence[str]) -> tuple[tuple[Camera, ...]
     return tuple(scale_camera(camera, scale) for camera, scale in zip(kept, scales, strict=True)), scales
 
 
-def _thinned(span: range, cameras: Sequence[Camera]) -> range:
+def _thin(span: range, cameras: Sequence[Camera]) -> range:
     """Every n-th frame, so that the pictures of all cameras fit MAX_BYTES; two frames at least."""
     frame_bytes = sum(camera.width * camera.height * 3 for camera in cameras)
     most = max(2, MAX_BYTES // frame_bytes)

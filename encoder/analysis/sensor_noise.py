@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..settings.encode import EncodeSettings
-from .effect import Decision, Evidence, cameras_beyond, decided, stated
+from .effect import Decision, Evidence, cameras_beyond, make_decision, reason_of
 from .rig_statistics import RigStatistics
 
 _ROUNDING_LEVELS = 0.3
@@ -27,12 +27,12 @@ class SensorNoise:
     def decide(self, stats: RigStatistics, evidence: Evidence) -> Decision:
         noisy = cameras_beyond(evidence)
         thresholds = _THRESHOLD_DEVIATIONS * np.sqrt(2) * np.nan_to_num(evidence.camera_peaks)
-        return decided(
+        return make_decision(
             stats,
             self,
             evidence,
             counts=noisy,
-            reason=stated(
+            reason=reason_of(
                 evidence,
                 f"static pixels have noise of up to {evidence.peak:.2f} levels of 255 (standard deviation)",
                 "no static pixels in two successive frames",

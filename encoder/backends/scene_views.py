@@ -51,7 +51,7 @@ class SceneViews(Sequence[FixedView]):
         for view in self._views:
             view.detach(rows)
 
-    def follow(
+    def update(
         self, scene: Splats, trained: NDArray[np.int64], before: NDArray[np.int64], after: NDArray[np.int64]
     ) -> None:
         """Updates the views to ``scene``, in which only the rows ``trained`` (M,) of the scene before training differ.

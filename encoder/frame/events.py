@@ -90,7 +90,7 @@ def _after_flash(scene: Scene, memory: Memory, frame: PendingFrame, context: Con
         return scene, memory, False
     if matches(kept.masks, frame.pictures, context.settings.frame.masks):
         motion = replace(memory.motion, last=kept.motion)
-        return scene.gone_back(kept.state), replace(memory, motion=motion, masks=kept.masks, before_flash=None), True
+        return scene.roll_back(kept.state), replace(memory, motion=motion, masks=kept.masks, before_flash=None), True
     if frame.recorded.index - kept.since > MAX_FLASH_FRAMES:
         memory = replace(memory, before_flash=None)
     return scene, memory, False

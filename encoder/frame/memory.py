@@ -82,7 +82,7 @@ def new_memory(
     )
 
 
-def restarted(
+def restart_at_segment(
     context: Context, scene: Scene, memory: Memory, frame: int, watch: Stopwatch
 ) -> tuple[Scene, Memory, bool]:
     """Scene and memory before ``frame``, and whether it begins a closed segment.
@@ -93,7 +93,7 @@ def restarted(
     if memory.first is None or frame % segment:
         return scene, memory, False
     with watch.stage("commit"):
-        scene = scene.restarted(frame, segment)
-        corrections = None if memory.corrections is None else memory.corrections.restarted()
+        scene = scene.restart(frame, segment)
+        corrections = None if memory.corrections is None else memory.corrections.restart()
         memory = new_memory(context, scene, memory.first, corrections, time=memory.time, first=memory.first)
     return scene, memory, True

@@ -136,7 +136,7 @@ class StepSchedule:
             self._last_stride = self._stride(self._deadline)
         self.position += self._last_stride
 
-    def put_off(self, seconds: float) -> None:
+    def extend_deadline(self, seconds: float) -> None:
         """Extends the deadline by time spent outside of steps, at the expense of later frames."""
         if self._deadline is not None:
             self._deadline += seconds
@@ -185,7 +185,7 @@ class SearchTime:
         self._credit = 0.0
         self._whole: float | None = None
 
-    def affords(self, left: float, guess: float) -> float:
+    def affordable_share(self, left: float, guess: float) -> float:
         """Share, 0 to 1, of a whole search that fits a frame with ``left`` seconds of training.
 
         ``guess``: estimated seconds of a whole search, used before the first one.
