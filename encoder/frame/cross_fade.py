@@ -24,7 +24,7 @@ from ..backends.scene_views import SceneViews
 from ..settings.frame import FocusWeights, FrameSettings
 from ..training.losses import PhotometricLoss, StepLosses, focus_loss
 from ..training.method import TrainedFrame
-from ..training.schedule import LATE_DECAY
+from ..training.schedule import LATE_DECAY, MAX_STRETCH
 from ..training.significance import picture_weight
 from ..training.view_order import view_order
 
@@ -149,7 +149,7 @@ def cross_fade(
         if on_loss is not None:
             on_loss("fade", step, value.total)
         late = LATE_DECAY ** max(0.0, 2 * step / steps - 1)
-        optimiser.step(view.backward(), rates.scaled(_RATES_FACTOR * late))
+        optimiser.step(view.backward(), rates.scaled(_RATES_FACTOR * late), max_stretch=MAX_STRETCH)
     seen.check()
     return _cross_faded(trained, fading, optimiser, share)
 

@@ -19,7 +19,7 @@ from ..training.emergence import add_emerging_in_time
 from ..training.frame_training import FrameTraining, LossOfView, Step, frame_training
 from ..training.losses import focus_loss
 from ..training.method import FrameInput, TrainedFrame, TrainingContext
-from ..training.schedule import SearchTime, StepSchedule, iteration_factor, rates_at, seconds_at_least
+from ..training.schedule import MAX_STRETCH, SearchTime, StepSchedule, iteration_factor, rates_at, seconds_at_least
 from ..training.selective_densification import densify
 from ..training.significance import revert_insignificant
 from ..training.warm_start import shared_displacements
@@ -100,7 +100,7 @@ def _train(training: FrameTraining, work: WorkingSet, schedule: StepSchedule, gr
         if end.is_reached(schedule, step):
             break
         rates = rates_at(training.settings, training.context.extent, schedule)
-        work.optimiser.step(gradients, rates)
+        work.optimiser.step(gradients, rates, max_stretch=MAX_STRETCH)
         schedule.step()
 
 
