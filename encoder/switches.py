@@ -1,6 +1,6 @@
 """The method of an encode, and parts of it that are left out.
 
-Switches change settings and nothing else, so that a stream's header says what made it. Methods share the keyframe, the
+Switches change settings and nothing else, so that a stream's header records them. Methods share the keyframe, the
 views, the rasteriser and the lattice; what a later frame does is all that differs. Rejected: presets for each
 combination (a method applies on top of any preset).
 """
@@ -27,7 +27,7 @@ T = TypeVar("T")
 ABLATIONS = ("select", "focus", "gate")
 """The parts of a method that can be left out: its selection, its focus loss, its gate."""
 
-_NAMED: dict[str, Registry[Any]] = {
+_REGISTERED_SETTINGS: dict[str, Registry[Any]] = {
     "method": FRAME_METHODS,
     "frame.selection.rule": SELECTION_RULES,
 }
@@ -64,7 +64,7 @@ def check_together(settings: EncodeSettings) -> None:
 
     Settings themselves know no registry; an encode asks before it begins, not in the frame that needs the name.
     """
-    for path, registry in _NAMED.items():
+    for path, registry in _REGISTERED_SETTINGS.items():
         _get(registry, attrgetter(path)(settings), path.rsplit(".")[-1])
     method_of(settings)
     if settings.frame_budget is not None:

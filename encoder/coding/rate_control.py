@@ -1,4 +1,4 @@
-"""How many bytes a stream may take: a scale of qualities, and a budget that later frames keep on average.
+"""Rate control: a scale of qualities, and a byte budget that later frames keep on average.
 
 Chosen: one knob, the significance threshold; the rate-distortion lambdas follow it. After every frame, a model of a
 single number moves it: a frame's content (its size at the settings' own threshold), estimated from past packets. The

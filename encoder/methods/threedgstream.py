@@ -7,7 +7,7 @@ part in every step. Its cost and flicker are the reference for DecoGS.
 
 Numbers: the released configuration (SJoJoK/3DGStream: configs/cache/cache_F_4.json and
 test/flame_steak_suite/cfg_args.json). Two things follow the released code and not the paper's text: gradients for
-spawning are gathered in the last 20 steps of stage 1 only, and stage 2 takes away but adds nothing more (the code's
+spawning are gathered in the last 20 steps of stage 1 only, and stage 2 prunes and adds nothing more (the code's
 second round of spawning reads gradient sums that stage 2 never fills). Differences that remain: the cache's box is the
 loop's, as for DecoGS, not 3DGStream's quantile box; frames pass through the lattice, so that the stream is an ordinary
 one.
@@ -112,7 +112,7 @@ class BaselineTrainer:
         )
 
     def _stage2(self, lasting: Splats, spawned: Splats, losses: Sequence[PhotometricLoss]) -> Splats:
-        """Trains the spawned Gaussians alone, in the whole scene, and takes away those that come to nothing."""
+        """Trains the spawned Gaussians alone, in the whole scene, and prunes transparent and large ones."""
         settings = self._settings
         rates = replace(RATES, means=RATES.means * self._extent)
         optimiser = self._kernel.optimiser(spawned)

@@ -1,4 +1,4 @@
-"""What an encode reports of itself: of every frame, and of the whole stream."""
+"""The reports of an encode: of every frame, and of the whole stream."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class FrameReport:
 
 @dataclass(frozen=True)
 class EncodeReport:
-    """What an encode made: the stream's path (``-`` for a pipe) and its frames.
+    """A finished encode: the stream's path (``-`` for a pipe) and its frames.
 
     ``interrupted``: Ctrl-C ended it early. ``resumed``: how many frames an earlier encode had left, None without
     ``resume``; ``frames`` is empty when that was the whole stream. ``frame_budget`` and

@@ -1,4 +1,4 @@
-"""New objects of a later frame: the search in its views, and how long it may take."""
+"""Emerging objects of a later frame: the search in its views, within its deadline."""
 
 from __future__ import annotations
 
