@@ -63,7 +63,7 @@ class AblatedTrainer:
         work = _UngatedSet(frame, self.context.kernel, self._momentum)
         trained = self._inner.train_set(frame, work)
         if not trained.rejected:
-            lasting, self._momentum = work.lasting(), work.optimiser
+            lasting, self._momentum = work.is_lasting(), work.optimiser
             work.optimiser.keep(lasting)
         return trained
 

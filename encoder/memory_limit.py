@@ -1,4 +1,4 @@
-"""What an encode may take of the computer's memory: estimated before it begins, and kept to by reading less ahead.
+"""An encode's memory: estimated before it begins, and limited by reading less ahead.
 
 Nearly all of it goes with the pixels of the rig: an encode keeps a few floats for each. What a Gaussian takes, in
 training and in the tiles of every view, comes on top. The figures are counted from what is kept, and measured

@@ -1,4 +1,4 @@
-"""What users of the commands write for an option, as the value that the library takes."""
+"""Texts of options as the library's values."""
 
 from __future__ import annotations
 

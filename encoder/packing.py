@@ -2,7 +2,7 @@
 
 There are no pictures: nothing is trained, and the lattice alone sets rate and quality. The loop is closed as in an
 encode: every frame is compared with what a decoder has of the frame before. A stream's header needs a camera, and
-files have none: one is made up, named "overview", that looks at the first frame's Gaussians.
+files have none: one is made up, named "overview", that sees the first frame's Gaussians.
 """
 
 from __future__ import annotations
@@ -144,7 +144,7 @@ class _Packing:
             raise UsageError(
                 f"{path}: has SH degree {splats.sh_degree}, the first file has {header.sh_degree}; export all alike"
             )
-        kept, rows = self._matched(scene.splats.means, splats)
+        kept, rows = self._match(scene.splats.means, splats)
         removed = np.setdiff1d(np.arange(len(scene.splats)), kept)
         added = np.setdiff1d(np.arange(len(splats)), rows)
         values = take_splats(splats, rows)
@@ -156,7 +156,7 @@ class _Packing:
         self._place = np.concatenate([rows, added])
         return frame_packet(scene, self._frames, trained, SignificanceSettings(), {}, self._settings).packet
 
-    def _matched(self, before: FloatArray, splats: Splats) -> tuple[Rows, Rows]:
+    def _match(self, before: FloatArray, splats: Splats) -> tuple[Rows, Rows]:
         """Rows of the state, whose positions were ``before``, that go on, ascending, and their rows in the file."""
         if len(splats) == len(before):
             way = np.linalg.norm(splats.means[self._place].astype(np.float64) - before, axis=1)

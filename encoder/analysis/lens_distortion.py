@@ -21,7 +21,7 @@ from decogs.formats.cameras import Camera, camera_centre, is_distorted
 from ..change.masks import BoolArray
 from ..numerics import tukey
 from ..settings.encode import EncodeSettings
-from .effect import F64, Decision, Evidence, cameras_beyond, decided, stated
+from .effect import F64, Decision, Evidence, cameras_beyond, make_decision, reason_of
 from .matches import PairMatches, essential_matrices, sampson_distances
 from .rig_statistics import RigStatistics
 
@@ -45,7 +45,7 @@ _DERIVATIVE_STEP = 1e-5
 
 
 class LensDistortion:
-    """Lenses that bend more than the calibration says."""
+    """Lenses with distortion beyond their calibration."""
 
     name = "lens_distortion"
 
@@ -53,8 +53,8 @@ class LensDistortion:
         beyond, error, k1 = _beyond_calibration(stats)
         calibrated = np.array([_calibrated(camera) for camera in stats.cameras])
         values = np.full((len(stats.cameras), len(stats.frames)), np.nan)
-        # Undetermined counts for a lens that is calibrated; a calibrated zero says nothing where the fit could not
-        # tell.
+        # Undetermined counts for a lens that is calibrated; a calibrated zero is no evidence where the fit is
+        # undetermined.
         values[:, 0] = np.fmax(_surely(beyond, error), np.where(calibrated > 0, calibrated, np.nan))
         details = {"k1": k1, "beyond_px": beyond, "deviation_px": error, "calibrated_px": calibrated}
         return Evidence(values, "px", _LIMIT_PIXELS, {name: column[:, None] for name, column in details.items()})
@@ -62,12 +62,14 @@ class LensDistortion:
     def decide(self, stats: RigStatistics, evidence: Evidence) -> Decision:
         details = {name: column[:, 0] for name, column in evidence.details.items()}
         uncalibrated = np.nan_to_num(_surely(details["beyond_px"], details["deviation_px"])) >= evidence.limit
-        return decided(
+        return make_decision(
             stats,
             self,
             evidence,
             counts=cameras_beyond(evidence),
-            reason=stated(evidence, _reason(stats, evidence, uncalibrated), "too few points are seen by two cameras"),
+            reason=reason_of(
+                evidence, _reason(stats, evidence, uncalibrated), "too few points are seen by two cameras"
+            ),
             cost="resampling of every picture, 2 ms at 352x264 (estimated); only the lens is coded",
             figures={"k1": {stats.names[k]: float(details["k1"][k]) for k in np.flatnonzero(uncalibrated)}},
         )
@@ -163,7 +165,7 @@ class _Fit:
         unknowns = np.zeros((len(self.cameras), _UNKNOWNS_PER_CAMERA))
         scales = np.tile([_K1_PRIOR, *[_ROTATION_PRIOR] * 3], len(self.cameras))
         for turn in range(_GAUSS_NEWTON_STEPS):
-            missed = self._missed(unknowns[self._first], unknowns[self._second])
+            missed = self._distances(unknowns[self._first], unknowns[self._second])
             reach = _FIRST_REACH_PIXELS * _REACH_DECAY**turn
             sizes = np.abs(missed)
             near = sizes[sizes < max(reach, 4.0)]
@@ -195,22 +197,22 @@ class _Fit:
         for column in range(2 * _UNKNOWNS_PER_CAMERA):
             sides = unknowns[self._first], unknowns[self._second]
             sides[column // _UNKNOWNS_PER_CAMERA][:, column % _UNKNOWNS_PER_CAMERA] += _DERIVATIVE_STEP
-            slopes[:, column] = (self._missed(*sides) - missed) / _DERIVATIVE_STEP
+            slopes[:, column] = (self._distances(*sides) - missed) / _DERIVATIVE_STEP
         return slopes
 
-    def _missed(self, first: F64, second: F64) -> F64:
+    def _distances(self, first: F64, second: F64) -> F64:
         """Distances (M,) of all matches, in pixels, by the unknowns (pairs, 4) of the pairs' cameras."""
         one, two = (
             np.array([cv2.Rodrigues(turn)[0] for turn in unknowns[:, 1:]]) @ self._rotations[cameras]
             for unknowns, cameras in ((first, self._first), (second, self._second))
         )
         essential = essential_matrices(one, two, self._baselines)[self._pair]
-        here = _straightened(self._first_rays, first[self._pair, 0])
-        there = _straightened(self._second_rays, second[self._pair, 0])
+        here = _undistort(self._first_rays, first[self._pair, 0])
+        there = _undistort(self._second_rays, second[self._pair, 0])
         return np.asarray(sampson_distances(here, there, essential) * self._focal_lengths)
 
 
-def _straightened(rays: F64, k1: F64) -> F64:
+def _undistort(rays: F64, k1: F64) -> F64:
     """Rays (N, 2) undistorted by k1 (N,), by fixed-point iteration, which converges for k1 r^2 well below 1."""
     straight = rays
     for _ in range(5):

@@ -56,7 +56,7 @@ _GRID_ROWS = 24
 _MIN_OVERALL_SHARE = 0.5
 """Least change of the median of a camera's pixels over its gain: a quarter of the pixels may deviate."""
 _MIN_GROUP_CAMERAS = 3
-"""Cameras that a median needs: of two that differ, either may be the one that drifts."""
+"""Cameras that a median needs: of two that differ, either may drift."""
 _LINEAR: F64 = linear_from_srgb(np.arange(256) / 255)
 _CLIPPED_LEVELS = 5
 """Levels from either end of the scale within which a value is no measure of the light."""
@@ -112,7 +112,7 @@ class Mismatch:
 
 def shared_points(cameras: Sequence[Camera], matches: Matches) -> SharedPoints:
     """The matches that lie on each other's epipolar lines."""
-    pairs = [_believed(cameras, pair) for pair in matches.pairs]
+    pairs = [_near_epipolar(cameras, pair) for pair in matches.pairs]
     if not pairs:
         return SharedPoints(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2)))
     joined = [np.concatenate(parts) for parts in zip(*pairs, strict=True)]
@@ -206,7 +206,7 @@ def _seen_overall(shares: F64, overall: F64) -> F64:
     return np.asarray(np.where(absent, 0.0, shares))
 
 
-def _believed(cameras: Sequence[Camera], pair: PairMatches) -> tuple[I64, I64, F64, F64]:
+def _near_epipolar(cameras: Sequence[Camera], pair: PairMatches) -> tuple[I64, I64, F64, F64]:
     near = np.flatnonzero(np.abs(pair.epipolar_distances(cameras)) < NEAR_LINE_PIXELS)
     near = near[:: math.ceil(len(near) / _MAX_PAIR_POINTS) or 1]
     numbers = [np.full(len(near), number, np.int64) for number in (pair.first, pair.second)]
@@ -224,7 +224,7 @@ def _differences(points: SharedPoints, values: Sequence[F64]) -> F64:
 
 
 def _solved(first: I64, second: I64, differences: F64, cameras: int) -> tuple[F64, F64]:
-    """Gains (cameras, 3) that fit the points' ``differences`` (N, 3) best, and the share that 80 % of the points show.
+    """Gains (cameras, 3) that fit the points' ``differences`` (N, 3) best, and the gain that 80 % of the points share.
 
     Cameras without comparable ones have gain 0 and share NaN.
     """

@@ -23,7 +23,7 @@ _NEIGHBOUR_CAMERAS = 4
 _MAX_AXES_ANGLE = 1.0
 """Angle between optical axes, in radians, beyond which SIFT hardly matches."""
 NEAR_LINE_PIXELS = 3.0
-"""Largest distance of a believed match from its epipolar line, in pixels, with room for uncalibrated distortion."""
+"""Largest distance of a reliable match from its epipolar line, in pixels, with room for uncalibrated distortion."""
 _LOWE_RATIO = 0.8
 """Lowe's ratio: largest distance of the best match over the second best."""
 

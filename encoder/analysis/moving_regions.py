@@ -1,4 +1,4 @@
-"""Where things move in one frame, told from light alone, in milliseconds per view, for the encoder's loop.
+"""Where things move in one frame, as opposed to changing light; milliseconds per view.
 
 Pictures and their references are compared inside each view's mask, at the size of the rig's statistics (`changes`). A
 doubtful case counts as motion: training resting positions costs time, not training moving ones costs quality.
@@ -83,11 +83,11 @@ def _changes(current: FloatArray, previous: FloatArray, mask: FrameMask) -> tupl
         picture_noise(previous[1], current[1]),
     )
     around = maps.around(round(scale * mask.raw.shape[1]))
-    moving[part] = _enlarged(around, moving[part].shape)
+    moving[part] = _enlarge(around, moving[part].shape)
     return _Pixels(int(maps.changed.sum()), int(maps.restructured.sum()), int((maps.changed & around).sum())), moving
 
 
-def _enlarged(region: BoolArray, shape: tuple[int, ...]) -> BoolArray:
+def _enlarge(region: BoolArray, shape: tuple[int, ...]) -> BoolArray:
     height, width = shape
     return np.asarray(cv2.resize(region.view(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0)
 

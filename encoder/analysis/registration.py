@@ -60,21 +60,21 @@ def camera_path(pictures: U8) -> CameraPath:
     count = len(pictures)
     displacement = np.full(count, np.nan)
     transforms = np.tile(np.eye(2, 3), (count, 1, 1))
-    first = _normalised(pictures[0])
+    first = _normalise(pictures[0])
     corners = _corners(first)
     if len(corners) < _MIN_CORNERS:
         return CameraPath(displacement, transforms)
     displacement[0] = 0.0
     for index in range(1, count):
-        now = _normalised(pictures[index])
+        now = _normalise(pictures[index])
         for levels in _HALVINGS_TRIED if np.isfinite(displacement[index - 1]) else _HALVINGS_TRIED[1:]:
-            transforms[index], displacement[index] = _tracked(first, now, corners, levels)
+            transforms[index], displacement[index] = _track(first, now, corners, levels)
             if np.isfinite(displacement[index]):
                 break
     return CameraPath(displacement, transforms)
 
 
-def _tracked(first: U8, now: U8, corners: F32, levels: int) -> tuple[F64, float]:
+def _track(first: U8, now: U8, corners: F32, levels: int) -> tuple[F64, float]:
     """The similarity (2, 3) from the first picture to another, and its displacement."""
     found, status, _ = cv2.calcOpticalFlowPyrLK(
         first, now, corners, None, winSize=_TRACKED_WINDOW_PIXELS, maxLevel=levels, criteria=_SEARCH_CRITERIA
@@ -101,7 +101,7 @@ def _corners(picture: U8) -> F32:
     return np.asarray(found[np.sort(np.concatenate(kept))], np.float32)
 
 
-def _normalised(picture: U8) -> U8:
+def _normalise(picture: U8) -> U8:
     """Luminance with local mean and contrast taken out, around 128."""
     grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
     centred = grey - cv2.boxFilter(grey, cv2.CV_32F, (13, 13))

@@ -1,4 +1,4 @@
-"""Whether a camera stands, looks and records as its calibration says: the others' points, seen by it.
+"""Whether a camera's pose fits its calibration: by points that other cameras triangulate.
 
 A point that two other cameras triangulate must fall on its own match in the camera's picture. One match alone proves
 nothing; an offset that many share is the camera's fault. Distances from epipolar lines do not suffice: in a row of
@@ -24,7 +24,7 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 MIN_RAYS_ANGLE, MAX_RAYS_ANGLE = math.radians(2), math.radians(50)
-"""Angles between two rays within which they place a point: below, depth is a guess; above, surfaces look different."""
+"""Angles, radians, between two rays that place a point: below, depth is uncertain; above, surfaces look different."""
 _TURNED_DEGREES = 0.4
 """Degrees from which a camera counts as turned ..."""
 _TURNED_PIXELS = 2.5
@@ -56,9 +56,9 @@ class _Seen:
 
 
 def turns(cameras: Sequence[Camera], matches: Matches) -> F64:
-    """How far (cameras,) each one is turned against its calibration, in degrees; NaN if undetermined.
+    """Rotation (cameras,) of each camera against its calibration, in degrees; NaN if undetermined.
 
-    A camera that is moved seems turned. One whose absence makes the others agree is set aside before they are judged.
+    A camera that is moved seems turned. One without which the others agree is excluded before they are judged.
     """
     left = set(range(len(cameras)))
     misplaced: dict[int, float] = {}
@@ -108,7 +108,7 @@ def reprojections(cameras: Sequence[Camera], matches: Matches, camera: int, othe
     for one, two in combinations(sorted(pairs), 2):
         rows_one, rows_two = _in_both(_own(pairs[one], camera), _own(pairs[two], camera))
         here, there = _own(pairs[one], one).rays[rows_one], _own(pairs[two], two).rays[rows_two]
-        points, good = triangulated(cameras[one], cameras[two], here, there)
+        points, good = triangulate(cameras[one], cameras[two], here, there)
         x, y, depth = np.moveaxis(in_camera(cameras[camera], points), -1, 0)
         good &= depth > 0
         seen = np.stack([x[good], y[good]], axis=1) / depth[good, None]
@@ -119,11 +119,11 @@ def reprojections(cameras: Sequence[Camera], matches: Matches, camera: int, othe
     return np.concatenate(rays), np.concatenate(offsets)
 
 
-def triangulated(one: Camera, two: Camera, here: F64, there: F64) -> tuple[F64, NDArray[np.bool_]]:
-    """Points (N, 3) nearest to pairs of rays x/z, y/z (N, 2), and whether they are to be believed.
+def triangulate(one: Camera, two: Camera, here: F64, there: F64) -> tuple[F64, NDArray[np.bool_]]:
+    """Points (N, 3) nearest to pairs of rays x/z, y/z (N, 2), and whether they are reliable.
 
-    They are where the rays meet before both cameras, at an angle that gives the depth. The middle of the shortest
-    segment between the rays.
+    A point is the middle of the shortest segment between its rays. It is reliable if that lies in front of both
+    cameras, on the epipolar line, and the angle between the rays determines the depth.
     """
     centres = camera_centre(one), camera_centre(two)
     rays = [
@@ -133,9 +133,10 @@ def triangulated(one: Camera, two: Camera, here: F64, there: F64) -> tuple[F64, 
     a, b = (ray / np.linalg.norm(ray, axis=1, keepdims=True) for ray in rays)
     baseline = centres[1] - centres[0]
     cosine = (a * b).sum(axis=1)
-    apart = np.maximum(1 - cosine**2, 1e-12)
+    sine_squared = np.maximum(1 - cosine**2, 1e-12)
     along_a, along_b = (a * baseline).sum(axis=1), (b * baseline).sum(axis=1)
-    reach_a, reach_b = (along_a - cosine * along_b) / apart, (cosine * along_a - along_b) / apart
+    reach_a = (along_a - cosine * along_b) / sine_squared
+    reach_b = (cosine * along_a - along_b) / sine_squared
     points = (centres[0] + reach_a[:, None] * a + centres[1] + reach_b[:, None] * b) / 2
     angle = np.arccos(np.clip(cosine, -1, 1))
     near = np.abs(epipolar_distances(one, two, here, there)) < NEAR_LINE_PIXELS
@@ -160,10 +161,10 @@ def _turn(cameras: Sequence[Camera], matches: Matches, camera: int, others: set[
     size = float(np.linalg.norm(turn))
     missed = np.linalg.norm(offsets - rows @ turn, axis=1)
     # A turn that leaves most offsets as they were is the mean of wrong matches.
-    believed = float(np.median(missed)) < _MAX_RESIDUAL_SHARE * size or not is_turned(
+    is_reliable = float(np.median(missed)) < _MAX_RESIDUAL_SHARE * size or not is_turned(
         cameras[camera], math.degrees(size)
     )
-    return math.degrees(size) if believed else math.nan
+    return math.degrees(size) if is_reliable else math.nan
 
 
 def _partner(pair: PairMatches, camera: int) -> Iterator[int]:

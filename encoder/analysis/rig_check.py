@@ -1,4 +1,4 @@
-"""What can be expected of a rig before an hour is spent on it: what its cameras see together, whether they agree."""
+"""What to expect of a rig before it is encoded: overlap of its cameras, pose errors, delays."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from decogs.formats.cameras import Camera, camera_centre, in_picture, project, ray_slopes, turned
 
 from .matches import Matches
-from .reprojection import MAX_RAYS_ANGLE, epipolar_residuals, is_turned, triangulated, turns
+from .reprojection import MAX_RAYS_ANGLE, epipolar_residuals, is_turned, triangulate, turns
 from .rig_statistics import RigStatistics, typical_noise
 from .synchrony import delays
 
 F64 = NDArray[np.float64]
 
 RIGHT, ROUGH, WRONG = "right", "rough", "wrong"
-"""What new views between the cameras can be expected to look: right; right in the main, details blurred; not right."""
+"""Expected quality of new views between the cameras: right; right on the whole, with blurred details; not right."""
 _EXPECTATIONS = {
     RIGHT: "new views between the cameras should look right",
     ROUGH: "new views between the cameras should look right on the whole, with blurred or broken details",
@@ -115,10 +115,10 @@ def check_rig(stats: RigStatistics, each: Callable[..., Iterator[Any]] = map) ->
         noise = typical_noise(stats.noise).tolist()
         steady = [not path.shakes for path in stats.paths]
         late = delays(stats.cameras, stats.pictures, steady, noise, each)
-    return judged(stats.cameras, stats.matches, late)
+    return judge_rig(stats.cameras, stats.matches, late)
 
 
-def judged(cameras: Sequence[Camera], matches: Matches, late: F64) -> RigCheck:
+def judge_rig(cameras: Sequence[Camera], matches: Matches, late: F64) -> RigCheck:
     """The check by the matches of the cameras' first pictures; ``late`` (cameras,) in frames, NaN where unknown."""
     residuals, turned_by = epipolar_residuals(cameras, matches), turns(cameras, matches)
     known = residuals[np.isfinite(residuals)]
@@ -181,7 +181,7 @@ def _surface(cameras: Sequence[Camera], matches: Matches, row: int) -> F64 | Non
     for pair in matches.pairs:
         if row not in (pair.first, pair.second):
             continue
-        points, good = triangulated(cameras[pair.first], cameras[pair.second], pair.first_rays, pair.second_rays)
+        points, good = triangulate(cameras[pair.first], cameras[pair.second], pair.first_rays, pair.second_rays)
         pixels.append((pair.first_pixels if row == pair.first else pair.second_pixels)[good])
         depths.append(project(cameras[row], points[good])[2])
     at, depth = np.concatenate(pixels), np.concatenate(depths)

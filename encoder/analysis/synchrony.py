@@ -26,15 +26,15 @@ U8 = NDArray[np.uint8]
 
 LAGS = (-1, 0, 1)
 _COMPARED_FRAMES = 2
-"""Frames looked at: those in which most moves."""
+"""Frames that are compared: those in which most moves."""
 _MAX_LINE_PIXELS = 1.5
-"""Distance from the epipolar line, in pixels, at which a match speaks for nothing."""
+"""Distance from the epipolar line, in pixels, from which a match is no evidence."""
 _MIN_AGREEMENT_RATIO = 1.25
-"""A lag counts whose matches agree so many times as well as those of the same frame."""
+"""Agreement of a lag over that of the same frame from which the lag counts."""
 _MIN_LINE_MATCHES = 15.0
-"""Matches on the line that a judgement needs."""
+"""Matches on the line that a decision needs."""
 _MIN_LEAD_DEVIATIONS = 3.0
-"""A lag counts if it has more matches on the line than the same frame by so many deviations of their number."""
+"""Matches on the line that a lag has more than the same frame, in deviations of their number, to count."""
 
 
 def delays(

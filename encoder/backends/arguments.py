@@ -1,4 +1,4 @@
-"""What every backend refuses: arguments that do not fit a view, as ValueError."""
+"""Checks of arguments that all backends share; they raise ValueError."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from decogs.formats.splats import FloatArray
 from .protocol import Drawable
 
 _MAX_NEW_GAUSSIANS = 1 << 22
-"""How far behind the scene's last Gaussian new ones are numbered at most; the kernel holds a place for each number."""
+"""Highest row of a new Gaussian beyond the scene's last; the kernel has a place for each row up to it."""
 
 
 def rows_of(moving: Drawable, rows: RowArray, population: int) -> RowArray:

@@ -1,4 +1,4 @@
-"""How many bytes a stream may take: a scale of qualities, and a budget that later frames keep on average.
+"""Rate control: a scale of qualities, and a byte budget that later frames keep on average.
 
 Chosen: one knob, the significance threshold; the rate-distortion lambdas follow it. After every frame, a model of a
 single number moves it: a frame's content (its size at the settings' own threshold), estimated from past packets. The
@@ -59,12 +59,12 @@ def with_quality(settings: EncodeSettings, quality: float) -> EncodeSettings:
     if not 0 <= quality <= 100:
         raise UsageError(f"`quality` {quality:g}: give a number from 0 (smallest) to 100 (most exact)")
     factor = 2.0 ** ((NEUTRAL_QUALITY - quality) / _QUALITIES_PER_OCTAVE)
-    significance = _scaled(settings.frame.significance, factor)
-    rd_lambda = _rounded_loss(settings.keyframe.rd_lambda * factor ** (2 * _STEP_EXPONENT))
+    significance = _scale(settings.frame.significance, factor)
+    rd_lambda = _round_loss(settings.keyframe.rd_lambda * factor ** (2 * _STEP_EXPONENT))
     return replace(
         settings,
         keyframe=replace(settings.keyframe, rd_lambda=rd_lambda),
-        lattice_scale=_rounded(settings.lattice_scale * factor**_STEP_EXPONENT),
+        lattice_scale=_round(settings.lattice_scale * factor**_STEP_EXPONENT),
         frame=replace(settings.frame, significance=significance),
     )
 
@@ -124,7 +124,7 @@ class RateControl:
 
     def significance(self, settings: SignificanceSettings) -> SignificanceSettings:
         """The settings for the next frame: its threshold, and lambdas to match."""
-        return _scaled(settings, self.factor)
+        return _scale(settings, self.factor)
 
     def after(self, kind: int, size: int) -> RateControl:
         """The control after a packet other than the first keyframe's: its PacketKind and its bytes on disk.
@@ -159,21 +159,21 @@ class RateControl:
         return min(max((share + saved / _BYTES_HORIZON_FRAMES) / self.budget, low * share / self.budget), high)
 
 
-def _scaled(settings: SignificanceSettings, factor: float) -> SignificanceSettings:
+def _scale(settings: SignificanceSettings, factor: float) -> SignificanceSettings:
     """The settings with threshold and lambdas multiplied by ``factor``."""
     return replace(
         settings,
-        threshold=_rounded_loss(settings.threshold * factor),
-        rd_lambda=_rounded_loss(settings.rd_lambda * factor),
-        colour_rd_lambda=_rounded_loss(settings.colour_rd_lambda * factor),
+        threshold=_round_loss(settings.threshold * factor),
+        rd_lambda=_round_loss(settings.rd_lambda * factor),
+        colour_rd_lambda=_round_loss(settings.colour_rd_lambda * factor),
     )
 
 
-def _rounded(value: float) -> float:
+def _round(value: float) -> float:
     """To six digits: a power's last bit is not the same on every machine, and the stream's header has the value."""
     return float(f"{value:.6g}")
 
 
-def _rounded_loss(value: float) -> float:
+def _round_loss(value: float) -> float:
     """The same, within what settings take."""
-    return min(_rounded(value), MOST_LOSS)
+    return min(_round(value), MOST_LOSS)

@@ -1,4 +1,4 @@
-"""Time per frame: how it is asked for, and the control that keeps later frames to it on average.
+"""Time control: deadlines that keep later frames to a time budget on average.
 
 Chosen: wall-clock seconds of everything that an encode does for a frame, from its decoded pictures until it is ready
 for the next one's; what masks, selection and writing leave is for training, which meets a deadline

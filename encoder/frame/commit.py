@@ -1,4 +1,4 @@
-"""The end of a frame: the views show the new scene, and the next frame gets its memory."""
+"""The end of a frame: the views are updated to the new scene, and the next frame gets its memory."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from decogs.codec.state import same_values
 
 from ..change.masks import MaskMemory
 from ..coding.scene import Scene
-from ..input.compensation.frame import ended
+from ..input.compensation.frame import newly_dropped
 from ..stopwatch import Stopwatch
 from ..training.method import TrainedFrame
 from ..training.warm_start import Motion
@@ -21,7 +21,7 @@ from .plan import FramePlan, Selection
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a frame: what was selected, and the ``effects`` that it was trained for.
+    """A frame's outcome: what was selected, and the ``effects`` that it was trained for.
 
     ``full_frame_change``: the masks missed a change of most of the pictures. ``cut``: it is a keyframe of another
     scene. ``deferred``: its training waits for time. ``rejected``: training made the pictures worse, and changed
@@ -53,7 +53,7 @@ def commit(
             if frame.restarted:
                 context.views.of(scene.splats)
             else:
-                context.views.follow(scene.splats, trained.kept, before.state.ids, scene.state.ids)
+                context.views.update(scene.splats, trained.kept, before.state.ids, scene.state.ids)
     memory = replace(
         memory,
         masks=_masks_after(context, event, plan, frame, scene, trained),
@@ -66,7 +66,7 @@ def commit(
             judged = context.corrector.judge(
                 memory.corrections, frame.recorded.training, frame.corrections, context.renderer(scene.splats), changed
             )
-            uncorrected = ended(memory.corrections, judged)
+            uncorrected = newly_dropped(memory.corrections, judged)
             memory = replace(memory, corrections=judged)
     outcome = Outcome(
         plan.selection,
@@ -101,4 +101,4 @@ def _motion_after(motion: Motion, plan: FramePlan, frame: PendingFrame, before: 
     if frame.restarted:
         # The displacement since the first frame is no velocity.
         return Motion.at_rest(len(scene.state))
-    return motion.defer() if plan.deferred else motion.moved(scene.displacements(before.state))
+    return motion.defer() if plan.deferred else motion.move(scene.displacements(before.state))

@@ -1,4 +1,4 @@
-"""What all frames of one encode share."""
+"""The constants of an encode: rig, settings, kernel and views."""
 
 from __future__ import annotations
 

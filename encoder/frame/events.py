@@ -1,4 +1,4 @@
-"""What happened between the frame before and this one: one question, one answer."""
+"""What happened since the frame before: nothing, a change, a full-frame change, a cut, or the end of a flash."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Kind(Enum):
 
 @dataclass(frozen=True)
 class PendingFrame:
-    """A frame to encode: as recorded, without what its cameras add (``pictures``), and how that was taken off.
+    """A frame to encode: as recorded, compensated (``pictures``), and the corrections between the two.
 
     ``restarted``: the scene before it is the first keyframe's, since the frame begins a closed segment.
     """
@@ -90,7 +90,7 @@ def _after_flash(scene: Scene, memory: Memory, frame: PendingFrame, context: Con
         return scene, memory, False
     if matches(kept.masks, frame.pictures, context.settings.frame.masks):
         motion = replace(memory.motion, last=kept.motion)
-        return scene.gone_back(kept.state), replace(memory, motion=motion, masks=kept.masks, before_flash=None), True
+        return scene.roll_back(kept.state), replace(memory, motion=motion, masks=kept.masks, before_flash=None), True
     if frame.recorded.index - kept.since > MAX_FLASH_FRAMES:
         memory = replace(memory, before_flash=None)
     return scene, memory, False

@@ -76,7 +76,7 @@ class NextSegment:
 
 
 def train_next_segment(context: Context, scene: Scene, memory: Memory, frames: Sequence[RigFrame]) -> NextSegment:
-    """The next segment, trained from its start backwards: ``frames`` are those before it and its first one."""
+    """Trains the next segment backwards from its start: ``frames`` are those before it and its first one."""
     start, unlogged = frames[-1].index, replace(context, on_loss=None)
     first: Encoded | None = None
     scenes: dict[int, Scene] = {}

@@ -1,4 +1,4 @@
-"""What a frame calls for: its masks, S_t, effects, steps, thresholds and time, all decided here."""
+"""A frame's plan: its masks, S_t, effects, steps, thresholds and time, all decided here."""
 
 from __future__ import annotations
 
@@ -71,20 +71,20 @@ def find_selection(context: Context, event: Event, frame: PendingFrame, watch: S
     if not any(mask.dilated.any() for mask in masks):
         return Selection(masks, np.zeros(population, bool))
     with watch.stage("selection"):
-        return Selection(masks, _selected(context, event.scene, masks))
+        return Selection(masks, _select(context, event.scene, masks))
 
 
 def select_again(context: Context, scene: Scene, event: Event, selection: Selection) -> Selection:
     """The same masks with S_t of a scene that was trained since."""
     if event.kind is Kind.EVERYTHING:
         return replace(selection, selected=np.ones(len(scene.state), bool))
-    return replace(selection, selected=_selected(context, scene, selection.masks))
+    return replace(selection, selected=_select(context, scene, selection.masks))
 
 
 def plan_frame(
     context: Context, event: Event, selection: Selection, frame: PendingFrame, fade: CrossFade | None, watch: Stopwatch
 ) -> FramePlan:
-    """All that a frame is trained and coded with."""
+    """The settings with which a frame is trained and coded."""
     settings, memory = context.settings, event.memory
     effects, by_light = settings.frame_effects if selection.selected.any() else (), None
     if effects and settings.detect_per_frame:
@@ -108,10 +108,10 @@ def _is_deferred(memory: Memory, watch: Stopwatch) -> bool:
     return memory.time is not None and memory.time.defers(watch.seconds, memory.trainer.min_seconds)
 
 
-def _selected(context: Context, scene: Scene, masks: Sequence[FrameMask]) -> NDArray[np.bool_]:
+def _select(context: Context, scene: Scene, masks: Sequence[FrameMask]) -> NDArray[np.bool_]:
     used, settings = showing(masks), context.settings.frame.selection
     views = context.views.of(scene.splats)
-    return _inside(views, used, [masks[i].dilated for i in used], settings)
+    return _select_within(views, used, [masks[i].dilated for i in used], settings)
 
 
 def light_only(
@@ -129,10 +129,10 @@ def light_only(
         return selection.selected
     regions = [moving[index] & selection.masks[index].dilated for index in used]
     may_move = replace(settings, rule="weight", min_fraction=_MOVING_WEIGHT_SHARE)
-    return selection.selected & ~_inside(views, used, regions, may_move)
+    return selection.selected & ~_select_within(views, used, regions, may_move)
 
 
-def _inside(
+def _select_within(
     views: Sequence[FixedView],
     used: Sequence[int],
     regions: Sequence[NDArray[np.bool_]],

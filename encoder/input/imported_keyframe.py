@@ -43,7 +43,7 @@ class KeyframeSource:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What the earlier encode wrote down of how the keyframe was made."""
+        """The earlier encode's settings of the keyframe."""
         return {
             name: self.header.settings[name] for name in ("keyframe", "lattice_scale") if name in self.header.settings
         }

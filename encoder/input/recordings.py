@@ -1,4 +1,4 @@
-"""Which recordings a stream is of, so that none is gone on with from other footage.
+"""Which recordings a stream is of, so that none is resumed with other footage.
 
 The header's settings have a digest of each training camera's first picture as it is decoded. Videos that are packed
 anew, moved or renamed stay the same recordings; scale, lenses and held-out cameras play no part. A decoder of videos
@@ -30,7 +30,7 @@ def digest_of(picture: Picture) -> str:
 
 
 def setting_of(recorded: Mapping[str, str], cameras: Sequence[str]) -> dict[str, Any]:
-    """What the header's settings hold of the first pictures: digests in the order of ``cameras``; nothing without."""
+    """The header's setting for the first pictures: digests in the order of ``cameras``; none without digests."""
     return (
         {_RECORDED_SETTING: {_PICTURES_SETTING: [recorded[name] for name in cameras if name in recorded]}}
         if recorded
@@ -49,7 +49,7 @@ def recorded_in(header: StreamHeader) -> dict[str, str]:
 
 
 def difference(header: StreamHeader, recorded: Mapping[str, str]) -> str:
-    """Whose first pictures are others than the stream's, in words; empty if none are, or the stream does not tell."""
+    """Whose first pictures differ from the stream's, in words; empty if none do, or the stream has no digests."""
     names = [name for name, was in recorded_in(header).items() if was != recorded.get(name, was)]
     more = f" and {len(names) - 1} more cameras" if len(names) > 1 else ""
     return f"other pictures: frame {header.first_frame} of {names[0]}{more} differs" if names else ""

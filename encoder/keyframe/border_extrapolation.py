@@ -1,9 +1,9 @@
 """Gaussians beside the training pictures: their borders extrapolated, blurred, instead of black.
 
-A free viewpoint looks past the borders of all pictures. Depths go on as planes, colours as means over more and more
-of the border, so that detail fades with the distance from it. No picture contradicts these Gaussians: none stands where
-one looks. Rejected: a background of the pictures' mean colour, which shows through surfaces in training.
-Figures: DESIGN.md, "Keyframe".
+A free viewpoint sees past the borders of all pictures. Depths go on as planes, colours as means over more and more of
+the border, so that detail fades with the distance from it. No picture contradicts these Gaussians: none is inside a
+picture. Rejected: a background of the pictures' mean colour, which shows through surfaces in training. Figures:
+DESIGN.md, "Keyframe".
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _SHRUNK_PIXELS_ACROSS = 96
 _SPACING_PIXELS, _SPACING_GROWTH = 3, 1.25
 """Distance of the Gaussians in shrunk pictures, in pixels, and its factor while there are too many."""
 _RINGS = ((0.0, 0.33, 1), (0.33, 1.0, 2))
-"""From and to where in a margin they are how many times as far apart."""
+"""Begin and end in the margin, as shares of it, and the factor of the spacing there."""
 _SIGMA_SPACINGS = 0.6
 """Their sigma in units of this distance: together they are closed."""
 _CLEARANCE_SIGMAS = 1.0
@@ -68,7 +68,7 @@ def border_extrapolation(
     reach: float,
     most: int,
 ) -> Splats:
-    """At most ``most`` Gaussians where no view looks, up to ``reach`` of a picture's width beside the pictures.
+    """At most ``most`` Gaussians outside all views, up to ``reach`` of a picture's width beside the pictures.
 
     ``pictures`` (3, H, W) are those of ``views``; depths are those of the trained ``splats``.
     """
@@ -108,7 +108,7 @@ def _widened(kernel: TrainingKernel, view: View, picture: FloatArray, splats: Sp
 
 
 def _blobs_beside(views: Sequence[View], wide: Sequence[_WidePicture], distance: float) -> _Blobs:
-    """One in each cell of a margin into which none of those before falls, where no view looks."""
+    """One in each empty cell of a margin, outside all views."""
     blobs = _Blobs(np.zeros((0, 3)), np.zeros((0, 3), np.float32), np.zeros(0))
     for begin, end, factor in _RINGS:
         cell = round(factor * distance)

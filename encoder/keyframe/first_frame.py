@@ -15,8 +15,8 @@ from decogs.formats.splats import FloatArray
 
 from ..backends import TrainingKernel
 from ..input.compensation import Corrector
-from ..input.compensation.frame import matched
-from ..input.compensation.matching import colours_at
+from ..input.compensation.frame import match_colours
+from ..input.compensation.matching import find_colours
 from ..input.dropouts import BLACK, blankness
 from ..input.ingest import Ingest, RigFrame, View
 from ..output.reports import OnKeyframeStep
@@ -83,8 +83,8 @@ def train_first_frame(
     with watch.stage("first_points"):
         points = points_of(frame.training)
         if header is None and settings.corrections.match_colours:
-            colours = colours_at(ingest.views, frame.training, points.xyz, points.seen)
-            frame = matched(frame, ingest.views, colours)
+            colours = find_colours(ingest.views, frame.training, points.xyz, points.seen)
+            frame = match_colours(frame, ingest.views, colours)
     if corrector is not None and corrector.cameras.camera_shake:
         with watch.stage("pre-alignment"):
             prealigned = prealigned_pictures(

@@ -1,8 +1,8 @@
 """Another trainer's Gaussians as a keyframe: turned to the rig's world, compensated, and put on a lattice.
 
 Chosen: nothing is trained. The lattice is the coarsest, halving its steps from the settings', that costs no more than
-.1 dB on the training views: Gaussians that were not trained to a lattice bear less rounding than ours. Which way a
-file's world is turned, its format does not tell: of what programs write, the turn that matches the pictures is taken.
+.1 dB on the training views: Gaussians that were not trained to a lattice bear less rounding than ours. The orientation
+of a file's world is not in its format: of those that programs write, the one that matches the pictures is taken.
 """
 
 from __future__ import annotations

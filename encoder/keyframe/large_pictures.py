@@ -3,9 +3,9 @@
 Coarse to fine: the first steps see shrunk pictures, the last ones the pictures as they are. A step's cost grows with
 the pixels, and what the first steps do, moving, growing and colouring Gaussians that are far off, shows in shrunk
 pictures as well. The renderer's filter belongs to the pixel (Mip-Splatting, Yu 2024), so that a scene from shrunk
-pictures fits larger ones. Gaussians are farther apart in such pictures, so they take longer steps, and fewer. Fewer
-first points leave room for those that densification puts where details are. Smaller pictures keep the settings'
-schedule. Figures: DESIGN.md.
+pictures fits larger ones. Gaussians are more pixels from each other in such pictures, so they take longer steps, and
+fewer. Fewer first points leave room for those that densification puts where details are. Smaller pictures keep the
+settings' schedule. Figures: DESIGN.md.
 """
 
 from __future__ import annotations

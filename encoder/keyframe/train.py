@@ -52,9 +52,9 @@ _GROW_GRADIENT = 2e-4
 _PRUNE_OPACITY = 0.005
 """Below it a Gaussian is removed (3DGS's)."""
 _MAX_STRETCH = 10.0
-"""Largest ratio of a Gaussian's largest to its middle size: needles look wrong from elsewhere."""
+"""Largest ratio of a Gaussian's largest to its middle size: needles are wrong from other viewpoints."""
 _PATIENCE_CHECKS = 4
-"""Checks without a new best after which training stops: the score of few tiles jumps."""
+"""Checks without a new best after which training stops: the score of few tiles is noisy."""
 _MEANS_DECAY, _LATE_DECAY = 0.05, 0.2
 """What is left of the step sizes at the end: of positions over the schedule, of all over its second half."""
 
@@ -152,7 +152,7 @@ def prealigned_pictures(
         kernel, views, pictures, points, short, random=random, corrector=corrector, fit=unscaled_schedule(short)
     )
     training.run(None)
-    return training.compensated(corrector, _PREALIGNMENT_STEPS)
+    return training.compensate(corrector, _PREALIGNMENT_STEPS)
 
 
 class _KeyframeTraining:
@@ -178,14 +178,14 @@ class _KeyframeTraining:
         self._lattice, self._lattice_scale = lattice, lattice_scale
         self._extent = scene_extent(views) or 1.0
         self._pictures = list(pictures)
-        self._counted = counted = [_counted(view, settings.validation_fraction, random) for view in views]
+        self._counted = counted = [_loss_weights(view, settings.validation_fraction, random) for view in views]
         self._stopping, self._is_good_enough = stopping, False
         self._regions = [None if c is None else c > 0 for c in counted]
         self._fit, self._factor = fit, 0
         self._values: list[list[LossValue]] = []
         self._reported_loss = float("nan")
         self._set_picture_scale(fit.scales[0].factor)
-        self._kept_back = [_kept_back(view, c) for view, c in zip(views, counted, strict=True)]
+        self._kept_back = [_validation_pixels(view, c) for view, c in zip(views, counted, strict=True)]
         self._optimiser = kernel.optimiser(splats_from_points(points, settings.sh_degree))
         self._view_gradients = kernel.view_gradients(len(self._optimiser))
         self._order = view_order(len(views), random)
@@ -197,7 +197,7 @@ class _KeyframeTraining:
         lattice = self._settle_on_lattice(steps, on_step)
         self._check_learnt()
         splats = self._optimiser.splats
-        seen, trained = self._seen(splats), len(splats) - beside
+        seen, trained = self._visible(splats), len(splats) - beside
         if not seen[:trained].any():
             raise TrainingError("no camera sees a Gaussian after training; lower the learning rates")
         seen[trained:] = True
@@ -355,7 +355,7 @@ class _KeyframeTraining:
     def _correct(self, corrector: Corrector, step: int) -> None:
         """Replaces the target pictures by compensated ones; drift is estimated against the scene so far."""
         self._check_finite()
-        self._pictures = self.compensated(corrector, step)
+        self._pictures = self.compensate(corrector, step)
         self._set_picture_scale(self._factor)
 
     def _set_picture_scale(self, factor: int) -> None:
@@ -370,7 +370,7 @@ class _KeyframeTraining:
         ]
         self._target = self._target_watch()
 
-    def compensated(self, corrector: Corrector, step: int) -> list[FloatArray]:
+    def compensate(self, corrector: Corrector, step: int) -> list[FloatArray]:
         """The recorded pictures, compensated for drift that is estimated against the scene so far."""
 
         def draw(number: int) -> RenderedPicture:
@@ -429,7 +429,7 @@ class _KeyframeTraining:
             pixels += 3 * float(kept.sum())
         return psnr_of(square / max(pixels, 1.0))
 
-    def _seen(self, splats: Splats) -> NDArray[np.bool_]:
+    def _visible(self, splats: Splats) -> NDArray[np.bool_]:
         """Gaussians visible in some training view; the others cost bytes and show only as floaters elsewhere."""
         seen = np.zeros(len(splats), bool)
         for view in self._views:
@@ -438,7 +438,7 @@ class _KeyframeTraining:
         return seen
 
 
-def _counted(view: View, share: float, random: np.random.Generator) -> FloatArray | None:
+def _loss_weights(view: View, share: float, random: np.random.Generator) -> FloatArray | None:
     """1 at pixels that count in the loss: recorded ones outside the validation tiles."""
     height, width = view.pinhole.height, view.pinhole.width
     counted = np.ones((height, width), np.float32) if view.valid is None else view.valid.copy()
@@ -448,7 +448,7 @@ def _counted(view: View, share: float, random: np.random.Generator) -> FloatArra
     return None if counted.all() else counted
 
 
-def _kept_back(view: View, counted: FloatArray | None) -> FloatArray | None:
+def _validation_pixels(view: View, counted: FloatArray | None) -> FloatArray | None:
     if counted is None:
         return None
     recorded = np.ones_like(counted) if view.valid is None else view.valid

@@ -1,4 +1,4 @@
-"""What the user sees while an encode works: how far it is, and on a terminal a line of figures per frame."""
+"""An encode's progress for its user: a bar, and on a terminal a line of figures per frame."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from .reports import FrameReport
 class TerminalProgress(EncodeObserver):
     """Shows an encode's progress on ``stream``; silent for None; a context manager.
 
-    The look at the rig, then the keyframe's steps, then the frames: on a terminal a bar for each and a line of figures
-    per frame, elsewhere a line now and then.
+    The analysis of the rig, then the keyframe's steps, then the frames: on a terminal a bar for each and a line of
+    figures per frame, elsewhere a line now and then.
     """
 
     def __init__(self, stream: TextIO | None) -> None:

@@ -1,4 +1,4 @@
-"""What an encode reports of itself: of every frame, and of the whole stream."""
+"""The reports of an encode: of every frame, and of the whole stream."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ OnKeyframeStep = Callable[[int, int, float], None]
 
 @dataclass(frozen=True)
 class FrameReport:
-    """One encoded frame: the rig's index, how it was coded, what it cost and how it looks.
+    """One encoded frame: the rig's index, its coding, cost and quality.
 
     ``bytes``: size of the packet on disk. ``selected``: share of the Gaussians in S_t.
     ``training_psnr``, ``held_out_psnr``: dB, means over the views, of the reconstructed state; the first against the
@@ -54,10 +54,10 @@ class FrameReport:
 
 @dataclass(frozen=True)
 class EncodeReport:
-    """What an encode made: the stream's path (``-`` for a pipe) and its frames.
+    """A finished encode: the stream's path (``-`` for a pipe) and its frames.
 
-    ``interrupted``: Ctrl-C ended it early. ``resumed``: how many frames an earlier encode had left, None when it was
-    not looked for; ``frames`` is empty when that was the whole stream. ``frame_budget`` and
+    ``interrupted``: Ctrl-C ended it early. ``resumed``: how many frames an earlier encode had left, None without
+    ``resume``; ``frames`` is empty when that was the whole stream. ``frame_budget`` and
     ``time_budget``: the settings'. ``part``: the rig's frames of a part, None for a whole stream.
     ``held_out_sizes``: of every held-out camera, width and height at which ``held_out_psnr`` was measured, and its own.
     """

@@ -17,11 +17,11 @@ from .frame import FrameSettings
 from .keyframe import KeyframeSettings
 from .threedgstream import BaselineSettings
 
-_UNUSED = {"decogs": "baseline", "3dgstream": "frame"}
+_UNREAD_SETTINGS = {"decogs": "baseline", "3dgstream": "frame"}
 """Settings that a method does not read; methods of other packages do not read the baseline's."""
 
-_USUAL = (("frame.focus.over", "region"),)
-"""Settings that a header names only where they are another than this."""
+_OMITTED_DEFAULTS = (("frame.focus.over", "region"),)
+"""Defaults that a header omits."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class EncodeSettings(Checked):
         can still be resumed.
         """
         document: dict[str, Any] = json.loads(json.dumps(asdict(self)))
-        del document[_UNUSED.get(self.method, "baseline")]
+        del document[_UNREAD_SETTINGS.get(self.method, "baseline")]
         for name in ("frame_budget", "time_budget", "target_psnr"):
             if document[name] is None:
                 del document[name]
@@ -90,7 +90,7 @@ class EncodeSettings(Checked):
         if not self.closed:
             for name in ("closed", "catch_up", "cross_fade"):
                 del document[name]
-        for path, usual in _USUAL:
+        for path, usual in _OMITTED_DEFAULTS:
             *parts, name = path.split(".")
             owner = document
             for part in parts:

@@ -37,8 +37,7 @@ from .options import RunOptions
 class Earlier:
     """The ``packets`` that an earlier encode made of the first frames.
 
-    ``origin``: what they are from, for a warning; the frames whose places are ``compared`` show whether the pictures
-    are those that they were made from.
+    ``origin``: their source, for a warning. ``compared``: places of the frames that are compared with the pictures.
     """
 
     packets: Iterable[Packet] = ()

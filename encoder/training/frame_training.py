@@ -111,7 +111,7 @@ class FrameTraining:
         self.seen.check()
         self.draw(views, work, drawn)
         if self.squared_error(views) > _DIVERGED_ERROR_RATIO * before:
-            return work.unchanged()
+            return work.rejected_frame()
         return work.result(drawn if isinstance(drawn, Splats) else drawn.splats, self.picture_weight)
 
     def focus(self, index: int) -> NDArray[np.bool_]:

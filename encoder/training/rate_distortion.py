@@ -1,4 +1,4 @@
-"""Rate-distortion optimised quantisation: of the integers near a trained value, the one worth its bits.
+"""Rate-distortion optimised quantisation: of the integers near a trained value, the one of least cost.
 
 The distortion of a number is the squared change of a picture's loss, its rate what an entropy coder with a table per
 channel takes. Source: entropy-constrained scalar quantisation (Chou, Lookabaugh and Gray 1989), with a weight for each

@@ -1,12 +1,12 @@
 """Length of a frame's training: the whole schedule, up to a deadline, or up to a target quality.
 
 Chosen for a deadline: larger strides through the schedule. After every step the frame's median time per step gives the
-number of steps that still fit, and the rest of the schedule is divided among them. So densification, the judging of
-changes and the decay of the rates keep their places in the schedule. Rates grow with the root of the stride, at most
-threefold, because few steps must still cover the motion. A frame needs no data of other frames, and the stride adapts
-to a machine that slows down. Rejected: ending the schedule at the deadline, which leaves changes unjudged and rates
-high (DESIGN.md has both measured); a number of steps from the last frame's speed (the moving share of the picture
-differs between frames).
+number of steps that still fit, and the rest of the schedule is divided among them. So densification, the revert of
+insignificant changes and the decay of the rates keep their places in the schedule. Rates grow with the root of the
+stride, at most threefold, because few steps must still cover the motion. A frame needs no data of other frames, and the
+stride adapts to a machine that slows down. Rejected: ending the schedule at the deadline, which reverts no change and
+leaves rates high (DESIGN.md has both measured); a number of steps from the last frame's speed (the moving share of the
+picture differs between frames).
 
 Chosen for iterations: the usual number times the ratio of the error in the region of interest, before the first step,
 to its usual value. An entering object needs twice the steps of a moving one. Rejected: the decision at the search for
@@ -140,7 +140,7 @@ class StepSchedule:
             self._last_stride = self._stride(self._deadline)
         self.position += self._last_stride
 
-    def put_off(self, seconds: float) -> None:
+    def extend_deadline(self, seconds: float) -> None:
         """Extends the deadline by time spent outside of steps, at the expense of later frames."""
         if self._deadline is not None:
             self._deadline += seconds
@@ -189,7 +189,7 @@ class SearchTime:
         self._credit = 0.0
         self._whole: float | None = None
 
-    def affords(self, left: float, guess: float) -> float:
+    def affordable_share(self, left: float, guess: float) -> float:
         """Share, 0 to 1, of a whole search that fits a frame with ``left`` seconds of training.
 
         ``guess``: estimated seconds of a whole search, used before the first one.
@@ -218,8 +218,8 @@ def search_of(share: float, views: int) -> tuple[int, float]:
 
     Every ray is compared with every view.
     """
-    looked = max(min(_MIN_SEARCH_VIEWS, views), min(views, round(views * math.sqrt(share))))
-    return looked, min(1.0, share * views / max(1, looked))
+    searched = max(min(_MIN_SEARCH_VIEWS, views), min(views, round(views * math.sqrt(share))))
+    return searched, min(1.0, share * views / max(1, searched))
 
 
 class TargetWatch:

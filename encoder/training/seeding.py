@@ -87,7 +87,7 @@ class SearchView:
         return np.asarray(self.depth.ravel()[pixels] / np.maximum(self.alpha.ravel()[pixels], _MIN_ALPHA))
 
 
-def missed(view: SearchView, levels: float = _MISSED_LEVELS) -> BoolArray:
+def missed_pixels(view: SearchView, levels: float = _MISSED_LEVELS) -> BoolArray:
     """Pixels (H, W) of the focus where rendering and picture clearly differ, without edges one pixel wide."""
     focus = np.flatnonzero(view.focus)
     rendered, picture = (np.take(planes.reshape(3, -1), focus, axis=1) for planes in (view.rendered, view.picture))
@@ -102,7 +102,7 @@ def enough_missed_pixels(masks: Sequence[BoolArray]) -> bool:
     return missing > _MIN_MISSED_SHARE * sum(mask.size for mask in masks)
 
 
-def seeds(
+def find_seeds(
     views: Sequence[SearchView],
     cores: Sequence[BoolArray],
     settings: EmergenceSettings,
@@ -112,7 +112,7 @@ def seeds(
 ) -> Splats:
     """New Gaussians where the views agree on a surface in front of the rendered one; often none.
 
-    ``views``: all training views; ``cores``: their ``missed`` masks; ``sh_degree``: the scene's. Deterministic.
+    ``views``: all training views; ``cores``: their `missed_pixels`; ``sh_degree``: the scene's. Deterministic.
     """
     if settings.max_seeds <= 0 or not enough_missed_pixels(cores):
         return empty_splats(sh_degree)
@@ -122,7 +122,7 @@ def seeds(
         found = list(each(search.along_rays, search.rays(step)))
     if not found:
         return empty_splats(sh_degree)
-    return _splats(_thinned(_confirmed(_join(found), step), settings.max_seeds), cores, sh_degree)
+    return _splats(_thin(_confirm(_join(found), step), settings.max_seeds), cores, sh_degree)
 
 
 @dataclass(frozen=True)
@@ -165,9 +165,9 @@ def _take(part: P, rows: IntArray | slice) -> P:
 
 
 class _Smoothed:
-    """A picture (H, W, 3) averaged over 3 x 3 pixels, made block by block where somebody asks for it.
+    """A picture (H, W, 3) averaged over 3 x 3 pixels, block by block on demand.
 
-    The search looks at few pixels of many large pictures. ``planes`` (3, h, w) are given for a range of rows and of
+    The search reads few pixels of many large pictures. ``planes`` (3, h, w) are given for a range of rows and of
     columns. Threads may ask at the same time: a block that two of them make is the same twice.
     """
 
@@ -230,7 +230,7 @@ class _Search:
 
     def __init__(self, views: Sequence[SearchView], cores: Sequence[BoolArray], each: Each) -> None:
         self._views, self._cores = views, cores
-        self._wide = list(each(_wide, views, cores))
+        self._wide = list(each(_widen, views, cores))
         self._smooth = [_Smoothed(view.camera, partial(_picture, view)) for view in views]
         self._change = [_Smoothed(view.camera, partial(_difference, view)) for view in views]
         depths = np.concatenate([view.surface(slice(None, None, 17)) for view in views])
@@ -261,7 +261,7 @@ class _Search:
         limit = np.where(surface > 0, (1 - _IN_FRONT_SHARE) * surface, np.inf)
         ray, place = np.nonzero(inverse * limit[:, None] > 1)
         ray, place = self._inside_hull(rays, ray, place)
-        # Between the steps of the coarse search, which are a few pixels apart in the views farthest off.
+        # Between the steps of the coarse search, which are a few pixels in the most distant views.
         ray = np.repeat(ray, 3)
         gap = self._inverse[0] - self._inverse[-1]
         offsets = np.array([-1, 0, 1]) / 3 * gap / max(1, len(self._inverse) - 1)
@@ -357,9 +357,9 @@ def _mean_of_best(differences: FloatArray, seen: IntArray, enough: BoolArray) ->
     return np.where(enough, total / np.maximum(wanted, 1), np.inf).astype(np.float32)
 
 
-def _wide(view: SearchView, core: BoolArray) -> BoolArray:
+def _widen(view: SearchView, core: BoolArray) -> BoolArray:
     """``core`` and the pixels missed by half as much, a pixel wider, flat: a new object may resemble what it hides."""
-    missing = (missed(view, _MISSED_LEVELS / 2) | core).view(np.uint8)
+    missing = (missed_pixels(view, _MISSED_LEVELS / 2) | core).view(np.uint8)
     return cv2.dilate(missing, np.ones((3, 3), np.uint8)).view(np.bool_).ravel()
 
 
@@ -397,7 +397,7 @@ def _project(
     return np.where(inside, row * camera.width + column, -1), u, v, depth
 
 
-def _confirmed(found: _Found, step: int) -> _Found:
+def _confirm(found: _Found, step: int) -> _Found:
     """Points close to the end of another view's ray; every ``step``-th pixel had a ray.
 
     Chance agreements of colour have scattered depths. Close: in one cell of a grid or of the grid shifted by half.
@@ -416,7 +416,7 @@ def _confirmed(found: _Found, step: int) -> _Found:
     return _take(found, np.flatnonzero(keep))
 
 
-def _thinned(found: _Found, most: int) -> _Found:
+def _thin(found: _Found, most: int) -> _Found:
     """One point, the best agreed on, per cell of a grid as wide as 1.5 pixels; cells grow until ``most`` suffice."""
     if not len(found.points):
         return found

@@ -46,7 +46,7 @@ class Motion:
         """Of a keyframe, whose Gaussians have no known motion."""
         return cls(np.zeros((population, 3), np.float32))
 
-    def expected(self) -> FloatArray:
+    def predict(self) -> FloatArray:
         """Predicted displacement up to the next frame, at constant velocity over deferred frames."""
         return np.asarray(self.last * np.float32(1 + self.deferred), np.float32)
 
@@ -54,6 +54,6 @@ class Motion:
         """After a frame without training: the scene stays."""
         return Motion(self.last, self.deferred + 1)
 
-    def moved(self, displacements: FloatArray) -> Motion:
+    def move(self, displacements: FloatArray) -> Motion:
         """After these displacements since the last frame that was not deferred."""
         return Motion(displacements / np.float32(1 + self.deferred))

@@ -17,7 +17,7 @@ from decogs.decoder.stream import open_stream
 from decogs.decoder.stream_info import info
 from decogs.decoder.views import render_view
 from decogs.encoder.input.compensation.colour import logit_shift
-from decogs.encoder.input.compensation.matching import colours_at
+from decogs.encoder.input.compensation.matching import find_colours
 from decogs.encoder.input.ingest import Ingest
 from decogs.encoder.settings.compensation import CorrectionSettings
 from decogs.formats.cameras import in_picture, project
@@ -78,14 +78,14 @@ def test_differences_are_found_at_points_that_views_share(unlike_rig: Path) -> N
     """To .05: the texture is a few pixels wide, and where cameras agree .016 is found."""
     ingest, pictures, xyz, seen = wall(unlike_rig)
     assert (seen.sum(axis=0) >= 3).sum() > 100
-    found = colours_at(ingest.views, pictures, xyz, seen)
+    found = find_colours(ingest.views, pictures, xyz, seen)
     np.testing.assert_allclose(without_common(dict(found)), without_common(COLOURS), atol=0.05)
 
 
 def test_cameras_that_agree_are_left_alone(moving_rig: Path) -> None:
     """Two levels of 255 at mid-grey change the odds by .03; the texture is a few pixels wide."""
     ingest, pictures, xyz, seen = wall(moving_rig)
-    found = colours_at(ingest.views, pictures, xyz, seen)
+    found = find_colours(ingest.views, pictures, xyz, seen)
     assert np.abs([odds(correction) for correction in found.values()] or [[0.0]]).max() < 0.03
 
 
@@ -93,8 +93,8 @@ def test_a_camera_that_shares_too_little_has_no_difference(unlike_rig: Path) -> 
     ingest, pictures, xyz, seen = wall(unlike_rig)
     alone = seen.copy()
     alone[1, 20:] = False
-    assert "cam01" not in colours_at(ingest.views, pictures, xyz, alone)
-    assert colours_at(ingest.views, pictures, xyz[:0], seen[:, :0]) == {}
+    assert "cam01" not in find_colours(ingest.views, pictures, xyz, alone)
+    assert find_colours(ingest.views, pictures, xyz[:0], seen[:, :0]) == {}
 
 
 # Whole encodes

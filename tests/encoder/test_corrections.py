@@ -25,7 +25,7 @@ from decogs.encoder.input.compensation import CorrectionMemory, Corrector, corre
 from decogs.encoder.input.compensation.agreement import SharedSurface, agreeing_shifts
 from decogs.encoder.input.compensation.benefit import Benefit
 from decogs.encoder.input.compensation.colour import logit_shift, remove_gain
-from decogs.encoder.input.compensation.shake import angles_of, turn_of, unturned
+from decogs.encoder.input.compensation.shake import angles_of, estimate_turn, undo_turn
 from decogs.encoder.input.ingest import Ingest, View
 from decogs.encoder.settings.compensation import CorrectionSettings
 from decogs.formats.cameras import Camera, scale_camera
@@ -114,7 +114,7 @@ def test_a_turn_is_found_to_a_fraction_of_a_pixel(tiny_rig: Any, correction: Cor
     _, recorded = wall(tiny_rig, correction)
     recorded = recorded_of(recorded, (0, 0, 0))
     recorded[:, 60:110, 80:130] = some_picture(9)[:, :50, :50]
-    angles = np.array(angles_of(turn_of(recorded, shown, camera)))
+    angles = np.array(angles_of(estimate_turn(recorded, shown, camera)))
     truth = np.array([correction.yaw, correction.pitch, correction.roll]) * ANGLE_STEP
     assert np.all(np.abs(angles - truth) * [camera.fx, camera.fy, np.hypot(camera.cx, camera.cy)] < 0.05)
 
@@ -125,13 +125,13 @@ def test_the_picture_is_put_where_the_calibrated_pose_sees_it(tiny_rig: Any) -> 
     _, recorded = wall(tiny_rig, correction)
     inner = np.s_[:, 8:-8, 8:-8]
     apart = np.abs(recorded - shown)[inner].mean()
-    left = np.abs(unturned(recorded, camera, correction.rotation) - shown)[inner].mean()
+    left = np.abs(undo_turn(recorded, camera, correction.rotation) - shown)[inner].mean()
     assert left < 0.1 * apart
 
 
 def test_a_view_without_texture_stays_where_it_is(tiny_rig: Any) -> None:
     flat = np.full((3, 48, 64), 0.5, np.float32)
-    np.testing.assert_allclose(turn_of(flat, flat, tiny_rig.camera(0)), np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(estimate_turn(flat, flat, tiny_rig.camera(0)), np.eye(3), atol=1e-12)
 
 
 # All cameras at once
@@ -258,12 +258,12 @@ def test_a_correction_pays_where_the_scene_agrees_with_it() -> None:
     for corrected, left, pays in ((right, recorded, True), (recorded, right, False), (recorded, recorded, True)):
         benefit = Benefit()
         for _ in range(3):
-            benefit = benefit.seen(corrected, left, shown, changed)
+            benefit = benefit.update(corrected, left, shown, changed)
         assert benefit.pays is pays
     mixed = Benefit()
     half = np.where(changed, recorded, right)
     for _ in range(3):
-        mixed = mixed.seen(half, np.where(changed, right, recorded), shown, changed)
+        mixed = mixed.update(half, np.where(changed, right, recorded), shown, changed)
     assert not mixed.pays, "it gains on what does not change and loses on what does"
 
 

@@ -288,15 +288,15 @@ def test_lossless_writes_every_change_as_it_was_trained(
     encode: Any, moving: Any, moving_rig: Path, economical: EncodeSettings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def noted(values: Any, before: Any, lattice: Any, *rest: Any) -> Any:
-        written = quantised(values, before, lattice, *rest)
+        written = quantise_changes(values, before, lattice, *rest)
         pairs.append((written, quantise(values, lattice, near=before)))
         return written
 
     import decogs.encoder.coding.changes as changes
 
     pairs: list[Any] = []
-    quantise, quantised = changes.quantise, changes.quantised
-    monkeypatch.setattr(changes, "quantised", noted)
+    quantise, quantise_changes = changes.quantise, changes.quantise_changes
+    monkeypatch.setattr(changes, "quantise_changes", noted)
     given = {"keyframe": moving.path, "stop": 2}
     lossless = encode(moving_rig, settings=with_lossless(economical), **given)
     ((written, nearest),) = pairs

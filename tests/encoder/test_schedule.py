@@ -173,7 +173,7 @@ def test_what_is_put_off_costs_no_steps(clock: Clock) -> None:
         clock.now += 0.01
         if index == 10:
             clock.now += 0.4
-            schedule.put_off(0.4)
+            schedule.extend_deadline(0.4)
 
     schedule = StepSchedule(SCHEDULE, clock.now + 0.5)
     positions, _ = run(schedule, step)
@@ -199,7 +199,7 @@ def test_a_stage_gets_its_share_of_what_is_left(clock: Clock) -> None:
 def test_searching_takes_its_share_on_average_and_begins_at_once(seconds: float) -> None:
     search, spent, when = SearchTime(), 0.0, []
     for frame in range(200):
-        if search.affords(1.0, MIN_SEARCH_SHARE):
+        if search.affordable_share(1.0, MIN_SEARCH_SHARE):
             search.record_time(seconds, MIN_SEARCH_SHARE)
             spent += seconds
             when.append(frame)
@@ -213,7 +213,7 @@ def test_a_search_is_as_large_as_there_is_time_for(left: float) -> None:
     """A whole one takes ten seconds: none may take what many frames have for their steps, the first included."""
     search, taken = SearchTime(), []
     for _ in range(100):
-        share = search.affords(left, 10.0)
+        share = search.affordable_share(left, 10.0)
         taken.append(10 * share)
         if share:
             search.record_time(10 * share, share)
@@ -233,11 +233,11 @@ def test_a_share_of_a_search_has_fewer_views_and_fewer_rays() -> None:
 
 
 def test_with_time_for_it_the_first_search_is_a_whole_one() -> None:
-    assert SearchTime().affords(100.0, 10.0) == 1.0
+    assert SearchTime().affordable_share(100.0, 10.0) == 1.0
 
 
 def test_without_time_there_is_no_search() -> None:
-    assert not SearchTime().affords(-1.0, 1.0)
+    assert not SearchTime().affordable_share(-1.0, 1.0)
 
 
 # The target

@@ -28,7 +28,7 @@ from ..ingest import View
 from .agreement import DrawView, SharedSurface, agreeing_shifts, shared_changes, shared_surface
 from .benefit import Benefit, on_grid
 from .colour import LogitShift, logit_shift, remove_gain
-from .shake import angles_of, turn_of, unturned
+from .shake import angles_of, estimate_turn, undo_turn
 
 __all__ = ["CorrectionMemory", "CorrectionSettings", "Corrector", "corrector_of"]
 
@@ -72,7 +72,7 @@ class CorrectionMemory:
     benefits: Mapping[tuple[str, str], Benefit] = field(default_factory=dict)
     dropped: frozenset[tuple[str, str]] = frozenset()
 
-    def restarted(self) -> CorrectionMemory:
+    def restart(self) -> CorrectionMemory:
         """Without the evidence of frames after the first."""
         return CorrectionMemory(self.surface, self.first)
 
@@ -83,7 +83,7 @@ class Corrector:
     def __init__(self, views: Sequence[View], settings: CorrectionSettings) -> None:
         self._views = {view.camera.name: (number, view) for number, view in enumerate(views)}
         lists = (settings.exposure, settings.white_balance, settings.shake)
-        self.cameras = CorrectedCameras(*(self._known(names) for names in lists))
+        self.cameras = CorrectedCameras(*(self._check_names(names) for names in lists))
         self._named = [name for name in self._views if self.cameras.of(name)]
         self._has_colours = bool(self.cameras.exposure_drift or self.cameras.white_balance_drift)
 
@@ -100,8 +100,8 @@ class Corrector:
         straight, rotations = list(recorded), dict.fromkeys(self._named, np.eye(3))
         for name in self.cameras.camera_shake:
             number, view = self._views[name]
-            rotations[name] = self._measured(name, recorded, render).rotation
-            straight[number] = unturned(recorded[number], view.pinhole, rotations[name])
+            rotations[name] = self._measure(name, recorded, render).rotation
+            straight[number] = undo_turn(recorded[number], view.pinhole, rotations[name])
         shifts = self._own_shifts(memory.surface, straight, render) if self._has_colours else {}
         found = {
             name: self._correction(name, _Drift(shifts.get(name, _NO_SHIFT), rotations[name])) for name in self._named
@@ -132,14 +132,14 @@ class Corrector:
                 if (name, kind) in memory.dropped or left_out == correction:
                     continue
                 corrected, left = (
-                    on_grid(self._compensated(name, recorded[number], each)) for each in (correction, left_out)
+                    on_grid(self._compensate(name, recorded[number], each)) for each in (correction, left_out)
                 )
                 rendered = on_grid(render(number))
                 if self._has_colours:
                     left_behind = left_behind or self._left_behind(recorded, corrections, render)
                     rendered = remove_gain(rendered, _gain_of(-_of_the_others(left_behind, name)))
                 benefit = benefits.get((name, kind), Benefit())
-                benefits[name, kind] = benefit.seen(corrected, left, rendered, on_grid(changed[number]))
+                benefits[name, kind] = benefit.update(corrected, left, rendered, on_grid(changed[number]))
         dropped = {key for key, benefit in benefits.items() if not benefit.pays}
         return replace(memory, benefits=benefits, dropped=memory.dropped | dropped)
 
@@ -149,7 +149,7 @@ class Corrector:
         """Logit shift (3,) from the scene to every camera's corrected picture."""
         return {
             name: logit_shift(
-                self._compensated(name, recorded[number], corrections.get(name, Correction())),
+                self._compensate(name, recorded[number], corrections.get(name, Correction())),
                 render(number),
                 view.valid,
             ).shift
@@ -165,8 +165,8 @@ class Corrector:
         straight, rotations = list(recorded), dict.fromkeys(self._named, np.eye(3))
         for name in self.cameras.camera_shake:
             number, view = self._views[name]
-            rotations[name] = self._measured(name, recorded, lambda number: draw(number).rgb).rotation
-            straight[number] = unturned(recorded[number], view.pinhole, rotations[name])
+            rotations[name] = self._measure(name, recorded, lambda number: draw(number).rgb).rotation
+            straight[number] = undo_turn(recorded[number], view.pinhole, rotations[name])
         if not self._has_colours:
             return {name: self._correction(name, _Drift(_NO_SHIFT, rotations[name])) for name in self._named}
         views = [view for _, view in self._views.values()]
@@ -181,23 +181,23 @@ class Corrector:
         compensated = list(recorded)
         for name, correction in corrections.items():
             number, _ = self._views[name]
-            compensated[number] = self._compensated(name, compensated[number], correction)
+            compensated[number] = self._compensate(name, compensated[number], correction)
         return compensated
 
-    def _compensated(self, name: str, picture: FloatArray, correction: Correction) -> FloatArray:
+    def _compensate(self, name: str, picture: FloatArray, correction: Correction) -> FloatArray:
         if correction.is_coloured:
             picture = remove_gain(picture, correction.odds_gain)
         if correction.is_turned:
-            picture = unturned(picture, self._views[name][1].pinhole, correction.rotation)
+            picture = undo_turn(picture, self._views[name][1].pinhole, correction.rotation)
         return picture
 
-    def _known(self, names: Sequence[str]) -> tuple[str, ...]:
+    def _check_names(self, names: Sequence[str]) -> tuple[str, ...]:
         for name in names:
             if name not in self._views:
                 raise UsageError(f"camera {name} cannot be compensated: it is not a training camera")
         return tuple(name for name in self._views if name in names)
 
-    def _measured(self, name: str, recorded: Sequence[FloatArray], render: RenderView) -> _Drift:
+    def _measure(self, name: str, recorded: Sequence[FloatArray], render: RenderView) -> _Drift:
         number, view = self._views[name]
         picture, rendered = recorded[number], render(number)
         colour = logit_shift(picture, rendered, view.valid) if self._has_colours else _NO_SHIFT
@@ -205,9 +205,9 @@ class Corrector:
             return _Drift(colour, np.eye(3))
         rotation = np.eye(3)
         for _ in range(_ALTERNATIONS if self._has_colours else 1):
-            rotation = turn_of(remove_gain(picture, _gain_of(colour.shift)), rendered, view.pinhole, view.valid)
+            rotation = estimate_turn(remove_gain(picture, _gain_of(colour.shift)), rendered, view.pinhole, view.valid)
             if self._has_colours:
-                colour = logit_shift(unturned(picture, view.pinhole, rotation), rendered, view.valid)
+                colour = logit_shift(undo_turn(picture, view.pinhole, rotation), rendered, view.valid)
         return _Drift(colour, rotation)
 
     def _own_shifts(

@@ -46,7 +46,7 @@ class Benefit:
     blocks: F64 = field(default_factory=lambda: np.zeros(2))
     frames: int = 0
 
-    def seen(
+    def update(
         self, corrected: FloatArray, left: FloatArray, rendered: FloatArray, changed: NDArray[np.bool_]
     ) -> Benefit:
         """With a frame's picture with the correction, the one without, and the scene, all (3, H, W).

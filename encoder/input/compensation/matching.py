@@ -29,7 +29,7 @@ _MIN_POINT_VIEWS = 3
 """Views of a point that counts: of two that differ, either may be the one that reflects a light."""
 
 
-def colours_at(
+def find_colours(
     views: Sequence[View], pictures: Sequence[FloatArray], xyz: FloatArray, seen: NDArray[np.bool_]
 ) -> Corrections:
     """How every view's colours differ from the median view's, by camera; the cameras without a difference are left out.

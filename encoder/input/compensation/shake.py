@@ -31,7 +31,7 @@ _STEPS_PER_LEVEL = 4
 _MIN_SIDE_PIXELS = 24
 
 
-def unturned(picture: FloatArray, camera: Camera, rotation: F64) -> FloatArray:
+def undo_turn(picture: FloatArray, camera: Camera, rotation: F64) -> FloatArray:
     """The picture (3, H, W) of the turned pinhole ``camera`` as the calibrated pose sees it; edges are continued.
 
     ``rotation`` (3, 3) takes directions in the turned camera to those in the calibrated one.
@@ -50,7 +50,7 @@ def unturned(picture: FloatArray, camera: Camera, rotation: F64) -> FloatArray:
     return np.ascontiguousarray(warped.transpose(2, 0, 1))
 
 
-def turn_of(recorded: FloatArray, rendered: FloatArray, camera: Camera, valid: FloatArray | None = None) -> F64:
+def estimate_turn(recorded: FloatArray, rendered: FloatArray, camera: Camera, valid: FloatArray | None = None) -> F64:
     """The rotation (3, 3) by which the camera was turned when it recorded the picture, against the ``rendered`` view.
 
     Both (3, H, W) of the pinhole ``camera``, of like colours. ``valid`` (H, W) is 0 where nothing was recorded.
@@ -64,7 +64,7 @@ def turn_of(recorded: FloatArray, rendered: FloatArray, camera: Camera, valid: F
         known = None if valid is None else cv2.resize(valid, (small.width, small.height)) > 0.99
         columns = _flow_gradients(target, small)
         for _ in range(_STEPS_PER_LEVEL):
-            step = _step(unturned(source, small, rotation) - target, columns, known)
+            step = _step(undo_turn(source, small, rotation) - target, columns, known)
             rotation = _product(_exponential(step), rotation)
     return rotation
 

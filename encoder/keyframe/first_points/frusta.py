@@ -57,8 +57,8 @@ def shared_depths(views: Sequence[SweepView]) -> list[DepthRange | None]:
     """For every view the depths at which other views see a fair part of the same space; None if there are none.
 
     Nearest: where the weight for matching (best other view of each pixel, see ``angle_weight``) reaches a quarter of
-    its largest value; closer up, cameras beside each other look past one another or under very different angles.
-    Farthest: where the last of the shared space is, up to "infinity" (20 times the rig's size).
+    its largest value; closer up, cameras beside each other see different space, or the same under very different
+    angles. Farthest: where the last of the shared space is, up to "infinity" (20 times the rig's size).
     """
     size = rig_size(views)
     if size <= 0:

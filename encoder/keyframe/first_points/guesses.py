@@ -118,9 +118,9 @@ def fill_empty_cells(
     column, row = column[~goes_on[row, column]], row[~goes_on[row, column]]
     scatter = _SCATTER + (_WIDE_SCATTER - _SCATTER) * doubt
     inverse = filled[row, column] * np.exp(scatter * random.standard_normal(len(row)))
-    if view_depths.believed is not None and known.any():
+    if view_depths.swept is not None and known.any():
         low, high = np.percentile(known[known > 0], [1, 99])
-        own = view_depths.believed[row, column]
+        own = view_depths.swept[row, column]
         use = (random.random(len(row)) < _SWEEP_DEPTH_FRACTION) & (own > 0.8 * low) & (own < 1.1 * high)
         inverse[use] = own[use]
     return continued, _guess(view, column, row, inverse, _GUESS_SPACING)
@@ -134,7 +134,7 @@ def _continued(
     pixels: float,
     random: np.random.Generator,
 ) -> Cloud:
-    """As dense as confirmed points, ``pixels`` apart, where the planes of ``filled`` go on."""
+    """As dense as confirmed points, spaced ``pixels``, where the planes of ``filled`` go on."""
     column, row = _pixels_of(view, empty, min((CELL_PIXELS / pixels) ** 2, _CONTINUED_PER_CELL), random)
     column, row = column[goes_on[row, column]], row[goes_on[row, column]]
     inverse = filled[row, column] * np.exp(_CONTINUED_SCATTER * random.standard_normal(len(row)))
@@ -152,11 +152,15 @@ def _pixels_of(
 
 
 def _guess(
-    view: SweepView, column: NDArray[np.int64], row: NDArray[np.int64], inverse: NDArray[np.floating[Any]], apart: float
+    view: SweepView,
+    column: NDArray[np.int64],
+    row: NDArray[np.int64],
+    inverse: NDArray[np.floating[Any]],
+    spacing: float,
 ) -> Cloud:
-    """Points at inverse depths above 0, as far from each other as ``apart`` confirmed ones."""
+    """Points at inverse depths above 0; ``spacing``: in units of that of confirmed points."""
     good = inverse > 1e-12
     column, row, depth = column[good], row[good], 1 / inverse[good]
     xyz = view.centre + pixel_rays(view, column.astype(np.float64), row.astype(np.float64)) * depth[:, None]
-    spacing = (apart * depth / view.focal).astype(np.float32)
-    return Cloud(xyz, view.picture[row, column], spacing, np.full(len(xyz), _GUESS_CONFIDENCE, np.float32))
+    spacings = (spacing * depth / view.focal).astype(np.float32)
+    return Cloud(xyz, view.picture[row, column], spacings, np.full(len(xyz), _GUESS_CONFIDENCE, np.float32))
