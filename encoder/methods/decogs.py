@@ -85,7 +85,8 @@ def _iteration_factor(training: FrameTraining, work: WorkingSet, probes: Sequenc
     if not training.settings.adaptive_iterations.usual_miss:
         return 1.0
     training.draw(probes, work, work.optimiser)
-    return iteration_factor(training.settings.adaptive_iterations, training.errors(probes))
+    settings = training.settings
+    return iteration_factor(settings.adaptive_iterations, settings.joint_iterations, training.errors(probes))
 
 
 def _train(training: FrameTraining, work: WorkingSet, schedule: StepSchedule, growth: _Growth) -> None:

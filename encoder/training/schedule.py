@@ -43,8 +43,9 @@ view loses .44 dB; without a limit .97, since needles grow that look wrong from 
 LATE_DECAY = 0.2
 """What is left of a later frame's rates at the end of its steps, falling over their second half."""
 
-_MAX_ITERATION_FACTOR = 3.0
-"""Most iterations of a frame, in units of the usual number: with more, a cut would take minutes."""
+_MAX_ITERATION_FACTOR, _MAX_ITERATIONS = 3.0, 400
+"""Most iterations of a frame that misses much: in units of the usual number, since a cut would take minutes, and in
+all. From one keyframe 600 are worse than 300 on three rigs: the few views that see what is new are fitted too well."""
 
 _MAX_RATE_GAIN = 3.0
 """Largest factor of the rates when a deadline leaves few steps, which must still cover the motion."""
@@ -84,8 +85,8 @@ WHOLE = StoppingRule()
 """The whole schedule, unwatched."""
 
 
-def iteration_factor(settings: IterationSettings, errors: Sequence[FloatArray]) -> float:
-    """Factor of a frame's iterations, relative to the usual number.
+def iteration_factor(settings: IterationSettings, usual: int, errors: Sequence[FloatArray]) -> float:
+    """Factor of a frame's iterations, relative to the ``usual`` number.
 
     ``errors``: of some views in their regions of interest, (3, pixels) each, colours 0 to 1.
     """
@@ -93,7 +94,8 @@ def iteration_factor(settings: IterationSettings, errors: Sequence[FloatArray]) 
     if not (settings.usual_miss and pixels):
         return 1.0
     missed = sum(int((np.abs(each).max(axis=0) > _MISSED_ERROR).sum()) for each in errors)
-    return float(np.clip(missed / pixels / settings.usual_miss, settings.min_factor, _MAX_ITERATION_FACTOR))
+    most = max(1.0, min(_MAX_ITERATION_FACTOR, _MAX_ITERATIONS / max(usual, 1)))
+    return float(np.clip(missed / pixels / settings.usual_miss, settings.min_factor, most))
 
 
 class StepSchedule:

@@ -83,9 +83,12 @@ def test_what_is_missed_more_than_usual_gets_as_much_longer(missed: float, facto
     views = [np.full((3, pixels), 0.09, np.float32) for pixels in (400, 600)]
     for view in views:
         view[1, : round(missed * view.shape[1])] = -0.11
-    assert iteration_factor(IterationSettings(usual_miss=0.15, min_factor=0.6), views) == pytest.approx(factor)
-    assert iteration_factor(IterationSettings(), views) == 1
-    assert iteration_factor(IterationSettings(usual_miss=0.15), [np.zeros((3, 0), np.float32)]) == 1
+    assert iteration_factor(IterationSettings(usual_miss=0.15, min_factor=0.6), 100, views) == pytest.approx(factor)
+    for usual in (250, 400, 1000):
+        found = iteration_factor(IterationSettings(usual_miss=0.15, min_factor=0.6), usual, views)
+        assert found == pytest.approx(min(factor, max(1, 400 / usual)))
+    assert iteration_factor(IterationSettings(), 100, views) == 1
+    assert iteration_factor(IterationSettings(usual_miss=0.15), 100, [np.zeros((3, 0), np.float32)]) == 1
 
 
 @pytest.mark.parametrize("fitting", [20, 50, 100])
