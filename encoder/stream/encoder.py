@@ -57,13 +57,13 @@ class StreamEncoder:
         self._reporter = FrameReporter(context, options.on_warning)
 
     def check_header(self, first: int) -> None:
-        """Raises RigError, before anything is trained, for a rig that no stream's header can defer."""
+        """Raises RigError, before anything is trained, for a rig that no stream's header can hold."""
         try:
             self._new_header(first, default_lattice(1.0), self._context.settings.keyframe.sh_degree).to_bytes()
         except StreamError as error:
             problem = str(error).partition(" in packet ")[0].removeprefix("header: ")
             path = self._context.ingest.rig.path
-            raise RigError(f"{path}: a stream cannot defer this rig ({problem}); change its calibration") from None
+            raise RigError(f"{path}: a stream cannot hold this rig ({problem}); change its calibration") from None
 
     def encode(self, frames: Iterable[RigFrame], first: int, earlier: Earlier) -> Iterator[FrameReport]:
         """Encodes ``frames`` of a take that begins with the rig's frame ``first``; ``earlier`` ones are replayed."""
