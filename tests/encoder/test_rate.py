@@ -161,6 +161,28 @@ def test_the_frames_of_a_segment_pay_for_its_keyframe_evenly(key: float) -> None
     assert paying == pytest.approx((10 - key) / 9 * BUDGET, rel=0.05)
 
 
+@pytest.mark.parametrize("key", [2.9, 3.0, 40.0])
+def test_a_keyframe_may_take_more_than_its_whole_segment_may(key: float) -> None:
+    """Nothing is left for the other frames: they get next to nothing, as far as the threshold goes."""
+    control = RateControl(BUDGET, 3)
+    for _ in range(4):
+        control = control.after(PacketKind.KEY, round(key * BUDGET))
+        for _ in range(2):
+            control = control.after(PacketKind.DELTA, BUDGET)
+    assert control.factor == 256
+
+
+def test_a_place_in_a_segment_is_counted_from_its_keyframe() -> None:
+    """A closed segment's control begins with the keyframe, an open one's with the frame after the first."""
+    closed = opened = RateControl(BUDGET, 3)
+    places = []
+    for kind in (PacketKind.KEY, PacketKind.DELTA, PacketKind.SKIP, PacketKind.KEY, PacketKind.DELTA):
+        closed = closed.after(kind, BUDGET)
+        opened = opened if kind == PacketKind.KEY and not opened.frames else opened.after(kind, BUDGET)
+        places.append((closed.place, opened.place))
+    assert places == [(0, 0), (1, 1), (2, 2), (3, 3), (4, 4)]
+
+
 def test_it_knows_nothing_but_sizes() -> None:
     """The same packets, the same factors: what an encode that goes on relies on."""
     answer = response(0.6, doubling, noise=0.3)
