@@ -40,8 +40,9 @@ def train_frame(
         with watch.stage("selection"):
             plan = replace(plan, selection=select_again(context, scene, event, plan.selection))
         memory = replace(memory, motion=Motion.at_rest(len(scene.state)))
-        trained = replace(_trained(context, scene, memory, plan, frame, watch), rejected=False)
-    return scene, trained
+        trained = _trained(context, scene, memory, plan, frame, watch)
+    # What an earlier round has changed stays: then the frame is not rejected.
+    return scene, replace(trained, rejected=trained.rejected and scene is event.scene)
 
 
 def _trained(

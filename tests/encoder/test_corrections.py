@@ -21,7 +21,7 @@ from decogs.decoder.stream import open_stream
 from decogs.decoder.views import render_view
 from decogs.encoder.backends import RenderedPicture
 from decogs.encoder.backends.cpu.cpu_kernel import HostPicture
-from decogs.encoder.input.compensation import CorrectionMemory, Corrector, corrector_of
+from decogs.encoder.input.compensation import CorrectionMemory, Corrector, _of_the_others, corrector_of
 from decogs.encoder.input.compensation.agreement import SharedSurface, agreeing_shifts
 from decogs.encoder.input.compensation.benefit import Benefit
 from decogs.encoder.input.compensation.colour import odds_shift, without_odds
@@ -265,6 +265,36 @@ def test_a_correction_pays_where_the_scene_agrees_with_it() -> None:
     for _ in range(3):
         mixed = mixed.seen(half, np.where(changed, right, recorded), shown, changed)
     assert not mixed.pays, "it gains on what does not change and loses on what does"
+
+
+def test_the_last_frames_decide_whether_a_correction_pays() -> None:
+    """After twenty frames in which it was right, eight in which it was wrong by as much."""
+    shown, changed = some_picture(1), np.zeros((90, 120), bool)
+    recorded = recorded_of(shown, SHIFT)
+    odds: Any = tuple(np.exp(SHIFT))
+    right, benefit, paid = without_odds(recorded, odds), Benefit(), []
+    for frame in range(28):
+        pictures = (right, recorded) if frame < 20 else (recorded, right)
+        benefit = benefit.seen(*pictures, shown, changed)
+        paid.append(benefit.pays)
+    assert all(paid[:21]), "one frame decides nothing"
+    assert not paid[-1]
+
+
+def test_what_the_others_miss_is_the_median_of_those_but_one() -> None:
+    shifts = {name: np.full(3, value) for name, value in (("a", 9.0), ("b", 1.0), ("c", 2.0))}
+    np.testing.assert_array_equal(_of_the_others(shifts, "a"), [1.5] * 3)
+    del shifts["c"]
+    np.testing.assert_array_equal(_of_the_others(shifts, "a"), [0] * 3)
+
+
+def test_a_segment_goes_on_with_the_first_frames_corrections_and_nothing_else() -> None:
+    nowhere = np.zeros((1, 0), np.int64)
+    first = {"cam00": Correction(exposure=3)}
+    memory = CorrectionMemory(SharedSurface(nowhere, nowhere, nowhere > 0), first)
+    later = replace(memory, benefits={("cam00", "shake"): Benefit()}, dropped=frozenset({("cam00", "shake")}))
+    assert later != memory
+    assert later.restarted() == memory
 
 
 def test_light_that_the_scene_has_not_followed_yet_is_no_cameras_loss(tiny_rig: Any) -> None:

@@ -24,7 +24,7 @@ from decogs.encoder.input.ingest import RigFrame
 from decogs.encoder.settings.frame import FrameSettings, SignificanceSettings
 from decogs.encoder.training.method import TrainedFrame
 from decogs.formats.cameras import camera_centre
-from decogs.formats.splats import empty_splats, take_splats
+from decogs.formats.splats import Splats, empty_splats, take_splats
 from encode_rig import encode_rig
 
 STILL = (0, 1, 3, 3, 3, 3, 3)
@@ -134,6 +134,26 @@ def test_what_was_trained_and_added_goes_over_as_well(tiny_rig: Any) -> None:
     assert not np.array_equal(gone.added.sh, new.sh)
     assert gone.sensitivity is not None
     assert len(gone.sensitivity) == len(gone.kept)
+
+
+def test_what_training_found_to_show_still_counts_after_the_fade(tiny_rig: Any) -> None:
+    """Of the Gaussians that were trained; the others count as the fade finds them, which is less."""
+    kernel, cameras = training_kernel(threads=1), [tiny_rig.camera(index) for index in (0, 4)]
+    scene, following = tiny_rig.scene_at(0), tiny_rig.scene_at(1)
+    rows = np.flatnonzero(np.any(scene.means != following.means, axis=1))
+    kept, values = rows[::2], take_splats(scene, rows[::2])
+    large = Splats(*(np.full_like(getattr(values, name), 1e9) for name in ATTRIBUTES))
+    trained = TrainedFrame(kept, values, rows[:0], empty_splats(scene.sh_degree), sensitivity=large)
+    fade = CrossFade(following, 0.5, rows, fade_views(kernel, cameras))
+    settings = FrameSettings(cache=None, joint_iterations=2)
+    gone = cross_fade(kernel, scene, trained, fade, settings, extent=2.0, seed=(0, 1))
+    assert gone.sensitivity is not None
+    was_trained = np.isin(gone.kept, kept)
+    assert 0 < was_trained.sum() < len(was_trained)
+    for name in ATTRIBUTES:
+        sizes = getattr(gone.sensitivity, name)
+        assert (sizes[was_trained] == np.float32(1e9)).all()
+        assert (sizes[~was_trained] < 1e9).all()
 
 
 @pytest.fixture(scope="module")

@@ -12,6 +12,7 @@ from decogs.encoder.change.flashes import is_missed
 from decogs.encoder.change.masks import (
     FrameMask,
     MaskMemory,
+    PixelChange,
     difference_mask,
     dilate,
     faint_light_mask,
@@ -237,6 +238,57 @@ def test_a_change_of_most_pixels_that_no_mask_has_is_taken_whole() -> None:
         assert not any(change.raw.any() for change in changes)
         assert is_missed(memory, [now, now, black], [shown] * 3, changes) == found
         assert [bool(mask.dilated.all()) for mask in full_masks(changes)] == [True, True, False]
+
+
+FLAT = np.full((3, 8, 8), 0.5, np.float32)
+NOWHERE = np.zeros((8, 8), bool)
+
+
+def test_a_lost_picture_is_no_reference() -> None:
+    lost, seen = (FrameMask(NOWHERE, NOWHERE, lost=why) for why in ("black", ""))
+    pictures = [FLAT - 0.5, FLAT + 0.1]
+    memory = MaskMemory.begin([FLAT, FLAT]).advance(pictures, [lost, seen], MaskSettings())
+    assert memory.references[0] is FLAT
+    assert memory.references[1] is pictures[1]
+
+
+def test_a_picture_is_frozen_that_repeats_the_one_before_and_not_the_first() -> None:
+    shown = [RNG.uniform(0, 1, (3, 8, 8)).astype(np.float32) for _ in range(3)]
+    memory = MaskMemory.begin([shown[0]] * 3).advance([shown[1]] * 3, [], MaskSettings())
+    changes = memory.pixel_changes([shown[1], shown[2], shown[2]], MaskSettings())
+    assert [bool(change.lost) for change in changes] == [True, False, False]
+    assert not any(change.lost for change in memory.pixel_changes([shown[0], shown[2], shown[2]], MaskSettings()))
+
+
+def test_light_alone_is_remembered_for_one_frame() -> None:
+    mask = FrameMask(NOWHERE, NOWHERE, faint_reach=0.5)
+    memory, told = MaskMemory.begin([FLAT]), []
+    for moved in (False, True, False):
+        memory = memory.trained([FLAT], [mask], moved=moved)
+        told.append(memory.only_light)
+    assert told == [True, False, True]
+
+
+@pytest.mark.parametrize("truncated", [True, False])
+def test_what_training_has_not_reached_keeps_its_reference(truncated: bool) -> None:
+    """Where more is missed than the first frame's error, if there was no time to go on."""
+    now, mask = FLAT + np.float32(0.3), FrameMask(~NOWHERE, ~NOWHERE)
+    shown = now - np.float32(0.01)
+    shown[:, :2] = FLAT[:, :2]
+    memory = MaskMemory.begin([FLAT], [FLAT + np.float32(0.02)])
+    reached = memory.trained([now], [mask], moved=True, shown=[shown] if truncated else None).references[0]
+    expected = now.copy()
+    if truncated:
+        expected[:, :2] = FLAT[:, :2]
+    np.testing.assert_array_equal(reached, expected)
+
+
+def test_faint_light_is_told_from_the_noise_of_a_windows_mean() -> None:
+    """A seventh of a pixel's, of 14 levels: three levels everywhere are light, one is not."""
+    memory, settings = MaskMemory.begin([FLAT]), MaskSettings(radius_fraction=0.0, light_threshold=4.0)
+    for levels, counts in ((3, True), (1, False)):
+        (mask,) = memory.masks([FLAT + np.float32(levels / 255)], [PixelChange(NOWHERE, 14.0)], settings)
+        assert mask.dilated.all() == mask.dilated.any() == counts
 
 
 def frame_masks(current: list[np.ndarray], references: list[np.ndarray], settings: MaskSettings) -> list[FrameMask]:

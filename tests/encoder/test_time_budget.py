@@ -159,6 +159,21 @@ def test_a_freeze_is_bounded_however_little_time_there_is() -> None:
     assert "".join("h" if each else "t" for each in held) == "t" + "hhhhhhht" * 7 + "hhhhhhh"
 
 
+@pytest.mark.parametrize(("saved", "fits", "too_much"), [(-1.2, 0.9, 1.1), (0.0, 0.9, 1.1), (3.0, 1.4, 1.6)])
+def test_a_frame_has_its_own_time_at_least_before_it_is_held(saved: float, fits: float, too_much: float) -> None:
+    """And a share of what was saved. What little is owed is paid back by shorter training."""
+    control = TimeControl(1.0, saved=saved)
+    assert not control.holds({}, fits)
+    assert control.holds({}, too_much)
+
+
+def test_a_frame_that_is_held_for_what_is_owed_pays_and_keeps_nothing_for_the_next() -> None:
+    seconds = {"masks": 0.25, "measure": 9.0}
+    held, paid = TimeControl(1.0).took(seconds, held=True), TimeControl(1.0, saved=-3.0).took(seconds, held=True)
+    assert (held.saved, held.kept, held.held) == (0.0, 0.75, 1)
+    assert (paid.saved, paid.kept, paid.held) == (-2.25, 0.0, 1)
+
+
 def test_a_miss_is_told_by_its_share() -> None:
     seconds = {"masks": 1.0, "training": 0.5, "measure": 9.0}
     assert over_time([seconds, seconds], 1.2) == pytest.approx(0.25)

@@ -1,0 +1,344 @@
+"""Steps of one later frame, each by itself on made-up values: plan, training, commit, replay, the next segment."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import decogs.encoder.frame.encode_frame as encode_frame
+import decogs.encoder.stream.encoder as stream_encoder
+from decogs.codec.corrections import Correction
+from decogs.codec.keyframes import new_state
+from decogs.codec.lattice import default_lattice, quantise
+from decogs.codec.state import ARRAYS, Attributes, State
+from decogs.encoder.change.masks import FrameMask, MaskMemory
+from decogs.encoder.coding.rate_control import RateControl
+from decogs.encoder.coding.scene import IDS_PER_SEGMENT, Scene
+from decogs.encoder.frame.commit import Outcome, commit
+from decogs.encoder.frame.encode_frame import Encoded, Task
+from decogs.encoder.frame.events import Event, Kind, PendingFrame
+from decogs.encoder.frame.memory import Memory, restarted
+from decogs.encoder.frame.next_segment import NextSegment
+from decogs.encoder.frame.plan import FramePlan, Selection, light_only, plan_frame
+from decogs.encoder.frame.train import train_frame
+from decogs.encoder.input.compensation.colour import without_odds
+from decogs.encoder.input.ingest import RigFrame
+from decogs.encoder.settings.frame import SelectionSettings
+from decogs.encoder.settings.presets import preset
+from decogs.encoder.stopwatch import Stopwatch
+from decogs.encoder.stream.encoder import StreamEncoder
+from decogs.encoder.stream.options import RunOptions
+from decogs.encoder.training.method import TrainedFrame
+from decogs.encoder.training.warm_start import Motion
+from decogs.formats.container import PacketKind
+from decogs.formats.errors import TrainingError
+from decogs.formats.splats import Splats, empty_splats
+
+Stub: Any = SimpleNamespace
+DRAFT = preset("draft")
+PICTURE = np.random.default_rng(1).uniform(0.1, 0.6, (3, 6, 8)).astype(np.float32).repeat(8, 1).repeat(8, 2)
+EVERYWHERE = FrameMask(np.ones((48, 64), bool), np.ones((48, 64), bool))
+
+
+def state_of(count: int, *moved: int) -> State:
+    """So many Gaussians in one place, but for those that have ``moved``."""
+    values = Splats(*(np.zeros((count, *shape), np.float32) for shape in ((3,), (3,), (4,), (), (1, 3))))
+    values.quaternions[:, 0] = 1
+    points = quantise(values, default_lattice(1.0))
+    means = np.array(points.means)
+    means[list(moved)] += 50
+    return new_state(Attributes(**{name: getattr(points, name) for name in ARRAYS} | {"means": means}))
+
+
+def memory_of(population: int = 3, **changes: Any) -> Memory:
+    given: dict[str, Any] = {
+        "trainer": Stub(min_seconds=0.0),
+        "masks": MaskMemory.begin([PICTURE]),
+        "motion": Motion(np.ones((population, 3), np.float32)),
+        "corrections": None,
+        "rate": None,
+        "time": None,
+    }
+    return Memory(**(given | changes))
+
+
+def pending(index: int = 1, picture: np.ndarray = PICTURE, *, restarted: bool = False) -> PendingFrame:
+    recorded = RigFrame(index, [picture], [])
+    return PendingFrame(recorded, recorded, {}, restarted)
+
+
+# The plan
+
+
+def planned(settings: Any, memory: Memory, picture: np.ndarray, fade: Any = None) -> FramePlan:
+    context = Stub(settings=settings, threads=1)
+    event = Event(Kind.CHANGE, Stub(), memory, [])
+    selection = Selection([EVERYWHERE], np.ones(3, bool))
+    return plan_frame(context, event, selection, pending(picture=picture), fade, Stopwatch())
+
+
+def test_a_frame_that_light_alone_changes_is_trained_with_settings_of_its_own() -> None:
+    plan = planned(replace(DRAFT, detect_per_frame=True), memory_of(), np.float32(1.3) * PICTURE)
+    assert plan.effects == ("appearance_change",)
+    assert plan.settings.rates.means == 0 < DRAFT.frame.rates.means
+
+
+def test_a_frame_that_goes_over_keeps_to_the_budget_as_well() -> None:
+    rate, usual = RateControl(1000.0, 3, octaves=2.0), DRAFT.frame.significance
+    for fade, exactness in ((None, 1), (Stub(), 2)):
+        found = planned(DRAFT, memory_of(rate=rate), PICTURE, fade).settings.significance
+        assert found.threshold == pytest.approx(4 * usual.threshold)
+        assert found.rd_lambda == pytest.approx(4 / exactness * usual.rd_lambda)
+        assert found.colour_rd_lambda == pytest.approx(4 / exactness * usual.colour_rd_lambda)
+
+
+@pytest.mark.parametrize("rule", ["weight", "paper"])
+def test_what_light_alone_changes_is_told_by_weight_whatever_selects(rule: str) -> None:
+    """Shares of .5, .05 and 0 of three Gaussians' weight, whose centres are all where things move."""
+    weights = np.ones(3, np.float32), np.array([0.5, 0.05, 0], np.float32)
+    view = Stub(redraw=lambda region: weights, centres=lambda: np.full((3, 2), 4, np.float32))
+    selection = Selection([EVERYWHERE] * 2, np.ones(3, bool))
+    found = light_only([view, view], selection, [EVERYWHERE.raw] * 2, SelectionSettings(rule=rule))
+    np.testing.assert_array_equal(found, [False, True, True])
+
+
+# Training
+
+
+@pytest.mark.parametrize(
+    ("diverges", "rounds", "rejected"),
+    [([False] * 4, 4, False), ([True], 1, True), ([False, True], 2, False)],
+)
+def test_a_round_of_catching_up_that_diverges_is_the_last(diverges: list[bool], rounds: int, rejected: bool) -> None:
+    """And the frame is rejected only if it was the first one: what others have changed stays."""
+    none, left = empty_splats(0), iter(diverges)
+    rows = np.zeros(0, np.int64)
+    trainer = Stub(train=lambda frame: TrainedFrame(rows, none, rows, none, rejected=next(left)))
+
+    def scene(number: int) -> Any:
+        header = Stub(first_frame=0)
+        return Stub(
+            number=number, state=state_of(3), splats=none, header=header, with_changes=lambda *_: scene(number + 1)
+        )
+
+    context = Stub(
+        settings=replace(DRAFT, segment=3, closed=True, catch_up=4),
+        method=Stub(dense=True),
+        views=Stub(follow=lambda *_: None),
+        stopping=lambda deadline: None,
+    )
+    event = Event(Kind.EVERYTHING, scene(1), memory_of(trainer=trainer), [])
+    plan = FramePlan(Selection([], np.ones(3, bool)), ("motion",), DRAFT.frame)
+    against, trained = train_frame(context, event, plan, pending(3, restarted=True), Stopwatch())
+    assert (against.number, trained.rejected) == (rounds, rejected)  # type: ignore[attr-defined]
+    assert next(left, None) is None
+
+
+# What a frame leaves behind
+
+
+class Masks:
+    """Notes what the memory of masks is told."""
+
+    def __init__(self) -> None:
+        self.told: dict[str, Any] = {}
+
+    def trained(self, *_: Any, **told: Any) -> Masks:
+        self.told |= told
+        return self
+
+    def advance(self, *_: Any, **told: Any) -> Masks:
+        self.told |= told
+        return self
+
+
+def committed(*, restarted: bool = False, held: bool = False, hurried: bool = False) -> tuple[Memory, Masks]:
+    masks: Any = Masks()
+    before, after = (Stub(state=state, splats=name) for state, name in ((state_of(3), "old"), (state_of(3, 1), "new")))
+    after.displacements = lambda _: np.full((3, 3), 8, np.float32)
+    views = Stub(follow=lambda *_: None, of=lambda _: None, pictures=lambda splats: f"pictures of {splats}")
+    context = Stub(settings=DRAFT, method=Stub(dense=False), views=views, corrector=None, threads=1)
+    plan = FramePlan(Selection([EVERYWHERE], np.ones(3, bool)), ("motion",), DRAFT.frame, held=held)
+    event = Event(Kind.CHANGE, before, memory_of(masks=masks), [])
+    trained = None if held else Stub(kept=np.arange(3), hurried=hurried, rejected=False)
+    memory, _ = commit(context, event, plan, pending(restarted=restarted), after, trained, Stopwatch())
+    return memory, masks
+
+
+def test_a_segments_first_frame_leaves_no_velocity() -> None:
+    np.testing.assert_array_equal(committed()[0].motion.last, 8)
+    np.testing.assert_array_equal(committed(restarted=True)[0].motion.last, 0)
+
+
+@pytest.mark.parametrize(("hurried", "shown"), [(True, "pictures of new"), (False, None)])
+def test_what_was_cut_short_is_compared_with_what_came_of_it(hurried: bool, shown: str | None) -> None:
+    assert committed(hurried=hurried)[1].told == {"moved": True, "shown": shown, "threads": 1, "held": False}
+
+
+def test_what_was_held_is_still_to_be_trained() -> None:
+    memory, masks = committed(held=True)
+    assert masks.told == {"held": True}
+    assert memory.motion.held == 1
+
+
+# Replay, cuts
+
+
+def test_what_a_fade_changed_is_drawn_anew_in_a_replayed_frame() -> None:
+    """Beside what the masks select."""
+    detached: list[Any] = []
+    context = Stub(
+        settings=DRAFT,
+        method=Stub(dense=False),
+        views=Stub(of=lambda _: Stub(detach=lambda rows: detached.append(rows))),
+    )
+    before, after = (Stub(state=state, splats=empty_splats(0)) for state in (state_of(4), state_of(4, 2)))
+    plan = FramePlan(Selection([EVERYWHERE], np.arange(4) == 0), ("motion",), DRAFT.frame)
+    _, trained = encode_frame._as_written(context, before, after, plan, Stub(kind=PacketKind.DELTA))
+    assert trained is not None
+    for rows in (trained.kept, *detached):
+        np.testing.assert_array_equal(rows, [0, 2])
+    assert len(detached) == 1
+
+
+def test_the_keyframe_of_a_cut_is_trained_on_matched_colours(monkeypatch: pytest.MonkeyPatch) -> None:
+    colour, seen = Correction(exposure=800), []
+
+    def train(_: Any, recorded: RigFrame, *__: Any) -> None:
+        seen.extend(recorded.training)
+        raise TrainingError("that is all")
+
+    monkeypatch.setattr(encode_frame, "train_keyframe", train)
+    views = [Stub(camera=Stub(name="cam00"))]
+    context = Stub(views=Stub(release=lambda: None), ingest=Stub(views=views))
+    event = Event(Kind.CUT, Stub(header=Stub(camera_colours={"cam00": colour})), memory_of(), [])
+    with pytest.raises(TrainingError):
+        encode_frame.encode_cut(context, event, Task(RigFrame(3, [PICTURE], [])))
+    np.testing.assert_array_equal(seen, [without_odds(PICTURE, colour.odds)])
+
+
+def test_a_segment_begins_with_the_first_frame_and_nothing_else(tiny_rig: Any) -> None:
+    settings = replace(DRAFT, segment=3, closed=True, frame_budget=1000.0)
+    context = Stub(
+        settings=settings,
+        method=Stub(dense=True, trainer=lambda context: context),
+        views=[],
+        ingest=Stub(views=[Stub(pinhole=tiny_rig.camera(number)) for number in (0, 1)]),
+        kernel=None,
+        seed=0,
+        threads=1,
+    )
+    key, corrections = state_of(4), Stub(restarted=lambda: "the first frame's")
+    scene = Scene(Stub(lattice=default_lattice(1.0)), key, state_of(4, 1), empty_splats(0))
+    first = RigFrame(0, [PICTURE], [])
+    flash: Any = Stub()
+    memory = memory_of(
+        masks=MaskMemory.begin([0.5 * PICTURE]),
+        rate=RateControl(1000.0, 3).after(PacketKind.DELTA, 400),
+        corrections=corrections,
+        before_flash=flash,
+        first=first,
+    )
+    for given, frame in ((memory, 4), (replace(memory, first=None), 3)):
+        assert restarted(context, scene, given, frame, Stopwatch()) == (scene, given, False)
+    again, fresh, is_start = restarted(context, scene, memory, 3, Stopwatch())
+    assert is_start
+    assert again.state.row_sum == key.row_sum
+    assert (again.state.frame, again.state.next_id) == (2, key.next_id + IDS_PER_SEGMENT)
+    assert (fresh.rate, fresh.corrections) == (RateControl(1000.0, 3), "the first frame's")
+    assert fresh.masks.references[0] is fresh.masks.before[0] is PICTURE
+    np.testing.assert_array_equal(fresh.motion.last, np.zeros((4, 3)))
+    assert fresh.before_flash is None
+    assert fresh.first is first
+
+
+# The next segment
+
+
+def segment_from(start: int, scenes: dict[int, Any], length: int = 3, first: Any = None) -> NextSegment:
+    views: Any = Stub()
+    return NextSegment(start, first, scenes, views, length)
+
+
+def test_frames_go_over_in_even_steps_and_not_all_the_way() -> None:
+    key = state_of(4)
+    mine = Stub(state=key, first=key)
+    segment = segment_from(6, {frame: Stub(state=key, splats=frame) for frame in (3, 4, 5, 6)})
+    fades = [segment.fade(frame, mine) for frame in (3, 4, 5)]
+    assert [fade.share for fade in fades if fade is not None] == pytest.approx([0.3, 0.6, 0.9])
+    assert [fade.scene for fade in fades if fade is not None] == [3, 4, 5]
+    assert segment.fade(2, mine) is None
+
+
+def test_what_either_segment_changed_may_change_for_the_other() -> None:
+    """Row 0 here, row 2 there, and row 4, which the keyframe has not."""
+    key = state_of(4)
+    segment = segment_from(6, {5: Stub(state=state_of(4, 2), splats=None)})
+    fade = segment.fade(5, Stub(state=state_of(5, 0), first=key))
+    assert fade is not None
+    np.testing.assert_array_equal(fade.rows, [0, 2, 4])
+
+
+@pytest.fixture
+def encoder(monkeypatch: pytest.MonkeyPatch) -> StreamEncoder:
+    context = Stub(settings=DRAFT, method=Stub(dense=False))
+    monkeypatch.setattr(stream_encoder, "FrameReporter", lambda *_: Stub(report=lambda encoded, watch: encoded))
+    output: Any = Stub(write=lambda *_: None)
+    return StreamEncoder(context, output, RunOptions())
+
+
+def frames(indices: range) -> list[RigFrame]:
+    return [RigFrame(index, [], []) for index in indices]
+
+
+def test_a_segment_is_trained_once_for_all_that_go_over_to_it(
+    encoder: StreamEncoder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trained: list[int] = []
+
+    def train(_: Any, scene: Any, memory: Any, given: list[RigFrame]) -> NextSegment:
+        trained.append(given[0].index)
+        return segment_from(given[-1].index, {})
+
+    monkeypatch.setattr(stream_encoder, "train_next_segment", train)
+    last: Any = Stub(scene=None, memory=None)
+    for start in (6, 12):
+        segments = [
+            encoder._next_segment(frames(range(now, start + 1)), last, Stopwatch())
+            for now in range(start - 3, start + 1)
+        ]
+        assert [segment and segment.start for segment in segments] == [start] * 4
+    assert encoder._next_segment(frames(range(13, 14)), last, Stopwatch()) is None
+    assert trained == [3, 9]
+
+
+def encoded_frame(**outcome: Any) -> Encoded:
+    packet: Any = Stub(kind=PacketKind.KEY, frame=6, payload=b"")
+    selection = Selection([], np.ones(3, bool))
+    scene: Any = Stub()
+    return Encoded(Stub(packet=packet), scene, memory_of(), Outcome(selection, **outcome), pending(6).recorded)
+
+
+@pytest.mark.parametrize("rejected", [True, False])
+def test_a_start_that_was_trained_ahead_says_whether_it_diverged(
+    encoder: StreamEncoder, monkeypatch: pytest.MonkeyPatch, rejected: bool
+) -> None:
+    given: list[Task] = []
+    monkeypatch.setattr(stream_encoder, "encode_frame", lambda *_: (given.append(_[-1]), encoded_frame())[1])
+    encoder._next = segment_from(6, {}, first=encoded_frame(rejected=rejected))
+    found: Any = encoder._encode_next(RigFrame(6, [], []), encoded_frame(), [])
+    assert found.outcome.rejected == rejected
+    assert given[0].packet is encoder._next.first.written.packet  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_the_time_control_is_told_which_frames_were_held(encoder: StreamEncoder, held: bool) -> None:
+    told: list[bool] = []
+    time: Any = Stub(took=lambda seconds, *, held=False: (told.append(held), time)[1])
+    encoder._last = encoded_frame()
+    encoder._write(replace(encoded_frame(held=held), memory=memory_of(time=time)), Stopwatch())
+    assert told == [held]
