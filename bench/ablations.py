@@ -63,7 +63,7 @@ class AblatedTrainer:
         work = _UngatedSet(frame, self.context.kernel, self._momentum)
         trained = self._inner.train_set(frame, work)
         if not trained.rejected:
-            lasting, self._momentum = work.lasting(), work.optimiser
+            lasting, self._momentum = work.is_lasting(), work.optimiser
             work.optimiser.keep(lasting)
         return trained
 
@@ -76,7 +76,7 @@ class _UngatedSet(WorkingSet):
         super().__init__(replace(frame, selected=np.ones(len(everything), bool)), kernel)
         self._selected = frame.selected
         if momentum is not None:
-            self.optimiser.remember(momentum, everything, everything)
+            self.optimiser.copy_momentum(momentum, everything, everything)
 
     def may_grow(self) -> NDArray[np.bool_]:
         grows = ~self.old

@@ -27,7 +27,42 @@ def _cache(rate: float) -> dict[str, object]:
     return {"frame.cache": CacheSettings(learning_rate=rate)}
 
 
+_AUTO = EffectChoice("auto")
+_DEFAULT = Variant("heuristics-all", "all of them", effects=_AUTO)
+
+
+def _off(name: str, description: str, settings: dict[str, object]) -> Variant:
+    return Variant(f"no-{name}", description, settings, effects=_AUTO)
+
+
 QUESTIONS = (
+    Question(
+        "heuristics",
+        "Each heuristic left out",
+        "One that gains two standard errors on two rigs, or 5 % of the bytes, or 5 % of the time stays; the others go "
+        "unless a hard case needs them.",
+        (
+            _DEFAULT,
+            _off("specks", "specks are no change", {"frame.masks.speck_area": 0}),
+            _off("since-trained", "compared as last trained", {"frame.masks.since_trained": False}),
+            _off("light", "faint light", {"frame.masks.light_threshold": 0.0}),
+            _off("pace", "steps by the missed share", {"frame.adaptive_iterations": IterationSettings()}),
+            _off("warm", "warm start", {"frame.warm_start": 0.0}),
+            _off("emergence", "seeds for new objects", {"frame.emergence.max_seeds": 0}),
+            _off("growth", "densification", {"frame.grow_fraction": 0.0}),
+            _off("short-memory", "Adam's short memory", {"frame.beta1": 0.9, "frame.beta2": 0.999}),
+            _off("focus", "the focus of the loss", {"frame.focus.whole": 1.0, "frame.focus.focus": 0.0}),
+            _off("structure", "structure in the loss", {"frame.focus.dissimilarity": 0.0}),
+            _off("significance", "significance", {"frame.significance.threshold": 0.0}),
+            _off(
+                "rd",
+                "rate-distortion optimisation",
+                {"frame.significance.rd_lambda": 0.0, "frame.significance.colour_rd_lambda": 0.0},
+            ),
+        ),
+        _BOTH,
+        _DEFAULT,
+    ),
     Question(
         "beta",
         "Loss weights β1 (whole picture) and β2 (focus)",

@@ -68,7 +68,7 @@ QUESTIONS = (
     Question(
         "quality",
         "Quantisation",
-        "`--quality`: lattice, significance threshold and what a bit is worth, each with a keyframe of its own.",
+        "`--quality`: lattice, significance threshold and lambda, each with a keyframe of its own.",
         RATE_POINTS,
         _COLUMNS,
     ),

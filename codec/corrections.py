@@ -72,8 +72,8 @@ class Correction:
     roll: int = 0
 
     @property
-    def odds(self) -> tuple[float, float, float]:
-        """What multiplies the odds of red, green and blue, from the scene's colour to the recorded one."""
+    def odds_gain(self) -> tuple[float, float, float]:
+        """Factors on the odds of red, green and blue, from the scene's colour to the recorded one."""
         shifts = (self.exposure + self.red, self.exposure, self.exposure + self.blue)
         red, green, blue = (math.exp(shift * COLOUR_STEP) for shift in shifts)
         return red, green, blue

@@ -28,12 +28,12 @@ def as_it_stood(camera: Camera, correction: Correction) -> Camera:
     return replace(camera, world_to_camera=pose)
 
 
-def with_odds(colours: FloatArray, odds: tuple[float, float, float]) -> FloatArray:
+def apply_gain(colours: FloatArray, odds_gain: tuple[float, float, float]) -> FloatArray:
     """(..., 3) display-referred colours whose odds v / (1 - v) are multiplied per channel; new, same dtype.
 
     Black and white stay, and so does what lies beyond them. Source: SPEC.md, "Corrections".
     """
-    factors = np.asarray(odds, colours.dtype)
+    factors = np.asarray(odds_gain, colours.dtype)
     inside = np.clip(colours, 0, 1)
     # Rounding may take white a little beyond itself.
     multiplied = np.minimum(factors * inside / (1 + (factors - 1) * inside), 1)
@@ -44,4 +44,4 @@ def with_recorded_colours(seen: Rendering, correction: Correction) -> Rendering:
     """The rendering with the camera's exposure and white balance; the same object when it has none."""
     if not correction.is_coloured:
         return seen
-    return replace(seen, image=with_odds(seen.image, correction.odds))
+    return replace(seen, image=apply_gain(seen.image, correction.odds_gain))

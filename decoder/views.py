@@ -16,7 +16,7 @@ from decogs.formats.cameras import Camera, as_pinhole, is_distorted, scale_camer
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import Splats
 
-from .camera_corrections import as_it_stood, with_odds, with_recorded_colours
+from .camera_corrections import apply_gain, as_it_stood, with_recorded_colours
 from .lens import Redistortion
 from .limits import MAX_PICTURE_PIXELS, check_picture, pairs_within
 
@@ -112,7 +112,7 @@ def recorded_colour(colour: tuple[float, float, float], correction: Correction |
     """A colour of the scene as the corrected camera recorded it."""
     if correction is None or not correction.is_coloured:
         return colour
-    red, green, blue = with_odds(np.asarray(colour, np.float32), correction.odds).tolist()
+    red, green, blue = apply_gain(np.asarray(colour, np.float32), correction.odds_gain).tolist()
     return red, green, blue
 
 

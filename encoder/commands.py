@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from decogs.formats.command_line import (
     Parser,
     counted,
+    in_option_names,
     number,
     number_of_bytes,
     number_of_threads,
@@ -19,7 +20,6 @@ from decogs.formats.command_line import (
     printable,
     progress,
     retryable,
-    reworded,
     run,
     size_text,
     warn_as,
@@ -95,9 +95,9 @@ def _add_quality(group: argparse._ArgumentGroup) -> None:
         "--quality",
         type=number,
         metavar="Q",
-        help="0 (smallest) to 100 (most exact), default 50: the preset. Every 16 points lower double the significance "
-        "threshold and what a bit is worth, and make lattice steps 1.19 times as coarse (with --keyframe, the lattice "
-        "is the keyframe's)",
+        help="0 (smallest) to 100 (most exact), default 50: the preset. 16 points lower: twice the threshold and "
+        "lambda, lattice steps 1.19 times as coarse, roughly .7 times the bytes (with --keyframe, the lattice is the "
+        "keyframe's)",
     )
     group.add_argument("--lossless", action="store_true", help="code every change, exact to the lattice")
     group.add_argument(
@@ -154,8 +154,8 @@ def _add_long_takes(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         "--only",
         metavar="A:B",
-        help="encode a part, for decogs-join: these frames of the rig, whole segments, from the first keyframe in "
-        "--keyframe PART.DGS; or the first frame alone, which makes that keyframe. Exit code 75: try again",
+        help="encode only frames A:B (whole segments) as a part for decogs-join, with --keyframe PART.DGS; A:A+1 of "
+        "the first frame makes the part whose keyframe the others take. Exit code 75: try again",
     )
     group.add_argument(
         "--cluster",
@@ -325,8 +325,8 @@ def _encode_on_cluster(parser: Parser, options: argparse.Namespace) -> int:
     from .cluster.encoding import encode_on_cluster
 
     _check_cluster(options)
-    job, words = _job(options)
-    with reworded(words), progress("encoding", quiet=options.quiet) as on_progress:
+    job, option_names = _job(options)
+    with in_option_names(option_names), progress("encoding", quiet=options.quiet) as on_progress:
         report = encode_on_cluster(job, options.cluster, progress=on_progress, on_warning=warn_as(parser))
     parts, frames = counted(report.parts, "part"), counted(report.frames, "frame")
     print_text(f"{printable(options.output)}: {parts}, {frames}, {report.total_bytes} bytes")
@@ -344,16 +344,16 @@ def _check_cluster(options: argparse.Namespace) -> None:
 
 
 def _job(options: argparse.Namespace) -> tuple[EncodeJob, dict[str, str]]:
-    """The job that the options ask for, and how the options call what errors may name."""
+    """The job that the options ask for, and the options' names for what errors may name."""
     from .job import EncodeJob
     from .option_texts import names, seconds_per_frame
     from .switches import Switches
     from .targets import Targets
 
-    rig, bytes_per_frame, words = _budget(options)
+    rig, bytes_per_frame, option_names = _budget(options)
     seconds = None if options.time_budget is None else seconds_per_frame(options.time_budget)
     if seconds is not None:
-        words[f"`time_budget` {seconds:g}"] = f"--time-budget {options.time_budget}"
+        option_names[f"`time_budget` {seconds:g}"] = f"--time-budget {options.time_budget}"
     same = ["settings", "scale", "holdout", "effects", "keyframe", "segment", "closed", "resume", "metrics"]
     same += ["seed", "threads", "device", "max_memory", "log", "convergence_log"]
     job = EncodeJob(
@@ -365,17 +365,17 @@ def _job(options: argparse.Namespace) -> tuple[EncodeJob, dict[str, str]]:
         targets=Targets(options.quality, bytes_per_frame, options.lossless, seconds, options.target_psnr),
         **{name: getattr(options, name) for name in same},
     )
-    return job, words
+    return job, option_names
 
 
 def _encode(parser: Parser, options: argparse.Namespace) -> int:
     from .encoding import encode
 
-    job, words = _job(options)
-    with reworded(words), _observed(parser, options) as progress:
+    job, option_names = _job(options)
+    with in_option_names(option_names), _observed(parser, options) as progress:
         report = encode(job, progress=progress, on_warning=warn_as(parser))
     print_text("\n".join(_summary(report)), to_stderr=options.output == "-")
-    warnings = [*_left_out(report), _rejected(report), *_uncorrected(report), _overlooked(report), _cut(report)]
+    warnings = [*_left_out(report), _rejected(report), *_uncorrected(report), _full_frame_changes(report), _cut(report)]
     warnings += [_missed_budget(report), _missed_time(report)]
     for warning in filter(None, warnings):
         warn_as(parser)(warning)
@@ -418,8 +418,8 @@ def _budget(options: argparse.Namespace) -> tuple[Rig | str, float | None, dict[
 
 
 def _asked(bytes_per_frame: float, option: str, value: float) -> tuple[float, dict[str, str]]:
-    words = {f"`bytes_per_frame` {bytes_per_frame:g}": f"{option} {value:g}", "`bytes_per_frame`": option}
-    return bytes_per_frame, words
+    option_names = {f"`bytes_per_frame` {bytes_per_frame:g}": f"{option} {value:g}", "`bytes_per_frame`": option}
+    return bytes_per_frame, option_names
 
 
 def _summary(report: EncodeReport) -> list[str]:
@@ -480,8 +480,8 @@ def _uncorrected(report: EncodeReport) -> list[str]:
     ]
 
 
-def _overlooked(report: EncodeReport) -> str:
-    at = [frame.frame for frame in report.frames if frame.overlooked]
+def _full_frame_changes(report: EncodeReport) -> str:
+    at = [frame.frame for frame in report.frames if frame.full_frame_change]
     return (
         f"the masks missed a change of most of the pictures; every Gaussian was trained in {_frames(at)}" if at else ""
     )
@@ -500,16 +500,16 @@ def _frames(numbers: Sequence[int]) -> str:
             runs[-1][1] = frame
         else:
             runs.append([frame, frame])
-    said = ", ".join(f"{first} to {last}" if last > first else str(first) for first, last in runs)
-    return f"frame{'s'[: len(numbers) > 1]} {said}"
+    text = ", ".join(f"{first} to {last}" if last > first else str(first) for first, last in runs)
+    return f"frame{'s'[: len(numbers) > 1]} {text}"
 
 
 def _missed_budget(report: EncodeReport) -> str:
-    """What to say of a stream that takes more than it should; empty when it does not."""
-    from .coding.rate_control import TOLERANCE, over_budget
+    """The warning of a stream that exceeds its byte budget; empty when it does not."""
+    from .coding.rate_control import BYTES_TOLERANCE, over_budget
 
     sizes, budget = [frame.bytes for frame in report.frames[1:]], report.frame_budget
-    if budget is None or (over := over_budget(sizes, budget)) <= TOLERANCE:
+    if budget is None or (over := over_budget(sizes, budget)) <= BYTES_TOLERANCE:
         return ""
     return (
         f"frames after the first take {_mean(sizes):.0f} bytes (mean), {over:.0%} more than the budget of "
@@ -518,16 +518,16 @@ def _missed_budget(report: EncodeReport) -> str:
 
 
 def _missed_time(report: EncodeReport) -> str:
-    """What to say of frames that take longer than they should; empty when they do not."""
+    """The warning of frames that exceed their time budget; empty when they do not."""
     from .coding.time_control import TIME_TOLERANCE, counted_seconds, over_time
 
     frames, budget = [frame.seconds for frame in report.frames[1:] if not frame.replayed], report.time_budget
     if budget is None or (over := over_time(frames, budget)) <= TIME_TOLERANCE:
         return ""
-    took, trained = _mean([counted_seconds(f) for f in frames]), _mean([f.get("training", 0.0) for f in frames])
+    spent, trained = _mean([counted_seconds(f) for f in frames]), _mean([f.get("training", 0.0) for f in frames])
     return (
-        f"frames after the first take {took:.3g} s (mean), {over:.0%} more than the budget of {budget:.3g}; "
-        f"masks, selection and coding take a fixed {took - trained:.3g} s of it; raise the budget, or lower --scale "
+        f"frames after the first take {spent:.3g} s (mean), {over:.0%} more than the budget of {budget:.3g}; "
+        f"masks, selection and coding take a fixed {spent - trained:.3g} s of it; raise the budget, or lower --scale "
         "or --preset"
     )
 

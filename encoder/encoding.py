@@ -57,7 +57,7 @@ def encode(
     ``keyframe``, or TrainingError; nothing is then left under the output's name.
     """
     warn = on_warning or (lambda text: None)
-    work = _prepared(job, warn)
+    work = _prepare(job, warn)
     with ExitStack() as open_files:
         taken = open_output(work.output, resume=job.resume) if work.part is None else open_part(work.output)
         target = open_files.enter_context(taken)
@@ -66,7 +66,7 @@ def encode(
         curve = None
         if job.convergence_log is not None:
             curve = open_files.enter_context(ConvergenceLog(Path(job.convergence_log), append=job.resume))
-        chosen = _decided(job, work, observer, warn)
+        chosen = _decide_settings(job, work, observer, warn)
         ingest = work.ingest
         if chosen.corrections.lens:
             ingest = Ingest(work.rig, holdout=job.holdout, scale=job.scale, lens=chosen.corrections.lens)
@@ -124,7 +124,7 @@ class _Work:
     memory: EncodeMemory
 
 
-def _prepared(job: EncodeJob, warn: OnWarning) -> _Work:
+def _prepare(job: EncodeJob, warn: OnWarning) -> _Work:
     """All that can be checked before work begins; raises what `encode` raises."""
     check_device(job.device)
     if job.metrics and job.resume:
@@ -155,7 +155,7 @@ def _prepared(job: EncodeJob, warn: OnWarning) -> _Work:
     return _Work(rig, ingest, output, settings, wanted, span, part, base, source, memory)
 
 
-def _decided(job: EncodeJob, work: _Work, observer: EncodeObserver, warn: OnWarning) -> EncodeSettings:
+def _decide_settings(job: EncodeJob, work: _Work, observer: EncodeObserver, warn: OnWarning) -> EncodeSettings:
     """The settings with the requested effects and corrections, for which the rig may have to be analysed."""
     if work.base is not None:
         asked = work.settings if job.corrections is None else replace(work.settings, corrections=job.corrections)
@@ -251,8 +251,8 @@ def _with_effects(
     require_sparse(settings, f"`effects` {wanted}", "has none of them")
 
     def decisions() -> Sequence[Decision]:
-        look = slice(work.span.start, work.span.stop)
-        found = analyse(work.rig, frames=look, holdout=job.holdout, threads=job.threads, on_step=observer.look_step)
+        span = slice(work.span.start, work.span.stop)
+        found = analyse(work.rig, frames=span, holdout=job.holdout, threads=job.threads, on_step=observer.look_step)
         for warning in found.check.warnings():
             warn(warning)
         observer.looked({decision.effect: decision.cameras for decision in found.decisions if decision.detected})

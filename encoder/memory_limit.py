@@ -1,4 +1,4 @@
-"""What an encode may take of the computer's memory: estimated before it begins, and kept to by reading less ahead.
+"""An encode's memory: estimated before it begins, and limited by reading less ahead.
 
 Nearly all of it goes with the pixels of the rig: an encode keeps a few floats for each. What a Gaussian takes, in
 training and in the tiles of every view, comes on top. The figures are counted from what is kept, and measured
@@ -19,35 +19,35 @@ from .keyframe.first_points import first_points_memory
 from .settings.encode import EncodeSettings
 from .training.method import MAX_GROWTH
 
-_PICTURE = 12
+_PICTURE_BYTES = 12
 """Bytes of a pixel of a picture, as floats."""
-_READ = 3
+_READ_BYTES = 3
 """Of a pixel of a frame that is read, as the file has it."""
-_DECODER = 24
+_DECODER_BYTES = 24
 """The same, of what a video's decoder keeps: the pictures that later ones are differences from (H.264: 23)."""
-_KEYFRAME = 40
+_KEYFRAME_BYTES = 40
 """Of a training pixel while the keyframe is trained: the picture, the same compensated, the shrunk one, what counts in
 the loss and what is kept out of it."""
-_LATER = 84
+_LATER_FRAME_BYTES = 84
 """Of a training pixel in later frames: the picture, the one before, the reference, the view as it is drawn with depth,
 opacity and gradient, masks and weights of the loss."""
-_LENS = 4
+_LENS_BYTES = 4
 """Of a training pixel of a camera with a lens: whether it was recorded."""
-_DRAWN = 64
+_DRAWN_BYTES = 64
 """Of a pixel of the largest view while it is drawn, compared and differentiated, for each thread."""
-_GAUSSIAN = 2500
+_GAUSSIAN_BYTES = 2500
 """Of a Gaussian: values, gradients, moments and copies of them, and its states in the stream."""
-_IN_VIEW = 1000
+_GAUSSIAN_IN_VIEW_BYTES = 1000
 """Of a Gaussian in a view: its projection, and its entries in the tiles that it meets, some ten of them; both again
 while it is trained."""
-_NEXT_SEGMENT = 28
-"""Of a training pixel while the next closed segment is trained for the frames that go over to it: references, the
+_NEXT_SEGMENT_BYTES = 28
+"""Of a training pixel while the next closed segment is trained for a cross-fade: references, the
 picture before, masks."""
-_FADE_VIEW = 52
+_FADE_VIEW_BYTES = 52
 """Of a pixel of a view in which two segments are compared: as drawn, its gradient, the mixture, weights."""
-_IN_FADE_VIEW = 200
-"""As `_IN_VIEW`, in a small picture."""
-_PROGRAM = 150 << 20
+_GAUSSIAN_IN_FADE_VIEW_BYTES = 200
+"""As `_GAUSSIAN_IN_VIEW_BYTES`, in a small picture."""
+_PROGRAM_BYTES = 150 << 20
 """Kernels, libraries and buffers of any encode."""
 
 
@@ -69,26 +69,28 @@ def encode_memory(
     views = [view.pinhole.width * view.pinhole.height for view in ingest.views]
     every = sum(views) + sum(view.pinhole.width * view.pinhole.height for view in ingest.held_out_views)
     lenses = sum(size for size, view in zip(views, ingest.views, strict=True) if view.valid is not None)
-    size = _PROGRAM + every * (_PICTURE + _READ + _DECODER * (frames > 1) + (_PICTURE + _READ) * reads_ahead)
+    size = _PROGRAM_BYTES + every * (
+        _PICTURE_BYTES + _READ_BYTES + _DECODER_BYTES * (frames > 1) + (_PICTURE_BYTES + _READ_BYTES) * reads_ahead
+    )
     if ingest.scale != 1:
         own = [width * height for _, (width, height) in ingest.held_out_sizes.values()]
-        size += sum(own) * _READ * (1 + reads_ahead) + max(own, default=0) * _DRAWN
-    size += lenses * _LENS + threads * _DRAWN * max(views) + gaussians * _GAUSSIAN
-    first = sum(views) * _KEYFRAME + first_points_memory([view.pinhole for view in ingest.views], threads)
-    later = sum(views) * (_LATER + _PICTURE * settings.closed)
+        size += sum(own) * _READ_BYTES * (1 + reads_ahead) + max(own, default=0) * _DRAWN_BYTES
+    size += lenses * _LENS_BYTES + threads * _DRAWN_BYTES * max(views) + gaussians * _GAUSSIAN_BYTES
+    first = sum(views) * _KEYFRAME_BYTES + first_points_memory([view.pinhole for view in ingest.views], threads)
+    later = sum(views) * (_LATER_FRAME_BYTES + _PICTURE_BYTES * settings.closed)
     grown = round(MAX_GROWTH * gaussians)
-    later += grown * len(views) * _IN_VIEW
+    later += grown * len(views) * _GAUSSIAN_IN_VIEW_BYTES
     if settings.fading:
-        later += every * _PICTURE * settings.fading + _fade_memory(ingest, grown)
+        later += every * _PICTURE_BYTES * settings.fading + _fade_memory(ingest, grown)
     return size + max(first, later)
 
 
 def _fade_memory(ingest: Ingest, gaussians: int) -> int:
-    """Bytes that it takes to train the next closed segment, or then to go over to it, whichever is more."""
+    """Bytes of training the next closed segment, or of the fade into it, whichever is more."""
     compared = fade_cameras([view.pinhole for view in ingest.views])
-    each = sum(camera.width * camera.height for camera in compared) * _FADE_VIEW
-    apart = sum(view.pinhole.width * view.pinhole.height for view in ingest.views) * _NEXT_SEGMENT
-    return max(apart, each + gaussians * len(compared) * _IN_FADE_VIEW)
+    each = sum(camera.width * camera.height for camera in compared) * _FADE_VIEW_BYTES
+    segment = sum(view.pinhole.width * view.pinhole.height for view in ingest.views) * _NEXT_SEGMENT_BYTES
+    return max(segment, each + gaussians * len(compared) * _GAUSSIAN_IN_FADE_VIEW_BYTES)
 
 
 def memory_within(

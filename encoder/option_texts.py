@@ -1,4 +1,4 @@
-"""What users of the commands write for an option, as the value that the library takes."""
+"""Texts of options as the library's values."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import re
 
 from decogs.formats.errors import UsageError
 
-_TIME = re.compile(r"([0-9.eE+-]+?)\s*(ms|s)?\s*(?:/\s*frame)?")
+_DURATION = re.compile(r"([0-9.eE+-]+?)\s*(ms|s)?\s*(?:/\s*frame)?")
 
 
 def seconds_per_frame(text: str) -> float:
     """Seconds of ``1.5s/frame``, ``500ms/frame`` or plain ``1.5``; raises UsageError for what is no time."""
-    found = _TIME.fullmatch(text.strip())
+    found = _DURATION.fullmatch(text.strip())
     try:
         seconds = float(found[1]) * (0.001 if found[2] == "ms" else 1) if found else math.nan
     except ValueError:

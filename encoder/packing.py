@@ -2,7 +2,7 @@
 
 There are no pictures: nothing is trained, and the lattice alone sets rate and quality. The loop is closed as in an
 encode: every frame is compared with what a decoder has of the frame before. A stream's header needs a camera, and
-files have none: one is made up, named "overview", that looks at the first frame's Gaussians.
+files have none: one is made up, named "overview", that sees the first frame's Gaussians.
 """
 
 from __future__ import annotations
@@ -39,17 +39,17 @@ from .settings.encode import EncodeSettings
 from .settings.frame import SignificanceSettings
 from .training.method import TrainedFrame
 
-_NEUTRAL, _PER_OCTAVE, _NEUTRAL_SCALE = 50.0, 25.0, 0.5
-_HYSTERESIS = 0.75
-"""Steps from a value's integer within which the integer stays: noise between frames that are alike is not coded."""
-_STRAY = 0.05
+_NEUTRAL_QUALITY, _QUALITIES_PER_DOUBLING, _NEUTRAL_SCALE = 50.0, 25.0, 0.5
+_HYSTERESIS_STEPS = 0.75
+"""Lattice steps from a value's integer within which the integer stays: noise between frames is not coded."""
+_MAX_JUMP_FRACTION = 0.05
 """Median way of a row between two frames, as a share of the scene, beyond which rows are in no common order."""
-_LEVEL = 15
-_COPIES = 12
+_ZSTD_LEVEL = 15
+_FLOAT_COPIES = 12
 """Of its floats that a Gaussian takes: 11 were measured of two frames that are matched by position (SH degree 3)."""
-_CAMERA_WIDTH, _CAMERA_HEIGHT, _FOCAL = 1280, 720, 1100.0
-_PACKED = "packed"
-"""The setting that tells a packed stream from an encode, which could be gone on with."""
+_CAMERA_WIDTH, _CAMERA_HEIGHT, _FOCAL_PIXELS = 1280, 720, 1100.0
+_PACKED_SETTING = "packed"
+"""The setting that marks a packed stream; without it, it is of an encode that could be resumed."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def pack(
     output: str | os.PathLike[str] | BinaryIO,
     *,
     fps: float | None = None,
-    quality: float = _NEUTRAL,
+    quality: float = _NEUTRAL_QUALITY,
     lossless: bool = False,
     segment: int = 0,
     max_memory: int = DEFAULT_MAX_MEMORY,
@@ -79,10 +79,9 @@ def pack(
     ``files``: their name, with a place for the frame's number (`decogs.formats.frame_names`). Rows of files with the
     same number of Gaussians are the same Gaussian, unless they jump about; else they are matched by position.
     ``quality``: 0 to 100, of the lattice: 25 less double its steps. ``lossless``: every change is coded, exact to the
-    lattice of quality 100. ``segment``: frames from one keyframe to the next, 0 for a single one. One frame is held at
-    a time, in ``max_memory`` bytes beyond the program itself; ``on_frame(done, all)``.
-    Raises UsageError for files that cannot be read or do not fit each other; nothing is then left under the output's
-    name.
+    lattice of quality 100. ``segment``: frames from one keyframe to the next, 0 for a single one. One frame is in
+    memory at a time, in ``max_memory`` bytes beyond the program itself; ``on_frame(done, all)``. Raises UsageError for
+    files that cannot be read or do not fit each other; nothing is then left under the output's name.
     """
     named = numbered_files(Path(files))
     scale = _checked_scale(quality, fps, segment, len(named), lossless=lossless)
@@ -90,8 +89,8 @@ def pack(
     inputs = [path for _, path in named]
     check_outputs([Output("output", target, grows=True)], [(path, "is read") for path in inputs])
     warn = on_warning or (lambda text: None)
-    room, sizes = Room(DEFAULT_MAX_GAUSSIANS, max_memory, _COPIES), list[int]()
-    with open_output(target, resumable=False, expendable=lambda left, _: _PACKED in left.settings) as stream:
+    room, sizes = Room(DEFAULT_MAX_GAUSSIANS, max_memory, _FLOAT_COPIES), list[int]()
+    with open_output(target, resumable=False, expendable=lambda left, _: _PACKED_SETTING in left.settings) as stream:
         try:
             packing, file = None, None
             for index, path in enumerate(inputs):
@@ -99,7 +98,7 @@ def pack(
                 if packing is None:
                     header = _header(path, file, scale, fps=fps, first=named[0][0])
                     packing = _Packing(
-                        header, stream, EncodeSettings(segment=segment, zstd_level=_LEVEL), exact=lossless
+                        header, stream, EncodeSettings(segment=segment, zstd_level=_ZSTD_LEVEL), exact=lossless
                     )
                 sizes.append(packing.add(path, file.splats))
                 if on_frame is not None:
@@ -145,44 +144,44 @@ class _Packing:
             raise UsageError(
                 f"{path}: has SH degree {splats.sh_degree}, the first file has {header.sh_degree}; export all alike"
             )
-        kept, rows = self._matched(scene.splats.means, splats)
+        kept, rows = self._match(scene.splats.means, splats)
         removed = np.setdiff1d(np.arange(len(scene.splats)), kept)
         added = np.setdiff1d(np.arange(len(splats)), rows)
         values = take_splats(splats, rows)
         if not self._exact:
-            values = _held(take_splats(scene.splats, kept), values, header.lattice)
+            values = _with_hysteresis(take_splats(scene.splats, kept), values, header.lattice)
         trained = TrainedFrame(kept, values, removed, take_splats(splats, added))
         # The stream has new Gaussians in Morton order, behind the others.
         added = added[morton_order(quantise(trained.added, header.lattice).means)]
         self._place = np.concatenate([rows, added])
         return frame_packet(scene, self._frames, trained, SignificanceSettings(), {}, self._settings).packet
 
-    def _matched(self, before: FloatArray, splats: Splats) -> tuple[Rows, Rows]:
+    def _match(self, before: FloatArray, splats: Splats) -> tuple[Rows, Rows]:
         """Rows of the state, whose positions were ``before``, that go on, ascending, and their rows in the file."""
         if len(splats) == len(before):
             way = np.linalg.norm(splats.means[self._place].astype(np.float64) - before, axis=1)
-            if np.median(way) <= _STRAY * robust_extent(before)[0]:
+            if np.median(way) <= _MAX_JUMP_FRACTION * robust_extent(before)[0]:
                 return np.arange(len(before)), self._place
         self.by_position += 1
         reach = max(robust_extent(before)[0], 1e-12) / np.sqrt(len(before))
         return mutual_nearest(before, splats.means, float(reach))
 
 
-def _held(before: Splats, now: Splats, lattice: Lattice) -> Splats:
-    """``now``, but the decoder's values where they are near enough; rotations as they are."""
+def _with_hysteresis(before: Splats, now: Splats, lattice: Lattice) -> Splats:
+    """``now``, with the decoder's values where they are within the hysteresis; rotations as they are."""
 
-    def held(was: NDArray[np.float32], values: NDArray[np.float32], step: object) -> NDArray[np.float32]:
-        near = np.abs(values.astype(np.float64) - was) <= _HYSTERESIS * np.asarray(step, np.float64)
+    def steady(was: NDArray[np.float32], values: NDArray[np.float32], step: object) -> NDArray[np.float32]:
+        near = np.abs(values.astype(np.float64) - was) <= _HYSTERESIS_STEPS * np.asarray(step, np.float64)
         return np.where(near, was, values)
 
     sh_steps = np.full((before.sh.shape[1], 1), lattice.sh_rest)
     sh_steps[0] = lattice.sh_dc
     return replace(
         now,
-        means=held(before.means, now.means, lattice.means),
-        log_scales=held(before.log_scales, now.log_scales, lattice.log_scales),
-        opacity_logits=held(before.opacity_logits, now.opacity_logits, lattice.opacity_logits),
-        sh=held(before.sh, now.sh, sh_steps),
+        means=steady(before.means, now.means, lattice.means),
+        log_scales=steady(before.log_scales, now.log_scales, lattice.log_scales),
+        opacity_logits=steady(before.opacity_logits, now.opacity_logits, lattice.opacity_logits),
+        sh=steady(before.sh, now.sh, sh_steps),
     )
 
 
@@ -196,7 +195,9 @@ def _checked_scale(quality: float, fps: float | None, segment: int, frames: int,
         raise UsageError(f"`segment` {segment}: give a number of frames, or 0 for a single keyframe")
     if frames > MAX_FRAME:
         raise UsageError(f"a stream holds {MAX_FRAME} frames, and there are {frames} files; give fewer")
-    return float(_NEUTRAL_SCALE * 2 ** ((_NEUTRAL - (100.0 if lossless else quality)) / _PER_OCTAVE))
+    return float(
+        _NEUTRAL_SCALE * 2 ** ((_NEUTRAL_QUALITY - (100.0 if lossless else quality)) / _QUALITIES_PER_DOUBLING)
+    )
 
 
 def _read(path: Path, room: Room, warn: OnWarning, *, first: bool) -> SplatFile:
@@ -224,7 +225,7 @@ def _header(path: Path, file: SplatFile, scale: float, *, fps: float | None, fir
         first_frame=min(first, MAX_FRAME),
         effects=(*effects, *(("view_dependence",) if file.splats.sh_degree else ())),
         units="world units of the files",
-        settings={"lattice_scale": scale, _PACKED: path.name},
+        settings={"lattice_scale": scale, _PACKED_SETTING: path.name},
     )
     try:
         header.to_bytes()
@@ -237,7 +238,14 @@ def _overview(extent: float, centre: Vector, up: Literal["Y", "-Y"]) -> Camera:
     """A camera before the scene, upright as files of this format are, from which its extent fills the picture."""
     pose = np.diag([1.0, 1.0, 1.0, 1.0] if up == "-Y" else [1.0, -1.0, -1.0, 1.0])
     pose[:3, 3] = -pose[:3, :3] @ np.asarray(centre)
-    pose[2, 3] += extent * (0.5 + _FOCAL / _CAMERA_HEIGHT)
+    pose[2, 3] += extent * (0.5 + _FOCAL_PIXELS / _CAMERA_HEIGHT)
     return Camera(
-        "overview", _CAMERA_WIDTH, _CAMERA_HEIGHT, _FOCAL, _FOCAL, _CAMERA_WIDTH / 2, _CAMERA_HEIGHT / 2, pose
+        "overview",
+        _CAMERA_WIDTH,
+        _CAMERA_HEIGHT,
+        _FOCAL_PIXELS,
+        _FOCAL_PIXELS,
+        _CAMERA_WIDTH / 2,
+        _CAMERA_HEIGHT / 2,
+        pose,
     )

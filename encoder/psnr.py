@@ -18,9 +18,9 @@ def psnr_of(mean_square: float) -> float:
     return float(-10 * np.log10(max(mean_square, 1e-12)))
 
 
-def square_error(shown: FloatArray, picture: FloatArray) -> float:
-    """Mean square error of ``shown``, clipped to 0..1."""
-    return float(((np.clip(shown, 0, 1) - picture) ** 2).mean(dtype=np.float64))
+def square_error(rendered: FloatArray, picture: FloatArray) -> float:
+    """Mean square error of ``rendered``, clipped to 0..1."""
+    return float(((np.clip(rendered, 0, 1) - picture) ** 2).mean(dtype=np.float64))
 
 
 def mean_psnr(kernel: TrainingKernel, splats: Splats, views: Sequence[View], pictures: Sequence[FloatArray]) -> float:
@@ -29,16 +29,16 @@ def mean_psnr(kernel: TrainingKernel, splats: Splats, views: Sequence[View], pic
 
 
 def mean_picture_psnr(
-    views: Sequence[View], shown: Sequence[FloatArray], pictures: Sequence[FloatArray], *, threads: int = 1
+    views: Sequence[View], rendered: Sequence[FloatArray], pictures: Sequence[FloatArray], *, threads: int = 1
 ) -> float:
-    """Mean over the views of each one's PSNR, over recorded pixels, of ``shown`` clipped to 0..1; NaN without views."""
+    """Mean over the views of their PSNR, over recorded pixels, ``rendered`` clipped to 0..1; NaN without views."""
     with side_by_side(threads) as each:
-        values = list(each(_picture_psnr, views, shown, pictures))
+        values = list(each(_picture_psnr, views, rendered, pictures))
     return float(np.mean(values)) if values else float("nan")
 
 
-def _picture_psnr(view: View, shown: FloatArray, picture: FloatArray) -> float:
-    square = (np.clip(shown, 0, 1) - picture) ** 2
+def _picture_psnr(view: View, rendered: FloatArray, picture: FloatArray) -> float:
+    square = (np.clip(rendered, 0, 1) - picture) ** 2
     if view.valid is not None:
         square = square * view.valid
     return psnr_of(float(square.sum(dtype=np.float64)) / (3 * float(_size(view))))

@@ -61,7 +61,7 @@ class GuardedObject:
 
 
 def anything(result: object, *given: object, **named: object) -> str:
-    """The check of what may return anything."""
+    """The check that accepts any result."""
     return ""
 
 
@@ -91,7 +91,7 @@ class Registry(Generic[T]):
         """The implementation of that name. Raises UsageError for an unknown one, or one that cannot be imported."""
         if name in self._own:
             return self._own[name]
-        # Asked for in every frame, and it takes milliseconds to look through all installed packages.
+        # Used in every frame, and a search through all installed packages takes milliseconds.
         if name in self._loaded:
             return self._loaded[name]
         offered = self._offered().get(name)

@@ -1,6 +1,6 @@
 """The method of an encode, and parts of it that are left out.
 
-Switches change settings and nothing else, so that a stream's header says what made it. Methods share the keyframe, the
+Switches change settings and nothing else, so that a stream's header records them. Methods share the keyframe, the
 views, the rasteriser and the lattice; what a later frame does is all that differs. Rejected: presets for each
 combination (a method applies on top of any preset).
 """
@@ -21,18 +21,15 @@ from .methods import FRAME_METHODS, method_of, require_sparse
 from .registry import Registry
 from .settings.checked import Checked
 from .settings.encode import EncodeSettings
-from .training.densification import DENSIFICATIONS
 
 T = TypeVar("T")
 
 ABLATIONS = ("select", "focus", "gate")
 """The parts of a method that can be left out: its selection, its focus loss, its gate."""
 
-_NAMED: dict[str, Registry[Any]] = {
+_REGISTERED_SETTINGS: dict[str, Registry[Any]] = {
     "method": FRAME_METHODS,
     "frame.selection.rule": SELECTION_RULES,
-    "frame.densification": DENSIFICATIONS,
-    "keyframe.densification": DENSIFICATIONS,
 }
 """Settings that are names in a registry, which packages may extend."""
 
@@ -54,7 +51,7 @@ def with_switches(settings: EncodeSettings, switches: Switches) -> EncodeSetting
     """The same settings with these switches; raises UsageError for unknown names, and what excludes each other."""
     if switches.method is not None:
         settings = with_method(settings, switches.method)
-    settings = without(settings, switches.ablate)
+    settings = ablate(settings, switches.ablate)
     if switches.selection is None:
         return settings
     if "select" in switches.ablate:
@@ -67,7 +64,7 @@ def check_together(settings: EncodeSettings) -> None:
 
     Settings themselves know no registry; an encode asks before it begins, not in the frame that needs the name.
     """
-    for path, registry in _NAMED.items():
+    for path, registry in _REGISTERED_SETTINGS.items():
         _get(registry, attrgetter(path)(settings), path.rsplit(".")[-1])
     method_of(settings)
     if settings.frame_budget is not None:
@@ -104,7 +101,7 @@ def with_selection(settings: EncodeSettings, rule: str) -> EncodeSettings:
     return replace(settings, frame=replace(settings.frame, selection=selection))
 
 
-def without(settings: EncodeSettings, parts: Sequence[str]) -> EncodeSettings:
+def ablate(settings: EncodeSettings, parts: Sequence[str]) -> EncodeSettings:
     """The same settings with parts of the method left out, in addition to those that already are.
 
     ``select``: every Gaussian is selected in any frame whose pictures changed. ``focus``: the plain loss over the whole

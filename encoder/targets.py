@@ -1,4 +1,4 @@
-"""What a stream is held to: how exact it is, how many bytes and how much time its frames may take."""
+"""A stream's targets: quality, bytes and time."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .settings.encode import EncodeSettings
 
 @dataclass(frozen=True)
 class Targets(Checked):
-    """What a stream is held to; None is what the settings say.
+    """A stream's targets on top of its settings; None: as the settings have it.
 
     ``quality``: 0 (smallest) to 100 (most exact), 50 is the settings as they are; with a keyframe of an earlier stream,
     that of later frames. ``bytes_per_frame``: most that the frames after the first may take on average, keyframes among
@@ -32,7 +32,7 @@ class Targets(Checked):
 
 
 def with_targets(settings: EncodeSettings, targets: Targets) -> EncodeSettings:
-    """The settings held to these targets; raises UsageError for those out of range or that exclude each other."""
+    """The settings with these targets; raises UsageError for those out of range or that exclude each other."""
     given = {"quality": targets.quality, "bytes_per_frame": targets.bytes_per_frame}
     lossy = [name for name, value in given.items() if value is not None]
     if targets.lossless and lossy:

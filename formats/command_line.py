@@ -105,14 +105,14 @@ def _options_by_parameter(parser: argparse.ArgumentParser) -> dict[str, str]:
 
 
 @contextmanager
-def reworded(words: Mapping[str, str]) -> Iterator[None]:
-    """Errors from inside have the user's words for the library's, where an option's value was converted for it."""
+def in_option_names(option_names: Mapping[str, str]) -> Iterator[None]:
+    """Errors from inside name the user's options, where their values were converted for the library."""
     try:
         yield
     except DecogsError as error:
         text = str(error)
-        for said, given in words.items():
-            text = text.replace(said, given)
+        for parameter, option in option_names.items():
+            text = text.replace(parameter, option)
         error.args = (text,)
         raise
 

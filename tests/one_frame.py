@@ -55,7 +55,7 @@ def train(
     *,
     frame: int,
     settings: FrameSettings | None = None,
-    lit: Any = None,
+    light_only: Any = None,
     **effort: Any,
 ) -> TrainedFrame:
     context: TrainingContext | None = getattr(trainer, "context", None)  # which the baseline has not
@@ -63,7 +63,7 @@ def train(
         settings = FrameSettings() if context is None else context.settings.frame
     for view in () if context is None else context.static_views:
         view.detach(np.flatnonzero(selected))
-    return trainer.train(FrameInput(frame, scene, selected, lit, pictures, masks, motion, settings, **effort))
+    return trainer.train(FrameInput(frame, scene, selected, light_only, pictures, masks, motion, settings, **effort))
 
 
 @dataclass(frozen=True)

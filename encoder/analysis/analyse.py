@@ -67,7 +67,7 @@ class Analysis:
         widths = [max(len(row[column]) for row in rows) for column in range(len(_HEADINGS))]
         for row in rows:
             yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-        yield _ELSEWHERE
+        yield _DECIDED_LATER
         yield ""
         yield from self.check.table()
 
@@ -119,7 +119,7 @@ def analyse(
 
 
 _HEADINGS = ("effect", "detected", "confidence", "evidence", "threshold", "cameras", "frames", "cost")
-_ELSEWHERE = f"decided by every frame of an encode: {', '.join(FRAME_EFFECTS)}; by its keyframe: view_dependence"
+_DECIDED_LATER = f"decided by every frame of an encode: {', '.join(FRAME_EFFECTS)}; by its keyframe: view_dependence"
 
 
 def _row(stats: RigStatistics, finding: Finding) -> tuple[str, ...]:

@@ -34,7 +34,7 @@ EFFECTS: tuple[Effect, ...] = (
     LensDistortion(),
     SensorNoise(),
 )
-"""The effects that the analysis of a rig decides about, in the order in which they are shown."""
+"""The effects that the analysis of a rig decides about, in the order of its table."""
 
 _WITHOUT = {**WITHOUT, **{effect.name: effect.disabled for effect in EFFECTS}}
 

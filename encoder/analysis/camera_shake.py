@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from ..settings.encode import EncodeSettings
-from .effect import Decision, Evidence, cameras_beyond, decided, one_span, stated
-from .registration import SHAKE_LIMIT
+from .effect import Decision, Evidence, cameras_beyond, make_decision, one_span, reason_of
+from .registration import SHAKE_LIMIT_PIXELS
 from .rig_statistics import RigStatistics
 
 
@@ -18,19 +18,19 @@ class CameraShake:
     name = "camera_shake"
 
     def evidence(self, stats: RigStatistics) -> Evidence:
-        return Evidence(np.stack([path.displacement for path in stats.paths]), "px", SHAKE_LIMIT)
+        return Evidence(np.stack([path.displacement for path in stats.paths]), "px", SHAKE_LIMIT_PIXELS)
 
     def decide(self, stats: RigStatistics, evidence: Evidence) -> Decision:
         shaking = cameras_beyond(evidence)
         own = evidence.camera_peaks / np.array(stats.scales)
         largest = float(np.nan_to_num(own).max())
-        return decided(
+        return make_decision(
             stats,
             self,
             evidence,
             counts=shaking,
             frames=one_span(stats, np.any(evidence.reached[shaking], axis=0)),
-            reason=stated(
+            reason=reason_of(
                 evidence,
                 f"the static background shifts by up to {evidence.peak:.2f} px ({largest:.2f} px at full resolution)",
                 "no camera's background can be registered to its first frame",

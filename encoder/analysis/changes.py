@@ -24,10 +24,10 @@ CHANGE_LEVELS = 4.0
 CHANGE_NOISE = 4.0
 _RESTRUCTURED_LEVELS = 6.0
 """Least residual of an affine fit that counts, in levels: video coding leaves 2 to 3 at sharp texture."""
-_LEFT_OVER_SHARE = 0.5
+_RESIDUAL_SHARE = 0.5
 _FIT_WINDOW = (7, 7)
 WINDOW_PIXELS = 49
-_NEAR_FRACTION = 0.0355
+_NEAR_RADIUS_WIDTHS = 0.0355
 """Radius around restructured pixels within which a change belongs to them, as a share of the picture's width: the
 dilation of the encoder's masks."""
 
@@ -41,7 +41,7 @@ class ChangeMaps:
 
     def around(self, width: int) -> BoolArray:
         """Pixels in and around restructured ones; ``width``: of the whole picture, of which the maps may be a part."""
-        return dilate(self.restructured, round(_NEAR_FRACTION * width))
+        return dilate(self.restructured, round(_NEAR_RADIUS_WIDTHS * width))
 
 
 def change_maps(before: U8, now: U8, noise: float) -> ChangeMaps:
@@ -52,7 +52,7 @@ def change_maps(before: U8, now: U8, noise: float) -> ChangeMaps:
         return ChangeMaps(changed, changed)
     left_over, energy = _left_over(before, now)
     least = max(_RESTRUCTURED_LEVELS, CHANGE_NOISE * noise) ** 2
-    return ChangeMaps(changed, changed & (left_over > least) & (left_over > _LEFT_OVER_SHARE * energy))
+    return ChangeMaps(changed, changed & (left_over > least) & (left_over > _RESIDUAL_SHARE * energy))
 
 
 def _largest_difference(before: NDArray[Any], now: NDArray[Any]) -> U8:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..settings.encode import EncodeSettings
-from .effect import F64, Decision, Evidence, cameras_beyond, decided, one_span, stated
+from .effect import F64, Decision, Evidence, cameras_beyond, make_decision, one_span, reason_of
 from .light import EXPOSURE_LIMIT, FRAME_LIMIT, WHITE_BALANCE_LIMIT, Light
 from .rig_statistics import RigStatistics
 
@@ -36,13 +36,13 @@ class ColourDrift:
         drifting = cameras_beyond(evidence)
         gains = {name: np.nan_to_num(stats.light.gains[..., k]) for name, k in self.channels.items()}
         strongest = np.max([np.abs(gain[drifting]).max(axis=0, initial=0) for gain in gains.values()], axis=0)
-        return decided(
+        return make_decision(
             stats,
             self,
             evidence,
             counts=drifting,
             frames=one_span(stats, strongest >= FRAME_LIMIT),
-            reason=stated(
+            reason=reason_of(
                 evidence,
                 f"{self.what} by up to {evidence.peak:.1f} %, uniformly over a camera's picture",
                 "too few points are shared by three cameras",

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..settings.encode import EncodeSettings
-from .effect import Decision, Evidence, cameras_beyond, decided, stated
+from .effect import Decision, Evidence, cameras_beyond, make_decision, reason_of
 from .light import EXPOSURE_LIMIT
 from .rig_statistics import RigStatistics
 
@@ -28,12 +28,12 @@ class ColourMismatch:
 
     def decide(self, stats: RigStatistics, evidence: Evidence) -> Decision:
         different = cameras_beyond(evidence)
-        return decided(
+        return make_decision(
             stats,
             self,
             evidence,
             counts=different,
-            reason=stated(
+            reason=reason_of(
                 evidence,
                 f"gain against the other cameras is up to {evidence.peak:.1f} %, uniform over a camera's picture",
                 "too few points are shared by three cameras",

@@ -12,12 +12,12 @@ from dataclasses import replace
 
 from ..settings.encode import EncodeSettings
 
-_LIGHT_THRESHOLD = 0.4
+_LIGHT_THRESHOLD_FACTOR = 0.4
 """Factor of the significance threshold where light alone changes: many Gaussians change, each of them hardly
 visibly. candle: .036 / .056 / .112 (this is .072 of standard's .18) give 12.1 / 10.8 /
 8.0 kB a frame and, where light changes, 31.91 / 31.94 / 31.89 dB."""
 
-_LIGHT_ITERATIONS = 0.6
+_LIGHT_MIN_FACTOR = 0.6
 """Smallest factor of a frame's iterations where light alone changes (`IterationSettings.min_factor`): candle takes 1.3
 CPU-s a frame instead of 1.7 and loses .02 dB where light changes."""
 
@@ -26,8 +26,8 @@ def _without_motion(settings: EncodeSettings) -> EncodeSettings:
     """No warm start, no training of geometry; a lower significance threshold and fewer steps for light alone."""
     frame = settings.frame
     rates = replace(frame.rates, means=0.0, log_scales=0.0, quaternions=0.0)
-    significance = replace(frame.significance, threshold=_LIGHT_THRESHOLD * frame.significance.threshold)
-    pace = replace(frame.adaptive_iterations, min_factor=_LIGHT_ITERATIONS)
+    significance = replace(frame.significance, threshold=_LIGHT_THRESHOLD_FACTOR * frame.significance.threshold)
+    pace = replace(frame.adaptive_iterations, min_factor=_LIGHT_MIN_FACTOR)
     return replace(
         settings,
         frame=replace(

@@ -119,12 +119,12 @@ def one_span(stats: RigStatistics, counts: BoolArray) -> tuple[Span, ...]:
     return ((first, stats.frames[rows[-1]]),)
 
 
-def stated(evidence: Evidence, known: str, unknown: str) -> str:
+def reason_of(evidence: Evidence, known: str, unknown: str) -> str:
     """A decision's reason: ``known``, or why the evidence is undetermined."""
     return known if np.isfinite(evidence.peak) else f"undetermined: {unknown}"
 
 
-def decided(
+def make_decision(
     stats: RigStatistics,
     effect: Effect,
     evidence: Evidence,

@@ -21,31 +21,31 @@ from decogs.formats.cameras import Camera, camera_centre, is_distorted
 from ..change.masks import BoolArray
 from ..numerics import tukey
 from ..settings.encode import EncodeSettings
-from .effect import F64, Decision, Evidence, cameras_beyond, decided, stated
+from .effect import F64, Decision, Evidence, cameras_beyond, make_decision, reason_of
 from .matches import PairMatches, essential_matrices, sampson_distances
 from .rig_statistics import RigStatistics
 
-_LIMIT = 1.0
+_LIMIT_PIXELS = 1.0
 """Least displacement that counts, in pixels of the analysed size: three times SIFT's accuracy. Beyond the calibration,
 it is that at the radius within which nine of ten matches lie: the fit has no data farther out."""
 _RADIUS_QUANTILE = 0.9
 _BOUND_DEVIATIONS = 3.0
 """Deviations of the fit, subtracted from its result for a lower bound of the distortion."""
-_MIN_MATCHES = 30
-_MIN_FRACTION = 0.5
+_MIN_CAMERA_MATCHES = 30
+_MIN_INLIER_SHARE = 0.5
 """Least share of a camera's matches near their epipolar lines after the fit; by chance one in ten wrong matches is."""
-_UNKNOWNS = 4
+_UNKNOWNS_PER_CAMERA = 4
 _GAUSS_NEWTON_STEPS = 12
-_FIRST_REACH, _SHRINKS = 20.0, 0.7
-_MIN_DEVIATION = 0.3
+_FIRST_REACH_PIXELS, _REACH_DECAY = 20.0, 0.7
+_MIN_DEVIATION_PIXELS = 0.3
 """SIFT's accuracy, in pixels."""
 _ROTATION_PRIOR = np.radians(0.15)
 _K1_PRIOR = 0.3
-_STEP = 1e-5
+_DERIVATIVE_STEP = 1e-5
 
 
 class LensDistortion:
-    """Lenses that bend more than the calibration says."""
+    """Lenses with distortion beyond their calibration."""
 
     name = "lens_distortion"
 
@@ -53,21 +53,23 @@ class LensDistortion:
         beyond, error, k1 = _beyond_calibration(stats)
         calibrated = np.array([_calibrated(camera) for camera in stats.cameras])
         values = np.full((len(stats.cameras), len(stats.frames)), np.nan)
-        # Undetermined counts for a lens that is calibrated; a calibrated zero says nothing where the fit could not
-        # tell.
+        # Undetermined counts for a lens that is calibrated; a calibrated zero is no evidence where the fit is
+        # undetermined.
         values[:, 0] = np.fmax(_surely(beyond, error), np.where(calibrated > 0, calibrated, np.nan))
         details = {"k1": k1, "beyond_px": beyond, "deviation_px": error, "calibrated_px": calibrated}
-        return Evidence(values, "px", _LIMIT, {name: column[:, None] for name, column in details.items()})
+        return Evidence(values, "px", _LIMIT_PIXELS, {name: column[:, None] for name, column in details.items()})
 
     def decide(self, stats: RigStatistics, evidence: Evidence) -> Decision:
         details = {name: column[:, 0] for name, column in evidence.details.items()}
         uncalibrated = np.nan_to_num(_surely(details["beyond_px"], details["deviation_px"])) >= evidence.limit
-        return decided(
+        return make_decision(
             stats,
             self,
             evidence,
             counts=cameras_beyond(evidence),
-            reason=stated(evidence, _reason(stats, evidence, uncalibrated), "too few points are seen by two cameras"),
+            reason=reason_of(
+                evidence, _reason(stats, evidence, uncalibrated), "too few points are seen by two cameras"
+            ),
             cost="resampling of every picture, 2 ms at 352x264 (estimated); only the lens is coded",
             figures={"k1": {stats.names[k]: float(details["k1"][k]) for k in np.flatnonzero(uncalibrated)}},
         )
@@ -111,11 +113,11 @@ def _beyond_calibration(stats: RigStatistics) -> tuple[F64, F64, F64]:
     beyond, error, k1 = (np.full(count, np.nan) for _ in range(3))
     fit = _Fit(stats.cameras, stats.matches.pairs)
     met = fit.matches_of_cameras()
-    if met.max(initial=0) < _MIN_MATCHES:
+    if met.max(initial=0) < _MIN_CAMERA_MATCHES:
         return beyond, error, k1
     found, deviation = fit.solve()
     kept = fit.matches_of_cameras()
-    known = (kept >= _MIN_MATCHES) & (kept >= _MIN_FRACTION * met)
+    known = (kept >= _MIN_CAMERA_MATCHES) & (kept >= _MIN_INLIER_SHARE * met)
     radii = fit.radii()
     fisheye = [camera.distortion_model == "fisheye" for camera in stats.cameras]
     pixels = np.array([camera.fx for camera in stats.cameras]) * np.where(fisheye, np.arctan(radii), radii) ** 3
@@ -160,14 +162,14 @@ class _Fit:
 
     def solve(self) -> tuple[F64, F64]:
         """k1 of every camera and its standard deviation."""
-        unknowns = np.zeros((len(self.cameras), _UNKNOWNS))
+        unknowns = np.zeros((len(self.cameras), _UNKNOWNS_PER_CAMERA))
         scales = np.tile([_K1_PRIOR, *[_ROTATION_PRIOR] * 3], len(self.cameras))
         for turn in range(_GAUSS_NEWTON_STEPS):
-            missed = self._missed(unknowns[self._first], unknowns[self._second])
-            reach = _FIRST_REACH * _SHRINKS**turn
+            missed = self._distances(unknowns[self._first], unknowns[self._second])
+            reach = _FIRST_REACH_PIXELS * _REACH_DECAY**turn
             sizes = np.abs(missed)
             near = sizes[sizes < max(reach, 4.0)]
-            deviation = max(_MIN_DEVIATION, 1.5 * float(np.median(near)) if len(near) else 0.0)
+            deviation = max(_MIN_DEVIATION_PIXELS, 1.5 * float(np.median(near)) if len(near) else 0.0)
             self._weights = tukey(missed, max(reach, 4 * deviation))
             normal, gradient = self._normal_equations(unknowns, missed)
             prior = (deviation / scales) ** 2
@@ -184,33 +186,33 @@ class _Fit:
         for pair, end in enumerate(self._ends):
             rows = slice(end - len(self.pairs[pair].first_rays), end)
             sides = self._first[pair], self._second[pair]
-            columns = [_UNKNOWNS * camera + k for camera in sides for k in range(_UNKNOWNS)]
+            columns = [_UNKNOWNS_PER_CAMERA * camera + k for camera in sides for k in range(_UNKNOWNS_PER_CAMERA)]
             normal[np.ix_(columns, columns)] += weighted[rows].T @ slopes[rows]
             gradient[columns] += missed[rows] @ weighted[rows]
         return normal, gradient
 
     def _slopes(self, unknowns: F64, missed: F64) -> F64:
         """How fast the distances (M,) grow with the unknowns (M, 8) of each match's first and second camera."""
-        slopes = np.empty((len(missed), 2 * _UNKNOWNS))
-        for column in range(2 * _UNKNOWNS):
+        slopes = np.empty((len(missed), 2 * _UNKNOWNS_PER_CAMERA))
+        for column in range(2 * _UNKNOWNS_PER_CAMERA):
             sides = unknowns[self._first], unknowns[self._second]
-            sides[column // _UNKNOWNS][:, column % _UNKNOWNS] += _STEP
-            slopes[:, column] = (self._missed(*sides) - missed) / _STEP
+            sides[column // _UNKNOWNS_PER_CAMERA][:, column % _UNKNOWNS_PER_CAMERA] += _DERIVATIVE_STEP
+            slopes[:, column] = (self._distances(*sides) - missed) / _DERIVATIVE_STEP
         return slopes
 
-    def _missed(self, first: F64, second: F64) -> F64:
+    def _distances(self, first: F64, second: F64) -> F64:
         """Distances (M,) of all matches, in pixels, by the unknowns (pairs, 4) of the pairs' cameras."""
         one, two = (
             np.array([cv2.Rodrigues(turn)[0] for turn in unknowns[:, 1:]]) @ self._rotations[cameras]
             for unknowns, cameras in ((first, self._first), (second, self._second))
         )
         essential = essential_matrices(one, two, self._baselines)[self._pair]
-        here = _straightened(self._first_rays, first[self._pair, 0])
-        there = _straightened(self._second_rays, second[self._pair, 0])
+        here = _undistort(self._first_rays, first[self._pair, 0])
+        there = _undistort(self._second_rays, second[self._pair, 0])
         return np.asarray(sampson_distances(here, there, essential) * self._focal_lengths)
 
 
-def _straightened(rays: F64, k1: F64) -> F64:
+def _undistort(rays: F64, k1: F64) -> F64:
     """Rays (N, 2) undistorted by k1 (N,), by fixed-point iteration, which converges for k1 r^2 well below 1."""
     straight = rays
     for _ in range(5):

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from decogs.formats.cameras import Camera
 from decogs.formats.colour import linear_from_srgb
 
-from .matches import NEAR_LINE, Matches, PairMatches
+from .matches import NEAR_LINE_PIXELS, Matches, PairMatches
 
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
@@ -41,27 +41,27 @@ WHITE_BALANCE_LIMIT = 0.02
 FRAME_LIMIT = 0.01
 """Gain from which a frame of a drifting camera counts: half a level at mid-grey; a median over many points."""
 
-_AROUND = np.mgrid[-4:5:2, -4:5:2].reshape(2, -1, 1)
+_POINT_WINDOW = np.mgrid[-4:5:2, -4:5:2].reshape(2, -1, 1)
 """Pixels around a point for averaging: reduces noise and the effect of half a pixel of misplacement."""
-_MAX_CLIPPED = 0.1
+_MAX_CLIPPED_SHARE = 0.1
 """Largest clipped share of these."""
-_MAX_SHARED = 100
+_MAX_PAIR_POINTS = 100
 """Most points of a pair of cameras: the median of so many has an eighth of the noise of one."""
-_DIFFERENT = 0.2
+_OUTLIER_SHARE = 0.2
 """Share of a camera's points at either end that may deviate."""
-_MIN_POINTS = 20
+_MIN_CAMERA_POINTS = 20
 """Least points that a determined camera shares with others."""
 _GRID_ROWS = 24
 """Rows and columns of the grid of pixels that stands for a whole picture."""
-_OVERALL = 0.5
+_MIN_OVERALL_SHARE = 0.5
 """Least change of the median of a camera's pixels over its gain: a quarter of the pixels may deviate."""
-_COMPARABLE = 3
-"""Cameras that a median needs: of two that differ, either may be the one that drifts."""
+_MIN_GROUP_CAMERAS = 3
+"""Cameras that a median needs: of two that differ, either may drift."""
 _LINEAR: F64 = linear_from_srgb(np.arange(256) / 255)
 _CLIPPED_LEVELS = 5
 """Levels from either end of the scale within which a value is no measure of the light."""
 _GAIN_REWEIGHTINGS = 12
-_SMALLEST = 0.002
+_MIN_LOG_DEVIATION = 0.002
 """Deviation of a log ratio below which all weigh alike: a fifth of what noise does to the mean of a window."""
 
 
@@ -112,7 +112,7 @@ class Mismatch:
 
 def shared_points(cameras: Sequence[Camera], matches: Matches) -> SharedPoints:
     """The matches that lie on each other's epipolar lines."""
-    pairs = [_believed(cameras, pair) for pair in matches.pairs]
+    pairs = [_near_epipolar(cameras, pair) for pair in matches.pairs]
     if not pairs:
         return SharedPoints(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2)))
     joined = [np.concatenate(parts) for parts in zip(*pairs, strict=True)]
@@ -128,7 +128,7 @@ def light_at(pictures: U8, pixels: F64) -> F64:
     height, width = pictures.shape[1:3]
     row, column = (
         np.clip(np.floor(pixels[:, axis]).astype(np.int64) + shift, 0, size - 1)
-        for axis, size, shift in ((1, height, _AROUND[0]), (0, width, _AROUND[1]))
+        for axis, size, shift in ((1, height, _POINT_WINDOW[0]), (0, width, _POINT_WINDOW[1]))
     )
     places = row * width + column
     for index, picture in enumerate(pictures):
@@ -136,7 +136,7 @@ def light_at(pictures: U8, pixels: F64) -> F64:
         # Below black, 8 bits go on from white: both ends are one comparison.
         ends = (around - np.uint8(_CLIPPED_LEVELS)) > 255 - 2 * _CLIPPED_LEVELS
         clipped = (ends[..., 0] | ends[..., 1] | ends[..., 2]).mean(axis=0)
-        known = clipped <= _MAX_CLIPPED
+        known = clipped <= _MAX_CLIPPED_SHARE
         red, green, blue = np.log(_LINEAR.take(around).mean(axis=0)[known]).T
         found[index, known] = np.stack([(red + green + blue) / 3, red - green, blue - green], axis=1)
     return found
@@ -156,7 +156,7 @@ def light_overall(pictures: U8) -> F64:
     medians = np.full((len(changes), 3), np.nan)
     for frame, change in enumerate(changes):
         known = change[np.isfinite(change).all(axis=1)]
-        if len(known) >= _MIN_POINTS:
+        if len(known) >= _MIN_CAMERA_POINTS:
             medians[frame] = np.median(known, axis=0)
     return medians
 
@@ -201,14 +201,14 @@ def _seen_overall(shares: F64, overall: F64) -> F64:
         warnings.simplefilter("ignore", RuntimeWarning)  # No camera is determined in a frame.
         own = overall - np.nanmedian(overall, axis=0)
         usual = np.nanmedian(np.abs(own), axis=0)
-    needed = _OVERALL * np.abs(shares)
+    needed = _MIN_OVERALL_SHARE * np.abs(shares)
     absent = (usual <= needed) & (own * np.sign(shares) < needed)
     return np.asarray(np.where(absent, 0.0, shares))
 
 
-def _believed(cameras: Sequence[Camera], pair: PairMatches) -> tuple[I64, I64, F64, F64]:
-    near = np.flatnonzero(np.abs(pair.epipolar_distances(cameras)) < NEAR_LINE)
-    near = near[:: math.ceil(len(near) / _MAX_SHARED) or 1]
+def _near_epipolar(cameras: Sequence[Camera], pair: PairMatches) -> tuple[I64, I64, F64, F64]:
+    near = np.flatnonzero(np.abs(pair.epipolar_distances(cameras)) < NEAR_LINE_PIXELS)
+    near = near[:: math.ceil(len(near) / _MAX_PAIR_POINTS) or 1]
     numbers = [np.full(len(near), number, np.int64) for number in (pair.first, pair.second)]
     return numbers[0], numbers[1], pair.first_pixels[near], pair.second_pixels[near]
 
@@ -224,7 +224,7 @@ def _differences(points: SharedPoints, values: Sequence[F64]) -> F64:
 
 
 def _solved(first: I64, second: I64, differences: F64, cameras: int) -> tuple[F64, F64]:
-    """Gains (cameras, 3) that fit the points' ``differences`` (N, 3) best, and the share that 80 % of the points show.
+    """Gains (cameras, 3) that fit the points' ``differences`` (N, 3) best, and the gain that 80 % of the points share.
 
     Cameras without comparable ones have gain 0 and share NaN.
     """
@@ -250,7 +250,7 @@ def _comparable(first: I64, second: I64, cameras: int) -> list[I64]:
     while True:
         both = kept[first] & kept[second]
         counts = np.bincount(first[both], minlength=cameras) + np.bincount(second[both], minlength=cameras)
-        enough = kept & (counts >= _MIN_POINTS)
+        enough = kept & (counts >= _MIN_CAMERA_POINTS)
         if (enough == kept).all():
             break
         kept = enough
@@ -263,7 +263,7 @@ def _comparable(first: I64, second: I64, cameras: int) -> list[I64]:
             break
         group = lower
     found = [np.flatnonzero(kept & (group == number)) for number in np.unique(group[kept])]
-    return [members for members in found if len(members) >= _COMPARABLE]
+    return [members for members in found if len(members) >= _MIN_GROUP_CAMERAS]
 
 
 def _least_deviations(first: I64, second: I64, differences: F64, cameras: int) -> F64:
@@ -278,13 +278,13 @@ def _least_deviations(first: I64, second: I64, differences: F64, cameras: int) -
         right = np.bincount(first, pulled, cameras) - np.bincount(second, pulled, cameras)
         # The common gain is arbitrary; this makes the mean 0.
         gains = np.linalg.solve(normal + np.trace(normal) / cameras**2, right)
-        weights = 1 / np.maximum(np.abs(differences - gains[first] + gains[second]), _SMALLEST)
+        weights = 1 / np.maximum(np.abs(differences - gains[first] + gains[second]), _MIN_LOG_DEVIATION)
     return gains
 
 
 def _shared(values: F64) -> F64:
     """Value that at least 80 % of the points (N, ...) reach in one direction; 0 if they differ in sign."""
-    low, high = np.quantile(values, [_DIFFERENT, 1 - _DIFFERENT], axis=0)
+    low, high = np.quantile(values, [_OUTLIER_SHARE, 1 - _OUTLIER_SHARE], axis=0)
     nearer = np.where(np.abs(low) < np.abs(high), low, high)
     return np.asarray(np.where(low * high > 0, nearer, 0.0))
 

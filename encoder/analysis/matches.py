@@ -16,15 +16,15 @@ from decogs.formats.cameras import Camera, camera_centre
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
 
-_FEATURES = 800
-_SURROUNDINGS = 16
+_MAX_FEATURES = 800
+_DESCRIPTOR_MARGIN_PIXELS = 16
 """Pixels around a masked feature that describe it."""
-_NEIGHBOURS = 4
-_WIDEST_ANGLE = 1.0
+_NEIGHBOUR_CAMERAS = 4
+_MAX_AXES_ANGLE = 1.0
 """Angle between optical axes, in radians, beyond which SIFT hardly matches."""
-NEAR_LINE = 3.0
-"""Largest distance of a believed match from its epipolar line, in pixels, with room for uncalibrated distortion."""
-_RATIO = 0.8
+NEAR_LINE_PIXELS = 3.0
+"""Largest distance of a reliable match from its epipolar line, in pixels, with room for uncalibrated distortion."""
+_LOWE_RATIO = 0.8
 """Lowe's ratio: largest distance of the best match over the second best."""
 
 
@@ -111,7 +111,7 @@ def features_of(camera: Camera, picture: U8, mask: U8 | None = None) -> Features
     descriptors = None
     if grey[window].size:
         within = None if mask is None else np.ascontiguousarray(mask[window])
-        keypoints, descriptors = cv2.SIFT_create(_FEATURES).detectAndCompute(grey[window], within)  # type: ignore[attr-defined]
+        keypoints, descriptors = cv2.SIFT_create(_MAX_FEATURES).detectAndCompute(grey[window], within)  # type: ignore[attr-defined]
     if descriptors is None:
         return Features(np.empty((0, 2)), np.empty((0, 2)), np.empty((0, 128), np.float32))
     corner = [window[1].start or 0, window[0].start or 0]
@@ -128,7 +128,9 @@ def _window(mask: U8) -> tuple[slice, slice]:
     """Rows and columns where a mask (H, W) is not 0, and those that describe features there; none of an empty mask."""
     x, y, width, height = cv2.boundingRect(mask)
     rows, columns = (
-        slice(max(0, begin - _SURROUNDINGS), begin + size + _SURROUNDINGS) if size else slice(0, 0)
+        slice(max(0, begin - _DESCRIPTOR_MARGIN_PIXELS), begin + size + _DESCRIPTOR_MARGIN_PIXELS)
+        if size
+        else slice(0, 0)
         for begin, size in ((y, height), (x, width))
     )
     return rows, columns
@@ -140,8 +142,8 @@ def neighbouring(cameras: Sequence[Camera]) -> list[tuple[int, int]]:
     angles = np.arccos(np.clip(axes @ axes.T, -1, 1))
     pairs = set()
     for row in range(len(cameras)):
-        near = [k for k in np.argsort(angles[row], kind="stable").tolist() if k != row][:_NEIGHBOURS]
-        pairs |= {(min(row, k), max(row, k)) for k in near if angles[row, k] < _WIDEST_ANGLE}
+        near = [k for k in np.argsort(angles[row], kind="stable").tolist() if k != row][:_NEIGHBOUR_CAMERAS]
+        pairs |= {(min(row, k), max(row, k)) for k in near if angles[row, k] < _MAX_AXES_ANGLE}
     return sorted(pairs)
 
 
@@ -163,5 +165,5 @@ def _mutual(here: NDArray[np.float32], there: NDArray[np.float32]) -> tuple[NDAr
     # Largest values take a fifteenth of the time that their rows would.
     is_mutual = product == products.max(axis=0)[best]
     products[rows, best] = -np.inf
-    found = np.flatnonzero((np.maximum(1 - product, 0) < _RATIO**2 * (1 - products.max(axis=1))) & is_mutual)
+    found = np.flatnonzero((np.maximum(1 - product, 0) < _LOWE_RATIO**2 * (1 - products.max(axis=1))) & is_mutual)
     return found, best[found]

@@ -1,4 +1,4 @@
-"""Where things move in one frame, told from light alone, in milliseconds per view, for the encoder's loop.
+"""Where things move in one frame, as opposed to changing light; milliseconds per view.
 
 Pictures and their references are compared inside each view's mask, at the size of the rig's statistics (`changes`). A
 doubtful case counts as motion: training resting positions costs time, not training moving ones costs quality.
@@ -22,10 +22,10 @@ from ..parallel import side_by_side
 from .changes import WINDOW_PIXELS, change_maps
 from .rig_statistics import MAX_PIXELS
 
-_RESTRUCTURED = 0.15
+_MOVING_SHARE = 0.15
 """Restructured share of nearby changes from which something moves: the geometric mean of its largest value for light
 alone (9.5 %, candle) and its least for motion (24 %, real rigs)."""
-_MIN_CHANGED = 4 * WINDOW_PIXELS
+_MIN_CHANGED_PIXELS = 4 * WINDOW_PIXELS
 """Least changed pixels of all views for a frame to be clear."""
 
 
@@ -43,7 +43,7 @@ class _Pixels:
 
     @property
     def moves(self) -> bool:
-        return self.restructured >= max(_RESTRUCTURED * self.near, WINDOW_PIXELS)
+        return self.restructured >= max(_MOVING_SHARE * self.near, WINDOW_PIXELS)
 
 
 def moving_regions(
@@ -65,7 +65,7 @@ def moving_regions(
         return None
     # All views together count as one more, since views may be unclear one by one.
     together = _Pixels(*(sum(getattr(view, each.name) for view in views) for each in fields(_Pixels)))
-    if together.changed < _MIN_CHANGED or any(view.moves for view in (*views, together)):
+    if together.changed < _MIN_CHANGED_PIXELS or any(view.moves for view in (*views, together)):
         return [region for _, region in found]
     return None
 
@@ -83,11 +83,11 @@ def _changes(current: FloatArray, previous: FloatArray, mask: FrameMask) -> tupl
         picture_noise(previous[1], current[1]),
     )
     around = maps.around(round(scale * mask.raw.shape[1]))
-    moving[part] = _enlarged(around, moving[part].shape)
+    moving[part] = _enlarge(around, moving[part].shape)
     return _Pixels(int(maps.changed.sum()), int(maps.restructured.sum()), int((maps.changed & around).sum())), moving
 
 
-def _enlarged(region: BoolArray, shape: tuple[int, ...]) -> BoolArray:
+def _enlarge(region: BoolArray, shape: tuple[int, ...]) -> BoolArray:
     height, width = shape
     return np.asarray(cv2.resize(region.view(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0)
 

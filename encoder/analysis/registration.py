@@ -18,23 +18,23 @@ F64 = NDArray[np.float64]
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
 
-SHAKE_LIMIT = 0.1
+SHAKE_LIMIT_PIXELS = 0.1
 """Least displacement that counts, in pixels of the analysed size: ten times that of a static picture with noise. It
 changes an edge of 100 levels, two pixels wide, by 5 levels."""
 
-_MAX_CORNERS, _CORNER_QUALITY, _CORNER_DISTANCE = 1000, 0.02, 7
-_PARTS, _CORNERS_PER_PART = (5, 4), 10
+_MAX_CORNERS, _CORNER_QUALITY, _CORNER_DISTANCE_PIXELS = 1000, 0.02, 7
+_PICTURE_PARTS, _CORNERS_PER_PART = (5, 4), 10
 _MIN_CORNERS = 12
-_TRACKED_WINDOW, _HALVINGS_TRIED = (15, 15), (1, 2)
+_TRACKED_WINDOW_PIXELS, _HALVINGS_TRIED = (15, 15), (1, 2)
 """Halvings of the picture in the search; more where fewer leave it undetermined, and at once after a frame that needed
 more."""
-_UNTIL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
+_SEARCH_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
 """Steps of a corner's search, and the step in pixels that ends it: a third of what counts, for a single corner."""
 _STILL_FRACTION = 0.3
-_ALIKE = 0.5
+_MAX_DEVIATION_SHARE = 0.5
 _SIMILARITY_ROUNDS = 8
 _COMPLEX = np.array([1, 1j])
-_SMALLEST_SPREAD = 0.02
+_MIN_SPREAD_PIXELS = 0.02
 """Least spread of displacements, in pixels: that of noise."""
 
 
@@ -52,7 +52,7 @@ class CameraPath:
     @property
     def shakes(self) -> bool:
         """Whether the camera moves more than a fixed one's pictures seem to."""
-        return bool(np.nan_to_num(self.displacement).max() >= SHAKE_LIMIT)
+        return bool(np.nan_to_num(self.displacement).max() >= SHAKE_LIMIT_PIXELS)
 
 
 def camera_path(pictures: U8) -> CameraPath:
@@ -60,24 +60,24 @@ def camera_path(pictures: U8) -> CameraPath:
     count = len(pictures)
     displacement = np.full(count, np.nan)
     transforms = np.tile(np.eye(2, 3), (count, 1, 1))
-    first = _normalised(pictures[0])
+    first = _normalise(pictures[0])
     corners = _corners(first)
     if len(corners) < _MIN_CORNERS:
         return CameraPath(displacement, transforms)
     displacement[0] = 0.0
     for index in range(1, count):
-        now = _normalised(pictures[index])
+        now = _normalise(pictures[index])
         for levels in _HALVINGS_TRIED if np.isfinite(displacement[index - 1]) else _HALVINGS_TRIED[1:]:
-            transforms[index], displacement[index] = _tracked(first, now, corners, levels)
+            transforms[index], displacement[index] = _track(first, now, corners, levels)
             if np.isfinite(displacement[index]):
                 break
     return CameraPath(displacement, transforms)
 
 
-def _tracked(first: U8, now: U8, corners: F32, levels: int) -> tuple[F64, float]:
+def _track(first: U8, now: U8, corners: F32, levels: int) -> tuple[F64, float]:
     """The similarity (2, 3) from the first picture to another, and its displacement."""
     found, status, _ = cv2.calcOpticalFlowPyrLK(
-        first, now, corners, None, winSize=_TRACKED_WINDOW, maxLevel=levels, criteria=_UNTIL
+        first, now, corners, None, winSize=_TRACKED_WINDOW_PIXELS, maxLevel=levels, criteria=_SEARCH_CRITERIA
     )  # type: ignore[call-overload]
     kept = status.ravel() == 1
     if kept.sum() < _MIN_CORNERS:
@@ -91,17 +91,17 @@ def _tracked(first: U8, now: U8, corners: F32, levels: int) -> tuple[F64, float]
 
 def _corners(picture: U8) -> F32:
     """The strongest corners (N, 1, 2) of every part of the picture, so that no single texture dominates."""
-    found = cv2.goodFeaturesToTrack(picture, _MAX_CORNERS, _CORNER_QUALITY, _CORNER_DISTANCE)
+    found = cv2.goodFeaturesToTrack(picture, _MAX_CORNERS, _CORNER_QUALITY, _CORNER_DISTANCE_PIXELS)
     if found is None:
         return np.empty((0, 1, 2), np.float32)
     height, width = picture.shape
-    columns, rows = _PARTS
+    columns, rows = _PICTURE_PARTS
     part = (found[:, 0, 0] * columns // width) + columns * (found[:, 0, 1] * rows // height)
     kept = [np.flatnonzero(part == each)[:_CORNERS_PER_PART] for each in range(columns * rows)]
     return np.asarray(found[np.sort(np.concatenate(kept))], np.float32)
 
 
-def _normalised(picture: U8) -> U8:
+def _normalise(picture: U8) -> U8:
     """Luminance with local mean and contrast taken out, around 128."""
     grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
     centred = grey - cv2.boxFilter(grey, cv2.CV_32F, (13, 13))
@@ -120,7 +120,7 @@ def _similarity(at: F64, moved: F64) -> tuple[F64, float]:
     factor = 0j
     for _ in range(_SIMILARITY_ROUNDS):
         missed = np.abs(moves - fitted)
-        spread = max(1.5 * float(np.median(missed)), _SMALLEST_SPREAD)
+        spread = max(1.5 * float(np.median(missed)), _MIN_SPREAD_PIXELS)
         weight = np.maximum(0.0, 1 - (missed / (4 * spread)) ** 2)
         whole = weight.sum()
         middle, mean = (weight @ places) / whole, (weight @ moves) / whole
@@ -131,7 +131,7 @@ def _similarity(at: F64, moved: F64) -> tuple[F64, float]:
         fitted = shift + factor * places
     size = float(np.sqrt((np.abs(fitted) ** 2).mean()))
     still = float(np.quantile(np.abs(moves), _STILL_FRACTION))
-    alike = np.median(np.abs(moves - fitted)) <= max(_ALIKE * size, SHAKE_LIMIT)
+    alike = np.median(np.abs(moves - fitted)) <= max(_MAX_DEVIATION_SHARE * size, SHAKE_LIMIT_PIXELS)
     grow, turn = factor.real, factor.imag
     transform = np.array([[1 + grow, -turn, shift.real], [turn, 1 + grow, shift.imag]])
     return transform, min(size, still) if alike else np.nan

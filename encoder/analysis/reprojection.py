@@ -1,4 +1,4 @@
-"""Whether a camera stands, looks and records as its calibration says: the others' points, seen by it.
+"""Whether a camera's pose fits its calibration: by points that other cameras triangulate.
 
 A point that two other cameras triangulate must fall on its own match in the camera's picture. One match alone proves
 nothing; an offset that many share is the camera's fault. Distances from epipolar lines do not suffice: in a row of
@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 from decogs.formats.cameras import Camera, camera_centre, in_camera, turned
 
 from ..numerics import tukey
-from .matches import NEAR_LINE, Matches, PairMatches, epipolar_distances
+from .matches import NEAR_LINE_PIXELS, Matches, PairMatches, epipolar_distances
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
-NARROWEST, WIDEST = math.radians(2), math.radians(50)
-"""Angles between two rays within which they place a point: below, depth is a guess; above, surfaces look different."""
-_TURNED = 0.4
+MIN_RAYS_ANGLE, MAX_RAYS_ANGLE = math.radians(2), math.radians(50)
+"""Angles, radians, between two rays that place a point: below, depth is uncertain; above, surfaces look different."""
+_TURNED_DEGREES = 0.4
 """Degrees from which a camera counts as turned ..."""
 _TURNED_PIXELS = 2.5
 """... if they are so many pixels: matches are not exact."""
@@ -35,16 +35,16 @@ _MIN_PAIR_MATCHES = 20
 """Matches of a pair of cameras from which its epipolar lines are estimated."""
 _MIN_CAMERAS = 4
 """Of three that disagree, any may be the one."""
-_PLAUSIBLE = 0.12
+_MAX_OFFSET = 0.12
 """Largest offset of a right match, in focal lengths: seven degrees."""
 _LAST_REACH = 0.003
 """Reach of the last rounds' weights, in focal lengths: about a pixel."""
 _TURN_ROUNDS = 16
-_MAX_LEFT_OVER = 0.35
+_MAX_RESIDUAL_SHARE = 0.35
 """Largest median of what a turn leaves of the offsets, in shares of the turn."""
-_PLAUSIBLE_DISTANCE = 15.0
+_MAX_LINE_DISTANCE_PIXELS = 15.0
 """Largest distance of a right match from its line, in pixels: a camera turned by three degrees."""
-_NEARER_SHARE = 0.3
+_NEAREST_MATCHES_SHARE = 0.3
 
 
 @dataclass(frozen=True)
@@ -56,9 +56,9 @@ class _Seen:
 
 
 def turns(cameras: Sequence[Camera], matches: Matches) -> F64:
-    """How far (cameras,) each one is turned against its calibration, in degrees; NaN if undetermined.
+    """Rotation (cameras,) of each camera against its calibration, in degrees; NaN if undetermined.
 
-    A camera that is moved seems turned. One whose absence makes the others agree is set aside before they are judged.
+    A camera that is moved seems turned. One without which the others agree is excluded before they are judged.
     """
     left = set(range(len(cameras)))
     misplaced: dict[int, float] = {}
@@ -83,7 +83,7 @@ def _turns(cameras: Sequence[Camera], matches: Matches, left: set[int]) -> dict[
 
 def is_turned(camera: Camera, turn: float) -> bool:
     """Whether a turn, in degrees, counts; NaN does not."""
-    return turn >= max(_TURNED, math.degrees(_TURNED_PIXELS / camera.fx))
+    return turn >= max(_TURNED_DEGREES, math.degrees(_TURNED_PIXELS / camera.fx))
 
 
 def epipolar_residuals(cameras: Sequence[Camera], matches: Matches) -> F64:
@@ -94,10 +94,10 @@ def epipolar_residuals(cameras: Sequence[Camera], matches: Matches) -> F64:
     found = np.full(len(cameras), np.nan)
     for pair in matches.pairs:
         distances = np.abs(pair.epipolar_distances(cameras))
-        possible = distances[distances < _PLAUSIBLE_DISTANCE]
+        possible = distances[distances < _MAX_LINE_DISTANCE_PIXELS]
         if len(possible) >= _MIN_PAIR_MATCHES:
             for camera in (pair.first, pair.second):
-                found[camera] = np.fmin(found[camera], float(np.quantile(possible, _NEARER_SHARE)))
+                found[camera] = np.fmin(found[camera], float(np.quantile(possible, _NEAREST_MATCHES_SHARE)))
     return found
 
 
@@ -108,22 +108,22 @@ def reprojections(cameras: Sequence[Camera], matches: Matches, camera: int, othe
     for one, two in combinations(sorted(pairs), 2):
         rows_one, rows_two = _in_both(_own(pairs[one], camera), _own(pairs[two], camera))
         here, there = _own(pairs[one], one).rays[rows_one], _own(pairs[two], two).rays[rows_two]
-        points, good = triangulated(cameras[one], cameras[two], here, there)
+        points, good = triangulate(cameras[one], cameras[two], here, there)
         x, y, depth = np.moveaxis(in_camera(cameras[camera], points), -1, 0)
         good &= depth > 0
         seen = np.stack([x[good], y[good]], axis=1) / depth[good, None]
         own = _own(pairs[one], camera).rays[rows_one][good]
-        possible = np.abs(own - seen).max(axis=1) < _PLAUSIBLE
+        possible = np.abs(own - seen).max(axis=1) < _MAX_OFFSET
         rays.append(own[possible])
         offsets.append((own - seen)[possible])
     return np.concatenate(rays), np.concatenate(offsets)
 
 
-def triangulated(one: Camera, two: Camera, here: F64, there: F64) -> tuple[F64, NDArray[np.bool_]]:
-    """Points (N, 3) nearest to pairs of rays x/z, y/z (N, 2), and whether they are to be believed.
+def triangulate(one: Camera, two: Camera, here: F64, there: F64) -> tuple[F64, NDArray[np.bool_]]:
+    """Points (N, 3) nearest to pairs of rays x/z, y/z (N, 2), and whether they are reliable.
 
-    They are where the rays meet before both cameras, at an angle that gives the depth. The middle of the shortest
-    segment between the rays.
+    A point is the middle of the shortest segment between its rays. It is reliable if that lies in front of both
+    cameras, on the epipolar line, and the angle between the rays determines the depth.
     """
     centres = camera_centre(one), camera_centre(two)
     rays = [
@@ -133,13 +133,14 @@ def triangulated(one: Camera, two: Camera, here: F64, there: F64) -> tuple[F64, 
     a, b = (ray / np.linalg.norm(ray, axis=1, keepdims=True) for ray in rays)
     baseline = centres[1] - centres[0]
     cosine = (a * b).sum(axis=1)
-    apart = np.maximum(1 - cosine**2, 1e-12)
+    sine_squared = np.maximum(1 - cosine**2, 1e-12)
     along_a, along_b = (a * baseline).sum(axis=1), (b * baseline).sum(axis=1)
-    reach_a, reach_b = (along_a - cosine * along_b) / apart, (cosine * along_a - along_b) / apart
+    reach_a = (along_a - cosine * along_b) / sine_squared
+    reach_b = (cosine * along_a - along_b) / sine_squared
     points = (centres[0] + reach_a[:, None] * a + centres[1] + reach_b[:, None] * b) / 2
     angle = np.arccos(np.clip(cosine, -1, 1))
-    near = np.abs(epipolar_distances(one, two, here, there)) < NEAR_LINE
-    good = near & (reach_a > 0) & (reach_b > 0) & (angle > NARROWEST) & (angle < WIDEST)
+    near = np.abs(epipolar_distances(one, two, here, there)) < NEAR_LINE_PIXELS
+    good = near & (reach_a > 0) & (reach_b > 0) & (angle > MIN_RAYS_ANGLE) & (angle < MAX_RAYS_ANGLE)
     return points, good
 
 
@@ -150,7 +151,7 @@ def _turn(cameras: Sequence[Camera], matches: Matches, camera: int, others: set[
         return math.nan
     x, y = rays.T
     rows = np.stack([[x * y, -1 - x * x, y], [1 + y * y, -x * y, -x]], axis=0).transpose(2, 0, 1)
-    turn, reach = np.zeros(3), _PLAUSIBLE
+    turn, reach = np.zeros(3), _MAX_OFFSET
     for _ in range(_TURN_ROUNDS):
         missed = offsets - rows @ turn
         weight = tukey(np.linalg.norm(missed, axis=1), reach)[:, None, None]
@@ -160,8 +161,10 @@ def _turn(cameras: Sequence[Camera], matches: Matches, camera: int, others: set[
     size = float(np.linalg.norm(turn))
     missed = np.linalg.norm(offsets - rows @ turn, axis=1)
     # A turn that leaves most offsets as they were is the mean of wrong matches.
-    believed = float(np.median(missed)) < _MAX_LEFT_OVER * size or not is_turned(cameras[camera], math.degrees(size))
-    return math.degrees(size) if believed else math.nan
+    is_reliable = float(np.median(missed)) < _MAX_RESIDUAL_SHARE * size or not is_turned(
+        cameras[camera], math.degrees(size)
+    )
+    return math.degrees(size) if is_reliable else math.nan
 
 
 def _partner(pair: PairMatches, camera: int) -> Iterator[int]:

@@ -1,4 +1,4 @@
-"""What can be expected of a rig before an hour is spent on it: what its cameras see together, whether they agree."""
+"""What to expect of a rig before it is encoded: overlap of its cameras, pose errors, delays."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ from numpy.typing import NDArray
 from decogs.formats.cameras import Camera, camera_centre, in_picture, project, ray_slopes, turned
 
 from .matches import Matches
-from .reprojection import WIDEST, epipolar_residuals, is_turned, triangulated, turns
+from .reprojection import MAX_RAYS_ANGLE, epipolar_residuals, is_turned, triangulate, turns
 from .rig_statistics import RigStatistics, typical_noise
 from .synchrony import delays
 
 F64 = NDArray[np.float64]
 
 RIGHT, ROUGH, WRONG = "right", "rough", "wrong"
-"""What new views between the cameras can be expected to look: right; right in the main, details blurred; not right."""
-_EXPECTED = {
+"""Expected quality of new views between the cameras: right; right on the whole, with blurred details; not right."""
+_EXPECTATIONS = {
     RIGHT: "new views between the cameras should look right",
     ROUGH: "new views between the cameras should look right on the whole, with blurred or broken details",
     WRONG: "new views between the cameras will not look right",
 }
-_SEEN_RIGHT, _SEEN_ROUGH = 0.7, 0.35
+_RIGHT_SEEN_SHARE, _ROUGH_SEEN_SHARE = 0.7, 0.35
 """Least share of a camera's pixels that two others see."""
-_GAP_RIGHT, _GAP_ROUGH = math.radians(20), math.radians(45)
+_RIGHT_GAP, _ROUGH_GAP = math.radians(20), math.radians(45)
 """Largest angle to the nearest camera that sees the same surface."""
-_BESIDE = 0.5
+_MISPLACED_PIXELS = 0.5
 """Least distance of a misplaced camera's matches from their epipolar lines, in pixels ..."""
-_TIMES_USUAL = 4.0
+_MISPLACED_RATIO = 4.0
 """... and in multiples of the other cameras' median."""
 _GRID_SIZE = 16, 12
 """Columns and rows of the pixels that stand for a picture."""
-_MIN_DEPTHS = 25
+_MIN_DEPTH_POINTS = 25
 """Triangulated points from which a camera's depths are known."""
 
 
@@ -82,12 +82,12 @@ class RigCheck:
                     "frame; shift its frames, or leave it out"
                 )
         if self.expected == WRONG:
-            yield f"{_EXPECTED[WRONG]}: {self._why()}; add cameras in between"
+            yield f"{_EXPECTATIONS[WRONG]}: {self._why()}; add cameras in between"
 
     def table(self) -> Iterator[str]:
         """For the user: the verdict, and a row per camera."""
         if self.expected is not None:
-            yield f"{_EXPECTED[self.expected]}: {self._why()}"
+            yield f"{_EXPECTATIONS[self.expected]}: {self._why()}"
         yield "camera                seen by one  by two  nearest view  epipolar residual    rotated  frames late"
         for each in self.cameras:
             figures = (
@@ -115,10 +115,10 @@ def check_rig(stats: RigStatistics, each: Callable[..., Iterator[Any]] = map) ->
         noise = typical_noise(stats.noise).tolist()
         steady = [not path.shakes for path in stats.paths]
         late = delays(stats.cameras, stats.pictures, steady, noise, each)
-    return judged(stats.cameras, stats.matches, late)
+    return judge_rig(stats.cameras, stats.matches, late)
 
 
-def judged(cameras: Sequence[Camera], matches: Matches, late: F64) -> RigCheck:
+def judge_rig(cameras: Sequence[Camera], matches: Matches, late: F64) -> RigCheck:
     """The check by the matches of the cameras' first pictures; ``late`` (cameras,) in frames, NaN where unknown."""
     residuals, turned_by = epipolar_residuals(cameras, matches), turns(cameras, matches)
     known = residuals[np.isfinite(residuals)]
@@ -126,7 +126,7 @@ def judged(cameras: Sequence[Camera], matches: Matches, late: F64) -> RigCheck:
     checks = []
     for row, camera in enumerate(cameras):
         by_one, by_two, gap = _coverage(cameras, matches, row)
-        beside = residuals[row] >= max(_BESIDE, _TIMES_USUAL * usual)
+        beside = residuals[row] >= max(_MISPLACED_PIXELS, _MISPLACED_RATIO * usual)
         misplaced = is_turned(camera, turned_by[row]) if math.isfinite(turned_by[row]) else beside
         checks.append(
             CameraCheck(
@@ -149,9 +149,9 @@ def _expected(checks: Sequence[CameraCheck]) -> str | None:
     seen = float(np.median([check.seen_by_two for check in checks]))
     gaps = [check.gap for check in checks if math.isfinite(check.gap)]
     gap = math.radians(float(np.median(gaps))) if len(gaps) * 2 > len(checks) else math.inf
-    if seen >= _SEEN_RIGHT and gap <= _GAP_RIGHT:
+    if seen >= _RIGHT_SEEN_SHARE and gap <= _RIGHT_GAP:
         return RIGHT
-    return ROUGH if seen >= _SEEN_ROUGH and gap <= _GAP_ROUGH else WRONG
+    return ROUGH if seen >= _ROUGH_SEEN_SHARE and gap <= _ROUGH_GAP else WRONG
 
 
 def _coverage(cameras: Sequence[Camera], matches: Matches, row: int) -> tuple[float, float, float]:
@@ -168,7 +168,7 @@ def _coverage(cameras: Sequence[Camera], matches: Matches, row: int) -> tuple[fl
         cosine = (own * theirs).sum(axis=1) / (np.linalg.norm(own, axis=1) * np.linalg.norm(theirs, axis=1))
         seen = in_picture(camera, *project(camera, points))
         angles[other, seen] = np.arccos(np.clip(cosine[seen], -1, 1))
-    count = (angles < WIDEST).sum(axis=0)
+    count = (angles < MAX_RAYS_ANGLE).sum(axis=0)
     nearest = angles.min(axis=0)
     finite = nearest[np.isfinite(nearest)]
     gap = math.degrees(float(np.median(finite))) if len(finite) else math.nan
@@ -181,11 +181,11 @@ def _surface(cameras: Sequence[Camera], matches: Matches, row: int) -> F64 | Non
     for pair in matches.pairs:
         if row not in (pair.first, pair.second):
             continue
-        points, good = triangulated(cameras[pair.first], cameras[pair.second], pair.first_rays, pair.second_rays)
+        points, good = triangulate(cameras[pair.first], cameras[pair.second], pair.first_rays, pair.second_rays)
         pixels.append((pair.first_pixels if row == pair.first else pair.second_pixels)[good])
         depths.append(project(cameras[row], points[good])[2])
     at, depth = np.concatenate(pixels), np.concatenate(depths)
-    if len(at) < _MIN_DEPTHS:
+    if len(at) < _MIN_DEPTH_POINTS:
         return None
     camera = cameras[row]
     columns, rows = (

@@ -1,7 +1,7 @@
 """Statistics of a rig: small pictures of the training cameras, and the measurements that effects share.
 
 One pass over the frames; held-out cameras are never opened. Pictures are small and 8-bit, so that a clip fits into
-MAX_BYTES. Of a longer clip every n-th frame is analysed; the others are passed over.
+MAX_BYTES. Of a longer clip every n-th frame is analysed; the others are skipped.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class RigStatistics:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of the cameras looked at, in the rig's order."""
+        """The names of the analysed cameras, in the rig's order."""
         return tuple(camera.name for camera in self.cameras)
 
 
@@ -85,7 +85,7 @@ def gather_statistics(
     """
     cameras, scales = _small_cameras(rig, holdout)
     span = range(rig.frame_count) if frames is None else frames
-    chosen = _thinned(span, cameras)
+    chosen = _thin(span, cameras)
     steps = _Steps(len(chosen) + 2 * len(cameras), on_step)
     with side_by_side(threads) as each:
         recorded = read_frames(rig, chosen[0], chosen[-1] + 1, step=chosen.step, names=[one.name for one in cameras])
@@ -93,9 +93,9 @@ def gather_statistics(
         matches = find_matches(cameras, [own[0] for own in pictures], each)
         points = shared_points(cameras, matches)
         pixels = [points.pixels_of(row) for row in range(len(cameras))]
-        lights = [steps.over(found) for found in each(light_at, pictures, pixels)]
+        lights = [steps.count(found) for found in each(light_at, pictures, pixels)]
         light = own_light(points, lights, list(each(light_overall, pictures)))
-        paths = [steps.over(path) for path in each(camera_path, pictures)]
+        paths = [steps.count(path) for path in each(camera_path, pictures)]
     return RigStatistics(
         cameras,
         scales,
@@ -111,12 +111,12 @@ def gather_statistics(
 
 
 class _Steps:
-    """Counts steps done for whoever shows progress."""
+    """Counts steps done, for a progress bar."""
 
     def __init__(self, total: int, on_step: OnProgress) -> None:
         self._done, self._total, self._on_step = 0, total, on_step
 
-    def over(self, result: T) -> T:
+    def count(self, result: T) -> T:
         self._done += 1
         self._on_step(self._done, self._total)
         return result
@@ -131,7 +131,7 @@ def _small_cameras(rig: Rig, holdout: Sequence[str]) -> tuple[tuple[Camera, ...]
     return tuple(scale_camera(camera, scale) for camera, scale in zip(kept, scales, strict=True)), scales
 
 
-def _thinned(span: range, cameras: Sequence[Camera]) -> range:
+def _thin(span: range, cameras: Sequence[Camera]) -> range:
     """Every n-th frame, so that the pictures of all cameras fit MAX_BYTES; two frames at least."""
     frame_bytes = sum(camera.width * camera.height * 3 for camera in cameras)
     most = max(2, MAX_BYTES // frame_bytes)
@@ -153,7 +153,7 @@ def _read(
         if column in noisy:
             noise[:, column] = list(each(picture_noise, before, sparse))
         before = sparse
-        steps.over(None)
+        steps.count(None)
     return pictures, noise
 
 
@@ -163,13 +163,13 @@ def _noise_columns(frames: int) -> set[int]:
 
 
 def _small(picture: Picture, camera: Camera) -> U8:
-    shown = picture if picture.dtype == np.uint8 else np.rint(display_referred(picture) * 255).astype(np.uint8)
-    if shown.shape[:2] != (camera.height, camera.width):
+    levels = picture if picture.dtype == np.uint8 else np.rint(display_referred(picture) * 255).astype(np.uint8)
+    if levels.shape[:2] != (camera.height, camera.width):
         # As floats: the same levels after rounding, in two thirds of the time that OpenCV takes for bytes.
         size = camera.width, camera.height
-        resized = cv2.resize(shown.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+        resized = cv2.resize(levels.astype(np.float32), size, interpolation=cv2.INTER_AREA)
         return np.asarray(cv2.convertScaleAbs(resized), np.uint8)
-    return np.asarray(shown, np.uint8)
+    return np.asarray(levels, np.uint8)
 
 
 def _sparse(picture: Picture) -> F32:

@@ -7,17 +7,17 @@ from dataclasses import replace
 import numpy as np
 
 from ..settings.encode import EncodeSettings
-from .effect import Decision, Evidence, cameras_beyond, decided, stated
+from .effect import Decision, Evidence, cameras_beyond, make_decision, reason_of
 from .rig_statistics import RigStatistics
 
 _ROUNDING_LEVELS = 0.3
 """Deviation of rounding to 8 bits, in levels: 1 / sqrt 12, rounded up."""
-_MULTIPLE = 6
+_THRESHOLD_DEVIATIONS = 6
 """Least size of a change, in deviations of the difference of two pictures."""
 
 
 class SensorNoise:
-    """Noise between frames when nothing happens."""
+    """Noise between frames of static pixels."""
 
     name = "sensor_noise"
 
@@ -26,13 +26,13 @@ class SensorNoise:
 
     def decide(self, stats: RigStatistics, evidence: Evidence) -> Decision:
         noisy = cameras_beyond(evidence)
-        thresholds = _MULTIPLE * np.sqrt(2) * np.nan_to_num(evidence.camera_peaks)
-        return decided(
+        thresholds = _THRESHOLD_DEVIATIONS * np.sqrt(2) * np.nan_to_num(evidence.camera_peaks)
+        return make_decision(
             stats,
             self,
             evidence,
             counts=noisy,
-            reason=stated(
+            reason=reason_of(
                 evidence,
                 f"static pixels have noise of up to {evidence.peak:.2f} levels of 255 (standard deviation)",
                 "no static pixels in two successive frames",
@@ -42,10 +42,10 @@ class SensorNoise:
         )
 
     def enabled(self, settings: EncodeSettings, decision: Decision) -> EncodeSettings:
-        """No camera's threshold lies within its own noise; where none would, there is nothing to look for."""
+        """Raises each camera's threshold above its noise; nothing, where the threshold is above it already."""
         if max(decision.figures["min_threshold"].values()) <= settings.frame.masks.threshold:
             return self.disabled(settings)
-        masks = replace(settings.frame.masks, noise_multiple=float(_MULTIPLE))
+        masks = replace(settings.frame.masks, noise_multiple=float(_THRESHOLD_DEVIATIONS))
         return replace(settings, frame=replace(settings.frame, masks=masks))
 
     def disabled(self, settings: EncodeSettings) -> EncodeSettings:

@@ -25,16 +25,16 @@ F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
 
 LAGS = (-1, 0, 1)
-_MOMENTS = 2
-"""Frames looked at: those in which most moves."""
-_LINE_PIXELS = 1.5
-"""Distance from the epipolar line, in pixels, at which a match speaks for nothing."""
-_CLEARLY = 1.25
-"""A lag counts whose matches agree so many times as well as those of the same frame."""
-_MIN_AGREEMENT = 15.0
-"""Matches on the line that a judgement needs."""
-_BEYOND_CHANCE = 3.0
-"""A lag counts if it has more matches on the line than the same frame by so many deviations of their number."""
+_COMPARED_FRAMES = 2
+"""Frames that are compared: those in which most moves."""
+_MAX_LINE_PIXELS = 1.5
+"""Distance from the epipolar line, in pixels, from which a match is no evidence."""
+_MIN_AGREEMENT_RATIO = 1.25
+"""Agreement of a lag over that of the same frame from which the lag counts."""
+_MIN_LINE_MATCHES = 15.0
+"""Matches on the line that a decision needs."""
+_MIN_LEAD_DEVIATIONS = 3.0
+"""Matches on the line that a lag has more than the same frame, in deviations of their number, to count."""
 
 
 def delays(
@@ -59,16 +59,16 @@ def delays(
             found = _agreement(cameras, one, two, seen[one], seen[two])
             for camera, lags in ((two, found), (one, found[::-1])):
                 agreement[camera] += lags
-                ballots[camera, int(np.argmax(lags))] += float(lags.max() >= _CLEARLY * lags[LAGS.index(0)])
+                ballots[camera, int(np.argmax(lags))] += float(lags.max() >= _MIN_AGREEMENT_RATIO * lags[LAGS.index(0)])
     return np.array([_delay(lags, votes) for lags, votes in zip(agreement, ballots, strict=True)])
 
 
 def _delay(agreement: F64, ballots: F64) -> float:
     best = int(np.argmax(agreement))
-    if agreement[best] < _MIN_AGREEMENT:
+    if agreement[best] < _MIN_LINE_MATCHES:
         return np.nan
     same = agreement[LAGS.index(0)]
-    more = max(_CLEARLY * same, same + _BEYOND_CHANCE * math.sqrt(same + agreement[best]))
+    more = max(_MIN_AGREEMENT_RATIO * same, same + _MIN_LEAD_DEVIATIONS * math.sqrt(same + agreement[best]))
     clear = agreement[best] >= more and ballots[best] * 2 > ballots.sum()
     return float(LAGS[best]) if clear else 0.0
 
@@ -84,7 +84,7 @@ def _moving(pictures: U8, steady: bool, noise: float) -> F64:
 def _moments(moving: F64) -> list[int]:
     """The frames, none the first or last, in which most moves over all cameras; ``moving`` (cameras, F)."""
     most = moving[:, 1:-1].mean(axis=0)
-    found = np.argsort(-most, kind="stable")[:_MOMENTS]
+    found = np.argsort(-most, kind="stable")[:_COMPARED_FRAMES]
     return [int(frame) + 1 for frame in found if most[frame] > 0]
 
 
@@ -102,5 +102,5 @@ def _agreement(cameras: Sequence[Camera], one: int, two: int, here: list[Feature
     for lag in range(len(LAGS)):
         pair = matched(one, two, here[LAGS.index(0)], there[lag])
         distances = np.abs(pair.epipolar_distances(cameras))
-        found.append(float(np.maximum(1 - distances / _LINE_PIXELS, 0).sum()))
+        found.append(float(np.maximum(1 - distances / _MAX_LINE_PIXELS, 0).sum()))
     return np.array(found)

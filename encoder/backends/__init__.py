@@ -28,7 +28,7 @@ from .protocol import (
 
 class _Backend(Protocol):
     def missing(self) -> str | None:
-        """What keeps this machine from training there, in words; None when nothing is known to."""
+        """Why this machine cannot train there, in words; None if it can, as far as is known."""
         ...
 
     def training_kernel(self, threads: int) -> TrainingKernel: ...

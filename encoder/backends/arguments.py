@@ -1,4 +1,4 @@
-"""What every backend refuses: arguments that do not fit a view, as ValueError."""
+"""Checks of arguments that all backends share; they raise ValueError."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from decogs.formats.splats import FloatArray
 
 from .protocol import Drawable
 
-_MAX_NEW = 1 << 22
-"""How far behind the scene's last Gaussian new ones are numbered at most; the kernel holds a place for each number."""
+_MAX_NEW_GAUSSIANS = 1 << 22
+"""Highest row of a new Gaussian beyond the scene's last; the kernel has a place for each row up to it."""
 
 
 def rows_of(moving: Drawable, rows: RowArray, population: int) -> RowArray:
     """The rows of Gaussians that change in a scene of ``population``: ascending, one for each."""
     if len(moving) != len(rows):
         raise ValueError(f"{len(moving)} Gaussians for {len(rows)} rows")
-    return checked_rows(rows, population + _MAX_NEW)
+    return checked_rows(rows, population + _MAX_NEW_GAUSSIANS)
 
 
 def check_marks(marks: NDArray[np.bool_] | None, camera: Camera) -> None:

@@ -1,8 +1,8 @@
-"""What training asks of a backend, and what the backends give in return.
+"""The protocol of a backend: rendering with gradients, losses and Adam for training.
 
 Gaussians under training, their gradients and Adam's moments stay where the backend keeps them. A step on a device
-therefore waits for nothing. Whatever comes as an array of numpy or as a number was read, and reading waits for the
-device: ``Optimiser.splats``, ``Gradients.host``, a loss's ``total``, a picture's planes, ``ViewGradients.mean``.
+therefore waits for nothing. A number or an array of numpy was read, and reading waits for the device:
+``Optimiser.splats``, ``Gradients.host``, a loss's ``total``, a picture's planes, ``ViewGradients.mean``.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class RenderedPicture(Protocol):
 
 
 class LossValue:
-    """What a picture costs: ``total``, and its weighted sums of absolute differences and of 1 - SSIM.
+    """A picture's loss: ``total``, and its weighted sums of absolute differences and of 1 - SSIM.
 
     ``read`` brings both sums, when a number is first asked for.
     """
@@ -88,7 +88,7 @@ def gradients_like(splats: Splats) -> SplatGradients:
 
 
 class Gradients(Protocol):
-    """Gradients of a picture's Gaussians, where the backend has them; valid until the next way back."""
+    """Gradients of a picture's Gaussians, where the backend has them; valid until the next backward pass."""
 
     def host(self) -> SplatGradients:
         """The same in the host's memory."""
@@ -118,8 +118,8 @@ class Optimiser(Protocol):
     def put(self, rows: RowArray | None = None, **values: FloatArray) -> None:
         """Sets attributes, of ``rows`` or of all, to ``values``; momentum stays."""
 
-    def hold(self, held: Mapping[str, NDArray[np.bool_]]) -> None:
-        """From now on these numbers of each attribute keep their values, until rows come or go."""
+    def freeze(self, frozen: Mapping[str, NDArray[np.bool_]]) -> None:
+        """Keeps these values of each attribute as they are until rows come or go."""
 
     def gradient_size(self, name: str) -> FloatArray:
         """Root mean square of an attribute's gradients so far, shaped like it, the recent ones weighing most.
@@ -133,10 +133,10 @@ class Optimiser(Protocol):
     def append(self, added: Splats) -> None:
         """Adds rows without momentum."""
 
-    def copied(self) -> Self:
-        """The same values and momentum, stepped apart from now on; nothing is held."""
+    def copy(self) -> Self:
+        """An independent optimiser with the same values and momentum; nothing is frozen."""
 
-    def remember(self, other: Any, rows: RowArray, theirs: RowArray) -> None:
+    def copy_momentum(self, other: Any, rows: RowArray, theirs: RowArray) -> None:
         """Takes over the momentum of an ``other`` of its kind: of its rows ``theirs`` for ``rows``."""
 
 
@@ -205,7 +205,7 @@ class FixedView(Protocol):
     def draw(self, moving: Drawable, rows: RowArray, *, depth: bool = False) -> None:
         """Brings the picture up to date with ``moving`` (M Gaussians) in it, which are the scene's ``rows``, ascending.
 
-        Rows are detached ones, or new ones, numbered from N on. Detached ones that are left out do not show.
+        Rows are detached ones, or new ones, numbered from N on. Detached ones that are left out are not drawn.
         """
 
     def loss(
@@ -255,7 +255,7 @@ class TrainingKernel(Protocol):
         sh_degree: int | None = None,
         depth: bool = False,
     ) -> RenderedPicture:
-        """Renders and remembers what the way back needs; UsageError when the scene covers the picture too often."""
+        """Renders, and keeps what `backward` needs; raises UsageError when a scene covers the picture too often."""
 
     def picture_loss(
         self,

@@ -1,4 +1,4 @@
-"""Views of a scene, redrawn only where it changed: the pictures that masks, selection and training look at."""
+"""Views of a scene, redrawn only where it changed: the pictures that masks, selection and training use."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from .protocol import FixedView, TrainingKernel
 
 
 class SceneViews(Sequence[FixedView]):
-    """One fixed view for each of the ``cameras``, which are asked for when the views are made.
+    """One fixed view for each of the ``cameras``, made when first needed.
 
-    Whoever needs a scene's pictures asks for that scene: it is drawn unless it is what the views show.
+    A scene's pictures are asked for by scene: it is drawn unless the views have it already.
     """
 
     def __init__(self, kernel: TrainingKernel, cameras: Callable[[], Sequence[Camera]]) -> None:
         self._kernel, self._cameras = kernel, cameras
         self._views: list[FixedView] = []
-        self._shown: Splats | None = None
+        self._drawn: Splats | None = None
 
     def __len__(self) -> int:
         return len(self._views)
@@ -31,30 +31,30 @@ class SceneViews(Sequence[FixedView]):
         return self._views[index]
 
     def of(self, scene: Splats) -> SceneViews:
-        """The views, all of them showing this scene."""
+        """The views, with this scene drawn in all of them."""
         if not self._views:
             self._views += [self._kernel.fixed_view(camera) for camera in self._cameras()]
-        if self._shown is not scene:
+        if self._drawn is not scene:
             for view in self._views:
                 view.set_scene(scene)
                 view.redraw()
-            self._shown = scene
+            self._drawn = scene
         return self
 
     def pictures(self, scene: Splats) -> list[FloatArray]:
-        """What the views show of this scene, (3, H, W) each."""
+        """This scene through the views, (3, H, W) each."""
         return [view.rgb for view in self.of(scene)]
 
     def detach(self, rows: NDArray[np.int64]) -> None:
-        """Takes Gaussians out of the static part, to train them; then the views show no whole scene."""
-        self._shown = None
+        """Takes Gaussians out of the static part, to train them; the views then have no whole scene."""
+        self._drawn = None
         for view in self._views:
             view.detach(rows)
 
-    def follow(
+    def update(
         self, scene: Splats, trained: NDArray[np.int64], before: NDArray[np.int64], after: NDArray[np.int64]
     ) -> None:
-        """Goes on to ``scene``, in which only the rows ``trained`` (M,) of what was shown before training differ.
+        """Updates the views to ``scene``, in which only the rows ``trained`` (M,) of the scene before training differ.
 
         ``before``, ``after``: the Gaussians' ids, ascending, in that scene and in this one.
         """
@@ -65,9 +65,9 @@ class SceneViews(Sequence[FixedView]):
         for view in self._views:
             view.commit(scene, rows, renumbered)
             view.redraw()
-        self._shown = scene
+        self._drawn = scene
 
     def release(self) -> None:
         """Frees the views; the next scene that is asked for makes them again."""
         self._views.clear()
-        self._shown = None
+        self._drawn = None

@@ -25,7 +25,7 @@ _FLASH_SHARE = 0.5
 """Share of changed pixels from which on a frame may be a flash."""
 _RETURN_SHARE = 0.25
 """Share of pixels that may differ from before after a flash, since motion continues."""
-LONGEST_FLASH = 8
+MAX_FLASH_FRAMES = 8
 """Frames after which a light counts as permanent."""
 
 
@@ -41,14 +41,17 @@ def matches(memory: MaskMemory, pictures: Sequence[FloatArray], settings: MaskSe
 
 
 def is_missed(
-    memory: MaskMemory, pictures: Sequence[FloatArray], shown: Sequence[FloatArray], changes: Sequence[PixelChange]
+    memory: MaskMemory, pictures: Sequence[FloatArray], rendered: Sequence[FloatArray], changes: Sequence[PixelChange]
 ) -> bool:
-    """Whether most pixels clearly changed and the scene, as ``shown``, misses them, though no change was found."""
+    """Whether most pixels clearly changed and the scene, as ``rendered``, misses them, though no change was found."""
     used = showing(changes)
     if not used or any(change.raw.any() for change in changes):
         return False
     missed = [
-        (difference_mask(pictures[i], memory.references[i], CLEARLY) & difference_mask(pictures[i], shown[i], CLEARLY))
+        (
+            difference_mask(pictures[i], memory.references[i], CLEARLY)
+            & difference_mask(pictures[i], rendered[i], CLEARLY)
+        )
         for i in used
     ]
     return float(np.median([mask.mean() for mask in missed])) > MOST

@@ -18,18 +18,18 @@ from decogs.formats.splats import FloatArray
 
 F64 = NDArray[np.float64]
 
-_DETAIL = np.array([[0, -0.25, 0], [-0.25, 1, -0.25], [0, -0.25, 0]], np.float32)
-_APART, _ENOUGH = 7, 100_000
-"""Distance of the values that are looked at, and their number from which on it grows: a deviation is then .2 % off."""
-_TILE = 16
+_LAPLACIAN = np.array([[0, -0.25, 0], [-0.25, 1, -0.25], [0, -0.25, 0]], np.float32)
+_SAMPLE_STRIDE, _SAMPLE_COUNT = 7, 100_000
+"""Every seventh value is sampled, fewer beyond this number, which gives a deviation to .2 %."""
+_TILE_PIXELS = 16
 _MAX_TILES = 300
-_QUIETEST = 0.25
-"""Least share of tiles with only noise and light; motion covers at most the others."""
-_CLIPPED = 3
-_MAX_CLIPPED = 0.1
-_UNEVEN = 1.5
+_QUIET_TILES_SHARE = 0.25
+"""Least share of tiles without motion."""
+_CLIPPED_MARGIN_LEVELS = 3
+_MAX_CLIPPED_SHARE = 0.1
+_MAX_NOISE_RATIO = 1.5
 """Largest ratio of the picture's noise to that of its quietest tiles: video coding smooths flat tiles."""
-_OF_CHANGE = 2.0
+_MAX_DEVIATION_RATIO = 2.0
 """Ratio of a difference's deviation to its noise from which on most of the picture has changed."""
 
 
@@ -42,31 +42,31 @@ def frame_noise(current: FloatArray, previous: FloatArray, least: float = 0.0) -
     deviation = _spread(_some(current) - _some(previous))
     if deviation <= least:
         return deviation
-    return deviation if deviation <= _OF_CHANGE * math.sqrt(2) * picture_noise(previous, current) else 0.0
+    return deviation if deviation <= _MAX_DEVIATION_RATIO * math.sqrt(2) * picture_noise(previous, current) else 0.0
 
 
 def picture_noise(before: FloatArray, now: FloatArray) -> float:
     """Deviation of one picture by noise, in 8-bit levels, from two, (H, W) or (C, H, W), 0..1."""
     planes = [side if side.ndim == 3 else side[None] for side in (before, now)]
     detail: FloatArray = np.stack([_detail(*pair) for pair in zip(*planes, strict=True)])
-    from_neighbours = _spread(_some(detail)) / math.sqrt(2 * float((_DETAIL**2).sum()))
+    from_neighbours = _spread(_some(detail)) / math.sqrt(2 * float((_LAPLACIAN**2).sum()))
     across = _across_light(*planes)
-    return from_neighbours if from_neighbours <= _UNEVEN * across else across
+    return from_neighbours if from_neighbours <= _MAX_NOISE_RATIO * across else across
 
 
 def _some(values: FloatArray) -> FloatArray:
     """Every seventh value, fewer of large pictures."""
-    return values.ravel()[:: max(_APART, values.size // _ENOUGH)]
+    return values.ravel()[:: max(_SAMPLE_STRIDE, values.size // _SAMPLE_COUNT)]
 
 
 def _detail(before: FloatArray, now: FloatArray) -> FloatArray:
     """How the difference of two planes (H, W) differs from the mean of its neighbours, in all rows or in enough."""
-    every = before.size // (2 * _ENOUGH)
+    every = before.size // (2 * _SAMPLE_COUNT)
     if every < 2:
-        return np.asarray(cv2.filter2D(now - before, -1, _DETAIL), np.float32)
+        return np.asarray(cv2.filter2D(now - before, -1, _LAPLACIAN), np.float32)
     # Each row between its neighbours; what is filtered around these is of no use.
     rows = (np.arange(1, len(before) - 1, every)[:, None] + np.arange(-1, 2)).ravel()
-    return np.asarray(cv2.filter2D(now[rows] - before[rows], -1, _DETAIL)[1::3], np.float32)
+    return np.asarray(cv2.filter2D(now[rows] - before[rows], -1, _LAPLACIAN)[1::3], np.float32)
 
 
 def _spread(difference: FloatArray) -> float:
@@ -90,8 +90,10 @@ def _across_light(before: FloatArray, now: FloatArray) -> float:
     """
     a, b = _tiles(before), _tiles(now)
     channels = len(before)
-    clipped = ((np.minimum(a, b) < _CLIPPED) | (np.maximum(a, b) > 255 - _CLIPPED)).mean(axis=(0, 1))
-    usable = np.tile(clipped.reshape(channels, -1).mean(axis=0) < _MAX_CLIPPED, channels)
+    clipped = ((np.minimum(a, b) < _CLIPPED_MARGIN_LEVELS) | (np.maximum(a, b) > 255 - _CLIPPED_MARGIN_LEVELS)).mean(
+        axis=(0, 1)
+    )
+    usable = np.tile(clipped.reshape(channels, -1).mean(axis=0) < _MAX_CLIPPED_SHARE, channels)
     if not usable.any():
         return math.inf
     a, b = (np.compress(usable, side, axis=2) for side in (a, b))
@@ -103,18 +105,20 @@ def _across_light(before: FloatArray, now: FloatArray) -> float:
     )
     least = np.minimum(_smaller_eigenvalue(of_rows).mean(axis=0), _smaller_eigenvalue(of_columns).mean(axis=0))
     least = np.minimum(least, _smaller_eigenvalue(of_rows.mean(axis=1))).reshape(channels, -1)
-    return math.sqrt(max(float(np.quantile(least.mean(axis=0), _QUIETEST)), 0.0))
+    return math.sqrt(max(float(np.quantile(least.mean(axis=0), _QUIET_TILES_SHARE)), 0.0))
 
 
 def _tiles(picture: FloatArray) -> FloatArray:
     """Square tiles (side, side, C * N) of the picture (C, H, W), spread over it, in levels."""
     channels, height, width = picture.shape
-    rows, columns = height // _TILE, width // _TILE
+    rows, columns = height // _TILE_PIXELS, width // _TILE_PIXELS
     step = max(1, math.isqrt(rows * columns // _MAX_TILES))
-    whole = picture[:, : rows * _TILE, : columns * _TILE].reshape(channels, rows, _TILE, columns, _TILE)
+    whole = picture[:, : rows * _TILE_PIXELS, : columns * _TILE_PIXELS].reshape(
+        channels, rows, _TILE_PIXELS, columns, _TILE_PIXELS
+    )
     some = whole[:, ::step, :, ::step].transpose(2, 4, 0, 1, 3)
     # Tiles last: sums over a tile's pixels are then sums of long rows.
-    return np.asarray(some.reshape(_TILE, _TILE, -1) * np.float32(255), np.float32)
+    return np.asarray(some.reshape(_TILE_PIXELS, _TILE_PIXELS, -1) * np.float32(255), np.float32)
 
 
 def _smaller_eigenvalue(moments: F64) -> F64:

@@ -33,7 +33,7 @@ from ..parts.output import is_of_part
 from .ray_engine import RayEngine
 from .tasks import Outcome
 
-_KEYFRAME = "key.dgs"
+_KEYFRAME_NAME = "key.dgs"
 
 
 def encode_on_cluster(
@@ -94,7 +94,7 @@ def encode_on_cluster(
     with engine:
         if engine.notice:
             _warn(on_warning, engine.notice)
-        key = folder / _KEYFRAME
+        key = folder / _KEYFRAME_NAME
         if not _is_part(key):
             first = range(take.start, take.start + 1)
             run(task, [first], None, {first: key}, 0)
@@ -176,7 +176,7 @@ def _folder(output: Path, *, resume: bool) -> Path:
     """Where parts are kept until they are joined; raises UsageError if some are there that nobody asked for."""
     folder = output.with_name(output.name + ".parts")
     if not resume and folder.is_dir() and any(folder.iterdir()):
-        if not (folder / _KEYFRAME).exists():
+        if not (folder / _KEYFRAME_NAME).exists():
             raise UsageError(f"{folder}: parts are kept there, and it is not empty; move what is in it away")
         raise UsageError(f"{folder}: an encode that was cut off left it; `resume` goes on with it, or move it away")
     try:

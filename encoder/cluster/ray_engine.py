@@ -16,14 +16,14 @@ from .tasks import Outcome, run_part
 
 LOCAL = "local"
 _ADDRESS = re.compile(r"(ray://)?[^/\s:]+:[0-9]{1,5}")
-_WITH_TOKEN = (2, 60)
-"""The first release that is known to ask for a token by itself where it starts a cluster."""
-_RESTARTS = 4
+_FIRST_TOKEN_RELEASE = (2, 60)
+"""The first release known to require a token of its own accord where it starts a cluster."""
+_MAX_RESTARTS = 4
 """Times that Ray runs a task again whose worker died."""
-_TRIES = 3
+_MAX_TRIES = 3
 """Times that a task is given to Ray: again where it says that another try may go well, or Ray has lost it."""
-_LOOK = 0.5
-"""Seconds between two looks at the progress."""
+_POLL_SECONDS = 0.5
+"""Seconds between two reports of progress."""
 
 
 class _Board:
@@ -32,7 +32,7 @@ class _Board:
     def __init__(self) -> None:
         self._done: dict[int, int] = {}
 
-    def tell(self, part: int, frames: int) -> None:
+    def set_done(self, part: int, frames: int) -> None:
         self._done[part] = frames
 
     def frames(self) -> int:
@@ -40,7 +40,7 @@ class _Board:
 
 
 def _task(number: int, board: Any, job: EncodeJob, frames: range, keyframe: bytes | None) -> Outcome:
-    return run_part(job, frames, keyframe, lambda done: board.tell.remote(number, done))
+    return run_part(job, frames, keyframe, lambda done: board.set_done.remote(number, done))
 
 
 class RayEngine:
@@ -57,7 +57,7 @@ class RayEngine:
             import ray
         except ImportError:
             raise UsageError("`cluster`: Ray is not installed; pip install 'ray[client]>=2.60'") from None
-        if tuple(int(number) for number in re.findall(r"\d+", ray.__version__)[:2]) < _WITH_TOKEN:
+        if tuple(int(number) for number in re.findall(r"\d+", ray.__version__)[:2]) < _FIRST_TOKEN_RELEASE:
             raise UsageError(
                 f"`cluster`: Ray {ray.__version__} takes tasks from everyone on the network; "
                 "pip install 'ray[client]>=2.60'"
@@ -88,7 +88,7 @@ class RayEngine:
                 f"`cluster` {self._address}: no cluster answers ({reason[0]}); start it first"
             ) from None
         self._board = ray.remote(num_cpus=0, max_restarts=-1)(_Board).remote()
-        self._run = ray.remote(max_retries=_RESTARTS, **self._needs)(_task)
+        self._run = ray.remote(max_retries=_MAX_RESTARTS, **self._needs)(_task)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -110,13 +110,13 @@ class RayEngine:
         running = {start(number): (number, 1) for number in range(len(parts))}
         try:
             while running:
-                ready, _ = ray.wait(list(running), timeout=_LOOK)
+                ready, _ = ray.wait(list(running), timeout=_POLL_SECONDS)
                 for reference in ready:
                     number, tries = running.pop(reference)
                     outcome = self._outcome(reference)
                     if not outcome.again:
                         yield parts[number], outcome
-                    elif tries < _TRIES:
+                    elif tries < _MAX_TRIES:
                         running[start(number)] = (number, tries + 1)
                     else:
                         raise TryAgainError(f"{outcome.problem} (tried {tries} times)")
@@ -130,16 +130,16 @@ class RayEngine:
         try:
             outcome: Outcome = self._ray.get(reference)
         except self._ray.exceptions.RayError as error:
-            # That what a task is given was lost is an error of the task by its kind.
+            # A lost argument of a task is an error of the task by its type.
             known = self._ray.exceptions
             if isinstance(error, known.RayTaskError) and not isinstance(error.cause, known.ObjectLostError):
                 raise
-            said = str(error).strip().splitlines() or [type(error).__name__]
-            return Outcome(problem=f"`cluster`: a worker was lost ({said[0]})", again=True)
+            message = str(error).strip().splitlines() or [type(error).__name__]
+            return Outcome(problem=f"`cluster`: a worker was lost ({message[0]})", again=True)
         return outcome
 
     def _frames_done(self) -> int:
-        """Frames that the tasks have told of; 0 while the board is being moved to another machine."""
+        """Frames that the tasks have done; 0 while the board is being moved to another machine."""
         with suppress(self._ray.exceptions.RayError):
-            return int(self._ray.get(self._board.frames.remote(), timeout=_LOOK))
+            return int(self._ray.get(self._board.frames.remote(), timeout=_POLL_SECONDS))
         return 0

@@ -14,7 +14,7 @@ from ..job import EncodeJob
 from ..output.observer import EncodeObserver
 from ..output.reports import FrameReport
 
-Tell = Callable[[int], None]
+OnDone = Callable[[int], None]
 """Called with the number of frames of the part that are done."""
 
 
@@ -29,16 +29,16 @@ class Outcome:
 
 
 class _Counting(EncodeObserver):
-    def __init__(self, frames: range, tell: Tell) -> None:
-        self._frames, self._tell, self._done = frames, tell, 0
+    def __init__(self, frames: range, on_done: OnDone) -> None:
+        self._frames, self._on_done, self._done = frames, on_done, 0
 
     def frame(self, report: FrameReport) -> None:
         if report.frame in self._frames:
             self._done += 1
-            self._tell(self._done)
+            self._on_done(self._done)
 
 
-def run_part(job: EncodeJob, frames: range, keyframe: bytes | None, tell: Tell) -> Outcome:
+def run_part(job: EncodeJob, frames: range, keyframe: bytes | None, on_done: OnDone) -> Outcome:
     """Encodes ``frames`` of a job in a folder that goes away; ``keyframe``: the part that they start from."""
     warnings: list[str] = []
     with tempfile.TemporaryDirectory(prefix="decogs-") as folder:
@@ -48,7 +48,7 @@ def run_part(job: EncodeJob, frames: range, keyframe: bytes | None, tell: Tell) 
             key.write_bytes(keyframe)
             job = replace(job, keyframe=key)
         try:
-            encode(job, progress=_Counting(frames, tell), on_warning=warnings.append)
+            encode(job, progress=_Counting(frames, on_done), on_warning=warnings.append)
         except TryAgainError as error:
             return Outcome(problem=str(error), again=True)
         except DecogsError as error:

@@ -1,4 +1,4 @@
-"""Trained values as lattice points: what a frame changes, in as few bits as its effect on the pictures is worth."""
+"""A frame's changes as lattice points, by rate-distortion optimised quantisation."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _COLOURS = ("opacity_logits", "sh")
 def delta_of(state: State, lattice: Lattice, trained: TrainedFrame, settings: SignificanceSettings) -> Delta:
     """What a frame's training changes of the ``state`` before it, on the lattice."""
     before = take_rows(state, trained.kept)
-    current = quantised(trained.values, before, lattice, trained.sensitivity, settings)
+    current = quantise_changes(trained.values, before, lattice, trained.sensitivity, settings)
     added = quantise(trained.added, lattice)
     return difference(state, trained.kept, current, removed=trained.removed, added=added)
 
 
-def quantised(
+def quantise_changes(
     values: Splats, before: Attributes, lattice: Lattice, sensitivity: Splats | None, settings: SignificanceSettings
 ) -> Attributes:
     """Lattice points near ``values`` (N rows), by rate-distortion optimisation of their changes since ``before``.

@@ -1,11 +1,11 @@
-"""How many bytes a stream may take: a scale of qualities, and a budget that later frames keep on average.
+"""Rate control: a scale of qualities, and a byte budget that later frames keep on average.
 
-Chosen: one knob, the significance threshold; what a bit is worth follows it. After every frame, a model of a single
-number moves it: a frame's content (its size at the settings' own threshold), estimated from past packets. The model has
-no other input. A stream holds those sizes, so a resumed encode has the same bytes. The model does not know the clip's
-length, so frames can be added. Rejected: two passes (twice the time, and none for a live rig); coding a frame again
-until it fits (training is the cost); the threshold alone (a frame of workbench then takes at most 20 kB, whatever the
-budget).
+Chosen: one knob, the significance threshold; the rate-distortion lambdas follow it. After every frame, a model of a
+single number moves it: a frame's content (its size at the settings' own threshold), estimated from past packets. The
+model has no other input. A stream holds those sizes, so a resumed encode has the same bytes. The model does not know
+the clip's length, so frames can be added. Rejected: two passes (twice the time, and none for a live rig); coding a
+frame again until it fits (training is the cost); the threshold alone (a frame of workbench then takes at most 20 kB,
+whatever the budget).
 """
 
 from __future__ import annotations
@@ -25,27 +25,27 @@ from ..settings.frame import SignificanceSettings
 NEUTRAL_QUALITY = 50.0
 """The preset as it is."""
 
-TOLERANCE = 0.05
-"""By which share of the budget the mean of a clip may be off; a miss is reported beyond it."""
+BYTES_TOLERANCE = 0.05
+"""Share of the budget by which a clip's mean may miss it without a warning."""
 
 _QUALITIES_PER_OCTAVE = 16.0
 _STEP_EXPONENT = 0.25
 """Lattice steps grow with this power of the threshold: bytes and loss of keyframes then change together with those of
 later frames."""
 
-_RESPONSE = 0.5
-"""Bytes fall with this power of the threshold: measured .41 to .65 (report/budgets.md). Up to four times as steep, or
-however flat, the control still settles."""
-_BYTES_HORIZON = 12
-"""Frames over which savings and overspends are made up for: fewer follow the budget closer, more are steadier."""
-_FACTOR_KEPT = 0.5
-"""Share of the estimate that a new packet does not change: a frame's bytes are noisy."""
+_RESPONSE_EXPONENT = 0.5
+"""Bytes fall with this power of the threshold: measured .41 to .65 (report/budgets.md). The control settles even if
+they fall four times as steeply, or hardly at all."""
+_BYTES_HORIZON_FRAMES = 12
+"""Frames over which savings and overspends are balanced: fewer follow the budget closer, more are steadier."""
+_ESTIMATE_KEPT = 0.5
+"""Weight of the old estimate against the newest packet's: a frame's bytes are noisy."""
 _TARGET_RANGE = (0.8, 2.0)
-"""Bounds of a single frame's aim, in budgets: the savings of a still scene are not spent on the first frame that moves,
-and an overspend is paid back gently, because later frames must code changes that were reverted."""
-_LEAST_SHARE = 2.0**-8
-"""Budgets that a frame of a segment gets at least: where a keyframe alone takes more than all of them, nothing does."""
-_OCTAVES = 8.0
+"""Bounds of a single frame's target, in budgets: the savings of a still scene are not spent on the first frame that
+moves, and an overspend is paid back gently, because later frames must code changes that were reverted."""
+_MIN_SHARE = 2.0**-8
+"""Least target of a frame, in budgets, where the keyframe of its segment alone takes more than all of them."""
+_MAX_OCTAVES = 8.0
 """The threshold stays between 1/256 (next to nothing is reverted) and 256 times the preset's."""
 _OCTAVE_STEPS = 32
 """Steps of the threshold per octave: on this grid, the last bit of a logarithm, which differs by machine, is lost."""
@@ -54,19 +54,19 @@ _OCTAVE_STEPS = 32
 def with_quality(settings: EncodeSettings, quality: float) -> EncodeSettings:
     """The same settings at a quality of 0 to 100; raises UsageError beyond.
 
-    50 is the settings as they are. Every 16 points lower double the significance threshold and what a bit of a later
-    frame is worth, make the lattice's steps 2^(1/4) times as coarse, and raise the keyframe's ``rd_lambda`` by 2^(1/2).
+    50 is the settings as they are. Every 16 points lower double the significance threshold and lambda of later frames,
+    multiply the lattice's steps by 2^(1/4), and the keyframe's lambda by 2^(1/2).
     Settings that code every change (``paper``, ``3dgstream``) follow with the keyframe and the lattice only.
     """
     if not 0 <= quality <= 100:
         raise UsageError(f"`quality` {quality:g}: give a number from 0 (smallest) to 100 (most exact)")
     factor = 2.0 ** ((NEUTRAL_QUALITY - quality) / _QUALITIES_PER_OCTAVE)
-    significance = _scaled(settings.frame.significance, factor)
-    rd_lambda = _rounded_loss(settings.keyframe.rd_lambda * factor ** (2 * _STEP_EXPONENT))
+    significance = _scale(settings.frame.significance, factor)
+    rd_lambda = _round_loss(settings.keyframe.rd_lambda * factor ** (2 * _STEP_EXPONENT))
     return replace(
         settings,
         keyframe=replace(settings.keyframe, rd_lambda=rd_lambda),
-        lattice_scale=_rounded(settings.lattice_scale * factor**_STEP_EXPONENT),
+        lattice_scale=_round(settings.lattice_scale * factor**_STEP_EXPONENT),
         frame=replace(settings.frame, significance=significance),
     )
 
@@ -78,7 +78,7 @@ def with_lossless(settings: EncodeSettings) -> EncodeSettings:
 
 
 def with_budget(settings: EncodeSettings, bytes_per_frame: float) -> EncodeSettings:
-    """The same settings held to ``bytes_per_frame``, the mean of the frames after the first.
+    """The settings with a budget: mean bytes of the frames after the first.
 
     Raises UsageError for a number that is no budget, and for settings that code every change.
     """
@@ -125,8 +125,8 @@ class RateControl:
         return float(2.0**self.octaves)
 
     def significance(self, settings: SignificanceSettings) -> SignificanceSettings:
-        """The settings for the next frame: its threshold, and what a bit is worth to match."""
-        return _scaled(settings, self.factor)
+        """The settings for the next frame: its threshold, and lambdas to match."""
+        return _scale(settings, self.factor)
 
     def after(self, kind: int, size: int) -> RateControl:
         """The control after a packet other than the first keyframe's: its PacketKind and its bytes on disk.
@@ -139,15 +139,15 @@ class RateControl:
         if kind == PacketKind.KEY and self.segment:
             key = size
         elif kind == PacketKind.DELTA:
-            found = math.log2(size / self.budget) + _RESPONSE * self.octaves
+            found = math.log2(size / self.budget) + _RESPONSE_EXPONENT * self.octaves
             past = found if content is None else content
-            content = _FACTOR_KEPT * past + (1 - _FACTOR_KEPT) * found
+            content = _ESTIMATE_KEPT * past + (1 - _ESTIMATE_KEPT) * found
         now = replace(self, frames=self.frames + 1, spent=self.spent + size, place=place, key=key, content=content)
         return now if content is None else replace(now, octaves=now._octaves(content))
 
     def _octaves(self, content: float) -> float:
-        octaves = (content - math.log2(self._target())) / _RESPONSE
-        return round(min(max(octaves, -_OCTAVES), _OCTAVES) * _OCTAVE_STEPS) / _OCTAVE_STEPS
+        octaves = (content - math.log2(self._target())) / _RESPONSE_EXPONENT
+        return round(min(max(octaves, -_MAX_OCTAVES), _MAX_OCTAVES) * _OCTAVE_STEPS) / _OCTAVE_STEPS
 
     def _target(self) -> float:
         """What the next frame is to take, in budgets."""
@@ -155,27 +155,27 @@ class RateControl:
         share = self.budget
         if self.key is not None:
             payment = (self.key - self.budget) / max(1, self.segment - 1)
-            share = max(share - payment, _LEAST_SHARE * self.budget)
+            share = max(share - payment, _MIN_SHARE * self.budget)
             saved += payment * (self.segment - 1 - self.place % self.segment)
         low, high = _TARGET_RANGE
-        return min(max((share + saved / _BYTES_HORIZON) / self.budget, low * share / self.budget), high)
+        return min(max((share + saved / _BYTES_HORIZON_FRAMES) / self.budget, low * share / self.budget), high)
 
 
-def _scaled(settings: SignificanceSettings, factor: float) -> SignificanceSettings:
-    """The settings with a threshold ``factor`` times as high and bits that are worth as much more."""
+def _scale(settings: SignificanceSettings, factor: float) -> SignificanceSettings:
+    """The settings with threshold and lambdas multiplied by ``factor``."""
     return replace(
         settings,
-        threshold=_rounded_loss(settings.threshold * factor),
-        rd_lambda=_rounded_loss(settings.rd_lambda * factor),
-        colour_rd_lambda=_rounded_loss(settings.colour_rd_lambda * factor),
+        threshold=_round_loss(settings.threshold * factor),
+        rd_lambda=_round_loss(settings.rd_lambda * factor),
+        colour_rd_lambda=_round_loss(settings.colour_rd_lambda * factor),
     )
 
 
-def _rounded(value: float) -> float:
+def _round(value: float) -> float:
     """To six digits: a power's last bit is not the same on every machine, and the stream's header has the value."""
     return float(f"{value:.6g}")
 
 
-def _rounded_loss(value: float) -> float:
+def _round_loss(value: float) -> float:
     """The same, within what settings take."""
-    return min(_rounded(value), MOST_LOSS)
+    return min(_round(value), MOST_LOSS)

@@ -54,11 +54,11 @@ class Scene:
         after = apply_delta(self.state, delta_of(self.state, self.header.lattice, trained, significance))
         return self._with(replace(after, frame=self.state.frame))
 
-    def gone_back(self, state: State) -> Scene:
+    def roll_back(self, state: State) -> Scene:
         """An earlier ``state`` for the next frame's; ids of Gaussians that came since are not given again."""
         return self._with(replace(state, frame=self.state.frame, next_id=self.state.next_id))
 
-    def restarted(self, frame: int, segment: int) -> Scene:
+    def restart(self, frame: int, segment: int) -> Scene:
         """The first keyframe's state as the one before ``frame``, which begins a closed segment."""
         next_id = self.first.next_id + frame // segment * IDS_PER_SEGMENT
         return self._with(replace(self.first, frame=frame - 1, next_id=next_id))

@@ -1,4 +1,4 @@
-"""What a stream's header says of an encode."""
+"""The header of an encode's stream."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def stream_header(
 
     ``corrected``: cameras whose drift is compensated. ``colours``: how those of cameras differ from the
     scene's in every frame. ``inherited``: settings of an imported keyframe, which made it. ``recorded``: digests of the
-    first frame's pictures by camera, none of an encode that did not take them down.
+    first frame's pictures by camera, none if the encode has none.
     """
     rig, document = ingest.rig, settings.as_document() | dict(inherited or {})
     pictures = setting_of(recorded, [camera.name for camera in rig.cameras])

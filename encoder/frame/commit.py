@@ -1,4 +1,4 @@
-"""The end of a frame: the views show the new scene, and the next frame gets its memory."""
+"""The end of a frame: the views are updated to the new scene, and the next frame gets its memory."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from decogs.codec.state import same_values
 
 from ..change.masks import MaskMemory
 from ..coding.scene import Scene
-from ..input.compensation.frame import ended
+from ..input.compensation.frame import newly_dropped
 from ..stopwatch import Stopwatch
 from ..training.method import TrainedFrame
 from ..training.warm_start import Motion
@@ -21,18 +21,18 @@ from .plan import FramePlan, Selection
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a frame: what was selected, and the ``effects`` that it was trained for.
+    """A frame's outcome: what was selected, and the ``effects`` that it was trained for.
 
-    ``overlooked``: the masks missed a change of most of the pictures. ``cut``: it is a keyframe of another scene.
-    ``held``: its training waits for time. ``rejected``: training made the pictures worse, and changed nothing.
-    ``uncorrected``: corrections that ended with it.
+    ``full_frame_change``: the masks missed a change of most of the pictures. ``cut``: it is a keyframe of another
+    scene. ``deferred``: its training waits for time. ``rejected``: training made the pictures worse, and changed
+    nothing. ``uncorrected``: corrections that ended with it.
     """
 
     selection: Selection
     effects: tuple[str, ...] = ()
-    overlooked: bool = False
+    full_frame_change: bool = False
     cut: bool = False
-    held: bool = False
+    deferred: bool = False
     rejected: bool = False
     uncorrected: Sequence[str] = ()
 
@@ -53,7 +53,7 @@ def commit(
             if frame.restarted:
                 context.views.of(scene.splats)
             else:
-                context.views.follow(scene.splats, trained.kept, before.state.ids, scene.state.ids)
+                context.views.update(scene.splats, trained.kept, before.state.ids, scene.state.ids)
     memory = replace(
         memory,
         masks=_masks_after(context, event, plan, frame, scene, trained),
@@ -64,15 +64,15 @@ def commit(
         with watch.stage("corrections"):
             changed = [mask.dilated for mask in plan.selection.masks]
             judged = context.corrector.judge(
-                memory.corrections, frame.recorded.training, frame.corrections, context.show(scene.splats), changed
+                memory.corrections, frame.recorded.training, frame.corrections, context.renderer(scene.splats), changed
             )
-            uncorrected = ended(memory.corrections, judged)
+            uncorrected = newly_dropped(memory.corrections, judged)
             memory = replace(memory, corrections=judged)
     outcome = Outcome(
         plan.selection,
-        () if plan.held else plan.effects,
-        overlooked=event.kind is Kind.EVERYTHING and bool(event.changes),
-        held=plan.held,
+        () if plan.deferred else plan.effects,
+        full_frame_change=event.kind is Kind.EVERYTHING and bool(event.changes),
+        deferred=plan.deferred,
         rejected=trained is not None and trained.rejected,
         uncorrected=uncorrected,
     )
@@ -90,15 +90,15 @@ def _masks_after(
     memory, settings, masks = event.memory.masks, context.settings.frame.masks, plan.selection.masks
     # Training that was rejected, or whose changes were all reverted, has made up for nothing.
     if trained is not None and masks and not same_values(event.scene.state, scene.state):
-        shown = context.views.pictures(scene.splats) if trained.hurried else None
+        rendered = context.views.pictures(scene.splats) if trained.truncated else None
         moved = "motion" in plan.effects
-        memory = memory.trained(frame.pictures, masks, moved=moved, shown=shown, threads=context.threads)
-    return memory.advance(frame.pictures, masks, settings, held=plan.held)
+        memory = memory.trained(frame.pictures, masks, moved=moved, shown=rendered, threads=context.threads)
+    return memory.advance(frame.pictures, masks, settings, held=plan.deferred)
 
 
 def _motion_after(motion: Motion, plan: FramePlan, frame: PendingFrame, before: Scene, scene: Scene) -> Motion:
-    """Of a held frame, what moves is taken to move on."""
+    """Velocities: those of a deferred frame continue."""
     if frame.restarted:
-        # What has moved since the first frame is no velocity.
+        # The displacement since the first frame is no velocity.
         return Motion.at_rest(len(scene.state))
-    return motion.hold() if plan.held else motion.moved(scene.displacements(before.state))
+    return motion.defer() if plan.deferred else motion.move(scene.displacements(before.state))

@@ -1,4 +1,4 @@
-"""What all frames of one encode share."""
+"""The constants of an encode: rig, settings, kernel and views."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from decogs.formats.splats import Splats
 
 from ..backends import TrainingKernel, training_kernel
 from ..backends.scene_views import SceneViews
-from ..input.compensation import Corrector, Show, corrector_of
+from ..input.compensation import Corrector, RenderView, corrector_of
 from ..input.ingest import Ingest
 from ..methods import method_of
 from ..settings.encode import EncodeSettings
@@ -21,10 +21,11 @@ from .cross_fade import fade_cameras
 
 @dataclass(frozen=True)
 class Context:
-    """The rig, the settings and where frames are trained and drawn.
+    """The rig, the settings and the views in which frames are trained and drawn.
 
-    ``views``: the training views; ``fade_views``: where two closed segments are compared. Both show what they are asked
-    for. ``corrector``: of the cameras whose drift is compensated, or None. ``on_loss`` follows every training step.
+    ``views``: the training views; ``fade_views``: where two closed segments are compared. Both draw the
+    scene that is asked for. ``corrector``: of the cameras whose drift is compensated, or None. ``on_loss`` follows
+    every training step.
     """
 
     ingest: Ingest
@@ -68,12 +69,12 @@ class Context:
             on_loss,
         )
 
-    def show(self, scene: Splats) -> Show:
-        """The ``scene`` through the training view of a number, as it is drawn from frame to frame."""
-        return self.render(scene) if self.method.dense else lambda number: self.views.of(scene)[number].rgb
+    def renderer(self, scene: Splats) -> RenderView:
+        """Renders the ``scene`` through a training view, by number; views are kept from frame to frame."""
+        return self.fresh_renderer(scene) if self.method.dense else lambda number: self.views.of(scene)[number].rgb
 
-    def render(self, scene: Splats) -> Show:
-        """The ``scene`` through the training view of a number, drawn for this alone."""
+    def fresh_renderer(self, scene: Splats) -> RenderView:
+        """Renders the ``scene`` through a training view, by number, and keeps nothing."""
         return lambda number: self.kernel.forward(scene, self.ingest.views[number].pinhole).rgb
 
     def stopping(self, deadline: float | None = None) -> StoppingRule:

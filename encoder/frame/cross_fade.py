@@ -1,10 +1,9 @@
-"""Cross-fade: the last frames of a closed segment go over to the scene that the next one begins with.
+"""Cross-fade: the last frames of a closed segment blend into the scene that the next one begins with.
 
 Two trainings of one frame err differently where no camera looks, and a segment's start is trained from the first
 keyframe, not from the frame before. So the next segment is also trained backwards from its start for a few frames. In
-these, the Gaussians of the segment that ends learn a mixture of what they show themselves, as trained, and what the
-next segment shows, seen from the cameras and from between them. Figures and what was rejected: DESIGN.md, "Closed
-segments".
+these, the Gaussians of the segment that ends are trained towards a mixture of both segments' renderings, from the
+cameras and from between them. Figures and rejected alternatives: DESIGN.md, "Closed segments".
 """
 
 from __future__ import annotations
@@ -25,26 +24,26 @@ from ..backends.scene_views import SceneViews
 from ..settings.frame import FocusWeights, FrameSettings
 from ..training.losses import PhotometricLoss, StepLosses, focus_loss
 from ..training.method import TrainedFrame
-from ..training.schedule import LATE_DECAY
+from ..training.schedule import LATE_DECAY, MAX_STRETCH
 from ..training.significance import picture_weight
 from ..training.view_order import view_order
 
-_PIXELS = 240_000
-"""Most of a picture of the fade. In smaller ones, details of the real ones come loose: .4 dB at a fifth of 352x264."""
+_MAX_FADE_PIXELS = 240_000
+"""Maximum pixels per cross-fade view. Smaller views blur detail: -.4 dB at a fifth of 352x264."""
 
-_STEPS, _RATES = 2, 0.4
-"""Steps and rates in units of the frame's. Little is left to learn: at the same rates, noise as large is learnt."""
+_STEPS_FACTOR, _RATES_FACTOR = 2, 0.4
+"""Of the frame's steps and rates. The mixture differs little from the frame: full rates would train as much noise."""
 
-_EXACTNESS = 2.0
-"""How much more exactly changes are coded: each of them is small."""
+_LAMBDA_DIVISOR = 2.0
+"""Of the frame's rate-distortion lambdas: each change of a fade is small, and must still be coded."""
 
-_DIFFERS = 1.0 / 255
-"""Difference of two scenes in a pixel from which it counts as one."""
+_MIN_DIFFERENCE = 1.0 / 255
+"""Difference of the two scenes in a pixel, colours 0 to 1, above which the pixel is in the fade's focus."""
 
 
 @dataclass(frozen=True)
 class CrossFade:
-    """What a frame goes over to: the next segment's ``scene`` of the same frame, and its ``share`` by now, 0 to 1.
+    """The mixture that a frame is faded towards: the next segment's ``scene`` of the frame, and its ``share``, 0 to 1.
 
     ``rows``: Gaussians of the scene before the frame that may change for it. ``views``: where the two scenes are
     compared, of `fade_cameras`.
@@ -57,7 +56,7 @@ class CrossFade:
 
 
 def fade_cameras(cameras: Sequence[Camera]) -> list[Camera]:
-    """The ``cameras``, and others half way between neighbours, with pictures of at most _PIXELS.
+    """The ``cameras``, and others half way between neighbours, with pictures of at most _MAX_FADE_PIXELS.
 
     Two are neighbours if no third one is nearer to both. One that has a single neighbour, as at the end of an arc, has
     another camera half way in the opposite direction.
@@ -73,9 +72,9 @@ def fade_cameras(cameras: Sequence[Camera]) -> list[Camera]:
 
 def _neighbours(centres: NDArray[np.float64]) -> list[tuple[int, int]]:
     """Pairs of which no third of the ``centres`` (N, 3) is nearer to both (relative neighbourhood graph)."""
-    apart = np.linalg.norm(centres[:, None] - centres, axis=2)
-    nearer = np.maximum(apart[:, None, :], apart[None, :, :]).min(axis=2) < apart
-    return [(i, j) for i in range(len(centres)) for j in range(i) if apart[i, j] > 0 and not nearer[i, j]]
+    distances = np.linalg.norm(centres[:, None] - centres, axis=2)
+    nearer = np.maximum(distances[:, None, :], distances[None, :, :]).min(axis=2) < distances
+    return [(i, j) for i in range(len(centres)) for j in range(i) if distances[i, j] > 0 and not nearer[i, j]]
 
 
 def _between(camera: Camera, other: Camera, share: float) -> Camera:
@@ -93,19 +92,19 @@ def _between(camera: Camera, other: Camera, share: float) -> Camera:
 
 
 def _small(camera: Camera) -> Camera:
-    return scale_camera(camera, min(1.0, math.sqrt(_PIXELS / (camera.width * camera.height))))
+    return scale_camera(camera, min(1.0, math.sqrt(_MAX_FADE_PIXELS / (camera.width * camera.height))))
 
 
 def with_exact_changes(settings: FrameSettings) -> FrameSettings:
     """The settings of a frame in a cross-fade."""
     significance = settings.significance
-    exact = {name: getattr(significance, name) / _EXACTNESS for name in ("rd_lambda", "colour_rd_lambda")}
+    exact = {name: getattr(significance, name) / _LAMBDA_DIVISOR for name in ("rd_lambda", "colour_rd_lambda")}
     return replace(settings, significance=replace(significance, **exact))
 
 
 @dataclass(frozen=True)
 class _Fading:
-    """Gaussians that go over: ``old`` ones of ``rows`` of the scene before the frame, then new ones.
+    """The Gaussians of a fade: ``old`` ones of ``rows`` of the scene before the frame, then new ones.
 
     ``values``: theirs as trained so far. ``sensitivity``: of the old ones, as training has it (`TrainedFrame`), 0 for
     those that were not trained. ``detached``: rows of the scene that are not static.
@@ -129,7 +128,7 @@ def cross_fade(
     seed: tuple[int, int],
     on_loss: Callable[[str, int, float], None] | None = None,
 ) -> TrainedFrame:
-    """The ``trained`` frame, trained on towards the ``fade``'s mixture.
+    """The ``trained`` frame, trained further towards the ``fade``'s mixture.
 
     ``scene``: of the frame before. ``settings``: of the frame. ``extent``: size of the rig, world units. ``seed``
     determines all randomness. Raises TrainingError for a loss that is not finite.
@@ -141,7 +140,7 @@ def cross_fade(
     optimiser = kernel.optimiser(fading.values, beta1=settings.beta1, beta2=settings.beta2)
     share = picture_weight([loss for _, loss in losses])
     seen, rates = StepLosses(), replace(settings.rates, means=settings.rates.means * extent)
-    order, steps = view_order(len(losses), np.random.default_rng(seed)), _STEPS * settings.joint_iterations
+    order, steps = view_order(len(losses), np.random.default_rng(seed)), _STEPS_FACTOR * settings.joint_iterations
     for step in range(steps):
         view, loss = losses[next(order)]
         view.draw(optimiser, fading.rows)
@@ -150,13 +149,13 @@ def cross_fade(
         if on_loss is not None:
             on_loss("fade", step, value.total)
         late = LATE_DECAY ** max(0.0, 2 * step / steps - 1)
-        optimiser.step(view.backward(), rates.scaled(_RATES * late))
+        optimiser.step(view.backward(), rates.scaled(_RATES_FACTOR * late), max_stretch=MAX_STRETCH)
     seen.check()
     return _cross_faded(trained, fading, optimiser, share)
 
 
 def _fading(scene: Splats, trained: TrainedFrame, fade: CrossFade) -> _Fading:
-    """What was trained and what else may change for the fade, in one."""
+    """The frame's trained Gaussians, and the others that may change for the fade."""
     rows = np.setdiff1d(np.union1d(trained.kept, fade.rows), trained.removed)
     values = take_splats(scene, rows)
     sensitivity = Splats(*(np.zeros_like(getattr(values, name)) for name in ATTRIBUTES))
@@ -179,7 +178,7 @@ def _losses(
     for view in fade.views:
         view.draw(fading.values, fading.rows)
         mine, theirs = view.rgb, kernel.forward(fade.scene, view.camera).rgb
-        differs = np.abs(theirs - mine).max(axis=0) > _DIFFERS
+        differs = np.abs(theirs - mine).max(axis=0) > _MIN_DIFFERENCE
         if differs.any():
             target = mine + np.float32(fade.share) * (theirs - mine)
             found.append((view, focus_loss(target, differs, None, weights)))
@@ -187,9 +186,10 @@ def _losses(
 
 
 def _cross_faded(trained: TrainedFrame, fading: _Fading, optimiser: Optimiser, share: float) -> TrainedFrame:
-    """The frame with the values that the optimiser has; ``share``: a picture's weight in its losses.
+    """The frame with the optimiser's values; ``share``: a picture's weight in its losses.
 
-    What hardly shows of the difference of two scenes may show of the scene: a value counts as training has found, too.
+    A value may matter to the scene that hardly matters to the difference of the two: its sensitivity is the larger one
+    of the fade's and of the frame's training.
     """
     values, old = optimiser.splats, np.arange(fading.old)
     found = (optimiser.gradient_size(name)[: fading.old] / np.float32(share) for name in ATTRIBUTES)

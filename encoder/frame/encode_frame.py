@@ -1,7 +1,7 @@
 """One frame from its pictures to its packet, in ten steps.
 
-A frame that an earlier encode wrote takes the same way: its packet stands where training would. So does one of the next
-closed segment, with a memory of its own. Every step takes frozen values and gives new ones.
+A frame that an earlier encode wrote takes the same steps, with its packet in place of training. So does one of the next
+closed segment, with a memory of its own. Every step takes frozen values and returns new ones.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from decogs.formats.splats import Splats, empty_splats
 from ..coding.packets import Written, frame_packet, key_packet, read_back
 from ..coding.scene import Scene
 from ..coding.time_control import TimeControl
-from ..input.compensation.frame import compensated, corrections_of, matched
+from ..input.compensation.frame import compensate, find_corrections, match_colours
 from ..input.ingest import RigFrame, scene_extent
 from ..keyframe.first_frame import FirstFrame, train_first_frame
 from ..output.reports import OnKeyframeStep
@@ -31,7 +31,7 @@ from .commit import Outcome, commit
 from .context import Context
 from .cross_fade import CrossFade, cross_fade
 from .events import Event, Kind, PendingFrame, what_happened
-from .memory import Memory, new_memory, restarted
+from .memory import Memory, new_memory, restart_at_segment
 from .plan import FramePlan, Selection, find_selection, plan_frame
 from .train import train_frame
 
@@ -40,7 +40,7 @@ class Following(Protocol):
     """The segment after a frame's own."""
 
     def fade(self, frame: int, scene: Scene) -> CrossFade | None:
-        """What the rig's ``frame``, which starts from ``scene``, goes over to; None where it does not."""
+        """The cross-fade of the rig's ``frame``, which starts from ``scene``; None where there is none."""
         ...
 
 
@@ -48,7 +48,7 @@ class Following(Protocol):
 class Task:
     """A frame to encode, as ``recorded``; ``packet``: what an earlier encode made of it, instead of training.
 
-    ``following``: the closed segment that it goes over to, if any. ``on_step`` follows the training of a keyframe.
+    ``following``: the closed segment that it is faded towards, if any. ``on_step`` follows the training of a keyframe.
     """
 
     recorded: RigFrame
@@ -60,9 +60,9 @@ class Task:
 
 @dataclass(frozen=True)
 class Encoded:
-    """An encoded frame: its packet, the scene that a decoder then has, what the next frame needs, and what came of it.
+    """An encoded frame: its packet, the scene that a decoder then has, the next frame's memory, and its outcome.
 
-    ``pictures``: the frame without what its cameras add.
+    ``pictures``: the frame, compensated.
     """
 
     written: Written
@@ -85,16 +85,17 @@ def encode_frame(context: Context, scene: Scene, memory: Memory, task: Task) -> 
 
 
 def observe(context: Context, scene: Scene, memory: Memory, task: Task) -> tuple[PendingFrame, Event]:
-    """Steps 2 and 3: the frame without what its cameras add, and what happened in it."""
+    """Steps 2 and 3: the compensated frame, and what happened in it."""
     watch, packet = task.watch, task.packet
-    recorded = matched(task.recorded, context.ingest.views, scene.header.camera_colours)
-    scene, memory, is_start = restarted(context, scene, memory, recorded.index - scene.header.first_frame, watch)
+    recorded = match_colours(task.recorded, context.ingest.views, scene.header.camera_colours)
+    index = recorded.index - scene.header.first_frame
+    scene, memory, is_start = restart_at_segment(context, scene, memory, index, watch)
     if packet is not None:
         _, corrections = read_back(packet, scene.header)
     else:
-        show = context.show(scene.splats)
-        corrections = corrections_of(recorded, context.corrector, memory.corrections, show, watch)
-    frame = PendingFrame(recorded, compensated(recorded, context.corrector, corrections), corrections, is_start)
+        render = context.renderer(scene.splats)
+        corrections = find_corrections(recorded, context.corrector, memory.corrections, render, watch)
+    frame = PendingFrame(recorded, compensate(recorded, context.corrector, corrections), corrections, is_start)
     if packet is not None and scene.begins_anew(packet):
         return frame, Event(Kind.CUT, scene, memory, [])
     event = what_happened(context, scene, memory, frame, watch)
@@ -114,7 +115,7 @@ def encode_change(context: Context, event: Event, frame: PendingFrame, task: Tas
     else:
         written, _ = read_back(packet, event.scene.header)
         scene = event.scene.after(packet)
-        plan, trained = _as_written(context, event.scene, scene, plan, packet)
+        plan, trained = _replay(context, event.scene, scene, plan, packet)
     memory, outcome = commit(context, event, plan, frame, scene, trained, watch)
     if memory.rate is not None:
         memory = replace(memory, rate=memory.rate.after(written.packet.kind, written.packet.size))
@@ -128,7 +129,7 @@ def encode_cut(context: Context, event: Event, task: Task) -> Encoded:
     if task.packet is not None:
         key = before.after(task.packet).state
     else:
-        recorded = matched(task.recorded, context.ingest.views, before.header.camera_colours)
+        recorded = match_colours(task.recorded, context.ingest.views, before.header.camera_colours)
         first = train_keyframe(context, recorded, task, before)
         key = replace(first.state, frame=before.state.frame + 1)
     return begin_scene(context, before.header, key, task, event)
@@ -156,18 +157,18 @@ def begin_scene(context: Context, header: StreamHeader, key: State, task: Task, 
     """The first frame of a stream, or of another scene after a ``cut``: its Gaussians are the ``key``'s."""
     watch, packet, corrector = task.watch, task.packet, context.corrector
     splats = dequantise(key, header.lattice)
-    recorded, drift = matched(task.recorded, context.ingest.views, header.camera_colours), None
+    recorded, drift = match_colours(task.recorded, context.ingest.views, header.camera_colours), None
     if corrector is not None:
         views = context.ingest.views
         drift = corrector.begin(lambda number: context.kernel.forward(splats, views[number].pinhole, depth=True))
     if packet is not None:
         written, corrections = read_back(packet, header)
     else:
-        corrections = corrections_of(recorded, corrector, drift, context.render(splats), watch)
+        corrections = find_corrections(recorded, corrector, drift, context.fresh_renderer(splats), watch)
         with watch.stage("write"):
             written = key_packet(header, key, corrections, context.settings.zstd_level)
     scene = Scene.open(header, written.packet) if cut is None else cut.scene.after(written.packet)
-    frame = compensated(recorded, corrector, corrections)
+    frame = compensate(recorded, corrector, corrections)
     with watch.stage("commit"):
         memory = new_memory(
             context,
@@ -200,7 +201,7 @@ def _train_and_code(
             trained = cross_fade(
                 context.kernel,
                 before.splats,
-                trained or _nothing(before.splats),
+                trained or _no_change(before.splats),
                 fade,
                 plan.settings,
                 extent=scene_extent(context.ingest.views) or 1.0,
@@ -220,24 +221,24 @@ def _train_and_code(
         return written, before.after(written.packet), trained
 
 
-def _nothing(scene: Splats) -> TrainedFrame:
+def _no_change(scene: Splats) -> TrainedFrame:
     rows, empty = np.zeros(0, np.int64), empty_splats(scene.sh_degree)
     return TrainedFrame(rows, empty, rows, empty)
 
 
-def _as_written(
+def _replay(
     context: Context, before: Scene, scene: Scene, plan: FramePlan, packet: Packet
 ) -> tuple[FramePlan, TrainedFrame | None]:
-    """What an earlier encode did with the frame, as its packet tells: the plan, and what was trained."""
+    """What an earlier encode did with the frame, as its packet states: the plan, and what was trained."""
     # Those that a cross-fade changes are not among those that the masks select.
     changed = changed_between(before.state, scene.state)
     is_trained = bool(plan.effects) or bool(changed.any())
-    # What was held is still to be done. With a time budget, a packet of nothing is all that signals it.
-    held = is_trained and context.settings.time_budget is not None and packet.kind == PacketKind.SKIP
-    plan = replace(plan, held=held)
-    if not is_trained or held:
+    # A deferred frame's changes are still to be trained. With a time budget, a skip in place of changes signals it.
+    deferred = is_trained and context.settings.time_budget is not None and packet.kind == PacketKind.SKIP
+    plan = replace(plan, deferred=deferred)
+    if not is_trained or deferred:
         return plan, None
     rows = np.flatnonzero(plan.selection.selected | changed)
     if not context.method.dense:
         context.views.of(before.splats).detach(rows)
-    return plan, replace(_nothing(before.splats), kept=rows)
+    return plan, replace(_no_change(before.splats), kept=rows)

@@ -1,4 +1,4 @@
-"""What happened between the frame before and this one: one question, one answer."""
+"""What happened since the frame before: nothing, a change, a full-frame change, a cut, or the end of a flash."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from decogs.codec.corrections import Corrections
 from decogs.formats.splats import FloatArray
 
 from ..change.cuts import shows_another_scene
-from ..change.flashes import LONGEST_FLASH, is_missed, matches, may_be_flash
+from ..change.flashes import MAX_FLASH_FRAMES, is_missed, matches, may_be_flash
 from ..change.masks import PixelChange, showing
 from ..coding.scene import Scene
 from ..input.ingest import RigFrame
@@ -30,7 +30,7 @@ class Kind(Enum):
 
 @dataclass(frozen=True)
 class PendingFrame:
-    """A frame to encode: as recorded, without what its cameras add (``pictures``), and how that was taken off.
+    """A frame to encode: as recorded, compensated (``pictures``), and the corrections between the two.
 
     ``restarted``: the scene before it is the first keyframe's, since the frame begins a closed segment.
     """
@@ -90,8 +90,8 @@ def _after_flash(scene: Scene, memory: Memory, frame: PendingFrame, context: Con
         return scene, memory, False
     if matches(kept.masks, frame.pictures, context.settings.frame.masks):
         motion = replace(memory.motion, last=kept.motion)
-        return scene.gone_back(kept.state), replace(memory, motion=motion, masks=kept.masks, before_flash=None), True
-    if frame.recorded.index - kept.since > LONGEST_FLASH:
+        return scene.roll_back(kept.state), replace(memory, motion=motion, masks=kept.masks, before_flash=None), True
+    if frame.recorded.index - kept.since > MAX_FLASH_FRAMES:
         memory = replace(memory, before_flash=None)
     return scene, memory, False
 

@@ -1,4 +1,4 @@
-"""What one frame hands to the next and a decoder does not need."""
+"""The state that one frame hands to the next and a decoder does not need."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .context import Context
 
 @dataclass(frozen=True)
 class BeforeFlash:
-    """What was there before the frame ``since``, which changed nearly everything: the scene, its motion, the masks."""
+    """The scene, its motion and the masks before the frame ``since``, which changed nearly everything."""
 
     since: int
     state: State
@@ -58,7 +58,7 @@ def new_memory(
 ) -> Memory:
     """The memory after a ``scene``'s first ``frame``, compensated: nothing is left of the frames before."""
     settings = context.settings
-    shown = None if context.method.dense else context.views.pictures(scene.splats)
+    rendered = None if context.method.dense else context.views.pictures(scene.splats)
     trainer = context.method.trainer(
         training_context(
             context.kernel,
@@ -73,7 +73,7 @@ def new_memory(
     budget = settings.frame_budget
     return Memory(
         trainer,
-        MaskMemory.begin(frame.training, shown if settings.time_budget is not None else None),
+        MaskMemory.begin(frame.training, rendered if settings.time_budget is not None else None),
         Motion.at_rest(len(scene.state)),
         corrections,
         None if budget is None else RateControl(budget, settings.segment),
@@ -82,7 +82,7 @@ def new_memory(
     )
 
 
-def restarted(
+def restart_at_segment(
     context: Context, scene: Scene, memory: Memory, frame: int, watch: Stopwatch
 ) -> tuple[Scene, Memory, bool]:
     """Scene and memory before ``frame``, and whether it begins a closed segment.
@@ -93,7 +93,7 @@ def restarted(
     if memory.first is None or frame % segment:
         return scene, memory, False
     with watch.stage("commit"):
-        scene = scene.restarted(frame, segment)
-        corrections = None if memory.corrections is None else memory.corrections.restarted()
+        scene = scene.restart(frame, segment)
+        corrections = None if memory.corrections is None else memory.corrections.restart()
         memory = new_memory(context, scene, memory.first, corrections, time=memory.time, first=memory.first)
     return scene, memory, True

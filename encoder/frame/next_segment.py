@@ -1,9 +1,9 @@
 """Closed segments: every one starts from the first keyframe's Gaussians, as a closed GOP of a video starts afresh.
 
 A segment then depends on the first keyframe, the first frame's pictures and those of its own frames and of the next
-one's first, and on nothing else, so that segments can be encoded apart from each other (`parts`). Gaussians that never
-change have the same bits in the whole stream, across all segments. The frames before a start go over to it, so that it
-does not show: the next segment is trained backwards from its start for a few frames, and `frame.cross_fade` mixes.
+one's first, and on nothing else, so that segments can be encoded independently (`parts`). Gaussians that never
+change have the same bits in the whole stream, across all segments. The frames before a start are faded into it, so that
+it is not visible: the next segment is trained backwards from its start for a few frames, and `frame.cross_fade` mixes.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _LAST_SHARE = 0.9
 def with_following(
     frames: Iterable[RigFrame], first: int, settings: EncodeSettings
 ) -> Iterator[tuple[RigFrame, Sequence[RigFrame]]]:
-    """Every frame, with those that follow up to the start of the next segment if it goes over to that, else none.
+    """Every frame, with those up to the start of the next segment if it is faded into that, else none.
 
     ``first``: the take's first frame. A take's last segment has none after it.
     """
@@ -50,10 +50,10 @@ def with_following(
 
 @dataclass(frozen=True)
 class NextSegment:
-    """What the closed segment from the rig's frame ``start`` on shows of the last frames before it, and of that one.
+    """The closed segment from the rig's frame ``start`` on, encoded backwards over the last frames before it.
 
     ``first``: its first frame, encoded; None where that shows another scene. ``scenes``: by frame, as far as they show
-    the same one. ``fade_views``: where two segments are compared. ``length``: how many frames go over to it.
+    the same one. ``fade_views``: where two segments are compared. ``length``: frames of its fade.
     """
 
     start: int
@@ -63,7 +63,7 @@ class NextSegment:
     length: int
 
     def fade(self, frame: int, scene: Scene) -> CrossFade | None:
-        """What ``frame`` goes over to; ``scene``: before it. None where the two segments do not show the same."""
+        """The fade of ``frame``; ``scene``: before it. None where the two segments do not show the same scene."""
         mine, first = scene.state, scene.first
         old = np.isin(mine.ids, first.ids, assume_unique=True)
         if frame not in self.scenes or not old.any():
@@ -76,7 +76,7 @@ class NextSegment:
 
 
 def train_next_segment(context: Context, scene: Scene, memory: Memory, frames: Sequence[RigFrame]) -> NextSegment:
-    """The next segment, trained from its start backwards: ``frames`` are those before it and its first one."""
+    """Trains the next segment backwards from its start: ``frames`` are those before it and its first one."""
     start, unlogged = frames[-1].index, replace(context, on_loss=None)
     first: Encoded | None = None
     scenes: dict[int, Scene] = {}

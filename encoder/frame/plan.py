@@ -1,4 +1,4 @@
-"""What a frame calls for: its masks, S_t, effects, steps, thresholds and time, all decided here."""
+"""A frame's plan: its masks, S_t, effects, steps, thresholds and time, all decided here."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .cross_fade import CrossFade, with_exact_changes
 from .events import Event, Kind, PendingFrame
 from .memory import Memory
 
-_MOVING_FRACTION = 0.1
+_MOVING_WEIGHT_SHARE = 0.1
 """Share of its rendering weight where things move from which a Gaussian may move."""
 
 
@@ -42,19 +42,19 @@ class FramePlan:
     """How a frame is trained and coded: what is selected, its effects by name, none where nothing is, and its settings.
 
     ``light_only`` (N,): the selected Gaussians that light alone changes, in a frame in which others move; else None.
-    ``held``: its training waits for a later frame's time.
+    ``deferred``: it is not trained, and the next frame gets its time.
     """
 
     selection: Selection
     effects: tuple[str, ...]
     settings: FrameSettings
     light_only: NDArray[np.bool_] | None = None
-    held: bool = False
+    deferred: bool = False
 
     @property
     def trains(self) -> bool:
         """Whether the frame is trained."""
-        return bool(self.effects) and not self.held
+        return bool(self.effects) and not self.deferred
 
 
 def find_selection(context: Context, event: Event, frame: PendingFrame, watch: Stopwatch) -> Selection:
@@ -71,22 +71,22 @@ def find_selection(context: Context, event: Event, frame: PendingFrame, watch: S
     if not any(mask.dilated.any() for mask in masks):
         return Selection(masks, np.zeros(population, bool))
     with watch.stage("selection"):
-        return Selection(masks, _selected(context, event.scene, masks))
+        return Selection(masks, _select(context, event.scene, masks))
 
 
 def select_again(context: Context, scene: Scene, event: Event, selection: Selection) -> Selection:
     """The same masks with S_t of a scene that was trained since."""
     if event.kind is Kind.EVERYTHING:
         return replace(selection, selected=np.ones(len(scene.state), bool))
-    return replace(selection, selected=_selected(context, scene, selection.masks))
+    return replace(selection, selected=_select(context, scene, selection.masks))
 
 
 def plan_frame(
     context: Context, event: Event, selection: Selection, frame: PendingFrame, fade: CrossFade | None, watch: Stopwatch
 ) -> FramePlan:
-    """All that a frame is trained and coded with."""
+    """The settings with which a frame is trained and coded."""
     settings, memory = context.settings, event.memory
-    effects, lit = settings.frame_effects if selection.selected.any() else (), None
+    effects, by_light = settings.frame_effects if selection.selected.any() else (), None
     if effects and settings.detect_per_frame:
         with watch.stage("effects"):
             found = enabled_effects(
@@ -95,23 +95,23 @@ def plan_frame(
             effects, settings = found.effects, found.settings
             if found.moving is not None:
                 views = context.views.of(event.scene.splats)
-                lit = light_only(views, selection, found.moving, settings.frame.selection)
+                by_light = light_only(views, selection, found.moving, settings.frame.selection)
     now = settings.frame
     if memory.rate is not None:
         now = replace(now, significance=memory.rate.significance(now.significance))
     settings_now = now if fade is None else with_exact_changes(now)
-    return FramePlan(selection, effects, settings_now, lit, held=bool(effects) and _is_held(memory, watch))
+    return FramePlan(selection, effects, settings_now, by_light, deferred=bool(effects) and _is_deferred(memory, watch))
 
 
-def _is_held(memory: Memory, watch: Stopwatch) -> bool:
-    """Whether a frame that needs training gets none, so that a later one has enough time."""
-    return memory.time is not None and memory.time.holds(watch.seconds, memory.trainer.min_seconds)
+def _is_deferred(memory: Memory, watch: Stopwatch) -> bool:
+    """Whether a frame that needs training is deferred, so that a later one has enough time."""
+    return memory.time is not None and memory.time.defers(watch.seconds, memory.trainer.min_seconds)
 
 
-def _selected(context: Context, scene: Scene, masks: Sequence[FrameMask]) -> NDArray[np.bool_]:
+def _select(context: Context, scene: Scene, masks: Sequence[FrameMask]) -> NDArray[np.bool_]:
     used, settings = showing(masks), context.settings.frame.selection
     views = context.views.of(scene.splats)
-    return _inside(views, used, [masks[i].dilated for i in used], settings)
+    return _select_within(views, used, [masks[i].dilated for i in used], settings)
 
 
 def light_only(
@@ -128,11 +128,11 @@ def light_only(
     if not used:
         return selection.selected
     regions = [moving[index] & selection.masks[index].dilated for index in used]
-    may_move = replace(settings, rule="weight", min_fraction=_MOVING_FRACTION)
-    return selection.selected & ~_inside(views, used, regions, may_move)
+    may_move = replace(settings, rule="weight", min_fraction=_MOVING_WEIGHT_SHARE)
+    return selection.selected & ~_select_within(views, used, regions, may_move)
 
 
-def _inside(
+def _select_within(
     views: Sequence[FixedView],
     used: Sequence[int],
     regions: Sequence[NDArray[np.bool_]],

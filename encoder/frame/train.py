@@ -27,25 +27,25 @@ def train_frame(
     """
     scene, memory = event.scene, event.memory
     if not frame.restarted:
-        return scene, _trained(context, scene, memory, plan, frame, watch)
+        return scene, _train(context, scene, memory, plan, frame, watch)
     plan = replace(plan, light_only=None)  # Every round selects again.
-    trained = _trained(context, scene, memory, plan, frame, watch)
+    trained = _train(context, scene, memory, plan, frame, watch)
     for _ in range(1, context.settings.catch_up):
         if trained.rejected:
             break
         before = scene
         with watch.stage("commit"):
             scene = before.with_changes(trained, plan.settings.significance)
-            context.views.follow(scene.splats, trained.kept, before.state.ids, scene.state.ids)
+            context.views.update(scene.splats, trained.kept, before.state.ids, scene.state.ids)
         with watch.stage("selection"):
             plan = replace(plan, selection=select_again(context, scene, event, plan.selection))
         memory = replace(memory, motion=Motion.at_rest(len(scene.state)))
-        trained = _trained(context, scene, memory, plan, frame, watch)
+        trained = _train(context, scene, memory, plan, frame, watch)
     # What an earlier round has changed stays: then the frame is not rejected.
     return scene, replace(trained, rejected=trained.rejected and scene is event.scene)
 
 
-def _trained(
+def _train(
     context: Context, scene: Scene, memory: Memory, plan: FramePlan, frame: PendingFrame, watch: Stopwatch
 ) -> TrainedFrame:
     deadline = None if memory.time is None else memory.time.deadline(watch.seconds)
@@ -56,7 +56,7 @@ def _trained(
         plan.light_only,
         frame.pictures,
         plan.selection.masks,
-        memory.motion.expected(),
+        memory.motion.predict(),
         plan.settings,
         context.stopping(deadline),
     )

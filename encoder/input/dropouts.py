@@ -1,11 +1,11 @@
-"""Pictures that say nothing of their frame: a camera that dropped it, died, or was blinded by a flash.
+"""Pictures that do not show their frame: a camera that dropped it, died, or was blinded by a flash.
 
-Such a picture must not pull the scene: its view is left out of masks, selection and loss until it shows something
-again, and a frame in which no view is left repeats the one before. What a flash or a blackout of the whole rig looks
-like is not kept; what the scene looks like is.
+Such a picture must not change the scene: its view is left out of masks, selection and loss until it shows something
+again, and a frame in which no view is left repeats the one before. So a flash or a blackout of the whole rig is not
+encoded.
 
-Chosen: two signs that need no setting. A picture is *blank* when it is one colour all over up to noise, whereas the
-camera has shown something before; it is *frozen* when it repeats the camera's picture before it bit for bit while most
+Chosen: two signs that need no setting. A picture is *blank* when it is one colour all over up to noise, unlike
+earlier ones of its camera; it is *frozen* when it repeats the camera's picture before it bit for bit while most
 cameras show a change: no sensor does that, but recorders fill a gap so. A lamp that is switched on changes all pixels,
 and is to be seen.
 """

@@ -43,7 +43,7 @@ class KeyframeSource:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What the earlier encode wrote down of how the keyframe was made."""
+        """The earlier encode's settings of the keyframe."""
         return {
             name: self.header.settings[name] for name in ("keyframe", "lattice_scale") if name in self.header.settings
         }
@@ -80,10 +80,11 @@ class KeyframeSource:
                 self._refuse(
                     f"the {what} of its camera {camera.name} is not this rig's", "give a stream of the same rig"
                 )
-        held = {view.camera.name for view in ingest.held_out_views}
-        if set(self.header.held_out) != held:
+        held_out = {view.camera.name for view in ingest.held_out_views}
+        if set(self.header.held_out) != held_out:
             self._refuse(
-                f"it was trained with {_listed(self.header.held_out)} held out, this encode holds out {_listed(held)}",
+                f"it was trained with {_listed(self.header.held_out)} held out, this encode holds out "
+                f"{_listed(held_out)}",
                 "use the same `holdout`",
             )
         if self.header.first_frame != first_frame:
@@ -108,7 +109,7 @@ def read_keyframe(path: str | os.PathLike[str]) -> KeyframeSource:
 
 
 def _difference(one: Camera, other: Camera) -> str:
-    """What makes two cameras differ, near planes apart; empty when nothing does."""
+    """What makes two cameras differ, other than near planes; empty when nothing does."""
     for field in fields(Camera):
         if field.name == "near":
             continue

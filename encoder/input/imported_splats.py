@@ -22,7 +22,7 @@ from decogs.formats.splat_files.reading import READABLE, SplatFile, read_splats
 
 @dataclass(frozen=True)
 class SplatSource:
-    """A file of Gaussians and what it holds."""
+    """A file of Gaussians and its content."""
 
     path: Path
     file: SplatFile
@@ -35,10 +35,10 @@ class SplatSource:
     @property
     def document(self) -> dict[str, Any]:
         """What the stream's header says of the keyframe's origin: the file's name and what is in it."""
-        held = hashlib.sha256()
+        content = hashlib.sha256()
         for values in vars(self.file.splats).values():
-            held.update(np.ascontiguousarray(values).tobytes())
-        return {"compensated": self.file.compensated, "file": self.path.name, "sha256": held.hexdigest()}
+            content.update(np.ascontiguousarray(values).tobytes())
+        return {"compensated": self.file.compensated, "file": self.path.name, "sha256": content.hexdigest()}
 
 
 def is_splat_file(path: str | os.PathLike[str]) -> bool:

@@ -1,4 +1,4 @@
-"""Pictures as training wants them: planar floats of pinhole cameras, held-out cameras kept apart.
+"""Pictures for training: planar floats of pinhole cameras; those of held-out cameras separately.
 
 The held-out camera's pictures go into ``RigFrame.held_out`` only; nothing that trains or writes packets takes that
 field.
@@ -34,10 +34,10 @@ NEAR_FRACTION = 0.1
 _FLOAT32_ROUNDING = 2.0**-24
 """Of a float32 position, relative to its distance from the world's origin."""
 _MAX_ROUNDING_PIXELS = 0.5
-"""Pixels."""
+"""Largest shift of a position by its rounding, in a picture."""
 _MIN_CAMERA_DISTANCE = 1e-6
-"""World units between the outermost cameras. Steps of a lattice end at 1e-12, a five thousandth of what is seen; a
-thousandth of this loses 4 dB without a word."""
+"""World units between the outermost cameras. A lattice has no steps below 1e-12; a thousandth of this distance loses 4
+dB."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Ingest:
 
     ``lens``: by camera, a k1 (OpenCV) that its calibration does not know. Raises UsageError when a held-out name, or
     one in ``lens``, is no camera, when no camera is left to train on, or for an impossible scale; RigError for cameras
-    so far from the world's origin that 32-bit positions blur what they see, or hardly apart in the world's unit.
+    so far from the world's origin that 32-bit positions blur what they see, or too close together in the world's unit.
     """
 
     def __init__(
@@ -189,7 +189,7 @@ def frame_span(rig: Rig, frames: Frames) -> range:
 
 
 def _with_lenses(rig: Rig, lens: Mapping[str, float]) -> Rig:
-    """The rig with what was found of its lenses in their distortion models."""
+    """The rig with the k1 found for its lenses in their distortion models."""
     unknown = sorted(set(lens) - {camera.name for camera in rig.cameras})
     if unknown:
         raise UsageError(f"{rig.path}: there is no camera {unknown[0]}, so its lens cannot be corrected")
@@ -198,19 +198,19 @@ def _with_lenses(rig: Rig, lens: Mapping[str, float]) -> Rig:
 
 
 def _check_near_origin(rig: Rig, cameras: Sequence[Camera]) -> None:
-    """Raises RigError when a rounding of a position would show, seen from as far as the cameras are apart."""
+    """Raises RigError when rounding a position shifts it visibly, seen from as far as the cameras' distances."""
     centres = np.array([camera_centre(camera) for camera in cameras])
-    far, apart = np.linalg.norm(centres, axis=1).max(), np.linalg.norm(np.ptp(centres, axis=0))
-    if 0 < apart < _MIN_CAMERA_DISTANCE:
+    far, size = np.linalg.norm(centres, axis=1).max(), np.linalg.norm(np.ptp(centres, axis=0))
+    if 0 < size < _MIN_CAMERA_DISTANCE:
         raise RigError(
-            f"{rig.path}: the cameras are only {apart:.3g} units apart, too little for the quantisation of positions; "
+            f"{rig.path}: the cameras are only {size:.3g} units apart, too little for the quantisation of positions; "
             "scale the calibration up, for instance to metres"
         )
     pixels = far * _FLOAT32_ROUNDING * max(max(camera.fx, camera.fy) for camera in cameras)
-    if apart > 0 and pixels > _MAX_ROUNDING_PIXELS * apart:
+    if size > 0 and pixels > _MAX_ROUNDING_PIXELS * size:
         raise RigError(
-            f"{rig.path}: the cameras are {far:.3g} units from the world's origin and {apart:.3g} apart, so 32-bit "
-            f"positions would be off by {pixels / apart:.1f} pixels; move the calibration's origin to the rig"
+            f"{rig.path}: the cameras are {far:.3g} units from the world's origin and {size:.3g} apart, so 32-bit "
+            f"positions would be off by {pixels / size:.1f} pixels; move the calibration's origin to the rig"
         )
 
 

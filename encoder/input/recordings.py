@@ -1,4 +1,4 @@
-"""Which recordings a stream is of, so that none is gone on with from other footage.
+"""Which recordings a stream is of, so that none is resumed with other footage.
 
 The header's settings have a digest of each training camera's first picture as it is decoded. Videos that are packed
 anew, moved or renamed stay the same recordings; scale, lenses and held-out cameras play no part. A decoder of videos
@@ -18,7 +18,7 @@ from decogs.codec.header import StreamHeader
 from decogs.formats.pictures import Picture
 from decogs.formats.rigs import Rig, files_with
 
-_SETTING, _PICTURES = "recorded", "pictures"
+_RECORDED_SETTING, _PICTURES_SETTING = "recorded", "pictures"
 _DIGEST_DIGITS = 8
 
 
@@ -30,14 +30,18 @@ def digest_of(picture: Picture) -> str:
 
 
 def setting_of(recorded: Mapping[str, str], cameras: Sequence[str]) -> dict[str, Any]:
-    """What the header's settings hold of the first pictures: digests in the order of ``cameras``; nothing without."""
-    return {_SETTING: {_PICTURES: [recorded[name] for name in cameras if name in recorded]}} if recorded else {}
+    """The header's setting for the first pictures: digests in the order of ``cameras``; none without digests."""
+    return (
+        {_RECORDED_SETTING: {_PICTURES_SETTING: [recorded[name] for name in cameras if name in recorded]}}
+        if recorded
+        else {}
+    )
 
 
 def recorded_in(header: StreamHeader) -> dict[str, str]:
     """The digests of the first frame's pictures by camera; none for a stream without."""
-    group = header.settings.get(_SETTING)
-    texts = group.get(_PICTURES) if isinstance(group, Mapping) else None
+    group = header.settings.get(_RECORDED_SETTING)
+    texts = group.get(_PICTURES_SETTING) if isinstance(group, Mapping) else None
     if not isinstance(texts, list) or not all(isinstance(text, str) for text in texts):
         return {}
     names = [camera.name for camera in header.cameras if camera.name not in header.held_out]
@@ -45,7 +49,7 @@ def recorded_in(header: StreamHeader) -> dict[str, str]:
 
 
 def difference(header: StreamHeader, recorded: Mapping[str, str]) -> str:
-    """Whose first pictures are others than the stream's, in words; empty if none are, or the stream does not tell."""
+    """Whose first pictures differ from the stream's, in words; empty if none do, or the stream has no digests."""
     names = [name for name, was in recorded_in(header).items() if was != recorded.get(name, was)]
     more = f" and {len(names) - 1} more cameras" if len(names) > 1 else ""
     return f"other pictures: frame {header.first_frame} of {names[0]}{more} differs" if names else ""

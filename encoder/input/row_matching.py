@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 Rows = NDArray[np.int64]
 _MAX_PAIRS = 1 << 22
-"""Candidate pairs looked at in one go, which bounds the memory."""
+"""Candidate pairs compared at once, which bounds the memory."""
 _MAX_CELLS = 1 << 20
 """Along an axis; what lies beyond shares the outermost."""
 

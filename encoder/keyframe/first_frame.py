@@ -15,8 +15,8 @@ from decogs.formats.splats import FloatArray
 
 from ..backends import TrainingKernel
 from ..input.compensation import Corrector
-from ..input.compensation.frame import matched
-from ..input.compensation.matching import colours_at
+from ..input.compensation.frame import match_colours
+from ..input.compensation.matching import find_colours
 from ..input.dropouts import BLACK, blankness
 from ..input.ingest import Ingest, RigFrame, View
 from ..output.reports import OnKeyframeStep
@@ -24,7 +24,7 @@ from ..settings.encode import EncodeSettings
 from ..stopwatch import Stopwatch
 from ..training.schedule import StoppingRule
 from .first_points import FirstPoints, first_points
-from .harmonics import as_far_as_shown
+from .harmonics import trim_sh_degree
 from .large_pictures import fit_to_pictures
 from .train import prealigned_pictures, train_keyframe
 
@@ -63,7 +63,7 @@ def train_first_frame(
     frame, view dependence is detected here. Raises RigError for a black picture and TrainingError for failed training.
     """
     if header is None:
-        _check_shows(frame, ingest.views)
+        _check_not_black(frame, ingest.views)
 
     def points_of(pictures: Sequence[FloatArray]) -> FirstPoints:
         points = first_points(
@@ -83,8 +83,8 @@ def train_first_frame(
     with watch.stage("first_points"):
         points = points_of(frame.training)
         if header is None and settings.corrections.match_colours:
-            colours = colours_at(ingest.views, frame.training, points.xyz, points.seen)
-            frame = matched(frame, ingest.views, colours)
+            colours = find_colours(ingest.views, frame.training, points.xyz, points.seen)
+            frame = match_colours(frame, ingest.views, colours)
     if corrector is not None and corrector.cameras.camera_shake:
         with watch.stage("pre-alignment"):
             prealigned = prealigned_pictures(
@@ -107,12 +107,12 @@ def train_first_frame(
         )
     values = quantise(trained.splats, trained.lattice)
     if settings.detect_per_frame and header is None:
-        values = as_far_as_shown(values)
+        values = trim_sh_degree(values)
     state, _ = keyframe_state(values, first_id=first_id)
     return FirstFrame(state, trained.lattice, colours)
 
 
-def _check_shows(frame: RigFrame, views: Sequence[View]) -> None:
+def _check_not_black(frame: RigFrame, views: Sequence[View]) -> None:
     """Raises RigError for a black training picture, which would make the keyframe fog."""
     for view, picture in zip(views, frame.training, strict=True):
         if blankness(picture) == BLACK:

@@ -1,8 +1,8 @@
 """Another trainer's Gaussians as a keyframe: turned to the rig's world, compensated, and put on a lattice.
 
 Chosen: nothing is trained. The lattice is the coarsest, halving its steps from the settings', that costs no more than
-.1 dB on the training views: Gaussians that were not trained to a lattice bear less rounding than ours. Which way a
-file's world is turned, its format does not tell: of what programs write, the turn that matches the pictures is taken.
+.1 dB on the training views: Gaussians that were not trained to a lattice bear less rounding than ours. The orientation
+of a file's world is not in its format: of those that programs write, the one that matches the pictures is taken.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ from ..input.imported_splats import SplatSource
 from ..input.ingest import Ingest, RigFrame
 from ..psnr import mean_psnr
 from ..settings.encode import EncodeSettings
-from .harmonics import as_far_as_shown
+from .harmonics import trim_sh_degree
 
-MAX_LOST = 0.1
+MAX_ROUNDING_LOSS_DB = 0.1
 """dB of the first frame's training views that rounding may cost."""
-_HALVINGS = 5
+_MAX_HALVINGS = 5
 _HALF_A_TURN = Similarity(np.diag([1.0, -1.0, -1.0]))
-_BLUR = 0.3
+_FILTER_VARIANCE = 0.3
 """Variance of the low-pass filter, square pixels (Kerbl 2023)."""
 _MAX_OPACITY = 0.99
-_ROWS = 1 << 16
+_CHUNK_ROWS = 1 << 16
 _LARGEST_INTEGER = float(1 << 30)
 
 
@@ -63,7 +63,7 @@ def import_splats(
     if not extent > 0:
         raise UsageError(f"`keyframe` {source.path}: all its Gaussians are in one place; export it again")
     fits = _fits(
-        source.file.splats, default_lattice(extent, centre=centre, scale=settings.lattice_scale / 2**_HALVINGS)
+        source.file.splats, default_lattice(extent, centre=centre, scale=settings.lattice_scale / 2**_MAX_HALVINGS)
     )
     warnings += _left_out(int((~fits).sum()), "lie too far out for 32 bits")
     splats, turned = _turned(kernel, ingest, frame, source, take_splats(source.file.splats, fits))
@@ -76,7 +76,7 @@ def import_splats(
             "opacities and sizes were raised to make up for it; train with antialiasing where you can"
         )
     points, lattice, scale, lost = _on_lattice(kernel, ingest, frame, settings, splats)
-    if lost > MAX_LOST:
+    if lost > MAX_ROUNDING_LOSS_DB:
         warnings.append(f"the lattice costs {lost:.2f} dB of frame {frame.index}; raise `quality`")
     state, _ = keyframe_state(points)
     header = StreamHeader(
@@ -108,8 +108,8 @@ def with_compensation(splats: Splats, cameras: Sequence[Camera]) -> Splats:
     """
     factors = np.concatenate(
         [
-            _compensation(take_splats(splats, np.arange(first, min(first + _ROWS, len(splats)))), cameras)
-            for first in range(0, len(splats), _ROWS)
+            _compensation(take_splats(splats, np.arange(first, min(first + _CHUNK_ROWS, len(splats)))), cameras)
+            for first in range(0, len(splats), _CHUNK_ROWS)
         ]
     )
     opacities = sigmoid(splats.opacity_logits.astype(np.float64))
@@ -139,16 +139,16 @@ def _compensation(splats: Splats, cameras: Sequence[Camera]) -> NDArray[np.float
             z = position[:, 2]
             x, y = position[:, 0] / z, position[:, 1] / z
             u, v = x * camera.fx + camera.cx, y * camera.fy + camera.cy
-            shown = (z > camera.near) & (u > 0) & (u < camera.width) & (v > 0) & (v < camera.height)
+            visible = (z > camera.near) & (u > 0) & (u < camera.width) & (v > 0) & (v < camera.height)
             turned = pose[:3, :3] @ axes
             across = (turned[:, 0] - x[:, None] * turned[:, 2]) * (camera.fx / z)[:, None]
             down = (turned[:, 1] - y[:, None] * turned[:, 2]) * (camera.fy / z)[:, None]
             a, c = (across**2).sum(axis=1), (down**2).sum(axis=1)
             det = (np.cross(across, down) ** 2).sum(axis=1)
-            log = 0.5 * np.log(np.maximum(det, 1e-30) / (det + _BLUR * (a + c) + _BLUR**2))
-        shown &= np.isfinite(log)
-        logs[shown] += log[shown]
-        seen += shown
+            log = 0.5 * np.log(np.maximum(det, 1e-30) / (det + _FILTER_VARIANCE * (a + c) + _FILTER_VARIANCE**2))
+        visible &= np.isfinite(log)
+        logs[visible] += log[visible]
+        seen += visible
     return np.asarray(np.exp(logs / np.maximum(seen, 1)))
 
 
@@ -176,13 +176,13 @@ def _on_lattice(
     """Lattice points, their lattice, its scale, and the dB that they cost."""
     extent, centre = robust_extent(splats.means)
     whole = mean_psnr(kernel, splats, ingest.views, frame.training)
-    for halvings in range(_HALVINGS + 1):
+    for halvings in range(_MAX_HALVINGS + 1):
         scale = settings.lattice_scale / 2**halvings
         lattice = default_lattice(extent, centre=centre, scale=scale)
         points = quantise(splats, lattice)
-        points = as_far_as_shown(points) if settings.detect_per_frame else points
+        points = trim_sh_degree(points) if settings.detect_per_frame else points
         lost = whole - mean_psnr(kernel, dequantise(points, lattice), ingest.views, frame.training)
-        if lost <= MAX_LOST:
+        if lost <= MAX_ROUNDING_LOSS_DB:
             break
     return points, lattice, scale, lost
 

@@ -3,9 +3,9 @@
 Coarse to fine: the first steps see shrunk pictures, the last ones the pictures as they are. A step's cost grows with
 the pixels, and what the first steps do, moving, growing and colouring Gaussians that are far off, shows in shrunk
 pictures as well. The renderer's filter belongs to the pixel (Mip-Splatting, Yu 2024), so that a scene from shrunk
-pictures fits larger ones. Gaussians are farther apart in such pictures, so they take longer steps, and fewer. Fewer
-first points leave room for those that densification puts where details are. Smaller pictures are trained as ever.
-Figures: DESIGN.md.
+pictures fits larger ones. Gaussians are more pixels from each other in such pictures, so they take longer steps, and
+fewer. Fewer first points leave room for those that densification puts where details are. Smaller pictures keep the
+settings' schedule. Figures: DESIGN.md.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from decogs.formats.splats import FloatArray
 from ..input.resizing import resized_plane
 from ..settings.keyframe import KeyframeSettings
 
-LARGE = 240_000
+LARGE_PICTURE_PIXELS = 240_000
 """Pixels from which pictures are large: 566x424. The rigs that presets were tuned on have fewer."""
-_COARSEST = LARGE // 4
+_MIN_SHRUNK_PIXELS = LARGE_PICTURE_PIXELS // 4
 """Pixels that a shrunk picture has at least."""
-_FINE_FROM = 0.7
+_FULL_SIZE_BEGIN = 0.7
 """Share of the schedule after which pictures have their own size."""
-_FINE_RATES = 0.2
+_FULL_SIZE_RATE_PROGRESS = 0.2
 """How far step sizes have fallen by then, as a share of their schedule: the last scale has most of their fall."""
-_FEWER_STEPS = 0.75
+_ITERATIONS_FACTOR = 0.75
 """Of the settings' iterations."""
-_FEWEST_FIRST = 0.5
+_MIN_FIRST_POINTS_SHARE = 0.5
 """Least share of the Gaussians that begin as first points."""
 
 
@@ -60,29 +60,31 @@ class PictureFit:
         """Where the fall of the step sizes is at ``progress`` of the schedule, both 0 to 1."""
         if len(self.scales) == 1:
             return progress
-        if progress < _FINE_FROM:
-            return progress * _FINE_RATES / _FINE_FROM
-        return _FINE_RATES + (1 - _FINE_RATES) * (progress - _FINE_FROM) / (1 - _FINE_FROM)
+        if progress < _FULL_SIZE_BEGIN:
+            return progress * _FULL_SIZE_RATE_PROGRESS / _FULL_SIZE_BEGIN
+        return _FULL_SIZE_RATE_PROGRESS + (1 - _FULL_SIZE_RATE_PROGRESS) * (progress - _FULL_SIZE_BEGIN) / (
+            1 - _FULL_SIZE_BEGIN
+        )
 
 
-def as_ever(settings: KeyframeSettings) -> PictureFit:
-    """The schedule of small pictures, whatever their size."""
+def unscaled_schedule(settings: KeyframeSettings) -> PictureFit:
+    """The schedule of pictures of any size as if they were small."""
     return PictureFit(settings.iterations, (PictureScale(0, 1),), settings.seen_cap, 1.0)
 
 
 def fit_to_pictures(cameras: Sequence[Camera], settings: KeyframeSettings) -> PictureFit:
     """The schedule for the pictures of these cameras: by their mean number of pixels."""
     pixels = float(np.mean([camera.width * camera.height for camera in cameras]))
-    if pixels < LARGE:
-        return as_ever(settings)
+    if pixels < LARGE_PICTURE_PIXELS:
+        return unscaled_schedule(settings)
     factors = [1]
-    while pixels >= _COARSEST * (2 * factors[0]) ** 2:
+    while pixels >= _MIN_SHRUNK_PIXELS * (2 * factors[0]) ** 2:
         factors.insert(0, 2 * factors[0])
-    iterations = max(1, round(_FEWER_STEPS * settings.iterations))
-    each = _FINE_FROM * iterations / (len(factors) - 1)
+    iterations = max(1, round(_ITERATIONS_FACTOR * settings.iterations))
+    each = _FULL_SIZE_BEGIN * iterations / (len(factors) - 1)
     scales = tuple(PictureScale(round(number * each), factor) for number, factor in enumerate(factors))
-    longer = (pixels / LARGE) ** 0.5
-    return PictureFit(iterations, scales, round(settings.seen_cap * max(_FEWEST_FIRST, 1 / longer)), longer)
+    longer = (pixels / LARGE_PICTURE_PIXELS) ** 0.5
+    return PictureFit(iterations, scales, round(settings.seen_cap * max(_MIN_FIRST_POINTS_SHARE, 1 / longer)), longer)
 
 
 def shrunk_camera(camera: Camera, factor: int) -> Camera:

@@ -29,43 +29,43 @@ from ..output.reports import OnKeyframeStep
 from ..psnr import psnr_of
 from ..settings.keyframe import KeyframeSettings
 from ..settings.optimiser import LearningRates
-from ..training.densification import DENSIFICATIONS
+from ..training.densification import clone_and_split
 from ..training.losses import whole_picture_loss
 from ..training.rate_distortion import cheapest
 from ..training.schedule import WHOLE, StoppingRule, TargetWatch
 from ..training.significance import picture_weight
 from ..training.view_order import view_order
+from .border_extrapolation import border_extrapolation
 from .few_views import DISSIMILARITY, dissimilarity_for
 from .first_points import FirstPoints
-from .large_pictures import PictureFit, as_ever, fit_to_pictures, shrunk_camera, shrunk_weights
-from .surroundings import surroundings
+from .large_pictures import PictureFit, fit_to_pictures, shrunk_camera, shrunk_weights, unscaled_schedule
 
-_START_OPACITY, _START_SIGMA = 0.2, 0.5
+_START_OPACITY, _START_SIGMA_SPACINGS = 0.2, 0.5
 """Of the first Gaussians; sigma in units of the points' spacing."""
-_GUESS_OPACITY, _GUESS_SIGMA = 0.1, 1.0
+_GUESS_OPACITY, _GUESS_SIGMA_SPACINGS = 0.1, 1.0
 """The same of points that no view confirms, which stand for what is not known: large and faint ones spread over it,
 small and opaque ones leave holes that needles fill."""
-_GROW_FROM, _GROW_TO = 0.15, 0.6
+_GROW_BEGIN, _GROW_END = 0.15, 0.6
 """Shares of the schedule between which Gaussians are added: later ones are not trained to the end."""
 _GROW_GRADIENT = 2e-4
 """Mean view gradient from which a Gaussian is split (3DGS's)."""
 _PRUNE_OPACITY = 0.005
 """Below it a Gaussian is removed (3DGS's)."""
 _MAX_STRETCH = 10.0
-"""Largest ratio of a Gaussian's largest to its middle size: needles look wrong from elsewhere."""
-_PATIENCE = 4
-"""Checks without a new best after which training stops: the score of few tiles jumps."""
+"""Largest ratio of a Gaussian's largest to its middle size: needles are wrong from other viewpoints."""
+_PATIENCE_CHECKS = 4
+"""Checks without a new best after which training stops: the score of few tiles is noisy."""
 _MEANS_DECAY, _LATE_DECAY = 0.05, 0.2
 """What is left of the step sizes at the end: of positions over the schedule, of all over its second half."""
 
-_CORRECT_EVERY, _CORRECT_FROM, _CORRECT_TO = 0.04, 0.05, 0.6
+_CORRECTION_INTERVAL, _CORRECTION_BEGIN, _CORRECTION_END = 0.04, 0.05, 0.6
 """Shares of the schedule: interval, begin and end of the estimates of camera drift. At the end, the scene's depth and
 the poses of rotated cameras are known."""
 
 _PREALIGNMENT_STEPS = 100
 """Steps after which a rotated camera's pose is known to a twentieth of a pixel."""
 
-_REPORT_EVERY = 10
+_REPORT_EVERY_STEPS = 10
 """Steps after which progress shows another loss: reading one waits for the device."""
 
 
@@ -83,7 +83,7 @@ def splats_from_points(points: FirstPoints, sh_degree: int) -> Splats:
 
     Points whose places are not known get a size and an opacity of their own.
     """
-    sizes = np.where(points.placed, _START_SIGMA, _GUESS_SIGMA).astype(np.float32)
+    sizes = np.where(points.placed, _START_SIGMA_SPACINGS, _GUESS_SIGMA_SPACINGS).astype(np.float32)
     opacities = np.where(points.placed, _START_OPACITY, _GUESS_OPACITY)
     return round_splats(points.xyz, points.rgb, points.spacing * sizes, opacities, sh_degree)
 
@@ -149,10 +149,10 @@ def prealigned_pictures(
     )
     random = np.random.default_rng(seed)
     training = _KeyframeTraining(
-        kernel, views, pictures, points, short, random=random, corrector=corrector, fit=as_ever(short)
+        kernel, views, pictures, points, short, random=random, corrector=corrector, fit=unscaled_schedule(short)
     )
     training.run(None)
-    return training.compensated(corrector, _PREALIGNMENT_STEPS)
+    return training.compensate(corrector, _PREALIGNMENT_STEPS)
 
 
 class _KeyframeTraining:
@@ -178,26 +178,26 @@ class _KeyframeTraining:
         self._lattice, self._lattice_scale = lattice, lattice_scale
         self._extent = scene_extent(views) or 1.0
         self._pictures = list(pictures)
-        self._counted = counted = [_counted(view, settings.validation_fraction, random) for view in views]
+        self._counted = counted = [_loss_weights(view, settings.validation_fraction, random) for view in views]
         self._stopping, self._is_good_enough = stopping, False
         self._regions = [None if c is None else c > 0 for c in counted]
         self._fit, self._factor = fit, 0
         self._values: list[list[LossValue]] = []
         self._reported_loss = float("nan")
-        self._look(fit.scales[0].factor)
-        self._kept_back = [_kept_back(view, c) for view, c in zip(views, counted, strict=True)]
+        self._set_picture_scale(fit.scales[0].factor)
+        self._kept_back = [_validation_pixels(view, c) for view, c in zip(views, counted, strict=True)]
         self._optimiser = kernel.optimiser(splats_from_points(points, settings.sh_degree))
         self._view_gradients = kernel.view_gradients(len(self._optimiser))
         self._order = view_order(len(views), random)
 
     def run(self, on_step: OnKeyframeStep | None) -> TrainedKeyframe:
         steps = self._train(on_step)
-        self._check_learnt()  # Gaussians beside the pictures of a scene that fell apart would learn them.
-        beside = self._continue_beside()
+        self._check_learnt()  # Before extrapolating: a diverged scene would be copied into the border.
+        beside = self._extrapolate_border()
         lattice = self._settle_on_lattice(steps, on_step)
         self._check_learnt()
         splats = self._optimiser.splats
-        seen, trained = self._seen(splats), len(splats) - beside
+        seen, trained = self._visible(splats), len(splats) - beside
         if not seen[:trained].any():
             raise TrainingError("no camera sees a Gaussian after training; lower the learning rates")
         seen[trained:] = True
@@ -205,12 +205,12 @@ class _KeyframeTraining:
             splats = take_splats(splats, seen)
         return TrainedKeyframe(splats, lattice, steps)
 
-    def _continue_beside(self) -> int:
-        """Adds what goes on beside the pictures, which training leaves black; returns how many Gaussians."""
+    def _extrapolate_border(self) -> int:
+        """Adds Gaussians beside the pictures, where training leaves black; returns how many."""
         settings = self._settings
         if not settings.surroundings:
             return 0
-        more = surroundings(
+        more = border_extrapolation(
             self._kernel,
             self._views,
             self._pictures,
@@ -242,10 +242,10 @@ class _KeyframeTraining:
         """Trains until schedule, target or stop, which goes back to the best; returns the steps."""
         settings = self._settings
         best, best_optimiser, waited, step = -np.inf, self._optimiser, 0, 0
-        while step < settings.iterations and waited < _PATIENCE and not self._is_good_enough:
+        while step < settings.iterations and waited < _PATIENCE_CHECKS and not self._is_good_enough:
             for scale in self._fit.scales[1:]:
                 if scale.begin == step:
-                    self._look(scale.factor)
+                    self._set_picture_scale(scale.factor)
             if self._corrector is not None and self._corrects_at(step):
                 self._correct(self._corrector, step)
             loss = self._step(step)
@@ -260,7 +260,7 @@ class _KeyframeTraining:
                 score = self.validation_psnr(step)
                 if score > best:
                     best, waited = score, 0
-                    best_optimiser = self._optimiser.copied()
+                    best_optimiser = self._optimiser.copy()
                 else:
                     waited += 1
         if step < settings.iterations and not self._is_good_enough:
@@ -276,10 +276,10 @@ class _KeyframeTraining:
             extent, centre = robust_extent(self._optimiser.splats.means)
             lattice = default_lattice(extent, centre=centre, scale=self._lattice_scale)
         if self._factor != 1:
-            self._look(1)
+            self._set_picture_scale(1)
         for more in range(total):
             if more == 0:
-                self._fix(("quaternions", "sh"), self._judged(lattice), lattice)
+                self._fix(("quaternions", "sh"), self._rd_quantised(lattice), lattice)
             if more == total // 3:
                 self._fix(("log_scales",), quantise(self._optimiser.splats, lattice), lattice)
             if more == 2 * total // 3:
@@ -289,12 +289,12 @@ class _KeyframeTraining:
         return lattice
 
     def _fix(self, names: Sequence[str], points: Attributes, lattice: Lattice) -> None:
-        """Sets these attributes to ``points`` of the lattice and holds them."""
+        """Sets these attributes to ``points`` of the lattice and freezes them."""
         there = dequantise(points, lattice)
         self._optimiser.put(**{name: getattr(there, name) for name in names})
-        self._optimiser.hold({name: np.ones(getattr(there, name).shape, bool) for name in names})
+        self._optimiser.freeze({name: np.ones(getattr(there, name).shape, bool) for name in names})
 
-    def _judged(self, lattice: Lattice) -> Attributes:
+    def _rd_quantised(self, lattice: Lattice) -> Attributes:
         """Lattice points: rate-distortion optimised for rotations and view-dependent colours, else the nearest."""
         splats, bit = self._optimiser.splats, self._settings.rd_lambda
         points, share = quantise(splats, lattice), np.float32(picture_weight(self._losses))
@@ -321,7 +321,7 @@ class _KeyframeTraining:
         picture = self._kernel.forward(self._optimiser, camera, sh_degree=self._degree(step))
         value = loss.evaluate(self._kernel)
         if self._target is not None:
-            self._is_good_enough = self._target.saw(index, picture.rgb)
+            self._is_good_enough = self._target.update(index, picture.rgb)
         self._values[-1].append(value)
         gradients = self._kernel.backward(self._optimiser)
         self._view_gradients.add(gradients, camera)
@@ -343,23 +343,23 @@ class _KeyframeTraining:
         if self._stopping.on_loss is not None:
             self._stopping.on_loss(stage, place, loss.total)
         if on_step:
-            if (step - 1) % _REPORT_EVERY == 0:
+            if (step - 1) % _REPORT_EVERY_STEPS == 0:
                 self._reported_loss = loss.total
             on_step(step, self._planned, self._reported_loss)
 
     def _corrects_at(self, step: int) -> bool:
         iterations = self._settings.iterations
-        every = max(1, round(_CORRECT_EVERY * iterations))
-        return step % every == 0 and _CORRECT_FROM <= step / iterations <= _CORRECT_TO
+        every = max(1, round(_CORRECTION_INTERVAL * iterations))
+        return step % every == 0 and _CORRECTION_BEGIN <= step / iterations <= _CORRECTION_END
 
     def _correct(self, corrector: Corrector, step: int) -> None:
         """Replaces the target pictures by compensated ones; drift is estimated against the scene so far."""
         self._check_finite()
-        self._pictures = self.compensated(corrector, step)
-        self._look(self._factor)
+        self._pictures = self.compensate(corrector, step)
+        self._set_picture_scale(self._factor)
 
-    def _look(self, factor: int) -> None:
-        """From now on, steps see the pictures as they are compensated now, shrunk by ``factor``."""
+    def _set_picture_scale(self, factor: int) -> None:
+        """From now on, steps train on the pictures as compensated so far, shrunk by ``factor``."""
         if factor != self._factor:
             self._values.append([])
         self._factor = factor
@@ -370,7 +370,7 @@ class _KeyframeTraining:
         ]
         self._target = self._target_watch()
 
-    def compensated(self, corrector: Corrector, step: int) -> list[FloatArray]:
+    def compensate(self, corrector: Corrector, step: int) -> list[FloatArray]:
         """The recorded pictures, compensated for drift that is estimated against the scene so far."""
 
         def draw(number: int) -> RenderedPicture:
@@ -395,13 +395,13 @@ class _KeyframeTraining:
 
     def _densify(self, step: int) -> None:
         settings, progress = self._settings, step / self._settings.iterations
-        if (step + 1) % settings.grow_every or not _GROW_FROM < progress < _GROW_TO:
+        if (step + 1) % settings.grow_every or not _GROW_BEGIN < progress < _GROW_END:
             return
         self._check_finite()
         splats = self._optimiser.splats
         keep = sigmoid(splats.opacity_logits) >= _PRUNE_OPACITY
         room = settings.seen_cap - int(keep.sum())
-        growth = DENSIFICATIONS.get(settings.densification)(
+        growth = clone_and_split(
             splats,
             self._view_gradients.mean(),
             keep,
@@ -429,7 +429,7 @@ class _KeyframeTraining:
             pixels += 3 * float(kept.sum())
         return psnr_of(square / max(pixels, 1.0))
 
-    def _seen(self, splats: Splats) -> NDArray[np.bool_]:
+    def _visible(self, splats: Splats) -> NDArray[np.bool_]:
         """Gaussians visible in some training view; the others cost bytes and show only as floaters elsewhere."""
         seen = np.zeros(len(splats), bool)
         for view in self._views:
@@ -438,7 +438,7 @@ class _KeyframeTraining:
         return seen
 
 
-def _counted(view: View, share: float, random: np.random.Generator) -> FloatArray | None:
+def _loss_weights(view: View, share: float, random: np.random.Generator) -> FloatArray | None:
     """1 at pixels that count in the loss: recorded ones outside the validation tiles."""
     height, width = view.pinhole.height, view.pinhole.width
     counted = np.ones((height, width), np.float32) if view.valid is None else view.valid.copy()
@@ -448,7 +448,7 @@ def _counted(view: View, share: float, random: np.random.Generator) -> FloatArra
     return None if counted.all() else counted
 
 
-def _kept_back(view: View, counted: FloatArray | None) -> FloatArray | None:
+def _validation_pixels(view: View, counted: FloatArray | None) -> FloatArray | None:
     if counted is None:
         return None
     recorded = np.ones_like(counted) if view.valid is None else view.valid

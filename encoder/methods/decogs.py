@@ -19,7 +19,7 @@ from ..training.emergence import add_emerging_in_time
 from ..training.frame_training import FrameTraining, LossOfView, Step, frame_training
 from ..training.losses import focus_loss
 from ..training.method import FrameInput, TrainedFrame, TrainingContext
-from ..training.schedule import SearchTime, StepSchedule, iteration_factor, rates_at, seconds_at_least
+from ..training.schedule import MAX_STRETCH, SearchTime, StepSchedule, iteration_factor, rates_at, seconds_at_least
 from ..training.selective_densification import densify
 from ..training.significance import revert_insignificant
 from ..training.warm_start import shared_displacements
@@ -29,7 +29,7 @@ _LIGHT_ONLY_FACTOR = 4.0
 """Of the significance threshold, for places, sizes and turns of what light alone changes in a frame in which others
 move: they keep to colour and opacity. Without it `stage` takes 7 % more bytes at the same quality."""
 
-_MAX_PROBES = 4
+_MAX_PROBE_VIEWS = 4
 """Views whose error is measured when time is short: each is rendered twice, which takes as long as a step."""
 
 
@@ -60,7 +60,7 @@ class DecogsTrainer:
         if frame.stopping.deadline is not None:
             self._step_seconds, _ = schedule.steps_seconds
             self.min_seconds = seconds_at_least(time.perf_counter() - began - growth.searching, schedule)
-        return trained if trained.rejected else replace(trained, hurried=schedule.is_cut_short)
+        return trained if trained.rejected else replace(trained, truncated=schedule.is_truncated)
 
     def _probes(self, training: FrameTraining) -> Sequence[int]:
         """A sample of the used views for measuring errors: every third, fewer when time is short."""
@@ -68,7 +68,7 @@ class DecogsTrainer:
         if deadline is not None:
             seconds = self._step_seconds * training.settings.joint_iterations
             if seconds > deadline - time.perf_counter():
-                every = max(every, -(-len(training.used) // _MAX_PROBES))
+                every = max(every, -(-len(training.used) // _MAX_PROBE_VIEWS))
         return training.used[::every]
 
 
@@ -85,11 +85,12 @@ def _iteration_factor(training: FrameTraining, work: WorkingSet, probes: Sequenc
     if not training.settings.adaptive_iterations.usual_miss:
         return 1.0
     training.draw(probes, work, work.optimiser)
-    return iteration_factor(training.settings.adaptive_iterations, training.errors(probes))
+    settings = training.settings
+    return iteration_factor(settings.adaptive_iterations, settings.joint_iterations, training.errors(probes))
 
 
 def _train(training: FrameTraining, work: WorkingSet, schedule: StepSchedule, growth: _Growth) -> None:
-    """Trains the Gaussians' values to the end of the schedule, or until they are judged and good enough."""
+    """Trains the Gaussians' values to the end of the schedule, or until the target quality is reached."""
     end = _End(training, work)
     for step in training.steps("joint"):
         if schedule.is_over:
@@ -100,7 +101,7 @@ def _train(training: FrameTraining, work: WorkingSet, schedule: StepSchedule, gr
         if end.is_reached(schedule, step):
             break
         rates = rates_at(training.settings, training.context.extent, schedule)
-        work.optimiser.step(gradients, rates)
+        work.optimiser.step(gradients, rates, max_stretch=MAX_STRETCH)
         schedule.step()
 
 
@@ -133,27 +134,27 @@ class _Growth:
 
 
 class _End:
-    """Judges a frame's changes once, and ends it where they are judged and the target quality is reached."""
+    """Reverts a frame's insignificant changes once, and then ends its training at the target quality."""
 
     def __init__(self, training: FrameTraining, work: WorkingSet) -> None:
         self._training, self._work = training, work
         settings = training.settings
         # After densification: a reverted value stays as it is until rows come or go.
-        self._judge_at = settings.joint_iterations // 2 + 1
-        self._judged = settings.significance.threshold == 0
+        self._revert_at = settings.joint_iterations // 2 + 1
+        self._has_reverted = settings.significance.threshold == 0
         self._target = training.target_watch()
 
     def is_reached(self, schedule: StepSchedule, step: Step) -> bool:
-        """Whether training ends with this drawn step; what is good enough unjudged goes on to its judgement."""
-        if schedule.reaches(self._judge_at) and not self._judged:
-            self._judged = True
+        """Whether training ends with this drawn step; a target reached too early skips to the revert."""
+        if schedule.reaches(self._revert_at) and not self._has_reverted:
+            self._has_reverted = True
             _revert_insignificant(self._training, self._work)
             if self._target is not None:
                 self._target.restart()
-        elif self._target is not None and self._target.saw(step.view, self._drawn(step)):
-            if self._judged:
+        elif self._target is not None and self._target.update(step.view, self._drawn(step)):
+            if self._has_reverted:
                 return True
-            schedule.skip_to(self._judge_at)
+            schedule.skip_to(self._revert_at)
         return False
 
     def _drawn(self, step: Step) -> np.ndarray:
@@ -163,9 +164,9 @@ class _End:
 def _revert_insignificant(training: FrameTraining, work: WorkingSet) -> None:
     """Reverts what hardly shows; geometry sooner where light alone changes the pictures."""
     training.seen.check()
-    settings, old, lit, factor = training.settings.significance, work.old, training.frame.lit, None
-    if lit is not None:
+    settings, old, light_only, factor = training.settings.significance, work.old, training.frame.light_only, None
+    if light_only is not None:
         factor = np.ones(len(work.rows), np.float32)
-        factor[old] = np.where(lit[work.rows[old]], _LIGHT_ONLY_FACTOR, 1)
+        factor[old] = np.where(light_only[work.rows[old]], _LIGHT_ONLY_FACTOR, 1)
     threshold = settings.threshold * training.picture_weight
     revert_insignificant(work.optimiser, work.before(), old, threshold, factor)

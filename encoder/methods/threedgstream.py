@@ -7,7 +7,7 @@ part in every step. Its cost and flicker are the reference for DecoGS.
 
 Numbers: the released configuration (SJoJoK/3DGStream: configs/cache/cache_F_4.json and
 test/flame_steak_suite/cfg_args.json). Two things follow the released code and not the paper's text: gradients for
-spawning are gathered in the last 20 steps of stage 1 only, and stage 2 takes away but adds nothing more (the code's
+spawning are gathered in the last 20 steps of stage 1 only, and stage 2 prunes and adds nothing more (the code's
 second round of spawning reads gradient sums that stage 2 never fills). Differences that remain: the cache's box is the
 loop's, as for DecoGS, not 3DGStream's quantile box; frames pass through the lattice, so that the stream is an ordinary
 one.
@@ -37,9 +37,9 @@ RATES = LearningRates(
     means=1.6e-4, log_scales=5e-3, quaternions=1e-3, opacity_logits=5e-2, sh_dc=2.5e-3, sh_rest=2.5e-3 / 20
 ).scaled(15)
 """Of stage 2: 3DGS's own (Kerbl 2023) times 15, ``means`` in units of the rig's extent."""
-_SPAWN_WINDOW = 20
+_SPAWN_WINDOW_STEPS = 20
 """Last steps of stage 1 over which view gradients are gathered."""
-_SPAWN_SPREAD = 2.0
+_SPAWN_SPREAD_SIGMAS = 2.0
 """Standard deviation of a spawned Gaussian's place about its parent's, in the parent's own sigmas."""
 _SPAWN_OPACITY, _SPAWN_GROWTH = 0.1, 1.25
 """Of a spawned Gaussian: opacity, and size in units of its parent's."""
@@ -73,7 +73,7 @@ class BaselineTrainer:
         kept = np.arange(self._population)
         lasting = take_splats(scene, kept)
         gradients = self._stage1(lasting, losses)
-        spawned = self._stage2(lasting, self._spawned(lasting, gradients), losses)
+        spawned = self._stage2(lasting, self._spawn(lasting, gradients), losses)
         return TrainedFrame(kept, lasting, np.arange(self._population, len(scene)), spawned)
 
     def _stage1(self, scene: Splats, losses: Sequence[PhotometricLoss]) -> NDArray[np.float64]:
@@ -83,16 +83,16 @@ class BaselineTrainer:
         cache.restart()
         cache.place(scene.means, scene.quaternions)
         for step in range(settings.cache_iterations):
-            scene.means[:], scene.quaternions[:] = cache.moved()
-            camera = self._views[self._descend(scene, losses, gradients, ("cache", step))].pinhole
-            if step >= settings.cache_iterations - _SPAWN_WINDOW:
+            scene.means[:], scene.quaternions[:] = cache.move()
+            camera = self._views[self._next_gradients(scene, losses, gradients, ("cache", step))].pinhole
+            if step >= settings.cache_iterations - _SPAWN_WINDOW_STEPS:
                 gathered.add(gradients, camera)
             cache.backward(gradients.means, gradients.quaternions)
             cache.step()
-        scene.means[:], scene.quaternions[:] = cache.moved()
+        scene.means[:], scene.quaternions[:] = cache.move()
         return gathered.mean()
 
-    def _spawned(self, scene: Splats, gradients: NDArray[np.float64]) -> Splats:
+    def _spawn(self, scene: Splats, gradients: NDArray[np.float64]) -> Splats:
         """One new Gaussian beside every one in the box whose view gradient reaches the threshold."""
         settings = self._settings
         low, high = self._box
@@ -100,7 +100,7 @@ class BaselineTrainer:
         parents = take_splats(scene, np.flatnonzero(inside & (gradients >= settings.spawn_gradient)))
         scales = np.exp(parents.log_scales.astype(np.float64))
         rotations = rotation_matrices(parents.quaternions.astype(np.float64))
-        drawn = _SPAWN_SPREAD * scales * self._random.normal(size=scales.shape)
+        drawn = _SPAWN_SPREAD_SIGMAS * scales * self._random.normal(size=scales.shape)
         upright = np.zeros_like(parents.quaternions)
         upright[:, 0] = 1
         return Splats(
@@ -112,7 +112,7 @@ class BaselineTrainer:
         )
 
     def _stage2(self, lasting: Splats, spawned: Splats, losses: Sequence[PhotometricLoss]) -> Splats:
-        """Trains the spawned Gaussians alone, in the whole scene, and takes away those that come to nothing."""
+        """Trains the spawned Gaussians alone, in the whole scene, and prunes transparent and large ones."""
         settings = self._settings
         rates = replace(RATES, means=RATES.means * self._extent)
         optimiser = self._kernel.optimiser(spawned)
@@ -121,22 +121,22 @@ class BaselineTrainer:
         for step in range(1, settings.spawn_iterations + 1):
             if not len(optimiser.splats):
                 break
-            self._descend(scene, losses, gradients, ("joint", step - 1))
+            self._next_gradients(scene, losses, gradients, ("joint", step - 1))
             optimiser.step(_rows_from(gradients, self._population), rates)
             if step % settings.prune_every == 0:
-                optimiser.keep(self._worth_keeping(optimiser.splats))
+                optimiser.keep(self._is_lasting(optimiser.splats))
                 scene = join_splats(lasting, optimiser.splats)
                 gradients = gradients_like(scene)
             else:
                 for name in ATTRIBUTES:
                     getattr(scene, name)[self._population :] = getattr(optimiser.splats, name)
-        return take_splats(optimiser.splats, self._worth_keeping(optimiser.splats))
+        return take_splats(optimiser.splats, self._is_lasting(optimiser.splats))
 
-    def _worth_keeping(self, spawned: Splats) -> NDArray[np.bool_]:
+    def _is_lasting(self, spawned: Splats) -> NDArray[np.bool_]:
         small = spawned.log_scales.max(axis=1, initial=-np.inf) <= np.log(self._settings.prune_size * self._extent)
         return np.asarray(small & (sigmoid(spawned.opacity_logits) >= self._settings.prune_opacity))
 
-    def _descend(
+    def _next_gradients(
         self, scene: Splats, losses: Sequence[PhotometricLoss], out: SplatGradients, place: tuple[str, int]
     ) -> int:
         """Puts the gradients of the next view's loss into ``out``; returns which view; ``place`` is stage and step."""

@@ -12,10 +12,10 @@ class ConvergenceLog(JsonLines):
     """Writes one JSON object per training step to ``path``, those of a frame when it is over.
 
     ``frame``: the rig's index; ``seconds``: since the frame's pictures were decoded; ``stage``: "keyframe", "settle"
-    (the keyframe's, on its lattice), "cache" or "joint" (stages 1 and 2 of a later frame), "fade" (of one that goes
-    over to the next closed segment); ``iteration``: within the stage, from 0; ``loss``: of the one view that the step
-    drew, before it. Views differ: a mean over as many iterations as there are views is a steadier curve. ``append``:
-    after what is there. Raises UsageError when the file cannot be written.
+    (the keyframe's, on its lattice), "cache" or "joint" (stages 1 and 2 of a later frame), "fade" (of one that
+    is faded into the next closed segment); ``iteration``: within the stage, from 0; ``loss``: of the one view that the
+    step drew, before it. Views differ: a mean over as many iterations as there are views is a steadier curve.
+    ``append``: after what is there. Raises UsageError when the file cannot be written.
     """
 
     def __init__(self, path: Path, *, append: bool = False) -> None:

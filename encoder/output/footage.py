@@ -24,7 +24,7 @@ grew by .4 dB at most in `workbench`; with a neighbour's pictures instead by 8 t
 
 @dataclass(frozen=True)
 class Match:
-    """How well a camera's picture is shown: the mean square error, and whether the two have nothing in common."""
+    """How well a rendering matches a camera's picture: mean square error, and whether they have nothing in common."""
 
     camera: str
     error: float
@@ -36,11 +36,11 @@ class Match:
 
 
 def matches(
-    views: Sequence[View], pictures: Sequence[FloatArray], shown: Sequence[FloatArray], *, threads: int = 1
+    views: Sequence[View], pictures: Sequence[FloatArray], rendered: Sequence[FloatArray], *, threads: int = 1
 ) -> list[Match]:
-    """Compares the cameras' pictures (3, H, W) with what is ``shown`` of the scene."""
+    """Compares the cameras' pictures (3, H, W) with the scene ``rendered`` through their views."""
     with side_by_side(threads) as each:
-        return list(each(_match, views, pictures, shown))
+        return list(each(_match, views, pictures, rendered))
 
 
 def _match(view: View, picture: FloatArray, rendered: FloatArray) -> Match:

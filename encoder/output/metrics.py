@@ -1,4 +1,4 @@
-"""What a stream says of its own quality: METRICS packets (SPEC.md, section 3), which decoding passes over."""
+"""A stream's figures of its own quality: METRICS packets (SPEC.md, section 3), which decoders ignore."""
 
 from __future__ import annotations
 

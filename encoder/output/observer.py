@@ -12,7 +12,7 @@ class EncodeObserver:
     """Observes an encode: a subclass overrides the events that it needs. Here they do nothing."""
 
     def look_step(self, step: int, steps: int) -> None:
-        """A step of the look at the rig is done: ``step`` of ``steps``."""
+        """A step of the rig's analysis is done: ``step`` of ``steps``."""
 
     def looked(self, detected: Mapping[str, Sequence[str]]) -> None:
         """The rig was analysed: ``detected`` has each detected effect with the names of its cameras."""

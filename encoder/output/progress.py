@@ -1,4 +1,4 @@
-"""What the user sees while an encode works: how far it is, and on a terminal a line of figures per frame."""
+"""An encode's progress for its user: a bar, and on a terminal a line of figures per frame."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from .reports import FrameReport
 class TerminalProgress(EncodeObserver):
     """Shows an encode's progress on ``stream``; silent for None; a context manager.
 
-    The look at the rig, then the keyframe's steps, then the frames: on a terminal a bar for each and a line of figures
-    per frame, elsewhere a line now and then.
+    The analysis of the rig, then the keyframe's steps, then the frames: on a terminal a bar for each and a line of
+    figures per frame, elsewhere a line now and then.
     """
 
     def __init__(self, stream: TextIO | None) -> None:
@@ -87,7 +87,7 @@ def frame_line(report: FrameReport) -> str:
     stages += "  rejected" if report.rejected else ""
     stages += "".join(f"  compensation ended: {fault}" for fault in report.uncorrected)
     stages += "  another scene" if report.cut else ""
-    stages += "  change missed by the masks" if report.overlooked else ""
+    stages += "  full-frame change" if report.full_frame_change else ""
     return (
         f"frame {report.frame:4d} {report.kind:5}  train {report.training_psnr:6.2f} dB{held_out}  "
         f"selected {report.selected:6.1%}  {report.bytes:8d} bytes  {stages}"

@@ -1,4 +1,4 @@
-"""What an encode reports of itself: of every frame, and of the whole stream."""
+"""The reports of an encode: of every frame, and of the whole stream."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ OnKeyframeStep = Callable[[int, int, float], None]
 
 @dataclass(frozen=True)
 class FrameReport:
-    """One encoded frame: the rig's index, how it was coded, what it cost and how it looks.
+    """One encoded frame: the rig's index, its coding, cost and quality.
 
     ``bytes``: size of the packet on disk. ``selected``: share of the Gaussians in S_t.
     ``training_psnr``, ``held_out_psnr``: dB, means over the views, of the reconstructed state; the first against the
@@ -23,12 +23,12 @@ class FrameReport:
     ``seconds``: wall clock by stage. ``cpu_seconds``: processor time of all threads, from decoded pictures to the
     written packet, without measuring (the stage "measure").
     ``replayed``: the frame was written by an earlier encode. ``effects``: those that it was trained for; none for a
-    first frame, a replayed one and one that is only held.
+    first frame, a replayed one and a deferred one, which a time budget leaves untrained.
     ``left_out``: cameras without a usable picture of the frame, and why (`input.dropouts`).
     ``rejected``: training made the pictures worse, so the scene was kept.
     ``uncorrected``: compensation that ends with this frame because it gained nothing, such as "cam04: colours".
-    ``overlooked``: the masks found no change although most of the pictures had changed; every Gaussian was trained.
-    ``cut``: the frame shows another scene than the one before, and got a new keyframe.
+    ``full_frame_change``: the masks found no change although most of the pictures had changed; every Gaussian was
+    trained. ``cut``: the frame shows another scene than the one before, and got a new keyframe.
     """
 
     frame: int
@@ -46,7 +46,7 @@ class FrameReport:
     left_out: dict[str, str] = field(default_factory=dict)
     rejected: bool = False
     uncorrected: list[str] = field(default_factory=list)
-    overlooked: bool = False
+    full_frame_change: bool = False
     cut: bool = False
     scale: float = 1.0
     held_out_own_size_psnr: float | None = None
@@ -54,10 +54,10 @@ class FrameReport:
 
 @dataclass(frozen=True)
 class EncodeReport:
-    """What an encode made: the stream's path (``-`` for a pipe) and its frames.
+    """A finished encode: the stream's path (``-`` for a pipe) and its frames.
 
-    ``interrupted``: Ctrl-C ended it early. ``resumed``: how many frames an earlier encode had left, None when it was
-    not looked for; ``frames`` is empty when that was the whole stream. ``frame_budget`` and
+    ``interrupted``: Ctrl-C ended it early. ``resumed``: how many frames an earlier encode had left, None without
+    ``resume``; ``frames`` is empty when that was the whole stream. ``frame_budget`` and
     ``time_budget``: the settings'. ``part``: the rig's frames of a part, None for a whole stream.
     ``held_out_sizes``: of every held-out camera, width and height at which ``held_out_psnr`` was measured, and its own.
     """

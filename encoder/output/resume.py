@@ -55,7 +55,7 @@ _PARAMETERS = {
 
 
 IsSuch = Callable[[StreamHeader, int], bool]
-"""Whether a stream that was cut off is one that nobody would go on with, by its header and its whole frames."""
+"""Whether a truncated stream may be replaced, by its header and its number of whole frames."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class Interrupted:
 
 
 def find_interrupted(output: Path, growing: Path) -> Interrupted | None:
-    """What is there of the stream ``output``: in ``growing`` unless that is empty, else under its own name.
+    """The part that exists of the stream ``output``: in ``growing`` unless that is empty, else under its own name.
 
     None without a whole keyframe.
 
@@ -122,7 +122,7 @@ def is_expendable(is_such: IsSuch, part: Path) -> bool:
                     header = StreamHeader.from_bytes(packet.payload)
                 frames += packet.kind in FRAME_KINDS
         except StreamError:
-            return False  # It is no stream, or damaged: whoever has it may know what it is worth.
+            return False  # It is no stream, or damaged, and may still be of use to somebody.
     return header is None or is_such(header, frames)
 
 

@@ -24,7 +24,7 @@ from .resume import Interrupted, IsSuch, find_interrupted, is_expendable
 
 
 class StreamOutput(ABC):
-    """Takes a stream's packets: ``begin``, ``write`` for each, then ``close``, and ``publish`` when all went well.
+    """The output of a stream: ``begin``, ``write`` for each packet, ``close``, and ``publish`` when it is complete.
 
     A context manager: leaving it lets go of the file.
     """
@@ -43,7 +43,7 @@ class StreamOutput(ABC):
     @property
     @abstractmethod
     def name(self) -> Path:
-        """What the user called it; ``-`` is a pipe."""
+        """Its name as the user gave it; ``-`` is a pipe."""
 
     @property
     def is_open(self) -> bool:
@@ -52,7 +52,7 @@ class StreamOutput(ABC):
 
     @property
     def growing(self) -> Path | None:
-        """Where the frames that are there stay when an encode ends early; None for a pipe."""
+        """The file that keeps the frames of an encode that ends early; None for a pipe."""
         return None
 
     @abstractmethod
@@ -82,12 +82,11 @@ class StreamOutput(ABC):
 
 
 class FileOutput(StreamOutput):
-    """A file, taken from now on: it must be said before the training, which takes minutes, that it cannot be written.
+    """A file, locked from now on, so that one that cannot be written is refused before training.
 
     ``resume``: a ``NAME.part`` that is there is continued; ``expendable``: it is replaced if it is such a stream, or
-    has no whole header. Raises UsageError when it is there otherwise, when it cannot be written, or is being written by
-    another encode; so does every method when the disk is full. ``resumable``: whether what is left of it can be gone on
-    with, which errors then say.
+    has no whole header. Raises UsageError when it exists otherwise, when it cannot be written, or is being written by
+    another encode; so does every method when the disk is full. ``resumable``: whether errors propose `resume`.
     """
 
     def __init__(
@@ -116,7 +115,7 @@ class FileOutput(StreamOutput):
         return self._growing.path
 
     def take_left(self) -> Interrupted | None:
-        """What an earlier encode left of it, continued at the first packet after it."""
+        """The part that an earlier encode left, which the next packet continues."""
         self._left = find_interrupted(self._growing.output, self.growing)
         return self._left
 
@@ -163,7 +162,7 @@ class FileOutput(StreamOutput):
 
     @contextmanager
     def _disk_errors(self) -> Iterator[None]:
-        """What the disk does not take becomes one line that says where, and what to do."""
+        """Turns an error of the disk into one line with the file and the remedy."""
         try:
             yield
         except OSError as error:
@@ -227,7 +226,7 @@ def open_output(
 
 
 def _cut_after(frames: int, file: BinaryIO, writer: StreamWriter) -> None:
-    """Takes off what an interruption left, in whole or in part, of a packet after the first ``frames``."""
+    """Truncates a file after its first ``frames``."""
     if len(writer.entries) > frames:
         end = writer.entries[frames].offset
         file.seek(end)

@@ -1,4 +1,4 @@
-"""What every part but the first one starts from: the first keyframe and the settings, read from an earlier part."""
+"""The base of every part but the first: the first keyframe and the settings, read from an earlier part."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class Base:
 
 
 def read_base(path: Path) -> Base | None:
-    """What is in the file ``path`` for other parts; None for a stream that is no part.
+    """The base in the file ``path``; None for a stream that is no part.
 
     Raises UsageError for one that is not there or damaged.
     """

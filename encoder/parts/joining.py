@@ -60,7 +60,7 @@ def join(
     paths = [Path(path) for path in parts]
     stream = Path(output) if isinstance(output, (str, os.PathLike)) else output
     check_outputs([Output("output", stream, grows=True)], [(path, "is read, as one of the parts") for path in paths])
-    files = _in_order([_checked(path) for path in paths])
+    files = _in_order([_check_part(path) for path in paths])
     header, total = files[0].header, len(files[0].part.take)
 
     def begins_alike(left: StreamHeader, frames: int) -> bool:
@@ -97,20 +97,20 @@ def _own(file: _File) -> Iterator[Packet]:
         raise UsageError(f"{file.path}: the part was changed while it was joined; leave it alone, and join again")
 
 
-def _checked(path: Path) -> _File:
+def _check_part(path: Path) -> _File:
     """The part at ``path``, every packet of which was read and is intact."""
     header, keyframe, frames, ended, content = None, "", 0, False, hashlib.sha256()
     for packet in _packets(path, content):
         if packet.kind == PacketKind.HEADER:
             header = _read_header(path, packet.payload)
         elif packet.kind in FRAME_KINDS:
-            _explained(path, check_frame, packet, frames)
+            _check_packet(path, check_frame, packet, frames)
             if not frames:
                 keyframe = hashlib.sha256(packet.payload).hexdigest()
             frames += 1
             _check_start(path, packet, header)
         elif packet.kind == PacketKind.END:
-            _explained(path, check_count, packet, frames)
+            _check_packet(path, check_count, packet, frames)
             ended = True
     part = None if header is None else read_part(header)
     if header is None or part is None:
@@ -148,7 +148,7 @@ def _packets(path: Path, content: hashlib._Hash) -> Iterator[Packet]:
         _refuse_damaged(path, str(error))
 
 
-def _explained(path: Path, check: Callable[[Packet, int], None], packet: Packet, frames: int) -> None:
+def _check_packet(path: Path, check: Callable[[Packet, int], None], packet: Packet, frames: int) -> None:
     try:
         check(packet, frames)
     except StreamError as error:

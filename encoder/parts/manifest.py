@@ -21,7 +21,7 @@ from decogs.formats.rigs import Rig, files_with
 from ..input.ingest import RigFrame
 from ..settings.encode import EncodeSettings
 
-_SETTING = "part"
+_PART_SETTING = "part"
 
 
 @dataclass(frozen=True)
@@ -98,8 +98,8 @@ def part_frames(only: Frames, take: range, segment: int) -> range:
 
 def frames_read(frames: range, take: range, settings: EncodeSettings) -> range:
     """The frames that a part of ``frames`` is made from: with a cross-fade, the next segment's first one as well."""
-    goes_over = settings.fading > 0 and (frames.stop - take.start) % settings.segment == 0
-    return range(frames.start, min(frames.stop + goes_over, take.stop))
+    fades = settings.fading > 0 and (frames.stop - take.start) % settings.segment == 0
+    return range(frames.start, min(frames.stop + fades, take.stop))
 
 
 def inputs_of(rig: Rig, first: RigFrame) -> dict[str, str]:
@@ -146,17 +146,17 @@ def with_part(header: bytes, part: Part) -> bytes:
         "metrics": part.metrics,
     }
     known = StreamHeader.from_bytes(header)
-    return replace(known, settings={**known.settings, _SETTING: document}).to_bytes()
+    return replace(known, settings={**known.settings, _PART_SETTING: document}).to_bytes()
 
 
 def without_part(header: StreamHeader) -> StreamHeader:
     """The header of the whole stream."""
-    return replace(header, settings={name: value for name, value in header.settings.items() if name != _SETTING})
+    return replace(header, settings={name: value for name, value in header.settings.items() if name != _PART_SETTING})
 
 
 def read_part(header: StreamHeader) -> Part | None:
     """The manifest in a part's header; None for a stream that is no part, or has a manifest that says nothing."""
-    document = header.settings.get(_SETTING)
+    document = header.settings.get(_PART_SETTING)
     if not isinstance(document, dict):
         return None
     frames, take = _range(document.get("frames")), _range(document.get("take"))

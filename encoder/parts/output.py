@@ -1,4 +1,4 @@
-"""Where a part is written: its frames under the numbers that they have in the part's own file."""
+"""The output of a part: its frames under their numbers in the part's own file."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from .manifest import Part, read_part, with_part
 
 
 def open_part(output: Path | BinaryIO) -> StreamOutput:
-    """Takes the output of a part. What is left of one that was cut off is replaced: nothing can go on with it."""
+    """Opens the output of a part. A truncated one is replaced: it cannot be resumed."""
     return open_output(output, resumable=False, expendable=is_of_part)
 
 
 def is_of_part(header: StreamHeader, frames: int) -> bool:
-    """Whether what a process left was to be a part."""
+    """Whether a truncated stream is that of a part."""
     return read_part(header) is not None
 
 

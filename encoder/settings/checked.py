@@ -69,7 +69,7 @@ class Checked:
         for name, hint in _hints(type(self)).items():  # type: ignore[arg-type]
             value = getattr(self, name)
             if wanted := _wanted(hint, value):
-                raise UsageError(f"`{name}` {_shown(value)}: give {wanted} ({type(self).__name__})")
+                raise UsageError(f"`{name}` {_printed(value)}: give {wanted} ({type(self).__name__})")
 
 
 @cache
@@ -118,7 +118,7 @@ def _listed(known: OneOf | None) -> str:
     return "" if known is None else f" from {', '.join(known.names)}"
 
 
-def _shown(value: object) -> str:
+def _printed(value: object) -> str:
     try:
         return f"{value!r:.60}"
     except ValueError:  # Python prints no integer of thousands of digits.

@@ -17,15 +17,11 @@ from .frame import FrameSettings
 from .keyframe import KeyframeSettings
 from .threedgstream import BaselineSettings
 
-_UNUSED = {"decogs": "baseline", "3dgstream": "frame"}
+_UNREAD_SETTINGS = {"decogs": "baseline", "3dgstream": "frame"}
 """Settings that a method does not read; methods of other packages do not read the baseline's."""
 
-_USUAL = (
-    ("keyframe.densification", "clone-split"),
-    ("frame.densification", "clone-split"),
-    ("frame.focus.over", "region"),
-)
-"""Settings that a header names only where they are another than this."""
+_OMITTED_DEFAULTS = (("frame.focus.over", "region"),)
+"""Defaults that a header omits."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +41,7 @@ class EncodeSettings(Checked):
     segment: Annotated[int, Within(0, MAX_FRAME)] = 0  # frames between keyframes; fewer: larger, seek faster; 0: one
     closed: bool = False  # segments depend on no other: slower
     catch_up: Annotated[int, Within(1, 1000)] = 3  # trainings of a closed segment's first frame; more: slower, larger
-    cross_fade: Annotated[int, Within(0, 1000)] = 3  # frames that go over to such a start; more: slower; 0: a jump
+    cross_fade: Annotated[int, Within(0, 1000)] = 3  # frames that are faded into such a start; more: slower; 0: a jump
     cuts: bool = True  # a new keyframe where the scene is another: slower, 6 to 8 dB better; not with a time budget
     frame_budget: Bytes | None = None  # mean bytes of a later frame; fewer: less exact; None: by frame.significance
     time_budget: Annotated[float, Within(1e-4, 1e6)] | None = None  # mean seconds of a later frame; None: all steps
@@ -71,7 +67,7 @@ class EncodeSettings(Checked):
 
     @property
     def fading(self) -> int:
-        """How many frames before the start of a segment go over to it."""
+        """How many frames before the start of a segment are faded into it."""
         return min(self.cross_fade, self.segment - 1) if self.closed else 0
 
     def as_document(self) -> dict[str, Any]:
@@ -81,7 +77,7 @@ class EncodeSettings(Checked):
         can still be resumed.
         """
         document: dict[str, Any] = json.loads(json.dumps(asdict(self)))
-        del document[_UNUSED.get(self.method, "baseline")]
+        del document[_UNREAD_SETTINGS.get(self.method, "baseline")]
         for name in ("frame_budget", "time_budget", "target_psnr"):
             if document[name] is None:
                 del document[name]
@@ -94,7 +90,7 @@ class EncodeSettings(Checked):
         if not self.closed:
             for name in ("closed", "catch_up", "cross_fade"):
                 del document[name]
-        for path, usual in _USUAL:
+        for path, usual in _OMITTED_DEFAULTS:
             *parts, name = path.split(".")
             owner = document
             for part in parts:

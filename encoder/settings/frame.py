@@ -115,4 +115,3 @@ class FrameSettings(Checked):
     significance: SignificanceSettings = field(default_factory=SignificanceSettings)
     emergence: EmergenceSettings = field(default_factory=EmergenceSettings)
     ablated: Annotated[tuple[str, ...], OneOf(("focus", "gate"))] = ()  # parts of the method that are left out
-    densification: str = "clone-split"  # a name in DENSIFICATIONS

@@ -30,8 +30,7 @@ class KeyframeSettings(Checked):
     )
     settle_iterations: Steps = 300  # steps of fixing values on the lattice while others adapt; more: slower
     surroundings: Annotated[float, Within(0, 100)] = 0.0  # reach beside the pictures, in their widths; more: larger
-    rd_lambda: Loss = 2.3e-3  # squared loss, in millionths, that a bit is worth; more: smaller, less exact; no slower
-    densification: str = "clone-split"  # a name in DENSIFICATIONS
+    rd_lambda: Loss = 2.3e-3  # of the squared loss, in millionths, per bit; more: smaller, less exact; no slower
 
     @property
     def seen_cap(self) -> int:

@@ -37,8 +37,7 @@ from .options import RunOptions
 class Earlier:
     """The ``packets`` that an earlier encode made of the first frames.
 
-    ``origin``: what they are from, for a warning; the frames whose places are ``compared`` show whether the pictures
-    are those that they were made from.
+    ``origin``: their source, for a warning. ``compared``: places of the frames that are compared with the pictures.
     """
 
     packets: Iterable[Packet] = ()
@@ -93,7 +92,7 @@ class StreamEncoder:
         return self._write(encoded, task.watch)
 
     def _encode_next(self, frame: RigFrame, last: Encoded, following: Sequence[RigFrame]) -> FrameReport:
-        """Encodes a frame after the ``last``; ``following``: those up to the start of the segment it goes over to."""
+        """Encodes a frame after the ``last``; ``following``: those up to the start of the segment it is faded into."""
         watch = self._begin(frame)
         segment = self._next_segment([frame, *following], last, watch)
         coded = segment.first if segment is not None and segment.start == frame.index else None
@@ -145,10 +144,11 @@ class StreamEncoder:
             self._last = encode_frame(self._context, self._last.scene, self._last.memory, task)
         if origin:
             self._reporter.check_footage(self._last, origin, task.watch)
-        return replace(self._reporter.report(self._last, task.watch), replayed=True, effects=[], overlooked=False)
+        report = self._reporter.report(self._last, task.watch)
+        return replace(report, replayed=True, effects=[], full_frame_change=False)
 
     def _next_segment(self, frames: Sequence[RigFrame], last: Encoded, watch: Stopwatch) -> NextSegment | None:
-        """The segment that begins with the last of ``frames``, if it was trained for those that go over to it."""
+        """The segment that begins with the last of ``frames``, if it was trained for their fade into it."""
         start = frames[-1].index
         is_known = self._next is not None and self._next.start == start
         if len(frames) > 1 and not is_known and not self._context.method.dense:
@@ -157,13 +157,13 @@ class StreamEncoder:
         return self._next if self._next is not None and self._next.start == start else None
 
     def _write(self, encoded: Encoded, watch: Stopwatch) -> FrameReport:
-        """Appends the frame's packet, and takes down how long the frame took."""
+        """Appends the frame's packet, and records its time."""
         packet = encoded.written.packet
         with watch.stage("write"):
             self._output.write(packet.kind, packet.frame, packet.payload)
         memory = encoded.memory
         if memory.time is not None and self._last is not None:
-            memory = replace(memory, time=memory.time.took(watch.seconds, held=encoded.outcome.held))
+            memory = replace(memory, time=memory.time.record_time(watch.seconds, deferred=encoded.outcome.deferred))
         self._last = replace(encoded, memory=memory)
         return self._reporter.report(encoded, watch)
 
@@ -224,7 +224,7 @@ class StreamEncoder:
 
 
 def _keyframe_made(source: SplatSource, left: Interrupted) -> KeyframeSource:
-    """What an earlier encode made of a file's Gaussians; that it was this file, the header tells."""
+    """The keyframe that an earlier encode made of a file's Gaussians; the header has that file's digest."""
     made = reconstruct(None, next(left.packets()), left.header)
     settings = {**left.header.settings, "keyframe": source.document}
     return KeyframeSource(source.path, replace(left.header, settings=settings), made)

@@ -57,21 +57,21 @@ class FrameReporter:
             },
             rejected=outcome.rejected,
             uncorrected=list(outcome.uncorrected),
-            overlooked=outcome.overlooked,
+            full_frame_change=outcome.full_frame_change,
             cut=outcome.cut,
             scale=context.ingest.scale,
             held_out_own_size_psnr=own_size,
         )
 
     def check_footage(self, encoded: Encoded, origin: str, watch: Stopwatch) -> None:
-        """Warns where the scene of an earlier encode, named by ``origin``, is not what the rig's pictures show.
+        """Warns where the scene of an earlier encode, named by ``origin``, does not match the rig's pictures.
 
         A later frame's pictures are expected to fit nearly as well as the first ones that were compared.
         """
         with watch.stage(_STAGE):
             used = self._used(encoded)
             views, pictures = self._context.ingest.views, encoded.pictures.training
-            compared = [views[i] for i in used], [pictures[i] for i in used], self._shown(encoded, used)
+            compared = [views[i] for i in used], [pictures[i] for i in used], self._rendered(encoded, used)
             found = matches(*compared, threads=self._context.threads)
             self._first_errors = self._first_errors or {match.camera: match.error for match in found}
             cameras = [m.camera for m in found if m.is_of_other_footage(self._first_errors.get(m.camera, m.error))]
@@ -85,11 +85,11 @@ class FrameReporter:
     def _training_psnr(self, encoded: Encoded) -> float:
         used, views = self._used(encoded), self._context.ingest.views
         pictures = [encoded.pictures.training[i] for i in used]
-        shown = self._shown(encoded, used)
-        return mean_picture_psnr([views[i] for i in used], shown, pictures, threads=self._context.threads)
+        rendered = self._rendered(encoded, used)
+        return mean_picture_psnr([views[i] for i in used], rendered, pictures, threads=self._context.threads)
 
     def _own_size_psnr(self, encoded: Encoded) -> float | None:
-        """Of what a decoder shows of the held-out cameras, against what they recorded; None without a scale."""
+        """PSNR of the held-out cameras' decoded views at their own size; None without a scale."""
         frame, scene = encoded.pictures, encoded.scene
         if not frame.own_size:
             return None
@@ -101,7 +101,7 @@ class FrameReporter:
             for name, own in zip(views, map(display_referred, frame.own_size), strict=True)
         )
 
-    def _shown(self, encoded: Encoded, used: Sequence[int]) -> list[FloatArray]:
-        """What these views show of the scene, (3, H, W) each."""
-        show = self._context.show(encoded.scene.splats)
-        return [show(i) for i in used]
+    def _rendered(self, encoded: Encoded, used: Sequence[int]) -> list[FloatArray]:
+        """The scene rendered through these views, (3, H, W) each."""
+        render = self._context.renderer(encoded.scene.splats)
+        return [render(i) for i in used]

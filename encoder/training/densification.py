@@ -9,7 +9,6 @@ Opacity resets: not tried.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +16,6 @@ from numpy.typing import NDArray
 from decogs.codec.lattice import LOG_SCALE_BOUND
 from decogs.formats.rotations import rotation_matrices
 from decogs.formats.splats import Splats, take_splats
-
-from ..registry import Registry, described, guarded
 
 _SPLIT_SHRINK = np.float32(np.log(1.6))
 
@@ -64,56 +61,23 @@ def strongest(
     return np.sort(best)
 
 
-class Densification(Protocol):
-    """Chooses the Gaussians to add; called a few times in a keyframe, once in a later frame."""
-
-    def __call__(
-        self,
-        splats: Splats,
-        gradients: NDArray[np.float64],
-        eligible: NDArray[np.bool_],
-        /,
-        *,
-        threshold: float,
-        room: int,
-        large: float,
-        random: np.random.Generator,
-    ) -> Growth:
-        """Children of some of the ``eligible`` (N,) Gaussians, at most ``room`` of them.
-
-        ``gradients`` (N,): mean view gradients, in 3DGS's normalised units. ``threshold``: that from which the settings
-        ask for growth. ``large``: sigma, in world units, above which a Gaussian counts as large. ``random``: the only
-        source of chance, so that encodes repeat to the bit.
-        """
-        ...
-
-
 def clone_and_split(
     splats: Splats,
     gradients: NDArray[np.float64],
     eligible: NDArray[np.bool_],
-    /,
     *,
     threshold: float,
     room: int,
     large: float,
     random: np.random.Generator,
 ) -> Growth:
-    """3DGS's: the strongest gradients from the threshold on; small Gaussians are cloned, large ones split."""
+    """3DGS's: the strongest gradients from the threshold on; small Gaussians are cloned, large ones split.
+
+    ``gradients`` (N,): mean view gradients, in 3DGS's normalised units. Of the ``eligible`` (N,) at most ``room`` get a
+    child. ``large``: sigma, in world units, above which a Gaussian counts as large. ``random``: the only source of
+    chance, so that encodes repeat to the bit.
+    """
     return grow(splats, strongest(gradients, eligible, threshold, room), large, random)
-
-
-def _wrong_growth(growth: object, splats: Splats, *given: object, **named: object) -> str:
-    if not isinstance(growth, Growth):
-        return f"{described(growth)}, no Growth"
-    parents = growth.parents
-    good = isinstance(parents, np.ndarray) and parents.ndim == 1 and np.issubdtype(parents.dtype, np.integer)
-    if not good or (len(parents) and not 0 <= parents.min() <= parents.max() < len(splats)):
-        return f"`parents` as {described(parents)}, which are no rows of the {len(splats)} Gaussians"
-    if not are_splats(growth.children, splats, len(parents)):
-        return "`children` that are not finite Splats with a row for each of its `parents`"
-    shapes = {np.shape(growth.parent_means), np.shape(growth.parent_log_scales)}
-    return "" if shapes == {(len(parents), 3)} else "means or sizes that are not three for each of its `parents`"
 
 
 def are_splats(value: object, like: Splats, count: int | None = None) -> bool:
@@ -127,8 +91,3 @@ def are_splats(value: object, like: Splats, count: int | None = None) -> bool:
         for mine, other in pairs
     )
     return shaped and all(np.isfinite(mine).all() for mine, _ in pairs)
-
-
-DENSIFICATIONS: Registry[Densification] = Registry(
-    "densification", "decogs.densifications", {"clone-split": clone_and_split}, guarded(_wrong_growth)
-)

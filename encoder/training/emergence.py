@@ -1,4 +1,4 @@
-"""New objects of a later frame: the search in its views, and how long it may take."""
+"""Emerging objects of a later frame: the search in its views, within its deadline."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from decogs.formats.splats import Splats, empty_splats
 from ..parallel import side_by_side
 from .frame_training import FrameTraining
 from .schedule import SearchTime, StepSchedule, search_of, search_seconds
-from .seeding import SearchView, missed, seeds, worth_a_search
+from .seeding import SearchView, enough_missed_pixels, find_seeds, missed_pixels
 from .working_set import WorkingSet
 
 
 def add_emerging(training: FrameTraining, work: WorkingSet, views: Sequence[int], rays: float = 1.0) -> None:
     """Adds the frame's emerging objects to ``work``, from these ``views`` and a share of the ``rays``."""
-    found = _emerging(training, work, views, rays)
+    found = _find_emerging(training, work, views, rays)
     if len(found):
         work.append(found)
 
@@ -37,19 +37,19 @@ def add_emerging_in_time(
         add_emerging(training, work, used)
         return 0.0
     began = time.perf_counter()
-    share = search.affords(deadline - began, search_seconds(training.settings.emergence.max_rays, len(used)))
+    share = search.affordable_share(deadline - began, search_seconds(training.settings.emergence.max_rays, len(used)))
     if not share:
         return 0.0
     views, rays = search_of(share, len(used))
     every = -(-len(used) // views)
     add_emerging(training, work, used[training.frame.index % every :: every], rays)
     seconds = time.perf_counter() - began
-    search.took(seconds, share)
-    schedule.put_off(seconds)
+    search.record_time(seconds, share)
+    schedule.extend_deadline(seconds)
     return seconds
 
 
-def _emerging(training: FrameTraining, work: WorkingSet, views: Sequence[int], rays: float) -> Splats:
+def _find_emerging(training: FrameTraining, work: WorkingSet, views: Sequence[int], rays: float) -> Splats:
     """Seeds of emerging objects; a third of the views decides whether to search in all."""
     training.seen.check()
     settings, degree = training.settings.emergence, work.values.sh_degree
@@ -64,11 +64,11 @@ def _emerging(training: FrameTraining, work: WorkingSet, views: Sequence[int], r
             training.context.static_views[index].draw(work.optimiser, work.rows, depth=True)
         with side_by_side(threads) as each:
             searched |= zip(new, each(lambda index: _search_view(training, index), new), strict=True)
-            misses |= zip(new, each(missed, map(searched.__getitem__, new)), strict=True)
-        if not worth_a_search(list(misses.values())):
+            misses |= zip(new, each(missed_pixels, map(searched.__getitem__, new)), strict=True)
+        if not enough_missed_pixels(list(misses.values())):
             return empty_splats(degree)
     fewer = replace(settings, max_rays=max(1, round(rays * settings.max_rays)))
-    return seeds([searched[i] for i in views], [misses[i] for i in views], fewer, degree, threads=threads)
+    return find_seeds([searched[i] for i in views], [misses[i] for i in views], fewer, degree, threads=threads)
 
 
 def _search_view(training: FrameTraining, index: int) -> SearchView:

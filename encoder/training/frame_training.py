@@ -24,7 +24,7 @@ from .significance import picture_weight
 from .view_order import view_order
 from .working_set import WorkingSet
 
-_DIVERGED = 1.5
+_DIVERGED_ERROR_RATIO = 1.5
 """Training that raises the squared error in focus by this factor (1.8 dB) has diverged; normally the error falls."""
 
 LossOfView = Callable[[FloatArray, NDArray[np.bool_], FloatArray | None, FocusWeights], PhotometricLoss]
@@ -110,8 +110,8 @@ class FrameTraining:
         """
         self.seen.check()
         self.draw(views, work, drawn)
-        if self.squared_error(views) > _DIVERGED * before:
-            return work.unchanged()
+        if self.squared_error(views) > _DIVERGED_ERROR_RATIO * before:
+            return work.rejected_frame()
         return work.result(drawn if isinstance(drawn, Splats) else drawn.splats, self.picture_weight)
 
     def focus(self, index: int) -> NDArray[np.bool_]:

@@ -54,16 +54,16 @@ class FrameInput:
     """Input of the training of one later frame.
 
     ``index``: within the stream; with the seed it determines all randomness, so that a frame can be trained alone.
-    ``scene``: the N reconstructed Gaussians of the frame before. ``selected`` (N,): S_t. ``lit`` (N,): those of them
-    that light alone changes, or None where all are trained alike. ``pictures``: one (3, H, W) for each view, colours 0
-    to 1. ``masks``: one for each view, none for a dense method. ``motion`` (N, 3): every Gaussian's last displacement,
-    world units. ``settings``: of this frame. ``stopping``: the end of training.
+    ``scene``: the N reconstructed Gaussians of the frame before. ``selected`` (N,): S_t. ``light_only`` (N,): those of
+    them that light alone changes, or None where all are trained alike. ``pictures``: one (3, H, W) for each view,
+    colours 0 to 1. ``masks``: one for each view, none for a dense method. ``motion`` (N, 3): every Gaussian's last
+    displacement, world units. ``settings``: of this frame. ``stopping``: the end of training.
     """
 
     index: int
     scene: Splats
     selected: NDArray[np.bool_]
-    lit: NDArray[np.bool_] | None
+    light_only: NDArray[np.bool_] | None
     pictures: Sequence[FloatArray]
     masks: Sequence[FrameMask]
     motion: FloatArray
@@ -76,7 +76,7 @@ class TrainedFrame:
     """Changes of one frame: new values (M rows) for the rows ``kept``, rows ``removed``, Gaussians ``added``.
 
     Rows are of the frame's scene, ascending. ``rejected``: training made the pictures worse and changes nothing.
-    ``hurried``: a deadline left fewer steps than the schedule has. ``sensitivity``: change of a picture's mean loss, in
+    ``truncated``: a deadline left too few steps. ``sensitivity``: change of a picture's mean loss, in
     millionths, per unit of each of ``values``; None: they are coded as exactly as the lattice can.
     """
 
@@ -85,7 +85,7 @@ class TrainedFrame:
     removed: NDArray[np.int64]
     added: Splats
     rejected: bool = False
-    hurried: bool = False
+    truncated: bool = False
     sensitivity: Splats | None = None
 
 
@@ -97,7 +97,7 @@ class FrameTrainer(Protocol):
 
     @property
     def min_seconds(self) -> float:
-        """Least seconds of a frame; 0 while unknown. A time budget holds frames that have less."""
+        """Least seconds of a frame; 0 while unknown. A time budget defers frames that have less."""
         ...
 
     def train(self, frame: FrameInput, /) -> TrainedFrame:

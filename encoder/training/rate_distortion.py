@@ -1,4 +1,4 @@
-"""Rate-distortion optimised quantisation: of the integers near a trained value, the one worth its bits.
+"""Rate-distortion optimised quantisation: of the integers near a trained value, the one of least cost.
 
 The distortion of a number is the squared change of a picture's loss, its rate what an entropy coder with a table per
 channel takes. Source: entropy-constrained scalar quantisation (Chou, Lookabaugh and Gray 1989), with a weight for each
@@ -17,9 +17,9 @@ from decogs.formats.splats import FloatArray
 
 _TABLE_ROUNDS = 4
 """Iterations of choosing values and updating the table of their bits; more change next to nothing."""
-_COMMONEST = 256
+_MAX_CANDIDATES = 256
 """Candidates of a channel: all values that rotations and colours have on a lattice, a bound for any others."""
-_COMMONEST_CHANGES = 16
+_MAX_CHANGE_CANDIDATES = 16
 """The same of changes, nearly all of which are smaller than ten steps."""
 _PARTS_OF_BIT = 2.0**20
 """Parts of a bit: on this grid, the last bit of a logarithm, which differs by machine, is lost."""
@@ -37,7 +37,7 @@ def cheapest(values: FloatArray, change: FloatArray, bit: float) -> IntArray:
     chosen = np.rint(values).astype(np.int32)
     if bit and len(values):
         for channel, column in enumerate(values.T):
-            chosen[:, channel] = _cheapest(column, chosen[:, channel], change[:, channel], bit, _COMMONEST)
+            chosen[:, channel] = _cheapest(column, chosen[:, channel], change[:, channel], bit, _MAX_CANDIDATES)
     return chosen
 
 
@@ -51,7 +51,7 @@ def cheapest_changes(changes: Doubles, loss: Doubles, bit: float) -> Doubles:
         for channel, column in enumerate(changes.T):
             rows = np.flatnonzero(chosen[:, channel])
             given = column[rows], chosen[rows, channel], loss[rows, channel]
-            chosen[rows, channel] = _cheapest(*given, bit, _COMMONEST_CHANGES, zeros=len(chosen) - len(rows))
+            chosen[rows, channel] = _cheapest(*given, bit, _MAX_CHANGE_CANDIDATES, zeros=len(chosen) - len(rows))
     return chosen
 
 

@@ -1,12 +1,12 @@
 """Length of a frame's training: the whole schedule, up to a deadline, or up to a target quality.
 
 Chosen for a deadline: larger strides through the schedule. After every step the frame's median time per step gives the
-number of steps that still fit, and the rest of the schedule is divided among them. So densification, the judging of
-changes and the decay of the rates keep their places in the schedule. Rates grow with the root of the stride, at most
-threefold, because few steps must still cover the motion. A frame needs no data of other frames, and the stride adapts
-to a machine that slows down. Rejected: ending the schedule at the deadline, which leaves changes unjudged and rates
-high (DESIGN.md has both measured); a number of steps from the last frame's speed (the moving share of the picture
-differs between frames).
+number of steps that still fit, and the rest of the schedule is divided among them. So densification, the revert of
+insignificant changes and the decay of the rates keep their places in the schedule. Rates grow with the root of the
+stride, at most threefold, because few steps must still cover the motion. A frame needs no data of other frames, and the
+stride adapts to a machine that slows down. Rejected: ending the schedule at the deadline, which reverts no change and
+leaves rates high (DESIGN.md has both measured); a number of steps from the last frame's speed (the moving share of the
+picture differs between frames).
 
 Chosen for iterations: the usual number times the ratio of the error in the region of interest, before the first step,
 to its usual value. An entering object needs twice the steps of a moving one. Rejected: the decision at the search for
@@ -36,23 +36,28 @@ OnLoss = Callable[[str, int, float], None]
 MIN_STEPS = 12
 """Least steps of a stage, however late it is: fewer have no effect and cost hardly less."""
 
+MAX_STRETCH = 4.0
+"""Largest ratio of a Gaussian's largest to its middle size that later frames may bring about. Over 800 frames a new
+view loses .44 dB; without a limit .97, since needles grow that look wrong from elsewhere."""
+
 LATE_DECAY = 0.2
 """What is left of a later frame's rates at the end of its steps, falling over their second half."""
 
-_MAX_ITERATIONS = 3.0
-"""Most iterations of a frame, in units of the usual number: with more, a cut would take minutes."""
+_MAX_ITERATION_FACTOR, _MAX_ITERATIONS = 3.0, 400
+"""Most iterations of a frame that misses much: in units of the usual number, since a cut would take minutes, and in
+all. From one keyframe 600 are worse than 300 on three rigs: the few views that see what is new are fitted too well."""
 
-_MAX_HASTE = 3.0
+_MAX_RATE_GAIN = 3.0
 """Largest factor of the rates when a deadline leaves few steps, which must still cover the motion."""
 
-_CLEARLY = np.float32(25 / 255)
+_MISSED_ERROR = np.float32(25 / 255)
 """Colour error from which a pixel is clearly missed: the paper's tau, applied to the rendering."""
 
-_SEARCH_FRACTION = 0.1
+_SEARCH_TIME_FRACTION = 0.1
 """Mean share of training time for the search for emerging objects when time is short."""
-MIN_SEARCH = 1 / 16
+MIN_SEARCH_SHARE = 1 / 16
 """Share of a whole search below which it finds nothing."""
-_MIN_SEARCHED = 8
+_MIN_SEARCH_VIEWS = 8
 """Least views of a useful search: four views must miss a point."""
 
 
@@ -80,16 +85,17 @@ WHOLE = StoppingRule()
 """The whole schedule, unwatched."""
 
 
-def iteration_factor(settings: IterationSettings, errors: Sequence[FloatArray]) -> float:
-    """Factor of a frame's iterations, relative to the usual number.
+def iteration_factor(settings: IterationSettings, usual: int, errors: Sequence[FloatArray]) -> float:
+    """Factor of a frame's iterations, relative to the ``usual`` number.
 
     ``errors``: of some views in their regions of interest, (3, pixels) each, colours 0 to 1.
     """
     pixels = sum(each.shape[1] for each in errors)
     if not (settings.usual_miss and pixels):
         return 1.0
-    missed = sum(int((np.abs(each).max(axis=0) > _CLEARLY).sum()) for each in errors)
-    return float(np.clip(missed / pixels / settings.usual_miss, settings.min_factor, _MAX_ITERATIONS))
+    missed = sum(int((np.abs(each).max(axis=0) > _MISSED_ERROR).sum()) for each in errors)
+    most = max(1.0, min(_MAX_ITERATION_FACTOR, _MAX_ITERATIONS / max(usual, 1)))
+    return float(np.clip(missed / pixels / settings.usual_miss, settings.min_factor, most))
 
 
 class StepSchedule:
@@ -111,14 +117,14 @@ class StepSchedule:
         return self.position >= self._iterations
 
     @property
-    def hurry(self) -> float:
-        """Last stride over the stride without a deadline; 1 at the beginning."""
+    def relative_stride(self) -> float:
+        """Last stride over that without a deadline; 1 at the beginning."""
         return self._last_stride / self._own_stride
 
     @property
-    def is_cut_short(self) -> bool:
+    def is_truncated(self) -> bool:
         """Whether a deadline left only the least steps, too few to follow what moved."""
-        return self._deadline is not None and len(self._seconds) <= MIN_STEPS and self.hurry > 1
+        return self._deadline is not None and len(self._seconds) <= MIN_STEPS and self.relative_stride > 1
 
     @property
     def steps_seconds(self) -> tuple[float, float]:
@@ -136,7 +142,7 @@ class StepSchedule:
             self._last_stride = self._stride(self._deadline)
         self.position += self._last_stride
 
-    def put_off(self, seconds: float) -> None:
+    def extend_deadline(self, seconds: float) -> None:
         """Extends the deadline by time spent outside of steps, at the expense of later frames."""
         if self._deadline is not None:
             self._deadline += seconds
@@ -161,15 +167,15 @@ class StepSchedule:
 def rates_at(settings: FrameSettings, extent: float, schedule: StepSchedule) -> LearningRates:
     """Learning rates where the schedule stands, those of positions in world units.
 
-    Over its second half they fall; in a hurry they grow.
+    Over its second half they fall; where a deadline lengthens the strides, they grow.
     """
     late = LATE_DECAY ** max(0.0, 2 * schedule.position / settings.joint_iterations - 1)
     rates = replace(settings.rates, means=settings.rates.means * extent)
-    return rates.scaled(late * min(schedule.hurry**0.5, _MAX_HASTE))
+    return rates.scaled(late * min(schedule.relative_stride**0.5, _MAX_RATE_GAIN))
 
 
 def seconds_at_least(spent: float, schedule: StepSchedule) -> float:
-    """Seconds of a frame that took as many as ``spent``, had its schedule had the least steps only."""
+    """Seconds of a frame that took ``spent`` seconds, had it had the least steps only."""
     step, steps = schedule.steps_seconds
     return spent - steps + MIN_STEPS * step
 
@@ -185,20 +191,20 @@ class SearchTime:
         self._credit = 0.0
         self._whole: float | None = None
 
-    def affords(self, left: float, guess: float) -> float:
+    def affordable_share(self, left: float, guess: float) -> float:
         """Share, 0 to 1, of a whole search that fits a frame with ``left`` seconds of training.
 
         ``guess``: estimated seconds of a whole search, used before the first one.
         """
         whole = guess if self._whole is None else self._whole
-        smallest = MIN_SEARCH * whole
+        smallest = MIN_SEARCH_SHARE * whole
         if left > 0:
-            self._credit = min(self._credit + _SEARCH_FRACTION * left, max(left, smallest))
+            self._credit = min(self._credit + _SEARCH_TIME_FRACTION * left, max(left, smallest))
         if self._credit <= 0 or (self._whole is not None and self._credit < smallest):
             return 0.0
-        return min(1.0, max(MIN_SEARCH, self._credit / max(whole, 1e-9)))
+        return min(1.0, max(MIN_SEARCH_SHARE, self._credit / max(whole, 1e-9)))
 
-    def took(self, seconds: float, share: float) -> None:
+    def record_time(self, seconds: float, share: float) -> None:
         """Records the duration of a ``share`` of a search."""
         self._credit -= seconds
         self._whole = seconds / share if self._whole is None else (self._whole + seconds / share) / 2
@@ -214,12 +220,12 @@ def search_of(share: float, views: int) -> tuple[int, float]:
 
     Every ray is compared with every view.
     """
-    looked = max(min(_MIN_SEARCHED, views), min(views, round(views * math.sqrt(share))))
-    return looked, min(1.0, share * views / max(1, looked))
+    searched = max(min(_MIN_SEARCH_VIEWS, views), min(views, round(views * math.sqrt(share))))
+    return searched, min(1.0, share * views / max(1, searched))
 
 
 class TargetWatch:
-    """Detects when renderings reach a target PSNR against ``pictures`` (3, H, W) in ``regions`` (H, W; None: all).
+    """Detects that renderings reach a target PSNR against ``pictures`` (3, H, W) in ``regions`` (H, W; None: all).
 
     The PSNR is that of the mean squared error over the regions of all views and their three channels, colours clipped
     to 0..1. Each view counts with its last rendering, so the check renders nothing. Without regions it never succeeds.
@@ -238,9 +244,9 @@ class TargetWatch:
         """Forgets all renderings so far."""
         self._squares = np.array([np.nan if target.size else 0.0 for target in self._targets])
 
-    def saw(self, index: int, shown: FloatArray) -> bool:
-        """Takes a rendering of view ``index``; whether the last renderings of all views reach the target."""
-        difference = np.clip(_pixels(shown, self._rows[index]), 0, 1) - self._targets[index]
+    def update(self, index: int, rendered: FloatArray) -> bool:
+        """Takes a rendering of view ``index``; whether the last ones of all views reach the target."""
+        difference = np.clip(_pixels(rendered, self._rows[index]), 0, 1) - self._targets[index]
         self._squares[index] = float(np.square(difference).sum(dtype=np.float64))
         return bool(self._squares.sum() <= self._max_squares)
 

@@ -35,35 +35,35 @@ IntArray = NDArray[np.int64]
 
 _MISSED_LEVELS = 25.0
 """8-bit levels by which a rendering must miss the picture: fewer find fainter objects, and more wrong ones."""
-_MIN_MISSED = 2e-4
+_MIN_MISSED_SHARE = 2e-4
 """Share of all views' pixels that must be missed before a search begins."""
-_DEPTHS = 64
+_RAY_DEPTHS = 64
 """Steps along a ray."""
 _MIN_MISSING_VIEWS = 4
 """Views that must miss the same point."""
-_MAY_NOT_MISS = 0.25
+_MAX_NOT_MISSING_SHARE = 0.25
 """Share of the views that see the point and need not miss it."""
-_SPREAD_LEVELS = 14.0
+_MAX_SPREAD_LEVELS = 14.0
 """8-bit levels by which colours of one point may differ."""
-_IN_FRONT = 0.02
+_IN_FRONT_SHARE = 0.02
 """Share of the rendered depth by which a seed must lie before it."""
 _SEED_OPACITY = 0.3
-_NEAREST_SHARE = 0.6
+_NEAREST_DEPTH_SHARE = 0.6
 """Nearest depth searched, as a share of the first percentile of the rendered depths."""
-_AGREEING_VIEWS = 0.6
+_AGREEING_VIEWS_SHARE = 0.6
 """Share of the views that see a point whose colours must agree; the others may be occluded."""
-_SAME_COST = 0.1
+_SAME_COST_SHARE = 0.1
 """Share of the allowed spread within which two depths of a ray explain it equally well; the nearer one wins."""
-_CELL_RAYS = 4.0
+_CELL_RAY_SPACINGS = 4.0
 """Size of a neighbourhood, as a multiple of the distance between rays."""
 _SIGMA_PER_SPACING = 0.6
-_FAINTEST = np.float32(1e-6)
+_MIN_ALPHA = np.float32(1e-6)
 """Alpha of a ray that meets nothing: keeps its depth at 0."""
-_PART = 500
+_BATCH_RAYS = 500
 """Rays per batch: enough for numpy to dominate Python's overhead; batches run in parallel."""
-_SMOOTHED_BLOCK = 64
+_BLOCK_SIDE_PIXELS = 64
 """Side of a block of pixels that is smoothed at once."""
-_MARGIN = 2
+_MARGIN_PIXELS = 2
 """Pixels right and below of a position that its value may be read from: positions are rounded to parts of a pixel."""
 
 
@@ -84,10 +84,10 @@ class SearchView:
 
     def surface(self, pixels: IntArray | slice) -> FloatArray:
         """Mean depth along the rays of flat pixels, 0 for none."""
-        return np.asarray(self.depth.ravel()[pixels] / np.maximum(self.alpha.ravel()[pixels], _FAINTEST))
+        return np.asarray(self.depth.ravel()[pixels] / np.maximum(self.alpha.ravel()[pixels], _MIN_ALPHA))
 
 
-def missed(view: SearchView, levels: float = _MISSED_LEVELS) -> BoolArray:
+def missed_pixels(view: SearchView, levels: float = _MISSED_LEVELS) -> BoolArray:
     """Pixels (H, W) of the focus where rendering and picture clearly differ, without edges one pixel wide."""
     focus = np.flatnonzero(view.focus)
     rendered, picture = (np.take(planes.reshape(3, -1), focus, axis=1) for planes in (view.rendered, view.picture))
@@ -96,13 +96,13 @@ def missed(view: SearchView, levels: float = _MISSED_LEVELS) -> BoolArray:
     return cv2.morphologyEx(wrong.view(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)).view(np.bool_)
 
 
-def worth_a_search(masks: Sequence[BoolArray]) -> bool:
+def enough_missed_pixels(masks: Sequence[BoolArray]) -> bool:
     """Whether ``masks`` of missed pixels cover more than a tiny share of their pictures."""
     missing = sum(int(mask.sum()) for mask in masks)
-    return missing > _MIN_MISSED * sum(mask.size for mask in masks)
+    return missing > _MIN_MISSED_SHARE * sum(mask.size for mask in masks)
 
 
-def seeds(
+def find_seeds(
     views: Sequence[SearchView],
     cores: Sequence[BoolArray],
     settings: EmergenceSettings,
@@ -112,9 +112,9 @@ def seeds(
 ) -> Splats:
     """New Gaussians where the views agree on a surface in front of the rendered one; often none.
 
-    ``views``: all training views; ``cores``: their ``missed`` masks; ``sh_degree``: the scene's. Deterministic.
+    ``views``: all training views; ``cores``: their `missed_pixels`; ``sh_degree``: the scene's. Deterministic.
     """
-    if settings.max_seeds <= 0 or not worth_a_search(cores):
+    if settings.max_seeds <= 0 or not enough_missed_pixels(cores):
         return empty_splats(sh_degree)
     step = max(1, -(-sum(int(core.sum()) for core in cores) // settings.max_rays))
     with side_by_side(threads) as each:
@@ -122,7 +122,7 @@ def seeds(
         found = list(each(search.along_rays, search.rays(step)))
     if not found:
         return empty_splats(sh_degree)
-    return _splats(_thinned(_confirmed(_join(found), step), settings.max_seeds), cores, sh_degree)
+    return _splats(_thin(_confirm(_join(found), step), settings.max_seeds), cores, sh_degree)
 
 
 @dataclass(frozen=True)
@@ -165,9 +165,9 @@ def _take(part: P, rows: IntArray | slice) -> P:
 
 
 class _Smoothed:
-    """A picture (H, W, 3) averaged over 3 x 3 pixels, made block by block where somebody asks for it.
+    """A picture (H, W, 3) averaged over 3 x 3 pixels, block by block on demand.
 
-    The search looks at few pixels of many large pictures. ``planes`` (3, h, w) are given for a range of rows and of
+    The search reads few pixels of many large pictures. ``planes`` (3, h, w) are given for a range of rows and of
     columns. Threads may ask at the same time: a block that two of them make is the same twice.
     """
 
@@ -197,21 +197,25 @@ class _Smoothed:
     def _parts(self, rows: IntArray, columns: IntArray) -> Iterator[tuple[IntArray, int, FloatArray]]:
         """The pixels' places in parts that lie in one band each, the band's first row, and the band (h, W, 3).
 
-        What lies up to _MARGIN pixels right and below is there too: neighbours count, also those that weigh nothing.
+        What lies up to _MARGIN_PIXELS pixels right and below is there too: neighbours count, also those that weigh
+        nothing.
         """
-        down, right = rows // _SMOOTHED_BLOCK, columns // _SMOOTHED_BLOCK
-        further = np.minimum(columns + _MARGIN, self._width - 1) // _SMOOTHED_BLOCK
+        down, right = rows // _BLOCK_SIDE_PIXELS, columns // _BLOCK_SIDE_PIXELS
+        further = np.minimum(columns + _MARGIN_PIXELS, self._width - 1) // _BLOCK_SIDE_PIXELS
         for band in np.unique(down):
             here = np.flatnonzero(down == band)
             for block in np.union1d(right[here], further[here]):
                 self._make(int(band), int(block))
-            yield here, int(band) * _SMOOTHED_BLOCK, self._bands[int(band)]
+            yield here, int(band) * _BLOCK_SIDE_PIXELS, self._bands[int(band)]
 
     def _make(self, band: int, block: int) -> None:
         if (band, block) in self._made:
             return
-        top, left = band * _SMOOTHED_BLOCK, block * _SMOOTHED_BLOCK
-        bottom, right = min(top + _SMOOTHED_BLOCK + _MARGIN, self._height), min(left + _SMOOTHED_BLOCK, self._width)
+        top, left = band * _BLOCK_SIDE_PIXELS, block * _BLOCK_SIDE_PIXELS
+        bottom, right = (
+            min(top + _BLOCK_SIDE_PIXELS + _MARGIN_PIXELS, self._height),
+            min(left + _BLOCK_SIDE_PIXELS, self._width),
+        )
         above, before = min(top, 1), min(left, 1)
         planes = self._planes(slice(top - above, bottom + 1), slice(left - before, right + 1))
         smooth = cv2.blur(cv2.merge(list(planes)), (3, 3))
@@ -226,18 +230,18 @@ class _Search:
 
     def __init__(self, views: Sequence[SearchView], cores: Sequence[BoolArray], each: Each) -> None:
         self._views, self._cores = views, cores
-        self._wide = list(each(_wide, views, cores))
+        self._wide = list(each(_widen, views, cores))
         self._smooth = [_Smoothed(view.camera, partial(_picture, view)) for view in views]
         self._change = [_Smoothed(view.camera, partial(_difference, view)) for view in views]
         depths = np.concatenate([view.surface(slice(None, None, 17)) for view in views])
         near, far = np.percentile(depths[depths > 0], [1, 99]) if (depths > 0).any() else (1.0, 1.0)
-        self._inverse = np.linspace(1 / (_NEAREST_SHARE * near), 1 / far, _DEPTHS)
+        self._inverse = np.linspace(1 / (_NEAREST_DEPTH_SHARE * near), 1 / far, _RAY_DEPTHS)
 
     def rays(self, step: int) -> list[_Rays]:
-        """Rays of every ``step``-th pixel that a view misses, in the views' order, in parts of _PART."""
+        """Rays of every ``step``-th pixel that a view misses, in the views' order, in parts of _BATCH_RAYS."""
         views, cores = enumerate(self._views), self._cores
         joined = _join([self._rays_of(i, view, np.flatnonzero(cores[i])[i % step :: step]) for i, view in views])
-        return [_take(joined, slice(at, at + _PART)) for at in range(0, len(joined.pixels), _PART)]
+        return [_take(joined, slice(at, at + _BATCH_RAYS)) for at in range(0, len(joined.pixels), _BATCH_RAYS)]
 
     def _rays_of(self, index: int, view: SearchView, pixels: IntArray) -> _Rays:
         return _Rays(
@@ -254,24 +258,24 @@ class _Search:
         """At most one seed per ray."""
         surface, count = rays.surface, len(rays.pixels)
         inverse = np.broadcast_to(self._inverse, (count, len(self._inverse)))
-        limit = np.where(surface > 0, (1 - _IN_FRONT) * surface, np.inf)
+        limit = np.where(surface > 0, (1 - _IN_FRONT_SHARE) * surface, np.inf)
         ray, place = np.nonzero(inverse * limit[:, None] > 1)
         ray, place = self._inside_hull(rays, ray, place)
-        # Between the steps of the coarse search, which are a few pixels apart in the views farthest off.
+        # Between the steps of the coarse search, which are a few pixels in the most distant views.
         ray = np.repeat(ray, 3)
         gap = self._inverse[0] - self._inverse[-1]
         offsets = np.array([-1, 0, 1]) / 3 * gap / max(1, len(self._inverse) - 1)
         depth = 1 / (self._inverse[place][:, None] + offsets).ravel()
         points = rays.origins[ray] + rays.directions[ray] * depth[:, None]
         (cost,), front = self._disagreements([self._smooth], rays.views[ray], points, [rays.smooth[ray]])
-        tolerance = np.float32(_SPREAD_LEVELS / 255)
+        tolerance = np.float32(_MAX_SPREAD_LEVELS / 255)
         best = np.full(count, np.inf, np.float32)
         np.minimum.at(best, ray, np.where(front, cost, np.inf).astype(np.float32))
         explained = np.zeros(count, bool)
         asking = np.flatnonzero((best <= tolerance) & (surface > 0))
         there = self._disagreement_at_surface(_take(rays, asking))
         explained[asking] = there <= 2 * best[asking] + tolerance / 4
-        fits = front & (cost <= np.minimum(best[ray] + _SAME_COST * tolerance, tolerance)) & ~explained[ray]
+        fits = front & (cost <= np.minimum(best[ray] + _SAME_COST_SHARE * tolerance, tolerance)) & ~explained[ray]
         rows = np.flatnonzero(fits)
         rows = rows[np.lexsort((depth[rows], ray[rows]))]
         rows = rows[np.unique(ray[rows], return_index=True)[1]]  # the foremost of each ray
@@ -300,7 +304,7 @@ class _Search:
 
     def _inside_hull(self, rays: _Rays, ray: IntArray, place: IntArray) -> tuple[IntArray, IntArray]:
         """The samples that lie inside the masks of nearly all other views that see them."""
-        allowed = _MAY_NOT_MISS * len(self._views)
+        allowed = _MAX_NOT_MISSING_SHARE * len(self._views)
         seen = np.ones(len(ray), np.int64)
         misses = np.zeros(len(ray), np.int64)
         for other in _far_first(int(rays.views[0]), len(self._views)):
@@ -312,7 +316,7 @@ class _Search:
             misses += inside & ~hit
             keep = misses <= allowed
             ray, place, seen, misses = ray[keep], place[keep], seen[keep], misses[keep]
-        keep = (misses <= _MAY_NOT_MISS * seen) & (seen - misses >= _MIN_MISSING_VIEWS)
+        keep = (misses <= _MAX_NOT_MISSING_SHARE * seen) & (seen - misses >= _MIN_MISSING_VIEWS)
         return ray[keep], place[keep]
 
     def _disagreements(
@@ -338,7 +342,7 @@ class _Search:
                 colours = each[other].between(u[inside], v[inside])
                 differences[kind, other, inside] = np.abs(colours - reference[inside]).max(axis=1)
             rendered = view.surface(at)
-            before[inside] += (rendered <= 0) | (depth[inside] < (1 - _IN_FRONT / 2) * rendered)
+            before[inside] += (rendered <= 0) | (depth[inside] < (1 - _IN_FRONT_SHARE / 2) * rendered)
             seen[inside] += 1
         enough = seen >= _MIN_MISSING_VIEWS - 1
         return [_mean_of_best(each, seen, enough) for each in differences], enough & (before >= 0.7 * seen)
@@ -347,15 +351,15 @@ class _Search:
 def _mean_of_best(differences: FloatArray, seen: IntArray, enough: BoolArray) -> FloatArray:
     """The mean (P,) of the smallest of each point's differences (V, P), infinite where not ``enough`` see it."""
     ordered = np.sort(differences, axis=0)
-    wanted = np.ceil(_AGREEING_VIEWS * seen).astype(np.int64)
+    wanted = np.ceil(_AGREEING_VIEWS_SHARE * seen).astype(np.int64)
     counted = np.arange(len(ordered))[:, None] < wanted
     total = np.where(counted, ordered, 0).sum(axis=0, dtype=np.float32)
     return np.where(enough, total / np.maximum(wanted, 1), np.inf).astype(np.float32)
 
 
-def _wide(view: SearchView, core: BoolArray) -> BoolArray:
+def _widen(view: SearchView, core: BoolArray) -> BoolArray:
     """``core`` and the pixels missed by half as much, a pixel wider, flat: a new object may resemble what it hides."""
-    missing = (missed(view, _MISSED_LEVELS / 2) | core).view(np.uint8)
+    missing = (missed_pixels(view, _MISSED_LEVELS / 2) | core).view(np.uint8)
     return cv2.dilate(missing, np.ones((3, 3), np.uint8)).view(np.bool_).ravel()
 
 
@@ -393,14 +397,14 @@ def _project(
     return np.where(inside, row * camera.width + column, -1), u, v, depth
 
 
-def _confirmed(found: _Found, step: int) -> _Found:
+def _confirm(found: _Found, step: int) -> _Found:
     """Points close to the end of another view's ray; every ``step``-th pixel had a ray.
 
     Chance agreements of colour have scattered depths. Close: in one cell of a grid or of the grid shifted by half.
     """
     if not len(found.points):
         return found
-    size = _CELL_RAYS * max(1.5, step**0.5) * float(np.median(found.pixel))
+    size = _CELL_RAY_SPACINGS * max(1.5, step**0.5) * float(np.median(found.pixel))
     keep = np.zeros(len(found.views), bool)
     for shift in (0.0, 0.5):
         cells = np.floor((found.points - found.points.min(axis=0)) / size + shift).astype(np.int64)
@@ -412,7 +416,7 @@ def _confirmed(found: _Found, step: int) -> _Found:
     return _take(found, np.flatnonzero(keep))
 
 
-def _thinned(found: _Found, most: int) -> _Found:
+def _thin(found: _Found, most: int) -> _Found:
     """One point, the best agreed on, per cell of a grid as wide as 1.5 pixels; cells grow until ``most`` suffice."""
     if not len(found.points):
         return found

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from decogs.formats.splats import Splats, sigmoid
 
 from ..backends import ViewGradients
-from .densification import DENSIFICATIONS
+from .densification import clone_and_split
 from .frame_training import FrameTraining
 from .working_set import WorkingSet
 
-_LARGE = 0.01
+_LARGE_SIGMA_EXTENTS = 0.01
 """Sigma, in units of the rig's extent, from which a Gaussian is split and not cloned (3DGS's)."""
 
 
@@ -49,13 +49,13 @@ def _grow(
 ) -> bool:
     """Adds at most ``room`` Gaussians; a child outside every region of interest starts at its parent's position."""
     settings, own = training.settings, work.values
-    growth = DENSIFICATIONS.get(settings.densification)(
+    growth = clone_and_split(
         own,
         gathered.mean(),
         eligible,
         threshold=settings.grow_gradient,
         room=room,
-        large=_LARGE * training.context.extent,
+        large=_LARGE_SIGMA_EXTENTS * training.context.extent,
         random=training.random,
     )
     parents = growth.parents

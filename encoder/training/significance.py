@@ -3,15 +3,15 @@
 Chosen: a dead zone inside the training loop, in millionths of a picture's loss. A change of one stored number moves the
 loss by its size times the gradient (root mean square over steps and views, from Adam's moments). Late in stage 2,
 numbers whose change moves the mean loss of a picture by less than the threshold return to the decoder's values and
-stay there; the remaining steps train the others around them. The remaining changes are rounded by what their bits are
-worth (`rate_distortion.py`).
+stay there; the remaining steps train the others around them. The remaining changes are rounded by
+rate-distortion optimisation (`rate_distortion.py`).
 
 Measured on workbench (DESIGN.md): 12 kB a frame instead of 100 unrounded, for .2 dB where things move. Rejected: a
 dead zone in lattice steps (at the same dynamic PSNR twice the bytes: it spares the sharp and the faint alike); a raised
 epsilon in Adam, the prototype's lever (75th percentile: 19 % fewer bytes for .6 dB); predicted motion (5 % of the
 positions' bytes: the rest of motion after training is noise, which neighbours do not predict); a threshold in pixels
-(at half the size of the pictures the same scene lost 2 dB where things move: PSNR is a mean over the picture, so what a
-change is worth is a share of it).
+(at half the size of the pictures the same scene lost 2 dB where things move: PSNR is a mean over the picture, so the
+significance of a change is relative to it).
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ def revert_insignificant(
     threshold: float,
     geometry_factor: FloatArray | None = None,
 ) -> None:
-    """Reverts and holds the changes since ``before`` below the significance threshold.
+    """Reverts the changes since ``before`` below the significance threshold, and freezes these values.
 
     ``before`` (M) has the optimiser's rows. Rows that are not ``old`` (M,) are new and keep their values. ``threshold``
     is in units of the loss; ``geometry_factor`` (M,): its factor for positions, sizes and rotations of each row.
     """
     optimiser.put(quaternions=_kept_scale(optimiser.splats.quaternions, before.quaternions))
-    held = {}
+    frozen = {}
     for name in ATTRIBUTES:
         values, was = getattr(optimiser.splats, name), getattr(before, name)
         limit = np.full((len(values),) + (1,) * (values.ndim - 1), threshold, np.float32)
@@ -57,8 +57,8 @@ def revert_insignificant(
         idle = optimiser.gradient_size(name) * np.abs(values - was) < limit
         idle[~old] = False
         optimiser.put(**{name: np.where(idle, was, values)})
-        held[name] = idle
-    optimiser.hold(held)
+        frozen[name] = idle
+    optimiser.freeze(frozen)
 
 
 def _kept_scale(quaternions: FloatArray, before: FloatArray) -> FloatArray:

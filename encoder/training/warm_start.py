@@ -16,11 +16,13 @@ from decogs.formats.splats import FloatArray
 
 from ..numerics import nearest
 
-_NEIGHBOURS = 8
+_NEIGHBOUR_GAUSSIANS = 8
 """Nearest Gaussians whose median displacement is taken: one, its own, takes 8 % more bytes."""
 
 
-def shared_displacements(means: FloatArray, displacements: FloatArray, neighbours: int = _NEIGHBOURS) -> FloatArray:
+def shared_displacements(
+    means: FloatArray, displacements: FloatArray, neighbours: int = _NEIGHBOUR_GAUSSIANS
+) -> FloatArray:
     """The median displacement of every point's ``neighbours`` nearest, itself among them; all (M, 3), world units.
 
     1 neighbour leaves the displacements as they are.
@@ -34,24 +36,24 @@ def shared_displacements(means: FloatArray, displacements: FloatArray, neighbour
 
 @dataclass(frozen=True)
 class Motion:
-    """Displacement of every Gaussian in the last frame; ``last`` (N, 3), world units; frames ``held`` since then."""
+    """Velocity of every Gaussian: its ``last`` displacement (N, 3), world units; ``deferred`` frames since then."""
 
     last: FloatArray
-    held: int = 0
+    deferred: int = 0
 
     @classmethod
     def at_rest(cls, population: int) -> Motion:
         """Of a keyframe, whose Gaussians have no known motion."""
         return cls(np.zeros((population, 3), np.float32))
 
-    def expected(self) -> FloatArray:
-        """Predicted displacement up to the next frame, at constant velocity over held frames."""
-        return np.asarray(self.last * np.float32(1 + self.held), np.float32)
+    def predict(self) -> FloatArray:
+        """Predicted displacement up to the next frame, at constant velocity over deferred frames."""
+        return np.asarray(self.last * np.float32(1 + self.deferred), np.float32)
 
-    def hold(self) -> Motion:
+    def defer(self) -> Motion:
         """After a frame without training: the scene stays."""
-        return Motion(self.last, self.held + 1)
+        return Motion(self.last, self.deferred + 1)
 
-    def moved(self, displacements: FloatArray) -> Motion:
-        """After these displacements since the last frame that was not held."""
-        return Motion(displacements / np.float32(1 + self.held))
+    def move(self, displacements: FloatArray) -> Motion:
+        """After these displacements since the last frame that was not deferred."""
+        return Motion(displacements / np.float32(1 + self.deferred))

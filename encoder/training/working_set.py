@@ -1,4 +1,4 @@
-"""The Gaussians under training in a later frame, apart from their scene."""
+"""The Gaussians under training in a later frame: S_t and those that the frame adds."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class WorkingSet:
         """Values of ``rows`` before the frame; new Gaussians have their current ones."""
         return join_splats(take_splats(self._scene, self.rows[self.old]), take_splats(self.values, ~self.old))
 
-    def lasting(self) -> NDArray[np.bool_]:
+    def is_lasting(self) -> NDArray[np.bool_]:
         """Which of ``rows`` outlive the frame: all except transparent new ones."""
         return self.old | (sigmoid(self.values.opacity_logits) >= self._prune_opacity)
 
@@ -72,11 +72,11 @@ class WorkingSet:
             self.rows[self.old],
             take_splats(drawn, self.old),
             np.setdiff1d(self._detached, self.rows),
-            take_splats(drawn, ~self.old & self.lasting()),
+            take_splats(drawn, ~self.old & self.is_lasting()),
             sensitivity=Splats(*(self._sensitivity(name, picture_weight) for name in ATTRIBUTES)),
         )
 
-    def unchanged(self) -> TrainedFrame:
+    def rejected_frame(self) -> TrainedFrame:
         """The frame without any change to the scene."""
         nothing = empty_splats(self._scene.sh_degree)
         values = take_splats(self._scene, self._detached)

@@ -81,7 +81,7 @@ class WorkClock:
             (decogs, "frame_training", lambda made, *rest: 0.003 * sum(each[0].size for each in made.frame.pictures)),
             (decogs, "densify", lambda _, training, work, *rest: 2000 + 1.0 * len(work.rows)),
             (decogs, "revert_insignificant", lambda _, optimiser, *rest: 0.2 * len(optimiser.splats)),
-            (emergence, "missed", lambda _, look, *rest: 0.005 * look.depth.size),
+            (emergence, "missed_pixels", lambda _, look, *rest: 0.005 * look.depth.size),
             (seeding._Search, "__init__", lambda _, search, views, *rest: 0.1 * sum(x.depth.size for x in views)),
             (
                 seeding._Search,

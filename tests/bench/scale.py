@@ -106,7 +106,7 @@ class Take:
     def parts(self) -> list[float]:
         """CPU-s of every part but for its start.
 
-        The last one may be shorter and goes over to nothing, and the first segment has nothing to catch up with.
+        The last one may be shorter and fades into nothing, and the first segment has nothing to catch up with.
         """
         costs = []
         for first in range(0, self.frames, self.part_frames):

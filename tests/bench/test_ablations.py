@@ -17,7 +17,7 @@ from decogs.encoder.methods import FRAME_METHODS, method_of
 from decogs.encoder.settings.cache import CacheSettings
 from decogs.encoder.settings.encode import EncodeSettings
 from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings
-from decogs.encoder.switches import without
+from decogs.encoder.switches import ablate
 from decogs.encoder.training.method import FrameMethod, FrameTrainer
 from decogs.formats.errors import UsageError
 from one_frame import BOX, Case, bits, moved_square, train, training_context
@@ -50,10 +50,10 @@ def test_they_are_offered_as_a_package_offers_its_own() -> None:
     assert {"decogs-ablated", "paper-ablated"} <= set(FRAME_METHODS.names())
     assert "all" in SELECTION_RULES.names()
     for name in ("decogs", "paper"):
-        settings = without(EncodeSettings(method=name), ["gate"])
+        settings = ablate(EncodeSettings(method=name), ["gate"])
         assert method_of(settings) is FRAME_METHODS.get(f"{name}-ablated")
     with pytest.raises(UsageError, match="`ablate` gate: `method` mine has no such part; drop one of the two"):
-        method_of(without(EncodeSettings(method="mine"), ["gate"]))
+        method_of(ablate(EncodeSettings(method="mine"), ["gate"]))
 
 
 @METHODS
@@ -93,7 +93,7 @@ def test_without_the_focus_the_masks_are_not_in_the_loss(case: Case, method: Fra
 def test_without_the_selection_all_are_trained_where_pictures_changed(
     encode: Any, moving: Any, moving_rig: Path, tiny_settings: Any
 ) -> None:
-    encoded = encode(moving_rig, settings=without(tiny_settings, ["select"]), keyframe=moving.path)
+    encoded = encode(moving_rig, settings=ablate(tiny_settings, ["select"]), keyframe=moving.path)
     assert [frame.selected for frame in encoded.report.frames] == [1, 1, 0, 1]
     assert [frame.kind for frame in encoded.report.frames] == ["key", "delta", "skip", "delta"]
     with open_stream(encoded.path) as ablated, open_stream(moving.path) as whole:

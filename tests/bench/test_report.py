@@ -308,7 +308,7 @@ def refused(tmp_path: Path, three_frames: Path, capfd: pytest.CaptureFixture[str
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--only", "speed"], "--only speed: there is no such part; choose from beta, "),
+        (["--only", "speed"], "--only speed: there is no such part; choose from heuristics, "),
         (["--holdout", "cam9"], "--holdout cam9: "),
         (["--frames", "2:1"], "--frames: "),
         (["--frames", "-1:"], "give --frames of at least 2"),

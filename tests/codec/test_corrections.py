@@ -76,8 +76,8 @@ def test_a_payload_shorter_than_the_block_is_refused_where_it_lies(size: int) ->
 
 
 def test_odds_are_multiplied_by_channel() -> None:
-    assert Correction(exposure=4096, red=-4096, blue=2048).odds == (1.0, math.e, math.exp(1.5))
-    assert Correction(yaw=5).odds == (1.0, 1.0, 1.0)
+    assert Correction(exposure=4096, red=-4096, blue=2048).odds_gain == (1.0, math.e, math.exp(1.5))
+    assert Correction(yaw=5).odds_gain == (1.0, 1.0, 1.0)
 
 
 @given(*[st.floats(-1.5, 1.5)] * 3)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from decogs.codec.corrections import ANGLE_STEP, Correction, turn
-from decogs.decoder.camera_corrections import as_it_stood, with_odds
+from decogs.decoder.camera_corrections import apply_gain, as_it_stood
 from decogs.formats.cameras import Camera, camera_centre
 
 POSE = np.eye(4)
@@ -21,20 +21,20 @@ CAMERA = Camera("a", 100, 80, 90.0, 91.0, 50.0, 40.0, POSE)
 def test_odds_are_multiplied_and_the_inverse_undoes_it(value: float, shift: float) -> None:
     odds = float(np.exp(shift))
     seen = np.full((1, 3), value)
-    recorded = with_odds(seen, (odds, odds, odds))
+    recorded = apply_gain(seen, (odds, odds, odds))
     assert np.all((recorded >= 0) & (recorded <= 1))
     if max(value, recorded[0, 0]) < 1 - 1e-9:  # beyond, 1 - value has fewer than seven digits left
         assert recorded[0, 0] / (1 - recorded[0, 0]) == pytest.approx(odds * value / (1 - value), rel=1e-6)
-    np.testing.assert_allclose(with_odds(recorded, (1 / odds,) * 3), seen, atol=1e-12)
+    np.testing.assert_allclose(apply_gain(recorded, (1 / odds,) * 3), seen, atol=1e-12)
 
 
 def test_black_white_and_what_lies_beyond_stay() -> None:
     values = np.array([[-0.2, 0.0, 1.0], [1.7, 30.0, 1.0]], np.float32)
-    assert with_odds(values, (1.4, 0.3, 2.0)).tobytes() == values.tobytes()
+    assert apply_gain(values, (1.4, 0.3, 2.0)).tobytes() == values.tobytes()
 
 
 def test_channels_have_odds_of_their_own() -> None:
-    shown = with_odds(np.full((2, 3), 0.5), (3.0, 1.0, 1 / 3))
+    shown = apply_gain(np.full((2, 3), 0.5), (3.0, 1.0, 1 / 3))
     np.testing.assert_allclose(shown, [[0.75, 0.5, 0.25]] * 2)
 
 

@@ -25,7 +25,7 @@ from decogs.decoder import decode
 from decogs.decoder.camera_fields import MAX_FILE_BYTES
 from decogs.decoder.commands import decode_main, export_main
 from decogs.decoder.free_camera import read_free_cameras
-from decogs.formats.command_line import Parser, reworded, run, warn_as
+from decogs.formats.command_line import Parser, in_option_names, run, warn_as
 from decogs.formats.container import StreamWriter
 from decogs.formats.errors import StreamError, UsageError
 from decogs.formats.quiet import quiet_opencv
@@ -293,7 +293,7 @@ def test_errors_of_the_library_name_the_commands_options(capsys: pytest.CaptureF
 def test_an_error_can_be_said_in_the_users_words() -> None:
     with (
         pytest.raises(StreamError, match=r"^--rate 9: too little in packet 3 \[x\]$") as caught,
-        reworded({"`r` 5": "--rate 9"}),
+        in_option_names({"`r` 5": "--rate 9"}),
     ):
         raise StreamError("x", "`r` 5: too little", packet=3)
     assert caught.value.packet == 3

@@ -44,7 +44,8 @@ LENS = (0.12, 0.01, 0.002, -0.003)
 CACHE = CacheSettings(levels=4, features=2, table_log2=8, base_resolution=4, hidden_width=16, learning_rate=5e-3)
 
 TINY = EncodeSettings(
-    # Without Gaussians beside the pictures (test_surroundings): ten steps are too few for the others to adapt to them.
+    # Without Gaussians beside the pictures (test_border_extrapolation): ten steps are too few for the others to adapt
+    # to them.
     keyframe=KeyframeSettings(
         iterations=80, cap=1200, sh_degree=1, grow_every=20, validation_every=20, settle_iterations=10
     ),

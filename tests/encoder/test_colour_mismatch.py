@@ -11,13 +11,13 @@ import pytest
 
 from decogs.codec.corrections import Correction, with_colours
 from decogs.codec.digest import digest
-from decogs.decoder.camera_corrections import with_odds
+from decogs.decoder.camera_corrections import apply_gain
 from decogs.decoder.decoding import decode
 from decogs.decoder.stream import open_stream
 from decogs.decoder.stream_info import info
 from decogs.decoder.views import render_view
-from decogs.encoder.input.compensation.colour import odds_shift
-from decogs.encoder.input.compensation.matching import colours_at
+from decogs.encoder.input.compensation.colour import logit_shift
+from decogs.encoder.input.compensation.matching import find_colours
 from decogs.encoder.input.ingest import Ingest
 from decogs.encoder.settings.compensation import CorrectionSettings
 from decogs.formats.cameras import in_picture, project
@@ -53,7 +53,7 @@ def matched(encode: Any, unlike_rig: Path, settings: Any) -> Any:
 
 
 def odds(correction: Correction) -> np.ndarray:
-    return np.log(correction.odds)
+    return np.log(correction.odds_gain)
 
 
 def without_common(found: dict[str, Correction]) -> np.ndarray:
@@ -78,14 +78,14 @@ def test_differences_are_found_at_points_that_views_share(unlike_rig: Path) -> N
     """To .05: the texture is a few pixels wide, and where cameras agree .016 is found."""
     ingest, pictures, xyz, seen = wall(unlike_rig)
     assert (seen.sum(axis=0) >= 3).sum() > 100
-    found = colours_at(ingest.views, pictures, xyz, seen)
+    found = find_colours(ingest.views, pictures, xyz, seen)
     np.testing.assert_allclose(without_common(dict(found)), without_common(COLOURS), atol=0.05)
 
 
 def test_cameras_that_agree_are_left_alone(moving_rig: Path) -> None:
     """Two levels of 255 at mid-grey change the odds by .03; the texture is a few pixels wide."""
     ingest, pictures, xyz, seen = wall(moving_rig)
-    found = colours_at(ingest.views, pictures, xyz, seen)
+    found = find_colours(ingest.views, pictures, xyz, seen)
     assert np.abs([odds(correction) for correction in found.values()] or [[0.0]]).max() < 0.03
 
 
@@ -93,8 +93,8 @@ def test_a_camera_that_shares_too_little_has_no_difference(unlike_rig: Path) -> 
     ingest, pictures, xyz, seen = wall(unlike_rig)
     alone = seen.copy()
     alone[1, 20:] = False
-    assert "cam01" not in colours_at(ingest.views, pictures, xyz, alone)
-    assert colours_at(ingest.views, pictures, xyz[:0], seen[:, :0]) == {}
+    assert "cam01" not in find_colours(ingest.views, pictures, xyz, alone)
+    assert find_colours(ingest.views, pictures, xyz[:0], seen[:, :0]) == {}
 
 
 # Whole encodes
@@ -132,10 +132,10 @@ def test_a_decoder_shows_what_a_camera_recorded_or_the_scene(matched: Any, unlik
             shown[drift_free] = read_picture(next(folder.iterdir())).astype(np.float32) / 255
         plain = render_view(header, frame.splats, name).image
         np.testing.assert_allclose(shown[True], np.clip(plain, 0, 1), atol=0.51 / 255)
-        recorded = with_odds(plain, header.camera_colours[name].odds)
+        recorded = apply_gain(plain, header.camera_colours[name].odds_gain)
         np.testing.assert_allclose(shown[False], np.clip(recorded, 0, 1), atol=0.51 / 255)
         video = read_picture(unlike_rig / name / "0000.png").astype(np.float32) / 255
-        left = odds_shift(video.transpose(2, 0, 1), shown[False].transpose(2, 0, 1)).shift
+        left = logit_shift(video.transpose(2, 0, 1), shown[False].transpose(2, 0, 1)).shift
         # A crude scene's whole picture is up to .11 off what shared points tell (test_corrections).
         assert np.abs(left).max() < 0.12
 

@@ -14,7 +14,7 @@ import pytest
 import decogs.encoder.coding.packets as packets
 from decogs.codec.corrections import ANGLE_STEP, COLOUR_STEP, Correction
 from decogs.codec.digest import digest
-from decogs.decoder.camera_corrections import as_it_stood, with_odds
+from decogs.decoder.camera_corrections import apply_gain, as_it_stood
 from decogs.decoder.decoding import decode
 from decogs.decoder.rasterise import Rendering, render
 from decogs.decoder.stream import open_stream
@@ -24,8 +24,8 @@ from decogs.encoder.backends.cpu.cpu_kernel import HostPicture
 from decogs.encoder.input.compensation import CorrectionMemory, Corrector, _of_the_others, corrector_of
 from decogs.encoder.input.compensation.agreement import SharedSurface, agreeing_shifts
 from decogs.encoder.input.compensation.benefit import Benefit
-from decogs.encoder.input.compensation.colour import odds_shift, without_odds
-from decogs.encoder.input.compensation.shake import angles_of, turn_of, unturned
+from decogs.encoder.input.compensation.colour import logit_shift, remove_gain
+from decogs.encoder.input.compensation.shake import angles_of, estimate_turn, undo_turn
 from decogs.encoder.input.ingest import Ingest, View
 from decogs.encoder.settings.compensation import CorrectionSettings
 from decogs.formats.cameras import Camera, scale_camera
@@ -52,7 +52,7 @@ def some_picture(seed: int, height: int = 90, width: int = 120) -> np.ndarray:
 
 def recorded_of(shown: np.ndarray, shift: tuple[float, ...], seed: int = 0, noise: float = 1.2) -> np.ndarray:
     odds: Any = tuple(np.exp(shift))
-    clean = with_odds(shown.transpose(1, 2, 0).astype(np.float64), odds)
+    clean = apply_gain(shown.transpose(1, 2, 0).astype(np.float64), odds)
     noisy = clean + np.random.default_rng(seed).normal(0, noise / 255, clean.shape)
     return planar(np.clip(np.rint(255 * noisy) / 255, 0, 1))
 
@@ -65,14 +65,14 @@ def test_the_shift_is_found_whatever_moves() -> None:
     shown = some_picture(1)
     recorded = recorded_of(shown, SHIFT)
     recorded[:, 20:60, 10:64] = some_picture(9)[:, :40, :54]
-    found = odds_shift(recorded, shown)
+    found = logit_shift(recorded, shown)
     np.testing.assert_allclose(found.shift, SHIFT, atol=0.005)
     assert np.all(found.precision > 100)
 
 
 def test_a_jump_of_two_stops_is_found() -> None:
     shown = some_picture(2)
-    np.testing.assert_allclose(odds_shift(recorded_of(shown, (1.4, 1.4, 1.4)), shown).shift, 1.4, atol=0.01)
+    np.testing.assert_allclose(logit_shift(recorded_of(shown, (1.4, 1.4, 1.4)), shown).shift, 1.4, atol=0.01)
 
 
 def test_what_is_clipped_or_was_not_recorded_does_not_tell() -> None:
@@ -80,8 +80,8 @@ def test_what_is_clipped_or_was_not_recorded_does_not_tell() -> None:
     recorded, valid = recorded_of(shown, SHIFT), np.ones((90, 120), np.float32)
     recorded[:, :30], recorded[:, 30:40] = 1.0, 0.0
     recorded[:, :, 100:], valid[:, 100:] = 0.5, 0
-    np.testing.assert_allclose(odds_shift(recorded, shown, valid).shift, SHIFT, atol=0.005)
-    nothing = odds_shift(np.zeros_like(shown), shown)
+    np.testing.assert_allclose(logit_shift(recorded, shown, valid).shift, SHIFT, atol=0.005)
+    nothing = logit_shift(np.zeros_like(shown), shown)
     assert not nothing.shift.any()
     assert not nothing.precision.any()
 
@@ -89,9 +89,9 @@ def test_what_is_clipped_or_was_not_recorded_does_not_tell() -> None:
 def test_taking_a_shift_out_gives_the_scenes_colours() -> None:
     shown = some_picture(4)
     recorded = recorded_of(shown, SHIFT, noise=0)
-    np.testing.assert_allclose(without_odds(recorded, Correction(819, 0, 0).odds).shape, shown.shape)
+    np.testing.assert_allclose(remove_gain(recorded, Correction(819, 0, 0).odds_gain).shape, shown.shape)
     odds: Any = tuple(np.exp(SHIFT))
-    np.testing.assert_allclose(without_odds(recorded, odds), shown, atol=0.004)  # 8 bits, a step widened by the odds
+    np.testing.assert_allclose(remove_gain(recorded, odds), shown, atol=0.004)  # 8 bits, a step widened by the odds
 
 
 # Pose
@@ -114,7 +114,7 @@ def test_a_turn_is_found_to_a_fraction_of_a_pixel(tiny_rig: Any, correction: Cor
     _, recorded = wall(tiny_rig, correction)
     recorded = recorded_of(recorded, (0, 0, 0))
     recorded[:, 60:110, 80:130] = some_picture(9)[:, :50, :50]
-    angles = np.array(angles_of(turn_of(recorded, shown, camera)))
+    angles = np.array(angles_of(estimate_turn(recorded, shown, camera)))
     truth = np.array([correction.yaw, correction.pitch, correction.roll]) * ANGLE_STEP
     assert np.all(np.abs(angles - truth) * [camera.fx, camera.fy, np.hypot(camera.cx, camera.cy)] < 0.05)
 
@@ -125,13 +125,13 @@ def test_the_picture_is_put_where_the_calibrated_pose_sees_it(tiny_rig: Any) -> 
     _, recorded = wall(tiny_rig, correction)
     inner = np.s_[:, 8:-8, 8:-8]
     apart = np.abs(recorded - shown)[inner].mean()
-    left = np.abs(unturned(recorded, camera, correction.rotation) - shown)[inner].mean()
+    left = np.abs(undo_turn(recorded, camera, correction.rotation) - shown)[inner].mean()
     assert left < 0.1 * apart
 
 
 def test_a_view_without_texture_stays_where_it_is(tiny_rig: Any) -> None:
     flat = np.full((3, 48, 64), 0.5, np.float32)
-    np.testing.assert_allclose(turn_of(flat, flat, tiny_rig.camera(0)), np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(estimate_turn(flat, flat, tiny_rig.camera(0)), np.eye(3), atol=1e-12)
 
 
 # All cameras at once
@@ -226,7 +226,7 @@ def test_light_stays_in_a_cameras_picture(tiny_rig: Any, light: np.ndarray, all_
     memory = corrector.begin(draw)
     found = corrector.find(memory, pictures, lambda number: draw(number).rgb)
     for name in cameras:
-        odds = np.log(found[name].odds)
+        odds = np.log(found[name].odds_gain)
         np.testing.assert_allclose(odds, own if name == "cam01" else 0, atol=0.02)
 
 
@@ -245,8 +245,8 @@ def test_light_that_only_some_points_see_stays_too(tiny_rig: Any) -> None:
     corrector = Corrector(views, CorrectionSettings(exposure=("cam01",), white_balance=("cam01",)))
     memory = corrector.begin(draw)
     found = corrector.find(memory, pictures, lambda number: draw(number).rgb)
-    np.testing.assert_allclose(np.log(found["cam01"].odds), 0, atol=0.02)
-    assert np.abs(odds_shift(pictures[1], draw(1).rgb).shift).max() > 0.1, "alone it looks like a drift"
+    np.testing.assert_allclose(np.log(found["cam01"].odds_gain), 0, atol=0.02)
+    assert np.abs(logit_shift(pictures[1], draw(1).rgb).shift).max() > 0.1, "alone it looks like a drift"
 
 
 def test_a_correction_pays_where_the_scene_agrees_with_it() -> None:
@@ -254,16 +254,16 @@ def test_a_correction_pays_where_the_scene_agrees_with_it() -> None:
     changed[:40] = True
     recorded = recorded_of(shown, SHIFT)
     odds: Any = tuple(np.exp(SHIFT))
-    right = without_odds(recorded, odds)
+    right = remove_gain(recorded, odds)
     for corrected, left, pays in ((right, recorded, True), (recorded, right, False), (recorded, recorded, True)):
         benefit = Benefit()
         for _ in range(3):
-            benefit = benefit.seen(corrected, left, shown, changed)
+            benefit = benefit.update(corrected, left, shown, changed)
         assert benefit.pays is pays
     mixed = Benefit()
     half = np.where(changed, recorded, right)
     for _ in range(3):
-        mixed = mixed.seen(half, np.where(changed, right, recorded), shown, changed)
+        mixed = mixed.update(half, np.where(changed, right, recorded), shown, changed)
     assert not mixed.pays, "it gains on what does not change and loses on what does"
 
 
@@ -272,10 +272,10 @@ def test_the_last_frames_decide_whether_a_correction_pays() -> None:
     shown, changed = some_picture(1), np.zeros((90, 120), bool)
     recorded = recorded_of(shown, SHIFT)
     odds: Any = tuple(np.exp(SHIFT))
-    right, benefit, paid = without_odds(recorded, odds), Benefit(), []
+    right, benefit, paid = remove_gain(recorded, odds), Benefit(), []
     for frame in range(28):
         pictures = (right, recorded) if frame < 20 else (recorded, right)
-        benefit = benefit.seen(*pictures, shown, changed)
+        benefit = benefit.update(*pictures, shown, changed)
         paid.append(benefit.pays)
     assert all(paid[:21]), "one frame decides nothing"
     assert not paid[-1]
@@ -294,7 +294,7 @@ def test_a_segment_goes_on_with_the_first_frames_corrections_and_nothing_else() 
     memory = CorrectionMemory(SharedSurface(nowhere, nowhere, nowhere > 0), first)
     later = replace(memory, benefits={("cam00", "shake"): Benefit()}, dropped=frozenset({("cam00", "shake")}))
     assert later != memory
-    assert later.restarted() == memory
+    assert later.restart() == memory
 
 
 def test_light_that_the_scene_has_not_followed_yet_is_no_cameras_loss(tiny_rig: Any) -> None:
@@ -310,7 +310,7 @@ def test_light_that_the_scene_has_not_followed_yet_is_no_cameras_loss(tiny_rig: 
     show = lambda number: draw(number).rgb  # noqa: E731
     for _ in range(4):
         found = corrector.find(memory, recorded, show)
-        np.testing.assert_allclose(np.log(found["cam01"].odds), 0.3, atol=0.02)
+        np.testing.assert_allclose(np.log(found["cam01"].odds_gain), 0.3, atol=0.02)
         memory = corrector.judge(memory, recorded, found, show, unchanged)
         assert not memory.dropped
 
@@ -420,8 +420,8 @@ def test_a_decoder_shows_what_a_camera_recorded(corrected: Any, faulty_rig: Path
             decode(corrected.path, folder, view=name, drift_free=drift_free)
             for frame, path in enumerate(sorted(folder.iterdir())):
                 video = read_picture(faulty_rig / name / f"{frame:04d}.png")
-                left = odds_shift(*(planar(picture / np.float32(255)) for picture in (video, read_picture(path))))
-                expected = np.log(told[frame][name].odds) if drift_free else 0
+                left = logit_shift(*(planar(picture / np.float32(255)) for picture in (video, read_picture(path))))
+                expected = np.log(told[frame][name].odds_gain) if drift_free else 0
                 # The scene is a crude one: whole pictures of it are up to .11 off what the shared points tell.
                 np.testing.assert_allclose(left.shift, expected, atol=0.12)
 

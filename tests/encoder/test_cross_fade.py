@@ -1,4 +1,4 @@
-"""The frames before a closed segment's start go over to it."""
+"""The frames before a closed segment's start are faded into it."""
 
 from __future__ import annotations
 

@@ -346,7 +346,7 @@ def test_a_step_reads_nothing_and_brings_nothing(monkeypatch: pytest.MonkeyPatch
     kernel = CudaKernel(device="cpu", gsplat=exempt(StandIn()))
     target, gathered = np.zeros((3, 61, 83), np.float32), [kernel.view_gradients(n) for n in (len(scene), len(rows))]
     view, whole, part = kernel.fixed_view(CAMERA), kernel.optimiser(scene), kernel.optimiser(take_splats(scene, rows))
-    part.hold({"means": np.arange(60).reshape(20, 3) % 2 == 0})
+    part.freeze({"means": np.arange(60).reshape(20, 3) % 2 == 0})
     view.set_scene(scene)
     view.redraw()
     view.detach(rows)

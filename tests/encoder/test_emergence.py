@@ -16,7 +16,7 @@ from decogs.encoder.input.ingest import View
 from decogs.encoder.numerics import bilinear
 from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings
 from decogs.encoder.training import seeding
-from decogs.encoder.training.seeding import SearchView, missed, worth_a_search
+from decogs.encoder.training.seeding import SearchView, enough_missed_pixels, missed_pixels
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import SH_C0, Splats, join_splats, take_splats
 from one_frame import sparse_trainer, train
@@ -85,8 +85,8 @@ def appeared(kernel: CpuKernel, wall: Splats) -> list[SearchView]:
     return search_views(kernel, join_splats(wall, sphere()), wall)
 
 
-def seeds(search_views: list[SearchView], settings: EmergenceSettings, sh_degree: int) -> Splats:
-    return seeding.seeds(search_views, [missed(view) for view in search_views], settings, sh_degree)
+def find_seeds(search_views: list[SearchView], settings: EmergenceSettings, sh_degree: int) -> Splats:
+    return seeding.find_seeds(search_views, [missed_pixels(view) for view in search_views], settings, sh_degree)
 
 
 def relit(scene: Splats) -> Splats:
@@ -102,7 +102,7 @@ def bits(splats: Splats) -> bytes:
 
 
 def test_seeds_lie_on_the_new_surface_all_around_it_as_far_as_it_is_seen(appeared: list[SearchView]) -> None:
-    found = seeds(appeared, SETTINGS, 0)
+    found = find_seeds(appeared, SETTINGS, 0)
     assert len(found) > 100
     off = np.linalg.norm(found.means - CENTRE, axis=1) - RADIUS
     pixel = 2.0 / 110
@@ -115,14 +115,14 @@ def test_seeds_lie_on_the_new_surface_all_around_it_as_far_as_it_is_seen(appeare
 
 
 def test_seeds_have_the_colours_of_the_nearest_true_points(appeared: list[SearchView]) -> None:
-    truth, found = sphere(), seeds(appeared, SETTINGS, 0)
+    truth, found = sphere(), find_seeds(appeared, SETTINGS, 0)
     distance = np.linalg.norm(found.means[:, None] - truth.means[None], axis=2)
     error = np.abs(found.sh[:, 0] - truth.sh[distance.argmin(axis=1), 0]) * SH_C0
     assert np.median(error) < 0.06  # the bands change by 0.04 a pixel
 
 
 def test_seeds_have_the_scenes_harmonics_and_half_transparent_round_shapes(appeared: list[SearchView]) -> None:
-    found = seeds(appeared, SETTINGS, 2)
+    found = find_seeds(appeared, SETTINGS, 2)
     assert found.sh.shape == (len(found), 9, 3)
     assert not found.sh[:, 1:].any()
     assert np.ptp(found.log_scales, axis=1).max() == 0
@@ -135,20 +135,20 @@ def test_seeds_have_the_scenes_harmonics_and_half_transparent_round_shapes(appea
 def test_what_is_rendered_already_needs_no_seeds(kernel: CpuKernel, wall: Splats) -> None:
     whole = join_splats(wall, sphere())
     same = search_views(kernel, whole, whole)
-    assert not worth_a_search([missed(view) for view in same])
-    assert len(seeds(same, SETTINGS, 0)) == 0
+    assert not enough_missed_pixels([missed_pixels(view) for view in same])
+    assert len(find_seeds(same, SETTINGS, 0)) == 0
 
 
 def test_a_change_of_light_on_old_surfaces_needs_no_seeds(kernel: CpuKernel, wall: Splats) -> None:
     whole = join_splats(wall, sphere())
     changed = search_views(kernel, relit(whole), whole)
-    assert worth_a_search([missed(view) for view in changed])
+    assert enough_missed_pixels([missed_pixels(view) for view in changed])
     # At the silhouette a pixel's mean depth is of neither surface: some rays are fooled (27), at most 2 %.
-    assert len(seeds(changed, SETTINGS, 0)) < 0.02 * SETTINGS.max_rays
+    assert len(find_seeds(changed, SETTINGS, 0)) < 0.02 * SETTINGS.max_rays
 
 
 def test_what_disappears_needs_no_seeds(kernel: CpuKernel, wall: Splats) -> None:
-    assert len(seeds(search_views(kernel, wall, join_splats(wall, sphere())), SETTINGS, 0)) < 10
+    assert len(find_seeds(search_views(kernel, wall, join_splats(wall, sphere())), SETTINGS, 0)) < 10
 
 
 def test_views_that_contradict_each_other_give_no_seeds(kernel: CpuKernel, wall: Splats) -> None:
@@ -160,7 +160,7 @@ def test_views_that_contradict_each_other_give_no_seeds(kernel: CpuKernel, wall:
         x, y = random.integers(0, WIDTH - 30), random.integers(0, HEIGHT - 30)
         picture[:, y : y + 20, x : x + 20] = random.uniform(0, 1, (3, 1, 1))
         blotted.append(replace(view, picture=picture))
-    assert len(seeds(blotted, SETTINGS, 0)) == 0
+    assert len(find_seeds(blotted, SETTINGS, 0)) == 0
 
 
 def test_seeds_lie_before_what_the_other_views_show(appeared: list[SearchView]) -> None:
@@ -169,36 +169,36 @@ def test_seeds_lie_before_what_the_other_views_show(appeared: list[SearchView]) 
         one if index in (0, 4) else replace(one, depth=np.full_like(one.depth, 0.5))
         for index, one in enumerate(appeared)
     ]
-    assert len(seeds(hidden, SETTINGS, 0)) == 0
+    assert len(find_seeds(hidden, SETTINGS, 0)) == 0
 
 
 def test_only_pixels_in_the_focus_count(appeared: list[SearchView]) -> None:
     outside = [replace(view, focus=np.zeros_like(view.focus)) for view in appeared]
-    assert len(seeds(outside, SETTINGS, 0)) == 0
+    assert len(find_seeds(outside, SETTINGS, 0)) == 0
 
 
 def test_one_pixel_wide_edges_do_not_count(appeared: list[SearchView]) -> None:
     view = appeared[0]
     lines = view.rendered.copy()
     lines[:, ::5] += 0.5
-    assert not missed(replace(view, picture=lines)).any()
+    assert not missed_pixels(replace(view, picture=lines)).any()
 
 
 @pytest.mark.parametrize("most", [0, 1, 60])
 def test_there_are_never_more_than_asked_for(appeared: list[SearchView], most: int) -> None:
-    found = seeds(appeared, replace(SETTINGS, max_seeds=most), 0)
+    found = find_seeds(appeared, replace(SETTINGS, max_seeds=most), 0)
     assert len(found) <= most
     assert len(found) >= 0.3 * most
 
 
 def test_the_same_pictures_give_the_same_seeds(appeared: list[SearchView]) -> None:
-    assert bits(seeds(appeared, SETTINGS, 0)) == bits(seeds(appeared, SETTINGS, 0))
+    assert bits(find_seeds(appeared, SETTINGS, 0)) == bits(find_seeds(appeared, SETTINGS, 0))
 
 
 def test_no_view_may_be_empty_of_depth_to_fail(appeared: list[SearchView]) -> None:
     """Nothing rendered anywhere: everything is in front of nothing."""
     bare = [replace(view, rendered=np.zeros_like(view.rendered), depth=np.zeros_like(view.depth)) for view in appeared]
-    assert np.isfinite(seeds(bare, SETTINGS, 0).means).all()
+    assert np.isfinite(find_seeds(bare, SETTINGS, 0).means).all()
 
 
 def trained(kernel: CpuKernel, wall: Splats, shown: Splats, emergence: EmergenceSettings) -> tuple[Splats, float]:

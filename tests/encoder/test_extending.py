@@ -20,7 +20,6 @@ from decogs.encoder.methods import FRAME_METHODS
 from decogs.encoder.registry import Registry, anything, guarded
 from decogs.encoder.settings.frame import SelectionSettings
 from decogs.encoder.switches import with_selection
-from decogs.encoder.training.densification import DENSIFICATIONS
 from decogs.encoder.training.method import FrameMethod, TrainedFrame
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import Splats, empty_splats, take_splats
@@ -92,7 +91,7 @@ def test_the_documents_method_encodes_when_it_is_installed(
 @pytest.fixture(autouse=True)
 def nothing_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each test finds packages anew."""
-    for registry in (SELECTION_RULES, FRAME_METHODS, DENSIFICATIONS):
+    for registry in (SELECTION_RULES, FRAME_METHODS):
         monkeypatch.setattr(registry, "_loaded", {})
 
 
@@ -259,14 +258,6 @@ def test_a_method_that_is_right_is_not_refused(monkeypatch: pytest.MonkeyPatch) 
 def _splats(count: int, value: float = 0.0) -> Splats:
     shapes = ((count, 3), (count, 3), (count, 4), (count,), (count, 4, 3))
     return Splats(*(np.full(shape, value, np.float32) for shape in shapes))
-
-
-def test_what_other_extensions_do_wrong_is_said_with_their_package(monkeypatch: pytest.MonkeyPatch) -> None:
-    offered(monkeypatch, returns(None))
-    with pytest.raises(UsageError, match=r"^broken: the densification .*decogs-example returned None, no Growth$"):
-        DENSIFICATIONS.get("broken")(
-            _splats(2), np.zeros(2), np.ones(2, bool), threshold=0, room=1, large=1, random=None
-        )  # type: ignore[arg-type]
 
 
 def test_a_rule_of_a_package_is_a_setting_as_ours_are(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from decogs.encoder.change.flashes import LONGEST_FLASH, matches, may_be_flash
+from decogs.encoder.change.flashes import MAX_FLASH_FRAMES, matches, may_be_flash
 from decogs.encoder.change.masks import MaskMemory, PixelChange
 from decogs.encoder.frame.events import Event, PendingFrame, what_happened
 from decogs.encoder.frame.memory import Memory
@@ -59,7 +59,7 @@ def happened(index: int, picture: np.ndarray, memory: Memory, scene: Any) -> Eve
 
 
 def scene_of(state: str) -> Any:
-    return SimpleNamespace(state=state, splats=None, gone_back=lambda was: scene_of(f"{was} for {state}"))
+    return SimpleNamespace(state=state, splats=None, roll_back=lambda was: scene_of(f"{was} for {state}"))
 
 
 def test_state_masks_and_motion_of_before_come_back_after_it() -> None:
@@ -73,7 +73,7 @@ def test_state_masks_and_motion_of_before_come_back_after_it() -> None:
     kept = second.memory.before_flash
     assert kept is not None
     assert (kept.since, kept.state) == (3, "before")
-    last = replace(second.memory, masks=masks, motion=Motion(-MOVING.last, held=1))
+    last = replace(second.memory, masks=masks, motion=Motion(-MOVING.last, deferred=1))
     over = happened(5, DARK, last, scene_of("bright"))
     assert (over.scene.state, over.is_return) == ("before for bright", True)
     assert over.memory.masks is before.masks
@@ -84,7 +84,7 @@ def test_state_masks_and_motion_of_before_come_back_after_it() -> None:
 def test_a_light_is_a_flash_for_so_many_frames_and_then_stays() -> None:
     memory = happened(3, BRIGHT, memory_of(DARK), scene_of("before")).memory
     memory = replace(memory, masks=MaskMemory.begin([BRIGHT]))
-    for index, waits in ((3 + LONGEST_FLASH, True), (3 + LONGEST_FLASH + 1, False)):
+    for index, waits in ((3 + MAX_FLASH_FRAMES, True), (3 + MAX_FLASH_FRAMES + 1, False)):
         memory = happened(index, BRIGHT, memory, scene_of("bright")).memory
         assert (memory.before_flash is not None) == waits
     assert not happened(13, DARK, memory, scene_of("bright")).is_return

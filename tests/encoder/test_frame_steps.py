@@ -21,11 +21,11 @@ from decogs.encoder.coding.scene import IDS_PER_SEGMENT, Scene
 from decogs.encoder.frame.commit import Outcome, commit
 from decogs.encoder.frame.encode_frame import Encoded, Task
 from decogs.encoder.frame.events import Event, Kind, PendingFrame
-from decogs.encoder.frame.memory import Memory, restarted
+from decogs.encoder.frame.memory import Memory, restart_at_segment
 from decogs.encoder.frame.next_segment import NextSegment
 from decogs.encoder.frame.plan import FramePlan, Selection, light_only, plan_frame
 from decogs.encoder.frame.train import train_frame
-from decogs.encoder.input.compensation.colour import without_odds
+from decogs.encoder.input.compensation.colour import remove_gain
 from decogs.encoder.input.ingest import RigFrame
 from decogs.encoder.settings.frame import SelectionSettings
 from decogs.encoder.settings.presets import preset
@@ -97,7 +97,7 @@ def test_a_frame_that_goes_over_keeps_to_the_budget_as_well() -> None:
 
 
 @pytest.mark.parametrize("rule", ["weight", "paper"])
-def test_what_light_alone_changes_is_told_by_weight_whatever_selects(rule: str) -> None:
+def test_what_light_alone_changes_goes_by_weight_whatever_selects(rule: str) -> None:
     """Shares of .5, .05 and 0 of three Gaussians' weight, whose centres are all where things move."""
     weights = np.ones(3, np.float32), np.array([0.5, 0.05, 0], np.float32)
     view = Stub(redraw=lambda region: weights, centres=lambda: np.full((3, 2), 4, np.float32))
@@ -128,7 +128,7 @@ def test_a_round_of_catching_up_that_diverges_is_the_last(diverges: list[bool], 
     context = Stub(
         settings=replace(DRAFT, segment=3, closed=True, catch_up=4),
         method=Stub(dense=True),
-        views=Stub(follow=lambda *_: None),
+        views=Stub(update=lambda *_: None),
         stopping=lambda deadline: None,
     )
     event = Event(Kind.EVERYTHING, scene(1), memory_of(trainer=trainer), [])
@@ -142,29 +142,29 @@ def test_a_round_of_catching_up_that_diverges_is_the_last(diverges: list[bool], 
 
 
 class Masks:
-    """Notes what the memory of masks is told."""
+    """Notes what the memory of masks is given."""
 
     def __init__(self) -> None:
-        self.told: dict[str, Any] = {}
+        self.given: dict[str, Any] = {}
 
-    def trained(self, *_: Any, **told: Any) -> Masks:
-        self.told |= told
+    def trained(self, *_: Any, **given: Any) -> Masks:
+        self.given |= given
         return self
 
-    def advance(self, *_: Any, **told: Any) -> Masks:
-        self.told |= told
+    def advance(self, *_: Any, **given: Any) -> Masks:
+        self.given |= given
         return self
 
 
-def committed(*, restarted: bool = False, held: bool = False, hurried: bool = False) -> tuple[Memory, Masks]:
+def committed(*, restarted: bool = False, deferred: bool = False, truncated: bool = False) -> tuple[Memory, Masks]:
     masks: Any = Masks()
     before, after = (Stub(state=state, splats=name) for state, name in ((state_of(3), "old"), (state_of(3, 1), "new")))
     after.displacements = lambda _: np.full((3, 3), 8, np.float32)
-    views = Stub(follow=lambda *_: None, of=lambda _: None, pictures=lambda splats: f"pictures of {splats}")
+    views = Stub(update=lambda *_: None, of=lambda _: None, pictures=lambda splats: f"pictures of {splats}")
     context = Stub(settings=DRAFT, method=Stub(dense=False), views=views, corrector=None, threads=1)
-    plan = FramePlan(Selection([EVERYWHERE], np.ones(3, bool)), ("motion",), DRAFT.frame, held=held)
+    plan = FramePlan(Selection([EVERYWHERE], np.ones(3, bool)), ("motion",), DRAFT.frame, deferred=deferred)
     event = Event(Kind.CHANGE, before, memory_of(masks=masks), [])
-    trained = None if held else Stub(kept=np.arange(3), hurried=hurried, rejected=False)
+    trained = None if deferred else Stub(kept=np.arange(3), truncated=truncated, rejected=False)
     memory, _ = commit(context, event, plan, pending(restarted=restarted), after, trained, Stopwatch())
     return memory, masks
 
@@ -174,15 +174,15 @@ def test_a_segments_first_frame_leaves_no_velocity() -> None:
     np.testing.assert_array_equal(committed(restarted=True)[0].motion.last, 0)
 
 
-@pytest.mark.parametrize(("hurried", "shown"), [(True, "pictures of new"), (False, None)])
-def test_what_was_cut_short_is_compared_with_what_came_of_it(hurried: bool, shown: str | None) -> None:
-    assert committed(hurried=hurried)[1].told == {"moved": True, "shown": shown, "threads": 1, "held": False}
+@pytest.mark.parametrize(("truncated", "shown"), [(True, "pictures of new"), (False, None)])
+def test_what_was_cut_short_is_compared_with_what_came_of_it(truncated: bool, shown: str | None) -> None:
+    assert committed(truncated=truncated)[1].given == {"moved": True, "shown": shown, "threads": 1, "held": False}
 
 
-def test_what_was_held_is_still_to_be_trained() -> None:
-    memory, masks = committed(held=True)
-    assert masks.told == {"held": True}
-    assert memory.motion.held == 1
+def test_what_was_deferred_is_still_to_be_trained() -> None:
+    memory, masks = committed(deferred=True)
+    assert masks.given == {"held": True}
+    assert memory.motion.deferred == 1
 
 
 # Replay, cuts
@@ -198,7 +198,7 @@ def test_what_a_fade_changed_is_drawn_anew_in_a_replayed_frame() -> None:
     )
     before, after = (Stub(state=state, splats=empty_splats(0)) for state in (state_of(4), state_of(4, 2)))
     plan = FramePlan(Selection([EVERYWHERE], np.arange(4) == 0), ("motion",), DRAFT.frame)
-    _, trained = encode_frame._as_written(context, before, after, plan, Stub(kind=PacketKind.DELTA))
+    _, trained = encode_frame._replay(context, before, after, plan, Stub(kind=PacketKind.DELTA))
     assert trained is not None
     for rows in (trained.kept, *detached):
         np.testing.assert_array_equal(rows, [0, 2])
@@ -218,7 +218,7 @@ def test_the_keyframe_of_a_cut_is_trained_on_matched_colours(monkeypatch: pytest
     event = Event(Kind.CUT, Stub(header=Stub(camera_colours={"cam00": colour})), memory_of(), [])
     with pytest.raises(TrainingError):
         encode_frame.encode_cut(context, event, Task(RigFrame(3, [PICTURE], [])))
-    np.testing.assert_array_equal(seen, [without_odds(PICTURE, colour.odds)])
+    np.testing.assert_array_equal(seen, [remove_gain(PICTURE, colour.odds_gain)])
 
 
 def test_a_segment_begins_with_the_first_frame_and_nothing_else(tiny_rig: Any) -> None:
@@ -232,7 +232,7 @@ def test_a_segment_begins_with_the_first_frame_and_nothing_else(tiny_rig: Any) -
         seed=0,
         threads=1,
     )
-    key, corrections = state_of(4), Stub(restarted=lambda: "the first frame's")
+    key, corrections = state_of(4), Stub(restart=lambda: "the first frame's")
     scene = Scene(Stub(lattice=default_lattice(1.0)), key, state_of(4, 1), empty_splats(0))
     first = RigFrame(0, [PICTURE], [])
     flash: Any = Stub()
@@ -244,8 +244,8 @@ def test_a_segment_begins_with_the_first_frame_and_nothing_else(tiny_rig: Any) -
         first=first,
     )
     for given, frame in ((memory, 4), (replace(memory, first=None), 3)):
-        assert restarted(context, scene, given, frame, Stopwatch()) == (scene, given, False)
-    again, fresh, is_start = restarted(context, scene, memory, 3, Stopwatch())
+        assert restart_at_segment(context, scene, given, frame, Stopwatch()) == (scene, given, False)
+    again, fresh, is_start = restart_at_segment(context, scene, memory, 3, Stopwatch())
     assert is_start
     assert again.state.row_sum == key.row_sum
     assert (again.state.frame, again.state.next_id) == (2, key.next_id + IDS_PER_SEGMENT)
@@ -335,10 +335,10 @@ def test_a_start_that_was_trained_ahead_says_whether_it_diverged(
     assert given[0].packet is encoder._next.first.written.packet  # type: ignore[union-attr]
 
 
-@pytest.mark.parametrize("held", [True, False])
-def test_the_time_control_is_told_which_frames_were_held(encoder: StreamEncoder, held: bool) -> None:
-    told: list[bool] = []
-    time: Any = Stub(took=lambda seconds, *, held=False: (told.append(held), time)[1])
+@pytest.mark.parametrize("deferred", [True, False])
+def test_the_time_control_knows_which_frames_were_deferred(encoder: StreamEncoder, deferred: bool) -> None:
+    noted: list[bool] = []
+    time: Any = Stub(record_time=lambda seconds, *, deferred=False: (noted.append(deferred), time)[1])
     encoder._last = encoded_frame()
-    encoder._write(replace(encoded_frame(held=held), memory=memory_of(time=time)), Stopwatch())
-    assert told == [held]
+    encoder._write(replace(encoded_frame(deferred=deferred), memory=memory_of(time=time)), Stopwatch())
+    assert noted == [deferred]

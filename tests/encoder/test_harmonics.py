@@ -13,11 +13,11 @@ from decogs.codec.state import Attributes
 from decogs.decoder import open_stream
 from decogs.encoder.analysis import EffectChoice
 from decogs.encoder.keyframe import harmonics
-from decogs.encoder.keyframe.harmonics import MIN_SHOWN, as_far_as_shown
+from decogs.encoder.keyframe.harmonics import MIN_SH_SHARE, trim_sh_degree
 from encode_rig import encode_rig as encode
 
 COUNT = 1000
-FEW, ENOUGH = round(MIN_SHOWN * COUNT) - 1, round(MIN_SHOWN * COUNT)
+FEW, ENOUGH = round(MIN_SH_SHARE * COUNT) - 1, round(MIN_SH_SHARE * COUNT)
 
 
 def keyframe_with(shares: tuple[int, ...]) -> Attributes:
@@ -39,11 +39,11 @@ def keyframe_with(shares: tuple[int, ...]) -> Attributes:
 )  # fmt: skip
 def test_a_degree_that_hardly_any_gaussian_shows_goes(shares: tuple[int, ...], degree: int) -> None:
     values = keyframe_with(shares)
-    shown = as_far_as_shown(values)
-    assert shown.coefficients == (degree + 1) ** 2
-    np.testing.assert_array_equal(shown.sh, values.sh[:, : (degree + 1) ** 2])
+    trimmed = trim_sh_degree(values)
+    assert trimmed.coefficients == (degree + 1) ** 2
+    np.testing.assert_array_equal(trimmed.sh, values.sh[:, : (degree + 1) ** 2])
     for name in ("means", "log_scales", "quaternions", "opacity_logits"):
-        assert getattr(shown, name) is getattr(values, name)
+        assert getattr(trimmed, name) is getattr(values, name)
 
 
 @pytest.mark.parametrize(
@@ -61,7 +61,7 @@ def test_only_auto_asks_the_keyframe(
     degree: int,
 ) -> None:
     """Were all of the tiny rig's harmonics too few. An encode cut off goes on with the degree it began with."""
-    monkeypatch.setattr(harmonics, "MIN_SHOWN", 2.0)
+    monkeypatch.setattr(harmonics, "MIN_SH_SHARE", 2.0)
     output, again = tmp_path / "scene.dgs", tmp_path / "again.dgs"
     options = {"holdout": [tiny_rig.held_out], "settings": tiny_settings, "effects": effects}
     encode(moving_rig, output, **options)

@@ -134,8 +134,8 @@ def test_three_noisy_views_overfit_and_the_kept_back_tiles_say_when_to_stop(
     settings = replace(SHORT, iterations=500, cap=2000, validation_fraction=0.1)
     stopped = trained(case, settings, first=points(2000))
     # Checks begin past the middle; the best state is kept, so the stop comes _PATIENCE checks after it at least.
-    assert stopped.steps >= 250 + keyframe._PATIENCE * settings.validation_every
-    monkeypatch.setattr(keyframe, "_PATIENCE", 10**6)
+    assert stopped.steps >= 250 + keyframe._PATIENCE_CHECKS * settings.validation_every
+    monkeypatch.setattr(keyframe, "_PATIENCE_CHECKS", 10**6)
     to_the_end = trained(case, settings, first=points(2000))
     assert stopped.steps < to_the_end.steps == 500
     kernel = CpuKernel(2)
@@ -156,7 +156,7 @@ def test_an_early_stop_goes_back_to_the_best_state(case: Case, monkeypatch: pyte
         return -float(len(states))
 
     monkeypatch.setattr(_KeyframeTraining, "validation_psnr", scored)
-    monkeypatch.setattr(keyframe, "_PATIENCE", 1)
+    monkeypatch.setattr(keyframe, "_PATIENCE_CHECKS", 1)
     result = trained(case, replace(SHORT, validation_every=10, settle_iterations=0))
     assert (result.steps < SHORT.iterations, len(states)) == (True, 2)
     best, later = ({row.tobytes() for row in state} for state in states)
@@ -174,7 +174,7 @@ def test_an_early_stop_goes_back_over_growth_and_settles(case: Case, monkeypatch
         return -float(len(counts))
 
     monkeypatch.setattr(_KeyframeTraining, "validation_psnr", scored)
-    for name, value in (("_PATIENCE", 1), ("_GROW_TO", 1.0), ("_GROW_GRADIENT", 0.0)):
+    for name, value in (("_PATIENCE_CHECKS", 1), ("_GROW_END", 1.0), ("_GROW_GRADIENT", 0.0)):
         monkeypatch.setattr(keyframe, name, value)
     growing = replace(SHORT, validation_every=10, cap=10_000)
     result = trained(case, growing)

@@ -8,10 +8,10 @@ import pytest
 from decogs.encoder.input.resizing import resized
 from decogs.encoder.keyframe.large_pictures import (
     PictureScale,
-    as_ever,
     fit_to_pictures,
     shrunk_camera,
     shrunk_weights,
+    unscaled_schedule,
 )
 from decogs.encoder.settings.keyframe import KeyframeSettings
 from decogs.encoder.settings.presets import PRESETS
@@ -60,9 +60,9 @@ def test_step_sizes_have_most_of_their_fall_after_the_pictures_have_their_own_si
 
 
 @pytest.mark.parametrize("size", [(352, 264), (336, 252), (640, 360)])
-def test_pictures_of_the_size_that_presets_were_tuned_on_are_trained_as_ever(size: tuple[int, int]) -> None:
+def test_pictures_of_the_size_that_presets_were_tuned_on_keep_the_schedule(size: tuple[int, int]) -> None:
     for settings in PRESETS.values():
-        assert fit_to_pictures([camera(*size)] * 12, settings.keyframe) == as_ever(settings.keyframe)
+        assert fit_to_pictures([camera(*size)] * 12, settings.keyframe) == unscaled_schedule(settings.keyframe)
 
 
 @pytest.mark.parametrize("factor", [2, 4])

@@ -482,5 +482,5 @@ def test_a_frame_that_masks_overlook_is_trained_and_told(
     rig = tiny_rig.write(tmp_path / "rig", frames=[0, 0], faults=lambda name, frame: Correction(exposure=-6000 * frame))
     deaf = replace(tiny_settings, frame=replace(tiny_settings.frame, masks=MaskSettings(threshold=254.0)))
     dim = encode(rig, settings=deaf, keyframe=moving.path).report.frames[1]
-    assert (dim.overlooked, dim.selected, dim.kind) == (True, 1.0, "delta")
-    assert not any(frame.overlooked for frame in moving.report.frames)
+    assert (dim.full_frame_change, dim.selected, dim.kind) == (True, 1.0, "delta")
+    assert not any(frame.full_frame_change for frame in moving.report.frames)

@@ -15,7 +15,7 @@ from decogs.encoder import PRESETS, EncodeSettings
 from decogs.encoder.change.selection import SELECTION_RULES
 from decogs.encoder.methods import FRAME_METHODS
 from decogs.encoder.settings.cache import CacheSettings
-from decogs.encoder.switches import ABLATIONS, Switches, with_method, with_selection, with_switches, without
+from decogs.encoder.switches import ABLATIONS, Switches, ablate, with_method, with_selection, with_switches
 from decogs.formats.errors import UsageError
 
 
@@ -33,14 +33,14 @@ def test_a_switch_changes_its_own_setting_only(name: str) -> None:
     for rule in SELECTION_RULES.names():
         selection = replace(settings.frame.selection, rule=rule)
         assert with_selection(settings, rule) == replace(settings, frame=replace(settings.frame, selection=selection))
-    assert without(settings, []) == settings
-    assert without(settings, ["gate"]) == replace(settings, frame=replace(settings.frame, ablated=("gate",)))
+    assert ablate(settings, []) == settings
+    assert ablate(settings, ["gate"]) == replace(settings, frame=replace(settings.frame, ablated=("gate",)))
 
 
 def test_ablations_add_up_whatever_their_order() -> None:
-    everything = without(EncodeSettings(), ABLATIONS)
+    everything = ablate(EncodeSettings(), ABLATIONS)
     assert (everything.frame.ablated, everything.frame.selection.rule) == (("focus", "gate"), "all")
-    assert without(without(EncodeSettings(), ["gate", "select"]), ["focus", "gate"]) == everything
+    assert ablate(ablate(EncodeSettings(), ["gate", "select"]), ["focus", "gate"]) == everything
 
 
 DENSE = EncodeSettings(method="3dgstream")
@@ -54,10 +54,10 @@ DENSE = EncodeSettings(method="3dgstream")
             lambda: with_selection(EncodeSettings(), "most"),
             "`selection` most: there is no such selection rule; choose from paper, ",
         ),
-        (lambda: without(EncodeSettings(), ["gate", "loss"]), "`ablate` loss: there is no such part; choose from sele"),
-        (lambda: without(DENSE, ["focus"]), "`ablate` focus: `method` 3dgstream has no such part; drop one of the two"),
+        (lambda: ablate(EncodeSettings(), ["gate", "loss"]), "`ablate` loss: there is no such part; choose from sele"),
+        (lambda: ablate(DENSE, ["focus"]), "`ablate` focus: `method` 3dgstream has no such part; drop one of the two"),
         (
-            lambda: with_method(without(EncodeSettings(), ["focus"]), "3dgstream"),
+            lambda: with_method(ablate(EncodeSettings(), ["focus"]), "3dgstream"),
             "`ablate` focus: `method` 3dgstream",
         ),
         (lambda: with_selection(DENSE, "paper"), "`selection` paper: `method` 3dgstream trains every Gaussian; drop"),

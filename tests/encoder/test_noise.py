@@ -125,7 +125,7 @@ def test_an_encode_loses_nothing_of_it_to_the_noise_threshold(
         )
         psnr.append(min(frame.training_psnr for frame in report.frames[1:]))
         assert report.frames[1].kind != "skip"
-        assert not any(frame.overlooked for frame in report.frames), "the masks themselves see it"
+        assert not any(frame.full_frame_change for frame in report.frames), "the masks themselves see it"
     assert psnr[1] > psnr[0] - 1
 
 
@@ -136,6 +136,6 @@ def test_of_a_large_picture_a_part_tells_its_noise(deviation: float, monkeypatch
     before, now = recorded(scene, deviation), recorded(np.roll(scene, 3, axis=1), deviation)
     now[:, 96:] = recorded(scene[96:], deviation)
     part = frame_noise(now, before)
-    monkeypatch.setattr("decogs.encoder.change.noise._ENOUGH", 10**9)
+    monkeypatch.setattr("decogs.encoder.change.noise._SAMPLE_COUNT", 10**9)
     assert part == pytest.approx(frame_noise(now, before), rel=0.01)
     assert part == pytest.approx(deviation * math.sqrt(2), rel=0.1)

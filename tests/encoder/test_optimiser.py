@@ -84,7 +84,7 @@ def test_remembered_momentum_moves_its_rows_and_no_other(kernel: TrainingKernel)
     before, after = kernel.optimiser(start), kernel.optimiser(start)
     before.step(gradients_of(some_splats(2)), RATES)
     rows = np.arange(10, 20)
-    after.remember(before, rows, rows + 5)
+    after.copy_momentum(before, rows, rows + 5)
     after.step(gradients_of(zeros_of(start)), RATES)
     step = after.splats.means - start.means
     assert not np.delete(step, rows, axis=0).any()
@@ -134,25 +134,25 @@ def test_scaled_rates() -> None:
     assert RATES.scaled(0.5) == LearningRates(5e-4, 1e-3, 1.5e-3, 2e-3, 2.5e-3, 3e-3)
 
 
-def test_what_is_held_stays_and_the_rest_goes_as_without(kernel: TrainingKernel) -> None:
+def test_frozen_values_stay_and_the_rest_goes_as_without(kernel: TrainingKernel) -> None:
     start, gradients = some_splats(1), gradients_of(some_splats(2))
-    free, holding = (kernel.optimiser(start) for _ in range(2))
-    held = {name: np.random.default_rng(3).random(getattr(start, name).shape) < 0.5 for name in ATTRIBUTES}
-    holding.hold(held)
-    for optimiser in (free, holding, free, holding):
+    free, freezing = (kernel.optimiser(start) for _ in range(2))
+    frozen = {name: np.random.default_rng(3).random(getattr(start, name).shape) < 0.5 for name in ATTRIBUTES}
+    freezing.freeze(frozen)
+    for optimiser in (free, freezing, free, freezing):
         optimiser.step(gradients, RATES)
     for name in ATTRIBUTES:
-        expected = np.where(held[name], getattr(start, name), getattr(free.splats, name))
-        np.testing.assert_array_equal(getattr(holding.splats, name), expected)
+        expected = np.where(frozen[name], getattr(start, name), getattr(free.splats, name))
+        np.testing.assert_array_equal(getattr(freezing.splats, name), expected)
 
 
-def test_attributes_are_held_one_after_the_other(kernel: TrainingKernel) -> None:
+def test_attributes_are_frozen_one_after_the_other(kernel: TrainingKernel) -> None:
     start, gradients = some_splats(1), gradients_of(some_splats(2))
     optimiser = kernel.optimiser(start)
-    optimiser.hold({"means": np.ones((COUNT, 3), bool)})
+    optimiser.freeze({"means": np.ones((COUNT, 3), bool)})
     optimiser.step(gradients, RATES)
     later = optimiser.splats.log_scales.copy()
-    optimiser.hold({"log_scales": np.ones((COUNT, 3), bool)})
+    optimiser.freeze({"log_scales": np.ones((COUNT, 3), bool)})
     optimiser.step(gradients, RATES)
     np.testing.assert_array_equal(optimiser.splats.means, start.means)
     np.testing.assert_array_equal(optimiser.splats.log_scales, later)
@@ -163,18 +163,18 @@ def test_a_copy_goes_on_as_the_original_would_and_apart_from_it(kernel: Training
     gradients = gradients_of(some_splats(2))
     original = kernel.optimiser(some_splats(1), beta1=0.7, beta2=0.99)
     original.step(gradients, RATES)
-    copy, there = original.copied(), original.splats.sh.copy()
+    copy, there = original.copy(), original.splats.sh.copy()
     copy.step(gradients, RATES)
     np.testing.assert_array_equal(original.splats.sh, there)
     original.step(gradients, RATES)
     assert equal_bits(copy.splats, original.splats)
 
 
-def test_nothing_is_held_any_more_once_rows_come_or_go(kernel: TrainingKernel) -> None:
+def test_nothing_is_frozen_any_more_once_rows_come_or_go(kernel: TrainingKernel) -> None:
     start, gradients = some_splats(1), gradients_of(some_splats(2))
     for change in (lambda o: o.keep(np.arange(COUNT)), lambda o: o.append(take_splats(start, np.arange(0)))):
         optimiser = kernel.optimiser(start)
-        optimiser.hold({"means": np.ones((COUNT, 3), bool)})
+        optimiser.freeze({"means": np.ones((COUNT, 3), bool)})
         change(optimiser)
         optimiser.step(gradients, RATES)
         assert (optimiser.splats.means != start.means).all()
@@ -213,7 +213,7 @@ def test_what_is_put_there_is_trained_on_and_momentum_stays(kernel: TrainingKern
 
 
 def test_no_backend_lets_gaussians_grow_longer_than_the_limit() -> None:
-    """Some are too long at the start, some become so, and their largest size is held back alike."""
+    """Some are too long at the start, some become so, and their largest size is limited alike."""
     start, rates = some_splats(1), LearningRates(0, 0.5, 0, 0, 0, 0)
     start.log_scales[:20] *= np.float32(0.1)
     sizes, free = [], kernel_free(start, rates)

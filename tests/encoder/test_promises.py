@@ -27,7 +27,7 @@ from decogs.encoder.settings.frame import EmergenceSettings, SignificanceSetting
 from decogs.encoder.settings.presets import preset
 from decogs.encoder.stopwatch import Stopwatch
 from decogs.encoder.training.method import FrameInput, TrainedFrame
-from decogs.encoder.training.seeding import _confirmed, _Found
+from decogs.encoder.training.seeding import _confirm, _Found
 from decogs.encoder.training.warm_start import Motion
 from decogs.formats.splats import Splats, empty_splats
 from packets import iterate_packets
@@ -75,7 +75,7 @@ def test_the_largest_component_of_a_keyframes_rotations_is_one(monkeypatch: pyte
     optimiser = SimpleNamespace(splats=splats, gradient_size=lambda name: np.zeros_like(getattr(splats, name)))
     stub: Any = SimpleNamespace(_optimiser=optimiser, _settings=SimpleNamespace(rd_lambda=1.0), _losses=[])
     lattice = default_lattice(1.0)
-    one, judged = round(1 / lattice.quaternions), keyframe._KeyframeTraining._judged(stub, lattice).quaternions
+    one, judged = round(1 / lattice.quaternions), keyframe._KeyframeTraining._rd_quantised(stub, lattice).quaternions
     np.testing.assert_array_equal(judged[:9], [[one, 0, 0, 0]] * 9)
     np.testing.assert_array_equal(judged[9, 1:], [one, 0, 0], "not the commonest, 0")
 
@@ -145,14 +145,14 @@ def test_the_masks_remember_what_was_trained_and_whether_it_moved(
     context = stub(
         settings=preset("draft"),
         method=stub(dense=False),
-        views=stub(follow=lambda *_: None),
+        views=stub(update=lambda *_: None),
         corrector=None,
         threads=1,
     )
     plan = FramePlan(Selection([stub(dilated=None)], np.ones(3, bool)), effects, preset("draft").frame)  # type: ignore[list-item]
     frame: Any = stub(pictures=[], restarted=False)
     event = Event(Kind.CHANGE, before, memory, [])
-    commit(context, event, plan, frame, after, stub(kept=np.arange(3), hurried=False, rejected=False), Stopwatch())
+    commit(context, event, plan, frame, after, stub(kept=np.arange(3), truncated=False, rejected=False), Stopwatch())
     assert told == (["motion" in effects] if changed else [])
 
 
@@ -199,7 +199,7 @@ def test_a_seed_needs_a_second_view_that_ends_there_as_well() -> None:
     points = np.concatenate([both[:10], alone, both[10:]])
     views = np.repeat([0, 1], [30, 10])
     count = len(points)
-    kept = _confirmed(
+    kept = _confirm(
         _Found(points, views, np.zeros((count, 3), np.float32), np.full(count, 0.01), np.zeros(count, np.float32)), 1
     )
     assert sorted(map(tuple, kept.points)) == sorted(map(tuple, both))

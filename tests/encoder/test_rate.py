@@ -15,7 +15,7 @@ import pytest
 
 from decogs.encoder import PRESETS, EncodeSettings, Targets
 from decogs.encoder.coding.rate_control import (
-    TOLERANCE,
+    BYTES_TOLERANCE,
     RateControl,
     over_budget,
     with_budget,
@@ -100,7 +100,7 @@ def doubling(frame: int) -> float:
 @pytest.mark.parametrize("level", [0.5, 1.0, 2.0])
 def test_a_clip_keeps_its_budget_although_motion_doubles_in_its_middle(exponent: float, level: float) -> None:
     sizes, _ = controlled(30, response(exponent, lambda frame: level * doubling(frame), noise=0.15))
-    assert np.mean(sizes) == pytest.approx(BUDGET, rel=TOLERANCE)
+    assert np.mean(sizes) == pytest.approx(BUDGET, rel=BYTES_TOLERANCE)
 
 
 @pytest.mark.parametrize("exponent", [0.3, 0.6, 1.0])
@@ -115,7 +115,7 @@ def test_frames_settle_at_the_budget(exponent: float) -> None:
 def test_the_threshold_is_bounded(content: float, factor: float) -> None:
     sizes, factors = controlled(40, response(0.6, lambda frame: content))
     assert factors[-1] == factor
-    assert (over_budget(sizes, BUDGET) > TOLERANCE) == (content > 1)
+    assert (over_budget(sizes, BUDGET) > BYTES_TOLERANCE) == (content > 1)
 
 
 def test_a_bit_is_worth_more_the_more_changes_must_be_worth() -> None:
@@ -144,7 +144,7 @@ def test_what_a_still_scene_saves_is_not_thrown_at_its_first_motion() -> None:
         sizes.append(answer(frame, control.factor))
         control = control.after(PacketKind.DELTA, sizes[-1])
     assert max(sizes) < 3 * BUDGET
-    assert (sum(sizes) + 20 * 50) / 60 == pytest.approx(BUDGET, rel=TOLERANCE)
+    assert (sum(sizes) + 20 * 50) / 60 == pytest.approx(BUDGET, rel=BYTES_TOLERANCE)
 
 
 @pytest.mark.parametrize("key", [1.5, 3.0, 5.0])
@@ -156,7 +156,7 @@ def test_the_frames_of_a_segment_pay_for_its_keyframe_evenly(key: float) -> None
         sizes.append(round(key * BUDGET) if opens else answer(frame, control.factor))
         control = control.after(PacketKind.KEY if opens else PacketKind.DELTA, sizes[-1])
     for end in (29, 39, 49, 59):
-        assert np.mean(sizes[:end]) == pytest.approx(BUDGET, rel=TOLERANCE)
+        assert np.mean(sizes[:end]) == pytest.approx(BUDGET, rel=BYTES_TOLERANCE)
     paying = np.array([size for frame, size in enumerate(sizes, 1) if frame > 35 and frame % 10])
     assert paying == pytest.approx((10 - key) / 9 * BUDGET, rel=0.05)
 
@@ -221,7 +221,7 @@ def test_a_clip_keeps_its_budget_and_resumes_to_the_same_bytes(
     budget = 0.6 * float(np.mean(later(free)))
     given = {"settings": replace(economical, frame_budget=budget), "keyframe": moving.path}
     held = encode(restless_rig, **given)
-    assert np.mean(later(held)) == pytest.approx(budget, rel=TOLERANCE)
+    assert np.mean(later(held)) == pytest.approx(budget, rel=BYTES_TOLERANCE)
     with held.path.open("rb") as file:
         ends = [packet.offset + packet.size for packet in iterate_packets(file)]
     (tmp_path / "scene.dgs.part").write_bytes(held.data[: ends[9] + 11])
@@ -310,15 +310,15 @@ def test_lossless_writes_every_change_as_it_was_trained(
     encode: Any, moving: Any, moving_rig: Path, economical: EncodeSettings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def noted(values: Any, before: Any, lattice: Any, *rest: Any) -> Any:
-        written = quantised(values, before, lattice, *rest)
+        written = quantise_changes(values, before, lattice, *rest)
         pairs.append((written, quantise(values, lattice, near=before)))
         return written
 
     import decogs.encoder.coding.changes as changes
 
     pairs: list[Any] = []
-    quantise, quantised = changes.quantise, changes.quantised
-    monkeypatch.setattr(changes, "quantised", noted)
+    quantise, quantise_changes = changes.quantise, changes.quantise_changes
+    monkeypatch.setattr(changes, "quantise_changes", noted)
     given = {"keyframe": moving.path, "stop": 2}
     lossless = encode(moving_rig, settings=with_lossless(economical), **given)
     ((written, nearest),) = pairs

@@ -10,7 +10,7 @@ import pytest
 
 from decogs.encoder.settings.frame import IterationSettings
 from decogs.encoder.training.schedule import (
-    MIN_SEARCH,
+    MIN_SEARCH_SHARE,
     MIN_STEPS,
     SearchTime,
     StepSchedule,
@@ -83,9 +83,12 @@ def test_what_is_missed_more_than_usual_gets_as_much_longer(missed: float, facto
     views = [np.full((3, pixels), 0.09, np.float32) for pixels in (400, 600)]
     for view in views:
         view[1, : round(missed * view.shape[1])] = -0.11
-    assert iteration_factor(IterationSettings(usual_miss=0.15, min_factor=0.6), views) == pytest.approx(factor)
-    assert iteration_factor(IterationSettings(), views) == 1
-    assert iteration_factor(IterationSettings(usual_miss=0.15), [np.zeros((3, 0), np.float32)]) == 1
+    assert iteration_factor(IterationSettings(usual_miss=0.15, min_factor=0.6), 100, views) == pytest.approx(factor)
+    for usual in (250, 400, 1000):
+        found = iteration_factor(IterationSettings(usual_miss=0.15, min_factor=0.6), usual, views)
+        assert found == pytest.approx(min(factor, max(1, 400 / usual)))
+    assert iteration_factor(IterationSettings(), 100, views) == 1
+    assert iteration_factor(IterationSettings(usual_miss=0.15), 100, [np.zeros((3, 0), np.float32)]) == 1
 
 
 @pytest.mark.parametrize("fitting", [20, 50, 100])
@@ -122,35 +125,35 @@ def test_one_slow_step_does_not_make_the_others_look_slow(clock: Clock) -> None:
     assert len(positions) == pytest.approx(71, abs=1)
 
 
-def test_strides_tell_how_great_the_hurry_is(clock: Clock) -> None:
-    """What the rates go by: exactly 1 unless the deadline makes strides longer."""
+def test_the_relative_stride_is_one_unless_a_deadline_is_short(clock: Clock) -> None:
+    """Exactly 1, which leaves the rates as they are, unless the deadline makes strides longer."""
     for factor in (1.0, 3.0, 0.7):
         for deadline in (None, clock.now + 1e3):
             schedule = StepSchedule(SCHEDULE, deadline, factor=factor)
             for _ in range(20):
-                assert schedule.hurry == 1.0
+                assert schedule.relative_stride == 1.0
                 schedule.step()
     schedule = StepSchedule(SCHEDULE, clock.now + 0.01 * 15)
     for _ in range(8):
         clock.now += 0.01
         schedule.step()
-    assert schedule.hurry == pytest.approx(10, rel=0.05)
+    assert schedule.relative_stride == pytest.approx(10, rel=0.05)
 
 
-@pytest.mark.parametrize(("seconds", "cut_short"), [(0.1, True), (0.25, False), (10.0, False)])
+@pytest.mark.parametrize(("seconds", "truncated"), [(0.1, True), (0.25, False), (10.0, False)])
 def test_too_few_steps_leave_a_frame_unfinished_and_a_shorter_schedule_does_not(
-    clock: Clock, seconds: float, cut_short: bool
+    clock: Clock, seconds: float, truncated: bool
 ) -> None:
-    """With the least steps of 150 a frame is cut short; with 25 it is finished, though hurried; so is one with all."""
+    """With the least steps of 150 a frame is truncated; with 25 it is finished, and so is one with all steps."""
     schedule = StepSchedule(SCHEDULE, clock.now + seconds)
     run(schedule, lambda step: setattr(clock, "now", clock.now + 0.01))
-    assert schedule.is_cut_short == cut_short
+    assert schedule.is_truncated == truncated
 
 
-def test_a_short_schedule_run_whole_is_not_cut_short(clock: Clock) -> None:
+def test_a_short_schedule_run_whole_is_not_truncated(clock: Clock) -> None:
     schedule = StepSchedule(5, clock.now + 10)
     run(schedule, lambda step: setattr(clock, "now", clock.now + 0.01))
-    assert not schedule.is_cut_short
+    assert not schedule.is_truncated
 
 
 def test_time_enough_changes_nothing(clock: Clock) -> None:
@@ -173,7 +176,7 @@ def test_what_is_put_off_costs_no_steps(clock: Clock) -> None:
         clock.now += 0.01
         if index == 10:
             clock.now += 0.4
-            schedule.put_off(0.4)
+            schedule.extend_deadline(0.4)
 
     schedule = StepSchedule(SCHEDULE, clock.now + 0.5)
     positions, _ = run(schedule, step)
@@ -199,8 +202,8 @@ def test_a_stage_gets_its_share_of_what_is_left(clock: Clock) -> None:
 def test_searching_takes_its_share_on_average_and_begins_at_once(seconds: float) -> None:
     search, spent, when = SearchTime(), 0.0, []
     for frame in range(200):
-        if search.affords(1.0, MIN_SEARCH):
-            search.took(seconds, MIN_SEARCH)
+        if search.affordable_share(1.0, MIN_SEARCH_SHARE):
+            search.record_time(seconds, MIN_SEARCH_SHARE)
             spent += seconds
             when.append(frame)
     assert when[0] == 0
@@ -213,19 +216,19 @@ def test_a_search_is_as_large_as_there_is_time_for(left: float) -> None:
     """A whole one takes ten seconds: none may take what many frames have for their steps, the first included."""
     search, taken = SearchTime(), []
     for _ in range(100):
-        share = search.affords(left, 10.0)
+        share = search.affordable_share(left, 10.0)
         taken.append(10 * share)
         if share:
-            search.took(10 * share, share)
+            search.record_time(10 * share, share)
     assert sum(taken) / (100 * left) == pytest.approx(0.1, rel=0.2)
-    assert max(taken) <= max(left, 10 * MIN_SEARCH) * 1.001
-    assert taken[0] == pytest.approx(max(10 * MIN_SEARCH, 0.1 * left))
+    assert max(taken) <= max(left, 10 * MIN_SEARCH_SHARE) * 1.001
+    assert taken[0] == pytest.approx(max(10 * MIN_SEARCH_SHARE, 0.1 * left))
 
 
 def test_a_share_of_a_search_has_fewer_views_and_fewer_rays() -> None:
     for views in (4, 12, 31):
         assert search_of(1.0, views) == (views, 1.0)
-        for share in (MIN_SEARCH, 0.25, 0.5):
+        for share in (MIN_SEARCH_SHARE, 0.25, 0.5):
             looked, rays = search_of(share, views)
             assert min(views, 8) <= looked <= views
             assert looked * rays == pytest.approx(share * views), "the pairs of a ray and a view"
@@ -233,11 +236,11 @@ def test_a_share_of_a_search_has_fewer_views_and_fewer_rays() -> None:
 
 
 def test_with_time_for_it_the_first_search_is_a_whole_one() -> None:
-    assert SearchTime().affords(100.0, 10.0) == 1.0
+    assert SearchTime().affordable_share(100.0, 10.0) == 1.0
 
 
 def test_without_time_there_is_no_search() -> None:
-    assert not SearchTime().affords(-1.0, 1.0)
+    assert not SearchTime().affordable_share(-1.0, 1.0)
 
 
 # The target
@@ -255,12 +258,12 @@ def test_a_target_is_reached_when_all_views_together_are_close_enough() -> None:
     """An error of 0.1 everywhere is 20 dB."""
     for target, enough in ((19.9, True), (20.1, False)):
         watch = TargetWatch(target, pictures(3), [None, None, None])
-        assert [watch.saw(view, off(0.1)) for view in (2, 0, 1)] == [False, False, enough]
+        assert [watch.update(view, off(0.1)) for view in (2, 0, 1)] == [False, False, enough]
     watch = TargetWatch(20.1, pictures(2), [None, None])
-    assert not watch.saw(0, off(0.13))
-    assert watch.saw(1, off(0.0)), "what one view lacks the other makes up for"
-    assert not watch.saw(1, off(0.1))
-    assert watch.saw(0, off(0.09)), "every view as it was last drawn"
+    assert not watch.update(0, off(0.13))
+    assert watch.update(1, off(0.0)), "what one view lacks the other makes up for"
+    assert not watch.update(1, off(0.1))
+    assert watch.update(0, off(0.09)), "every view as it was last drawn"
 
 
 def test_regions_alone_count_and_views_without_one_are_not_waited_for() -> None:
@@ -269,20 +272,20 @@ def test_regions_alone_count_and_views_without_one_are_not_waited_for() -> None:
     shown = off(0.3)
     shown[:, region] = 0.5
     watch = TargetWatch(60.0, pictures(2), [region, np.zeros((4, 5), bool)])
-    assert watch.saw(0, shown)
+    assert watch.update(0, shown)
     shown[1, 1, 2] = 0.6
-    assert not watch.saw(0, shown)
+    assert not watch.update(0, shown)
     nowhere = TargetWatch(1.0, pictures(1), [np.zeros((4, 5), bool)])
-    assert not nowhere.saw(0, off(0.0)), "nothing to look at is nothing reached"
+    assert not nowhere.update(0, off(0.0)), "nothing to look at is nothing reached"
 
 
 def test_colours_beyond_white_count_as_white() -> None:
     watch = TargetWatch(60.0, [np.ones((3, 4, 5), np.float32)], [None])
-    assert watch.saw(0, np.full((3, 4, 5), 1.4, np.float32))
+    assert watch.update(0, np.full((3, 4, 5), 1.4, np.float32))
 
 
 def test_a_restart_waits_for_all_views_again() -> None:
     watch = TargetWatch(20.0, pictures(2), [None, None])
-    assert [watch.saw(view, off(0.0)) for view in (0, 1)] == [False, True]
+    assert [watch.update(view, off(0.0)) for view in (0, 1)] == [False, True]
     watch.restart()
-    assert [watch.saw(view, off(0.0)) for view in (1, 1, 0)] == [False, False, True]
+    assert [watch.update(view, off(0.0)) for view in (1, 1, 0)] == [False, False, True]

@@ -11,7 +11,7 @@ from decogs.codec.lattice import default_lattice, dequantise, quantise
 from decogs.codec.state import ARRAYS
 from decogs.encoder.backends import Optimiser, SplatGradients
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
-from decogs.encoder.coding.changes import quantised
+from decogs.encoder.coding.changes import quantise_changes
 from decogs.encoder.settings.frame import FocusWeights, SignificanceSettings
 from decogs.encoder.settings.optimiser import LearningRates
 from decogs.encoder.training.losses import focus_loss, whole_picture_loss
@@ -130,7 +130,10 @@ AFTER = replace(
 def test_changes_are_the_nearest_where_bits_are_worth_nothing_or_errors_everything(
     sensitivity: Splats | None, settings: SignificanceSettings
 ) -> None:
-    written, nearest = quantised(AFTER, BEFORE, LATTICE, sensitivity, settings), quantise(AFTER, LATTICE, near=BEFORE)
+    written, nearest = (
+        quantise_changes(AFTER, BEFORE, LATTICE, sensitivity, settings),
+        quantise(AFTER, LATTICE, near=BEFORE),
+    )
     for name in ARRAYS:
         np.testing.assert_array_equal(getattr(written, name), getattr(nearest, name))
 
@@ -141,7 +144,7 @@ def test_colours_and_opacities_have_a_worth_of_their_own() -> None:
         (SignificanceSettings(rd_lambda=1e9), ("means", "log_scales", "quaternions")),
         (SignificanceSettings(colour_rd_lambda=1e9), ("opacity_logits", "sh")),
     ):
-        written = quantised(AFTER, BEFORE, LATTICE, same_sensitivity(1.0), settings)
+        written = quantise_changes(AFTER, BEFORE, LATTICE, same_sensitivity(1.0), settings)
         assert {n for n in ARRAYS if (getattr(written, n) != getattr(nearest, n)).any()} == set(coarse)
 
 
@@ -154,13 +157,13 @@ def test_a_step_counts_by_its_size_in_the_attributes_own_unit(bit: float, stays:
     values = dequantise(BEFORE, LATTICE)
     values.sh[:10, :2] += np.float32(np.array([LATTICE.sh_dc, LATTICE.sh_rest])[:, None])
     settings = SignificanceSettings(colour_rd_lambda=bit)
-    changes = quantised(values, BEFORE, LATTICE, same_sensitivity(1.0), settings).sh - BEFORE.sh
+    changes = quantise_changes(values, BEFORE, LATTICE, same_sensitivity(1.0), settings).sh - BEFORE.sh
     assert {k for k in range(4) if changes[:, k].any()} == stays
 
 
 def test_values_that_did_not_change_stay_whatever_bits_are_worth() -> None:
     values = dequantise(BEFORE, LATTICE)
-    written = quantised(
+    written = quantise_changes(
         values, BEFORE, LATTICE, same_sensitivity(1.0), SignificanceSettings(rd_lambda=1.0, colour_rd_lambda=1.0)
     )
     for name in ARRAYS:

@@ -95,7 +95,7 @@ def clip(frames: int, needs: Callable[[int], float], noise: float = 0.0) -> list
             seconds["training"] = min(needs(frame), max(left, 0.05)) * float(np.exp(random.normal(0, noise)))
             seconds |= {"write": 0.08, "commit": 0.04}
         seconds["measure"] = 5.0
-        control = control.took(seconds)
+        control = control.record_time(seconds)
         spent.append(seconds)
     return spent
 
@@ -120,58 +120,61 @@ def test_what_takes_longer_again_and_again_is_learned() -> None:
     for frame in range(15):
         left = control.deadline({}) - time.perf_counter()
         spent.append({"training": max(left, 0.05) + 0.4 * (frame % 3 == 0), "write": 0.05})
-        control = control.took(spent[-1])
+        control = control.record_time(spent[-1])
     assert over_time(spent, BUDGET) < TIME_TOLERANCE
 
 
-def held_clip(frames: int, masks: float, least: float) -> tuple[list[float], list[bool], list[float]]:
-    """Of frames that train to their deadline but ``least`` seconds at least: seconds, which were held, training's."""
-    control, spent, held, trained = TimeControl(BUDGET), [], [], []
+def deferred_clip(frames: int, masks: float, least: float) -> tuple[list[float], list[bool], list[float]]:
+    """Of frames that train to their deadline but ``least`` seconds at least: seconds, deferred or not, training's."""
+    control, spent, deferred, trained = TimeControl(BUDGET), [], [], []
     for frame in range(frames):
         seconds = {"masks": masks}
-        held.append(control.holds(seconds, least if frame else 0.0))
-        if not held[-1]:
+        deferred.append(control.defers(seconds, least if frame else 0.0))
+        if not deferred[-1]:
             seconds["training"] = max(control.deadline(seconds) - time.perf_counter(), least)
             trained.append(seconds["training"])
             seconds |= {"write": 0.08, "commit": 0.04}
-        control = control.took(seconds, held=held[-1])
+        control = control.record_time(seconds, deferred=deferred[-1])
         spent.append(counted_seconds(seconds))
-    return spent, held, trained
+    return spent, deferred, trained
 
 
 @pytest.mark.parametrize(("least", "share"), [(0.9, 0.5), (1.8, 2 / 3), (3.0, 0.8)])
-def test_frames_are_held_where_the_least_training_takes_longer_than_there_is(least: float, share: float) -> None:
-    spent, held, trained = held_clip(60, 0.1, least)
-    assert np.mean(held[10:]) == pytest.approx(share, abs=0.1)
+def test_frames_are_deferred_where_the_least_training_takes_longer_than_there_is(least: float, share: float) -> None:
+    spent, deferred, trained = deferred_clip(60, 0.1, least)
+    assert np.mean(deferred[10:]) == pytest.approx(share, abs=0.1)
     assert np.mean(spent) == pytest.approx(BUDGET, rel=2 * TIME_TOLERANCE)
     assert min(trained[1:]) >= least
     if least < 1:
-        assert np.mean(trained[5:]) > 1.3 * least, "a frame has the time of the one held before it as well"
+        assert np.mean(trained[5:]) > 1.3 * least, "a frame has the time of the one deferred before it as well"
 
 
 @pytest.mark.parametrize("least", [0.0, 0.3, 0.7])
-def test_no_frame_is_held_while_the_least_training_fits(least: float) -> None:
-    assert not any(held_clip(40, 0.1, least)[1])
+def test_no_frame_is_deferred_while_the_least_training_fits(least: float) -> None:
+    assert not any(deferred_clip(40, 0.1, least)[1])
 
 
 def test_a_freeze_is_bounded_however_little_time_there_is() -> None:
-    _, held, _ = held_clip(64, 0.1, 1e3)
-    assert "".join("h" if each else "t" for each in held) == "t" + "hhhhhhht" * 7 + "hhhhhhh"
+    _, deferred, _ = deferred_clip(64, 0.1, 1e3)
+    assert "".join("d" if each else "t" for each in deferred) == "t" + "dddddddt" * 7 + "ddddddd"
 
 
 @pytest.mark.parametrize(("saved", "fits", "too_much"), [(-1.2, 0.9, 1.1), (0.0, 0.9, 1.1), (3.0, 1.4, 1.6)])
-def test_a_frame_has_its_own_time_at_least_before_it_is_held(saved: float, fits: float, too_much: float) -> None:
-    """And a share of what was saved. What little is owed is paid back by shorter training."""
+def test_a_frame_has_its_own_time_at_least_before_it_is_deferred(saved: float, fits: float, too_much: float) -> None:
+    """And a share of what was saved. What little was overspent is paid back by shorter training."""
     control = TimeControl(1.0, saved=saved)
-    assert not control.holds({}, fits)
-    assert control.holds({}, too_much)
+    assert not control.defers({}, fits)
+    assert control.defers({}, too_much)
 
 
-def test_a_frame_that_is_held_for_what_is_owed_pays_and_keeps_nothing_for_the_next() -> None:
+def test_a_frame_deferred_for_what_is_overspent_pays_and_keeps_nothing_for_the_next() -> None:
     seconds = {"masks": 0.25, "measure": 9.0}
-    held, paid = TimeControl(1.0).took(seconds, held=True), TimeControl(1.0, saved=-3.0).took(seconds, held=True)
-    assert (held.saved, held.kept, held.held) == (0.0, 0.75, 1)
-    assert (paid.saved, paid.kept, paid.held) == (-2.25, 0.0, 1)
+    waits, paid = (
+        TimeControl(1.0).record_time(seconds, deferred=True),
+        TimeControl(1.0, saved=-3.0).record_time(seconds, deferred=True),
+    )
+    assert (waits.saved, waits.kept, waits.deferred) == (0.0, 0.75, 1)
+    assert (paid.saved, paid.kept, paid.deferred) == (-2.25, 0.0, 1)
 
 
 def test_a_miss_is_told_by_its_share() -> None:
@@ -247,7 +250,7 @@ def test_a_clip_keeps_its_time_and_its_changes_are_still_judged(
     assert output.stat().st_size < 1.3 * (tmp_path / "free.dgs").stat().st_size, "unjudged, frames take much more"
 
 
-def test_a_held_frame_is_taken_up_by_the_next_one(
+def test_a_deferred_frame_is_taken_up_by_the_next_one(
     moving: Any, patient: EncodeSettings, tiny_rig: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """On a clock that only drawing moves: the square stands until there is time, then it is where it should be."""
@@ -264,19 +267,19 @@ def test_a_held_frame_is_taken_up_by_the_next_one(
     given = {"holdout": [tiny_rig.held_out], "keyframe": moving.path, "settings": patient}
     report = encode_rig(rig, tmp_path / "x.dgs", **given, targets=Targets(time_budget=0.11))
     later = report.frames[1:]
-    held = [frame for frame in later if not frame.effects]
+    deferred = [frame for frame in later if not frame.effects]
     trained = [frame for frame in later if frame.effects]
-    assert 4 <= len(held) <= 8
-    assert {frame.kind for frame in held} == {"skip"}
+    assert 4 <= len(deferred) <= 8
+    assert {frame.kind for frame in deferred} == {"skip"}
     assert {frame.kind for frame in trained} == {"delta"}
     assert np.mean([counted_seconds(frame.seconds) for frame in later]) < 0.13
-    assert min(frame.training_psnr for frame in trained) > max(frame.training_psnr for frame in held) + 0.1
+    assert min(frame.training_psnr for frame in trained) > max(frame.training_psnr for frame in deferred) + 0.1
 
 
 def test_what_moves_is_begun_as_far_on_as_frames_have_passed(
     moving: Any, patient: EncodeSettings, tiny_rig: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Frames 1, 3 and 4 are trained and 2 is held: what moved on the way to 3 took two frames, on the way to 4 one."""
+    """Frames 1, 3 and 4 are trained and 2 is deferred: what moved up to 3 took two frames, up to 4 one."""
     begun: list[Any] = []
     reached: list[Any] = []
     train, displacements = DecogsTrainer.train, Scene.displacements
@@ -289,8 +292,8 @@ def test_what_moves_is_begun_as_far_on_as_frames_have_passed(
         reached.append(displacements(scene, before))
         return reached[-1]
 
-    held = iter([False, True, False, False])
-    monkeypatch.setattr(TimeControl, "holds", lambda *_: next(held))
+    deferred = iter([False, True, False, False])
+    monkeypatch.setattr(TimeControl, "defers", lambda *_: next(deferred))
     monkeypatch.setattr(DecogsTrainer, "train", noted)
     monkeypatch.setattr(Scene, "displacements", measured)
     rig = tiny_rig.write(tmp_path / "rig", frames=[0, 1, 3, 0, 1])
@@ -329,7 +332,7 @@ def test_few_steps_still_get_as_far_as_things_move(
     factors.clear()
     encode_rig(restless_rig, tmp_path / "x.dgs", **given, targets=Targets(time_budget=0.22))
     # 12 to 20 steps instead of 60: strides of 3 to 5.
-    assert 1.5 < max(factors) <= schedule._MAX_HASTE
+    assert 1.5 < max(factors) <= schedule._MAX_RATE_GAIN
 
 
 def test_time_enough_gives_the_states_of_no_budget(
@@ -420,8 +423,8 @@ def test_a_target_out_of_reach_changes_nothing(
     encode: Any, moving: Any, moving_rig: Path, patient: EncodeSettings
 ) -> None:
     free = encode(moving_rig, settings=patient, keyframe=moving.path)
-    held = encode(moving_rig, settings=with_target_psnr(patient, 100.0), keyframe=moving.path)
-    assert list(map(digest, held.states)) == list(map(digest, free.states))
+    aimed = encode(moving_rig, settings=with_target_psnr(patient, 100.0), keyframe=moving.path)
+    assert list(map(digest, aimed.states)) == list(map(digest, free.states))
 
 
 # The loss inside a frame

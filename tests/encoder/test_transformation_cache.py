@@ -94,7 +94,7 @@ class PlainCache:
             levels.append(total)
         return torch.cat(levels, 1)
 
-    def moved(self, anchors: F32, means: torch.Tensor, quaternions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def move(self, anchors: F32, means: torch.Tensor, quaternions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """For Gaussians inside the box; the grid is read at ``anchors``."""
         x = self.features(anchors)
         for layer, (matrix, bias) in enumerate(zip(self.matrices, self.biases, strict=True)):
@@ -134,7 +134,7 @@ def train(cache: TransformationCache, steps: int, seed: int = 1) -> None:
     """Some steps on gradients that depend on what the cache gave (so that every step differs)."""
     rng = np.random.default_rng(seed)
     for _ in range(steps):
-        means, quaternions = cache.moved()
+        means, quaternions = cache.move()
         cache.backward(
             (means + 0.1 * rng.normal(size=means.shape)).astype(np.float32),
             (quaternions * 0.2 + 0.1 * rng.normal(size=quaternions.shape)).astype(np.float32),
@@ -149,7 +149,7 @@ def test_starts_at_the_identity() -> None:
     cache = TransformationCache(LOW, HIGH, CacheSettings(), seed=3)
     means, quaternions = gaussians(3000)
     cache.place(means, quaternions)
-    moved, turned = cache.moved()
+    moved, turned = cache.move()
     np.testing.assert_array_equal(moved, means)
     wide = quaternions.astype(np.float64)
     np.testing.assert_array_max_ulp(turned, (wide / np.linalg.norm(wide, axis=1)[:, None]).astype(np.float32), 1)
@@ -162,7 +162,7 @@ def test_starts_anywhere_but_at_the_identity_when_asked_to() -> None:
     cache = TransformationCache(LOW, HIGH, replace(SMALL, identity_start=False, grid_spread=0.1), seed=3)
     means, quaternions = gaussians(50)
     cache.place(means, quaternions)
-    assert (cache.moved()[0] != means).mean() > 0.9  # where no hidden unit is active, nothing moves
+    assert (cache.move()[0] != means).mean() > 0.9  # where no hidden unit is active, nothing moves
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -173,10 +173,10 @@ def test_moves_as_the_plain_network_does(shape: str, count: int) -> None:
     cache, weights = strong_cache(SHAPES[shape])
     means, quaternions = gaussians(count)
     cache.place(means, quaternions)
-    expected = plain(SHAPES[shape], weights).moved(means, *wide(means, quaternions))
-    for ours, theirs in zip(cache.moved(), expected, strict=True):
+    expected = plain(SHAPES[shape], weights).move(means, *wide(means, quaternions))
+    for ours, theirs in zip(cache.move(), expected, strict=True):
         np.testing.assert_allclose(ours, theirs.detach(), rtol=0, atol=5e-6)
-    np.testing.assert_allclose(np.linalg.norm(cache.moved()[1], axis=1), 1.0, rtol=0, atol=5e-7)
+    np.testing.assert_allclose(np.linalg.norm(cache.move()[1], axis=1), 1.0, rtol=0, atol=5e-7)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -192,12 +192,12 @@ def test_gradients_are_autograds(shape: str, count: int) -> None:
     cache.place(anchors, turns)
     means, quaternions = (v + np.float32(0.3) for v in (anchors, turns))
     cache.rebase(means, quaternions)
-    cache.moved()
+    cache.move()
     rng = np.random.default_rng(9)
     v_means, v_quaternions = (rng.normal(size=(count, n)).astype(np.float32) for n in (3, 4))
     ours = [*cache.backward(v_means, v_quaternions), *arrays(cache.gradients())]
     reference, base = plain(SHAPES[shape], weights), wide(means, quaternions)
-    moved, turned = reference.moved(anchors, *base)
+    moved, turned = reference.move(anchors, *base)
     loss = (moved * torch.tensor(v_means)).sum() + (turned * torch.tensor(v_quaternions)).sum()
     for own, expected in zip(ours, torch.autograd.grad(loss, [*base, *reference.tensors]), strict=True):
         assert expected.any()
@@ -210,7 +210,7 @@ def test_outside_the_box_nothing_moves_and_nothing_is_learnt() -> None:
     means, quaternions = gaussians(40)
     means[::2] += np.float32(10)
     cache.place(means, quaternions)
-    moved, turned = cache.moved()
+    moved, turned = cache.move()
     np.testing.assert_array_equal(moved[::2], means[::2])
     units = quaternions / np.linalg.norm(quaternions.astype(np.float64), axis=1, keepdims=True)
     np.testing.assert_array_equal(turned[::2], units.astype(np.float32)[::2])
@@ -227,7 +227,7 @@ def test_the_faces_of_the_box_belong_to_it() -> None:
     cache.set_weights(strong_weights(cache))
     corners = np.array([[0, 0, 0], [1, 1, 1], [0, 1, 0.5], [1, 0, 1.0000001]], np.float32)
     cache.place(corners, np.ones((4, 4), np.float32))
-    np.testing.assert_array_equal((cache.moved()[0] != corners).all(axis=1), [True, True, True, False])
+    np.testing.assert_array_equal((cache.move()[0] != corners).all(axis=1), [True, True, True, False])
 
 
 @pytest.mark.parametrize("far", [False, True])
@@ -236,7 +236,7 @@ def test_a_frame_without_gaussians_to_move_changes_nothing(far: bool) -> None:
     before = digest(cache)
     means = np.full((3 if far else 0, 3), 99, np.float32)
     cache.place(means, np.ones((len(means), 4), np.float32))
-    moved, turned = cache.moved()
+    moved, turned = cache.move()
     np.testing.assert_array_equal(moved, means)
     cache.backward(moved, turned)
     cache.step()
@@ -265,11 +265,11 @@ def test_steps_are_those_of_torchs_adam_over_the_whole_table(shape: str) -> None
         cache.place(anchors, turns, same_frame=True)
         for _ in range(10):
             targets = [rng.normal(size=(count, n)) for n in (3, 4)]
-            shown = cache.moved()
+            shown = cache.move()
             cache.backward(*((a - b).astype(np.float32) for a, b in zip(shown, targets, strict=True)))
             cache.step()
             adam.zero_grad()
-            expected = reference.moved(anchors, *wide(anchors, turns))
+            expected = reference.move(anchors, *wide(anchors, turns))
             sum(((a - torch.tensor(b)) ** 2).sum() / 2 for a, b in zip(expected, targets, strict=True)).backward()
             adam.step()
     read = reference.grid.detach().numpy() != start.grid
@@ -297,11 +297,11 @@ def test_weights_carry_over_to_the_next_frame_when_not_restarted() -> None:
     means, quaternions = gaussians(50)
     cache.place(means, quaternions)
     train(cache, 5)
-    before, moved = digest(cache), cache.moved()
+    before, moved = digest(cache), cache.move()
     cache.place(*gaussians(20, seed=8))
     assert digest(cache) == before
     cache.place(means, quaternions)
-    for ours, theirs in zip(cache.moved(), moved, strict=True):
+    for ours, theirs in zip(cache.move(), moved, strict=True):
         np.testing.assert_array_equal(ours, theirs)
 
 
@@ -330,7 +330,7 @@ for settings in (CacheSettings(), CacheSettings(levels=3, features=3, hidden_lay
         cache.place(*placed, same_frame=True)
         for _ in range(5):
             cache.rebase(*placed)
-            moved = cache.moved()
+            moved = cache.move()
             placed = cache.backward(moved[0], moved[1] + np.float32(0.3))
             cache.step()
             for array in (*moved, *placed):
@@ -360,13 +360,13 @@ def test_zero_quaternions_stand_for_no_rotation() -> None:
     quaternions = np.zeros((6, 4), np.float32)
     quaternions[3:] = np.float32(3e38)
     cache.place(means, quaternions)
-    moved, turned = cache.moved()
+    moved, turned = cache.move()
     np.testing.assert_array_equal(turned[:3], np.tile(np.float32([1, 0, 0, 0]), (3, 1)))
     np.testing.assert_array_equal(turned[3:], 0.5)
     _, v_base = cache.backward(moved, turned + np.float32(0.5))
     np.testing.assert_array_equal(v_base[:3], 0)
     cache.step()
-    assert all(np.isfinite(v).all() for v in cache.moved())
+    assert all(np.isfinite(v).all() for v in cache.move())
 
 
 def test_a_zero_rotation_from_the_network_is_the_identity() -> None:
@@ -376,7 +376,7 @@ def test_a_zero_rotation_from_the_network_is_the_identity() -> None:
     means, quaternions = gaussians(6)
     cache.place(means, quaternions)
     expected = quaternions / np.linalg.norm(quaternions.astype(np.float64), axis=1, keepdims=True)
-    np.testing.assert_array_equal(cache.moved()[1], expected.astype(np.float32))
+    np.testing.assert_array_equal(cache.move()[1], expected.astype(np.float32))
     cache.backward(np.zeros((6, 3), np.float32), np.ones((6, 4), np.float32))
     assert not any(g.any() for g in arrays(cache.gradients()))
 
@@ -386,10 +386,10 @@ def test_huge_and_tiny_gradients_leave_finite_weights_that_still_learn(size: flo
     cache = TransformationCache(LOW, HIGH, CacheSettings(), seed=0)
     cache.place(*gaussians(300))
     for _ in range(3):
-        moved, turned = cache.moved()
+        moved, turned = cache.move()
         cache.backward(np.full_like(moved, size), np.full_like(turned, -size))
         cache.step()
-        assert all(np.isfinite(v).all() for v in cache.moved())
+        assert all(np.isfinite(v).all() for v in cache.move())
     assert all(np.isfinite(a).all() for a in arrays(cache.weights()))
     spoilt = digest(cache)
     train(cache, 1)
@@ -402,7 +402,7 @@ def test_values_that_are_not_numbers_are_refused() -> None:
     with pytest.raises(TrainingError, match="not finite"):
         cache.place(means * np.float32(np.nan), quaternions)
     cache.place(means, quaternions)
-    moved, turned = cache.moved()
+    moved, turned = cache.move()
     turned[0, 0] = np.nan
     with pytest.raises(TrainingError, match="is NaN"):
         cache.backward(moved, turned)
@@ -412,15 +412,15 @@ def test_backward_belongs_to_the_last_moved() -> None:
     cache = TransformationCache(LOW, HIGH, SMALL, seed=0)
     means, quaternions = gaussians(5)
     cache.place(means, quaternions)
-    with pytest.raises(RuntimeError, match="moved"):
+    with pytest.raises(RuntimeError, match="move"):
         cache.backward(means, quaternions)
-    cache.moved()
+    cache.move()
     cache.backward(means, quaternions)
-    with pytest.raises(RuntimeError, match="moved"):
+    with pytest.raises(RuntimeError, match="move"):
         cache.backward(means, quaternions)
-    cache.moved()
+    cache.move()
     cache.step()
-    with pytest.raises(RuntimeError, match="moved"):
+    with pytest.raises(RuntimeError, match="move"):
         cache.backward(means, quaternions)
     with pytest.raises(ValueError, match="cannot replace"):
         cache.rebase(means[:4], quaternions[:4])
@@ -441,14 +441,14 @@ def test_learns_a_rigid_motion() -> None:
     target = spun + np.array([0.05, -0.03, 0.02])
     cache = TransformationCache([-1, -1, -1], [1, 1, 1], CacheSettings(), seed=0)
     cache.place(means, quaternions)
-    turned_target = quaternion_product(*wide(cache.moved()[1], turn)).detach().numpy()
+    turned_target = quaternion_product(*wide(cache.move()[1], turn)).detach().numpy()
     for _ in range(150):
-        moved, turned = cache.moved()
+        moved, turned = cache.move()
         cache.backward(
             (2 * (moved - target) / 500).astype(np.float32), (2 * (turned - turned_target) / 500).astype(np.float32)
         )
         cache.step()
-    moved, turned = cache.moved()
+    moved, turned = cache.move()
     assert np.sqrt(((moved - target) ** 2).sum(1).mean()) < 1e-3
     cosines = np.abs((turned * turned_target).sum(1)).clip(0, 1)
     assert np.rad2deg(2 * np.arccos(cosines)).mean() < 0.125

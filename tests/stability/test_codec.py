@@ -15,7 +15,7 @@ from decogs.codec.lattice import Lattice, default_lattice, dequantise, quantise
 from decogs.codec.reconstruct import reconstruct
 from decogs.codec.state import ARRAYS, Attributes, State, take_rows
 from decogs.codec.syntax import write_delta, write_key
-from decogs.encoder.coding.changes import quantised
+from decogs.encoder.coding.changes import quantise_changes
 from decogs.encoder.settings.frame import SignificanceSettings
 from decogs.formats.cameras import Camera
 from decogs.formats.container import Packet, PacketKind
@@ -118,7 +118,7 @@ def test_a_change_that_is_common_elsewhere_never_leaves_32_bits() -> None:
     values.means[1:] += 256
     values.means[0] -= 256
     nothing = Splats(*(np.zeros_like(array) for array in vars(values).values()))
-    moved = quantised(values, before, unit, nothing, SignificanceSettings(rd_lambda=1.0))
+    moved = quantise_changes(values, before, unit, nothing, SignificanceSettings(rd_lambda=1.0))
     assert (moved.means[1:] == 256).all()
     np.testing.assert_array_equal(moved.means[0], quantise(values, unit).means[0])
 

@@ -180,8 +180,8 @@ def test_a_flash_that_shows_something_is_followed_and_leaves_no_mark(
 def test_a_light_that_stays_on_is_no_flash(
     still: Any, encode: Any, settings: Any, edit_picture: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert events.LONGEST_FLASH == 8
-    monkeypatch.setattr(events, "LONGEST_FLASH", 1)
+    assert events.MAX_FLASH_FRAMES == 8
+    monkeypatch.setattr(events, "MAX_FLASH_FRAMES", 1)
     rig = copied(still[0], tmp_path)
     for name in (*TRAINING, "cam02"):
         for frame in range(1, 4):

@@ -19,7 +19,7 @@ from decogs.formats.splats import FloatArray, Splats
 
 from ..protocol import ATTRIBUTES, SplatGradients
 
-_TILE = 16
+_TILE_PIXELS = 16
 """Side of the kernel's tiles (kernel/project.h)."""
 
 
@@ -168,4 +168,4 @@ def native_gradients(out: SplatGradients, splats: Splats) -> NativeGradients:
 
 def tile_count(width: int, height: int) -> int:
     """How many of the kernel's tiles a picture has."""
-    return -(-width // _TILE) * -(-height // _TILE)
+    return -(-width // _TILE_PIXELS) * -(-height // _TILE_PIXELS)

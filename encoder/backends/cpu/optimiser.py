@@ -1,4 +1,4 @@
-"""Adam over the stored values of the Gaussians under training, with rows that come and go and numbers that are held.
+"""Adam over the stored values of the Gaussians under training, with rows that come and go and frozen values.
 
 Only what is trained is here, so that nothing else has moments (docs/METHOD.md, "Optimiser-state reset"). Rejected:
 torch.optim.Adam (its parameters have no rows that come and go).
@@ -51,15 +51,15 @@ class CpuOptimiser:
         self._first = _zeros_like(splats)
         self._second = _zeros_like(splats)
         self._steps = 0
-        self._held: dict[str, tuple[NDArray[np.bool_], FloatArray]] = {}
+        self._frozen: dict[str, tuple[NDArray[np.bool_], FloatArray]] = {}
         self.gradients = gradients_like(splats)
 
     def __len__(self) -> int:
         return len(self.splats)
 
-    def copied(self) -> CpuOptimiser:
+    def copy(self) -> CpuOptimiser:
         other = CpuOptimiser(self.splats, self._kernel, beta1=self._beta1, beta2=self._beta2, epsilon=self._epsilon)
-        other.remember(self, np.arange(len(self.splats)), np.arange(len(self.splats)))
+        other.copy_momentum(self, np.arange(len(self.splats)), np.arange(len(self.splats)))
         return other
 
     def step(
@@ -71,7 +71,7 @@ class CpuOptimiser:
     ) -> None:
         self._steps += 1
         found = gradients.host()
-        # Nothing is looked at where sizes are not trained, as in frames that only light changes.
+        # Where sizes are not trained, as in frames that only light changes, none can stretch.
         before = self.splats.log_scales.copy() if max_stretch and rates.log_scales else None
         for name, rate in self._moving(rates):
             self._kernel.adam(
@@ -85,8 +85,8 @@ class CpuOptimiser:
                 beta2=self._beta2,
                 epsilon=self._epsilon,
             )
-        for name, (held, values) in self._held.items():
-            np.copyto(getattr(self.splats, name), values, where=held)
+        for name, (frozen, values) in self._frozen.items():
+            np.copyto(getattr(self.splats, name), values, where=frozen)
         if before is not None:
             limit_stretch(self.splats.log_scales, before, max_stretch)
 
@@ -103,8 +103,8 @@ class CpuOptimiser:
         for name, new in values.items():
             getattr(self.splats, name)[slice(None) if rows is None else rows] = new
 
-    def hold(self, held: Mapping[str, NDArray[np.bool_]]) -> None:
-        self._held |= {name: (mask, getattr(self.splats, name).copy()) for name, mask in held.items()}
+    def freeze(self, frozen: Mapping[str, NDArray[np.bool_]]) -> None:
+        self._frozen |= {name: (mask, getattr(self.splats, name).copy()) for name, mask in frozen.items()}
 
     def gradient_size(self, name: str) -> FloatArray:
         seen = 1 - float(np.float32(self._beta2)) ** max(1, self._steps)
@@ -118,7 +118,7 @@ class CpuOptimiser:
         mine, zeros = (self.splats, self._first, self._second), _zeros_like(added)
         self._replace(*(join_splats(*pair) for pair in zip(mine, (added, zeros, zeros), strict=True)))
 
-    def remember(self, other: CpuOptimiser, rows: RowArray, theirs: RowArray) -> None:
+    def copy_momentum(self, other: CpuOptimiser, rows: RowArray, theirs: RowArray) -> None:
         self._steps = other._steps
         for own, moments in ((self._first, other._first), (self._second, other._second)):
             for name in ATTRIBUTES:
@@ -126,7 +126,7 @@ class CpuOptimiser:
 
     def _replace(self, splats: Splats, first: Splats, second: Splats) -> None:
         self.splats, self._first, self._second = splats, first, second
-        self._held, self.gradients = {}, gradients_like(splats)
+        self._frozen, self.gradients = {}, gradients_like(splats)
 
 
 def _zeros_like(splats: Splats) -> Splats:

@@ -112,9 +112,9 @@ class CudaFixedView:
         lists = self._lists(inputs)
         assert self._changing is not None
         self._tiles_met = self._met_by(lists, self._changing)
-        shown = self._tiles_met | self._stale
-        colours, alphas = kernel.splatting.composite(inputs, lens, lists, shown)
-        pixels = lens.pixels(shown)
+        needed = self._tiles_met | self._stale
+        colours, alphas = kernel.splatting.composite(inputs, lens, lists, needed)
+        pixels = lens.pixels(needed)
         self._colours = torch.where(pixels, colours.detach(), self._colours)
         self._alphas = torch.where(pixels, alphas.detach(), self._alphas)
         self._stale = self._tiles_met

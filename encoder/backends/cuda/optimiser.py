@@ -35,7 +35,7 @@ class CudaOptimiser:
         self.values = _uploaded(splats, device)
         self._first, self._second = _zeros_like(self.values), _zeros_like(self.values)
         self._steps = 0
-        self._held: dict[str, tuple[Tensor, Tensor]] = {}
+        self._frozen: dict[str, tuple[Tensor, Tensor]] = {}
         self._read: Splats | None = None
 
     def __len__(self) -> int:
@@ -62,8 +62,8 @@ class CudaOptimiser:
         found, rate_of = tensors_of(gradients, self._device), _rates_by_part(rates)
         of = [[_part(each, name) for name in rate_of] for each in (self.values, self._first, self._second, found)]
         self._adam(of[0], of[1], of[2], of[3], [*rate_of.values()])
-        for name, (held, values) in self._held.items():
-            self.values[name].copy_(torch.where(held, values, self.values[name]))
+        for name, (frozen, values) in self._frozen.items():
+            self.values[name].copy_(torch.where(frozen, values, self.values[name]))
         if before is not None:
             limit_stretch(self.values["log_scales"], before, max_stretch)
 
@@ -91,8 +91,8 @@ class CudaOptimiser:
             else:
                 self.values[name].index_copy_(0, upload(rows, self._device), upload(new, self._device))
 
-    def hold(self, held: Mapping[str, NDArray[np.bool_]]) -> None:
-        self._held |= {name: (upload(mask, self._device), self.values[name].clone()) for name, mask in held.items()}
+    def freeze(self, frozen: Mapping[str, NDArray[np.bool_]]) -> None:
+        self._frozen |= {name: (upload(mask, self._device), self.values[name].clone()) for name, mask in frozen.items()}
 
     def gradient_size(self, name: str) -> FloatArray:
         seen = 1 - self._beta2 ** max(1, self._steps)
@@ -106,13 +106,13 @@ class CudaOptimiser:
         new = _uploaded(added, self._device)
         self._replace(lambda mine, more: torch.cat([mine, more]), new)
 
-    def copied(self) -> CudaOptimiser:
+    def copy(self) -> CudaOptimiser:
         other = CudaOptimiser(self.splats, self._device, beta1=self._beta1, beta2=self._beta2)
         other._steps = self._steps
         other._first, other._second = ({n: t.clone() for n, t in each.items()} for each in (self._first, self._second))
         return other
 
-    def remember(self, other: CudaOptimiser, rows: RowArray, theirs: RowArray) -> None:
+    def copy_momentum(self, other: CudaOptimiser, rows: RowArray, theirs: RowArray) -> None:
         self._steps = other._steps
         to, of = upload(rows, self._device), upload(theirs, self._device)
         for mine, moments in ((self._first, other._first), (self._second, other._second)):
@@ -126,7 +126,7 @@ class CudaOptimiser:
             {name: change(mine[name], other[name]) for name in ATTRIBUTES}
             for mine, other in ((self.values, new), (self._first, zeros), (self._second, zeros))
         )
-        self._held, self._read = {}, None
+        self._frozen, self._read = {}, None
 
 
 _EPSILON = 1e-15

@@ -28,7 +28,7 @@ from decogs.formats.cameras import Camera, camera_centre
 from .device import upload
 from .gradients import NAMES, DeviceGradients
 
-_TILE = 16
+_TILE_PIXELS = 16
 _NEAREST = 1e-10
 """Stands for "in front of the camera" where a camera has no near plane; gsplat divides by the square of the depth."""
 DEPTH = 3
@@ -41,7 +41,7 @@ class Lens:
     def __init__(self, camera: Camera, device: torch.device) -> None:
         intrinsics = [[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]]
         self.width, self.height, self.near = camera.width, camera.height, max(camera.near, _NEAREST)
-        self.columns, self.rows = -(-camera.width // _TILE), -(-camera.height // _TILE)
+        self.columns, self.rows = -(-camera.width // _TILE_PIXELS), -(-camera.height // _TILE_PIXELS)
         self.pose = upload(camera.world_to_camera[None].astype(np.float32), device)
         self.intrinsics = upload(np.array([intrinsics], np.float32), device)
         self.centre = upload(camera_centre(camera).astype(np.float32), device)
@@ -51,7 +51,7 @@ class Lens:
         """The number of every pixel's tile, (H, W, 1)."""
         device = self.pose.device
         row, column = torch.arange(self.height, device=device), torch.arange(self.width, device=device)
-        return ((row // _TILE)[:, None] * self.columns + (column // _TILE)[None])[..., None]
+        return ((row // _TILE_PIXELS)[:, None] * self.columns + (column // _TILE_PIXELS)[None])[..., None]
 
     def pixels(self, tiles: Tensor) -> Tensor:
         """Pixels (H, W, 1) of tiles (rows, columns)."""
@@ -162,7 +162,7 @@ class Splatting:
     def tile_lists(self, projected: Projected, lens: Lens) -> Lists:
         """Which tiles the Gaussians' boxes meet."""
         means2d, radii, depths = projected.means2d.detach()[None], projected.radii[None], projected.depths[None]
-        _, keys, gaussians = self._gsplat.isect_tiles(means2d, radii, depths, _TILE, lens.columns, lens.rows)
+        _, keys, gaussians = self._gsplat.isect_tiles(means2d, radii, depths, _TILE_PIXELS, lens.columns, lens.rows)
         offsets = self._gsplat.isect_offset_encode(keys, 1, lens.columns, lens.rows)
         return Lists(keys >> 32, gaussians, offsets)  # a key: image (0, there is one), tile, 32 bits of depth
 
@@ -177,7 +177,7 @@ class Splatting:
             projected.opacities[None],
             lens.width,
             lens.height,
-            _TILE,
+            _TILE_PIXELS,
             lists.offsets,
             lists.gaussians,
             masks=None if tiles is None else tiles[None],

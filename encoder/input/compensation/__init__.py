@@ -27,15 +27,15 @@ from ...settings.compensation import CorrectionSettings
 from ..ingest import View
 from .agreement import DrawView, SharedSurface, agreeing_shifts, shared_changes, shared_surface
 from .benefit import Benefit, on_grid
-from .colour import OddsShift, odds_shift, without_odds
-from .shake import angles_of, turn_of, unturned
+from .colour import LogitShift, logit_shift, remove_gain
+from .shake import angles_of, estimate_turn, undo_turn
 
 __all__ = ["CorrectionMemory", "CorrectionSettings", "Corrector", "corrector_of"]
 
 F64 = NDArray[np.float64]
 
-Show = Callable[[int], FloatArray]
-"""The scene through the training view of that number, (3, H, W)."""
+RenderView = Callable[[int], FloatArray]
+"""Renders the scene through the training view of that number, (3, H, W)."""
 
 _KINDS = {"colours": ("exposure", "red", "blue"), "shake": ("yaw", "pitch", "roll")}
 """Parts of a correction that are judged separately, and their numbers."""
@@ -72,8 +72,8 @@ class CorrectionMemory:
     benefits: Mapping[tuple[str, str], Benefit] = field(default_factory=dict)
     dropped: frozenset[tuple[str, str]] = frozenset()
 
-    def restarted(self) -> CorrectionMemory:
-        """Without what frames after the first have shown."""
+    def restart(self) -> CorrectionMemory:
+        """Without the evidence of frames after the first."""
         return CorrectionMemory(self.surface, self.first)
 
 
@@ -83,7 +83,7 @@ class Corrector:
     def __init__(self, views: Sequence[View], settings: CorrectionSettings) -> None:
         self._views = {view.camera.name: (number, view) for number, view in enumerate(views)}
         lists = (settings.exposure, settings.white_balance, settings.shake)
-        self.cameras = CorrectedCameras(*(self._known(names) for names in lists))
+        self.cameras = CorrectedCameras(*(self._check_names(names) for names in lists))
         self._named = [name for name in self._views if self.cameras.of(name)]
         self._has_colours = bool(self.cameras.exposure_drift or self.cameras.white_balance_drift)
 
@@ -95,14 +95,14 @@ class Corrector:
         nowhere = np.zeros((len(views), 0), np.int64)
         return CorrectionMemory(SharedSurface(nowhere, nowhere, nowhere > 0))
 
-    def find(self, memory: CorrectionMemory, recorded: Sequence[FloatArray], show: Show) -> Corrections:
-        """Corrections of a frame's ``recorded`` pictures (3, H, W) against the scene as ``show`` draws it."""
+    def find(self, memory: CorrectionMemory, recorded: Sequence[FloatArray], render: RenderView) -> Corrections:
+        """Corrections of a frame's ``recorded`` pictures (3, H, W) against the scene as ``render`` draws it."""
         straight, rotations = list(recorded), dict.fromkeys(self._named, np.eye(3))
         for name in self.cameras.camera_shake:
             number, view = self._views[name]
-            rotations[name] = self._measured(name, recorded, show).rotation
-            straight[number] = unturned(recorded[number], view.pinhole, rotations[name])
-        shifts = self._own_shifts(memory.surface, straight, show) if self._has_colours else {}
+            rotations[name] = self._measure(name, recorded, render).rotation
+            straight[number] = undo_turn(recorded[number], view.pinhole, rotations[name])
+        shifts = self._own_shifts(memory.surface, straight, render) if self._has_colours else {}
         found = {
             name: self._correction(name, _Drift(shifts.get(name, _NO_SHIFT), rotations[name])) for name in self._named
         }
@@ -115,12 +115,12 @@ class Corrector:
         memory: CorrectionMemory,
         recorded: Sequence[FloatArray],
         corrections: Corrections,
-        show: Show,
+        render: RenderView,
         changed: Sequence[NDArray[np.bool_]],
     ) -> CorrectionMemory:
         """The memory after a frame, without the corrections that made its pictures worse.
 
-        ``show``: the scene as trained. ``changed``: where every view's picture changed, (H, W). A scene that has not
+        ``render``: the scene as trained. ``changed``: where every view's picture changed, (H, W). A scene that has not
         followed its light yet misses every camera by it; what the other cameras miss in common is therefore no camera's
         loss.
         """
@@ -132,22 +132,26 @@ class Corrector:
                 if (name, kind) in memory.dropped or left_out == correction:
                     continue
                 corrected, left = (
-                    on_grid(self._compensated(name, recorded[number], each)) for each in (correction, left_out)
+                    on_grid(self._compensate(name, recorded[number], each)) for each in (correction, left_out)
                 )
-                shown = on_grid(show(number))
+                rendered = on_grid(render(number))
                 if self._has_colours:
-                    left_behind = left_behind or self._left_behind(recorded, corrections, show)
-                    shown = without_odds(shown, _odds_of(-_of_the_others(left_behind, name)))
+                    left_behind = left_behind or self._left_behind(recorded, corrections, render)
+                    rendered = remove_gain(rendered, _gain_of(-_of_the_others(left_behind, name)))
                 benefit = benefits.get((name, kind), Benefit())
-                benefits[name, kind] = benefit.seen(corrected, left, shown, on_grid(changed[number]))
+                benefits[name, kind] = benefit.update(corrected, left, rendered, on_grid(changed[number]))
         dropped = {key for key, benefit in benefits.items() if not benefit.pays}
         return replace(memory, benefits=benefits, dropped=memory.dropped | dropped)
 
-    def _left_behind(self, recorded: Sequence[FloatArray], corrections: Corrections, show: Show) -> dict[str, F64]:
-        """Shift (3,) of the odds from the scene to every camera's corrected picture."""
+    def _left_behind(
+        self, recorded: Sequence[FloatArray], corrections: Corrections, render: RenderView
+    ) -> dict[str, F64]:
+        """Logit shift (3,) from the scene to every camera's corrected picture."""
         return {
-            name: odds_shift(
-                self._compensated(name, recorded[number], corrections.get(name, Correction())), show(number), view.valid
+            name: logit_shift(
+                self._compensate(name, recorded[number], corrections.get(name, Correction())),
+                render(number),
+                view.valid,
             ).shift
             for name, (number, view) in self._views.items()
         }
@@ -161,8 +165,8 @@ class Corrector:
         straight, rotations = list(recorded), dict.fromkeys(self._named, np.eye(3))
         for name in self.cameras.camera_shake:
             number, view = self._views[name]
-            rotations[name] = self._measured(name, recorded, lambda number: draw(number).rgb).rotation
-            straight[number] = unturned(recorded[number], view.pinhole, rotations[name])
+            rotations[name] = self._measure(name, recorded, lambda number: draw(number).rgb).rotation
+            straight[number] = undo_turn(recorded[number], view.pinhole, rotations[name])
         if not self._has_colours:
             return {name: self._correction(name, _Drift(_NO_SHIFT, rotations[name])) for name in self._named}
         views = [view for _, view in self._views.values()]
@@ -177,51 +181,55 @@ class Corrector:
         compensated = list(recorded)
         for name, correction in corrections.items():
             number, _ = self._views[name]
-            compensated[number] = self._compensated(name, compensated[number], correction)
+            compensated[number] = self._compensate(name, compensated[number], correction)
         return compensated
 
-    def _compensated(self, name: str, picture: FloatArray, correction: Correction) -> FloatArray:
+    def _compensate(self, name: str, picture: FloatArray, correction: Correction) -> FloatArray:
         if correction.is_coloured:
-            picture = without_odds(picture, correction.odds)
+            picture = remove_gain(picture, correction.odds_gain)
         if correction.is_turned:
-            picture = unturned(picture, self._views[name][1].pinhole, correction.rotation)
+            picture = undo_turn(picture, self._views[name][1].pinhole, correction.rotation)
         return picture
 
-    def _known(self, names: Sequence[str]) -> tuple[str, ...]:
+    def _check_names(self, names: Sequence[str]) -> tuple[str, ...]:
         for name in names:
             if name not in self._views:
                 raise UsageError(f"camera {name} cannot be compensated: it is not a training camera")
         return tuple(name for name in self._views if name in names)
 
-    def _measured(self, name: str, recorded: Sequence[FloatArray], show: Show) -> _Drift:
+    def _measure(self, name: str, recorded: Sequence[FloatArray], render: RenderView) -> _Drift:
         number, view = self._views[name]
-        picture, shown = recorded[number], show(number)
-        colour = odds_shift(picture, shown, view.valid) if self._has_colours else _NO_SHIFT
+        picture, rendered = recorded[number], render(number)
+        colour = logit_shift(picture, rendered, view.valid) if self._has_colours else _NO_SHIFT
         if name not in self.cameras.camera_shake:
             return _Drift(colour, np.eye(3))
         rotation = np.eye(3)
         for _ in range(_ALTERNATIONS if self._has_colours else 1):
-            rotation = turn_of(without_odds(picture, _odds_of(colour.shift)), shown, view.pinhole, view.valid)
+            rotation = estimate_turn(remove_gain(picture, _gain_of(colour.shift)), rendered, view.pinhole, view.valid)
             if self._has_colours:
-                colour = odds_shift(unturned(picture, view.pinhole, rotation), shown, view.valid)
+                colour = logit_shift(undo_turn(picture, view.pinhole, rotation), rendered, view.valid)
         return _Drift(colour, rotation)
 
-    def _own_shifts(self, surface: SharedSurface, pictures: Sequence[FloatArray], show: Show) -> dict[str, OddsShift]:
+    def _own_shifts(
+        self, surface: SharedSurface, pictures: Sequence[FloatArray], render: RenderView
+    ) -> dict[str, LogitShift]:
         """Shifts of the pictures' colours against the scene's, without the scene's change of light, by camera."""
-        shown = [show(number) for number in range(len(pictures))]
-        changes = shared_changes(surface, pictures, shown)
+        rendered = [render(number) for number in range(len(pictures))]
+        changes = shared_changes(surface, pictures, rendered)
         names, total = list(self._views), changes.shifts + changes.common
         own = {name: shift for name, shift, known in zip(names, total, changes.known, strict=True) if known}
-        alone = {} if len(own) == len(names) else self._shifts_of_pictures(pictures, shown)
+        alone = {} if len(own) == len(names) else self._shifts_of_pictures(pictures, rendered)
         known = own or alone
         light = self._neutral(known, _light_of)
         rest = self._neutral(alone, _light_of) if alone else light
-        return {name: OddsShift(own[name] - light if name in own else alone[name] - rest, np.ones(3)) for name in names}
+        return {
+            name: LogitShift(own[name] - light if name in own else alone[name] - rest, np.ones(3)) for name in names
+        }
 
-    def _shifts_of_pictures(self, pictures: Sequence[FloatArray], shown: Sequence[FloatArray]) -> dict[str, F64]:
+    def _shifts_of_pictures(self, pictures: Sequence[FloatArray], rendered: Sequence[FloatArray]) -> dict[str, F64]:
         """Shifts of whole pictures against the rendered ones, for cameras that share too little with others."""
         return {
-            name: odds_shift(pictures[number], shown[number], view.valid).shift
+            name: logit_shift(pictures[number], rendered[number], view.valid).shift
             for name, (number, view) in self._views.items()
         }
 
@@ -250,13 +258,13 @@ class Corrector:
 
 
 class _Drift(NamedTuple):
-    """A camera's measured drift: the shift of its colours' odds, and its rotation (3, 3)."""
+    """A camera's measured drift: the logit shift of its colours, and its rotation (3, 3)."""
 
-    colour: OddsShift
+    colour: LogitShift
     rotation: F64
 
 
-_NO_SHIFT = OddsShift(np.zeros(3), np.zeros(3))
+_NO_SHIFT = LogitShift(np.zeros(3), np.zeros(3))
 
 
 def _as_at_first(memory: CorrectionMemory, name: str, kind: str, correction: Correction) -> Correction:
@@ -302,6 +310,6 @@ def _of_the_others(shifts: Mapping[str, F64], name: str) -> F64:
     return np.median(others, axis=0) if len(others) > 1 else np.zeros(3)
 
 
-def _odds_of(shift: F64) -> tuple[float, float, float]:
+def _gain_of(shift: F64) -> tuple[float, float, float]:
     red, green, blue = np.exp(shift).tolist()
     return red, green, blue

@@ -25,7 +25,7 @@ from decogs.formats.splats import FloatArray, logit
 from ...backends import RenderedPicture
 from ...numerics import bilinear
 from ..ingest import View
-from .colour import OddsShift, tukey_weights, unclipped
+from .colour import LogitShift, tukey_weights, unclipped
 
 F64 = NDArray[np.float64]
 
@@ -45,7 +45,7 @@ _SOLVER_ROUNDS = 6
 _LATER_POINTS = 6000
 """Points of later frames, from all views together: the light of a single one is known to a per cent."""
 
-_AROUND = np.mgrid[-1:2, -1:2].reshape(2, 1, -1)
+_COLOUR_WINDOW = np.mgrid[-1:2, -1:2].reshape(2, 1, -1)
 """Pixels over which a point's colours are averaged."""
 
 _MIN_SHARED_POINTS = 100
@@ -65,15 +65,18 @@ class SharedSurface:
         height, width = picture.shape[1:]
         found = np.zeros((self.seen.shape[1], 3), np.float32)
         there = self.seen[number]
-        rows = np.clip(self.row[number, there, None] + _AROUND[0], 0, height - 1)
-        columns = np.clip(self.column[number, there, None] + _AROUND[1], 0, width - 1)
+        rows = np.clip(self.row[number, there, None] + _COLOUR_WINDOW[0], 0, height - 1)
+        columns = np.clip(self.column[number, there, None] + _COLOUR_WINDOW[1], 0, width - 1)
         found[there] = picture[:, rows, columns].mean(axis=2).T
         return found
 
 
 class SharedChanges(NamedTuple):
-    """How later pictures differ from what is shown: by the views' own ``shifts`` (V, 3), up to a common one; by
-    ``common`` (3,), the median of what is left at the points. ``known`` (V,): views that share enough with others."""
+    """How later pictures differ from the renderings, as logit shifts.
+
+    ``shifts`` (V, 3): the views' own, up to a common one. ``common`` (3,): the median of the rest at the points.
+    ``known`` (V,): views that share enough points with others.
+    """
 
     shifts: F64
     common: F64
@@ -93,14 +96,14 @@ def shared_surface(views: Sequence[View], draw: DrawView) -> SharedSurface:
 
 
 def shared_changes(
-    surface: SharedSurface, pictures: Sequence[FloatArray], shown: Sequence[FloatArray]
+    surface: SharedSurface, pictures: Sequence[FloatArray], rendered: Sequence[FloatArray]
 ) -> SharedChanges:
-    """What of the difference of ``pictures`` from what is ``shown``, (3, H, W) of every view, is the views' own."""
+    """The views' own part of the difference of ``pictures`` from ``rendered``, (3, H, W) of every view each."""
     views = len(pictures)
     shifts, common, enough = np.zeros((views, 3)), np.zeros(3), np.zeros((views, 3), bool)
     now, before = (
         np.stack([surface.colours(number, picture) for number, picture in enumerate(side)])
-        for side in (pictures, shown)
+        for side in (pictures, rendered)
     )
     for channel in range(3):
         known = surface.seen & unclipped(now[..., channel]) & unclipped(before[..., channel])
@@ -118,8 +121,8 @@ def shared_changes(
     return SharedChanges(shifts, common, np.asarray(enough.all(axis=1)))
 
 
-def agreeing_shifts(views: Sequence[View], pictures: Sequence[FloatArray], draw: DrawView) -> list[OddsShift]:
-    """The shift of every view's odds, up to one common shift a channel, which is chosen so that their mean is 0.
+def agreeing_shifts(views: Sequence[View], pictures: Sequence[FloatArray], draw: DrawView) -> list[LogitShift]:
+    """Every view's logit shift, up to one common shift a channel, which is chosen so that their mean is 0.
 
     ``pictures``: (3, H, W) of every view, turns taken out. A view that shares nothing with others gets 0.
     """
@@ -128,18 +131,18 @@ def agreeing_shifts(views: Sequence[View], pictures: Sequence[FloatArray], draw:
         [_surface(view, depth, _POINTS_PER_VIEW) for view, depth in zip(views, depths, strict=True)]
     )
     if not len(points):
-        return [OddsShift(np.zeros(3), np.zeros(3))] * len(views)
+        return [LogitShift(np.zeros(3), np.zeros(3))] * len(views)
     seen = [
         _colours(view, cv2.blur(picture.transpose(1, 2, 0), (3, 3)), depth, points)
         for view, picture, depth in zip(views, pictures, depths, strict=True)
     ]
     values, known = np.stack([colours for colours, _ in seen]), np.stack([there for _, there in seen])
     solved = [_channel_shifts(values[..., channel], known & unclipped(values[..., channel])) for channel in range(3)]
-    return [OddsShift(*map(np.array, zip(*of_view, strict=True))) for of_view in zip(*solved, strict=True)]
+    return [LogitShift(*map(np.array, zip(*of_view, strict=True))) for of_view in zip(*solved, strict=True)]
 
 
 def shifts_of_points(values: FloatArray, seen: NDArray[np.bool_]) -> tuple[F64, NDArray[np.bool_]]:
-    """The shift (V, 3) of every view's odds, up to one common shift a channel, and which views (V,) share enough.
+    """Every view's logit shift (V, 3), up to one common shift a channel, and which views (V,) share enough.
 
     ``values`` (V, P, 3): colours of points that the views see where ``seen`` (V, P).
     """
@@ -204,9 +207,9 @@ def _channel_shifts(values: FloatArray, known: NDArray[np.bool_]) -> list[tuple[
 
 
 def _solved(logs: FloatArray, slope: FloatArray, known: NDArray[np.bool_]) -> tuple[F64, FloatArray]:
-    """Every view's shift (V,) of the log odds (V, P) of points that it sees where ``known``, and their weights.
+    """Every view's shift (V,) of the logits (V, P) of points that it sees where ``known``, and their weights.
 
-    ``slope``: of the colour over its log odds. Robust least squares; what a point's own are is eliminated.
+    ``slope``: of the colour over its logit. Robust least squares; each point's own logit is eliminated.
     """
     weights = np.square(slope) * known
     shifts = np.zeros(len(logs))

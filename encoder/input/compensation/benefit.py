@@ -17,7 +17,7 @@ from decogs.formats.splats import FloatArray
 
 F64 = NDArray[np.float64]
 
-_MAX_PIXELS = 40_000
+_GRID_PIXELS = 40_000
 _MAX_ERROR = 25 / 255
 """Error beyond which all count alike: pixels that training has not followed give no evidence."""
 _SUMS_DECAY = 0.9
@@ -46,13 +46,15 @@ class Benefit:
     blocks: F64 = field(default_factory=lambda: np.zeros(2))
     frames: int = 0
 
-    def seen(self, corrected: FloatArray, left: FloatArray, shown: FloatArray, changed: NDArray[np.bool_]) -> Benefit:
+    def update(
+        self, corrected: FloatArray, left: FloatArray, rendered: FloatArray, changed: NDArray[np.bool_]
+    ) -> Benefit:
         """With a frame's picture with the correction, the one without, and the scene, all (3, H, W).
 
         ``changed`` (H, W): where the picture changed.
         """
         mine, others = (
-            np.square(np.minimum(np.abs(picture - shown), _MAX_ERROR), dtype=np.float64).sum(axis=0)
+            np.square(np.minimum(np.abs(picture - rendered), _MAX_ERROR), dtype=np.float64).sum(axis=0)
             for picture in (corrected, left)
         )
         sums = []
@@ -81,6 +83,6 @@ def _block_sums(values: F64) -> F64:
 
 
 def on_grid(picture: NDArray[Any]) -> NDArray[Any]:
-    """The picture (..., H, W) on a regular grid of its pixels, at most ``_MAX_PIXELS``."""
-    step = max(1, round(np.sqrt(picture.shape[-2] * picture.shape[-1] / _MAX_PIXELS)))
+    """The picture (..., H, W) on a regular grid of its pixels, at most ``_GRID_PIXELS``."""
+    step = max(1, round(np.sqrt(picture.shape[-2] * picture.shape[-1] / _GRID_PIXELS)))
     return picture[..., ::step, ::step]

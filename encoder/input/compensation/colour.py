@@ -1,4 +1,4 @@
-"""Exposure and white balance of a camera as shifts of its colours' odds against the scene's, per channel.
+"""Exposure and white balance of a camera as shifts of its colours' logits against the scene's, per channel.
 
 A gain on light before a display's curve, which nobody knows, is within 0.02 dB of a factor on the odds v / (1 - v) of
 the coded value: black and white stay, nothing is clipped, and the inverse is the same with
@@ -12,46 +12,48 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.decoder.camera_corrections import with_odds
+from decogs.decoder.camera_corrections import apply_gain
 from decogs.formats.splats import FloatArray, logit
 
 from ...numerics import tukey
 
 _DARKEST, _BRIGHTEST = 6 / 255, 249 / 255
 
-_MAX_PIXELS = 40_000
+_GRID_PIXELS = 40_000
 """A regular grid of about so many pixels suffices: the mean's own noise is then below 0.1 of an 8-bit level."""
 
 _REWEIGHTINGS = 8
-_TUKEY = 4.685
+_TUKEY_DEVIATIONS = 4.685
 """Tukey's biweight at 95 % efficiency, in standard deviations."""
 
-_MIN_SPREAD = 2 / 255
+_MIN_RESIDUAL_SPREAD = 2 / 255
 _MEDIAN_SAMPLES = 4000
 """Residuals whose median is taken, which gives it to two per cent."""
 
 
-class OddsShift(NamedTuple):
-    """Per channel, (3,) float64: the shift of the logarithm of the odds, and how well it is known (0: not at all)."""
+class LogitShift(NamedTuple):
+    """Per channel, (3,) float64: the shift of the logit log(v / (1 - v)), and its precision (0: unknown)."""
 
     shift: NDArray[np.float64]
     precision: NDArray[np.float64]
 
-    def without(self, shift: NDArray[np.float64]) -> OddsShift:
+    def without(self, shift: NDArray[np.float64]) -> LogitShift:
         """What is left when ``shift`` (3,) counts as none."""
         return self._replace(shift=self.shift - shift)
 
 
-def odds_shift(recorded: FloatArray, shown: FloatArray, valid: FloatArray | None = None) -> OddsShift:
-    """How far the odds of ``recorded`` are from those of ``shown``, both (3, H, W), whatever moves between the two.
+def logit_shift(recorded: FloatArray, rendered: FloatArray, valid: FloatArray | None = None) -> LogitShift:
+    """How far the logits of ``recorded`` are from those of ``rendered``, both (3, H, W), robust to motion.
 
     ``valid`` (H, W) is 0 where nothing was recorded. Undetermined channels get 0.
     """
-    step = max(1, round(np.sqrt(shown[0].size / _MAX_PIXELS)))
+    step = max(1, round(np.sqrt(rendered[0].size / _GRID_PIXELS)))
     grid = np.s_[::step, ::step]
     known = None if valid is None else valid[grid] > 0
-    pairs = [_channel_shift(recorded[channel][grid], shown[channel][grid], known) for channel in range(len(shown))]
-    return OddsShift(np.array([shift for shift, _ in pairs]), np.array([precision for _, precision in pairs]))
+    pairs = [
+        _channel_shift(recorded[channel][grid], rendered[channel][grid], known) for channel in range(len(rendered))
+    ]
+    return LogitShift(np.array([shift for shift, _ in pairs]), np.array([precision for _, precision in pairs]))
 
 
 def unclipped(values: FloatArray) -> NDArray[np.bool_]:
@@ -62,25 +64,25 @@ def unclipped(values: FloatArray) -> NDArray[np.bool_]:
 def tukey_weights(residuals: FloatArray) -> FloatArray:
     """Tukey's biweight of residuals in picture units, by their own spread: 1 for none, 0 for what does not belong."""
     some = residuals.ravel()[:: max(1, residuals.size // _MEDIAN_SAMPLES)]
-    spread = max(1.4826 * float(np.median(np.abs(some))), _MIN_SPREAD)
-    return tukey(residuals, _TUKEY * spread)
+    spread = max(1.4826 * float(np.median(np.abs(some))), _MIN_RESIDUAL_SPREAD)
+    return tukey(residuals, _TUKEY_DEVIATIONS * spread)
 
 
-def without_odds(picture: FloatArray, odds: tuple[float, float, float]) -> FloatArray:
+def remove_gain(picture: FloatArray, odds_gain: tuple[float, float, float]) -> FloatArray:
     """A recorded picture (3, H, W) in the scene's own colours."""
-    red, green, blue = odds
-    planes = with_odds(picture.transpose(1, 2, 0), (1 / red, 1 / green, 1 / blue))
+    red, green, blue = odds_gain
+    planes = apply_gain(picture.transpose(1, 2, 0), (1 / red, 1 / green, 1 / blue))
     return np.ascontiguousarray(planes.transpose(2, 0, 1))
 
 
-def _channel_shift(recorded: FloatArray, shown: FloatArray, known: NDArray[np.bool_] | None) -> tuple[float, float]:
+def _channel_shift(recorded: FloatArray, rendered: FloatArray, known: NDArray[np.bool_] | None) -> tuple[float, float]:
     """Gauss-Newton on the corrected picture; weighed by the scene's value, so that recorded noise has no bias."""
-    inside = unclipped(recorded) & unclipped(shown)
+    inside = unclipped(recorded) & unclipped(rendered)
     if known is not None:
         inside &= known
     if not inside.any():
         return 0.0, 0.0
-    v, s = recorded[inside], shown[inside]
+    v, s = recorded[inside], rendered[inside]
     slope = s * (1 - s)
     shift = float(np.median(logit(v) - logit(s)))
     precision = 0.0

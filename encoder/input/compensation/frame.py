@@ -1,4 +1,4 @@
-"""A frame's pictures without what its cameras add: their constant colours, and the drift of the named ones."""
+"""A frame's compensated pictures: without its cameras' constant colour differences, and the drift of named ones."""
 
 from __future__ import annotations
 
@@ -9,36 +9,36 @@ from decogs.codec.corrections import Corrections
 
 from ...stopwatch import Stopwatch
 from ..ingest import RigFrame, View
-from . import CorrectionMemory, Corrector, Show
-from .colour import without_odds
+from . import CorrectionMemory, Corrector, RenderView
+from .colour import remove_gain
 
 
-def matched(frame: RigFrame, views: Sequence[View], colours: Corrections) -> RigFrame:
+def match_colours(frame: RigFrame, views: Sequence[View], colours: Corrections) -> RigFrame:
     """The frame without the constant differences between its cameras' ``colours``."""
     if not colours:
         return frame
     pictures = [
-        without_odds(picture, colours[view.camera.name].odds) if view.camera.name in colours else picture
+        remove_gain(picture, colours[view.camera.name].odds_gain) if view.camera.name in colours else picture
         for view, picture in zip(views, frame.training, strict=True)
     ]
     return replace(frame, training=pictures)
 
 
-def corrections_of(
-    frame: RigFrame, corrector: Corrector | None, memory: CorrectionMemory | None, show: Show, watch: Stopwatch
+def find_corrections(
+    frame: RigFrame, corrector: Corrector | None, memory: CorrectionMemory | None, render: RenderView, watch: Stopwatch
 ) -> Corrections:
-    """A matched frame's corrections against the scene before it, as ``show`` draws it."""
+    """A matched frame's corrections against the scene before it, drawn by ``render``."""
     if corrector is None or memory is None:
         return {}
     with watch.stage("corrections"):
-        return corrector.find(memory, frame.training, show)
+        return corrector.find(memory, frame.training, render)
 
 
-def compensated(frame: RigFrame, corrector: Corrector | None, corrections: Corrections) -> RigFrame:
+def compensate(frame: RigFrame, corrector: Corrector | None, corrections: Corrections) -> RigFrame:
     """A matched frame with its ``corrections`` undone."""
     return frame if corrector is None else replace(frame, training=corrector.undo(frame.training, corrections))
 
 
-def ended(before: CorrectionMemory, after: CorrectionMemory) -> list[str]:
+def newly_dropped(before: CorrectionMemory, after: CorrectionMemory) -> list[str]:
     """The corrections dropped from one frame to the next, such as "cam04: colours"."""
     return [f"{name}: {kind}" for name, kind in sorted(after.dropped - before.dropped)]

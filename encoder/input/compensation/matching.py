@@ -25,22 +25,22 @@ from ...numerics import bilinear
 from ..ingest import View
 from .agreement import shifts_of_points
 
-_MIN_VIEWS = 3
+_MIN_POINT_VIEWS = 3
 """Views of a point that counts: of two that differ, either may be the one that reflects a light."""
 
 
-def colours_at(
+def find_colours(
     views: Sequence[View], pictures: Sequence[FloatArray], xyz: FloatArray, seen: NDArray[np.bool_]
 ) -> Corrections:
     """How every view's colours differ from the median view's, by camera; the cameras without a difference are left out.
 
-    ``pictures``: (3, H, W) of every view. ``xyz`` (P, 3): points of the surface, which the views show where ``seen``
+    ``pictures``: (3, H, W) of every view. ``xyz`` (P, 3): points of the surface, which the views see where ``seen``
     (V, P). A view that shares too few of them with others has no difference.
     """
-    counts = seen.sum(axis=0) >= _MIN_VIEWS
-    points, shown = xyz[counts].astype(np.float64), seen[:, counts]
+    counts = seen.sum(axis=0) >= _MIN_POINT_VIEWS
+    points, seen = xyz[counts].astype(np.float64), seen[:, counts]
     values = np.stack([_colours(view, picture, points) for view, picture in zip(views, pictures, strict=True)])
-    shifts, known = shifts_of_points(values, shown)
+    shifts, known = shifts_of_points(values, seen)
     if not known.any():
         return {}
     own = np.where(known[:, None], shifts - np.median(shifts[known], axis=0), 0)
@@ -52,7 +52,7 @@ def _colours(view: View, picture: FloatArray, points: NDArray[np.float64]) -> Fl
     """The picture's colours (P, 3) around the points."""
     column, row, _ = project(view.pinhole, points)
     smooth = cv2.blur(picture.transpose(1, 2, 0), (3, 3))
-    # What the view does not show may project anywhere, at infinity too.
+    # A point that the view does not see may project anywhere, at infinity too.
     return bilinear(np.asarray(smooth, np.float32), *(np.clip(np.nan_to_num(at), -1, 32_767) for at in (column, row)))
 
 

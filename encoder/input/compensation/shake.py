@@ -21,7 +21,7 @@ from .colour import tukey_weights
 
 F64 = NDArray[np.float64]
 
-_LEVELS = (0.25, 0.5, 1.0)
+_PYRAMID_SCALES = (0.25, 0.5, 1.0)
 _MAX_SHAKE_PIXELS = 200_000
 """The finest level has at most so many: a hundredth of a pixel is found there, which is enough in larger pictures."""
 
@@ -31,7 +31,7 @@ _STEPS_PER_LEVEL = 4
 _MIN_SIDE_PIXELS = 24
 
 
-def unturned(picture: FloatArray, camera: Camera, rotation: F64) -> FloatArray:
+def undo_turn(picture: FloatArray, camera: Camera, rotation: F64) -> FloatArray:
     """The picture (3, H, W) of the turned pinhole ``camera`` as the calibrated pose sees it; edges are continued.
 
     ``rotation`` (3, 3) takes directions in the turned camera to those in the calibrated one.
@@ -50,21 +50,21 @@ def unturned(picture: FloatArray, camera: Camera, rotation: F64) -> FloatArray:
     return np.ascontiguousarray(warped.transpose(2, 0, 1))
 
 
-def turn_of(recorded: FloatArray, shown: FloatArray, camera: Camera, valid: FloatArray | None = None) -> F64:
-    """The rotation (3, 3) by which the camera was turned when it recorded the picture, against the ``shown`` one.
+def estimate_turn(recorded: FloatArray, rendered: FloatArray, camera: Camera, valid: FloatArray | None = None) -> F64:
+    """The rotation (3, 3) by which the camera was turned when it recorded the picture, against the ``rendered`` view.
 
     Both (3, H, W) of the pinhole ``camera``, of like colours. ``valid`` (H, W) is 0 where nothing was recorded.
     """
-    rotation, finest = np.eye(3), min(1.0, np.sqrt(_MAX_SHAKE_PIXELS / shown[0].size))
-    for level in _LEVELS:
+    rotation, finest = np.eye(3), min(1.0, np.sqrt(_MAX_SHAKE_PIXELS / rendered[0].size))
+    for level in _PYRAMID_SCALES:
         small = scale_camera(camera, level * finest)
         if level < 1 and min(small.width, small.height) < _MIN_SIDE_PIXELS:
             continue
-        target, source = resized(shown, small), resized(recorded, small)
+        target, source = resized(rendered, small), resized(recorded, small)
         known = None if valid is None else cv2.resize(valid, (small.width, small.height)) > 0.99
         columns = _flow_gradients(target, small)
         for _ in range(_STEPS_PER_LEVEL):
-            step = _step(unturned(source, small, rotation) - target, columns, known)
+            step = _step(undo_turn(source, small, rotation) - target, columns, known)
             rotation = _product(_exponential(step), rotation)
     return rotation
 

@@ -45,7 +45,7 @@ _COARSE_PIXELS = 14_000
 _MAX_PLANES = 128
 _VIEW_BYTES, _PLANE_BYTES = 100, 6
 """Of a pixel of the fine sweep: its view, depths and candidates; the costs of a plane, along rows and columns."""
-_MATCHED, _COMPARED = 4, 8
+_MATCHED_NEIGHBOURS, _COMPARED_NEIGHBOURS = 4, 8
 """Neighbours for matching, and for checking the consistency of depths."""
 _CANDIDATES_PER_POINT = 3.0
 """Candidates per point of the cap from which points are chosen."""
@@ -183,17 +183,21 @@ def _sweep_all(
     samples: Sequence[NDArray[np.float64]],
 ) -> tuple[list[Candidates], list[DepthMap | None]]:
     """Every view's candidates and depth map; no candidates and None for views without shared depths."""
-    neighbours = choose_neighbours(views, samples, _COMPARED)
+    neighbours = choose_neighbours(views, samples, _COMPARED_NEIGHBOURS)
 
     def depth_map(i: int) -> DepthMap | None:
-        depths, matched = ranges[i], [views[j] for j in neighbours[i][:_MATCHED]]
+        depths, matched = ranges[i], [views[j] for j in neighbours[i][:_MATCHED_NEIGHBOURS]]
         if depths is None or not matched:
             return None
         return sweep(views[i], matched, choose_planes(views[i], matched, depths, _MAX_PLANES))
 
     def candidates(i: int) -> Candidates:
         own = maps[i]
-        return no_candidates() if own is None else agree(views, i, neighbours[i], neighbours[i][:_MATCHED], own, maps)
+        return (
+            no_candidates()
+            if own is None
+            else agree(views, i, neighbours[i], neighbours[i][:_MATCHED_NEIGHBOURS], own, maps)
+        )
 
     maps = list(each(depth_map, range(len(views))))
     return list(each(candidates, range(len(views)))), maps

@@ -22,8 +22,8 @@ _MIN_TEXTURE_CORRELATION = 0.5
 """Least correlation of two windows of the same texture."""
 _WINDOW_PIXELS = 7
 _NOISE_VARIANCE = 0.01**2
-_DETAIL, _SPACING_RANGE = 0.6, 2.0
-_EVEN, _SPECK = 0.03, 1e-3
+_CONTRAST_EXPONENT, _SPACING_RANGE = 0.6, 2.0
+_MAX_PATCH_STEP, _MAX_SPECK_SHARE = 0.03, 1e-3
 """Relative change of depth from pixel to pixel within a patch, and share of a picture up to which it is a speck."""
 _OCCLUSION_STEP = 0.08
 """Relative change of inverse depth within 3 x 3 pixels at an occlusion edge."""
@@ -131,7 +131,7 @@ def _specks(keep: NDArray[np.bool_], inverse_depth: Array) -> NDArray[np.bool_]:
     relative = np.log(np.where(keep, inverse_depth, 1)) - np.log(np.median(inverse_depth[keep]))
     depths = np.clip(np.round(relative * steps), -32_000, 32_000)
     patches = np.where(keep, depths, nothing).astype(np.int16)
-    cv2.filterSpeckles(patches, float(nothing), round(_SPECK * keep.size), _EVEN * steps)
+    cv2.filterSpeckles(patches, float(nothing), round(_MAX_SPECK_SHARE * keep.size), _MAX_PATCH_STEP * steps)
     return np.asarray(keep & (patches == nothing))
 
 
@@ -146,7 +146,7 @@ def _edges(inverse_depth: Array) -> NDArray[np.bool_]:
 def _looseness(view: SweepView) -> Array:
     """Factor (H, W) of the distance between points: less where texture is strong."""
     typical = max(float(np.median(view.contrast)), 1e-6)
-    return np.asarray(np.clip((view.contrast / typical) ** -_DETAIL, 1 / _SPACING_RANGE, _SPACING_RANGE))
+    return np.asarray(np.clip((view.contrast / typical) ** -_CONTRAST_EXPONENT, 1 / _SPACING_RANGE, _SPACING_RANGE))
 
 
 def agree(

@@ -21,7 +21,7 @@ _ON_SURFACE_FRACTION = 0.02
 
 _MIN_SPACING_PIXELS = 0.7
 """Least useful distance between points, in pixels."""
-_TRIALS = 10
+_MAX_TRIALS = 10
 
 
 @dataclass(frozen=True)
@@ -39,12 +39,12 @@ class Cloud:
 
 @dataclass(frozen=True)
 class ViewDepths:
-    """Depths of one view: ``believed`` (H, W), inverse depths of its sweep; ``confirmed`` (H, W), those consistent with
+    """Depths of one view: ``swept`` (H, W), inverse depths of its sweep; ``confirmed`` (H, W), those consistent with
     other views, 0 elsewhere (both None without shared depths); ``nearest`` confirmed depth (0: unknown)."""
 
     view: SweepView
     depths: DepthRange | None
-    believed: Array | None
+    swept: Array | None
     confirmed: Array | None
     nearest: float
 
@@ -99,7 +99,7 @@ def _voxels(xyz: NDArray[np.float64], side: float) -> NDArray[np.int64]:
 
 
 def spread(cloud: Cloud, pixels: float) -> NDArray[np.int64]:
-    """Indices of points about ``pixels`` picture pixels apart: the first one in every voxel, finest voxels first.
+    """Indices of points spaced about ``pixels`` picture pixels: the first one in every voxel, finest voxels first.
 
     The side of a point's voxel is its spacing times ``pixels``, rounded to half an octave; a voxel that holds a finer
     one's point gets none of its own.
@@ -118,10 +118,10 @@ def spread(cloud: Cloud, pixels: float) -> NDArray[np.int64]:
 
 
 def spread_to_count(cloud: Cloud, most: int) -> tuple[Cloud, float]:
-    """At most ``most`` evenly spread points, the surest ones, and how many pixels apart they are."""
+    """At most ``most`` evenly spread points, the most confident ones, and their spacing in pixels."""
     cloud = take(cloud, np.argsort(-cloud.confidence, kind="stable"))
     pixels, low, high, chosen = _MIN_SPACING_PIXELS, 0.0, np.inf, np.zeros(0, np.int64)
-    for _ in range(_TRIALS):
+    for _ in range(_MAX_TRIALS):
         trial = spread(cloud, pixels)
         if len(trial) > most:
             low = pixels

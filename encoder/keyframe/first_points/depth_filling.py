@@ -22,12 +22,12 @@ _WINDOW_KNOWN_FRACTION = 0.15
 """Least share of a window's pixels with known depths."""
 _MIN_PLANES = 100
 """Pixels with a plane below which known depths continue as they are."""
-_RIDGE = 1e-3
+_RIDGE_WEIGHT = 1e-3
 """Weight against slopes that few pixels in a row leave undetermined, relative to the window's own spread."""
-_NEARER, _FARTHER = 1.1, 0.95
+_MAX_INVERSE_DEPTH_RATIO, _MIN_INVERSE_DEPTH_RATIO = 1.1, 0.95
 """Bounds of continued inverse depths, in units of the nearest and the farthest hundredth of the known ones."""
 
-_FIELD, _LEAST_FIELD = 0.1, 8
+_FIELD_WIDTHS, _MIN_FIELD_PIXELS = 0.1, 8
 """Side of a chequerboard's field, in units of the picture's width, and in pixels at least."""
 _MAX_DEPTH_DIFFERENCE = 0.02
 """Relative difference below which two continued depths agree."""
@@ -47,7 +47,11 @@ def fill_depths(known: Array) -> Array:
     u, v = _coordinates(known.shape)
     nearest, farthest = np.percentile(known[known > 0], [99, 1])
     continued = floats(planes[..., 0] * u + planes[..., 1] * v + planes[..., 2])
-    return np.where(known > 0, known, np.clip(continued, floats(_FARTHER * farthest), floats(_NEARER * nearest)))
+    return np.where(
+        known > 0,
+        known,
+        np.clip(continued, floats(_MIN_INVERSE_DEPTH_RATIO * farthest), floats(_MAX_INVERSE_DEPTH_RATIO * nearest)),
+    )
 
 
 def continues(known: Array) -> NDArray[np.bool_]:
@@ -58,7 +62,7 @@ def continues(known: Array) -> NDArray[np.bool_]:
     """
     reach = round(_MAX_REACH_WIDTHS * known.shape[1])
     near = cv2.dilate((known > 0).astype(np.uint8), np.ones((2 * reach + 1,) * 2, np.uint8)) > 0
-    row, column = np.indices(known.shape) // max(_LEAST_FIELD, round(_FIELD * known.shape[1]))
+    row, column = np.indices(known.shape) // max(_MIN_FIELD_PIXELS, round(_FIELD_WIDTHS * known.shape[1]))
     dark = (row + column) % 2 == 1
     halves = np.where(dark, known, 0), np.where(dark, 0, known)
     if not all(half.any() for half in halves):
@@ -92,7 +96,7 @@ def _local_planes(known: Array) -> tuple[Array, NDArray[np.bool_]]:
         return _window_mean(values * there, reach) / share
 
     mean_u, mean_v, middle = mean(u + 0 * v), mean(v + 0 * u), mean(depth)
-    ridge = _RIDGE * (reach / known.shape[1]) ** 2
+    ridge = _RIDGE_WEIGHT * (reach / known.shape[1]) ** 2
     uu, vv = mean(u * u + 0 * v) - mean_u**2 + ridge, mean(v * v + 0 * u) - mean_v**2 + ridge
     uv, ud, vd = mean(u * v) - mean_u * mean_v, mean(u * depth) - mean_u * middle, mean(v * depth) - mean_v * middle
     determinant = uu * vv - uv * uv

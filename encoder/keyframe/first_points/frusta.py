@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from .views import SweepView, inside, pixel_rays, project
 
 RAY_GRID = (12, 9)
-_DEPTHS = 64
-_WIDEST_RANGE = 400.0
+_SAMPLED_DEPTHS = 64
+_MAX_DEPTH_RATIO = 400.0
 """Ratio of farthest to nearest depth searched, in a rig whose views overlap up to infinity."""
 _MIN_OVERLAP = 0.1
 """Least share of a view's pixels that another view sees at a shared depth."""
@@ -57,13 +57,13 @@ def shared_depths(views: Sequence[SweepView]) -> list[DepthRange | None]:
     """For every view the depths at which other views see a fair part of the same space; None if there are none.
 
     Nearest: where the weight for matching (best other view of each pixel, see ``angle_weight``) reaches a quarter of
-    its largest value; closer up, cameras beside each other look past one another or under very different angles.
-    Farthest: where the last of the shared space is, up to "infinity" (20 times the rig's size).
+    its largest value; closer up, cameras beside each other see different space, or the same under very different
+    angles. Farthest: where the last of the shared space is, up to "infinity" (20 times the rig's size).
     """
     size = rig_size(views)
     if size <= 0:
         return [None] * len(views)
-    depths = size * np.geomspace(2.0 / _WIDEST_RANGE, _WIDEST_RANGE / 20, _DEPTHS)
+    depths = size * np.geomspace(2.0 / _MAX_DEPTH_RATIO, _MAX_DEPTH_RATIO / 20, _SAMPLED_DEPTHS)
     ranges: list[DepthRange | None] = []
     for i, view in enumerate(views):
         xyz = view.centre + ray_grid(view)[None] * depths[:, None, None]
@@ -77,7 +77,7 @@ def shared_depths(views: Sequence[SweepView]) -> list[DepthRange | None]:
                 np.maximum(weight, visible * angle_weight(_angles(xyz, view, other)), out=weight)
         shared = seen.mean(axis=1) >= _MIN_OVERLAP
         weight_at = weight.mean(axis=1)
-        shared &= (weight_at >= _PEAK_FRACTION * weight_at.max()) | (np.arange(_DEPTHS) > weight_at.argmax())
+        shared &= (weight_at >= _PEAK_FRACTION * weight_at.max()) | (np.arange(_SAMPLED_DEPTHS) > weight_at.argmax())
         found = np.flatnonzero(shared)
         ranges.append(DepthRange(float(depths[found[0]]), float(depths[found[-1]])) if found.size else None)
     return ranges

@@ -17,7 +17,7 @@ from .depth_filling import continues, fill_depths
 from .frusta import DepthRange, rig_size
 from .views import Array, SweepView, inside, pixel_rays, project
 
-CELL = 8
+CELL_PIXELS = 8
 """Side, in pixels, of picture cells, each of which gets a point."""
 _GUESS_SPACING = 2.4
 """Distance between guesses over that between confirmed points: more of them would not know their places better."""
@@ -28,7 +28,7 @@ _SCATTER, _WIDE_SCATTER = 0.02, 0.5
 which enough is confirmed, and in one in which nothing is."""
 _SUFFICIENT_FRACTION = 0.4
 """Sufficient share of confirmed pixels."""
-_CONFIDENCE = 0.05
+_GUESS_CONFIDENCE = 0.05
 _OWN_DEPTHS_FRACTION = 0.01
 """Share of a view's pixels with confirmed depths below which points of other views give its depths."""
 _GUESSES_WITHOUT_POINTS = 20_000
@@ -70,8 +70,11 @@ def cell_counts(view: SweepView, xyz: NDArray[np.float64]) -> NDArray[np.int64]:
     """Points per picture cell of 8 x 8 pixels, (rows, columns), without regard to occlusion."""
     u, v, _ = project(view, xyz)
     visible = inside(view, u, v)
-    columns, rows = -(-view.width // CELL), -(-view.height // CELL)
-    cell = np.round(v[visible]).astype(np.int64) // CELL * columns + np.round(u[visible]).astype(np.int64) // CELL
+    columns, rows = -(-view.width // CELL_PIXELS), -(-view.height // CELL_PIXELS)
+    cell = (
+        np.round(v[visible]).astype(np.int64) // CELL_PIXELS * columns
+        + np.round(u[visible]).astype(np.int64) // CELL_PIXELS
+    )
     return np.bincount(cell, minlength=rows * columns).reshape(rows, columns)
 
 
@@ -111,13 +114,13 @@ def fill_empty_cells(
     goes_on = continues(known) if doubt == 0 else np.zeros(known.shape, np.bool_)
     continued = _continued(view, empty, filled, goes_on, pixels, random) if goes_on.any() else empty_cloud()
 
-    column, row = _pixels_of(view, empty, min((CELL / (_GUESS_SPACING * pixels)) ** 2, 4.0), random)
+    column, row = _pixels_of(view, empty, min((CELL_PIXELS / (_GUESS_SPACING * pixels)) ** 2, 4.0), random)
     column, row = column[~goes_on[row, column]], row[~goes_on[row, column]]
     scatter = _SCATTER + (_WIDE_SCATTER - _SCATTER) * doubt
     inverse = filled[row, column] * np.exp(scatter * random.standard_normal(len(row)))
-    if view_depths.believed is not None and known.any():
+    if view_depths.swept is not None and known.any():
         low, high = np.percentile(known[known > 0], [1, 99])
-        own = view_depths.believed[row, column]
+        own = view_depths.swept[row, column]
         use = (random.random(len(row)) < _SWEEP_DEPTH_FRACTION) & (own > 0.8 * low) & (own < 1.1 * high)
         inverse[use] = own[use]
     return continued, _guess(view, column, row, inverse, _GUESS_SPACING)
@@ -131,8 +134,8 @@ def _continued(
     pixels: float,
     random: np.random.Generator,
 ) -> Cloud:
-    """As dense as confirmed points, ``pixels`` apart, where the planes of ``filled`` go on."""
-    column, row = _pixels_of(view, empty, min((CELL / pixels) ** 2, _CONTINUED_PER_CELL), random)
+    """As dense as confirmed points, spaced ``pixels``, where the planes of ``filled`` go on."""
+    column, row = _pixels_of(view, empty, min((CELL_PIXELS / pixels) ** 2, _CONTINUED_PER_CELL), random)
     column, row = column[goes_on[row, column]], row[goes_on[row, column]]
     inverse = filled[row, column] * np.exp(_CONTINUED_SCATTER * random.standard_normal(len(row)))
     return _guess(view, column, row, inverse, 1.0)
@@ -144,16 +147,20 @@ def _pixels_of(
     """Columns and rows of random pixels in cells (C, 2), on average ``each`` in each."""
     count = int(np.ceil(len(cells) * each))
     cell = cells[random.integers(0, len(cells), count)]
-    column = np.minimum(cell[:, 1] * CELL + random.integers(0, CELL, count), view.width - 1)
-    return column, np.minimum(cell[:, 0] * CELL + random.integers(0, CELL, count), view.height - 1)
+    column = np.minimum(cell[:, 1] * CELL_PIXELS + random.integers(0, CELL_PIXELS, count), view.width - 1)
+    return column, np.minimum(cell[:, 0] * CELL_PIXELS + random.integers(0, CELL_PIXELS, count), view.height - 1)
 
 
 def _guess(
-    view: SweepView, column: NDArray[np.int64], row: NDArray[np.int64], inverse: NDArray[np.floating[Any]], apart: float
+    view: SweepView,
+    column: NDArray[np.int64],
+    row: NDArray[np.int64],
+    inverse: NDArray[np.floating[Any]],
+    spacing: float,
 ) -> Cloud:
-    """Points at inverse depths above 0, as far from each other as ``apart`` confirmed ones."""
+    """Points at inverse depths above 0; ``spacing``: in units of that of confirmed points."""
     good = inverse > 1e-12
     column, row, depth = column[good], row[good], 1 / inverse[good]
     xyz = view.centre + pixel_rays(view, column.astype(np.float64), row.astype(np.float64)) * depth[:, None]
-    spacing = (apart * depth / view.focal).astype(np.float32)
-    return Cloud(xyz, view.picture[row, column], spacing, np.full(len(xyz), _CONFIDENCE, np.float32))
+    spacings = (spacing * depth / view.focal).astype(np.float32)
+    return Cloud(xyz, view.picture[row, column], spacings, np.full(len(xyz), _GUESS_CONFIDENCE, np.float32))

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from .frusta import DepthRange, ray_grid
 from .views import Array, SweepView, between, floats, project
 
-_TRUNCATION = 1.5
+_MAX_DIFFERENCE = 1.5
 """Difference of normalised luminance from which on two pixels are just different."""
-_COST_SCALE = 255.0 / (2 * _TRUNCATION)
-_OUTSIDE = -100.0
-_SMALL_JUMP = 10
-_LARGE_JUMP = 60
+_COST_SCALE = 255.0 / (2 * _MAX_DIFFERENCE)
+_OUTSIDE_VALUE = -100.0
+_SMALL_JUMP_COST = 10
+_LARGE_JUMP_COST = 60
 """Costs of a depth step between neighbouring pixels by one plane, and by more (cost of one pixel: 0..255)."""
 _PIXELS_PER_PLANE = 1.25
 
@@ -100,14 +100,14 @@ def matching_costs(view: SweepView, neighbours: Sequence[SweepView], planes: Arr
                 size,
                 flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
                 borderMode=cv2.BORDER_CONSTANT,
-                borderValue=_OUTSIDE,
+                borderValue=_OUTSIDE_VALUE,
             )
             hidden = _behind(homography, *size)
             if hidden is not None:
-                warped[hidden] = _OUTSIDE
-            looking += warped > _OUTSIDE / 2
+                warped[hidden] = _OUTSIDE_VALUE
+            looking += warped > _OUTSIDE_VALUE / 2
             cv2.absdiff(warped, view.normalised, dst=warped)
-            cv2.threshold(warped, _TRUNCATION, 0, cv2.THRESH_TRUNC, dst=warped)
+            cv2.threshold(warped, _MAX_DIFFERENCE, 0, cv2.THRESH_TRUNC, dst=warped)
             per_view.append(floats(cv2.blur(warped, (3, 3))))
         cost = cv2.convertScaleAbs(_better_half(per_view, looking), alpha=_COST_SCALE)
         upright[:, d] = cost
@@ -129,7 +129,7 @@ def _aggregate_rows(costs: NDArray[np.uint8], jump: NDArray[np.int16], total: ND
             else:
                 lowest = path.min(axis=0)
                 np.minimum(padded[:-2], padded[2:], out=best)
-                best += _SMALL_JUMP
+                best += _SMALL_JUMP_COST
                 np.minimum(best, path, out=best)
                 np.minimum(best, lowest + jump[max(y, previous)], out=best)
                 best -= lowest
@@ -152,7 +152,7 @@ def aggregate(costs: Costs, luminance: Array) -> NDArray[np.int16]:
 
 def _jump_costs(luminance: Array) -> NDArray[np.int16]:
     step = np.abs(np.diff(luminance, axis=0, prepend=luminance[:1]))
-    return np.maximum(_LARGE_JUMP / (1 + 10 * step), _SMALL_JUMP + 5).astype(np.int16)
+    return np.maximum(_LARGE_JUMP_COST / (1 + 10 * step), _SMALL_JUMP_COST + 5).astype(np.int16)
 
 
 def pick_depths(total: NDArray[np.int16], planes: Array) -> DepthMap:

@@ -28,7 +28,7 @@ from ...training.selective_densification import densify
 from ...training.working_set import WorkingSet
 from ..decogs import DecogsTrainer
 from ..transformation_cache import TransformationCache
-from .stages import moved, train_cache, train_jointly
+from .stages import move_by_cache, train_cache, train_jointly
 
 
 class PaperTrainer:
@@ -57,11 +57,11 @@ class PaperTrainer:
         cache.restart()
         cache.place(work.values.means, work.values.quaternions)
         gathered = train_cache(training, work, cache)
-        if densify(training, work, moved(work, cache), gathered):
+        if densify(training, work, move_by_cache(work, cache), gathered):
             cache.place(work.values.means, work.values.quaternions, same_frame=True)
         schedule = StepSchedule(settings.joint_iterations, frame.stopping.deadline)
         train_jointly(training, work, cache, schedule)
-        trained = training.outcome(work, moved(work, cache), before, sample)
+        trained = training.outcome(work, move_by_cache(work, cache), before, sample)
         if frame.stopping.deadline is not None:
             self.min_seconds = seconds_at_least(time.perf_counter() - began, schedule)
-        return trained if trained.rejected else replace(trained, hurried=schedule.is_cut_short)
+        return trained if trained.rejected else replace(trained, truncated=schedule.is_truncated)

@@ -13,10 +13,10 @@ from ...training.working_set import WorkingSet
 from ..transformation_cache import TransformationCache
 
 
-def moved(work: WorkingSet, cache: TransformationCache) -> Splats:
+def move_by_cache(work: WorkingSet, cache: TransformationCache) -> Splats:
     """The Gaussians under training where the cache moves them: mu' = mu + dmu, q' = q (x) dq."""
     cache.rebase(work.values.means, work.values.quaternions)
-    means, quaternions = cache.moved()
+    means, quaternions = cache.move()
     return replace(work.values, means=means, quaternions=quaternions)
 
 
@@ -29,7 +29,7 @@ def train_cache(training: FrameTraining, work: WorkingSet, cache: Transformation
     for step in training.steps("cache"):
         if schedule.is_over:
             break
-        gradients = training.gradients(step, work, moved(work, cache)).host()
+        gradients = training.gradients(step, work, move_by_cache(work, cache)).host()
         cache.backward(gradients.means, gradients.quaternions)
         cache.step()
         if 3 * schedule.position >= 2 * iterations:
@@ -46,8 +46,8 @@ def train_jointly(
     for step in training.steps("joint"):
         if schedule.is_over:
             break
-        gradients = _through(cache, training.gradients(step, work, moved(work, cache)).host())
-        if target is not None and target.saw(step.view, training.context.static_views[step.view].rgb):
+        gradients = _through(cache, training.gradients(step, work, move_by_cache(work, cache)).host())
+        if target is not None and target.update(step.view, training.context.static_views[step.view].rgb):
             break
         work.optimiser.step(gradients, rates_at(training.settings, training.context.extent, schedule))
         schedule.step()

@@ -84,7 +84,7 @@ class TransformationCache:
         self._kernel.base(*_checked(means, quaternions))
         self._has_moved = False
 
-    def moved(self) -> tuple[FloatArray, FloatArray]:
+    def move(self) -> tuple[FloatArray, FloatArray]:
         """The placed Gaussians where the cache moves them: means (M, 3), unit quaternions (M, 4), fresh arrays.
 
         Keeps what `backward` needs, until the next `step`. Source: DecoGS stage 1; 3DGStream, equation 5.
@@ -92,19 +92,19 @@ class TransformationCache:
         if not self._has_read:
             self._kernel.read(self._rows)
         self._has_read = self._has_moved = True
-        return self._kernel.moved(self._head)
+        return self._kernel.move(self._head)
 
     # -- training -------------------------------------------------------------------------------------------------
 
     def backward(self, v_means: FloatArray, v_quaternions: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Take the weights' gradients for a loss with these gradients in the moved values, (M, 3) and (M, 4).
 
-        Once per `moved`. Returns the gradients in the base values given to `place` or `rebase`, (M, 3) and (M, 4), for
+        Once per `move`. Returns the gradients in the base values given to `place` or `rebase`, (M, 3) and (M, 4), for
         stage 2; the grid's reading points count as constants.
         Raises TrainingError for NaN; infinite gradients are clipped to GRADIENT_LIMIT as all are.
         """
         if not self._has_moved:
-            raise RuntimeError("backward() needs moved() first, each time")
+            raise RuntimeError("backward() needs move() first, each time")
         if v_means.shape != (self._placed, 3) or v_quaternions.shape != (self._placed, 4):
             raise ValueError(f"gradients {v_means.shape}, {v_quaternions.shape} for {self._placed} Gaussians")
         if np.isnan(v_means).any() or np.isnan(v_quaternions).any():

@@ -70,8 +70,8 @@ class Parameters:
 class CacheKernel:
     """One cache's arithmetic with its thread pool and buffers; results do not depend on the number of threads.
 
-    Order of calls: ``place``, ``base``, then ``read``, ``moved``, ``backward``, ``step``. ``step`` reads
-    the grid again, so that ``moved`` may follow it at once.
+    Order of calls: ``place``, ``base``, then ``read``, ``move``, ``backward``, ``step``. ``step`` reads
+    the grid again, so that ``move`` may follow it at once.
     """
 
     def __init__(
@@ -107,7 +107,7 @@ class CacheKernel:
         return entries
 
     def base(self, means: FloatArray, quaternions: FloatArray) -> None:
-        """Takes the values (M, 3) and (M, 4) that `moved` starts from."""
+        """Takes the values (M, 3) and (M, 4) that `move` starts from."""
         self._count = len(means)
         self._library.decogs_cache_base(self._handle, len(means), means.ctypes.data, quaternions.ctypes.data)
 
@@ -115,7 +115,7 @@ class CacheKernel:
         """Reads the grid's features from ``rows`` (R, features)."""
         self._library.decogs_cache_read(self._handle, rows.value.ctypes.data)
 
-    def moved(self, head: Parameters) -> tuple[FloatArray, FloatArray]:
+    def move(self, head: Parameters) -> tuple[FloatArray, FloatArray]:
         """Means (M, 3) and unit quaternions (M, 4) as the network ``head`` moves them."""
         means, quaternions = np.empty((self._count, 3), np.float32), np.empty((self._count, 4), np.float32)
         self._library.decogs_cache_moved(
@@ -124,7 +124,7 @@ class CacheKernel:
         return means, quaternions
 
     def backward(self, v_means: FloatArray, v_quaternions: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Gathers the parameters' gradients through the last `moved`; returns those of the base values."""
+        """Gathers the parameters' gradients through the last `move`; returns those of the base values."""
         v_means, v_quaternions = (np.ascontiguousarray(v, np.float32) for v in (v_means, v_quaternions))
         base = np.empty_like(v_means), np.empty_like(v_quaternions)
         self._library.decogs_cache_backward(

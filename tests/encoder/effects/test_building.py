@@ -173,7 +173,7 @@ def test_a_change_of_light_builds_no_cache_and_seeks_nothing_new(
     for place, name in (
         (paper, "train_cache"),
         (selective_densification, "_grow"),
-        (emergence, "seeds"),
+        (emergence, "find_seeds"),
         (decogs, "shared_displacements"),
     ):
         monkeypatch.setattr(place, name, never)

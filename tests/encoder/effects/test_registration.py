@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from decogs.encoder.analysis.registration import SHAKE_LIMIT, camera_path
+from decogs.encoder.analysis.registration import SHAKE_LIMIT_PIXELS, camera_path
 
 
 def turned(picture: np.ndarray, degrees: float, across: float, down: float) -> np.ndarray:
@@ -20,7 +20,7 @@ def turned(picture: np.ndarray, degrees: float, across: float, down: float) -> n
 
 def test_a_still_camera_does_not_shake(texture: np.ndarray, with_noise: Callable[..., np.ndarray]) -> None:
     path = camera_path(np.stack([with_noise(texture, seed) for seed in range(4)]))
-    assert path.displacement.max() < SHAKE_LIMIT / 2
+    assert path.displacement.max() < SHAKE_LIMIT_PIXELS / 2
     assert not path.shakes
 
 

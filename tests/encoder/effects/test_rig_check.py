@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from decogs.encoder.analysis.matches import Matches, PairMatches, neighbouring
-from decogs.encoder.analysis.rig_check import RIGHT, WRONG, judged
+from decogs.encoder.analysis.rig_check import RIGHT, WRONG, judge_rig
 from decogs.encoder.analysis.synchrony import delays
 from decogs.formats.cameras import Camera, project
 
@@ -63,7 +63,7 @@ UNKNOWN = np.full(12, np.nan)
 @pytest.mark.parametrize("degrees", [ARC, AROUND], ids=["arc", "around"])
 def test_a_rig_as_calibrated_is_not_warned_of(degrees: np.ndarray) -> None:
     cameras = looking_in(degrees, height=1.0)
-    check = judged(cameras, matches_of(cameras), UNKNOWN)
+    check = judge_rig(cameras, matches_of(cameras), UNKNOWN)
     assert list(check.warnings()) == []
     # Noise of .3 pixels at a focal length of 300 is .06 degrees for one match; depths known from one side add to it.
     assert not any(camera.turned > 0.2 for camera in check.cameras)
@@ -76,7 +76,7 @@ def test_a_camera_turned_by_a_degree_is_named_and_no_other(degrees: np.ndarray, 
     cameras = looking_in(degrees, height=1.0)
     found = matches_of(cameras)
     cameras[3] = turned_by_a_degree(cameras[3], axis)
-    check = judged(cameras, found, UNKNOWN)
+    check = judge_rig(cameras, found, UNKNOWN)
     assert [camera.camera for camera in check.cameras if camera.misplaced] == ["cam03"]
     assert check.cameras[3].turned == pytest.approx(1.0, abs=0.15)
     (warning,) = check.warnings()
@@ -88,23 +88,23 @@ def test_two_cameras_may_be_turned() -> None:
     found = matches_of(cameras)
     for number in (2, 7):
         cameras[number] = turned_by_a_degree(cameras[number], 0)
-    check = judged(cameras, found, UNKNOWN)
+    check = judge_rig(cameras, found, UNKNOWN)
     assert [camera.camera for camera in check.cameras if camera.misplaced] == ["cam02", "cam07"]
 
 
 def test_neighbours_see_what_a_camera_sees_and_cameras_wide_apart_do_not() -> None:
     near = looking_in(ARC)
-    check = judged(near, matches_of(near), UNKNOWN)
+    check = judge_rig(near, matches_of(near), UNKNOWN)
     assert check.expected == RIGHT
     assert all(camera.seen_by_two > 0.7 for camera in check.cameras)
     # Cameras stand 9 degrees apart as seen from the middle of the points, which reach a third of the way to them.
     assert all(6 < camera.gap < 13 for camera in check.cameras)
     apart = looking_in([0.0, 90.0, 180.0, 270.0])
-    check = judged(apart, matches_of(apart), UNKNOWN)
+    check = judge_rig(apart, matches_of(apart), UNKNOWN)
     assert check.expected == WRONG
     (warning,) = check.warnings()
     assert warning.startswith("new views between the cameras will not look right: two other cameras see 0%")
-    assert judged(apart[:2], Matches(()), UNKNOWN).expected is None
+    assert judge_rig(apart[:2], Matches(()), UNKNOWN).expected is None
 
 
 def moving_wall(late: dict[int, int]) -> tuple[list[Camera], list[np.ndarray]]:
@@ -127,7 +127,7 @@ def test_a_camera_that_is_a_frame_late_is_named_and_no_other(late: dict[int, int
     cameras, pictures = moving_wall(late)
     found = delays(cameras, pictures, [True] * 5, [0.0] * 5, map)
     assert found.tolist() == [float(late.get(number, 0)) for number in range(5)]
-    check = judged(cameras, Matches(()), found)
+    check = judge_rig(cameras, Matches(()), found)
     named = [warning.split(" ")[1] for warning in check.warnings() if " one frame " in warning]
     assert named == [cameras[number].name for number in sorted(late)]
 

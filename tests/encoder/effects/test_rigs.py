@@ -17,7 +17,7 @@ pytestmark = pytest.mark.slow
 SCENES = ("workbench", "workbench_drift", "candle", "popup", "still", "hdr")
 
 
-def decision_of(rig: Any, effect: str) -> Any:
+def make_decision(rig: Any, effect: str) -> Any:
     return next(f.decision for f in rig.analysis.findings if f.decision.effect == effect)
 
 
@@ -28,7 +28,7 @@ def test_an_effect_is_found_where_it_is_and_nowhere_else(
 ) -> None:
     """First and last frame within one of the truth's, as the issue asks."""
     rig = known_rig(scene)
-    decision, true_frames = decision_of(rig, effect), rig.true_frames(effect)
+    decision, true_frames = make_decision(rig, effect), rig.true_frames(effect)
     assert decision.detected == (true_frames is not None)
     if true_frames is not None:
         assert abs(decision.frames[0][0] - true_frames[0]) <= 1
@@ -41,7 +41,7 @@ def test_an_effect_is_found_where_it_is_and_nowhere_else(
 @pytest.mark.parametrize("scene", SCENES)
 def test_faults_are_blamed_on_the_right_cameras(known_rig: Callable[[str], Any], scene: str, effect: str) -> None:
     rig = known_rig(scene)
-    assert set(decision_of(rig, effect).cameras) == rig.true_cameras(effect)
+    assert set(make_decision(rig, effect).cameras) == rig.true_cameras(effect)
 
 
 @pytest.mark.parametrize("effect", ["exposure_drift", "white_balance_drift"])
@@ -51,14 +51,14 @@ def test_light_that_all_cameras_see_is_no_fault_of_theirs(
 ) -> None:
     """Spotlights change colour; a room's light dims and turns warmer while cam04 drifts by itself."""
     rig = known_rig(scene)
-    assert set(decision_of(rig, effect).cameras) == rig.true_cameras(effect)
+    assert set(make_decision(rig, effect).cameras) == rig.true_cameras(effect)
 
 
 @pytest.mark.parametrize("scene", SCENES)
 def test_noise_is_found_where_the_pictures_were_given_noise(known_rig: Callable[[str], Any], scene: str) -> None:
     """The rigs were given 1.2 levels, their coding leaves about 1 (README). A camera that shakes tells nothing."""
     rig = known_rig(scene)
-    decision = decision_of(rig, "sensor_noise")
+    decision = make_decision(rig, "sensor_noise")
     assert decision.detected == ("noise_sigma_8bit" in rig.truth["media"])
     if decision.detected:
         assert set(decision.cameras) == set(rig.analysis.stats.names) - rig.true_cameras("camera_shake")
@@ -71,5 +71,5 @@ def test_the_held_out_camera_is_not_looked_at(known_rig: Callable[[str], Any], s
 
 def test_the_lens_that_bends_is_measured(known_rig: Callable[[str], Any]) -> None:
     """k1 = -0.08 in cam05; the fit's own deviation there is 0.0013, four of which are allowed."""
-    k1 = decision_of(known_rig("workbench_drift"), "lens_distortion").figures["k1"]
+    k1 = make_decision(known_rig("workbench_drift"), "lens_distortion").figures["k1"]
     assert k1 == {"cam05": pytest.approx(-0.08, abs=0.0052)}

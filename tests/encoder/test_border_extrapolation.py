@@ -9,7 +9,7 @@ import pytest
 
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.input.ingest import View
-from decogs.encoder.keyframe.surroundings import surroundings
+from decogs.encoder.keyframe.border_extrapolation import border_extrapolation
 from decogs.formats.cameras import Camera, in_picture, project
 from decogs.formats.splats import Splats, round_splats
 
@@ -41,7 +41,7 @@ def scene() -> tuple[list[View], list[np.ndarray], Splats]:
 
 
 def beside(scene: tuple[list[View], list[np.ndarray], Splats], reach: float = 0.5, most: int = 2000) -> Splats:
-    return surroundings(CpuKernel(1), *scene, reach=reach, most=most)
+    return border_extrapolation(CpuKernel(1), *scene, reach=reach, most=most)
 
 
 def test_they_lie_on_the_wall_and_in_no_picture(scene: tuple[list[View], list[np.ndarray], Splats]) -> None:
@@ -90,11 +90,13 @@ def test_pixels_that_were_not_recorded_do_not_count(scene: tuple[list[View], lis
     spoilt = [picture.copy() for picture in pictures]
     for picture in spoilt:
         picture[:, :, :30] = 1.0
-    one, other = (surroundings(CpuKernel(1), views, each, splats, reach=0.3, most=999) for each in (pictures, spoilt))
+    one, other = (
+        border_extrapolation(CpuKernel(1), views, each, splats, reach=0.3, most=999) for each in (pictures, spoilt)
+    )
     np.testing.assert_allclose(one.sh, other.sh, atol=1e-3)
 
 
 def test_a_scene_that_shows_nothing_goes_on_as_nothing(scene: tuple[list[View], list[np.ndarray], Splats]) -> None:
     views, pictures, splats = scene
     hidden = replace(splats, opacity_logits=np.full_like(splats.opacity_logits, -9))
-    assert len(surroundings(CpuKernel(1), views, pictures, hidden, reach=0.5, most=999)) == 0
+    assert len(border_extrapolation(CpuKernel(1), views, pictures, hidden, reach=0.5, most=999)) == 0

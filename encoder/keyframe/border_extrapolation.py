@@ -1,9 +1,9 @@
-"""Gaussians beside the training pictures: what is there goes on, blurred, instead of ending in black.
+"""Gaussians beside the training pictures: their borders extrapolated, blurred, instead of black.
 
-A free viewpoint looks past the borders of all pictures. Depths go on as planes, colours as ever wider means of what is
-at the border, so that detail fades with the distance from it. No picture contradicts these Gaussians: none stands where
-one looks. Rejected: a background of the pictures' mean colour, which shows through surfaces in training.
-Figures: DESIGN.md, "Keyframe".
+A free viewpoint sees past the borders of all pictures. Depths go on as planes, colours as means over more and more of
+the border, so that detail fades with the distance from it. No picture contradicts these Gaussians: none is inside a
+picture. Rejected: a background of the pictures' mean colour, which shows through surfaces in training. Figures:
+DESIGN.md, "Keyframe".
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from ..input.ingest import View
 from ..input.resizing import resized, resized_plane
 from .first_points.depth_filling import fill_depths, push_pull
 
-_SHRUNK_WIDTH = 96
+_SHRUNK_PIXELS_ACROSS = 96
 """Pixels of a shrunk picture's width: what goes on is blurred."""
-_CELL, _COARSER = 3, 1.25
+_SPACING_PIXELS, _SPACING_GROWTH = 3, 1.25
 """Distance of the Gaussians in shrunk pictures, in pixels, and its factor while there are too many."""
 _RINGS = ((0.0, 0.33, 1), (0.33, 1.0, 2))
-"""From and to where in a margin they are how many times as far apart."""
-_SIZE = 0.6
+"""Begin and end in the margin, as shares of it, and the factor of the spacing there."""
+_SIGMA_SPACINGS = 0.6
 """Their sigma in units of this distance: together they are closed."""
 _CLEARANCE_SIGMAS = 1.0
 """Distance from every picture, in sigmas: what reaches in changes a picture that is trained already."""
-_OPACITY = 0.9
-_SOLID = 0.5
+_BLOB_OPACITY = 0.9
+_SURFACE_OPACITY = 0.5
 """Opacity from which a pixel's depth is that of a surface."""
 
 
@@ -59,7 +59,7 @@ class _Blobs:
     sigma: NDArray[np.float64]
 
 
-def surroundings(
+def border_extrapolation(
     kernel: TrainingKernel,
     views: Sequence[View],
     pictures: Sequence[FloatArray],
@@ -68,21 +68,21 @@ def surroundings(
     reach: float,
     most: int,
 ) -> Splats:
-    """At most ``most`` Gaussians where no view looks, up to ``reach`` of a picture's width beside the pictures.
+    """At most ``most`` Gaussians outside all views, up to ``reach`` of a picture's width beside the pictures.
 
     ``pictures`` (3, H, W) are those of ``views``; depths are those of the trained ``splats``.
     """
     wide = [_widened(kernel, *each, splats, reach) for each in zip(views, pictures, strict=True)]
-    cell = float(_CELL)
+    cell = float(_SPACING_PIXELS)
     blobs = _blobs_beside(views, wide, cell)
     while len(blobs.xyz) > most:
-        cell *= _COARSER
+        cell *= _SPACING_GROWTH
         blobs = _blobs_beside(views, wide, cell)
-    return round_splats(blobs.xyz, blobs.rgb, blobs.sigma, np.full(len(blobs.xyz), _OPACITY), splats.sh_degree)
+    return round_splats(blobs.xyz, blobs.rgb, blobs.sigma, np.full(len(blobs.xyz), _BLOB_OPACITY), splats.sh_degree)
 
 
 def _widened(kernel: TrainingKernel, view: View, picture: FloatArray, splats: Splats, reach: float) -> _WidePicture:
-    camera = scale_camera(view.pinhole, min(1.0, _SHRUNK_WIDTH / view.pinhole.width))
+    camera = scale_camera(view.pinhole, min(1.0, _SHRUNK_PIXELS_ACROSS / view.pinhole.width))
     margin = round(reach * camera.width)
     wide = replace(
         camera,
@@ -94,7 +94,7 @@ def _widened(kernel: TrainingKernel, view: View, picture: FloatArray, splats: Sp
     rendered = kernel.forward(splats, camera, depth=True)
     assert rendered.depth is not None
     recorded = np.ones_like(rendered.alpha) if view.valid is None else resized_plane(view.valid, camera)
-    solid = (rendered.alpha >= _SOLID) & (rendered.depth > 0) & (recorded > 0.999)
+    solid = (rendered.alpha >= _SURFACE_OPACITY) & (rendered.depth > 0) & (recorded > 0.999)
     inverse = np.divide(rendered.alpha, rendered.depth, out=np.zeros_like(rendered.depth), where=solid)
     colours = resized(picture, camera).transpose(1, 2, 0)
     border = ((margin, margin), (margin, margin))
@@ -108,14 +108,14 @@ def _widened(kernel: TrainingKernel, view: View, picture: FloatArray, splats: Sp
 
 
 def _blobs_beside(views: Sequence[View], wide: Sequence[_WidePicture], distance: float) -> _Blobs:
-    """One in each cell of a margin into which none of those before falls, where no view looks."""
+    """One in each empty cell of a margin, outside all views."""
     blobs = _Blobs(np.zeros((0, 3)), np.zeros((0, 3), np.float32), np.zeros(0))
     for begin, end, factor in _RINGS:
         cell = round(factor * distance)
         for picture in wide:
             row, column = _free_cells(picture, blobs.xyz, cell, begin, end)
             more = _blobs_at(picture, row, column, cell)
-            unseen = ~_shown(views, more)
+            unseen = ~_reach_into_pictures(views, more)
             blobs = _Blobs(
                 np.concatenate([blobs.xyz, more.xyz[unseen]]),
                 np.concatenate([blobs.rgb, more.rgb[unseen]]),
@@ -124,15 +124,15 @@ def _blobs_beside(views: Sequence[View], wide: Sequence[_WidePicture], distance:
     return blobs
 
 
-def _shown(views: Sequence[View], blobs: _Blobs) -> NDArray[np.bool_]:
-    """Which of them reach into the picture of a view."""
-    shown = np.zeros(len(blobs.xyz), np.bool_)
+def _reach_into_pictures(views: Sequence[View], blobs: _Blobs) -> NDArray[np.bool_]:
+    """Which of them, (P,), reach into the picture of a view."""
+    reaching = np.zeros(len(blobs.xyz), np.bool_)
     for camera in (view.pinhole for view in views):
         u, v, depth = project(camera, blobs.xyz)
         with np.errstate(divide="ignore", invalid="ignore"):
             x, y = (_CLEARANCE_SIGMAS * focal * blobs.sigma / depth for focal in (camera.fx, camera.fy))
-        shown |= (depth > 0) & (u > -x) & (u < camera.width + x) & (v > -y) & (v < camera.height + y)
-    return shown
+        reaching |= (depth > 0) & (u > -x) & (u < camera.width + x) & (v > -y) & (v < camera.height + y)
+    return reaching
 
 
 def _free_cells(
@@ -161,5 +161,5 @@ def _blobs_at(picture: _WidePicture, row: NDArray[np.int64], column: NDArray[np.
     return _Blobs(
         camera_centre(camera) + rays * depth[:, None],
         picture.rgb[row, column],
-        _SIZE * cell * depth / np.sqrt(camera.fx * camera.fy),
+        _SIGMA_SPACINGS * cell * depth / np.sqrt(camera.fx * camera.fy),
     )
