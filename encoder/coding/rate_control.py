@@ -43,8 +43,8 @@ _ESTIMATE_KEPT = 0.5
 _TARGET_RANGE = (0.8, 2.0)
 """Bounds of a single frame's target, in budgets: the savings of a still scene are not spent on the first frame that
 moves, and an overspend is paid back gently, because later frames must code changes that were reverted."""
-_LEAST_SHARE = 2.0**-8
-"""Budgets that a frame of a segment gets at least: where a keyframe alone takes more than all of them, nothing does."""
+_MIN_SHARE = 2.0**-8
+"""Least target of a frame, in budgets, where the keyframe of its segment alone takes more than all of them."""
 _MAX_OCTAVES = 8.0
 """The threshold stays between 1/256 (next to nothing is reverted) and 256 times the preset's."""
 _OCTAVE_STEPS = 32
@@ -155,7 +155,7 @@ class RateControl:
         share = self.budget
         if self.key is not None:
             payment = (self.key - self.budget) / max(1, self.segment - 1)
-            share = max(share - payment, _LEAST_SHARE * self.budget)
+            share = max(share - payment, _MIN_SHARE * self.budget)
             saved += payment * (self.segment - 1 - self.place % self.segment)
         low, high = _TARGET_RANGE
         return min(max((share + saved / _BYTES_HORIZON_FRAMES) / self.budget, low * share / self.budget), high)

@@ -97,7 +97,7 @@ def test_a_frame_that_goes_over_keeps_to_the_budget_as_well() -> None:
 
 
 @pytest.mark.parametrize("rule", ["weight", "paper"])
-def test_what_light_alone_changes_is_told_by_weight_whatever_selects(rule: str) -> None:
+def test_what_light_alone_changes_goes_by_weight_whatever_selects(rule: str) -> None:
     """Shares of .5, .05 and 0 of three Gaussians' weight, whose centres are all where things move."""
     weights = np.ones(3, np.float32), np.array([0.5, 0.05, 0], np.float32)
     view = Stub(redraw=lambda region: weights, centres=lambda: np.full((3, 2), 4, np.float32))
@@ -142,29 +142,29 @@ def test_a_round_of_catching_up_that_diverges_is_the_last(diverges: list[bool], 
 
 
 class Masks:
-    """Notes what the memory of masks is told."""
+    """Notes what the memory of masks is given."""
 
     def __init__(self) -> None:
-        self.told: dict[str, Any] = {}
+        self.given: dict[str, Any] = {}
 
-    def trained(self, *_: Any, **told: Any) -> Masks:
-        self.told |= told
+    def trained(self, *_: Any, **given: Any) -> Masks:
+        self.given |= given
         return self
 
-    def advance(self, *_: Any, **told: Any) -> Masks:
-        self.told |= told
+    def advance(self, *_: Any, **given: Any) -> Masks:
+        self.given |= given
         return self
 
 
-def committed(*, restarted: bool = False, held: bool = False, hurried: bool = False) -> tuple[Memory, Masks]:
+def committed(*, restarted: bool = False, deferred: bool = False, truncated: bool = False) -> tuple[Memory, Masks]:
     masks: Any = Masks()
     before, after = (Stub(state=state, splats=name) for state, name in ((state_of(3), "old"), (state_of(3, 1), "new")))
     after.displacements = lambda _: np.full((3, 3), 8, np.float32)
     views = Stub(update=lambda *_: None, of=lambda _: None, pictures=lambda splats: f"pictures of {splats}")
     context = Stub(settings=DRAFT, method=Stub(dense=False), views=views, corrector=None, threads=1)
-    plan = FramePlan(Selection([EVERYWHERE], np.ones(3, bool)), ("motion",), DRAFT.frame, deferred=held)
+    plan = FramePlan(Selection([EVERYWHERE], np.ones(3, bool)), ("motion",), DRAFT.frame, deferred=deferred)
     event = Event(Kind.CHANGE, before, memory_of(masks=masks), [])
-    trained = None if held else Stub(kept=np.arange(3), truncated=hurried, rejected=False)
+    trained = None if deferred else Stub(kept=np.arange(3), truncated=truncated, rejected=False)
     memory, _ = commit(context, event, plan, pending(restarted=restarted), after, trained, Stopwatch())
     return memory, masks
 
@@ -174,14 +174,14 @@ def test_a_segments_first_frame_leaves_no_velocity() -> None:
     np.testing.assert_array_equal(committed(restarted=True)[0].motion.last, 0)
 
 
-@pytest.mark.parametrize(("hurried", "shown"), [(True, "pictures of new"), (False, None)])
-def test_what_was_cut_short_is_compared_with_what_came_of_it(hurried: bool, shown: str | None) -> None:
-    assert committed(hurried=hurried)[1].told == {"moved": True, "shown": shown, "threads": 1, "held": False}
+@pytest.mark.parametrize(("truncated", "shown"), [(True, "pictures of new"), (False, None)])
+def test_what_was_cut_short_is_compared_with_what_came_of_it(truncated: bool, shown: str | None) -> None:
+    assert committed(truncated=truncated)[1].given == {"moved": True, "shown": shown, "threads": 1, "held": False}
 
 
-def test_what_was_held_is_still_to_be_trained() -> None:
-    memory, masks = committed(held=True)
-    assert masks.told == {"held": True}
+def test_what_was_deferred_is_still_to_be_trained() -> None:
+    memory, masks = committed(deferred=True)
+    assert masks.given == {"held": True}
     assert memory.motion.deferred == 1
 
 
@@ -335,10 +335,10 @@ def test_a_start_that_was_trained_ahead_says_whether_it_diverged(
     assert given[0].packet is encoder._next.first.written.packet  # type: ignore[union-attr]
 
 
-@pytest.mark.parametrize("held", [True, False])
-def test_the_time_control_is_told_which_frames_were_held(encoder: StreamEncoder, held: bool) -> None:
-    told: list[bool] = []
-    time: Any = Stub(record_time=lambda seconds, *, deferred=False: (told.append(deferred), time)[1])
+@pytest.mark.parametrize("deferred", [True, False])
+def test_the_time_control_knows_which_frames_were_deferred(encoder: StreamEncoder, deferred: bool) -> None:
+    noted: list[bool] = []
+    time: Any = Stub(record_time=lambda seconds, *, deferred=False: (noted.append(deferred), time)[1])
     encoder._last = encoded_frame()
-    encoder._write(replace(encoded_frame(deferred=held), memory=memory_of(time=time)), Stopwatch())
-    assert told == [held]
+    encoder._write(replace(encoded_frame(deferred=deferred), memory=memory_of(time=time)), Stopwatch())
+    assert noted == [deferred]

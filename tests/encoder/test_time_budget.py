@@ -160,20 +160,20 @@ def test_a_freeze_is_bounded_however_little_time_there_is() -> None:
 
 
 @pytest.mark.parametrize(("saved", "fits", "too_much"), [(-1.2, 0.9, 1.1), (0.0, 0.9, 1.1), (3.0, 1.4, 1.6)])
-def test_a_frame_has_its_own_time_at_least_before_it_is_held(saved: float, fits: float, too_much: float) -> None:
-    """And a share of what was saved. What little is owed is paid back by shorter training."""
+def test_a_frame_has_its_own_time_at_least_before_it_is_deferred(saved: float, fits: float, too_much: float) -> None:
+    """And a share of what was saved. What little was overspent is paid back by shorter training."""
     control = TimeControl(1.0, saved=saved)
     assert not control.defers({}, fits)
     assert control.defers({}, too_much)
 
 
-def test_a_frame_that_is_held_for_what_is_owed_pays_and_keeps_nothing_for_the_next() -> None:
+def test_a_frame_deferred_for_what_is_overspent_pays_and_keeps_nothing_for_the_next() -> None:
     seconds = {"masks": 0.25, "measure": 9.0}
-    held, paid = (
+    waits, paid = (
         TimeControl(1.0).record_time(seconds, deferred=True),
         TimeControl(1.0, saved=-3.0).record_time(seconds, deferred=True),
     )
-    assert (held.saved, held.kept, held.deferred) == (0.0, 0.75, 1)
+    assert (waits.saved, waits.kept, waits.deferred) == (0.0, 0.75, 1)
     assert (paid.saved, paid.kept, paid.deferred) == (-2.25, 0.0, 1)
 
 
