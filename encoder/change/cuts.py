@@ -7,7 +7,7 @@ the views, in one scene whatever moves in it (.57: `panoptic_basketball` after t
 becomes ten times fainter or four times stronger.
 
 Rejected: the share of changed pixels alone (a lamp changes them all), and training on from the scene before, which ends
-6 to 8 dB lower (DESIGN.md, "Training of later frames").
+6 to 8 dB lower (DESIGN.md, "What happened (3)").
 """
 
 from __future__ import annotations

@@ -18,19 +18,18 @@ from decogs.formats.errors import UsageError
 
 @dataclass(frozen=True)
 class Within:
-    """Numbers from ``low`` to ``high``, both included; with ``or_zero``, 0 as well."""
+    """Numbers from ``low`` to ``high``, both included."""
 
     low: float
     high: float
-    or_zero: bool = False
 
     def takes(self, value: float) -> bool:
         """NaN and infinities are in no range."""
-        return self.low <= value <= self.high or (self.or_zero and value == 0)
+        return self.low <= value <= self.high
 
     def text(self, kind: str) -> str:
         """In words; ``kind``: of number."""
-        return f"{'0, or ' if self.or_zero else ''}a {kind} from {self.low:.15g} to {self.high:.15g}"
+        return f"a {kind} from {self.low:.15g} to {self.high:.15g}"
 
 
 @dataclass(frozen=True)
@@ -58,7 +57,6 @@ Loss = Annotated[float, Within(0, MOST_LOSS)]
 """Millionths of a picture's mean loss."""
 Decay = Annotated[float, Within(0, 0.999_999)]
 """Of Adam's moments."""
-Stretch = Annotated[float, Within(1, 1e6, or_zero=True)]
 Multiple = Annotated[float, Within(0, 1000)]
 
 

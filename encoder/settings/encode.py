@@ -29,7 +29,7 @@ class EncodeSettings(Checked):
     """Everything that an encode can be set to.
 
     The scene does not depend on ``segment``, only how frames are coded, unless segments are ``closed``: each one then
-    starts from the first keyframe's Gaussians and depends on no other segment (`closed_segments`).
+    starts from the first keyframe's Gaussians and depends on no other segment (`frame.next_segment`).
     """
 
     keyframe: KeyframeSettings = field(default_factory=KeyframeSettings)

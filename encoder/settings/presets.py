@@ -91,7 +91,7 @@ PRESETS: dict[str, EncodeSettings] = {
         ),
     ),
 }
-"""The ladder (measured in DESIGN.md), and ``paper``: its numbers wherever it gives them."""
+"""The ladder (measured in report/curve.md), and ``paper``: its numbers wherever it gives them."""
 
 
 def preset(name: str) -> EncodeSettings:

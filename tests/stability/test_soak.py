@@ -157,7 +157,7 @@ def test_static_gaussians_are_bit_identical_from_first_to_last(long_encode: tupl
 MAX_FALL = 0.3
 """dB in 800 frames, mean of three seeds. These fall by .17 to .26 in the trained views, .21 in the mean, by -.04 to
 .10 in the view left out, .05 in the mean. With earlier settings, .20 and .24 in the mean of five seeds, one seed
-deviated by .09, three by .05. Without the limit on stretch (`training/stretch.py`) 40 steps a frame lose .97 and 2.2
+deviated by .09, three by .05. Without the limit on stretch (`training/schedule.py`) 40 steps a frame lose .97 and 2.2
 dB."""
 
 
