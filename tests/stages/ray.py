@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float32]
 Room = Callable[[Array], tuple[Array, Array]]
-"""Distance (N,) of points inside a convex room to its nearest wall, less than 0 outside, and that wall's normal."""
+"""Of points: distance (N,) to the nearest wall of a convex room, below 0 outside, and that wall's normal.
+
+Well inside, distances may be less than they are and normals zero."""
 
 _SKIN = 2e-3  # metres: how far above a surface its rays of light start
 

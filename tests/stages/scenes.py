@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from decogs.formats.cameras import Camera
+from decogs.formats.cameras import Camera, camera_centre
 from stages.ray import Array, Body, Lamp, Paint, noise, unit
 
 FPS, CAMERAS, HELD_OUT = 30, 16, ("cam00", "cam05", "cam10")
-WALL_RADIUS, SWEEP_RADIUS, HALF_ROOM, CEILING = 5.5, 1.0, 5.2, 8.0
+WALL_RADIUS, SWEEP_RADIUS, HALF_ROOM = 5.5, 1.0, 5.2
 GREY = (0.32, 0.32, 0.32)
 WARM, COOL = np.array([1.0, 0.97, 0.92]), np.array([0.93, 0.97, 1.0])
 
@@ -21,29 +21,23 @@ WARM, COOL = np.array([1.0, 0.97, 0.92]), np.array([0.93, 0.97, 1.0])
 def cyclorama(points: Array) -> tuple[Array, Array]:
     """A floor that goes over into an upright cylinder by a quarter round (a `Room` of stages.ray)."""
     radius = np.maximum(np.hypot(points[0], points[1]), np.float32(1e-6))
-    across, up = WALL_RADIUS - radius, points[2]
-    a, b = np.maximum(SWEEP_RADIUS - across, 0), np.maximum(SWEEP_RADIUS - up, 0)
-    bend = np.maximum(np.hypot(a, b), np.float32(1e-6))
-    in_bend = (a > 0) & (b > 0)
-    inward = np.where(in_bend, a / bend, across < up)
-    upward = np.where(in_bend, b / bend, across >= up)
-    distance = np.where(in_bend, SWEEP_RADIUS - bend, np.minimum(across, up))
-    normals = np.stack([-inward * points[0] / radius, -inward * points[1] / radius, upward])
-    return _under_ceiling(points, distance, normals)
+    out, down = np.maximum(SWEEP_RADIUS - WALL_RADIUS + radius, 0), np.maximum(SWEEP_RADIUS - points[2], 0)
+    bend = np.maximum(np.hypot(out, down), np.float32(1e-6))
+    normals = np.stack([-out * points[0] / radius, -out * points[1] / radius, down]) / bend
+    return SWEEP_RADIUS - bend, normals
 
 
 def square_room(points: Array) -> tuple[Array, Array]:
     """Four walls and a floor (a `Room` of stages.ray)."""
     gaps = np.stack([HALF_ROOM - np.abs(points[0]), HALF_ROOM - np.abs(points[1]), points[2]])
     nearest = gaps.argmin(0) == np.arange(3)[:, None]
-    inward = np.stack([-np.sign(points[0]), -np.sign(points[1]), np.ones_like(points[2])])
-    return _under_ceiling(points, gaps.min(0), nearest * inward)
+    return gaps.min(0), nearest * np.stack([-np.sign(points[0]), -np.sign(points[1]), np.ones_like(points[2])])
 
 
-def _under_ceiling(points: Array, distance: Array, normals: Array) -> tuple[Array, Array]:
-    below = CEILING - points[2]
-    down = np.array([[0], [0], [-1]], np.float32)
-    return np.minimum(distance, below).astype(np.float32), np.where(below < distance, down, normals).astype(np.float32)
+ROOMS = {
+    cyclorama: {"wall_radius": WALL_RADIUS, "sweep_radius": SWEEP_RADIUS, "axis": (0, 0), "floor_height": 0},
+    square_room: {"wall_half_width": HALF_ROOM, "axis": (0, 0), "floor_height": 0},
+}
 
 
 def plain(colour: Sequence[float]) -> Callable[[Array, Array], Array]:
@@ -108,50 +102,43 @@ METAL = Paint((0.12, 0.12, 0.13), (0.3, 0.3, 0.32), width=0.3)
 UNDYED = Paint(GREY, GREY, grain=0.0)
 
 
-@dataclass(frozen=True)
-class Pose:
-    """Where a performer stands (x, y), which way they face, where they are in their step, how far arms are raised."""
+def performer(
+    place: tuple[float, float], heading: float, step: float, raised: float, top: Paint, trousers: Paint
+) -> list[Body]:
+    """Seventeen bodies, the lower shoe on the floor; facing ``heading``, arms ``raised`` (radians), in ``step``."""
+    ahead = np.array([np.cos(heading), np.sin(heading), 0], np.float32)
+    left, up = np.array([-ahead[1], ahead[0], 0], np.float32), np.array([0, 0, 1], np.float32)
 
-    place: tuple[float, float]
-    heading: float
-    step: float
-    raised: float
+    def swung(angle: float, spread: float) -> Array:
+        return unit(ahead * np.sin(angle) - up * np.cos(angle) + left * spread)
 
-    def bodies(self, top: Paint, trousers: Paint) -> list[Body]:
-        """Seventeen, the lower shoe on the floor."""
-        ahead = np.array([np.cos(self.heading), np.sin(self.heading), 0], np.float32)
-        left, up = np.array([-ahead[1], ahead[0], 0], np.float32), np.array([0, 0, 1], np.float32)
-
-        def swung(angle: float, spread: float) -> Array:
-            return unit(ahead * np.sin(angle) - up * np.cos(angle) + left * spread)
-
-        hips = np.array([*self.place, 0.95], np.float32)
-        neck, head = hips + 0.5 * up, hips + 0.7 * up
-        made = [
-            capsule(hips, hips + 0.02 * left, (0.12, 0.13, 0.12), trousers, up),
-            capsule(hips + 0.12 * up, hips + 0.38 * up, (0.19, 0.12, 0.12), top, ahead),
-            capsule(neck - 0.05 * up, neck + 0.08 * up, (0.055, 0.055, 0.055), SKIN, ahead),
-            ellipsoid(head, (0.105, 0.085, 0.13), SKIN, self.heading),
-            ellipsoid(head + 0.035 * up - 0.025 * ahead, (0.105, 0.095, 0.12), DARK, self.heading),
+    hips = np.array([*place, 0.95], np.float32)
+    neck, head = hips + 0.5 * up, hips + 0.7 * up
+    made = [
+        capsule(hips, hips + 0.02 * left, (0.12, 0.13, 0.12), trousers, up),
+        capsule(hips + 0.12 * up, hips + 0.38 * up, (0.19, 0.12, 0.12), top, ahead),
+        capsule(neck - 0.05 * up, neck + 0.08 * up, (0.055, 0.055, 0.055), SKIN, ahead),
+        ellipsoid(head, (0.105, 0.085, 0.13), SKIN, heading),
+        ellipsoid(head + 0.035 * up - 0.025 * ahead, (0.105, 0.095, 0.12), DARK, heading),
+    ]
+    soles = []
+    for side in (1, -1):
+        swing = side * np.sin(step)
+        hip, shoulder = hips + 0.09 * side * left, hips + 0.43 * up + 0.2 * side * left
+        knee = hip + 0.42 * swung(0.45 * swing, 0.03 * side)
+        ankle = knee + 0.42 * swung(0.45 * swing - 0.2 - 0.35 * max(0.0, side * np.cos(step)), 0)
+        elbow = shoulder + 0.28 * swung(raised - 0.5 * swing, 0.25 * side)
+        wrist = elbow + 0.25 * swung(raised - 0.5 * swing + 0.5 + 0.4 * raised, -0.1 * side)
+        made += [
+            capsule(hip, knee, (0.085, 0.085, 0.085), trousers, ahead),
+            capsule(knee, ankle, (0.06, 0.06, 0.06), trousers, ahead),
+            capsule(ankle - 0.04 * up, ankle - 0.04 * up + 0.14 * ahead, (0.05, 0.045, 0.05), DARK, up),
+            capsule(shoulder, elbow, (0.055, 0.055, 0.055), top, left),
+            capsule(elbow, wrist, (0.042, 0.042, 0.042), SKIN, left),
+            ellipsoid(wrist, (0.05, 0.05, 0.05), SKIN),
         ]
-        soles = []
-        for side in (1, -1):
-            swing = side * np.sin(self.step)
-            hip, shoulder = hips + 0.09 * side * left, hips + 0.43 * up + 0.2 * side * left
-            knee = hip + 0.42 * swung(0.45 * swing, 0.03 * side)
-            ankle = knee + 0.42 * swung(0.45 * swing - 0.2 - 0.35 * max(0.0, side * np.cos(self.step)), 0)
-            elbow = shoulder + 0.28 * swung(self.raised - 0.5 * swing, 0.25 * side)
-            wrist = elbow + 0.25 * swung(self.raised - 0.5 * swing + 0.5 + 0.4 * self.raised, -0.1 * side)
-            made += [
-                capsule(hip, knee, (0.085, 0.085, 0.085), trousers, ahead),
-                capsule(knee, ankle, (0.06, 0.06, 0.06), trousers, ahead),
-                capsule(ankle - 0.04 * up, ankle - 0.04 * up + 0.14 * ahead, (0.05, 0.045, 0.05), DARK, up),
-                capsule(shoulder, elbow, (0.055, 0.055, 0.055), top, left),
-                capsule(elbow, wrist, (0.042, 0.042, 0.042), SKIN, left),
-                ellipsoid(wrist, (0.05, 0.05, 0.05), SKIN),
-            ]
-            soles.append(float(ankle[2]) - 0.085)
-        return [replace(body, centre=body.centre - min(soles) * up) for body in made]
+        soles.append(float(ankle[2]) - 0.085)
+    return [replace(body, centre=body.centre - min(soles) * up) for body in made]
 
 
 def stool() -> list[Body]:
@@ -165,8 +152,8 @@ def stool() -> list[Body]:
 
 
 def ball(frame: int) -> Body:
-    """Thrown from one performer to the other, over and over."""
-    share = (0.15 + frame / FPS / 0.9) % 1.0
+    """Thrown from one performer to the other and back."""
+    share = 1 - abs(1 - (0.15 + frame / FPS / 0.9) % 2)
     height = 1.1 + 4 * 0.55 * share * (1 - share)
     return ellipsoid(
         (0.1 - 0.35 * (1 - 2 * share), 0.3 * (2 * share - 1) + 0.05, height), (0.12, 0.12, 0.12), BALL, 6 * share
@@ -177,9 +164,12 @@ def on_stage(frame: int, clothes: tuple[Paint, Paint] = (JUMPER, TARTAN)) -> lis
     """One performer walks in a circle, one gestures and turns in ``clothes``; a ball, a stool."""
     time = frame / FPS
     round_ = 0.7 + 1.3 * time
-    walker = Pose((0.5 * np.cos(round_), 0.5 * np.sin(round_)), round_ + np.pi / 2, 7 * time + 1, 0.1)
-    speaker = Pose((-0.45, -0.3), 0.4 - 0.9 * time, 0.5 * np.sin(4 * time), 0.9 + 0.5 * np.sin(5 * time))
-    return [*walker.bodies(SHIRT, JEANS), *speaker.bodies(*clothes), ball(frame), *stool()]
+    walking = performer(
+        (0.5 * np.cos(round_), 0.5 * np.sin(round_)), round_ + np.pi / 2, 7 * time + 1, 0.1, SHIRT, JEANS
+    )
+    raised = 0.9 + 0.5 * np.sin(5 * time)
+    gesturing = performer((-0.45, -0.3), 0.4 - 0.9 * time, 0.5 * np.sin(4 * time), raised, *clothes)
+    return [*walking, *gesturing, ball(frame), *stool()]
 
 
 def rigging() -> tuple[Body, ...]:
@@ -193,8 +183,7 @@ def rigging() -> tuple[Body, ...]:
         made.append(capsule(foot + 0.05 * up, foot + 3.6 * up, (0.05,) * 3, METAL, out, False))
         made.append(ellipsoid(4.6 * out + 2.95 * up, (0.16, 0.16, 0.2), METAL, angle, False))
     for camera in cameras((64, 64)):
-        eye = -camera.world_to_camera[:3, :3].T @ camera.world_to_camera[:3, 3]
-        eye = eye.astype(np.float32)
+        eye = camera_centre(camera).astype(np.float32)
         made.append(ellipsoid(eye, (0.09, 0.09, 0.07), DARK, moves=False))
         for angle in (0.5, 2.6, 4.7):
             foot = eye * [1, 1, 0] + 0.35 * np.array([np.cos(angle), np.sin(angle), 0.05])

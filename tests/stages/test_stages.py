@@ -23,10 +23,9 @@ def green(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_same_seed_gives_the_same_files(green: Path, tmp_path: Path) -> None:
-    again = write_stage("green", tmp_path / "again", VIEWS, frames=1)
-    files = sorted(path.relative_to(green) for path in green.rglob("*.*"))
-    assert len(files) == 2 * len(VIEWS) + 2
-    assert all((green / file).read_bytes() == (again / file).read_bytes() for file in files)
+    again = write_stage("green", tmp_path / "again", VIEWS[:1], frames=1)
+    for file in ("cam00/0000.png", "truth/mattes/cam00/0000.png"):
+        assert (green / file).read_bytes() == (again / file).read_bytes()
 
 
 def test_what_is_outside_the_mattes_is_backdrop_or_stool(green: Path) -> None:
@@ -43,7 +42,7 @@ def test_a_ball_is_where_the_rig_s_cameras_see_it(green: Path) -> None:
     stage, thrown = STAGES["green"], ball(0)
     backdrop = light_on_backdrop(stage, [], SIZE[1])
     for camera, read in zip(VIEWS, open_rig(green).cameras, strict=True):
-        _, matte = render(look(camera, stage), [thrown], backdrop, stage.bounce)
+        _, matte = render(look(camera, stage), [thrown], backdrop)
         rows, columns = np.nonzero(matte)
         share = matte[rows, columns] / matte.sum()
         u, v, _ = project(read, thrown.centre[None])
