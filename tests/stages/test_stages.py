@@ -11,7 +11,8 @@ import pytest
 from decogs.formats.cameras import project
 from decogs.formats.rigs import open_rig, read_frames
 from stages.make import light_on_backdrop, look, render, write_stage
-from stages.scenes import STAGES, ball, cameras, on_stage
+from stages.ray import Array, Body, light
+from stages.scenes import LAMPS, STAGES, ball, cameras, on_stage
 
 SIZE = (45, 60)
 VIEWS = cameras(SIZE)[:4]
@@ -65,3 +66,40 @@ def test_rays_end_on_the_backdrop(name: str) -> None:
         view = look(camera, STAGES[name])
         distance, _ = STAGES[name].room(view.origin + view.depth * view.ways)
         assert np.abs(distance).max() < 1e-4  # metres; a float32 of 10 m has steps of 1e-6
+
+
+def test_rays_enter_bodies_where_steps_along_them_do() -> None:
+    body = next(body for body in on_stage(0) if len(set(body.radii.tolist())) > 1 and body.half > 0)
+    random = np.random.default_rng(0)
+    origins = (body.centre[:, None] + random.normal(0, 1, (3, 300))).astype(np.float32)
+    origins = origins[:, _inside(body, origins) > 1]
+    ways = (body.centre[:, None] + random.normal(0, 0.2, origins.shape) - origins).astype(np.float32)
+    entry = body.entry(origins, ways)
+    steps = np.linspace(0, 3, 3001)
+    inside = np.stack([_inside(body, origins + np.float32(step) * ways) < 1 for step in steps])
+    first = np.where(inside.any(0), steps[inside.argmax(0)], np.inf)
+    assert 50 < np.isfinite(first).sum() < len(first) - 50
+    same = np.isfinite(entry) == np.isfinite(first)
+    assert (~same).sum() <= 3  # rays that graze it for less than a step
+    both = np.isfinite(first) & same
+    late = first[both] - entry[both]
+    assert late.min() > -1e-4  # float32
+    assert late.max() < 2e-3  # a step
+
+
+def test_a_lamp_s_shadow_lies_on_the_floor_behind_a_ball_and_not_beside_it() -> None:
+    lamp, thrown = LAMPS[0], ball(0)
+    away = thrown.centre - lamp.place
+    behind = lamp.place - lamp.place[2] / away[2] * away
+    places = np.stack([behind, behind + [0.5, 0, 0]], 1).astype(np.float32)
+    up = np.array([[0, 0], [0, 0], [1, 1]], np.float32)
+    clear, shadowed = light(places, up, [lamp], []), light(places, up, [lamp], [thrown])
+    assert (clear > 0).all()
+    assert (shadowed == clear * [0, 1]).all()
+
+
+def _inside(body: Body, points: Array) -> Array:
+    """Distance from its axis, 1 on the surface."""
+    place = body.own(points) / body.radii[:, None]
+    place[2] -= np.clip(place[2], -body.half, body.half)
+    return np.sqrt((place * place).sum(0))
