@@ -91,7 +91,7 @@ def test_a_lamp_s_shadow_lies_on_the_floor_behind_a_ball_and_not_beside_it() -> 
     lamp, thrown = LAMPS[0], ball(0)
     away = thrown.centre - lamp.place
     behind = lamp.place - lamp.place[2] / away[2] * away
-    places = np.stack([behind, behind + [0.5, 0, 0]], 1).astype(np.float32)
+    places = np.stack([behind, behind + np.array([0.5, 0, 0])], 1).astype(np.float32)
     up = np.array([[0, 0], [0, 0], [1, 1]], np.float32)
     clear, shadowed = light(places, up, [lamp], []), light(places, up, [lamp], [thrown])
     assert (clear > 0).all()
