@@ -170,14 +170,21 @@ def _calibration(views: Sequence[Camera]) -> dict[str, object]:
     }
 
 
+def size(text: str) -> tuple[int, int]:
+    width, height = text.split("x")
+    return int(width), int(height)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scene", choices=scenes.STAGES)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--frames", type=int, default=6)
-    parser.add_argument("--size", type=lambda text: tuple(map(int, text.split("x"))), default=(240, 320))
+    parser.add_argument("--size", type=size, default=(240, 320))
     parser.add_argument("--seed", type=int, default=0)
     told = parser.parse_args()
+    if told.folder.exists():
+        parser.error(f"{told.folder}: is there already; name another folder")
     write_stage(told.scene, told.folder, scenes.cameras(told.size), told.frames, told.seed)
 
 
