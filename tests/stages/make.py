@@ -81,9 +81,10 @@ def render(
     points = view.origin + nearest[seen] * view.ways[:, seen]
     colours, normals = np.empty_like(points), np.empty_like(points)
     ends = np.searchsorted(owner[seen], np.arange(len(bodies) + 1))
-    for body, (first, stop) in zip(bodies, pairwise(ends), strict=True):
+    for index, (body, (first, stop)) in enumerate(zip(bodies, pairwise(ends), strict=True)):
         normals[:, first:stop] = body.normals(points[:, first:stop])
-        colours[:, first:stop] = body.paint.colours(body.own(points[:, first:stop]))
+        # Each body has a cloth of its own: a left leg must not match a right one.
+        colours[:, first:stop] = body.paint.colours(body.own(points[:, first:stop]) + 0.8 * index)
     reflected = np.asarray(view.stage.bounce, np.float32)[:, None] * (0.5 - 0.4 * normals[2])
     image[:, seen] = colours * (light(points, normals, scenes.LAMPS, acting) + reflected)
     moving = np.array([*(body.moves for body in bodies), False])[owner]

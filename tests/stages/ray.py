@@ -20,7 +20,7 @@ _SKIN = 2e-3  # metres: how far above a surface its rays of light start
 
 @dataclass(frozen=True)
 class Paint:
-    """A body's colours, linear 0..1, in a pattern of ``width`` metres: "plain", "stripes" or "checks".
+    """Two colours, linear 0..1, in a pattern of ``width`` metres: "plain", "stripes" or "checks", no two of them alike.
 
     ``grain``: by how much noise darkens and lightens either colour, 0..1.
     """
@@ -32,9 +32,14 @@ class Paint:
     grain: float = 0.5
 
     def colours(self, places: Array) -> Array:
-        """Of points in the body's own axes."""
-        cells = np.floor(places / np.float32(self.width)).astype(np.int32)
-        mix = {"plain": noise(places / self.width), "stripes": cells[2] & 1, "checks": cells.sum(0) & 1}[self.pattern]
+        """Of points (3, N) in metres, in the axes of what is painted."""
+        if self.pattern == "plain":
+            mix = noise(places / self.width)
+        else:
+            cells = np.floor(places / self.width + 0.4 * noise(places / 0.15)).astype(np.int32)
+            if self.pattern == "stripes":
+                cells[:2] = 0
+            mix = 0.7 * (cells.sum(0) & 1) + 0.3 * _LATTICE[tuple(cells & 63)]
         mixed = _column(self.first) * (1 - mix) + _column(self.second) * mix
         fine = 0.5 * noise(places / 0.06) + 0.5 * noise(places / 0.03 + 9)
         return np.asarray(mixed * (1 + self.grain * (2 * fine - 1)), np.float32)
