@@ -161,7 +161,7 @@ def ball(frame: int) -> Body:
 
 
 def on_stage(frame: int, clothes: tuple[Paint, Paint] = (JUMPER, TARTAN)) -> list[Body]:
-    """One performer walks in a circle, one gestures and turns in ``clothes``; a ball, a stool."""
+    """One performer walks in a circle, until frame 40 clear of one who gestures in ``clothes``; a ball, a stool."""
     time = frame / FPS
     round_ = 0.7 + 1.3 * time
     walking = performer(
