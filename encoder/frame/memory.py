@@ -13,6 +13,7 @@ from ..coding.scene import Scene
 from ..coding.time_control import TimeControl
 from ..input.compensation import CorrectionMemory
 from ..input.ingest import RigFrame
+from ..keyframe.backdrop.stage import PlainStage, find_stage
 from ..stopwatch import Stopwatch
 from ..training.method import FrameTrainer, training_context
 from ..training.warm_start import Motion
@@ -34,7 +35,7 @@ class Memory:
     """What a frame hands to the next.
 
     ``first``: the stream's first frame, compensated, to which closed segments return; None in other streams. ``rate``
-    and ``time`` keep to budgets, where there are some.
+    and ``time`` keep to budgets, where there are some. ``stage``: the plain stage of the scene, if it is one.
     """
 
     trainer: FrameTrainer
@@ -43,6 +44,7 @@ class Memory:
     corrections: CorrectionMemory | None
     rate: RateControl | None
     time: TimeControl | None
+    stage: PlainStage | None
     before_flash: BeforeFlash | None = None
     first: RigFrame | None = None
 
@@ -78,6 +80,7 @@ def new_memory(
         corrections,
         None if budget is None else RateControl(budget, settings.segment),
         time,
+        None if context.method.dense else find_stage(context.ingest.views, frame.training),
         first=first,
     )
 

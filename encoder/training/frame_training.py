@@ -126,6 +126,10 @@ class FrameTraining:
         regions = [self.focus(index) for index in range(len(self.losses))]
         return TargetWatch(self.frame.stopping.target_psnr, self.frame.pictures, regions)
 
+    def is_free(self, means: FloatArray) -> NDArray[np.bool_]:
+        """Points (P, 3) in the frame's empty space; none where it is not known."""
+        return np.zeros(len(means), bool) if self.frame.free is None else self.frame.free(means)
+
     def in_any_focus(self, means: FloatArray) -> NDArray[np.bool_]:
         """Points (P, 3) that project into the region of interest of at least one view."""
         inside = np.zeros(len(means), bool)

@@ -1,0 +1,114 @@
+"""A plain stage: found in the first frame's pictures, with Gaussians for its backdrop and the space that stays free.
+
+A plain surface confirms no depth: grey before grey costs no view anything, and training fills the space in front with
+fog. So where most of the pictures is plain, the backdrop is there, opaque, before training begins, and first points lie
+in the hull of what stands in front of it. Whatever leaves the hull goes. Figures: DESIGN.md, "Plain stages".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.formats.splats import FloatArray, Splats, round_splats
+
+from ...input.ingest import View
+from ..first_points.views import SweepView, floats, make_view
+from .hull import Hull, SubjectView, with_margin
+from .plain import BoolArray, plain_pixels, plate_of, subject_pixels
+from .surfaces import PlainView, Surfaces, find_surfaces, plain_colours, surface_colours
+
+_MIN_PLAIN_SHARE = 0.5
+"""Plain share of the median view's picture from which a stage is plain: rooms and textured stages have up to .45."""
+_MAX_PIXELS = 250_000
+"""Of a view in the search; larger pictures are shrunk."""
+_BACKDROP_GAUSSIANS = 4600
+_OPACITY, _SIGMA_SPACINGS = 0.8, 0.75
+"""Of the backdrop's Gaussians, the size in units of their distance: together they let nothing through."""
+_SHARED_PER_SPACING = 4.0
+"""Density of the points at which cameras' colours are compared, along a line."""
+_FREE_SPACINGS = 1.5
+"""Distance from the backdrop's surfaces, in these units, from which space is free: sweeps are curved."""
+
+
+@dataclass(frozen=True)
+class PlainStage:
+    """The surfaces of a stage's backdrop, points on them, and the ``hull`` of what stands in front.
+
+    ``views``: as the search sees them, with their plates. ``xyz`` (P, 3) world, ``rgb`` (P, 3) 0..1: evenly spread
+    points of the backdrop, ``spacing`` world units apart.
+    """
+
+    surfaces: Surfaces
+    hull: Hull
+    views: Sequence[PlainView]
+    xyz: FloatArray
+    rgb: FloatArray
+    spacing: float
+
+    def in_frame(self, views: Sequence[View], pictures: Sequence[FloatArray], used: Sequence[int]) -> PlainStage:
+        """The stage with the hull of a later frame, from the ``used`` ones of its pictures (3, H, W)."""
+        return replace(self, hull=Hull([_subject_view(views[i], pictures[i], self.views[i].plate) for i in used]))
+
+    def backdrop(self, sh_degree: int) -> Splats:
+        """Gaussians for the backdrop, together opaque."""
+        sigmas, opacities = np.full(len(self.xyz), _SIGMA_SPACINGS * self.spacing), np.full(len(self.xyz), _OPACITY)
+        return round_splats(self.xyz, self.rgb, sigmas, opacities, sh_degree)
+
+    def shared_points(self) -> tuple[FloatArray, BoolArray]:
+        """Points (P, 3) of the backdrop, close enough for a camera's colours, and the views that show them, (V, P)."""
+        xyz, normals = self.surfaces.points(self.spacing / _SHARED_PER_SPACING)
+        seen = np.zeros((len(self.views), len(xyz)), bool)
+        for view, row in zip(self.views, seen, strict=True):
+            row[plain_colours(view, xyz, normals)[0]] = True
+        return xyz.astype(np.float32), seen
+
+    def free(self, xyz: NDArray[np.floating]) -> BoolArray:
+        """Points (P, 3) of empty space: in front of the backdrop, where some view shows it."""
+        return ~self.on_backdrop(xyz) & ~self.hull.holds(xyz)
+
+    def on_backdrop(self, xyz: NDArray[np.floating]) -> BoolArray:
+        """Points (P, 3) on the backdrop's surfaces or beyond them."""
+        return np.asarray(self.surfaces.clearance(xyz) <= _FREE_SPACINGS * self.spacing)
+
+    def may_show(self, xyz: NDArray[np.floating]) -> BoolArray:
+        """Points (P, 3) in front of the backdrop, in the hull."""
+        return np.asarray(self.hull.holds(xyz) & (self.surfaces.clearance(xyz) > 0))
+
+
+def find_stage(views: Sequence[View], pictures: Sequence[FloatArray]) -> PlainStage | None:
+    """The plain stage in the ``pictures`` (3, H, W) of ``views``; None where the median picture is not mostly plain."""
+    seen = [_shrunk(*each) for each in zip(views, pictures, strict=True)]
+    plain = [plain_pixels(view.picture) & known for view, known in seen]
+    if np.median([mask.mean() for mask in plain]) < _MIN_PLAIN_SHARE:
+        return None
+    plates = [plate_of(view.picture, mask) for (view, _), mask in zip(seen, plain, strict=True)]
+    subjects = [_subject_view(*each) for each in zip(views, pictures, plates, strict=True)]
+    backdrops = [
+        PlainView(subject.view, mask & ~subject.subject, plate)
+        for subject, mask, plate in zip(subjects, plain, plates, strict=True)
+    ]
+    surfaces = find_surfaces(backdrops)
+    spacing = float(np.sqrt(surfaces.area / _BACKDROP_GAUSSIANS * 2 / 3**0.5))
+    xyz, normals = surfaces.points(spacing)
+    colours = surface_colours(backdrops, xyz, normals)
+    return PlainStage(surfaces, Hull(subjects), backdrops, xyz.astype(np.float32), colours, spacing)
+
+
+def _subject_view(view: View, picture: FloatArray, plate: FloatArray) -> SubjectView:
+    """What differs from the plate, and what was not recorded and may be anything."""
+    small, known = _shrunk(view, picture)
+    return SubjectView(small, with_margin(subject_pixels(small.picture, plate) | ~known))
+
+
+def _shrunk(view: View, picture: FloatArray) -> tuple[SweepView, BoolArray]:
+    """A view as the search sees it, and the pixels (H, W) that were recorded."""
+    scale = min(1.0, (_MAX_PIXELS / (view.pinhole.width * view.pinhole.height)) ** 0.5)
+    small = make_view(view.pinhole, np.ascontiguousarray(picture.transpose(1, 2, 0)), scale)
+    if view.valid is None:
+        return small, np.ones((small.height, small.width), bool)
+    return small, floats(cv2.resize(view.valid, (small.width, small.height), interpolation=cv2.INTER_AREA)) > 0.999
