@@ -15,10 +15,6 @@ from .compensation import CorrectionSettings
 from .effects import EFFECT_NAMES, FRAME_EFFECTS, PRESET_EFFECTS
 from .frame import FrameSettings
 from .keyframe import KeyframeSettings
-from .threedgstream import BaselineSettings
-
-_UNREAD_SETTINGS = {"decogs": "baseline", "3dgstream": "frame"}
-"""Settings that a method does not read; methods of other packages do not read the baseline's."""
 
 _OMITTED_DEFAULTS = (("frame.focus.over", "region"),)
 """Defaults that a header omits."""
@@ -37,7 +33,6 @@ class EncodeSettings(Checked):
     lattice_scale: Annotated[float, Within(1e-3, 1e3)] = 1.0  # of the default steps; more: smaller, less exact
     zstd_level: Annotated[int, Within(1, 22)] = DEFAULT_LEVEL  # more: slower, smaller
     method: str = "decogs"  # of later frames, a name in FRAME_METHODS; "3dgstream" is slower
-    baseline: BaselineSettings = field(default_factory=BaselineSettings)
     segment: Annotated[int, Within(0, MAX_FRAME)] = 0  # frames between keyframes; fewer: larger, seek faster; 0: one
     closed: bool = False  # segments depend on no other: slower
     catch_up: Annotated[int, Within(1, 1000)] = 3  # trainings of a closed segment's first frame; more: slower, larger
@@ -71,13 +66,14 @@ class EncodeSettings(Checked):
         return min(self.cross_fade, self.segment - 1) if self.closed else 0
 
     def as_document(self) -> dict[str, Any]:
-        """The settings as plain JSON values, for the stream's header and the log; without the other method's.
+        """The settings as plain JSON values, for the stream's header and the log.
 
-        Unset budgets, targets, corrections and choices of effects are omitted, so streams started without such settings
-        can still be resumed.
+        Omitted are what the dense baseline does not read, and unset budgets, targets, corrections and choices of
+        effects, so that streams started without such settings can still be resumed.
         """
         document: dict[str, Any] = json.loads(json.dumps(asdict(self)))
-        del document[_UNREAD_SETTINGS.get(self.method, "baseline")]
+        if self.method == "3dgstream":
+            del document["frame"]
         for name in ("frame_budget", "time_budget", "target_psnr"):
             if document[name] is None:
                 del document[name]

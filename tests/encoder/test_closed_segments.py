@@ -38,7 +38,6 @@ def remembering(settings: EncodeSettings) -> EncodeSettings:
     frame = replace(
         settings.frame,
         masks=masks,
-        cache=None,
         joint_iterations=20,
         significance=SignificanceSettings(threshold=1.0),
     )

@@ -49,7 +49,7 @@ def settings(tiny_settings: EncodeSettings) -> EncodeSettings:
     """With all that goes from frame to frame, and a camera that is compensated."""
     masks = replace(tiny_settings.frame.masks, since_trained=True)
     significance = SignificanceSettings(threshold=1.0)
-    frame = replace(tiny_settings.frame, masks=masks, cache=None, joint_iterations=20, significance=significance)
+    frame = replace(tiny_settings.frame, masks=masks, joint_iterations=20, significance=significance)
     corrections = CorrectionSettings(exposure=("cam01",))
     return replace(tiny_settings, frame=frame, detect_per_frame=True, corrections=corrections)
 

@@ -111,7 +111,6 @@ def test_what_masks_remember_is_replayed(
     frame = replace(
         tiny_settings.frame,
         masks=replace(tiny_settings.frame.masks, since_trained=True),
-        cache=None,
         joint_iterations=20,
     )
     given = {"settings": replace(tiny_settings, frame=frame, segment=2), "keyframe": moving.path}
@@ -205,6 +204,23 @@ def test_other_options_are_refused_and_nothing_is_touched(
     assert "\n" not in str(raised.value)
     assert [path.name for path in tmp_path.iterdir()] == ["scene.dgs.part"]
     assert (tmp_path / "scene.dgs.part").read_bytes() == data
+
+
+def test_settings_of_another_release_are_refused(
+    moving: Any, moving_rig: Path, tiny_settings: Any, tmp_path: Path
+) -> None:
+    """Earlier commits wrote numbers of a method among the settings of frames."""
+    with moving.path.open("rb") as file:
+        header, *frames = list(iterate_packets(file))[:3]
+    document = json.loads(header.payload)
+    document["settings"]["frame"] |= {"cache": None, "cache_iterations": 150}
+    earlier = io.BytesIO()
+    stream = StreamWriter(earlier, json.dumps(document).encode())
+    for packet in frames:
+        stream.write(packet.kind, packet.frame, packet.payload)
+    output = part(tmp_path, earlier.getvalue())
+    with pytest.raises(UsageError, match=r"was begun by another release of decogs, with a setting frame\.cache_itera"):
+        encode_rig(moving_rig, output, resume=True, settings=tiny_settings, holdout=["cam02"])
 
 
 def test_another_keyframe_is_refused(
