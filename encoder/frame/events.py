@@ -11,7 +11,7 @@ from decogs.formats.splats import FloatArray
 
 from ..change.cuts import shows_another_scene
 from ..change.flashes import MAX_FLASH_FRAMES, is_missed, matches, may_be_flash
-from ..change.masks import PixelChange, showing
+from ..change.masks import PixelChange, usable_views
 from ..coding.scene import Scene
 from ..input.ingest import RigFrame
 from ..stopwatch import Stopwatch
@@ -98,6 +98,10 @@ def _after_flash(scene: Scene, memory: Memory, frame: PendingFrame, context: Con
 
 def _is_cut(context: Context, memory: Memory, frame: PendingFrame, changes: Sequence[PixelChange]) -> bool:
     # A keyframe needs every camera.
-    if not context.settings.cuts or context.settings.time_budget is not None or len(showing(changes)) < len(changes):
+    if (
+        not context.settings.cuts
+        or context.settings.time_budget is not None
+        or len(usable_views(changes)) < len(changes)
+    ):
         return False
     return shows_another_scene(frame.pictures, memory.masks.references)
