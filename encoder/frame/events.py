@@ -78,7 +78,7 @@ def what_happened(context: Context, scene: Scene, memory: Memory, frame: Pending
             if _is_cut(context, memory, frame, changes):
                 return Event(Kind.CUT, scene, memory, changes, is_return)
             if memory.before_flash is None:
-                before = BeforeFlash(frame.recorded.index, scene.state, memory.motion.last, memory.masks)
+                before = BeforeFlash(frame.recorded.index, scene.state, memory.motion, memory.masks)
                 memory = replace(memory, before_flash=before)
     return Event(kind, scene, memory, changes, is_return)
 
@@ -88,10 +88,12 @@ def _after_flash(scene: Scene, memory: Memory, frame: PendingFrame, context: Con
     kept = memory.before_flash
     if kept is None:
         return scene, memory, False
+    frames = frame.recorded.index - kept.since
     if matches(kept.masks, frame.pictures, context.settings.frame.masks):
-        motion = replace(memory.motion, last=kept.motion)
+        # What moved before the flash has moved on.
+        motion = kept.motion.defer(frames)
         return scene.roll_back(kept.state), replace(memory, motion=motion, masks=kept.masks, before_flash=None), True
-    if frame.recorded.index - kept.since > MAX_FLASH_FRAMES:
+    if frames > MAX_FLASH_FRAMES:
         memory = replace(memory, before_flash=None)
     return scene, memory, False
 
