@@ -87,7 +87,7 @@ def plan_frame(
     """The settings with which a frame is trained and coded."""
     settings, memory = context.settings, event.memory
     effects, by_light = settings.frame_effects if selection.selected.any() else (), None
-    if effects and settings.detect_per_frame:
+    if effects and settings.detect_per_frame and selection.masks:
         with watch.stage("effects"):
             found = enabled_effects(
                 settings, frame.pictures, memory.masks.references, selection.masks, threads=context.threads

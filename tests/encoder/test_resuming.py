@@ -66,6 +66,27 @@ def test_the_bytes_are_those_of_an_uninterrupted_encode(
             assert getattr(ours, name) == getattr(theirs, name)
 
 
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"switches": Switches("paper")},
+        {"switches": Switches(ablate=["select", "focus"])},
+        {"scale": 0.5},
+        {"targets": Targets(lossless=True)},
+        {"targets": Targets(60)},
+        {"targets": Targets(target_psnr=24.0)},
+        {"effects": "all"},
+    ],
+    ids=["paper", "ablated", "scale", "lossless", "quality", "target", "effects"],
+)
+def test_whatever_was_asked_for(moving_rig: Path, tiny_settings: Any, tmp_path: Path, options: dict[str, Any]) -> None:
+    given = {"settings": tiny_settings, "holdout": ["cam02"], "threads": 1} | options
+    encode_rig(moving_rig, tmp_path / "whole.dgs", **given)
+    output = part(tmp_path, (tmp_path / "whole.dgs").read_bytes()[: ends(tmp_path / "whole.dgs")[2] + 9])
+    assert encode_rig(moving_rig, output, resume=True, **given).resumed == 2
+    assert output.read_bytes() == (tmp_path / "whole.dgs").read_bytes()
+
+
 def test_frames_that_are_there_are_not_trained_again(
     encode: Any, moving: Any, moving_rig: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
