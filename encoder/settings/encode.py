@@ -11,8 +11,7 @@ from decogs.formats.container import MAX_FRAME
 from decogs.formats.errors import UsageError
 
 from .checked import Bytes, Checked, OneOf, Within
-from .compensation import CorrectionSettings
-from .effects import EFFECT_NAMES, FRAME_EFFECTS, PRESET_EFFECTS
+from .effects import EFFECT_NAMES, FRAME_EFFECTS, PRESET_EFFECTS, CorrectionSettings
 from .frame import FrameSettings
 from .keyframe import KeyframeSettings
 
