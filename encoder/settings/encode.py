@@ -53,6 +53,11 @@ class EncodeSettings(Checked):
                 "`closed`: `time_budget` carries time from segment to segment, so none stands on its own; drop one of "
                 "the two"
             )
+        if self.closed and "gate" in self.frame.ablated:
+            raise UsageError(
+                "`closed`: `ablate` gate carries Adam's moments from segment to segment, so none stands on its own; "
+                "drop one of the two"
+            )
 
     @property
     def frame_effects(self) -> tuple[str, ...]:
