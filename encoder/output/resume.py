@@ -131,8 +131,6 @@ def is_expendable(is_such: IsSuch, part: Path) -> bool:
 
 def check_resumable(settings: EncodeSettings) -> None:
     """Raises UsageError for settings that keep something from frame to frame that is not in the stream."""
-    if "frame" not in settings.as_document():
-        return
     if "gate" in settings.frame.ablated:
         raise UsageError(
             "`resume`: `ablate` gate keeps training state that a stream does not hold; drop one of the two"

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass, field
+from functools import reduce
+from operator import attrgetter, getitem
 from typing import Annotated, Any
 
 from decogs.codec.entropy import DEFAULT_LEVEL
@@ -15,8 +17,15 @@ from .effects import EFFECT_NAMES, FRAME_EFFECTS, PRESET_EFFECTS, CorrectionSett
 from .frame import FrameSettings
 from .keyframe import KeyframeSettings
 
-_OMITTED_DEFAULTS = (("frame.focus.over", "region"),)
-"""Defaults that a header omits."""
+_OMITTED_DEFAULTS = (
+    ("frame.focus.over", "region"),
+    ("cuts", True),
+    ("frame_budget", None),
+    ("time_budget", None),
+    ("target_psnr", None),
+    ("corrections", CorrectionSettings()),
+)
+"""Settings by dotted path, and the value of each that a header omits."""
 
 
 @dataclass(frozen=True)
@@ -76,25 +85,14 @@ class EncodeSettings(Checked):
         effects, so that streams started without such settings can still be resumed.
         """
         document: dict[str, Any] = json.loads(json.dumps(asdict(self)))
-        if self.method == "3dgstream":
-            del document["frame"]
-        for name in ("frame_budget", "time_budget", "target_psnr"):
-            if document[name] is None:
-                del document[name]
+        omitted = [path for path, usual in _OMITTED_DEFAULTS if attrgetter(path)(self) == usual]
         if (self.effects, self.detect_per_frame) == (PRESET_EFFECTS, False):
-            del document["effects"], document["detect_per_frame"]
-        if self.corrections == CorrectionSettings():
-            del document["corrections"]
-        if self.cuts:
-            del document["cuts"]
+            omitted += ["effects", "detect_per_frame"]
         if not self.closed:
-            for name in ("closed", "catch_up", "cross_fade"):
-                del document[name]
-        for path, usual in _OMITTED_DEFAULTS:
-            *parts, name = path.split(".")
-            owner = document
-            for part in parts:
-                owner = owner.get(part, {})
-            if owner.get(name) == usual:
-                del owner[name]
+            omitted += ["closed", "catch_up", "cross_fade"]
+        if self.method == "3dgstream":
+            omitted.append("frame")
+        for path in omitted:
+            *groups, name = path.split(".")
+            del reduce(getitem, groups, document)[name]
         return document
