@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,9 +23,28 @@ from decogs.encoder.change.masks import (
 from decogs.encoder.change.noise import frame_noise
 from decogs.encoder.settings.frame import MaskSettings
 from decogs.formats.errors import UsageError
-from mask_steps import MaskSteps
 
 RNG = np.random.default_rng(7)
+
+
+class MaskSteps:
+    """The masks of a stream's frames, one after the other, as `decogs.encoder.frame` makes them.
+
+    ``memory`` is that before the next frame; ``pictures`` are the first frame's.
+    """
+
+    def __init__(self, pictures: Sequence[np.ndarray], settings: MaskSettings) -> None:
+        self.memory, self.settings = MaskMemory.begin(pictures), settings
+
+    def masks(self, pictures: Sequence[np.ndarray]) -> list[FrameMask]:
+        changes = self.memory.pixel_changes(pictures, self.settings)
+        return self.memory.masks(pictures, changes, self.settings)
+
+    def trained(self, pictures: Sequence[np.ndarray], masks: Sequence[FrameMask], *, moved: bool) -> None:
+        self.memory = self.memory.trained(pictures, masks, moved=moved)
+
+    def passed(self, pictures: Sequence[np.ndarray]) -> None:
+        self.memory = self.memory.advance(pictures, [], self.settings)
 
 
 @pytest.fixture(autouse=True)
