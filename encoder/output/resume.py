@@ -169,8 +169,8 @@ def difference_of(was: Mapping[str, Any], now: Mapping[str, Any], other: str = "
     if was == now:
         return ""
     name, before, after = _difference(was, now)
-    if after is None and name.startswith("frame.") and not hasattr(_FRAME, name.split(".")[1]):
-        return f"was begun by another release of decogs, with a setting {name}"
+    if name.startswith("frame.") and not hasattr(_FRAME, name.split(".")[1]):
+        return f"was begun by another release of decogs: this one has no setting {name}"
     asked = next((f" ({asked})" for start, asked in _PARAMETERS.items() if name.startswith(start)), "")
     return f"was begun with {name} {_short(before)}, {other} {_short(after)}{asked}"
 

@@ -240,7 +240,7 @@ def test_settings_of_another_release_are_refused(
     for packet in frames:
         stream.write(packet.kind, packet.frame, packet.payload)
     output = part(tmp_path, earlier.getvalue())
-    with pytest.raises(UsageError, match=r"was begun by another release of decogs, with a setting frame\.cache_itera"):
+    with pytest.raises(UsageError, match=r"was begun by another release of decogs: this one has no setting frame\.ca"):
         encode_rig(moving_rig, output, resume=True, settings=tiny_settings, holdout=["cam02"])
 
 
