@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from decogs.codec.state import State
-from decogs.formats.splats import FloatArray
 
 from ..change.masks import MaskMemory
 from ..coding.rate_control import RateControl
@@ -26,7 +25,7 @@ class BeforeFlash:
 
     since: int
     state: State
-    motion: FloatArray
+    motion: Motion
     masks: MaskMemory
 
 

@@ -13,7 +13,7 @@ from decogs.formats.cameras import in_picture, project
 from decogs.formats.splats import FloatArray, Splats
 
 from ..backends import Drawable, Gradients, ViewGradients
-from ..change.masks import FrameMask, showing
+from ..change.masks import FrameMask, usable_views
 from ..input.ingest import View
 from ..parallel import side_by_side
 from ..settings.frame import FocusWeights, FrameSettings
@@ -149,7 +149,7 @@ def frame_training(context: TrainingContext, frame: FrameInput, loss: LossOfView
     with side_by_side(context.threads) as each:
         losses = list(each(of_view, frame.pictures, frame.masks, context.views))
     random = np.random.default_rng((context.seed, frame.index))
-    return FrameTraining(context, frame, losses, showing(frame.masks), random)
+    return FrameTraining(context, frame, losses, usable_views(frame.masks), random)
 
 
 def _pixels(picture: FloatArray, places: NDArray[np.int64]) -> FloatArray:
