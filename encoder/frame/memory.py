@@ -43,7 +43,7 @@ class Memory:
     corrections: CorrectionMemory | None
     rate: RateControl | None
     time: TimeControl | None
-    stage: PlainStage | None
+    stage: PlainStage | None = None
     before_flash: BeforeFlash | None = None
     first: RigFrame | None = None
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..change.masks import showing
+from ..change.masks import usable_views
 from ..coding.scene import Scene
 from ..stopwatch import Stopwatch
 from ..training.method import FrameInput, FreeSpace, TrainedFrame
@@ -79,4 +79,4 @@ def _free_space(context: Context, event: Event, plan: FramePlan, frame: PendingF
     stage = event.memory.stage
     if stage is None or event.kind is not Kind.CHANGE:
         return None
-    return stage.in_frame(context.ingest.views, frame.pictures, showing(plan.selection.masks)).free
+    return stage.in_frame(context.ingest.views, frame.pictures, usable_views(plan.selection.masks)).free
