@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..first_points.depth_filling import push_pull
+from ...input.filling import push_pull
 from ..first_points.views import Array, floats
 
 BoolArray = NDArray[np.bool_]
