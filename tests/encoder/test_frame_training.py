@@ -13,7 +13,7 @@ from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.methods.decogs import DecogsTrainer
 from decogs.encoder.methods.paper import PaperTrainer
 from decogs.encoder.settings.cache import CacheSettings
-from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings, IterationSettings
+from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings, IterationSettings, SignificanceSettings
 from decogs.encoder.training.method import TrainedFrame
 from decogs.encoder.training.schedule import MIN_STEPS, StoppingRule
 from decogs.encoder.training.warm_start import shared_displacements
@@ -218,6 +218,23 @@ def test_what_the_scene_misses_at_its_start_makes_a_frame_longer_or_shorter(case
     assert steps([1 - picture for picture in shown], 0.0) == 30
 
 
+def test_only_what_light_alone_changes_needs_more_to_move(case: Case) -> None:
+    """A change that is just significant stays where things move; colours have the same threshold everywhere."""
+    settings = replace(DIRECT, significance=SignificanceSettings(threshold=30.0))
+    count = len(case.scene)
+    given: list[Any] = [None, np.zeros(count, bool), case.selected]
+    whole, nobody, everybody = (case.train(settings, light_only=light_only) for light_only in given)
+    assert bits(whole.values) == bits(nobody.values)
+
+    def changed(frame: TrainedFrame, name: str) -> int:
+        return int((getattr(frame.values, name) != getattr(case.scene, name)[frame.kept]).sum())
+
+    for name in ("means", "log_scales"):
+        assert changed(everybody, name) < changed(whole, name)
+    for name in ("opacity_logits", "sh"):
+        assert changed(everybody, name) == changed(whole, name)
+
+
 @pytest.mark.parametrize("settings", [MOVING, DIRECT], ids=["cache", "direct"])
 def test_a_deadline_gone_by_leaves_the_least_of_every_stage(case: Case, settings: FrameSettings) -> None:
     told: list[tuple[str, int]] = []
@@ -227,3 +244,5 @@ def test_a_deadline_gone_by_leaves_the_least_of_every_stage(case: Case, settings
     stages = ["joint"] if settings.cache is None else ["cache", "joint"]
     assert told == [(stage, step) for stage in stages for step in range(MIN_STEPS)]
     assert error(case, applied(case.scene, frame)) < error(case, case.scene)
+    assert frame.truncated
+    assert not case.train(settings).truncated

@@ -22,7 +22,8 @@ from decogs.decoder.stream import open_stream
 from decogs.encoder import PRESETS, CorrectionSettings, EffectChoice, EncodeSettings, Targets, join
 from decogs.encoder.commands import encode_main, join_main
 from decogs.encoder.keyframe.train import train_keyframe
-from decogs.encoder.parts.manifest import part_frames, read_part
+from decogs.encoder.parts.manifest import Part, made_with, part_frames, read_part
+from decogs.encoder.settings.effects import PRESET_EFFECTS
 from decogs.encoder.settings.frame import SignificanceSettings
 from decogs.encoder.settings.reading import read_settings
 from decogs.formats.container import PacketKind
@@ -145,6 +146,22 @@ def test_a_range_of_the_rig_and_a_keyframe_of_an_earlier_stream(
     made = [make(tmp_path / "key.dgs", (0, 1), keyframe=moving.path, **chosen)]
     made += [make(tmp_path / f"{a}.dgs", (a, a + 1), keyframe=made[0], **chosen) for a in (1, 2)]
     join(made, tmp_path / "joined.dgs")
+    assert (tmp_path / "joined.dgs").read_bytes() == one.read_bytes()
+
+
+def test_a_take_that_begins_later_counts_its_segments_from_there(make: Make, tmp_path: Path) -> None:
+    """Keyframe, cross-fade, metrics and all, from an odd frame with segments of two."""
+    chosen = {"frames": slice(1, 6), "metrics": True}
+    one = make(tmp_path / "one.dgs", **chosen)
+    made = [make(tmp_path / "key.dgs", (1, 2), **chosen)]
+    made += [make(tmp_path / f"{a}.dgs", (a, b), keyframe=made[0], **chosen) for a, b in [(1, 3), (3, 5), (5, 6)]]
+    join(made, tmp_path / "joined.dgs")
+    assert (tmp_path / "joined.dgs").read_bytes() == one.read_bytes()
+
+
+def test_a_take_of_one_frame_is_a_part_and_joined(make: Make, tmp_path: Path) -> None:
+    one = make(tmp_path / "one.dgs", frames=slice(1))
+    join([make(tmp_path / "key.dgs", (0, 1), frames=slice(1))], tmp_path / "joined.dgs")
     assert (tmp_path / "joined.dgs").read_bytes() == one.read_bytes()
 
 
@@ -452,6 +469,7 @@ def test_what_is_no_part(make: Make, tmp_path: Path, options: dict[str, Any], me
         ({"targets": Targets(quality=60)}, "key.dgs: it was begun with frame.significance.threshold"),
         ({"frames": slice(0, 6), "only": (4, 6)}, "key.dgs: it is a part of frames 0 to 6, not of frames 0 to 5"),
         ({"effects": EffectChoice("none", {"motion"})}, "key.dgs: it was begun with other effects"),
+        ({"effects": EffectChoice("none", set(PRESET_EFFECTS))}, "key.dgs: it was begun with other effects"),
     ],
 )
 def test_parts_have_the_options_of_their_keyframe(
@@ -471,6 +489,13 @@ def test_parts_have_the_pictures_and_releases_of_their_keyframe(
     monkeypatch.setattr(np, "__version__", "1.0")
     with pytest.raises(UsageError, match=rf"it was made with numpy {np.version.version}, not 1.0"):
         make(tmp_path / "part.dgs", (4, 7), keyframe=key)
+
+
+def test_parts_have_the_device_of_their_keyframe() -> None:
+    """Since a GPU gives other bits; "auto" is the processor."""
+    cpu, auto, cuda = (Part(range(2), range(4), {}, "", made_with(device)) for device in ("cpu", "auto", "cuda"))
+    assert cpu.difference(auto) == ""
+    assert cpu.difference(cuda) == "it was made with device cpu, not cuda"
 
 
 def cut(path: Path, copy: Path, change: Callable[[bytearray], Any]) -> Path:
@@ -592,11 +617,15 @@ def test_settings_are_read_as_they_were_written(name: str) -> None:
 
 
 def test_what_the_keyframe_cost_is_not_paid_again(
-    make: Make, key: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    make: Make, settings: EncodeSettings, key: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Nor does it matter to a part with what settings it would have been trained."""
+
     def never(*_: Any, **__: Any) -> None:
         raise AssertionError("a part trains no keyframe")
 
     monkeypatch.setattr(f"{train_keyframe.__module__}.train_keyframe", never)
     monkeypatch.setattr("decogs.encoder.keyframe.first_frame.train_keyframe", never)
-    make(tmp_path / "part.dgs", (6, 7), keyframe=key)
+    other = replace(settings, keyframe=replace(settings.keyframe, iterations=300), lattice_scale=2.0)
+    made = [make(tmp_path / f"{n}.dgs", (6, 7), keyframe=key, settings=s) for n, s in enumerate((settings, other))]
+    assert made[0].read_bytes() == made[1].read_bytes()

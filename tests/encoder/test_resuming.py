@@ -165,6 +165,14 @@ def test_a_whole_stream_is_left_as_it_is(encode: Any, moving: Any, moving_rig: P
     assert output.read_bytes() == moving.data
 
 
+def test_a_stream_that_only_lacks_its_end_gets_it(encode: Any, moving: Any, moving_rig: Path, tmp_path: Path) -> None:
+    """As a copy that was cut off lacks it: all frames are there."""
+    output = tmp_path / "scene.dgs"
+    output.write_bytes(moving.data[: ends(moving.path)[4]])
+    resumed = encode(moving_rig, output=output, resume=True, on_keyframe_step=never)
+    assert (resumed.data, resumed.report.resumed) == (moving.data, 4)
+
+
 def test_more_frames_can_be_added(encode: Any, moving: Any, moving_rig: Path, tmp_path: Path) -> None:
     output = tmp_path / "scene.dgs"
     encode(moving_rig, output=output, stop=2)
