@@ -14,6 +14,7 @@ from decogs.encoder.methods.decogs import DecogsTrainer
 from decogs.encoder.methods.paper import PaperTrainer
 from decogs.encoder.settings.cache import CacheSettings
 from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings, IterationSettings, SignificanceSettings
+from decogs.encoder.training.frame_training import FrameTraining
 from decogs.encoder.training.method import TrainedFrame
 from decogs.encoder.training.schedule import MIN_STEPS, StoppingRule
 from decogs.encoder.training.warm_start import shared_displacements
@@ -128,6 +129,21 @@ def test_one_view_with_the_place_in_its_focus_is_enough(case: Case) -> None:
     frame = replace(case, scene=scene).train(settings, masks=masks)
     np.testing.assert_array_equal(frame.added.means, free.added.means)
     assert (frame.added.means != bound.added.means).any()
+
+
+@pytest.mark.parametrize(
+    ("settings", "expected"),
+    [(MOVING, [("cache", step) for step in range(20, 30)]), (DIRECT, [("joint", step) for step in range(7, 15)])],
+    ids=["last third of stage 1", "second quarter"],
+)
+def test_growth_goes_by_gradients_shortly_before_it(
+    case: Case, monkeypatch: pytest.MonkeyPatch, settings: FrameSettings, expected: list[tuple[str, int]]
+) -> None:
+    drawn: list[tuple[str, int]] = []
+    gathered: list[tuple[str, int]] = []
+    monkeypatch.setattr(FrameTraining, "gather", lambda *_: gathered.append(drawn[-1]))
+    case.train(settings, stopping=StoppingRule(on_loss=lambda stage, step, loss: drawn.append((stage, step))))
+    assert gathered == expected
 
 
 def test_growth_is_limited_by_gradient_and_share(case: Case) -> None:
