@@ -286,6 +286,40 @@ def test_what_is_there_is_left_out_unless_its_recordings_are_newer(
     assert told == [(4, 6), (4, 6), (6, 6), (6, 6)]
 
 
+def test_an_older_keyframe_than_its_recordings_is_refused(
+    here: Any, rig: Path, tiny_settings: Any, tmp_path: Path
+) -> None:
+    key = tmp_path / "scene.dgs.parts" / "key.dgs"
+    key.parent.mkdir()
+    encode(rig, key, tiny_settings, frames=slice(4), only=range(1), segment=SEGMENT, closed=True, threads=1)
+    os.utime(key, (0, 0))
+    with pytest.raises(UsageError, match=r"key.dgs: the first frame's recordings are newer; delete it and the parts"):
+        here(resume=True)
+    assert key.exists()
+
+
+@pytest.mark.parametrize(
+    "options", [{"frames": slice(6)}, {"holdout": ["cam02"]}, {"metrics": True}, {"seed": 1}, {"scale": 0.5}]
+)
+def test_what_is_there_of_other_options_is_refused(
+    here: Any, rig: Path, tiny_settings: Any, tmp_path: Path, options: dict[str, Any]
+) -> None:
+    key = tmp_path / "scene.dgs.parts" / "key.dgs"
+    key.parent.mkdir()
+    encode(rig, key, tiny_settings, frames=slice(4), only=range(1), segment=SEGMENT, closed=True, threads=1)
+    with pytest.raises(UsageError, match=rf"scene.dgs.parts: its encode had another `{next(iter(options))}`"):
+        here(resume=True, **options)
+    assert key.exists()
+
+
+def test_what_a_part_fails_of_is_told_in_one_line(here: Any, tmp_path: Path) -> None:
+    (tmp_path / "key.ply").write_bytes(b"no ply")
+    with pytest.raises(UsageError, match=r"key\.ply") as raised:
+        here(keyframe=tmp_path / "key.ply")
+    assert "\n" not in str(raised.value)
+    assert not (tmp_path / "scene.dgs").exists()
+
+
 def test_a_stream_to_be_resumed_is_not_joined_over(here: Any, moving: Any, tmp_path: Path) -> None:
     growing = tmp_path / "scene.dgs.part"
     growing.write_bytes(moving.data[:-100])
@@ -323,14 +357,19 @@ def test_who_may_connect_to_ray_is_said(monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def test_a_part_is_tried_three_times(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With what Ray is asked, and nothing of Ray."""
-    full, good = Outcome(problem="the disk is full", again=True), Outcome(b"a part")
-    outcomes = [full, full, good, full, full, full]
+    """With what Ray is asked, and nothing of Ray: where its machine is full, where Ray has lost it."""
+    full, good, lost = Outcome(problem="the disk is full", again=True), Outcome(b"a part"), OSError("node 3 died")
+    outcomes = [full, lost, good, lost, lost, full]
     given: list[Any] = []
 
-    def task(number: int, _: Any, *what: Any) -> Outcome:
+    def task(number: int, _: Any, *what: Any) -> Outcome | OSError:
         given.append((number, *what))
         return outcomes.pop(0)
+
+    def get(value: Any, **_: Any) -> Any:
+        if value is lost:
+            raise lost
+        return value
 
     def later(call: Callable[..., Any]) -> Any:
         return SimpleNamespace(remote=call)
@@ -342,9 +381,9 @@ def test_a_part_is_tried_three_times(monkeypatch: pytest.MonkeyPatch) -> None:
         shutdown=lambda: None,
         remote=lambda **_: lambda what: later(task if what is ray_engine._task else lambda: board),
         put=lambda value: value,
-        get=lambda value, **_: value,
+        get=get,
         wait=lambda references, **_: (references, []),
-        exceptions=SimpleNamespace(RayError=OSError),
+        exceptions=SimpleNamespace(RayError=OSError, RayTaskError=ConnectionError),
     )
     monkeypatch.setitem(sys.modules, "ray", ray)
     job, part = EncodeJob("rig", "scene.dgs"), range(2, 4)
@@ -389,23 +428,27 @@ def test_what_a_task_was_given_may_be_lost(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_an_outcome_says_whether_to_try_again(
-    rig: Path, settings: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    rig: Path, tiny_settings: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    job = EncodeJob(str(rig), tmp_path / "part.dgs", replace(settings, segment=SEGMENT, closed=True), threads=1)
+    job = EncodeJob(str(rig), tmp_path / "part.dgs", replace(tiny_settings, segment=SEGMENT, closed=True), threads=1)
     told: list[int] = []
     outcome = run_part(job, range(1), None, told.append)
     assert (outcome.problem, outcome.again, told) == ("", False, [1])
-    assert outcome.data
+    key = outcome.data
+    assert key
+    assert run_part(job, range(2, 4), key, told.append).data
+    assert told == [1, 1, 2], "the keyframe is none of the part's frames"
     lacking = run_part(job, range(2, 4), None, told.append)
     assert "parts after the first start from its keyframe" in lacking.problem
     assert not lacking.again
 
-    def full(*_: Any, **__: Any) -> None:
-        raise TryAgainError("the disk is full")
+    for error in (TryAgainError("the disk is full"), OSError("no space left"), MemoryError("out of memory")):
 
-    monkeypatch.setattr("decogs.encoder.cluster.tasks.encode", full)
-    again = run_part(job, range(1), None, told.append)
-    assert (again.problem, again.again) == ("the disk is full", True)
+        def fail(*_: Any, error: Exception = error, **__: Any) -> None:
+            raise error
+
+        monkeypatch.setattr("decogs.encoder.cluster.tasks.encode", fail)
+        assert run_part(job, range(1), None, told.append) == Outcome(problem=str(error), again=True)
 
     def warning(job: EncodeJob, *, on_warning: Callable[[str], None], **_: Any) -> None:
         on_warning("cam03 is dark")

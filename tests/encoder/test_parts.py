@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 from decogs.codec.corrections import Correction
+from decogs.codec.header import StreamHeader
 from decogs.decoder.stream import open_stream
 from decogs.encoder import PRESETS, CorrectionSettings, EffectChoice, EncodeSettings, Targets, join
 from decogs.encoder.commands import encode_main, join_main
@@ -26,7 +27,7 @@ from decogs.encoder.parts.manifest import Part, made_with, part_frames, read_par
 from decogs.encoder.settings.effects import PRESET_EFFECTS
 from decogs.encoder.settings.frame import SignificanceSettings
 from decogs.encoder.settings.reading import read_settings
-from decogs.formats.container import PacketKind
+from decogs.formats.container import FRAME_KINDS, PacketKind, StreamWriter
 from decogs.formats.errors import UsageError
 from encode_rig import encode_rig as encode
 from packets import iterate_packets
@@ -364,8 +365,9 @@ def test_codes_tell_whether_to_try_again(
     assert command("--only", "3:4", "--keyframe", str(tmp_path / "key.dgs")) == 2
     assert command("--only", "2:4", "--keyframe", str(tmp_path / "none.dgs")) == 2
     assert capsys.readouterr().err.count("\n") == 3
-    assert command(*part) == 0
-    assert "part with frames 2 to 3" in capsys.readouterr().out
+    for said in ("part with frames 2 to 3", "all 2 frames were already encoded"):
+        assert command(*part) == 0
+        assert said in capsys.readouterr().out
     assert sorted(path.name for path in tmp_path.iterdir()) == ["key.dgs", "part.dgs"]
 
 
@@ -491,6 +493,18 @@ def test_parts_have_the_pictures_and_releases_of_their_keyframe(
         make(tmp_path / "part.dgs", (4, 7), keyframe=key)
 
 
+@pytest.mark.parametrize(
+    "change", [{"effects": ("motion",)}, {"detect_per_frame": False}, {"corrections": CorrectionSettings()}]
+)
+def test_parts_have_the_effects_of_their_keyframe(
+    make: Make, settings: EncodeSettings, key: Path, tmp_path: Path, change: dict[str, Any]
+) -> None:
+    """Where the settings say which, and nothing is detected."""
+    message = "key.dgs: it was begun with (effects|detect_per_frame|corrections)"
+    with pytest.raises(UsageError, match=message):
+        make(tmp_path / "part.dgs", (4, 7), keyframe=key, settings=replace(settings, **change))
+
+
 def test_parts_have_the_device_of_their_keyframe() -> None:
     """Since a GPU gives other bits; "auto" is the processor."""
     cpu, auto, cuda = (Part(range(2), range(4), {}, "", made_with(device)) for device in ("cpu", "auto", "cuda"))
@@ -532,6 +546,43 @@ def test_damaged_parts_are_named(parts: list[Path], tmp_path: Path) -> None:
         damaged = cut(parts[1], tmp_path / "damaged.dgs", change)
         refused([parts[0], damaged, parts[2]], tmp_path, r"damaged.dgs: the part is damaged \(.*\); encode it again")
         damaged.unlink()
+
+
+def rewritten(
+    path: Path, copy: Path, *, frames: Sequence[int] | None = None, first: Callable[[bytes], bytes] = bytes
+) -> Path:
+    """A part as a whole stream, with other ``frames`` in its manifest or another ``first`` keyframe."""
+    with path.open("rb") as file, copy.open("wb") as other:
+        header, *packets = iterate_packets(file)
+        known = StreamHeader.from_bytes(header.payload)
+        manifest = known.settings["part"] | ({} if frames is None else {"frames": list(frames)})
+        writer = StreamWriter(other, replace(known, settings={**known.settings, "part": manifest}).to_bytes())
+        for packet in packets:
+            if packet.kind in FRAME_KINDS:
+                writer.write(packet.kind, packet.frame, packet.payload if packet.frame else first(packet.payload))
+        writer.finish()
+    return copy
+
+
+@pytest.mark.parametrize(
+    ("given", "frames", "problem"),
+    [
+        (1, (2, 6), "3 of its 5 frame packets are there"),
+        (1, (2, 3), "3 of its 2 frame packets are there"),
+        (0, (1, 2), "it does not begin with a keyframe"),
+    ],
+)
+def test_parts_that_are_not_what_their_manifest_says_are_named(
+    parts: list[Path], tmp_path: Path, given: int, frames: tuple[int, int], problem: str
+) -> None:
+    other = rewritten(parts[given], tmp_path / "other.dgs", frames=frames)
+    refused([other], tmp_path, rf"other.dgs: the part is damaged \({problem}\); encode it again")
+
+
+def test_parts_that_begin_with_other_keyframes_are_named(parts: list[Path], tmp_path: Path) -> None:
+    """As a GPU trains them, other ones every time: all else is the same."""
+    other = rewritten(parts[1], tmp_path / "other.dgs", first=lambda payload: payload[:-1] + b"!")
+    refused([parts[0], other, parts[2]], tmp_path, "other.dgs: it does not .*: it starts from another first keyframe")
 
 
 def test_foreign_parts_are_named(
