@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -232,6 +234,29 @@ def test_what_the_scene_misses_at_its_start_makes_a_frame_longer_or_shorter(case
     # Strides of a third of a step add up to 30 with rounding.
     assert steps(case.pictures, 1e-6) in (90, 91)
     assert steps([1 - picture for picture in shown], 0.0) == 30
+
+
+def test_errors_are_measured_in_four_views_where_time_is_short(case: Case) -> None:
+    """Each is drawn twice; else in every third view."""
+    trainer = case.trainer(DIRECT)
+    assert isinstance(trainer, DecogsTrainer)
+    trainer._step_seconds = 1.0
+    for seconds, views in ((20, 4), (60, 7)):
+        stopping = StoppingRule(deadline=time.perf_counter() + seconds)
+        training: Any = SimpleNamespace(frame=SimpleNamespace(stopping=stopping), settings=DIRECT, used=range(10, 30))
+        assert len(trainer._probes(training)) == views
+
+
+@pytest.mark.parametrize("settings", [MOVING, DIRECT], ids=["cache", "direct"])
+def test_a_target_that_is_reached_ends_the_frame(case: Case, settings: FrameSettings) -> None:
+    """Once every view was drawn, where nothing is reverted; stage 1 goes on to its end."""
+    told: list[str] = []
+    settings = replace(settings, significance=SignificanceSettings(threshold=0.0))
+    for target, steps in ((1.0, len(case.pictures)), (99.0, 30)):
+        told.clear()
+        stopping = StoppingRule(target_psnr=target, on_loss=lambda stage, step, loss: told.append(stage))
+        case.train(settings, stopping=stopping)
+        assert (told.count("cache"), told.count("joint")) == (0 if settings.cache is None else 30, steps)
 
 
 def test_only_what_light_alone_changes_needs_more_to_move(case: Case) -> None:
