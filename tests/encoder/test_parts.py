@@ -27,7 +27,7 @@ from decogs.encoder.parts.manifest import Part, made_with, part_frames, read_par
 from decogs.encoder.settings.effects import PRESET_EFFECTS
 from decogs.encoder.settings.frame import SignificanceSettings
 from decogs.encoder.settings.reading import read_settings
-from decogs.formats.container import FRAME_KINDS, PacketKind, StreamWriter
+from decogs.formats.container import FRAME_KINDS, MAX_FRAME, PacketKind, StreamWriter
 from decogs.formats.errors import UsageError
 from encode_rig import encode_rig as encode
 from packets import iterate_packets
@@ -577,6 +577,19 @@ def test_parts_that_are_not_what_their_manifest_says_are_named(
 ) -> None:
     other = rewritten(parts[given], tmp_path / "other.dgs", frames=frames)
     refused([other], tmp_path, rf"other.dgs: the part is damaged \({problem}\); encode it again")
+
+
+@pytest.mark.parametrize("frame", [0, 2, MAX_FRAME])
+def test_metrics_of_another_frame_are_named(parts: list[Path], tmp_path: Path, frame: int) -> None:
+    """Behind the part's frame 1; the last one would have a number that no packet has in the joined stream."""
+    with parts[1].open("rb") as file, (tmp_path / "other.dgs").open("wb") as other:
+        header, key, mine, *_ = iterate_packets(file)
+        writer = StreamWriter(other, header.payload)
+        for packet, number in ((key, 0), (mine, 1)):
+            writer.write(packet.kind, number, packet.payload)
+        writer.write(PacketKind.METRICS, frame, b"{}")
+    problem = f"frame {frame} where frame 1 must come"
+    refused([tmp_path / "other.dgs"], tmp_path, rf"other.dgs: the part is damaged \({problem}.*\); encode it again")
 
 
 def test_parts_that_begin_with_other_keyframes_are_named(parts: list[Path], tmp_path: Path) -> None:
