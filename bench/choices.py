@@ -8,7 +8,6 @@ table.
 from __future__ import annotations
 
 from decogs.encoder.analysis import EffectChoice
-from decogs.encoder.settings.cache import CacheSettings
 from decogs.encoder.settings.frame import IterationSettings, SignificanceSettings
 
 from .timing import TIMINGS
@@ -21,10 +20,6 @@ _BOTH = (_QUALITY + _COST,)
 
 def _warm(share: float) -> dict[str, object]:
     return {"frame.warm_start": share}
-
-
-def _cache(rate: float) -> dict[str, object]:
-    return {"frame.cache": CacheSettings(learning_rate=rate)}
 
 
 _AUTO = EffectChoice("auto")
@@ -95,14 +90,11 @@ QUESTIONS = (
         "cache",
         "Neural transformation cache",
         "None, with and without the warm start; or the paper's two stages (method paper) on the preset's masks and "
-        "selection, with its joint_iterations, at the cache's own rate and at five times. The paper's method seeds no "
-        "new objects and reverts no insignificant change, so that those rows have more bytes.",
+        "selection, with its joint_iterations. The paper's method seeds no new objects and reverts no insignificant "
+        "change, so that its row has more bytes.",
         (
             *(Variant(f"cache-none-warm{w:g}", f"none, warm start {w:g}", _warm(w)) for w in (0.0, 0.9)),
-            *(
-                Variant(f"cache-rate{rate:g}", f"its rate {rate:g}", _cache(rate), method="paper")
-                for rate in (2e-3, 1e-2)
-            ),
+            Variant("cache-paper", "the paper's method", method="paper"),
         ),
         _BOTH,
     ),

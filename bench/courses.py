@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from decogs.encoder.output.convergence_log import ConvergenceLog
 from decogs.formats.outputs import write_whole
 
-from .rounding import rounded
+from .estimates import rounded
 
 _LATER = ("cache", "joint")
 """Stages of a later frame's training, as the log calls them."""

@@ -11,9 +11,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from .estimates import NOTHING, Estimate, estimate, written
+from .estimates import NOTHING, Estimate, estimate, rounded, written
 from .plans import RigResults
-from .rounding import rounded
 from .runs import Run
 from .tables import COLUMNS, markdown
 from .variants import Question, Variant

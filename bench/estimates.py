@@ -1,4 +1,4 @@
-"""A figure over several seeds: its mean, and the standard error of that mean.
+"""Figures of a report: rounded in its files, and over several seeds with the standard error of their mean.
 
 Chosen: two standard errors as the mark of a difference, because anyone can check it against the figure beside it. It is
 a weak mark with few seeds: where two rows do not differ, 18 % of the differences over three seeds lie beyond it by
@@ -12,6 +12,7 @@ import math
 import statistics
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 NOTHING = "–"
 
@@ -57,3 +58,12 @@ def about_seeds(seeds: Sequence[int]) -> str:
         f"Figures are means over the seeds {', '.join(map(str, seeds))}, ± the standard error of that mean (sample "
         "standard deviation over the root of their number)."
     )
+
+
+def rounded(value: Any) -> Any:
+    """Floats to seven significant digits, in lists and mappings, too."""
+    if isinstance(value, dict):
+        return {name: rounded(entry) for name, entry in value.items()}
+    if isinstance(value, list):
+        return [rounded(entry) for entry in value]
+    return float(f"{value:.7g}") if isinstance(value, float) else value

@@ -36,10 +36,10 @@ from decogs.formats.rigs import open_rig
 from decogs.formats.splats import Splats
 from decogs.formats.threads import thread_count
 
+from .estimates import rounded
 from .machine import code_version, machine_facts
 from .metrics import BytePicture, Mask, psnr, square_error_map
 from .regions import held_out_pictures
-from .rounding import rounded
 from .runs import digest, document, read_document, result_name
 from .surfaces import Surfaces, in_two, midway
 

@@ -19,10 +19,10 @@ from decogs.encoder.psnr import psnr_of
 from decogs.formats.outputs import write_whole
 from decogs.formats.splats import FloatArray, Splats
 
+from .estimates import rounded
 from .machine import code_version
 from .metrics import BytePicture
 from .regions import held_out_pictures
-from .rounding import rounded
 from .runs import RigBench
 from .variants import Variant
 

@@ -13,10 +13,10 @@ from decogs.decoder.stream import Stream, open_stream
 from decogs.formats.outputs import write_whole
 from decogs.formats.splats import Splats
 
+from .estimates import rounded
 from .machine import code_version
 from .measuring import FrameQuality
 from .rivals.sequences import Frames, Rival, SceneFrame, Sizes
-from .rounding import rounded
 from .runs import RigBench, Run, digest, document, read_document
 from .tables import mean
 from .variants import Variant

@@ -50,12 +50,12 @@ from decogs.formats.splats import Splats
 from decogs.formats.threads import thread_count
 
 from .courses import Course, course, read_course, recorded_course, write_course
+from .estimates import rounded
 from .machine import code_version, load, machine_facts
 from .measuring import FrameQuality, HeldOut, StreamQuality, measure_scenes
 from .metrics import BytePicture
 from .perceptual import installed_network, perceptual_distance
 from .regions import Regions, find_regions, held_out_pictures, static_column
-from .rounding import rounded
 from .timing import TIMINGS, retimed
 from .variants import Variant, settings_of
 

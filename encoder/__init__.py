@@ -11,7 +11,7 @@ from .output.progress import TerminalProgress
 from .output.reports import EncodeReport, FrameReport
 from .packing import PackReport, pack
 from .parts.joining import JoinReport, join
-from .settings.compensation import CorrectionSettings
+from .settings.effects import CorrectionSettings
 from .settings.encode import EncodeSettings
 from .settings.presets import PRESETS
 from .switches import Switches

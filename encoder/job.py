@@ -11,7 +11,7 @@ from decogs.formats.frame_ranges import Frames
 from decogs.formats.rigs import Rig
 
 from .analysis import EffectChoice
-from .settings.compensation import CorrectionSettings
+from .settings.effects import CorrectionSettings
 from .settings.encode import EncodeSettings
 from .switches import Switches
 from .targets import Targets

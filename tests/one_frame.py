@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -36,11 +36,19 @@ def training_context(kernel: Any, views: Sequence[Any], static_views: Sequence[A
     return TrainingContext(kernel, views, static_views, **(given | other))
 
 
+Trainer = DecogsTrainer | PaperTrainer
+NewTrainer = Callable[[TrainingContext], Trainer]
+
+
 def sparse_trainer(
-    kernel: Any, views: Sequence[Any], static_views: Sequence[Any], settings: FrameSettings, **other: Any
-) -> DecogsTrainer | PaperTrainer:
-    """A trainer whose frames have these ``settings`` unless they say otherwise (`train`); the paper's, with a cache."""
-    new = DecogsTrainer if settings.cache is None else PaperTrainer
+    kernel: Any,
+    views: Sequence[Any],
+    static_views: Sequence[Any],
+    settings: FrameSettings,
+    new: NewTrainer = DecogsTrainer,
+    **other: Any,
+) -> Trainer:
+    """A trainer whose frames have these ``settings`` unless they say otherwise (`train`)."""
     whole = replace(EncodeSettings(), frame=settings)
     return new(training_context(kernel, views, static_views, settings=whole, **other))
 
@@ -87,15 +95,23 @@ class Case:
             view.redraw()
         return views
 
-    def trainer(self, settings: FrameSettings, *, threads: int = 2, seed: int = 0) -> DecogsTrainer | PaperTrainer:
+    def trainer(
+        self, settings: FrameSettings, new: NewTrainer = DecogsTrainer, *, threads: int = 2, seed: int = 0
+    ) -> Trainer:
         kernel = CpuKernel(threads)
         views, watch = self.ingest.views, self.static_views(kernel)
-        return sparse_trainer(kernel, views, watch, settings, box=BOX, seed=seed, threads=threads)
+        return sparse_trainer(kernel, views, watch, settings, new, box=BOX, seed=seed, threads=threads)
 
     def train(
-        self, settings: FrameSettings, *, everywhere: bool = True, threads: int = 2, **other: Any
+        self,
+        settings: FrameSettings,
+        new: NewTrainer = DecogsTrainer,
+        *,
+        everywhere: bool = True,
+        threads: int = 2,
+        **other: Any,
     ) -> TrainedFrame:
-        trainer = self.trainer(settings, threads=threads, seed=other.pop("seed", 0))
+        trainer = self.trainer(settings, new, threads=threads, seed=other.pop("seed", 0))
         given: dict[str, Any] = {
             "scene": self.scene,
             "selected": self.selected,

@@ -30,9 +30,7 @@ def _without_motion(settings: EncodeSettings) -> EncodeSettings:
     pace = replace(frame.adaptive_iterations, min_factor=_LIGHT_MIN_FACTOR)
     return replace(
         settings,
-        frame=replace(
-            frame, cache=None, warm_start=0.0, rates=rates, significance=significance, adaptive_iterations=pace
-        ),
+        frame=replace(frame, warm_start=0.0, rates=rates, significance=significance, adaptive_iterations=pace),
     )
 
 

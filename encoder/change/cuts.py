@@ -19,42 +19,42 @@ import numpy as np
 
 from decogs.formats.splats import FloatArray
 
-_MIN_SAME_CORRELATION = 0.25
-"""Correlation, median over the views, from which on two frames show the same scene."""
+_MAX_CUT_CORRELATION = 0.25
+"""Correlation, median over the views, below which two frames show different scenes."""
 _MIN_EDGE_CONTRAST = 0.2
-"""Least root mean square of a picture's edges, in units of the contrast around them, in which there is a scene to
-train: pictures have .4 to .8, noise of three levels has less than .2."""
+"""Least root mean square of the edges, in units of the contrast around them, of a picture that shows a scene: pictures
+have .4 to .8, noise of three levels has less than .2."""
 _NOISE_CONTRAST = np.float32(4 / 255)
-"""Contrast that counts as much as noise and rounding."""
+"""Contrast of noise and rounding, 0 to 1, added to that around a pixel."""
 _SHRUNK_WIDTH_PIXELS = 320
 """Least width of a shrunk picture: more would cost seconds a frame where light changes all of large pictures."""
-_MIN_BLUR_PIXELS, _BLUR_PER_WIDTH = 1.5, 0.01
+_MIN_BLUR_PIXELS, _BLUR_WIDTHS = 1.5, 0.01
 """Deviation of the blur that removes wide structures: pixels at least, and a share of the shrunk picture's width."""
 
 
 def shows_another_scene(pictures: Sequence[FloatArray], before: Sequence[FloatArray]) -> bool:
     """Whether pictures (3, H, W), colours 0 to 1, share no edges with those of the same views ``before``."""
-    edges = [(_edges(now), _edges(was)) for now, was in zip(pictures, before, strict=True)]
+    edges = [(_edges(now), _edges(old)) for now, old in zip(pictures, before, strict=True)]
     if not edges:
         return False
     contrast = float(np.median([np.sqrt(np.square(now).mean()) for now, _ in edges]))
     correlation = float(np.median([_correlation(*pair) for pair in edges]))
-    return contrast > _MIN_EDGE_CONTRAST and correlation < _MIN_SAME_CORRELATION
+    return contrast > _MIN_EDGE_CONTRAST and correlation < _MAX_CUT_CORRELATION
 
 
 def _edges(picture: FloatArray) -> FloatArray:
-    """What is left of a picture without its light, shrunk: about 1 at an edge, 0 where nothing is to be seen."""
+    """The picture, shrunk, grey, high-pass filtered, in units of its contrast: about 1 at an edge, 0 on a flat area."""
     factor = max(1, picture.shape[2] // _SHRUNK_WIDTH_PIXELS)
     grey = np.clip(picture, 0, 1).mean(axis=0)
     if factor > 1:
         grey = cv2.resize(grey, None, fx=1 / factor, fy=1 / factor, interpolation=cv2.INTER_AREA)
     grey = cv2.GaussianBlur(grey, (0, 0), 1.0)
-    wide = max(_MIN_BLUR_PIXELS, _BLUR_PER_WIDTH * grey.shape[1])
-    narrow = grey - cv2.GaussianBlur(grey, (0, 0), wide)
-    contrast = np.sqrt(cv2.GaussianBlur(np.square(narrow), (0, 0), 2 * wide))
-    return np.asarray(narrow / (contrast + _NOISE_CONTRAST), np.float32)
+    sigma = max(_MIN_BLUR_PIXELS, _BLUR_WIDTHS * grey.shape[1])
+    high_pass = grey - cv2.GaussianBlur(grey, (0, 0), sigma)
+    contrast = np.sqrt(cv2.GaussianBlur(np.square(high_pass), (0, 0), 2 * sigma))
+    return np.asarray(high_pass / (contrast + _NOISE_CONTRAST), np.float32)
 
 
 def _correlation(one: FloatArray, other: FloatArray) -> float:
-    both = float(np.sqrt(np.square(one).sum(dtype=np.float64) * np.square(other).sum(dtype=np.float64)))
-    return float((one * other).sum(dtype=np.float64)) / both if both else 1.0
+    norms = float(np.sqrt(np.square(one).sum(dtype=np.float64) * np.square(other).sum(dtype=np.float64)))
+    return float((one * other).sum(dtype=np.float64)) / norms if norms else 1.0

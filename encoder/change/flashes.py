@@ -13,45 +13,41 @@ ids).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
 from decogs.formats.splats import FloatArray
 
 from ..settings.frame import MaskSettings
-from .masks import CLEARLY, MOST, MaskMemory, PixelChange, difference_mask, showing
+from .masks import CLEAR_CHANGE_LEVELS, MAX_NOISE_FRACTION, MaskMemory, PixelChange, difference_mask, usable_views
 
-_FLASH_SHARE = 0.5
-"""Share of changed pixels from which on a frame may be a flash."""
-_RETURN_SHARE = 0.25
-"""Share of pixels that may differ from before after a flash, since motion continues."""
+_MIN_FLASH_FRACTION = 0.5
+"""Least fraction of changed pixels in a flash."""
+_MAX_RETURN_FRACTION = 0.25
+"""Largest fraction of pixels that differ from before after a flash: motion continues."""
 MAX_FLASH_FRAMES = 8
 """Frames after which a light counts as permanent."""
 
 
 def may_be_flash(changes: Sequence[PixelChange]) -> bool:
     """Whether nearly everything has changed."""
-    seen = showing(changes)
-    return bool(seen) and float(np.mean([changes[index].raw.mean() for index in seen])) > _FLASH_SHARE
+    used = usable_views(changes)
+    return bool(used) and float(np.mean([changes[index].raw.mean() for index in used])) > _MIN_FLASH_FRACTION
 
 
 def matches(memory: MaskMemory, pictures: Sequence[FloatArray], settings: MaskSettings) -> bool:
     """Whether the ``pictures`` (3, H, W) of a frame are again those before a flash, whose ``memory`` was kept."""
-    return memory.changed_fraction(pictures, settings) < _RETURN_SHARE
+    return memory.changed_fraction(pictures, settings) < _MAX_RETURN_FRACTION
 
 
 def is_missed(
     memory: MaskMemory, pictures: Sequence[FloatArray], rendered: Sequence[FloatArray], changes: Sequence[PixelChange]
 ) -> bool:
     """Whether most pixels clearly changed and the scene, as ``rendered``, misses them, though no change was found."""
-    used = showing(changes)
+    used = usable_views(changes)
     if not used or any(change.raw.any() for change in changes):
         return False
-    missed = [
-        (
-            difference_mask(pictures[i], memory.references[i], CLEARLY)
-            & difference_mask(pictures[i], rendered[i], CLEARLY)
-        )
-        for i in used
-    ]
-    return float(np.median([mask.mean() for mask in missed])) > MOST
+    clearly = partial(difference_mask, threshold=CLEAR_CHANGE_LEVELS)
+    missed = [clearly(pictures[i], memory.references[i]) & clearly(pictures[i], rendered[i]) for i in used]
+    return float(np.median([mask.mean() for mask in missed])) > MAX_NOISE_FRACTION

@@ -23,28 +23,28 @@ from .noise import frame_noise
 
 BoolArray = NDArray[np.bool_]
 
-_LEVEL_SLACK = 1e-3
-"""Pictures that came from 8-bit files differ by whole levels, up to float32 rounding of about 3e-5 of a level; this
-slack keeps a difference of exactly tau on the unchanged side, as in integer arithmetic."""
+_ROUNDING_LEVELS = 1e-3
+"""Added to tau, so that a difference of exactly tau is no change: pictures from 8-bit files differ by whole levels, up
+to float32 rounding of some 3e-5 levels."""
+_TRAINED_ERROR_QUANTILE = 0.9
+"""Of the pixels' errors in a fully trained picture; edges and glare exceed it."""
+CLEAR_CHANGE_LEVELS = 25.0
+"""The paper's tau; noise of a deviation of 14 levels changes half of the pixels by so much."""
+MAX_NOISE_FRACTION = 0.5
+"""Fraction of clearly changed pixels beyond which a change is not noise."""
 
-_USUALLY = 0.9
-"""Quantile of the first frame's errors that counts as the usual one: edges and glare exceed it."""
-CLEARLY = 25.0
-"""Levels (the paper's threshold); noise of deviation 14 makes half of a picture's pixels differ by so much."""
-MOST = 0.5
-"""Share of clearly changed pixels beyond which a change is not noise."""
-
-_SPREADS = 0.3
-"""Least share that faint light must reach of the area away from other changes, itself at least this share of the
-picture. The shading of a moving object stays near it."""
-_EVERYWHERE, _FAINTEST = 0.75, 0.5
-"""Share of that area beyond which light changes everywhere, and the threshold there and where light alone changes, in
-units of the usual one: noise never reaches most of a picture at once, and what it changes everywhere shows most."""
-_GLIMMER = 0.03
-"""Least share, median over the views, that faint light must reach in a frame that light alone changes, for the next to
-look for light as faint. Video coding leaves changes at .016, a candle's light is at .038 and more."""
-_LIGHT_WINDOW = 7
-"""Side, in pixels, of the window that averages faint light: noise shrinks by this factor, light does not."""
+_MIN_LIGHT_FRACTION = 0.3
+"""Least fraction of the area outside other changes in which faint light counts, and least size of that area, as a
+fraction of the picture. The shading of a moving object stays below it."""
+_GLOBAL_LIGHT_FRACTION = 0.75
+"""Fraction of that area from which light changes the whole picture, which noise never does: a lower threshold holds."""
+_LOW_THRESHOLD_FACTOR = 0.5
+"""Of the usual threshold of faint light, where light changes the whole picture or was alone in changing the last."""
+_MIN_LIGHT_ONLY_FRACTION = 0.03
+"""Least fraction, median over the views, that faint light reaches in a frame that light alone changes. Below it is what
+video coding leaves, .016; a candle's light reaches .038 and more."""
+_LIGHT_WINDOW_PIXELS = 7
+"""Side of the window that averages faint light: it divides the deviation of noise by 7, and leaves light."""
 
 
 @dataclass(frozen=True)
@@ -63,19 +63,18 @@ class PixelChange:
 class FrameMask:
     """One view's masks, bool (H, W): ``raw`` is where the picture changed, ``dilated`` the region of interest.
 
-    The region of interest covers the changed pixels, faint light, and their surroundings.
-
-    ``faint_reach``: the share of the area away from other changes that the faintest light reaches. ``lost``: reason why
-    the picture does not show its frame (`input.dropouts`), with empty masks; "" otherwise.
+    The region of interest is the dilation of the changed pixels and of faint light. ``faint_light``: fraction of the
+    area outside other changes that light of the low threshold reaches. ``lost``: reason why the picture does not show
+    its frame (`input.dropouts`), with empty masks; "" otherwise.
     """
 
     raw: BoolArray
     dilated: BoolArray
-    faint_reach: float = 0.0
+    faint_light: float = 0.0
     lost: str = ""
 
 
-def showing(masks: Sequence[PixelChange | FrameMask]) -> list[int]:
+def usable_views(masks: Sequence[PixelChange | FrameMask]) -> list[int]:
     """The views whose pictures show their frame."""
     return [index for index, mask in enumerate(masks) if not mask.lost]
 
@@ -88,7 +87,7 @@ def difference_mask(current: FloatArray, previous: FloatArray, threshold: float)
     """
     if current.shape != previous.shape or current.ndim != 3 or current.shape[0] != 3:
         raise ValueError(f"pictures must be two (3, H, W) arrays, not {current.shape} and {previous.shape}")
-    limit = np.float32((threshold + _LEVEL_SLACK) / 255.0)
+    limit = np.float32((threshold + _ROUNDING_LEVELS) / 255.0)
     largest = cv2.absdiff(current[0], previous[0])
     for now, before in zip(current[1:], previous[1:], strict=True):
         cv2.max(largest, cv2.absdiff(now, before), dst=largest)
@@ -101,7 +100,7 @@ def faint_light_mask(current: FloatArray, previous: FloatArray, threshold: float
 
     Pictures are planar float32 (3, H, W), 0..1 for black to white.
     """
-    window = (_LIGHT_WINDOW, _LIGHT_WINDOW)
+    window = (_LIGHT_WINDOW_PIXELS, _LIGHT_WINDOW_PIXELS)
     means = (cv2.blur(cv2.subtract(now, before), window) for now, before in zip(current, previous, strict=True))
     largest = np.abs(next(means))
     for mean in means:
@@ -123,56 +122,53 @@ def dilate(mask: BoolArray, radius: int) -> BoolArray:
     return grown
 
 
-def without_specks(mask: BoolArray, area: int) -> BoolArray:
-    """The mask without its connected parts (8 neighbours) of fewer than ``area`` pixels."""
+def remove_specks(mask: BoolArray, area: int) -> BoolArray:
+    """The mask without its connected components (8 neighbours) of fewer than ``area`` pixels."""
     if area <= 1 or not mask.any():
         return np.array(mask)
-    # The fastest of OpenCV's ways; all find the same parts.
-    way = 8, cv2.CV_32S, cv2.CCL_BBDT
-    _, labels, stats, _ = cv2.connectedComponentsWithStatsWithAlgorithm(mask.view(np.uint8), *way)
+    # The fastest of OpenCV's algorithms; all find the same components.
+    algorithm = 8, cv2.CV_32S, cv2.CCL_BBDT
+    _, labels, stats, _ = cv2.connectedComponentsWithStatsWithAlgorithm(mask.view(np.uint8), *algorithm)
     kept, at = np.zeros_like(mask), np.flatnonzero(mask)
     kept.flat[at] = (stats[:, cv2.CC_STAT_AREA] >= area)[labels.ravel()[at]]
     return kept
 
 
-def _light_reach(
-    now: FloatArray, reference: FloatArray, around: BoolArray, thresholds: tuple[float, ...]
+def _light_fractions(
+    now: FloatArray, reference: FloatArray, region: BoolArray, thresholds: tuple[float, ...]
 ) -> list[float]:
-    """Share of the area not ``around`` other changes that faint light, too slow to count as one, changed.
-
-    One for each of ``thresholds``, levels.
-    """
-    height, width = (max(1, size // _LIGHT_WINDOW) for size in around.shape)
+    """Fraction of the area outside the ``region`` of other changes that light changed by each threshold, levels."""
+    height, width = (max(1, size // _LIGHT_WINDOW_PIXELS) for size in region.shape)
     shrink = partial(cv2.resize, dsize=(width, height), interpolation=cv2.INTER_AREA)
-    away = shrink((~around).astype(np.float32)) > 0.99
+    outside = shrink((~region).astype(np.float32)) > 0.99
     changes = np.abs([shrink(cv2.subtract(*planes)) for planes in zip(now, reference, strict=True)]).max(axis=0)
-    area = max(away.sum(), _SPREADS * away.size)
-    return [float((changes[away] > threshold / 255).sum() / area) for threshold in thresholds]
+    area = max(outside.sum(), _MIN_LIGHT_FRACTION * outside.size)
+    return [float((changes[outside] > threshold / 255).sum() / area) for threshold in thresholds]
 
 
 @dataclass(frozen=True)
 class MaskMemory:
     """What the masks of one frame hand to the next; one entry for each view.
 
-    ``references``: pictures (3, H, W) that the next ones are compared with. ``before``: the frame before. ``blank``:
-    whether the first picture shows nothing. ``usual_miss``: 8-bit levels that a trained picture misses by, where a time
-    budget may leave frames unfinished; None elsewhere. ``only_light``: light alone changed the frame before.
+    ``references``: pictures (3, H, W) that the next ones are compared with. ``previous``: those of the frame before.
+    ``blank``: whether the first picture shows nothing. ``trained_errors``: 8-bit levels, of a trained picture, where a
+    time budget may end training early; None elsewhere. ``light_only``: light alone changed the frame before.
     """
 
     references: Sequence[FloatArray]
-    before: Sequence[FloatArray]
+    previous: Sequence[FloatArray]
     blank: Sequence[bool]
-    usual_miss: Sequence[float] | None = None
-    only_light: bool = False
+    trained_errors: Sequence[float] | None = None
+    light_only: bool = False
 
     @classmethod
-    def begin(cls, pictures: Sequence[FloatArray], shown: Sequence[FloatArray] | None = None) -> MaskMemory:
-        """That of a scene's first frame: its ``pictures``, and renderings of it if frames may be left unfinished."""
+    def begin(cls, pictures: Sequence[FloatArray], rendered: Sequence[FloatArray] | None = None) -> MaskMemory:
+        """After a scene's first frame; ``rendered``: its renderings, if training may end early."""
         return cls(
             references=tuple(pictures),
-            before=tuple(pictures),
+            previous=tuple(pictures),
             blank=[bool(blankness(picture)) for picture in pictures],
-            usual_miss=None if shown is None else [_usual_miss(*pair) for pair in zip(pictures, shown, strict=True)],
+            trained_errors=None if rendered is None else list(map(_trained_error, pictures, rendered)),
         )
 
     def pixel_changes(
@@ -186,12 +182,12 @@ class MaskMemory:
         def change(now: FloatArray, reference: FloatArray) -> PixelChange:
             noise = _noise_floor(now, reference, settings)
             raw = difference_mask(now, reference, max(settings.threshold, noise))
-            return PixelChange(without_specks(raw, settings.speck_area), noise)
+            return PixelChange(remove_specks(raw, settings.speck_area), noise)
 
         views = list(zip(pictures, self.references, strict=True))
         with side_by_side(threads) as each:
             changes = list(each(lambda view: change(*view), views))
-        reasons = self._lost_pictures(pictures, changes)
+        reasons = self._dropouts(pictures, changes)
         return [replace(change, lost=why) for change, why in zip(changes, reasons, strict=True)]
 
     def masks(
@@ -200,15 +196,15 @@ class MaskMemory:
         """The region of interest of every view around its ``changes``."""
 
         def mask(now: FloatArray, reference: FloatArray, change: PixelChange) -> FrameMask:
-            around = _grown(change.raw, settings)
-            threshold, reach = self._light(now, reference, around, change.noise / _LIGHT_WINDOW, settings)
-            if threshold:
-                faint = faint_light_mask(now, reference, threshold)
-                around = _grown(change.raw | without_specks(faint, settings.speck_area), settings)
+            region = _dilated(change.raw, settings)
+            threshold, faint_light = self._light_threshold(now, reference, region, change.noise, settings)
             if change.lost:
                 nowhere = np.zeros_like(change.raw)
-                return FrameMask(nowhere, nowhere, reach, change.lost)
-            return FrameMask(change.raw, around, reach)
+                return FrameMask(nowhere, nowhere, faint_light, change.lost)
+            if threshold:
+                light = remove_specks(faint_light_mask(now, reference, threshold), settings.speck_area)
+                region = _dilated(change.raw | light, settings)
+            return FrameMask(change.raw, region, faint_light)
 
         views = list(zip(pictures, self.references, changes, strict=True))
         with side_by_side(threads) as each:
@@ -220,28 +216,28 @@ class MaskMemory:
         masks: Sequence[FrameMask],
         *,
         moved: bool,
-        shown: Sequence[FloatArray] | None = None,
+        rendered: Sequence[FloatArray] | None = None,
         threads: int = 1,
     ) -> MaskMemory:
         """After the regions of interest were trained; ``moved``: including positions.
 
-        ``shown``: the scene's renderings. Pixels whose error exceeds the usual one of the first frame count as
-        unfinished and keep their reference.
+        ``rendered``: the scene's renderings, if training ended early. Pixels with a larger error than that of a trained
+        picture keep their reference.
         """
 
         def reference(index: int) -> FloatArray:
-            now, mask, before = pictures[index], masks[index], self.references[index]
+            now, mask, old = pictures[index], masks[index], self.references[index]
             if mask.lost:
-                return before
-            done = mask.dilated
-            if shown is not None and self.usual_miss is not None:
-                done = done & ~difference_mask(shown[index], now, self.usual_miss[index])
-            return np.where(done, now, before)
+                return old
+            trained = mask.dilated
+            if rendered is not None and self.trained_errors is not None:
+                trained = trained & ~difference_mask(rendered[index], now, self.trained_errors[index])
+            return np.where(trained, now, old)
 
         with side_by_side(threads) as each:
             references = list(each(reference, range(len(masks))))
-        only_light = not moved and float(np.median([mask.faint_reach for mask in masks])) > _GLIMMER
-        return replace(self, references=references, only_light=only_light)
+        faint_light = float(np.median([mask.faint_light for mask in masks]))
+        return replace(self, references=references, light_only=not moved and faint_light > _MIN_LIGHT_ONLY_FRACTION)
 
     def advance(
         self,
@@ -249,46 +245,46 @@ class MaskMemory:
         masks: Sequence[FrameMask],
         settings: MaskSettings,
         *,
-        held: bool = False,
+        deferred: bool = False,
     ) -> MaskMemory:
-        """For the next frame; ``held``: this frame's changes still wait for training."""
+        """For the next frame; ``deferred``: this frame's changes still wait for training."""
         references = self.references
-        if not (held or settings.since_trained):
-            reasons = [mask.lost for mask in masks] or [""] * len(pictures)
-            views = zip(pictures, references, reasons, strict=True)
-            references = [was if why else now for now, was, why in views]
-        return replace(self, references=references, before=tuple(pictures))
+        if not (deferred or settings.since_trained):
+            lost = [bool(mask.lost) for mask in masks] or [False] * len(pictures)
+            views = zip(pictures, references, lost, strict=True)
+            references = [old if is_lost else now for now, old, is_lost in views]
+        return replace(self, references=references, previous=tuple(pictures))
 
     def changed_fraction(self, pictures: Sequence[FloatArray], settings: MaskSettings) -> float:
-        """Share of pixels, median over the views, that differ from the reference."""
+        """Fraction of pixels, median over the views, that differ from the reference."""
         pairs = zip(pictures, self.references, strict=True)
         return float(np.median([difference_mask(*pair, settings.threshold).mean() for pair in pairs]))
 
-    def _lost_pictures(self, pictures: Sequence[FloatArray], changes: Sequence[PixelChange]) -> list[str]:
+    def _dropouts(self, pictures: Sequence[FloatArray], changes: Sequence[PixelChange]) -> list[str]:
         """Reason why each view's picture does not show its frame, or ""."""
-        lost = ["" if never else blankness(now) for now, never in zip(pictures, self.blank, strict=True)]
-        again = [repeats(now, before) for now, before in zip(pictures, self.before, strict=True)]
-        flags = zip(changes, lost, again, strict=True)
-        changed = sum(bool(change.raw.any()) for change, why, repeat in flags if not (why or repeat))
-        if 2 * changed <= lost.count(""):
-            return lost
-        return [why or (FROZEN if repeat else "") for why, repeat in zip(lost, again, strict=True)]
+        blank = ["" if was_blank else blankness(now) for now, was_blank in zip(pictures, self.blank, strict=True)]
+        repeated = [repeats(*pair) for pair in zip(pictures, self.previous, strict=True)]
+        flags = zip(changes, blank, repeated, strict=True)
+        changed = sum(bool(change.raw.any()) for change, reason, repeat in flags if not (reason or repeat))
+        if 2 * changed <= blank.count(""):
+            return blank
+        return [reason or (FROZEN if repeat else "") for reason, repeat in zip(blank, repeated, strict=True)]
 
-    def _light(
-        self, now: FloatArray, reference: FloatArray, around: BoolArray, noise: float, settings: MaskSettings
+    def _light_threshold(
+        self, now: FloatArray, reference: FloatArray, region: BoolArray, noise: float, settings: MaskSettings
     ) -> tuple[float, float]:
-        """Levels from which faint light counts, at least its ``noise``, 0 for nowhere; and the reach of the faintest.
+        """Levels from which faint light counts, 0 for nowhere; and `FrameMask.faint_light`.
 
-        The reach is a share of the area not ``around`` other changes.
+        ``region``: that of other changes. ``noise``: of a pixel, in levels.
         """
         if not settings.light_threshold:
             return 0.0, 0.0
-        least = max(_FAINTEST * settings.light_threshold, noise)
-        usual = max(settings.light_threshold, noise)
-        spread, faintly = _light_reach(now, reference, around, (usual, least))
-        if self.only_light or faintly > _EVERYWHERE:
-            return least, faintly
-        return (usual if spread > _SPREADS else 0.0), faintly
+        noise /= _LIGHT_WINDOW_PIXELS
+        usual, low = (max(factor * settings.light_threshold, noise) for factor in (1.0, _LOW_THRESHOLD_FACTOR))
+        light, faint_light = _light_fractions(now, reference, region, (usual, low))
+        if self.light_only or faint_light > _GLOBAL_LIGHT_FRACTION:
+            return low, faint_light
+        return (usual if light > _MIN_LIGHT_FRACTION else 0.0), faint_light
 
 
 def full_masks(changes: Sequence[PixelChange]) -> list[FrameMask]:
@@ -301,15 +297,16 @@ def _noise_floor(now: FloatArray, reference: FloatArray, settings: MaskSettings)
     if not settings.noise_multiple:
         return 0.0
     noise = settings.noise_multiple * frame_noise(now, reference, settings.threshold / settings.noise_multiple)
-    changed = noise > settings.threshold and difference_mask(now, reference, CLEARLY).mean() > MOST
-    return 0.0 if changed else noise
+    if noise > settings.threshold and difference_mask(now, reference, CLEAR_CHANGE_LEVELS).mean() > MAX_NOISE_FRACTION:
+        return 0.0
+    return noise
 
 
-def _grown(mask: BoolArray, settings: MaskSettings) -> BoolArray:
+def _dilated(mask: BoolArray, settings: MaskSettings) -> BoolArray:
     return dilate(mask, settings.radius(mask.shape[1]))
 
 
-def _usual_miss(picture: FloatArray, shown: FloatArray) -> float:
+def _trained_error(picture: FloatArray, rendered: FloatArray) -> float:
     """Error, in 8-bit levels, that a tenth of the pixels of a fully trained picture (3, H, W) exceed."""
-    miss = np.abs(np.clip(shown, 0, 1) - picture).max(axis=0)
-    return 255 * float(np.quantile(miss, _USUALLY))
+    error = np.abs(np.clip(rendered, 0, 1) - picture).max(axis=0)
+    return 255 * float(np.quantile(error, _TRAINED_ERROR_QUANTILE))

@@ -20,11 +20,11 @@ F64 = NDArray[np.float64]
 
 _LAPLACIAN = np.array([[0, -0.25, 0], [-0.25, 1, -0.25], [0, -0.25, 0]], np.float32)
 _SAMPLE_STRIDE, _SAMPLE_COUNT = 7, 100_000
-"""Every seventh value is sampled, fewer beyond this number, which gives a deviation to .2 %."""
+"""Every seventh value is sampled, fewer above this count, which gives a deviation to .2 %."""
 _TILE_PIXELS = 16
 _MAX_TILES = 300
-_QUIET_TILES_SHARE = 0.25
-"""Least share of tiles without motion."""
+_QUIET_TILE_QUANTILE = 0.25
+"""Quantile of the tiles' noise that counts as that of the picture: motion only raises a tile's."""
 _CLIPPED_MARGIN_LEVELS = 3
 _MAX_CLIPPED_SHARE = 0.1
 _MAX_NOISE_RATIO = 1.5
@@ -33,43 +33,43 @@ _MAX_DEVIATION_RATIO = 2.0
 """Ratio of a difference's deviation to its noise from which on most of the picture has changed."""
 
 
-def frame_noise(current: FloatArray, previous: FloatArray, least: float = 0.0) -> float:
+def frame_noise(current: FloatArray, previous: FloatArray, negligible: float = 0.0) -> float:
     """Standard deviation of a camera's frame-to-frame noise, in 8-bit levels, robust to motion.
 
-    Both (3, H, W). 0 if most of the picture has changed, which leaves noise undetermined. ``least``: the result need
-    not be exact below this deviation.
+    Both (3, H, W). 0 if most of the picture has changed, which leaves noise undetermined.
+    ``negligible``: deviation below which the result may be too large.
     """
-    deviation = _spread(_some(current) - _some(previous))
-    if deviation <= least:
+    deviation = _robust_deviation(_sample(current) - _sample(previous))
+    if deviation <= negligible:
         return deviation
     return deviation if deviation <= _MAX_DEVIATION_RATIO * math.sqrt(2) * picture_noise(previous, current) else 0.0
 
 
 def picture_noise(before: FloatArray, now: FloatArray) -> float:
     """Deviation of one picture by noise, in 8-bit levels, from two, (H, W) or (C, H, W), 0..1."""
-    planes = [side if side.ndim == 3 else side[None] for side in (before, now)]
-    detail: FloatArray = np.stack([_detail(*pair) for pair in zip(*planes, strict=True)])
-    from_neighbours = _spread(_some(detail)) / math.sqrt(2 * float((_LAPLACIAN**2).sum()))
-    across = _across_light(*planes)
+    planes = [picture if picture.ndim == 3 else picture[None] for picture in (before, now)]
+    detail: FloatArray = np.stack([_laplacian(*pair) for pair in zip(*planes, strict=True)])
+    from_neighbours = _robust_deviation(_sample(detail)) / math.sqrt(2 * float((_LAPLACIAN**2).sum()))
+    across = _deviation_across_light(*planes)
     return from_neighbours if from_neighbours <= _MAX_NOISE_RATIO * across else across
 
 
-def _some(values: FloatArray) -> FloatArray:
+def _sample(values: FloatArray) -> FloatArray:
     """Every seventh value, fewer of large pictures."""
     return values.ravel()[:: max(_SAMPLE_STRIDE, values.size // _SAMPLE_COUNT)]
 
 
-def _detail(before: FloatArray, now: FloatArray) -> FloatArray:
+def _laplacian(before: FloatArray, now: FloatArray) -> FloatArray:
     """How the difference of two planes (H, W) differs from the mean of its neighbours, in all rows or in enough."""
-    every = before.size // (2 * _SAMPLE_COUNT)
-    if every < 2:
+    stride = before.size // (2 * _SAMPLE_COUNT)
+    if stride < 2:
         return np.asarray(cv2.filter2D(now - before, -1, _LAPLACIAN), np.float32)
     # Each row between its neighbours; what is filtered around these is of no use.
-    rows = (np.arange(1, len(before) - 1, every)[:, None] + np.arange(-1, 2)).ravel()
+    rows = (np.arange(1, len(before) - 1, stride)[:, None] + np.arange(-1, 2)).ravel()
     return np.asarray(cv2.filter2D(now[rows] - before[rows], -1, _LAPLACIAN)[1::3], np.float32)
 
 
-def _spread(difference: FloatArray) -> float:
+def _robust_deviation(difference: FloatArray) -> float:
     """Standard deviation of differences 0..1, in levels, without outliers beyond three deviations."""
     levels = difference.astype(np.float64) * 255
     # Starts from the median, which motion hardly shifts; in 8-bit pictures it is a whole level, often 0.
@@ -83,7 +83,7 @@ def _spread(difference: FloatArray) -> float:
     return deviation
 
 
-def _across_light(before: FloatArray, now: FloatArray) -> float:
+def _deviation_across_light(before: FloatArray, now: FloatArray) -> float:
     """Deviation, in levels, across the lines of affine changes of light, in the quietest tiles; inf without any.
 
     Rows and columns count as well: a wave of brightness may be finer than a tile.
@@ -96,8 +96,8 @@ def _across_light(before: FloatArray, now: FloatArray) -> float:
     usable = np.tile(clipped.reshape(channels, -1).mean(axis=0) < _MAX_CLIPPED_SHARE, channels)
     if not usable.any():
         return math.inf
-    a, b = (np.compress(usable, side, axis=2) for side in (a, b))
-    a, b = (side - side.mean(axis=(0, 1)) for side in (a, b))
+    a, b = (np.compress(usable, tiles, axis=2) for tiles in (a, b))
+    a, b = (tiles - tiles.mean(axis=(0, 1)) for tiles in (a, b))
     # Of rows and of columns; a tile's means are those of its rows' means.
     of_rows, of_columns = (
         np.stack([x.mean(axis=axis, dtype=np.float32) for x in (a, b, a * a, b * b, a * b)]).astype(np.float64)
@@ -105,7 +105,7 @@ def _across_light(before: FloatArray, now: FloatArray) -> float:
     )
     least = np.minimum(_smaller_eigenvalue(of_rows).mean(axis=0), _smaller_eigenvalue(of_columns).mean(axis=0))
     least = np.minimum(least, _smaller_eigenvalue(of_rows.mean(axis=1))).reshape(channels, -1)
-    return math.sqrt(max(float(np.quantile(least.mean(axis=0), _QUIET_TILES_SHARE)), 0.0))
+    return math.sqrt(max(float(np.quantile(least.mean(axis=0), _QUIET_TILE_QUANTILE)), 0.0))
 
 
 def _tiles(picture: FloatArray) -> FloatArray:
@@ -124,5 +124,5 @@ def _tiles(picture: FloatArray) -> FloatArray:
 def _smaller_eigenvalue(moments: F64) -> F64:
     """Of the covariance of two values whose means, mean squares and mean product are given (5, ...)."""
     mean_a, mean_b, square_a, square_b, product = moments
-    of_a, of_b, both = square_a - mean_a * mean_a, square_b - mean_b * mean_b, product - mean_a * mean_b
-    return np.asarray((of_a + of_b) / 2 - np.hypot((of_a - of_b) / 2, both))
+    a, b, covariance = square_a - mean_a * mean_a, square_b - mean_b * mean_b, product - mean_a * mean_b
+    return np.asarray((a + b) / 2 - np.hypot((a - b) / 2, covariance))

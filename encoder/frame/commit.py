@@ -92,8 +92,8 @@ def _masks_after(
     if trained is not None and masks and not same_values(event.scene.state, scene.state):
         rendered = context.views.pictures(scene.splats) if trained.truncated else None
         moved = "motion" in plan.effects
-        memory = memory.trained(frame.pictures, masks, moved=moved, shown=rendered, threads=context.threads)
-    return memory.advance(frame.pictures, masks, settings, held=plan.deferred)
+        memory = memory.trained(frame.pictures, masks, moved=moved, rendered=rendered, threads=context.threads)
+    return memory.advance(frame.pictures, masks, settings, deferred=plan.deferred)
 
 
 def _motion_after(motion: Motion, plan: FramePlan, frame: PendingFrame, before: Scene, scene: Scene) -> Motion:

@@ -11,7 +11,7 @@ from decogs.formats.splats import FloatArray
 
 from ..change.cuts import shows_another_scene
 from ..change.flashes import MAX_FLASH_FRAMES, is_missed, matches, may_be_flash
-from ..change.masks import PixelChange, showing
+from ..change.masks import PixelChange, usable_views
 from ..coding.scene import Scene
 from ..input.ingest import RigFrame
 from ..stopwatch import Stopwatch
@@ -78,7 +78,7 @@ def what_happened(context: Context, scene: Scene, memory: Memory, frame: Pending
             if _is_cut(context, memory, frame, changes):
                 return Event(Kind.CUT, scene, memory, changes, is_return)
             if memory.before_flash is None:
-                before = BeforeFlash(frame.recorded.index, scene.state, memory.motion.last, memory.masks)
+                before = BeforeFlash(frame.recorded.index, scene.state, memory.motion, memory.masks)
                 memory = replace(memory, before_flash=before)
     return Event(kind, scene, memory, changes, is_return)
 
@@ -88,16 +88,22 @@ def _after_flash(scene: Scene, memory: Memory, frame: PendingFrame, context: Con
     kept = memory.before_flash
     if kept is None:
         return scene, memory, False
+    frames = frame.recorded.index - kept.since
     if matches(kept.masks, frame.pictures, context.settings.frame.masks):
-        motion = replace(memory.motion, last=kept.motion)
+        # What moved before the flash has moved on.
+        motion = kept.motion.defer(frames)
         return scene.roll_back(kept.state), replace(memory, motion=motion, masks=kept.masks, before_flash=None), True
-    if frame.recorded.index - kept.since > MAX_FLASH_FRAMES:
+    if frames > MAX_FLASH_FRAMES:
         memory = replace(memory, before_flash=None)
     return scene, memory, False
 
 
 def _is_cut(context: Context, memory: Memory, frame: PendingFrame, changes: Sequence[PixelChange]) -> bool:
     # A keyframe needs every camera.
-    if not context.settings.cuts or context.settings.time_budget is not None or len(showing(changes)) < len(changes):
+    if (
+        not context.settings.cuts
+        or context.settings.time_budget is not None
+        or len(usable_views(changes)) < len(changes)
+    ):
         return False
     return shows_another_scene(frame.pictures, memory.masks.references)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from decogs.codec.state import State
-from decogs.formats.splats import FloatArray
 
 from ..change.masks import MaskMemory
 from ..coding.rate_control import RateControl
@@ -13,6 +12,7 @@ from ..coding.scene import Scene
 from ..coding.time_control import TimeControl
 from ..input.compensation import CorrectionMemory
 from ..input.ingest import RigFrame
+from ..keyframe.backdrop.stage import Stage, find_stage
 from ..stopwatch import Stopwatch
 from ..training.method import FrameTrainer, training_context
 from ..training.warm_start import Motion
@@ -25,7 +25,7 @@ class BeforeFlash:
 
     since: int
     state: State
-    motion: FloatArray
+    motion: Motion
     masks: MaskMemory
 
 
@@ -34,7 +34,7 @@ class Memory:
     """What a frame hands to the next.
 
     ``first``: the stream's first frame, compensated, to which closed segments return; None in other streams. ``rate``
-    and ``time`` keep to budgets, where there are some.
+    and ``time`` keep to budgets, where there are some. ``stage``: the plain stage of the scene, if it is one.
     """
 
     trainer: FrameTrainer
@@ -43,6 +43,7 @@ class Memory:
     corrections: CorrectionMemory | None
     rate: RateControl | None
     time: TimeControl | None
+    stage: Stage | None = None
     before_flash: BeforeFlash | None = None
     first: RigFrame | None = None
 
@@ -78,6 +79,7 @@ def new_memory(
         corrections,
         None if budget is None else RateControl(budget, settings.segment),
         time,
+        None if context.method.dense else find_stage(context.ingest.views, frame),
         first=first,
     )
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..analysis.enabled import enabled_effects
 from ..backends import FixedView
-from ..change.masks import FrameMask, full_masks, showing
+from ..change.masks import FrameMask, full_masks, usable_views
 from ..change.selection import select, view_evidence
 from ..coding.scene import Scene
 from ..settings.frame import FrameSettings, SelectionSettings
@@ -87,7 +87,7 @@ def plan_frame(
     """The settings with which a frame is trained and coded."""
     settings, memory = context.settings, event.memory
     effects, by_light = settings.frame_effects if selection.selected.any() else (), None
-    if effects and settings.detect_per_frame:
+    if effects and settings.detect_per_frame and selection.masks:
         with watch.stage("effects"):
             found = enabled_effects(
                 settings, frame.pictures, memory.masks.references, selection.masks, threads=context.threads
@@ -109,7 +109,7 @@ def _is_deferred(memory: Memory, watch: Stopwatch) -> bool:
 
 
 def _select(context: Context, scene: Scene, masks: Sequence[FrameMask]) -> NDArray[np.bool_]:
-    used, settings = showing(masks), context.settings.frame.selection
+    used, settings = usable_views(masks), context.settings.frame.selection
     views = context.views.of(scene.splats)
     return _select_within(views, used, [masks[i].dilated for i in used], settings)
 
@@ -124,7 +124,7 @@ def light_only(
 
     ``moving``: the pixels of each view, (H, W), in and around what moves; the ``views`` show the scene.
     """
-    used = [index for index in showing(selection.masks) if moving[index].any()]
+    used = [index for index in usable_views(selection.masks) if moving[index].any()]
     if not used:
         return selection.selected
     regions = [moving[index] & selection.masks[index].dilated for index in used]

@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..change.masks import usable_views
 from ..coding.scene import Scene
 from ..stopwatch import Stopwatch
-from ..training.method import FrameInput, TrainedFrame
+from ..training.method import FrameInput, FreeSpace, TrainedFrame
 from ..training.warm_start import Motion
 from .context import Context
-from .events import Event, PendingFrame
+from .events import Event, Kind, PendingFrame
 from .memory import Memory
 from .plan import FramePlan, select_again
 
@@ -27,9 +28,9 @@ def train_frame(
     """
     scene, memory = event.scene, event.memory
     if not frame.restarted:
-        return scene, _train(context, scene, memory, plan, frame, watch)
+        return scene, _train(context, scene, memory, event, plan, frame, watch)
     plan = replace(plan, light_only=None)  # Every round selects again.
-    trained = _train(context, scene, memory, plan, frame, watch)
+    trained = _train(context, scene, memory, event, plan, frame, watch)
     for _ in range(1, context.settings.catch_up):
         if trained.rejected:
             break
@@ -40,13 +41,19 @@ def train_frame(
         with watch.stage("selection"):
             plan = replace(plan, selection=select_again(context, scene, event, plan.selection))
         memory = replace(memory, motion=Motion.at_rest(len(scene.state)))
-        trained = _train(context, scene, memory, plan, frame, watch)
+        trained = _train(context, scene, memory, event, plan, frame, watch)
     # What an earlier round has changed stays: then the frame is not rejected.
     return scene, replace(trained, rejected=trained.rejected and scene is event.scene)
 
 
 def _train(
-    context: Context, scene: Scene, memory: Memory, plan: FramePlan, frame: PendingFrame, watch: Stopwatch
+    context: Context,
+    scene: Scene,
+    memory: Memory,
+    event: Event,
+    plan: FramePlan,
+    frame: PendingFrame,
+    watch: Stopwatch,
 ) -> TrainedFrame:
     deadline = None if memory.time is None else memory.time.deadline(watch.seconds)
     given = FrameInput(
@@ -59,8 +66,17 @@ def _train(
         memory.motion.predict(),
         plan.settings,
         context.stopping(deadline),
+        _free_space(context, event, plan, frame),
     )
     with watch.stage("training"):
         if not context.method.dense:
             context.views.of(scene.splats).detach(np.flatnonzero(given.selected))
         return memory.trainer.train(given)
+
+
+def _free_space(context: Context, event: Event, plan: FramePlan, frame: PendingFrame) -> FreeSpace | None:
+    """Where a plain stage is empty in this frame; None where that is not known."""
+    stage = event.memory.stage
+    if stage is None or event.kind is not Kind.CHANGE:
+        return None
+    return stage.in_frame(context.ingest.views, frame.compensated, usable_views(plan.selection.masks)).free

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from decogs.codec.lattice import Lattice, default_lattice, dequantise, quantise, robust_extent
 from decogs.codec.state import Attributes
 from decogs.formats.errors import TrainingError
-from decogs.formats.splats import FloatArray, Splats, round_splats, sigmoid, take_splats
+from decogs.formats.splats import FloatArray, Splats, join_splats, round_splats, sigmoid, take_splats
 
 from ..backends import LossValue, RenderedPicture, TrainingKernel
 from ..input.compensation import Corrector
@@ -35,6 +35,7 @@ from ..training.rate_distortion import cheapest
 from ..training.schedule import WHOLE, StoppingRule, TargetWatch
 from ..training.significance import picture_weight
 from ..training.view_order import view_order
+from .backdrop.stage import Stage
 from .border_extrapolation import border_extrapolation
 from .few_views import DISSIMILARITY, dissimilarity_for
 from .first_points import FirstPoints
@@ -65,6 +66,9 @@ the poses of rotated cameras are known."""
 _PREALIGNMENT_STEPS = 100
 """Steps after which a rotated camera's pose is known to a twentieth of a pixel."""
 
+_CLEAR_EVERY_STEPS = 50
+"""Steps after which a stage's free space is cleared."""
+
 _REPORT_EVERY_STEPS = 10
 """Steps after which progress shows another loss: reading one waits for the device."""
 
@@ -88,6 +92,12 @@ def splats_from_points(points: FirstPoints, sh_degree: int) -> Splats:
     return round_splats(points.xyz, points.rgb, points.spacing * sizes, opacities, sh_degree)
 
 
+def _first_splats(points: FirstPoints, sh_degree: int, stage: Stage | None) -> Splats:
+    """The first Gaussians of points, and of a stage's backdrop."""
+    splats = splats_from_points(points, sh_degree)
+    return splats if stage is None else join_splats(splats, stage.backdrop(sh_degree))
+
+
 def train_keyframe(
     kernel: TrainingKernel,
     views: Sequence[View],
@@ -101,13 +111,15 @@ def train_keyframe(
     corrector: Corrector | None = None,
     on_step: OnKeyframeStep | None = None,
     stopping: StoppingRule = WHOLE,
+    stage: Stage | None = None,
 ) -> TrainedKeyframe:
     """Trains the first frame's Gaussians on ``pictures`` (3, H, W) of ``views``; the same seed gives the same bits.
 
     ``lattice``: the one to settle on; None makes one for the scene, as coarse as ``lattice_scale`` says in units of the
     default one's steps. ``corrector``: of the cameras whose drift is estimated and compensated during training.
     ``stopping``: a target in the whole pictures, but for the tiles kept out of the loss, ends training before the
-    settings' iterations; deadlines are for later frames. Raises TrainingError without points or when the loss stops
+    settings' iterations; deadlines are for later frames. ``stage``: whose backdrop is there from the start, and whose
+    free space stays free. Raises TrainingError without points or when the loss stops
     being finite.
     """
     if not len(points.xyz):
@@ -126,6 +138,7 @@ def train_keyframe(
         lattice_scale=lattice_scale,
         stopping=stopping,
         fit=fit_to_pictures([view.pinhole for view in views], settings),
+        stage=stage,
     )
     return training.run(on_step)
 
@@ -171,6 +184,7 @@ class _KeyframeTraining:
         lattice_scale: float = 1.0,
         stopping: StoppingRule = WHOLE,
         fit: PictureFit,
+        stage: Stage | None = None,
     ) -> None:
         self._kernel, self._views, self._random = kernel, views, random
         self._settings = settings = replace(settings, iterations=fit.iterations)
@@ -186,7 +200,8 @@ class _KeyframeTraining:
         self._reported_loss = float("nan")
         self._set_picture_scale(fit.scales[0].factor)
         self._kept_back = [_validation_pixels(view, c) for view, c in zip(views, counted, strict=True)]
-        self._optimiser = kernel.optimiser(splats_from_points(points, settings.sh_degree))
+        self._stage = stage
+        self._optimiser = kernel.optimiser(_first_splats(points, settings.sh_degree, stage))
         self._view_gradients = kernel.view_gradients(len(self._optimiser))
         self._order = view_order(len(views), random)
 
@@ -201,6 +216,8 @@ class _KeyframeTraining:
         if not seen[:trained].any():
             raise TrainingError("no camera sees a Gaussian after training; lower the learning rates")
         seen[trained:] = True
+        if self._stage is not None:
+            seen |= self._stage.on_backdrop(splats.means)
         if not seen.all():
             splats = take_splats(splats, seen)
         return TrainedKeyframe(splats, lattice, steps)
@@ -208,7 +225,7 @@ class _KeyframeTraining:
     def _extrapolate_border(self) -> int:
         """Adds Gaussians beside the pictures, where training leaves black; returns how many."""
         settings = self._settings
-        if not settings.surroundings:
+        if not settings.surroundings or self._stage is not None:
             return 0
         more = border_extrapolation(
             self._kernel,
@@ -338,6 +355,15 @@ class _KeyframeTraining:
                     f"the keyframe's loss is {value.total} at step {step}; the pictures or poses are unusable"
                 )
 
+    def _clear_free_space(self) -> None:
+        """Removes what has come into a stage's free space: no view misses it there, and other viewpoints see fog."""
+        if self._stage is None:
+            return
+        free = self._stage.free(self._optimiser.splats.means)
+        if free.any():
+            self._optimiser.keep(~free)
+            self._view_gradients = self._kernel.view_gradients(len(self._optimiser))
+
     def _report(self, stage: str, place: int, step: int, loss: LossValue, on_step: OnKeyframeStep | None) -> None:
         """Reports a step to observers; to read its loss waits for the device."""
         if self._stopping.on_loss is not None:
@@ -395,6 +421,8 @@ class _KeyframeTraining:
 
     def _densify(self, step: int) -> None:
         settings, progress = self._settings, step / self._settings.iterations
+        if (step + 1) % _CLEAR_EVERY_STEPS == 0:
+            self._clear_free_space()
         if (step + 1) % settings.grow_every or not _GROW_BEGIN < progress < _GROW_END:
             return
         self._check_finite()

@@ -56,6 +56,7 @@ class DecogsTrainer:
         schedule = StepSchedule(frame.settings.joint_iterations, frame.stopping.deadline, factor=factor)
         growth = _Growth(training, work, self._search)
         _train(training, work, schedule, growth)
+        work.remove(np.flatnonzero(training.is_free(work.values.means)))
         trained = training.outcome(work, work.optimiser, before, probes)
         if frame.stopping.deadline is not None:
             self._step_seconds, _ = schedule.steps_seconds

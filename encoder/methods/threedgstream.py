@@ -16,7 +16,7 @@ one.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,7 @@ from ..settings.optimiser import LearningRates
 from ..training.losses import PhotometricLoss, require_finite, whole_picture_loss
 from ..training.method import FrameInput, TrainedFrame, TrainingContext
 from ..training.view_order import view_order
-from .transformation_cache import TransformationCache
+from .transformation_cache import RELEASED_CACHE, CacheConfig, TransformationCache
 
 DISSIMILARITY = 0.2
 """Lambda of 3DGS's loss."""
@@ -45,6 +45,22 @@ _SPAWN_OPACITY, _SPAWN_GROWTH = 0.1, 1.25
 """Of a spawned Gaussian: opacity, and size in units of its parent's."""
 
 
+@dataclass(frozen=True)
+class BaselineConfig:
+    """The other numbers of the recipe; steps are of one view each."""
+
+    cache: CacheConfig = RELEASED_CACHE
+    cache_iterations: int = 150  # steps of stage 1
+    spawn_iterations: int = 100  # steps of stage 2
+    spawn_gradient: float = 1.5e-4  # mean view gradient from which a Gaussian spawns another
+    prune_every: int = 20  # steps of stage 2
+    prune_opacity: float = 0.01  # below it a spawned Gaussian goes
+    prune_size: float = 0.1  # sigma above which it goes, in units of the rig's extent
+
+
+_RELEASED = BaselineConfig()
+
+
 class BaselineTrainer:
     """Trains later frames of one stream as 3DGStream does.
 
@@ -54,11 +70,11 @@ class BaselineTrainer:
 
     min_seconds = 0.0
 
-    def __init__(self, context: TrainingContext) -> None:
-        self._kernel, self._views, self._settings = context.kernel, context.views, context.settings.baseline
+    def __init__(self, context: TrainingContext, config: BaselineConfig = _RELEASED) -> None:
+        self._kernel, self._views, self._config = context.kernel, context.views, config
         self._population, self._extent, self._box = context.population, context.extent, context.box
         self._seed = context.seed
-        self._cache = TransformationCache(*self._box, self._settings.cache, self._seed, threads=context.threads)
+        self._cache = TransformationCache(*self._box, config.cache, self._seed, threads=context.threads)
 
     def train(self, frame: FrameInput, /) -> TrainedFrame:
         """Trains all Gaussians; S_t, masks, motion, the frame's settings and an early end have no part in it."""
@@ -78,14 +94,14 @@ class BaselineTrainer:
 
     def _stage1(self, scene: Splats, losses: Sequence[PhotometricLoss]) -> NDArray[np.float64]:
         """Moves ``scene`` by a freshly trained cache; returns the mean view gradients that spawning goes by."""
-        settings, cache = self._settings, self._cache
+        config, cache = self._config, self._cache
         gathered, gradients = self._kernel.view_gradients(len(scene)), gradients_like(scene)
         cache.restart()
         cache.place(scene.means, scene.quaternions)
-        for step in range(settings.cache_iterations):
+        for step in range(config.cache_iterations):
             scene.means[:], scene.quaternions[:] = cache.move()
             camera = self._views[self._next_gradients(scene, losses, gradients, ("cache", step))].pinhole
-            if step >= settings.cache_iterations - _SPAWN_WINDOW_STEPS:
+            if step >= config.cache_iterations - _SPAWN_WINDOW_STEPS:
                 gathered.add(gradients, camera)
             cache.backward(gradients.means, gradients.quaternions)
             cache.step()
@@ -94,10 +110,10 @@ class BaselineTrainer:
 
     def _spawn(self, scene: Splats, gradients: NDArray[np.float64]) -> Splats:
         """One new Gaussian beside every one in the box whose view gradient reaches the threshold."""
-        settings = self._settings
+        config = self._config
         low, high = self._box
         inside = ((scene.means >= low) & (scene.means <= high)).all(axis=1)
-        parents = take_splats(scene, np.flatnonzero(inside & (gradients >= settings.spawn_gradient)))
+        parents = take_splats(scene, np.flatnonzero(inside & (gradients >= config.spawn_gradient)))
         scales = np.exp(parents.log_scales.astype(np.float64))
         rotations = rotation_matrices(parents.quaternions.astype(np.float64))
         drawn = _SPAWN_SPREAD_SIGMAS * scales * self._random.normal(size=scales.shape)
@@ -113,17 +129,17 @@ class BaselineTrainer:
 
     def _stage2(self, lasting: Splats, spawned: Splats, losses: Sequence[PhotometricLoss]) -> Splats:
         """Trains the spawned Gaussians alone, in the whole scene, and prunes transparent and large ones."""
-        settings = self._settings
+        config = self._config
         rates = replace(RATES, means=RATES.means * self._extent)
         optimiser = self._kernel.optimiser(spawned)
         scene = join_splats(lasting, spawned)
         gradients = gradients_like(scene)
-        for step in range(1, settings.spawn_iterations + 1):
+        for step in range(1, config.spawn_iterations + 1):
             if not len(optimiser.splats):
                 break
             self._next_gradients(scene, losses, gradients, ("joint", step - 1))
             optimiser.step(_rows_from(gradients, self._population), rates)
-            if step % settings.prune_every == 0:
+            if step % config.prune_every == 0:
                 optimiser.keep(self._is_lasting(optimiser.splats))
                 scene = join_splats(lasting, optimiser.splats)
                 gradients = gradients_like(scene)
@@ -133,8 +149,8 @@ class BaselineTrainer:
         return take_splats(optimiser.splats, self._is_lasting(optimiser.splats))
 
     def _is_lasting(self, spawned: Splats) -> NDArray[np.bool_]:
-        small = spawned.log_scales.max(axis=1, initial=-np.inf) <= np.log(self._settings.prune_size * self._extent)
-        return np.asarray(small & (sigmoid(spawned.opacity_logits) >= self._settings.prune_opacity))
+        small = spawned.log_scales.max(axis=1, initial=-np.inf) <= np.log(self._config.prune_size * self._extent)
+        return np.asarray(small & (sigmoid(spawned.opacity_logits) >= self._config.prune_opacity))
 
     def _next_gradients(
         self, scene: Splats, losses: Sequence[PhotometricLoss], out: SplatGradients, place: tuple[str, int]

@@ -29,6 +29,7 @@ from decogs.formats.errors import StreamError, UsageError
 
 from ..input.recordings import difference
 from ..settings.encode import EncodeSettings
+from ..settings.frame import FrameSettings
 
 _PARAMETERS = {
     "frame.significance": "`quality` or `lossless`",
@@ -53,6 +54,8 @@ _PARAMETERS = {
 }
 """What asked for a setting that differs, by the beginning of its name in the header; the first that fits."""
 
+
+_FRAME = FrameSettings()
 
 IsSuch = Callable[[StreamHeader, int], bool]
 """Whether a truncated stream may be replaced, by its header and its number of whole frames."""
@@ -128,8 +131,6 @@ def is_expendable(is_such: IsSuch, part: Path) -> bool:
 
 def check_resumable(settings: EncodeSettings) -> None:
     """Raises UsageError for settings that keep something from frame to frame that is not in the stream."""
-    if "frame" not in settings.as_document():
-        return
     if "gate" in settings.frame.ablated:
         raise UsageError(
             "`resume`: `ablate` gate keeps training state that a stream does not hold; drop one of the two"
@@ -168,6 +169,8 @@ def difference_of(was: Mapping[str, Any], now: Mapping[str, Any], other: str = "
     if was == now:
         return ""
     name, before, after = _difference(was, now)
+    if name.startswith("frame.") and not hasattr(_FRAME, name.split(".")[1]):
+        return f"was begun by another release of decogs: this one has no setting {name}"
     asked = next((f" ({asked})" for start, asked in _PARAMETERS.items() if name.startswith(start)), "")
     return f"was begun with {name} {_short(before)}, {other} {_short(after)}{asked}"
 

@@ -15,7 +15,7 @@ from decogs.formats.reasons import Reason
 from ..analysis import AUTO, EFFECT_NAMES, EffectChoice, disable, with_effects
 from ..input.imported_keyframe import KeyframeSource
 from ..output.resume import Interrupted, difference_of
-from ..settings.compensation import CorrectionSettings
+from ..settings.effects import CorrectionSettings
 from ..settings.encode import EncodeSettings
 from ..settings.reading import read_settings
 from .manifest import Part, read_part, without_part

@@ -1,6 +1,12 @@
-"""The names of effects, in the order in which they are enabled."""
+"""The names of effects, in the order in which they are enabled, and the cameras that are corrected."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated
+
+from .checked import Checked, Within
 
 FRAME_EFFECTS = ("motion", "appearance_change", "emergence", "disappearance")
 """Effects that every frame decides about."""
@@ -18,3 +24,14 @@ EFFECT_BASES = ("auto", "all", "none")
 
 PRESET_EFFECTS = (*FRAME_EFFECTS, "view_dependence")
 """Effects of what the cameras see, which frames and the keyframe decide about; those of a preset by itself."""
+
+
+@dataclass(frozen=True)
+class CorrectionSettings(Checked):
+    """The cameras whose drift is compensated, by name; each one is a little slower."""
+
+    exposure: tuple[str, ...] = ()  # cameras whose exposure drifts
+    white_balance: tuple[str, ...] = ()  # cameras whose white balance drifts
+    shake: tuple[str, ...] = ()  # cameras that rotate about their centre
+    lens: Mapping[str, Annotated[float, Within(-10, 10)]] = field(default_factory=dict)  # k1 that calibration lacks
+    match_colours: bool = False  # constant differences between all cameras, too

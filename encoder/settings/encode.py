@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass, field
+from functools import reduce
+from operator import attrgetter, getitem
 from typing import Annotated, Any
 
 from decogs.codec.entropy import DEFAULT_LEVEL
@@ -11,17 +13,19 @@ from decogs.formats.container import MAX_FRAME
 from decogs.formats.errors import UsageError
 
 from .checked import Bytes, Checked, OneOf, Within
-from .compensation import CorrectionSettings
-from .effects import EFFECT_NAMES, FRAME_EFFECTS, PRESET_EFFECTS
+from .effects import EFFECT_NAMES, FRAME_EFFECTS, PRESET_EFFECTS, CorrectionSettings
 from .frame import FrameSettings
 from .keyframe import KeyframeSettings
-from .threedgstream import BaselineSettings
 
-_UNREAD_SETTINGS = {"decogs": "baseline", "3dgstream": "frame"}
-"""Settings that a method does not read; methods of other packages do not read the baseline's."""
-
-_OMITTED_DEFAULTS = (("frame.focus.over", "region"),)
-"""Defaults that a header omits."""
+_OMITTED_DEFAULTS = (
+    ("frame.focus.over", "region"),
+    ("cuts", True),
+    ("frame_budget", None),
+    ("time_budget", None),
+    ("target_psnr", None),
+    ("corrections", CorrectionSettings()),
+)
+"""Settings by dotted path, and the value of each that a header omits."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +41,6 @@ class EncodeSettings(Checked):
     lattice_scale: Annotated[float, Within(1e-3, 1e3)] = 1.0  # of the default steps; more: smaller, less exact
     zstd_level: Annotated[int, Within(1, 22)] = DEFAULT_LEVEL  # more: slower, smaller
     method: str = "decogs"  # of later frames, a name in FRAME_METHODS; "3dgstream" is slower
-    baseline: BaselineSettings = field(default_factory=BaselineSettings)
     segment: Annotated[int, Within(0, MAX_FRAME)] = 0  # frames between keyframes; fewer: larger, seek faster; 0: one
     closed: bool = False  # segments depend on no other: slower
     catch_up: Annotated[int, Within(1, 1000)] = 3  # trainings of a closed segment's first frame; more: slower, larger
@@ -59,6 +62,11 @@ class EncodeSettings(Checked):
                 "`closed`: `time_budget` carries time from segment to segment, so none stands on its own; drop one of "
                 "the two"
             )
+        if self.closed and "gate" in self.frame.ablated:
+            raise UsageError(
+                "`closed`: `ablate` gate carries Adam's moments from segment to segment, so none stands on its own; "
+                "drop one of the two"
+            )
 
     @property
     def frame_effects(self) -> tuple[str, ...]:
@@ -71,30 +79,20 @@ class EncodeSettings(Checked):
         return min(self.cross_fade, self.segment - 1) if self.closed else 0
 
     def as_document(self) -> dict[str, Any]:
-        """The settings as plain JSON values, for the stream's header and the log; without the other method's.
+        """The settings as plain JSON values, for the stream's header and the log.
 
-        Unset budgets, targets, corrections and choices of effects are omitted, so streams started without such settings
-        can still be resumed.
+        Omitted are what the dense baseline does not read, and unset budgets, targets, corrections and choices of
+        effects, so that streams started without such settings can still be resumed.
         """
         document: dict[str, Any] = json.loads(json.dumps(asdict(self)))
-        del document[_UNREAD_SETTINGS.get(self.method, "baseline")]
-        for name in ("frame_budget", "time_budget", "target_psnr"):
-            if document[name] is None:
-                del document[name]
+        omitted = [path for path, usual in _OMITTED_DEFAULTS if attrgetter(path)(self) == usual]
         if (self.effects, self.detect_per_frame) == (PRESET_EFFECTS, False):
-            del document["effects"], document["detect_per_frame"]
-        if self.corrections == CorrectionSettings():
-            del document["corrections"]
-        if self.cuts:
-            del document["cuts"]
+            omitted += ["effects", "detect_per_frame"]
         if not self.closed:
-            for name in ("closed", "catch_up", "cross_fade"):
-                del document[name]
-        for path, usual in _OMITTED_DEFAULTS:
-            *parts, name = path.split(".")
-            owner = document
-            for part in parts:
-                owner = owner.get(part, {})
-            if owner.get(name) == usual:
-                del owner[name]
+            omitted += ["closed", "catch_up", "cross_fade"]
+        if self.method == "3dgstream":
+            omitted.append("frame")
+        for path in omitted:
+            *groups, name = path.split(".")
+            del reduce(getitem, groups, document)[name]
         return document

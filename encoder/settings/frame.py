@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Annotated
 
-from .cache import CacheSettings
 from .checked import (
     Checked,
     Count,
@@ -98,8 +97,6 @@ class FrameSettings(Checked):
 
     masks: MaskSettings = field(default_factory=MaskSettings)
     selection: SelectionSettings = field(default_factory=SelectionSettings)
-    cache: CacheSettings | None = field(default_factory=CacheSettings)  # of method "paper"; None: CacheSettings()
-    cache_iterations: Steps = 150  # steps of method "paper" that train the cache, before the others; more: slower
     joint_iterations: Steps = 100  # steps; more: slower, follows faster motion
     warm_start: Share = 0.0  # of the neighbourhood's last displacement, to begin with; no slower
     grow_gradient: Rate = 1e-4  # mean view gradient from which a Gaussian is split (the paper's tau_d); less: slower

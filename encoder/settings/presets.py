@@ -43,7 +43,6 @@ _LIVE = EncodeSettings(
             since_trained=True,
             light_threshold=4.0,
         ),
-        cache=None,
         joint_iterations=30,
         warm_start=0.9,
         grow_fraction=0.003,

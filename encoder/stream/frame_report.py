@@ -10,7 +10,7 @@ from decogs.formats.callbacks import OnWarning
 from decogs.formats.container import PacketKind
 from decogs.formats.splats import FloatArray
 
-from ..change.masks import showing
+from ..change.masks import usable_views
 from ..frame.context import Context
 from ..frame.encode_frame import Encoded
 from ..input.ingest import display_referred
@@ -80,7 +80,7 @@ class FrameReporter:
 
     def _used(self, encoded: Encoded) -> Sequence[int]:
         """The views whose pictures show the frame; all if there are none."""
-        return showing(encoded.outcome.selection.masks) or range(len(self._context.ingest.views))
+        return usable_views(encoded.outcome.selection.masks) or range(len(self._context.ingest.views))
 
     def _training_psnr(self, encoded: Encoded) -> float:
         used, views = self._used(encoded), self._context.ingest.views

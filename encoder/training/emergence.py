@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.splats import Splats, empty_splats
+from decogs.formats.splats import Splats, empty_splats, take_splats
 
 from ..parallel import side_by_side
 from .frame_training import FrameTraining
@@ -21,6 +21,7 @@ from .working_set import WorkingSet
 def add_emerging(training: FrameTraining, work: WorkingSet, views: Sequence[int], rays: float = 1.0) -> None:
     """Adds the frame's emerging objects to ``work``, from these ``views`` and a share of the ``rays``."""
     found = _find_emerging(training, work, views, rays)
+    found = take_splats(found, ~training.is_free(found.means))
     if len(found):
         work.append(found)
 

@@ -13,7 +13,7 @@ from decogs.formats.cameras import in_picture, project
 from decogs.formats.splats import FloatArray, Splats
 
 from ..backends import Drawable, Gradients, ViewGradients
-from ..change.masks import FrameMask, showing
+from ..change.masks import FrameMask, usable_views
 from ..input.ingest import View
 from ..parallel import side_by_side
 from ..settings.frame import FocusWeights, FrameSettings
@@ -126,6 +126,10 @@ class FrameTraining:
         regions = [self.focus(index) for index in range(len(self.losses))]
         return TargetWatch(self.frame.stopping.target_psnr, self.frame.pictures, regions)
 
+    def is_free(self, means: FloatArray) -> NDArray[np.bool_]:
+        """Points (P, 3) in the frame's empty space; none where it is not known."""
+        return np.zeros(len(means), bool) if self.frame.free is None else self.frame.free(means)
+
     def in_any_focus(self, means: FloatArray) -> NDArray[np.bool_]:
         """Points (P, 3) that project into the region of interest of at least one view."""
         inside = np.zeros(len(means), bool)
@@ -145,7 +149,7 @@ def frame_training(context: TrainingContext, frame: FrameInput, loss: LossOfView
     with side_by_side(context.threads) as each:
         losses = list(each(of_view, frame.pictures, frame.masks, context.views))
     random = np.random.default_rng((context.seed, frame.index))
-    return FrameTraining(context, frame, losses, showing(frame.masks), random)
+    return FrameTraining(context, frame, losses, usable_views(frame.masks), random)
 
 
 def _pixels(picture: FloatArray, places: NDArray[np.int64]) -> FloatArray:

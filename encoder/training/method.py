@@ -27,6 +27,10 @@ MAX_GROWTH = 1.25
 growing: the tests' scene from 2 500 Gaussians to 18 000 in a thousand frames, which costs 2 dB."""
 
 
+FreeSpace = Callable[[FloatArray], NDArray[np.bool_]]
+"""Which points (P, 3) lie in space that is known to be empty."""
+
+
 @dataclass(frozen=True)
 class TrainingContext:
     """Constants of a stream's training.
@@ -57,7 +61,8 @@ class FrameInput:
     ``scene``: the N reconstructed Gaussians of the frame before. ``selected`` (N,): S_t. ``light_only`` (N,): those of
     them that light alone changes, or None where all are trained alike. ``pictures``: one (3, H, W) for each view,
     colours 0 to 1. ``masks``: one for each view, none for a dense method. ``motion`` (N, 3): every Gaussian's last
-    displacement, world units. ``settings``: of this frame. ``stopping``: the end of training.
+    displacement, world units. ``settings``: of this frame. ``stopping``: the end of training. ``free``: the frame's
+    empty space, where it is known.
     """
 
     index: int
@@ -69,6 +74,7 @@ class FrameInput:
     motion: FloatArray
     settings: FrameSettings
     stopping: StoppingRule = WHOLE
+    free: FreeSpace | None = None
 
 
 @dataclass(frozen=True)

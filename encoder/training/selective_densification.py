@@ -30,7 +30,8 @@ def densify(training: FrameTraining, work: WorkingSet, drawn: Splats, gathered: 
     training.seen.check()
     settings = training.settings
     selected = work.may_grow()
-    faint = selected & (sigmoid(work.values.opacity_logits) < settings.prune_opacity)
+    values = work.values
+    faint = selected & ((sigmoid(values.opacity_logits) < settings.prune_opacity) | training.is_free(values.means))
     room = training.context.max_gaussians - work.population + int(faint.sum())
     # Rounded up: a small scene that may never grow loses quality over hundreds of frames.
     room = min(math.ceil(settings.grow_fraction * selected.sum()), room)

@@ -50,9 +50,9 @@ class Motion:
         """Predicted displacement up to the next frame, at constant velocity over deferred frames."""
         return np.asarray(self.last * np.float32(1 + self.deferred), np.float32)
 
-    def defer(self) -> Motion:
-        """After a frame without training: the scene stays."""
-        return Motion(self.last, self.deferred + 1)
+    def defer(self, frames: int = 1) -> Motion:
+        """After frames without training: the scene stays."""
+        return Motion(self.last, self.deferred + frames)
 
     def move(self, displacements: FloatArray) -> Motion:
         """After these displacements since the last frame that was not deferred."""

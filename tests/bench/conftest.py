@@ -12,7 +12,6 @@ import pytest
 from decogs.bench.runs import Run, RunFrame
 from decogs.encoder import PRESETS, EncodeSettings
 from decogs.encoder.settings.frame import MaskSettings, SelectionSettings
-from decogs.encoder.settings.threedgstream import BaselineSettings
 from encoder_fixtures import encoder_conftest
 
 tiny_rig, tiny_settings = encoder_conftest.tiny_rig, encoder_conftest.tiny_settings
@@ -23,20 +22,11 @@ shared_data = encoder_conftest.shared_data
 
 @pytest.fixture
 def short_presets(monkeypatch: pytest.MonkeyPatch, tiny_settings: EncodeSettings) -> None:
-    """Presets "tiny" and "paper" in which every method, the baseline included, takes a few steps only."""
-    cache = tiny_settings.baseline.cache
-    baseline = BaselineSettings(cache=cache, cache_iterations=6, spawn_iterations=6, prune_every=3)
-    tiny = replace(tiny_settings, baseline=baseline)
-    paper = replace(
-        tiny.frame,
-        masks=MaskSettings(),
-        selection=SelectionSettings(rule="paper"),
-        cache=cache,
-        cache_iterations=5,
-        joint_iterations=5,
-    )
-    monkeypatch.setitem(PRESETS, "tiny", tiny)
-    monkeypatch.setitem(PRESETS, "paper", replace(tiny, method="paper", frame=paper))
+    """Presets "tiny" and "paper" whose frames take a few steps only."""
+    selection = SelectionSettings(rule="paper")
+    paper = replace(tiny_settings.frame, masks=MaskSettings(), selection=selection, joint_iterations=5)
+    monkeypatch.setitem(PRESETS, "tiny", tiny_settings)
+    monkeypatch.setitem(PRESETS, "paper", replace(tiny_settings, method="paper", frame=paper))
 
 
 @pytest.fixture(scope="session")

@@ -14,7 +14,6 @@ from decogs.decoder.stream import open_stream
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.change.selection import SELECTION_RULES
 from decogs.encoder.methods import FRAME_METHODS, method_of
-from decogs.encoder.settings.cache import CacheSettings
 from decogs.encoder.settings.encode import EncodeSettings
 from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings
 from decogs.encoder.switches import ablate
@@ -22,10 +21,7 @@ from decogs.encoder.training.method import FrameMethod, FrameTrainer
 from decogs.formats.errors import UsageError
 from one_frame import BOX, Case, bits, moved_square, train, training_context
 
-CACHE = CacheSettings(levels=4, features=2, table_log2=8, base_resolution=4, hidden_width=16, learning_rate=5e-3)
-SETTINGS = FrameSettings(
-    cache=CACHE, cache_iterations=20, joint_iterations=30, grow_fraction=0.0, emergence=EmergenceSettings(max_seeds=0)
-)
+SETTINGS = FrameSettings(joint_iterations=30, grow_fraction=0.0, emergence=EmergenceSettings(max_seeds=0))
 METHODS = pytest.mark.parametrize("method", [DECOGS, PAPER], ids=["decogs", "paper"])
 
 

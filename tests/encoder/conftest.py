@@ -26,10 +26,8 @@ from decogs.encoder.frame.context import Context
 from decogs.encoder.frame.encode_frame import Encoded as EncodedFrame
 from decogs.encoder.input.imported_keyframe import read_keyframe
 from decogs.encoder.input.ingest import Ingest
-from decogs.encoder.settings.cache import CacheSettings
 from decogs.encoder.settings.frame import FrameSettings, MaskSettings
 from decogs.encoder.settings.keyframe import KeyframeSettings
-from decogs.encoder.settings.threedgstream import BaselineSettings
 from decogs.encoder.stream.options import RunOptions
 from decogs.encoder.stream.run import encode_stream
 from decogs.formats.cameras import Camera
@@ -41,8 +39,6 @@ HELD_OUT = "cam02"
 LENS = (0.12, 0.01, 0.002, -0.003)
 """Pincushion: its undistorted picture has unrecorded corners."""
 
-CACHE = CacheSettings(levels=4, features=2, table_log2=8, base_resolution=4, hidden_width=16, learning_rate=5e-3)
-
 TINY = EncodeSettings(
     # Without Gaussians beside the pictures (test_border_extrapolation): ten steps are too few for the others to adapt
     # to them.
@@ -51,13 +47,11 @@ TINY = EncodeSettings(
     ),
     frame=FrameSettings(
         masks=MaskSettings(threshold=10.0),
-        cache=None,
         joint_iterations=10,
         warm_start=0.9,
         grow_gradient=1e-5,
     ),
     zstd_level=3,
-    baseline=BaselineSettings(cache=CACHE, cache_iterations=30, spawn_iterations=20, prune_every=10),
 )
 
 

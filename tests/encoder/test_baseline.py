@@ -19,9 +19,8 @@ from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.change.masks import MaskMemory
 from decogs.encoder.input.ingest import Ingest
 from decogs.encoder.methods import threedgstream
-from decogs.encoder.methods.threedgstream import BaselineTrainer
-from decogs.encoder.settings.encode import EncodeSettings
-from decogs.encoder.settings.threedgstream import BaselineSettings
+from decogs.encoder.methods.threedgstream import BaselineConfig, BaselineTrainer
+from decogs.encoder.methods.transformation_cache import CacheConfig
 from decogs.encoder.training.method import TrainedFrame
 from decogs.formats.container import PacketKind
 from decogs.formats.errors import TrainingError
@@ -31,6 +30,12 @@ from one_frame import train, training_context
 
 BOX = (np.array([-3.5, -3.0, -1.0]), np.array([3.5, 3.0, 1.0]))
 LEFT = (BOX[0], np.array([0.0, 3.0, 1.0]))
+CONFIG = BaselineConfig(
+    CacheConfig(levels=4, features=2, table_log2=8, base_resolution=4, hidden_width=16, learning_rate=5e-3),
+    cache_iterations=30,
+    spawn_iterations=20,
+    prune_every=10,
+)
 ATTRIBUTES = ("means", "log_scales", "quaternions", "opacity_logits", "sh")
 
 
@@ -41,22 +46,11 @@ class Case:
     ingest: Ingest
     scene: Splats
     pictures: list[np.ndarray]
-    settings: BaselineSettings
 
     def trainer(self, *, threads: int = 2, seed: int = 0, box: Any = BOX, **changes: Any) -> BaselineTrainer:
-        settings = replace(EncodeSettings(), method="3dgstream", baseline=replace(self.settings, **changes))
-        return BaselineTrainer(
-            training_context(
-                CpuKernel(threads),
-                self.ingest.views,
-                [],
-                settings=settings,
-                population=len(self.scene),
-                box=box,
-                seed=seed,
-                threads=threads,
-            )
-        )
+        given = {"population": len(self.scene), "box": box, "seed": seed, "threads": threads}
+        context = training_context(CpuKernel(threads), self.ingest.views, [], **given)
+        return BaselineTrainer(context, replace(CONFIG, **changes))
 
     def train(
         self, trainer: BaselineTrainer, scene: Splats | None = None, pictures: Any = None, frame: int = 1
@@ -68,9 +62,9 @@ class Case:
 
 
 @pytest.fixture(scope="module")
-def case(moving_rig: Path, tiny_rig: Any, tiny_settings: Any) -> Case:
+def case(moving_rig: Path, tiny_rig: Any) -> Case:
     ingest = Ingest(open_rig(moving_rig))
-    return Case(ingest, tiny_rig.scene_at(0), next(ingest.frames(1, 2)).training, tiny_settings.baseline)
+    return Case(ingest, tiny_rig.scene_at(0), next(ingest.frames(1, 2)).training)
 
 
 def bits(splats: Splats) -> bytes:
@@ -88,10 +82,11 @@ def error(case: Case, splats: Splats) -> float:
 
 def test_the_released_numbers() -> None:
     """docs/METHOD.md, "Gated neural transformation cache", and 3DGStream's released configuration."""
-    settings = BaselineSettings()
-    assert (settings.cache_iterations, settings.spawn_iterations) == (150, 100)
-    assert (settings.cache.learning_rate, settings.cache.levels, settings.cache.table) == (2e-3, 16, 1 << 15)
-    assert (settings.spawn_gradient, settings.prune_opacity, threedgstream.DISSIMILARITY) == (1.5e-4, 0.01, 0.2)
+    config, cache = BaselineConfig(), CacheConfig()
+    assert (config.cache_iterations, config.spawn_iterations, config.cache) == (150, 100, cache)
+    assert (cache.levels, cache.features, cache.table, cache.base_resolution) == (16, 4, 1 << 15, 16)
+    assert (cache.level_scale, cache.hidden_layers, cache.hidden_width, cache.learning_rate) == (2.0, 2, 64, 2e-3)
+    assert (config.spawn_gradient, config.prune_opacity, threedgstream.DISSIMILARITY) == (1.5e-4, 0.01, 0.2)
     rates = threedgstream.RATES
     np.testing.assert_allclose(
         [rates.means, rates.sh_dc, rates.sh_rest, rates.opacity_logits, rates.log_scales, rates.quaternions],
@@ -132,7 +127,7 @@ def test_stage_2_leaves_the_moved_gaussians_alone(case: Case) -> None:
 def test_spawned_gaussians_begin_faint_and_upright_beside_their_parents(case: Case) -> None:
     turned = take_splats(case.scene, np.arange(len(case.scene)))
     turned.quaternions[:] = 0.5  # a third of a turn about (1, 1, 1): the first sigma lies along y, the last along x
-    still = replace(case.settings.cache, learning_rate=0.0)
+    still = replace(CONFIG.cache, learning_rate=0.0)
     frame = case.train(case.trainer(box=LEFT, cache=still, spawn_gradient=0.0, spawn_iterations=0), turned)
     inside = ((turned.means >= LEFT[0]) & (turned.means <= LEFT[1])).all(axis=1)
     parents = take_splats(turned, np.flatnonzero(inside))
@@ -192,7 +187,7 @@ def test_faint_or_huge_spawned_gaussians_go(case: Case) -> None:
 def test_the_cache_begins_anew_with_every_frame(case: Case) -> None:
     trainer = case.trainer(spawn_gradient=1e9)
     assert (case.train(trainer).values.means != case.scene.means).any()
-    trainer._settings = replace(trainer._settings, cache_iterations=0)
+    trainer._config = replace(trainer._config, cache_iterations=0)
     np.testing.assert_array_equal(case.train(trainer).values.means, case.scene.means)
 
 

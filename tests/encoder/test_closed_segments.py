@@ -15,7 +15,7 @@ from decogs.codec.corrections import Correction
 from decogs.codec.digest import digest
 from decogs.codec.state import ARRAYS
 from decogs.decoder.stream import open_stream
-from decogs.encoder import CorrectionSettings, EncodeSettings, Targets
+from decogs.encoder import CorrectionSettings, EncodeSettings, Switches, Targets
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.coding.rate_control import RateControl, with_budget
 from decogs.encoder.settings.frame import SignificanceSettings
@@ -38,7 +38,6 @@ def remembering(settings: EncodeSettings) -> EncodeSettings:
     frame = replace(
         settings.frame,
         masks=masks,
-        cache=None,
         joint_iterations=20,
         significance=SignificanceSettings(threshold=1.0),
     )
@@ -206,6 +205,7 @@ def test_every_closed_segment_has_a_rate_control_of_its_own(
     [
         ({}, "`closed`: say how many frames a segment has, with `segment`"),
         ({"segment": 2, "targets": Targets(time_budget=1.0)}, "`closed`: `time_budget` carries time"),
+        ({"segment": 2, "switches": Switches(ablate=["gate"])}, "`closed`: `ablate` gate carries Adam's moments"),
     ],
 )
 def test_what_does_not_go_with_closed_segments(

@@ -45,7 +45,7 @@ def rig(tiny_rig: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def settings(tiny_settings: Any) -> Any:
     """Long enough for a part to be killed in the middle."""
     significance = SignificanceSettings(threshold=1.0)
-    frame = replace(tiny_settings.frame, cache=None, joint_iterations=400, significance=significance)
+    frame = replace(tiny_settings.frame, joint_iterations=400, significance=significance)
     return replace(tiny_settings, frame=frame, catch_up=2)
 
 

@@ -19,7 +19,7 @@ from decogs.decoder.views import render_view
 from decogs.encoder.input.compensation.colour import logit_shift
 from decogs.encoder.input.compensation.matching import find_colours
 from decogs.encoder.input.ingest import Ingest
-from decogs.encoder.settings.compensation import CorrectionSettings
+from decogs.encoder.settings.effects import CorrectionSettings
 from decogs.formats.cameras import in_picture, project
 from decogs.formats.pictures import read_picture
 from decogs.formats.rigs import open_rig

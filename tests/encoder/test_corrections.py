@@ -27,7 +27,7 @@ from decogs.encoder.input.compensation.benefit import Benefit
 from decogs.encoder.input.compensation.colour import logit_shift, remove_gain
 from decogs.encoder.input.compensation.shake import angles_of, estimate_turn, undo_turn
 from decogs.encoder.input.ingest import Ingest, View
-from decogs.encoder.settings.compensation import CorrectionSettings
+from decogs.encoder.settings.effects import CorrectionSettings
 from decogs.formats.cameras import Camera, scale_camera
 from decogs.formats.errors import UsageError
 from decogs.formats.pictures import read_picture

@@ -32,7 +32,7 @@ STILL = (0, 1, 3, 3, 3, 3, 3)
 
 
 def fading(settings: EncodeSettings, frames: int = 3, **changes: Any) -> EncodeSettings:
-    frame = replace(settings.frame, cache=None, joint_iterations=40)
+    frame = replace(settings.frame, joint_iterations=40)
     return replace(settings, segment=6, closed=True, cross_fade=frames, frame=frame, **changes)
 
 
@@ -103,7 +103,7 @@ def test_a_frame_comes_to_show_the_mixture(tiny_rig: Any) -> None:
     fade = CrossFade(following, 0.5, rows, fade_views(kernel, cameras))
     none = empty_splats(scene.sh_degree)
     trained = TrainedFrame(np.zeros(0, np.int64), none, np.zeros(0, np.int64), none)
-    settings = FrameSettings(cache=None, joint_iterations=60, significance=SignificanceSettings(threshold=1e-3))
+    settings = FrameSettings(joint_iterations=60, significance=SignificanceSettings(threshold=1e-3))
     given = {"extent": 2.0, "seed": (0, 1)}
     gone = cross_fade(kernel, scene, trained, fade, settings, **given)
     np.testing.assert_array_equal(gone.kept, rows)
@@ -127,7 +127,7 @@ def test_what_was_trained_and_added_goes_over_as_well(tiny_rig: Any) -> None:
     new = tiny_rig.patch((0, 0, -0.5), 3, 3, 0.1, 5)
     trained = TrainedFrame(kept, take_splats(following, kept), removed, new)
     fade = CrossFade(following, 0.5, rows, fade_views(kernel, cameras))
-    settings = FrameSettings(cache=None, joint_iterations=8)
+    settings = FrameSettings(joint_iterations=8)
     gone = cross_fade(kernel, scene, trained, fade, settings, extent=2.0, seed=(0, 1))
     np.testing.assert_array_equal(gone.kept, np.setdiff1d(np.union1d(kept, rows), removed))
     np.testing.assert_array_equal(gone.removed, removed)
@@ -146,7 +146,7 @@ def test_what_training_found_to_show_still_counts_after_the_fade(tiny_rig: Any) 
     large = Splats(*(np.full_like(getattr(values, name), 1e9) for name in ATTRIBUTES))
     trained = TrainedFrame(kept, values, rows[:0], empty_splats(scene.sh_degree), sensitivity=large)
     fade = CrossFade(following, 0.5, rows, fade_views(kernel, cameras))
-    settings = FrameSettings(cache=None, joint_iterations=2)
+    settings = FrameSettings(joint_iterations=2)
     gone = cross_fade(kernel, scene, trained, fade, settings, extent=2.0, seed=(0, 1))
     assert gone.sensitivity is not None
     was_trained = np.isin(gone.kept, kept)

@@ -682,7 +682,7 @@ def test_a_whole_encode_runs_on_it(
     settings = replace(
         tiny_settings,
         keyframe=replace(tiny_settings.keyframe, iterations=14, cap=400, grow_every=6, settle_iterations=4),
-        frame=replace(tiny_settings.frame, cache_iterations=4, joint_iterations=4),
+        frame=replace(tiny_settings.frame, joint_iterations=4),
     )
     encoded = encode(moving_rig, settings=settings, stop=2)
     monkeypatch.undo()

@@ -18,7 +18,7 @@ from decogs.decoder.rasterise import render
 from decogs.decoder.stream import open_stream
 from decogs.encoder.change.cuts import shows_another_scene
 from decogs.encoder.keyframe.first_frame import train_first_frame
-from decogs.encoder.settings.compensation import CorrectionSettings
+from decogs.encoder.settings.effects import CorrectionSettings
 from decogs.formats.container import PacketKind
 from decogs.formats.errors import TrainingError
 from decogs.formats.splats import join_splats

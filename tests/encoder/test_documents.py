@@ -66,7 +66,7 @@ def at_the_rig(tiny_rig: Any, tiny_settings: EncodeSettings, tmp_path: Path, mon
     short = replace(
         tiny_settings,
         keyframe=replace(tiny_settings.keyframe, iterations=20, cap=300, settle_iterations=4),
-        frame=replace(tiny_settings.frame, cache=None, significance=SignificanceSettings(threshold=6.5)),
+        frame=replace(tiny_settings.frame, significance=SignificanceSettings(threshold=6.5)),
     )
     # Nobody looks: the address is asked for once, and the command goes on as if it had been interrupted.
     monkeypatch.setattr(notebook, "open_browser", lambda url: True)

@@ -206,7 +206,7 @@ def trained(kernel: CpuKernel, wall: Splats, shown: Splats, emergence: Emergence
     views = [View(camera, camera, None) for camera in cameras()]
     pictures = [kernel.forward(shown, view.pinhole).rgb for view in views]
     everywhere = np.ones((HEIGHT, WIDTH), bool)
-    settings = FrameSettings(cache=None, joint_iterations=40, grow_fraction=0.0, emergence=emergence)
+    settings = FrameSettings(joint_iterations=40, grow_fraction=0.0, emergence=emergence)
     box = (np.full(3, -3.0), np.full(3, 3.0))
     watch = [CpuFixedView(kernel, view.pinhole) for view in views]
     for watching in watch:

@@ -64,7 +64,7 @@ def scene_of(state: str) -> Any:
 
 def test_state_masks_and_motion_of_before_come_back_after_it() -> None:
     """Two bright frames: the state before the first one, not between the two."""
-    before = memory_of(DARK)
+    before = memory_of(DARK, MOVING.defer())
     first = happened(3, BRIGHT, before, scene_of("before"))
     assert not first.is_return
     masks = MaskMemory.begin([BRIGHT])
@@ -78,6 +78,7 @@ def test_state_masks_and_motion_of_before_come_back_after_it() -> None:
     assert (over.scene.state, over.is_return) == ("before for bright", True)
     assert over.memory.masks is before.masks
     np.testing.assert_array_equal(over.memory.motion.last, MOVING.last)
+    assert over.memory.motion.deferred == 3, "a frame before the light and both of it, trained or not"
     assert over.memory.before_flash is None
 
 

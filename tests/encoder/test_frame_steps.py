@@ -210,18 +210,23 @@ def test_a_segments_first_frame_leaves_no_velocity() -> None:
     np.testing.assert_array_equal(committed(restarted=True)[0].motion.last, 0)
 
 
-@pytest.mark.parametrize(("truncated", "shown"), [(True, "pictures of new"), (False, None)])
-def test_what_was_cut_short_is_compared_with_what_came_of_it(truncated: bool, shown: str | None) -> None:
-    assert committed(truncated=truncated)[1].given == {"moved": True, "shown": shown, "threads": 1, "held": False}
+@pytest.mark.parametrize(("truncated", "rendered"), [(True, "pictures of new"), (False, None)])
+def test_what_was_cut_short_is_compared_with_what_came_of_it(truncated: bool, rendered: str | None) -> None:
+    assert committed(truncated=truncated)[1].given == {
+        "moved": True,
+        "rendered": rendered,
+        "threads": 1,
+        "deferred": False,
+    }
 
 
 def test_what_was_rejected_is_still_to_be_trained() -> None:
-    assert committed(rejected=True)[1].given == {"held": False}
+    assert committed(rejected=True)[1].given == {"deferred": False}
 
 
 def test_what_was_deferred_is_still_to_be_trained() -> None:
     memory, masks = committed(deferred=True)
-    assert masks.given == {"held": True}
+    assert masks.given == {"deferred": True}
     assert memory.motion.deferred == 1
 
 
@@ -290,7 +295,7 @@ def test_a_segment_begins_with_the_first_frame_and_nothing_else(tiny_rig: Any) -
     assert again.state.row_sum == key.row_sum
     assert (again.state.frame, again.state.next_id) == (2, key.next_id + IDS_PER_SEGMENT)
     assert (fresh.rate, fresh.corrections) == (RateControl(1000.0, 3), "the first frame's")
-    assert fresh.masks.references[0] is fresh.masks.before[0] is PICTURE
+    assert fresh.masks.references[0] is fresh.masks.previous[0] is PICTURE
     np.testing.assert_array_equal(fresh.motion.last, np.zeros((4, 3)))
     assert fresh.before_flash is None
     assert fresh.first is first

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,7 +15,7 @@ import pytest
 from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.methods.decogs import DecogsTrainer
 from decogs.encoder.methods.paper import PaperTrainer
-from decogs.encoder.settings.cache import CacheSettings
+from decogs.encoder.methods.transformation_cache import CacheConfig
 from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings, IterationSettings, SignificanceSettings
 from decogs.encoder.training.frame_training import FrameTraining
 from decogs.encoder.training.method import TrainedFrame
@@ -22,15 +23,14 @@ from decogs.encoder.training.schedule import MIN_STEPS, StoppingRule
 from decogs.encoder.training.warm_start import shared_displacements
 from decogs.formats.errors import TrainingError
 from decogs.formats.splats import Splats, take_splats
-from one_frame import Case, bits, moved_square, train
+from one_frame import Case, NewTrainer, Trainer, bits, moved_square, train
 
-CACHE = CacheSettings(levels=4, features=2, table_log2=8, base_resolution=4, hidden_width=16, learning_rate=5e-3)
-MOVING = FrameSettings(
-    cache=CACHE, cache_iterations=30, joint_iterations=30, grow_fraction=0.0, emergence=EmergenceSettings(max_seeds=0)
-)
-DIRECT = replace(MOVING, cache=None)
-NOTHING = replace(MOVING, cache=replace(CACHE, learning_rate=0.0), cache_iterations=1, joint_iterations=0)
-"""A cache that learns nothing and stays the identity: what densification alone does."""
+SETTINGS = FrameSettings(joint_iterations=30, grow_fraction=0.0, emergence=EmergenceSettings(max_seeds=0))
+CACHE = CacheConfig(levels=4, features=2, table_log2=8, base_resolution=4, hidden_width=16, learning_rate=5e-3)
+CACHED = partial(PaperTrainer, cache=CACHE, cache_iterations=30)
+IDENTITY = partial(PaperTrainer, cache=replace(CACHE, learning_rate=0.0), cache_iterations=1)
+"""A cache that learns nothing: with no steps of stage 2, what densification alone does."""
+METHODS = pytest.mark.parametrize("new", [CACHED, DecogsTrainer], ids=["cache", "direct"])
 
 
 @pytest.fixture(scope="module")
@@ -57,12 +57,10 @@ def error(case: Case, splats: Splats) -> float:
     )
 
 
-@pytest.mark.parametrize("settings", [MOVING, DIRECT], ids=["cache", "direct"])
-def test_the_selected_follow_the_pictures_and_the_scene_given_stays_as_it_is(
-    case: Case, settings: FrameSettings
-) -> None:
+@METHODS
+def test_the_selected_follow_the_pictures_and_the_scene_given_stays_as_it_is(case: Case, new: NewTrainer) -> None:
     before = bits(case.scene)
-    frame = case.train(settings)
+    frame = case.train(SETTINGS, new)
     assert bits(case.scene) == before
     np.testing.assert_array_equal(frame.kept, np.flatnonzero(case.selected))
     assert (len(frame.removed), len(frame.added)) == (0, 0)
@@ -75,7 +73,7 @@ def test_the_selected_follow_the_pictures_and_the_scene_given_stays_as_it_is(
 
 
 def test_the_cache_alone_moves_and_turns_and_touches_nothing_else(case: Case) -> None:
-    frame = case.train(replace(MOVING, joint_iterations=0))
+    frame = case.train(replace(SETTINGS, joint_iterations=0), CACHED)
     old = take_splats(case.scene, frame.kept)
     for name in ("log_scales", "opacity_logits", "sh"):
         np.testing.assert_array_equal(getattr(frame.values, name), getattr(old, name))
@@ -84,8 +82,8 @@ def test_the_cache_alone_moves_and_turns_and_touches_nothing_else(case: Case) ->
 
 
 def test_results_depend_on_the_seed_and_not_on_threads(case: Case) -> None:
-    settings = replace(MOVING, grow_fraction=0.5, grow_gradient=0.0)
-    one, five, other = (case.train(settings, **o) for o in ({"threads": 1}, {"threads": 5}, {"seed": 1}))
+    settings = replace(SETTINGS, grow_fraction=0.5, grow_gradient=0.0)
+    one, five, other = (case.train(settings, CACHED, **o) for o in ({"threads": 1}, {"threads": 5}, {"seed": 1}))
     assert len(one.added) > 0
     assert bits(one.values) + bits(one.added) == bits(five.values) + bits(five.added)
     assert bits(one.values) != bits(other.values)
@@ -93,17 +91,19 @@ def test_results_depend_on_the_seed_and_not_on_threads(case: Case) -> None:
 
 def test_the_warm_start_carries_the_last_displacement_on(case: Case) -> None:
     motion = np.random.default_rng(0).normal(0, 0.1, case.scene.means.shape).astype(np.float32)
-    frame = case.train(replace(DIRECT, joint_iterations=0, warm_start=0.75), motion=motion)
+    frame = case.train(replace(SETTINGS, joint_iterations=0, warm_start=0.75), motion=motion)
     means = case.scene.means[case.selected]
     expected = means + np.float32(0.75) * shared_displacements(means, motion[case.selected])
     np.testing.assert_allclose(frame.values.means, expected, atol=1e-6)
 
 
-def grown(case: Case, *, everywhere: bool, **settings: Any) -> TrainedFrame:
+GROWING = replace(SETTINGS, joint_iterations=0, grow_fraction=1.0, grow_gradient=0.0, prune_opacity=0.0)
+
+
+def grown(case: Case, *, everywhere: bool) -> TrainedFrame:
     scene = take_splats(case.scene, np.arange(len(case.scene)))
     scene.log_scales[case.selected] = np.log(0.05)  # above 1 % of the extent: split, not cloned
-    chosen = replace(NOTHING, grow_fraction=1.0, grow_gradient=0.0, prune_opacity=0.0, **settings)
-    return replace(case, scene=scene).train(chosen, everywhere=everywhere)
+    return replace(case, scene=scene).train(GROWING, IDENTITY, everywhere=everywhere)
 
 
 def test_halves_born_in_the_focus_lie_about_their_parents_old_place(case: Case) -> None:
@@ -127,41 +127,43 @@ def test_one_view_with_the_place_in_its_focus_is_enough(case: Case) -> None:
     masks[3] = case.masks(everywhere=True)[3]
     scene = take_splats(case.scene, np.arange(len(case.scene)))
     scene.log_scales[case.selected] = np.log(0.05)
-    settings = replace(NOTHING, grow_fraction=1.0, grow_gradient=0.0, prune_opacity=0.0)
-    frame = replace(case, scene=scene).train(settings, masks=masks)
+    frame = replace(case, scene=scene).train(GROWING, IDENTITY, masks=masks)
     np.testing.assert_array_equal(frame.added.means, free.added.means)
     assert (frame.added.means != bound.added.means).any()
 
 
 @pytest.mark.parametrize(
-    ("settings", "expected"),
-    [(MOVING, [("cache", step) for step in range(20, 30)]), (DIRECT, [("joint", step) for step in range(7, 15)])],
+    ("new", "expected"),
+    [
+        (CACHED, [("cache", step) for step in range(20, 30)]),
+        (DecogsTrainer, [("joint", step) for step in range(7, 15)]),
+    ],
     ids=["last third of stage 1", "second quarter"],
 )
 def test_growth_goes_by_gradients_shortly_before_it(
-    case: Case, monkeypatch: pytest.MonkeyPatch, settings: FrameSettings, expected: list[tuple[str, int]]
+    case: Case, monkeypatch: pytest.MonkeyPatch, new: NewTrainer, expected: list[tuple[str, int]]
 ) -> None:
     drawn: list[tuple[str, int]] = []
     gathered: list[tuple[str, int]] = []
     monkeypatch.setattr(FrameTraining, "gather", lambda *_: gathered.append(drawn[-1]))
-    case.train(settings, stopping=StoppingRule(on_loss=lambda stage, step, loss: drawn.append((stage, step))))
+    stopping = StoppingRule(on_loss=lambda stage, step, loss: drawn.append((stage, step)))
+    case.train(SETTINGS, new, stopping=stopping)
     assert gathered == expected
 
 
 def test_growth_is_limited_by_gradient_and_share(case: Case) -> None:
     assert len(grown(case, everywhere=True).added) == 25
     for limits, most in (({"grow_fraction": 0.2}, 5), ({"grow_fraction": 1e-3}, 1), ({"grow_gradient": 1e9}, 0)):
-        chosen = replace(NOTHING, **({"grow_fraction": 1.0, "grow_gradient": 0.0} | limits))
-        assert len(case.train(chosen).added) == most
+        assert len(case.train(replace(GROWING, **limits), IDENTITY).added) == most
 
 
-@pytest.mark.parametrize("settings", [MOVING, NOTHING], ids=["cache", "nothing"])
-def test_faint_gaussians_go_if_they_were_selected(case: Case, settings: FrameSettings) -> None:
+@pytest.mark.parametrize(("steps", "new"), [(30, CACHED), (0, IDENTITY)], ids=["cache", "nothing"])
+def test_faint_gaussians_go_if_they_were_selected(case: Case, steps: int, new: NewTrainer) -> None:
     scene = take_splats(case.scene, np.arange(len(case.scene)))
     selected = np.flatnonzero(case.selected)
     faint = np.concatenate([selected[[4, 7]], [11, 12]])  # rows 11 and 12 are of the wall, which nobody selected
     scene.opacity_logits[faint] = -7.0
-    frame = replace(case, scene=scene).train(settings)
+    frame = replace(case, scene=scene).train(replace(SETTINGS, joint_iterations=steps), new)
     np.testing.assert_array_equal(frame.removed, selected[[4, 7]])
     np.testing.assert_array_equal(frame.kept, np.delete(selected, [4, 7]))
     assert len(frame.values) == 23
@@ -169,21 +171,22 @@ def test_faint_gaussians_go_if_they_were_selected(case: Case, settings: FrameSet
 
 def test_the_cache_begins_anew_in_every_frame(case: Case) -> None:
     """A second frame without any step is moved by nothing of what the first one taught."""
-    settings = replace(MOVING, joint_iterations=0)
-    trainer = case.trainer(settings)
+    trainer = case.trainer(replace(SETTINGS, joint_iterations=0), CACHED)
+    assert isinstance(trainer, PaperTrainer)
     given = (case.selected, case.pictures, case.masks(everywhere=True), np.zeros_like(case.scene.means))
     first = train(trainer, case.scene, *given, frame=1)
     assert (first.values.means != case.scene.means[first.kept]).any()
     for view in trainer.context.static_views:
         view.commit(case.scene, np.flatnonzero(case.selected))
-    second = train(trainer, case.scene, *given, frame=2, settings=replace(settings, cache_iterations=0))
+    trainer.cache_iterations = 0
+    second = train(trainer, case.scene, *given, frame=2)
     np.testing.assert_array_equal(second.values.means, case.scene.means[second.kept])
 
 
-@pytest.mark.parametrize("settings", [MOVING, DIRECT], ids=["cache", "no cache"])
-def test_a_frame_is_trained_alike_whatever_was_trained_before(case: Case, settings: FrameSettings) -> None:
+@METHODS
+def test_a_frame_is_trained_alike_whatever_was_trained_before(case: Case, new: NewTrainer) -> None:
     given = (case.selected, case.pictures, case.masks(everywhere=True), np.zeros_like(case.scene.means))
-    trainer = case.trainer(settings)
+    trainer = case.trainer(SETTINGS, new)
     results = []
     for frame in (1, 2, 1):
         trained = train(trainer, case.scene, *given, frame=frame)
@@ -197,12 +200,12 @@ def test_a_frame_is_trained_alike_whatever_was_trained_before(case: Case, settin
 def test_a_loss_that_is_not_finite_names_the_camera(case: Case) -> None:
     pictures = [*case.pictures[:4], np.full_like(case.pictures[4], np.nan)]
     with pytest.raises(TrainingError, match="the loss of camera cam04 is nan"):
-        case.train(DIRECT, pictures=pictures)
+        case.train(SETTINGS, pictures=pictures)
 
 
 def test_what_is_trained_is_what_a_whole_rendering_trains(case: Case) -> None:
     """The frame's loss falls as the pictures of the views say: no view keeps showing what has moved away."""
-    trainer = case.trainer(DIRECT)
+    trainer = case.trainer(SETTINGS)
     motion = np.zeros_like(case.scene.means)
     frame = train(trainer, case.scene, case.selected, case.pictures, case.masks(everywhere=True), motion, frame=1)
     now, kernel = applied(case.scene, frame), CpuKernel(1)
@@ -212,7 +215,7 @@ def test_what_is_trained_is_what_a_whole_rendering_trains(case: Case) -> None:
         np.testing.assert_array_equal(watching.rgb, kernel.forward(now, view.pinhole).rgb)
 
 
-def steps_of(case: Case, trainer: DecogsTrainer | PaperTrainer, pictures: list[np.ndarray]) -> int:
+def steps_of(case: Case, trainer: Trainer, pictures: list[np.ndarray]) -> int:
     """The steps of stage 2."""
     steps: list[int] = []
     stopping = StoppingRule(on_loss=lambda stage, step, loss: steps.append(step))
@@ -225,7 +228,7 @@ def steps_of(case: Case, trainer: DecogsTrainer | PaperTrainer, pictures: list[n
 def test_what_the_scene_misses_at_its_start_makes_a_frame_longer_or_shorter(case: Case) -> None:
     def steps(pictures: list[np.ndarray], usual_miss: float) -> int:
         trainer = case.trainer(
-            replace(DIRECT, adaptive_iterations=IterationSettings(usual_miss=usual_miss, min_factor=0.5))
+            replace(SETTINGS, adaptive_iterations=IterationSettings(usual_miss=usual_miss, min_factor=0.5))
         )
         return steps_of(case, trainer, pictures)
 
@@ -238,30 +241,30 @@ def test_what_the_scene_misses_at_its_start_makes_a_frame_longer_or_shorter(case
 
 def test_errors_are_measured_in_four_views_where_time_is_short(case: Case) -> None:
     """Each is drawn twice; else in every third view."""
-    trainer = case.trainer(DIRECT)
+    trainer = case.trainer(SETTINGS)
     assert isinstance(trainer, DecogsTrainer)
     trainer._step_seconds = 1.0
     for seconds, views in ((20, 4), (60, 7)):
         stopping = StoppingRule(deadline=time.perf_counter() + seconds)
-        training: Any = SimpleNamespace(frame=SimpleNamespace(stopping=stopping), settings=DIRECT, used=range(10, 30))
+        training: Any = SimpleNamespace(frame=SimpleNamespace(stopping=stopping), settings=SETTINGS, used=range(10, 30))
         assert len(trainer._probes(training)) == views
 
 
-@pytest.mark.parametrize("settings", [MOVING, DIRECT], ids=["cache", "direct"])
-def test_a_target_that_is_reached_ends_the_frame(case: Case, settings: FrameSettings) -> None:
+@pytest.mark.parametrize(("new", "cached"), [(CACHED, 30), (DecogsTrainer, 0)], ids=["cache", "direct"])
+def test_a_target_that_is_reached_ends_the_frame(case: Case, new: NewTrainer, cached: int) -> None:
     """Once every view was drawn, where nothing is reverted; stage 1 goes on to its end."""
     told: list[str] = []
-    settings = replace(settings, significance=SignificanceSettings(threshold=0.0))
+    settings = replace(SETTINGS, significance=SignificanceSettings(threshold=0.0))
     for target, steps in ((1.0, len(case.pictures)), (99.0, 30)):
         told.clear()
         stopping = StoppingRule(target_psnr=target, on_loss=lambda stage, step, loss: told.append(stage))
-        case.train(settings, stopping=stopping)
-        assert (told.count("cache"), told.count("joint")) == (0 if settings.cache is None else 30, steps)
+        case.train(settings, new, stopping=stopping)
+        assert (told.count("cache"), told.count("joint")) == (cached, steps)
 
 
 def test_only_what_light_alone_changes_needs_more_to_move(case: Case) -> None:
     """A change that is just significant stays where things move; colours have the same threshold everywhere."""
-    settings = replace(DIRECT, significance=SignificanceSettings(threshold=30.0))
+    settings = replace(SETTINGS, significance=SignificanceSettings(threshold=30.0))
     count = len(case.scene)
     given: list[Any] = [None, np.zeros(count, bool), case.selected]
     whole, nobody, everybody = (case.train(settings, light_only=light_only) for light_only in given)
@@ -276,14 +279,16 @@ def test_only_what_light_alone_changes_needs_more_to_move(case: Case) -> None:
         assert changed(everybody, name) == changed(whole, name)
 
 
-@pytest.mark.parametrize("settings", [MOVING, DIRECT], ids=["cache", "direct"])
-def test_a_deadline_gone_by_leaves_the_least_of_every_stage(case: Case, settings: FrameSettings) -> None:
+@pytest.mark.parametrize(
+    ("new", "stages"),
+    [(partial(CACHED, cache_iterations=60), ["cache", "joint"]), (DecogsTrainer, ["joint"])],
+    ids=["cache", "direct"],
+)
+def test_a_deadline_gone_by_leaves_the_least_of_every_stage(case: Case, new: NewTrainer, stages: list[str]) -> None:
     told: list[tuple[str, int]] = []
     stopping = StoppingRule(deadline=0.0, on_loss=lambda stage, step, loss: told.append((stage, step)))
-    settings = replace(settings, cache_iterations=60, joint_iterations=60)
-    frame = case.train(settings, stopping=stopping)
-    stages = ["joint"] if settings.cache is None else ["cache", "joint"]
+    frame = case.train(replace(SETTINGS, joint_iterations=60), new, stopping=stopping)
     assert told == [(stage, step) for stage in stages for step in range(MIN_STEPS)]
     assert error(case, applied(case.scene, frame)) < error(case, case.scene)
     assert frame.truncated
-    assert not case.train(settings).truncated
+    assert not case.train(SETTINGS, new).truncated

@@ -116,7 +116,6 @@ def test_the_promise_holds_with_the_papers_selection_removals_and_no_cache(
     frame = replace(
         tiny_settings.frame,
         selection=SelectionSettings(rule="paper"),
-        cache=None,
         joint_iterations=20,
         prune_opacity=0.12,
         grow_fraction=0.3,
@@ -246,7 +245,7 @@ def test_header_holds_what_a_decoder_needs_without_the_rig(moving: Any, tiny_rig
     assert (header.source_text, header.licence) == ("rendered for the tests", "CC0-1.0")
     assert header.units == "metre (rendered)"
     assert header.settings["seed"] == 0
-    assert header.settings["frame"]["cache_iterations"] == tiny_settings.frame.cache_iterations
+    assert header.settings["frame"]["joint_iterations"] == tiny_settings.frame.joint_iterations
 
 
 # Segments
@@ -347,7 +346,7 @@ def test_a_frame_without_changes_costs_its_masks_and_nothing_else(
 @pytest.mark.slow
 def test_the_shared_still_rig_is_skips_after_the_keyframe(encode: Any, shared_data: Any, tiny_settings: Any) -> None:
     """Real video coding noise against the standard preset's masks; the paper's threshold is higher still."""
-    frame = replace(PRESETS["standard"].frame, cache=None, joint_iterations=1)
+    frame = replace(PRESETS["standard"].frame, joint_iterations=1)
     assert frame.masks.threshold <= PRESETS["paper"].frame.masks.threshold
     short = replace(tiny_settings.keyframe, iterations=10, cap=500)
     encoded = encode(

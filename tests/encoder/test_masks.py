@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,14 +18,33 @@ from decogs.encoder.change.masks import (
     dilate,
     faint_light_mask,
     full_masks,
-    without_specks,
+    remove_specks,
 )
 from decogs.encoder.change.noise import frame_noise
 from decogs.encoder.settings.frame import MaskSettings
 from decogs.formats.errors import UsageError
-from mask_steps import MaskSteps
 
 RNG = np.random.default_rng(7)
+
+
+class MaskSteps:
+    """The masks of a stream's frames, one after the other, as `decogs.encoder.frame` makes them.
+
+    ``memory`` is that before the next frame; ``pictures`` are the first frame's.
+    """
+
+    def __init__(self, pictures: Sequence[np.ndarray], settings: MaskSettings) -> None:
+        self.memory, self.settings = MaskMemory.begin(pictures), settings
+
+    def masks(self, pictures: Sequence[np.ndarray]) -> list[FrameMask]:
+        changes = self.memory.pixel_changes(pictures, self.settings)
+        return self.memory.masks(pictures, changes, self.settings)
+
+    def trained(self, pictures: Sequence[np.ndarray], masks: Sequence[FrameMask], *, moved: bool) -> None:
+        self.memory = self.memory.trained(pictures, masks, moved=moved)
+
+    def passed(self, pictures: Sequence[np.ndarray]) -> None:
+        self.memory = self.memory.advance(pictures, [], self.settings)
 
 
 @pytest.fixture(autouse=True)
@@ -109,7 +129,7 @@ def test_specks_are_kept_unless_asked_for() -> None:
     assert kept.sum() == 4
     cleaned = frame_masks([now], [before], MaskSettings(radius_fraction=0.0, speck_area=2))[0].raw
     np.testing.assert_array_equal(np.argwhere(cleaned), [[20, 20], [21, 21], [22, 22]])
-    assert not without_specks(kept, 4).any()
+    assert not remove_specks(kept, 4).any()
 
 
 def test_a_change_too_slow_for_the_threshold_adds_up_until_it_is_seen() -> None:
@@ -160,7 +180,7 @@ def test_faint_light_counts_after_a_frame_in_which_only_light_changed(moved: boo
 
 @pytest.mark.parametrize(("columns", "counts"), [(70, False), (140, True)])
 def test_light_that_reached_next_to_nothing_is_not_looked_for_more_closely(columns: int, counts: bool) -> None:
-    """A pendulum at rest: its shading alone changes, and what video coding leaves is no light (_GLIMMER)."""
+    """A pendulum at rest: its shading alone changes, and video coding adds to it (_MIN_LIGHT_ONLY_FRACTION)."""
     before = np.full((3, 140, 140), 0.5, np.float32)
     shaded, lit = before.copy(), before.copy()
     shaded[:, :7, :columns] += 3 / 255  # a fortieth of the picture, or a twentieth
@@ -276,11 +296,11 @@ def test_a_picture_is_frozen_that_repeats_the_one_before_and_not_the_first() -> 
 
 
 def test_light_alone_is_remembered_for_one_frame() -> None:
-    mask = FrameMask(NOWHERE, NOWHERE, faint_reach=0.5)
+    mask = FrameMask(NOWHERE, NOWHERE, faint_light=0.5)
     memory, told = MaskMemory.begin([FLAT]), []
     for moved in (False, True, False):
         memory = memory.trained([FLAT], [mask], moved=moved)
-        told.append(memory.only_light)
+        told.append(memory.light_only)
     assert told == [True, False, True]
 
 
@@ -291,7 +311,7 @@ def test_what_training_has_not_reached_keeps_its_reference(truncated: bool) -> N
     shown = now - np.float32(0.01)
     shown[:, :2] = FLAT[:, :2]
     memory = MaskMemory.begin([FLAT], [FLAT + np.float32(0.02)])
-    reached = memory.trained([now], [mask], moved=True, shown=[shown] if truncated else None).references[0]
+    reached = memory.trained([now], [mask], moved=True, rendered=[shown] if truncated else None).references[0]
     expected = now.copy()
     if truncated:
         expected[:, :2] = FLAT[:, :2]

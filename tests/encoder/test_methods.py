@@ -14,7 +14,6 @@ from decogs.decoder.stream import open_stream
 from decogs.encoder import PRESETS, EncodeSettings
 from decogs.encoder.change.selection import SELECTION_RULES
 from decogs.encoder.methods import FRAME_METHODS
-from decogs.encoder.settings.cache import CacheSettings
 from decogs.encoder.switches import ABLATIONS, Switches, ablate, with_method, with_selection, with_switches
 from decogs.formats.errors import UsageError
 
@@ -75,11 +74,7 @@ def test_what_does_not_exist_or_has_no_meaning_is_refused(change: Callable[[], o
 def test_the_papers_method_encodes_from_any_preset(
     encode: Any, moving: Any, moving_rig: Path, tiny_settings: Any
 ) -> None:
-    cache = CacheSettings(levels=4, features=2, table_log2=8, base_resolution=4, hidden_width=16)
-    frame = replace(tiny_settings.frame, cache=cache, cache_iterations=10)
-    encoded = encode(
-        moving_rig, settings=with_method(replace(tiny_settings, frame=frame), "paper"), keyframe=moving.path
-    )
+    encoded = encode(moving_rig, settings=with_method(tiny_settings, "paper"), keyframe=moving.path)
     with open_stream(encoded.path) as stream:
         assert stream.header.settings["method"] == "paper"
     before, after = (encoded.report.frames[index].training_psnr for index in (0, 1))

@@ -14,11 +14,11 @@ from canary.figures import keyframe_of
 from canary.rigs import HELD_OUT, write_rig
 from decogs.encoder import EffectChoice
 from decogs.encoder.analysis import building
+from decogs.encoder.change.masks import MaskMemory
 from decogs.encoder.change.noise import frame_noise, picture_noise
 from decogs.encoder.settings.frame import MaskSettings
 from decogs.encoder.settings.presets import preset
 from encode_rig import encode_rig as encode
-from mask_steps import MaskSteps
 
 RNG = np.random.default_rng(5)
 SIZE = (96, 128)
@@ -56,10 +56,11 @@ def test_a_change_of_most_of_the_picture_is_no_noise(name: str, deviation: float
     scene = texture()
     before, now = recorded(scene, deviation), recorded(CHANGES[name](scene), deviation)
     settings = MaskSettings(threshold=10.0, radius_fraction=0.0)
-    plain = MaskSteps([before], settings).masks([now])[0].raw.mean()
+    memory = MaskMemory.begin([before])
+    plain = memory.pixel_changes([now], settings)[0].raw.mean()
     aware = MaskSettings(threshold=10.0, radius_fraction=0.0, noise_multiple=6.0)
     assert plain > 0.5
-    assert MaskSteps([before], aware).masks([now])[0].raw.mean() == plain
+    assert memory.pixel_changes([now], aware)[0].raw.mean() == plain
 
 
 @pytest.mark.parametrize("name", [name for name in CHANGES if name != "a pan"])

@@ -19,8 +19,9 @@ import pytest
 
 from decogs.codec.corrections import Correction
 from decogs.codec.header import StreamHeader
+from decogs.decoder.exporting import export
 from decogs.decoder.stream import open_stream
-from decogs.encoder import PRESETS, CorrectionSettings, EffectChoice, EncodeSettings, Targets, join
+from decogs.encoder import PRESETS, CorrectionSettings, EffectChoice, EncodeSettings, Switches, Targets, join
 from decogs.encoder.commands import encode_main, join_main
 from decogs.encoder.keyframe.train import train_keyframe
 from decogs.encoder.parts.manifest import Part, made_with, part_frames, read_part
@@ -51,7 +52,7 @@ def settings(tiny_settings: EncodeSettings) -> EncodeSettings:
     """With all that goes from frame to frame, and a camera that is compensated."""
     masks = replace(tiny_settings.frame.masks, since_trained=True)
     significance = SignificanceSettings(threshold=1.0)
-    frame = replace(tiny_settings.frame, masks=masks, cache=None, joint_iterations=20, significance=significance)
+    frame = replace(tiny_settings.frame, masks=masks, joint_iterations=20, significance=significance)
     corrections = CorrectionSettings(exposure=("cam01",))
     return replace(tiny_settings, frame=frame, detect_per_frame=True, corrections=corrections)
 
@@ -135,6 +136,27 @@ def test_metrics_are_joined_too(make: Make, tmp_path: Path) -> None:
     made = [
         make(tmp_path / f"{a}.dgs", (a, b), keyframe=key, metrics=True, threads=2) for a, b in [(0, 2), (2, 6), (6, 7)]
     ]
+    join(made, tmp_path / "joined.dgs")
+    assert (tmp_path / "joined.dgs").read_bytes() == one.read_bytes()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"switches": Switches("paper")}, {"switches": Switches("3dgstream")}, {"targets": Targets(target_psnr=24.0)}],
+    ids=["paper", "3dgstream", "target"],
+)
+@pytest.mark.parametrize("imported", [False, True], ids=["trained", "imported"])
+def test_whatever_method_target_and_keyframe(
+    make: Make, moving: Any, moving_rig: Path, tmp_path: Path, options: dict[str, Any], imported: bool
+) -> None:
+    """Methods that train every Gaussian, or have a cache; Gaussians from a file of another program."""
+    chosen, begun = {"rig": moving_rig} | options, {}
+    if imported:
+        export(moving.path, tmp_path / "key.ply", frames=range(0, 1))
+        begun = {"keyframe": tmp_path / "key.ply"}
+    one = make(tmp_path / "one.dgs", **begun, **chosen)
+    made = [make(tmp_path / "key.dgs", (0, 1), **begun, **chosen)]
+    made += [make(tmp_path / f"{a}.dgs", (a, a + SEGMENT), keyframe=made[0], **chosen) for a in (0, SEGMENT)]
     join(made, tmp_path / "joined.dgs")
     assert (tmp_path / "joined.dgs").read_bytes() == one.read_bytes()
 

@@ -208,7 +208,7 @@ def test_it_knows_nothing_but_sizes() -> None:
 def economical(tiny_settings: EncodeSettings) -> EncodeSettings:
     """The tiny settings with changes judged, as the presets do."""
     significance = SignificanceSettings(threshold=6.5, rd_lambda=10.0, colour_rd_lambda=2.5)
-    frame = replace(tiny_settings.frame, cache=None, joint_iterations=20, grow_fraction=0.0, significance=significance)
+    frame = replace(tiny_settings.frame, joint_iterations=20, grow_fraction=0.0, significance=significance)
     return replace(tiny_settings, frame=frame)
 
 

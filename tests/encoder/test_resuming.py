@@ -71,6 +71,27 @@ def test_the_bytes_are_those_of_an_uninterrupted_encode(
             assert getattr(ours, name) == getattr(theirs, name)
 
 
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"switches": Switches("paper")},
+        {"switches": Switches(ablate=["select", "focus"])},
+        {"scale": 0.5},
+        {"targets": Targets(lossless=True)},
+        {"targets": Targets(60)},
+        {"targets": Targets(target_psnr=24.0)},
+        {"effects": "all"},
+    ],
+    ids=["paper", "ablated", "scale", "lossless", "quality", "target", "effects"],
+)
+def test_whatever_was_asked_for(moving_rig: Path, tiny_settings: Any, tmp_path: Path, options: dict[str, Any]) -> None:
+    given = {"settings": tiny_settings, "holdout": ["cam02"], "threads": 1} | options
+    encode_rig(moving_rig, tmp_path / "whole.dgs", **given)
+    output = part(tmp_path, (tmp_path / "whole.dgs").read_bytes()[: ends(tmp_path / "whole.dgs")[2] + 9])
+    assert encode_rig(moving_rig, output, resume=True, **given).resumed == 2
+    assert output.read_bytes() == (tmp_path / "whole.dgs").read_bytes()
+
+
 def test_frames_that_are_there_are_not_trained_again(
     encode: Any, moving: Any, moving_rig: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -116,7 +137,6 @@ def test_what_masks_remember_is_replayed(
     frame = replace(
         tiny_settings.frame,
         masks=replace(tiny_settings.frame.masks, since_trained=True),
-        cache=None,
         joint_iterations=20,
     )
     given = {"settings": replace(tiny_settings, frame=frame, segment=2), "keyframe": moving.path}
@@ -218,6 +238,23 @@ def test_other_options_are_refused_and_nothing_is_touched(
     assert "\n" not in str(raised.value)
     assert [path.name for path in tmp_path.iterdir()] == ["scene.dgs.part"]
     assert (tmp_path / "scene.dgs.part").read_bytes() == data
+
+
+def test_settings_of_another_release_are_refused(
+    moving: Any, moving_rig: Path, tiny_settings: Any, tmp_path: Path
+) -> None:
+    """Earlier commits wrote numbers of a method among the settings of frames."""
+    with moving.path.open("rb") as file:
+        header, *frames = list(iterate_packets(file))[:3]
+    document = json.loads(header.payload)
+    document["settings"]["frame"] |= {"cache": None, "cache_iterations": 150}
+    earlier = io.BytesIO()
+    stream = StreamWriter(earlier, json.dumps(document).encode())
+    for packet in frames:
+        stream.write(packet.kind, packet.frame, packet.payload)
+    output = part(tmp_path, earlier.getvalue())
+    with pytest.raises(UsageError, match=r"was begun by another release of decogs: this one has no setting frame\.ca"):
+        encode_rig(moving_rig, output, resume=True, settings=tiny_settings, holdout=["cam02"])
 
 
 def test_another_keyframe_is_refused(

@@ -29,6 +29,7 @@ from decogs.encoder.coding.time_control import (
 )
 from decogs.encoder.commands import encode_main
 from decogs.encoder.methods.decogs import DecogsTrainer
+from decogs.encoder.methods.threedgstream import BaselineConfig
 from decogs.encoder.option_texts import seconds_per_frame
 from decogs.encoder.settings.frame import SignificanceSettings
 from decogs.encoder.settings.optimiser import LearningRates
@@ -200,7 +201,6 @@ def patient(tiny_settings: EncodeSettings) -> EncodeSettings:
     """The tiny settings with a long stage 2 and changes judged, as the presets have them."""
     frame = replace(
         tiny_settings.frame,
-        cache=None,
         joint_iterations=60,
         significance=SignificanceSettings(threshold=6.5),
     )
@@ -477,7 +477,7 @@ def test_anytime_tells_of_the_baseline(
     )
     records = [json.loads(line) for line in (tmp_path / "any").read_text().splitlines()]
     steps = [record["iteration"] for record in records if record["stage"] == "cache"]
-    assert steps == list(range(tiny_settings.baseline.cache_iterations))
+    assert steps == list(range(BaselineConfig().cache_iterations))
     assert {record["stage"] for record in records} <= {"cache", "joint"}
 
 

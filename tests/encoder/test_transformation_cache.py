@@ -10,8 +10,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from decogs.encoder.methods.transformation_cache import CacheWeights, TransformationCache
-from decogs.encoder.settings.cache import CacheSettings
+from decogs.encoder.methods.transformation_cache import CacheConfig, CacheWeights, TransformationCache
 from decogs.formats.errors import TrainingError, UsageError
 from decogs.formats.kernels import INSTRUCTION_SETS
 from instruction_sets import printed_on
@@ -19,10 +18,10 @@ from instruction_sets import printed_on
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
-SMALL = CacheSettings(levels=5, features=2, table_log2=9, base_resolution=4, hidden_width=12, translation_scale=0.7)
+SMALL = CacheConfig(levels=5, features=2, table_log2=9, base_resolution=4, hidden_width=12, translation_scale=0.7)
 SHAPES = {
     "small": SMALL,
-    "sixteen-levels": CacheSettings(table_log2=12),
+    "sixteen-levels": CacheConfig(table_log2=12),
     "no-hidden-layer": replace(SMALL, hidden_layers=0),
     "odd-sides": replace(SMALL, levels=3, features=3, hidden_layers=3, hidden_width=37),
     "one-by-one": replace(SMALL, levels=1, features=1, hidden_layers=1, hidden_width=1),
@@ -46,8 +45,8 @@ def strong_weights(cache: TransformationCache, seed: int = 5) -> CacheWeights:
     return CacheWeights(rng.normal(size=own.grid.shape).astype(np.float32), matrices, biases)
 
 
-def strong_cache(settings: CacheSettings) -> tuple[TransformationCache, CacheWeights]:
-    cache = TransformationCache(LOW, HIGH, settings, seed=0)
+def strong_cache(config: CacheConfig) -> tuple[TransformationCache, CacheWeights]:
+    cache = TransformationCache(LOW, HIGH, config, seed=0)
     weights = strong_weights(cache)
     cache.set_weights(weights)
     return cache, weights
@@ -56,20 +55,20 @@ def strong_cache(settings: CacheSettings) -> tuple[TransformationCache, CacheWei
 # -- the plain network ------------------------------------------------------------------------------------------------
 
 
-def corner_entry(settings: CacheSettings, resolution: int, vertex: NDArray[np.int64]) -> NDArray[np.int64]:
+def corner_entry(config: CacheConfig, resolution: int, vertex: NDArray[np.int64]) -> NDArray[np.int64]:
     """Table entries of vertices (..., 3): x fastest where all fit, else Instant-NGP's hash (equation 4)."""
     x, y, z = np.moveaxis(vertex, -1, 0)
-    if resolution**3 <= 2**settings.table_log2:
+    if resolution**3 <= 2**config.table_log2:
         return x + resolution * (y + resolution * z)
     hashed = x ^ (y * 2654435761 % 2**32) ^ (z * 805459861 % 2**32)
-    return hashed % 2**settings.table_log2
+    return hashed % 2**config.table_log2
 
 
 @dataclass(frozen=True)
 class PlainCache:
     """The textbook cache: whole tables and layers as float64 tensors that autograd and torch's Adam may work on."""
 
-    settings: CacheSettings
+    config: CacheConfig
     grid: torch.Tensor
     matrices: list[torch.Tensor]
     biases: list[torch.Tensor]
@@ -81,14 +80,14 @@ class PlainCache:
     def features(self, anchors: F32) -> torch.Tensor:
         points = (anchors.astype(np.float64) - LOW) / (HIGH - LOW)
         levels = []
-        for level in range(self.settings.levels):
-            resolution = round(self.settings.base_resolution * self.settings.level_scale**level)
+        for level in range(self.config.levels):
+            resolution = round(self.config.base_resolution * self.config.level_scale**level)
             position = points * (resolution - 1)
             cell = np.minimum(np.floor(position), resolution - 2)
             part = position - cell
-            total = torch.zeros(len(points), self.settings.features, dtype=torch.float64)
+            total = torch.zeros(len(points), self.config.features, dtype=torch.float64)
             for offset in np.ndindex(2, 2, 2):
-                entry = corner_entry(self.settings, resolution, (cell + offset).astype(np.int64))
+                entry = corner_entry(self.config, resolution, (cell + offset).astype(np.int64))
                 weight = np.prod(np.where(offset, part, 1 - part), axis=1)
                 total = total + torch.tensor(weight)[:, None] * self.grid[level, torch.tensor(entry)]
             levels.append(total)
@@ -102,13 +101,13 @@ class PlainCache:
             if layer < len(self.matrices) - 1:
                 x = torch.relu(x)
         q, dq = (v / v.norm(dim=1, keepdim=True) for v in (quaternions, x[:, 3:]))
-        return means + self.settings.translation_scale * x[:, :3], quaternion_product(q, dq)
+        return means + self.config.translation_scale * x[:, :3], quaternion_product(q, dq)
 
 
-def plain(settings: CacheSettings, weights: CacheWeights) -> PlainCache:
+def plain(config: CacheConfig, weights: CacheWeights) -> PlainCache:
     grid, *layers = (torch.tensor(a.astype(np.float64), requires_grad=True) for a in arrays(weights))
     half = len(weights.matrices)
-    return PlainCache(settings, grid, layers[:half], layers[half:])
+    return PlainCache(config, grid, layers[:half], layers[half:])
 
 
 def quaternion_product(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
@@ -146,7 +145,7 @@ def train(cache: TransformationCache, steps: int, seed: int = 1) -> None:
 
 
 def test_starts_at_the_identity() -> None:
-    cache = TransformationCache(LOW, HIGH, CacheSettings(), seed=3)
+    cache = TransformationCache(LOW, HIGH, CacheConfig(), seed=3)
     means, quaternions = gaussians(3000)
     cache.place(means, quaternions)
     moved, turned = cache.move()
@@ -254,9 +253,9 @@ def test_steps_are_those_of_torchs_adam_over_the_whole_table(shape: str) -> None
     where a sum happens to cancel. Tolerance: 20 steps, each off by roundings of weights of up to 4 (2.4e-7) and a
     tenth of the gradient's (1e-6 of up to 10); seen: 1.1e-6.
     """
-    settings = replace(SHAPES[shape], learning_rate=1e-2, epsilon=0.1)
-    cache, start = strong_cache(settings)
-    reference = plain(settings, start)
+    config = replace(SHAPES[shape], learning_rate=1e-2, epsilon=0.1)
+    cache, start = strong_cache(config)
+    reference = plain(config, start)
     adam = torch.optim.Adam(reference.tensors, lr=1e-2, betas=(0.9, 0.999), eps=0.1)
     means, quaternions = gaussians(90)
     rng = np.random.default_rng(2)
@@ -308,7 +307,7 @@ def test_weights_carry_over_to_the_next_frame_when_not_restarted() -> None:
 def test_any_number_of_threads_gives_the_same_bits() -> None:
     digests = set()
     for threads in (1, 2, 3):
-        cache = TransformationCache(LOW, HIGH, replace(CacheSettings(), levels=6), seed=4, threads=threads)
+        cache = TransformationCache(LOW, HIGH, replace(CacheConfig(), levels=6), seed=4, threads=threads)
         cache.place(*gaussians(5000))
         train(cache, 4)
         digests.add(digest(cache))
@@ -318,12 +317,12 @@ def test_any_number_of_threads_gives_the_same_bits() -> None:
 CHILD = """
 import hashlib, sys
 import numpy as np
-from decogs.encoder.methods.transformation_cache import CacheSettings, TransformationCache
+from decogs.encoder.methods.transformation_cache import CacheConfig, TransformationCache
 
 rng = np.random.default_rng(0)
 found = hashlib.sha256()
-for settings in (CacheSettings(), CacheSettings(levels=3, features=3, hidden_layers=3, hidden_width=37, table_log2=12)):
-    cache = TransformationCache([0, 0, 0], [1, 1, 1], settings, 7, threads=int(sys.argv[1]))
+for config in (CacheConfig(), CacheConfig(levels=3, features=3, hidden_layers=3, hidden_width=37, table_log2=12)):
+    cache = TransformationCache([0, 0, 0], [1, 1, 1], config, 7, threads=int(sys.argv[1]))
     means, quaternions = rng.normal(0.5, 0.4, (1300, 3)), rng.normal(size=(1300, 4))
     for count in (700, 1300):
         placed = means[:count].astype(np.float32), quaternions[:count].astype(np.float32)
@@ -383,7 +382,7 @@ def test_a_zero_rotation_from_the_network_is_the_identity() -> None:
 
 @pytest.mark.parametrize("size", [1e-30, 1e20, 3e38, np.inf])
 def test_huge_and_tiny_gradients_leave_finite_weights_that_still_learn(size: float) -> None:
-    cache = TransformationCache(LOW, HIGH, CacheSettings(), seed=0)
+    cache = TransformationCache(LOW, HIGH, CacheConfig(), seed=0)
     cache.place(*gaussians(300))
     for _ in range(3):
         moved, turned = cache.move()
@@ -439,7 +438,7 @@ def test_learns_a_rigid_motion() -> None:
     spun = np.cos(angle) * means + np.sin(angle) * np.cross(axis, means)
     spun += (1 - np.cos(angle)) * (means @ axis)[:, None] * axis
     target = spun + np.array([0.05, -0.03, 0.02])
-    cache = TransformationCache([-1, -1, -1], [1, 1, 1], CacheSettings(), seed=0)
+    cache = TransformationCache([-1, -1, -1], [1, 1, 1], CacheConfig(), seed=0)
     cache.place(means, quaternions)
     turned_target = quaternion_product(*wide(cache.move()[1], turn)).detach().numpy()
     for _ in range(150):
@@ -454,15 +453,7 @@ def test_learns_a_rigid_motion() -> None:
     assert np.rad2deg(2 * np.arccos(cosines)).mean() < 0.125
 
 
-# -- settings, bookkeeping --------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    "bad", [{"levels": 0}, {"learning_rate": float("nan")}, {"level_scale": 8.0}, {"features": 99}]
-)
-def test_settings_out_of_range_are_refused(bad: dict[str, float]) -> None:
-    with pytest.raises(UsageError, match=r"\(CacheSettings\)$"):
-        CacheSettings(**bad)  # type: ignore[arg-type]
+# -- bookkeeping ------------------------------------------------------------------------------------------------------
 
 
 def test_an_empty_box_is_refused() -> None:
@@ -472,8 +463,8 @@ def test_an_empty_box_is_refused() -> None:
         TransformationCache(LOW, HIGH, SMALL, seed=0, threads=0)
 
 
-def test_weights_of_other_settings_are_refused() -> None:
+def test_weights_of_another_configuration_are_refused() -> None:
     cache = TransformationCache(LOW, HIGH, SMALL, seed=0)
     other = TransformationCache(LOW, HIGH, replace(SMALL, hidden_width=16), seed=0)
-    with pytest.raises(ValueError, match="other settings"):
+    with pytest.raises(ValueError, match="another configuration"):
         cache.set_weights(other.weights())

@@ -23,7 +23,7 @@ from decogs.codec.corrections import ANGLE_STEP, COLOUR_STEP, CorrectedCameras, 
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import FloatArray
 
-from ...settings.compensation import CorrectionSettings
+from ...settings.effects import CorrectionSettings
 from ..ingest import View
 from .agreement import DrawView, SharedSurface, agreeing_shifts, shared_changes, shared_surface
 from .benefit import Benefit, on_grid

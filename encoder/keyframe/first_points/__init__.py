@@ -6,7 +6,7 @@ surfaces. Consistency between views confirms points, and guesses fill gaps. Poin
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -104,12 +104,14 @@ def first_points(
     *,
     known: KnownPoints | None = None,
     cap: int,
+    within: Callable[[NDArray[np.float64]], NDArray[np.bool_]] | None = None,
     seed: int = 0,
     threads: int = 0,
 ) -> FirstPoints:
     """At most ``cap`` coloured points on the surfaces the training views see, spread evenly over the pictures.
 
-    ``cameras``: pinhole; ``pictures``: (H, W, 3) RGB 0..1 of the same cameras; ``known``: points to use as well. The
+    ``cameras``: pinhole; ``pictures``: (H, W, 3) RGB 0..1 of the same cameras; ``known``: points to use as well.
+    ``within``: which points (P, 3) may be ones; then nothing is guessed beside them. The
     result depends on ``seed`` (guesses where views stay empty), not on ``threads`` (0: all cores). Cameras whose views
     share nothing give guesses only. Raises TrainingError if there are neither known points nor two cameras in two
     places, or if arguments do not fit together.
@@ -123,7 +125,7 @@ def first_points(
         if camera.distortion_model != "none":
             raise TrainingError(f"{camera.name}: first points need undistorted pictures and a pinhole camera")
     with side_by_side(threads) as each:
-        return _first_points(cameras, pictures, known, cap, np.random.default_rng(seed), each)
+        return _first_points(cameras, pictures, known, cap, within, np.random.default_rng(seed), each)
 
 
 def _first_points(
@@ -131,6 +133,7 @@ def _first_points(
     pictures: Sequence[Array],
     known: KnownPoints | None,
     cap: int,
+    within: Callable[[NDArray[np.float64]], NDArray[np.bool_]] | None,
     random: np.random.Generator,
     each: Each,
 ) -> FirstPoints:
@@ -156,6 +159,9 @@ def _first_points(
     clouds += [_where_unconfirmed(*three) for three in zip(coarse, rough, all_depths, strict=True)]
     proposed = join(clouds)
     proposed = take(proposed, ~too_near(proposed, all_depths, _HOUSING_DEPTH_FRACTION))
+    if within is not None:
+        cloud, pixels = _choose(take(proposed, within(proposed.xyz)), all_depths, cap)
+        return _finish(cloud, np.zeros(len(cloud), np.bool_), pixels, all_depths)
 
     most = max(1, round(cap * _CONFIRMED_FRACTION))
     cloud, pixels = _choose(proposed, all_depths, most)

@@ -19,7 +19,6 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 
-from ...settings.cache import CacheSettings
 from ...training.frame_training import LossOfView, frame_training
 from ...training.losses import focus_loss
 from ...training.method import FrameInput, TrainedFrame, TrainingContext
@@ -27,20 +26,26 @@ from ...training.schedule import StepSchedule, seconds_at_least
 from ...training.selective_densification import densify
 from ...training.working_set import WorkingSet
 from ..decogs import DecogsTrainer
-from ..transformation_cache import TransformationCache
-from .stages import move_by_cache, train_cache, train_jointly
+from ..transformation_cache import RELEASED_CACHE, CacheConfig, TransformationCache
+from .stages import CACHE_ITERATIONS, move_by_cache, train_cache, train_jointly
 
 
 class PaperTrainer:
     """Trains the later frames of one stream as the paper does. The cache starts as the identity in every frame."""
 
-    def __init__(self, context: TrainingContext, *, loss: LossOfView = focus_loss) -> None:
-        self.context, self._loss = context, loss
+    def __init__(
+        self,
+        context: TrainingContext,
+        *,
+        loss: LossOfView = focus_loss,
+        cache: CacheConfig = RELEASED_CACHE,
+        cache_iterations: int = CACHE_ITERATIONS,
+    ) -> None:
+        self.context, self.cache_iterations, self._loss = context, cache_iterations, loss
         self.min_seconds = 0.0
-        settings = context.settings.frame.cache or CacheSettings()
         # Of frames that light alone changes: a cache would move what stands.
         self._still = DecogsTrainer(context, loss=loss)
-        self._cache = TransformationCache(*context.box, settings, context.seed, threads=context.threads)
+        self._cache = TransformationCache(*context.box, cache, context.seed, threads=context.threads)
 
     def train(self, frame: FrameInput, /) -> TrainedFrame:
         """Trains S_t; diverged training changes nothing. A deadline ends either stage early, a target stage 2."""
@@ -56,7 +61,7 @@ class PaperTrainer:
         before = training.squared_error(sample)
         cache.restart()
         cache.place(work.values.means, work.values.quaternions)
-        gathered = train_cache(training, work, cache)
+        gathered = train_cache(training, work, cache, self.cache_iterations)
         if densify(training, work, move_by_cache(work, cache), gathered):
             cache.place(work.values.means, work.values.quaternions, same_frame=True)
         schedule = StepSchedule(settings.joint_iterations, frame.stopping.deadline)

@@ -12,6 +12,9 @@ from ...training.schedule import StepSchedule, rates_at
 from ...training.working_set import WorkingSet
 from ..transformation_cache import TransformationCache
 
+CACHE_ITERATIONS = 150
+"""Steps of stage 1, as the paper has them; those of stage 2 are the settings' ``joint_iterations``."""
+
 
 def move_by_cache(work: WorkingSet, cache: TransformationCache) -> Splats:
     """The Gaussians under training where the cache moves them: mu' = mu + dmu, q' = q (x) dq."""
@@ -20,11 +23,12 @@ def move_by_cache(work: WorkingSet, cache: TransformationCache) -> Splats:
     return replace(work.values, means=means, quaternions=quaternions)
 
 
-def train_cache(training: FrameTraining, work: WorkingSet, cache: TransformationCache) -> ViewGradients:
+def train_cache(
+    training: FrameTraining, work: WorkingSet, cache: TransformationCache, iterations: int
+) -> ViewGradients:
     """Stage 1: trains the cache alone; the gradients of its last third, for densification."""
-    gathered, settings = training.context.kernel.view_gradients(len(work.rows)), training.settings
-    iterations = settings.cache_iterations
-    deadline = training.frame.stopping.deadline_before(iterations, settings.joint_iterations)
+    gathered = training.context.kernel.view_gradients(len(work.rows))
+    deadline = training.frame.stopping.deadline_before(iterations, training.settings.joint_iterations)
     schedule = StepSchedule(iterations, deadline)
     for step in training.steps("cache"):
         if schedule.is_over:

@@ -27,8 +27,7 @@ Rejected: torch, whose matrix products have other bits on other processors; sort
 then is 1 to 6 per cent faster); prefetching its rows (slower).
 """
 
-from ...settings.cache import CacheSettings
 from .cache import TransformationCache
-from .weights import CacheWeights
+from .weights import RELEASED_CACHE, CacheConfig, CacheWeights
 
-__all__ = ["CacheSettings", "CacheWeights", "TransformationCache"]
+__all__ = ["RELEASED_CACHE", "CacheConfig", "CacheWeights", "TransformationCache"]

@@ -13,9 +13,8 @@ from decogs.formats.errors import TrainingError, UsageError
 from decogs.formats.splats import FloatArray
 
 from ...backends.cpu.native import adam_step
-from ...settings.cache import CacheSettings
 from .native import CacheKernel, Parameters
-from .weights import CacheWeights
+from .weights import CacheConfig, CacheWeights
 
 _OUTPUTS = 7
 """Translation 3, rotation 4. 3DGStream's eighth output is unused and left out."""
@@ -33,21 +32,21 @@ class TransformationCache:
     """
 
     def __init__(
-        self, box_low: ArrayLike, box_high: ArrayLike, settings: CacheSettings, seed: int, *, threads: int = 1
+        self, box_low: ArrayLike, box_high: ArrayLike, config: CacheConfig, seed: int, *, threads: int = 1
     ) -> None:
         low, high = (np.asarray(b, np.float64).reshape(3) for b in (box_low, box_high))
         if not (np.isfinite(low).all() and np.isfinite(high).all() and (low < high).all()):
             raise UsageError(f"the box of the moving scene is empty: {low.tolist()} to {high.tolist()}")
         if threads < 1:
             raise UsageError(f"threads is {threads}; it must be at least 1")
-        self.settings = settings
+        self.config = config
         self._head: Parameters
         self._count = 0
         self._has_read = self._has_moved = self._has_gradients = False
-        sizes = [settings.levels * settings.features, *[settings.hidden_width] * settings.hidden_layers, _OUTPUTS]
+        sizes = [config.levels * config.features, *[config.hidden_width] * config.hidden_layers, _OUTPUTS]
         self._shapes = [(out, given) for given, out in pairwise(sizes)]
-        self._kernel = CacheKernel(settings, low, high, threads)
-        self._store(_first_weights(settings, self._shapes, seed))
+        self._kernel = CacheKernel(config, low, high, threads)
+        self._store(_first_weights(config, self._shapes, seed))
         self._place(np.zeros((0, 3), np.float32), np.zeros((0, 4), np.float32))
 
     # -- the Gaussians to move ------------------------------------------------------------------------------------
@@ -118,9 +117,9 @@ class TransformationCache:
         if not self._has_gradients:
             return
         self._count += 1
-        s = self.settings
-        adam = adam_step(self._count, _BETA1, _BETA2, s.epsilon)
-        self._kernel.step(adam, s.learning_rate, self._rows, self._head)
+        c = self.config
+        adam = adam_step(self._count, _BETA1, _BETA2, c.epsilon)
+        self._kernel.step(adam, c.learning_rate, self._rows, self._head)
         self._has_gradients = False
 
     def restart(self) -> None:
@@ -149,7 +148,7 @@ class TransformationCache:
         given = [a.shape for a in (weights.grid, *weights.matrices, *weights.biases)]
         own = self._as_arrays(self._grid, self._head.value)
         if given != [a.shape for a in (own.grid, *own.matrices, *own.biases)]:
-            raise ValueError("these weights belong to a cache of other settings")
+            raise ValueError("these weights belong to a cache of another configuration")
         self._store(weights)
         self._rest()
 
@@ -175,7 +174,7 @@ class TransformationCache:
 
     def _store(self, weights: CacheWeights) -> None:
         """Sets the weights, and what `restart` returns to."""
-        self._grid = np.array(weights.grid, np.float32).reshape(-1, self.settings.features)
+        self._grid = np.array(weights.grid, np.float32).reshape(-1, self.config.features)
         sizes = [_rounded_up(out) * (_rounded_up(given) + 1) for out, given in self._shapes]
         self._head = Parameters(np.zeros(sum(sizes), np.float32))
         given = (*weights.matrices, *weights.biases)
@@ -196,9 +195,9 @@ class TransformationCache:
         return matrices, biases
 
     def _as_arrays(self, grid: FloatArray, head: FloatArray) -> CacheWeights:
-        s = self.settings
+        c = self.config
         matrices, biases = (tuple(a.copy() for a in arrays) for arrays in self._layers(head))
-        return CacheWeights(grid.reshape(s.levels, s.table, s.features).copy(), matrices, biases)
+        return CacheWeights(grid.reshape(c.levels, c.table, c.features).copy(), matrices, biases)
 
 
 def _rounded_up(count: int) -> int:
@@ -214,16 +213,16 @@ def _checked(means: FloatArray, quaternions: FloatArray) -> tuple[FloatArray, Fl
     return np.ascontiguousarray(means, np.float32), np.ascontiguousarray(quaternions, np.float32)
 
 
-def _first_weights(settings: CacheSettings, shapes: Sequence[tuple[int, int]], seed: int) -> CacheWeights:
+def _first_weights(config: CacheConfig, shapes: Sequence[tuple[int, int]], seed: int) -> CacheWeights:
     """Starting weights: a faint random grid, Xavier-uniform layers (as tiny-cuda-nn), the identity as last bias."""
     rng = np.random.default_rng(seed)
-    spread = settings.grid_spread
-    grid = rng.uniform(-spread, spread, (settings.levels, settings.table, settings.features)).astype(np.float32)
+    spread = config.grid_spread
+    grid = rng.uniform(-spread, spread, (config.levels, config.table, config.features)).astype(np.float32)
     matrices = []
     for out, given in shapes:
         bound = math.sqrt(6.0 / (out + given))
         matrices.append(rng.uniform(-bound, bound, (out, given)).astype(np.float32))
-    if settings.identity_start:
+    if config.identity_start:
         matrices[-1] = np.zeros(shapes[-1], np.float32)
     biases = [np.zeros(out, np.float32) for out, _ in shapes]
     biases[-1][3] = 1.0

@@ -13,7 +13,7 @@ from decogs.formats.kernels import check_memory, checked_handle, load_kernel
 from decogs.formats.splats import FloatArray
 
 from ...backends.cpu.native import AdamStep
-from ...settings.cache import CacheSettings
+from .weights import CacheConfig
 
 GRADIENT_LIMIT = 1e6
 """Gradients handed in are clipped to it: far above any real one, so that no square overflows."""
@@ -74,21 +74,19 @@ class CacheKernel:
     the grid again, so that ``move`` may follow it at once.
     """
 
-    def __init__(
-        self, settings: CacheSettings, low: NDArray[np.float64], high: NDArray[np.float64], threads: int
-    ) -> None:
+    def __init__(self, config: CacheConfig, low: NDArray[np.float64], high: NDArray[np.float64], threads: int) -> None:
         self._library = _library()
-        resolutions = np.array(settings.resolutions(), np.int32)
+        resolutions = np.array(config.resolutions(), np.int32)
         shape = _Shape(
-            settings.levels,
-            settings.features,
-            settings.table_log2,
-            settings.hidden_layers,
-            settings.hidden_width,
+            config.levels,
+            config.features,
+            config.table_log2,
+            config.hidden_layers,
+            config.hidden_width,
             resolutions.ctypes.data,
             (ctypes.c_double * 3)(*low),
             (ctypes.c_double * 3)(*high),
-            settings.translation_scale,
+            config.translation_scale,
             GRADIENT_LIMIT,
         )
         self._handle = checked_handle(self._library.decogs_cache_create(ctypes.byref(shape), threads))

@@ -1,0 +1,132 @@
+"""A plain stage: found in the first frame's pictures, with Gaussians for its backdrop and the space that stays free.
+
+A plain surface confirms no depth: grey before grey costs no view anything, and training fills the space in front with
+fog. So where most of the pictures is plain, the backdrop is there, opaque, before training begins, and first points lie
+in the hull of what stands in front of it. Whatever leaves the hull goes. Figures: DESIGN.md, "Plain stages".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.formats.splats import FloatArray, Splats, round_splats
+
+from ...input.ingest import RigFrame, View
+from .hull import Hull, SubjectView, with_margin
+from .plain import plain_pixels, plate_of, subject_pixels
+from .subject import subject_alone
+from .surfaces import PlainView, Surfaces, find_surfaces, plain_colours, surface_colours
+from .views import BoolArray, StageView, stage_view
+
+_MIN_PLAIN_SHARE = 0.5
+"""Plain share of the median view's picture from which a stage is plain: rooms and textured stages have up to .45."""
+_BACKDROP_GAUSSIANS = 4600
+_OPACITY, _SIGMA_SPACINGS = 0.8, 0.75
+"""Of the backdrop's Gaussians, the size in units of their distance: together they let nothing through."""
+_SHARED_PER_SPACING = 4.0
+"""Density of the points at which cameras' colours are compared, along a line."""
+_FREE_SPACINGS = 1.5
+"""Distance from the backdrop's surfaces, in these units, from which space is free: sweeps are curved."""
+
+
+class Stage(Protocol):
+    """What is known of the space in front of the cameras."""
+
+    @property
+    def hull(self) -> Hull:
+        """Of what may stand there."""
+
+    def in_frame(self, views: Sequence[View], frame: RigFrame, used: Sequence[int]) -> Stage:
+        """The same in a later frame, from the ``used`` ones of its pictures."""
+
+    def backdrop(self, sh_degree: int) -> Splats:
+        """Gaussians for the backdrop, together opaque."""
+
+    def free(self, xyz: NDArray[np.floating]) -> BoolArray:
+        """Points (P, 3) of empty space: in front of the backdrop, where some view shows it."""
+
+    def on_backdrop(self, xyz: NDArray[np.floating]) -> BoolArray:
+        """Points (P, 3) on the backdrop or beyond it."""
+
+    def may_show(self, xyz: NDArray[np.floating]) -> BoolArray:
+        """Points (P, 3) at which a view may show something in front of the backdrop."""
+
+
+@dataclass(frozen=True)
+class PlainStage:
+    """A stage with a plain backdrop: its surfaces, points on them, and the ``hull`` of what stands in front.
+
+    ``views``: as the search sees them, with their plates. ``xyz`` (P, 3) world, ``rgb`` (P, 3) 0..1: evenly spread
+    points of the backdrop, ``spacing`` world units apart.
+    """
+
+    hull: Hull
+    surfaces: Surfaces
+    views: Sequence[PlainView]
+    xyz: FloatArray
+    rgb: FloatArray
+    spacing: float
+
+    def in_frame(self, views: Sequence[View], frame: RigFrame, used: Sequence[int]) -> PlainStage:
+        """The stage with the hull of a later frame, from the ``used`` ones of its pictures."""
+        seen = [(stage_view(views[i], frame.training[i]), self.views[i].plate) for i in used]
+        return replace(self, hull=Hull([_subject_view(*each) for each in seen]))
+
+    def backdrop(self, sh_degree: int) -> Splats:
+        """Gaussians for the backdrop, together opaque."""
+        sigmas, opacities = np.full(len(self.xyz), _SIGMA_SPACINGS * self.spacing), np.full(len(self.xyz), _OPACITY)
+        return round_splats(self.xyz, self.rgb, sigmas, opacities, sh_degree)
+
+    def shared_points(self) -> tuple[FloatArray, BoolArray]:
+        """Points (P, 3) of the backdrop, close enough for a camera's colours, and the views that show them, (V, P)."""
+        xyz, normals = self.surfaces.points(self.spacing / _SHARED_PER_SPACING)
+        seen = np.zeros((len(self.views), len(xyz)), bool)
+        for view, row in zip(self.views, seen, strict=True):
+            row[plain_colours(view, xyz, normals)[0]] = True
+        return xyz.astype(np.float32), seen
+
+    def free(self, xyz: NDArray[np.floating]) -> BoolArray:
+        """Points (P, 3) of empty space: in front of the backdrop, where some view shows it."""
+        return ~self.on_backdrop(xyz) & ~self.hull.holds(xyz)
+
+    def on_backdrop(self, xyz: NDArray[np.floating]) -> BoolArray:
+        """Points (P, 3) on the backdrop's surfaces or beyond them."""
+        return np.asarray(self.surfaces.clearance(xyz) <= _FREE_SPACINGS * self.spacing)
+
+    def may_show(self, xyz: NDArray[np.floating]) -> BoolArray:
+        """Points (P, 3) in front of the backdrop, in the hull."""
+        return np.asarray(self.hull.holds(xyz) & (self.surfaces.clearance(xyz) > 0))
+
+
+def find_stage(views: Sequence[View], frame: RigFrame) -> Stage | None:
+    """The stage in the first ``frame`` of ``views``: of a subject with mattes, or a plain one; None for others.
+
+    A stage is plain if the median picture is mostly plain.
+    """
+    if frame.alpha:
+        return subject_alone(views, frame.alpha)
+    seen = [stage_view(*each) for each in zip(views, frame.training, strict=True)]
+    plain = [plain_pixels(view.picture) & view.recorded for view in seen]
+    if np.median([mask.mean() for mask in plain]) < _MIN_PLAIN_SHARE:
+        return None
+    plates = [plate_of(view.picture, mask) for view, mask in zip(seen, plain, strict=True)]
+    subjects = [_subject_view(*each) for each in zip(seen, plates, strict=True)]
+    backdrops = [
+        PlainView(subject.camera, mask & ~subject.subject, plate)
+        for subject, mask, plate in zip(subjects, plain, plates, strict=True)
+    ]
+    surfaces = find_surfaces(backdrops)
+    spacing = float(np.sqrt(surfaces.area / _BACKDROP_GAUSSIANS * 2 / 3**0.5))
+    xyz, normals = surfaces.points(spacing)
+    colours = surface_colours(backdrops, xyz, normals)
+    return PlainStage(Hull(subjects), surfaces, backdrops, xyz.astype(np.float32), colours, spacing)
+
+
+def _subject_view(view: StageView, plate: FloatArray) -> SubjectView:
+    """What differs from the plate, and what was not recorded and may be anything."""
+    return SubjectView(view.camera, with_margin(subject_pixels(view.picture, plate) | ~view.recorded))
