@@ -22,6 +22,7 @@ from decogs.formats.frame_ranges import Frames, frame_slice
 from decogs.formats.rigs import Rig, read_frames
 from decogs.formats.splats import FloatArray
 
+from ..backends import Colour
 from .mattes import Cut, Mattes
 from .recordings import digest_of
 
@@ -73,8 +74,8 @@ class RigFrame:
     training: list[FloatArray]
     held_out: list[FloatArray]
     own_size: Sequence[Picture] = ()
-    recorded: Mapping[str, str] = field(default_factory=dict)
     alpha: Sequence[FloatArray] = ()
+    recorded: Mapping[str, str] = field(default_factory=dict)
     held_out_alpha: Sequence[FloatArray | None] = ()
     plates: Sequence[FloatArray] = ()
 
@@ -118,6 +119,8 @@ class Ingest:
         self._valid = {name: self._teaching(name) for name in names}
         self._fillings = {name: _filling(valid) for name, valid in self._valid.items()}
         self._plates = [self._prepare(name, self._mattes.plates[name]) for name in self._names if self._mattes.plates]
+        self.background: Colour | None = None
+        """Of pictures and renderings of a subject with mattes; None for a whole scene."""
         self.views = [self._view(name) for name in self._names]
         self.held_out_views = [self._view(name) for name in self._held_names]
 
@@ -169,8 +172,8 @@ class Ingest:
                 planes[:count],
                 planes[count:],
                 own_size,
-                recorded,
                 [alpha for alpha in alphas[:count] if alpha is not None],
+                recorded,
                 alphas[count:] if self._mattes.cuts else (),
                 self._plates,
             )
