@@ -134,6 +134,10 @@ class Ingest:
         """Whether frames come with alpha."""
         return self._mattes.cuts
 
+    def matte_place(self, name: str, frame: int) -> str:
+        """Where the matte of a camera and frame comes from, for a message."""
+        return self._mattes.place(name, frame)
+
     @property
     def held_out_sizes(self) -> dict[str, tuple[Size, Size]]:
         """Of every held-out camera: the size at which it is compared with the scene, and its own, in pixels."""

@@ -7,6 +7,7 @@ cameras say so of each other. Figures: DESIGN.md, "Mattes".
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -26,15 +27,16 @@ _INVERTED_BORDER = 0.95
 """White share of the border of a matte from which, with less in the middle, it is inverted."""
 _SUBJECT, _SURE_SUBJECT = 0.3, 0.9
 """Alpha from which another view's pixel may be subject, and from which one is asked about."""
-_MARGIN_PIXELS = 2
-_PIXELS, _DEPTHS = 100, 256
+_MARGIN_WIDTHS, _MIN_MARGIN_PIXELS = 0.005, 1
+"""By which mattes are widened before they deny something, in units of the picture's width: poses, steps of depth."""
+_PIXELS, _DEPTHS = 60, 512
 """Of a view that are asked about, and of each one's ray; the same every time."""
 _NEAREST, _FARTHEST = 0.2, 8.0
 """Of these depths, in units of the rig's size: of a ring, from half way to beyond the other side; of an arc, a room."""
 _MIN_VIEWS = 3
-_WRONG, _DOUBTFUL = 0.8, 0.85
-"""Share of a view's subject that the others confirm, all but one of them, below which the matte is wrong; and all of
-them, below which someone's is."""
+_WRONG, _DOUBTFUL, _DENIED = 0.8, 0.85, 0.3
+"""Share of a view's subject that the others confirm, all but one of them, below which its matte is wrong; and all of
+them, below which someone's is; share of all others' subjects that one denies, from which its own is."""
 
 
 def check_mattes(ingest: Ingest, frame: int, warn: OnWarning) -> None:
@@ -42,26 +44,33 @@ def check_mattes(ingest: Ingest, frame: int, warn: OnWarning) -> None:
     if not ingest.has_mattes:
         return
     views, alphas = ingest.views, next(ingest.frames(frame, frame + 1)).alpha
-    for view, alpha in zip(views, alphas, strict=True):
+    places = [ingest.matte_place(view.camera.name, frame) for view in views]
+    for place, alpha in zip(places, alphas, strict=True):
         problem = _problem(alpha)
         if problem:
-            raise RigError(f"matte of camera {view.camera.name}, frame {frame}: {problem}")
+            raise RigError(f"{place}: {problem}")
     if not any((alpha > _SURE_SUBJECT).any() for alpha in alphas):
-        raise RigError(f"mattes of frame {frame}: all are black, there is no subject; white is subject")
-    if len(views) < _MIN_VIEWS:
-        return
-    by_all, by_all_but_one = _confirmed([view.pinhole for view in views], scene_extent(views), alphas)
-    worst = int(np.argmin(by_all_but_one))
-    if by_all_but_one[worst] < _WRONG:
+        raise RigError(f"{places[0]} and all others: black all over, there is no subject; white is subject")
+    if len(views) >= _MIN_VIEWS:
+        _check_agreement(places, _agreement([view.pinhole for view in views], scene_extent(views), alphas), warn)
+
+
+def _check_agreement(places: Sequence[str], found: _Agreement, warn: OnWarning) -> None:
+    denying, wrong = int(found.denied.argmax()), int(found.by_all_but_one.argmin())
+    if found.by_all_but_one[wrong] < _WRONG:
         raise RigError(
-            f"matte of camera {views[worst].camera.name}, frame {frame}: the other cameras' mattes confirm only "
-            f"{by_all_but_one[worst]:.0%} of its subject; is it another camera's, mirrored, or of another frame?"
+            f"{places[wrong]}: the other cameras' mattes confirm only {found.by_all_but_one[wrong]:.0%} of its "
+            "subject; is it another camera's, mirrored, or of another frame?"
         )
-    if by_all.min() < _DOUBTFUL:
-        name = views[int(np.argmin(by_all))].camera.name
+    if found.denied[denying] > _DENIED:
+        raise RigError(
+            f"{places[denying]}: leaves out {found.denied[denying]:.0%} of what all other cameras' mattes have; "
+            "draw it whole, or hold the camera out"
+        )
+    if found.by_all.min() < _DOUBTFUL:
         warn(
-            f"frame {frame}: mattes contradict each other, most that of camera {name}, {by_all.min():.0%} of whose "
-            "subject is subject in all others; what one leaves out is gone in all"
+            f"{places[denying]}: mattes contradict each other, this one most, and what one leaves out is lost in all: "
+            f"at worst {found.by_all.min():.0%} of a camera's subject stays"
         )
 
 
@@ -78,14 +87,20 @@ def _problem(alpha: FloatArray) -> str:
     return ""
 
 
-def _confirmed(
-    cameras: Sequence[Camera], extent: float, alphas: Sequence[FloatArray]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Of each view's subject, the share that all other views confirm, and the share that all but one do."""
-    size = np.ones((2 * _MARGIN_PIXELS + 1,) * 2, np.uint8)
-    may_be = [cv2.dilate((alpha > _SUBJECT).astype(np.uint8), size) > 0 for alpha in alphas]
+@dataclass(frozen=True)
+class _Agreement:
+    """Of each view (V,): the share of its subject that all others confirm, that all others but one do, and the share of
+    the others' subjects that it alone denies."""
+
+    by_all: NDArray[np.float64]
+    by_all_but_one: NDArray[np.float64]
+    denied: NDArray[np.float64]
+
+
+def _agreement(cameras: Sequence[Camera], extent: float, alphas: Sequence[FloatArray]) -> _Agreement:
+    may_be = [_with_margin(alpha) for alpha in alphas]
     depths = np.geomspace(_NEAREST * extent, _FARTHEST * extent, _DEPTHS)
-    confirmed = np.ones((2, len(cameras)))
+    confirmed, denied, asked = np.ones((2, len(cameras))), np.zeros(len(cameras)), 0
     for row, (camera, alpha) in enumerate(zip(cameras, alphas, strict=True)):
         pixels = np.flatnonzero(alpha.ravel() > _SURE_SUBJECT)
         if not pixels.size:
@@ -93,16 +108,27 @@ def _confirmed(
         chosen = pixels[np.linspace(0, pixels.size - 1, min(_PIXELS, pixels.size)).astype(np.int64)]
         points = _along_rays(camera, chosen, depths)
         seen, missed = np.zeros(len(points), np.int64), np.zeros(len(points), np.int64)
+        last = np.full(len(points), -1)
         for index, (other, subject) in enumerate(zip(cameras, may_be, strict=True)):
             if index != row:
                 u, v, depth = project(other, points)
                 here = np.flatnonzero(in_picture(other, u, v, depth))
                 seen[here] += 1
-                missed[here] += ~subject[v[here].astype(np.int64), u[here].astype(np.int64)]
-        for which in (0, 1):
-            held = ((seen >= _MIN_VIEWS - 1) & (missed <= which)).reshape(len(chosen), -1)
-            confirmed[which, row] = held.any(axis=1).mean()
-    return confirmed[0], confirmed[1]
+                misses = here[~subject[v[here].astype(np.int64), u[here].astype(np.int64)]]
+                missed[misses] += 1
+                last[misses] = index
+        rays, known = (len(chosen), -1), seen >= _MIN_VIEWS - 1
+        by_all = (known & (missed == 0)).reshape(rays).any(axis=1)
+        confirmed[:, row] = by_all.mean(), (known & (missed <= 1)).reshape(rays).any(axis=1).mean()
+        by_others = np.where(known & (missed == 1), last, -1).reshape(rays)[~by_all]
+        denied += [np.count_nonzero((by_others == index).any(axis=1)) for index in range(len(cameras))]
+        asked += len(chosen)
+    return _Agreement(confirmed[0], confirmed[1], denied / max(asked, 1))
+
+
+def _with_margin(alpha: FloatArray) -> NDArray[np.bool_]:
+    reach = max(_MIN_MARGIN_PIXELS, round(_MARGIN_WIDTHS * alpha.shape[1]))
+    return np.asarray(cv2.dilate((alpha > _SUBJECT).astype(np.uint8), np.ones((2 * reach + 1,) * 2, np.uint8)) > 0)
 
 
 def _along_rays(camera: Camera, pixels: NDArray[np.int64], depths: NDArray[np.float64]) -> FloatArray:

@@ -56,6 +56,13 @@ class Mattes:
         """Whether there are mattes, not only pixels that teach nothing."""
         return self.rig is not None or self.key is not None or bool(self.plates)
 
+    def place(self, name: str, frame: int) -> str:
+        """Where the matte of a camera and frame comes from, for a message."""
+        cameras = () if self.rig is None else zip(self.rig.cameras, self.rig.sources, strict=True)
+        for source in (source for camera, source in cameras if camera.name == name):
+            return str(source.files[frame]) if isinstance(source, PictureSource) else f"{source.path}, frame {frame}"
+        return f"the matte of camera {name}, frame {frame}"
+
     def given(self, names: Collection[str], start: int, stop: int) -> Iterator[Mapping[str, FloatArray]]:
         """The mattes (H, W) that files have, by camera, of each frame."""
         if self.rig is None:
@@ -112,7 +119,7 @@ def _ignore_masks(choice: MatteChoice, rig: Rig) -> dict[str, Path]:
     """The mask of each camera that has one."""
     named = dict(rig.ignore_masks) if choice.own_masks else {}
     for name, files in named.items():
-        if len({file.read_bytes() for file in files if file.is_file()}) > 1:
+        if len({_content(file) for file in files}) > 1:
             raise RigError(
                 f"{files[0]}: the calibration names {len(files)} masks of camera {name}; give one for all its frames, "
                 "or do without (`own_masks`)"
@@ -124,6 +131,15 @@ def _ignore_masks(choice: MatteChoice, rig: Rig) -> dict[str, Path]:
             raise RigError(f"{choice.ignore}: no mask of any camera; name them after the cameras, like cam00.png")
         found |= given
     return found
+
+
+def _content(file: Path) -> bytes:
+    try:
+        return file.read_bytes()
+    except OSError as error:
+        raise RigError(
+            f"{file}: cannot be read ({error.strerror}); put the mask back, or do without (`own_masks`)"
+        ) from None
 
 
 def _plates(choice: MatteChoice, rig: Rig, names: list[str]) -> dict[str, Path]:
