@@ -67,7 +67,8 @@ class RigFrame:
     ``recorded``: in the first frame asked for, digests by camera of the training pictures as they were decoded.
     ``alpha``: of each training view, (H, W) float32 0..1, how much of a pixel the subject covers; none without mattes.
     ``held_out_alpha``: the same of the held-out views, None for those without a matte. ``plates``: of each training
-    view the backdrop alone, as a picture, where a clean one was given; else none.
+    view the backdrop alone, as a picture, where a clean one was given; else none. ``worn``: of each training view the
+    share of the subject that has the screen's colour; none without a key.
     """
 
     index: int
@@ -78,6 +79,7 @@ class RigFrame:
     recorded: Mapping[str, str] = field(default_factory=dict)
     held_out_alpha: Sequence[FloatArray | None] = ()
     plates: Sequence[FloatArray] = ()
+    worn: Sequence[float] = ()
 
 
 class Ingest:
@@ -180,6 +182,7 @@ class Ingest:
                 recorded,
                 alphas[count:] if self._mattes.cuts else (),
                 self._plates,
+                [] if self._mattes.key is None else [each.worn for each in cut[:count]],
             )
 
     def _at_own_size(self, name: str, picture: Picture) -> Picture:

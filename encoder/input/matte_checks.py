@@ -34,6 +34,8 @@ _PIXELS, _DEPTHS = 60, 512
 _NEAREST, _FARTHEST = 0.2, 8.0
 """Of these depths, in units of the rig's size: of a ring, from half way to beyond the other side; of an arc, a room."""
 _MIN_VIEWS = 3
+_MAX_WORN = 0.006
+"""Share of a subject that has the screen's colour, in the view with most, from which it wears some."""
 _WRONG, _DOUBTFUL, _DENIED = 0.8, 0.85, 0.3
 """Share of a view's subject that the others confirm, all but one of them, below which its matte is wrong; and all of
 them, below which someone's is; share of all others' subjects that one denies, from which its own is."""
@@ -43,7 +45,8 @@ def check_mattes(ingest: Ingest, frame: int, warn: OnWarning) -> None:
     """Raises RigError where the mattes of ``frame`` cannot be what they should; nothing where there are none."""
     if not ingest.has_mattes:
         return
-    views, alphas = ingest.views, next(ingest.frames(frame, frame + 1)).alpha
+    views, first = ingest.views, next(ingest.frames(frame, frame + 1))
+    alphas = first.alpha
     places = [ingest.matte_place(view.camera.name, frame) for view in views]
     for place, alpha in zip(places, alphas, strict=True):
         problem = _problem(alpha)
@@ -51,6 +54,12 @@ def check_mattes(ingest: Ingest, frame: int, warn: OnWarning) -> None:
             raise RigError(f"{place}: {problem}")
     if not any((alpha > _SURE_SUBJECT).any() for alpha in alphas):
         raise RigError(f"{places[0]} and all others: black all over, there is no subject; white is subject")
+    worn = int(np.argmax(first.worn)) if first.worn else 0
+    if first.worn and first.worn[worn] > _MAX_WORN:
+        warn(
+            f"{places[worn]}: {first.worn[worn]:.1%} of the subject has the screen's colour, and may be keyed away "
+            "elsewhere; dress it otherwise, or bring masks"
+        )
     if len(views) >= _MIN_VIEWS:
         _check_agreement(places, _agreement([view.pinhole for view in views], scene_extent(views), alphas), warn)
 

@@ -34,7 +34,7 @@ _MIN_SCREEN_SHARE = 0.02
 _NEAR_ANGLE, _NEAR_SATURATION = 15.0, 0.6
 """Of what may be screen: degrees from the screen's own angle, saturation relative to the screen's."""
 _SCREEN_ANGLE, _SCREEN_SATURATION, _SCREEN_LIGHT = 3.0, 0.08, (0.25, 1.2)
-"""Of what is screen, relative to the screen around it: degrees, logarithm of saturation, bounds of luma: shadows."""
+"""Of what is screen, relative to the screen around it: degrees, saturation, bounds of luma: shadows."""
 _GAP_ANGLE, _GAP_SATURATION, _GAP_LIGHT, _GAP_PATTERN = 2.0, 0.05, 1.1, 0.1
 """The same of the median of a region amid the subject, and the deviation of its luma's logarithm."""
 _MAX_GAP_SHARE, _MIN_REGION_SHARE = 0.02, 2e-4
@@ -42,6 +42,10 @@ _MAX_GAP_SHARE, _MIN_REGION_SHARE = 0.02, 2e-4
 _SMOOTHING_PIXELS = 0.8
 _FAINT_SPILL, _CLOTH = 0.3, 0.6
 """Key strength relative to the screen's, up to which it is spill and goes; from which it is cloth and stays."""
+_ROUNDS = 2
+"""What is screen is told against the screen found before."""
+_PLATE_WIDTH, _SAMPLED = 160, 2
+"""Of the screen as it goes on behind the subject, in pixels; and every so manieth pixel tells its own axis."""
 _DARK = 1e-3
 """Least luma, linear, whose colour is told."""
 
@@ -73,18 +77,17 @@ def keyed(picture: FloatArray, axis: FloatArray) -> Keyed | None:
     own = _own_axis(smooth, axis)
     if own is None:
         return None
-    near = _near(smooth, own)
-    screen, gone = near, np.zeros_like(near)
-    plate = _spread(picture, screen)
-    for _ in range(2):
-        screen, gone = _screen(_against(smooth, plate, own))
+    tones = _tones(smooth, own)
+    screen, worn = _near(tones), np.zeros(tones.luma.shape, np.bool_)
+    for _ in range(_ROUNDS):
+        screen, worn = _screen(_against(tones, _spread(picture, screen), own))
         if not screen.any():
             return None
-        plate = _spread(picture, screen)
+    plate = _resized(_spread(picture, screen), screen.shape)
     subject = cut_out(picture, plate, screen)
     covered = max(float(subject.alpha.sum()), 1.0)
     colours = _without_spill(subject.colours, plate, own)
-    return Keyed(Subject(subject.alpha, colours), float(np.count_nonzero(gone)) / covered)
+    return Keyed(Subject(subject.alpha, colours), float(np.count_nonzero(worn)) / covered)
 
 
 def _unit(vector: FloatArray) -> FloatArray:
@@ -108,6 +111,7 @@ def _tones(picture: FloatArray, axis: FloatArray) -> _Tones:
 
 def _own_axis(picture: FloatArray, axis: FloatArray) -> FloatArray | None:
     """The mean direction of the screen's colours near the key's; None where there is hardly any."""
+    picture = picture[::_SAMPLED, ::_SAMPLED]
     tones = _tones(picture, axis)
     near = (np.abs(tones.angle) < _MAX_KEY_ANGLE) & (tones.saturation > _MIN_SATURATION) & (tones.luma > 4 * _DARK)
     if near.mean() < _MIN_SCREEN_SHARE:
@@ -115,8 +119,7 @@ def _own_axis(picture: FloatArray, axis: FloatArray) -> FloatArray | None:
     return _unit((picture[near] @ _CBCR.T).sum(axis=0))
 
 
-def _near(picture: FloatArray, axis: FloatArray) -> BoolArray:
-    tones = _tones(picture, axis)
+def _near(tones: _Tones) -> BoolArray:
     near = np.abs(tones.angle) < _NEAR_ANGLE
     near &= tones.saturation > _NEAR_SATURATION * np.median(tones.saturation[near])
     labels, stats = _regions(near)
@@ -134,16 +137,22 @@ def _large(stats: NDArray[np.int32], pixels: int) -> BoolArray:
     return np.asarray(large)
 
 
-def _against(picture: FloatArray, plate: FloatArray, axis: FloatArray) -> _Tones:
-    """Degrees from the plate, logarithm of saturation and luma relative to the plate's."""
-    one, other = _tones(picture, axis), _tones(plate, axis)
-    saturation = np.log(np.maximum(one.saturation, np.float32(1e-6)) / np.maximum(other.saturation, np.float32(1e-6)))
-    return _Tones(one.angle - other.angle, saturation, one.luma / other.luma)
+def _against(tones: _Tones, plate: FloatArray, axis: FloatArray) -> _Tones:
+    """Degrees from the plate, which may be smaller; saturation and luma relative to the plate's."""
+    behind = _tones(plate, axis)
+    angle, saturation, luma = _resized(
+        np.stack([behind.angle, np.maximum(behind.saturation, np.float32(1e-6)), behind.luma], axis=2), tones.luma.shape
+    ).transpose(2, 0, 1)
+    return _Tones(tones.angle - angle, tones.saturation / saturation, tones.luma / luma)
+
+
+def _resized(values: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+    return np.asarray(cv2.resize(values, shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
 
 
 def _screen(tones: _Tones) -> tuple[BoolArray, BoolArray]:
     """Where the screen shows, and where the subject has its colour; both (H, W)."""
-    alike = (np.abs(tones.angle) < _SCREEN_ANGLE) & (np.abs(tones.saturation) < _SCREEN_SATURATION)
+    alike = (np.abs(tones.angle) < _SCREEN_ANGLE) & (np.abs(tones.saturation - 1) < _SCREEN_SATURATION)
     alike &= (tones.luma > _SCREEN_LIGHT[0]) & (tones.luma < _SCREEN_LIGHT[1])
     labels, stats = _regions(alike)
     shown, (height, width) = _large(stats, alike.size), alike.shape
@@ -164,18 +173,19 @@ def _is_gap(tones: _Tones, labels: NDArray[np.int32], label: int, box: tuple[sli
     angle, saturation, luma = (values[box][region] for values in (tones.angle, tones.saturation, tones.luma))
     return bool(
         abs(np.median(angle)) < _GAP_ANGLE
-        and abs(np.median(saturation)) < _GAP_SATURATION
+        and abs(np.median(saturation) - 1) < _GAP_SATURATION
         and np.median(luma) < _GAP_LIGHT
         and np.std(np.log(luma)) < _GAP_PATTERN
     )
 
 
 def _spread(picture: FloatArray, screen: BoolArray) -> FloatArray:
-    """The screen's colours (H, W, 3), going on behind the subject."""
+    """The screen's colours, shrunk, going on behind the subject."""
     weights = cv2.erode(screen.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(np.float32)
-    sums = cv2.blur(picture * weights[..., None], (3, 3))
-    means = np.asarray(sums / np.maximum(cv2.blur(weights, (3, 3)), 1e-6)[..., None], np.float32)
-    return push_pull(means, weights)
+    size = tuple(max(1, round(side * _PLATE_WIDTH / screen.shape[1])) for side in screen.shape[::-1])
+    sums = cv2.resize(picture * weights[..., None], size, interpolation=cv2.INTER_AREA)
+    weights = np.asarray(cv2.resize(weights, size, interpolation=cv2.INTER_AREA), np.float32)
+    return push_pull(np.asarray(sums / np.maximum(weights, 1e-6)[..., None], np.float32), weights)
 
 
 def _strength(picture: FloatArray, axis: FloatArray) -> FloatArray:

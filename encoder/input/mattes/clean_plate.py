@@ -9,7 +9,6 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from decogs.formats.colour import srgb_from_linear
 from decogs.formats.splats import FloatArray
 
 from .cutting import BoolArray, Subject, cut_out
@@ -51,9 +50,8 @@ def _gain(picture: FloatArray, plate: FloatArray) -> float:
 
 
 def _levels_apart(one: FloatArray, other: FloatArray) -> FloatArray:
-    """Difference (H, W) of linear colours as 8-bit pictures show it, of the colour with most."""
-    coded = (srgb_from_linear(np.clip(values, 0, 1).astype(np.float32)) for values in (one, other))
-    return np.asarray(255 * np.abs(next(coded) - next(coded)).max(axis=2), np.float32)
+    """Difference (H, W) of linear colours, about as 8-bit pictures show it, of the colour with most."""
+    return np.asarray(255 * np.abs(np.sqrt(np.clip(one, 0, 1)) - np.sqrt(np.clip(other, 0, 1))).max(axis=2), np.float32)
 
 
 def _hysteresis(faint: BoolArray, sure: BoolArray) -> BoolArray:

@@ -24,6 +24,8 @@ _CLIPPED = 0.05
 """Alpha below which a pixel is backdrop, and likewise subject: noise and compression."""
 _LEAST_CONTRAST = 1e-5
 """Square of a difference of linear colours that says nothing of alpha."""
+_LEAST_SHARE = np.float32(1e-3)
+"""Of a window inside the subject, from which it says how the subject's colours go on."""
 _MIN_ALPHA = 0.1
 """Below it, a mixture tells too little of the subject's colour."""
 
@@ -45,7 +47,7 @@ def cut_out(picture: FloatArray, plate: FloatArray, backdrop: BoolArray) -> Subj
     reach = max(_MIN_EDGE_PIXELS, round(_EDGE_WIDTHS * picture.shape[1]))
     inside = cv2.dilate(there, _disc(reach)) == 0
     outside = cv2.erode(there, _disc(1), borderValue=1) > 0
-    continued = push_pull(picture, inside.astype(np.float32))
+    continued = _continued(picture, inside, reach)
     apart = continued - plate
     contrast = np.maximum((apart * apart).sum(axis=2), np.float32(_LEAST_CONTRAST))
     mixed = ((picture - plate) * apart).sum(axis=2) / contrast
@@ -55,6 +57,18 @@ def cut_out(picture: FloatArray, plate: FloatArray, backdrop: BoolArray) -> Subj
     unmixed = (picture - (1 - part) * plate) / np.maximum(part, np.float32(_MIN_ALPHA))
     colours = np.where(part > 0, np.maximum(unmixed, 0), np.where(part < 1, continued, picture))
     return Subject(alpha, np.asarray(colours, np.float32))
+
+
+def _continued(picture: FloatArray, inside: BoolArray, reach: int) -> FloatArray:
+    """The colours inside going on around: the means of those near, or else of a growing surrounding."""
+    weights = inside.astype(np.float32)
+    sums, window = picture * weights[..., None], (4 * reach + 1,) * 2
+    near = np.asarray(cv2.blur(weights, window), np.float32)[..., None]
+    small = tuple(max(1, side // reach) for side in inside.shape[::-1])
+    shrunk = np.asarray(cv2.resize(weights, small, interpolation=cv2.INTER_AREA), np.float32)
+    means = cv2.resize(sums, small, interpolation=cv2.INTER_AREA) / np.maximum(shrunk, 1e-6)[..., None]
+    far = cv2.resize(push_pull(np.asarray(means, np.float32), shrunk), inside.shape[::-1])
+    return np.where(near > _LEAST_SHARE, cv2.blur(sums, window) / np.maximum(near, _LEAST_SHARE), far)
 
 
 def _disc(radius: int) -> NDArray[np.uint8]:

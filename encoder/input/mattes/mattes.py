@@ -30,10 +30,14 @@ _KEPT = 0.5
 
 @dataclass(frozen=True)
 class Cut:
-    """A camera's picture with the subject's own colours, and alpha (H, W) 0..1; None where the camera has no matte."""
+    """A camera's picture with the subject's own colours, and alpha (H, W) 0..1; None where the camera has no matte.
+
+    ``worn``: the share of a keyed subject that has the screen's colour.
+    """
 
     picture: Picture
     alpha: FloatArray | None
+    worn: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -80,7 +84,7 @@ class Mattes:
             found = keyed(linear(picture), self.key)
             if found is None:
                 raise RigError(f"camera {name} shows no screen of the colour of `key`; check it, or use `masks`")
-            return Cut(_like(picture, found.subject), found.subject.alpha)
+            return Cut(_like(picture, found.subject), found.subject.alpha, found.worn)
         if self.rig is None and name in self.plates:
             return Cut(picture, before_plate(linear(picture), linear(self.plates[name])).alpha)
         return Cut(picture, None)
