@@ -21,6 +21,7 @@ from decogs.formats.frame_ranges import Frames, frame_slice
 from decogs.formats.rigs import Rig, read_frames
 from decogs.formats.splats import FloatArray
 
+from ..backends import Colour
 from .recordings import digest_of
 
 Picture = NDArray[np.uint8] | NDArray[np.float32]
@@ -58,6 +59,7 @@ class RigFrame:
     """One time index: pictures (3, H, W) float32 0..1 of the training views and of the held-out ones, in order.
 
     ``own_size``: the held-out ones (H, W, 3) at their cameras' own size and with their lenses; none without a scale.
+    ``alpha``: (H, W) float32 0..1 of the training views, what is subject; none of a whole scene.
     ``recorded``: in the first frame asked for, digests by camera of the training pictures as they were decoded.
     """
 
@@ -65,6 +67,7 @@ class RigFrame:
     training: list[FloatArray]
     held_out: list[FloatArray]
     own_size: Sequence[Picture] = ()
+    alpha: Sequence[FloatArray] = ()
     recorded: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -97,6 +100,8 @@ class Ingest:
         self._plans = {name: Undistortion(cameras[name]) for name in names}
         self._near = dict.fromkeys(names, 0.0)
         self._fillings = {name: _filling(plan.valid) for name, plan in self._plans.items()}
+        self.background: Colour | None = None
+        """Of pictures and renderings of a subject with mattes; None for a whole scene."""
         self.views = [self._view(name) for name in self._names]
         self.held_out_views = [self._view(name) for name in self._held_names]
 
@@ -134,7 +139,7 @@ class Ingest:
             planes = [self._prepare(name, picture) for name, picture in zip(names, pictures, strict=True)]
             held_out = zip(self._held_names, pictures[count:], strict=True)
             own_size = [self._at_own_size(*each) for each in held_out] if self.scale != 1 else []
-            yield RigFrame(index, planes[:count], planes[count:], own_size, recorded)
+            yield RigFrame(index, planes[:count], planes[count:], own_size, recorded=recorded)
 
     def _at_own_size(self, name: str, picture: Picture) -> Picture:
         camera = next(camera for camera in self.rig.cameras if camera.name == name)

@@ -35,7 +35,7 @@ from ..training.rate_distortion import cheapest
 from ..training.schedule import WHOLE, StoppingRule, TargetWatch
 from ..training.significance import picture_weight
 from ..training.view_order import view_order
-from .backdrop.stage import PlainStage
+from .backdrop.stage import Stage
 from .border_extrapolation import border_extrapolation
 from .few_views import DISSIMILARITY, dissimilarity_for
 from .first_points import FirstPoints
@@ -92,7 +92,7 @@ def splats_from_points(points: FirstPoints, sh_degree: int) -> Splats:
     return round_splats(points.xyz, points.rgb, points.spacing * sizes, opacities, sh_degree)
 
 
-def _first_splats(points: FirstPoints, sh_degree: int, stage: PlainStage | None) -> Splats:
+def _first_splats(points: FirstPoints, sh_degree: int, stage: Stage | None) -> Splats:
     """The first Gaussians of points, and of a stage's backdrop."""
     splats = splats_from_points(points, sh_degree)
     return splats if stage is None else join_splats(splats, stage.backdrop(sh_degree))
@@ -111,7 +111,7 @@ def train_keyframe(
     corrector: Corrector | None = None,
     on_step: OnKeyframeStep | None = None,
     stopping: StoppingRule = WHOLE,
-    stage: PlainStage | None = None,
+    stage: Stage | None = None,
 ) -> TrainedKeyframe:
     """Trains the first frame's Gaussians on ``pictures`` (3, H, W) of ``views``; the same seed gives the same bits.
 
@@ -184,7 +184,7 @@ class _KeyframeTraining:
         lattice_scale: float = 1.0,
         stopping: StoppingRule = WHOLE,
         fit: PictureFit,
-        stage: PlainStage | None = None,
+        stage: Stage | None = None,
     ) -> None:
         self._kernel, self._views, self._random = kernel, views, random
         self._settings = settings = replace(settings, iterations=fit.iterations)

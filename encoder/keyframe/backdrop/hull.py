@@ -12,8 +12,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..first_points.views import SweepView, inside, project
-from .plain import BoolArray
+from decogs.formats.cameras import Camera, in_picture, project
+
+from .views import BoolArray
 
 _MARGIN_PIXELS = 2
 """Of the subjects' outlines, which poses and compression blur."""
@@ -21,9 +22,9 @@ _MARGIN_PIXELS = 2
 
 @dataclass(frozen=True)
 class SubjectView:
-    """A view and the pixels (H, W), at its size, that may show something in front of the backdrop."""
+    """A view's camera, and its pixels (H, W) that may show something in front of the backdrop."""
 
-    view: SweepView
+    camera: Camera
     subject: BoolArray
 
 
@@ -48,9 +49,9 @@ class Hull:
         """Points (P, 3) that some view shows and no view shows the backdrop through."""
         held, seen = np.ones(len(xyz), bool), np.zeros(len(xyz), bool)
         for each in self.views:
-            u, v, depth = project(each.view, xyz)
-            here = inside(each.view, u, v) & (depth > 0)
+            u, v, depth = project(each.camera, xyz)
+            here = in_picture(each.camera, u, v, depth)
             rows = np.flatnonzero(here)
             seen |= here
-            held[rows] &= each.subject[np.round(v[rows]).astype(np.int64), np.round(u[rows]).astype(np.int64)]
+            held[rows] &= each.subject[v[rows].astype(np.int64), u[rows].astype(np.int64)]
         return held & seen
