@@ -252,6 +252,8 @@ class TrainingKernel(Protocol):
     ``forward`` must come before ``picture_loss``, ``backward`` and ``centres``, with the same scene and camera.
     """
 
+    background: Colour
+
     def forward(
         self,
         splats: Drawable,

@@ -43,5 +43,5 @@ def over(picture: FloatArray, alpha: FloatArray, background: Colour, plate: Floa
     """
     flat = np.asarray(background, np.float32)[:, None, None]
     if plate is not None:
-        return np.clip(picture + (1 - alpha) * (flat - plate), 0, 1)
-    return np.asarray(alpha * picture + (1 - alpha) * flat, np.float32)
+        return np.ascontiguousarray(np.clip(picture + (1 - alpha) * (flat - plate), 0, 1))
+    return np.ascontiguousarray(alpha * picture + (1 - alpha) * flat)

@@ -110,6 +110,7 @@ def train_first_frame(
             on_step=on_step,
             stopping=stopping,
             stage=stage,
+            alphas=frame.alpha,
         )
     values = quantise(trained.splats, trained.lattice)
     if settings.detect_per_frame and header is None:

@@ -36,9 +36,10 @@ def with_margin(subject: BoolArray) -> BoolArray:
 
 @dataclass(frozen=True)
 class Hull:
-    """Where something may stand: no view shows the backdrop there."""
+    """Where something may stand: no view shows the backdrop there, and ``least`` views look there."""
 
     views: Sequence[SubjectView]
+    least: int = 1
 
     @property
     def share(self) -> float:
@@ -46,12 +47,12 @@ class Hull:
         return float(np.mean([each.subject.mean() for each in self.views]))
 
     def holds(self, xyz: NDArray[np.floating]) -> BoolArray:
-        """Points (P, 3) that some view shows and no view shows the backdrop through."""
-        held, seen = np.ones(len(xyz), bool), np.zeros(len(xyz), bool)
+        """Points (P, 3) at which enough views look, of which none shows the backdrop."""
+        held, looking = np.ones(len(xyz), bool), np.zeros(len(xyz), int)
         for each in self.views:
             u, v, depth = project(each.camera, xyz)
             here = in_picture(each.camera, u, v, depth)
             rows = np.flatnonzero(here)
-            seen |= here
+            looking += here
             held[rows] &= each.subject[v[rows].astype(np.int64), u[rows].astype(np.int64)]
-        return held & seen
+        return held & (looking >= self.least)

@@ -18,6 +18,9 @@ from .views import BoolArray, recorded_pixels, stage_camera
 _MIN_ALPHA = 0.02
 """Alpha from which a pixel may show the subject: mattes are coded with losses."""
 
+_MIN_VIEWS = 3
+"""Views that must look at a point: near a camera, a hull of few views reaches far beyond the subject."""
+
 
 @dataclass(frozen=True)
 class SubjectAlone:
@@ -54,4 +57,4 @@ def subject_alone(views: Sequence[View], alphas: Sequence[FloatArray]) -> Subjec
         shown = resized_plane(alpha, camera) > _MIN_ALPHA
         return SubjectView(camera, with_margin(shown | ~recorded_pixels(view, camera)))
 
-    return SubjectAlone(Hull([of_view(*each) for each in zip(views, alphas, strict=True)]))
+    return SubjectAlone(Hull([of_view(*each) for each in zip(views, alphas, strict=True)], min(_MIN_VIEWS, len(views))))
