@@ -100,7 +100,7 @@ def _mixed(
 
 
 def _explained(seen: FloatArray, subject: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The alpha (P,) that best mixes what is ``seen`` of ``subject``, both (P, 3) less the plate; and the rest squared."""
+    """The alpha (P,) of ``subject`` that explains what is ``seen``, both (P, 3) less the plate; the rest squared."""
     contrast = np.maximum((subject * subject).sum(axis=1), np.float32(_LEAST_CONTRAST))
     alpha = np.clip((seen * subject).sum(axis=1) / contrast, 0, 1)
     rest = seen - alpha[:, None] * subject
