@@ -219,6 +219,15 @@ def test_ignored_pixels_do_not_teach(green: Path, tmp_path: Path) -> None:
     np.testing.assert_array_equal(picture[:, 0], picture[:, 19])
 
 
+def test_a_mask_that_leaves_nothing_is_refused(green: Path, tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / f"{NAMES[1]}.png"), np.zeros((128, 96), np.uint8))
+    with pytest.raises(RigError, match=f"{NAMES[1]}.png: black all over"):
+        opened(green, ignore=tmp_path)
+    (tmp_path / f"{NAMES[1]}.png").unlink()
+    with pytest.raises(RigError, match="no mask of any camera"):
+        opened(green, ignore=tmp_path)
+
+
 def test_masks_that_a_calibration_names_are_ignore_masks(green: Path, tmp_path: Path) -> None:
     folder = Path(shutil.copytree(green, tmp_path / "rig"))
     flip = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -283,13 +292,16 @@ def test_a_clean_plate_tells_the_subject_from_its_shadow(green: Path, tmp_path: 
         )
     frame = frame_of(opened(green, background_plate=tmp_path, masks=green / "truth/mattes"))
     np.testing.assert_array_equal(255 * frame.alpha[0], read(green / f"truth/mattes/{NAMES[0]}/0000.png"))
+    cv2.imwrite(str(tmp_path / f"{NAMES[4]}.png"), np.full((128, 96, 3), 200, np.uint8))
+    with pytest.raises(RigError, match=f"camera {NAMES[4]}: most of its picture differs from its clean one"):
+        frame_of(opened(green, background_plate=tmp_path))
     (tmp_path / f"{NAMES[4]}.png").unlink()
     with pytest.raises(RigError, match=f"no clean picture of camera {NAMES[4]}"):
         opened(green, background_plate=tmp_path)
 
 
-@pytest.mark.parametrize("key", ["pink", "1,2", "300,0,0", "1,2,3,4", "0,0,0", "90,90,100"])
-def test_a_key_that_is_no_screen_s_colour_is_refused(green: Path, key: str) -> None:
+@pytest.mark.parametrize("key", ["pink", "1,2", 5, "300,0,0", "1,2,3,4", "0,0,0", "90,90,100"])
+def test_a_key_that_is_no_screen_s_colour_is_refused(green: Path, key: Any) -> None:
     with pytest.raises(UsageError, match=f"`key` {key}"):
         opened(green, key=key)
 
