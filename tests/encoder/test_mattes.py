@@ -59,7 +59,8 @@ def rewrite(path: Path, change: Callable[[np.ndarray], np.ndarray]) -> None:
 
 def check(rig: Path, masks: Path) -> list[str]:
     warnings: list[str] = []
-    check_mattes(opened(rig, masks=masks), 0, warnings.append)
+    ingest = opened(rig, masks=masks)
+    check_mattes(ingest, frame_of(ingest), warnings.append)
     return warnings
 
 
