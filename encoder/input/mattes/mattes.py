@@ -20,7 +20,7 @@ from ..filling import push_pull
 from .choice import MatteChoice
 from .chroma_key import key_axis, keyed
 from .clean_plate import before_plate
-from .cutting import BoolArray, Subject
+from .cutting import BoolArray, Subject, with_alpha
 
 _LINEAR = linear_from_srgb(np.arange(256) / 255).astype(np.float32)
 """Of each 8-bit level."""
@@ -79,7 +79,7 @@ class Mattes:
     def cut(self, name: str, picture: Picture, given: FloatArray | None) -> Cut:
         """A camera's picture and its alpha. Raises RigError where it shows no screen, or not what its plate does."""
         if given is not None:
-            return Cut(_straight(picture, given) if self.is_own else picture, given)
+            return Cut(self._own_colours(name, picture, given), given)
         if self.key is not None:
             found = keyed(linear(picture), self.key)
             if found is None:
@@ -94,6 +94,12 @@ class Mattes:
                 )
             return Cut(picture, subject.alpha)
         return Cut(picture, None)
+
+    def _own_colours(self, name: str, picture: Picture, alpha: FloatArray) -> Picture:
+        """The picture without what was behind its outlines, unless a plate tells that to whoever composites it."""
+        if self.is_own:
+            return _straight(picture, alpha)
+        return picture if name in self.plates else _like(picture, with_alpha(linear(picture), alpha))
 
 
 def open_mattes(choice: MatteChoice | None, rig: Rig, frames: range, held_out: Collection[str] = ()) -> Mattes | None:
