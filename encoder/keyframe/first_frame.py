@@ -90,7 +90,7 @@ def train_first_frame(
             shared = (points.xyz, points.seen) if stage is None else stage.shared_points()
             colours = find_colours(ingest.views, frame.training, *shared)
             frame = match_colours(frame, ingest.views, colours)
-            stage = find_stage(ingest.views, frame.training)
+            stage = None if stage is None else find_stage(ingest.views, frame.training)
     if corrector is not None and corrector.cameras.camera_shake:
         with watch.stage("pre-alignment"):
             prealigned = prealigned_pictures(

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.formats.cameras import scale_camera
 from decogs.formats.splats import FloatArray, Splats, round_splats
 
 from ...input.ingest import View
@@ -24,8 +25,8 @@ from .surfaces import PlainView, Surfaces, find_surfaces, plain_colours, surface
 
 _MIN_PLAIN_SHARE = 0.5
 """Plain share of the median view's picture from which a stage is plain: rooms and textured stages have up to .45."""
-_MAX_PIXELS = 250_000
-"""Of a view in the search; larger pictures are shrunk."""
+_DECISION_PIXELS, _MAX_PIXELS = 62_000, 250_000
+"""Of a view in the decision and in the search; larger pictures are shrunk."""
 _BACKDROP_GAUSSIANS = 4600
 _OPACITY, _SIGMA_SPACINGS = 0.8, 0.75
 """Of the backdrop's Gaussians, the size in units of their distance: together they let nothing through."""
@@ -82,10 +83,10 @@ class PlainStage:
 
 def find_stage(views: Sequence[View], pictures: Sequence[FloatArray]) -> PlainStage | None:
     """The plain stage in the ``pictures`` (3, H, W) of ``views``; None where the median picture is not mostly plain."""
+    if not _mostly_plain(views, pictures):
+        return None
     seen = [_shrunk(*each) for each in zip(views, pictures, strict=True)]
     plain = [plain_pixels(view.picture) & known for view, known in seen]
-    if np.median([mask.mean() for mask in plain]) < _MIN_PLAIN_SHARE:
-        return None
     plates = [plate_of(view.picture, mask) for (view, _), mask in zip(seen, plain, strict=True)]
     subjects = [_subject_view(*each) for each in zip(views, pictures, plates, strict=True)]
     backdrops = [
@@ -99,6 +100,19 @@ def find_stage(views: Sequence[View], pictures: Sequence[FloatArray]) -> PlainSt
     return PlainStage(surfaces, Hull(subjects), backdrops, xyz.astype(np.float32), colours, spacing)
 
 
+def _mostly_plain(views: Sequence[View], pictures: Sequence[FloatArray]) -> bool:
+    """Whether the median picture is mostly plain. Once most are not, nothing is asked of the others."""
+    shares: list[float] = []
+    for view, picture in zip(views, pictures, strict=True):
+        small = scale_camera(view.pinhole, _scale(view, _DECISION_PIXELS))
+        size = small.width, small.height
+        planes = [cv2.resize(plane, size, interpolation=cv2.INTER_AREA) for plane in picture]
+        shares.append(float((plain_pixels(floats(np.stack(planes, axis=2))) & _recorded(view, size)).mean()))
+        if 2 * sum(share < _MIN_PLAIN_SHARE for share in shares) > len(views):
+            return False
+    return float(np.median(shares)) >= _MIN_PLAIN_SHARE
+
+
 def _subject_view(view: View, picture: FloatArray, plate: FloatArray) -> SubjectView:
     """What differs from the plate, and what was not recorded and may be anything."""
     small, known = _shrunk(view, picture)
@@ -107,8 +121,16 @@ def _subject_view(view: View, picture: FloatArray, plate: FloatArray) -> Subject
 
 def _shrunk(view: View, picture: FloatArray) -> tuple[SweepView, BoolArray]:
     """A view as the search sees it, and the pixels (H, W) that were recorded."""
-    scale = min(1.0, (_MAX_PIXELS / (view.pinhole.width * view.pinhole.height)) ** 0.5)
-    small = make_view(view.pinhole, np.ascontiguousarray(picture.transpose(1, 2, 0)), scale)
+    small = make_view(view.pinhole, np.ascontiguousarray(picture.transpose(1, 2, 0)), _scale(view, _MAX_PIXELS))
+    return small, _recorded(view, (small.width, small.height))
+
+
+def _scale(view: View, most: int) -> float:
+    return min(1.0, (most / (view.pinhole.width * view.pinhole.height)) ** 0.5)
+
+
+def _recorded(view: View, size: tuple[int, int]) -> BoolArray:
+    """The pixels (H, W) of a view at this width and height that were recorded."""
     if view.valid is None:
-        return small, np.ones((small.height, small.width), bool)
-    return small, floats(cv2.resize(view.valid, (small.width, small.height), interpolation=cv2.INTER_AREA)) > 0.999
+        return np.ones(size[::-1], bool)
+    return floats(cv2.resize(view.valid, size, interpolation=cv2.INTER_AREA)) > 0.999
