@@ -110,7 +110,7 @@ def _mostly_plain(views: Sequence[View], pictures: Sequence[FloatArray]) -> bool
         shares.append(float((plain_pixels(floats(np.stack(planes, axis=2))) & _recorded(view, size)).mean()))
         if 2 * sum(share < _MIN_PLAIN_SHARE for share in shares) > len(views):
             return False
-    return float(np.median(shares)) >= _MIN_PLAIN_SHARE
+    return bool(np.median(shares) >= _MIN_PLAIN_SHARE)
 
 
 def _subject_view(view: View, picture: FloatArray, plate: FloatArray) -> SubjectView:
@@ -126,7 +126,7 @@ def _shrunk(view: View, picture: FloatArray) -> tuple[SweepView, BoolArray]:
 
 
 def _scale(view: View, most: int) -> float:
-    return min(1.0, (most / (view.pinhole.width * view.pinhole.height)) ** 0.5)
+    return float(min(1.0, (most / (view.pinhole.width * view.pinhole.height)) ** 0.5))
 
 
 def _recorded(view: View, size: tuple[int, int]) -> BoolArray:
