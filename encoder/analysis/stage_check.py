@@ -73,7 +73,7 @@ class StageCheck:
     each camera's picture that shows what stands before it. ``floor``: how far it lies below the median camera, and
     ``wall``: how far from what the cameras look at, world units; None where even light leaves that open. ``gap``: the
     largest angle between neighbours around the upright axis, degrees, and the ``gap_cameras``. ``shadow``: the darkest
-    shadows' light, in units of the backdrop's; 1 without any. ``key``: None for a backdrop without a colour.
+    shadows' light, in units of the backdrop's; 1 without any. ``key``: None for a backdrop that has not one colour.
     """
 
     colour: tuple[int, int, int]
@@ -104,7 +104,9 @@ class StageCheck:
 
     def _key(self) -> str:
         if self.key is None:
-            return "the backdrop has no colour to key; a clean picture of each camera, or masks, cut the subject out"
+            return (
+                "the backdrop has not one colour to key; a clean picture of each camera, or masks, cut the subject out"
+            )
         said = "clean" if self.key.is_clean else "not clean"
         return (
             f"{said}: most of the backdrop is within {self.key.spread:.1f} degrees of its hue, and {self.key.worn:.1%} "
@@ -197,14 +199,16 @@ def _key(stage: PlainStage, backdrop: NDArray[np.float32]) -> KeyCheck | None:
     angle, saturation = (float(each.item()) for each in _chroma(screen[None]))
     if saturation < _MIN_SATURATION:
         return None
-    off, _ = _against(angle, backdrop)
+    spread = float(np.percentile(_against(angle, backdrop)[0], _SPREAD_PERCENTILE))
+    if spread > _KEY_DEGREES:
+        return None
     cores = [cv2.erode(each.subject.view(np.uint8), _INNER).view(np.bool_) for each in stage.hull.views]
     inner = Hull([replace(each, subject=core) for each, core in zip(stage.hull.views, cores, strict=True)])
     subject = np.concatenate([_inner_colours(replace(stage, hull=inner), each) for each in inner.views])
     aside, strength = _against(angle, subject)
     worn = (aside <= _KEY_DEGREES) & (strength >= _KEY_SATURATION * saturation)
     worn &= subject @ _LUMA >= _KEY_LUMA * (screen @ _LUMA)
-    return KeyCheck(angle, float(np.percentile(off, _SPREAD_PERCENTILE)), float(worn.sum()) / max(len(worn), 1))
+    return KeyCheck(angle, spread, float(worn.sum()) / max(len(worn), 1))
 
 
 def _inner_colours(stage: PlainStage, view: SubjectView) -> NDArray[np.float32]:
