@@ -56,7 +56,7 @@ class StreamHeader:
     ``first_frame``: the rig's index of the stream's frame 0; ``background``: the colour trained against,
     display-referred RGB; ``corrected``: the cameras whose corrections every frame codes; ``camera_colours``: by camera,
     how its exposure, red and blue differ from the scene's in every frame; ``settings``: the encoder's own, for people,
-    never needed for decoding.
+    never needed for decoding; ``subject``: the scene is a subject without its surroundings, its alpha what it covers.
     """
 
     cameras: tuple[Camera, ...]
@@ -75,6 +75,7 @@ class StreamHeader:
     settings: Mapping[str, Any] = field(default_factory=dict)
     corrected: CorrectedCameras = field(default_factory=CorrectedCameras)
     camera_colours: Corrections = field(default_factory=dict)
+    subject: bool = False
 
     @property
     def near_planes(self) -> dict[str, float]:
@@ -107,6 +108,7 @@ class StreamHeader:
             "settings": dict(self.settings),
             "sh_degree": self.sh_degree,
             "source_text": self.source_text,
+            **({"subject": True} if self.subject else {}),
             "units": self.units,
             "writer": self.writer,
         }
@@ -142,6 +144,7 @@ class StreamHeader:
             settings=fields.settings("settings"),
             corrected=_corrected(fields) if fields.has("corrected") else CorrectedCameras(),
             camera_colours=_camera_colours(fields),
+            subject=fields.flag("subject"),
         )
         names = [camera.name for camera in header.cameras]
         if len(set(names)) != len(names):
@@ -184,6 +187,12 @@ class _Fields:
         if type(value) is not int or not low <= value <= high:
             self._refuse(name, f"is no integer from {low} to {high}")
         return int(value)
+
+    def flag(self, name: str) -> bool:
+        """Whether the member is there; it can only be true."""
+        if self.has(name) and self.value(name) is not True:
+            self._refuse(name, "is not true; leave it out instead")
+        return self.has(name)
 
     def text(self, name: str, longest: int = _MAX_TEXT) -> str:
         return self._text(name, self.value(name), longest)

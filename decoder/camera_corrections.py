@@ -14,6 +14,8 @@ from decogs.codec.corrections import Correction
 from decogs.formats.cameras import Camera, turned
 from decogs.formats.splats import FloatArray
 
+from .straight_alpha import straight_colours
+
 if TYPE_CHECKING:
     from .rasterise import Rendering
 
@@ -40,8 +42,18 @@ def apply_gain(colours: FloatArray, odds_gain: tuple[float, float, float]) -> Fl
     return np.where(colours == inside, multiplied, colours)
 
 
-def with_recorded_colours(seen: Rendering, correction: Correction) -> Rendering:
-    """The rendering with the camera's exposure and white balance; the same object when it has none."""
+def with_recorded_colours(
+    seen: Rendering, correction: Correction, behind: tuple[float, float, float] | None
+) -> Rendering:
+    """The rendering with the camera's exposure and white balance; the same object when it has none.
+
+    ``behind``: the colour that a subject is over, which stays as it is; None for a whole scene.
+    """
     if not correction.is_coloured:
         return seen
-    return replace(seen, image=apply_gain(seen.image, correction.odds_gain))
+    if behind is None:
+        return replace(seen, image=apply_gain(seen.image, correction.odds_gain))
+    covered = seen.alpha[..., None]
+    rest = (1 - covered) * np.asarray(behind, np.float32)
+    own = apply_gain(straight_colours(seen.image - rest, seen.alpha), correction.odds_gain)
+    return replace(seen, image=covered * own + rest)

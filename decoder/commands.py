@@ -101,7 +101,11 @@ def _add_pictures(group: argparse._ArgumentGroup) -> None:
     _add_frames(group)
     group.add_argument("--scale", type=number, default=1.0, metavar="S", help="scale of the picture size (default 1)")
     group.add_argument(
-        "--background", type=_colour, metavar="R,G,B", help="background colour, 0 to 1 each (default: the stream's)"
+        "--background",
+        type=_colour,
+        metavar="R,G,B",
+        help="background colour, 0 to 1 each, or black, grey, white (default: the stream's; of a subject without a "
+        "background, PNG, EXR and ProRes then have alpha)",
     )
     group.add_argument(
         "--follow", action="store_true", help="decode frames while an encoder writes them; give the stream's final name"
@@ -391,9 +395,17 @@ def _add_trust(parser: argparse._ActionsContainer, *, threads: bool = False) -> 
     )
 
 
+_COLOURS = {"black": (0.0, 0.0, 0.0), "grey": (0.5, 0.5, 0.5), "white": (1.0, 1.0, 1.0)}
+
+
 def _colour(text: str) -> tuple[float, float, float]:
+    if text in _COLOURS:
+        return _COLOURS[text]
     try:
         red, green, blue = (float(part) for part in text.split(","))
     except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is no colour; write R,G,B from 0 to 1, such as 1,1,1") from None
+        known = ", ".join(_COLOURS)
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is no colour; write R,G,B from 0 to 1, such as 1,1,1, or one of {known}"
+        ) from None
     return red, green, blue

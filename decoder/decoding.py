@@ -35,14 +35,12 @@ from .frame_choice import (
 from .layouts import Layout
 from .limits import DEFAULT_MAX_MEMORY
 from .picture_output import PictureSink, open_sink
-from .shots import Shot, Show, asked_for, picture_camera, pictures, shots_by_frame, with_layers
+from .shots import Colour, Shot, Show, asked_for, picture_camera, pictures, shots_by_frame, with_layers
 from .stream import Stream
 from .video_output import VideoSettings
 
 Cameras = Union[str, "os.PathLike[str]", Camera, Sequence[Camera], CameraPath]
 """A file of cameras, one camera for every frame, one per frame, or a path."""
-
-Colour = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -84,7 +82,7 @@ def decode(
     the stream, or a CameraPath; ``move`` is one made from the rig, "orbit" or "spiral". ``output`` chooses the kind of
     file, see ``decogs.decoder.picture_output``. ``frames``: those of the stream, or the pictures of a path with times;
     consecutive ones, as a slice or a range; None for all. ``background``: display-referred RGB in 0..1, the stream's
-    when None.
+    when None; of a subject, an output that can hold it then gets the alpha and no background.
     ``undistorted``: without the rig camera's lens distortion. ``drift_free``: in the scene's own colours and
     through the calibrated pose, where the stream signals exposure, white balance or shake of the camera; otherwise what
     it recorded. ``strict`` and ``max_memory`` (bytes) are those of ``open_stream``: without ``strict``, damaged frames
@@ -128,7 +126,8 @@ def decode(
         first = picture_camera(opened.header, wanted, show)
         fps = _rate(opened.header, wanted)
         sound = replace(video, begin=chosen.start / (fps or DEFAULT_FPS))
-        with open_sink(output, view=first.name, frames=len(chosen), fps=fps, video=sound) as sink:
+        cut_out = _is_cut_out(opened.header, show)
+        with open_sink(output, view=first.name, frames=len(chosen), fps=fps, video=sound, cut_out=cut_out) as sink:
             _check_files(sink, chosen, read)
             static = _static(opened, on_warning) if sink.has_layers else None
             taken = _taken(opened.header, shots(sink.has_layers), wanted, show, sink, static)
@@ -157,7 +156,8 @@ def _decode_growing(
     first, done = picture_camera(stream.header, wanted, show), 0
     fps = _rate(stream.header, wanted)
     sound = replace(video, begin=chosen.start / (fps or DEFAULT_FPS))
-    with open_sink(output, view=first.name, frames=None, fps=fps, video=sound) as sink:
+    cut_out = _is_cut_out(stream.header, show)
+    with open_sink(output, view=first.name, frames=None, fps=fps, video=sound, cut_out=cut_out) as sink:
         shots = shots_by_frame(islice(stream.frames(), chosen.start, chosen.stop), wanted)
         coming = _unread(shots, sink, read)
         for _ in _taken(stream.header, coming, wanted, show, sink, None):
@@ -228,6 +228,10 @@ def _taken(
     """Writes the picture of every shot asked for, with its layers where the output holds some."""
     if sink.has_layers and show.layout is not None:
         raise UsageError("a stereo or 360 degree picture is no EXR; write PNG or a video")
+    if sink.has_layers and header.subject and not sink.has_alpha:
+        raise UsageError("an EXR of a subject has no background; leave out `background`, or write PNG")
+    if sink.has_alpha:
+        show = show.as_cut_out()
     if sink.has_layers:
         for shot, picture, layers in with_layers(header, shots, wanted, show, static):
             sink.write(shot.number, picture, layers)
@@ -236,6 +240,11 @@ def _taken(
         for shot, picture in pictures(header, shots, wanted, show):
             sink.write(shot.number, picture)
             yield shot
+
+
+def _is_cut_out(header: StreamHeader, show: Show) -> bool:
+    """Whether the pictures are those of a subject over nothing."""
+    return header.subject and show.background is None
 
 
 def _check_files(sink: PictureSink, numbers: Iterable[int], read: list[tuple[Path, str]]) -> None:

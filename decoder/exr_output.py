@@ -16,6 +16,9 @@ the coverage A. Over a black background, the default, C = f(c). Over another b t
 let b stand in for a surface's dark colour: brick has a = .8, mortar lines .5, black print .2. So A is
 min(1, a / SOLID_FROM), at the price of edges that are up to a pixel wider before nothing at all. The trained a is
 ``trained.A``.
+
+*A subject's a is trained to be what it covers*, whatever is behind it. There A = a, without ``trained.A``, and
+C = a f(c / a): what a compositing program makes of the straight PNG, for every background.
 """
 
 from __future__ import annotations
@@ -32,6 +35,8 @@ from decogs.formats.cameras import Camera
 from decogs.formats.colour import linear_from_srgb
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import FloatArray
+
+from .straight_alpha import straight_colours
 
 if TYPE_CHECKING:
     from .rasterise import Rendering
@@ -51,7 +56,8 @@ _NEAR, _FAR = 0.01, 10_000.0
 class Layers:
     """What an EXR holds beside colour, alpha and depth.
 
-    ``camera``: that of the picture. ``background``: display-referred RGB of ``over``, as the picture shows it.
+    ``camera``: that of the picture. ``background``: display-referred RGB of ``over``, as the picture shows it; None for
+    a subject, whose picture is then the one over black.
     ``dynamic`` (H, W): the part, 0 to 1, that Gaussians which ever change have in what the pixel shows; None where
     nobody knows.
     ``forward`` and ``backward`` (H, W, 2): where what the pixel shows goes in the next picture, and where it was in the
@@ -59,7 +65,7 @@ class Layers:
     """
 
     camera: Camera
-    background: tuple[float, float, float]
+    background: tuple[float, float, float] | None
     dynamic: FloatArray | None = None
     forward: FloatArray | None = None
     backward: FloatArray | None = None
@@ -113,10 +119,7 @@ def save_exr(path: Path, rendering: Rendering, layers: Layers, *, fps: float) ->
         "framesPerSecond": (rate.numerator, rate.denominator),
         "worldToCamera": to_camera,
         "worldToNDC": to_ndc,
-        "decogs:colour": "linear light, Rec. 709 primaries, premultiplied, without background; over the background "
-        "below it is the decoder's picture, over others it is blended in linear light, which the scene was not",
-        "decogs:background": " ".join(f"{value:g}" for value in layers.background) + " (display-referred sRGB)",
-        "decogs:alpha": f"A is 1 from a trained alpha of {SOLID_FROM:g} on; trained.A is that alpha",
+        **_about_colours(layers.background),
         "decogs:depth": "along the view axis, world units; the mean of what the pixel shows, which lies between near "
         f"and far at silhouettes; {NOTHING_SEEN:g} where nothing is seen",
         "decogs:camera": "matrices for row vectors; camera x right, y up, z forward; NDC -1 to 1; no lens distortion",
@@ -132,16 +135,34 @@ def save_exr(path: Path, rendering: Rendering, layers: Layers, *, fps: float) ->
         raise UsageError(f"{path.name}: the EXR cannot be written ({problem}); choose another output") from None
 
 
+def _about_colours(background: tuple[float, float, float] | None) -> dict[str, str]:
+    linear = "linear light, Rec. 709 primaries, premultiplied, without background"
+    if background is None:
+        return {"decogs:colour": linear, "decogs:alpha": "A is what the subject covers"}
+    return {
+        "decogs:colour": f"{linear}; over the background below it is the decoder's picture, over others it is blended "
+        "in linear light, which the scene was not",
+        "decogs:background": " ".join(f"{value:g}" for value in background) + " (display-referred sRGB)",
+        "decogs:alpha": f"A is 1 from a trained alpha of {SOLID_FROM:g} on; trained.A is that alpha",
+    }
+
+
 def _channels(rendering: Rendering, layers: Layers) -> dict[str, NDArray[Any]]:
-    covered = coverage(rendering.alpha)
-    rgb = np.clip(without_background(rendering.image, covered, layers.background), -_HALF_MAX, _HALF_MAX)
+    if layers.background is None:
+        covered = rendering.alpha
+        rgb = covered[..., None] * linear_light(straight_colours(rendering.image, covered))
+    else:
+        covered = coverage(rendering.alpha)
+        rgb = without_background(rendering.image, covered, layers.background)
+    rgb = np.clip(rgb, -_HALF_MAX, _HALF_MAX)
     seen = (rendering.alpha > 0) & (rendering.depth > 0)
     channels: dict[str, NDArray[Any]] = {
         **{name: rgb[..., k].astype(np.float16) for k, name in enumerate("RGB")},
         "A": covered.astype(np.float16),
         "Z": np.where(seen, rendering.depth, np.float32(NOTHING_SEEN)).astype(np.float32),
-        "trained.A": rendering.alpha.astype(np.float16),
     }
+    if layers.background is not None:
+        channels["trained.A"] = rendering.alpha.astype(np.float16)
     if layers.dynamic is not None:
         channels["dynamic.A"] = (layers.dynamic * covered).astype(np.float16)
     for name, motion in (("forward", layers.forward), ("backward", layers.backward)):

@@ -11,7 +11,7 @@ a folder (no suffix)    ``<view>_<frame>.png``, one per frame, names that sort
 ======================  ==============================================================================
 
 PNG and videos hold the display-referred picture rounded to 8 bit. EXR is for compositing, see
-``decogs.decoder.exr_output``.
+``decogs.decoder.exr_output``. Of a subject over nothing, PNG and ProRes hold straight colours and alpha.
 
 Everything is written into a hidden folder beside the output and moved to its name at the end: an error or an
 interruption leaves nothing under the output's name and nothing of what stood there before is touched. Only when a
@@ -38,6 +38,7 @@ from decogs.formats.outputs import errors_named, publish_files, staged_files
 from .camera_path import DEFAULT_FPS as DEFAULT_FPS
 from .exr_output import Layers, save_exr
 from .raw_video import RawVideo
+from .straight_alpha import straight_picture
 from .video_output import CODECS, Movie, VideoSettings, check_settings
 
 if TYPE_CHECKING:
@@ -54,6 +55,8 @@ _LONGEST_VIEW = 200
 _SLOWEST, _FASTEST = 0.01, 1000.0
 """Frames per second that every video coder takes; its time stamps have 16 bits of fraction."""
 
+_OPENCV_CHANNELS = [2, 1, 0, 3]
+
 _PNG_EFFORT = 3
 """zlib level of PNG files: a little larger than the default's, three times as fast."""
 
@@ -61,11 +64,13 @@ _PNG_EFFORT = 3
 class PictureSink(ABC):
     """Takes the frames of one view in order; ``finish`` completes what was written.
 
-    ``has_layers``: whether ``write`` wants the layers of the picture, too. ``file_of``: where the picture of a frame
-    will lie, when each has a file of its own.
+    ``has_layers``: whether ``write`` wants the layers of the picture, too. ``has_alpha``: whether it wants a subject
+    over black, whose alpha it keeps. ``file_of``: where the picture of a frame will lie, when each has a file of its
+    own.
     """
 
     has_layers = False
+    has_alpha = False
     file_of: Callable[[int], Path] | None = None
 
     @abstractmethod
@@ -85,11 +90,13 @@ def open_sink(
     frames: int | None,
     fps: float | None,
     video: VideoSettings = VideoSettings(),  # noqa: B008 (frozen)
+    cut_out: bool = False,
 ) -> Iterator[PictureSink]:
     """A sink for ``frames`` pictures of ``view``, whose files appear under ``output`` when the block ends well.
 
     An open file takes uncompressed video as it comes. ``video``: how a video is encoded. ``frames`` None: nobody knows
-    how many will come. Files of single pictures then appear each as soon as it is whole.
+    how many will come. Files of single pictures then appear each as soon as it is whole. ``cut_out``: the pictures are
+    those of a subject over nothing, whose alpha is kept where the output can hold it (``has_alpha``).
 
     Raises UsageError when the output's kind is unknown or it cannot be written.
     """
@@ -99,7 +106,7 @@ def open_sink(
         raw.flush()
         return
     target = Path(output)
-    create, folder = _plan(output, target, view, frames, fps or DEFAULT_FPS, video)
+    create, folder = _plan(output, target, view, frames, fps or DEFAULT_FPS, video, cut_out)
     with staged_files(folder) as staging:
         sink = create(staging)
         if frames is None and isinstance(sink, _Files):
@@ -120,11 +127,11 @@ def to_8bit(image: NDArray[Any]) -> NDArray[np.uint8]:
 class _Files(PictureSink):
     """One PNG per frame."""
 
-    def __init__(self, name_of: Callable[[int], str], folder: Path) -> None:
-        self.name_of, self._folder = name_of, folder
+    def __init__(self, name_of: Callable[[int], str], folder: Path, cut_out: bool) -> None:
+        self.name_of, self._folder, self.has_alpha = name_of, folder, cut_out
 
     def write(self, frame: int, rendering: Rendering, layers: Layers | None = None) -> None:
-        _save_png(self._folder / self.name_of(frame), rendering)
+        _save_png(self._folder / self.name_of(frame), _picture(rendering, self.has_alpha))
 
     def finish(self) -> None:
         """Every file is complete as soon as it is written."""
@@ -135,8 +142,8 @@ class _ExrFiles(_Files):
 
     has_layers = True
 
-    def __init__(self, name_of: Callable[[int], str], folder: Path, fps: float) -> None:
-        super().__init__(name_of, folder)
+    def __init__(self, name_of: Callable[[int], str], folder: Path, cut_out: bool, fps: float) -> None:
+        super().__init__(name_of, folder, cut_out)
         self._fps = fps
 
     def write(self, frame: int, rendering: Rendering, layers: Layers | None = None) -> None:
@@ -150,7 +157,7 @@ class _OneByOne(PictureSink):
 
     def __init__(self, files: _Files, staging: Path, folder: Path) -> None:
         self._files, self._staging, self._folder = files, staging, folder
-        self.has_layers, self.name_of = files.has_layers, files.name_of
+        self.has_layers, self.has_alpha, self.name_of = files.has_layers, files.has_alpha, files.name_of
 
     def write(self, frame: int, rendering: Rendering, layers: Layers | None = None) -> None:
         self._files.write(frame, rendering, layers)
@@ -163,12 +170,13 @@ class _OneByOne(PictureSink):
 class _Movie(PictureSink):
     """A video by FFmpeg. 4:2:0 needs even sizes: an odd picture repeats its last row or column."""
 
-    def __init__(self, path: Path, fps: float, settings: VideoSettings) -> None:
+    def __init__(self, path: Path, fps: float, settings: VideoSettings, cut_out: bool) -> None:
         _check_rate(path, fps)
         self._movie = Movie(path, fps, settings)
+        self.has_alpha = cut_out and self._movie.codec == "prores"
 
     def write(self, frame: int, rendering: Rendering, layers: Layers | None = None) -> None:
-        self._movie.write(_even(to_8bit(rendering.image)))
+        self._movie.write(_even(_picture(rendering, self.has_alpha)))
 
     def finish(self) -> None:
         self._movie.finish()
@@ -206,11 +214,16 @@ def _check_rate(path: Path, fps: float) -> None:
         )
 
 
-def _save_png(path: Path, rendering: Rendering) -> None:
+def _picture(rendering: Rendering, has_alpha: bool) -> NDArray[np.uint8]:
+    """Red, green and blue, or straight ones and alpha."""
+    return to_8bit(straight_picture(rendering) if has_alpha else rendering.image)
+
+
+def _save_png(path: Path, picture: NDArray[np.uint8]) -> None:
     import cv2
 
-    picture = np.ascontiguousarray(to_8bit(rendering.image)[..., ::-1])
-    _, data = cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, _PNG_EFFORT])
+    in_order = np.ascontiguousarray(picture[..., _OPENCV_CHANNELS[: picture.shape[2]]])
+    _, data = cv2.imencode(".png", in_order, [cv2.IMWRITE_PNG_COMPRESSION, _PNG_EFFORT])
     try:
         path.write_bytes(data.tobytes())
     except OSError as error:
@@ -226,6 +239,7 @@ def _plan(
     frames: int | None,
     fps: float,
     video: VideoSettings,
+    cut_out: bool,
 ) -> tuple[Callable[[Path], PictureSink], Path]:
     """How to make the sink in a staging folder, and the folder that its files are to be moved to."""
     if str(output) == "-":
@@ -241,7 +255,7 @@ def _plan(
     if suffix in (".mp4", ".mov", ".exr"):
         check_utf8(target)
     if suffix in CODECS:
-        return lambda folder: _Movie(folder / target.name, fps, video), target.parent
+        return lambda folder: _Movie(folder / target.name, fps, video, cut_out), target.parent
     if suffix in _RAW:
         return lambda folder: _raw_file(folder / target.name, target, fps), target.parent
     if suffix not in (".png", ".exr"):
@@ -250,11 +264,11 @@ def _plan(
                 f"{target}: is a file, not a folder; name a folder (PNG), or a .png, .exr, .mp4, .mov or .y4m file"
             )
         safe = _safe(view)
-        return lambda folder: _Files(lambda frame: f"{safe}_{frame:06d}.png", folder), target
+        return lambda folder: _Files(lambda frame: f"{safe}_{frame:06d}.png", folder, cut_out), target
     name_of = names_of_frames(target, frames)
     if suffix == ".exr":
-        return lambda folder: _ExrFiles(name_of, folder, fps), target.parent
-    return lambda folder: _Files(name_of, folder), target.parent
+        return lambda folder: _ExrFiles(name_of, folder, cut_out, fps), target.parent
+    return lambda folder: _Files(name_of, folder, cut_out), target.parent
 
 
 def _raw_file(path: Path, target: Path, fps: float) -> _Raw:

@@ -19,7 +19,7 @@ from .camera_corrections import with_recorded_colours
 from .frame import DecodedFrame
 from .rasterise import Rendering
 from .rasterise.incremental_view import IncrementalView
-from .views import correction_of, max_pairs, through_lens, view_plan
+from .views import behind_subject, correction_of, max_pairs, through_lens, view_plan
 
 
 class PlayedView:
@@ -78,7 +78,7 @@ class PlayedView:
     def _coloured(self, seen: Rendering) -> Rendering:
         if self._correction is None:
             return seen
-        recorded = with_recorded_colours(seen, self._correction)
+        recorded = with_recorded_colours(seen, self._correction, behind_subject(self._header, self._background))
         recorded.image.flags.writeable = False
         return recorded
 

@@ -20,6 +20,7 @@ from .frame import DecodedFrame
 from .layouts import Layout
 from .limits import check_picture
 from .views import (
+    behind_subject,
     camera_of,
     correction_of,
     max_pairs,
@@ -33,23 +34,37 @@ from .views import (
 if TYPE_CHECKING:
     from .rasterise import Rendering
 
+Colour = tuple[float, float, float]
+
 
 @dataclass(frozen=True)
 class Show:
-    """How pictures are rendered, whatever they show; as in ``render_view``."""
+    """How pictures are rendered, whatever they show; as in ``render_view``.
+
+    ``cut_out``: over black, for an output that keeps the subject's alpha.
+    """
 
     scale: float
-    background: tuple[float, float, float] | None
+    background: Colour | None
     undistorted: bool
     threads: int
     drift_free: bool
     max_memory: int
     layout: Layout | None = None
+    cut_out: bool = False
 
     @property
     def of_view(self) -> dict[str, Any]:
         """What ``render_view`` and ``PlayedView`` both take."""
-        return {name: value for name, value in vars(self).items() if name not in ("drift_free", "layout")}
+        return {name: value for name, value in vars(self).items() if name not in ("drift_free", "layout", "cut_out")}
+
+    def over(self, header: StreamHeader) -> Colour:
+        """The display-referred colour behind the stream's scene."""
+        return header.background if self.background is None else self.background
+
+    def as_cut_out(self) -> Show:
+        """The same pictures of a subject over nothing."""
+        return replace(self, background=(0.0, 0.0, 0.0), cut_out=True)
 
 
 @dataclass(frozen=True)
@@ -118,7 +133,8 @@ def _laid_out(header: StreamHeader, shot: Shot, show: Show, layout: Layout) -> R
     camera = standing_camera(header, shot.view, scale=show.scale, undistorted=show.undistorted, correction=correction)
     how = show.of_view | {"scale": 1.0, "undistorted": False}
     seen = layout.render(header, shot.frame.splats, camera, how)
-    return seen if correction is None else with_recorded_colours(seen, correction)
+    behind = behind_subject(header, show.over(header))
+    return seen if correction is None else with_recorded_colours(seen, correction, behind)
 
 
 def with_layers(
@@ -160,13 +176,13 @@ def _layers(
         seen_by = standing_camera(header, other.view, scale=show.scale, undistorted=show.undistorted, correction=turned)
         return motion_to(shot.frame, other.frame, seen_by, plan, show.threads, pairs)
 
-    background = header.background if show.background is None else show.background
+    background = None if show.cut_out else recorded_colour(show.over(header), correction)
     dynamic = (
         None
         if static is None
         else dynamic_part(shot.frame.splats, shot.frame.state.ids, static, plan, show.threads, pairs)
     )
-    return Layers(plan.camera, recorded_colour(background, correction), dynamic, motion(after), motion(before))
+    return Layers(plan.camera, background, dynamic, motion(after), motion(before))
 
 
 def _correction(header: StreamHeader, shot: Shot, show: Show) -> Correction | None:

@@ -167,6 +167,7 @@ class StreamInfo:
                 "sh_degree": header.sh_degree,
                 "background": list(header.background),
                 "effects": list(header.effects),
+                "subject": header.subject,
                 "lattice": {name: _plain(value) for name, value in vars(header.lattice).items()},
                 "units": header.units,
                 "axes": header.axes,

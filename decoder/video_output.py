@@ -4,7 +4,7 @@
 name        codec, the default first     pixels
 ==========  ===========================  =========================================================
 ``x.mp4``   h264, hevc                   8 bit, 4:2:0; browsers play h264
-``x.mov``   prores, hevc, h264           ProRes 4444 without alpha, 10 bit; HEVC 10 bit
+``x.mov``   prores, hevc, h264           ProRes 4444, 10 bit; HEVC 10 bit
 ==========  ===========================  =========================================================
 
 Colours are BT.709, limited range, and tagged so. 4:2:0 has a quarter of the colour samples, and what a picture loses by
@@ -12,7 +12,7 @@ them depends on how a player fills them up again. Ours are those from which inte
 browsers do it on a GPU, gives the least error, and the file is tagged so. Of ``workbench`` (352x264) Chromium then
 shows 45.2 dB; with the means of four pixels, 41.6. Players that repeat colour samples instead, such as FFmpeg by
 default, show 37.0 instead of 39.4: no 4:2:0 gives them 42. ``chroma`` "444" keeps all samples; Chromium plays it,
-others may not.
+others may not. ProRes takes pictures of four channels, too: straight colours and alpha, which has its full range.
 
 Licences: PyAV is BSD-3-Clause. Its wheels hold FFmpeg (LGPL-3.0) and x264 and x265 (GPL-2.0-or-later), which make these
 videos; nothing of it comes with decogs. Who passes on a bundle with that wheel passes on GPL software. Patents on
@@ -54,6 +54,7 @@ _ENCODERS: dict[Codec, tuple[str, ...]] = {
 }
 _THREADS = 4
 """Whatever the machine has: x264's and x265's bytes depend on it."""
+_WITH_ALPHA = "yuva444p10le"
 _BT709 = 1
 _LIMITED = 1
 _RED, _GREEN, _BLUE = 0.2126, 0.7152, 0.0722
@@ -106,7 +107,7 @@ class Movie:
 
         self._path, self._settings = path, settings
         self._rate = Fraction(fps).limit_denominator(1001)
-        self._codec: Codec = settings.codec or CODECS[path.suffix.lower()][0]
+        self.codec: Codec = settings.codec or CODECS[path.suffix.lower()][0]
         self._stream: Any = None
         self._sound: _Sound | None = None
         self._pictures = 0
@@ -114,9 +115,9 @@ class Movie:
             self._container = av.open(str(path), "w", format=path.suffix[1:].lower(), options=_faststart(path))
 
     def write(self, picture: NDArray[np.uint8]) -> None:
-        """Adds a display-referred picture (H, W, 3); all have one size."""
+        """Adds a display-referred picture (H, W, 3), for ProRes also (H, W, 4) with alpha; all have one shape."""
         if self._stream is None:
-            self._begin(picture.shape[1], picture.shape[0])
+            self._begin(*picture.shape)
         with _explained(self._path):
             frame = _frame(picture, self._stream.pix_fmt)
             frame.pts, frame.time_base = self._pictures, 1 / self._rate
@@ -135,10 +136,10 @@ class Movie:
                 self._sound.finish()
             self._container.close()
 
-    def _begin(self, width: int, height: int) -> None:
+    def _begin(self, height: int, width: int, channels: int) -> None:
         with _explained(self._path):
-            stream = self._container.add_stream(_encoder(self._codec, self._path), rate=self._rate)
-        stream.pix_fmt = self._pixels()
+            stream = self._container.add_stream(_encoder(self.codec, self._path), rate=self._rate)
+        stream.pix_fmt = _WITH_ALPHA if channels == 4 else self._pixels()
         # 4:2:0 needs even sizes: an odd picture repeats its last row or column.
         stream.width, stream.height = width, height
         context = stream.codec_context
@@ -153,10 +154,10 @@ class Movie:
             self._sound = _Sound(self._settings.audio, self._settings.begin, self._container)
 
     def _pixels(self) -> str:
-        if self._codec == "prores":
+        if self.codec == "prores":
             return "yuv444p10le"
         full = self._settings.chroma == "444"
-        return ("yuv444p" if full else "yuv420p") + ("10le" if self._codec == "hevc" else "")
+        return ("yuv444p" if full else "yuv420p") + ("10le" if self.codec == "hevc" else "")
 
     def _options(self, encoder: str, pixels_per_second: float) -> dict[str, str]:
         crf = DEFAULT_CRF if self._settings.crf is None else self._settings.crf
@@ -176,7 +177,7 @@ class Movie:
 
 
 def _frame(picture: NDArray[np.uint8], pixels: str) -> Any:
-    """A picture (H, W, 3) as FFmpeg's frame of this format: yuv420p, for which H and W are even, yuv444p, or 10 bit.
+    """A picture (H, W, 3 or 4) as FFmpeg's frame: yuv420p, of even H and W, or yuv444p, either in 10 bit, yuva444p10le.
 
     FFmpeg's own conversion rounds on the way, which costs 1.5 dB of the 51 that ``panoptic_basketball`` has.
     """
@@ -184,7 +185,10 @@ def _frame(picture: NDArray[np.uint8], pixels: str) -> Any:
 
     frame = av.VideoFrame(picture.shape[1], picture.shape[0], pixels)
     kind, unit = (np.dtype("<u2"), 4) if pixels.endswith("10le") else (np.dtype("u1"), 1)
-    for plane, samples in zip(frame.planes, planes(picture, reduced="420" in pixels), strict=True):
+    of_planes = [*planes(picture, reduced="420" in pixels)]
+    if pixels == _WITH_ALPHA:  # in full range
+        of_planes.append(picture[..., 3] * np.float32(1023 / 255 / unit))
+    for plane, samples in zip(frame.planes, of_planes, strict=True):
         rows = np.zeros((plane.height, plane.line_size // kind.itemsize), kind)
         rows[:, : plane.width] = np.rint(samples * np.float32(unit))
         plane.update(rows)

@@ -53,7 +53,7 @@ def render_view(
     pairs = max_pairs(header, len(splats), plan, max_memory)
     drawn = render(splats, plan.render_camera, background, threads=threads, max_pairs=pairs)
     seen = through_lens(plan, drawn, background)
-    return seen if correction is None else with_recorded_colours(seen, correction)
+    return seen if correction is None else with_recorded_colours(seen, correction, behind_subject(header, background))
 
 
 def camera_of(header: StreamHeader, view: str | Camera) -> Camera:
@@ -76,6 +76,11 @@ def correction_of(header: StreamHeader, view: str | Camera, corrections: Correct
     if colours is None:
         return corrections.get(view)
     return with_colours(corrections.get(view, Correction()), colours)
+
+
+def behind_subject(header: StreamHeader, background: tuple[float, float, float]) -> tuple[float, float, float] | None:
+    """The background where it is no part of what was recorded: behind a subject. None for a whole scene."""
+    return background if header.subject else None
 
 
 def view_plan(

@@ -5,6 +5,7 @@
 
 from .analysis import EffectChoice
 from .encoding import encode
+from .input.mattes import MatteChoice
 from .job import EncodeJob
 from .output.observer import EncodeObserver
 from .output.progress import TerminalProgress
@@ -27,6 +28,7 @@ __all__ = [
     "EncodeSettings",
     "FrameReport",
     "JoinReport",
+    "MatteChoice",
     "PackReport",
     "Switches",
     "Targets",

@@ -29,6 +29,8 @@ from decogs.formats.errors import DecogsError, UsageError
 from decogs.formats.frame_ranges import frame_range
 from decogs.formats.rigs import Rig, open_rig
 
+from .input.mattes.options import add_matte_options, matte_choice
+
 if TYPE_CHECKING:
     from .job import EncodeJob
     from .output.observer import EncodeObserver
@@ -59,6 +61,7 @@ def encode_parser() -> Parser:
     )
     parser.add_quiet()
     _add_input(parser.add_argument_group("input"))
+    add_matte_options(parser.add_argument_group("subject alone"))
     _add_quality(parser.add_argument_group("quality, size and time"))
     _add_effects(parser.add_argument_group("effects"))
     _add_long_takes(parser.add_argument_group("long takes"))
@@ -361,6 +364,7 @@ def _job(options: argparse.Namespace) -> tuple[EncodeJob, dict[str, str]]:
         path_or_pipe(options.output, "the stream"),
         frames=frame_range(options.frames),
         only=frame_range(options.only),
+        mattes=matte_choice(options),
         switches=Switches(options.method, names(options.ablate), options.selection),
         targets=Targets(options.quality, bytes_per_frame, options.lossless, seconds, options.target_psnr),
         **{name: getattr(options, name) for name in same},

@@ -23,6 +23,8 @@ from .frame.context import Context
 from .input.imported_keyframe import KeyframeSource, read_keyframe
 from .input.imported_splats import SplatSource, is_splat_file, read_splat_source
 from .input.ingest import Ingest, frame_span
+from .input.matte_checks import check_mattes
+from .input.mattes import Mattes, open_mattes
 from .job import EncodeJob
 from .memory_limit import EncodeMemory, memory_within
 from .methods import FRAME_METHODS, require_sparse
@@ -69,7 +71,8 @@ def encode(
         chosen = _decide_settings(job, work, observer, warn)
         ingest = work.ingest
         if chosen.corrections.lens:
-            ingest = Ingest(work.rig, holdout=job.holdout, scale=job.scale, lens=chosen.corrections.lens)
+            lens = chosen.corrections.lens
+            ingest = Ingest(work.rig, holdout=job.holdout, scale=job.scale, lens=lens, mattes=work.mattes)
         observer.started(_facts(job, work, ingest, chosen))
         context = Context.of(
             ingest,
@@ -113,6 +116,7 @@ class _Work:
     """
 
     rig: Rig
+    mattes: Mattes | None
     ingest: Ingest
     output: Path | BinaryIO
     settings: EncodeSettings
@@ -140,9 +144,11 @@ def _prepare(job: EncodeJob, warn: OnWarning) -> _Work:
     span = frame_span(rig, job.frames)
     part = None if job.only is None else part_frames(job.only, span, settings.segment)
     wanted = wanted_effects(job, settings)
-    ingest = Ingest(rig, holdout=job.holdout, scale=job.scale)
+    mattes = open_mattes(job.mattes, rig, span, job.holdout)
+    ingest = Ingest(rig, holdout=job.holdout, scale=job.scale, mattes=mattes)
     output = Path(job.output) if isinstance(job.output, (str, os.PathLike)) else job.output
-    _check_outputs(job, output, rig, reads_keyframe=base is not None or source is not None)
+    _check_outputs(job, output, rig, mattes, reads_keyframe=base is not None or source is not None)
+    check_mattes(ingest, span.start, warn)
     begun = source if base is None else base.source
     memory = memory_within(
         ingest,
@@ -152,7 +158,7 @@ def _prepare(job: EncodeJob, warn: OnWarning) -> _Work:
         frames=len(span),
         threads=thread_count(job.threads),
     )
-    return _Work(rig, ingest, output, settings, wanted, span, part, base, source, memory)
+    return _Work(rig, mattes, ingest, output, settings, wanted, span, part, base, source, memory)
 
 
 def _decide_settings(job: EncodeJob, work: _Work, observer: EncodeObserver, warn: OnWarning) -> EncodeSettings:
@@ -185,12 +191,15 @@ def _facts(job: EncodeJob, work: _Work, ingest: Ingest, settings: EncodeSettings
     }
 
 
-def _check_outputs(job: EncodeJob, stream: Path | BinaryIO, rig: Rig, *, reads_keyframe: bool) -> None:
+def _check_outputs(
+    job: EncodeJob, stream: Path | BinaryIO, rig: Rig, mattes: Mattes | None, *, reads_keyframe: bool
+) -> None:
     """Raises UsageError when the encode would write over something it reads, or twice into one file."""
     outputs = [Output("output", stream, grows=True)]
     logs = {"log": job.log, "convergence_log": job.convergence_log}
     outputs += [Output(name, Path(path)) for name, path in logs.items() if path is not None]
     read = [(Path(job.keyframe), "is read, as `keyframe`")] if job.keyframe is not None and reads_keyframe else []
+    read += [(file, "is a matte or a plate of the rig") for file in (() if mattes is None else mattes.files)]
     check_outputs(outputs, [*files_of(rig), *read])
 
 

@@ -11,6 +11,7 @@ from decogs.formats.frame_ranges import Frames
 from decogs.formats.rigs import Rig
 
 from .analysis import EffectChoice
+from .input.mattes import MatteChoice
 from .settings.effects import CorrectionSettings
 from .settings.encode import EncodeSettings
 from .switches import Switches
@@ -34,6 +35,8 @@ class EncodeJob:
     frames: Frames = None  # consecutive ones, as a slice or a range; None: all
     scale: float = 1.0  # of the pictures trained on, above 0 and at most 4
     holdout: Sequence[str] = ()  # names of cameras kept out of training and measured on
+
+    mattes: MatteChoice | None = None  # what of the pictures is the subject; None: as their own alpha says
 
     switches: Switches | None = None  # method of later frames and its parts, on top of the settings
     targets: Targets | None = None  # quality, bytes and time, on top of the settings

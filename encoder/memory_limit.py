@@ -33,6 +33,10 @@ _LATER_FRAME_BYTES = 84
 opacity and gradient, masks and weights of the loss."""
 _LENS_BYTES = 4
 """Of a training pixel of a camera with a lens: whether it was recorded."""
+_MATTE_BYTES = 7
+"""Of a training pixel that has a matte: alpha, and the matte as its file has it."""
+_CUTTING_BYTES = 160
+"""Of a pixel of the largest picture while its subject is keyed, or told from a plate: colours and tones as floats."""
 _DRAWN_BYTES = 64
 """Of a pixel of the largest view while it is drawn, compared and differentiated, for each thread."""
 _GAUSSIAN_BYTES = 2500
@@ -75,6 +79,8 @@ def encode_memory(
     if ingest.scale != 1:
         own = [width * height for _, (width, height) in ingest.held_out_sizes.values()]
         size += sum(own) * _READ_BYTES * (1 + reads_ahead) + max(own, default=0) * _DRAWN_BYTES
+    if ingest.has_mattes:
+        size += every * _MATTE_BYTES * (1 + reads_ahead) + max(views) * _CUTTING_BYTES
     size += lenses * _LENS_BYTES + threads * _DRAWN_BYTES * max(views) + gaussians * _GAUSSIAN_BYTES
     first = sum(views) * _KEYFRAME_BYTES + first_points_memory([view.pinhole for view in ingest.views], threads)
     later = sum(views) * (_LATER_FRAME_BYTES + _PICTURE_BYTES * settings.closed)

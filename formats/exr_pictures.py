@@ -35,7 +35,23 @@ def read_exr(path: Path, data: bytes, width: int, height: int) -> NDArray[np.flo
     picture = _in_display_window(attributes, colours)
     if picture.shape != (height, width, 3):
         raise damaged(path, "the EXR pixels do not fit the header")
-    finite = np.isfinite(picture).all(axis=2)
+    _check_finite(path, np.asarray(np.isfinite(picture).all(axis=2)))
+    return picture
+
+
+def read_exr_alpha(path: Path, data: bytes) -> NDArray[np.float32] | None:
+    """The alpha over the display window, (H, W), clipped to 0..1; None where there is no channel A. Raises RigError."""
+    attributes, _ = exr_attributes(path, data)
+    alpha = _channels(path, data).get("A") if "A" in _names(attributes) else None
+    if alpha is None:
+        return None
+    if alpha.ndim != 2:
+        raise RigError(f"{path}: subsampled EXR channels are not supported; write it as plain RGB")
+    _check_finite(path, np.isfinite(alpha))
+    return np.clip(_in_display_window(attributes, alpha.astype(np.float32)), 0, 1)
+
+
+def _check_finite(path: Path, finite: NDArray[np.bool_]) -> None:
     if not finite.all():
         y, x = (int(v) for v in np.argwhere(~finite)[0])
         count = int(finite.size - np.count_nonzero(finite))
@@ -43,7 +59,6 @@ def read_exr(path: Path, data: bytes, width: int, height: int) -> NDArray[np.flo
             f"{path}: {count} pixel(s) are NaN or infinite, the first at column {x}, row {y}; "
             "clamp them or write the picture again"
         )
-    return picture
 
 
 def exr_warnings(path: Path, data: bytes) -> Iterator[str]:
@@ -63,7 +78,7 @@ def exr_warnings(path: Path, data: bytes) -> Iterator[str]:
         )
     alpha = _channels(path, data).get("A") if "A" in names else None
     if alpha is not None and alpha.min() < _OPAQUE:
-        yield "has alpha below 1; its colours are taken as they are, premultiplied, which is over black"
+        yield "has alpha below 1; where that is not used, its colours are premultiplied, which is over black"
 
 
 def _names(attributes: dict[str, bytes]) -> list[str]:
@@ -167,7 +182,7 @@ def _in_display_window(attributes: dict[str, bytes], pixels: NDArray[np.float32]
     width, height = right - left + 1, bottom - top + 1
     if (x0, y0) == (left, top) and pixels.shape[:2] == (height, width):
         return np.ascontiguousarray(pixels)
-    picture = np.zeros((height, width, 3), np.float32)
+    picture = np.zeros((height, width, *pixels.shape[2:]), np.float32)
     to_x, to_y = max(x0 - left, 0), max(y0 - top, 0)
     part = pixels[max(top - y0, 0) :, max(left - x0, 0) :][: max(height - to_y, 0), : max(width - to_x, 0)]
     picture[to_y : to_y + part.shape[0], to_x : to_x + part.shape[1]] = part

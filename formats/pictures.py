@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from .colour_profiles import conversion, to_srgb
 from .errors import RigError
-from .exr_pictures import exr_warnings, read_exr
+from .exr_pictures import exr_warnings, read_exr, read_exr_alpha
 from .picture_headers import (
     MAX_PIXELS,
     PICTURE_SUFFIXES,
@@ -31,7 +31,7 @@ from .picture_headers import (
 from .quiet import quiet_opencv
 from .regular_files import open_regular
 
-__all__ = ["MAX_PIXELS", "PICTURE_SUFFIXES", "Picture", "PictureFacts", "picture_facts", "read_picture"]
+__all__ = ["MAX_PIXELS", "PICTURE_SUFFIXES", "Picture", "PictureFacts", "picture_facts", "read_alpha", "read_picture"]
 
 Picture: TypeAlias = NDArray[np.uint8] | NDArray[np.float32]
 """(H, W, 3) RGB, C-contiguous: uint8 display-referred (sRGB-coded), or float32 scene-linear."""
@@ -63,6 +63,23 @@ def read_picture(path: Path) -> Picture:
     if path.suffix.lower() == ".exr":
         return read_exr(path, data, header.width, header.height)
     return _read_coded(path, data, header)
+
+
+def read_alpha(path: Path) -> NDArray[np.float32] | None:
+    """The alpha (H, W), 0..1, of a PNG or EXR, as stored; None where the file has none. Raises RigError."""
+    suffix = path.suffix.lower()
+    if suffix not in (".png", ".exr"):
+        return None
+    data = _read_bytes(path)
+    header = read_header(path, data)
+    if suffix == ".exr":
+        return read_exr_alpha(path, data)
+    import cv2
+
+    pixels = _decoded(path, _checked_png(path, data), header, cv2.IMREAD_UNCHANGED)
+    if pixels.ndim < 3 or pixels.shape[2] != 4:
+        return None
+    return np.asarray(pixels[..., 3] / np.float32(np.iinfo(pixels.dtype).max), np.float32)
 
 
 def picture_facts(path: Path) -> PictureFacts:
@@ -125,19 +142,26 @@ def _read_coded(path: Path, data: bytes, header: PictureHeader) -> NDArray[np.ui
         data = tiff_as_stored(data)
     else:
         _check_jpeg(path, data)
-    flags = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
-    try:
-        with quiet_opencv():
-            bgr = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-    except cv2.error:
-        bgr = None
-    if bgr is None or bgr.shape != (header.height, header.width, 3):
-        raise damaged(path, "the picture cannot be decoded")
-    if bgr.dtype not in (np.uint8, np.uint16):
-        raise RigError(f"{path}: pixels of type {bgr.dtype} are not supported; use 8 or 16 bit")
+    bgr = _decoded(path, data, header, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION)
     rgb = bgr[:, :, ::-1]
     if header.profile:
         rgb = to_srgb(rgb, header.profile)
     if rgb.dtype == np.uint16:
         rgb = ((rgb.astype(np.uint32) + 128) // 257).astype(np.uint8)
     return np.ascontiguousarray(rgb, np.uint8)
+
+
+def _decoded(path: Path, data: bytes, header: PictureHeader, flags: int) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    """The pixels as OpenCV's ``flags`` ask for them, channels in its order."""
+    import cv2
+
+    try:
+        with quiet_opencv():
+            pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except cv2.error:
+        pixels = None
+    if pixels is None or pixels.shape[:2] != (header.height, header.width):
+        raise damaged(path, "the picture cannot be decoded")
+    if pixels.dtype not in (np.uint8, np.uint16):
+        raise RigError(f"{path}: pixels of type {pixels.dtype} are not supported; use 8 or 16 bit")
+    return pixels  # type: ignore[return-value]

@@ -1,16 +1,20 @@
-"""All packets of a stream in order, as strictly as they can be read."""
+"""All packets of a stream in order, as strictly as they can be read, and a stream with another header."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import BinaryIO
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, BinaryIO
 
+from decogs.codec.header import StreamHeader
 from decogs.formats.container import (
     FRAME_KINDS,
     MAX_PAYLOAD,
     Packet,
     PacketKind,
     PacketReader,
+    StreamWriter,
     check_count,
     check_frame,
     stops_inside,
@@ -34,3 +38,15 @@ def iterate_packets(file: BinaryIO, *, strict: bool = True, max_payload: int = M
             yield packet
     if strict and (reader.pending or not reader.ordinal):
         raise stops_inside(reader.pending, reader.offset, reader.ordinal)
+
+
+def with_header(stream: Path, other: Path, **changes: Any) -> Path:
+    """Writes ``other``: the finished stream whose header has other values of these fields."""
+    with stream.open("rb") as source, other.open("wb") as file:
+        head, *packets = iterate_packets(source)
+        writer = StreamWriter(file, replace(StreamHeader.from_bytes(head.payload), **changes).to_bytes())
+        for packet in packets:
+            if packet.kind not in (PacketKind.INDEX, PacketKind.END):
+                writer.write(packet.kind, packet.frame, packet.payload)
+        writer.finish()
+    return other

@@ -145,6 +145,7 @@ def _set_view(scene: Any, header: Any, cameras: list[Any], colours: str) -> None
     show_faithfully(scene, colours)
     scene.world = scene.world or bpy.data.worlds.new("World")
     _set_background(scene.world, background if colours == "DISPLAY" else linear_from_srgb(background))
+    scene.render.film_transparent = header.subject
     if cameras:
         show_through(scene, cameras[0])
 

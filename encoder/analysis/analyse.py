@@ -119,7 +119,9 @@ def analyse(
         findings.append(Finding(evidence, effect.decide(stats, evidence)))
     with side_by_side(thread_count(threads)) as each:
         check = check_rig(stats, each)
-    stage = None if stats.stage is None else check_stage(stats.stage, stats.cameras)
+    stage = None
+    if stats.stage is not None:
+        stage = check_stage(stats.stage, stats.cameras, [own[0] for own in stats.pictures])
     seconds = time.perf_counter() - began
     return Analysis(str(rig.path), rig.layout, tuple(holdout), len(span), stats, tuple(findings), check, stage, seconds)
 

@@ -13,6 +13,11 @@ from decogs.formats.frame_ranges import frame_range
 from decogs.formats.outputs import Output, check_outputs, check_writable, is_device, write_whole
 from decogs.formats.rigs import files_of, open_rig
 
+from ..input.ingest import Ingest, frame_span
+from ..input.matte_checks import check_mattes
+from ..input.mattes import open_mattes
+from ..input.mattes.options import add_matte_options, matte_choice
+
 
 def analyze_main(arguments: Sequence[str] | None = None) -> int:
     """``decogs-analyze``: the effects of a rig, and what to expect of it."""
@@ -33,6 +38,7 @@ def analyze_parser() -> Parser:
     parser.add_argument(
         "--json", metavar="FILE", help="write every figure, per camera and frame; - for stdout (the table: stderr)"
     )
+    add_matte_options(parser.add_argument_group("subject alone"))
     parser.add_argument("--threads", type=number_of_threads, default=0, metavar="N", help="default: all processors")
     parser.add_quiet()
     return parser
@@ -44,6 +50,10 @@ def _analyze(parser: Parser, options: argparse.Namespace) -> None:
     rig = open_rig(options.rig_dir)
     for warning in rig.warnings:
         warn_as(parser)(warning)
+    span = frame_span(rig, frame_range(options.frames))
+    mattes = open_mattes(matte_choice(options), rig, span, options.holdout)
+    if mattes is not None:
+        check_mattes(Ingest(rig, holdout=options.holdout, mattes=mattes), span.start, warn_as(parser))
     to_file = options.json is not None and options.json != "-"
     if to_file:
         check_outputs([Output("json", Path(options.json), grows=True)], files_of(rig))

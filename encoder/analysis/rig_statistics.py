@@ -23,7 +23,7 @@ from decogs.formats.pictures import Picture
 from decogs.formats.rigs import Rig, read_frames
 
 from ..change.noise import picture_noise
-from ..input.ingest import View, check_held_out, display_referred
+from ..input.ingest import RigFrame, View, check_held_out, display_referred
 from ..keyframe.backdrop.stage import PlainStage, find_stage
 from ..parallel import Each, ahead, side_by_side
 from .light import Light, Mismatch, light_at, light_overall, mismatch, own_light, shared_points
@@ -120,7 +120,8 @@ def _stage(cameras: Sequence[Camera], pictures: Sequence[U8]) -> PlainStage | No
     plans = [Undistortion(camera) for camera in cameras]
     views = [View(plan.camera, plan.pinhole, plan.valid.astype(np.float32)) for plan in plans]
     straight = [display_referred(plan.apply(own)) for plan, own in zip(plans, pictures, strict=True)]
-    return find_stage(views, [picture.transpose(2, 0, 1) for picture in straight])
+    found = find_stage(views, RigFrame(0, [picture.transpose(2, 0, 1) for picture in straight], []))
+    return found if isinstance(found, PlainStage) else None
 
 
 class _Steps:

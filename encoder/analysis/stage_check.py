@@ -9,13 +9,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.cameras import Camera, camera_centre
+from decogs.decoder.lens import Undistortion
+from decogs.formats.cameras import Camera, camera_centre, in_picture, project, ray_slopes, turned
+from decogs.formats.splats import FloatArray
 
-from ..keyframe.backdrop.hull import Hull, SubjectView
+from ..input.ingest import display_referred
+from ..keyframe.backdrop.hull import Hull
 from ..keyframe.backdrop.plain import subject_pixels
 from ..keyframe.backdrop.stage import PlainStage
-from ..keyframe.backdrop.surfaces import PlainView, surface_colours
-from ..keyframe.first_points.views import SweepView, floats, inside, pixel_rays, project
+from ..keyframe.backdrop.surfaces import surface_colours
 
 F64 = NDArray[np.float64]
 
@@ -114,10 +116,23 @@ class StageCheck:
         )
 
 
-def check_stage(stage: PlainStage, cameras: Sequence[Camera]) -> StageCheck:
-    """Judges the stage that the first pictures of the ``cameras`` show."""
+@dataclass(frozen=True)
+class _Shown:
+    """What a pinhole camera shows, (H, W, 3), and its plate."""
+
+    camera: Camera
+    picture: FloatArray
+    plate: FloatArray
+
+
+def check_stage(stage: PlainStage, cameras: Sequence[Camera], pictures: Sequence[NDArray[np.uint8]]) -> StageCheck:
+    """Judges the ``stage`` that the first ``pictures`` (H, W, 3) of the ``cameras`` show, at its views' size."""
+    straight = [
+        display_referred(Undistortion(camera).apply(own)) for camera, own in zip(cameras, pictures, strict=True)
+    ]
+    shown = [_Shown(view.camera, picture, view.plate) for view, picture in zip(stage.views, straight, strict=True)]
     gap, between = _largest_gap(stage, cameras)
-    backdrop = np.concatenate([view.view.picture[view.plain] for view in stage.views])
+    backdrop = np.concatenate([picture[view.plain] for view, picture in zip(stage.views, straight, strict=True)])
     surfaces = stage.surfaces
     floor = None
     if surfaces.floor is not None:
@@ -127,13 +142,13 @@ def check_stage(stage: PlainStage, cameras: Sequence[Camera]) -> StageCheck:
     return StageCheck(
         (red, green, blue),
         plain=float(np.median([view.plain.mean() for view in stage.views])),
-        subject={camera.name: _subject_share(stage, view) for camera, view in zip(cameras, stage.views, strict=True)},
+        subject={camera.name: _subject_share(stage, each) for camera, each in zip(cameras, shown, strict=True)},
         floor=floor,
         wall=None if floor is None else surfaces.radius,
         gap=gap,
         gap_cameras=between,
-        shadow=_shadow(stage),
-        key=_key(stage, backdrop),
+        shadow=_shadow(stage, shown),
+        key=_key(stage, shown, backdrop),
     )
 
 
@@ -147,11 +162,11 @@ def first_met(stage: PlainStage, centre: F64, rays: NDArray[np.floating]) -> F64
     return np.asarray(places[np.arange(len(places)), ends.argmax(axis=1)])
 
 
-def _subject_share(stage: PlainStage, view: PlainView) -> float:
+def _subject_share(stage: PlainStage, view: _Shown) -> float:
     """Share of the picture that differs from the plate and lies in the hull: no shadow, no gap."""
-    subject = subject_pixels(view.view.picture, view.plate)
+    subject = subject_pixels(view.picture, view.plate)
     row, column = _sampled(subject)
-    stands = ~stage.on_backdrop(first_met(stage, view.view.centre, _rays(view.view, row, column)))
+    stands = ~stage.on_backdrop(first_met(stage, camera_centre(view.camera), _rays(view.camera, row, column)))
     return float(subject.mean() * stands.mean()) if len(stands) else 0.0
 
 
@@ -162,20 +177,22 @@ def _sampled(pixels: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.i
     return row[step // 2 :: step], column[step // 2 :: step]
 
 
-def _rays(view: SweepView, row: NDArray[np.int64], column: NDArray[np.int64]) -> F64:
-    return pixel_rays(view, column.astype(np.float64), row.astype(np.float64))
+def _rays(camera: Camera, row: NDArray[np.int64], column: NDArray[np.int64]) -> F64:
+    """World directions (N, 3) of a pinhole's pixels, at unit depth."""
+    x, y = ray_slopes(camera, column + 0.5, row + 0.5)
+    return turned(camera.world_to_camera[:3, :3].T, np.stack([x, y, np.ones_like(x)], axis=1))
 
 
-def _shadow(stage: PlainStage) -> float:
+def _shadow(stage: PlainStage, shown: Sequence[_Shown]) -> float:
     """The darkest shadows' light, in units of the plates'; 1 without shadows."""
     xyz, normals = stage.surfaces.points(stage.spacing / 4)
     brightest, counts = np.zeros(len(xyz)), np.zeros(len(xyz), np.int64)
-    for view in stage.views:
-        u, v, depth = project(view.view, xyz)
-        facing = ((view.view.centre - xyz) * normals).sum(axis=1) > 0
-        rows = np.flatnonzero(inside(view.view, u, v) & (depth > 0) & facing)
-        at = np.round(v[rows]).astype(np.int64), np.round(u[rows]).astype(np.int64)
-        light = cv2.blur(view.view.picture, (3, 3)) @ _LUMA / np.maximum(view.plate @ _LUMA, 1 / 255)
+    for view in shown:
+        u, v, depth = project(view.camera, xyz)
+        facing = ((camera_centre(view.camera) - xyz) * normals).sum(axis=1) > 0
+        rows = np.flatnonzero(in_picture(view.camera, u, v, depth) & facing)
+        at = v[rows].astype(np.int64), u[rows].astype(np.int64)
+        light = cv2.blur(view.picture, (3, 3)) @ _LUMA / np.maximum(view.plate @ _LUMA, 1 / 255)
         brightest[rows] = np.maximum(brightest[rows], light[at])
         counts[rows] += 1
     dark = brightest[(counts >= _MIN_SHADOW_VIEWS) & (brightest < _SHADOW_LIGHT)]
@@ -193,7 +210,7 @@ def _largest_gap(stage: PlainStage, cameras: Sequence[Camera]) -> tuple[float, t
     return float(gaps[widest]), (cameras[order[widest]].name, cameras[order[(widest + 1) % len(order)]].name)
 
 
-def _key(stage: PlainStage, backdrop: NDArray[np.float32]) -> KeyCheck | None:
+def _key(stage: PlainStage, shown: Sequence[_Shown], backdrop: FloatArray) -> KeyCheck | None:
     """The stage's backdrop, of colours (N, 3), as a key."""
     screen = np.median(backdrop, axis=0)
     angle, saturation = (float(each.item()) for each in _chroma(screen[None]))
@@ -204,31 +221,32 @@ def _key(stage: PlainStage, backdrop: NDArray[np.float32]) -> KeyCheck | None:
         return None
     cores = [cv2.erode(each.subject.view(np.uint8), _INNER).view(np.bool_) for each in stage.hull.views]
     inner = Hull([replace(each, subject=core) for each, core in zip(stage.hull.views, cores, strict=True)])
-    subject = np.concatenate([_inner_colours(replace(stage, hull=inner), each) for each in inner.views])
+    within = replace(stage, hull=inner)
+    subject = np.concatenate([_inner_colours(within, *each) for each in zip(shown, cores, strict=True)])
     aside, strength = _against(angle, subject)
     worn = (aside <= _KEY_DEGREES) & (strength >= _KEY_SATURATION * saturation)
     worn &= subject @ _LUMA >= _KEY_LUMA * (screen @ _LUMA)
     return KeyCheck(angle, spread, float(worn.sum()) / max(len(worn), 1))
 
 
-def _inner_colours(stage: PlainStage, view: SubjectView) -> NDArray[np.float32]:
+def _inner_colours(stage: PlainStage, view: _Shown, core: NDArray[np.bool_]) -> FloatArray:
     """Some colours (N, 3) that a view shows of what is in the hull, without the backdrop seen through its gaps."""
-    row, column = _sampled(view.subject)
-    rays, centre = _rays(view.view, row, column), view.view.centre
-    colours = view.view.picture[row, column]
+    row, column = _sampled(core)
+    rays, centre = _rays(view.camera, row, column), camera_centre(view.camera)
+    colours = view.picture[row, column]
     behind = first_met(replace(stage, hull=Hull([])), centre, rays)
     backdrop = surface_colours(stage.views, behind, stage.surfaces.middle - behind)
     stands = ~stage.on_backdrop(first_met(stage, centre, rays))
-    return floats(colours[stands & (np.abs(colours - backdrop).max(axis=1) > _MIN_DIFFERENCE)])
+    return np.asarray(colours[stands & (np.abs(colours - backdrop).max(axis=1) > _MIN_DIFFERENCE)])
 
 
-def _against(angle: float, colours: NDArray[np.float32]) -> tuple[F64, F64]:
+def _against(angle: float, colours: FloatArray) -> tuple[F64, F64]:
     """Degrees (N,) of colours (N, 3) from an angle in CbCr, and their saturation (N,)."""
     own, saturation = _chroma(colours)
     return np.abs((own - angle + 180) % 360 - 180), saturation
 
 
-def _chroma(colours: NDArray[np.float32]) -> tuple[F64, F64]:
+def _chroma(colours: FloatArray) -> tuple[F64, F64]:
     """Angle (N,) in the CbCr plane, degrees, and saturation (N,): chroma relative to luma. Source: ITU-R BT.601."""
     luma = colours @ _LUMA
     blue, red = 0.564 * (colours[:, 2] - luma), 0.713 * (colours[:, 0] - luma)

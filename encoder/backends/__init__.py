@@ -13,6 +13,8 @@ from decogs.formats.errors import UsageError
 from . import cpu, cuda
 from .protocol import (
     ATTRIBUTES,
+    BLACK,
+    Colour,
     Drawable,
     FixedView,
     Gradients,
@@ -31,7 +33,7 @@ class _Backend(Protocol):
         """Why this machine cannot train there, in words; None if it can, as far as is known."""
         ...
 
-    def training_kernel(self, threads: int) -> TrainingKernel: ...
+    def training_kernel(self, threads: int, background: Colour = BLACK) -> TrainingKernel: ...
 
 
 _BACKENDS: dict[str, _Backend] = {"auto": cpu, "cpu": cpu, "cuda": cuda}
@@ -47,15 +49,17 @@ def check_device(device: str) -> None:
         raise UsageError(f"`device` {device}: {missing}, or use cpu")
 
 
-def training_kernel(device: str = "auto", threads: int = 0) -> TrainingKernel:
-    """The kernel that trains on ``device``, one of DEVICES; raises UsageError where that cannot be."""
+def training_kernel(device: str = "auto", threads: int = 0, background: Colour = BLACK) -> TrainingKernel:
+    """The kernel that trains on ``device``, one of DEVICES, over ``background``; raises UsageError if it cannot."""
     check_device(device)
-    return _BACKENDS[device].training_kernel(threads)
+    return _BACKENDS[device].training_kernel(threads, background)
 
 
 __all__ = [
     "ATTRIBUTES",
+    "BLACK",
     "DEVICES",
+    "Colour",
     "Drawable",
     "FixedView",
     "Gradients",

@@ -140,6 +140,10 @@ class Optimiser(Protocol):
         """Takes over the momentum of an ``other`` of its kind: of its rows ``theirs`` for ``rows``."""
 
 
+Colour: TypeAlias = "tuple[float, float, float]"
+"""Red, green and blue, display-referred, 0 to 1."""
+BLACK: Colour = (0.0, 0.0, 0.0)
+
 Drawable: TypeAlias = "Splats | Optimiser"
 """What can be drawn: values in the host's memory, which travel at every draw, or those under training, in place."""
 
@@ -243,14 +247,18 @@ class FixedView(Protocol):
 class TrainingKernel(Protocol):
     """A backend: it renders with gradients, evaluates losses and steps Gaussians, all on one device.
 
+    What no Gaussian covers shows the kernel's background, in its fixed views too; ``forward`` takes another.
+
     ``forward`` must come before ``picture_loss``, ``backward`` and ``centres``, with the same scene and camera.
     """
+
+    background: Colour
 
     def forward(
         self,
         splats: Drawable,
         camera: Camera,
-        background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        background: Colour | None = None,
         *,
         sh_degree: int | None = None,
         depth: bool = False,

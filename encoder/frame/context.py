@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from decogs.formats.cameras import Camera
 from decogs.formats.splats import Splats
 
-from ..backends import TrainingKernel, training_kernel
+from ..backends import BLACK, TrainingKernel, training_kernel
 from ..backends.scene_views import SceneViews
 from ..input.compensation import Corrector, RenderView, corrector_of
 from ..input.ingest import Ingest
@@ -51,7 +51,7 @@ class Context:
         on_loss: OnLoss | None = None,
     ) -> Context:
         """Raises UsageError for a device or a method that is not there, or a camera that cannot be compensated."""
-        kernel = training_kernel(device, threads)
+        kernel = training_kernel(device, threads, ingest.background or BLACK)
 
         def cameras() -> Sequence[Camera]:
             return [view.pinhole for view in ingest.views]

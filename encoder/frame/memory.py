@@ -12,7 +12,7 @@ from ..coding.scene import Scene
 from ..coding.time_control import TimeControl
 from ..input.compensation import CorrectionMemory
 from ..input.ingest import RigFrame
-from ..keyframe.backdrop.stage import PlainStage, find_stage
+from ..keyframe.backdrop.stage import Stage, find_stage
 from ..stopwatch import Stopwatch
 from ..training.method import FrameTrainer, training_context
 from ..training.warm_start import Motion
@@ -43,7 +43,7 @@ class Memory:
     corrections: CorrectionMemory | None
     rate: RateControl | None
     time: TimeControl | None
-    stage: PlainStage | None = None
+    stage: Stage | None = None
     before_flash: BeforeFlash | None = None
     first: RigFrame | None = None
 
@@ -79,7 +79,7 @@ def new_memory(
         corrections,
         None if budget is None else RateControl(budget, settings.segment),
         time,
-        None if context.method.dense else find_stage(context.ingest.views, frame.training),
+        None if context.method.dense else find_stage(context.ingest.views, frame),
         first=first,
     )
 

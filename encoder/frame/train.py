@@ -79,4 +79,4 @@ def _free_space(context: Context, event: Event, plan: FramePlan, frame: PendingF
     stage = event.memory.stage
     if stage is None or event.kind is not Kind.CHANGE:
         return None
-    return stage.in_frame(context.ingest.views, frame.pictures, usable_views(plan.selection.masks)).free
+    return stage.in_frame(context.ingest.views, frame.compensated, usable_views(plan.selection.masks)).free

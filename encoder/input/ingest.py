@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -21,9 +22,12 @@ from decogs.formats.frame_ranges import Frames, frame_slice
 from decogs.formats.rigs import Rig, read_frames
 from decogs.formats.splats import FloatArray
 
+from ..backends import Colour
+from .mattes import Cut, Mattes
 from .recordings import digest_of
 
 Picture = NDArray[np.uint8] | NDArray[np.float32]
+PictureArray = TypeVar("PictureArray", bound=NDArray[Any])
 Size = tuple[int, int]
 """Width and height in pixels."""
 
@@ -31,6 +35,8 @@ NEAR_FRACTION = 0.1
 """Near plane of a rig camera as a share of the median depth it sees: beyond any housing, before any subject."""
 
 
+_KEPT = 0.999
+"""Share of a pixel that an ignore mask leaves, from which it teaches: scaled and straightened, edges mix."""
 _FLOAT32_ROUNDING = 2.0**-24
 """Of a float32 position, relative to its distance from the world's origin."""
 _MAX_ROUNDING_PIXELS = 0.5
@@ -45,7 +51,7 @@ class View:
     """What one camera contributes to training, at the scale trained at.
 
     ``camera`` is the rig's with its lens, ``pinhole`` what is rendered; ``valid`` (H, W) float32 is 1 where the
-    undistorted picture was recorded, or None when that is everywhere.
+    undistorted picture was recorded and is not ignored, or None when that is everywhere.
     """
 
     camera: Camera
@@ -59,25 +65,40 @@ class RigFrame:
 
     ``own_size``: the held-out ones (H, W, 3) at their cameras' own size and with their lenses; none without a scale.
     ``recorded``: in the first frame asked for, digests by camera of the training pictures as they were decoded.
+    ``alpha``: of each training view, (H, W) float32 0..1, how much of a pixel the subject covers; none without mattes.
+    ``held_out_alpha``: the same of the held-out views, None for those without a matte. ``plates``: of each training
+    view the backdrop alone, as a picture, where a clean one was given; else none. ``worn``: of each training view the
+    share of the subject that has the screen's colour; none without a key.
     """
 
     index: int
     training: list[FloatArray]
     held_out: list[FloatArray]
     own_size: Sequence[Picture] = ()
+    alpha: Sequence[FloatArray] = ()
     recorded: Mapping[str, str] = field(default_factory=dict)
+    held_out_alpha: Sequence[FloatArray | None] = ()
+    plates: Sequence[FloatArray] = ()
+    worn: Sequence[float] = ()
 
 
 class Ingest:
     """A rig seen through its training and held-out views at one scale.
 
-    ``lens``: by camera, a k1 (OpenCV) that its calibration does not know. Raises UsageError when a held-out name, or
+    ``lens``: by camera, a k1 (OpenCV) that its calibration does not know. ``mattes``: of the subject, and what no
+    picture teaches. Raises UsageError when a held-out name, or
     one in ``lens``, is no camera, when no camera is left to train on, or for an impossible scale; RigError for cameras
     so far from the world's origin that 32-bit positions blur what they see, or too close together in the world's unit.
     """
 
     def __init__(
-        self, rig: Rig, *, holdout: Sequence[str] = (), scale: float = 1.0, lens: Mapping[str, float] | None = None
+        self,
+        rig: Rig,
+        *,
+        holdout: Sequence[str] = (),
+        scale: float = 1.0,
+        lens: Mapping[str, float] | None = None,
+        mattes: Mattes | None = None,
     ) -> None:
         is_number = isinstance(scale, (int, float, np.floating))
         if not (is_number and 0 < scale <= 4):
@@ -96,7 +117,12 @@ class Ingest:
         _check_near_origin(rig, [cameras[name] for name in names])
         self._plans = {name: Undistortion(cameras[name]) for name in names}
         self._near = dict.fromkeys(names, 0.0)
-        self._fillings = {name: _filling(plan.valid) for name, plan in self._plans.items()}
+        self._mattes = Mattes() if mattes is None else mattes
+        self._valid = {name: self._teaching(name) for name in names}
+        self._fillings = {name: _filling(valid) for name, valid in self._valid.items()}
+        self._plates = [self._prepare(name, self._mattes.plates[name]) for name in self._names if self._mattes.plates]
+        self.background: Colour | None = None
+        """Of pictures and renderings of a subject with mattes; None for a whole scene."""
         self.views = [self._view(name) for name in self._names]
         self.held_out_views = [self._view(name) for name in self._held_names]
 
@@ -104,6 +130,15 @@ class Ingest:
     def cameras(self) -> tuple[Camera, ...]:
         """All cameras of the rig in its order and at their own size, so that decoded views lie over the videos."""
         return tuple(replace(camera, near=self._near[camera.name]) for camera in self.rig.cameras)
+
+    @property
+    def has_mattes(self) -> bool:
+        """Whether frames come with alpha."""
+        return self._mattes.cuts
+
+    def matte_place(self, name: str, frame: int) -> str:
+        """Where the matte of a camera and frame comes from, for a message."""
+        return self._mattes.place(name, frame)
 
     @property
     def held_out_sizes(self) -> dict[str, tuple[Size, Size]]:
@@ -129,12 +164,26 @@ class Ingest:
     def frames(self, start: int, stop: int) -> Iterator[RigFrame]:
         """The rig's frames [start, stop) in order, one at a time."""
         names, count = [*self._names, *self._held_names], len(self._names)
-        for index, pictures in read_frames(self.rig, start, stop, names=names):
-            recorded = dict(zip(self._names, map(digest_of, pictures), strict=False)) if index == start else {}
-            planes = [self._prepare(name, picture) for name, picture in zip(names, pictures, strict=True)]
+        given = self._mattes.given(names, start, stop)
+        for (index, pictures), mattes in zip(read_frames(self.rig, start, stop, names=names), given, strict=True):
+            recorded = _digests(self._names, pictures, mattes) if index == start else {}
+            shown = zip(names, pictures, strict=True)
+            cut = [self._mattes.cut(name, picture, mattes.get(name)) for name, picture in shown]
+            planes = [self._prepare(name, each.picture) for name, each in zip(names, cut, strict=True)]
+            alphas = [self._alpha(name, each) for name, each in zip(names, cut, strict=True)]
             held_out = zip(self._held_names, pictures[count:], strict=True)
             own_size = [self._at_own_size(*each) for each in held_out] if self.scale != 1 else []
-            yield RigFrame(index, planes[:count], planes[count:], own_size, recorded)
+            yield RigFrame(
+                index,
+                planes[:count],
+                planes[count:],
+                own_size,
+                [alpha for alpha in alphas[:count] if alpha is not None],
+                recorded,
+                alphas[count:] if self._mattes.cuts else (),
+                self._plates,
+                [] if self._mattes.key is None else [each.worn for each in cut[:count]],
+            )
 
     def _at_own_size(self, name: str, picture: Picture) -> Picture:
         camera = next(camera for camera in self.rig.cameras if camera.name == name)
@@ -142,24 +191,50 @@ class Ingest:
 
     def _view(self, name: str) -> View:
         plan = self._plans[name]
-        valid = None if plan.valid.all() else np.ascontiguousarray(plan.valid, np.float32)
+        valid = None if self._valid[name].all() else np.ascontiguousarray(self._valid[name], np.float32)
         near = self._near[name]
         return View(replace(plan.camera, near=near), replace(plan.pinhole, near=near), valid)
 
     def _prepare(self, name: str, picture: Picture) -> FloatArray:
+        planes = np.ascontiguousarray(display_referred(self._undistorted(name, picture)).transpose(2, 0, 1))
+        return self._filled(name, planes)
+
+    def _alpha(self, name: str, cut: Cut) -> FloatArray | None:
+        if cut.alpha is None:
+            return None
+        planes = np.clip(self._undistorted(name, cut.alpha), 0, 1)[None]  # cubic interpolation overshoots
+        return np.asarray(self._filled(name, planes)[0])
+
+    def _undistorted(self, name: str, picture: PictureArray) -> PictureArray:
         plan = self._plans[name]
-        undistorted = plan.apply(_resized(picture, (plan.camera.width, plan.camera.height)))
-        planes = np.ascontiguousarray(display_referred(undistorted).transpose(2, 0, 1))
+        return plan.apply(_resized(picture, (plan.camera.width, plan.camera.height)))
+
+    def _filled(self, name: str, planes: FloatArray) -> FloatArray:
+        """The planes (C, H, W), as nearby where they do not teach."""
         missing, nearest = self._fillings[name]
-        planes.reshape(3, -1)[:, missing] = planes.reshape(3, -1)[:, nearest]
+        flat = planes.reshape(len(planes), -1)
+        flat[:, missing] = flat[:, nearest]
         return planes
 
+    def _teaching(self, name: str) -> NDArray[np.bool_]:
+        """Pixels (H, W) of the training picture that were recorded and are not ignored."""
+        valid, kept = self._plans[name].valid, self._mattes.kept.get(name)
+        if kept is None:
+            return valid
+        return valid & (self._undistorted(name, kept.astype(np.float32)) > _KEPT)
 
-def _resized(picture: Picture, size: Size) -> Picture:
+
+def _resized(picture: PictureArray, size: Size) -> PictureArray:
     if picture.shape[1::-1] == size:
         return picture
     shrinks = size[0] < picture.shape[1]
     return cv2.resize(picture, size, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_CUBIC)  # type: ignore[return-value]
+
+
+def _digests(names: Sequence[str], pictures: Sequence[Picture], mattes: Mapping[str, FloatArray]) -> dict[str, str]:
+    """Of each camera's picture, with its matte where it has one."""
+    shown = zip(names, pictures, strict=False)
+    return {name: digest_of(picture) + (digest_of(mattes[name]) if name in mattes else "") for name, picture in shown}
 
 
 def scene_extent(views: Sequence[View]) -> float:

@@ -18,9 +18,10 @@ from decogs.formats.cameras import Camera, camera_centre, in_picture, project, r
 from decogs.formats.splats import FloatArray, Splats, round_splats
 
 from ..backends import TrainingKernel
+from ..input.filling import push_pull
 from ..input.ingest import View
 from ..input.resizing import resized, resized_plane
-from .first_points.depth_filling import fill_depths, push_pull
+from .first_points.depth_filling import fill_depths
 
 _SHRUNK_PIXELS_ACROSS = 96
 """Pixels of a shrunk picture's width: what goes on is blurred."""

@@ -11,7 +11,6 @@ from decogs.codec.keyframes import keyframe_state
 from decogs.codec.lattice import Lattice, quantise
 from decogs.codec.state import State
 from decogs.formats.errors import RigError
-from decogs.formats.splats import FloatArray
 
 from ..backends import TrainingKernel
 from ..input.compensation import Corrector
@@ -23,7 +22,7 @@ from ..output.reports import OnKeyframeStep
 from ..settings.encode import EncodeSettings
 from ..stopwatch import Stopwatch
 from ..training.schedule import StoppingRule
-from .backdrop.stage import PlainStage, find_stage
+from .backdrop.stage import PlainStage, Stage, find_stage
 from .first_points import FirstPoints, first_points
 from .harmonics import trim_sh_degree
 from .large_pictures import fit_to_pictures
@@ -66,12 +65,12 @@ def train_first_frame(
     if header is None:
         _check_not_black(frame, ingest.views)
 
-    def points_of(pictures: Sequence[FloatArray]) -> tuple[FirstPoints, PlainStage | None]:
-        stage = find_stage(ingest.views, pictures)
+    def points_of(frame: RigFrame) -> tuple[FirstPoints, Stage | None]:
+        stage = find_stage(ingest.views, frame)
         most = fit_to_pictures([view.pinhole for view in ingest.views], settings.keyframe).first_points
         points = first_points(
             [view.pinhole for view in ingest.views],
-            [picture.transpose(1, 2, 0) for picture in pictures],
+            [picture.transpose(1, 2, 0) for picture in frame.training],
             known=ingest.rig.points,
             cap=most if stage is None else max(1, round(stage.hull.share * most)),
             within=None if stage is None else stage.may_show,
@@ -85,18 +84,18 @@ def train_first_frame(
     keyframe = settings.keyframe if header is None else replace(settings.keyframe, sh_degree=header.sh_degree)
     colours: Corrections = {} if header is None else header.camera_colours
     with watch.stage("first_points"):
-        points, stage = points_of(frame.training)
+        points, stage = points_of(frame)
         if header is None and settings.corrections.match_colours:
-            shared = (points.xyz, points.seen) if stage is None else stage.shared_points()
+            shared = stage.shared_points() if isinstance(stage, PlainStage) else (points.xyz, points.seen)
             colours = find_colours(ingest.views, frame.training, *shared)
             frame = match_colours(frame, ingest.views, colours)
-            stage = None if stage is None else find_stage(ingest.views, frame.training)
+            stage = None if stage is None else find_stage(ingest.views, frame)
     if corrector is not None and corrector.cameras.camera_shake:
         with watch.stage("pre-alignment"):
             prealigned = prealigned_pictures(
                 kernel, ingest.views, frame.training, points, keyframe, corrector, seed=seed
             )
-            points, stage = points_of(prealigned)
+            points, stage = points_of(replace(frame, training=prealigned))
     with watch.stage("keyframe"):
         trained = train_keyframe(
             kernel,
@@ -111,6 +110,7 @@ def train_first_frame(
             on_step=on_step,
             stopping=stopping,
             stage=stage,
+            alphas=frame.alpha,
         )
     values = quantise(trained.splats, trained.lattice)
     if settings.detect_per_frame and header is None:

@@ -21,21 +21,21 @@ from decogs.codec.state import Attributes
 from decogs.formats.errors import TrainingError
 from decogs.formats.splats import FloatArray, Splats, join_splats, round_splats, sigmoid, take_splats
 
-from ..backends import LossValue, RenderedPicture, TrainingKernel
+from ..backends import Colour, LossValue, RenderedPicture, TrainingKernel
 from ..input.compensation import Corrector
 from ..input.ingest import View, scene_extent
-from ..input.resizing import resized
+from ..input.resizing import resized, resized_plane
 from ..output.reports import OnKeyframeStep
 from ..psnr import psnr_of
 from ..settings.keyframe import KeyframeSettings
 from ..settings.optimiser import LearningRates
 from ..training.densification import clone_and_split
-from ..training.losses import whole_picture_loss
+from ..training.losses import PhotometricLoss, whole_picture_loss
 from ..training.rate_distortion import cheapest
 from ..training.schedule import WHOLE, StoppingRule, TargetWatch
 from ..training.significance import picture_weight
 from ..training.view_order import view_order
-from .backdrop.stage import PlainStage
+from .backdrop.stage import Stage
 from .border_extrapolation import border_extrapolation
 from .few_views import DISSIMILARITY, dissimilarity_for
 from .first_points import FirstPoints
@@ -92,7 +92,7 @@ def splats_from_points(points: FirstPoints, sh_degree: int) -> Splats:
     return round_splats(points.xyz, points.rgb, points.spacing * sizes, opacities, sh_degree)
 
 
-def _first_splats(points: FirstPoints, sh_degree: int, stage: PlainStage | None) -> Splats:
+def _first_splats(points: FirstPoints, sh_degree: int, stage: Stage | None) -> Splats:
     """The first Gaussians of points, and of a stage's backdrop."""
     splats = splats_from_points(points, sh_degree)
     return splats if stage is None else join_splats(splats, stage.backdrop(sh_degree))
@@ -111,7 +111,8 @@ def train_keyframe(
     corrector: Corrector | None = None,
     on_step: OnKeyframeStep | None = None,
     stopping: StoppingRule = WHOLE,
-    stage: PlainStage | None = None,
+    stage: Stage | None = None,
+    alphas: Sequence[FloatArray] = (),
 ) -> TrainedKeyframe:
     """Trains the first frame's Gaussians on ``pictures`` (3, H, W) of ``views``; the same seed gives the same bits.
 
@@ -119,8 +120,9 @@ def train_keyframe(
     default one's steps. ``corrector``: of the cameras whose drift is estimated and compensated during training.
     ``stopping``: a target in the whole pictures, but for the tiles kept out of the loss, ends training before the
     settings' iterations; deadlines are for later frames. ``stage``: whose backdrop is there from the start, and whose
-    free space stays free. Raises TrainingError without points or when the loss stops
-    being finite.
+    free space stays free. ``alphas``: (H, W) of a subject alone, whose pictures are over the kernel's background; each
+    step sees it over another, so that no Gaussian passes for a background. Raises TrainingError without points or when
+    the loss stops being finite.
     """
     if not len(points.xyz):
         raise TrainingError("point initialisation found no points; check the poses, or give the rig COLMAP points")
@@ -139,6 +141,7 @@ def train_keyframe(
         stopping=stopping,
         fit=fit_to_pictures([view.pinhole for view in views], settings),
         stage=stage,
+        alphas=alphas,
     )
     return training.run(on_step)
 
@@ -184,14 +187,15 @@ class _KeyframeTraining:
         lattice_scale: float = 1.0,
         stopping: StoppingRule = WHOLE,
         fit: PictureFit,
-        stage: PlainStage | None = None,
+        stage: Stage | None = None,
+        alphas: Sequence[FloatArray] = (),
     ) -> None:
         self._kernel, self._views, self._random = kernel, views, random
         self._settings = settings = replace(settings, iterations=fit.iterations)
         self._recorded, self._corrector, self._dissimilarity = pictures, corrector, dissimilarity
         self._lattice, self._lattice_scale = lattice, lattice_scale
         self._extent = scene_extent(views) or 1.0
-        self._pictures = list(pictures)
+        self._pictures, self._alphas = list(pictures), alphas
         self._counted = counted = [_loss_weights(view, settings.validation_fraction, random) for view in views]
         self._stopping, self._is_good_enough = stopping, False
         self._regions = [None if c is None else c > 0 for c in counted]
@@ -334,8 +338,8 @@ class _KeyframeTraining:
 
     def _step(self, step: int) -> LossValue:
         index = next(self._order)
-        camera, loss = self._cameras[index], self._losses[index]
-        picture = self._kernel.forward(self._optimiser, camera, sh_degree=self._degree(step))
+        camera, (loss, background) = self._cameras[index], self._loss(index)
+        picture = self._kernel.forward(self._optimiser, camera, background, sh_degree=self._degree(step))
         value = loss.evaluate(self._kernel)
         if self._target is not None:
             self._is_good_enough = self._target.update(index, picture.rgb)
@@ -354,6 +358,17 @@ class _KeyframeTraining:
                 raise TrainingError(
                     f"the keyframe's loss is {value.total} at step {step}; the pictures or poses are unusable"
                 )
+
+    def _loss(self, index: int) -> tuple[PhotometricLoss, Colour | None]:
+        """A view's loss, and the background that its target has, where that is not the kernel's."""
+        loss = self._losses[index]
+        if not self._alphas:
+            return loss, None
+        background = self._random.random(3).astype(np.float32)
+        change = (background - np.asarray(self._kernel.background, np.float32))[:, None, None]
+        target = loss.target + (1 - resized_plane(self._alphas[index], self._cameras[index])) * change
+        red, green, blue = background.tolist()
+        return replace(loss, target=np.clip(target, 0, 1)), (red, green, blue)
 
     def _clear_free_space(self) -> None:
         """Removes what has come into a stage's free space: no view misses it there, and other viewpoints see fog."""

@@ -109,6 +109,8 @@ def _check_part(path: Path) -> _File:
                 keyframe = hashlib.sha256(packet.payload).hexdigest()
             frames += 1
             _check_start(path, packet, header)
+        elif packet.kind == PacketKind.METRICS:
+            _check_packet(path, check_frame, packet, frames - 1)
         elif packet.kind == PacketKind.END:
             _check_packet(path, check_count, packet, frames)
             ended = True

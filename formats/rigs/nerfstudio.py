@@ -39,8 +39,10 @@ _OTHER_LENSES = ("ftheta_p0", "latlong", "equirectangular")
 _LIKE_COEFFICIENTS = re.compile("[kpsb][0-9]|skew|distortion_params")
 """Names of what would bend a picture; those that are not among the coefficients are not read."""
 
-_MASKS = ("mask_path", "fisheye_crop_radius")
-"""What excludes pixels from training."""
+_MASK = "mask_path"
+"""A picture, black where an entry's pixels are left out of training."""
+_CROP = "fisheye_crop_radius"
+"""The same, by a circle."""
 
 _SAME_POSE = 1e-6
 """Between poses of one camera, in rotation and in position as a share of the rig's size: float32's digits."""
@@ -76,7 +78,12 @@ def read_nerfstudio(folder: Path) -> Rig:
         source = _source(group)
         pairs.append((_camera(name, group[0].fields, source), source))
     rig = assemble_rig(folder, LAYOUT, pairs, [path], resizable=True)
-    return replace(rig, warnings=(*rig.warnings, *_unused_masks(path, entries)))
+    masks = {name: _masks(group, folder) for name, group in zip(names, groups, strict=True)}
+    return replace(
+        rig,
+        warnings=(*rig.warnings, *_unused_crop(path, entries)),
+        ignore_masks={name: files for name, files in masks.items() if files},
+    )
 
 
 def _entry(folder: Path, fields: Fields) -> _Entry:
@@ -89,10 +96,14 @@ def _entry(folder: Path, fields: Fields) -> _Entry:
     return _Entry(fields, found, fields.number("time", 0.0))
 
 
-def _unused_masks(path: Path, entries: Sequence[_Entry]) -> Iterator[str]:
-    named = [key for key in _MASKS if any(key in entry.fields for entry in entries)]
-    if named:
-        yield f"{path}: masks ({', '.join(named)}) are not used; what they exclude is trained on like everything else"
+def _masks(group: Sequence[_Entry], folder: Path) -> tuple[Path, ...]:
+    """The files that the entries of a camera name as masks, each once."""
+    return tuple(dict.fromkeys(entry.fields.path(_MASK, folder) for entry in group if _MASK in entry.fields))
+
+
+def _unused_crop(path: Path, entries: Sequence[_Entry]) -> Iterator[str]:
+    if any(_CROP in entry.fields for entry in entries):
+        yield f"{path}: {_CROP} is not used; what it excludes is trained on like everything else"
 
 
 def _group_by_camera(path: Path, entries: Sequence[_Entry]) -> list[list[_Entry]]:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Hashable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Hashable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -36,7 +36,8 @@ class Rig:
     ``cameras`` and ``sources`` are parallel, in natural order of the camera names; each camera has the size of its
     source. ``fps`` is None for single pictures and picture folders without a stated rate. ``calibration``: the files
     that the cameras and points were read from. ``warnings``: what the user should know, one line each.
-    ``length_unit``: a world unit in words, where the calibration has one.
+    ``length_unit``: a world unit in words, where the calibration has one. ``ignore_masks``: by camera, the pictures
+    that the calibration names for pixels that teach nothing, which are black; each once.
     """
 
     path: Path
@@ -51,6 +52,7 @@ class Rig:
     calibration: tuple[Path, ...] = ()
     warnings: tuple[str, ...] = ()
     length_unit: str = ""
+    ignore_masks: Mapping[str, tuple[Path, ...]] = field(default_factory=dict)
 
 
 def assemble_rig(

@@ -95,7 +95,7 @@ class PictureSource:
     def read(self, start: int, stop: int, step: int = 1) -> Generator[Picture, None, None]:
         """The pictures of these frames. Raises RigError for one that is damaged or of another size."""
         for file in self.files[start:stop:step]:
-            picture = read_picture(file)
+            picture = self.read_file(file)
             if self.is_turned:
                 picture = np.ascontiguousarray(_TURNED[self.orientation](picture))
             if picture.shape != (self.height, self.width, 3):
@@ -104,6 +104,10 @@ class PictureSource:
                     f"{self.width} x {self.height}; bring all its frames to one size"
                 )
             yield picture
+
+    def read_file(self, file: Path) -> Picture:
+        """The picture in one file, as stored."""
+        return read_picture(file)
 
     def turned(self) -> PictureSource | None:
         """The same frames as their EXIF orientation shows them, where that exchanges width and height."""
@@ -141,8 +145,8 @@ def open_source(path: Path) -> FrameSource:
     Raises RigError if there is nothing readable.
     """
     if path.is_dir():
-        folder = path if _pictures_in(path) else path / "images"
-        return open_pictures(path, _pictures_in(folder))
+        folder = path if pictures_in(path) else path / "images"
+        return open_pictures(path, pictures_in(folder))
     suffix = path.suffix.lower()
     if suffix in PICTURE_SUFFIXES:
         return open_pictures(path, (path,))
@@ -188,7 +192,7 @@ def _is_hidden(name: str) -> bool:
 def holds_frames(entry: Path) -> bool:
     """Whether this is a video or a folder with pictures in it."""
     if entry.is_dir():
-        return bool(_pictures_in(entry) or _pictures_in(entry / "images"))
+        return bool(pictures_in(entry) or pictures_in(entry / "images"))
     return entry.suffix.lower() in VIDEO_SUFFIXES
 
 
@@ -208,5 +212,6 @@ def refuse_unknown_kinds(entries: Iterable[Path]) -> None:
         )
 
 
-def _pictures_in(folder: Path) -> tuple[Path, ...]:
+def pictures_in(folder: Path) -> tuple[Path, ...]:
+    """The folder's pictures, in natural order."""
     return tuple(entry for entry in list_folder(folder) if entry.suffix.lower() in PICTURE_SUFFIXES)

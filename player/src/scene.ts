@@ -70,6 +70,8 @@ export interface StreamHeader {
   readonly heldOut: readonly string[];
   /** By effect, the cameras of which every frame's corrections tell. */
   readonly corrected: ReadonlyMap<string, readonly string[]>;
+  /** Whether this is a subject without its surroundings: what it does not cover is not black but nothing. */
+  readonly subject: boolean;
 }
 
 /** What is known of a frame without decoding it: from the index packet, or from packet headers seen so far. */

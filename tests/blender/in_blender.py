@@ -65,6 +65,7 @@ def main(extension: str, stream: str, usd: str, folder: str) -> None:
     splats = next(item for item in scene.objects if item.decogs.path)
     facts["range"] = [scene.frame_start, scene.frame_end, scene.render.fps / scene.render.fps_base]
     facts["view"] = [scene.view_settings.view_transform, scene.camera.name]
+    facts["transparent"] = [scene.render.film_transparent]
     facts["ups"] = [list(item.matrix_world.col[1][:3]) for item in scene.objects if item.type == "CAMERA"]
     facts["instances"] = instances()
     scene.camera.data.shift_y += 0.03
@@ -89,6 +90,10 @@ def main(extension: str, stream: str, usd: str, folder: str) -> None:
     splats = next(item for item in bpy.context.scene.objects if item.decogs.path)
     bpy.context.scene.frame_set(101)
     facts["reopened"] = [len(splats.data.vertices), splats.decogs.problem]
+
+    scene = empty_scene()
+    bpy.ops.import_scene.decogs(filepath=str(out / "subject.dgs"))
+    facts["transparent"].append(scene.render.film_transparent)
 
     empty_scene()
     bpy.ops.wm.usd_import(filepath=usd, import_cameras=True, set_frame_range=True)

@@ -24,6 +24,9 @@ from decogs.decoder import decode, export, open_stream
 from decogs.decoder.free_camera import read_free_cameras
 from decogs.encoder import EncodeJob, encode
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from packets import with_header
+
 RIG = Path(__file__).parents[1] / "demo" / "workbench"
 FRAMES = 6
 """More than a segment of the USD export has, so that there is a group at rest, too."""
@@ -52,6 +55,7 @@ def check(facts: dict[str, Any], stream: Path, folder: Path) -> None:
         rate = opened.header.fps
     assert facts["range"] == [101, 101 + last, rate], facts["range"]
     assert facts["view"][0] == "Raw"
+    assert facts["transparent"] == [False, True], "a subject is rendered over nothing, a whole scene is not"
     assert max(up[2] for up in facts["ups"]) >= LEAST_UP, facts["ups"]
     # The window of a module is no viewport: what is evaluated there is what renders have, or the viewport's fraction.
     assert 0 < facts["instances"] <= len(states[0]), facts["instances"]
@@ -89,6 +93,7 @@ def main(python: str, extension: str, folder: str) -> None:
     out.mkdir(parents=True)
     stream, usd = out / "sample.dgs", out / "sample.usdc"
     encode(EncodeJob(RIG, stream, settings="live", frames=slice(0, FRAMES), scale=0.5))
+    with_header(stream, out / "subject.dgs", subject=True)
     decode(stream, out / "decoded", view="cam00", undistorted=True, drift_free=True)
     export(stream, usd)
     script = Path(__file__).with_name("in_blender.py")

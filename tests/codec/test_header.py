@@ -66,6 +66,13 @@ def test_members_of_later_minor_versions_are_left_alone() -> None:
     assert StreamHeader.from_bytes(json.dumps(document).encode()).fps == 29.97
 
 
+def test_a_subject_says_so_and_a_whole_scene_says_nothing() -> None:
+    subject = replace(FULL, subject=True).to_bytes()
+    assert b'"subject":true' in subject
+    assert StreamHeader.from_bytes(subject).subject
+    assert b"subject" not in FULL.to_bytes()
+
+
 CHANGES = [
     ("sh_degree", 4),
     ("sh_degree", True),
@@ -82,6 +89,8 @@ CHANGES = [
     ("axes", 5),
     ("writer", "x" * 70000),
     ("settings", []),
+    ("subject", False),
+    ("subject", 1),
     ("lattice", None),
     ("lattice.means", [0.001, 0.001, 0]),
     ("lattice.means", [0.001, 0.001]),
@@ -123,7 +132,7 @@ def test_fields_out_of_bounds_are_refused(path: str, value: object) -> None:
     assert caught.value.reason == "bad-header"
 
 
-OPTIONAL = ("corrected", "camera_colours")
+OPTIONAL = ("corrected", "camera_colours", "subject")
 
 
 @pytest.mark.parametrize("name", [field.name for field in fields(StreamHeader) if field.name not in OPTIONAL])

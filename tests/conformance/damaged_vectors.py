@@ -345,6 +345,7 @@ BAD_MEMBERS: tuple[tuple[str, Any], ...] = (
     ("axes", 5),
     ("writer", None),
     ("settings", []),
+    *(("subject", value) for value in (False, None, 1, "true")),
 )
 
 

@@ -406,6 +406,11 @@ def good_colours() -> Iterator[Vector]:
     yield opened(document={**alone, "effects": ["colour_mismatch"]}).good("good/colours-alone")
 
 
+def good_subjects() -> Iterator[Vector]:
+    """A subject without a background decodes to the states it would have with one."""
+    yield opened(document={**example_header(), "subject": True}).good("good/subject")
+
+
 def faults(first: int) -> dict[str, dict[str, int]]:
     """Numbers of `corrected_header`, counted up from the first."""
     return {

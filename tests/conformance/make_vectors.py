@@ -26,7 +26,14 @@ from damaged_vectors import (
     damaged_headers,
     damaged_payloads,
 )
-from good_vectors import good_colours, good_containers, good_corrections, good_payloads, good_states
+from good_vectors import (
+    good_colours,
+    good_containers,
+    good_corrections,
+    good_payloads,
+    good_states,
+    good_subjects,
+)
 from limit_vectors import limits_of_headers, limits_of_streams
 from plain_header import Header
 from plain_state import State, digest, floats
@@ -54,6 +61,7 @@ def vectors() -> Iterator[Vector]:
     yield from good_states()
     yield from good_corrections()
     yield from good_colours()
+    yield from good_subjects()
     yield from damaged_containers()
     yield from damaged_headers()
     yield from damaged_payloads()

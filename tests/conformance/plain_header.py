@@ -136,6 +136,7 @@ def check_header(header: dict[str, Any]) -> None:
     expect(header["fps"] is None or is_number(header["fps"], 1e-6, 1e6))
     expect(is_integer(header["first_frame"], 0, 2**31 - 1))
     expect(is_vector(header["background"], 3, -1000, 1000))
+    expect(header.get("subject", True) is True)
     expect(is_names(header["effects"]))
     expect(is_names(header["held_out"]) and set(header["held_out"]) <= set(names))
     check_corrected(header, set(names) - set(header["held_out"]))

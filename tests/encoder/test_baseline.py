@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -143,6 +144,35 @@ def test_spawned_gaussians_begin_faint_and_upright_beside_their_parents(case: Ca
 def test_gaussians_spawn_only_where_the_gradient_reaches_the_threshold(case: Case) -> None:
     counts = [len(case.train(case.trainer(spawn_gradient=g, spawn_iterations=0)).added) for g in (0, 1e-4, 1)]
     assert counts[0] > counts[1] > counts[2] == 0
+
+
+def test_spawned_gaussians_step_in_units_of_the_rig(case: Case) -> None:
+    """Adam's first step is the rate, whatever the gradient; the rig of these tests is 1.2 units large."""
+    given = {"spawn_gradient": 0.0, "prune_opacity": 0.0, "prune_size": 1e9}
+    before, after = (case.train(case.trainer(**given, spawn_iterations=n)).added for n in (0, 1))
+    steps = np.abs(after.means - before.means)[(after.means != before.means).any(axis=1)]
+    np.testing.assert_allclose(np.median(steps), threedgstream.RATES.means * 1.2, rtol=1e-3)
+
+
+class Gathering(CpuKernel):
+    """Counts the steps whose view gradients are gathered."""
+
+    def view_gradients(self, count: int) -> Any:
+        found, self.steps = super().view_gradients(count), 0
+
+        def add(*given: Any) -> None:
+            self.steps += 1
+            found.add(*given)
+
+        return SimpleNamespace(add=add, mean=found.mean)
+
+
+def test_gaussians_spawn_by_the_last_20_steps_of_stage_1(case: Case) -> None:
+    """As in the released code (`threedgstream`)."""
+    trainer = case.trainer(cache_iterations=33)
+    trainer._kernel = kernel = Gathering(2)
+    case.train(trainer)
+    assert kernel.steps == 20
 
 
 def test_faint_or_huge_spawned_gaussians_go(case: Case) -> None:

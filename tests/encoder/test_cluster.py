@@ -9,18 +9,21 @@ from __future__ import annotations
 import os
 import signal
 import socket
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, ClassVar
 
 import pytest
 
 from decogs.encoder import EncodeJob
+from decogs.encoder.cluster import ray_engine
 from decogs.encoder.cluster.encoding import encode_on_cluster
 from decogs.encoder.cluster.ray_engine import RayEngine
-from decogs.encoder.cluster.tasks import run_part
+from decogs.encoder.cluster.tasks import Outcome, run_part
 from decogs.encoder.commands import encode_main
 from decogs.encoder.settings.frame import SignificanceSettings
 from decogs.formats.errors import TryAgainError, UsageError
@@ -178,9 +181,10 @@ class Here:
     """Stands in for Ray: runs the parts one after the other, in this process."""
 
     notice = ""
+    ran: ClassVar[list[range]] = []
 
     def __init__(self, *_: Any, **__: Any) -> None:
-        pass
+        self.ran.clear()
 
     def __enter__(self) -> Here:
         return self
@@ -189,8 +193,13 @@ class Here:
         pass
 
     def run(self, job: EncodeJob, parts: Any, keyframe: bytes | None) -> Iterator[Any]:
+        """And tells of frames done; once of fewer than before, as where a task begins again."""
+        done = 0
         for part in parts:
+            self.ran.append(part)
             yield part, run_part(job, part, keyframe, lambda done: None)
+            done += len(part)
+            yield from (done, done - 1)
 
 
 @pytest.fixture
@@ -198,12 +207,11 @@ def here(monkeypatch: pytest.MonkeyPatch, rig: Path, tiny_settings: Any, tmp_pat
     """Encodes to scene.dgs without Ray; what was warned of."""
     monkeypatch.setattr("decogs.encoder.cluster.encoding.RayEngine", Here)
 
-    def run(**options: Any) -> list[str]:
+    def run(*, progress: Any = None, **options: Any) -> list[str]:
         told: list[str] = []
         given = {"segment": SEGMENT, "closed": True, "frames": slice(4)} | options
-        encode_on_cluster(
-            EncodeJob(rig, tmp_path / "scene.dgs", tiny_settings, **given), "local", on_warning=told.append
-        )
+        job = EncodeJob(rig, tmp_path / "scene.dgs", tiny_settings, **given)
+        encode_on_cluster(job, "local", progress=progress, on_warning=told.append)
         return told
 
     return run
@@ -260,6 +268,58 @@ def test_a_part_of_another_take_stays(here: Any, rig: Path, tiny_settings: Any, 
     assert other.read_bytes() == data
 
 
+def test_what_is_there_is_left_out_unless_its_recordings_are_newer(
+    here: Any, rig: Path, tiny_settings: Any, tmp_path: Path
+) -> None:
+    """And counts as done; progress never goes back."""
+    folder, told = tmp_path / "scene.dgs.parts", []
+    folder.mkdir()
+    given: dict[str, Any] = {"frames": slice(6), "segment": SEGMENT, "closed": True, "threads": 1}
+    key = folder / "key.dgs"
+    encode(rig, key, tiny_settings, only=range(1), **given)
+    for start in (0, 2):
+        part = folder / f"{start}-{start + 2}.dgs"
+        encode(rig, part, tiny_settings, only=range(start, start + 2), keyframe=key, **given)
+    os.utime(part, (0, 0))
+    here(resume=True, frames=slice(6), progress=lambda *done: told.append(done))
+    assert Here.ran == [range(2, 4), range(4, 6)]
+    assert told == [(4, 6), (4, 6), (6, 6), (6, 6)]
+
+
+def test_an_older_keyframe_than_its_recordings_is_refused(
+    here: Any, rig: Path, tiny_settings: Any, tmp_path: Path
+) -> None:
+    key = tmp_path / "scene.dgs.parts" / "key.dgs"
+    key.parent.mkdir()
+    encode(rig, key, tiny_settings, frames=slice(4), only=range(1), segment=SEGMENT, closed=True, threads=1)
+    os.utime(key, (0, 0))
+    with pytest.raises(UsageError, match=r"key.dgs: the first frame's recordings are newer; delete it and the parts"):
+        here(resume=True)
+    assert key.exists()
+
+
+@pytest.mark.parametrize(
+    "options", [{"frames": slice(6)}, {"holdout": ["cam02"]}, {"metrics": True}, {"seed": 1}, {"scale": 0.5}]
+)
+def test_what_is_there_of_other_options_is_refused(
+    here: Any, rig: Path, tiny_settings: Any, tmp_path: Path, options: dict[str, Any]
+) -> None:
+    key = tmp_path / "scene.dgs.parts" / "key.dgs"
+    key.parent.mkdir()
+    encode(rig, key, tiny_settings, frames=slice(4), only=range(1), segment=SEGMENT, closed=True, threads=1)
+    with pytest.raises(UsageError, match=rf"scene.dgs.parts: its encode had another `{next(iter(options))}`"):
+        here(resume=True, **options)
+    assert key.exists()
+
+
+def test_what_a_part_fails_of_is_told_in_one_line(here: Any, tmp_path: Path) -> None:
+    (tmp_path / "key.ply").write_bytes(b"no ply")
+    with pytest.raises(UsageError, match=r"key\.ply") as raised:
+        here(keyframe=tmp_path / "key.ply")
+    assert "\n" not in str(raised.value)
+    assert not (tmp_path / "scene.dgs").exists()
+
+
 def test_a_stream_to_be_resumed_is_not_joined_over(here: Any, moving: Any, tmp_path: Path) -> None:
     growing = tmp_path / "scene.dgs.part"
     growing.write_bytes(moving.data[:-100])
@@ -280,9 +340,6 @@ def test_a_stream_to_be_resumed_is_not_joined_over(here: Any, moving: Any, tmp_p
 
 def test_who_may_connect_to_ray_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     """Ray has no setting to listen on this machine's own address alone."""
-    import sys
-    from types import SimpleNamespace
-
     monkeypatch.delenv("RAY_AUTH_MODE", raising=False)
     monkeypatch.setitem(sys.modules, "ray", SimpleNamespace(__version__="2.60.0"))
     told = RayEngine("local", threads=1, device="cpu").notice
@@ -297,6 +354,44 @@ def test_who_may_connect_to_ray_is_said(monkeypatch: pytest.MonkeyPatch) -> None
         monkeypatch.setitem(sys.modules, "ray", SimpleNamespace(__version__=old))
         with pytest.raises(UsageError, match=f"`cluster`: Ray {old} takes tasks from everyone on the network"):
             RayEngine("local", threads=1, device="cpu")
+
+
+def test_a_part_is_tried_three_times(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With what Ray is asked, and nothing of Ray: where its machine is full, where Ray has lost it."""
+    full, good, lost = Outcome(problem="the disk is full", again=True), Outcome(b"a part"), OSError("node 3 died")
+    outcomes = [full, lost, good, lost, lost, full]
+    given: list[Any] = []
+
+    def task(number: int, _: Any, *what: Any) -> Outcome | OSError:
+        given.append((number, *what))
+        return outcomes.pop(0)
+
+    def get(value: Any, **_: Any) -> Any:
+        if value is lost:
+            raise lost
+        return value
+
+    def later(call: Callable[..., Any]) -> Any:
+        return SimpleNamespace(remote=call)
+
+    board = SimpleNamespace(frames=later(lambda: 1))
+    ray = SimpleNamespace(
+        __version__="2.60.0",
+        init=lambda *_, **__: None,
+        shutdown=lambda: None,
+        remote=lambda **_: lambda what: later(task if what is ray_engine._task else lambda: board),
+        put=lambda value: value,
+        get=get,
+        wait=lambda references, **_: (references, []),
+        exceptions=SimpleNamespace(RayError=OSError, RayTaskError=ConnectionError),
+    )
+    monkeypatch.setitem(sys.modules, "ray", ray)
+    job, part = EncodeJob("rig", "scene.dgs"), range(2, 4)
+    with RayEngine("local", threads=1, device="cpu") as engine:
+        assert list(engine.run(job, [part], b"key")) == [1, 1, (part, good), 1]
+        with pytest.raises(TryAgainError, match=r"the disk is full \(tried 3 times\)"):
+            list(engine.run(job, [part], b"key"))
+    assert given == [(0, job, part, b"key")] * 6
 
 
 def test_local_joins_no_cluster_of_somebody_else(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -333,23 +428,34 @@ def test_what_a_task_was_given_may_be_lost(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_an_outcome_says_whether_to_try_again(
-    rig: Path, settings: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    rig: Path, tiny_settings: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    job = EncodeJob(str(rig), tmp_path / "part.dgs", replace(settings, segment=SEGMENT, closed=True), threads=1)
+    job = EncodeJob(str(rig), tmp_path / "part.dgs", replace(tiny_settings, segment=SEGMENT, closed=True), threads=1)
     told: list[int] = []
     outcome = run_part(job, range(1), None, told.append)
     assert (outcome.problem, outcome.again, told) == ("", False, [1])
-    assert outcome.data
+    key = outcome.data
+    assert key
+    assert run_part(job, range(2, 4), key, told.append).data
+    assert told == [1, 1, 2], "the keyframe is none of the part's frames"
     lacking = run_part(job, range(2, 4), None, told.append)
     assert "parts after the first start from its keyframe" in lacking.problem
     assert not lacking.again
 
-    def full(*_: Any, **__: Any) -> None:
-        raise TryAgainError("the disk is full")
+    for error in (TryAgainError("the disk is full"), OSError("no space left"), MemoryError("out of memory")):
 
-    monkeypatch.setattr("decogs.encoder.cluster.tasks.encode", full)
-    again = run_part(job, range(1), None, told.append)
-    assert (again.problem, again.again) == ("the disk is full", True)
+        def fail(*_: Any, error: Exception = error, **__: Any) -> None:
+            raise error
+
+        monkeypatch.setattr("decogs.encoder.cluster.tasks.encode", fail)
+        assert run_part(job, range(1), None, told.append) == Outcome(problem=str(error), again=True)
+
+    def warning(job: EncodeJob, *, on_warning: Callable[[str], None], **_: Any) -> None:
+        on_warning("cam03 is dark")
+        Path(str(job.output)).write_bytes(b"a part")
+
+    monkeypatch.setattr("decogs.encoder.cluster.tasks.encode", warning)
+    assert run_part(job, range(1), None, told.append) == Outcome(b"a part", warnings=("cam03 is dark",))
 
 
 @pytest.mark.parametrize(
@@ -370,8 +476,6 @@ def test_options_that_no_cluster_takes(
 
 
 def test_ray_is_asked_for_where_it_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    import sys
-
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(UsageError, match=r"`cluster`: Ray is not installed; pip install 'ray\[client\]>=2.60'"):
         RayEngine("local", threads=1, device="cpu")

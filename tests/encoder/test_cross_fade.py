@@ -40,6 +40,7 @@ def fading(settings: EncodeSettings, frames: int = 3, **changes: Any) -> EncodeS
     ("settings", "last", "expected"),
     [
         (EncodeSettings(segment=4, closed=True, cross_fade=2), 19, {12: [13, 14], 13: [14], 16: [17, 18], 17: [18]}),
+        (EncodeSettings(segment=4, closed=True, cross_fade=2), 17, {12: [13, 14], 13: [14]}),
         (EncodeSettings(segment=4, closed=True, cross_fade=9), 14, {11: [12, 13, 14], 12: [13, 14], 13: [14]}),
         (EncodeSettings(segment=1, closed=True), 14, {}),
         (EncodeSettings(segment=4, closed=True, cross_fade=0), 19, {}),

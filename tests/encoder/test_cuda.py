@@ -475,6 +475,18 @@ def test_a_view_lives_as_the_native_one_does(backend: Backend, seed: int) -> Non
     assert_same_picture(views[1].rgb, kernels[0].forward(scene, CAMERA).rgb, picture)
 
 
+def test_a_scene_that_is_committed_twice_brings_other_rows(backend: Backend) -> None:
+    """As after frames whose changes were all taken back: the scene is the same, what was trained is not."""
+    before, scene, kernel = small_scene(1), small_scene(2), backend.make()
+    view = kernel.fixed_view(CAMERA)
+    view.set_scene(before)
+    for rows in np.split(np.arange(len(scene)), 2):
+        view.detach(rows)
+        view.commit(scene, rows)
+    view.redraw()
+    assert_same_picture(view.rgb, CpuKernel(1).forward(scene, CAMERA).rgb, backend.picture)
+
+
 def jittered(splats: Splats, rng: np.random.Generator) -> Splats:
     values = (splats.means, splats.log_scales, splats.quaternions, splats.opacity_logits, splats.sh)
     return Splats(*(np.ascontiguousarray(a + rng.normal(0, 0.05, a.shape), np.float32) for a in values))

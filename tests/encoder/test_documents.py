@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import Any
 from urllib.request import urlopen
 
+import cv2
+import numpy as np
 import pytest
 
 from decogs.decoder.commands import decode_main, export_main, info_main, view_main
@@ -22,6 +24,8 @@ from decogs.encoder import PRESETS, EncodeSettings
 from decogs.encoder.analysis.commands import analyze_main
 from decogs.encoder.commands import encode_main, join_main, pack_main
 from decogs.encoder.settings.frame import SignificanceSettings
+from decogs.formats.cameras import project
+from decogs.formats.rigs import open_rig
 
 ROOT = Path(__file__).parents[2]
 DOCS = sorted((ROOT / "docs").glob("*.md"))
@@ -45,6 +49,7 @@ MAINS: dict[str, Callable[[list[str]], int]] = {
     "decogs-view": view_main,
 }
 LONGEST_README = 110
+MIDDLE = np.zeros((1, 3), np.float32)
 
 
 def commands_of(document: Path) -> list[str]:
@@ -63,6 +68,7 @@ def at_the_rig(tiny_rig: Any, tiny_settings: EncodeSettings, tmp_path: Path, mon
     tiny_rig.write(tmp_path / "rig_dir", frames=[0, 1, 3])
     calibration = json.loads(Path(tmp_path / "rig_dir" / "rig.json").read_text())
     (tmp_path / "rig_dir" / "rig.json").write_text(json.dumps(calibration | {"fps": 30}))
+    write_masks(tmp_path)
     short = replace(
         tiny_settings,
         keyframe=replace(tiny_settings.keyframe, iterations=20, cap=300, settle_iterations=4),
@@ -81,6 +87,21 @@ def at_the_rig(tiny_rig: Any, tiny_settings: EncodeSettings, tmp_path: Path, mon
         json.loads(pose[1])
         Path(name).write_text(pose[1])
     return tmp_path
+
+
+def write_masks(folder: Path) -> None:
+    """Mattes of a ball in the middle of the rig, and plates that differ from the pictures there."""
+    for camera in open_rig(folder / "rig_dir").cameras:
+        u, v, depth = (value.item() for value in project(camera, MIDDLE))
+        matte = np.zeros((camera.height, camera.width), np.uint8)
+        cv2.circle(matte, (round(u), round(v)), round(camera.fx * 0.2 / depth), 255, -1)
+        files = sorted((folder / "rig_dir" / camera.name).glob("*.png"))
+        shown = cv2.imread(str(files[0]))
+        masks = {folder / "masks" / camera.name / file.name: matte for file in files}
+        plate = np.where(matte[..., None] > 0, 255 - shown, shown)
+        for path, picture in (masks | {folder / "plates" / f"{camera.name}.png": plate}).items():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            assert cv2.imwrite(str(path), picture)
 
 
 def look_once(shown: View) -> None:

@@ -209,6 +209,7 @@ ROWS = "that are not ascending from 0 to "
         (lambda frame: trained(frame, removed=np.array([-1])), "returned `removed` with rows " + ROWS),
         (lambda frame: trained(frame, removed=np.array([1 << 40])), "returned `removed` with rows " + ROWS),
         (lambda frame: trained(frame, removed=np.array([2, 1])), "returned `removed` with rows " + ROWS),
+        (lambda frame: trained(frame, removed=np.array([1, 1])), "returned `removed` with rows " + ROWS),
         (
             lambda frame: trained(frame, kept=np.array([1])),
             "returned `values` that are not finite Splats with a row for each",

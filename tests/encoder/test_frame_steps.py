@@ -138,6 +138,39 @@ def test_a_round_of_catching_up_that_diverges_is_the_last(diverges: list[bool], 
     assert next(left, None) is None
 
 
+def test_a_fade_is_trained_with_the_frames_own_settings_and_chance(
+    monkeypatch: pytest.MonkeyPatch, tiny_rig: Any
+) -> None:
+    """Where light alone changes in frame 7 of the rig, nothing moves for the fade, either."""
+    given: dict[str, Any] = {}
+
+    def fade_it(*positional: Any, **named: Any) -> str:
+        given.update(named, settings=positional[-1])
+        return "faded"
+
+    monkeypatch.setattr(encode_frame, "cross_fade", fade_it)
+    monkeypatch.setattr(
+        encode_frame, "frame_packet", lambda scene, frame, trained, *_, **__: Stub(packet=(frame, trained))
+    )
+    context = Stub(
+        settings=DRAFT,
+        views=Stub(of=lambda _: None, detach=lambda _: None),
+        kernel=None,
+        ingest=Stub(views=[Stub(pinhole=tiny_rig.camera(number)) for number in (0, 1)]),
+        seed=5,
+        on_loss=None,
+    )
+    scene = Stub(header=Stub(first_frame=4), splats=empty_splats(0), after=lambda packet: packet)
+    event = Event(Kind.CHANGE, scene, memory_of(), [])
+    still = replace(DRAFT.frame, rates=replace(DRAFT.frame.rates, means=0.0))
+    plan = FramePlan(Selection([], np.zeros(3, bool)), (), still)
+    fade: Any = Stub(rows=np.arange(2))
+    _, packet, _ = encode_frame._train_and_code(context, event, plan, pending(7), fade, Stopwatch())
+    assert packet == (3, "faded")
+    assert given["settings"] is still
+    assert given["seed"] == (5, 3)
+
+
 # What a frame leaves behind
 
 
@@ -156,15 +189,18 @@ class Masks:
         return self
 
 
-def committed(*, restarted: bool = False, deferred: bool = False, truncated: bool = False) -> tuple[Memory, Masks]:
+def committed(
+    *, restarted: bool = False, deferred: bool = False, truncated: bool = False, rejected: bool = False
+) -> tuple[Memory, Masks]:
     masks: Any = Masks()
-    before, after = (Stub(state=state, splats=name) for state, name in ((state_of(3), "old"), (state_of(3, 1), "new")))
+    states = ((state_of(3), "old"), (state_of(3, *([] if rejected else [1])), "new"))
+    before, after = (Stub(state=state, splats=name) for state, name in states)
     after.displacements = lambda _: np.full((3, 3), 8, np.float32)
     views = Stub(update=lambda *_: None, of=lambda _: None, pictures=lambda splats: f"pictures of {splats}")
     context = Stub(settings=DRAFT, method=Stub(dense=False), views=views, corrector=None, threads=1)
     plan = FramePlan(Selection([EVERYWHERE], np.ones(3, bool)), ("motion",), DRAFT.frame, deferred=deferred)
     event = Event(Kind.CHANGE, before, memory_of(masks=masks), [])
-    trained = None if deferred else Stub(kept=np.arange(3), truncated=truncated, rejected=False)
+    trained = None if deferred else Stub(kept=np.arange(3), truncated=truncated, rejected=rejected)
     memory, _ = commit(context, event, plan, pending(restarted=restarted), after, trained, Stopwatch())
     return memory, masks
 
@@ -182,6 +218,10 @@ def test_what_was_cut_short_is_compared_with_what_came_of_it(truncated: bool, re
         "threads": 1,
         "deferred": False,
     }
+
+
+def test_what_was_rejected_is_still_to_be_trained() -> None:
+    assert committed(rejected=True)[1].given == {"deferred": False}
 
 
 def test_what_was_deferred_is_still_to_be_trained() -> None:

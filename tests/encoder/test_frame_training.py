@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,7 +16,8 @@ from decogs.encoder.backends.cpu.cpu_kernel import CpuKernel
 from decogs.encoder.methods.decogs import DecogsTrainer
 from decogs.encoder.methods.paper import PaperTrainer
 from decogs.encoder.methods.transformation_cache import CacheConfig
-from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings, IterationSettings
+from decogs.encoder.settings.frame import EmergenceSettings, FrameSettings, IterationSettings, SignificanceSettings
+from decogs.encoder.training.frame_training import FrameTraining
 from decogs.encoder.training.method import TrainedFrame
 from decogs.encoder.training.schedule import MIN_STEPS, StoppingRule
 from decogs.encoder.training.warm_start import shared_displacements
@@ -129,6 +132,25 @@ def test_one_view_with_the_place_in_its_focus_is_enough(case: Case) -> None:
     assert (frame.added.means != bound.added.means).any()
 
 
+@pytest.mark.parametrize(
+    ("new", "expected"),
+    [
+        (CACHED, [("cache", step) for step in range(20, 30)]),
+        (DecogsTrainer, [("joint", step) for step in range(7, 15)]),
+    ],
+    ids=["last third of stage 1", "second quarter"],
+)
+def test_growth_goes_by_gradients_shortly_before_it(
+    case: Case, monkeypatch: pytest.MonkeyPatch, new: NewTrainer, expected: list[tuple[str, int]]
+) -> None:
+    drawn: list[tuple[str, int]] = []
+    gathered: list[tuple[str, int]] = []
+    monkeypatch.setattr(FrameTraining, "gather", lambda *_: gathered.append(drawn[-1]))
+    stopping = StoppingRule(on_loss=lambda stage, step, loss: drawn.append((stage, step)))
+    case.train(SETTINGS, new, stopping=stopping)
+    assert gathered == expected
+
+
 def test_growth_is_limited_by_gradient_and_share(case: Case) -> None:
     assert len(grown(case, everywhere=True).added) == 25
     for limits, most in (({"grow_fraction": 0.2}, 5), ({"grow_fraction": 1e-3}, 1), ({"grow_gradient": 1e9}, 0)):
@@ -217,6 +239,46 @@ def test_what_the_scene_misses_at_its_start_makes_a_frame_longer_or_shorter(case
     assert steps([1 - picture for picture in shown], 0.0) == 30
 
 
+def test_errors_are_measured_in_four_views_where_time_is_short(case: Case) -> None:
+    """Each is drawn twice; else in every third view."""
+    trainer = case.trainer(SETTINGS)
+    assert isinstance(trainer, DecogsTrainer)
+    trainer._step_seconds = 1.0
+    for seconds, views in ((20, 4), (60, 7)):
+        stopping = StoppingRule(deadline=time.perf_counter() + seconds)
+        training: Any = SimpleNamespace(frame=SimpleNamespace(stopping=stopping), settings=SETTINGS, used=range(10, 30))
+        assert len(trainer._probes(training)) == views
+
+
+@pytest.mark.parametrize(("new", "cached"), [(CACHED, 30), (DecogsTrainer, 0)], ids=["cache", "direct"])
+def test_a_target_that_is_reached_ends_the_frame(case: Case, new: NewTrainer, cached: int) -> None:
+    """Once every view was drawn, where nothing is reverted; stage 1 goes on to its end."""
+    told: list[str] = []
+    settings = replace(SETTINGS, significance=SignificanceSettings(threshold=0.0))
+    for target, steps in ((1.0, len(case.pictures)), (99.0, 30)):
+        told.clear()
+        stopping = StoppingRule(target_psnr=target, on_loss=lambda stage, step, loss: told.append(stage))
+        case.train(settings, new, stopping=stopping)
+        assert (told.count("cache"), told.count("joint")) == (cached, steps)
+
+
+def test_only_what_light_alone_changes_needs_more_to_move(case: Case) -> None:
+    """A change that is just significant stays where things move; colours have the same threshold everywhere."""
+    settings = replace(SETTINGS, significance=SignificanceSettings(threshold=30.0))
+    count = len(case.scene)
+    given: list[Any] = [None, np.zeros(count, bool), case.selected]
+    whole, nobody, everybody = (case.train(settings, light_only=light_only) for light_only in given)
+    assert bits(whole.values) == bits(nobody.values)
+
+    def changed(frame: TrainedFrame, name: str) -> int:
+        return int((getattr(frame.values, name) != getattr(case.scene, name)[frame.kept]).sum())
+
+    for name in ("means", "log_scales"):
+        assert changed(everybody, name) < changed(whole, name)
+    for name in ("opacity_logits", "sh"):
+        assert changed(everybody, name) == changed(whole, name)
+
+
 @pytest.mark.parametrize(
     ("new", "stages"),
     [(partial(CACHED, cache_iterations=60), ["cache", "joint"]), (DecogsTrainer, ["joint"])],
@@ -228,3 +290,5 @@ def test_a_deadline_gone_by_leaves_the_least_of_every_stage(case: Case, new: New
     frame = case.train(replace(SETTINGS, joint_iterations=60), new, stopping=stopping)
     assert told == [(stage, step) for stage in stages for step in range(MIN_STEPS)]
     assert error(case, applied(case.scene, frame)) < error(case, case.scene)
+    assert frame.truncated
+    assert not case.train(SETTINGS, new).truncated

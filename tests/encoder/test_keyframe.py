@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from decogs.encoder.backends.cpu.stretch import stretches
 from decogs.encoder.input.ingest import Ingest, View, scene_extent
 from decogs.encoder.keyframe import train as keyframe
 from decogs.encoder.keyframe.first_points import FirstPoints
+from decogs.encoder.keyframe.large_pictures import PictureFit, PictureScale
 from decogs.encoder.keyframe.train import (
     _KeyframeTraining,
     splats_from_points,
@@ -25,6 +27,7 @@ from decogs.encoder.keyframe.train import (
 )
 from decogs.encoder.psnr import mean_psnr, psnr_of
 from decogs.encoder.settings.keyframe import KeyframeSettings
+from decogs.encoder.training.schedule import StoppingRule
 from decogs.formats.cameras import in_picture, project
 from decogs.formats.errors import TrainingError
 from decogs.formats.rigs import open_rig
@@ -111,6 +114,7 @@ def test_growth_respects_the_cap(case: Case, monkeypatch: pytest.MonkeyPatch) ->
     eager = replace(SHORT, cap=430)
     grown = trained(case, eager)
     assert 400 < len(grown.splats) <= 430
+    assert len(trained(case, replace(eager, surroundings=0.5)).splats) <= 430, "with those beside the pictures"
     assert len(trained(case, replace(eager, grow_every=1000)).splats) <= 400
 
 
@@ -180,6 +184,31 @@ def test_an_early_stop_goes_back_over_growth_and_settles(case: Case, monkeypatch
     result = trained(case, growing)
     assert counts[0] < counts[1]
     assert len(result.splats) <= counts[0]
+
+
+def test_a_target_counts_in_pictures_of_their_own_size(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shrunk ones are easier: a target that any scene reaches ends training once all views have had their own size."""
+    fit = PictureFit(60, (PictureScale(0, 4), PictureScale(20, 2), PictureScale(40, 1)), 400, 1.0)
+    monkeypatch.setattr(keyframe, "fit_to_pictures", lambda *_: fit)
+    stopping = StoppingRule(target_psnr=1.0)
+    result = train_keyframe(CpuKernel(2), case.views, case.pictures, points(), SHORT, seed=0, stopping=stopping)
+    assert result.steps == 40 + len(case.views)
+
+
+def test_drift_is_estimated_from_a_twentieth_to_three_fifths_of_the_schedule(case: Case) -> None:
+    """Earlier the scene is too rough; later it would follow the estimates, and they it."""
+    steps, told = [], [0]
+
+    def find(recorded: Any, draw: Any) -> None:
+        assert recorded is case.pictures, "as recorded, not as compensated so far"
+        steps.append(told[-1])
+
+    corrector: Any = SimpleNamespace(find_jointly=find, undo=lambda recorded, _: list(recorded))
+    train_keyframe(
+        CpuKernel(2), case.views, case.pictures, points(), replace(SHORT, iterations=100), seed=0, corrector=corrector,
+        on_step=lambda step, *_: told.append(step),
+    )  # fmt: skip
+    assert steps == list(range(8, 61, 4))
 
 
 def test_without_kept_back_tiles_there_is_no_stop(case: Case) -> None:
@@ -252,7 +281,16 @@ def test_sizes_are_learned_for_a_third_of_the_settling_and_positions_for_two(cas
     assert last == [10, 20], "the last change is the one to the nearest point of the lattice"
 
 
-def test_pixels_that_were_not_recorded_never_matter(case: Case) -> None:
+def test_pixels_that_were_not_recorded_never_matter(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither to what is trained nor to when it stops."""
+    scores: list[float] = []
+    score = _KeyframeTraining.validation_psnr
+
+    def scored(self: _KeyframeTraining, step: int) -> float:
+        scores.append(score(self, step))
+        return scores[-1]
+
+    monkeypatch.setattr(_KeyframeTraining, "validation_psnr", scored)
     valid = np.ones((case.views[0].pinhole.height, case.views[0].pinhole.width), np.float32)
     valid[:, :9] = 0
     views = [replace(case.views[0], valid=valid), *case.views[1:]]
@@ -262,6 +300,8 @@ def test_pixels_that_were_not_recorded_never_matter(case: Case) -> None:
     clean = trained(masked)
     dirty = trained(replace(masked, pictures=[poisoned, *case.pictures[1:]]))
     assert equal_bits(clean.splats, dirty.splats)
+    assert len(scores) == 2 * 2
+    assert scores[:2] == scores[2:]
     seen = trained(replace(case, pictures=[poisoned, *case.pictures[1:]]))
     assert not equal_bits(trained(case).splats, seen.splats), "the same pixels do matter where they were recorded"
 

@@ -7,6 +7,7 @@ states and selections are noted while it works (conftest.py), the rest is read b
 from __future__ import annotations
 
 import hashlib
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -199,6 +200,19 @@ def test_reports_agree_with_the_stream(moving: Any) -> None:
     assert set(moving.report.frames[0].seconds) == {"first_points", "keyframe", "write", "commit", "measure"}
     assert set(moving.report.frames[1].seconds) == {"masks", "selection", "training", "write", "commit", "measure"}
     assert not moving.report.interrupted
+
+
+def test_a_lost_picture_is_named_and_no_part_of_the_quality(
+    moving: Any, encode: Any, moving_rig: Path, tmp_path: Path
+) -> None:
+    """Frame 2 shows what frame 1 does, but for a camera that is black."""
+    rig = Path(shutil.copytree(moving_rig, tmp_path / "rig"))
+    black = rig / "cam01" / "0002.png"
+    assert cv2.imwrite(str(black), 0 * cv2.imread(str(black)))
+    before, after = encode(rig, stop=3, keyframe=moving.path).report.frames[1:]
+    assert list(after.left_out) == ["cam01"]
+    # The three others' mean is 0.6 dB from that of all; a black one among them would take 4 off.
+    assert after.training_psnr == pytest.approx(before.training_psnr, abs=2)
 
 
 def test_processor_seconds_are_those_of_the_frame_without_the_measuring(

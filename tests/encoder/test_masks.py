@@ -244,6 +244,13 @@ def test_a_noisy_camera_gets_a_threshold_of_its_own() -> None:
     assert all(m.raw.mean() < 0.001 for m in frame_masks(now, before, aware))
 
 
+def test_rough_pictures_of_something_else_are_no_noise() -> None:
+    before, now = RNG.uniform(0, 1, (2, 3, 60, 80)).astype(np.float32)
+    (change,) = MaskMemory.begin([before]).pixel_changes([now], MaskSettings(noise_multiple=5.0))
+    assert change.noise == 0
+    assert change.raw.mean() > 0.9
+
+
 def test_a_change_of_most_pixels_that_no_mask_has_is_taken_whole() -> None:
     """Half of the pixels, clearly, against what they were trained on and against what is shown; no lost view."""
     before = np.tile(np.linspace(0.1, 0.6, 8, dtype=np.float32), (3, 8, 1))
@@ -258,6 +265,14 @@ def test_a_change_of_most_pixels_that_no_mask_has_is_taken_whole() -> None:
         assert not any(change.raw.any() for change in changes)
         assert is_missed(memory, [now, now, black], [shown] * 3, changes) == found
         assert [bool(mask.dilated.all()) for mask in full_masks(changes)] == [True, True, False]
+
+
+@pytest.mark.parametrize(("changed", "found"), [(1, False), (2, True)])
+def test_it_is_one_of_most_views(changed: int, found: bool) -> None:
+    before = np.full((3, 8, 8), 0.4, np.float32)
+    memory, now = MaskMemory.begin([before] * 3), [before + 0.3] * changed + [before] * (3 - changed)
+    changes = memory.pixel_changes(now, MaskSettings(threshold=200.0))
+    assert is_missed(memory, now, [before] * 3, changes) == found
 
 
 FLAT = np.full((3, 8, 8), 0.5, np.float32)

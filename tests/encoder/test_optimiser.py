@@ -89,6 +89,11 @@ def test_remembered_momentum_moves_its_rows_and_no_other(kernel: TrainingKernel)
     step = after.splats.means - start.means
     assert not np.delete(step, rows, axis=0).any()
     assert (step[rows] != 0).all()
+    again = kernel.optimiser(before.splats)
+    again.copy_momentum(before, np.arange(COUNT), np.arange(COUNT))
+    for each in (before, again):
+        each.step(gradients_of(some_splats(3)), RATES)
+    assert equal_bits(before.splats, again.splats), "as its second step"
 
 
 def test_an_attribute_with_rate_zero_stays(kernel: TrainingKernel) -> None:

@@ -18,15 +18,17 @@ import numpy as np
 import pytest
 
 from decogs.codec.corrections import Correction
+from decogs.codec.header import StreamHeader
 from decogs.decoder.exporting import export
 from decogs.decoder.stream import open_stream
 from decogs.encoder import PRESETS, CorrectionSettings, EffectChoice, EncodeSettings, Switches, Targets, join
 from decogs.encoder.commands import encode_main, join_main
 from decogs.encoder.keyframe.train import train_keyframe
-from decogs.encoder.parts.manifest import part_frames, read_part
+from decogs.encoder.parts.manifest import Part, made_with, part_frames, read_part
+from decogs.encoder.settings.effects import PRESET_EFFECTS
 from decogs.encoder.settings.frame import SignificanceSettings
 from decogs.encoder.settings.reading import read_settings
-from decogs.formats.container import PacketKind
+from decogs.formats.container import FRAME_KINDS, MAX_FRAME, PacketKind, StreamWriter
 from decogs.formats.errors import UsageError
 from encode_rig import encode_rig as encode
 from packets import iterate_packets
@@ -167,6 +169,22 @@ def test_a_range_of_the_rig_and_a_keyframe_of_an_earlier_stream(
     made = [make(tmp_path / "key.dgs", (0, 1), keyframe=moving.path, **chosen)]
     made += [make(tmp_path / f"{a}.dgs", (a, a + 1), keyframe=made[0], **chosen) for a in (1, 2)]
     join(made, tmp_path / "joined.dgs")
+    assert (tmp_path / "joined.dgs").read_bytes() == one.read_bytes()
+
+
+def test_a_take_that_begins_later_counts_its_segments_from_there(make: Make, tmp_path: Path) -> None:
+    """Keyframe, cross-fade, metrics and all, from an odd frame with segments of two."""
+    chosen = {"frames": slice(1, 6), "metrics": True}
+    one = make(tmp_path / "one.dgs", **chosen)
+    made = [make(tmp_path / "key.dgs", (1, 2), **chosen)]
+    made += [make(tmp_path / f"{a}.dgs", (a, b), keyframe=made[0], **chosen) for a, b in [(1, 3), (3, 5), (5, 6)]]
+    join(made, tmp_path / "joined.dgs")
+    assert (tmp_path / "joined.dgs").read_bytes() == one.read_bytes()
+
+
+def test_a_take_of_one_frame_is_a_part_and_joined(make: Make, tmp_path: Path) -> None:
+    one = make(tmp_path / "one.dgs", frames=slice(1))
+    join([make(tmp_path / "key.dgs", (0, 1), frames=slice(1))], tmp_path / "joined.dgs")
     assert (tmp_path / "joined.dgs").read_bytes() == one.read_bytes()
 
 
@@ -369,8 +387,9 @@ def test_codes_tell_whether_to_try_again(
     assert command("--only", "3:4", "--keyframe", str(tmp_path / "key.dgs")) == 2
     assert command("--only", "2:4", "--keyframe", str(tmp_path / "none.dgs")) == 2
     assert capsys.readouterr().err.count("\n") == 3
-    assert command(*part) == 0
-    assert "part with frames 2 to 3" in capsys.readouterr().out
+    for said in ("part with frames 2 to 3", "all 2 frames were already encoded"):
+        assert command(*part) == 0
+        assert said in capsys.readouterr().out
     assert sorted(path.name for path in tmp_path.iterdir()) == ["key.dgs", "part.dgs"]
 
 
@@ -474,6 +493,7 @@ def test_what_is_no_part(make: Make, tmp_path: Path, options: dict[str, Any], me
         ({"targets": Targets(quality=60)}, "key.dgs: it was begun with frame.significance.threshold"),
         ({"frames": slice(0, 6), "only": (4, 6)}, "key.dgs: it is a part of frames 0 to 6, not of frames 0 to 5"),
         ({"effects": EffectChoice("none", {"motion"})}, "key.dgs: it was begun with other effects"),
+        ({"effects": EffectChoice("none", set(PRESET_EFFECTS))}, "key.dgs: it was begun with other effects"),
     ],
 )
 def test_parts_have_the_options_of_their_keyframe(
@@ -493,6 +513,25 @@ def test_parts_have_the_pictures_and_releases_of_their_keyframe(
     monkeypatch.setattr(np, "__version__", "1.0")
     with pytest.raises(UsageError, match=rf"it was made with numpy {np.version.version}, not 1.0"):
         make(tmp_path / "part.dgs", (4, 7), keyframe=key)
+
+
+@pytest.mark.parametrize(
+    "change", [{"effects": ("motion",)}, {"detect_per_frame": False}, {"corrections": CorrectionSettings()}]
+)
+def test_parts_have_the_effects_of_their_keyframe(
+    make: Make, settings: EncodeSettings, key: Path, tmp_path: Path, change: dict[str, Any]
+) -> None:
+    """Where the settings say which, and nothing is detected."""
+    message = "key.dgs: it was begun with (effects|detect_per_frame|corrections)"
+    with pytest.raises(UsageError, match=message):
+        make(tmp_path / "part.dgs", (4, 7), keyframe=key, settings=replace(settings, **change))
+
+
+def test_parts_have_the_device_of_their_keyframe() -> None:
+    """Since a GPU gives other bits; "auto" is the processor."""
+    cpu, auto, cuda = (Part(range(2), range(4), {}, "", made_with(device)) for device in ("cpu", "auto", "cuda"))
+    assert cpu.difference(auto) == ""
+    assert cpu.difference(cuda) == "it was made with device cpu, not cuda"
 
 
 def cut(path: Path, copy: Path, change: Callable[[bytearray], Any]) -> Path:
@@ -529,6 +568,56 @@ def test_damaged_parts_are_named(parts: list[Path], tmp_path: Path) -> None:
         damaged = cut(parts[1], tmp_path / "damaged.dgs", change)
         refused([parts[0], damaged, parts[2]], tmp_path, r"damaged.dgs: the part is damaged \(.*\); encode it again")
         damaged.unlink()
+
+
+def rewritten(
+    path: Path, copy: Path, *, frames: Sequence[int] | None = None, first: Callable[[bytes], bytes] = bytes
+) -> Path:
+    """A part as a whole stream, with other ``frames`` in its manifest or another ``first`` keyframe."""
+    with path.open("rb") as file, copy.open("wb") as other:
+        header, *packets = iterate_packets(file)
+        known = StreamHeader.from_bytes(header.payload)
+        manifest = known.settings["part"] | ({} if frames is None else {"frames": list(frames)})
+        writer = StreamWriter(other, replace(known, settings={**known.settings, "part": manifest}).to_bytes())
+        for packet in packets:
+            if packet.kind in FRAME_KINDS:
+                writer.write(packet.kind, packet.frame, packet.payload if packet.frame else first(packet.payload))
+        writer.finish()
+    return copy
+
+
+@pytest.mark.parametrize(
+    ("given", "frames", "problem"),
+    [
+        (1, (2, 6), "3 of its 5 frame packets are there"),
+        (1, (2, 3), "3 of its 2 frame packets are there"),
+        (0, (1, 2), "it does not begin with a keyframe"),
+    ],
+)
+def test_parts_that_are_not_what_their_manifest_says_are_named(
+    parts: list[Path], tmp_path: Path, given: int, frames: tuple[int, int], problem: str
+) -> None:
+    other = rewritten(parts[given], tmp_path / "other.dgs", frames=frames)
+    refused([other], tmp_path, rf"other.dgs: the part is damaged \({problem}\); encode it again")
+
+
+@pytest.mark.parametrize("frame", [0, 2, MAX_FRAME])
+def test_metrics_of_another_frame_are_named(parts: list[Path], tmp_path: Path, frame: int) -> None:
+    """Behind the part's frame 1; the last one would have a number that no packet has in the joined stream."""
+    with parts[1].open("rb") as file, (tmp_path / "other.dgs").open("wb") as other:
+        header, key, mine, *_ = iterate_packets(file)
+        writer = StreamWriter(other, header.payload)
+        for packet, number in ((key, 0), (mine, 1)):
+            writer.write(packet.kind, number, packet.payload)
+        writer.write(PacketKind.METRICS, frame, b"{}")
+    problem = f"frame {frame} where frame 1 must come"
+    refused([tmp_path / "other.dgs"], tmp_path, rf"other.dgs: the part is damaged \({problem}.*\); encode it again")
+
+
+def test_parts_that_begin_with_other_keyframes_are_named(parts: list[Path], tmp_path: Path) -> None:
+    """As a GPU trains them, other ones every time: all else is the same."""
+    other = rewritten(parts[1], tmp_path / "other.dgs", first=lambda payload: payload[:-1] + b"!")
+    refused([parts[0], other, parts[2]], tmp_path, "other.dgs: it does not .*: it starts from another first keyframe")
 
 
 def test_foreign_parts_are_named(
@@ -614,11 +703,15 @@ def test_settings_are_read_as_they_were_written(name: str) -> None:
 
 
 def test_what_the_keyframe_cost_is_not_paid_again(
-    make: Make, key: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    make: Make, settings: EncodeSettings, key: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Nor does it matter to a part with what settings it would have been trained."""
+
     def never(*_: Any, **__: Any) -> None:
         raise AssertionError("a part trains no keyframe")
 
     monkeypatch.setattr(f"{train_keyframe.__module__}.train_keyframe", never)
     monkeypatch.setattr("decogs.encoder.keyframe.first_frame.train_keyframe", never)
-    make(tmp_path / "part.dgs", (6, 7), keyframe=key)
+    other = replace(settings, keyframe=replace(settings.keyframe, iterations=300), lattice_scale=2.0)
+    made = [make(tmp_path / f"{n}.dgs", (6, 7), keyframe=key, settings=s) for n, s in enumerate((settings, other))]
+    assert made[0].read_bytes() == made[1].read_bytes()

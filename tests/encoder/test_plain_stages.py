@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from decogs.encoder.input.compensation.matching import find_colours
 from decogs.encoder.input.ingest import Ingest, RigFrame
 from decogs.encoder.keyframe import first_frame
 from decogs.encoder.keyframe.backdrop.plain import plain_pixels
-from decogs.encoder.keyframe.backdrop.stage import PlainStage, find_stage
+from decogs.encoder.keyframe.backdrop.stage import PlainStage, Stage, find_stage
 from decogs.formats.rigs import open_rig
 from encode_rig import encode_rig as encode
 from stages.make import write_stage
@@ -36,8 +37,8 @@ def first_pictures(rig: Path) -> tuple[Ingest, RigFrame]:
 @pytest.fixture(scope="module")
 def stage(grey: Path) -> PlainStage:
     ingest, frame = first_pictures(grey)
-    found = find_stage(ingest.views, frame.training)
-    assert found is not None
+    found = find_stage(ingest.views, frame)
+    assert isinstance(found, PlainStage)
     return found
 
 
@@ -59,7 +60,7 @@ def test_bodies_are_in_the_hull_and_the_space_over_them_is_free(stage: PlainStag
 
 def test_a_textured_scene_is_no_stage() -> None:
     ingest, frame = first_pictures(Path(__file__).parents[1] / "demo/workbench")
-    assert find_stage(ingest.views, frame.training) is None
+    assert find_stage(ingest.views, frame) is None
 
 
 def test_any_colour_is_plain_and_texture_above_noise_is_not() -> None:
@@ -78,8 +79,8 @@ def test_gains_of_cameras_are_found_on_the_backdrop(grey: Path, stage: PlainStag
     gains = np.linspace(-0.08, 0.08, len(ingest.views))
     logit = [np.log(p / (1 - p)) + gain for p, gain in zip(np.clip(frame.training, 0.01, 0.99), gains, strict=True)]
     pictures = [(1 / (1 + np.exp(-values))).astype(np.float32) for values in logit]
-    gained = find_stage(ingest.views, pictures)
-    assert gained is not None
+    gained = find_stage(ingest.views, replace(frame, training=pictures))
+    assert isinstance(gained, PlainStage)
     found = find_colours(ingest.views, pictures, *gained.shared_points())
     exposures = [found[view.camera.name].exposure / 4096 if view.camera.name in found else 0 for view in ingest.views]
     # A hundredth: the step of the noise of 1.2 levels, averaged over hundreds of points, is far below.
@@ -94,10 +95,10 @@ def test_no_fog(grey: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     # 8 dB at this size; 3 are beyond every other choice of this encode.
     assert with_stage.frames[0].held_out_psnr > without.frames[0].held_out_psnr + 3
     ingest = Ingest(open_rig(grey))
-    found: PlainStage | None = None
+    found: Stage | None = None
     with open_stream(tmp_path / "stage.dgs") as stream:
         for decoded, frame in zip(stream.frames(), ingest.frames(0, 2), strict=True):
-            found = found or find_stage(ingest.views, frame.training)
+            found = found or find_stage(ingest.views, frame)
             assert found is not None
-            now = found.in_frame(ingest.views, frame.training, range(len(ingest.views)))
+            now = found.in_frame(ingest.views, frame, range(len(ingest.views)))
             assert now.free(decoded.splats.means).mean() < 0.005

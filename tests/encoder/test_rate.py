@@ -183,6 +183,14 @@ def test_a_place_in_a_segment_is_counted_from_its_keyframe() -> None:
     assert places == [(0, 0), (1, 1), (2, 2), (3, 3), (4, 4)]
 
 
+def test_a_keyframe_without_segments_is_paid_for_as_any_frame_is() -> None:
+    """As after a flash or a cut."""
+    control = RateControl(1000.0, 0).after(PacketKind.DELTA, 900)
+    after_key, after_skip = (control.after(kind, 5000) for kind in (PacketKind.KEY, PacketKind.SKIP))
+    assert after_key.octaves == after_skip.octaves > control.octaves
+    assert after_key.after(PacketKind.DELTA, 900).octaves == after_skip.after(PacketKind.DELTA, 900).octaves
+
+
 def test_it_knows_nothing_but_sizes() -> None:
     """The same packets, the same factors: what an encode that goes on relies on."""
     answer = response(0.6, doubling, noise=0.3)

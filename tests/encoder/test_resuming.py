@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -24,7 +25,10 @@ import pytest
 from decogs.codec.corrections import Correction
 from decogs.codec.header import StreamHeader
 from decogs.encoder import Switches, Targets
+from decogs.encoder.input.ingest import RigFrame
 from decogs.encoder.methods.decogs import DecogsTrainer
+from decogs.encoder.stopwatch import Stopwatch
+from decogs.encoder.stream.frame_report import FrameReporter
 from decogs.formats.container import FRAME_KINDS, StreamWriter
 from decogs.formats.errors import DecogsError, UsageError
 from encode_rig import encode_rig
@@ -61,6 +65,7 @@ def test_the_bytes_are_those_of_an_uninterrupted_encode(
     assert [path.name for path in tmp_path.iterdir()] == ["scene.dgs"]
     assert resumed.report.resumed == frames
     assert [frame.replayed for frame in resumed.report.frames] == [index < frames for index in range(4)]
+    assert not any(frame.effects for frame in resumed.report.frames[:frames]), "nothing is trained"
     for ours, theirs in zip(resumed.report.frames, moving.report.frames, strict=True):
         for name in ("frame", "kind", "bytes", "gaussians", "selected", "training_psnr", "held_out_psnr", "costs"):
             assert getattr(ours, name) == getattr(theirs, name)
@@ -183,6 +188,14 @@ def test_a_whole_stream_is_left_as_it_is(encode: Any, moving: Any, moving_rig: P
     report = encode(moving_rig, output=output, resume=True, on_keyframe_step=never, on_frame=never).report
     assert (report.frames, report.resumed, report.total_bytes) == ([], 4, len(moving.data))
     assert output.read_bytes() == moving.data
+
+
+def test_a_stream_that_only_lacks_its_end_gets_it(encode: Any, moving: Any, moving_rig: Path, tmp_path: Path) -> None:
+    """As a copy that was cut off lacks it: all frames are there."""
+    output = tmp_path / "scene.dgs"
+    output.write_bytes(moving.data[: ends(moving.path)[4]])
+    resumed = encode(moving_rig, output=output, resume=True, on_keyframe_step=never)
+    assert (resumed.data, resumed.report.resumed) == (moving.data, 4)
 
 
 def test_more_frames_can_be_added(encode: Any, moving: Any, moving_rig: Path, tmp_path: Path) -> None:
@@ -323,6 +336,30 @@ def test_a_later_frame_of_other_footage_is_told(
     assert told == [
         f"`resume`: {output}.part: the scene does not match frame 2 of camera {cameras[0]}{more}; "
         "was it encoded from other footage?"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("first", "later", "told"), [(0.05, 0.09, False), (0.05, 0.11, True), (0.02, 0.05, False), (0.02, 0.06, True)]
+)
+def test_other_footage_is_missed_by_more_than_the_first_frame_was(first: float, later: float, told: bool) -> None:
+    """By 6 dB more, and to less than 25 dB: 0.056 of white. Renderings are off by ``first``, then by ``later``."""
+    picture = np.random.default_rng(1).uniform(0.2, 0.8, (3, 48, 64)).astype(np.float32)
+    view = SimpleNamespace(camera=SimpleNamespace(name="cam01"), valid=None)
+    context: Any = SimpleNamespace(
+        ingest=SimpleNamespace(views=[view]), threads=1, renderer=lambda off: lambda _: picture + np.float32(off)
+    )
+    warnings: list[str] = []
+    reporter = FrameReporter(context, warnings.append)
+    for index, off in enumerate((first, later)):
+        encoded: Any = SimpleNamespace(
+            scene=SimpleNamespace(splats=off),
+            outcome=SimpleNamespace(selection=SimpleNamespace(masks=[])),
+            pictures=RigFrame(index, [picture], []),
+        )
+        reporter.check_footage(encoded, "`resume`: scene.dgs", Stopwatch())
+    assert warnings == told * [
+        "`resume`: scene.dgs: the scene does not match frame 1 of camera cam01; was it encoded from other footage?"
     ]
 
 

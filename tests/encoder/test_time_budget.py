@@ -140,6 +140,15 @@ def deferred_clip(frames: int, masks: float, least: float) -> tuple[list[float],
     return spent, deferred, trained
 
 
+def test_of_a_frame_that_ends_early_only_what_follows_training_is_learned() -> None:
+    """Not that it took less than it might have: the next one may need all its time."""
+    early = TimeControl(1.0).record_time({"masks": 0.1, "training": 0.2, "write": 0.1, "commit": 0.05})
+    assert early.beyond == pytest.approx(0.15)
+    late = early.record_time({"training": 1.2, "write": 0.1, "commit": 0.05})
+    assert late.beyond is not None
+    assert late.beyond > 0.15
+
+
 @pytest.mark.parametrize(("least", "share"), [(0.9, 0.5), (1.8, 2 / 3), (3.0, 0.8)])
 def test_frames_are_deferred_where_the_least_training_takes_longer_than_there_is(least: float, share: float) -> None:
     spent, deferred, trained = deferred_clip(60, 0.1, least)

@@ -367,7 +367,7 @@ def test_alpha_below_1_is_said(tmp_path: Path, alpha: float, said: bool) -> None
     light, opacity = np.full((4, 5), 0.25, np.float16), np.ones((4, 5), np.float16)
     opacity[1, 2] = alpha
     write_exr(tmp_path / "a.exr", {"R": light, "G": light, "B": light, "A": opacity})
-    expected = ("has alpha below 1; its colours are taken as they are, premultiplied, which is over black",)
+    expected = ("has alpha below 1; where that is not used, its colours are premultiplied, which is over black",)
     assert picture_facts(tmp_path / "a.exr").warnings == (expected if said else ())
     assert (read_picture(tmp_path / "a.exr") == 0.25).all()
 

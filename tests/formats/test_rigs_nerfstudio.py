@@ -281,12 +281,15 @@ def entries_of_videos(make: Any) -> dict[str, Any]:
 # --- masks ----------------------------------------------------------------------------------------------------------
 
 
-def test_masks_that_are_not_used_are_said_once(tmp_path: Path, make: Any) -> None:
+def test_masks_are_listed_by_camera_and_a_crop_is_said(tmp_path: Path, make: Any) -> None:
     values = entries_of_videos(make)
-    assert open_rig(make.nerfstudio(tmp_path, values | {"mask_path": None})).warnings == ()
+    rig = open_rig(make.nerfstudio(tmp_path, values | {"mask_path": None}))
+    assert (rig.warnings, rig.ignore_masks) == ((), {})
     values["frames"][1]["mask_path"] = "masks/cam01.png"
     values["fisheye_crop_radius"] = 20.0
-    (warning,) = open_rig(make.nerfstudio(tmp_path, values)).warnings
-    assert "transforms.json: masks (mask_path, fisheye_crop_radius) are not used" in warning
-    (warning,) = open_rig(make.nerfstudio(tmp_path, entries_of_videos(make) | {"mask_path": "mask.png"})).warnings
-    assert "masks (mask_path) are not used" in warning
+    rig = open_rig(make.nerfstudio(tmp_path, values))
+    (warning,) = rig.warnings
+    assert "transforms.json: fisheye_crop_radius is not used" in warning
+    assert rig.ignore_masks == {"cam01": (tmp_path / "masks/cam01.png",)}
+    rig = open_rig(make.nerfstudio(tmp_path, entries_of_videos(make) | {"mask_path": "mask.png"}))
+    assert rig.ignore_masks == {camera.name: (tmp_path / "mask.png",) for camera in rig.cameras}

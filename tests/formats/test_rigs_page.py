@@ -115,7 +115,7 @@ def test_every_field_that_is_read_is_on_the_page(reader: Any, title: str) -> Non
 
 def test_every_member_of_a_field_list_is_on_the_page() -> None:
     named = set(re.findall(r"\w+", section("nerfstudio")))
-    assert {*nerfstudio._COEFFICIENTS, *nerfstudio._MASKS} <= named
+    assert {*nerfstudio._COEFFICIENTS, nerfstudio._MASK, nerfstudio._CROP} <= named
     lenses = re.search(r"Lenses: (.*?)\. Others", section("COLMAP"), re.DOTALL)
     assert lenses is not None
     assert set(re.findall(r"\w+", lenses[1])) == set(colmap._PARAMETERS)

@@ -290,8 +290,8 @@ def test_cameras_that_say_the_same_share_a_warning(tmp_path: Path, make: Any) ->
         OpenEXR.File(header, dict.fromkeys(names, plane)).write(str(tmp_path / f"cam{camera:02d}" / "0000.exr"))
     np.save(tmp_path / "poses_bounds.npy", np.stack([make.poses_bounds_row(i) for i in range(4)]))
     assert open_rig(tmp_path).warnings == (
-        f"{tmp_path}/cam01 and 2 more: has alpha below 1; its colours are taken as they are, premultiplied, which is "
-        "over black",
+        f"{tmp_path}/cam01 and 2 more: has alpha below 1; where that is not used, its colours are premultiplied, which "
+        "is over black",
         f"{tmp_path}/cam03: its colours are tagged 'lin_ap1_scene' without chromaticities, and are taken for linear "
         "Rec. 709's; convert the pictures for right ones",
     )

@@ -68,11 +68,18 @@ def cameras(near: float = 0.0) -> tuple[Camera, ...]:
     )
 
 
-def write_stream(path: Path, count: int, degree: int, frames: int, *, near: float = 0.0) -> list[int]:
+def write_stream(
+    path: Path, count: int, degree: int, frames: int, *, near: float = 0.0, subject: bool = False
+) -> list[int]:
     """A tenth of the Gaussians move in every frame, some come and go; a keyframe begins each segment. Packets' ends."""
     lattice = default_lattice(2.0)
     header = StreamHeader(
-        cameras=cameras(near), lattice=lattice, sh_degree=degree, fps=30.0, background=(0.2, 0.3, 0.5)
+        cameras=cameras(near),
+        lattice=lattice,
+        sh_degree=degree,
+        fps=30.0,
+        background=(0.2, 0.3, 0.5),
+        subject=subject,
     )
     random = np.random.default_rng(7)
     state, _ = keyframe_state(quantise(scene(count, degree, 3), lattice))
@@ -109,7 +116,7 @@ def recording_cameras() -> tuple[Camera, ...]:
     )
 
 
-def write_recording_stream(path: Path) -> None:
+def write_recording_stream(path: Path, *, subject: bool = False) -> None:
     """Two frames of a rig whose cameras bend, drift, shake and have colours of their own."""
     corrected = CorrectedCameras(("barrel", "drifts"), ("drifts",), ("fisheye", "drifts"))
     header = StreamHeader(
@@ -121,6 +128,7 @@ def write_recording_stream(path: Path) -> None:
         effects=("lens_distortion", "colour_mismatch", *corrected.effects),
         corrected=corrected,
         camera_colours={"fisheye": Correction(exposure=-600, red=300, blue=-500), "drifts": Correction(red=200)},
+        subject=subject,
     )
     state, _ = keyframe_state(quantise(scene(1500, 1, 3), header.lattice))
     with path.open("wb") as file:
@@ -194,11 +202,14 @@ def main() -> None:
         for camera in ("cam00", "off centre"):
             pictures.take(f"degree{degree}", 3, camera)
         pictures.take(f"degree{degree}", 2, None)
-    write_recording_stream(folder / "recorded.dgs")
-    for camera in ("barrel", "fisheye", "folds", "drifts"):
-        for frame in (0, 1):
-            pictures.take("recorded", frame, camera, recorded=True)
-    pictures.take("recorded", 1, "barrel")
+    for name in ("recorded", "recorded_subject"):
+        write_recording_stream(folder / f"{name}.dgs", subject=name.endswith("subject"))
+        for camera in ("barrel", "fisheye", "folds", "drifts"):
+            for frame in (0, 1):
+                pictures.take(name, frame, camera, recorded=True)
+        pictures.take(name, 1, "barrel")
+    write_stream(folder / "subject.dgs", 300, 1, 2, subject=True)
+    pictures.take("subject", 1, "cam00")
     ends = write_stream(folder / "long.dgs", 800, 0, LONG)
     for frame in (0, 7, 61, 130, 299):
         pictures.take("long", frame, "cam00")

@@ -11,7 +11,9 @@ import pytest
 
 from decogs.decoder import open_stream
 from decogs.decoder.picture_output import to_8bit
+from decogs.decoder.rasterise import Rendering
 from decogs.decoder.rasterise.native import render_planes
+from decogs.decoder.straight_alpha import straight_picture
 from decogs.formats.cameras import Camera, as_pinhole, scale_camera
 from decogs.formats.splats import Splats
 from node import run_player_tests
@@ -33,6 +35,8 @@ def write_case(path: Path, splats: Splats, camera: Camera) -> None:
     stored = (splats.means, splats.log_scales, splats.quaternions, splats.opacity_logits, splats.sh)
     path.with_suffix(".scene").write_bytes(b"".join(array.tobytes() for array in stored))
     path.with_suffix(".planes").write_bytes(rgb.tobytes() + alpha.tobytes() + depth.tobytes())
+    over_black = Rendering(render_planes(splats, camera, (0, 0, 0), threads=1)[0].transpose(1, 2, 0), alpha, depth)
+    path.with_suffix(".straight").write_bytes(to_8bit(straight_picture(over_black)).tobytes())
     opaque = np.full((camera.height, camera.width, 1), 255, np.uint8)
     path.with_suffix(".pixels").write_bytes(np.dstack([to_8bit(rgb.transpose(1, 2, 0)), opaque]).tobytes())
 

@@ -19,9 +19,8 @@ sys.path[:0] = [str(Path(__file__).parents[1])] * (str(Path(__file__).parents[1]
 
 from decogs.encoder.input.ingest import Ingest, RigFrame  # noqa: E402
 from decogs.encoder.keyframe.backdrop.hull import Hull, SubjectView, with_margin  # noqa: E402
-from decogs.encoder.keyframe.backdrop.stage import PlainStage, find_stage  # noqa: E402
+from decogs.encoder.keyframe.backdrop.stage import Stage, find_stage  # noqa: E402
 from decogs.encoder.keyframe.first_points import first_points  # noqa: E402
-from decogs.encoder.keyframe.first_points.views import make_view  # noqa: E402
 from decogs.encoder.keyframe.large_pictures import fit_to_pictures  # noqa: E402
 from decogs.encoder.settings.presets import preset  # noqa: E402
 from decogs.formats.rigs import open_rig  # noqa: E402
@@ -36,11 +35,11 @@ def false_points(folder: Path) -> tuple[float, float, bool]:
     """Shares of false points of the search alone and of an encode, and whether a plain stage was found."""
     ingest = Ingest(open_rig(folder))
     frame = next(iter(ingest.frames(0, 1)))
-    stage = find_stage(ingest.views, frame.training)
+    stage = find_stage(ingest.views, frame)
     scene = scenes.STAGES[json.loads((folder / "scene.json").read_text())["name"]]
-    hull = _true_hull(ingest, frame, scene)
+    hull = _true_hull(ingest, scene)
 
-    def share(given: PlainStage | None) -> float:
+    def share(given: Stage | None) -> float:
         xyz = _points(ingest, frame, given)
         clearance, _ = scene.room(xyz.T.astype(np.float32))
         return float(((clearance > CLEARANCE) & ~hull.holds(xyz)).mean())
@@ -48,7 +47,7 @@ def false_points(folder: Path) -> tuple[float, float, bool]:
     return share(None), share(stage), stage is not None
 
 
-def _points(ingest: Ingest, frame: RigFrame, stage: PlainStage | None) -> NDArray[np.float32]:
+def _points(ingest: Ingest, frame: RigFrame, stage: Stage | None) -> NDArray[np.float32]:
     most = fit_to_pictures([view.pinhole for view in ingest.views], preset("standard").keyframe).first_points
     return first_points(
         [view.pinhole for view in ingest.views],
@@ -58,13 +57,13 @@ def _points(ingest: Ingest, frame: RigFrame, stage: PlainStage | None) -> NDArra
     ).xyz
 
 
-def _true_hull(ingest: Ingest, frame: RigFrame, scene: scenes.Stage) -> Hull:
+def _true_hull(ingest: Ingest, scene: scenes.Stage) -> Hull:
     bodies, shown = [*scenes.on_stage(0, scene.clothes), *scene.props], []
-    for view, picture in zip(ingest.views, frame.training, strict=True):
+    for view in ingest.views:
         _, owner = first_met(look(view.pinhole, scene), bodies)
         size = view.pinhole.height, GRID, view.pinhole.width, GRID
         subject = with_margin((owner.reshape(size) >= 0).any((1, 3)))
-        shown.append(SubjectView(make_view(view.pinhole, picture.transpose(1, 2, 0), 1.0), subject))
+        shown.append(SubjectView(view.pinhole, subject))
     return Hull(shown)
 
 

@@ -2,17 +2,17 @@ var F=Math.PI/2-.001;function w({distortionModel:i,distortion:e}){return i==="fi
 precision highp float;
 precision highp sampler2D;
 uniform sampler2D accumulated, positions;
-uniform vec3 background, odds;
-uniform vec4 place;
+uniform vec3 odds;
+uniform vec4 background, place;
 uniform vec2 size;
 uniform float cell;
 uniform bool bent;
 out vec4 result;
-vec3 at(ivec2 pixel) {
+vec4 at(ivec2 pixel) {
 ivec2 all = textureSize(accumulated, 0);
 pixel = clamp(pixel, ivec2(0), all - 1);
 vec4 sum = texelFetch(accumulated, ivec2(pixel.x, all.y - 1 - pixel.y), 0);
-return sum.rgb + sum.a * background;
+return vec4(sum.rgb, 1.0 - sum.a) + sum.a * background;
 }
 vec4 weights(float t) {
 const float A = -0.75;
@@ -21,7 +21,7 @@ float far = ((A * d.x - 5.0 * A) * d.x + 8.0 * A) * d.x - 4.0 * A;
 vec2 near = ((A + 2.0) * d.yz - (A + 3.0)) * d.yz * d.yz + 1.0;
 return vec4(far, near, 1.0 - far - near.x - near.y);
 }
-vec3 through(vec2 pixel) {
+vec4 through(vec2 pixel) {
 vec2 corner = floor(pixel / cell), part = pixel / cell - corner;
 ivec2 first = ivec2(corner);
 vec2 a = texelFetch(positions, first, 0).xy, b = texelFetch(positions, first + ivec2(1, 0), 0).xy;
@@ -30,17 +30,19 @@ vec2 from = (cell == 1.0 ? a : mix(mix(a, b, part.x), mix(c, d, part.x), part.y)
 if (any(lessThan(from, vec2(0.0))) || any(greaterThan(from, vec2(textureSize(accumulated, 0) - 1)))) return background;
 ivec2 middle = ivec2(floor(from));
 vec4 across = weights(from.x - float(middle.x)), down = weights(from.y - float(middle.y));
-vec3 sum = vec3(0.0);
+vec4 sum = vec4(0.0);
 for (int j = 0; j < 4; ++j) for (int i = 0; i < 4; ++i) sum += across[i] * down[j] * at(middle + ivec2(i - 1, j - 1));
 return sum;
 }
 void main() {
 vec2 pixel = vec2(gl_FragCoord.x, size.y - gl_FragCoord.y);
-result = vec4(0.0, 0.0, 0.0, 1.0);
+result = vec4(0.0, 0.0, 0.0, background.a);
 if (any(lessThan(pixel, place.xy)) || any(greaterThan(pixel, place.zw))) return;
-vec3 v = bent ? through(pixel) : at(ivec2(pixel));
+vec4 seen = bent ? through(pixel) : at(ivec2(pixel));
+float covered = max(clamp(seen.a, 0.0, 1.0), background.a);
+vec3 v = seen.rgb / max(covered, 1e-6);
 vec3 inside = clamp(v, 0.0, 1.0);
 vec3 recorded = min(odds * inside / (1.0 + (odds - 1.0) * inside), 1.0);
-result.rgb = mix(v, recorded, equal(v, inside));
+result = vec4(clamp(mix(v, recorded, equal(v, inside)), 0.0, 1.0) * covered, covered);
 }
-`;var z=8,O=class{constructor(e,r){this.gl=e;this.program=r(D),this.texture=e.createTexture()}gl;program;texture;plan=null;planOf="";seenBy(e,{lens:r}){if(r===null)return e;let{width:a,height:t,fx:d,fy:u,cx:l,cy:p}=e,n=JSON.stringify([a,t,d,u,l,p,r.distortionModel,r.distortion]);(this.plan===null||this.planOf!==n)&&(this.plan=R(e,r,z),this.plan.positions.includes(E)&&(this.plan=R(e,r,1)),this.planOf=n,this.upload(this.plan));let{width:c,height:o,cx:m,cy:s}=this.plan.camera;return{...e,width:c,height:o,cx:m,cy:s}}use(e,{lens:r,odds:a,left:t,top:d,width:u,height:l},p){let{gl:n,program:c}=this;n.activeTexture(n.TEXTURE1),n.bindTexture(n.TEXTURE_2D,this.texture),n.activeTexture(n.TEXTURE0),n.useProgram(c.program),n.uniform1i(c.uniform("accumulated"),0),n.uniform1i(c.uniform("positions"),1),n.uniform3fv(c.uniform("background"),p),n.uniform3fv(c.uniform("odds"),a??[1,1,1]),n.uniform4f(c.uniform("place"),t,d,t+u,d+l),n.uniform2f(c.uniform("size"),e.width,e.height),n.uniform1f(c.uniform("cell"),this.plan?.cell??1),n.uniform1i(c.uniform("bent"),r===null?0:1)}dispose(){this.gl.deleteTexture(this.texture),this.gl.deleteProgram(this.program.program)}upload({columns:e,rows:r,positions:a}){let{gl:t}=this;t.activeTexture(t.TEXTURE1),t.bindTexture(t.TEXTURE_2D,this.texture),t.texImage2D(t.TEXTURE_2D,0,t.RG32F,e,r,0,t.RG,t.FLOAT,a);for(let d of[t.TEXTURE_MIN_FILTER,t.TEXTURE_MAG_FILTER])t.texParameteri(t.TEXTURE_2D,d,t.NEAREST);t.activeTexture(t.TEXTURE0)}};export{O as RecordedPass};
+`;var z=8,O=class{constructor(e,r){this.gl=e;this.program=r(D),this.texture=e.createTexture()}gl;program;texture;plan=null;planOf="";seenBy(e,{lens:r}){if(r===null)return e;let{width:a,height:t,fx:d,fy:u,cx:l,cy:p}=e,n=JSON.stringify([a,t,d,u,l,p,r.distortionModel,r.distortion]);(this.plan===null||this.planOf!==n)&&(this.plan=R(e,r,z),this.plan.positions.includes(E)&&(this.plan=R(e,r,1)),this.planOf=n,this.upload(this.plan));let{width:c,height:o,cx:m,cy:s}=this.plan.camera;return{...e,width:c,height:o,cx:m,cy:s}}use(e,{lens:r,odds:a,left:t,top:d,width:u,height:l},p){let{gl:n,program:c}=this;n.activeTexture(n.TEXTURE1),n.bindTexture(n.TEXTURE_2D,this.texture),n.activeTexture(n.TEXTURE0),n.useProgram(c.program),n.uniform1i(c.uniform("accumulated"),0),n.uniform1i(c.uniform("positions"),1),n.uniform4fv(c.uniform("background"),p),n.uniform3fv(c.uniform("odds"),a??[1,1,1]),n.uniform4f(c.uniform("place"),t,d,t+u,d+l),n.uniform2f(c.uniform("size"),e.width,e.height),n.uniform1f(c.uniform("cell"),this.plan?.cell??1),n.uniform1i(c.uniform("bent"),r===null?0:1)}dispose(){this.gl.deleteTexture(this.texture),this.gl.deleteProgram(this.program.program)}upload({columns:e,rows:r,positions:a}){let{gl:t}=this;t.activeTexture(t.TEXTURE1),t.bindTexture(t.TEXTURE_2D,this.texture),t.texImage2D(t.TEXTURE_2D,0,t.RG32F,e,r,0,t.RG,t.FLOAT,a);for(let d of[t.TEXTURE_MIN_FILTER,t.TEXTURE_MAG_FILTER])t.texParameteri(t.TEXTURE_2D,d,t.NEAREST);t.activeTexture(t.TEXTURE0)}};export{O as RecordedPass};

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..protocol import TrainingKernel
+from ..protocol import BLACK, Colour, TrainingKernel
 
 
 def missing() -> str | None:
@@ -10,8 +10,8 @@ def missing() -> str | None:
     return None
 
 
-def training_kernel(threads: int) -> TrainingKernel:
+def training_kernel(threads: int, background: Colour = BLACK) -> TrainingKernel:
     """The native kernel; ``threads`` 0 means all processors."""
     from .cpu_kernel import CpuKernel
 
-    return CpuKernel(threads)
+    return CpuKernel(threads, background)

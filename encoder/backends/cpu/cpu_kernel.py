@@ -16,7 +16,7 @@ from decogs.formats.splats import FloatArray, Splats
 from decogs.formats.threads import thread_count
 
 from ..arguments import check_cotangents
-from ..protocol import Drawable, LossValue, SplatGradients
+from ..protocol import BLACK, Colour, Drawable, LossValue, SplatGradients
 from .fixed_view import CpuFixedView
 from .native import (
     NativeCotangents,
@@ -47,7 +47,8 @@ class CpuKernel:
 
     _cotangent: FloatArray | None
 
-    def __init__(self, threads: int = 0) -> None:
+    def __init__(self, threads: int = 0, background: Colour = BLACK) -> None:
+        self.background = background
         self._library = training_library()
         self.handle = checked_handle(self._library.decogs_trainer_create(thread_count(threads)))
 
@@ -59,12 +60,12 @@ class CpuKernel:
         self,
         splats: Drawable,
         camera: Camera,
-        background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        background: Colour | None = None,
         *,
         sh_degree: int | None = None,
         depth: bool = False,
     ) -> HostPicture:
-        size = (camera.height, camera.width)
+        size, background = (camera.height, camera.width), background or self.background
         picture = HostPicture(
             np.empty((3, *size), np.float32), np.empty(size, np.float32), np.empty(size, np.float32) if depth else None
         )

@@ -39,7 +39,7 @@ class CpuFixedView:
 
     def __init__(self, kernel: CpuKernel, camera: Camera) -> None:
         self._library, self._kernel, self.camera = training_library(), kernel, camera
-        self._native = native_camera(camera)
+        self._native, self._background = native_camera(camera), (ctypes.c_float * 3)(*kernel.background)
         size = (camera.height, camera.width)
         self._rgb: FloatArray = np.zeros((3, *size), np.float32)
         self._alpha: FloatArray = np.zeros(size, np.float32)
@@ -143,7 +143,7 @@ class CpuFixedView:
         check_cotangents((self.camera.height, self.camera.width), v_rgb)
         moving, values, _ = self._drawn
         out = out or room_for_gradients(moving)
-        cotangents = NativeCotangents(float_address(v_rgb), None, None, (ctypes.c_float * 3)(0, 0, 0))
+        cotangents = NativeCotangents(float_address(v_rgb), None, None, self._background)
         self._library.decogs_view_backward(
             self._kernel.handle,
             self._handle,
@@ -185,4 +185,4 @@ class CpuFixedView:
 
     def _planes(self, *, depth: bool) -> NativePlanes:
         more = (address(self._alpha), address(self._depth)) if depth else (None, None)
-        return NativePlanes(address(self._rgb), *more, (ctypes.c_float * 3)(0, 0, 0))
+        return NativePlanes(address(self._rgb), *more, self._background)

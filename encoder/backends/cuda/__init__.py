@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import importlib
 
-from ..protocol import TrainingKernel
+from ..protocol import BLACK, Colour, TrainingKernel
 
 
 def missing() -> str | None:
@@ -34,8 +34,8 @@ def _problem() -> str | None:
     return None
 
 
-def training_kernel(threads: int) -> TrainingKernel:
+def training_kernel(threads: int, background: Colour = BLACK) -> TrainingKernel:
     """The device's kernel; ``threads`` of the processor have no part in it."""
     from .cuda_kernel import CudaKernel
 
-    return CudaKernel()
+    return CudaKernel(background)

@@ -22,7 +22,7 @@ from decogs.formats.cameras import Camera
 from decogs.formats.splats import FloatArray, Splats, sh_degree_of, take_splats
 
 from ..arguments import check_cotangents
-from ..protocol import ATTRIBUTES, Drawable, LossValue, SplatGradients
+from ..protocol import ATTRIBUTES, BLACK, Colour, Drawable, LossValue, SplatGradients
 from .device import Resident, read, read_floats, upload
 from .fixed_view import CudaFixedView
 from .gradients import CudaViewGradients, DeviceGradients
@@ -79,7 +79,8 @@ class CudaKernel:
     ``gsplat`` stands in for the module of that name: the tests run this class on the processor.
     """
 
-    def __init__(self, *, device: str = "cuda", gsplat: Any = None) -> None:
+    def __init__(self, background: Colour = BLACK, *, device: str = "cuda", gsplat: Any = None) -> None:
+        self.background = background
         self.device = torch.device(device)
         self.splatting = Splatting(gsplat or importlib.import_module("gsplat"), self.device)
         self._loss_maker = _loss_on(self.device)
@@ -94,7 +95,7 @@ class CudaKernel:
         self,
         splats: Drawable,
         camera: Camera,
-        background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        background: Colour | None = None,
         *,
         sh_degree: int | None = None,
         depth: bool = False,
@@ -104,10 +105,13 @@ class CudaKernel:
         inputs = projected.leaves()
         colours, alphas = self.splatting.composite(inputs, lens, self.splatting.tile_lists(projected, lens))
         rgb, depths = colours[..., :3], colours[..., DEPTH]
-        if any(background):
-            rgb = rgb + (1 - alphas) * self.upload(np.array(background, np.float32))
+        rgb = self.over_background(rgb, alphas, background or self.background)
         self._drawn, self._gradient = _Drawn(leaves, projected, inputs, rgb, alphas, depths), None
         return DevicePicture(rgb.detach(), alphas.detach(), depths.detach() if depth else None)
+
+    def over_background(self, rgb: Tensor, alphas: Tensor, background: Colour) -> Tensor:
+        """Colours (H, W, 3) over ``background``."""
+        return rgb + (1 - alphas) * self.upload(np.array(background, np.float32)) if any(background) else rgb
 
     def picture_loss(
         self,

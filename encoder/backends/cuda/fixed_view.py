@@ -80,7 +80,7 @@ class CudaFixedView:
         """
         check_marks(marks, self.camera)
         inputs = self._all.leaves()
-        colours, alphas = self._kernel.splatting.composite(inputs, self._lens, self._lists(inputs))
+        colours, alphas = self._composited(inputs, self._lists(inputs))
         cotangent = torch.zeros_like(colours)
         cotangent[..., 0] = 1
         if marks is not None:
@@ -113,7 +113,7 @@ class CudaFixedView:
         assert self._changing is not None
         self._tiles_met = self._met_by(lists, self._changing)
         needed = self._tiles_met | self._stale
-        colours, alphas = kernel.splatting.composite(inputs, lens, lists, needed)
+        colours, alphas = self._composited(inputs, lists, needed)
         pixels = lens.pixels(needed)
         self._colours = torch.where(pixels, colours.detach(), self._colours)
         self._alphas = torch.where(pixels, alphas.detach(), self._alphas)
@@ -169,6 +169,12 @@ class CudaFixedView:
     def centres(self) -> FloatArray:
         nowhere = torch.where(self._all.drawn, 0.0, torch.nan)
         return read_floats(self._all.means2d + nowhere[:, None])
+
+    def _composited(self, inputs: Projected, lists: Lists, needed: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Colours over the background and depths, (H, W, 4), and alphas."""
+        colours, alphas = self._kernel.splatting.composite(inputs, self._lens, lists, needed)
+        rgb = self._kernel.over_background(colours[..., :3], alphas, self._kernel.background)
+        return torch.cat([rgb, colours[..., DEPTH:]], dim=-1), alphas
 
     def _forget(self) -> None:
         """What belongs to the frame before."""

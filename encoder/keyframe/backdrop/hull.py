@@ -12,8 +12,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..first_points.views import SweepView, inside, project
-from .plain import BoolArray
+from decogs.formats.cameras import Camera, in_picture, project
+
+from .views import BoolArray
 
 _MARGIN_PIXELS = 2
 """Of the subjects' outlines, which poses and compression blur."""
@@ -21,9 +22,9 @@ _MARGIN_PIXELS = 2
 
 @dataclass(frozen=True)
 class SubjectView:
-    """A view and the pixels (H, W), at its size, that may show something in front of the backdrop."""
+    """A view's camera, and its pixels (H, W) that may show something in front of the backdrop."""
 
-    view: SweepView
+    camera: Camera
     subject: BoolArray
 
 
@@ -35,9 +36,10 @@ def with_margin(subject: BoolArray) -> BoolArray:
 
 @dataclass(frozen=True)
 class Hull:
-    """Where something may stand: no view shows the backdrop there."""
+    """Where something may stand: no view shows the backdrop there, and ``least`` views look there."""
 
     views: Sequence[SubjectView]
+    least: int = 1
 
     @property
     def share(self) -> float:
@@ -45,12 +47,12 @@ class Hull:
         return float(np.mean([each.subject.mean() for each in self.views]))
 
     def holds(self, xyz: NDArray[np.floating]) -> BoolArray:
-        """Points (P, 3) that some view shows and no view shows the backdrop through."""
-        held, seen = np.ones(len(xyz), bool), np.zeros(len(xyz), bool)
+        """Points (P, 3) at which enough views look, of which none shows the backdrop."""
+        held, looking = np.ones(len(xyz), bool), np.zeros(len(xyz), int)
         for each in self.views:
-            u, v, depth = project(each.view, xyz)
-            here = inside(each.view, u, v) & (depth > 0)
+            u, v, depth = project(each.camera, xyz)
+            here = in_picture(each.camera, u, v, depth)
             rows = np.flatnonzero(here)
-            seen |= here
-            held[rows] &= each.subject[np.round(v[rows]).astype(np.int64), np.round(u[rows]).astype(np.int64)]
-        return held & seen
+            looking += here
+            held[rows] &= each.subject[v[rows].astype(np.int64), u[rows].astype(np.int64)]
+        return held & (looking >= self.least)

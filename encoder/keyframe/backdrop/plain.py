@@ -8,12 +8,10 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from ..first_points.depth_filling import push_pull
+from ...input.filling import push_pull
 from ..first_points.views import Array, floats
-
-BoolArray = NDArray[np.bool_]
+from .views import BoolArray
 
 _WINDOW_PIXELS = 5
 """Side of the window whose deviation from its own plane of colours is noise or texture."""

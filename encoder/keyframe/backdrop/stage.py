@@ -9,24 +9,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.cameras import scale_camera
 from decogs.formats.splats import FloatArray, Splats, round_splats
 
-from ...input.ingest import View
-from ..first_points.views import SweepView, floats, make_view
+from ...input.ingest import RigFrame, View
 from .hull import Hull, SubjectView, with_margin
-from .plain import BoolArray, plain_pixels, plate_of, subject_pixels
+from .plain import plain_pixels, plate_of, subject_pixels
+from .subject import subject_alone
 from .surfaces import PlainView, Surfaces, find_surfaces, plain_colours, surface_colours
+from .views import BoolArray, StageView, stage_view
 
 _MIN_PLAIN_SHARE = 0.5
 """Plain share of the median view's picture from which a stage is plain: rooms and textured stages have up to .45."""
-_DECISION_PIXELS, _MAX_PIXELS = 62_000, 250_000
-"""Of a view in the decision and in the search; larger pictures are shrunk."""
+_DECISION_PIXELS = 62_000
+"""Of a view in this decision; larger pictures are shrunk."""
 _BACKDROP_GAUSSIANS = 4600
 _OPACITY, _SIGMA_SPACINGS = 0.8, 0.75
 """Of the backdrop's Gaussians, the size in units of their distance: together they let nothing through."""
@@ -36,24 +36,48 @@ _FREE_SPACINGS = 1.5
 """Distance from the backdrop's surfaces, in these units, from which space is free: sweeps are curved."""
 
 
+class Stage(Protocol):
+    """What is known of the space in front of the cameras."""
+
+    @property
+    def hull(self) -> Hull:
+        """Of what may stand there."""
+
+    def in_frame(self, views: Sequence[View], frame: RigFrame, used: Sequence[int]) -> Stage:
+        """The same in a later frame, from the ``used`` ones of its pictures."""
+
+    def backdrop(self, sh_degree: int) -> Splats:
+        """Gaussians for the backdrop, together opaque."""
+
+    def free(self, xyz: NDArray[np.floating]) -> BoolArray:
+        """Points (P, 3) of empty space: in front of the backdrop, where some view shows it."""
+
+    def on_backdrop(self, xyz: NDArray[np.floating]) -> BoolArray:
+        """Points (P, 3) on the backdrop or beyond it."""
+
+    def may_show(self, xyz: NDArray[np.floating]) -> BoolArray:
+        """Points (P, 3) at which a view may show something in front of the backdrop."""
+
+
 @dataclass(frozen=True)
 class PlainStage:
-    """The surfaces of a stage's backdrop, points on them, and the ``hull`` of what stands in front.
+    """A stage with a plain backdrop: its surfaces, points on them, and the ``hull`` of what stands in front.
 
     ``views``: as the search sees them, with their plates. ``xyz`` (P, 3) world, ``rgb`` (P, 3) 0..1: evenly spread
     points of the backdrop, ``spacing`` world units apart.
     """
 
-    surfaces: Surfaces
     hull: Hull
+    surfaces: Surfaces
     views: Sequence[PlainView]
     xyz: FloatArray
     rgb: FloatArray
     spacing: float
 
-    def in_frame(self, views: Sequence[View], pictures: Sequence[FloatArray], used: Sequence[int]) -> PlainStage:
-        """The stage with the hull of a later frame, from the ``used`` ones of its pictures (3, H, W)."""
-        return replace(self, hull=Hull([_subject_view(views[i], pictures[i], self.views[i].plate) for i in used]))
+    def in_frame(self, views: Sequence[View], frame: RigFrame, used: Sequence[int]) -> PlainStage:
+        """The stage with the hull of a later frame, from the ``used`` ones of its pictures."""
+        seen = [(stage_view(views[i], frame.training[i]), self.views[i].plate) for i in used]
+        return replace(self, hull=Hull([_subject_view(*each) for each in seen]))
 
     def backdrop(self, sh_degree: int) -> Splats:
         """Gaussians for the backdrop, together opaque."""
@@ -81,56 +105,41 @@ class PlainStage:
         return np.asarray(self.hull.holds(xyz) & (self.surfaces.clearance(xyz) > 0))
 
 
-def find_stage(views: Sequence[View], pictures: Sequence[FloatArray]) -> PlainStage | None:
-    """The plain stage in the ``pictures`` (3, H, W) of ``views``; None where the median picture is not mostly plain."""
-    if not _mostly_plain(views, pictures):
+def find_stage(views: Sequence[View], frame: RigFrame) -> Stage | None:
+    """The stage in the first ``frame`` of ``views``: of a subject with mattes, or a plain one; None for others.
+
+    A stage is plain if the median picture is mostly plain.
+    """
+    if frame.alpha:
+        return subject_alone(views, frame.alpha)
+    if not _mostly_plain(views, frame.training):
         return None
-    seen = [_shrunk(*each) for each in zip(views, pictures, strict=True)]
-    plain = [plain_pixels(view.picture) & known for view, known in seen]
-    plates = [plate_of(view.picture, mask) for (view, _), mask in zip(seen, plain, strict=True)]
-    subjects = [_subject_view(*each) for each in zip(views, pictures, plates, strict=True)]
+    seen = [stage_view(*each) for each in zip(views, frame.training, strict=True)]
+    plain = [plain_pixels(view.picture) & view.recorded for view in seen]
+    plates = [plate_of(view.picture, mask) for view, mask in zip(seen, plain, strict=True)]
+    subjects = [_subject_view(*each) for each in zip(seen, plates, strict=True)]
     backdrops = [
-        PlainView(subject.view, mask & ~subject.subject, plate)
+        PlainView(subject.camera, mask & ~subject.subject, plate)
         for subject, mask, plate in zip(subjects, plain, plates, strict=True)
     ]
     surfaces = find_surfaces(backdrops)
     spacing = float(np.sqrt(surfaces.area / _BACKDROP_GAUSSIANS * 2 / 3**0.5))
     xyz, normals = surfaces.points(spacing)
     colours = surface_colours(backdrops, xyz, normals)
-    return PlainStage(surfaces, Hull(subjects), backdrops, xyz.astype(np.float32), colours, spacing)
+    return PlainStage(Hull(subjects), surfaces, backdrops, xyz.astype(np.float32), colours, spacing)
 
 
 def _mostly_plain(views: Sequence[View], pictures: Sequence[FloatArray]) -> bool:
     """Whether the median picture is mostly plain. Once most are not, nothing is asked of the others."""
     shares: list[float] = []
     for view, picture in zip(views, pictures, strict=True):
-        small = scale_camera(view.pinhole, _scale(view, _DECISION_PIXELS))
-        size = small.width, small.height
-        planes = [cv2.resize(plane, size, interpolation=cv2.INTER_AREA) for plane in picture]
-        shares.append(float((plain_pixels(floats(np.stack(planes, axis=2))) & _recorded(view, size)).mean()))
+        small = stage_view(view, picture, _DECISION_PIXELS)
+        shares.append(float((plain_pixels(small.picture) & small.recorded).mean()))
         if 2 * sum(share < _MIN_PLAIN_SHARE for share in shares) > len(views):
             return False
     return bool(np.median(shares) >= _MIN_PLAIN_SHARE)
 
 
-def _subject_view(view: View, picture: FloatArray, plate: FloatArray) -> SubjectView:
+def _subject_view(view: StageView, plate: FloatArray) -> SubjectView:
     """What differs from the plate, and what was not recorded and may be anything."""
-    small, known = _shrunk(view, picture)
-    return SubjectView(small, with_margin(subject_pixels(small.picture, plate) | ~known))
-
-
-def _shrunk(view: View, picture: FloatArray) -> tuple[SweepView, BoolArray]:
-    """A view as the search sees it, and the pixels (H, W) that were recorded."""
-    small = make_view(view.pinhole, np.ascontiguousarray(picture.transpose(1, 2, 0)), _scale(view, _MAX_PIXELS))
-    return small, _recorded(view, (small.width, small.height))
-
-
-def _scale(view: View, most: int) -> float:
-    return float(min(1.0, (most / (view.pinhole.width * view.pinhole.height)) ** 0.5))
-
-
-def _recorded(view: View, size: tuple[int, int]) -> BoolArray:
-    """The pixels (H, W) of a view at this width and height that were recorded."""
-    if view.valid is None:
-        return np.ones(size[::-1], bool)
-    return floats(cv2.resize(view.valid, size, interpolation=cv2.INTER_AREA)) > 0.999
+    return SubjectView(view.camera, with_margin(subject_pixels(view.picture, plate) | ~view.recorded))

@@ -14,8 +14,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..first_points.views import Array, SweepView, floats, inside, project
-from .plain import BoolArray
+from decogs.formats.cameras import Camera, camera_centre, in_picture, project, turned
+
+from ..first_points.views import Array, floats
+from .views import BoolArray
 
 F64 = NDArray[np.float64]
 
@@ -38,9 +40,9 @@ _SPHERE_DISTANCES = 2.0
 
 @dataclass(frozen=True)
 class PlainView:
-    """A view of the search, the pixels (H, W) that show the backdrop, and its plate (H, W, 3)."""
+    """A view's camera, the pixels (H, W) that show the backdrop, and its plate (H, W, 3)."""
 
-    view: SweepView
+    camera: Camera
     plain: BoolArray
     plate: Array
 
@@ -60,7 +62,7 @@ class Surfaces:
 
     def clearance(self, xyz: NDArray[np.floating]) -> F64:
         """Distance (P,) of points (P, 3) from the surfaces, negative beyond them."""
-        local = (xyz - self.middle) @ self.axes.T
+        local = turned(self.axes, xyz - self.middle)
         if self.floor is None:
             return np.asarray(self.radius - np.linalg.norm(local, axis=1))
         wall = self.radius - np.hypot(local[:, 0], local[:, 1])
@@ -83,7 +85,7 @@ class Surfaces:
         return 2 * np.pi * self.radius * (self.radius + self.radius - self.floor)
 
     def _world(self, local: F64, normals: F64) -> tuple[F64, F64]:
-        return local @ self.axes + self.middle, normals @ self.axes
+        return turned(self.axes.T, local) + self.middle, turned(self.axes.T, normals)
 
 
 def _disc(radius: float, height: float, up: float, spacing: float) -> tuple[F64, F64]:
@@ -118,8 +120,8 @@ def _sphere(radius: float, spacing: float) -> tuple[F64, F64]:
 
 def find_surfaces(views: Sequence[PlainView]) -> Surfaces:
     """The floor and the wall on which plain pixels of all views agree best, or a far sphere."""
-    centres = np.array([view.view.centre for view in views])
-    forward = np.array([view.view.rotation[2] for view in views])
+    centres = np.array([camera_centre(view.camera) for view in views])
+    forward = np.array([view.camera.world_to_camera[2, :3] for view in views])
     middle = _looked_at(centres, forward)
     distance = float(np.median(np.linalg.norm(centres - middle, axis=1)))
     best: tuple[float, Surfaces] | None = None
@@ -135,13 +137,13 @@ def find_surfaces(views: Sequence[PlainView]) -> Surfaces:
 def _looked_at(centres: F64, forward: F64) -> F64:
     """The point nearest to all optical axes, (3,)."""
     across = np.eye(3) - forward[:, :, None] * forward[:, None]
-    point, *_ = np.linalg.lstsq(across.sum(axis=0), np.einsum("nij,nj->i", across, centres), rcond=1e-3)
+    point, *_ = np.linalg.lstsq(across.sum(axis=0), (across * centres[:, None]).sum(axis=(0, 2)), rcond=1e-3)
     return np.asarray(point)
 
 
 def _upward(views: Sequence[PlainView], centres: F64) -> list[F64]:
     """Directions that may be upwards: that of the pictures, and across the ring of cameras."""
-    pictures = -np.mean([view.view.rotation[1] for view in views], axis=0)
+    pictures = -np.mean([view.camera.world_to_camera[1, :3] for view in views], axis=0)
     length = float(np.linalg.norm(pictures))
     upward = [pictures / length] if length > 0.3 else []
     _, _, directions = np.linalg.svd(centres - centres.mean(axis=0))
@@ -189,7 +191,7 @@ class _Search:
 
     def _disagreement(self, local: F64, normals: F64) -> float:
         """Mean over points of the deviation of their plain colours between views, in 8-bit levels."""
-        xyz, normals = local @ self._axes + self._middle, normals @ self._axes
+        xyz, normals = turned(self._axes.T, local) + self._middle, turned(self._axes.T, normals)
         counts, total, squares = np.zeros(len(xyz)), np.zeros((len(xyz), 3)), np.zeros((len(xyz), 3))
         for view in self._views:
             rows, colours = plain_colours(view, xyz, normals)
@@ -208,10 +210,10 @@ class _Search:
 
 def plain_colours(view: PlainView, xyz: F64, normals: F64) -> tuple[NDArray[np.int64], Array]:
     """Rows of the points whose front a view shows as plain, and their colours there (R, 3)."""
-    u, v, depth = project(view.view, xyz)
-    facing = np.einsum("ni,ni->n", normals, view.view.centre - xyz) > 0
-    rows = np.flatnonzero(inside(view.view, u, v) & (depth > 0) & facing)
-    column, row = np.round(u[rows]).astype(np.int64), np.round(v[rows]).astype(np.int64)
+    u, v, depth = project(view.camera, xyz)
+    facing = (normals * (camera_centre(view.camera) - xyz)).sum(axis=1) > 0
+    rows = np.flatnonzero(in_picture(view.camera, u, v, depth) & facing)
+    column, row = u[rows].astype(np.int64), v[rows].astype(np.int64)
     plain = view.plain[row, column]
     return rows[plain], view.plate[row[plain], column[plain]]
 

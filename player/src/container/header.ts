@@ -37,6 +37,7 @@ export function readHeader(payload: Uint8Array): StreamHeader {
     effects,
     heldOut,
     corrected: readCorrected(members, effects),
+    subject: readFlag(members, "subject"),
   };
   checkTexts(members);
   checkCameras(header);
@@ -45,6 +46,13 @@ export function readHeader(payload: Uint8Array): StreamHeader {
     if (!EFFECTS.has(effect)) refuse("unsupported-effect", `the stream needs an effect unknown here: ${effect}`);
   }
   return header;
+}
+
+/** Whether the member is there; it can only be true. */
+function readFlag(members: JsonObject, name: string): boolean {
+  const value = members.get(name) ?? false;
+  if (members.has(name) && value !== true) bad(`${name} must be true where it is there`);
+  return value === true;
 }
 
 function readFps(value: JsonValue): number | null {

@@ -18,7 +18,7 @@ export class ExactCanvas implements Renderer {
     readonly canvas: HTMLCanvasElement,
     private readonly ask: (camera: PinholeCamera) => void,
   ) {
-    const context = canvas.getContext("2d", { alpha: false });
+    const context = canvas.getContext("2d");
     if (context === null) throw new Error("this browser has no canvas");
     this.context = context;
   }

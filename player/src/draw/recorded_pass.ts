@@ -47,7 +47,7 @@ export class RecordedPass {
     gl.useProgram(program.program);
     gl.uniform1i(program.uniform("accumulated"), 0);
     gl.uniform1i(program.uniform("positions"), 1);
-    gl.uniform3fv(program.uniform("background"), background);
+    gl.uniform4fv(program.uniform("background"), background);
     gl.uniform3fv(program.uniform("odds"), odds ?? [1, 1, 1]);
     gl.uniform4f(program.uniform("place"), left, top, left + width, top + height);
     gl.uniform2f(program.uniform("size"), camera.width, camera.height);

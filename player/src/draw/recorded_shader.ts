@@ -2,23 +2,23 @@
 
 /**
  * What was accumulated as a camera recorded it: resampled through its lens by OpenCV's cubic interpolation, as the decoder
- * does, then with its colours. Positions are those of the corners of cells, linear between them, or of pixels.
+ * does, then with its colours; those of a subject are its own, not mixed with what it does not cover. Positions are those of the corners of cells, linear between them, or of pixels.
  */
 export const RECORDED_FRAGMENT_SHADER = /* glsl */ `#version 300 es
 precision highp float;
 precision highp sampler2D;
 uniform sampler2D accumulated, positions;
-uniform vec3 background, odds;
-uniform vec4 place;
+uniform vec3 odds;
+uniform vec4 background, place;
 uniform vec2 size;
 uniform float cell;
 uniform bool bent;
 out vec4 result;
-vec3 at(ivec2 pixel) {
+vec4 at(ivec2 pixel) {
   ivec2 all = textureSize(accumulated, 0);
   pixel = clamp(pixel, ivec2(0), all - 1);
   vec4 sum = texelFetch(accumulated, ivec2(pixel.x, all.y - 1 - pixel.y), 0);
-  return sum.rgb + sum.a * background;
+  return vec4(sum.rgb, 1.0 - sum.a) + sum.a * background;
 }
 vec4 weights(float t) {
   const float A = -0.75;
@@ -27,7 +27,7 @@ vec4 weights(float t) {
   vec2 near = ((A + 2.0) * d.yz - (A + 3.0)) * d.yz * d.yz + 1.0;
   return vec4(far, near, 1.0 - far - near.x - near.y);
 }
-vec3 through(vec2 pixel) {
+vec4 through(vec2 pixel) {
   vec2 corner = floor(pixel / cell), part = pixel / cell - corner;
   ivec2 first = ivec2(corner);
   vec2 a = texelFetch(positions, first, 0).xy, b = texelFetch(positions, first + ivec2(1, 0), 0).xy;
@@ -36,17 +36,19 @@ vec3 through(vec2 pixel) {
   if (any(lessThan(from, vec2(0.0))) || any(greaterThan(from, vec2(textureSize(accumulated, 0) - 1)))) return background;
   ivec2 middle = ivec2(floor(from));
   vec4 across = weights(from.x - float(middle.x)), down = weights(from.y - float(middle.y));
-  vec3 sum = vec3(0.0);
+  vec4 sum = vec4(0.0);
   for (int j = 0; j < 4; ++j) for (int i = 0; i < 4; ++i) sum += across[i] * down[j] * at(middle + ivec2(i - 1, j - 1));
   return sum;
 }
 void main() {
   vec2 pixel = vec2(gl_FragCoord.x, size.y - gl_FragCoord.y);
-  result = vec4(0.0, 0.0, 0.0, 1.0);
+  result = vec4(0.0, 0.0, 0.0, background.a);
   if (any(lessThan(pixel, place.xy)) || any(greaterThan(pixel, place.zw))) return;
-  vec3 v = bent ? through(pixel) : at(ivec2(pixel));
+  vec4 seen = bent ? through(pixel) : at(ivec2(pixel));
+  float covered = max(clamp(seen.a, 0.0, 1.0), background.a);
+  vec3 v = seen.rgb / max(covered, 1e-6);
   vec3 inside = clamp(v, 0.0, 1.0);
   vec3 recorded = min(odds * inside / (1.0 + (odds - 1.0) * inside), 1.0);
-  result.rgb = mix(v, recorded, equal(v, inside));
+  result = vec4(clamp(mix(v, recorded, equal(v, inside)), 0.0, 1.0) * covered, covered);
 }
 `;

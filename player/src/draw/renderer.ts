@@ -1,6 +1,7 @@
 /** What draws a scene: WebGL2 here, the decoder's own kernel elsewhere. The element knows no more of either. */
 import type { PinholeCamera } from "../geometry/poses";
 import type { DrawOrder, SceneUpdate, TextureLayout } from "../messages";
+import type { StreamHeader } from "../scene";
 
 /** What of the stream's knowledge is painted over the scene. */
 export type Overlay = "none" | "changes" | "motion";
@@ -17,8 +18,8 @@ export interface Renderer {
   readonly times: DrawTimes;
   /** Whether the last picture asked for is not finished yet: another one would only queue up behind it. */
   readonly busy: boolean;
-  /** Begins a stream: what was loaded is forgotten. */
-  begin(layout: TextureLayout, background: readonly number[]): void;
+  /** Begins a stream: what was loaded is forgotten. A subject is drawn over nothing. */
+  begin(layout: TextureLayout, header: StreamHeader): void;
   load(update: SceneUpdate): void;
   order(draw: DrawOrder): void;
   draw(camera: PinholeCamera, overlay: Overlay): void;

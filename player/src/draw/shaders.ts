@@ -152,15 +152,16 @@ void main() {
 }
 `;
 
-/** What was accumulated, before the background. */
+/** What was accumulated, before the background; multiplied with its alpha, which no colour may exceed. */
 export const FINISH_FRAGMENT_SHADER = /* glsl */ `#version 300 es
 precision highp float;
 uniform sampler2D accumulated;
-uniform vec3 background;
+uniform vec4 background;
 out vec4 result;
 void main() {
   vec4 sum = texelFetch(accumulated, ivec2(gl_FragCoord.xy), 0);
-  result = vec4(sum.rgb + sum.a * background, 1.0);
+  vec4 seen = vec4(sum.rgb, 1.0 - sum.a) + sum.a * background;
+  result = vec4(min(seen.rgb, seen.a), seen.a);
 }
 `;
 

@@ -1,6 +1,7 @@
-/** Draws with WebGL2: instanced quads, nearest first, into half floats, and the background behind them. */
+/** Draws with WebGL2: instanced quads, nearest first, into half floats, and the background, if any, behind them. */
 import type { PinholeCamera } from "../geometry/poses";
 import type { DrawOrder, SceneUpdate, TextureLayout } from "../messages";
+import type { StreamHeader } from "../scene";
 import { Accumulation } from "./accumulation";
 import { GpuClock } from "./gpu_clock";
 import { linked, type Program } from "./program";
@@ -28,7 +29,8 @@ export class WebGlRenderer implements Renderer {
   readonly times: DrawTimes = { uploadMs: 0, drawMs: 0 };
   private readonly gl: WebGL2RenderingContext;
   private layout: TextureLayout | null = null;
-  private background: readonly number[] = [0, 0, 0];
+  /** Red, green, blue, alpha. */
+  private background: readonly number[] = [0, 0, 0, 1];
   private resources: Resources | null = null;
   private count = 0;
 
@@ -37,7 +39,7 @@ export class WebGlRenderer implements Renderer {
     readonly canvas: HTMLCanvasElement,
     private readonly onRestored: () => void,
   ) {
-    const options = { alpha: false, antialias: false, depth: false, stencil: false } as const;
+    const options = { antialias: false, depth: false, stencil: false } as const;
     const gl = canvas.getContext("webgl2", { ...options, powerPreference: "high-performance" });
     if (gl === null) throw new Error("this browser has no WebGL2");
     this.gl = gl;
@@ -49,10 +51,10 @@ export class WebGlRenderer implements Renderer {
     return this.resources?.clock.busy ?? false;
   }
 
-  begin(layout: TextureLayout, background: readonly number[]): void {
+  begin(layout: TextureLayout, { background, subject }: StreamHeader): void {
     this.release();
     this.layout = layout;
-    this.background = background;
+    this.background = subject ? [0, 0, 0, 0] : [...background, 1];
     this.count = 0;
     if (!this.gl.isContextLost()) this.resources = this.made(layout);
   }
@@ -91,7 +93,7 @@ export class WebGlRenderer implements Renderer {
     if (recording) resources.recorded!.use(camera, recording, this.background);
     else {
       gl.useProgram(resources.finish.program);
-      gl.uniform3fv(resources.finish.uniform("background"), this.background);
+      gl.uniform4fv(resources.finish.uniform("background"), this.background);
     }
     gl.drawArrays(gl.TRIANGLES, 0, 3);
     resources.clock.start((ms) => (this.times.drawMs = ms));

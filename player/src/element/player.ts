@@ -3,7 +3,7 @@
  *
  * Attributes: src, controls, autoplay, loop, poster, camera (a name), follow (the stream is still being written),
  * exact (drawn by the decoder's own kernel, which also draws where WebGL2 is missing), recorded (cameras of the rig show
- * what they recorded: with lens and colours).
+ * what they recorded: with lens and colours), background (the colour behind a subject; without it, the page shows there).
  * The worker decodes and sorts, the stage draws, the panels are for people; this holds them together.
  */
 import { lookedAt, extentOf } from "../controls/looked_at";
@@ -32,7 +32,7 @@ const LONGEST_STEP = 0.1;
 const CONTROLS_AFTER_MS = 400;
 
 export class DecogsPlayer extends HTMLElement {
-  static readonly observedAttributes = ["src", "controls", "loop", "poster", "camera", "exact", "recorded"];
+  static readonly observedAttributes = ["src", "controls", "loop", "poster", "camera", "exact", "recorded", "background"];
 
   /** What is known of the stream; null before `loadedmetadata`. */
   header: StreamHeader | null = null;
@@ -129,6 +129,7 @@ export class DecogsPlayer extends HTMLElement {
     if (name === "poster") this.showPoster(value);
     if (name === "exact") this.chooseRenderer();
     if (name === "recorded") void this.chooseRecorded();
+    if (name === "background") this.layBehind();
     if (name === "camera" && value !== null) this.camera = value;
     this.panels?.refresh();
   }
@@ -436,8 +437,19 @@ export class DecogsPlayer extends HTMLElement {
   private rightRenderer(): Renderer {
     const exact = this.fast === null || this.hasAttribute("exact");
     this.exactCanvas.hidden = !exact;
+    this.canvas.style.opacity = exact ? "0" : ""; // the other one may be transparent
     if (!exact) return this.fast!;
     return (this.exactly ??= new ExactCanvas(this.exactCanvas, (camera) => this.connection?.send({ type: "exact", camera })));
+  }
+
+  /** A subject lies over the page, or over what `background` names. */
+  private layBehind(): void {
+    const background = this.getAttribute("background");
+    const clear = this.header?.subject ?? background !== null;
+    for (const canvas of [this.canvas, this.exactCanvas]) {
+      canvas.classList.toggle("clear", clear);
+      canvas.style.backgroundColor = clear ? (background ?? "") : "";
+    }
   }
 
   /** What draws from now on begins with the whole frame. */
@@ -446,7 +458,7 @@ export class DecogsPlayer extends HTMLElement {
     const renderer = this.rightRenderer();
     if (renderer === this.stage.renderer) return;
     this.stage.renderer = renderer;
-    if (this.layout !== null) renderer.begin(this.layout, this.header!.background);
+    if (this.layout !== null) renderer.begin(this.layout, this.header!);
     this.connection?.send({ type: "resend" });
     this.stage.touch();
     this.wake();
@@ -552,7 +564,8 @@ export class DecogsPlayer extends HTMLElement {
     this.layout = layout;
     this.frames.append(message.frames);
     this.playback.fps = header.fps ?? DEFAULT_FPS;
-    stage.renderer.begin(layout, header.background);
+    stage.renderer.begin(layout, header);
+    this.layBehind();
     this.putCamera(stage, header);
     stage.begin();
     const { start } = this;

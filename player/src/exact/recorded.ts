@@ -1,12 +1,22 @@
-/** The exact picture as a camera recorded it: the kernel's floats, resampled through the lens, in the camera's colours. */
+/**
+ * The exact picture as a camera recorded it: the kernel's floats, resampled through the lens, in the camera's colours; and
+ * that of a subject, whose own colours are what is left when alpha is divided out.
+ */
 import type { PinholeCamera } from "../geometry/poses";
 import { NOWHERE, cubicWeights, lensPlan, withOdds, type LensPlan, type Recording } from "../geometry/recorded";
 import type { Gaussians, StreamHeader } from "../scene";
 import type { ExactRenderer } from "./renderer";
 
 const NO_ODDS = [1, 1, 1] as const;
+const BLACK = [0, 0, 0] as const;
+const NOTHING = [0] as const;
 
-/** RGBA, opaque; black beside the camera's own picture. */
+/** A picture that is as its pinhole camera sees it. */
+export function asSeen({ width, height }: PinholeCamera): Recording {
+  return { lens: null, odds: null, left: 0, top: 0, width, height };
+}
+
+/** RGBA, straight, opaque but for a subject; black, or nothing, beside the camera's own picture. */
 export function recordedPixels(
   exact: ExactRenderer,
   gaussians: Gaussians,
@@ -16,20 +26,32 @@ export function recordedPixels(
 ): Uint8ClampedArray<ArrayBuffer> {
   const plan = recording.lens === null ? null : planOf(camera, recording.lens);
   const drawn = plan === null ? camera : { ...camera, ...sizes(plan.camera) };
-  const { rgb } = exact.planes(gaussians, header.shDegree, drawn, header.background);
+  const { subject } = header;
+  const background = subject ? BLACK : header.background;
+  const { rgb, alpha } = exact.planes(gaussians, header.shDegree, drawn, background);
   const { width, height } = camera;
   const pixels = new Uint8ClampedArray(4 * width * height);
   const odds = recording.odds ?? NO_ODDS;
-  const colour = new Float64Array(3);
+  const [colour, covered] = [new Float64Array(3), Float64Array.of(1)];
   const [right, bottom] = [recording.left + recording.width, recording.top + recording.height];
   for (let y = 0, at = 0; y < height; y++) {
     for (let x = 0; x < width; x++, at += 4) {
-      pixels[at + 3] = 255;
+      pixels[at + 3] = subject ? 0 : 255;
       if (x + 0.5 < recording.left || x + 0.5 > right || y + 0.5 < recording.top || y + 0.5 > bottom) continue;
-      if (plan === null) for (let c = 0; c < 3; c++) colour[c] = rgb[(c * height + y) * width + x];
-      else sample(rgb, drawn, plan.positions, 2 * (y * width + x), header.background, colour);
-      // Clamped, and rounded with halves to even, as a canvas' bytes are.
-      for (let c = 0; c < 3; c++) pixels[at + c] = 255 * (recording.odds === null ? colour[c] : withOdds(colour[c], odds[c]));
+      const pixel = y * width + x;
+      if (plan === null) for (let c = 0; c < 3; c++) colour[c] = rgb[c * height * width + pixel];
+      else sample(rgb, drawn, plan.positions, 2 * pixel, background, colour);
+      if (subject) {
+        if (plan === null) covered[0] = alpha[pixel];
+        else sample(alpha, drawn, plan.positions, 2 * pixel, NOTHING, covered);
+        const share = Math.min(1, Math.max(0, covered[0]));
+        pixels[at + 3] = Math.fround(255 * share);
+        for (let c = 0; c < 3; c++) colour[c] = share > 0 ? Math.fround(colour[c] / share) : 0;
+      }
+      // Clamped, and rounded with halves to even, as a canvas' bytes are; products as the decoder's floats have them.
+      for (let c = 0; c < 3; c++) {
+        pixels[at + c] = Math.fround(255 * (recording.odds === null ? colour[c] : withOdds(colour[c], odds[c])));
+      }
     }
   }
   return pixels;
@@ -39,30 +61,30 @@ function sizes({ width, height, cx, cy }: PinholeCamera): Pick<PinholeCamera, "w
   return { width, height, cx, cy };
 }
 
-/** Cubic interpolation in three planes; the background where nothing was drawn. */
+/** Cubic interpolation in as many planes as `result` has numbers; the background where nothing was drawn. */
 function sample(
-  rgb: Float32Array,
+  planes: Float32Array,
   { width, height }: PinholeCamera,
   positions: Float32Array,
   at: number,
   background: readonly number[],
-  colour: Float64Array,
+  result: Float64Array,
 ): void {
   const [x, y] = [positions[at] - 0.5, positions[at + 1] - 0.5];
   if (positions[at] === NOWHERE || x < 0 || y < 0 || x > width - 1 || y > height - 1) {
-    colour.set(background);
+    result.set(background);
     return;
   }
   const [left, top] = [Math.floor(x), Math.floor(y)];
   const across = cubicWeights(x - left);
   const down = cubicWeights(y - top);
-  colour.fill(0);
+  result.fill(0);
   for (let j = 0; j < 4; j++) {
     const row = Math.min(height - 1, Math.max(0, top + j - 1));
     for (let i = 0; i < 4; i++) {
       const from = row * width + Math.min(width - 1, Math.max(0, left + i - 1));
       const weight = across[i] * down[j];
-      for (let c = 0; c < 3; c++) colour[c] += weight * rgb[c * width * height + from];
+      for (let c = 0; c < result.length; c++) result[c] += weight * planes[c * width * height + from];
     }
   }
 }

@@ -1,6 +1,6 @@
 /** The worker's exact pictures: the kernel is fetched when the first one is asked for. */
 import type { PinholeCamera } from "../geometry/poses";
-import { recordedPixels } from "../exact/recorded";
+import { asSeen, recordedPixels } from "../exact/recorded";
 import { ExactRenderer } from "../exact/renderer";
 import type { ExactPicture } from "../messages";
 import type { Gaussians, StreamHeader } from "../scene";
@@ -24,8 +24,8 @@ export class ExactPictures {
 
   draw(exact: ExactRenderer, gaussians: Gaussians, header: StreamHeader, camera: PinholeCamera): ExactPicture {
     const begun = performance.now();
-    const pixels = camera.recording
-      ? recordedPixels(exact, gaussians, header, camera, camera.recording)
+    const pixels = camera.recording || header.subject
+      ? recordedPixels(exact, gaussians, header, camera, camera.recording ?? asSeen(camera))
       : exact.draw(gaussians, header.shDegree, camera, header.background);
     return { width: camera.width, height: camera.height, pixels, drawMs: performance.now() - begun };
   }

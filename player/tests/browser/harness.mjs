@@ -51,7 +51,7 @@ export async function show(page, frame) {
   await until(page, `player.info?.frame === ${frame}`);
 }
 
-/** The player's picture of so many pixels: red, green, blue of each. */
+/** The player's picture of so many pixels: red, green, blue and alpha of each. */
 export async function picture(page, width, height) {
   const text = await page.evaluate(
     async ([width, height]) => {
@@ -73,7 +73,7 @@ export async function filed(page, name) {
 }
 
 /** A PNG's pixels, decoded by the browser. */
-async function pixelsOf(page, address) {
+export async function pixelsOf(page, address) {
   const { width, height, base64 } = await page.evaluate(async (address) => {
     const image = new Image();
     image.src = address;
@@ -89,12 +89,13 @@ async function pixelsOf(page, address) {
   return { width, height, data: Buffer.from(base64, "base64") };
 }
 
-/** Peak signal to noise, in dB, of two pictures of one size. */
-export function psnr(one, other) {
+/** Peak signal to noise, in dB, of two pictures of one size, over a grey of this level where they are transparent. */
+export function psnr(one, other, grey = 0) {
   if (one.width !== other.width || one.height !== other.height) {
     throw new Error(`pictures of ${one.width}x${one.height} and ${other.width}x${other.height}`);
   }
+  const over = ({ data }, at) => grey + ((data[at] - grey) * data[at | 3]) / 255;
   let sum = 0;
-  for (let at = 0; at < one.data.length; at++) if (at % 4 !== 3) sum += (one.data[at] - other.data[at]) ** 2;
+  for (let at = 0; at < one.data.length; at++) if (at % 4 !== 3) sum += (over(one, at) - over(other, at)) ** 2;
   return 10 * Math.log10((255 ** 2 * one.width * one.height * 3) / sum);
 }

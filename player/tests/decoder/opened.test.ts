@@ -39,6 +39,12 @@ for (const [name, { frames, failure }] of Object.entries(EXPECTED)) {
   });
 }
 
+test("a subject's header says so", async () => {
+  const said = async (name: string): Promise<boolean> => (await createStream(vector(name))).header.subject;
+  assert.equal(await said("good/subject"), true);
+  assert.equal(await said("good/worked-example"), false);
+});
+
 test("a frame that is no whole number is not in the stream", async () => {
   const stream = await createStream(vector(WITHIN_LIMITS[0]));
   for (const index of [0.5, -1, NaN, Infinity, -0.5]) {

@@ -6,9 +6,10 @@ import assert from "node:assert/strict";
 import { readdirSync, readFileSync } from "node:fs";
 import { join } from "node:path";
 import { before, suite, test } from "node:test";
+import { asSeen, recordedPixels } from "../../src/exact/recorded";
 import { ExactError, ExactRenderer } from "../../src/exact/renderer";
 import type { PinholeCamera } from "../../src/geometry/poses";
-import type { Gaussians } from "../../src/scene";
+import type { Gaussians, StreamHeader } from "../../src/scene";
 
 interface Case {
   readonly count: number;
@@ -92,6 +93,9 @@ suite("the native kernel's pictures", { skip: folder === undefined && "pytest te
       assertSame(planes.depth, expected.subarray(4 * plane), "depth");
       const pixels = exact.draw(gaussians, shDegree, camera, background);
       assert.deepEqual(Buffer.from(pixels.buffer), readFileSync(`${path}.pixels`));
+      const subject = { shDegree, background, subject: true } as unknown as StreamHeader;
+      const straight = recordedPixels(exact, gaussians, subject, camera, asSeen(camera));
+      assert.deepEqual(Buffer.from(straight.buffer), readFileSync(`${path}.straight`));
     });
   }
 });

@@ -1,0 +1,195 @@
+"""The mattes of a rig's training pictures, whatever they come from."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from decogs.formats.colour import linear_from_srgb, srgb_from_linear
+from decogs.formats.errors import RigError
+from decogs.formats.mattes import matte_rig, own_alpha_rig, pictures_per_camera
+from decogs.formats.pictures import Picture, read_picture
+from decogs.formats.rigs import Rig, read_frames
+from decogs.formats.rigs.sources import PictureSource
+from decogs.formats.splats import FloatArray
+
+from ..filling import push_pull
+from .choice import MatteChoice
+from .chroma_key import key_axis, keyed
+from .clean_plate import before_plate
+from .cutting import BoolArray, Subject
+
+_LINEAR = linear_from_srgb(np.arange(256) / 255).astype(np.float32)
+"""Of each 8-bit level."""
+_KEPT = 0.5
+"""Of an ignore mask, from which a pixel teaches."""
+
+
+@dataclass(frozen=True)
+class Cut:
+    """A camera's picture with the subject's own colours, and alpha (H, W) 0..1; None where the camera has no matte.
+
+    ``worn``: the share of a keyed subject that has the screen's colour.
+    """
+
+    picture: Picture
+    alpha: FloatArray | None
+    worn: float = 0.0
+
+
+@dataclass(frozen=True)
+class Mattes:
+    """Ready to cut pictures: a rig whose "pictures" are mattes, or a key, or plates.
+
+    ``is_own``: the mattes are the pictures' own alpha. ``plates``: clean pictures by camera; ``kept``: by camera, the
+    pixels (H, W) that teach. ``files``: all that is read.
+    """
+
+    rig: Rig | None = None
+    is_own: bool = False
+    key: FloatArray | None = None
+    plates: Mapping[str, Picture] = field(default_factory=dict)
+    kept: Mapping[str, BoolArray] = field(default_factory=dict)
+    files: tuple[Path, ...] = ()
+
+    @property
+    def cuts(self) -> bool:
+        """Whether there are mattes, not only pixels that teach nothing."""
+        return self.rig is not None or self.key is not None or bool(self.plates)
+
+    def place(self, name: str, frame: int) -> str:
+        """Where the matte of a camera and frame comes from, for a message."""
+        cameras = () if self.rig is None else zip(self.rig.cameras, self.rig.sources, strict=True)
+        for source in (source for camera, source in cameras if camera.name == name):
+            return str(source.files[frame]) if isinstance(source, PictureSource) else f"{source.path}, frame {frame}"
+        return f"the matte of camera {name}, frame {frame}"
+
+    def given(self, names: Collection[str], start: int, stop: int) -> Iterator[Mapping[str, FloatArray]]:
+        """The mattes (H, W) that files have, by camera, of each frame."""
+        if self.rig is None:
+            yield from ({} for _ in range(start, stop))
+            return
+        having = [camera.name for camera in self.rig.cameras if camera.name in names]
+        for _, mattes in read_frames(self.rig, start, stop, names=having):
+            yield {name: _alpha(matte) for name, matte in zip(having, mattes, strict=True)}
+
+    def cut(self, name: str, picture: Picture, given: FloatArray | None) -> Cut:
+        """The picture of a camera and its alpha. Raises RigError where the key finds no screen in it."""
+        if given is not None:
+            return Cut(_straight(picture, given) if self.is_own else picture, given)
+        if self.key is not None:
+            found = keyed(linear(picture), self.key)
+            if found is None:
+                raise RigError(f"camera {name} shows no screen of the colour of `key`; check it, or use `masks`")
+            return Cut(_like(picture, found.subject), found.subject.alpha, found.worn)
+        if self.rig is None and name in self.plates:
+            return Cut(picture, before_plate(linear(picture), linear(self.plates[name])).alpha)
+        return Cut(picture, None)
+
+
+def open_mattes(choice: MatteChoice | None, rig: Rig, frames: range, held_out: Collection[str] = ()) -> Mattes | None:
+    """The mattes of a rig as they are asked for, for these ``frames``; None where there are none.
+
+    Cameras ``held_out`` need none. Raises RigError and UsageError, naming the file.
+    """
+    choice = MatteChoice() if choice is None else choice
+    names = [camera.name for camera in rig.cameras if camera.name not in held_out]
+    ignored = _ignore_masks(choice, rig)
+    kept = {name: _alpha(_at_size(rig, name, file)) >= _KEPT for name, file in ignored.items()}
+    plates = _plates(choice, rig, names)
+    given, is_own = None, False
+    if choice.masks is not None:
+        given = matte_rig(Path(choice.masks), rig, names, frames)
+    elif choice.own_masks and choice.key is None and not plates:
+        given = own_alpha_rig(rig, names, frames.start)
+        is_own = given is not None
+    key = None if choice.key is None else key_axis(choice.key)
+    pictures = {name: _at_size(rig, name, file) for name, file in plates.items()}
+    mattes = Mattes(given, is_own, key, pictures, kept, tuple(_files(given, ignored, plates)))
+    return mattes if mattes.cuts or kept else None
+
+
+def _files(given: Rig | None, *by_camera: Mapping[str, Path]) -> Iterator[Path]:
+    for source in () if given is None else given.sources:
+        yield from source.files if isinstance(source, PictureSource) else (source.path,)
+    for files in by_camera:
+        yield from files.values()
+
+
+def _ignore_masks(choice: MatteChoice, rig: Rig) -> dict[str, Path]:
+    """The mask of each camera that has one."""
+    named = dict(rig.ignore_masks) if choice.own_masks else {}
+    for name, files in named.items():
+        if len({_content(file) for file in files}) > 1:
+            raise RigError(
+                f"{files[0]}: the calibration names {len(files)} masks of camera {name}; give one for all its frames, "
+                "or do without (`own_masks`)"
+            )
+    found = {name: files[0] for name, files in named.items()}
+    if choice.ignore is not None:
+        given = pictures_per_camera(Path(choice.ignore), [camera.name for camera in rig.cameras])
+        if not given:
+            raise RigError(f"{choice.ignore}: no mask of any camera; name them after the cameras, like cam00.png")
+        found |= given
+    return found
+
+
+def _content(file: Path) -> bytes:
+    try:
+        return file.read_bytes()
+    except OSError as error:
+        raise RigError(
+            f"{file}: cannot be read ({error.strerror}); put the mask back, or do without (`own_masks`)"
+        ) from None
+
+
+def _plates(choice: MatteChoice, rig: Rig, names: list[str]) -> dict[str, Path]:
+    if choice.background_plate is None:
+        return {}
+    plates = pictures_per_camera(Path(choice.background_plate), [camera.name for camera in rig.cameras])
+    for name in names:
+        if name not in plates:
+            raise RigError(f"{choice.background_plate}: no clean picture of camera {name}; add {name}.png")
+    return plates
+
+
+def _at_size(rig: Rig, name: str, file: Path) -> Picture:
+    """The picture in a file, which must have its camera's size."""
+    camera = next(camera for camera in rig.cameras if camera.name == name)
+    picture = read_picture(file)
+    if picture.shape[1::-1] != (camera.width, camera.height):
+        raise RigError(
+            f"{file}: {picture.shape[1]} x {picture.shape[0]} pixels, but the pictures of camera {name} have "
+            f"{camera.width} x {camera.height}; bring both to one size"
+        )
+    return picture
+
+
+def _alpha(matte: Picture) -> FloatArray:
+    plane = matte[..., 0]
+    return np.asarray(plane / np.float32(255) if plane.dtype == np.uint8 else np.clip(plane, 0, 1), np.float32)
+
+
+def linear(picture: Picture) -> FloatArray:
+    """A picture (H, W, 3) in linear light."""
+    return _LINEAR[picture] if picture.dtype == np.uint8 else np.asarray(picture, np.float32)
+
+
+def _like(picture: Picture, subject: Subject) -> Picture:
+    """The subject's colours as the picture has its own: linear floats, or coded bytes."""
+    if picture.dtype != np.uint8:
+        return subject.colours
+    coded = srgb_from_linear(np.clip(subject.colours, 0, 1))
+    return np.rint(255 * coded).astype(np.uint8)
+
+
+def _straight(picture: Picture, alpha: FloatArray) -> Picture:
+    """The colours that alpha belongs to: EXR are premultiplied; where nothing is, those around go on."""
+    part = alpha[..., None]
+    colours = picture / np.maximum(part, 1 / 255) if picture.dtype != np.uint8 else picture.astype(np.float32)
+    filled = push_pull(np.asarray(colours, np.float32), alpha)
+    straight = np.where(part > 0, colours, filled)
+    return np.rint(straight).astype(np.uint8) if picture.dtype == np.uint8 else np.asarray(straight, np.float32)

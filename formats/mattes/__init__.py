@@ -1,0 +1,9 @@
+"""What comes beside a rig's pictures: mattes of each frame, and one picture per camera, such as a clean plate.
+
+A matte is white where the subject covers a pixel, black where nothing does, grey in between.
+"""
+
+from .per_camera import pictures_per_camera
+from .per_frame import matte_rig, own_alpha_rig
+
+__all__ = ["matte_rig", "own_alpha_rig", "pictures_per_camera"]

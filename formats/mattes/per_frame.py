@@ -1,0 +1,157 @@
+"""Mattes of each camera and frame, as the "pictures" of a rig: so they are read in step, side by side and checked.
+
+``masks/cam00/0000.png``: picture files carry the numbers that the rig's own pictures have, or count from 0 at the first
+frame; as many as frames are taken in order, whatever their numbers. ``masks/cam00.mp4``: as long as the rig.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Generator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..cameras import Camera
+from ..errors import RigError
+from ..pictures import PICTURE_SUFFIXES, Picture, read_alpha, read_picture
+from ..rigs import Rig
+from ..rigs.sources import FrameSource, PictureSource, pictures_in
+from ..videos import VideoSource, open_video
+from .places import places_of_cameras
+
+Alpha = NDArray[np.float32]
+
+_INNER_FOLDERS = ("", "pha", "alpha", "masks", "mask", "images")
+"""Where a camera's folder keeps its mattes: ``pha`` is BackgroundMattingV2's."""
+_COLOUR_LEVELS, _COLOUR_SHARE = 24, 1e-3
+"""A matte has colour if so many of its pixels have channels so many levels apart: video codecs shift grey by a few."""
+_OPAQUE = 0.998
+"""Half a level of 255 from 1."""
+
+
+def matte_rig(folder: Path, rig: Rig, names: Collection[str], frames: range) -> Rig:
+    """The cameras of ``rig`` that have mattes in ``folder``, with these as their frames: grey pictures.
+
+    ``names``: cameras that must have some. Raises RigError, naming the camera or frame that is missing.
+    """
+    places = places_of_cameras(folder, [camera.name for camera in rig.cameras])
+    for name in names:
+        if name not in places:
+            raise RigError(f"{folder}: no mattes of camera {name}; put them into {name}/ or {name}.mp4")
+    found = [
+        (camera, _opened(places[camera.name], camera, source, rig.frame_count, frames))
+        for camera, source in zip(rig.cameras, rig.sources, strict=True)
+        if camera.name in places
+    ]
+    return _with(rig, found)
+
+
+def own_alpha_rig(rig: Rig, names: Collection[str], frame: int) -> Rig | None:
+    """The cameras of ``rig`` whose pictures have alpha, with this as their frames: grey pictures.
+
+    None where alpha is 1 throughout the ``frame``. Raises RigError where one of the cameras ``names`` has none.
+    """
+    found, is_clear = list[tuple[Camera, FrameSource]](), False
+    for camera, source in zip(rig.cameras, rig.sources, strict=True):
+        alpha = read_alpha(source.files[frame]) if isinstance(source, PictureSource) else None
+        if alpha is not None:
+            found.append((camera, _OwnAlpha(**vars(source))))
+            is_clear |= camera.name in names and float(alpha.min()) < _OPAQUE
+    if not is_clear:
+        return None
+    having = [camera.name for camera, _ in found]
+    for name in names:
+        if name not in having:
+            raise RigError(
+                f"{rig.path}: the pictures of camera {name} have no alpha, those of {having[0]} have; give all of them "
+                "alpha, or do without (`own_masks`)"
+            )
+    return _with(rig, found)
+
+
+def _with(rig: Rig, found: Sequence[tuple[Camera, FrameSource]]) -> Rig:
+    cameras, sources = zip(*found, strict=True)
+    return replace(rig, cameras=cameras, sources=sources)
+
+
+class _Mattes(PictureSource):
+    """Files of mattes: their alpha where they have one, else what they show."""
+
+    def read_file(self, file: Path) -> Picture:
+        """The matte, grey, three times (H, W, 3); 8 bit or float."""
+        alpha = read_alpha(file)
+        matte = read_picture(file) if alpha is None or alpha.min() >= _OPAQUE else _grey(alpha)
+        height, width = matte.shape[:2]
+        if (width, height) != (self.width, self.height):
+            raise RigError(
+                f"{file}: {width} x {height} pixels, but the camera's pictures have {self.width} x {self.height}; "
+                "write mattes at the size of the pictures"
+            )
+        return _without_colour(file, matte)
+
+
+class _OwnAlpha(PictureSource):
+    """The alpha of picture files."""
+
+    def read_file(self, file: Path) -> Picture:
+        """The alpha, three times (H, W, 3)."""
+        alpha = read_alpha(file)
+        if alpha is None:
+            raise RigError(f"{file}: has no alpha, which this camera's first picture has; write all pictures alike")
+        return _grey(alpha)
+
+
+class _MatteVideo(VideoSource):
+    """A video of mattes."""
+
+    def read(self, start: int, stop: int, step: int = 1) -> Generator[Picture, None, None]:
+        """The mattes (H, W, 3) of these frames."""
+        for picture in super().read(start, stop, step):
+            yield _without_colour(self.path, picture)
+
+
+def _grey(alpha: Alpha) -> Alpha:
+    return np.repeat(alpha[..., None], 3, axis=2)
+
+
+def _without_colour(path: Path, matte: Picture) -> Picture:
+    """The matte, which must be grey: segmentation tools also write pictures with a colour for each object."""
+    apart = np.ptp(matte, axis=2) > _COLOUR_LEVELS / (255 if matte.dtype != np.uint8 else 1)
+    if apart.mean() > _COLOUR_SHARE:
+        raise RigError(f"{path}: is a picture in colour, no matte; write white where the subject is, black elsewhere")
+    return matte
+
+
+def _opened(place: Path, camera: Camera, source: FrameSource, count: int, frames: range) -> FrameSource:
+    """The mattes of a camera, one for each of the rig's ``count`` frames, those of ``frames`` sure to be there."""
+    files = _pictures_at(place)
+    if not files and not place.is_dir():
+        video = open_video(place)
+        if video.frame_count != count:
+            raise RigError(f"{place}: {video.frame_count} frames, but the rig has {count}; cut both to the same frames")
+        return _MatteVideo(**vars(video))
+    files = _by_frame(files, source, count)
+    for frame in frames:
+        if not files[frame].is_file():
+            raise RigError(f"{place}: no matte of frame {frame}; give one for every frame, such as 0000.png")
+    return _Mattes(place, files, camera.width, camera.height)
+
+
+def _pictures_at(place: Path) -> tuple[Path, ...]:
+    if place.is_dir():
+        return next((found for name in _INNER_FOLDERS if (found := pictures_in(place / name))), ())
+    return (place,) if place.suffix.lower() in PICTURE_SUFFIXES else ()
+
+
+def _by_frame(files: tuple[Path, ...], source: FrameSource, count: int) -> tuple[Path, ...]:
+    """The files in the order of the rig's frames; a path that is no file where there is none."""
+    numbers = PictureSource(Path(), files, 0, 0).frame_numbers()
+    of_rig = source.frame_numbers() if isinstance(source, PictureSource) else None
+    if len(files) == count and (numbers is None or of_rig is None or set(numbers) != set(of_rig)):
+        return files
+    if of_rig is None or numbers is None or not set(numbers) & set(of_rig):
+        of_rig = [(index,) for index in range(count)]
+    named = dict(zip(numbers or (), files, strict=False))
+    return tuple(named.get(number, Path()) for number in of_rig)
