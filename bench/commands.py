@@ -38,7 +38,12 @@ def bench_parser() -> Parser:
         kind = kinds.add_parser(name, help=about, allow_abbrev=False)
         _add_options(kind, frames="all")
         _add_options_of_variants(kind, seeds)
-    views = kinds.add_parser("views", help="viewpoints where no camera stood: every camera left out in turn")
+    views = kinds.add_parser(
+        "views",
+        help="viewpoints where no camera stood: every camera left out in turn",
+        epilog="PSNR of what it sees, of subject and rest apart where the rig has truth/mattes; haze (alpha before the "
+        "first surface) and the floaters that make it.",
+    )
     _add_options(views, frames="the first alone")
     views.add_argument("--seed", type=whole_number, default=0, metavar="N", help="of all runs (default 0)")
     views.add_argument(

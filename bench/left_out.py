@@ -8,7 +8,7 @@ reports made before and after a change are then about the same pixels. Remove OU
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
@@ -39,7 +39,7 @@ from decogs.formats.threads import thread_count
 from .estimates import rounded
 from .machine import code_version, machine_facts
 from .metrics import BytePicture, Mask, psnr, square_error_map
-from .regions import held_out_pictures
+from .regions import held_out_pictures, true_mattes
 from .runs import digest, document, read_document, result_name
 from .surfaces import Surfaces, in_two, midway
 
@@ -72,7 +72,8 @@ class LeftOutFrame:
     """One frame as the camera that was left out sees it, and what it cost. PSNR in dB.
 
     ``psnr_seen``: over the ``seen`` share of the pixels, whose surface two or more training cameras see; None without
-    such pixels. ``psnr_unseen``: over the others. ``training_psnr``: mean of the training cameras. ``haze``,
+    such pixels. ``psnr_unseen``: over the others. ``psnr_subject``, ``psnr_rest``: inside and outside the rig's true
+    matte; None without one. ``training_psnr``: mean of the training cameras. ``haze``,
     ``floaters``: what hangs in free space before the camera; ``haze_beside``: before a viewpoint midway to its nearest
     neighbour.
     """
@@ -81,6 +82,8 @@ class LeftOutFrame:
     psnr: float
     psnr_seen: float | None
     psnr_unseen: float | None
+    psnr_subject: float | None
+    psnr_rest: float | None
     seen: float
     training_psnr: float
     haze: float
@@ -151,10 +154,12 @@ class RigViewpoints:
             raise KeyboardInterrupt
         measured = []
         with open_stream(stream, strict=True) as judged, open_stream(self._reference(progress), strict=True) as whole:
-            pairs = zip(judged.frames(), whole.frames(), report.frames, self._recorded(camera), strict=True)
-            for seen, reference, cost, recorded in pairs:
+            pictures = held_out_pictures(self.rig, camera, self.frames, self.options.scale)
+            mattes = true_mattes(self.rig, camera, self.frames, self.options.scale)
+            frames = zip(judged.frames(), whole.frames(), report.frames, pictures, mattes, strict=True)
+            for seen, reference, cost, recorded, matte in frames:
                 surfaces = Surfaces(whole.header, reference.splats, self._threads)
-                looks, picture = self._measure(judged.header, seen.splats, surfaces, camera, recorded)
+                looks, picture = self._measure(judged.header, seen.splats, surfaces, camera, recorded, matte)
                 costs = {name: getattr(cost, name) for name in ("training_psnr", "gaussians", "bytes", "cpu_seconds")}
                 measured.append(LeftOutFrame(**rounded({"frame": cost.frame, **looks, **costs})))
         stream.unlink()
@@ -164,7 +169,13 @@ class RigViewpoints:
         return result
 
     def _measure(
-        self, header: StreamHeader, scene: Splats, surfaces: Surfaces, name: str, recorded: BytePicture
+        self,
+        header: StreamHeader,
+        scene: Splats,
+        surfaces: Surfaces,
+        name: str,
+        recorded: BytePicture,
+        matte: Mask | None,
     ) -> tuple[dict[str, Any], BytePicture]:
         # The header's cameras, as a viewer takes them: the rig's have no near planes and see their own housings.
         cameras = [scale_camera(camera, self.options.scale) for camera in header.cameras]
@@ -178,6 +189,8 @@ class RigViewpoints:
             "psnr": psnr_of(float(errors.mean())),
             "psnr_seen": psnr(errors, seen),
             "psnr_unseen": psnr(errors, ~seen),
+            "psnr_subject": None if matte is None else psnr(errors, matte),
+            "psnr_rest": None if matte is None else psnr(errors, ~matte),
             "seen": float(seen.mean()),
             "haze": before.haze,
             "floaters": before.floaters,
@@ -218,9 +231,6 @@ class RigViewpoints:
                 path.unlink(missing_ok=True)
                 raise KeyboardInterrupt
         return path
-
-    def _recorded(self, camera: str) -> Iterator[BytePicture]:
-        return held_out_pictures(self.rig, camera, self.frames, self.options.scale)
 
     def _key(self, settings: EncodeSettings, left_out: str) -> str:
         """Digest of everything that decides a stream; the reference has no seed of its own."""

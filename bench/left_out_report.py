@@ -26,8 +26,8 @@ NAME = "views"
 _PICTURES = 2
 """Worst viewpoints of a rig that are shown."""
 _HEADINGS = [
-    "last frame", "seen by two", "elsewhere", "share seen", "training views", "training − left out", "haze, %",
-    "haze beside, %", "floaters", "Gaussians", "kB, first frame", "CPU-s",
+    "last frame", "subject", "rest", "seen by two", "elsewhere", "share seen", "training views", "training − left out",
+    "haze, %", "haze beside, %", "floaters", "Gaussians", "kB, first frame", "CPU-s",
 ]  # fmt: skip
 
 
@@ -37,6 +37,8 @@ class _Figures:
 
     psnr: float | None
     last: float | None
+    subject: float | None
+    rest: float | None
     seen_psnr: float | None
     unseen_psnr: float | None
     seen: float | None
@@ -52,7 +54,8 @@ class _Figures:
         gap = None if self.training is None or self.psnr is None else self.training - self.psnr
         decibels = number(".2f")
         return [
-            *(decibels(value) for value in (self.psnr, self.last, self.seen_psnr, self.unseen_psnr)),
+            *(decibels(value) for value in (self.psnr, self.last, self.subject, self.rest)),
+            *(decibels(value) for value in (self.seen_psnr, self.unseen_psnr)),
             number(".0%")(self.seen),
             decibels(self.training),
             number("+.2f")(gap),
@@ -153,6 +156,8 @@ def _of_camera(result: LeftOut) -> _Figures:
     return _Figures(
         psnr=mean(frame.psnr for frame in frames),
         last=frames[-1].psnr,
+        subject=mean(frame.psnr_subject for frame in frames),
+        rest=mean(frame.psnr_rest for frame in frames),
         seen_psnr=mean(frame.psnr_seen for frame in frames),
         unseen_psnr=mean(frame.psnr_unseen for frame in frames),
         seen=mean(frame.seen for frame in frames),
@@ -190,7 +195,8 @@ def _how(results: dict[str, list[LeftOut]]) -> list[str]:
         "- Seen by two: over the pixels whose surface at least two training cameras see; elsewhere: over the others. "
         "So views between the cameras are apart from views beyond the rig. The surfaces are those of the same "
         "frames encoded with all cameras (references/), which only measures.",
-        "- Haze: opacity before the first surface, mean over the picture; beside: from a viewpoint midway to the "
+        "- Subject, rest: inside and outside the rig's true mattes (truth/mattes), where it has them.",
+        "- Haze: alpha before the first surface, mean over the picture; beside: from a viewpoint midway to the "
         "nearest camera. Floaters: Gaussians that make it: they end before nine tenths of the way to the surface.",
         "- CPU-s: of the whole encode, all cores added, measuring left out.",
         "- The pictures: recorded, decoded, and decoded with what no two training cameras see in the dark.",

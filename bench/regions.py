@@ -57,6 +57,16 @@ def held_out_pictures(rig: Rig, camera: str, frames: Sequence[int], scale: float
         yield _resized(to_8bit(display_referred(picture)), size)
 
 
+def true_mattes(rig: Rig, camera: str, frames: Sequence[int], scale: float) -> Iterator[Mask | None]:
+    """The subject's pixels (H, W) in ``camera``, frame by frame; None where the rig has no matte.
+
+    ``truth/mattes/CAM/FFFF.png``: subject from half coverage on. Raises RigError for one of another size.
+    """
+    for frame in frames:
+        path = rig.path / "truth" / "mattes" / camera / f"{frame:04d}.png"
+        yield _truth(path, rig, camera, scale) if path.is_file() else None
+
+
 def find_regions(rig: Rig, camera: str, frames: range, scale: float) -> Regions:
     """Static and dynamic pixels of ``camera``. Raises RigError when the rig's own masks do not fit."""
     folder = rig.path / "truth"

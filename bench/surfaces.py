@@ -36,7 +36,7 @@ SOLID = 0.5
 class Air:
     """What stands in free space before a camera.
 
-    ``haze``: opacity before the first surface, mean over the pixels that show one. ``floaters``: Gaussians that make
+    ``haze``: alpha before the first surface, mean over the pixels that show one. ``floaters``: Gaussians that make
     it.
     """
 

@@ -23,6 +23,7 @@ from . import EFFECTS
 from .effect import Decision, Evidence, Span
 from .rig_check import RigCheck, check_rig
 from .rig_statistics import RigStatistics, gather_statistics
+from .stage_check import StageCheck, check_stage
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ class Finding:
 class Analysis:
     """Result of an analysis: a finding for every effect, in the order of EFFECTS, and what the rig is good for.
 
-    ``seconds``: its duration.
+    ``stage``: the plain stage, None where there is none. ``seconds``: its duration.
     """
 
     path: str
@@ -47,6 +48,7 @@ class Analysis:
     stats: RigStatistics
     findings: tuple[Finding, ...]
     check: RigCheck
+    stage: StageCheck | None
     seconds: float
 
     @property
@@ -55,7 +57,7 @@ class Analysis:
         return tuple(finding.decision for finding in self.findings)
 
     def table(self) -> Iterator[str]:
-        """A table for the user: the rig, one row per effect, the verdict on the rig, and one row per camera."""
+        """A table for the user: the rig, a row for each effect, a plain stage, the verdict, a row for each camera."""
         stats = self.stats
         thinned = f", 1 in {stats.step} analysed" if stats.step > 1 else ""
         sizes = " and ".join(sorted({f"{camera.width}x{camera.height}" for camera in stats.cameras}))
@@ -69,6 +71,8 @@ class Analysis:
             yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
         yield _DECIDED_LATER
         yield ""
+        if self.stage is not None:
+            yield from self.stage.table()
         yield from self.check.table()
 
     def to_json(self) -> dict[str, Any]:
@@ -85,6 +89,7 @@ class Analysis:
             "seconds": round(self.seconds, 3),
             "effects": [_finding_json(stats, finding) for finding in self.findings],
             "expected": self.check.expected,
+            "stage": None if self.stage is None else _plain(asdict(self.stage)),
             "checks": {each.camera: _plain(asdict(each)) for each in self.check.cameras},
         }
 
@@ -114,8 +119,11 @@ def analyse(
         findings.append(Finding(evidence, effect.decide(stats, evidence)))
     with side_by_side(thread_count(threads)) as each:
         check = check_rig(stats, each)
+    stage = None
+    if stats.stage is not None:
+        stage = check_stage(stats.stage, stats.cameras, [own[0] for own in stats.pictures])
     seconds = time.perf_counter() - began
-    return Analysis(str(rig.path), rig.layout, tuple(holdout), len(span), stats, tuple(findings), check, seconds)
+    return Analysis(str(rig.path), rig.layout, tuple(holdout), len(span), stats, tuple(findings), check, stage, seconds)
 
 
 _HEADINGS = ("effect", "detected", "confidence", "evidence", "threshold", "cameras", "frames", "cost")

@@ -18,13 +18,15 @@ import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.cameras import Camera
+from decogs.formats.cameras import Camera, project
 from decogs.formats.colour import linear_from_srgb
 
+from ..keyframe.backdrop.stage import PlainStage
 from .matches import NEAR_LINE_PIXELS, Matches, PairMatches
 
 F64 = NDArray[np.float64]
@@ -51,6 +53,8 @@ _OUTLIER_SHARE = 0.2
 """Share of a camera's points at either end that may deviate."""
 _MIN_CAMERA_POINTS = 20
 """Least points that a determined camera shares with others."""
+_MIN_GAIN_ERRORS = 3.0
+"""Least gain of a mismatched camera, in standard errors: matches across 20 degrees scatter by .15."""
 _GRID_ROWS = 24
 """Rows and columns of the grid of pixels that stands for a whole picture."""
 _MIN_OVERALL_SHARE = 0.5
@@ -110,9 +114,11 @@ class Mismatch:
     shares: F64
 
 
-def shared_points(cameras: Sequence[Camera], matches: Matches) -> SharedPoints:
-    """The matches that lie on each other's epipolar lines."""
+def shared_points(cameras: Sequence[Camera], matches: Matches, stage: PlainStage | None = None) -> SharedPoints:
+    """The matches that lie on each other's epipolar lines, and points of a ``stage``'s backdrop, which has none."""
     pairs = [_near_epipolar(cameras, pair) for pair in matches.pairs]
+    if stage is not None:
+        pairs += _on_backdrop(cameras, stage)
     if not pairs:
         return SharedPoints(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2)))
     joined = [np.concatenate(parts) for parts in zip(*pairs, strict=True)]
@@ -172,7 +178,7 @@ def own_light(points: SharedPoints, lights: Sequence[F64], overall: Sequence[F64
     shares[:, :1] = 0
     for frame in range(1, shape[1]):
         known = np.isfinite(changes[frame]).all(axis=1)
-        gains[:, frame], shares[:, frame] = _solved(
+        gains[:, frame], shares[:, frame], _ = _solved(
             points.first[known], points.second[known], changes[frame, known], len(lights)
         )
     shares = _seen_overall(shares, np.stack(overall))
@@ -185,11 +191,14 @@ def own_light(points: SharedPoints, lights: Sequence[F64], overall: Sequence[F64
 def mismatch(points: SharedPoints, lights: Sequence[F64]) -> Mismatch:
     """How the cameras' light differs at the points that they share, in the first frame.
 
-    ``lights``: of each, `light_at` its `SharedPoints.pixels_of`.
+    ``lights``: of each, `light_at` its `SharedPoints.pixels_of`. Unless one camera's gain is beyond what the scatter of
+    its points explains, nobody's counts.
     """
     differences = _differences(points, [light[:1] for light in lights])[0]
     known = np.isfinite(differences).all(axis=1)
-    return Mismatch(*_solved(points.first[known], points.second[known], differences[known], len(lights)))
+    gains, shares, errors = _solved(points.first[known], points.second[known], differences[known], len(lights))
+    is_sure = (np.abs(shares) >= np.maximum(EXPOSURE_LIMIT, _MIN_GAIN_ERRORS * errors)).any()
+    return Mismatch(gains, shares if is_sure else 0 * shares)
 
 
 def _seen_overall(shares: F64, overall: F64) -> F64:
@@ -213,6 +222,19 @@ def _near_epipolar(cameras: Sequence[Camera], pair: PairMatches) -> tuple[I64, I
     return numbers[0], numbers[1], pair.first_pixels[near], pair.second_pixels[near]
 
 
+def _on_backdrop(cameras: Sequence[Camera], stage: PlainStage) -> list[tuple[I64, I64, F64, F64]]:
+    """Points of the backdrop that two cameras show, of all pairs of them."""
+    xyz, seen = stage.shared_points()
+    pixels = [np.stack(project(camera, xyz)[:2], axis=1) for camera in cameras]
+    pairs = []
+    for one, two in combinations(range(len(cameras)), 2):
+        both = np.flatnonzero(seen[one] & seen[two])
+        both = both[:: math.ceil(len(both) / _MAX_PAIR_POINTS) or 1]
+        first, second = (np.full(len(both), number, np.int64) for number in (one, two))
+        pairs.append((first, second, pixels[one][both], pixels[two][both]))
+    return pairs
+
+
 def _differences(points: SharedPoints, values: Sequence[F64]) -> F64:
     """Difference of a point's values (F, N, 3) in its first and its second camera, from each camera's of its points."""
     frames = values[0].shape[0]
@@ -223,12 +245,14 @@ def _differences(points: SharedPoints, values: Sequence[F64]) -> F64:
     return np.asarray(sides[0] - sides[1])
 
 
-def _solved(first: I64, second: I64, differences: F64, cameras: int) -> tuple[F64, F64]:
-    """Gains (cameras, 3) that fit the points' ``differences`` (N, 3) best, and the gain that 80 % of the points share.
+def _solved(first: I64, second: I64, differences: F64, cameras: int) -> tuple[F64, F64, F64]:
+    """Gains (cameras, 3) that fit the points' ``differences`` (N, 3) best, the gain that 80 % of the points share, and
+    the standard error of a median of a camera's points.
 
-    Cameras without comparable ones have gain 0 and share NaN.
+    Cameras without comparable ones have gain 0, share and error NaN.
     """
-    gains, shares = np.zeros((cameras, 3)), np.full((cameras, 3), np.nan)
+    gains = np.zeros((cameras, 3))
+    shares, errors = np.full((2, cameras, 3), np.nan)
     for group in _comparable(first, second, cameras):
         inside = np.isin(first, group) & np.isin(second, group)
         a, b, known = first[inside], second[inside], differences[inside]
@@ -241,7 +265,9 @@ def _solved(first: I64, second: I64, differences: F64, cameras: int) -> tuple[F6
             here, there = a == camera, b == camera
             own = np.concatenate([known[here] + gains[b[here]], gains[a[there]] - known[there]])
             shares[camera] = _shared(own)
-    return gains, shares
+            deviation = 1.48 * np.median(np.abs(own - np.median(own, axis=0)), axis=0)
+            errors[camera] = 1.25 * deviation / math.sqrt(len(own))
+    return gains, shares, errors
 
 
 def _comparable(first: I64, second: I64, cameras: int) -> list[I64]:

@@ -42,6 +42,8 @@ _LAST_REACH = 0.003
 _TURN_ROUNDS = 16
 _MAX_RESIDUAL_SHARE = 0.35
 """Largest median of what a turn leaves of the offsets, in shares of the turn."""
+_MIN_MOVED_ERRORS = 10.0
+"""Least median of how far a turn moves the matches, in standard errors of what it leaves: 4 for a false one."""
 _MAX_LINE_DISTANCE_PIXELS = 15.0
 """Largest distance of a right match from its line, in pixels: a camera turned by three degrees."""
 _NEAREST_MATCHES_SHARE = 0.3
@@ -159,12 +161,11 @@ def _turn(cameras: Sequence[Camera], matches: Matches, camera: int, others: set[
         turn = np.linalg.solve(normal, np.einsum("nij,ni->j", rows * weight, offsets))
         reach = max(0.7 * reach, _LAST_REACH)
     size = float(np.linalg.norm(turn))
-    missed = np.linalg.norm(offsets - rows @ turn, axis=1)
-    # A turn that leaves most offsets as they were is the mean of wrong matches.
-    is_reliable = float(np.median(missed)) < _MAX_RESIDUAL_SHARE * size or not is_turned(
-        cameras[camera], math.degrees(size)
-    )
-    return math.degrees(size) if is_reliable else math.nan
+    missed, moved = (float(np.median(np.linalg.norm(each, axis=1))) for each in (offsets - rows @ turn, rows @ turn))
+    # A turn that leaves most offsets as they were is the mean of wrong matches; one that moves the few matches of a
+    # single performer by no more than their errors is a roll about the place where they are.
+    explains = missed < min(_MAX_RESIDUAL_SHARE * size, moved * math.sqrt(len(rays)) / _MIN_MOVED_ERRORS)
+    return math.degrees(size) if explains or not is_turned(cameras[camera], math.degrees(size)) else math.nan
 
 
 def _partner(pair: PairMatches, camera: int) -> Iterator[int]:

@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 
 from decogs.formats.cameras import Camera, camera_centre, in_picture, project, ray_slopes, turned
 
+from ..keyframe.backdrop.stage import PlainStage
 from .matches import Matches
 from .reprojection import MAX_RAYS_ANGLE, epipolar_residuals, is_turned, triangulate, turns
 from .rig_statistics import RigStatistics, typical_noise
+from .stage_check import first_met
 from .synchrony import delays
 
 F64 = NDArray[np.float64]
@@ -43,7 +45,8 @@ _MIN_DEPTH_POINTS = 25
 @dataclass(frozen=True)
 class CameraCheck:
     """One camera. ``seen_by_one``, ``seen_by_two``: shares of its pixels whose surface so many others see from an angle
-    that gives the depth and still looks alike. ``gap``: median angle, degrees, to the nearest of them; NaN without any.
+    that gives the depth and still looks alike; NaN where no match says where it is. ``gap``: median angle, degrees, to
+    the nearest of them, on a plain stage over what stands in front of the backdrop; NaN without any.
     ``residual``: distance, pixels, of the nearer matches of its best pair from their epipolar lines; ``turned``:
     degrees against the calibration, as the others' points say; both NaN where matches are too few. ``late``: frames
     behind the others; NaN where too little moves.
@@ -102,7 +105,7 @@ class RigCheck:
             yield "  ".join([f"{each.camera:<20}", *cells])
 
     def _why(self) -> str:
-        shares = [each.seen_by_two for each in self.cameras]
+        shares = [_known(each.seen_by_two) for each in self.cameras]
         gaps = [each.gap for each in self.cameras if math.isfinite(each.gap)]
         near = f"; the nearest view is {np.median(gaps):.0f} degrees away" if gaps else ""
         return f"two other cameras see {np.median(shares):.0%} of a camera's pixels{near} (medians)"
@@ -115,17 +118,21 @@ def check_rig(stats: RigStatistics, each: Callable[..., Iterator[Any]] = map) ->
         noise = typical_noise(stats.noise).tolist()
         steady = [not path.shakes for path in stats.paths]
         late = delays(stats.cameras, stats.pictures, steady, noise, each)
-    return judge_rig(stats.cameras, stats.matches, late)
+    return judge_rig(stats.cameras, stats.matches, late, stats.stage)
 
 
-def judge_rig(cameras: Sequence[Camera], matches: Matches, late: F64) -> RigCheck:
-    """The check by the matches of the cameras' first pictures; ``late`` (cameras,) in frames, NaN where unknown."""
+def judge_rig(cameras: Sequence[Camera], matches: Matches, late: F64, stage: PlainStage | None = None) -> RigCheck:
+    """The check by the matches of the cameras' first pictures; ``late`` (cameras,) in frames, NaN where unknown.
+
+    On a plain ``stage``, whose backdrop has no matches, its surfaces and hull say what the cameras see.
+    """
     residuals, turned_by = epipolar_residuals(cameras, matches), turns(cameras, matches)
     known = residuals[np.isfinite(residuals)]
     usual = float(np.median(known)) if len(known) else math.nan
     checks = []
     for row, camera in enumerate(cameras):
-        by_one, by_two, gap = _coverage(cameras, matches, row)
+        shown = _matched_surface(cameras, matches, row) if stage is None else _stage_surface(stage, camera)
+        by_one, by_two, gap = _coverage(cameras, row, shown)
         beside = residuals[row] >= max(_MISPLACED_PIXELS, _MISPLACED_RATIO * usual)
         misplaced = is_turned(camera, turned_by[row]) if math.isfinite(turned_by[row]) else beside
         checks.append(
@@ -146,7 +153,7 @@ def judge_rig(cameras: Sequence[Camera], matches: Matches, late: F64) -> RigChec
 def _expected(checks: Sequence[CameraCheck]) -> str | None:
     if len(checks) < 3:
         return None
-    seen = float(np.median([check.seen_by_two for check in checks]))
+    seen = float(np.median([_known(check.seen_by_two) for check in checks]))
     gaps = [check.gap for check in checks if math.isfinite(check.gap)]
     gap = math.radians(float(np.median(gaps))) if len(gaps) * 2 > len(checks) else math.inf
     if seen >= _RIGHT_SEEN_SHARE and gap <= _RIGHT_GAP:
@@ -154,29 +161,42 @@ def _expected(checks: Sequence[CameraCheck]) -> str | None:
     return ROUGH if seen >= _ROUGH_SEEN_SHARE and gap <= _ROUGH_GAP else WRONG
 
 
-def _coverage(cameras: Sequence[Camera], matches: Matches, row: int) -> tuple[float, float, float]:
+def _known(share: float) -> float:
+    """A share of pixels, 0 where it is not known: what no match finds, training hardly finds."""
+    return share if math.isfinite(share) else 0.0
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """World points (N, 3) that a camera's pixels show, and which of them (N,) need a second camera from near by."""
+
+    points: F64
+    textured: NDArray[np.bool_]
+
+
+def _coverage(cameras: Sequence[Camera], row: int, shown: _Shown | None) -> tuple[float, float, float]:
     """Shares of a camera's pixels that one and two others see well, and the median angle to the nearest, degrees."""
-    points = _surface(cameras, matches, row)
-    if points is None:
-        return 0.0, 0.0, math.nan
-    own = points - camera_centre(cameras[row])
-    angles = np.full((len(cameras), len(points)), np.inf)
+    if shown is None:
+        return math.nan, math.nan, math.nan
+    own = shown.points - camera_centre(cameras[row])
+    angles = np.full((len(cameras), len(own)), np.inf)
     for other, camera in enumerate(cameras):
         if other == row:
             continue
-        theirs = points - camera_centre(camera)
+        theirs = shown.points - camera_centre(camera)
         cosine = (own * theirs).sum(axis=1) / (np.linalg.norm(own, axis=1) * np.linalg.norm(theirs, axis=1))
-        seen = in_picture(camera, *project(camera, points))
+        seen = in_picture(camera, *project(camera, shown.points))
         angles[other, seen] = np.arccos(np.clip(cosine[seen], -1, 1))
-    count = (angles < MAX_RAYS_ANGLE).sum(axis=0)
-    nearest = angles.min(axis=0)
+    # What has no texture looks alike from everywhere.
+    count = (angles < np.where(shown.textured, MAX_RAYS_ANGLE, np.inf)).sum(axis=0)
+    nearest = angles.min(axis=0)[shown.textured]
     finite = nearest[np.isfinite(nearest)]
     gap = math.degrees(float(np.median(finite))) if len(finite) else math.nan
     return float((count >= 1).mean()), float((count >= 2).mean()), gap
 
 
-def _surface(cameras: Sequence[Camera], matches: Matches, row: int) -> F64 | None:
-    """World points (N, 3) behind a grid of a camera's pixels, as deep as the triangulated match nearest to each."""
+def _matched_surface(cameras: Sequence[Camera], matches: Matches, row: int) -> _Shown | None:
+    """What a grid of a camera's pixels shows, as deep as the triangulated match nearest to each; None without them."""
     pixels, depths = [np.empty((0, 2))], [np.empty(0)]
     for pair in matches.pairs:
         if row not in (pair.first, pair.second):
@@ -187,15 +207,26 @@ def _surface(cameras: Sequence[Camera], matches: Matches, row: int) -> F64 | Non
     at, depth = np.concatenate(pixels), np.concatenate(depths)
     if len(at) < _MIN_DEPTH_POINTS:
         return None
-    camera = cameras[row]
+    grid, rays = _grid_rays(cameras[row])
+    behind = depth[np.argmin(((grid[:, None] - at[None]) ** 2).sum(axis=2), axis=1)]
+    return _Shown(camera_centre(cameras[row]) + behind[:, None] * rays, np.ones(len(rays), bool))
+
+
+def _stage_surface(stage: PlainStage, camera: Camera) -> _Shown:
+    """What a grid of a camera's pixels shows of a plain stage: its hull, and the backdrop, which is plain."""
+    _, rays = _grid_rays(camera)
+    points = first_met(stage, camera_centre(camera), rays)
+    return _Shown(points, ~stage.on_backdrop(points))
+
+
+def _grid_rays(camera: Camera) -> tuple[F64, F64]:
+    """A grid of a camera's pixels (N, 2), and their world directions (N, 3), at unit depth."""
     columns, rows = (
         (np.arange(n) + 0.5) / n * size for n, size in zip(_GRID_SIZE, (camera.width, camera.height), strict=True)
     )
     grid = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
-    behind = depth[np.argmin(((grid[:, None] - at[None]) ** 2).sum(axis=2), axis=1)]
     x, y = ray_slopes(camera, grid[:, 0], grid[:, 1])
-    rotation, translation = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
-    return turned(rotation.T, np.stack([x, y, np.ones_like(x)], axis=1) * behind[:, None] - translation)
+    return grid, turned(camera.world_to_camera[:3, :3].T, np.stack([x, y, np.ones_like(x)], axis=1))
 
 
 def _or_none(value: float, specification: str, unit: str) -> str:

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.decoder.lens import Undistortion
 from decogs.formats.callbacks import OnProgress
 from decogs.formats.cameras import Camera, scale_camera
 from decogs.formats.errors import UsageError
@@ -22,7 +23,8 @@ from decogs.formats.pictures import Picture
 from decogs.formats.rigs import Rig, read_frames
 
 from ..change.noise import picture_noise
-from ..input.ingest import check_held_out, display_referred
+from ..input.ingest import RigFrame, View, check_held_out, display_referred
+from ..keyframe.backdrop.stage import PlainStage, find_stage
 from ..parallel import Each, ahead, side_by_side
 from .light import Light, Mismatch, light_at, light_overall, mismatch, own_light, shared_points
 from .matches import Matches, find_matches
@@ -50,7 +52,7 @@ class RigStatistics:
     ``cameras`` at the analysed size (lens included), ``scales`` that size over the rig's. ``frames``: the rig's
     numbers of the analysed frames, every ``step``-th. ``pictures``: per camera (F, H, W, 3) uint8, display-referred.
     ``noise`` (cameras, F): standard deviation of the difference of successive pictures over sqrt 2, in 8-bit levels of
-    full-size pixels.
+    full-size pixels. ``stage``: the plain one of the first frame, seen in these pictures; None where there is none.
     """
 
     cameras: tuple[Camera, ...]
@@ -63,6 +65,7 @@ class RigStatistics:
     mismatch: Mismatch
     paths: tuple[CameraPath, ...]
     matches: Matches
+    stage: PlainStage | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -91,7 +94,8 @@ def gather_statistics(
         recorded = read_frames(rig, chosen[0], chosen[-1] + 1, step=chosen.step, names=[one.name for one in cameras])
         pictures, noise = _read(recorded if threads == 1 else ahead(recorded), cameras, chosen, each, steps)
         matches = find_matches(cameras, [own[0] for own in pictures], each)
-        points = shared_points(cameras, matches)
+        stage = _stage(cameras, [own[0] for own in pictures])
+        points = shared_points(cameras, matches, stage)
         pixels = [points.pixels_of(row) for row in range(len(cameras))]
         lights = [steps.count(found) for found in each(light_at, pictures, pixels)]
         light = own_light(points, lights, list(each(light_overall, pictures)))
@@ -107,7 +111,17 @@ def gather_statistics(
         mismatch(points, lights),
         tuple(paths),
         matches,
+        stage,
     )
+
+
+def _stage(cameras: Sequence[Camera], pictures: Sequence[U8]) -> PlainStage | None:
+    """The plain stage in the first ``pictures`` (H, W, 3) of the cameras."""
+    plans = [Undistortion(camera) for camera in cameras]
+    views = [View(plan.camera, plan.pinhole, plan.valid.astype(np.float32)) for plan in plans]
+    straight = [display_referred(plan.apply(own)) for plan, own in zip(plans, pictures, strict=True)]
+    found = find_stage(views, RigFrame(0, [picture.transpose(2, 0, 1) for picture in straight], []))
+    return found if isinstance(found, PlainStage) else None
 
 
 class _Steps:

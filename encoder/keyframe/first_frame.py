@@ -89,7 +89,7 @@ def train_first_frame(
             shared = stage.shared_points() if isinstance(stage, PlainStage) else (points.xyz, points.seen)
             colours = find_colours(ingest.views, frame.training, *shared)
             frame = match_colours(frame, ingest.views, colours)
-            stage = find_stage(ingest.views, frame)
+            stage = None if stage is None else find_stage(ingest.views, frame)
     if corrector is not None and corrector.cameras.camera_shake:
         with watch.stage("pre-alignment"):
             prealigned = prealigned_pictures(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -107,9 +108,9 @@ def left(monkeypatch: pytest.MonkeyPatch, short_presets: None) -> list[tuple[str
     return names
 
 
-def run_without_cam00(rig: Path, folder: Path) -> None:
+def run_without_cam00(rig: Path, folder: Path) -> left_out.LeftOut:
     options = left_out.LeftOutOptions(cameras=1, settings="tiny", threads=1)
-    left_out.RigViewpoints(rig, folder, options).run("cam00")
+    return left_out.RigViewpoints(rig, folder, options).run("cam00")
 
 
 def test_the_whole_report(
@@ -141,6 +142,23 @@ def test_the_whole_report(
     assert bench_main([*command, "--cameras", ",".join(chosen), "--frames", ":2"]) == 0
     assert len(left) == 1  # the other camera's result and the reference are still there
     assert json.loads((folder / "views.json").read_text())["rigs"][three_frames.name].keys() == figures.keys()
+
+
+def test_subject_and_rest_are_measured_apart_where_a_rig_has_mattes(
+    three_frames: Path, tmp_path: Path, left: list[Any]
+) -> None:
+    rig = shutil.copytree(three_frames, tmp_path / "rig")
+    without = run_without_cam00(rig, tmp_path / "without").frames[0]
+    assert (without.psnr_subject, without.psnr_rest) == (None, None)
+    size = open_rig(rig).cameras[0]
+    matte = np.zeros((size.height, size.width), np.uint8)
+    matte[: size.height // 4] = 255
+    (rig / "truth/mattes/cam00").mkdir(parents=True)
+    cv2.imwrite(str(rig / "truth/mattes/cam00/0000.png"), matte)
+    found = run_without_cam00(rig, tmp_path / "with").frames[0]
+    assert found.psnr == without.psnr
+    subject, rest, whole = (10 ** (-each / 10) for each in (found.psnr_subject, found.psnr_rest, found.psnr))
+    assert whole == pytest.approx(0.25 * subject + 0.75 * rest, rel=1e-3)  # figures are kept to 4 digits
 
 
 def test_cameras_are_the_streams_with_their_near_planes(

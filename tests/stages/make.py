@@ -76,7 +76,7 @@ def render(
     bodies = [*acting, *view.stage.props]
     lit = cv2.remap(backdrop, *view.place, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
     image = view.albedo * lit.reshape(-1, 3).T
-    nearest, owner = _nearest(view, bodies)
+    nearest, owner = first_met(view, bodies)
     seen = np.argsort(owner, kind="stable")[np.count_nonzero(owner < 0) :]
     points = view.origin + nearest[seen] * view.ways[:, seen]
     colours, normals = np.empty_like(points), np.empty_like(points)
@@ -91,7 +91,7 @@ def render(
     return _pixels(image, view), _pixels(moving[None], view)[..., 0]
 
 
-def _nearest(view: View, bodies: Sequence[Body]) -> tuple[Array, NDArray[np.int32]]:
+def first_met(view: View, bodies: Sequence[Body]) -> tuple[Array, NDArray[np.int32]]:
     """Depth of what each ray meets first, and the index of the body, -1 for the backdrop."""
     nearest, owner = view.depth.copy(), np.full(view.depth.shape, -1, np.int32)
     for index, body in enumerate(bodies):

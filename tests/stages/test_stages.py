@@ -10,6 +10,7 @@ import pytest
 
 from decogs.formats.cameras import project
 from decogs.formats.rigs import open_rig, read_frames
+from stages.false_points import false_points
 from stages.make import light_on_backdrop, look, render, write_stage
 from stages.ray import Array, Body, light
 from stages.scenes import LAMPS, STAGES, ball, cameras, on_stage
@@ -96,6 +97,14 @@ def test_a_lamp_s_shadow_lies_on_the_floor_behind_a_ball_and_not_beside_it() -> 
     clear, shadowed = light(places, up, [lamp], []), light(places, up, [lamp], [thrown])
     assert (clear > 0).all()
     assert (shadowed == clear * [0, 1]).all()
+
+
+@pytest.mark.slow
+def test_a_plain_stage_halves_the_false_first_points(tmp_path: Path) -> None:
+    """14 and 6 % at 240x320."""
+    alone, encoded, is_plain = false_points(write_stage("grey", tmp_path / "grey", cameras((120, 160)), frames=1))
+    assert is_plain
+    assert 0 < encoded < 0.6 * alone
 
 
 def _inside(body: Body, points: Array) -> Array:

@@ -25,6 +25,8 @@ from .views import BoolArray, StageView, stage_view
 
 _MIN_PLAIN_SHARE = 0.5
 """Plain share of the median view's picture from which a stage is plain: rooms and textured stages have up to .45."""
+_DECISION_PIXELS = 62_000
+"""Of a view in this decision; larger pictures are shrunk."""
 _BACKDROP_GAUSSIANS = 4600
 _OPACITY, _SIGMA_SPACINGS = 0.8, 0.75
 """Of the backdrop's Gaussians, the size in units of their distance: together they let nothing through."""
@@ -110,10 +112,10 @@ def find_stage(views: Sequence[View], frame: RigFrame) -> Stage | None:
     """
     if frame.alpha:
         return subject_alone(views, frame.alpha)
+    if not _mostly_plain(views, frame.training):
+        return None
     seen = [stage_view(*each) for each in zip(views, frame.training, strict=True)]
     plain = [plain_pixels(view.picture) & view.recorded for view in seen]
-    if np.median([mask.mean() for mask in plain]) < _MIN_PLAIN_SHARE:
-        return None
     plates = [plate_of(view.picture, mask) for view, mask in zip(seen, plain, strict=True)]
     subjects = [_subject_view(*each) for each in zip(seen, plates, strict=True)]
     backdrops = [
@@ -125,6 +127,17 @@ def find_stage(views: Sequence[View], frame: RigFrame) -> Stage | None:
     xyz, normals = surfaces.points(spacing)
     colours = surface_colours(backdrops, xyz, normals)
     return PlainStage(Hull(subjects), surfaces, backdrops, xyz.astype(np.float32), colours, spacing)
+
+
+def _mostly_plain(views: Sequence[View], pictures: Sequence[FloatArray]) -> bool:
+    """Whether the median picture is mostly plain. Once most are not, nothing is asked of the others."""
+    shares: list[float] = []
+    for view, picture in zip(views, pictures, strict=True):
+        small = stage_view(view, picture, _DECISION_PIXELS)
+        shares.append(float((plain_pixels(small.picture) & small.recorded).mean()))
+        if 2 * sum(share < _MIN_PLAIN_SHARE for share in shares) > len(views):
+            return False
+    return bool(np.median(shares) >= _MIN_PLAIN_SHARE)
 
 
 def _subject_view(view: StageView, plate: FloatArray) -> SubjectView:

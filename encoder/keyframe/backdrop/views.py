@@ -28,14 +28,14 @@ class StageView:
     recorded: BoolArray
 
 
-def stage_camera(view: View) -> Camera:
-    """The view's camera at the size of the search."""
-    return scale_camera(view.pinhole, min(1.0, (_MAX_PIXELS / (view.pinhole.width * view.pinhole.height)) ** 0.5))
+def stage_camera(view: View, most: int = _MAX_PIXELS) -> Camera:
+    """The view's camera at the size of the search, of at most so many pixels."""
+    return scale_camera(view.pinhole, min(1.0, (most / (view.pinhole.width * view.pinhole.height)) ** 0.5))
 
 
-def stage_view(view: View, picture: FloatArray) -> StageView:
-    """The view with its ``picture`` (3, H, W)."""
-    camera = stage_camera(view)
+def stage_view(view: View, picture: FloatArray, most: int = _MAX_PIXELS) -> StageView:
+    """The view with its ``picture`` (3, H, W), of at most so many pixels."""
+    camera = stage_camera(view, most)
     planes = np.ascontiguousarray(resized(picture, camera).transpose(1, 2, 0))
     return StageView(camera, planes, recorded_pixels(view, camera))
 

@@ -33,10 +33,10 @@ def looking_in(degrees: Sequence[float], height: float = 0.0) -> list[Camera]:
     return cameras
 
 
-def matches_of(cameras: Sequence[Camera], wrong: float = 0.2) -> Matches:
+def matches_of(cameras: Sequence[Camera], wrong: float = 0.2, spread: float = 1.0) -> Matches:
     """What matching finds of 300 points: one pixel in all pairs of a camera, .3 pixels of noise, and wrong ones."""
     rng = np.random.default_rng(3)
-    points = rng.uniform(-1, 1, (300, 3)) * [1.2, 1.0, 1.2]
+    points = spread * rng.uniform(-1, 1, (300, 3)) * [1.2, 1.0, 1.2]
     seen = [np.stack(project(camera, points)[:2], axis=1) + rng.normal(0, 0.3, (300, 2)) for camera in cameras]
     pairs = []
     for one, two in neighbouring(cameras):
@@ -83,6 +83,16 @@ def test_a_camera_turned_by_a_degree_is_named_and_no_other(degrees: np.ndarray, 
     assert warning.startswith(("camera cam03 appears rotated by 1.0 degrees", "camera cam03 appears rotated by 0.9"))
 
 
+@pytest.mark.parametrize(("spread", "named"), [(0.05, []), (0.3, ["cam03"])])
+def test_a_roll_about_matches_in_one_place_counts_where_it_shows(spread: float, named: list[str]) -> None:
+    """A degree moves matches within 4 pixels of each other by less than a tenth: less than their errors."""
+    cameras = looking_in(ARC, height=1.0)
+    found = matches_of(cameras, wrong=0.0, spread=spread)
+    cameras[3] = turned_by_a_degree(cameras[3], axis=2)
+    check = judge_rig(cameras, found, UNKNOWN)
+    assert [camera.camera for camera in check.cameras if camera.misplaced] == named
+
+
 def test_two_cameras_may_be_turned() -> None:
     cameras = looking_in(np.arange(10) * 9.0, height=1.0)
     found = matches_of(cameras)
@@ -99,9 +109,14 @@ def test_neighbours_see_what_a_camera_sees_and_cameras_wide_apart_do_not() -> No
     assert all(camera.seen_by_two > 0.7 for camera in check.cameras)
     # Cameras stand 9 degrees apart as seen from the middle of the points, which reach a third of the way to them.
     assert all(6 < camera.gap < 13 for camera in check.cameras)
+
+
+def test_without_matches_nobody_knows_what_others_see() -> None:
     apart = looking_in([0.0, 90.0, 180.0, 270.0])
     check = judge_rig(apart, matches_of(apart), UNKNOWN)
     assert check.expected == WRONG
+    assert all(math.isnan(camera.seen_by_one) for camera in check.cameras)
+    assert all(line.split()[1:3] == ["-", "-"] for line in list(check.table())[2:])
     (warning,) = check.warnings()
     assert warning.startswith("new views between the cameras will not look right: two other cameras see 0%")
     assert judge_rig(apart[:2], Matches(()), UNKNOWN).expected is None
