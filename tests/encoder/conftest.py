@@ -88,6 +88,7 @@ class _Lookup:
     cameras: tuple[Camera, ...]
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     camera_colours: Mapping[str, Correction] = field(default_factory=dict)
+    subject: bool = False
 
 
 class TinyRig:

@@ -76,6 +76,17 @@ class Mattes:
         for _, mattes in read_frames(self.rig, start, stop, names=having):
             yield {name: _alpha(matte) for name, matte in zip(having, mattes, strict=True)}
 
+    def told(self, name: str, given: FloatArray | None) -> Iterator[Picture]:
+        """Whatever makes a cut picture another one, as arrays."""
+        if given is not None:
+            yield given
+        if self.key is not None:
+            yield np.rint(1000 * self.key)
+        if name in self.plates:
+            yield self.plates[name]
+        if name in self.kept:
+            yield self.kept[name].astype(np.uint8)
+
     def cut(self, name: str, picture: Picture, given: FloatArray | None) -> Cut:
         """A camera's picture and its alpha. Raises RigError where it shows no screen, or not what its plate does."""
         if given is not None:
