@@ -20,6 +20,7 @@ from .analysis import Decision, EffectChoice, effect_choice, with_effects
 from .analysis.analyse import analyse
 from .backends import check_device
 from .frame.context import Context
+from .input.compositing import background_for
 from .input.imported_keyframe import KeyframeSource, read_keyframe
 from .input.imported_splats import SplatSource, is_splat_file, read_splat_source
 from .input.ingest import Ingest, frame_span
@@ -72,7 +73,14 @@ def encode(
         ingest = work.ingest
         if chosen.corrections.lens:
             lens = chosen.corrections.lens
-            ingest = Ingest(work.rig, holdout=job.holdout, scale=job.scale, lens=lens, mattes=work.mattes)
+            ingest = Ingest(
+                work.rig,
+                holdout=job.holdout,
+                scale=job.scale,
+                lens=lens,
+                mattes=work.mattes,
+                background=ingest.background,
+            )
         observer.started(_facts(job, work, ingest, chosen))
         context = Context.of(
             ingest,
@@ -148,7 +156,10 @@ def _prepare(job: EncodeJob, warn: OnWarning) -> _Work:
     ingest = Ingest(rig, holdout=job.holdout, scale=job.scale, mattes=mattes)
     output = Path(job.output) if isinstance(job.output, (str, os.PathLike)) else job.output
     _check_outputs(job, output, rig, mattes, reads_keyframe=base is not None or source is not None)
-    check_mattes(ingest, span.start, warn)
+    if ingest.has_mattes:
+        first = next(ingest.frames(span.start, span.start + 1))
+        check_mattes(ingest, first, warn)
+        ingest.background = background_for(first.training, first.alpha)
     begun = source if base is None else base.source
     memory = memory_within(
         ingest,

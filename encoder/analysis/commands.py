@@ -52,8 +52,9 @@ def _analyze(parser: Parser, options: argparse.Namespace) -> None:
         warn_as(parser)(warning)
     span = frame_span(rig, frame_range(options.frames))
     mattes = open_mattes(matte_choice(options), rig, span, options.holdout)
-    if mattes is not None:
-        check_mattes(Ingest(rig, holdout=options.holdout, mattes=mattes), span.start, warn_as(parser))
+    if mattes is not None and mattes.cuts:
+        ingest = Ingest(rig, holdout=options.holdout, mattes=mattes)
+        check_mattes(ingest, next(ingest.frames(span.start, span.start + 1)), warn_as(parser))
     to_file = options.json is not None and options.json != "-"
     if to_file:
         check_outputs([Output("json", Path(options.json), grows=True)], files_of(rig))

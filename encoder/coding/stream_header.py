@@ -55,6 +55,7 @@ def stream_header(
         settings={"seed": seed, "scale": ingest.scale, **pictures, **document},
         corrected=corrected,
         camera_colours=colours,
+        subject=ingest.background is not None,
     )
 
 

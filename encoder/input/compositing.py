@@ -17,7 +17,7 @@ from ..backends import BLACK, Colour
 
 _SUBJECT_ALPHA = 0.9
 """Opacity from which a pixel has the subject's own colour."""
-_NEAREST_PERCENT = 2.0
+_NEAREST_PERCENT = 0.5
 """Share of the subject's pixels that may be nearer to the background's colour than what counts."""
 _MAX_SAMPLES = 20_000
 

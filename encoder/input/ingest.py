@@ -23,6 +23,7 @@ from decogs.formats.rigs import Rig, read_frames
 from decogs.formats.splats import FloatArray
 
 from ..backends import Colour
+from .compositing import over
 from .mattes import Cut, Mattes
 from .recordings import digest_of
 
@@ -86,8 +87,9 @@ class Ingest:
     """A rig seen through its training and held-out views at one scale.
 
     ``lens``: by camera, a k1 (OpenCV) that its calibration does not know. ``mattes``: of the subject, and what no
-    picture teaches. Raises UsageError when a held-out name, or
-    one in ``lens``, is no camera, when no camera is left to train on, or for an impossible scale; RigError for cameras
+    picture teaches. With a ``background``, pictures are the subject over that colour. Raises UsageError when a held-out
+    name, or one in ``lens``, is no camera, when no camera is left to train on, or for an impossible scale; RigError for
+    cameras
     so far from the world's origin that 32-bit positions blur what they see, or too close together in the world's unit.
     """
 
@@ -99,6 +101,7 @@ class Ingest:
         scale: float = 1.0,
         lens: Mapping[str, float] | None = None,
         mattes: Mattes | None = None,
+        background: Colour | None = None,
     ) -> None:
         is_number = isinstance(scale, (int, float, np.floating))
         if not (is_number and 0 < scale <= 4):
@@ -121,8 +124,7 @@ class Ingest:
         self._valid = {name: self._teaching(name) for name in names}
         self._fillings = {name: _filling(valid) for name, valid in self._valid.items()}
         self._plates = [self._prepare(name, self._mattes.plates[name]) for name in self._names if self._mattes.plates]
-        self.background: Colour | None = None
-        """Of pictures and renderings of a subject with mattes; None for a whole scene."""
+        self.background = background
         self.views = [self._view(name) for name in self._names]
         self.held_out_views = [self._view(name) for name in self._held_names]
 
@@ -173,7 +175,7 @@ class Ingest:
             alphas = [self._alpha(name, each) for name, each in zip(names, cut, strict=True)]
             held_out = zip(self._held_names, pictures[count:], strict=True)
             own_size = [self._at_own_size(*each) for each in held_out] if self.scale != 1 else []
-            yield RigFrame(
+            frame = RigFrame(
                 index,
                 planes[:count],
                 planes[count:],
@@ -184,6 +186,7 @@ class Ingest:
                 self._plates,
                 [] if self._mattes.key is None else [each.worn for each in cut[:count]],
             )
+            yield frame if self.background is None else _composited(frame, self.background)
 
     def _at_own_size(self, name: str, picture: Picture) -> Picture:
         camera = next(camera for camera in self.rig.cameras if camera.name == name)
@@ -235,6 +238,18 @@ def _digests(names: Sequence[str], pictures: Sequence[Picture], mattes: Mapping[
     """Of each camera's picture, with its matte where it has one."""
     shown = zip(names, pictures, strict=False)
     return {name: digest_of(picture) + (digest_of(mattes[name]) if name in mattes else "") for name, picture in shown}
+
+
+def _composited(frame: RigFrame, background: Colour) -> RigFrame:
+    """The frame's subject over ``background``; held-out pictures without a matte stay, and cannot be compared."""
+    plates: Sequence[FloatArray | None] = frame.plates or [None] * len(frame.training)
+    each = zip(frame.training, frame.alpha, plates, strict=True)
+    held_out = [
+        picture if alpha is None else over(picture, alpha, background)
+        for picture, alpha in zip(frame.held_out, frame.held_out_alpha, strict=True)
+    ]
+    training = [over(picture, alpha, background, plate) for picture, alpha, plate in each]
+    return replace(frame, training=training, held_out=held_out, own_size=())
 
 
 def scene_extent(views: Sequence[View]) -> float:

@@ -18,7 +18,7 @@ from decogs.formats.cameras import Camera, in_picture, project, ray_slopes
 from decogs.formats.errors import RigError
 from decogs.formats.splats import FloatArray
 
-from .ingest import Ingest, scene_extent
+from .ingest import Ingest, RigFrame, scene_extent
 
 _ALL, _LEVEL = 0.995, 1 / 255
 _MAX_LABEL = 8 / 255
@@ -41,13 +41,10 @@ _WRONG, _DOUBTFUL, _DENIED = 0.8, 0.85, 0.3
 them, below which someone's is; share of all others' subjects that one denies, from which its own is."""
 
 
-def check_mattes(ingest: Ingest, frame: int, warn: OnWarning) -> None:
-    """Raises RigError where the mattes of ``frame`` cannot be what they should; nothing where there are none."""
-    if not ingest.has_mattes:
-        return
-    views, first = ingest.views, next(ingest.frames(frame, frame + 1))
-    alphas = first.alpha
-    places = [ingest.matte_place(view.camera.name, frame) for view in views]
+def check_mattes(ingest: Ingest, first: RigFrame, warn: OnWarning) -> None:
+    """Raises RigError where the mattes of the ``first`` frame cannot be what they should."""
+    views, alphas = ingest.views, first.alpha
+    places = [ingest.matte_place(view.camera.name, first.index) for view in views]
     for place, alpha in zip(places, alphas, strict=True):
         problem = _problem(alpha)
         if problem:

@@ -69,6 +69,9 @@ _PREALIGNMENT_STEPS = 100
 _CLEAR_EVERY_STEPS = 50
 """Steps after which a stage's free space is cleared."""
 
+_BACKGROUNDS_SPREAD = 1.5
+"""By which the loss of a round over some backgrounds may exceed that over others, of the same Gaussians."""
+
 _REPORT_EVERY_STEPS = 10
 """Steps after which progress shows another loss: reading one waits for the device."""
 
@@ -253,7 +256,8 @@ class _KeyframeTraining:
         ]
         # Shrunk pictures have less that can be missed: the last loss may be above the first one's.
         first, last = max((each[0] for each in rounds if each), default=0.0), rounds[-1][-1:]
-        if sum(map(len, rounds)) > 1 and last and last[0] >= first:
+        allowed = first * (_BACKGROUNDS_SPREAD if self._alphas else 1)
+        if sum(map(len, rounds)) > 1 and last and last[0] >= allowed:
             raise TrainingError(
                 f"the keyframe's training diverged, with a loss from {first:.3f} to {last[0]:.3f}; lower the learning "
                 "rates"

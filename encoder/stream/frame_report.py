@@ -35,7 +35,7 @@ class FrameReporter:
         context, outcome, frame = self._context, encoded.outcome, encoded.pictures
         with watch.stage(_STAGE):
             training = self._training_psnr(encoded)
-            held_out = mean_psnr(context.kernel, encoded.scene.splats, context.ingest.held_out_views, frame.held_out)
+            held_out = self._held_out_psnr(encoded)
             own_size = self._own_size_psnr(encoded)
         views, packet = context.ingest.views, encoded.written.packet
         return FrameReport(
@@ -45,7 +45,7 @@ class FrameReporter:
             len(encoded.scene.splats),
             outcome.selection.share,
             training,
-            held_out if frame.held_out else None,
+            held_out,
             watch.seconds,
             encoded.written.costs,
             cpu_seconds,
@@ -87,6 +87,16 @@ class FrameReporter:
         pictures = [encoded.pictures.training[i] for i in used]
         rendered = self._rendered(encoded, used)
         return mean_picture_psnr([views[i] for i in used], rendered, pictures, threads=self._context.threads)
+
+    def _held_out_psnr(self, encoded: Encoded) -> float | None:
+        """PSNR of the held-out views; of a subject alone, of those with a matte; None without one."""
+        ingest, frame = self._context.ingest, encoded.pictures
+        alphas = frame.held_out_alpha or [None] * len(frame.held_out)
+        every = zip(ingest.held_out_views, frame.held_out, alphas, strict=True)
+        compared = [(view, picture) for view, picture, alpha in every if ingest.background is None or alpha is not None]
+        if not compared:
+            return None
+        return mean_psnr(self._context.kernel, encoded.scene.splats, *map(list, zip(*compared, strict=True)))
 
     def _own_size_psnr(self, encoded: Encoded) -> float | None:
         """PSNR of the held-out cameras' decoded views at their own size; None without a scale."""

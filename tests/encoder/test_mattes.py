@@ -57,16 +57,21 @@ def rewrite(path: Path, change: Callable[[np.ndarray], np.ndarray]) -> None:
     assert cv2.imwrite(str(path), np.ascontiguousarray(change(read(path))))
 
 
+def greenness(picture: np.ndarray) -> np.ndarray:
+    return np.asarray(picture[1] - picture[[0, 2]].max(axis=0))
+
+
 def check(rig: Path, masks: Path) -> list[str]:
     warnings: list[str] = []
-    check_mattes(opened(rig, masks=masks), 0, warnings.append)
+    ingest = opened(rig, masks=masks)
+    check_mattes(ingest, frame_of(ingest), warnings.append)
     return warnings
 
 
 # --- files ----------------------------------------------------------------------------------------------------------
 
 
-def test_masks_are_alpha_and_leave_pictures_as_they_are(green: Path, masks: Path) -> None:
+def test_masks_are_alpha_and_take_the_backdrop_out_of_outlines(green: Path, masks: Path) -> None:
     shutil.rmtree(masks / NAMES[1])
     ingest = opened(green, masks=masks, holdout=(NAMES[1], NAMES[2]))
     frame, plain = frame_of(ingest, 1), frame_of(opened(green, holdout=(NAMES[1], NAMES[2])), 1)
@@ -74,7 +79,11 @@ def test_masks_are_alpha_and_leave_pictures_as_they_are(green: Path, masks: Path
         np.testing.assert_array_equal(alpha, read(masks / view.camera.name / "0001.png") / np.float32(255))
     assert frame.held_out_alpha[0] is None
     assert frame.held_out_alpha[1] is not None
-    np.testing.assert_array_equal(frame.training, plain.training)
+    for alpha, picture, raw in zip(frame.alpha, frame.training, plain.training, strict=True):
+        np.testing.assert_array_equal(picture[:, alpha == 1], raw[:, alpha == 1])
+        outline = (alpha > 0.3) & (alpha < 0.8)
+        assert greenness(raw)[outline].mean() > 0.03
+        assert greenness(picture)[outline].mean() < 0  # as of the subject: no cloth of it is green
     assert (plain.alpha, plain.plates) == ((), ()) or (list(plain.alpha), list(plain.plates)) == ([], [])
     assert check(green, green / "truth/mattes") == []
 
@@ -141,8 +150,9 @@ def test_alpha_is_scaled_and_straightened_as_pictures_are(lens_rig: Path, tmp_pa
         for file in sorted((lens_rig / camera.name).glob("*.png")):
             (tmp_path / camera.name).mkdir(exist_ok=True)
             cv2.imwrite(str(tmp_path / camera.name / file.name), read(file)[..., 1])
-    frame = frame_of(opened(lens_rig, scale=0.5, masks=tmp_path))
-    for picture, alpha in zip(frame.training, frame.alpha, strict=True):
+    pictures = frame_of(opened(lens_rig, scale=0.5)).training
+    alphas = frame_of(opened(lens_rig, scale=0.5, masks=tmp_path)).alpha
+    for picture, alpha in zip(pictures, alphas, strict=True):
         assert np.abs(picture[1] - alpha).max() < 1.6 / 255  # pictures are rounded to 8 bits twice, alpha is not
 
 
@@ -219,6 +229,15 @@ def test_ignored_pixels_do_not_teach(green: Path, tmp_path: Path) -> None:
     np.testing.assert_array_equal(picture[:, 0], picture[:, 19])
 
 
+def test_a_mask_that_leaves_nothing_is_refused(green: Path, tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / f"{NAMES[1]}.png"), np.zeros((128, 96), np.uint8))
+    with pytest.raises(RigError, match=f"{NAMES[1]}.png: black all over"):
+        opened(green, ignore=tmp_path)
+    (tmp_path / f"{NAMES[1]}.png").unlink()
+    with pytest.raises(RigError, match="no mask of any camera"):
+        opened(green, ignore=tmp_path)
+
+
 def test_masks_that_a_calibration_names_are_ignore_masks(green: Path, tmp_path: Path) -> None:
     folder = Path(shutil.copytree(green, tmp_path / "rig"))
     flip = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -265,7 +284,7 @@ def test_a_key_finds_the_subject_and_takes_the_spill_off(green: Path) -> None:
         # A tenth of a pixel along the outlines of two performers, who are 10 pixels wide, is .02; measured: .86 to .93.
         assert iou(without_stool(alpha, matte), matte) > 0.84, name
         edge = (alpha > 0.2) & (alpha < 0.9)
-        assert (picture[1] - picture[[0, 2]].max(axis=0))[edge].mean() < 0.03, f"{name}: a green rim"
+        assert greenness(picture)[edge].mean() < 0.03, f"{name}: a green rim"
 
 
 def test_a_clean_plate_tells_the_subject_from_its_shadow(green: Path, tmp_path: Path) -> None:
@@ -283,13 +302,16 @@ def test_a_clean_plate_tells_the_subject_from_its_shadow(green: Path, tmp_path: 
         )
     frame = frame_of(opened(green, background_plate=tmp_path, masks=green / "truth/mattes"))
     np.testing.assert_array_equal(255 * frame.alpha[0], read(green / f"truth/mattes/{NAMES[0]}/0000.png"))
+    cv2.imwrite(str(tmp_path / f"{NAMES[4]}.png"), np.full((128, 96, 3), 200, np.uint8))
+    with pytest.raises(RigError, match=f"camera {NAMES[4]}: most of its picture differs from its clean one"):
+        frame_of(opened(green, background_plate=tmp_path))
     (tmp_path / f"{NAMES[4]}.png").unlink()
     with pytest.raises(RigError, match=f"no clean picture of camera {NAMES[4]}"):
         opened(green, background_plate=tmp_path)
 
 
-@pytest.mark.parametrize("key", ["pink", "1,2", "300,0,0", "1,2,3,4", "0,0,0", "90,90,100"])
-def test_a_key_that_is_no_screen_s_colour_is_refused(green: Path, key: str) -> None:
+@pytest.mark.parametrize("key", ["pink", "1,2", 5, "300,0,0", "1,2,3,4", "0,0,0", "90,90,100"])
+def test_a_key_that_is_no_screen_s_colour_is_refused(green: Path, key: Any) -> None:
     with pytest.raises(UsageError, match=f"`key` {key}"):
         opened(green, key=key)
 

@@ -62,7 +62,7 @@ def key_axis(text: str) -> FloatArray:
     """The direction (2,) of a screen's colour in the CbCr plane, of a name or of "R,G,B" with 8 bits each."""
     try:
         rgb = _COLOURS[text] if text in _COLOURS else tuple(int(part) for part in text.split(","))
-    except ValueError:
+    except (AttributeError, ValueError):
         rgb = ()
     if len(rgb) != 3 or not all(0 <= value <= 255 for value in rgb):
         raise UsageError(f"`key` {text}: give green, blue, or the screen's colour as R,G,B with 0 to 255 each")

@@ -13,8 +13,8 @@ from decogs.formats.splats import FloatArray
 
 from .cutting import BoolArray, Subject, cut_out
 
-_MIN_NOISE_LEVELS = 0.5
-"""Deviation that rounding to 8 bits makes."""
+_MIN_NOISE_LEVELS, _MAX_NOISE_LEVELS = 0.5, 12.0
+"""Deviation that rounding to 8 bits makes; and one from which a plate shows something else than the picture."""
 _SURE_NOISES, _FAINT_NOISES = 5.0, 3.0
 """Difference from the plate of what is surely subject, and of what may be beside it, in units of the noise."""
 _SHADOW = (0.35, 1.1)
@@ -26,14 +26,19 @@ _MIN_SUBJECT_SHARE, _MAX_HOLE_SHARE = 2e-4, 0.02
 """Least share of the picture of a subject, and largest of a hole in one that is looked at."""
 
 
-def before_plate(picture: FloatArray, plate: FloatArray) -> Subject:
-    """The subject in a picture (H, W, 3) of which ``plate`` shows the backdrop alone; both in linear light."""
+def before_plate(picture: FloatArray, plate: FloatArray) -> Subject | None:
+    """The subject in a picture (H, W, 3) of which ``plate`` shows the backdrop alone; both in linear light.
+
+    None where most of the picture differs from the plate.
+    """
     seen, behind = _smooth(picture), _smooth(plate)
     gain = _gain(seen, behind)
     behind, lit = behind * np.float32(gain), plate * np.float32(gain)
     shade = np.clip((seen * behind).sum(axis=2) / np.maximum((behind * behind).sum(axis=2), 1e-8), *_SHADOW)[..., None]
     differs, unexplained = _levels_apart(seen, behind), _levels_apart(seen, behind * shade)
     noise = max(float(np.median(differs)), _MIN_NOISE_LEVELS)
+    if noise > _MAX_NOISE_LEVELS:
+        return None
     subject = _hysteresis(unexplained > _FAINT_NOISES * noise, unexplained > _SURE_NOISES * noise)
     subject |= _dark_holes(subject, differs > _FAINT_NOISES * noise)
     return cut_out(picture, np.where(subject[..., None], lit, lit * shade).astype(np.float32), ~subject)

@@ -47,7 +47,7 @@ def cut_out(picture: FloatArray, plate: FloatArray, backdrop: BoolArray) -> Subj
     Pixels of the backdrop beside the subject may be mixtures, too.
     """
     there = backdrop.astype(np.uint8)
-    reach = max(_MIN_EDGE_PIXELS, round(_EDGE_WIDTHS * picture.shape[1]))
+    reach = _reach(picture)
     inside = cv2.dilate(there, _disc(reach)) == 0
     outside = cv2.erode(there, _disc(1), borderValue=1) > 0
     continued = _continued(picture, inside, reach)
@@ -55,10 +55,28 @@ def cut_out(picture: FloatArray, plate: FloatArray, backdrop: BoolArray) -> Subj
     rows, columns = np.nonzero(~inside & ~outside)
     mixed = _mixed(picture, plate, inside, (rows, columns), continued[rows, columns], reach)
     alpha[rows, columns] = np.clip((mixed - _CLIPPED) / (1 - 2 * _CLIPPED), 0, 1)
+    return Subject(alpha, _unmixed(picture, alpha, plate, continued))
+
+
+def with_alpha(picture: FloatArray, alpha: FloatArray) -> Subject:
+    """The subject in ``picture`` (H, W, 3), linear, of which ``alpha`` (H, W) is known and the backdrop is not.
+
+    The backdrop goes on behind outlines as it is beside them.
+    """
+    reach = _reach(picture)
+    behind, continued = (_continued(picture, where, reach) for where in (alpha <= 0, alpha >= 1))
+    return Subject(alpha, _unmixed(picture, alpha, behind, continued))
+
+
+def _unmixed(picture: FloatArray, alpha: FloatArray, plate: FloatArray, continued: FloatArray) -> FloatArray:
+    """The subject's own colours (H, W, 3); ``continued`` where there is none of it."""
     part = alpha[..., None]
-    unmixed = (picture - (1 - part) * plate) / np.maximum(part, np.float32(_MIN_ALPHA))
-    colours = np.where(part > 0, np.maximum(unmixed, 0), continued)
-    return Subject(alpha, np.asarray(colours, np.float32))
+    own = (picture - (1 - part) * plate) / np.maximum(part, np.float32(_MIN_ALPHA))
+    return np.asarray(np.where(part > 0, np.maximum(own, 0), continued), np.float32)
+
+
+def _reach(picture: FloatArray) -> int:
+    return max(_MIN_EDGE_PIXELS, round(_EDGE_WIDTHS * int(picture.shape[1])))
 
 
 def _disc(radius: int) -> NDArray[np.uint8]:

@@ -20,7 +20,7 @@ from ..filling import push_pull
 from .choice import MatteChoice
 from .chroma_key import key_axis, keyed
 from .clean_plate import before_plate
-from .cutting import BoolArray, Subject
+from .cutting import BoolArray, Subject, with_alpha
 
 _LINEAR = linear_from_srgb(np.arange(256) / 255).astype(np.float32)
 """Of each 8-bit level."""
@@ -77,17 +77,29 @@ class Mattes:
             yield {name: _alpha(matte) for name, matte in zip(having, mattes, strict=True)}
 
     def cut(self, name: str, picture: Picture, given: FloatArray | None) -> Cut:
-        """The picture of a camera and its alpha. Raises RigError where the key finds no screen in it."""
+        """A camera's picture and its alpha. Raises RigError where it shows no screen, or not what its plate does."""
         if given is not None:
-            return Cut(_straight(picture, given) if self.is_own else picture, given)
+            return Cut(self._own_colours(name, picture, given), given)
         if self.key is not None:
             found = keyed(linear(picture), self.key)
             if found is None:
                 raise RigError(f"camera {name} shows no screen of the colour of `key`; check it, or use `masks`")
             return Cut(_like(picture, found.subject), found.subject.alpha, found.worn)
         if self.rig is None and name in self.plates:
-            return Cut(picture, before_plate(linear(picture), linear(self.plates[name])).alpha)
+            subject = before_plate(linear(picture), linear(self.plates[name]))
+            if subject is None:
+                raise RigError(
+                    f"camera {name}: most of its picture differs from its clean one in `background_plate`; take that "
+                    "with the same camera, exposure and light, or use `masks`"
+                )
+            return Cut(picture, subject.alpha)
         return Cut(picture, None)
+
+    def _own_colours(self, name: str, picture: Picture, alpha: FloatArray) -> Picture:
+        """The picture without what was behind its outlines, unless a plate tells that to whoever composites it."""
+        if self.is_own:
+            return _straight(picture, alpha)
+        return picture if name in self.plates else _like(picture, with_alpha(linear(picture), alpha))
 
 
 def open_mattes(choice: MatteChoice | None, rig: Rig, frames: range, held_out: Collection[str] = ()) -> Mattes | None:
@@ -98,7 +110,7 @@ def open_mattes(choice: MatteChoice | None, rig: Rig, frames: range, held_out: C
     choice = MatteChoice() if choice is None else choice
     names = [camera.name for camera in rig.cameras if camera.name not in held_out]
     ignored = _ignore_masks(choice, rig)
-    kept = {name: _alpha(_at_size(rig, name, file)) >= _KEPT for name, file in ignored.items()}
+    kept = {name: _kept(rig, name, file) for name, file in ignored.items()}
     plates = _plates(choice, rig, names)
     given, is_own = None, False
     if choice.masks is not None:
@@ -135,6 +147,13 @@ def _ignore_masks(choice: MatteChoice, rig: Rig) -> dict[str, Path]:
             raise RigError(f"{choice.ignore}: no mask of any camera; name them after the cameras, like cam00.png")
         found |= given
     return found
+
+
+def _kept(rig: Rig, name: str, file: Path) -> BoolArray:
+    kept = _alpha(_at_size(rig, name, file)) >= _KEPT
+    if not kept.any():
+        raise RigError(f"{file}: black all over, so that camera {name} teaches nothing; white is what counts")
+    return np.asarray(kept)
 
 
 def _content(file: Path) -> bytes:
