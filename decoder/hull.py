@@ -1,4 +1,4 @@
-"""The hull of what stands in front of the backdrop: where no view shows the backdrop instead.
+"""The hull of a subject: where no view shows what is behind it instead.
 
 Source: visual hull (Laurentini 1994).
 """
@@ -8,16 +8,27 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from decogs.formats.cameras import Camera, in_picture, project
+from decogs.formats.cameras import Camera, in_picture, project, scale_camera
+from decogs.formats.splats import FloatArray
 
-from .views import BoolArray
+from .resizing import resized_plane
+
+BoolArray = NDArray[np.bool_]
+
+MOST_PIXELS = 250_000
+"""Of a view; larger pictures are shrunk."""
 
 _MARGIN_PIXELS = 2
 """Of the subjects' outlines, which poses and compression blur."""
+
+_MIN_ALPHA = 0.02
+"""Alpha from which a pixel may show the subject: mattes are coded with losses."""
+
+_MIN_VIEWS = 3
+"""Views that must look at a point: near a camera, a hull of few views reaches far beyond the subject."""
 
 
 @dataclass(frozen=True)
@@ -26,12 +37,6 @@ class SubjectView:
 
     camera: Camera
     subject: BoolArray
-
-
-def with_margin(subject: BoolArray) -> BoolArray:
-    """The pixels (H, W) of a subject and those beside its outline."""
-    size = (2 * _MARGIN_PIXELS + 1,) * 2
-    return cv2.dilate(subject.view(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, size)).view(np.bool_)
 
 
 @dataclass(frozen=True)
@@ -56,3 +61,35 @@ class Hull:
             looking += here
             held[rows] &= each.subject[v[rows].astype(np.int64), u[rows].astype(np.int64)]
         return held & (looking >= self.least)
+
+
+def hull_of_mattes(views: Sequence[SubjectView]) -> Hull:
+    """The hull of the views that ``matte_view`` makes."""
+    return Hull(views, min(_MIN_VIEWS, len(views)))
+
+
+def matte_view(pinhole: Camera, alpha: FloatArray, recorded: FloatArray | None) -> SubjectView:
+    """The pixels that may show the subject, by its ``alpha`` and by how much of a pixel was ``recorded``, (H, W)."""
+    camera = hull_camera(pinhole)
+    shown = resized_plane(alpha, camera) > _MIN_ALPHA
+    return SubjectView(camera, with_margin(shown | ~recorded_pixels(recorded, camera)))
+
+
+def hull_camera(pinhole: Camera, most: int = MOST_PIXELS) -> Camera:
+    """The camera with at most so many pixels."""
+    return scale_camera(pinhole, min(1.0, (most / (pinhole.width * pinhole.height)) ** 0.5))
+
+
+def recorded_pixels(recorded: FloatArray | None, camera: Camera) -> BoolArray:
+    """The pixels (H, W) of ``camera`` that were recorded as a whole; None means all."""
+    if recorded is None:
+        return np.ones((camera.height, camera.width), bool)
+    return np.asarray(resized_plane(recorded, camera) > 0.999)
+
+
+def with_margin(subject: BoolArray) -> BoolArray:
+    """The pixels (H, W) of a subject and those beside its outline."""
+    import cv2
+
+    size = (2 * _MARGIN_PIXELS + 1,) * 2
+    return cv2.dilate(subject.view(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, size)).view(np.bool_)
