@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.decoder.hull import Hull
 from decogs.decoder.lens import Undistortion
 from decogs.formats.cameras import Camera, camera_centre, in_picture, project, ray_slopes, turned
 from decogs.formats.splats import FloatArray
 
 from ..input.ingest import display_referred
-from ..keyframe.backdrop.hull import Hull
 from ..keyframe.backdrop.plain import subject_pixels
 from ..keyframe.backdrop.stage import PlainStage
 from ..keyframe.backdrop.surfaces import surface_colours

@@ -14,14 +14,14 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.decoder.hull import BoolArray, Hull, SubjectView, with_margin
 from decogs.formats.splats import FloatArray, Splats, round_splats
 
 from ...input.ingest import RigFrame, View
-from .hull import Hull, SubjectView, with_margin
 from .plain import plain_pixels, plate_of, subject_pixels
 from .subject import subject_alone
 from .surfaces import PlainView, Surfaces, find_surfaces, plain_colours, surface_colours
-from .views import BoolArray, StageView, stage_view
+from .views import StageView, stage_view
 
 _MIN_PLAIN_SHARE = 0.5
 """Plain share of the median view's picture from which a stage is plain: rooms and textured stages have up to .45."""
