@@ -128,7 +128,7 @@ def decode(
         wanted = _wanted(opened.header, view, camera, move, opened.frame_count, max_memory)
         shown: AnyStream = opened
         if subject is not None:
-            shown = SubjectOfStream(opened, Path(subject), every)
+            shown = SubjectOfStream(opened, Path(subject), every, on_warning)
             read += shown.files_read()
         chosen, shots = _chosen_shots(shown, wanted, frames)
         first = picture_camera(shown.header, wanted, show)

@@ -140,7 +140,7 @@ def export(
         numbers = [first_frame + frame for frame in chosen]
         names = _names(target, suffix, numbers)
         outputs = [Output("output", name) for name in names] or [Output("output", target)]
-        shown = opened if subject is None else SubjectOfStream(opened, Path(subject), chosen)
+        shown = opened if subject is None else SubjectOfStream(opened, Path(subject), chosen, on_warning)
         read = [*files_read(stream=stream), *(shown.files_read() if isinstance(shown, SubjectOfStream) else [])]
         check_outputs(outputs, read)
         if suffix in USD_SUFFIXES:

@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from decogs.codec.corrections import Corrections
-from decogs.formats.errors import RigError, UsageError
-from decogs.formats.mattes import alpha_of, matte_place, problem_of, stream_matte_rig
+from decogs.formats.callbacks import OnWarning
+from decogs.formats.errors import UsageError
+from decogs.formats.mattes import alpha_of, matte_place, stream_matte_rig
 from decogs.formats.pictures import Picture
 from decogs.formats.rigs import read_frames
 from decogs.formats.rigs.sources import PictureSource
@@ -24,6 +25,7 @@ from .camera_corrections import as_it_stood
 from .frame import DecodedFrame
 from .hull import Hull, hull_of_mattes, matte_view
 from .lens import Undistortion
+from .matte_checks import check_mattes
 from .stream import Stream
 
 
@@ -34,7 +36,7 @@ class SubjectOfStream:
     Raises UsageError where the stream is a subject's, RigError naming a matte that is missing or cannot be one.
     """
 
-    def __init__(self, stream: Stream, folder: Path, chosen: range) -> None:
+    def __init__(self, stream: Stream, folder: Path, chosen: range, on_warning: OnWarning | None) -> None:
         if stream.header.subject:
             raise UsageError(f"{stream.path}: is a subject without a background already; leave out `subject`")
         header = stream.header
@@ -44,23 +46,23 @@ class SubjectOfStream:
         cameras = [camera for camera in header.cameras if camera.name not in header.held_out]
         self._rig = stream_matte_rig(folder, cameras, header.first_frame, stream.frame_count, chosen)
         self._plans = [Undistortion(camera) for camera in cameras]
+        self._check(chosen.start, on_warning)
 
     def files_read(self) -> list[tuple[Path, str]]:
-        """The mattes, and what they are called."""
+        """The mattes that are there, and what they are called."""
         sources = self._rig.sources
         files = [source.files if isinstance(source, PictureSource) else (source.path,) for source in sources]
-        return [(file, "is read, as `subject`") for file in chain.from_iterable(files)]
+        return [(file, "is read, as `subject`") for file in chain.from_iterable(files) if file.name]
 
     def frames(self, start: int = 0, stop: int | None = None) -> Iterator[DecodedFrame]:
         """The frames as ``Stream.frames`` has them, of the subject alone.
 
-        Raises RigError where a matte cannot be read, or is none; UsageError where no frame shows anything.
+        Raises RigError where a matte cannot be read; UsageError where no frame shows anything.
         """
         stop = self.frame_count if stop is None else stop
         mattes, shown = read_frames(self._rig, start, stop), 0
-        for frame, (index, pictures) in zip(self._stream.frames(start, stop), mattes, strict=True):
-            alphas = self._alphas(index, pictures)
-            held = self._hull(alphas, frame.corrections).holds(frame.splats.means)
+        for frame, (_, pictures) in zip(self._stream.frames(start, stop), mattes, strict=True):
+            held = self._hull(self._alphas(pictures), frame.corrections).holds(frame.splats.means)
             shown += np.count_nonzero(held)
             yield frame.part(held, self._lattice)
         if not shown:
@@ -69,13 +71,17 @@ class SubjectOfStream:
                 "cameras and frames?"
             )
 
-    def _alphas(self, index: int, pictures: Sequence[Picture]) -> list[FloatArray]:
-        alphas = [alpha_of(picture) for picture in pictures]
-        for camera, alpha in zip(self._rig.cameras, alphas, strict=True):
-            problem = problem_of(alpha)
-            if problem:
-                raise RigError(f"{matte_place(self._rig, camera.name, index)}: {problem}")
-        return alphas
+    def _check(self, frame: int, on_warning: OnWarning | None) -> None:
+        """Raises RigError where the mattes of a frame cannot be what they should."""
+        ((_, pictures),) = read_frames(self._rig, frame, frame + 1)
+        places = [matte_place(self._rig, camera.name, frame) for camera in self._rig.cameras]
+        pinholes = [plan.pinhole for plan in self._plans]
+        check_mattes(places, pinholes, self._alphas(pictures), on_warning or (lambda text: None))
+
+    def _alphas(self, pictures: Sequence[Picture]) -> list[FloatArray]:
+        """As the pinholes would have them; cubic interpolation overshoots."""
+        plans = zip(self._plans, pictures, strict=True)
+        return [np.clip(plan.apply(alpha_of(picture)), 0, 1) for plan, picture in plans]
 
     def _hull(self, alphas: Sequence[FloatArray], corrections: Corrections) -> Hull:
         views = []
@@ -83,7 +89,7 @@ class SubjectOfStream:
             camera, correction = plan.pinhole, corrections.get(plan.camera.name)
             stood = camera if correction is None else as_it_stood(camera, correction)
             recorded = None if plan.valid.all() else plan.valid.astype(np.float32)
-            views.append(matte_view(stood, np.clip(plan.apply(alpha), 0, 1), recorded))
+            views.append(matte_view(stood, alpha, recorded))
         return hull_of_mattes(views)
 
 

@@ -7,6 +7,7 @@ centre of the first pixel is (0.5, 0.5).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -46,6 +47,12 @@ def camera_centre(camera: Camera) -> NDArray[np.float64]:
     """Position of the camera in the world, shape (3,)."""
     rotation, translation = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
     return -turned(rotation.T, translation)
+
+
+def rig_extent(cameras: Sequence[Camera]) -> float:
+    """Size of a rig, 1.1 times the largest distance of a camera from their mean."""
+    centres = np.array([camera_centre(camera) for camera in cameras])
+    return float(1.1 * np.linalg.norm(centres - centres.mean(axis=0), axis=1).max())
 
 
 def turned(rotation: NDArray[np.float64], vectors: NDArray[np.floating]) -> NDArray[np.float64]:

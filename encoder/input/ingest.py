@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.decoder.lens import Undistortion, with_k1
-from decogs.formats.cameras import Camera, camera_centre, in_picture, project, scale_camera
+from decogs.formats.cameras import Camera, camera_centre, in_picture, project, rig_extent, scale_camera
 from decogs.formats.colour import srgb_from_linear
 from decogs.formats.errors import RigError, UsageError
 from decogs.formats.frame_ranges import Frames, frame_slice
@@ -255,9 +255,8 @@ def _composited(frame: RigFrame, background: Colour) -> RigFrame:
 
 
 def scene_extent(views: Sequence[View]) -> float:
-    """Size of the rig, 1.1 times the largest distance of a camera from their mean; 3DGS scales position rates by it."""
-    centres = np.array([camera_centre(view.pinhole) for view in views])
-    return float(1.1 * np.linalg.norm(centres - centres.mean(axis=0), axis=1).max())
+    """Size of the views' rig; 3DGS scales position rates by it."""
+    return rig_extent([view.pinhole for view in views])
 
 
 def check_held_out(rig: Rig, holdout: Sequence[str]) -> None:
