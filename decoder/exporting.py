@@ -31,7 +31,7 @@ from decogs.formats.up_direction import AXES, UPS, Up, Vector, turn_between, up_
 from decogs.formats.usd import USD_SUFFIXES
 from decogs.formats.usd_prims import FLAVOURS, Flavour
 
-from .frame_choice import files_read, open_chosen
+from .frame_choice import open_chosen
 from .limits import DEFAULT_MAX_MEMORY
 from .picture_output import DEFAULT_FPS
 from .subject import AnyStream, SubjectOfStream
@@ -141,8 +141,7 @@ def export(
         names = _names(target, suffix, numbers)
         outputs = [Output("output", name) for name in names] or [Output("output", target)]
         shown = opened if subject is None else SubjectOfStream(opened, Path(subject), chosen, on_warning)
-        read = [*files_read(stream=stream), *(shown.files_read() if isinstance(shown, SubjectOfStream) else [])]
-        check_outputs(outputs, read)
+        check_outputs(outputs, [(Path(stream), "is read, as `stream`")])
         if suffix in USD_SUFFIXES:
             return _export_usd(plan, shown, chosen, Path(stream))
         return _export_splats(plan, shown, chosen, names)

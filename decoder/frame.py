@@ -81,10 +81,10 @@ class DecodedFrame:
         return frame
 
     def part(self, rows: NDArray[np.bool_], lattice: Lattice) -> DecodedFrame:
-        """This frame with the Gaussians of ``rows`` (N,) alone, as if no delta led to it."""
+        """This frame with the Gaussians of ``rows`` (N,) alone; no delta leads to it."""
         frame = copy(self)
         frame.state = part_of(self.state, rows)
-        frame._activation, frame._delta, frame._state_before = _Activation(frame.state, lattice), None, None
+        frame._activation = _Activation(frame.state, lattice)
         return frame
 
     @property

@@ -49,10 +49,10 @@ class SubjectOfStream:
         self._check(chosen.start, on_warning)
 
     def files_read(self) -> list[tuple[Path, str]]:
-        """The mattes that are there, and what they are called."""
+        """The mattes, and what they are called."""
         sources = self._rig.sources
         files = [source.files if isinstance(source, PictureSource) else (source.path,) for source in sources]
-        return [(file, "is read, as `subject`") for file in chain.from_iterable(files) if file.name]
+        return [(file, "is read, as `subject`") for file in chain.from_iterable(files)]
 
     def frames(self, start: int = 0, stop: int | None = None) -> Iterator[DecodedFrame]:
         """The frames as ``Stream.frames`` has them, of the subject alone.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,10 @@ import pytest
 from pxr import Usd, UsdGeom
 
 from decogs.codec.corrections import ANGLE_STEP, Correction
-from decogs.decoder import DecodedFrame, Stream, decode, export, open_stream
+from decogs.decoder import DecodedFrame, Stream, decode, export, open_stream, subject
 from decogs.decoder.camera_corrections import as_it_stood
 from decogs.decoder.commands import decode_main, export_main
-from decogs.decoder.lens import distort_pixels
+from decogs.decoder.lens import Undistortion, distort_pixels
 from decogs.formats.cameras import Camera, as_pinhole, in_picture, project
 from decogs.formats.errors import DecogsError
 from decogs.formats.splat_files import splat_formats
@@ -72,16 +73,16 @@ def test_what_all_mattes_show_is_exported_and_nothing_else(small_stream: Any, ma
     """With a fisheye among the cameras, frame by frame."""
     cameras = {camera.name: camera for camera in small_stream.header.cameras}
     found = exported(small_stream.path, tmp_path, masks)
-    for frame, (whole, subject) in enumerate(zip(scene(small_stream.path), found, strict=True)):
+    for frame, (whole, held_means) in enumerate(zip(scene(small_stream.path), found, strict=True)):
         inside, outside = np.ones(len(whole), bool), np.zeros(len(whole), bool)
         for name in USED:
             u, seen = columns(cameras[name], whole)
             inside &= seen & (u < edge(name, frame) - MARGIN)
             outside |= ~seen | (u > edge(name, frame) + MARGIN)
-        held = np.array([(subject == point).all(axis=1).any() for point in whole])
+        held = np.array([(held_means == point).all(axis=1).any() for point in whole])
         assert held[inside].all()
         assert not held[outside].any()
-        assert held.sum() == len(subject)
+        assert held.sum() == len(held_means)
         assert min(inside.sum(), outside.sum()) > 3, "or it says nothing"
 
 
@@ -194,3 +195,29 @@ def test_a_shaken_camera_is_taken_where_it_stood(
     for one, two, three in zip(exported(small_stream.path, tmp_path, masks), expected, still, strict=True):
         np.testing.assert_array_equal(one, two)
         assert len(one) != len(three)
+
+
+def test_mattes_are_undistorted(
+    small_stream: Any, masks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a strong lens, as with straightened mattes of a pinhole, which has white where nothing was recorded."""
+    monkeypatch.setattr(subject, "check_mattes", lambda *given: None)  # white borders look inverted
+    for file in (masks / "cam00").iterdir():
+        cv2.imwrite(str(file), np.full((48, 64), 255, np.uint8))
+    first, held_out, wide = small_stream.header.cameras
+    bent, straight = replace(wide, distortion=(8.0, 0.0, 0.0, 0.0)), as_pinhole(wide)
+    lens = with_header(small_stream.path, tmp_path / "lens.dgs", cameras=(first, held_out, bent))
+    pinhole = with_header(small_stream.path, tmp_path / "pinhole.dgs", cameras=(first, held_out, straight))
+    found, unlike = (exported(stream, tmp_path, masks) for stream in (lens, pinhole))
+    plan = Undistortion(bent)
+    for file in (masks / wide.name).iterdir():
+        matte = plan.apply(cv2.imread(str(file), cv2.IMREAD_GRAYSCALE))
+        cv2.imwrite(str(file), np.where(plan.valid, matte, 255))
+    for one, two in zip(found, exported(pinhole, tmp_path, masks), strict=True):
+        np.testing.assert_array_equal(one, two)
+    assert [len(one) for one in found] != [len(one) for one in unlike]
+
+
+def test_pictures_do_not_replace_mattes(small_stream: Any, masks: Path) -> None:
+    with pytest.raises(DecogsError, match="is read, as `subject`"):
+        decode(small_stream.path, masks / "cam00/####.png", view="cam00", subject=masks)
