@@ -94,7 +94,7 @@ class PlainStage:
 
     def free(self, xyz: NDArray[np.floating]) -> BoolArray:
         """Points (P, 3) of empty space: in front of the backdrop, where some view shows it."""
-        return ~self.on_backdrop(xyz) & ~self.hull.holds(xyz)
+        return ~self.on_backdrop(xyz) & self.hull.denies(xyz)
 
     def on_backdrop(self, xyz: NDArray[np.floating]) -> BoolArray:
         """Points (P, 3) on the backdrop's surfaces or beyond them."""
