@@ -53,14 +53,23 @@ class Hull:
 
     def holds(self, xyz: NDArray[np.floating]) -> BoolArray:
         """Points (P, 3) at which enough views look, of which none shows the backdrop."""
-        held, looking = np.ones(len(xyz), bool), np.zeros(len(xyz), int)
+        denied, looking = self._looked_at(xyz)
+        return ~denied & (looking >= self.least)
+
+    def denies(self, xyz: NDArray[np.floating]) -> BoolArray:
+        """Points (P, 3) through which a view shows the backdrop."""
+        return self._looked_at(xyz)[0]
+
+    def _looked_at(self, xyz: NDArray[np.floating]) -> tuple[BoolArray, NDArray[np.int64]]:
+        """The points through which a view shows the backdrop, and how many views look at each."""
+        denied, looking = np.zeros(len(xyz), bool), np.zeros(len(xyz), np.int64)
         for each in self.views:
             u, v, depth = project(each.camera, xyz)
             here = in_picture(each.camera, u, v, depth)
             rows = np.flatnonzero(here)
             looking += here
-            held[rows] &= each.subject[v[rows].astype(np.int64), u[rows].astype(np.int64)]
-        return held & (looking >= self.least)
+            denied[rows] |= ~each.subject[v[rows].astype(np.int64), u[rows].astype(np.int64)]
+        return denied, looking
 
 
 def hull_of_mattes(views: Sequence[SubjectView]) -> Hull:

@@ -203,11 +203,7 @@ def _shadow(stage: PlainStage, shown: Sequence[_Shown]) -> float:
 
 def _largest_gap(stage: PlainStage, cameras: Sequence[Camera]) -> tuple[float, tuple[str, str]]:
     """The largest angle between neighbouring cameras around the upright axis, degrees, and their names."""
-    places = np.array([camera_centre(camera) for camera in cameras]) - stage.surfaces.middle
-    x, y, _ = stage.surfaces.axes @ places.T
-    around = np.degrees(np.arctan2(y, x))
-    order = np.argsort(around, kind="stable")
-    gaps = np.diff(around[order], append=around[order[0]] + 360)
+    gaps, order = stage.surfaces.gaps(np.array([camera_centre(camera) for camera in cameras]))
     widest = int(np.argmax(gaps))
     return float(gaps[widest]), (cameras[order[widest]].name, cameras[order[(widest + 1) % len(order)]].name)
 

@@ -63,6 +63,13 @@ def test_a_textured_scene_is_no_stage() -> None:
     assert find_stage(ingest.views, frame) is None
 
 
+def test_an_arc_of_cameras_before_a_plain_wall_is_no_stage(grey: Path) -> None:
+    """Too little of its backdrop is seen from two sides: a wall at a wrong place cost 9 dB on `hdr`."""
+    arc = [camera.name for camera in cameras(SIZE)[8:]]
+    ingest = Ingest(open_rig(grey), holdout=arc)
+    assert find_stage(ingest.views, next(iter(ingest.frames(0, 1)))) is None
+
+
 def test_any_colour_is_plain_and_texture_above_noise_is_not() -> None:
     random = np.random.default_rng(0)
     shade = np.linspace(0.2, 0.7, 80)[:, None, None] * np.ones((80, 100, 3))

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decogs.decoder.hull import BoolArray, Hull, SubjectView, with_margin
+from decogs.formats.cameras import camera_centre
 from decogs.formats.splats import FloatArray, Splats, round_splats
 
 from ...input.ingest import RigFrame, View
@@ -25,6 +26,9 @@ from .views import StageView, stage_view
 
 _MIN_PLAIN_SHARE = 0.5
 """Plain share of the median view's picture from which a stage is plain: rooms and textured stages have up to .45."""
+_MAX_GAP_DEGREES = 150.0
+"""Between neighbouring cameras around a stage. Of an arc's backdrop too little is seen from two sides: on `hdr`, an arc
+of 48 degrees before bare walls, a backdrop cost 9 dB."""
 _DECISION_PIXELS = 62_000
 """Of a view in this decision; larger pictures are shrunk."""
 _BACKDROP_GAUSSIANS = 4600
@@ -94,7 +98,7 @@ class PlainStage:
 
     def free(self, xyz: NDArray[np.floating]) -> BoolArray:
         """Points (P, 3) of empty space: in front of the backdrop, where some view shows it."""
-        return ~self.on_backdrop(xyz) & ~self.hull.holds(xyz)
+        return ~self.on_backdrop(xyz) & self.hull.denies(xyz)
 
     def on_backdrop(self, xyz: NDArray[np.floating]) -> BoolArray:
         """Points (P, 3) on the backdrop's surfaces or beyond them."""
@@ -108,7 +112,7 @@ class PlainStage:
 def find_stage(views: Sequence[View], frame: RigFrame) -> Stage | None:
     """The stage in the first ``frame`` of ``views``: of a subject with mattes, or a plain one; None for others.
 
-    A stage is plain if the median picture is mostly plain.
+    A stage is plain if the median picture is mostly plain, and cameras stand all around.
     """
     if frame.alpha:
         return subject_alone(views, frame.alpha)
@@ -123,6 +127,9 @@ def find_stage(views: Sequence[View], frame: RigFrame) -> Stage | None:
         for subject, mask, plate in zip(subjects, plain, plates, strict=True)
     ]
     surfaces = find_surfaces(backdrops)
+    gaps, _ = surfaces.gaps(np.array([camera_centre(view.pinhole) for view in views]))
+    if gaps.max() > _MAX_GAP_DEGREES:
+        return None
     spacing = float(np.sqrt(surfaces.area / _BACKDROP_GAUSSIANS * 2 / 3**0.5))
     xyz, normals = surfaces.points(spacing)
     colours = surface_colours(backdrops, xyz, normals)
