@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from decogs.decoder.stream import open_stream
 from decogs.encoder.input.compensation.matching import find_colours
@@ -15,6 +16,7 @@ from decogs.encoder.input.ingest import Ingest, RigFrame
 from decogs.encoder.keyframe import first_frame
 from decogs.encoder.keyframe.backdrop.plain import plain_pixels
 from decogs.encoder.keyframe.backdrop.stage import PlainStage, Stage, find_stage
+from decogs.formats.cameras import Camera, camera_centre
 from decogs.formats.rigs import open_rig
 from encode_rig import encode_rig as encode
 from stages.make import write_stage
@@ -50,6 +52,29 @@ def test_floor_and_wall_are_where_they_are(grey: Path, stage: PlainStage) -> Non
     assert stage.surfaces.axes[2] @ [0, 0, 1] > np.cos(np.radians(1))
     # The wall's own light is nearly even: nothing says its place to the centimetre.
     assert stage.surfaces.radius == pytest.approx(truth["wall_radius"], rel=0.15)
+
+
+def test_no_wall_stands_before_a_camera(tmp_path: Path) -> None:
+    """Cameras in an arc before a wall that is nearer to what they look at than they are."""
+    middle = np.array([0, 2.5, 1.0])
+    arc = [looking_at(middle, name, [2.5 * np.sin(angle), -2, 1.2]) for name, angle in zip("abcdef", np.arange(6) / 5)]
+    rig = write_stage("grey", tmp_path / "arc", arc, frames=1)
+    ingest, frame = first_pictures(rig)
+    found = find_stage(ingest.views, frame)
+    assert isinstance(found, PlainStage)
+    assert found.surfaces.radius > np.hypot(*(camera_centre(arc[-1]) - found.surfaces.middle)[:2])
+    assert (found.surfaces.clearance(np.array([camera_centre(camera) for camera in arc])) > 0).all()
+
+
+def looking_at(target: NDArray[np.float64], name: str, place: list[float]) -> Camera:
+    forward = target - place
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, [0, 0, 1])
+    right /= np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3, :3] = right, np.cross(forward, right), forward
+    pose[:3, 3] = -pose[:3, :3] @ place
+    return replace(cameras(SIZE)[0], name=name, world_to_camera=pose)
 
 
 def test_bodies_are_in_the_hull_and_the_space_over_them_is_free(stage: PlainStage) -> None:

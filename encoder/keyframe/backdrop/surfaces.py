@@ -162,6 +162,9 @@ def _axes(up: F64) -> F64:
 class _Search:
     def __init__(self, views: Sequence[PlainView], middle: F64, axes: F64, distance: float) -> None:
         self._views, self._middle, self._axes, self._distance = views, middle, axes, distance
+        places = turned(axes, np.array([camera_centre(view.camera) for view in views]) - middle)
+        self._outermost = float(max(np.hypot(places[:, 0], places[:, 1]).max(), places[:, 2].max()))
+        """Radius of the wall and its lid that just hold all cameras."""
 
     def floor(self, lowest_camera: float) -> tuple[float, float] | None:
         """Disagreement and height of the floor, which is below all cameras; None where no height is better."""
@@ -179,15 +182,17 @@ class _Search:
         return best[0], best[1]
 
     def wall(self, floor: float) -> float:
-        """Radius of the wall."""
-        near, far = (share * self._distance for share in _WALL_RANGE)
+        """Radius of the wall, which is behind all cameras: one before them would stand between them and the scene."""
+        nearest, far = (share * self._distance for share in _WALL_RANGE)
+        near = max(nearest, self._outermost)
+        far = max(far, near)
 
         def cost(radius: float) -> float:
             height = 0.7 * radius - floor
             return self._disagreement(*_wall(radius, floor, height, np.sqrt(2 * np.pi * radius * height / _SAMPLES)))
 
         best = _minimum(cost, np.geomspace(near, far, _WALL_STEPS))
-        return best[1] if best else _SPHERE_DISTANCES * self._distance
+        return best[1] if best else max(_SPHERE_DISTANCES * self._distance, near)
 
     def _disagreement(self, local: F64, normals: F64) -> float:
         """Mean over points of the deviation of their plain colours between views, in 8-bit levels."""
