@@ -132,6 +132,12 @@ def take_rows(attributes: Attributes, rows: NDArray[Any]) -> Attributes:
     return Attributes(*(getattr(attributes, name).take(rows, axis=0).astype(np.int32, copy=False) for name in ARRAYS))
 
 
+def part_of(state: State, rows: NDArray[Any]) -> State:
+    """The Gaussians at ``rows`` (rising indices or a boolean mask) as a state of their own, with their ids."""
+    arrays = {name: read_only(getattr(state, name)[rows]) for name in ARRAYS}
+    return State(**arrays, ids=state.ids[rows], hashes=state.hashes[rows], next_id=state.next_id, frame=state.frame)
+
+
 def all_rows(attributes: Attributes) -> Attributes:
     """All the Gaussians, int32, without their ids."""
     return Attributes(*(getattr(attributes, name).astype(np.int32, copy=False) for name in ARRAYS))

@@ -107,6 +107,7 @@ def _add_pictures(group: argparse._ArgumentGroup) -> None:
         help="background colour, 0 to 1 each, or black, grey, white (default: the stream's; of a subject without a "
         "background, PNG, EXR and ProRes then have alpha)",
     )
+    _add_subject(group)
     group.add_argument(
         "--follow", action="store_true", help="decode frames while an encoder writes them; give the stream's final name"
     )
@@ -115,6 +116,14 @@ def _add_pictures(group: argparse._ArgumentGroup) -> None:
         type=number,
         metavar="S",
         help="with --follow: stop after S seconds without data (default 600)",
+    )
+
+
+def _add_subject(group: argparse._ArgumentGroup) -> None:
+    group.add_argument(
+        "--subject",
+        metavar="DIR",
+        help="of a whole scene only the subject, by its mattes: DIR/cam00/0000.png or DIR/cam00.mp4 (docs/masks.md)",
     )
 
 
@@ -157,6 +166,7 @@ def export_parser() -> Parser:
 
 def _add_world(group: argparse._ArgumentGroup) -> None:
     _add_frames(group)
+    _add_subject(group)
     group.add_argument(
         "--first-frame", type=whole_number, default=0, metavar="N", help="number that frame 0 gets (default 0)"
     )
@@ -264,6 +274,7 @@ def _decode(parser: Parser, options: argparse.Namespace) -> None:
             frames=frame_range(options.frames),
             scale=options.scale,
             background=options.background,
+            subject=options.subject,
             undistorted=options.undistorted,
             drift_free=options.drift_free,
             threads=options.threads,
@@ -306,6 +317,7 @@ def _export(parser: Parser, options: argparse.Namespace) -> None:
             spz_version=options.spz_version,
             velocities=options.velocities,
             prim=options.prim,
+            subject=options.subject,
             strict=options.strict,
             max_memory=options.max_memory,
             on_frame=on_frame,

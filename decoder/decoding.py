@@ -36,7 +36,7 @@ from .layouts import Layout
 from .limits import DEFAULT_MAX_MEMORY
 from .picture_output import PictureSink, open_sink
 from .shots import Colour, Shot, Show, asked_for, picture_camera, pictures, shots_by_frame, with_layers
-from .stream import Stream
+from .subject import AnyStream, SubjectOfStream
 from .video_output import VideoSettings
 
 Cameras = Union[str, "os.PathLike[str]", Camera, Sequence[Camera], CameraPath]
@@ -64,6 +64,7 @@ def decode(
     frames: Frames = None,
     scale: float = 1.0,
     background: Colour | None = None,
+    subject: str | os.PathLike[str] | None = None,
     undistorted: bool = False,
     drift_free: bool = False,
     threads: int = 0,
@@ -83,6 +84,7 @@ def decode(
     file, see ``decogs.decoder.picture_output``. ``frames``: those of the stream, or the pictures of a path with times;
     consecutive ones, as a slice or a range; None for all. ``background``: display-referred RGB in 0..1, the stream's
     when None; of a subject, an output that can hold it then gets the alpha and no background.
+    ``subject``: a folder of mattes; only Gaussians in their hull are shown (``decogs.decoder.subject``).
     ``undistorted``: without the rig camera's lens distortion. ``drift_free``: in the scene's own colours and
     through the calibrated pose, where the stream signals exposure, white balance or shake of the camera; otherwise what
     it recorded. ``strict`` and ``max_memory`` (bytes) are those of ``open_stream``: without ``strict``, damaged frames
@@ -106,6 +108,8 @@ def decode(
     if layout is not None:
         layout.check()
     if follow or not isinstance(stream, (str, os.PathLike)):
+        if subject is not None:
+            raise UsageError("`subject` needs the whole stream; decode its file when it is complete")
         on_damage = damage_to(on_warning)
         with follow_stream(stream, idle=idle, strict=strict, on_damage=on_damage, max_memory=max_memory) as growing:
             wanted = _wanted(growing.header, view, camera, move, None, max_memory)
@@ -120,17 +124,21 @@ def decode(
                 on_frame=on_frame,
                 on_warning=on_warning,
             )
-    with open_chosen(stream, None, strict=strict, max_memory=max_memory, on_warning=on_warning) as (opened, _):
+    with open_chosen(stream, None, strict=strict, max_memory=max_memory, on_warning=on_warning) as (opened, every):
         wanted = _wanted(opened.header, view, camera, move, opened.frame_count, max_memory)
-        chosen, shots = _chosen_shots(opened, wanted, frames)
-        first = picture_camera(opened.header, wanted, show)
-        fps = _rate(opened.header, wanted)
+        shown: AnyStream = opened
+        if subject is not None:
+            shown = SubjectOfStream(opened, Path(subject), every)
+            read += shown.files_read()
+        chosen, shots = _chosen_shots(shown, wanted, frames)
+        first = picture_camera(shown.header, wanted, show)
+        fps = _rate(shown.header, wanted)
         sound = replace(video, begin=chosen.start / (fps or DEFAULT_FPS))
-        cut_out = _is_cut_out(opened.header, show)
+        cut_out = _is_cut_out(shown.header, show)
         with open_sink(output, view=first.name, frames=len(chosen), fps=fps, video=sound, cut_out=cut_out) as sink:
             _check_files(sink, chosen, read)
-            static = _static(opened, on_warning) if sink.has_layers else None
-            taken = _taken(opened.header, shots(sink.has_layers), wanted, show, sink, static)
+            static = _static(shown, on_warning) if sink.has_layers else None
+            taken = _taken(shown.header, shots(sink.has_layers), wanted, show, sink, static)
             for done, _ in enumerate(taken, start=1):
                 if on_frame is not None:
                     on_frame(done, len(chosen))
@@ -174,7 +182,7 @@ def _decode_growing(
 
 
 def _chosen_shots(
-    stream: Stream, wanted: str | CameraPath, frames: Frames
+    stream: AnyStream, wanted: str | CameraPath, frames: Frames
 ) -> tuple[range, Callable[[bool], Iterator[Shot]]]:
     """The numbers of the pictures asked for, and those to be taken: with a neighbour on each side, or without."""
     if isinstance(wanted, CameraPath) and wanted.times is not None:
@@ -196,7 +204,7 @@ def _chosen_shots(
     return chosen, lambda neighbours: asked_for(by_frame(neighbours), chosen)
 
 
-def _static(stream: Stream, on_warning: OnWarning | None) -> Ids | None:
+def _static(stream: AnyStream, on_warning: OnWarning | None) -> Ids | None:
     """Ids of what never changes; None, with a warning, where damage that is an error hides it."""
     try:
         return static_ids(stream.frames())

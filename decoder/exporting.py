@@ -31,10 +31,10 @@ from decogs.formats.up_direction import AXES, UPS, Up, Vector, turn_between, up_
 from decogs.formats.usd import USD_SUFFIXES
 from decogs.formats.usd_prims import FLAVOURS, Flavour
 
-from .frame_choice import open_chosen
+from .frame_choice import files_read, open_chosen
 from .limits import DEFAULT_MAX_MEMORY
 from .picture_output import DEFAULT_FPS
-from .stream import Stream
+from .subject import AnyStream, SubjectOfStream
 
 _LAST_NUMBER = 2**31 - 1
 _CHUNK = 1 << 20
@@ -90,6 +90,7 @@ def export(
     spz_version: SpzVersion | None = None,
     prim: Flavour | None = None,
     velocities: bool = False,
+    subject: str | os.PathLike[str] | None = None,
     strict: bool = False,
     max_memory: int = DEFAULT_MAX_MEMORY,
     on_frame: OnProgress | None = None,
@@ -105,6 +106,7 @@ def export(
     rig states its unit, or 1. ``spz_version``: 2,
     3 or 4. ``prim``: how USD shows Gaussians: "instancer" (default), "splat" or
     "both". ``velocities``: USD's instancers get them, in world units a second, for programs that blur by them.
+    ``subject``: a folder of mattes; only Gaussians in their hull are written (``decogs.decoder.subject``).
     ``strict`` and ``max_memory`` (bytes) are those of ``open_stream``. The frames are read twice, and
     ``on_frame(done, all)`` counts both readings; ``on_warning(text)`` is called for damage and for losses of the
     format.
@@ -138,10 +140,12 @@ def export(
         numbers = [first_frame + frame for frame in chosen]
         names = _names(target, suffix, numbers)
         outputs = [Output("output", name) for name in names] or [Output("output", target)]
-        check_outputs(outputs, [(Path(stream), "is read, as `stream`")])
+        shown = opened if subject is None else SubjectOfStream(opened, Path(subject), chosen)
+        read = [*files_read(stream=stream), *(shown.files_read() if isinstance(shown, SubjectOfStream) else [])]
+        check_outputs(outputs, read)
         if suffix in USD_SUFFIXES:
-            return _export_usd(plan, opened, chosen, Path(stream))
-        return _export_splats(plan, opened, chosen, names)
+            return _export_usd(plan, shown, chosen, Path(stream))
+        return _export_splats(plan, shown, chosen, names)
 
 
 def _write_all(file: BinaryIO, data: bytes) -> None:
@@ -227,7 +231,7 @@ def _documentation(header: StreamHeader, name: str) -> str:
     return f"{own} {said}" if said else own
 
 
-def _export_usd(plan: _Plan, stream: Stream, chosen: range, source: Path) -> ExportReport:
+def _export_usd(plan: _Plan, stream: AnyStream, chosen: range, source: Path) -> ExportReport:
     from .usd_export import ExportFrame, export_usd
 
     header, done = stream.header, 0
@@ -278,7 +282,7 @@ def _export_usd(plan: _Plan, stream: Stream, chosen: range, source: Path) -> Exp
     return report
 
 
-def _export_splats(plan: _Plan, stream: Stream, chosen: range, names: list[Path]) -> ExportReport:
+def _export_splats(plan: _Plan, stream: AnyStream, chosen: range, names: list[Path]) -> ExportReport:
     settings = {} if plan.spz_version is None else {"version": plan.spz_version}
     form = splat_formats()[plan.suffix](compensated=True, **settings)
     similarity, up = _similarity(plan, stream.header, form.up)
@@ -312,7 +316,7 @@ def _fitted(form: SplatFormat, plan: _Plan, extremes: Extremes) -> SplatFormat:
     return form
 
 
-def _extremes(plan: _Plan, stream: Stream, chosen: range, similarity: Similarity) -> Extremes:
+def _extremes(plan: _Plan, stream: AnyStream, chosen: range, similarity: Similarity) -> Extremes:
     """First reading: what the format has to hold. Raises UsageError for a value that is not finite."""
     extremes, before = Extremes(2**63, 0, 0.0, stream.header.sh_degree), None
     for done, frame in enumerate(stream.frames(chosen.start, chosen.stop), start=1):
@@ -336,7 +340,7 @@ def _with(extremes: Extremes, splats: Splats, frame: int) -> Extremes:
     )
 
 
-def _files(form: SplatFormat, plan: _Plan, stream: Stream, chosen: range, similarity: Similarity) -> Iterator[bytes]:
+def _files(form: SplatFormat, plan: _Plan, stream: AnyStream, chosen: range, similarity: Similarity) -> Iterator[bytes]:
     """Second reading: each frame's file; frames that show the same share it."""
     before, data = None, b""
     for done, frame in enumerate(stream.frames(chosen.start, chosen.stop), start=1):

@@ -6,12 +6,15 @@ from copy import copy
 from dataclasses import replace
 from functools import cached_property
 
+import numpy as np
+from numpy.typing import NDArray
+
 from decogs.codec.deltas import Changes, Delta
 from decogs.codec.frame_payload import FramePayload
 from decogs.codec.header import StreamHeader
 from decogs.codec.lattice import Lattice, dequantise
 from decogs.codec.reconstruct import Reconstruction, reconstruct_frame
-from decogs.codec.state import State, same_scene
+from decogs.codec.state import State, part_of, same_scene
 from decogs.codec.syntax import payload_costs
 from decogs.formats.container import PacketKind
 from decogs.formats.splats import Splats
@@ -75,6 +78,13 @@ class DecodedFrame:
         frame.kind, frame.packet_bytes, frame._payload, frame._delta = None, 0, None, None
         frame.changes = Changes(0, 0, 0)
         frame.state = replace(self.state, frame=index)
+        return frame
+
+    def part(self, rows: NDArray[np.bool_], lattice: Lattice) -> DecodedFrame:
+        """This frame with the Gaussians of ``rows`` (N,) alone, as if no delta led to it."""
+        frame = copy(self)
+        frame.state = part_of(self.state, rows)
+        frame._activation, frame._delta, frame._state_before = _Activation(frame.state, lattice), None, None
         return frame
 
     @property

@@ -15,6 +15,7 @@ from decogs.formats.frame_ranges import Frames, frame_slice
 from .damage import OnDamage
 from .frame import DecodedFrame
 from .stream import Stream, open_stream
+from .subject import AnyStream
 
 
 @contextmanager
@@ -62,7 +63,7 @@ def coming_frames(frames: Frames) -> slice:
     return slice(min(start, most), None if stop is None else min(stop, most))
 
 
-def chosen_frames(stream: Stream, frames: Frames) -> range:
+def chosen_frames(stream: AnyStream, frames: Frames) -> range:
     """The frames asked for as a range of this stream's, by Python's slicing rules; raises UsageError when none is."""
     what = "it has no frame" if not stream.frame_count else f"it has frames 0:{stream.frame_count}"
     return _chosen(frames, stream.frame_count, f"{stream.path}: nothing to decode, {what}")
@@ -73,7 +74,7 @@ def chosen_pictures(source: str, count: int, frames: Frames) -> range:
     return _chosen(frames, count, f"{source}: nothing to decode, it has pictures 0:{count}")
 
 
-def frames_in_any_order(stream: Stream, wanted: Iterable[int]) -> Iterator[DecodedFrame]:
+def frames_in_any_order(stream: AnyStream, wanted: Iterable[int]) -> Iterator[DecodedFrame]:
     """The frames asked for, one by one. A later one is reached by decoding on, an earlier one from its keyframe."""
     frame: DecodedFrame | None = None
     for index in wanted:

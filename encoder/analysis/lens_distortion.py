@@ -31,7 +31,8 @@ it is that at the radius within which nine of ten matches lie: the fit has no da
 _RADIUS_QUANTILE = 0.9
 _BOUND_DEVIATIONS = 3.0
 """Deviations of the fit, subtracted from its result for a lower bound of the distortion."""
-_MIN_CAMERA_MATCHES = 30
+_MIN_CAMERA_MATCHES = 100
+"""Fewer lie near the middle of the picture, on one subject; a tenth of them are wrong alike: `green` has 30 to 60."""
 _MIN_INLIER_SHARE = 0.5
 """Least share of a camera's matches near their epipolar lines after the fit; by chance one in ten wrong matches is."""
 _UNKNOWNS_PER_CAMERA = 4

@@ -42,7 +42,7 @@ _LAST_REACH = 0.003
 _TURN_ROUNDS = 16
 _MAX_RESIDUAL_SHARE = 0.35
 """Largest median of what a turn leaves of the offsets, in shares of the turn."""
-_MIN_MOVED_ERRORS = 10.0
+_MIN_MOVED_ERRORS = 5.0
 """Least median of how far a turn moves the matches, in standard errors of what it leaves: 4 for a false one."""
 _MAX_LINE_DISTANCE_PIXELS = 15.0
 """Largest distance of a right match from its line, in pixels: a camera turned by three degrees."""

@@ -189,7 +189,7 @@ def _coverage(cameras: Sequence[Camera], row: int, shown: _Shown | None) -> tupl
         angles[other, seen] = np.arccos(np.clip(cosine[seen], -1, 1))
     # What has no texture looks alike from everywhere.
     count = (angles < np.where(shown.textured, MAX_RAYS_ANGLE, np.inf)).sum(axis=0)
-    nearest = angles.min(axis=0)[shown.textured]
+    nearest = angles.min(axis=0)[shown.textured if shown.textured.any() else slice(None)]
     finite = nearest[np.isfinite(nearest)]
     gap = math.degrees(float(np.median(finite))) if len(finite) else math.nan
     return float((count >= 1).mean()), float((count >= 2).mean()), gap

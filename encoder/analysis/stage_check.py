@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.decoder.hull import Hull
 from decogs.decoder.lens import Undistortion
 from decogs.formats.cameras import Camera, camera_centre, in_picture, project, ray_slopes, turned
 from decogs.formats.splats import FloatArray
 
 from ..input.ingest import display_referred
-from ..keyframe.backdrop.hull import Hull
 from ..keyframe.backdrop.plain import subject_pixels
 from ..keyframe.backdrop.stage import PlainStage
 from ..keyframe.backdrop.surfaces import surface_colours
@@ -46,8 +46,8 @@ _SAMPLES = 300
 """Pixels of a camera's subject that are looked at."""
 _DEPTHS = 64
 """Places along a pixel's ray at which the hull or the backdrop is looked for ..."""
-_RANGE = 0.5, 2.5
-"""... from and to these multiples of the distance to what the cameras look at."""
+_NEAREST, _BEYOND = 0.5, 1.5
+"""... from this share of the distance to the stage's middle, to so many of the surfaces' radii beyond it."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,8 @@ class StageCheck:
             yield f"floor: {self.floor:.3g} units below the cameras; wall: about {self.wall:.2g} units from the middle"
         between = " and ".join(self.gap_cameras)
         yield f"cameras around the subject: the largest gap has {self.gap:.0f} degrees, between {between}"
-        yield f"shadows on the backdrop: up to {1 - self.shadow:.0%} darker" if self.shadow < 1 else "shadows: none"
+        dark = f"up to {1 - self.shadow:.0%} darker" if self.shadow < 1 else "none found"
+        yield f"shadows on the backdrop: {dark}"
         yield f"key: {self._key()}"
 
     def _key(self) -> str:
@@ -154,7 +155,8 @@ def check_stage(stage: PlainStage, cameras: Sequence[Camera], pictures: Sequence
 
 def first_met(stage: PlainStage, centre: F64, rays: NDArray[np.floating]) -> F64:
     """Where rays (N, 3) from a camera's ``centre`` meet the stage's hull or its backdrop, world points (N, 3)."""
-    depths = np.linspace(*_RANGE, _DEPTHS) * np.linalg.norm(stage.surfaces.middle - centre)
+    distance = float(np.linalg.norm(stage.surfaces.middle - centre))
+    depths = np.geomspace(_NEAREST * distance, distance + _BEYOND * stage.surfaces.radius, _DEPTHS)
     places = centre + depths[:, None] * rays[:, None]
     flat = places.reshape(-1, 3)
     ends = (stage.hull.holds(flat) | (stage.surfaces.clearance(flat) <= 0)).reshape(places.shape[:2])
@@ -201,11 +203,7 @@ def _shadow(stage: PlainStage, shown: Sequence[_Shown]) -> float:
 
 def _largest_gap(stage: PlainStage, cameras: Sequence[Camera]) -> tuple[float, tuple[str, str]]:
     """The largest angle between neighbouring cameras around the upright axis, degrees, and their names."""
-    places = np.array([camera_centre(camera) for camera in cameras]) - stage.surfaces.middle
-    x, y, _ = stage.surfaces.axes @ places.T
-    around = np.degrees(np.arctan2(y, x))
-    order = np.argsort(around, kind="stable")
-    gaps = np.diff(around[order], append=around[order[0]] + 360)
+    gaps, order = stage.surfaces.gaps(np.array([camera_centre(camera) for camera in cameras]))
     widest = int(np.argmax(gaps))
     return float(gaps[widest]), (cameras[order[widest]].name, cameras[order[(widest + 1) % len(order)]].name)
 

@@ -168,7 +168,7 @@ class Ingest:
         names, count = [*self._names, *self._held_names], len(self._names)
         given = self._mattes.given(names, start, stop)
         for (index, pictures), mattes in zip(read_frames(self.rig, start, stop, names=names), given, strict=True):
-            recorded = _digests(self._names, pictures, mattes) if index == start else {}
+            recorded = self._digests(pictures, mattes) if index == start else {}
             shown = zip(names, pictures, strict=True)
             cut = [self._mattes.cut(name, picture, mattes.get(name)) for name, picture in shown]
             planes = [self._prepare(name, each.picture) for name, each in zip(names, cut, strict=True)]
@@ -187,6 +187,14 @@ class Ingest:
                 [] if self._mattes.key is None else [each.worn for each in cut[:count]],
             )
             yield frame if self.background is None else _composited(frame, self.background)
+
+    def _digests(self, pictures: Sequence[Picture], mattes: Mapping[str, FloatArray]) -> dict[str, str]:
+        """Of each training camera's picture, and of what cuts its subject out."""
+        shown = zip(self._names, pictures, strict=False)
+        return {
+            name: "".join(map(digest_of, [picture, *self._mattes.told(name, mattes.get(name))]))
+            for name, picture in shown
+        }
 
     def _at_own_size(self, name: str, picture: Picture) -> Picture:
         camera = next(camera for camera in self.rig.cameras if camera.name == name)
@@ -232,12 +240,6 @@ def _resized(picture: PictureArray, size: Size) -> PictureArray:
         return picture
     shrinks = size[0] < picture.shape[1]
     return cv2.resize(picture, size, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_CUBIC)  # type: ignore[return-value]
-
-
-def _digests(names: Sequence[str], pictures: Sequence[Picture], mattes: Mapping[str, FloatArray]) -> dict[str, str]:
-    """Of each camera's picture, with its matte where it has one."""
-    shown = zip(names, pictures, strict=False)
-    return {name: digest_of(picture) + (digest_of(mattes[name]) if name in mattes else "") for name, picture in shown}
 
 
 def _composited(frame: RigFrame, background: Colour) -> RigFrame:

@@ -1,7 +1,7 @@
 """Mattes that cannot be what they should: white or black all over, inverted, or another camera's.
 
 Every pixel of a subject lies before a point of space that all cameras see as subject, or do not see: mattes of several
-cameras say so of each other. Figures: DESIGN.md, "Mattes".
+cameras say so of each other. Figures: mattes/DESIGN.md.
 """
 
 from __future__ import annotations
@@ -16,17 +16,13 @@ from numpy.typing import NDArray
 from decogs.formats.callbacks import OnWarning
 from decogs.formats.cameras import Camera, in_picture, project, ray_slopes
 from decogs.formats.errors import RigError
+from decogs.formats.mattes import SURE_SUBJECT, problem_of
 from decogs.formats.splats import FloatArray
 
 from .ingest import Ingest, RigFrame, scene_extent
 
-_ALL, _LEVEL = 0.995, 1 / 255
-_MAX_LABEL = 8 / 255
-"""Brightest pixel of a matte that was saved as numbers of objects."""
-_INVERTED_BORDER = 0.95
-"""White share of the border of a matte from which, with less in the middle, it is inverted."""
-_SUBJECT, _SURE_SUBJECT = 0.3, 0.9
-"""Alpha from which another view's pixel may be subject, and from which one is asked about."""
+_SUBJECT = 0.3
+"""Alpha from which another view's pixel may be subject."""
 _MARGIN_WIDTHS, _MIN_MARGIN_PIXELS = 0.005, 1
 """By which mattes are widened before they deny something, in units of the picture's width: poses, steps of depth."""
 _PIXELS, _DEPTHS = 60, 512
@@ -46,10 +42,10 @@ def check_mattes(ingest: Ingest, first: RigFrame, warn: OnWarning) -> None:
     views, alphas = ingest.views, first.alpha
     places = [ingest.matte_place(view.camera.name, first.index) for view in views]
     for place, alpha in zip(places, alphas, strict=True):
-        problem = _problem(alpha)
+        problem = problem_of(alpha)
         if problem:
             raise RigError(f"{place}: {problem}")
-    if not any((alpha > _SURE_SUBJECT).any() for alpha in alphas):
+    if not any((alpha > SURE_SUBJECT).any() for alpha in alphas):
         raise RigError(f"{places[0]} and all others: black all over, there is no subject; white is subject")
     worn = int(np.argmax(first.worn)) if first.worn else 0
     if first.worn and first.worn[worn] > _MAX_WORN:
@@ -80,19 +76,6 @@ def _check_agreement(places: Sequence[str], found: _Agreement, warn: OnWarning) 
         )
 
 
-def _problem(alpha: FloatArray) -> str:
-    if (alpha > _ALL).mean() > _ALL:
-        return "white all over; white is subject, black is empty"
-    if _LEVEL <= alpha.max() <= _MAX_LABEL:
-        return f"nowhere brighter than {255 * alpha.max():.0f} of 255, like labels of objects; write white for them"
-    border = np.concatenate([alpha[0], alpha[-1], alpha[:, 0], alpha[:, -1]])
-    height, width = alpha.shape
-    middle = alpha[height // 4 : -(height // 4) or None, width // 4 : -(width // 4) or None]
-    if (border > _SURE_SUBJECT).mean() > _INVERTED_BORDER and middle.mean() < border.mean():
-        return "white at all borders and not in the middle, so inverted; white is subject"
-    return ""
-
-
 @dataclass(frozen=True)
 class _Agreement:
     """Of each view (V,): the share of its subject that all others confirm, that all others but one do, and the share of
@@ -108,7 +91,7 @@ def _agreement(cameras: Sequence[Camera], extent: float, alphas: Sequence[FloatA
     depths = np.geomspace(_NEAREST * extent, _FARTHEST * extent, _DEPTHS)
     confirmed, denied, asked = np.ones((2, len(cameras))), np.zeros(len(cameras)), 0
     for row, (camera, alpha) in enumerate(zip(cameras, alphas, strict=True)):
-        pixels = np.flatnonzero(alpha.ravel() > _SURE_SUBJECT)
+        pixels = np.flatnonzero(alpha.ravel() > SURE_SUBJECT)
         if not pixels.size:
             continue
         chosen = pixels[np.linspace(0, pixels.size - 1, min(_PIXELS, pixels.size)).astype(np.int64)]

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from decogs.decoder.resizing import resized_plane
 from decogs.formats.cameras import Camera, scale_camera
 from decogs.formats.splats import FloatArray
 
-from ..input.resizing import resized_plane
 from ..settings.keyframe import KeyframeSettings
 
 LARGE_PICTURE_PIXELS = 240_000

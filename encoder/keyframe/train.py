@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 
 from decogs.codec.lattice import Lattice, default_lattice, dequantise, quantise, robust_extent
 from decogs.codec.state import Attributes
+from decogs.decoder.resizing import resized, resized_plane
 from decogs.formats.errors import TrainingError
 from decogs.formats.splats import FloatArray, Splats, join_splats, round_splats, sigmoid, take_splats
 
 from ..backends import Colour, LossValue, RenderedPicture, TrainingKernel
 from ..input.compensation import Corrector
 from ..input.ingest import View, scene_extent
-from ..input.resizing import resized, resized_plane
 from ..output.reports import OnKeyframeStep
 from ..psnr import psnr_of
 from ..settings.keyframe import KeyframeSettings

@@ -4,6 +4,16 @@ A matte is white where the subject covers a pixel, black where nothing does, gre
 """
 
 from .per_camera import pictures_per_camera
-from .per_frame import matte_rig, own_alpha_rig
+from .per_frame import alpha_of, matte_place, matte_rig, own_alpha_rig, stream_matte_rig
+from .problems import SURE_SUBJECT, problem_of
 
-__all__ = ["matte_rig", "own_alpha_rig", "pictures_per_camera"]
+__all__ = [
+    "SURE_SUBJECT",
+    "alpha_of",
+    "matte_place",
+    "matte_rig",
+    "own_alpha_rig",
+    "pictures_per_camera",
+    "problem_of",
+    "stream_matte_rig",
+]

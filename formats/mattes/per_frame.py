@@ -36,16 +36,36 @@ def matte_rig(folder: Path, rig: Rig, names: Collection[str], frames: range) -> 
 
     ``names``: cameras that must have some. Raises RigError, naming the camera or frame that is missing.
     """
-    places = places_of_cameras(folder, [camera.name for camera in rig.cameras])
-    for name in names:
-        if name not in places:
-            raise RigError(f"{folder}: no mattes of camera {name}; put them into {name}/ or {name}.mp4")
+    places = _places(folder, rig.cameras, names)
     found = [
         (camera, _opened(places[camera.name], camera, source, rig.frame_count, frames))
         for camera, source in zip(rig.cameras, rig.sources, strict=True)
         if camera.name in places
     ]
     return _with(rig, found)
+
+
+def stream_matte_rig(folder: Path, cameras: Sequence[Camera], first: int, count: int, frames: range) -> Rig:
+    """The mattes in ``folder`` of a stream's ``cameras`` and ``count`` frames, those of ``frames`` sure to be there.
+
+    The rig is not known, only that the stream begins at its frame ``first``. Mattes are as many as the stream's frames,
+    or count from 0 at the rig's first one. Raises RigError, naming the camera or frame that is missing.
+    """
+    places = _places(folder, cameras, [camera.name for camera in cameras])
+    sources = tuple(_opened_for_stream(places[camera.name], camera, first, count, frames) for camera in cameras)
+    return Rig(folder, "mattes", tuple(cameras), sources, None, count)
+
+
+def matte_place(rig: Rig, name: str, frame: int) -> str:
+    """Where the matte of a camera and frame of such a rig comes from, for a message."""
+    source = next(source for camera, source in zip(rig.cameras, rig.sources, strict=True) if camera.name == name)
+    return str(source.files[frame]) if isinstance(source, PictureSource) else f"{source.path}, frame {frame}"
+
+
+def alpha_of(matte: Picture) -> Alpha:
+    """The matte (H, W) 0..1 of a grey picture."""
+    plane = matte[..., 0]
+    return np.asarray(plane / np.float32(255) if plane.dtype == np.uint8 else np.clip(plane, 0, 1), np.float32)
 
 
 def own_alpha_rig(rig: Rig, names: Collection[str], frame: int) -> Rig | None:
@@ -124,6 +144,15 @@ def _without_colour(path: Path, matte: Picture) -> Picture:
     return matte
 
 
+def _places(folder: Path, cameras: Sequence[Camera], names: Collection[str]) -> dict[str, Path]:
+    """Where each camera's mattes are; those of ``names`` must be there."""
+    places = places_of_cameras(folder, [camera.name for camera in cameras])
+    for name in names:
+        if name not in places:
+            raise RigError(f"{folder}: no mattes of camera {name}; put them into {name}/ or {name}.mp4")
+    return places
+
+
 def _opened(place: Path, camera: Camera, source: FrameSource, count: int, frames: range) -> FrameSource:
     """The mattes of a camera, one for each of the rig's ``count`` frames, those of ``frames`` sure to be there."""
     files = _pictures_at(place)
@@ -132,7 +161,29 @@ def _opened(place: Path, camera: Camera, source: FrameSource, count: int, frames
         if video.frame_count != count:
             raise RigError(f"{place}: {video.frame_count} frames, but the rig has {count}; cut both to the same frames")
         return _MatteVideo(**vars(video))
-    files = _by_frame(files, source, count)
+    return _checked(place, camera, _by_frame(files, source, count), frames)
+
+
+def _opened_for_stream(place: Path, camera: Camera, first: int, count: int, frames: range) -> FrameSource:
+    """The mattes of a camera, one for each of the stream's ``count`` frames, those of ``frames`` sure to be there."""
+    files = _pictures_at(place)
+    if not files and not place.is_dir():
+        video = open_video(place)
+        if video.frame_count != count and (first or video.frame_count < count):
+            raise RigError(f"{place}: {video.frame_count} frames, but the stream has {count}; cut it to these")
+        return _MatteVideo(**vars(video))
+    if len(files) != count:
+        named = dict(zip(PictureSource(Path(), files, 0, 0).frame_numbers() or (), files, strict=False))
+        if first and files and (0,) not in named:
+            raise RigError(
+                f"{place}: {len(files)} mattes, but the stream has {count} frames, from the rig's frame {first} on; "
+                "give as many, or count them from 0 at the rig's first frame"
+            )
+        files = tuple(named.get((first + index,), Path()) for index in range(count))
+    return _checked(place, camera, files, frames)
+
+
+def _checked(place: Path, camera: Camera, files: tuple[Path, ...], frames: range) -> _Mattes:
     for frame in frames:
         if not files[frame].is_file():
             raise RigError(f"{place}: no matte of frame {frame}; give one for every frame, such as 0000.png")

@@ -156,6 +156,7 @@ RIGS: dict[str, CanaryRig] = {
 class _Lookup:
     cameras: tuple[Camera, ...]
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    subject: bool = False
 
 
 def write_rig(name: str, folder: Path) -> Path:

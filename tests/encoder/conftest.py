@@ -87,7 +87,9 @@ def scene_at(frame: int) -> Splats:
 class _Lookup:
     cameras: tuple[Camera, ...]
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    subject: bool = False
     camera_colours: Mapping[str, Correction] = field(default_factory=dict)
+    subject: bool = False
 
 
 class TinyRig:

@@ -161,6 +161,9 @@ def test_other_mattes_are_another_recording(green: Path, masks: Path) -> None:
     rewrite(masks / NAMES[3] / "0000.png", lambda matte: 255 * (matte > 127).astype(np.uint8))
     after = frame_of(opened(green, masks=masks)).recorded
     assert [name for name in NAMES if before[name] != after[name]] == [NAMES[3]]
+    keyed, with_other = (frame_of(opened(green, key=key)).recorded for key in ("green", "0,200,90"))
+    plain = frame_of(opened(green)).recorded
+    assert all(len({plain[name], keyed[name], with_other[name], before[name]}) == 4 for name in NAMES)
 
 
 # --- pictures' own alpha --------------------------------------------------------------------------------------------

@@ -16,6 +16,7 @@ from decogs.decoder.stream import open_stream
 from decogs.encoder.input.compensation.matching import find_colours
 from decogs.encoder.input.ingest import Ingest, RigFrame
 from decogs.encoder.keyframe import first_frame
+from decogs.encoder.keyframe.backdrop import stage as backdrop
 from decogs.encoder.keyframe.backdrop.plain import plain_pixels
 from decogs.encoder.keyframe.backdrop.stage import PlainStage, Stage, find_stage
 from decogs.formats.cameras import Camera, camera_centre
@@ -56,8 +57,9 @@ def test_floor_and_wall_are_where_they_are(grey: Path, stage: PlainStage) -> Non
     assert stage.surfaces.radius == pytest.approx(truth["wall_radius"], rel=0.15)
 
 
-def test_no_wall_stands_before_a_camera(tmp_path: Path) -> None:
+def test_no_wall_stands_before_a_camera(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Cameras in an arc before a wall that is nearer to what they look at than they are."""
+    monkeypatch.setattr(backdrop, "_MAX_GAP_DEGREES", 360.0)
     middle = np.array([0, 2.5, 1.0])
     arc = [
         looking_at(middle, name, [2.5 * np.sin(angle), -2, 1.2])
@@ -93,13 +95,6 @@ def test_a_textured_scene_is_no_stage() -> None:
     assert find_stage(ingest.views, frame) is None
 
 
-def test_three_views_do_not_say_where_a_backdrop_is(grey: Path) -> None:
-    ingest, frame = first_pictures(grey)
-    for count, is_found in ((3, False), (4, True)):
-        found = find_stage(ingest.views[:count], replace(frame, training=frame.training[:count]))
-        assert (found is not None) == is_found
-
-
 def test_a_backdrop_that_few_views_see_follows_the_light(grey: Path, tmp_path: Path) -> None:
     """With eight cameras all around, most of the wall is seen by one."""
     dim = Path(shutil.copytree(grey, tmp_path / "dim"))
@@ -111,6 +106,13 @@ def test_a_backdrop_that_few_views_see_follows_the_light(grey: Path, tmp_path: P
     report = encode(dim, tmp_path / "dim.dgs", "live")
     # 30.9, and 29.5 before; 21.7 where each Gaussian that changes must be seen by two.
     assert report.frames[1].training_psnr > report.frames[0].training_psnr - 3
+
+
+def test_an_arc_of_cameras_before_a_plain_wall_is_no_stage(grey: Path) -> None:
+    """Too little of its backdrop is seen from two sides: a wall at a wrong place cost 9 dB on `hdr`."""
+    arc = [camera.name for camera in cameras(SIZE)[8:]]
+    ingest = Ingest(open_rig(grey), holdout=arc)
+    assert find_stage(ingest.views, next(iter(ingest.frames(0, 1)))) is None
 
 
 def test_any_colour_is_plain_and_texture_above_noise_is_not() -> None:

@@ -13,10 +13,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.decoder.resizing import resized
 from decogs.formats.cameras import Camera, ray_slopes, scale_camera
 from decogs.formats.splats import FloatArray
 
-from ..resizing import resized
 from .colour import tukey_weights
 
 F64 = NDArray[np.float64]

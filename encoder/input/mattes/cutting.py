@@ -119,7 +119,12 @@ def _mixed(
 
 def _explained(seen: FloatArray, subject: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The alpha (P,) of ``subject`` that explains what is ``seen``, both (P, 3) less the plate; the rest squared."""
-    contrast = np.maximum((subject * subject).sum(axis=1), np.float32(_LEAST_CONTRAST))
-    alpha = np.clip((seen * subject).sum(axis=1) / contrast, 0, 1)
+    contrast = np.maximum(_products(subject, subject), np.float32(_LEAST_CONTRAST))
+    alpha = np.clip(_products(seen, subject) / contrast, 0, 1)
     rest = seen - alpha[:, None] * subject
-    return alpha, np.asarray((rest * rest).sum(axis=1), np.float32)
+    return alpha, _products(rest, rest)
+
+
+def _products(one: FloatArray, other: FloatArray) -> FloatArray:
+    """Of the rows, (P,)."""
+    return np.asarray(np.einsum("pc,pc->p", one, other))

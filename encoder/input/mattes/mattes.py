@@ -10,7 +10,7 @@ import numpy as np
 
 from decogs.formats.colour import linear_from_srgb, srgb_from_linear
 from decogs.formats.errors import RigError
-from decogs.formats.mattes import matte_rig, own_alpha_rig, pictures_per_camera
+from decogs.formats.mattes import alpha_of, matte_place, matte_rig, own_alpha_rig, pictures_per_camera
 from decogs.formats.pictures import Picture, read_picture
 from decogs.formats.rigs import Rig, read_frames
 from decogs.formats.rigs.sources import PictureSource
@@ -62,10 +62,9 @@ class Mattes:
 
     def place(self, name: str, frame: int) -> str:
         """Where the matte of a camera and frame comes from, for a message."""
-        cameras = () if self.rig is None else zip(self.rig.cameras, self.rig.sources, strict=True)
-        for source in (source for camera, source in cameras if camera.name == name):
-            return str(source.files[frame]) if isinstance(source, PictureSource) else f"{source.path}, frame {frame}"
-        return f"the matte of camera {name}, frame {frame}"
+        if self.rig is None or name not in [camera.name for camera in self.rig.cameras]:
+            return f"the matte of camera {name}, frame {frame}"
+        return matte_place(self.rig, name, frame)
 
     def given(self, names: Collection[str], start: int, stop: int) -> Iterator[Mapping[str, FloatArray]]:
         """The mattes (H, W) that files have, by camera, of each frame."""
@@ -74,7 +73,18 @@ class Mattes:
             return
         having = [camera.name for camera in self.rig.cameras if camera.name in names]
         for _, mattes in read_frames(self.rig, start, stop, names=having):
-            yield {name: _alpha(matte) for name, matte in zip(having, mattes, strict=True)}
+            yield {name: alpha_of(matte) for name, matte in zip(having, mattes, strict=True)}
+
+    def told(self, name: str, given: FloatArray | None) -> Iterator[Picture]:
+        """Whatever makes a cut picture another one, as arrays."""
+        if given is not None:
+            yield given
+        if self.key is not None:
+            yield np.rint(1000 * self.key)
+        if name in self.plates:
+            yield self.plates[name]
+        if name in self.kept:
+            yield self.kept[name].astype(np.uint8)
 
     def cut(self, name: str, picture: Picture, given: FloatArray | None) -> Cut:
         """A camera's picture and its alpha. Raises RigError where it shows no screen, or not what its plate does."""
@@ -150,7 +160,7 @@ def _ignore_masks(choice: MatteChoice, rig: Rig) -> dict[str, Path]:
 
 
 def _kept(rig: Rig, name: str, file: Path) -> BoolArray:
-    kept = _alpha(_at_size(rig, name, file)) >= _KEPT
+    kept = alpha_of(_at_size(rig, name, file)) >= _KEPT
     if not kept.any():
         raise RigError(f"{file}: black all over, so that camera {name} teaches nothing; white is what counts")
     return np.asarray(kept)
@@ -185,11 +195,6 @@ def _at_size(rig: Rig, name: str, file: Path) -> Picture:
             f"{camera.width} x {camera.height}; bring both to one size"
         )
     return picture
-
-
-def _alpha(matte: Picture) -> FloatArray:
-    plane = matte[..., 0]
-    return np.asarray(plane / np.float32(255) if plane.dtype == np.uint8 else np.clip(plane, 0, 1), np.float32)
 
 
 def linear(picture: Picture) -> FloatArray:

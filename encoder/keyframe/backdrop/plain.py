@@ -9,9 +9,10 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from decogs.decoder.hull import BoolArray
+
 from ...input.filling import push_pull
 from ..first_points.views import Array, floats
-from .views import BoolArray
 
 _WINDOW_PIXELS = 5
 """Side of the window whose deviation from its own plane of colours is noise or texture."""

@@ -2,7 +2,7 @@
 
 A plain surface confirms no depth: grey before grey costs no view anything, and training fills the space in front with
 fog. So where most of the pictures is plain, the backdrop is there, opaque, before training begins, and first points lie
-in the hull of what stands in front of it. Whatever leaves the hull goes. Figures: DESIGN.md, "Plain stages".
+in the hull of what stands in front of it. Whatever leaves the hull goes. Figures: docs/stages.md.
 """
 
 from __future__ import annotations
@@ -14,19 +14,21 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.decoder.hull import BoolArray, Hull, SubjectView, with_margin
+from decogs.formats.cameras import camera_centre
 from decogs.formats.splats import FloatArray, Splats, round_splats
 
 from ...input.ingest import RigFrame, View
-from .hull import Hull, SubjectView, with_margin
 from .plain import plain_pixels, plate_of, subject_pixels
 from .subject import subject_alone
 from .surfaces import PlainView, Surfaces, find_surfaces, plain_colours, surface_colours
-from .views import BoolArray, StageView, stage_view
+from .views import StageView, stage_view
 
 _MIN_PLAIN_SHARE = 0.5
 """Plain share of the median view's picture from which a stage is plain: rooms and textured stages have up to .45."""
-_MIN_VIEWS = 4
-"""Views from which a stage is sought: of three in an arc, it veils performers by 3 dB, of four it gains as much."""
+_MAX_GAP_DEGREES = 150.0
+"""Between neighbouring cameras around a stage. Of an arc's backdrop too little is seen from two sides: on `hdr`, an arc
+of 48 degrees before bare walls, a backdrop cost 9 dB."""
 _DECISION_PIXELS = 62_000
 """Of a view in this decision; larger pictures are shrunk."""
 _BACKDROP_GAUSSIANS = 4600
@@ -96,7 +98,7 @@ class PlainStage:
 
     def free(self, xyz: NDArray[np.floating]) -> BoolArray:
         """Points (P, 3) of empty space: in front of the backdrop, where some view shows it."""
-        return ~self.on_backdrop(xyz) & ~self.hull.holds(xyz)
+        return ~self.on_backdrop(xyz) & self.hull.denies(xyz)
 
     def on_backdrop(self, xyz: NDArray[np.floating]) -> BoolArray:
         """Points (P, 3) on the backdrop's surfaces or beyond them."""
@@ -110,11 +112,11 @@ class PlainStage:
 def find_stage(views: Sequence[View], frame: RigFrame) -> Stage | None:
     """The stage in the first ``frame`` of ``views``: of a subject with mattes, or a plain one; None for others.
 
-    A stage is plain if the median picture is mostly plain, and enough views say where its backdrop is.
+    A stage is plain if the median picture is mostly plain, and cameras stand all around.
     """
     if frame.alpha:
         return subject_alone(views, frame.alpha)
-    if len(views) < _MIN_VIEWS or not _mostly_plain(views, frame.training):
+    if not _mostly_plain(views, frame.training):
         return None
     seen = [stage_view(*each) for each in zip(views, frame.training, strict=True)]
     plain = [plain_pixels(view.picture) & view.recorded for view in seen]
@@ -125,6 +127,9 @@ def find_stage(views: Sequence[View], frame: RigFrame) -> Stage | None:
         for subject, mask, plate in zip(subjects, plain, plates, strict=True)
     ]
     surfaces = find_surfaces(backdrops)
+    gaps, _ = surfaces.gaps(np.array([camera_centre(view.pinhole) for view in views]))
+    if gaps.max() > _MAX_GAP_DEGREES:
+        return None
     spacing = float(np.sqrt(surfaces.area / _BACKDROP_GAUSSIANS * 2 / 3**0.5))
     xyz, normals = surfaces.points(spacing)
     colours = surface_colours(backdrops, xyz, normals)

@@ -8,18 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.decoder.hull import BoolArray, Hull, hull_of_mattes, matte_view
 from decogs.formats.splats import FloatArray, Splats, empty_splats
 
 from ...input.ingest import RigFrame, View
-from ...input.resizing import resized_plane
-from .hull import Hull, SubjectView, with_margin
-from .views import BoolArray, recorded_pixels, stage_camera
-
-_MIN_ALPHA = 0.02
-"""Alpha from which a pixel may show the subject: mattes are coded with losses."""
-
-_MIN_VIEWS = 3
-"""Views that must look at a point: near a camera, a hull of few views reaches far beyond the subject."""
 
 
 @dataclass(frozen=True)
@@ -52,9 +44,5 @@ class SubjectAlone:
 def subject_alone(views: Sequence[View], alphas: Sequence[FloatArray]) -> SubjectAlone:
     """The hull of mattes (H, W), one for each of the ``views``."""
 
-    def of_view(view: View, alpha: FloatArray) -> SubjectView:
-        camera = stage_camera(view)
-        shown = resized_plane(alpha, camera) > _MIN_ALPHA
-        return SubjectView(camera, with_margin(shown | ~recorded_pixels(view, camera)))
-
-    return SubjectAlone(Hull([of_view(*each) for each in zip(views, alphas, strict=True)], min(_MIN_VIEWS, len(views))))
+    each = zip(views, alphas, strict=True)
+    return SubjectAlone(hull_of_mattes([matte_view(view.pinhole, alpha, view.valid) for view, alpha in each]))

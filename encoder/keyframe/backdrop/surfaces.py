@@ -14,10 +14,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from decogs.decoder.hull import BoolArray
 from decogs.formats.cameras import Camera, camera_centre, in_picture, project, turned
 
 from ..first_points.views import Array, floats
-from .views import BoolArray
 
 F64 = NDArray[np.float64]
 
@@ -67,6 +67,13 @@ class Surfaces:
             return np.asarray(self.radius - np.linalg.norm(local, axis=1))
         wall = self.radius - np.hypot(local[:, 0], local[:, 1])
         return np.asarray(np.minimum(np.minimum(wall, local[:, 2] - self.floor), self.radius - local[:, 2]))
+
+    def gaps(self, centres: F64) -> tuple[F64, NDArray[np.int64]]:
+        """Angles between neighbouring places (C, 3) around the axis, degrees, (C,), and the places in that order."""
+        local = turned(self.axes, centres - self.middle)
+        around = np.degrees(np.arctan2(local[:, 1], local[:, 0]))
+        order = np.argsort(around, kind="stable")
+        return np.diff(around[order], append=around[order[0]] + 360), order
 
     def points(self, spacing: float) -> tuple[F64, F64]:
         """Points (P, 3) spread over all surfaces at this distance, and the normals there (P, 3), inwards."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from decogs.formats.cameras import Camera
@@ -18,4 +17,6 @@ def resized(picture: FloatArray, camera: Camera) -> FloatArray:
 
 def resized_plane(plane: FloatArray, camera: Camera) -> FloatArray:
     """One plane (H, W) at the camera's size."""
+    import cv2
+
     return np.asarray(cv2.resize(plane, (camera.width, camera.height), interpolation=cv2.INTER_AREA), np.float32)

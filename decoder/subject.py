@@ -1,0 +1,90 @@
+"""A whole scene's stream of which only the subject is shown: Gaussians in the hull of its mattes.
+
+The subject's mattes come from elsewhere, of the pictures that the stream was encoded from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+
+from decogs.codec.corrections import Corrections
+from decogs.formats.errors import RigError, UsageError
+from decogs.formats.mattes import alpha_of, matte_place, problem_of, stream_matte_rig
+from decogs.formats.pictures import Picture
+from decogs.formats.rigs import read_frames
+from decogs.formats.rigs.sources import PictureSource
+from decogs.formats.splats import FloatArray
+
+from .camera_corrections import as_it_stood
+from .frame import DecodedFrame
+from .hull import Hull, hull_of_mattes, matte_view
+from .lens import Undistortion
+from .stream import Stream
+
+
+class SubjectOfStream:
+    """The frames of a ``Stream`` with the Gaussians whose centres lie in the hull of the mattes in ``folder``.
+
+    ``chosen``: the frames that must have mattes, of all cameras but those held out. ``header`` is a subject's.
+    Raises UsageError where the stream is a subject's, RigError naming a matte that is missing or cannot be one.
+    """
+
+    def __init__(self, stream: Stream, folder: Path, chosen: range) -> None:
+        if stream.header.subject:
+            raise UsageError(f"{stream.path}: is a subject without a background already; leave out `subject`")
+        header = stream.header
+        self.path, self.frame_count = stream.path, stream.frame_count
+        self.header = replace(header, subject=True)
+        self._stream, self._folder, self._lattice = stream, folder, header.lattice
+        cameras = [camera for camera in header.cameras if camera.name not in header.held_out]
+        self._rig = stream_matte_rig(folder, cameras, header.first_frame, stream.frame_count, chosen)
+        self._plans = [Undistortion(camera) for camera in cameras]
+
+    def files_read(self) -> list[tuple[Path, str]]:
+        """The mattes, and what they are called."""
+        sources = self._rig.sources
+        files = [source.files if isinstance(source, PictureSource) else (source.path,) for source in sources]
+        return [(file, "is read, as `subject`") for file in chain.from_iterable(files)]
+
+    def frames(self, start: int = 0, stop: int | None = None) -> Iterator[DecodedFrame]:
+        """The frames as ``Stream.frames`` has them, of the subject alone.
+
+        Raises RigError where a matte cannot be read, or is none; UsageError where no frame shows anything.
+        """
+        stop = self.frame_count if stop is None else stop
+        mattes, shown = read_frames(self._rig, start, stop), 0
+        for frame, (index, pictures) in zip(self._stream.frames(start, stop), mattes, strict=True):
+            alphas = self._alphas(index, pictures)
+            held = self._hull(alphas, frame.corrections).holds(frame.splats.means)
+            shown += np.count_nonzero(held)
+            yield frame.part(held, self._lattice)
+        if not shown:
+            raise UsageError(
+                f"{self._folder}: no Gaussian of {self.path} lies where all its mattes are white; are they of these "
+                "cameras and frames?"
+            )
+
+    def _alphas(self, index: int, pictures: Sequence[Picture]) -> list[FloatArray]:
+        alphas = [alpha_of(picture) for picture in pictures]
+        for camera, alpha in zip(self._rig.cameras, alphas, strict=True):
+            problem = problem_of(alpha)
+            if problem:
+                raise RigError(f"{matte_place(self._rig, camera.name, index)}: {problem}")
+        return alphas
+
+    def _hull(self, alphas: Sequence[FloatArray], corrections: Corrections) -> Hull:
+        views = []
+        for plan, alpha in zip(self._plans, alphas, strict=True):
+            camera, correction = plan.pinhole, corrections.get(plan.camera.name)
+            stood = camera if correction is None else as_it_stood(camera, correction)
+            recorded = None if plan.valid.all() else plan.valid.astype(np.float32)
+            views.append(matte_view(stood, np.clip(plan.apply(alpha), 0, 1), recorded))
+        return hull_of_mattes(views)
+
+
+AnyStream = Stream | SubjectOfStream
