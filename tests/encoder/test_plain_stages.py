@@ -22,6 +22,7 @@ from decogs.encoder.keyframe.backdrop.stage import PlainStage, Stage, find_stage
 from decogs.formats.cameras import Camera, camera_centre
 from decogs.formats.rigs import open_rig
 from encode_rig import encode_rig as encode
+from stages import scenes
 from stages.make import write_stage
 from stages.scenes import cameras, on_stage
 
@@ -93,6 +94,27 @@ def test_bodies_are_in_the_hull_and_the_space_over_them_is_free(stage: PlainStag
 def test_a_textured_scene_is_no_stage() -> None:
     ingest, frame = first_pictures(Path(__file__).parents[1] / "demo/workbench")
     assert find_stage(ingest.views, frame) is None
+
+
+def test_nobody_need_be_on_stage_in_the_first_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Then all that is there is the backdrop. Of a black one, nothing differs from its plate."""
+    monkeypatch.setattr(scenes, "on_stage", lambda *_: [])
+    empty = write_stage("black", tmp_path / "empty", cameras((60, 80))[::2], frames=1)
+    ingest, frame = first_pictures(empty)
+    found = find_stage(ingest.views, frame)
+    assert isinstance(found, PlainStage)
+    assert found.hull.share == 0
+    report = encode(empty, tmp_path / "empty.dgs", "live", effects="none")
+    assert report.frames[0].training_psnr > 40  # 45.8; the noise alone leaves 46.5
+
+
+def test_three_views_are_no_stage(grey: Path) -> None:
+    """In their hull no view confirms a first point, which the encode needs."""
+    for count, is_found in ((3, False), (4, True)):
+        allround = [camera.name for camera in cameras(SIZE)][:: 16 // count][:count]
+        others = [camera.name for camera in cameras(SIZE) if camera.name not in allround]
+        ingest = Ingest(open_rig(grey), holdout=others)
+        assert (find_stage(ingest.views, next(iter(ingest.frames(0, 1)))) is not None) == is_found
 
 
 def test_a_backdrop_that_few_views_see_follows_the_light(grey: Path, tmp_path: Path) -> None:
