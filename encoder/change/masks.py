@@ -153,6 +153,7 @@ class MaskMemory:
     ``references``: pictures (3, H, W) that the next ones are compared with. ``previous``: those of the frame before.
     ``blank``: whether the first picture shows nothing. ``trained_errors``: 8-bit levels, of a trained picture, where a
     time budget may end training early; None elsewhere. ``light_only``: light alone changed the frame before.
+    ``subject``: the pictures are of a subject alone, which has left where all are of one colour: that is no dropout.
     """
 
     references: Sequence[FloatArray]
@@ -160,15 +161,19 @@ class MaskMemory:
     blank: Sequence[bool]
     trained_errors: Sequence[float] | None = None
     light_only: bool = False
+    subject: bool = False
 
     @classmethod
-    def begin(cls, pictures: Sequence[FloatArray], rendered: Sequence[FloatArray] | None = None) -> MaskMemory:
+    def begin(
+        cls, pictures: Sequence[FloatArray], rendered: Sequence[FloatArray] | None = None, *, subject: bool = False
+    ) -> MaskMemory:
         """After a scene's first frame; ``rendered``: its renderings, if training may end early."""
         return cls(
             references=tuple(pictures),
             previous=tuple(pictures),
             blank=[bool(blankness(picture)) for picture in pictures],
             trained_errors=None if rendered is None else list(map(_trained_error, pictures, rendered)),
+            subject=subject,
         )
 
     def pixel_changes(
@@ -264,6 +269,8 @@ class MaskMemory:
         """Reason why each view's picture does not show its frame, or ""."""
         blank = ["" if was_blank else blankness(now) for now, was_blank in zip(pictures, self.blank, strict=True)]
         repeated = [repeats(*pair) for pair in zip(pictures, self.previous, strict=True)]
+        if self.subject and all(blank):
+            blank = [""] * len(blank)
         flags = zip(changes, blank, repeated, strict=True)
         changed = sum(bool(change.raw.any()) for change, reason, repeat in flags if not (reason or repeat))
         if 2 * changed <= blank.count(""):

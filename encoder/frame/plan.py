@@ -13,6 +13,7 @@ from ..backends import FixedView
 from ..change.masks import FrameMask, full_masks, usable_views
 from ..change.selection import select, view_evidence
 from ..coding.scene import Scene
+from ..keyframe.backdrop.stage import Stage
 from ..settings.frame import FrameSettings, SelectionSettings
 from ..stopwatch import Stopwatch
 from .context import Context
@@ -71,14 +72,14 @@ def find_selection(context: Context, event: Event, frame: PendingFrame, watch: S
     if not any(mask.dilated.any() for mask in masks):
         return Selection(masks, np.zeros(population, bool))
     with watch.stage("selection"):
-        return Selection(masks, _select(context, event.scene, masks))
+        return Selection(masks, _select(context, event.scene, event.memory.stage, masks))
 
 
 def select_again(context: Context, scene: Scene, event: Event, selection: Selection) -> Selection:
     """The same masks with S_t of a scene that was trained since."""
     if event.kind is Kind.EVERYTHING:
         return replace(selection, selected=np.ones(len(scene.state), bool))
-    return replace(selection, selected=_select(context, scene, selection.masks))
+    return replace(selection, selected=_select(context, scene, event.memory.stage, selection.masks))
 
 
 def plan_frame(
@@ -108,10 +109,16 @@ def _is_deferred(memory: Memory, watch: Stopwatch) -> bool:
     return memory.time is not None and memory.time.defers(watch.seconds, memory.trainer.min_seconds)
 
 
-def _select(context: Context, scene: Scene, masks: Sequence[FrameMask]) -> NDArray[np.bool_]:
+def _select(context: Context, scene: Scene, stage: Stage | None, masks: Sequence[FrameMask]) -> NDArray[np.bool_]:
+    """S_t. Of a plain stage's backdrop, whose places are known, each part may be seen by a single view."""
     used, settings = usable_views(masks), context.settings.frame.selection
     views = context.views.of(scene.splats)
-    return _select_within(views, used, [masks[i].dilated for i in used], settings)
+    evidence = [view_evidence(views[i], masks[i].dilated) for i in used]
+    selected = select(evidence, settings)
+    if stage is not None:
+        of_any_view = select(evidence, replace(settings, min_views=1))
+        selected |= of_any_view & stage.on_backdrop(scene.splats.means)
+    return selected
 
 
 def light_only(

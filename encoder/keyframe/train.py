@@ -96,9 +96,13 @@ def splats_from_points(points: FirstPoints, sh_degree: int) -> Splats:
 
 
 def _first_splats(points: FirstPoints, sh_degree: int, stage: Stage | None) -> Splats:
-    """The first Gaussians of points, and of a stage's backdrop."""
+    """The first Gaussians of points, and of a stage's backdrop, which may be all; raises TrainingError without any."""
     splats = splats_from_points(points, sh_degree)
-    return splats if stage is None else join_splats(splats, stage.backdrop(sh_degree))
+    if stage is not None:
+        splats = join_splats(splats, stage.backdrop(sh_degree))
+    if not len(splats):
+        raise TrainingError("point initialisation found no points; check the poses, or give the rig COLMAP points")
+    return splats
 
 
 def train_keyframe(
@@ -124,11 +128,9 @@ def train_keyframe(
     ``stopping``: a target in the whole pictures, but for the tiles kept out of the loss, ends training before the
     settings' iterations; deadlines are for later frames. ``stage``: whose backdrop is there from the start, and whose
     free space stays free. ``alphas``: (H, W) of a subject alone, whose pictures are over the kernel's background; each
-    step sees it over another, so that no Gaussian passes for a background. Raises TrainingError without points or when
-    the loss stops being finite.
+    step sees it over another, so that no Gaussian passes for a background. Raises TrainingError without Gaussians or
+    when the loss stops being finite.
     """
-    if not len(points.xyz):
-        raise TrainingError("point initialisation found no points; check the poses, or give the rig COLMAP points")
     random = np.random.default_rng(seed)
     training = _KeyframeTraining(
         kernel,

@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from decogs.decoder.stream import open_stream
 from decogs.encoder.input.compensation.matching import find_colours
 from decogs.encoder.input.ingest import Ingest, RigFrame
 from decogs.encoder.keyframe import first_frame
+from decogs.encoder.keyframe.backdrop import stage as backdrop
 from decogs.encoder.keyframe.backdrop.plain import plain_pixels
 from decogs.encoder.keyframe.backdrop.stage import PlainStage, Stage, find_stage
+from decogs.formats.cameras import Camera, camera_centre
 from decogs.formats.rigs import open_rig
 from encode_rig import encode_rig as encode
+from stages import scenes
 from stages.make import write_stage
 from stages.scenes import cameras, on_stage
 
@@ -52,6 +58,33 @@ def test_floor_and_wall_are_where_they_are(grey: Path, stage: PlainStage) -> Non
     assert stage.surfaces.radius == pytest.approx(truth["wall_radius"], rel=0.15)
 
 
+def test_no_wall_stands_before_a_camera(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Cameras in an arc before a wall that is nearer to what they look at than they are."""
+    monkeypatch.setattr(backdrop, "_MAX_GAP_DEGREES", 360.0)
+    middle = np.array([0, 2.5, 1.0])
+    arc = [
+        looking_at(middle, name, [2.5 * np.sin(angle), -2, 1.2])
+        for name, angle in zip("abcdef", np.arange(6) / 5, strict=True)
+    ]
+    rig = write_stage("grey", tmp_path / "arc", arc, frames=1)
+    ingest, frame = first_pictures(rig)
+    found = find_stage(ingest.views, frame)
+    assert isinstance(found, PlainStage)
+    assert found.surfaces.radius > np.hypot(*(camera_centre(arc[-1]) - found.surfaces.middle)[:2])
+    assert (found.surfaces.clearance(np.array([camera_centre(camera) for camera in arc])) > 0).all()
+
+
+def looking_at(target: NDArray[np.float64], name: str, place: list[float]) -> Camera:
+    forward = target - place
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, [0, 0, 1])
+    right /= np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3, :3] = right, np.cross(forward, right), forward
+    pose[:3, 3] = -pose[:3, :3] @ place
+    return replace(cameras(SIZE)[0], name=name, world_to_camera=pose)
+
+
 def test_bodies_are_in_the_hull_and_the_space_over_them_is_free(stage: PlainStage) -> None:
     bodies = np.stack([body.centre for body in on_stage(0)])
     assert stage.hull.holds(bodies).all()
@@ -61,6 +94,40 @@ def test_bodies_are_in_the_hull_and_the_space_over_them_is_free(stage: PlainStag
 def test_a_textured_scene_is_no_stage() -> None:
     ingest, frame = first_pictures(Path(__file__).parents[1] / "demo/workbench")
     assert find_stage(ingest.views, frame) is None
+
+
+def test_nobody_need_be_on_stage_in_the_first_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Then all that is there is the backdrop. Of a black one, nothing differs from its plate."""
+    monkeypatch.setattr(scenes, "on_stage", lambda *_: [])
+    empty = write_stage("black", tmp_path / "empty", cameras((60, 80))[::2], frames=1)
+    ingest, frame = first_pictures(empty)
+    found = find_stage(ingest.views, frame)
+    assert isinstance(found, PlainStage)
+    assert found.hull.share == 0
+    report = encode(empty, tmp_path / "empty.dgs", "live", effects="none")
+    assert report.frames[0].training_psnr > 40  # 45.8; the noise alone leaves 46.5
+
+
+def test_three_views_are_no_stage(grey: Path) -> None:
+    """In their hull no view confirms a first point, which the encode needs."""
+    for count, is_found in ((3, False), (4, True)):
+        allround = [camera.name for camera in cameras(SIZE)][:: 16 // count][:count]
+        others = [camera.name for camera in cameras(SIZE) if camera.name not in allround]
+        ingest = Ingest(open_rig(grey), holdout=others)
+        assert (find_stage(ingest.views, next(iter(ingest.frames(0, 1)))) is not None) == is_found
+
+
+def test_a_backdrop_that_few_views_see_follows_the_light(grey: Path, tmp_path: Path) -> None:
+    """With eight cameras all around, most of the wall is seen by one."""
+    dim = Path(shutil.copytree(grey, tmp_path / "dim"))
+    calibration = json.loads((dim / "rig.json").read_text())
+    calibration["cameras"] = calibration["cameras"][::2]
+    (dim / "rig.json").write_text(json.dumps(calibration))
+    for before in dim.glob("cam*/0000.png"):
+        cv2.imwrite(str(before.with_name("0001.png")), cv2.imread(str(before)) // 2)
+    report = encode(dim, tmp_path / "dim.dgs", "live")
+    # 30.9, and 29.5 before; 21.7 where each Gaussian that changes must be seen by two.
+    assert report.frames[1].training_psnr > report.frames[0].training_psnr - 3
 
 
 def test_an_arc_of_cameras_before_a_plain_wall_is_no_stage(grey: Path) -> None:

@@ -27,8 +27,8 @@ def grey(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def subject_of(rig: Path, output: Path, masks: Path, **options: object) -> Path:
-    choice = MatteChoice(masks=masks)
-    encode(rig, output, "live", holdout=[LEFT_OUT], effects="none", mattes=choice, **options)
+    options = {"effects": "none", **options}
+    encode(rig, output, "live", holdout=[LEFT_OUT], mattes=MatteChoice(masks=masks), **options)
     return output
 
 
@@ -49,6 +49,16 @@ def test_alpha_is_that_of_the_left_out_matte_in_every_frame(grey: Path, stream: 
             # Issue targets at full size: .005 and .97. A sixth of the pixels, and 250 steps, leave more.
             assert alpha[outside].mean() < 0.005
             assert alpha[inside].mean() > 0.9
+
+
+def test_a_subject_that_has_left_is_gone(grey: Path, tmp_path: Path) -> None:
+    masks = Path(shutil.copytree(grey / "truth/mattes", tmp_path / "masks"))
+    for file in masks.glob("*/0001.png"):
+        cv2.imwrite(str(file), np.zeros(SIZE[::-1], np.uint8))
+    with open_stream(subject_of(grey, tmp_path / "gone.dgs", masks, effects="motion")) as decoded:
+        shown = [render_planes(each.splats, decoded.header.cameras[0], (0, 0, 0), 1)[1] for each in decoded.frames()]
+    assert shown[0].mean() > 0.05
+    assert shown[1].mean() < 0.005  # as in the outside of mattes, above
 
 
 def test_without_its_matte_a_left_out_camera_is_not_measured(grey: Path, stream: Path, tmp_path: Path) -> None:

@@ -29,6 +29,8 @@ _MIN_PLAIN_SHARE = 0.5
 _MAX_GAP_DEGREES = 150.0
 """Between neighbouring cameras around a stage. Of an arc's backdrop too little is seen from two sides: on `hdr`, an arc
 of 48 degrees before bare walls, a backdrop cost 9 dB."""
+_MIN_VIEWS = 4
+"""Views from which a stage is sought: in the hull of three all around, no view confirms a first point."""
 _DECISION_PIXELS = 62_000
 """Of a view in this decision; larger pictures are shrunk."""
 _BACKDROP_GAUSSIANS = 4600
@@ -112,11 +114,11 @@ class PlainStage:
 def find_stage(views: Sequence[View], frame: RigFrame) -> Stage | None:
     """The stage in the first ``frame`` of ``views``: of a subject with mattes, or a plain one; None for others.
 
-    A stage is plain if the median picture is mostly plain, and cameras stand all around.
+    A stage is plain if the median picture is mostly plain, and enough cameras stand all around.
     """
     if frame.alpha:
         return subject_alone(views, frame.alpha)
-    if not _mostly_plain(views, frame.training):
+    if len(views) < _MIN_VIEWS or not _mostly_plain(views, frame.training):
         return None
     seen = [stage_view(*each) for each in zip(views, frame.training, strict=True)]
     plain = [plain_pixels(view.picture) & view.recorded for view in seen]
