@@ -23,7 +23,7 @@ from .frame.context import Context
 from .input.compositing import background_for
 from .input.imported_keyframe import KeyframeSource, read_keyframe
 from .input.imported_splats import SplatSource, is_splat_file, read_splat_source
-from .input.ingest import Ingest, frame_span
+from .input.ingest import Ingest, check_held_out, frame_span
 from .input.matte_checks import check_mattes
 from .input.mattes import Mattes, open_mattes
 from .job import EncodeJob
@@ -152,6 +152,7 @@ def _prepare(job: EncodeJob, warn: OnWarning) -> _Work:
     span = frame_span(rig, job.frames)
     part = None if job.only is None else part_frames(job.only, span, settings.segment)
     wanted = wanted_effects(job, settings)
+    check_held_out(rig, job.holdout)
     mattes = open_mattes(job.mattes, rig, span, job.holdout)
     ingest = Ingest(rig, holdout=job.holdout, scale=job.scale, mattes=mattes)
     output = Path(job.output) if isinstance(job.output, (str, os.PathLike)) else job.output
