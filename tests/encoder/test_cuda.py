@@ -678,7 +678,7 @@ def test_a_whole_encode_runs_on_it(
     backend: Backend, encode: Any, moving_rig: Path, tiny_settings: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Keyframe and a later frame, cache included. Roundings grow as training goes on (seen: 0.01 dB)."""
-    monkeypatch.setattr(context, "training_kernel", lambda device, threads: backend.make())
+    monkeypatch.setattr(context, "training_kernel", lambda device, threads, background: backend.make())
     settings = replace(
         tiny_settings,
         keyframe=replace(tiny_settings.keyframe, iterations=14, cap=400, grow_every=6, settle_iterations=4),

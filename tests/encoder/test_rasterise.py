@@ -229,3 +229,23 @@ def test_misuse_is_refused() -> None:
         kernel.backward(case.splats, v_rgb, v_alpha=v_alpha.T.copy())
     with pytest.raises(ValueError, match="float32"):
         kernel.backward(case.splats, v_rgb.astype(np.float64))
+
+
+def test_a_fixed_view_has_its_kernel_s_background_in_pictures_and_gradients() -> None:
+    """The same as a whole rendering over it: what is transparent shows it, and the gradient of opacity knows it."""
+    case = cases.large_case()
+    background = (0.1, 0.9, 0.4)
+    kernel, rows = CpuKernel(1, background), np.arange(len(case.splats))
+    cotangent = np.random.default_rng(0).normal(size=(3, case.camera.height, case.camera.width)).astype(np.float32)
+    whole = kernel.forward(case.splats, case.camera)
+    expected = kernel.backward(case.splats, cotangent)
+    np.testing.assert_array_equal(whole.rgb, CpuKernel(1).forward(case.splats, case.camera, background).rgb)
+    view = kernel.fixed_view(case.camera)
+    view.set_scene(case.splats)
+    view.redraw()
+    np.testing.assert_array_equal(view.rgb, whole.rgb)
+    view.detach(rows)
+    view.draw(case.splats, rows)
+    actual = view.backward(cotangent)
+    for field in FIELDS:
+        np.testing.assert_array_equal(getattr(actual, field), getattr(expected, field))
