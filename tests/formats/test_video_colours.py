@@ -212,15 +212,17 @@ def test_chroma_lies_where_the_stream_says(
     tmp_path: Path, location: int, siting: tuple[bool, bool], codec: str, pixels: str
 ) -> None:
     name = codec.removeprefix("lib")
-    with av.open(str(tmp_path / "a.mp4"), "w") as container:
+    # One in two hundred pictures of x265 is refused by the writer of .mp4.
+    with av.open(str(tmp_path / "a.mkv"), "w") as container:
         options = {f"{name}-params": f"chromaloc={location}:log-level=none", "crf": "2"}
         stream = container.add_stream(codec, rate=25, options=options)
         stream.width, stream.height, stream.pix_fmt = 64, 48, pixels
-        container.mux(stream.encode(av.VideoFrame.from_ndarray(np.zeros((48, 64, 3), np.uint8), format="rgb24")))
+        frame = av.VideoFrame.from_ndarray(np.zeros((48, 64, 3), np.uint8), format="rgb24")
+        container.mux(stream.encode(frame))
         container.mux(stream.encode())
-    with av.open(str(tmp_path / "a.mp4")) as container:
+    with av.open(str(tmp_path / "a.mkv")) as container:
         assert chroma_siting(next(container.decode(video=0))) == siting
-    assert open_video(tmp_path / "a.mp4").siting == siting
+    assert open_video(tmp_path / "a.mkv").siting == siting
 
 
 @pytest.mark.parametrize("pixels", ["bgr0", "gbrp10le", "gray"])
