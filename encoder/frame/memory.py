@@ -34,7 +34,7 @@ class Memory:
     """What a frame hands to the next.
 
     ``first``: the stream's first frame, compensated, to which closed segments return; None in other streams. ``rate``
-    and ``time`` keep to budgets, where there are some. ``stage``: the plain stage of the scene, if it is one.
+    and ``time`` keep to budgets, where there are some. ``stage``: the scene's, if it is one.
     """
 
     trainer: FrameTrainer

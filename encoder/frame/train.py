@@ -13,7 +13,6 @@ from ..training.method import FrameInput, FreeSpace, TrainedFrame
 from ..training.warm_start import Motion
 from .context import Context
 from .events import Event, Kind, PendingFrame
-from .memory import Memory
 from .plan import FramePlan, select_again
 
 
@@ -26,11 +25,10 @@ def train_frame(
     ``settings.catch_up`` rounds, each with a search for new objects. A round that diverges is the last, and changes
     nothing.
     """
-    scene, memory = event.scene, event.memory
     if not frame.restarted:
-        return scene, _train(context, scene, memory, event, plan, frame, watch)
-    plan = replace(plan, light_only=None)  # Every round selects again.
-    trained = _train(context, scene, memory, event, plan, frame, watch)
+        return event.scene, _train(context, event, plan, frame, watch)
+    plan, scene = replace(plan, light_only=None), event.scene  # Every round selects again.
+    trained = _train(context, event, plan, frame, watch)
     for _ in range(1, context.settings.catch_up):
         if trained.rejected:
             break
@@ -40,21 +38,14 @@ def train_frame(
             context.views.update(scene.splats, trained.kept, before.state.ids, scene.state.ids)
         with watch.stage("selection"):
             plan = replace(plan, selection=select_again(context, scene, event, plan.selection))
-        memory = replace(memory, motion=Motion.at_rest(len(scene.state)))
-        trained = _train(context, scene, memory, event, plan, frame, watch)
+        at_rest = replace(event.memory, motion=Motion.at_rest(len(scene.state)))
+        trained = _train(context, replace(event, scene=scene, memory=at_rest), plan, frame, watch)
     # What an earlier round has changed stays: then the frame is not rejected.
     return scene, replace(trained, rejected=trained.rejected and scene is event.scene)
 
 
-def _train(
-    context: Context,
-    scene: Scene,
-    memory: Memory,
-    event: Event,
-    plan: FramePlan,
-    frame: PendingFrame,
-    watch: Stopwatch,
-) -> TrainedFrame:
+def _train(context: Context, event: Event, plan: FramePlan, frame: PendingFrame, watch: Stopwatch) -> TrainedFrame:
+    scene, memory = event.scene, event.memory
     deadline = None if memory.time is None else memory.time.deadline(watch.seconds)
     given = FrameInput(
         frame.recorded.index - scene.header.first_frame,
@@ -75,7 +66,7 @@ def _train(
 
 
 def _free_space(context: Context, event: Event, plan: FramePlan, frame: PendingFrame) -> FreeSpace | None:
-    """Where a plain stage is empty in this frame; None where that is not known."""
+    """Where a stage is empty in this frame; None where that is not known."""
     stage = event.memory.stage
     if stage is None or event.kind is not Kind.CHANGE:
         return None

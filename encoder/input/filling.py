@@ -29,6 +29,13 @@ def push_pull(values: FloatArray, weights: FloatArray) -> FloatArray:
     return filled
 
 
+def shrunk_and_filled(picture: FloatArray, weights: FloatArray, size: tuple[int, int]) -> FloatArray:
+    """The picture (H, W, C) at ``size`` (width, height), going on where it has no ``weights`` (H, W)."""
+    shrunk = np.asarray(cv2.resize(weights, size, interpolation=cv2.INTER_AREA), np.float32)
+    sums = cv2.resize(picture * weights[..., None], size, interpolation=cv2.INTER_AREA)
+    return push_pull(np.asarray(sums / np.maximum(shrunk, 1e-6)[..., None], np.float32), shrunk)
+
+
 def _like(resized: NDArray[np.generic], values: FloatArray) -> FloatArray:
     """OpenCV's result (H, W) or (H, W, C) with its channels."""
     return np.asarray(resized, np.float32).reshape(*resized.shape[:2], values.shape[2])

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from decogs.formats.errors import UsageError
 from decogs.formats.splats import FloatArray
 
-from ..filling import push_pull
+from ..filling import shrunk_and_filled
 from .cutting import BoolArray, Subject, cut_out
 
 _COLOURS = {"green": (0, 255, 0), "blue": (0, 0, 255)}
@@ -182,10 +182,8 @@ def _is_gap(tones: _Tones, labels: NDArray[np.int32], label: int, box: tuple[sli
 def _spread(picture: FloatArray, screen: BoolArray) -> FloatArray:
     """The screen's colours, shrunk, going on behind the subject."""
     weights = cv2.erode(screen.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(np.float32)
-    size = tuple(max(1, round(side * _PLATE_WIDTH / screen.shape[1])) for side in screen.shape[::-1])
-    sums = cv2.resize(picture * weights[..., None], size, interpolation=cv2.INTER_AREA)
-    weights = np.asarray(cv2.resize(weights, size, interpolation=cv2.INTER_AREA), np.float32)
-    return push_pull(np.asarray(sums / np.maximum(weights, 1e-6)[..., None], np.float32), weights)
+    height, width = screen.shape
+    return shrunk_and_filled(picture, weights, (_PLATE_WIDTH, max(1, round(height * _PLATE_WIDTH / width))))
 
 
 def _strength(picture: FloatArray, axis: FloatArray) -> FloatArray:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from decogs.formats.splats import FloatArray
 
-from ..filling import push_pull
+from ..filling import shrunk_and_filled
 
 BoolArray = NDArray[np.bool_]
 
@@ -85,12 +85,10 @@ def _disc(radius: int) -> NDArray[np.uint8]:
 
 def _continued(picture: FloatArray, inside: BoolArray, reach: int) -> FloatArray:
     """The colours inside, smoothed and going on all around."""
-    weights = inside.astype(np.float32)
-    size = tuple(max(1, side // reach) for side in inside.shape[::-1])
-    shrunk = np.asarray(cv2.resize(weights, size, interpolation=cv2.INTER_AREA), np.float32)
-    means = cv2.resize(picture * weights[..., None], size, interpolation=cv2.INTER_AREA)
-    means = means / np.maximum(shrunk, 1e-6)[..., None]
-    return np.asarray(cv2.resize(push_pull(np.asarray(means, np.float32), shrunk), inside.shape[::-1]), np.float32)
+    height, width = inside.shape
+    size = max(1, width // reach), max(1, height // reach)
+    filled = shrunk_and_filled(picture, inside.astype(np.float32), size)
+    return np.asarray(cv2.resize(filled, (width, height)), np.float32)
 
 
 def _mixed(
