@@ -55,6 +55,7 @@ def _command(module: str, main: str) -> Callable[[], int]:
 
 analyze = _command("encoder.analysis.commands", "analyze_main")
 bench = _command("bench.commands", "bench_main")
+calibrate = _command("encoder.calibration.commands", "calibrate_main")
 decode = _command("decoder.commands", "decode_main")
 encode = _command("encoder.commands", "encode_main")
 export = _command("decoder.commands", "export_main")

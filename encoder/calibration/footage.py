@@ -1,0 +1,72 @@
+"""The cameras' videos as they come, without poses: which there are, and pictures of some instants of the take."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decogs.formats.colour import srgb_from_linear
+from decogs.formats.errors import RigError
+from decogs.formats.pictures import Picture
+from decogs.formats.rigs import FrameSource
+from decogs.formats.rigs.sources import holds_frames, list_folder, open_source, pictures_in
+
+U8 = NDArray[np.uint8]
+
+_SOUGHT_FROM = 30
+"""Frames between two instants from which a video is sought for each instead of being decoded through: a second."""
+
+
+@dataclass(frozen=True)
+class Footage:
+    """One camera: its name, the stem of its file, and its frames."""
+
+    name: str
+    source: FrameSource
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in pixels."""
+        return self.source.width, self.source.height
+
+
+def open_footage(folder: Path) -> tuple[Footage, ...]:
+    """The cameras in a folder, in natural order: its videos, else its folders of pictures, else its pictures.
+
+    Raises RigError where there are none, or two of one name.
+    """
+    if not folder.is_dir():
+        raise RigError(f"{folder}: there is no such folder; give the one that holds the cameras' videos")
+    framed = [entry for entry in list_folder(folder) if holds_frames(entry)]
+    entries = [entry for entry in framed if entry.is_file()] or framed or list(pictures_in(folder))
+    if not entries:
+        raise RigError(f"{folder}: no videos in here, nor pictures; put one video for each camera there")
+    twice = [name for name, count in Counter(entry.stem for entry in entries).items() if count > 1]
+    if twice:
+        raise RigError(f"{folder}: two files are called {twice[0]}; give each camera a name of its own")
+    return tuple(Footage(entry.stem, open_source(entry)) for entry in entries)
+
+
+def instants_of(footage: tuple[Footage, ...], count: int) -> range:
+    """At most ``count`` frame numbers, evenly over what all cameras have of the take."""
+    common = min(camera.source.frame_count for camera in footage)
+    step = max(1, (common - 1) // max(1, count - 1)) if count > 1 else common
+    return range(0, common, step)[:count]
+
+
+def pictures_at(camera: Footage, instants: range) -> Iterator[U8]:
+    """The camera's pictures (H, W, 3) of these frames, sRGB."""
+    if instants.step < _SOUGHT_FROM:
+        pictures: Iterator[Picture] = camera.source.read(instants.start, instants[-1] + 1, instants.step)
+    else:
+        pictures = (next(camera.source.read(instant, instant + 1)) for instant in instants)
+    for picture in pictures:
+        if picture.dtype == np.float32:
+            coded = srgb_from_linear(np.clip(picture.astype(np.float32), 0, 1))
+            picture = np.round(255 * coded).astype(np.uint8)
+        yield np.asarray(picture, np.uint8)

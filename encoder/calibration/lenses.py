@@ -1,0 +1,156 @@
+"""Lenses as OpenCV computes with them: projection with its derivatives, and one camera's lens from views of a board.
+
+OpenCV counts pixels from the centre of the first one, this project from its corner: half a pixel is taken off and put
+back here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from decogs.formats.cameras import Camera, DistortionModel
+
+from .boards import BoardView
+from .features import F64
+
+_KINDS: tuple[tuple[DistortionModel, bool], ...] = (
+    ("none", False),
+    ("opencv", False),
+    ("opencv", True),
+    ("fisheye", True),
+)
+"""From the simplest on, and whether the principal point is free (with focal lengths of their own for both directions)."""
+_CLEARLY_LESS = 0.95
+"""A lens with more coefficients has to fit views that it was not fitted to better by so much."""
+_FISHEYE_FLAGS = sum(
+    getattr(cv2, f"CALIB_{name}", getattr(cv2.fisheye, f"CALIB_{name}", 0))
+    for name in ("RECOMPUTE_EXTRINSIC", "FIX_SKEW")
+)
+"""OpenCV 5 has moved them."""
+MIN_VIEWS = 3
+"""Views of a board that give a focal length: two of one tilt give none, and one may be wrong."""
+_MAX_VIEWS = 60
+"""That a camera's lens is fitted to; its time grows by their square."""
+
+
+@dataclass(frozen=True)
+class Lens:
+    """Intrinsics in OpenCV's pixels: focal lengths, principal point, distortion coefficients (4,), zeros for "none"."""
+
+    kind: DistortionModel
+    focal: tuple[float, float]
+    centre: tuple[float, float]
+    distortion: tuple[float, ...]
+
+    @property
+    def matrix(self) -> F64:
+        """The camera matrix (3, 3)."""
+        return np.array([[self.focal[0], 0, self.centre[0]], [0, self.focal[1], self.centre[1]], [0, 0, 1.0]])
+
+    def project(self, rotation: F64, translation: F64, points: F64) -> tuple[F64, F64]:
+        """Pixels (N, 2) of points (N, 3), and derivatives (N, 2, 6) by rotation vector and translation."""
+        pose = rotation.reshape(3, 1), translation.reshape(3, 1)
+        coefficients = np.array(self.distortion)
+        if self.kind == "fisheye":
+            pixels, jacobian = cv2.fisheye.projectPoints(points.reshape(-1, 1, 3), *pose, self.matrix, coefficients)
+            jacobian = jacobian[:, 8:14]  # before: focal lengths, centre, coefficients; after: skew
+        else:
+            pixels, jacobian = cv2.projectPoints(points, *pose, self.matrix, coefficients)
+            jacobian = jacobian[:, :6]
+        return pixels.reshape(-1, 2), jacobian.reshape(len(points), 2, 6)
+
+    def pose(self, points: F64, pixels: F64) -> tuple[F64, F64] | None:
+        """Rotation vector and translation (3,) of a flat board from its points (N, 3) in one picture; None if none fits."""
+        image = pixels.reshape(-1, 1, 2)
+        if self.kind == "fisheye":
+            rays = cv2.fisheye.undistortPoints(image, self.matrix, np.array(self.distortion))
+        else:
+            rays = cv2.undistortPoints(image, self.matrix, np.array(self.distortion))
+        if not np.isfinite(rays).all() or np.abs(rays).max() > 1e3:
+            return None
+        found, rotation, translation = cv2.solvePnP(points, rays, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
+        if not found:
+            return None
+        rotation, translation = cv2.solvePnPRefineLM(points, rays, np.eye(3), None, rotation, translation)
+        return rotation.ravel(), translation.ravel()
+
+    def camera(self, name: str, size: tuple[int, int], pose: F64) -> Camera:
+        """As a camera of this project, with a world-to-camera pose (4, 4)."""
+        distortion = () if self.kind == "none" else self.distortion
+        centre = self.centre[0] + 0.5, self.centre[1] + 0.5
+        return Camera(name, *size, *self.focal, *centre, pose, self.kind, distortion)
+
+
+def lens_of(camera: Camera) -> Lens:
+    """The lens of a camera of this project."""
+    distortion = camera.distortion or (0.0,) * 4
+    centre = camera.cx - 0.5, camera.cy - 0.5
+    return Lens(camera.distortion_model, (camera.fx, camera.fy), centre, distortion)
+
+
+def lens_from_board(views: Sequence[BoardView], corners: F64, size: tuple[int, int]) -> Lens | None:
+    """A camera's lens from views of a board; None where they are too few or all alike.
+
+    Every other view is left out of the fit, and the kind taken that fits these best with only the board's pose found
+    for them; more coefficients have to be clearly better. The lens is then fitted to all. Too few views: no distortion.
+    """
+    chosen = _spread(views)
+    if len(chosen) < MIN_VIEWS:
+        return None
+    if len(chosen) < 2 * MIN_VIEWS:
+        return _fitted(_KINDS[0], chosen, corners, size)
+    best, least = _KINDS[0], np.inf
+    for kind in _KINDS:
+        lens = _fitted(kind, chosen[::2], corners, size)
+        error = np.inf if lens is None else _error(lens, chosen[1::2], corners)
+        if error < _CLEARLY_LESS * least:
+            best, least = kind, error
+    return _fitted(best, chosen, corners, size)
+
+
+def _spread(views: Sequence[BoardView]) -> list[BoardView]:
+    """At most so many views, evenly over the take."""
+    places = np.linspace(0, len(views) - 1, min(len(views), _MAX_VIEWS)).round().astype(int)
+    return [views[place] for place in places]
+
+
+def _fitted(
+    choice: tuple[DistortionModel, bool], views: Sequence[BoardView], corners: F64, size: tuple[int, int]
+) -> Lens | None:
+    kind, free = choice
+    points = [corners[view.numbers].astype(np.float32).reshape(-1, 1, 3) for view in views]
+    pixels = [(view.pixels - 0.5).astype(np.float32).reshape(-1, 1, 2) for view in views]
+    try:
+        if kind == "fisheye":
+            flags = _FISHEYE_FLAGS
+            _, matrix, distortion, _, _ = cv2.fisheye.calibrate(points, pixels, size, None, None, flags=flags)
+        else:
+            flags = cv2.CALIB_FIX_K3
+            if kind == "none":
+                flags |= cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2
+            if not free:
+                flags |= cv2.CALIB_FIX_PRINCIPAL_POINT | cv2.CALIB_FIX_ASPECT_RATIO | cv2.CALIB_ZERO_TANGENT_DIST
+            start = np.array([[1.0, 0, (size[0] - 1) / 2], [0, 1, (size[1] - 1) / 2], [0, 0, 1]])  # its ratio counts
+            _, matrix, distortion, _, _ = cv2.calibrateCamera(points, pixels, size, start, None, flags=flags)
+    except cv2.error:
+        return None
+    if not (np.isfinite(matrix).all() and np.isfinite(distortion).all() and matrix[0, 0] > 0):
+        return None
+    centre = float(matrix[0, 2]), float(matrix[1, 2])
+    return Lens(kind, (float(matrix[0, 0]), float(matrix[1, 1])), centre, tuple(distortion.ravel()[:4].tolist()))
+
+
+def _error(lens: Lens, views: Sequence[BoardView], corners: F64) -> float:
+    """Root mean square distance, px, with the board's pose found for each view."""
+    squares = []
+    for view in views:
+        points, pixels = corners[view.numbers], view.pixels - 0.5
+        pose = lens.pose(points, pixels)
+        if pose is None:
+            return float(np.inf)
+        squares.append(((lens.project(*pose, points)[0] - pixels) ** 2).sum(axis=1))
+    return float(np.sqrt(np.concatenate(squares).mean()))

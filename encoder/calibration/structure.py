@@ -1,0 +1,235 @@
+"""Cameras by structure from motion (pycolmap), from matches of their features.
+
+Several ways are tried: incremental and global mapping, with and without distortion; then the best one's lenses with
+more freedom. Which is best say matches that none was fitted to. Everything runs on one thread from one seed, so that
+the same pictures give the same bits on one machine.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from decogs.formats.cameras import Camera
+from decogs.formats.errors import UsageError
+from decogs.formats.rigs.colmap import lens_parameters
+
+from .features import F64, Features
+from .held_out import PairMatches, Score, score
+
+Lenses = Mapping[str, Camera]
+"""Intrinsics that are given, by the camera's name; the pose in them means nothing."""
+
+_FIRST_FOCAL = 1.2
+"""Times the picture's longer side: COLMAP's guess of a focal length."""
+_MAX_ERROR_PIXELS = 2.0
+"""Of a match from its epipolar line, of a point from its picture; COLMAP's 4 are for larger, unmasked pictures."""
+_MIN_INLIERS = 15
+_MIN_INLIER_SHARE = 0.4
+"""Of a pair's matches; wrong pairs, whose features look alike, have a quarter to a half."""
+_LEAST_GAIN_PIXELS = 0.001
+"""Of the cost, by a lens with more freedom: `workbench` gains less by lenses that it has not, `panoptic_basketball` more by
+a principal point that is off the middle."""
+_MIN_ANGLE = 1.5
+"""Degrees between the rays to a point."""
+_MAPPED_LENSES = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL")
+_LENSES = ("SIMPLE_PINHOLE", "OPENCV", "OPENCV_FISHEYE")
+
+
+@dataclass(frozen=True)
+class Mapped:
+    """Cameras found, by their number, with the reconstruction they are from and their score; ``way`` in words."""
+
+    cameras: Mapping[int, Camera]
+    model: Any
+    score: Score
+    way: str
+
+
+@dataclass(frozen=True)
+class Matched:
+    """What structure from motion starts from: names, sizes, features and matches of the cameras, intrinsics given."""
+
+    names: Sequence[str]
+    sizes: Sequence[tuple[int, int]]
+    features: Sequence[Features]
+    pairs: Sequence[PairMatches]
+    given: Lenses
+    shared: bool
+
+    def scored(self, model: Any, way: str) -> Mapped:
+        """The model's cameras and their score."""
+        cameras = {
+            number: _camera(self.names[number], model.cameras[image.camera_id], image)
+            for number, image in ((number - 1, model.images[number]) for number in sorted(model.images))
+            if image.has_pose
+        }
+        return Mapped(cameras, model, score(cameras, self.features, self.pairs), way)
+
+
+def require_pycolmap() -> Any:
+    """The module; raises UsageError where it is not installed."""
+    try:
+        import pycolmap
+    except ImportError:
+        raise UsageError(
+            "without a board, cameras are placed by pycolmap, which is not installed: pip install 'decogs[calibrate]'"
+        ) from None
+    pycolmap.logging.minloglevel = pycolmap.logging.Level.FATAL.value
+    return pycolmap
+
+
+def map_cameras(matched: Matched, seed: int, on_step: Callable[[], None]) -> Mapped | None:
+    """The best placement found; None where no way places two cameras."""
+    found: list[Mapped] = []
+    for lens in _MAPPED_LENSES:
+        with tempfile.TemporaryDirectory() as folder:
+            database = Path(folder) / "database.db"
+            _write_database(database, matched, lens, seed)
+            for way, run in (("incremental", _incremental), ("global", _global)):
+                models = run(database, Path(folder), seed)
+                found += [matched.scored(model, f"{way} mapping") for model in models]
+                on_step()
+    if not found:
+        return None
+    return _refined(min(found, key=lambda mapped: mapped.score.cost), matched)
+
+
+def _write_database(path: Path, matched: Matched, lens: str, seed: int) -> None:
+    pycolmap = require_pycolmap()
+    options = pycolmap.TwoViewGeometryOptions()
+    options.min_num_inliers, options.min_inlier_ratio = _MIN_INLIERS, _MIN_INLIER_SHARE
+    options.ransac.max_error, options.ransac.random_seed = _MAX_ERROR_PIXELS, seed
+    database = pycolmap.Database.open(str(path))
+    numbers: dict[object, int] = {}
+    lenses = []
+    for number, (name, size) in enumerate(zip(matched.names, matched.sizes, strict=True)):
+        key: object = size if matched.shared and name not in matched.given else number
+        camera = _colmap_camera(size, lens, matched.given.get(name))
+        if key not in numbers:
+            numbers[key] = database.write_camera(camera)
+        image = pycolmap.Image()
+        image.name, image.camera_id = f"{number:06d}", numbers[key]
+        database.write_image(image)
+        database.write_keypoints(number + 1, matched.features[number].pixels.astype(np.float32))
+        lenses.append(camera)
+    for pair in matched.pairs:
+        if len(pair.fitted) < _MIN_INLIERS:
+            continue
+        sides = [(lenses[number], matched.features[number].pixels) for number in (pair.first, pair.second)]
+        rows = pair.fitted.astype(np.uint32)
+        geometry = pycolmap.estimate_two_view_geometry(*sides[0], *sides[1], rows, options)
+        database.write_matches(pair.first + 1, pair.second + 1, rows)
+        database.write_two_view_geometry(pair.first + 1, pair.second + 1, geometry)
+    database.close()
+
+
+def _colmap_camera(size: tuple[int, int], lens: str, given: Camera | None) -> Any:
+    pycolmap = require_pycolmap()
+    if given is None:
+        return pycolmap.Camera.create_from_model_name(0, lens, _FIRST_FOCAL * max(size), *size)
+    kinds = {"none": "PINHOLE", "opencv": "OPENCV", "fisheye": "OPENCV_FISHEYE"}
+    model = "FULL_OPENCV" if len(given.distortion) > 4 else kinds[given.distortion_model]
+    distortion = given.distortion + (0.0,) * (8 - len(given.distortion)) if model == "FULL_OPENCV" else given.distortion
+    parameters = [given.fx, given.fy, given.cx, given.cy, *distortion]
+    camera = pycolmap.Camera(model=model, width=size[0], height=size[1], params=parameters)
+    camera.has_prior_focal_length = True
+    return camera
+
+
+def _incremental(database: Path, folder: Path, seed: int) -> list[Any]:
+    pycolmap = require_pycolmap()
+    options = pycolmap.IncrementalPipelineOptions()
+    options.num_threads, options.random_seed, options.extract_colors = 1, seed, False
+    options.min_model_size = 3
+    options.mapper.init_min_num_inliers, options.mapper.abs_pose_min_num_inliers = 50, _MIN_INLIERS
+    options.mapper.filter_max_reproj_error = _MAX_ERROR_PIXELS
+    options.constant_cameras = _prior_cameras(database)
+    pycolmap.set_random_seed(seed)
+    return list(pycolmap.incremental_mapping(str(database), str(folder), str(folder / "incremental"), options).values())
+
+
+def _global(database: Path, folder: Path, seed: int) -> list[Any]:
+    pycolmap = require_pycolmap()
+    options = pycolmap.GlobalPipelineOptions()
+    options.num_threads, options.random_seed = 1, seed
+    pycolmap.set_random_seed(seed)
+    return list(pycolmap.global_mapping(str(database), str(folder), str(folder / "global"), options).values())
+
+
+def _prior_cameras(path: Path) -> set[int]:
+    database = require_pycolmap().Database.open(str(path))
+    try:
+        return {camera.camera_id for camera in database.read_all_cameras() if camera.has_prior_focal_length}
+    finally:
+        database.close()
+
+
+def _refined(mapped: Mapped, matched: Matched) -> Mapped:
+    """The simplest of several lens models, and places of the principal point, that is as good as any on what is held out."""
+    best = None
+    for free_centre in (False, True):
+        for lens in _LENSES:
+            model = mapped.model.__class__(mapped.model)
+            _adjust(model, lens, free_centre, matched)
+            words = f"{mapped.way}, lens {lens.lower()}" + (", principal point free" if free_centre else "")
+            found = matched.scored(model, words)
+            if best is None or found.score.cost < best.score.cost - _LEAST_GAIN_PIXELS:
+                best = found
+    assert best is not None
+    return best
+
+
+def _adjust(model: Any, lens: str, free_centre: bool, matched: Matched) -> None:
+    """Bundle adjustment with this lens model, which leaves out what is far off, twice."""
+    pycolmap = require_pycolmap()
+    fixed = {image.camera_id for image in model.images.values() if matched.names[image.image_id - 1] in matched.given}
+    for number, camera in model.cameras.items():
+        if number not in fixed:
+            _change_lens(camera, lens)
+    options = pycolmap.BundleAdjustmentOptions()
+    options.print_summary = False
+    options.refine_principal_point = free_centre
+    options.refine_focal_length = options.refine_extra_params = True
+    options.ceres.loss_function_type = pycolmap.LossFunctionType.SOFT_L1
+    options.ceres.solver_options.num_threads = 1
+    config = pycolmap.BundleAdjustmentConfig()
+    for image in model.reg_image_ids():
+        config.add_image(image)
+    for number in fixed:
+        config.set_constant_cam_intrinsics(number)
+    config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+    for _ in range(2):
+        pycolmap.create_default_bundle_adjuster(options, config, model).solve()
+        pycolmap.ObservationManager(model).filter_all_points3D(_MAX_ERROR_PIXELS, _MIN_ANGLE)
+
+
+def _change_lens(camera: Any, lens: str) -> None:
+    """Another lens model with the same focal length and principal point."""
+    focal, centre = camera.mean_focal_length(), (camera.principal_point_x, camera.principal_point_y)
+    radial = camera.params[3] if camera.model_name == "SIMPLE_RADIAL" else 0.0
+    start = {
+        "SIMPLE_PINHOLE": [focal, *centre],
+        "OPENCV": [focal, focal, *centre, radial, 0, 0, 0],
+        "OPENCV_FISHEYE": [focal, focal, *centre, 0, 0, 0, 0],
+    }
+    camera.model, camera.params = getattr(require_pycolmap().CameraModelId, lens), start[lens]
+
+
+def _camera(name: str, lens: Any, image: Any) -> Camera:
+    (fx, fy, cx, cy), kind, distortion = lens_parameters(lens.model_name, tuple(map(float, lens.params)))
+    pose = np.eye(4)
+    pose[:3] = image.cam_from_world().matrix()
+    if not any(distortion) and kind != "fisheye":
+        kind, distortion = "none", ()
+    return Camera(name, lens.width, lens.height, fx, fy, cx, cy, pose, kind, distortion)
+
+
+def points_of(model: Any) -> F64:
+    """The points (P, 3) of a reconstruction."""
+    return np.array([model.points3D[number].xyz for number in sorted(model.points3D)]).reshape(-1, 3)
