@@ -6,7 +6,7 @@ adjustment with free lenses bends these to make up for it (`desk_charuco_4cam`: 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import cv2
@@ -19,14 +19,14 @@ from .lenses import Lens
 
 _STEPS = 30
 _SIGHT_PIXELS = 0.3
-"""Error of a sight from which it counts half: OpenCV's corners are as exact. Cameras that are out of step disagree about
-a board that moves."""
+"""Error of a sight from which it counts half: OpenCV's corners are as exact. Cameras that are out of step disagree
+about a board that moves."""
 _CONVERGED = 1e-7
 """Relative decrease of the cost at which the adjustment ends."""
 _MIN_COMMON = 3
 """Instants at which two cameras have to see the board."""
 _AGREES_DEGREES = 5.0
-"""Within which relative poses of two cameras from single sights of the board agree: a small far board is that uncertain."""
+"""Within which poses of two cameras from single sights of the board agree: a small far board is that uncertain."""
 _MIN_AGREEING = 0.5
 """Share of the common instants that has to agree; of a mirrored video or cameras out of step few do."""
 
@@ -174,8 +174,8 @@ class _State:
 def _adjusted(state: _State, observed: Mapping[tuple[int, int], BoardView], corners: F64) -> _State:
     """Levenberg-Marquardt over poses of cameras and boards; the first camera stays in place.
 
-    Sights that do not fit count less (Cauchy's loss of their mean squared residual). Normal equations are summed sight by
-    sight, since each knows one camera and one board.
+    Sights that do not fit count less (Cauchy's loss of their mean squared residual). Normal equations are summed sight
+    by sight, since each knows one camera and one board.
     """
     places, count = _places(state)
     damping, cost = 1e-3, _cost(state, observed, corners)

@@ -13,7 +13,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from decogs.formats.errors import UsageError
 
@@ -30,7 +29,7 @@ _DICTIONARY = "DICT_4X4_1000"
 
 @dataclass(frozen=True)
 class Board:
-    """A ChArUco board: squares along its sides, the sides of a square and of a marker in metres, OpenCV's dictionary."""
+    """A ChArUco board: squares along its sides, sides of a square and a marker in metres, OpenCV's dictionary."""
 
     columns: int
     rows: int
@@ -53,7 +52,7 @@ class Board:
 
 @dataclass(frozen=True)
 class BoardView:
-    """One sight of the board: corners' numbers (N,) and pixels (N, 2) from the picture's corner, and whether mirrored."""
+    """One sight of the board: corners' numbers (N,), pixels (N, 2) from the picture's corner, whether mirrored."""
 
     numbers: I64
     pixels: F64

@@ -21,7 +21,7 @@ def calibrate_parser() -> Parser:
     parser = Parser(
         prog="decogs-calibrate",
         description="Find lenses and places of fixed cameras from their videos, and write a rig that encodes read.",
-        epilog="Without a board needs pip install 'decogs[calibrate]'. Same videos and seed, same bytes on one machine.",
+        epilog="Without a board needs pip install 'decogs[calibrate]'. Same videos and seed, same bytes.",
     )
     parser.add_argument("videos_dir", help="the folder with one video for each camera")
     parser.add_argument("-o", "--output", required=True, metavar="RIG_DIR", help="for rig.json and calibration.json")

@@ -112,7 +112,7 @@ def sift_extractor() -> Any:
 
 
 def matched(here: Features, there: Features) -> I64:
-    """Rows (M, 2) of two cameras' features that match: each other's best, clearly better than the next, of one instant."""
+    """Rows (M, 2) of two cameras' features that match: each other's best, clearly, of one instant."""
     found = [np.zeros((0, 2), np.int64)]
     for instant in np.intersect1d(here.instants, there.instants):
         rows, columns = np.flatnonzero(here.instants == instant), np.flatnonzero(there.instants == instant)

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from decogs.decoder.lens import undistort_pixels
 from decogs.formats.cameras import Camera, camera_centre, ray_slopes
@@ -45,7 +44,7 @@ class Score:
 def split(features: Sequence[Features], matches: Mapping[tuple[int, int], I64]) -> tuple[PairMatches, ...]:
     """Holds out an eighth of the tracks: what matches hang together by, over all cameras."""
     firsts = np.cumsum([0, *(len(camera.pixels) for camera in features)])
-    links = [pair + [firsts[a], firsts[b]] for (a, b), pair in matches.items()]
+    links = [pair + np.array([firsts[a], firsts[b]]) for (a, b), pair in matches.items()]
     tracks = _components(int(firsts[-1]), np.concatenate([*links, np.zeros((0, 2), np.int64)]))
     found = []
     for (a, b), pair in matches.items():

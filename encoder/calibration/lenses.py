@@ -23,7 +23,7 @@ _KINDS: tuple[tuple[DistortionModel, bool], ...] = (
     ("opencv", True),
     ("fisheye", True),
 )
-"""From the simplest on, and whether the principal point is free (with focal lengths of their own for both directions)."""
+"""From the simplest on, and whether the principal point is free (with two focal lengths)."""
 _CLEARLY_LESS = 0.95
 """A lens with more coefficients has to fit views that it was not fitted to better by so much."""
 _FISHEYE_FLAGS = sum(
@@ -64,7 +64,7 @@ class Lens:
         return pixels.reshape(-1, 2), jacobian.reshape(len(points), 2, 6)
 
     def pose(self, points: F64, pixels: F64) -> tuple[F64, F64] | None:
-        """Rotation vector and translation (3,) of a flat board from its points (N, 3) in one picture; None if none fits."""
+        """Rotation vector and translation (3,) of a flat board from its points (N, 3) in one picture; or None."""
         image = pixels.reshape(-1, 1, 2)
         if self.kind == "fisheye":
             rays = cv2.fisheye.undistortPoints(image, self.matrix, np.array(self.distortion))

@@ -33,8 +33,8 @@ _MIN_INLIERS = 15
 _MIN_INLIER_SHARE = 0.4
 """Of a pair's matches; wrong pairs, whose features look alike, have a quarter to a half."""
 _LEAST_GAIN_PIXELS = 0.001
-"""Of the cost, by a lens with more freedom: `workbench` gains less by lenses that it has not, `panoptic_basketball` more by
-a principal point that is off the middle."""
+"""Of the cost, by a lens with more freedom: `workbench` gains less by lenses that it has not, `panoptic_basketball` more
+by a principal point that is off the middle."""
 _MIN_ANGLE = 1.5
 """Degrees between the rays to a point."""
 _MAPPED_LENSES = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL")
@@ -171,7 +171,7 @@ def _prior_cameras(path: Path) -> set[int]:
 
 
 def _refined(mapped: Mapped, matched: Matched) -> Mapped:
-    """The simplest of several lens models, and places of the principal point, that is as good as any on what is held out."""
+    """The simplest of several lens models that is as good as any on what is held out."""
     best = None
     for free_centre in (False, True):
         for lens in _LENSES:

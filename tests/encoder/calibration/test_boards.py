@@ -1,0 +1,73 @@
+"""A board in pictures drawn from a known camera, and cameras placed by exact sights of it."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from decogs.encoder.calibration.board_rig import place_by_board
+from decogs.encoder.calibration.boards import BoardFinder, BoardView, parse_board
+from decogs.encoder.calibration.lenses import Lens
+from decogs.formats.errors import UsageError
+
+BOARD = "charuco:5x4:0.05:0.0375:DICT_4X4_50"
+LENS = Lens("opencv", (500.0, 500.0), (319.5, 239.5), (-0.1, 0.02, 0.0, 0.0))
+
+
+def _picture(*, inverted: bool, mirrored: bool) -> np.ndarray:
+    drawn = np.asarray(parse_board(BOARD)._made().generateImage((500, 400)))
+    picture = cv2.copyMakeBorder(drawn, 60, 60, 60, 60, cv2.BORDER_CONSTANT, value=255)
+    picture = 255 - picture if inverted else picture
+    picture = picture[:, ::-1] if mirrored else picture
+    return np.repeat(np.ascontiguousarray(picture)[..., None], 3, axis=2)
+
+
+@pytest.mark.parametrize("inverted", [False, True])
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_a_board_is_found_inverted_and_mirrored(inverted: bool, mirrored: bool) -> None:
+    view = BoardFinder(parse_board(BOARD))(_picture(inverted=inverted, mirrored=mirrored))
+    assert view is not None
+    assert view.mirrored == mirrored
+    squares = parse_board(BOARD).corners()[view.numbers][:, :2] / 0.05 * 100 + 60
+    x = 620 - squares[:, 0] if mirrored else squares[:, 0]
+    # Corners lie between pixels; OpenCV finds them to a tenth of a pixel.
+    np.testing.assert_allclose(view.pixels, np.stack([x, squares[:, 1]], axis=1), atol=0.6)
+
+
+@pytest.mark.parametrize("text", ["charuco:5x4:1", "charuco:5x4:0.03:0.05", "charuco:9x9:0.05:0.03:DICT_NONE", "x"])
+def test_a_board_that_is_none_is_refused(text: str) -> None:
+    with pytest.raises(UsageError, match="`board`"):
+        parse_board(text)
+
+
+def _sights(*, mirrored: bool = False) -> tuple[dict[int, dict[int, BoardView]], list[np.ndarray]]:
+    """Exact sights of a moving board by three cameras; the last one's video mirrored or not."""
+    corners, draw = parse_board(BOARD).corners(), np.random.default_rng(3)
+    poses = [np.array([0, turn, 0, -turn, 0, 0.1 * turn]) for turn in (0.0, 0.4, -0.5)]
+    views: dict[int, dict[int, BoardView]] = {0: {}, 1: {}, 2: {}}
+    for instant in range(12):
+        board = np.concatenate([draw.uniform(-0.5, 0.5, 3), draw.uniform(-0.1, 0.1, 2), [0.8]])
+        for number, pose in enumerate(poses):
+            parts = [part.reshape(3, 1) for part in (board[:3], board[3:], pose[:3], pose[3:])]
+            pixels = LENS.project(*cv2.composeRT(*parts)[:2], corners)[0] + 0.5
+            if mirrored and number == 2:
+                pixels[:, 0] = 640 - pixels[:, 0]
+            views[number][instant] = BoardView(np.arange(len(corners)), pixels, mirrored and number == 2)
+    return views, poses
+
+
+def test_cameras_are_placed_by_exact_sights() -> None:
+    views, poses = _sights()
+    rig = place_by_board(dict.fromkeys(range(3), LENS), views, parse_board(BOARD).corners())
+    assert set(rig.poses) == {0, 1, 2}
+    for number, pose in enumerate(poses):
+        # Sights are exact; what remains is where the steps end.
+        np.testing.assert_allclose(np.concatenate(rig.poses[number]), pose, atol=1e-4)
+
+
+def test_a_mirrored_video_is_not_placed() -> None:
+    views, _ = _sights(mirrored=True)
+    rig = place_by_board(dict.fromkeys(range(3), LENS), views, parse_board(BOARD).corners())
+    assert set(rig.poses) == {0, 1}
+    assert rig.inconsistent == (2,)
