@@ -22,11 +22,13 @@ from decogs.bench.commands import bench_parser
 from decogs.decoder.commands import decode_parser, export_parser, info_parser, view_parser
 from decogs.encoder import PRESETS
 from decogs.encoder.analysis.commands import analyze_parser
+from decogs.encoder.calibration.commands import calibrate_parser
 from decogs.encoder.commands import encode_parser, join_parser, pack_parser
 
 SHARE = Path(__file__).parent
 PARSERS = (
     analyze_parser,
+    calibrate_parser,
     bench_parser,
     decode_parser,
     encode_parser,

@@ -151,7 +151,7 @@ def _boards(poses: Mapping[int, Pose], sights: Mapping[int, Mapping[int, Pose]])
 def _composed(first: Pose, second: Pose) -> Pose:
     """One motion after another."""
     rotation, translation = cv2.composeRT(*(part.reshape(3, 1) for part in (*first, *second)))[:2]
-    return rotation.ravel(), translation.ravel()
+    return np.asarray(rotation, np.float64).ravel(), np.asarray(translation, np.float64).ravel()
 
 
 def _inverse(pose: Pose) -> Pose:
@@ -182,7 +182,9 @@ def _adjusted(state: _State, observed: Mapping[tuple[int, int], BoardView], corn
     for _ in range(_STEPS):
         matrix, gradient = _normal_equations(state, observed, corners, places, count)
         while damping < 1e9:
-            step = np.linalg.solve(matrix + damping * np.diag(matrix.diagonal() + 1e-9), -gradient)
+            step = np.asarray(
+                np.linalg.solve(matrix + damping * np.diag(matrix.diagonal() + 1e-9), -gradient), np.float64
+            )
             stepped = _moved(state, places, step)
             lower = _cost(stepped, observed, corners)
             if lower < cost:
@@ -212,7 +214,7 @@ def _residuals(state: _State, key: tuple[int, int], view: BoardView, corners: F6
     """Residuals (N, 2), and derivatives (N, 2, 12) by the board's and the camera's pose."""
     camera, instant = key
     parts = [part.reshape(3, 1) for part in (*state.boards[instant], *state.poses[camera])]
-    rotation, translation, *by = cv2.composeRT(*parts)
+    rotation, translation, *by = (np.asarray(part, np.float64) for part in cv2.composeRT(*parts))
     pixels, jacobian = state.lenses[camera].project(rotation, translation, corners[view.numbers])
     # dr/d(r1, t1, r2, t2), then dt/d(the same)
     chain = np.block([[by[0], by[1], by[2], by[3]], [by[4], by[5], by[6], by[7]]])

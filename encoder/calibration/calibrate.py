@@ -95,8 +95,8 @@ def _by_board(footage: tuple[Footage, ...], board: Board, count: int, on_step: O
     for number in sorted(rig.poses):
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = cv2.Rodrigues(rig.poses[number][0])[0], rig.poses[number][1]
-        camera = lenses[number].camera(footage[number].name, footage[number].size, pose)
-        placed.append(Placed(camera, rig.errors[number], footage[number]))
+        found = lenses[number].camera(footage[number].name, footage[number].size, pose)
+        placed.append(Placed(found, rig.errors[number], footage[number]))
     reasons = {}
     for number, camera in enumerate(footage):
         if number in rig.poses:

@@ -76,7 +76,7 @@ class Lens:
         if not found:
             return None
         rotation, translation = cv2.solvePnPRefineLM(points, rays, np.eye(3), None, rotation, translation)
-        return rotation.ravel(), translation.ravel()
+        return np.asarray(rotation, np.float64).ravel(), np.asarray(translation, np.float64).ravel()
 
     def camera(self, name: str, size: tuple[int, int], pose: F64) -> Camera:
         """As a camera of this project, with a world-to-camera pose (4, 4)."""
@@ -127,7 +127,9 @@ def _fitted(
     try:
         if kind == "fisheye":
             flags = _FISHEYE_FLAGS
-            _, matrix, distortion, _, _ = cv2.fisheye.calibrate(points, pixels, size, None, None, flags=flags)
+            _, matrix, distortion, _, _ = cv2.fisheye.calibrate(
+                points, pixels, size, np.eye(3), np.zeros(4), flags=flags
+            )
         else:
             flags = cv2.CALIB_FIX_K3
             if kind == "none":
