@@ -24,7 +24,7 @@ from ..cameras import Camera, DistortionModel
 from ..errors import RigError
 from ..pictures import PICTURE_SUFFIXES
 from .calibration import calibrated_camera, invert_pose, rigid_pose
-from .json_fields import Fields, read_json
+from .fields import Fields, read_json
 from .rig import Rig, assemble_rig
 from .sources import GENERIC_FOLDERS, FrameSource, PictureSource, natural_key, open_pictures, open_source
 

@@ -14,7 +14,7 @@ import pytest
 
 from decogs.formats.cameras import camera_centre, project
 from decogs.formats.errors import RigError
-from decogs.formats.rigs import colmap, json_fields, nerfstudio, open_rig, rig_json, sources
+from decogs.formats.rigs import colmap, fields, nerfstudio, open_rig, rig_json, sources
 
 PAGE = (Path(__file__).parents[2] / "docs" / "rig.md").read_text()
 EXAMPLE = re.search(r"```json\n(.*?)```", PAGE, re.DOTALL)
@@ -198,4 +198,4 @@ def test_folders_may_be_separated_as_on_windows(folder: Path, example: dict[str,
 def test_fields_are_read_as_written() -> None:
     """``rows`` would pass with no row."""
     assert len(rows(section("rig.json"), 3)) >= 14
-    assert json_fields.Fields({"a": None}, "x").text("a", "b") == "b"
+    assert fields.Fields({"a": None}, "x").text("a", "b") == "b"
