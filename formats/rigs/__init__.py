@@ -7,10 +7,12 @@ Which layout a folder has is decided by the calibration in it; exactly one of th
 ``transforms.json``  nerfstudio
 ``poses_bounds.npy`` MeetRoom if the cameras are named ``cam_N``, N3DV if ``camNN``
 COLMAP model         in ``sparse/0`` (or the next number that has one), ``sparse`` or the folder itself:
-                     MeetRoom if the cameras are named ``cam_N``, else COLMAP
+                     MeetRoom if the cameras are named ``cam_N``, colmap4d if its images have times, else COLMAP;
+                     in ``sparse_``: 4DGaussians
 ==================== ==========================================================================
 
-Where several are, the path of the calibration itself (``rig/poses_bounds.npy``, ``rig/sparse/0``) says which to use.
+Where none of these is there, exactly one of those in ``_SECOND`` may be, which data sets and other programs have. Where
+several are, the path of the calibration itself (``rig/poses_bounds.npy``, ``rig/sparse/0``) says which to use.
 No other file, such as ground truth lying beside the frames, is opened.
 """
 
@@ -19,16 +21,38 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from pathlib import Path
+from dataclasses import dataclass
+from fnmatch import fnmatch
+from functools import partial
+from pathlib import Path, PurePosixPath
 
 from ..cameras import Camera
 from ..errors import RigError, UsageError
 from ..pictures import PICTURE_SUFFIXES, Picture
 from ..threads import processor_count
 from ..videos import VIDEO_SUFFIXES
-from . import colmap, meetroom, n3dv, nerfstudio, rig_json
+from . import (
+    actors_hq,
+    camera_tables,
+    colmap,
+    colmap4d,
+    dna_rendering,
+    easyvolcap,
+    frame_folders,
+    immersive,
+    meetroom,
+    multiple_view,
+    n3dv,
+    nerfstudio,
+    opencv_multiview,
+    panoptic,
+    qualisys,
+    rig_json,
+    technicolor,
+)
+from .pickles import refuse_pickles
 from .rig import Points, Rig
-from .sources import FrameSource, PictureSource, holds_frames, list_folder
+from .sources import FrameSource, PictureSource, holds_frames, list_folder, natural_key
 
 __all__ = ["FrameSource", "Points", "Rig", "files_of", "files_with", "open_rig", "read_frames"]
 
@@ -36,6 +60,41 @@ _Reader = Callable[[], Rig]
 
 _NAMED = 8
 """Entries of a folder that a message names."""
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """A calibration and its reader: the names of its files in a rig's folder, and others that count if given."""
+
+    read: Callable[[Path], Rig]
+    patterns: tuple[str, ...]
+    if_given: tuple[str, ...] = ()
+
+    def files_in(self, folder: Path) -> list[Path]:
+        """The calibrations of this kind in a folder, in natural order."""
+        found = {file for pattern in self.patterns for file in folder.glob(pattern) if file.is_file()}
+        return sorted(found, key=lambda file: natural_key(str(file)))
+
+
+_FIRST = (
+    _Layout(lambda path: rig_json.read_rig_json(path.parent), (rig_json.CALIBRATION,)),
+    _Layout(lambda path: nerfstudio.read_nerfstudio(path.parent), (nerfstudio.CALIBRATION,)),
+    _Layout(lambda path: _read_poses_bounds(path.parent), (n3dv.CALIBRATION,)),
+)
+_SECOND = (
+    _Layout(easyvolcap.read_easyvolcap, (easyvolcap.CALIBRATION,), ("extri.yml",)),
+    _Layout(lambda path: nerfstudio.read_splits(path.parent), (nerfstudio.SPLITS_CALIBRATION,)),
+    _Layout(camera_tables.read_camera_tables, camera_tables.CALIBRATIONS, ("*.toml",)),
+    _Layout(qualisys.read_qualisys, qualisys.CALIBRATIONS),
+    _Layout(immersive.read_immersive, (immersive.CALIBRATION,)),
+    _Layout(technicolor.read_technicolor, (technicolor.CALIBRATION,)),
+    _Layout(panoptic.read_panoptic, panoptic.CALIBRATIONS),
+    _Layout(actors_hq.read_actors_hq, (actors_hq.CALIBRATION,)),
+    _Layout(dna_rendering.read_dna_rendering, dna_rendering.CALIBRATIONS),
+    _Layout(
+        opencv_multiview.read_opencv_multiview, opencv_multiview.CALIBRATIONS, ("*.yml", "*.yaml", "*.xml", "*.json")
+    ),
+)
 
 
 def open_rig(path: str | os.PathLike[str]) -> Rig:
@@ -49,9 +108,10 @@ def open_rig(path: str | os.PathLike[str]) -> Rig:
         raise RigError(f"{folder}: there is no such folder; check the path")
     found = _calibrations_at(folder)
     if not found:
+        refuse_pickles(list_folder(folder))
         raise RigError(
-            f"{folder}: no calibration; expected rig.json, transforms.json, poses_bounds.npy or a COLMAP model in "
-            f"sparse/0 (cameras.bin or cameras.txt), but {_contents(folder)}: calibrate the cameras, e.g. with COLMAP"
+            f"{folder}: no calibration; looked for {_looked_for()}, but {_contents(folder)}: calibrate the cameras, "
+            "e.g. with COLMAP"
         )
     if len(found) > 1:
         names = list(found)
@@ -63,6 +123,12 @@ def open_rig(path: str | os.PathLike[str]) -> Rig:
     return read()
 
 
+def _looked_for() -> str:
+    names = [pattern for layout in (*_FIRST, *_SECOND) for pattern in layout.patterns if "/" not in pattern]
+    model = "a COLMAP model in sparse/0 (cameras.bin or cameras.txt) or in a folder for each frame"
+    return f"{', '.join(dict.fromkeys(names))} and {model}"
+
+
 def files_of(rig: Rig) -> Iterator[tuple[Path, str]]:
     """Every file that nothing may be written over, and what it is: frames, calibration, and those that lie beside."""
     for source in rig.sources:
@@ -70,7 +136,7 @@ def files_of(rig: Rig) -> Iterator[tuple[Path, str]]:
             yield file, "holds frames of the rig"
     model = colmap.find_model(rig.path)
     # Another calibration or camera that lies there was not read, but is the user's all the same.
-    beside = [rig.path / name for name in (rig_json.CALIBRATION, nerfstudio.CALIBRATION, n3dv.CALIBRATION)]
+    beside = [file for layout in (*_FIRST, *_SECOND) for file in layout.files_in(rig.path)]
     for file in (*rig.calibration, *beside, *(() if model is None else colmap.model_files(model))):
         yield file, "is the rig's calibration"
     for entry in list_folder(rig.path):
@@ -90,14 +156,20 @@ def _calibrations_at(path: Path) -> dict[str, _Reader]:
         return _calibration_file(path)
     if not path.is_dir():
         raise RigError(f"{path}: neither a folder nor a calibration file; give the rig's folder")
-    found: dict[str, _Reader] = {}
-    for name in (rig_json.CALIBRATION, nerfstudio.CALIBRATION, n3dv.CALIBRATION):
-        if (path / name).is_file():
-            found |= _calibration_file(path / name)
+    found = _found(_FIRST, path)
     model = colmap.find_model(path)
     if model is not None and rig_json.CALIBRATION not in found:
-        found[str(model.relative_to(path))] = lambda: _read_colmap(colmap.rig_folder_of(model), model)
+        found[str(model.relative_to(path))] = partial(_read_colmap, colmap.rig_folder_of(model), model)
+    if not found:
+        found = _found(_SECOND, path)
+        if frame_folders.frame_folders(path):
+            found["a folder for each frame"] = partial(frame_folders.read_frame_folders, path)
     return found
+
+
+def _found(layouts: Sequence[_Layout], folder: Path) -> dict[str, _Reader]:
+    files = ((layout, file) for layout in layouts for file in layout.files_in(folder))
+    return {str(file.relative_to(folder)): partial(layout.read, file) for layout, file in files}
 
 
 def _contents(folder: Path) -> str:
@@ -112,17 +184,13 @@ def _contents(folder: Path) -> str:
 
 
 def _calibration_file(path: Path) -> dict[str, _Reader]:
-    folder = path.parent
-    readers: dict[str, _Reader] = {
-        rig_json.CALIBRATION: lambda: rig_json.read_rig_json(folder),
-        nerfstudio.CALIBRATION: lambda: nerfstudio.read_nerfstudio(folder),
-        n3dv.CALIBRATION: lambda: _read_poses_bounds(folder),
-        "cameras.bin": lambda: _read_colmap(colmap.rig_folder_of(folder), folder),
-        "cameras.txt": lambda: _read_colmap(colmap.rig_folder_of(folder), folder),
-    }
-    if path.name not in readers:
-        raise RigError(f"{path}: not a calibration that can be read; give the rig's folder")
-    return {path.name: readers[path.name]}
+    if path.name in ("cameras.bin", "cameras.txt"):
+        return {path.name: partial(_read_colmap, colmap.rig_folder_of(path.parent), path.parent)}
+    for layout in (*_FIRST, *_SECOND):
+        if any(fnmatch(path.name, PurePosixPath(pattern).name) for pattern in (*layout.patterns, *layout.if_given)):
+            return {path.name: partial(layout.read, path)}
+    refuse_pickles([path])
+    raise RigError(f"{path}: not a calibration that can be read; give the rig's folder")
 
 
 def _read_poses_bounds(folder: Path) -> Rig:
@@ -134,6 +202,10 @@ def _read_poses_bounds(folder: Path) -> Rig:
 
 
 def _read_colmap(folder: Path, model: Path) -> Rig:
+    if model.name == colmap.MULTIPLE_VIEW:
+        return multiple_view.read_multiple_view(folder, model)
+    if colmap4d.has_times(model):
+        return colmap4d.read_colmap4d(folder, model)
     names = [entry.stem for entry in list_folder(folder) if holds_frames(entry)]
     if any(meetroom.CAMERA_NAME.fullmatch(name) for name in names):
         return meetroom.read_meetroom(folder, model)
