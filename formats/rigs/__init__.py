@@ -124,7 +124,8 @@ def open_rig(path: str | os.PathLike[str]) -> Rig:
 
 
 def _looked_for() -> str:
-    names = [pattern for layout in (*_FIRST, *_SECOND) for pattern in layout.patterns if "/" not in pattern]
+    patterns = (pattern.replace("[Cc]", "c") for layout in (*_FIRST, *_SECOND) for pattern in layout.patterns)
+    names = [pattern for pattern in patterns if "/" not in pattern]
     model = "a COLMAP model in sparse/0 (cameras.bin or cameras.txt) or in a folder for each frame"
     return f"{', '.join(dict.fromkeys(names))} and {model}"
 

@@ -3,7 +3,8 @@
 aniposelib and Pose2Sim have ``[cam_0]`` or ``[int_cam01_img]`` at the top, with ``name``, ``size``, ``matrix``,
 ``distortions``, ``rotation`` (Rodrigues), ``translation`` and ``fisheye``; caliscope's own file has the same inside
 ``[cameras.0]``, without a name. World-to-camera in OpenCV axes; the centre of the first pixel is at (0, 0), as OpenCV
-calibrates. Source: lambdaloop/aniposelib, aniposelib/cameras.py; mprib/caliscope, cameras/camera_array.py.
+calibrates. The file may lie in the rig's folder, or in ``calibration/`` there, as Pose2Sim has it.
+Source: lambdaloop/aniposelib, aniposelib/cameras.py; mprib/caliscope, cameras/camera_array.py.
 """
 
 from __future__ import annotations
@@ -15,18 +16,18 @@ from ..cameras import Camera
 from ..errors import RigError
 from .calibration import opencv_camera, vector_pose
 from .fields import Fields, read_toml
-from .named_frames import frames_of_cameras, usual_folders
+from .named_frames import frames_of_cameras, rig_folder_of, usual_folders
 from .rig import Rig, assemble_rig
 from .sources import open_source
 
 LAYOUT = "toml"
-CALIBRATIONS = ("*calib*.toml", "camera_array*.toml")
+CALIBRATIONS = ("*[Cc]alib*.toml", "camera_array*.toml", "calibration/*[Cc]alib*.toml")
 _COEFFICIENTS = ((4,), (5,), (8,), (12,), (14,), (0,))
 
 
 def read_camera_tables(calibration: Path) -> Rig:
     """The rig in the folder of a TOML file with cameras. Raises RigError."""
-    folder = calibration.parent
+    folder = rig_folder_of(calibration)
     tables = _tables(read_toml(calibration))
     if not tables:
         raise RigError(f"{calibration}: no table with 'matrix' and 'rotation'; calibrate the cameras and their places")

@@ -62,6 +62,12 @@ def frames_of_cameras(
     return NamedFrames(of, tuple(warnings))
 
 
+def rig_folder_of(calibration: Path) -> Path:
+    """The folder that a calibration is in, or around it where that one is called ``calibration``."""
+    folder = calibration.parent
+    return folder.parent if folder.name == "calibration" else folder
+
+
 def usual_folders(folder: Path) -> list[Path]:
     """A rig's folder, and those in it that commonly hold the cameras' frames."""
     return [folder, *(entry for entry in list_folder(folder) if entry.name.lower() in GENERIC_FOLDERS)]

@@ -21,7 +21,7 @@ from .rig import Rig, assemble_rig
 from .sources import open_source
 
 LAYOUT = "opencv"
-CALIBRATIONS = ("*calib*.yml", "*calib*.yaml", "*calib*.xml")
+CALIBRATIONS = ("*[Cc]alib*.yml", "*[Cc]alib*.yaml", "*[Cc]alib*.xml")
 
 
 def read_opencv_multiview(calibration: Path) -> Rig:

@@ -20,12 +20,12 @@ from ..cameras import Camera
 from ..errors import RigError
 from .calibration import invert_pose, opencv_camera, rigid_pose
 from .fields import read_calibration_file
-from .named_frames import frames_of_cameras, usual_folders
+from .named_frames import frames_of_cameras, rig_folder_of, usual_folders
 from .rig import Rig, assemble_rig
 from .sources import open_source
 
 LAYOUT = "qualisys"
-CALIBRATIONS = ("*.qca.txt",)
+CALIBRATIONS = ("*.qca.txt", "calibration/*.qca.txt")
 _SUBPIXELS = 64
 _MILLIMETRE = 1e-3
 
@@ -33,9 +33,10 @@ _MILLIMETRE = 1e-3
 def read_qualisys(calibration: Path) -> Rig:
     """The rig in the folder of a .qca.txt file. Raises RigError."""
     cameras = {camera.name: camera for camera in (_camera(element) for element in _video_cameras(calibration))}
-    frames = frames_of_cameras(calibration, usual_folders(calibration.parent), {name: (name,) for name in cameras})
+    folder = rig_folder_of(calibration)
+    frames = frames_of_cameras(calibration, usual_folders(folder), {name: (name,) for name in cameras})
     pairs = [(cameras[name], open_source(path)) for name, path in frames.of.items()]
-    rig = assemble_rig(calibration.parent, LAYOUT, pairs, [calibration], resizable=True, length_unit="metre")
+    rig = assemble_rig(folder, LAYOUT, pairs, [calibration], resizable=True, length_unit="metre")
     return replace(rig, warnings=(*rig.warnings, *frames.warnings))
 
 

@@ -304,6 +304,22 @@ def test_a_video_that_may_be_of_two_cameras(tmp_path: Path) -> None:
     refused(tmp_path, "may be of camera 'left' or 'mid'")
 
 
+def test_the_calibration_may_be_in_a_folder_of_its_own(tmp_path: Path) -> None:
+    """As Pose2Sim's sessions have it: ``calibration/`` and ``videos/``."""
+    for index, name in (1, "Calib_scene.toml"), (3, "take.qca.txt"):
+        case, folder = CASES[index], tmp_path / name
+        folder.mkdir()
+        case.write(folder, case.rig())
+        for inside in "calibration", "videos":
+            (folder / inside).mkdir()
+        (folder / case.cut[0]).rename(folder / "calibration" / name)
+        for video in folder.glob("*.mp4"):
+            video.rename(folder / "videos" / video.name)
+        for given in folder, folder / "calibration" / name:
+            rig = open_rig(given)
+            assert (rig.path, rig.layout, len(rig.cameras)) == (folder, case.layout, 3)
+
+
 def test_pickles_are_refused_with_the_way_out(tmp_path: Path) -> None:
     write_pictures(tmp_path / "00" / "{}.png", (64, 48))
     (tmp_path / "cameras.pkl").write_bytes(b"\x80\x04}\x94\x8c\x01K\x94K\x01s.")
