@@ -48,8 +48,8 @@ def encode_parser() -> Parser:
     parser = Parser(
         prog="decogs-encode",
         description="Encode a rig of synchronised, calibrated cameras as a stream of 3D Gaussians.",
-        epilog="Layouts: N3DV, MeetRoom, COLMAP, nerfstudio transforms.json, rig.json. Ctrl-C ends the stream early "
-        "but whole.",
+        epilog="Layouts: N3DV, MeetRoom, COLMAP, nerfstudio transforms.json, rig.json, more in docs/rig.md. "
+        "Ctrl-C ends the stream early but whole.",
     )
     parser.add_argument("rig_dir", help="the rig's folder, or one calibration file or folder inside it")
     parser.add_argument(

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
+from decogs.formats import rigs
 from decogs.formats.cameras import camera_centre, project
 from decogs.formats.errors import RigError
 from decogs.formats.rigs import colmap, fields, nerfstudio, open_rig, rig_json, sources
@@ -151,6 +152,18 @@ def test_a_colmap_model_that_is_named_has_to_be_there(folder: Path, example: dic
     points = open_rig(folder).points
     assert points is not None
     assert len(points) == len(make.points)
+
+
+def test_every_calibration_of_others_is_in_the_table() -> None:
+    table = section("Data sets and other programs")
+    named = {name for cell in re.findall(r"^\|(.*)\|$", table, re.MULTILINE) for name in re.findall(NAME, cell)}
+    looked_for = {pattern.replace("[Cc]", "c") for layout in rigs._SECOND for pattern in layout.patterns}
+    assert len(looked_for) > 10
+    by_ending = {pattern for pattern in looked_for if pattern.startswith("*calib*.y") or pattern.endswith(".xml")}
+    in_folder = {pattern for pattern in looked_for if "/" in pattern}
+    assert looked_for - by_ending - in_folder <= named
+    assert {"." + pattern.rpartition(".")[2] for pattern in by_ending} <= named | {".yml"}
+    assert {pattern.partition("/")[0] + "/" for pattern in in_folder} <= named
 
 
 PAIRS = [
