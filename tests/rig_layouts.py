@@ -19,7 +19,7 @@ import numpy as np
 from decogs.formats.cameras import Camera
 
 FRAMES = 5
-Writer = Callable[[Path, Sequence[Camera]], None]
+Writer = Callable[..., None]
 
 
 def write_video(path: Path, size: tuple[int, int]) -> None:
@@ -272,8 +272,8 @@ def write_dna_rendering(folder: Path, rig: Sequence[Camera]) -> None:
             inside["RT"] = np.linalg.inv(camera.world_to_camera)
 
 
-def write_opencv(folder: Path, rig: Sequence[Camera]) -> None:
-    file = cv2.FileStorage(str(folder / "calibration.yml"), cv2.FILE_STORAGE_WRITE)
+def write_opencv(folder: Path, rig: Sequence[Camera], name: str = "calibration.yml") -> None:
+    file = cv2.FileStorage(str(folder / name), cv2.FILE_STORAGE_WRITE)
     file.write("cam_ids", ",".join(camera.name for camera in rig))
     poses = [camera.world_to_camera for camera in rig]
     file.write("rvecs", np.array([rotation_vector(pose[:3, :3]) for pose in poses])[..., None])

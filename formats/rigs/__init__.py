@@ -91,9 +91,7 @@ _SECOND = (
     _Layout(panoptic.read_panoptic, panoptic.CALIBRATIONS),
     _Layout(actors_hq.read_actors_hq, (actors_hq.CALIBRATION,)),
     _Layout(dna_rendering.read_dna_rendering, dna_rendering.CALIBRATIONS),
-    _Layout(
-        opencv_multiview.read_opencv_multiview, opencv_multiview.CALIBRATIONS, ("*.yml", "*.yaml", "*.xml", "*.json")
-    ),
+    _Layout(opencv_multiview.read_opencv_multiview, opencv_multiview.CALIBRATIONS, ("*.yml", "*.yaml", "*.xml")),
 )
 
 

@@ -32,6 +32,8 @@ _ENDING = "_annots.smc"
 _GROUPS = ("Camera_5mp", "Camera_12mp")
 _MAX_BYTES = 64 << 20
 """Of one picture's file."""
+_DAMAGED = (KeyError, OSError, RuntimeError, TypeError, ValueError)
+"""What h5py raises for files that are damaged, here and there."""
 
 
 def read_dna_rendering(calibration: Path) -> Rig:
@@ -134,7 +136,7 @@ def _child(group: Any, name: str, path: Path) -> Any:
 
     try:
         found = group[name] if isinstance(group.get(name, getlink=True), h5py.HardLink) else None
-    except (KeyError, OSError, RuntimeError, TypeError):
+    except _DAMAGED:
         found = None
     if found is None:
         raise RigError(f"{path}: {group.name}/{name} is missing or damaged; download the file again")
@@ -146,14 +148,15 @@ def _values(group: Any, name: str, path: Path, largest: int) -> NDArray[Any]:
     import h5py
 
     data = _child(group, name, path)
-    if not isinstance(data, h5py.Dataset) or data.dtype.kind not in "fiu" or data.external or data.is_virtual:
-        raise RigError(f"{path}: {group.name}/{name} holds no plain numbers; download the file again")
-    if data.size is None or data.size * data.dtype.itemsize > largest:
-        raise RigError(f"{path}: {group.name}/{name} is larger than {largest} bytes; download the file again")
     try:
+        is_plain = isinstance(data, h5py.Dataset) and data.dtype.kind in "fiu" and not data.external
+        if not is_plain or data.is_virtual or data.size is None:
+            raise ValueError
+        if data.size * data.dtype.itemsize > largest:
+            raise RigError(f"{path}: {group.name}/{name} is larger than {largest} bytes; download the file again")
         return np.asarray(data[()])
-    except OSError:
-        raise RigError(f"{path}: {group.name}/{name} is damaged; download the file again") from None
+    except _DAMAGED:
+        raise RigError(f"{path}: {group.name}/{name} holds no plain numbers; download the file again") from None
 
 
 def _numbers(group: Any, name: str, path: Path, count: int) -> NDArray[np.float64]:

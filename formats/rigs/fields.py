@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path, PureWindowsPath
+from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
@@ -169,6 +170,16 @@ def read_calibration_file(path: Path) -> bytes:
     if len(data) > _MAX_BYTES:
         raise RigError(f"{path}: larger than {_MAX_BYTES >> 20} MiB, which no calibration is; check the file")
     return data
+
+
+def parse_xml(path: Path, data: bytes) -> ElementTree.Element:
+    """The root of an XML file's content. Raises RigError for what is malformed, or declares a document type."""
+    try:
+        if b"<!DOCTYPE" in data:  # whose entities may grow without bound
+            raise ElementTree.ParseError("a document type is declared")
+        return ElementTree.fromstring(data)
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        raise RigError(f"{path}: malformed XML ({error}); write the file again") from None
 
 
 def _parsed(path: Path) -> object:

@@ -1,70 +1,63 @@
-"""Values of a file that OpenCV's FileStorage wrote: YAML, XML or JSON."""
+"""Values at the top of a file that OpenCV's FileStorage wrote, in YAML or XML.
+
+OpenCV's own parser calls itself for every list in a list, so that a few thousand brackets, dashes or tags end the
+process, and allocates what a matrix's header claims. Here a key is what begins a line, or an element below the root,
+and a matrix is the numbers of its ``data``. Source: OpenCV documentation, "XML/YAML/JSON file storages".
+"""
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RigError
-from ..quiet import quiet_opencv
-from .fields import read_calibration_file
+from .fields import parse_xml, read_calibration_file
 
-_MAX_DEPTH = 32
-"""Brackets inside brackets; OpenCV's parser calls itself for each."""
+_MAX_LENGTH = 1 << 20
+"""Characters of one value that is read."""
 
 
 class FileStorage:
-    """The top level of such a file; raises RigError, naming file and key, for what is missing or of another kind."""
+    """The values by their keys; raises RigError, naming file and key, for what is missing or of another kind."""
 
     def __init__(self, path: Path) -> None:
-        import cv2
-
         self.path = path
-        text = read_calibration_file(path).decode("utf-8-sig", errors="replace")
-        # In memory: by its path OpenCV also opens what is compressed, of any size.
-        if _is_too_deep(text) or "<!DOCTYPE" in text or "\0" in text:
-            raise self._malformed()
-        try:
-            with quiet_opencv():
-                self._storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-                self._keys = frozenset(self._storage.root().keys())
-        except (cv2.error, SystemError):
-            raise self._malformed() from None
+        data = read_calibration_file(path)
+        is_xml = data.lstrip().startswith(b"<")
+        self._values = _of_xml(parse_xml(path, data)) if is_xml else _of_yaml(data.decode("utf-8-sig", "replace"))
+        if not self._values:
+            raise RigError(f"{path}: not a file of OpenCV's FileStorage, or empty; write it again")
 
     def __contains__(self, key: str) -> bool:
-        return key in self._keys
+        return key in self._values
 
     def keys_after(self, prefix: str) -> list[str]:
         """What follows ``prefix`` in the keys that begin with it."""
-        return sorted(key[len(prefix) :] for key in self._keys if key.startswith(prefix))
+        return sorted(key[len(prefix) :] for key in self._values if key.startswith(prefix))
 
     def number(self, key: str, default: float) -> float:
         """A finite number; ``default`` where there is none."""
-        if key not in self:
-            return default
-        node = self._storage.getNode(key)
-        if not (node.isReal() or node.isInt()) or not math.isfinite(node.real()):
-            raise self.wrong(key, "is not a finite number")
-        return float(node.real())
+        return float(self.matrix(key, 1)[0]) if key in self else default
 
     def text(self, key: str) -> str:
-        """A text."""
-        node = self._node(key)
-        if not node.isString():
-            raise self.wrong(key, "is not a text")
-        return str(node.string())
+        """A text fit for one line of a message."""
+        text = self._value(key).strip().strip('"')
+        if not text.isprintable():
+            raise self.wrong(key, "is not one line of text")
+        return text
 
     def matrix(self, key: str, *sizes: int) -> NDArray[np.float64]:
         """The finite numbers of a matrix in the order of its rows; as many as one of ``sizes``, if any is given."""
-        data = self._node(key)
-        data = data.getNode("data") if data.isMap() else data
-        # Read one by one: what the file says of rows and columns would be allocated before it is compared.
-        numbers = np.array([self._element(key, data.at(i)) for i in range(data.size())]) if data.isSeq() else None
-        if numbers is None or not np.isfinite(numbers).all():
+        words = self._value(key).replace("[", " ").replace("]", " ").replace(",", " ").split()
+        try:
+            numbers = np.array([float(word) for word in words])
+        except ValueError:
+            numbers = np.array([math.nan])
+        if not np.isfinite(numbers).all():
             raise self.wrong(key, "is not a matrix of finite numbers")
         if sizes and numbers.size not in sizes:
             raise self.wrong(key, f"has {numbers.size} numbers, not {' or '.join(map(str, sizes))}")
@@ -74,24 +67,27 @@ class FileStorage:
         """The error to raise for a value: ``what`` is wrong with it."""
         return RigError(f"{self.path}: {key!r} {what}; correct the file")
 
-    def _node(self, key: str) -> Any:
+    def _value(self, key: str) -> str:
         if key not in self:
             raise self.wrong(key, "is missing")
-        return self._storage.getNode(key)
-
-    def _element(self, key: str, node: Any) -> float:
-        if not (node.isReal() or node.isInt()):
-            raise self.wrong(key, "is not a matrix of finite numbers")
-        return float(node.real())
-
-    def _malformed(self) -> RigError:
-        return RigError(f"{self.path}: not a file of OpenCV's FileStorage, or malformed; write it again")
+        if len(self._values[key]) > _MAX_LENGTH:
+            raise self.wrong(key, "is longer than a camera's value")
+        return self._values[key]
 
 
-def _is_too_deep(text: str) -> bool:
-    depth = 0
-    for character in text:
-        depth += (character in "[{") - (character in "]}")
-        if depth > _MAX_DEPTH:
-            return True
-    return False
+def _of_yaml(text: str) -> dict[str, str]:
+    """What follows each key that begins a line, up to the next one; of a matrix only its data."""
+    blocks: dict[str, list[str]] = {}
+    lines: list[str] = []
+    for line in text.splitlines():
+        if line[:1].isalpha() or line[:1] == "_":
+            key, _, first = line.partition(":")
+            lines = blocks[key.rstrip()] = [first]
+        elif not line.startswith(("%", "---", "...", "#")):
+            lines.append(line)
+    values = {key: "\n".join(lines) for key, lines in blocks.items()}
+    return {key: value.partition("data:")[2] if "!!opencv-" in value[:40] else value for key, value in values.items()}
+
+
+def _of_xml(root: ElementTree.Element) -> dict[str, str]:
+    return {child.tag: child.findtext("data") or child.text or "" for child in root}

@@ -1,4 +1,4 @@
-"""What OpenCV's multi-view calibration writes by FileStorage: YAML, XML or JSON with ``Ks``, ``rvecs`` and ``Ts``.
+"""What OpenCV's multi-view calibration writes by FileStorage: YAML or XML with ``Ks``, ``rvecs`` and ``Ts``.
 
 Its sample stacks the cameras: ``cam_ids`` ("left,right"), ``image_sizes`` (width, height), ``Ks``, ``distortions``,
 ``is_fisheye``, and ``rvecs`` and ``Ts`` from the first camera's axes to each one's: world-to-camera in OpenCV axes, the

@@ -19,7 +19,7 @@ import numpy as np
 from ..cameras import Camera
 from ..errors import RigError
 from .calibration import invert_pose, opencv_camera, rigid_pose
-from .fields import read_calibration_file
+from .fields import parse_xml, read_calibration_file
 from .named_frames import frames_of_cameras, rig_folder_of, usual_folders
 from .rig import Rig, assemble_rig
 from .sources import open_source
@@ -64,13 +64,7 @@ class _Element:
 
 
 def _video_cameras(path: Path) -> list[_Element]:
-    data = read_calibration_file(path)
-    try:
-        if b"<!DOCTYPE" in data:  # entities may grow without bound
-            raise ElementTree.ParseError("a document type is declared")
-        root = ElementTree.fromstring(data)
-    except (ElementTree.ParseError, ValueError, LookupError) as error:
-        raise RigError(f"{path}: malformed XML ({error}); export the calibration again") from None
+    root = parse_xml(path, read_calibration_file(path))
     found = [
         _Element(element, f"{path}, camera {element.get('serial', '')!r}")
         for element in root.findall("cameras/camera")

@@ -94,6 +94,9 @@ DAMAGED = {
     "deep": b"[" * 100_000,
     "cut": b"%YAML:1.0\n---\na: [1,\n",
     "tag": b"<a>",
+    "tags": b"<opencv_storage>" + b"<a>" * 100_000,
+    "dashes": b"%YAML:1.0\n---\na:\n " + b"- " * 100_000,
+    "entities": b'<?xml version="1.0"?><!DOCTYPE a [<!ENTITY b "c">]><opencv_storage>&b;</opencv_storage>',
     "utf-16": b"\xff\xfe\0",
 }
 
@@ -364,6 +367,13 @@ def test_matrices_are_not_believed_before_they_are_read(tmp_path: Path) -> None:
     assert len(open_rig(tmp_path).cameras) == len(case.names)  # nine numbers are a camera matrix all the same
     path.write_text(path.read_text().replace("data: [", "data: [1, ", 1))
     refused(tmp_path, "has 10 numbers, not 9")
+
+
+def test_opencv_may_write_xml(tmp_path: Path) -> None:
+    case = next(case for case in CASES if case.layout == "opencv")
+    case.write(tmp_path, case.rig(), "calibration.xml")
+    for camera, wanted in zip(open_rig(tmp_path).cameras, case.rig(), strict=True):
+        np.testing.assert_allclose(pixels(camera), pixels(wanted), atol=case.digits)
 
 
 def test_an_unknown_layout_lists_what_was_looked_for_and_found(tmp_path: Path) -> None:
