@@ -12,10 +12,9 @@ import cv2
 import numpy as np
 import pytest
 
-from decogs.formats import rigs
 from decogs.formats.cameras import camera_centre, project
 from decogs.formats.errors import RigError
-from decogs.formats.rigs import colmap, fields, nerfstudio, open_rig, rig_json, sources
+from decogs.formats.rigs import colmap, detection, fields, nerfstudio, open_rig, rig_json, sources
 
 PAGE = (Path(__file__).parents[2] / "docs" / "rig.md").read_text()
 EXAMPLE = re.search(r"```json\n(.*?)```", PAGE, re.DOTALL)
@@ -157,7 +156,7 @@ def test_a_colmap_model_that_is_named_has_to_be_there(folder: Path, example: dic
 def test_every_calibration_of_others_is_in_the_table() -> None:
     table = section("Data sets and other programs")
     named = {name for cell in re.findall(r"^\|(.*)\|$", table, re.MULTILINE) for name in re.findall(NAME, cell)}
-    looked_for = {pattern.replace("[Cc]", "c") for layout in rigs._SECOND for pattern in layout.patterns}
+    looked_for = {pattern.replace("[Cc]", "c") for layout in detection.OTHERS for pattern in layout.patterns}
     assert len(looked_for) > 10
     by_ending = {pattern for pattern in looked_for if pattern.startswith("*calib*.y") or pattern.endswith(".xml")}
     in_folder = {pattern for pattern in looked_for if "/" in pattern}
