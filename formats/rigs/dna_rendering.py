@@ -9,8 +9,7 @@ Source: DNA-Rendering/DNA-Rendering, scripts/3DGS/SMCReader.py and dataset_reade
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator
-from contextlib import contextmanager
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,6 +22,7 @@ from ..errors import RigError
 from ..picture_headers import PNG_SIGNATURE, read_header
 from ..pictures import Picture, decode_picture
 from .calibration import invert_pose, opencv_camera, rigid_pose
+from .hdf5 import child, opened, values
 from .rig import Rig, assemble_rig
 from .sources import natural_key
 
@@ -32,18 +32,17 @@ _ENDING = "_annots.smc"
 _GROUPS = ("Camera_5mp", "Camera_12mp")
 _MAX_BYTES = 64 << 20
 """Of one picture's file."""
-_DAMAGED = (KeyError, OSError, RuntimeError, TypeError, ValueError)
-"""What h5py raises for files that are damaged, here and there."""
 
 
 def read_dna_rendering(calibration: Path) -> Rig:
     """The rig whose calibration is in a PERFORMANCE_annots.smc. Raises RigError."""
     recording = _recording(calibration)
-    with _opened(calibration) as annotations, _opened(recording) as pictures:
+    with opened(calibration) as annotations, opened(recording) as pictures:
         sources = {f"{int(source.camera):02d}": source for source in _sources(recording, pictures)}
-        parameters = _child(annotations, "Camera_Parameter", calibration)
+        _check_in_step(list(sources.values()))
+        parameters = child(annotations, "Camera_Parameter", calibration)
         pairs = [
-            (_camera(name, source, _child(parameters, name, calibration), calibration), source)
+            (_camera(name, source, child(parameters, name, calibration), calibration), source)
             for name, source in sources.items()
         ]
     return assemble_rig(recording.parent, LAYOUT, pairs, [calibration], resizable=False, length_unit="metre")
@@ -79,10 +78,10 @@ class SmcSource:
 
     def read(self, start: int, stop: int, step: int = 1) -> Generator[Picture, None, None]:
         """The pictures of these frames. Raises RigError for one that is damaged."""
-        with _opened(self.path) as file:
+        with opened(self.path) as file:
             group = file
             for part in (self.group, self.camera, "color"):
-                group = _child(group, part, self.path)
+                group = child(group, part, self.path)
             for name in self.frames[start:stop:step]:
                 data = _bytes(group, name, self.path)
                 yield decode_picture(_named(self.path, self.group, self.camera, name, data), data)
@@ -91,17 +90,27 @@ class SmcSource:
 def _sources(path: Path, file: Any) -> Iterator[SmcSource]:
     """The colour cameras, and the sizes of their first pictures."""
     for group in (group for group in _GROUPS if group in file):
-        cameras = _child(file, group, path)
+        cameras = child(file, group, path)
         for camera in sorted(cameras, key=natural_key):
             if not camera.isdecimal():
                 raise RigError(f"{path}: {group}/{camera!a} is no camera's number; download the file again")
-            pictures = _child(_child(cameras, camera, path), "color", path)
+            pictures = child(child(cameras, camera, path), "color", path)
             frames = sorted(pictures, key=natural_key)
             if not frames:
                 raise RigError(f"{path}: {group}/{camera} holds no picture; download the file again")
             data = _bytes(pictures, frames[0], path)
             header = read_header(_named(path, group, camera, frames[0], data), data)
             yield SmcSource(path, group, camera, tuple(frames), header.width, header.height)
+
+
+def _check_in_step(sources: Sequence[SmcSource]) -> None:
+    for source in sources:
+        lacking = sorted(set(sources[0].frames) ^ set(source.frames), key=natural_key)
+        if lacking:
+            raise RigError(
+                f"{source.path}: only one of cameras {sources[0].camera} and {source.camera} has frame {lacking[0]!a:.20}; "
+                "download the file again"
+            )
 
 
 def _named(path: Path, group: str, camera: str, frame: str, data: bytes) -> Path:
@@ -116,55 +125,12 @@ def _camera(name: str, source: SmcSource, parameters: Any, path: Path) -> Camera
     return opencv_camera(name, (source.width, source.height), matrix, lens, pose, where)
 
 
-@contextmanager
-def _opened(path: Path) -> Iterator[Any]:
-    try:
-        import h5py
-    except ImportError:
-        raise RigError(f"{path}: is HDF5, which needs the package h5py; pip install 'decogs[h5]'") from None
-    try:
-        file = h5py.File(path, "r")
-    except OSError:
-        raise RigError(f"{path}: no HDF5 file, or truncated; download it again") from None
-    with file:
-        yield file
-
-
-def _child(group: Any, name: str, path: Path) -> Any:
-    """What a group holds under a name, not by a link into another file or dataset."""
-    import h5py
-
-    try:
-        found = group[name] if isinstance(group.get(name, getlink=True), h5py.HardLink) else None
-    except _DAMAGED:
-        found = None
-    if found is None:
-        raise RigError(f"{path}: {group.name}/{name} is missing or damaged; download the file again")
-    return found
-
-
-def _values(group: Any, name: str, path: Path, largest: int) -> NDArray[Any]:
-    """A dataset's values, of at most so many bytes; never from another file."""
-    import h5py
-
-    data = _child(group, name, path)
-    try:
-        is_plain = isinstance(data, h5py.Dataset) and data.dtype.kind in "fiu" and not data.external
-        if not is_plain or data.is_virtual or data.size is None:
-            raise ValueError
-        if data.size * data.dtype.itemsize > largest:
-            raise RigError(f"{path}: {group.name}/{name} is larger than {largest} bytes; download the file again")
-        return np.asarray(data[()])
-    except _DAMAGED:
-        raise RigError(f"{path}: {group.name}/{name} holds no plain numbers; download the file again") from None
-
-
 def _numbers(group: Any, name: str, path: Path, count: int) -> NDArray[np.float64]:
-    numbers = _values(group, name, path, 1024).astype(np.float64).ravel()
+    numbers = values(group, name, path, 1024).astype(np.float64).ravel()
     if numbers.size != count:
         raise RigError(f"{path}: {group.name}/{name} has {numbers.size} numbers, not {count}; download the file again")
     return numbers
 
 
 def _bytes(group: Any, name: str, path: Path) -> bytes:
-    return _values(group, name, path, _MAX_BYTES).astype(np.uint8).tobytes()
+    return values(group, name, path, _MAX_BYTES).astype(np.uint8).tobytes()

@@ -343,6 +343,14 @@ def test_without_h5py(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     refused(tmp_path, r"_annots\.smc: is HDF5, which needs the package h5py; pip install 'decogs\[h5\]'")
 
 
+def test_pictures_inside_a_file_are_in_step(tmp_path: Path) -> None:
+    case = next(case for case in CASES if case.layout == "dna-rendering")
+    case.write(tmp_path, case.rig())
+    with h5py.File(tmp_path / "0007_01.smc", "r+") as file:
+        file.move("Camera_5mp/1/color/2", "Camera_5mp/1/color/7")
+    refused(tmp_path, "only one of cameras 0 and 1 has frame '2'")
+
+
 def test_hdf5_files_reach_for_no_other_file(tmp_path: Path) -> None:
     case = next(case for case in CASES if case.layout == "dna-rendering")
     case.write(tmp_path, case.rig())
