@@ -108,8 +108,8 @@ def _check_in_step(sources: Sequence[SmcSource]) -> None:
         lacking = sorted(set(sources[0].frames) ^ set(source.frames), key=natural_key)
         if lacking:
             raise RigError(
-                f"{source.path}: only one of cameras {sources[0].camera} and {source.camera} has frame {lacking[0]!a:.20}; "
-                "download the file again"
+                f"{source.path}: only one of cameras {sources[0].camera} and {source.camera} has frame "
+                f"{lacking[0]!a:.20}; download the file again"
             )
 
 
