@@ -8,15 +8,16 @@ from concurrent.futures import Future, ThreadPoolExecutor, wait
 from pathlib import Path
 
 from ..cameras import Camera
-from ..errors import RigError, UsageError
+from ..errors import RecordingEnded, RigError, UsageError
 from ..pictures import PICTURE_SUFFIXES, Picture
 from ..threads import processor_count
 from ..videos import VIDEO_SUFFIXES
 from .detection import calibration_files, reader_at
+from .live import open_live
 from .rig import Points, Rig
 from .sources import FrameSource, PictureSource, list_folder
 
-__all__ = ["FrameSource", "Points", "Rig", "files_of", "files_with", "open_rig", "read_frames"]
+__all__ = ["FrameSource", "Points", "Rig", "files_of", "files_with", "open_live", "open_rig", "read_frames"]
 
 
 def open_rig(path: str | os.PathLike[str]) -> Rig:
@@ -57,7 +58,8 @@ def read_frames(
 
     Pictures come in the order of ``names`` (default: all cameras); other cameras are never opened. One frame of each
     camera is held at a time; files are read strictly in sequence, also to reach ``start``. Cameras are decoded side by
-    side. Raises UsageError for a range or name the rig does not have, RigError naming file and frame while reading.
+    side. Frames of a recording that goes on (``open_live``) come as they are taken, and end with it. Raises UsageError
+    for a range or name the rig does not have, RigError naming file and frame while reading.
     """
     stop = rig.frame_count if stop is None else stop
     if not 0 <= start <= stop <= rig.frame_count:
@@ -81,7 +83,10 @@ def _frames_in_step(chosen: list[tuple[Camera, FrameSource]], frames: range) -> 
                 pool.submit(_next_picture, camera, source, reader, index)
                 for (camera, source), reader in zip(chosen, readers, strict=True)
             ]
-            yield index, [future.result() for future in pending]
+            try:
+                yield index, [future.result() for future in pending]
+            except RecordingEnded:
+                return
     finally:
         # Waits for decoders in flight: a reader must not be closed while its thread runs. Not for the threads to end:
         # the garbage collector may close this while it holds the lock that joining a thread takes.
