@@ -80,7 +80,10 @@ class LiveSource:
         return self.recording.fps
 
     def read(self, start: int, stop: int, step: int = 1) -> Generator[Picture, None, None]:
-        """The pictures of these frames, each when it is whole. Raises RecordingEnded, and RigError for another size."""
+        """The pictures of these frames, each when it is whole. Raises RecordingEnded after the last one.
+
+        RigError where the first does not come, or one has another size.
+        """
         last = None
         for frame in range(start, stop, step):
             last = self._next(frame, last)
@@ -88,14 +91,17 @@ class LiveSource:
 
     def _next(self, frame: int, last: Picture | None) -> Picture:
         recording, began, due = self.recording, time.monotonic(), None
+        file = recording.file(self.camera.name, frame)
         later = frame + max(1, round(recording.late * recording.fps))
-        while (picture := self._whole(recording.file(self.camera.name, frame))) is None:
+        while (picture := self._whole(file)) is None:
             now = time.monotonic()
             if last is not None and recording.has(frame, but=self.camera.name):
                 due = now + recording.late if due is None else due
                 if now > due or recording.has(later, but=self.camera.name):
                     return last
             elif now > began + recording.end:
+                if last is None:
+                    raise RigError(f"{file}: did not appear in {recording.end:g} s; start the camera, or raise 'end'")
                 raise RecordingEnded(f"{self.path}: no new frame for {recording.end:g} s; the recording has ended")
             time.sleep(_POLL)
         return picture

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import threading
 import time
@@ -190,5 +191,7 @@ def test_pictures_of_another_size(tmp_path: Path, sources: Path, moving_rig: Pat
         list(read_frames(open_live(sources)))
 
 
-def test_nothing_recorded(sources: Path) -> None:
-    assert list(read_frames(open_live(impatient(sources)))) == []
+def test_nothing_recorded(tmp_path: Path, sources: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert encode_main(["--live", str(impatient(sources)), "-o", str(tmp_path / "a.dgs"), "--preset", "draft"]) == 2
+    assert re.search(r"cam\d\d/0000\.png: did not appear in 0\.1 s; start the camera", capsys.readouterr().err)
+    assert not list(tmp_path.glob("a.dgs*"))
