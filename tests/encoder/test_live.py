@@ -180,6 +180,24 @@ def test_a_file_of_sources_that_cannot_be(sources: Path, replaced: str, by: str,
     assert "\n" not in str(caught.value)
 
 
+def test_the_file_on_the_page(tmp_path: Path, moving_rig: Path) -> None:
+    """docs/rig.md: its example is read, and what it says of values left out is so."""
+    page = (Path(__file__).parents[2] / "docs" / "rig.md").read_text()
+    example = re.search(r"```toml\n(.*?)```", page, re.DOTALL)
+    assert example is not None
+    (tmp_path / "rig_dir").symlink_to(moving_rig)
+    lines = example[1].splitlines()
+    shorter = [line for line in lines if "if left out" not in line]
+    assert len(shorter) == len(lines) - 3
+    rigs = []
+    for text in lines, shorter:
+        (tmp_path / "sources.toml").write_text("\n".join(text))
+        rigs.append(open_live(tmp_path / "sources.toml"))
+    assert [camera.name for camera in rigs[0].cameras] == ["cam00", "cam01"]
+    assert rigs[0].fps == 25
+    assert len({repr(source.recording) for rig in rigs for source in rig.sources}) == 1  # type: ignore[attr-defined]
+
+
 def test_pictures_of_another_size(tmp_path: Path, sources: Path, moving_rig: Path) -> None:
     import cv2
 
