@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..cameras import MAX_SIDE, Camera, DistortionModel, as_pinhole, is_distorted, turned
 from ..errors import RigError
-from ..rotations import is_orthonormal
+from ..rotations import is_orthonormal, rotation_rows
 
 _RIGID_TOLERANCE = 1e-3
 """How far R R^T may be from the identity: calibration files carry as few as 4 digits."""
@@ -70,13 +71,26 @@ def vector_pose(rotation: ArrayLike, translation: ArrayLike, where: str) -> NDAr
 
     Raises RigError, starting with ``where``, as ``rigid_pose`` does, and for another number of values.
     """
-    import cv2
-
     turn, shift = (np.asarray(values, np.float64).ravel() for values in (rotation, translation))
     if turn.size not in (3, 9) or shift.size != 3:
         raise RigError(f"{where}: the pose has {turn.size} and {shift.size} values, not 3 or 9 and 3; correct the file")
-    matrix = turn.reshape(3, 3) if turn.size == 9 else np.asarray(cv2.Rodrigues(turn)[0], np.float64)
+    matrix = turn.reshape(3, 3) if turn.size == 9 else _turn_about(turn)
     return rigid_pose(np.hstack([matrix, shift[:, None]]), where)
+
+
+def _turn_about(vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    import cv2
+
+    return np.asarray(cv2.Rodrigues(vector)[0], np.float64)
+
+
+def quaternion_pose(quaternion: Sequence[float], translation: ArrayLike, where: str) -> NDArray[np.float64]:
+    """The pose (4, 4) of a quaternion (w, x, y, z), of any norm, and a translation (3,). Raises as ``rigid_pose``."""
+    q = np.array(quaternion, np.float64)
+    norm = float(np.linalg.norm(q)) if np.isfinite(q).all() and np.abs(q).max() < 1e100 else 0.0
+    if norm < 1e-6:
+        raise RigError(f"{where}: the pose is singular (rotation quaternion {tuple(quaternion)}); export it again")
+    return vector_pose(rotation_rows(*(q / norm)), translation, where)
 
 
 FIRST_PIXEL_AT_0 = 0.5

@@ -23,9 +23,8 @@ from ..cameras import Camera, DistortionModel
 from ..errors import RigError
 from ..pictures import PICTURE_SUFFIXES
 from ..regular_files import open_regular
-from ..rotations import rotation_rows
 from ..videos import VIDEO_SUFFIXES
-from .calibration import calibrated_camera, rigid_pose
+from .calibration import calibrated_camera, quaternion_pose
 from .rig import Points, Rig, assemble_rig
 from .sources import GENERIC_FOLDERS, holds_frames, list_folder, open_source, refuse_unknown_kinds
 
@@ -259,7 +258,7 @@ def cameras_of(
         place = places[image.name] or ""
         name = place.rpartition("/")[2]
         camera = _camera(name if names[name] == 1 else place.replace("/", "_"), lens, image.world_to_camera, where)
-        if place in cameras and not _same_pose(cameras[place], camera):
+        if place in cameras and not same_pose(cameras[place], camera):
             raise RigError(
                 f"{where}: camera {camera.name} stands somewhere else in another image; cameras must be fixed, and "
                 "those of several cameras need a folder each, or lie in images/ with one picture each"
@@ -281,7 +280,8 @@ def _check_apart(model: Path, cameras: Sequence[Camera]) -> None:
             )
 
 
-def _same_pose(one: Camera, other: Camera) -> bool:
+def same_pose(one: Camera, other: Camera) -> bool:
+    """Whether two calibrations of one fixed camera put it in one place, up to what a reconstruction leaves."""
     difference = np.abs(one.world_to_camera - other.world_to_camera)
     distance = 1 + float(np.linalg.norm(one.world_to_camera[:3, 3]))
     return bool(difference[:3, :3].max() < _SAME_POSE and difference[:3, 3].max() < _SAME_POSE * distance)
@@ -310,18 +310,6 @@ def _check_model_name(model: str, where: str) -> int:
             f"or use one of {', '.join(_PARAMETERS)}"
         )
     return _PARAMETERS[model]
-
-
-def _pose(quaternion: tuple[float, ...], translation: tuple[float, ...], where: str) -> NDArray[np.float64]:
-    """World-to-camera from COLMAP's quaternion (w, x, y, z; any norm) and translation."""
-    q = np.array(quaternion, np.float64)
-    norm = float(np.linalg.norm(q)) if np.isfinite(q).all() and np.abs(q).max() < 1e100 else 0.0
-    if norm < 1e-6:
-        raise RigError(f"{where}: the pose is singular (rotation quaternion {quaternion}); export the model again")
-    pose = np.eye(4)
-    pose[:3, :3] = rotation_rows(*(q / norm))
-    pose[:3, 3] = translation
-    return rigid_pose(pose, where)
 
 
 # --- binary ---------------------------------------------------------------------------------------------------------
@@ -400,7 +388,7 @@ def _binary_images(path: Path) -> list[PosedImage]:
         (camera_id,) = file.integers("<I")
         name = file.name()
         file.skip(24 * file.count(24))
-        pose = _pose(numbers[:4], numbers[4:], f"{path}, image {name!r}")
+        pose = quaternion_pose(numbers[:4], numbers[4:], f"{path}, image {name!r}")
         images.append(PosedImage(image_id, name, camera_id, pose))
     return images
 
@@ -460,7 +448,7 @@ def _text_images(path: Path) -> list[PosedImage]:
             image_id, camera_id, name = int(words[0]), int(words[8]), words[9]
         except (ValueError, IndexError):
             raise malformed(path, number) from None
-        pose = _pose(numbers[:4], numbers[4:], f"{path}, image {name!r}")
+        pose = quaternion_pose(numbers[:4], numbers[4:], f"{path}, image {name!r}")
         images.append(PosedImage(image_id, name, camera_id, pose))
         may_be_points = True
     return images

@@ -10,19 +10,15 @@ from __future__ import annotations
 import re
 from pathlib import Path, PurePosixPath
 
-import numpy as np
-
 from ..cameras import Camera
 from ..errors import RigError
-from .colmap import cameras_of, find_model, model_files, read_images, read_lenses, read_points
+from .colmap import cameras_of, find_model, model_files, read_images, read_lenses, read_points, same_pose
 from .named_frames import usual_folders
 from .rig import Rig, assemble_rig
 from .sources import FrameSource, list_folder, open_listed, pictures_in
 
 LAYOUT = "frame folders"
 _NAME = re.compile(r"(?:frame|colmap)_?([0-9]+)")
-_SAME_POSE = 1e-4
-"""Between models of one rig, in rotation and as a share of the camera's distance, as between images of one model."""
 
 
 def frame_folders(folder: Path) -> list[Path]:
@@ -65,9 +61,7 @@ def _check_still(cameras: dict[str, Camera], folder: Path) -> None:
     for name, camera in cameras.items():
         if name not in last:
             raise RigError(f"{folder}: its model has no camera {name}, which the first folder's has; calibrate once")
-        difference = np.abs(camera.world_to_camera - last[name].world_to_camera)
-        distance = 1 + float(np.linalg.norm(camera.world_to_camera[:3, 3]))
-        if difference[:3, :3].max() > _SAME_POSE or difference[:3, 3].max() > _SAME_POSE * distance:
+        if not same_pose(camera, last[name]):
             raise RigError(
                 f"{folder}: camera {name} stands somewhere else than in the first frame; a rig needs fixed cameras, "
                 "calibrated once for all frames"

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from ..cameras import Camera
 from ..errors import RigError
-from ..rotations import rotation_rows
-from .calibration import opencv_camera, vector_pose
+from .calibration import opencv_camera, quaternion_pose
 from .fields import read_calibration_file
 from .rig import Rig, assemble_rig
 from .sources import FrameSource, open_pictures, pictures_in
@@ -72,9 +71,6 @@ def _rows(path: Path) -> list[NDArray[np.float64]]:
 def _camera(number: int, row: NDArray[np.float64], source: FrameSource, path: Path) -> Camera:
     where = f"{path}, camera {number}"
     focal, cx, cy, aspect, skew = row[:5]
-    norm = float(np.linalg.norm(row[5:9]))
-    if not 1e-6 < norm < 1e100:
-        raise RigError(f"{where}: the pose is singular (a rotation quaternion of 0); correct the file")
-    pose = vector_pose(rotation_rows(*(row[5:9] / norm)), row[9:], where)
+    pose = quaternion_pose(row[5:9].tolist(), row[9:], where)
     matrix = [focal, skew, cx, 0, focal * aspect, cy, 0, 0, 1]
     return opencv_camera(f"cam{number:02d}", (source.width, source.height), matrix, (), pose, where, shift=0.0)
