@@ -213,3 +213,18 @@ def test_nothing_recorded(tmp_path: Path, sources: Path, capsys: pytest.CaptureF
     assert encode_main(["--live", str(impatient(sources)), "-o", str(tmp_path / "a.dgs"), "--preset", "draft"]) == 2
     assert re.search(r"cam\d\d/0000\.png: did not appear in 0\.1 s; start the camera", capsys.readouterr().err)
     assert not list(tmp_path.glob("a.dgs*"))
+
+
+def test_a_recording_that_went_on_is_resumed(
+    tmp_path: Path, sources: Path, moving_rig: Path, tiny_settings: Any
+) -> None:
+    """The cameras paused for longer than ``end``; what comes after is added to the stream."""
+    capture, count = shutil.copytree(moving_rig, tmp_path / "capture"), open_rig(moving_rig).frame_count
+    for path in capture.glob(f"*/{count - 1:04d}.png"):
+        path.unlink()
+    first = encode_rig(open_live(impatient(sources)), tmp_path / "live.dgs", settings=tiny_settings)
+    shutil.copytree(moving_rig, capture, dirs_exist_ok=True)
+    rest = encode_rig(open_live(sources), tmp_path / "live.dgs", settings=tiny_settings, resume=True)
+    encode_rig(moving_rig, tmp_path / "after.dgs", settings=tiny_settings)
+    assert (len(first.frames), rest.resumed) == (count - 1, count - 1)
+    assert (tmp_path / "live.dgs").read_bytes() == (tmp_path / "after.dgs").read_bytes()
