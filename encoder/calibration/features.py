@@ -62,7 +62,8 @@ def features_of(pictures: Sequence[U8], extractor: Any) -> Features:
     height, width = pictures[0].shape[:2]
     scale = min(1.0, _MAX_SIDE / max(height, width))
     size = (round(width * scale), round(height * scale))
-    grey = np.stack([cv2.resize(_grey(picture), size, interpolation=cv2.INTER_AREA) for picture in pictures])
+    reduced = [cv2.resize(_grey(picture), size, interpolation=cv2.INTER_AREA) for picture in pictures]
+    grey = np.asarray(reduced, np.uint8)
     median = np.median(grey, axis=0).astype(np.uint8)
     moving = _moving(grey, median)
     found = [_sift(median, moving.mean(axis=0) <= 0.5, extractor)]

@@ -61,7 +61,8 @@ class Lens:
         else:
             pixels, jacobian = cv2.projectPoints(points, *pose, self.matrix, coefficients)
             jacobian = jacobian[:, :6]
-        return pixels.reshape(-1, 2), jacobian.reshape(len(points), 2, 6)
+        derivatives = np.asarray(jacobian, np.float64).reshape(len(points), 2, 6)
+        return np.asarray(pixels, np.float64).reshape(-1, 2), derivatives
 
     def pose(self, points: F64, pixels: F64) -> tuple[F64, F64] | None:
         """Rotation vector and translation (3,) of a flat board from its points (N, 3) in one picture; or None."""

@@ -33,8 +33,8 @@ _MIN_INLIERS = 15
 _MIN_INLIER_SHARE = 0.4
 """Of a pair's matches; wrong pairs, whose features look alike, have a quarter to a half."""
 _LEAST_GAIN_PIXELS = 0.001
-"""Of the cost, by a lens with more freedom: `workbench` gains less by lenses that it has not, `panoptic_basketball` more
-by a principal point that is off the middle."""
+"""Of the cost, by a lens with more freedom: `workbench` gains less by lenses that it has not, `panoptic_basketball`
+more by a principal point that is off the middle."""
 _MIN_ANGLE = 1.5
 """Degrees between the rays to a point."""
 _MAPPED_LENSES = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL")
