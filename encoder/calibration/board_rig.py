@@ -1,7 +1,8 @@
 """Cameras by a board that moves through the take: poses over pairs that see it at once, then all poses adjusted.
 
 Lenses are those that each camera's own views gave, and stay: of webcams, which are milliseconds out of step, an
-adjustment with free lenses bends these to make up for it (`desk_charuco_4cam`: worst camera 6 to 13 degrees off, not 3.4).
+adjustment with free lenses bends these to make up for it (`desk_charuco_4cam`: worst camera 6 to 13 degrees off, not
+3.4).
 """
 
 from __future__ import annotations
